@@ -13,7 +13,6 @@ result of a failed search has `converged` False and the cause in `status`. Long 
 text and a share from 0 to 1, or True for a bar on stderr. By default, a line is written to stderr every twenty seconds.
 """
 
-import warnings
 from collections.abc import Mapping, Sequence
 from decimal import Decimal
 from fractions import Fraction
@@ -37,7 +36,6 @@ from dpcontrol.foundation.progress import Cost, Reporting, announce, part_of, re
 from dpcontrol.loop.protocols import UserEstimator, UserLaw, UserPlant, UserRig
 from dpcontrol.plans.model import Model, ModelSystem, model_of, write_model
 from dpcontrol.plans.model import load_model as load_model
-from dpcontrol.plans.overrides import RunOptions as RunOptions
 from dpcontrol.plans.overrides import canonical
 from dpcontrol.references.problem import Limits, ReferenceSettings
 
@@ -563,7 +561,6 @@ def closed_loop(
     planned: "Plan | str",
     *,
     settings: Mapping[str, object] | None = None,
-    options: Mapping[str, object] | None = None,
     yes: bool = False,
     progress: Reporting = None,
     **named: object,
@@ -573,7 +570,6 @@ def closed_loop(
     Args:
         planned: plan, or name or path of an itinerary.
         settings: run settings by path, such as {"drive.lag": 0.005} (default: none).
-        options: deprecated, use `settings`.
         yes: accept work of more than an hour or 4 GB (default: refused).
         progress: reports, see `dpcontrol.api`.
         named: further settings by the last part of their paths, such as `mismatch=0.02`; laws, estimators and plants
@@ -591,7 +587,7 @@ def closed_loop(
         True
     """
     with reporting(progress, "plan") as report:
-        return _closed(planned, _settings(settings, options, **named), yes=yes, progress=report)
+        return _closed(planned, _settings(settings, **named), yes=yes, progress=report)
 
 
 @checked
@@ -672,7 +668,6 @@ def run(
     plant: Place | None = None,
     seed: Seed = 0,
     settings: Mapping[str, object] | None = None,
-    options: Mapping[str, object] | None = None,
     rig: "Rig | RigLink | str | None" = None,
     log: Place | None = None,
     force: bool = False,
@@ -688,7 +683,6 @@ def run(
         plant: name or path of a model for a plant with other arms (default: the same arms).
         seed: seed of the random numbers (default: 0).
         settings: run settings by path, such as {"drive.lag": 0.005} (default: none).
-        options: deprecated, use `settings`.
         rig: object with `read()`, `command(acceleration)` and `stop()`, address of a bench in real time, or link of
             `rig_link` (default: the simulated bench).
         log: log to write (default: the run stays in memory).
@@ -708,7 +702,7 @@ def run(
         >>> dp.run("outer-turn", mismatch=0.02, seed=3).converged
         True
     """
-    chosen = _settings(settings, options, mismatch=mismatch, plant=plant)
+    chosen = _settings(settings, mismatch=mismatch, plant=plant)
     with reporting(progress, "run") as report:
         loop = _closed(planned, chosen, yes=yes, progress=part_of(report, 0.0, 0.5))
         return loop.run(seed=seed, rig=rig, log=log, force=force, live=live, progress=part_of(report, 0.5, 1.0))
@@ -721,7 +715,6 @@ def export(
     *,
     single: bool = False,
     settings: Mapping[str, object] | None = None,
-    options: Mapping[str, object] | None = None,
     force: bool = False,
     yes: bool = False,
     progress: Reporting = None,
@@ -733,7 +726,6 @@ def export(
         folder: folder to write, or NAME.fmu for a co-simulation unit (default: none).
         single: use single precision (default: double).
         settings: run settings by path, such as {"drive.lag": 0.005} (default: none).
-        options: deprecated, use `settings`.
         force: replace files of the same names there.
         yes: accept work of more than an hour or 4 GB (default: refused).
         progress: reports, see `dpcontrol.api`.
@@ -750,7 +742,7 @@ def export(
         ['CMakeLists.txt', 'Makefile']
     """
     with reporting(progress, "export") as report:
-        loop = _closed(planned, _settings(settings, options), yes=yes, progress=part_of(report, 0.0, 0.5))
+        loop = _closed(planned, _settings(settings), yes=yes, progress=part_of(report, 0.0, 0.5))
         return loop.export(folder, single=single, force=force, progress=part_of(report, 0.5, 1.0))
 
 
@@ -762,7 +754,6 @@ def campaign(
     mismatch: float | None = None,
     plant: Place | None = None,
     settings: Mapping[str, object] | None = None,
-    options: Mapping[str, object] | None = None,
     over: Mapping[str, object] | None = None,
     first_seed: Seed = 0,
     transitions: bool = False,
@@ -781,7 +772,6 @@ def campaign(
         mismatch: largest relative error of the plant's parameters (default: the itinerary's).
         plant: name or path of a model for a plant with other arms (default: the same arms).
         settings: run settings by path, such as {"drive.lag": 0.005} (default: none).
-        options: deprecated, use `settings`.
         over: values of run settings by name, each combination a case.
         first_seed: first seed (default: 0).
         transitions: run each transfer from hold to hold separately.
@@ -807,7 +797,7 @@ def campaign(
 
     counts = CampaignSettings(runs=runs, first_seed=first_seed, workers=workers, scheduler=scheduler)
     with reporting(progress, "campaign") as report:
-        chosen = _settings(settings, options, mismatch=mismatch, plant=plant)
+        chosen = _settings(settings, mismatch=mismatch, plant=plant)
         loop = _closed(planned, chosen, yes=yes, progress=part_of(report, 0.0, 0.1))
         return loop.campaign(
             over=over, settings=counts, transitions=transitions, out=out, force=force, yes=yes,
@@ -1576,7 +1566,6 @@ def start_bench(
     *,
     seed: Seed = 0,
     settings: Mapping[str, object] | None = None,
-    options: Mapping[str, object] | None = None,
     hanging: bool = False,
     faults: Sequence[str] = (),
     at: "BenchAddress | None" = None,
@@ -1589,7 +1578,6 @@ def start_bench(
         itinerary: name or path of the itinerary whose arms and cart are simulated.
         seed: seed of the random numbers on the bench (default: 0).
         settings: settings of the bench by path, which override the itinerary's (see `closed_loop`).
-        options: deprecated, use `settings`.
         hanging: begin with hanging arms, for `commission` (default: those of the itinerary's start).
         faults: wiring mistakes for practice, such as "encoder-2-reversed" (default: none).
         at: host, port, key and watchdog (default: any free port of this computer).
@@ -1610,7 +1598,7 @@ def start_bench(
     from dpcontrol.plans.itinerary import load_itinerary
     from dpcontrol.runs.example_bench import BenchAddress, example_bench
 
-    scene = load_itinerary(itinerary).with_run(_settings(settings, options), seed=seed)
+    scene = load_itinerary(itinerary).with_run(_settings(settings), seed=seed)
     with reporting(progress, "rig") as report:
         where = BenchAddress() if at is None else at
         return example_bench(scene, where, hanging=hanging, faults=faults, notify=remark, yes=yes, progress=report)
@@ -1623,7 +1611,6 @@ def commission(
     rig: "RigLink | str | None" = None,
     seed: Seed = 0,
     settings: Mapping[str, object] | None = None,
-    options: Mapping[str, object] | None = None,
     faults: Sequence[str] = (),
     switches: NotNegative = 0.0,
     write: bool = False,
@@ -1636,7 +1623,6 @@ def commission(
         rig: address or link of the rig (default: the example bench in simulated time).
         seed: seed of the random numbers on the example bench (default: 0).
         settings: settings of the example bench by path, which override the itinerary's (see `closed_loop`).
-        options: deprecated, use `settings`.
         faults: wiring mistakes of the example bench (default: none).
         switches: distance in m to creep to either side until limit switches answer (default: 0, none).
         write: write measured values into the itinerary's [run] if nothing blocks (default: not).
@@ -1655,7 +1641,7 @@ def commission(
     from dpcontrol.plans.itinerary import load_itinerary
     from dpcontrol.runs.run import OWN_BENCH, commission_rig, measured_text
 
-    scene, chosen = load_itinerary(itinerary), _settings(settings, options)
+    scene, chosen = load_itinerary(itinerary), _settings(settings)
     link = rig_link(rig) if isinstance(rig, str) else rig
     if link is not None and link.address != OWN_BENCH and (faults or chosen):
         raise InputError(f"rig = {link.address}: faults and settings are those of the example bench; omit them")
@@ -2080,15 +2066,8 @@ def _closed(planned: "Plan | str", settings: Mapping[str, Any], *, yes: bool, pr
     return ClosedLoop(plan(planned, yes=yes, progress=progress) if isinstance(planned, str) else planned, settings)
 
 
-def _settings(
-    settings: Mapping[str, object] | None, options: Mapping[str, object] | None = None, **named: object
-) -> dict[str, Any]:
-    """Return settings by path.
-
-    They are those of the deprecated options, of the mapping, and of arguments by name.
-    """
-    if options is not None and not isinstance(options, RunOptions):
-        warnings.warn("options= will go: use settings= instead", DeprecationWarning, stacklevel=4)
+def _settings(settings: Mapping[str, object] | None, **named: object) -> dict[str, Any]:
+    """Return settings by path: those of the mapping and of arguments by name."""
     if isinstance(named.get("plant"), Path):
         named["plant"] = str(named["plant"])
-    return {**canonical(options or {}), **canonical(settings or {}), **canonical(named)}
+    return {**canonical(settings or {}), **canonical(named)}

@@ -24,7 +24,7 @@ from typing import Any, Literal, NamedTuple, TypeVar, get_args, get_origin
 import click
 
 from dpcontrol.cli.completion import COMPLETERS
-from dpcontrol.foundation.errors import GoalMissed, InputError, printable, remark
+from dpcontrol.foundation.errors import GoalMissed, InputError, printable
 
 T = TypeVar("T")
 
@@ -192,24 +192,8 @@ class Option(click.Option):
             )
 
 
-FORMER = {
-    "--" + path.replace("_", "-"): path
-    for path in (
-        *("acceleration", "attempts", "cart_mass", "command_noise", "drive_lag", "dropout", "friction", "hold", "jerk"),
-        *("jitter", "keep", "knock_impulse", "knock_velocity", "knocks", "knocks_per_minute", "missed_counts", "noise"),
-        *("model_uncertainty", "plant", "push_impulse", "pushes", "response", "stuck_at", "stuck_for", "stuck_sensor"),
-        *("tilt", "zero_drift", "zero_error"),
-    )
-} | {"--rate-noise": "sensors.rate_noise"}
-"""Options of version 0.2.0, with their paths for `--set`."""
-
-
 class Command(click.Command):
     """A verb, whose help lists options by group."""
-
-    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        known = {name for param in self.params for name in param.opts}
-        return super().parse_args(ctx, _current(args) if "--set" in known else args)
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         sections: dict[str, list[tuple[str, str]]] = {}
@@ -221,19 +205,6 @@ class Command(click.Command):
         for title, records in [*sections.items(), (OUTPUT, output)]:
             with formatter.section(title):
                 formatter.write_dl(records)
-
-
-def _current(args: list[str]) -> list[str]:
-    """Return arguments with former options as `--set`, and remark on each."""
-    current, rest = [], iter(args)
-    for text in rest:
-        name, equals, value = text.partition("=")
-        if name not in FORMER:
-            current.append(text)
-            continue
-        remark(f"{name} will go: use --set {FORMER[name]}=VALUE instead")
-        current += ["--set", f"{FORMER[name]}={value if equals else next(rest, '')}"]
-    return current
 
 
 class _Declared(NamedTuple):

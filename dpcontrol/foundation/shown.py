@@ -5,7 +5,6 @@ They print themselves in one line.
 The base classes leave the data to the dataclasses that derive from them. Pictures come from the table of renderers.
 """
 
-import warnings
 from base64 import b64encode
 from collections.abc import Callable
 from dataclasses import fields
@@ -131,6 +130,7 @@ class Timed(Shown):
         """
         raise NotImplementedError
 
+    @checked
     def sample(self, count: Count = 200) -> Array:
         """Return states at equally spaced times.
 
@@ -140,13 +140,6 @@ class Timed(Shown):
         Returns:
             States (count, N).
         """
-        if np.ndim(count):
-            warnings.warn("sample(times) will go: use states(times) instead", DeprecationWarning, stacklevel=2)
-            return self.states(count)
-        return self._sample(count)
-
-    @checked
-    def _sample(self, count: Count) -> Array:
         return self.states(np.linspace(*self.time_range, count))
 
     @checked

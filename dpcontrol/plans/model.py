@@ -4,7 +4,6 @@ A model file of identified arms gives the source and the uncertainty of each num
 """
 
 import tomllib
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields, replace
 from decimal import Decimal
@@ -146,12 +145,6 @@ class Model:
                 f"{self.path} has no [uncertainty] to draw from; identify the model from recordings, or use a mismatch"
             )
         return self.uncertainty
-
-    @property
-    def known_to(self) -> Uncertainty:
-        """Deprecated name of `identified_uncertainty`."""
-        warnings.warn("Model.known_to will go: use identified_uncertainty", DeprecationWarning, stacklevel=2)
-        return self.identified_uncertainty
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,7 +8,6 @@ Paths follow the fields of `LoopSettings`, such as `mismatch`, `drive.lag` and `
 
 import re
 import shlex
-import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import fields
@@ -25,8 +24,6 @@ NAMED = (
     "rate", "supervisor.on_fall",
 )  # fmt: skip
 """Paths that have an option of the command line each; `--set` takes every path."""
-_FORMER = {"rate_noise": "sensors.rate_noise"}
-"""Paths of former options whose names are no longer unique."""
 
 
 class Leaf(NamedTuple):
@@ -219,14 +216,3 @@ def settings_to_vary(given: str = "") -> Sequence[str]:
         given: the setting with the values before the one to complete, such as "controller=lqr,".
     """
     return paths()[resolved(given.partition("=")[0])].bounds.choices if given else [f"{path}=" for path in paths()]
-
-
-class RunOptions(dict[str, Any]):
-    """Settings of a run by name. Deprecated: give a dictionary as `settings`."""
-
-    def __init__(self, **options: Any) -> None:
-        warnings.warn(
-            'dp.RunOptions will go: give settings={"drive.lag": 0.005} instead', DeprecationWarning, stacklevel=2
-        )
-        super().__init__({_FORMER.get(k, k): value for k, value in options.items() if value is not None})
-        canonical(self)

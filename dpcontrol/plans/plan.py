@@ -8,8 +8,7 @@ scored and reviewed without other files.
 
 import json
 import os
-import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from io import BytesIO
@@ -22,7 +21,7 @@ from dpcontrol.foundation.cache import cache_file, keep, kept
 from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.foundation.files import content_hash
-from dpcontrol.foundation.progress import Cost, Progress, Reporting, announce, no_progress, part_of
+from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress, part_of
 from dpcontrol.foundation.shown import Timed, checked_times
 from dpcontrol.logs.layout import state_names
 from dpcontrol.plans.itinerary import HoldPart, Itinerary, WalkPart, stored_itinerary
@@ -115,37 +114,6 @@ class Plan(ByReference, Timed, Documented):
         if not self.converged:
             raise GoalMissed(f"{self.itinerary.name} has no reference to follow: {self.status}")
         return self
-
-    def margins(self, options: Mapping[str, object] | None = None) -> Any:
-        """Deprecated: use `dp.closed_loop(plan).margins()`.
-
-        Args:
-            options: settings of the run by path, default none.
-        """
-        return self._closed_loop("margins", options).margins()
-
-    def preflight(
-        self, options: Mapping[str, object] | None = None, *, runs: int = 0, workers: int = 0, yes: bool = False,
-        progress: Reporting = None,
-    ) -> Any:  # fmt: skip
-        """Deprecated: use `dp.closed_loop(plan).preflight()`.
-
-        Args:
-            options: settings of the run by path, default none.
-            runs: number of seeds, 0 for as many as two minutes allow.
-            workers: number of processes, 0 for one per processor.
-            yes: accept any duration, default False.
-            progress: receiver of progress reports.
-        """
-        loop = self._closed_loop("preflight", options)
-        return loop.preflight(runs=runs, workers=workers, yes=yes, progress=progress)
-
-    def _closed_loop(self, method: str, options: Mapping[str, object] | None) -> Any:
-        import dpcontrol as dp
-
-        text = f"Plan.{method} will go: use dp.closed_loop(plan).{method}() instead"
-        warnings.warn(text, DeprecationWarning, stacklevel=3)
-        return dp.closed_loop(self, settings=options)
 
     @property
     def transfers(self) -> list[Any]:

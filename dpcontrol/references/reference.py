@@ -242,8 +242,6 @@ def start_reference(reference: Reference, which: int) -> Reference | None:
 
 FORMAT = "dpcontrol-reference"
 VERSION = 2
-READ = (1, 2)
-"""Versions that are read."""
 _EXTRA = "extra_"
 _FOUND = ("max_error_between_nodes", "constraint_violation", "iterations", "solve_seconds")
 """Figures of the search; the cart's figures follow from the trajectory."""
@@ -328,7 +326,7 @@ def load_reference(path: Path | IO[bytes]) -> Reference:
         InputError: the file does not exist, is damaged or is not a reference.
     """
     making = {"make": "plan the itinerary first", "again": "plan again"}
-    with archive(path, what="a reference", **making, format=FORMAT, versions=READ) as (header, arrays):
+    with archive(path, what="a reference", **making, format=FORMAT, versions=(VERSION,)) as (header, arrays):
         return _checked(header, arrays)
 
 

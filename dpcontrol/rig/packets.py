@@ -29,8 +29,6 @@ packets carry it, which excludes packets of other runs and of senders that canno
 run begins with START. The sequence number increases with each packet of a sender. A packet with a number that is not
 above all earlier ones is ignored. Lost packets are not repeated. READING and COMMAND carry their tick.
 
-Version 1 had a head of eight bytes, without session and sequence, and HELLO carried the pending commands.
-
 A bench moves a cart. Beyond loopback, others can read and forge packets, so there they are sealed with a shared key
 unless the user disables this. The key is in a file or in the environment. It is not accepted on the command line, which
 all users of a computer can read.
@@ -56,7 +54,6 @@ _LONGEST_TEXT = 2048
 NO_TICK = 2**32 - 1
 
 _HEAD = struct.Struct("<4sBBHQI")
-_OLD_HEAD = struct.Struct("<4sBBH")
 _WELCOME = struct.Struct("<dIQ")
 _READING = struct.Struct("<IIIIdbBH")
 _COMMAND = struct.Struct("<Id")
@@ -273,9 +270,9 @@ def unpacked(data: bytes, role: Role, *, key: bytes = b"") -> ReceivedPacket:
         Unsealed: the seal is missing or wrong, or there is one without a key.
         ValueError: the packet is invalid or damaged.
     """
-    if len(data) < _OLD_HEAD.size:
+    if len(data) < _HEAD.size:
         raise ValueError(f"a packet of {len(data)} bytes has no head")
-    magic, version, number, count = _OLD_HEAD.unpack_from(data)
+    magic, version, number, count, session, sequence = _HEAD.unpack_from(data)
     if magic != MAGIC:
         raise ValueError(f"a packet that begins with {magic!r} is not from a bench")
     if version != VERSION:
@@ -285,7 +282,6 @@ def unpacked(data: bytes, role: Role, *, key: bytes = b"") -> ReceivedPacket:
         if not hmac.compare_digest(seal, _seal(data, role, key)):
             raise Unsealed("a packet is not sealed with the shared key")
     try:
-        session, sequence = _HEAD.unpack_from(data)[-2:]
         kind = Kind(number)
         content, end = _content(kind, data, count)
     except (struct.error, UnicodeDecodeError) as error:
@@ -332,30 +328,24 @@ def _text(data: bytes, at: int, size: int) -> str:
 
 
 def is_hello(data: bytes) -> bool:
-    """True if these bytes begin like a HELLO of any version.
+    """True if these bytes have the head of a HELLO of any version.
 
     The sender of a HELLO can receive a refusal.
 
     Args:
         data: the received bytes.
     """
-    return data[:4] == MAGIC and data[5:6] == bytes([Kind.HELLO])
+    return len(data) >= _HEAD.size and data[:4] == MAGIC and data[5] == Kind.HELLO
 
 
 def refusal(data: bytes, why: str) -> bytes:
     """Return an unsealed BYE that refuses a HELLO.
 
-    The sender understands it, for version 1 or 2.
-
     Args:
         data: bytes of the HELLO.
         why: reason of the refusal.
     """
-    said = bye(why)
-    if data[4] == 1:
-        return _OLD_HEAD.pack(MAGIC, 1, said.kind, said.number) + said.body
-    session = int.from_bytes(data[_OLD_HEAD.size : _OLD_HEAD.size + 8], "little")
-    return packed(said, Role.BENCH, session=session, sequence=1)
+    return packed(bye(why), Role.BENCH, session=_HEAD.unpack_from(data)[-2], sequence=1)
 
 
 class Talk:

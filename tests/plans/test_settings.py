@@ -176,13 +176,6 @@ def test_overrides_mean_the_same_in_python_and_on_the_command_line(tmp_path: Pat
     assert dp.closed_loop("hold-down-down", settings=given).plan.itinerary.loop.drive.lag == 0.002
 
 
-def test_run_options_still_work_and_are_deprecated() -> None:
-    with pytest.warns(DeprecationWarning, match=r"dp\.RunOptions will go: give settings="):
-        options = dp.RunOptions(lag=0.002, rate_noise=0.1)
-    loop = dp.closed_loop("hold-down-down", options=options).plan.itinerary.loop
-    assert (loop.drive.lag, loop.sensors.rate_noise) == (0.002, 0.1)
-
-
 @pytest.mark.slow
 def test_a_log_of_version_0_2_0_is_read_and_its_run_repeated(tmp_path: Path) -> None:
     again = dpcontrol("run", "--from", OLD / "run-0.2.0.mcap", "--out", tmp_path / "again.mcap", "--json")

@@ -266,14 +266,13 @@ def test_the_key_comes_from_a_file_or_the_environment(tmp_path: Path, monkeypatc
     assert dpcontrol("run", "outer-turn", "--insecure").code == 2
 
 
-def test_a_loop_of_version_1_is_rejected_with_the_remedy() -> None:
-    with served(Toy()) as bench, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as old:
-        old.settimeout(30)
-        old.sendto(b"dpcb\x01\x01\x00\x00", bench.address)
-        answer = old.recv(4096)
-        magic, version, kind, count = struct.unpack_from("<4sBBH", answer)
-        assert (magic, version, kind, count) == (b"dpcb", 1, Kind.BYE, len(answer) - 8)
-        assert answer[8:].decode() == "this bench uses version 2 of the protocol; update the loop's dpcontrol"
+def test_a_loop_of_another_version_is_rejected_with_the_remedy() -> None:
+    with served(Toy()) as bench, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.settimeout(30)
+        other.sendto(struct.pack("<4sBBHQI", b"dpcb", 3, Kind.HELLO, 0, 7, 1), bench.address)
+        heard = packets.unpacked(other.recv(4096), Role.BENCH)
+        assert (heard.kind, heard.session) == (Kind.BYE, 7)
+        assert heard.content == "this bench uses version 2 of the protocol; update the loop's dpcontrol"
         with UdpRig(bench.address, settings=LONG) as rig:
             rig.read()
 

@@ -76,7 +76,7 @@ def test_invalid_packets_are_rejected_by_name() -> None:
         (whole[:5] + b"\x63" + whole[6:], "99"),
         (whole[:-1], "damaged"),
         (whole[:30], "damaged"),
-        (whole[:12], "damaged"),
+        (whole[:12], "no head"),
         (whole + b"x", "damaged"),
     ):
         with pytest.raises(ValueError, match=said):
