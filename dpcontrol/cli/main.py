@@ -169,7 +169,7 @@ def cli(ctx: click.Context) -> None:
     the command that made it, or with --force. Pictures and plans are always replaced.
 
     Exit codes: 0 done, 1 goal missed (with the reason), 2 bad input, 70 internal error (with a file for the report),
-    129 ended by SIGHUP, 130 interrupted, 143 ended by SIGTERM, 137 killed because a computation did not stop.
+    129 ended by SIGHUP, 130 interrupted, 143 ended by SIGTERM.
     """
     if ctx.invoked_subcommand in VERBS:
         # Help is shown whatever the configuration contains.

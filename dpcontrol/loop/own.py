@@ -5,19 +5,15 @@
     plant         step(state, acceleration, seconds) -> state (N,)
     rig           read() -> positions (n+1,) or a reading, command(acceleration), stop()
 
-The first three may define `reset()`, which is called before each run. A run ends if a call raises, returns an invalid
-value, or exceeds the object's time limit. The limit is its attribute `longest`, 5 s by default. Python code is
-interrupted at the limit. Native code, threads and code on Windows are only checked after they return.
+The first three may define `reset()`, which is called before each run. A run ends if a call raises or returns an invalid
+value.
 """
 
 import importlib.util
 import inspect
 import math
 import pickle
-import signal
 import sys
-import threading
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -47,12 +43,6 @@ NEEDED = {
     "rig": ("read()", "command(acceleration)", "stop()"),
 }
 """The methods that an object needs in each role."""
-LONGEST = 5.0
-"""Default time limit of a call, s."""
-_BOUNDS = 0.001, 86_400.0
-"""Least and largest time limit of a call, s."""
-_SOON = 1e-3
-"""s until an overdue timer expires."""
 LARGEST = 1e6
 """Upper bound of plausible accelerations and states, SI units."""
 _SHOWN = 60
@@ -66,45 +56,6 @@ class OwnFailure(ArithmeticError):
     """
 
 
-class _TooLong(BaseException):
-    """Interrupt of a call that exceeds its limit.
-
-    Objects cannot catch it as an Exception.
-    """
-
-
-def _timed(function: Callable[[], Any], longest: float) -> Any:
-    """Call a function and interrupt it at its time limit."""
-    began = time.perf_counter()
-
-    def check_time(number: int, frame: Any) -> None:
-        if time.perf_counter() - began >= longest:
-            raise _TooLong
-        if callable(before):
-            before(number, frame)
-
-    interrupts = hasattr(signal, "setitimer") and threading.current_thread() is threading.main_thread()
-    before: Any = None
-    pending = every = 0.0
-    if interrupts:
-        before = signal.signal(signal.SIGALRM, check_time)
-        pending, every = signal.setitimer(signal.ITIMER_REAL, longest, longest)
-    try:
-        value = function()
-    finally:
-        if interrupts:
-            # Other timers, such as one that repeats an interrupt, go on, whether set before or during the call.
-            left, again = signal.setitimer(signal.ITIMER_REAL, 0)
-            signal.signal(signal.SIGALRM, before)
-            if not math.isclose(again, longest, abs_tol=1e-5):
-                signal.setitimer(signal.ITIMER_REAL, left, again)
-            elif pending:
-                signal.setitimer(signal.ITIMER_REAL, max(pending - (time.perf_counter() - began), _SOON), every)
-    if time.perf_counter() - began > longest:
-        raise _TooLong
-    return value
-
-
 class OwnObject:
     """A user's object as controller, estimator, plant or rig.
 
@@ -114,7 +65,7 @@ class OwnObject:
         source: FILE.py:CLASS if the object comes from a file.
 
     Raises:
-        InputError: the object lacks a method, is a class, or has an invalid time limit.
+        InputError: the object lacks a method or is a class.
     """
 
     def __init__(self, role: str, thing: Any, source: str = "") -> None:
@@ -126,13 +77,6 @@ class OwnObject:
         for usage in () if self.symbolic else NEEDED[role]:
             if not callable(self.attribute(usage.partition("(")[0])):
                 raise InputError(f"{role} = {self.name}: it has no method {usage}; see `dpcontrol guide extend`")
-        longest = self.attribute("longest")
-        self._longest = LONGEST if longest is None else _number(longest)
-        if not _BOUNDS[0] <= self._longest <= _BOUNDS[1]:
-            raise InputError(
-                f"{role} = {self.name}: longest = {_shown(longest)}: must be a number of seconds from "
-                f"{_BOUNDS[0]:g} to {_BOUNDS[1]:g}"
-            )
 
     def __str__(self) -> str:
         return self.source or self.name
@@ -169,9 +113,7 @@ class OwnObject:
         """
         try:
             return getattr(self.thing, name, None)
-        except KeyboardInterrupt:
-            raise
-        except BaseException as error:
+        except Exception as error:
             raise InputError(f"{self.role} = {self.name}: {name} raised {_error_text(error)}") from error
 
     def value(self, name: str) -> Any:
@@ -181,7 +123,7 @@ class OwnObject:
             name: name of the attribute.
 
         Raises:
-            OwnFailure: reading it raised or exceeded the time limit.
+            OwnFailure: reading it raised.
         """
         return self._guarded(name, lambda: getattr(self.thing, name, None))
 
@@ -198,19 +140,14 @@ class OwnObject:
             *arguments: its arguments.
 
         Raises:
-            OwnFailure: the method raised or exceeded its time limit.
+            OwnFailure: the method raised.
         """
         return self._guarded(method, lambda: getattr(self.thing, method)(*arguments))
 
     def _guarded(self, name: str, function: Callable[[], Any]) -> Any:
         try:
-            return _timed(function, self._longest)
-        except _TooLong:
-            raise OwnFailure(f"{self.name}.{name} took longer than {self._longest:g} s") from None
-        except KeyboardInterrupt:
-            raise
-        except BaseException as error:
-            # Also asyncio.CancelledError, GeneratorExit and the user's own.
+            return function()
+        except Exception as error:
             raise OwnFailure(f"{self.name}.{name} raised {_error_text(error)}") from error
 
     def number(self, method: str, *arguments: Any) -> float:
@@ -358,9 +295,7 @@ def load_own(role: str, source: str) -> OwnObject:
         spec.loader.exec_module(module)
         kind = getattr(module, name, None)
         thing = kind() if isinstance(kind, type) else kind
-    except KeyboardInterrupt:
-        raise
-    except BaseException as error:
+    except Exception as error:
         raise InputError(f"{role} = {source}: {_error_text(error)}") from error
     if thing is None:
         raise InputError(f"{role} = {source}: {path} has no class {name}")
