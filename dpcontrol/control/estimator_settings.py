@@ -265,13 +265,6 @@ class HoldEkfSettings(EkfSettings):
 
 
 @dataclass(frozen=True)
-class FilterpyEkfSettings(FilterSettings):
-    """The extended Kalman filter with filterpy's arithmetic: the same results, but slower."""
-
-    kind: str = "ekf-filterpy"
-
-
-@dataclass(frozen=True)
 class UkfSettings(FilterSettings):
     """filterpy's unscented Kalman filter.
 
@@ -314,20 +307,13 @@ class AdaptiveEkfSettings(AdaptiveFilterSettings, EkfSettings):
 
 
 @dataclass(frozen=True)
-class AdaptiveFilterpyEkfSettings(AdaptiveFilterSettings, FilterpyEkfSettings):
-    """filterpy's extended filter with the defaults for an adaptive controller."""
-
-    kind: str = "ekf-filterpy"
-
-
-@dataclass(frozen=True)
 class AdaptiveUkfSettings(AdaptiveFilterSettings, UkfSettings):
     """The unscented filter with the defaults for an adaptive controller."""
 
     kind: str = "ukf"
 
 
-EstimatorSettings = EkfSettings | FilterpyEkfSettings | UkfSettings
+EstimatorSettings = EkfSettings | UkfSettings
 
 
 @cache

@@ -1,25 +1,24 @@
-"""The unscented and the extended Kalman filter with filterpy's arithmetic.
+"""The unscented Kalman filter with filterpy's arithmetic.
 
-The unscented filter propagates P through the equations of motion with 2(N+E)+1 sigma points, without Jacobians:
+It propagates P through the equations of motion with 2(N+E)+1 sigma points, without Jacobians:
     χ_i = z ± α √(N+E) (√P)_i,   z⁻ = Σ w_i F(χ_i),   P⁻ = Σ c_i (F(χ_i) - z⁻)(F(χ_i) - z⁻)ᵀ + Q
 One call of the compiled equations propagates all sigma points.
 
 Source: Wan & van der Merwe, The Unscented Kalman Filter, in Haykin (ed.), Kalman Filtering and Neural Networks (2001),
 chapter 7, table 7.3.
 
-These filters serve as checks of the compiled filter. They share its equations of motion and Q, but not its arithmetic.
+It shares the equations of motion and Q with the compiled filter, but not its arithmetic.
 """
 
-from abc import abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
-from filterpy.kalman import ExtendedKalmanFilter, MerweScaledSigmaPoints, UnscentedKalmanFilter
+from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 
 from dpcontrol.control.ekf import KalmanFilter, unpacked
-from dpcontrol.control.estimator_settings import FilterSettings, UkfSettings
+from dpcontrol.control.estimator_settings import UkfSettings
 from dpcontrol.control.interface import Estimate, Present, SampledModel
 from dpcontrol.dynamics.compiled import Compiled
 from dpcontrol.foundation.arrays import Array
@@ -34,17 +33,35 @@ def _arithmetic() -> Iterator[None]:
         raise ArithmeticError(f"the filter's covariance is no longer positive ({error})") from error
 
 
-class FilterpyEstimator(KalmanFilter):
-    """An `Estimator` with memory (z (N+E,), P (N+E, N+E)).
+class _Unscented(UnscentedKalmanFilter):
+    """filterpy's filter, with array products instead of loops over sigma points."""
 
-    Must not be shared between threads.
+    move: Callable[[Array], Array]
+
+    def compute_process_sigmas(self, dt: float, fx: Any = None, **fx_args: Any) -> None:
+        points = self.points_fn.sigma_points(self.x, self.P)
+        self.sigmas_f = self.move(np.ascontiguousarray(points.T)).T
+
+    def cross_variance(self, x: Array, z: Array, sigmas_f: Array, sigmas_h: Array) -> Array:
+        return (sigmas_f - x).T @ (self.Wc[:, None] * (sigmas_h - z))
+
+
+class Ukf(KalmanFilter):
+    """filterpy's unscented Kalman filter, whose points follow the compiled model.
+
+    An `Estimator` with memory (z (N+E,), P (N+E, N+E)), which must not be shared between threads.
     """
 
-    def __init__(self, model: SampledModel, settings: FilterSettings, *, noise: Array) -> None:
+    def __init__(self, model: SampledModel, settings: UkfSettings, *, noise: Array) -> None:
         super().__init__(model, settings, noise=noise)
         self.size = self.program.equations.dimension
         self._shares = self.program.equations.shares
         self._linear = Compiled(self.program.equations.prediction(with_jacobian=True))
+        self._command = 0.0
+        points = MerweScaledSigmaPoints(self.size, alpha=settings.spread, beta=settings.weight, kappa=0.0)
+        inner = _Unscented(self.size, model.arms + 1, model.period, hx=None, fx=None, points=points)
+        inner.move = lambda chosen: self.following(chosen, self._command)
+        self._points, self._inner = points, inner
 
     def following(self, points: Array, command: float) -> Array:
         """Return the next z of several points.
@@ -86,19 +103,6 @@ class FilterpyEstimator(KalmanFilter):
         if not (variances >= 0).all() or not np.isfinite(z).all() or (used and not 0 <= nis < np.inf):
             raise ArithmeticError("the filter's covariance is no longer positive, or its state no longer finite")
         return Estimate(z[:n], z[n:], np.sqrt(variances), innovation, nis, used, (z, covariance))
-
-    @abstractmethod
-    def _predicted(self, z: Array, covariance: Array, command: float) -> tuple[Array, Array]:
-        """Return z and P a period later."""
-
-    @abstractmethod
-    def _updated(
-        self, z: Array, covariance: Array, measured: Array, observation: Array, noise: Array
-    ) -> tuple[Array, Array, Array, float]:
-        """Return z, P, innovation (m,) and NIS after a measurement.
-
-        The m measured values are `observation` (m, N+E) z and noise.
-        """
 
     def update(self, estimate: Estimate, measured: Array, present: Present = None) -> Estimate:
         """Return the estimate after a measurement.
@@ -166,65 +170,6 @@ class FilterpyEstimator(KalmanFilter):
             estimate: estimate of this filter.
         """
         return estimate.memory[1]
-
-
-class FilterpyEkf(FilterpyEstimator):
-    """The extended Kalman filter, numerically equal to the compiled one."""
-
-    def __init__(self, model: SampledModel, settings: FilterSettings, *, noise: Array) -> None:
-        super().__init__(model, settings, noise=noise)
-        self._filters = [_Extended(self.size, m + 1) for m in range(model.arms + 1)]
-
-    def _predicted(self, z: Array, covariance: Array, command: float) -> tuple[Array, Array]:
-        inner = self._filters[0]
-        inner.following, inner.F, inner.Q = self.linearised(z, covariance, command)
-        inner.P = covariance
-        inner.predict()
-        return inner.following, inner.P
-
-    def _updated(
-        self, z: Array, covariance: Array, measured: Array, observation: Array, noise: Array
-    ) -> tuple[Array, Array, Array, float]:
-        inner = self._filters[len(measured) - 1]
-        # filterpy uses columns, and broadcasts (n,) to (n, n) without a warning.
-        inner.x, inner.P = z[:, None], covariance
-        inner.update(measured[:, None], lambda _: observation, lambda x: observation @ x, R=noise)
-        y = inner.y[:, 0]
-        return inner.x[:, 0], inner.P, y, float(y @ inner.SI @ y)
-
-
-class _Extended(ExtendedKalmanFilter):
-    """filterpy's filter with the nonlinear prediction."""
-
-    following: Array
-
-    def predict_x(self, u: Any = 0) -> None:
-        self.x = self.following[:, None]
-
-
-class _Unscented(UnscentedKalmanFilter):
-    """filterpy's filter, with array products instead of loops over sigma points."""
-
-    move: Callable[[Array], Array]
-
-    def compute_process_sigmas(self, dt: float, fx: Any = None, **fx_args: Any) -> None:
-        points = self.points_fn.sigma_points(self.x, self.P)
-        self.sigmas_f = self.move(np.ascontiguousarray(points.T)).T
-
-    def cross_variance(self, x: Array, z: Array, sigmas_f: Array, sigmas_h: Array) -> Array:
-        return (sigmas_f - x).T @ (self.Wc[:, None] * (sigmas_h - z))
-
-
-class Ukf(FilterpyEstimator):
-    """filterpy's unscented Kalman filter, whose points follow the compiled model."""
-
-    def __init__(self, model: SampledModel, settings: UkfSettings, *, noise: Array) -> None:
-        super().__init__(model, settings, noise=noise)
-        self._command = 0.0
-        points = MerweScaledSigmaPoints(self.size, alpha=settings.spread, beta=settings.weight, kappa=0.0)
-        inner = _Unscented(self.size, model.arms + 1, model.period, hx=None, fx=None, points=points)
-        inner.move = lambda chosen: self.following(chosen, self._command)
-        self._points, self._inner = points, inner
 
     def _predicted(self, z: Array, covariance: Array, command: float) -> tuple[Array, Array]:
         inner, self._command = self._inner, command

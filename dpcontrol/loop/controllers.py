@@ -16,11 +16,9 @@ import numpy as np
 from dpcontrol.control.ekf import CompiledEkf
 from dpcontrol.control.estimator_settings import (
     AdaptiveEkfSettings,
-    AdaptiveFilterpyEkfSettings,
     AdaptiveUkfSettings,
     EkfSettings,
     EstimatorSettings,
-    FilterpyEkfSettings,
     FilterSettings,
     HoldEkfSettings,
     UkfSettings,
@@ -67,20 +65,16 @@ class Filter(NamedTuple):
     symbolic: bool = False
 
 
-def _filterpy(name: str) -> Callable[[Any, SampledModel, Array], Estimator]:
-    def make(settings: Any, model: SampledModel, noise: Array) -> Estimator:
-        # filterpy takes a second to import.
-        import dpcontrol.control.ukf as filters
+def _ukf(settings: Any, model: SampledModel, noise: Array) -> Estimator:
+    # filterpy takes a second to import.
+    from dpcontrol.control.ukf import Ukf
 
-        return getattr(filters, name)(model, settings, noise=noise)
-
-    return make
+    return Ukf(model, settings, noise=noise)
 
 
 FILTERS = (
     Filter(EkfSettings, AdaptiveEkfSettings, lambda s, model, noise: CompiledEkf(model, s, noise=noise), symbolic=True),
-    Filter(UkfSettings, AdaptiveUkfSettings, _filterpy("Ukf")),
-    Filter(FilterpyEkfSettings, AdaptiveFilterpyEkfSettings, _filterpy("FilterpyEkf")),
+    Filter(UkfSettings, AdaptiveUkfSettings, _ukf),
     Filter(OwnEstimator, OwnEstimator, lambda s, model, noise: OwnEstimates(s.own, model, noise=noise)),
 )
 """Every kind of estimator."""

@@ -104,7 +104,7 @@ SIZES = [
         "benchmarks/test_estimators",
         "test_time_of_a_tick_by_kind_and_extras",
         {"EXTRAS": [()], "FASTER": 0.0, "TOGETHER": 0.0},
-        prints=("ekf-filterpy", "ukf"),
+        prints=("ekf", "ukf"),
     ),
     Small(
         "benchmarks/test_estimators",

@@ -295,7 +295,6 @@ def test_a_file_that_is_not_a_library_is_rejected(tmp_path: Path, double: Export
         ("linger", [], 'keep = "tvlqr"'),
         ("outer-turn", ["--set", "hold=nearest"], 'hold = "nearest"'),
         ("outer-turn", ["--estimator", "ukf"], 'kind = "ukf"'),
-        ("outer-turn", ["--estimator", "ekf-filterpy"], 'kind = "ekf-filterpy"'),
         ("outer-turn", ["--delay", "9"], "8 periods ahead"),
         ("outer-turn", ["--rate", "20000"], "rate"),
         ("outer-turn", ["--rate", "0"], "rate"),
