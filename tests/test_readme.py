@@ -129,9 +129,8 @@ def folder(tmp_path: Path) -> Path:
 
 @pytest.fixture(autouse=True)
 def in_the_folder(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Change to the folder, without a renderer and with a passive viewer."""
+    """Change to the folder, with a passive viewer."""
     monkeypatch.chdir(folder)
-    monkeypatch.setenv("VK_DRIVER_FILES", "/nonexistent")
     monkeypatch.setenv("DISPLAY", ":0")
     monkeypatch.setattr("dpcontrol.pages.picture.viewer_program", lambda: Path("/bin/true"))
 

@@ -151,8 +151,8 @@ def review_command(
     delayed so that all cross the section of symbol N at the same time. An atlas (.npz) opens as tubes, orbits and
     flights, with numbered connections on its cuts. A reference (.npz) opens as motion, command and limits.
 
-    With --save, --picture or --film, no viewer opens. Without a renderer, matplotlib draws the picture, and a message
-    reports this. A film shows the arms on their cart, the reference, the path of the tip and the itinerary.
+    With --save, --picture or --film, no viewer opens. A film shows the arms on their cart, the reference, the path of
+    the tip and the itinerary.
     """
     from dpcontrol.pages.picture import opened, view_in_window, write_picture
     from dpcontrol.pages.renderers import record
@@ -177,11 +177,10 @@ def review_command(
             document["film"] = _filmed(shown, film, stretch, yes=yes, progress=progress)
         if picture is not None:
             progress("picture", 0.5)
-            drawn = write_picture(shown, picture)
-            document |= {"picture": drawn.path, "renderer": drawn.renderer, "status": drawn.status}
+            document["picture"] = write_picture(shown, picture)
     kinds = ("recording", "picture", "film", "aligned")
     lines = [f"{kind:<10} {document[kind]}" for kind in kinds if document.get(kind)]
-    return Answer(document, lines if picture is None else [*lines, document["status"]])
+    return Answer(document, lines)
 
 
 def _filmed(shown: Any, file: Path, stretch: tuple[float, float] | None, *, yes: bool, progress: Progress) -> Path:

@@ -73,10 +73,8 @@ def demo_command(
     document = {
         **verdict.document(),
         "recording": recording,
-        "picture": picture.path,
-        "renderer": picture.renderer,
+        "picture": picture,
         "seconds": seconds,
-        "status": picture.status,
     }
     lines = [
         f"{scene.title}: {' '.join(repr(symbol['text']) for symbol in plan.notes['symbols'])}",
@@ -84,7 +82,7 @@ def demo_command(
         *score_text(verdict),
         f"log        {log}",
         *([f"recording  {recording}     (open it with `rerun {recording}`)"] if recording else []),
-        f"picture    {picture.path}     ({picture.status})",
+        f"picture    {picture}",
         f"{seconds:.1f} s in all; next: `dpcontrol review {log}`, `dpcontrol connect --help`",
     ]
     return Answer(document, lines, shortfall(verdict))

@@ -11,9 +11,3 @@ ROOT = Path(__file__).parents[2]
 def shipped_text() -> dict[str, str]:
     """The texts of the itineraries and models of the checkout, by name."""
     return {file.stem: file.read_text() for kind in ("itineraries", "models") for file in (ROOT / kind).glob("*.toml")}
-
-
-@pytest.fixture(autouse=True)
-def no_renderer(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let pictures be drawn by matplotlib: quick, and possible on every machine."""
-    monkeypatch.setenv("VK_DRIVER_FILES", "/nonexistent")

@@ -1,6 +1,5 @@
 """`dpcontrol demo` and `dpcontrol review`: the files they make, and where they say these are."""
 
-import subprocess
 import tempfile
 import time
 from pathlib import Path
@@ -26,7 +25,6 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Ended]:
     folder = tmp_path_factory.mktemp("demo")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
-        patch.setenv("VK_DRIVER_FILES", "/nonexistent")
         return folder, dpcontrol("demo")
 
 
@@ -53,7 +51,7 @@ def test_the_demos_log_scores_as_completed(demo: tuple[Path, Ended]) -> None:
 
 
 @pytest.mark.slow
-def test_review_saves_recording_and_picture_and_names_the_renderer(demo: tuple[Path, Ended], tmp_path: Path) -> None:
+def test_review_saves_recording_and_picture(demo: tuple[Path, Ended], tmp_path: Path) -> None:
     log, recording, picture = demo[0] / "logs/outer-turn-0.mcap", tmp_path / "turn.rrd", tmp_path / "turn.png"
     ended = dpcontrol("review", log, "--save", recording, "--picture", picture, "--json")
     assert ended.code == 0
@@ -61,8 +59,6 @@ def test_review_saves_recording_and_picture_and_names_the_renderer(demo: tuple[P
     assert picture.read_bytes().startswith(PNG)
     shown = ended.document
     assert (shown["recording"], shown["picture"]) == (str(recording), str(picture))
-    assert shown["renderer"] == "matplotlib"
-    assert "matplotlib" in shown["status"]
     assert sorted(f.name for f in tmp_path.iterdir()) == ["turn.png", "turn.rrd"]
 
 
@@ -103,13 +99,6 @@ def test_review_without_a_display_is_rejected_and_leaves_nothing(
     assert ("the viewer ended at once" if display else "there is no display to open the viewer on") in ended.message
     assert "write a file with --picture FILE.png or --save FILE.rrd" in ended.message
     assert list(tmp_path.iterdir()) == []
-
-
-def test_the_viewer_that_takes_a_picture_listens_to_this_computer_only(tmp_path: Path) -> None:
-    from dpcontrol.pages.picture import _bound
-
-    said = subprocess.run([_bound(Path("/bin/echo"), tmp_path), "--headless"], capture_output=True, text=True)
-    assert said.stdout == "--bind 127.0.0.1 --headless\n"
 
 
 @pytest.mark.slow

@@ -15,7 +15,6 @@ from command_line import PROGRAM, dpcontrol
 
 from dpcontrol.cli import main as program
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.pages import picture
 from dpcontrol.rig.packets import shared_key
 from dpcontrol.walks.symbols import parse_symbol
 
@@ -162,17 +161,3 @@ def test_a_live_view_without_a_display_recommends_options_that_exist(monkeypatch
     assert ended.code == 2
     advised = ended.message.partition("is set); ")[2]
     assert advised == "leave out --live, and draw the log with `dpcontrol review LOG --picture FILE.png`"
-
-
-def test_a_picture_leaves_no_folders_of_the_viewer_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The viewer makes folders where TMPDIR says and does not remove them."""
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-
-    def viewer(arguments: list[str], environment: dict[str, str], *, seconds: float) -> str:
-        tempfile.mkdtemp(dir=environment.get("TMPDIR", tempfile.gettempdir()))
-        return "the viewer failed"
-
-    monkeypatch.setattr(picture, "missing_renderer", lambda: None)
-    monkeypatch.setattr(picture, "_run", viewer)
-    assert picture.picture_of(Path.touch, tmp_path / "a.png", moment=0.0) == "the viewer failed"
-    assert not list(tmp_path.iterdir())

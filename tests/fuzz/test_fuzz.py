@@ -40,7 +40,6 @@ def no_programs(monkeypatch: pytest.MonkeyPatch) -> None:
     """Prevent trials in this process from starting programs, and restore the changes."""
     monkeypatch.setattr("dpcontrol.pages.picture.viewer_program", None)
     monkeypatch.setattr("dpcontrol.rig.bench.UdpBench.serve", None)
-    monkeypatch.setenv("VK_DRIVER_FILES", "")
     without_programs()
 
 

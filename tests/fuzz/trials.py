@@ -142,7 +142,6 @@ def without_programs() -> None:
 
     picture.viewer_program = lambda: Path("/bin/true")
     bench.UdpBench.serve = lambda self, *, runs=0: None  # type: ignore[method-assign]
-    os.environ["VK_DRIVER_FILES"] = "/nonexistent"
 
 
 def _serve(pipe: "multiprocessing.connection.Connection", laboratory: Laboratory, cache: str) -> None:

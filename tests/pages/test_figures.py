@@ -189,22 +189,18 @@ def test_the_recording_of_an_atlas_is_verified_by_the_viewers_own_tool_and_holds
 
 @pytest.mark.slow
 def test_a_model_without_connections_can_be_reviewed(tmp_path, monkeypatch):
-    monkeypatch.setenv("VK_DRIVER_FILES", "/nonexistent")
     triple = compute_atlas(load_model("triple"), 0.0)
     write_atlas_recording(triple, tmp_path / "a.rrd")
     picture = write_picture(triple, tmp_path / "a.png")
-    assert picture.renderer == "matplotlib"
-    assert picture.path.stat().st_size > LEAST_BYTES
+    assert picture.stat().st_size > LEAST_BYTES
 
 
 @pytest.mark.slow
 def test_the_review_verb_opens_an_atlas_and_rejects_other_archives(low, tmp_path, monkeypatch):
-    monkeypatch.setenv("VK_DRIVER_FILES", "/nonexistent")
     assert dpcontrol("atlas", "lab", "--energy", "-0.07", "--out", tmp_path / "low.npz").code == 0
     files: list[str | Path] = [tmp_path / "low.npz", "--save", tmp_path / "low.rrd", "--picture", tmp_path / "low.png"]
     done = dpcontrol("review", *files, "--json")
     assert done.code == 0
-    assert done.document["renderer"] == "matplotlib"
     assert (tmp_path / "low.png").stat().st_size > LEAST_BYTES
     assert (tmp_path / "low.rrd").is_file()
     np.savez(tmp_path / "other.npz", a=np.zeros(3))

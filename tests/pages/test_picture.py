@@ -1,11 +1,9 @@
-"""Pictures of a run: by the viewer where it can render, else by matplotlib, and never a hanging process."""
+"""Pictures of a run."""
 
-import time
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import psutil
 import pytest
 from legible import problems
 from matplotlib.image import imread
@@ -14,7 +12,6 @@ from test_recording import bare_log
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.judge.run_view import RunView, series_of
-from dpcontrol.pages import picture as viewer
 from dpcontrol.pages import style
 from dpcontrol.pages.charts import curve
 from dpcontrol.pages.layout import save_figure
@@ -37,15 +34,10 @@ def _share_set(path: Path) -> float:
 
 
 @pytest.mark.slow
-def test_a_drawn_picture_is_not_empty_and_gives_the_reason_for_matplotlib(
-    run: RunView, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(viewer, "missing_renderer", lambda: "no driver")
-    made = write_picture(run, tmp_path / "run.png")
-    assert made.renderer == "matplotlib"
-    assert "no driver" in made.status
-    assert imread(made.path).shape[1] == round(style.WIDTH * 150)
-    assert _share_set(made.path) > PIXELS_SET
+def test_a_picture_is_as_wide_as_a_page_and_not_empty(run: RunView, tmp_path: Path) -> None:
+    path = write_picture(run, tmp_path / "run.png")
+    assert imread(path).shape[1] == round(style.WIDTH * 150)
+    assert _share_set(path) > PIXELS_SET
 
 
 @pytest.mark.slow
@@ -57,48 +49,6 @@ def test_texts_in_the_drawn_picture_do_not_overlap(run: RunView) -> None:
         replace(run, plan=replace(run.plan, symbols=()), verdict="stopped: " + "why " * 70),
     ):
         assert problems(draw(shown)) == []
-
-
-@pytest.mark.slow
-def test_without_a_driver_the_picture_is_drawn(run: RunView, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(viewer, "missing_renderer", lambda: "no Vulkan driver is installed")
-    made = write_picture(run, tmp_path / "run.png")
-    assert made.renderer == "matplotlib"
-    assert "no Vulkan driver" in made.status
-
-
-def test_the_viewer_renders_without_a_screen(run: RunView, tmp_path: Path) -> None:
-    reason = viewer.missing_renderer()
-    if reason is not None:
-        pytest.skip(reason)
-    made = write_picture(run, tmp_path / "run.png")
-    assert made.renderer == "viewer", made.status
-    assert _share_set(made.path) > PIXELS_SET
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(viewer.missing_renderer() is not None, reason="no renderer for the viewer")
-def test_a_viewer_out_of_time_is_ended_with_its_children(
-    run: RunView, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    # Whatever is started inherits the mark, also what was orphaned.
-    monkeypatch.setenv("DPCONTROL_TEST_MARK", str(tmp_path))
-    for seconds in (0.2, 1.2, 1.8):
-        reason = viewer.picture_of(
-            lambda file: write_recording(run, file), tmp_path / "run.png", moment=1.0, seconds=seconds
-        )
-        assert reason is not None
-        assert f"longer than {seconds} s" in reason
-    assert not list(tmp_path.iterdir())
-    time.sleep(0.3)
-    assert not [process for process in psutil.process_iter() if _mark(process) == str(tmp_path)]
-
-
-def _mark(process: psutil.Process) -> str | None:
-    try:
-        return process.environ().get("DPCONTROL_TEST_MARK")
-    except psutil.Error:
-        return None
 
 
 @pytest.mark.slow
