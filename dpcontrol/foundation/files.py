@@ -15,7 +15,6 @@ import itertools
 import json
 import math
 import os
-import re
 import stat
 import struct
 import tempfile
@@ -94,12 +93,10 @@ def checked_folder(folder: Path, path: Path | None = None) -> None:
 
 @contextmanager
 def claimed(path: Path) -> Iterator[None]:
-    """Prevent other commands of this user from writing a file.
+    """Prevent other commands from writing a file until the end of the block.
 
-    The claim ends with the block.
-
-    A claim is a lock on a file in the temporary folder. It has no effect if the folder is not writable, or the system
-    has no locks.
+    A claim is `.NAME.partial` beside the file, opened exclusively. The system ends the claim of a killed command. The
+    claim has no effect on Windows.
 
     Args:
         path: file to write, which may be missing.
@@ -107,34 +104,32 @@ def claimed(path: Path) -> Iterator[None]:
     Raises:
         InTheWay: another command is writing it.
     """
-    try:
-        import fcntl
-
-        owner = os.getuid()
-        place = os.path.join(tempfile.gettempdir(), f"dpcontrol-{owner}-{content_hash(os.path.realpath(path))}.lock")
-        handle = os.open(place, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
-    except (ImportError, OSError):
-        yield
-        return
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        # Its last owner may have removed the file between opening and locking.
-        lost = not os.path.exists(place) or os.stat(place).st_ino != os.fstat(handle).st_ino
-    except BlockingIOError:
-        lost = True
-    except OSError:
-        lost = False
-    try:
-        if lost:
+    place = Path(os.path.realpath(path))
+    partial, made = place.with_name(f".{place.name[:40]}.partial"), missing_folders(place.parent)
+    place.parent.mkdir(parents=True, exist_ok=True)
+    with partial.open("ab") as handle:
+        if not _exclusive(handle.fileno()):
             raise InTheWay(
                 f"cannot write {path}: another dpcontrol command is writing it; wait for it, or choose another name"
             )
         try:
             yield
         finally:
-            os.unlink(place)
-    finally:
-        os.close(handle)
+            partial.unlink(missing_ok=True)
+            remove_empty(made)
+
+
+def _exclusive(handle: int) -> bool:
+    """Return True if no other command has this file open exclusively, or removed it meanwhile."""
+    try:
+        import fcntl
+
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except ImportError:
+        return True
+    except OSError:
+        return False
+    return os.fstat(handle).st_nlink > 0
 
 
 @contextmanager
@@ -289,8 +284,7 @@ def whole_file(path: Path, *, suffix: str = "") -> Iterator[Path]:
     Rename it to `path` when the block ends without an error.
 
     The temporary name ends with `suffix`, for writers that choose a format by it. The temporary file and the folders
-    made for it are removed if the block raises. Files of killed processes are removed by the next process that writes
-    the same file.
+    made for it are removed if the block raises.
 
     Args:
         path: file to write; missing folders are made.
@@ -305,11 +299,12 @@ def whole_file(path: Path, *, suffix: str = "") -> Iterator[Path]:
     made = missing_folders(path.parent)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        _sweep(path.parent, prefix, suffix)
-        handle, temporary = _temporary(path.parent, prefix, suffix)
+        handle, name = tempfile.mkstemp(prefix=prefix, suffix=suffix, dir=path.parent)
+        os.close(handle)
     except OSError as error:
         remove_empty(made)
         raise unwritable(path, error) from error
+    temporary = Path(name)
     try:
         yield temporary
         umask = os.umask(0)
@@ -319,52 +314,8 @@ def whole_file(path: Path, *, suffix: str = "") -> Iterator[Path]:
     except OSError as error:
         raise unwritable(path, error) from error
     finally:
-        os.close(handle)
         temporary.unlink(missing_ok=True)
         remove_empty(made)
-
-
-def _temporary(folder: Path, prefix: str, suffix: str) -> tuple[int, Path]:
-    """Return a new temporary file, open and locked."""
-    for last in (False, False, False, True):
-        handle, name = tempfile.mkstemp(prefix=prefix, suffix=suffix, dir=folder)
-        # Another writer may have swept it away before it was locked.
-        if (_locked(handle) and os.path.exists(name)) or last:
-            break
-        os.close(handle)
-        Path(name).unlink(missing_ok=True)
-    return handle, Path(name)
-
-
-_RANDOM = r"[a-z0-9_]{8}"
-"""Characters that `tempfile` inserts into a name."""
-
-
-def _sweep(folder: Path, prefix: str, suffix: str) -> None:
-    """Remove temporary files of ended processes: running ones hold a lock."""
-    ours = re.compile(re.escape(prefix) + _RANDOM + re.escape(suffix))
-    with suppress(OSError):
-        for name in filter(ours.fullmatch, os.listdir(folder)):
-            handle = os.open(folder / name, os.O_RDWR)
-            try:
-                if _locked(handle):
-                    (folder / name).unlink(missing_ok=True)
-            finally:
-                os.close(handle)
-
-
-def _locked(handle: int) -> bool:
-    """Lock a file until it is closed.
-
-    Return False if it is locked, or the system has no locks.
-    """
-    try:
-        import fcntl
-
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except (ImportError, OSError):
-        return False
-    return True
 
 
 def write_whole(path: Path, content: bytes | str) -> None:
@@ -435,46 +386,6 @@ def content_hash(*parts: str | bytes) -> str:
         digest.update(len(data).to_bytes(8, "little"))
         digest.update(data)
     return digest.hexdigest()[:16]
-
-
-SEAL = {b"dpcontrol.sealed": b"yes", b"dpcontrol.sha256": b"0" * 64}
-"""Metadata of a sealed table: the second value becomes the digest of the file with zeros there.
-
-The first value reveals damage to the second. Tables of earlier versions have neither."""
-_SEAL = re.compile(rb"dpcontrol\.sha256..([0-9a-f]{64})", re.DOTALL)
-"""Layout of Parquet's metadata: two bytes between key and value."""
-
-
-def _digest(data: bytes, place: int) -> bytes:
-    return hashlib.sha256(data[:place] + b"0" * 64 + data[place + 64 :]).hexdigest().encode()
-
-
-def sealed_table(data: bytes) -> bytes:
-    """Return the bytes of a table with its digest.
-
-    Args:
-        data: Parquet file whose metadata hold `SEAL`.
-    """
-    place = next(_SEAL.finditer(data)).start(1)
-    return data[:place] + _digest(data, place) + data[place + 64 :]
-
-
-def check_seal(data: bytes) -> None:
-    """Reject a sealed table with any changed bit.
-
-    A table without a seal is accepted.
-
-    Args:
-        data: the whole file.
-
-    Raises:
-        ValueError: the digest is another, or missing.
-    """
-    found = _SEAL.search(data)
-    if found is None and b"dpcontrol.sealed" not in data:
-        return
-    if found is None or _digest(data, found.start(1)) != found[1]:
-        raise ValueError("its checksum differs (if it was changed on purpose, remove its metadata)")
 
 
 UNREADABLE = (

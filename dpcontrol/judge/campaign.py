@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from dpcontrol.foundation.document import document_of, picked
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import check_seal, checked_size, checked_source
+from dpcontrol.foundation.files import checked_size, checked_source
 from dpcontrol.foundation.parts import part
 from dpcontrol.foundation.shown import Shown
 from dpcontrol.foundation.statistics import Share, wilson
@@ -213,9 +213,8 @@ def _columns(path: Path) -> dict[str, list[Any]]:
     if not checked_source(path).is_file():
         raise InputError(f"there is no campaign {path}")
     try:
-        data = path.read_bytes()
-        check_seal(data)
-        file = part("pyarrow.parquet").ParquetFile(BytesIO(data))
+        data = BytesIO(path.read_bytes())
+        file = part("pyarrow.parquet").ParquetFile(data, page_checksum_verification=True)
         checked_size(8.0 * file.metadata.num_rows * file.metadata.num_columns)
         for column in file.schema_arrow:
             if arrow.types.is_nested(column.type):

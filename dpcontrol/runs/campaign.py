@@ -66,13 +66,10 @@ from dpcontrol.foundation.checked import is_list
 from dpcontrol.foundation.document import Documented, document_of
 from dpcontrol.foundation.errors import InputError, Remark
 from dpcontrol.foundation.files import (
-    SEAL,
-    check_seal,
     checked_folder,
     checked_target,
     content_hash,
     in_the_way,
-    sealed_table,
     write_whole,
 )
 from dpcontrol.foundation.parts import Later, part
@@ -299,11 +296,10 @@ def _write(path: Path, table: "pa.Table") -> None:
     Raises:
         InputError: the file cannot be written.
     """
-    sealed = table.replace_schema_metadata({**(table.schema.metadata or {}), **SEAL})
     # A name such as s3:table.parquet would be an address for pyarrow.
     data = io.BytesIO()
-    pq.write_table(sealed, data, compression="zstd")
-    write_whole(path, sealed_table(data.getvalue()))
+    pq.write_table(table, data, compression="zstd", write_page_checksum=True)
+    write_whole(path, data.getvalue())
 
 
 def _read(path: Path) -> "pa.Table | None":
@@ -312,9 +308,7 @@ def _read(path: Path) -> "pa.Table | None":
     The result is None if the file is absent, damaged or of another kind.
     """
     try:
-        data = path.read_bytes()
-        check_seal(data)
-        table = pq.read_table(io.BytesIO(data))
+        table = pq.read_table(io.BytesIO(path.read_bytes()), page_checksum_verification=True)
     except (pa.ArrowException, OSError, ValueError):
         return None
     return table if set(COLUMNS) <= set(table.column_names) else None

@@ -1,8 +1,7 @@
-"""Files are complete or absent, and temporary files of killed writers are removed."""
+"""Files are complete or absent, and one command at a time writes them."""
 
 import errno
 import os
-import signal
 import subprocess
 import sys
 from collections.abc import Callable
@@ -11,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import write_folder, write_whole
+from dpcontrol.foundation.files import InTheWay, claimed, write_folder, write_whole
 from dpcontrol.logs import LogWriter
 from dpcontrol.logs.container import McapFile
 
@@ -37,34 +36,28 @@ def test_a_full_disk_leaves_no_new_folders(
     assert [path.name for path in tmp_path.rglob("*")] == ["old"]
 
 
-WRITING = """
+CLAIMING = """
 import sys
 from pathlib import Path
-from dpcontrol.foundation.files import whole_file
-with whole_file(Path(sys.argv[1])) as temporary:
-    temporary.write_bytes(b"half")
-    print(temporary, flush=True)
+from dpcontrol.foundation.files import claimed
+with claimed(Path(sys.argv[1])):
+    print("claimed", flush=True)
     sys.stdin.read()
 """
 
 
-@pytest.mark.skipif(os.name != "posix", reason="SIGKILL is POSIX's")
-def test_temporary_files_of_killed_writers_are_deleted_and_those_of_live_ones_kept(tmp_path: Path) -> None:
-    file = tmp_path / "table.parquet"
-    (beside := tmp_path / ".table.parquet.notes.partial").write_text("the user's own")
+@pytest.mark.skipif(os.name != "posix", reason="files are opened exclusively on POSIX systems only")
+def test_a_second_writer_is_refused_until_the_first_ends_or_is_killed(tmp_path: Path) -> None:
+    file = tmp_path / "run.mcap"
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
-    writers = [subprocess.Popen([sys.executable, "-c", WRITING, str(file)], **pipes) for _ in range(2)]
-    try:
-        killed, living = (Path(writer.stdout.readline().strip()) for writer in writers)
-        writers[0].send_signal(signal.SIGKILL)
-        writers[0].wait()
-        assert killed.exists()
-        write_whole(file, b"whole")
-        assert (killed.exists(), living.exists(), beside.exists()) == (False, True, True)
-        assert file.read_bytes() == b"whole"
-        writers[1].communicate()
-        assert file.read_bytes() == b"half"
-    finally:
-        for writer in writers:
-            writer.kill()
-    assert sorted(tmp_path.iterdir()) == [beside, file]
+    for ends in ("is killed", "ends"):
+        with subprocess.Popen([sys.executable, "-c", CLAIMING, str(file)], **pipes) as first:
+            assert first.stdout.readline() == "claimed\n"
+            with pytest.raises(InTheWay, match="another dpcontrol command is writing it"), claimed(file):
+                pass
+            if ends == "is killed":
+                first.kill()
+            first.communicate()
+        with claimed(file):
+            pass
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,49 @@
+"""Tables of campaigns carry Parquet's checksums."""
+
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.judge.campaign import campaign_summary
+from dpcontrol.runs.campaign import _write
+
+FLIPS = 400
+ROWS = pa.table(
+    {
+        "itinerary": ["turn"] * 40,
+        "controller": ["tvlqr"] * 40,
+        "seed": list(range(40)),
+        "mismatch": np.linspace(0, 0.1, 40),
+        "completed": [k % 3 > 0 for k in range(40)],
+        "reason": [f"symbol {k}" for k in range(40)],
+        "max_cart_position": np.random.default_rng(1).uniform(size=40),
+    }
+)
+
+
+def written(folder: Path) -> Path:
+    """Return a table as campaigns write it."""
+    _write(folder / "runs.parquet", ROWS)
+    return folder / "runs.parquet"
+
+
+def test_a_flipped_bit_in_the_values_of_a_table_is_refused_in_one_sentence(tmp_path: Path) -> None:
+    data = written(tmp_path).read_bytes()
+    values = len(data) - 8 - int.from_bytes(data[-8:-4], "little")  # before Parquet's footer, which has no checksum
+    file, random = tmp_path / "flipped.parquet", np.random.default_rng(5)
+    for place in np.linspace(4, values - 1, FLIPS).astype(int):
+        spoilt = bytearray(data)
+        spoilt[place] ^= 1 << random.integers(8)
+        file.write_bytes(spoilt)
+        try:
+            table = pq.read_table(file, page_checksum_verification=True)
+        except (OSError, pa.ArrowException):
+            with pytest.raises(InputError, match="is damaged") as refused:
+                campaign_summary(file)
+            assert "\n" not in str(refused.value)
+        else:
+            assert table.equals(ROWS)
