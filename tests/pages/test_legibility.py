@@ -26,10 +26,7 @@ from dpcontrol.judge.campaign import campaign_summary
 from dpcontrol.judge.comparison import compare
 from dpcontrol.judge.of_log import reference_view
 from dpcontrol.judge.preflight import Assumption, EndingShare, HazardBorder, Improvement, Preflight, ShareAt
-from dpcontrol.orbits.cut import CutSettings, tube_cut
 from dpcontrol.orbits.family import lyapunov_family
-from dpcontrol.orbits.lyapunov import lyapunov_orbit
-from dpcontrol.orbits.manifold import UnstableManifold
 from dpcontrol.pages.atlas import draw_atlas
 from dpcontrol.pages.campaign import draw_campaign
 from dpcontrol.pages.comparison import draw_comparison
@@ -37,7 +34,6 @@ from dpcontrol.pages.experiments import draw_design
 from dpcontrol.pages.figures import FIGURES
 from dpcontrol.pages.gallery import Gallery
 from dpcontrol.pages.identification import draw_identification
-from dpcontrol.pages.interior import draw_interior
 from dpcontrol.pages.layout import Page, new_figure
 from dpcontrol.pages.night import draw_night
 from dpcontrol.pages.orbits import draw_families
@@ -52,7 +48,6 @@ from dpcontrol.plans.model import load_model
 from dpcontrol.plans.plan import make_plan
 from dpcontrol.recordings.recording import simulated_recording
 from dpcontrol.references.reference import summarised
-from dpcontrol.tubes.interior import InteriorSettings, tube_interior
 
 LABELS = 0.05
 """Share of a panel's width that a free place beside it leaves: it has no tick labels."""
@@ -129,12 +124,6 @@ def family(_: Path) -> Figure:
     return draw_families(families, "Families of Lyapunov orbits of lab")
 
 
-def tube(_: Path) -> Figure:
-    manifold = UnstableManifold(lyapunov_orbit(LAB.system, "down-up", energy=-0.07))
-    cut = tube_cut(manifold, LAB.system.sections["down-up", "down-up"], settings=CutSettings(chord=0.02))
-    return draw_interior(tube_interior(manifold, cut, settings=InteriorSettings(across=24, returns=2)))
-
-
 def design(_: Path) -> Figure:
     settings = DesignSettings(seconds=1.5, steps=3, amplitudes=(1.0, 2.0), frequencies=(0.8, 2.0))
     return draw_design(design_experiments(LAB.arms, settings=settings), title="lab")
@@ -189,7 +178,7 @@ QUICK = (
     campaign_of_mismatches,
     long_run,
 )
-LONGER = (comparison, preflight, walk_page, tube, chart_of_methods, chart_of_maps)
+LONGER = (comparison, preflight, walk_page, chart_of_methods, chart_of_maps)
 """Pages that take seconds to draw."""
 SLOW = (reference, atlas, family, design, identification, transitions)
 

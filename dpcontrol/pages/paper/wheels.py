@@ -1,104 +1,241 @@
 """Colour wheels of the points inside a tube's cut.
 
-They show the images of each point at every return to the section.
+A grid of points (q, p/p₀) inside the cuts of both the unstable and the stable tube is converted to states on the
+section at the tube's energy, and followed to several returns in both directions of time. States inside the unstable
+tube have passed the saddle's bottleneck, and those inside the stable tube will pass it. The cut of the stable tube
+follows by time reversal, without integration.
+
+To convert a point (q, p/p₀) to a state, θ(q) and the momentum along the section are given. The velocity across it,
+v = v₀ + s w, solves the quadratic
+
+    ½ vᵀ M v = H - V(θ)
+
+for the root with the required direction of crossing.
+
+Source: Koon, Lo, Marsden, Ross, Heteroclinic connections between periodic orbits and resonance transitions in
+celestial mechanics (2000), section 4; Kaheman et al. (2023), section 3.
 """
 
-from dataclasses import fields, replace
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import hsv_to_rgb
+from matplotlib.figure import Figure
+from matplotlib.path import Path
 
-from dpcontrol.orbits.cut import section_points, tube_cut
-from dpcontrol.orbits.lyapunov import lyapunov_orbit
+from dpcontrol.dynamics.propagator import Section
+from dpcontrol.dynamics.system import System, momentum_scale
+from dpcontrol.foundation.arrays import Array, Flags
+from dpcontrol.orbits.cut import Cut, section_points, tube_cut
+from dpcontrol.orbits.lyapunov import LyapunovOrbit, lyapunov_orbit
 from dpcontrol.orbits.manifold import UnstableManifold
 from dpcontrol.orbits.rotating import RotatingOrbit, rotating_orbits
+from dpcontrol.orbits.tube import Tube
 from dpcontrol.pages import style
 from dpcontrol.pages.gallery import IDENTIFIED, Gallery, PaperFigure
-from dpcontrol.pages.interior import draw_interior
-from dpcontrol.tubes.interior import InteriorSettings, Returns, TubeInterior, inside, tube_interior
+from dpcontrol.pages.layout import Page, Panel
+from dpcontrol.pages.panels import angle_axis, quiet
 
 WHEEL_ENERGIES = {"down-up": -0.06985, "up-down": 0.2}
 _RETURNS = 3
 _ACROSS = {"down-up": 110, "up-down": 200}
 """Points across the cut; the part inside both of Up-Down's tubes is small."""
+_LONGEST = 12.0
+"""Longest flight to a return, in periods of the orbit."""
+_SKIP = 1e-6
+"""Propagation time before the search for the next return, s, to exclude the start."""
+_TURN = 2 * np.pi
 
 
-def within_both(interior: TubeInterior) -> TubeInterior:
-    """Return the points also inside a stable cut, coloured again.
+@dataclass(frozen=True)
+class Outline:
+    """A closed cut in (q, p/p₀).
 
-    The cut has the same direction; colours are about the points' middle.
+    Attributes:
+        vertices: corners (V, 2) of the polygon.
+        branch: branch of the tube, +1 or -1.
+        direction: direction of crossing, +1 or -1.
+        stable: True for the stable tube.
     """
-    own = next(o for o in interior.outlines if o.branch == interior.branch and not o.stable)
-    stable = [o for o in interior.outlines if o.stable and o.direction == own.direction]
-    kept = np.zeros(len(interior.points), dtype=bool)
-    for outline in stable:
-        for turn in (-1, 0, 1):
-            kept |= inside(interior.points + np.array([2 * np.pi * turn, 0.0]), outline.vertices)
-    middle = interior.points[kept].mean(axis=0)
-    off = (interior.points[kept] - middle) / np.ptp(interior.points[kept], axis=0)
-    forward, backward = (
-        Returns(**{f.name: getattr(run, f.name)[kept] for f in fields(run)})
-        for run in (interior.forward, interior.backward)
-    )
-    back = [int(np.count_nonzero(run.arrived[:, -1])) for run in (forward, backward)]
-    return replace(
-        interior,
-        points=interior.points[kept],
-        states=interior.states[kept],
-        angle=np.arctan2(off[:, 1], off[:, 0]) % (2 * np.pi),
-        radius=np.linalg.norm(off, axis=1) / np.linalg.norm(off, axis=1).max(),
-        forward=forward,
-        backward=backward,
-        status=f"{int(kept.sum())} points; {back[0]} return {_RETURNS} times forward, {back[1]} backward",
-    )
+
+    vertices: Array
+    branch: int
+    direction: int
+    stable: bool
+
+    @property
+    def turns(self) -> float:
+        """Whole turns of the polygon's middle from zero."""
+        return float(np.rint((self.vertices[:, 0].min() + self.vertices[:, 0].max()) / 2 / _TURN))
+
+    def contains(self, points: Array) -> Flags:
+        """Return True (K,) for points (K, 2) inside the polygon, up to whole turns of q."""
+        q = points[:, 0] - _TURN * np.rint(points[:, 0] / _TURN)
+        lifted = [np.column_stack([q + _TURN * (self.turns + turn), points[:, 1]]) for turn in (-1, 0, 1)]
+        return np.any([Path(self.vertices).contains_points(part) for part in lifted], axis=0)
 
 
-def kept_inside(interior: TubeInterior, arm: int) -> tuple[RotatingOrbit, ...]:
-    """Return the symmetric orbits that stay inside both tubes' cuts.
+@dataclass(frozen=True)
+class Return:
+    """Points at one return to the section.
 
-    They turn `arm` and cross the cuts at every lap.
+    Attributes:
+        start: places (M,) of the points among those of the start.
+        states: lifted states (M, N).
+        seconds: times (M,) since the start.
+    """
+
+    start: Array
+    states: Array
+    seconds: Array
+
+
+def outlines_of(cut: Cut, manifold: UnstableManifold) -> tuple[Outline, ...]:
+    """Return the closed pieces of a cut and its time-reversed image.
 
     Args:
-        interior: points inside the tube.
-        arm: number of the arm, from 1.
+        cut: cut of the unstable tube.
+        manifold: manifold of the tube.
     """
-    orbit, section = interior.orbit, interior.section
-    own = next(o for o in interior.outlines if o.branch == interior.branch and not o.stable)
-    stable = [o for o in interior.outlines if o.stable and o.direction == own.direction]
+    outlines = []
+    for stable in (False, True):
+        for piece in cut.pieces:
+            placed = Tube(manifold.orbit, stable).placed(piece, cut.section)
+            points = placed.points
+            # A curve that winds around the torus has no interior.
+            if piece.closed and np.linalg.norm(points[0] - points[-1]) <= np.abs(np.diff(points, axis=0)).max() * 4:
+                outlines.append(Outline(points, piece.branch, placed.direction, stable))
+    return tuple(outlines)
+
+
+def section_states(
+    system: System, section: Section, points: Array, *, energy: float, direction: int
+) -> tuple[Array, Flags]:
+    """Return states (K, N) on a section, with the given energy and direction of crossing, and which exist.
+
+    Args:
+        system: system of two degrees of freedom.
+        section: section of the system.
+        points: points (K, 2), q and p/p₀.
+        energy: energy of the states, J.
+        direction: sign of n·ẋ.
+    """
+    n = system.dimension // 2
+    normal, position = np.asarray(section.normal)[:n], np.asarray(section.position)[:n]
+    along = np.asarray(section.momentum)
+    q = np.linalg.solve(np.array([normal, position]), np.array([np.zeros(len(points)), points[:, 0]])).T
+    still = np.hstack([q, np.zeros_like(q)])
+    mass = system.numeric.mass_matrix(still)
+    momentum = points[:, 1] * momentum_scale(system, section)
+    # The base has the given momentum along the section, and the direction does not change it.
+    base = np.outer(momentum / (along @ along), along) - system.numeric.momentum(still)
+    across = np.broadcast_to(np.array([-along[1], along[0]]), base.shape)
+    v0, w = (np.linalg.solve(mass, part[..., None])[..., 0] for part in (base, across))
+    a = np.einsum("ki,kij,kj->k", w, mass, w) / 2
+    b = np.einsum("ki,kij,kj->k", v0, mass, w)
+    c = np.einsum("ki,kij,kj->k", v0, mass, v0) / 2 + system.numeric.hamiltonian(still) - energy
+    discriminant = b * b - 4 * a * c
+    root = np.sqrt(np.maximum(discriminant, 0.0))
+    states, exists = np.hstack([q, v0]), np.zeros(len(points), dtype=bool)
+    for sign in (1, -1):
+        velocity = v0 + ((-b + sign * root) / (2 * a))[:, None] * w
+        right = (discriminant >= 0) & (np.sign(velocity @ normal) == direction)
+        states[right, n:] = velocity[right]
+        exists |= right
+    return states, exists
+
+
+def returns_of(orbit: LyapunovOrbit, section: Section, states: Array, *, sign: int, count: int) -> list[Return]:
+    """Return the first returns of states to a section.
+
+    Args:
+        orbit: orbit of the system, whose period limits the flights.
+        section: section of the system.
+        states: states (K, N) on the section.
+        sign: +1 forward, -1 backward in time.
+        count: number of returns.
+    """
+    system, returns = orbit.system, []
+    start, seconds = np.arange(len(states)), np.zeros(len(states))
+    for _ in range(count):
+        begun = np.array([system.propagator.flow(state, sign * _SKIP) for state in states]).reshape(states.shape)
+        crossings = system.propagator.crossings(begun, section, longest=sign * _LONGEST * orbit.period)
+        arrived = np.array([crossing is not None for crossing in crossings], dtype=bool)
+        landed = [crossing for crossing in crossings if crossing is not None]
+        start, seconds = start[arrived], seconds[arrived] + _SKIP + [abs(crossing.time) for crossing in landed]
+        states = np.array([crossing.state for crossing in landed]).reshape(-1, system.dimension)
+        returns.append(Return(start, states, seconds))
+    return returns
+
+
+def points_within(outlines: tuple[Outline, ...], across: int) -> Array:
+    """Return the points (K, 2) of a regular grid inside an unstable cut and a stable one of the same direction.
+
+    Args:
+        outlines: closed cuts of both tubes.
+        across: points over the width and the height of the unstable cut of branch +1.
+    """
+    unstable, stable = _inner(outlines)
+    low, high = unstable.vertices.min(axis=0), unstable.vertices.max(axis=0)
+    axes = [np.linspace(a, b, across + 2)[1:-1] for a, b in zip(low, high, strict=True)]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+    return grid[unstable.contains(grid) & np.any([outline.contains(grid) for outline in stable], axis=0)]
+
+
+def _inner(outlines: tuple[Outline, ...]) -> tuple[Outline, list[Outline]]:
+    unstable = next(outline for outline in outlines if outline.branch == 1 and not outline.stable)
+    return unstable, [o for o in outlines if o.stable and o.direction == unstable.direction]
+
+
+def kept_inside(orbit: LyapunovOrbit, section: Section, outlines: tuple[Outline, ...]) -> tuple[RotatingOrbit, ...]:
+    """Return the symmetric orbits that stay inside both tubes' cuts.
+
+    They turn the arm that hangs at the saddle, and cross the cuts at every lap.
+
+    Args:
+        orbit: orbit of the tubes.
+        section: section of the cuts.
+        outlines: closed cuts of both tubes.
+    """
+    arm, (unstable, stable) = _turning(orbit), _inner(outlines)
     kept = []
-    for one in rotating_orbits(orbit.system, arm, orbit.energy, sense=own.direction):
-        states = orbit.system.propagator.sample(one.state, np.linspace(0.0, one.period, 400))
-        if np.any(np.diff(states[:, arm - 1]) * own.direction <= 0):
-            continue  # it turns back and crosses more than once
-        point = section_points(orbit.system, section, one.state)[None]
-        # The section's angle is drawn within half a turn of zero, like the outlines.
-        lifts = [point + np.array([[2 * np.pi * k, 0.0]]) for k in (-2, -1, 0, 1, 2)]
-        if all(any(inside(p, o.vertices)[0] for o in some for p in lifts) for some in ([own], stable)):
-            kept.append(one)
+    for candidate in rotating_orbits(orbit.system, arm, orbit.energy, sense=unstable.direction):
+        states = orbit.system.propagator.sample(candidate.state, np.linspace(0.0, candidate.period, 400))
+        point = section_points(orbit.system, section, candidate.state)[None]
+        # An orbit that turns back crosses more than once.
+        onward = np.all(np.diff(states[:, arm - 1]) * unstable.direction > 0)
+        if onward and unstable.contains(point)[0] and any(outline.contains(point)[0] for outline in stable):
+            kept.append(candidate)
     return tuple(kept)
 
 
-def wheels_page(gallery: Gallery, *, saddle: str) -> PaperFigure:
-    """Draw the returns of the inside of a saddle's unstable tube.
+def _turning(orbit: LyapunovOrbit) -> int:
+    return 2 if orbit.saddle == "down-up" else 1
 
-    There are three each way. Periodic orbits inside are marked.
+
+def wheels_page(gallery: Gallery, *, saddle: str) -> PaperFigure:
+    """Draw the returns of the inside of a saddle's tubes, three each way, with the periodic orbits inside.
 
     Args:
         gallery: data sources.
         saddle: "down-up" or "up-down".
     """
     system, energy = gallery.system("lab"), WHEEL_ENERGIES[saddle]
-    orbit = lyapunov_orbit(system, saddle, energy=energy)
+    orbit, section = lyapunov_orbit(system, saddle, energy=energy), system.sections[saddle, saddle]
     manifold = UnstableManifold(orbit)
-    cut = tube_cut(manifold, system.sections[saddle, saddle])
+    outlines = outlines_of(tube_cut(manifold, section), manifold)
     gallery.progress("returns", 0.2)
-    interior = within_both(
-        tube_interior(manifold, cut, settings=InteriorSettings(across=_ACROSS[saddle], returns=_RETURNS))
-    )
-    arm = 2 if saddle == "down-up" else 1
-    stays = kept_inside(interior, arm)
-    number, turning = style.number(arm - 1), "outer" if arm == 2 else "inner"
-    periods = ", ".join(f"{one.period:.4f} s ({one.kind})" for one in stays)
-    found = (
+    direction = _inner(outlines)[0].direction
+    points = points_within(outlines, _ACROSS[saddle])
+    states, exists = section_states(system, section, points, energy=energy, direction=direction)
+    points, states = points[exists], states[exists]
+    runs = {sign: returns_of(orbit, section, states, sign=sign, count=_RETURNS) for sign in (1, -1)}
+    stays = kept_inside(orbit, section, outlines)
+    number, turning = style.number(_turning(orbit) - 1), "outer" if _turning(orbit) == 2 else "inner"
+    periods = ", ".join(f"{kept.period:.4f} s ({kept.kind})" for kept in stays)
+    marked = (
         f"Stars mark the crossings of the symmetric periodic {'orbit' if len(stays) == 1 else 'orbits'} of period "
         f"{periods}. The {turning} arm turns inside both tubes for ever. Right: the same in the phase "
         "planes of both arms"
@@ -106,12 +243,109 @@ def wheels_page(gallery: Gallery, *, saddle: str) -> PaperFigure:
         else "No symmetric periodic orbit was found inside both tubes"
     )
     return PaperFigure(
-        draw_interior(interior, stays),
+        _drawn(orbit, section, outlines, points, runs, stays),
         f"The grid covers the inside of both the unstable and the stable tube of {saddle} at {energy:g} J. It is "
         "coloured like a wheel at the unstable tube's first cut, and followed to each "
         f"return forward (above: θ{number} = 4π, 6π, 8π) and backward (below) in time. Points that land inside a cut "
-        "will pass, or have passed, the saddle's neck again. "
-        f"{interior.status}. {found}.",
+        f"will pass, or have passed, the saddle's neck again. Of {len(points)} points, {len(runs[1][-1].start)} return "
+        f"{_RETURNS} times forward and {len(runs[-1][-1].start)} backward. {marked}.",
         "Coordinates are canonical, so coloured areas keep their size from return to return, and returns are "
         f"drawn in both directions of time. {IDENTIFIED}",
     )
+
+
+def _colours(points: Array) -> Array:
+    """Return colours (K, 3): hue by the angle about the middle, saturation by the distance from it."""
+    off = (points - points.mean(axis=0)) / np.ptp(points, axis=0)
+    radius = np.linalg.norm(off, axis=1)
+    hue = np.arctan2(off[:, 1], off[:, 0]) % _TURN / _TURN
+    return hsv_to_rgb(np.column_stack([hue, 0.12 + 0.88 * radius / radius.max(), np.full(len(hue), 0.93)]))
+
+
+@dataclass(frozen=True)
+class _Panel:
+    """Points of one panel, and what all panels show beside them.
+
+    Attributes:
+        points: points (K, 2), q and p/p₀.
+        ways: directions of crossing (K,).
+        colours: colours (K, 3).
+        outlines: closed cuts of both tubes.
+        direction: direction of the start's crossing.
+        marks: points (M, 2) of periodic orbits.
+    """
+
+    points: Array
+    ways: Array
+    colours: Array
+    outlines: tuple[Outline, ...]
+    direction: int
+    marks: Array
+
+
+def _drawn(
+    orbit: LyapunovOrbit, section: Section, outlines: tuple[Outline, ...], points: Array,
+    runs: dict[int, list[Return]], stays: tuple[RotatingOrbit, ...],
+) -> Figure:  # fmt: skip
+    """Return a figure of the start and its returns: forward above, backward below."""
+    system, colours, direction = orbit.system, _colours(points), _inner(outlines)[0].direction
+    marks = np.array([section_points(system, section, kept.state) for kept in stays]).reshape(-1, 2)
+    first = _Panel(points, np.full(len(points), direction), colours, outlines, direction, marks)
+    page = Page(f"Inside both tubes of {orbit.saddle} at {orbit.energy:g} J (branch +1), cut on {section.name}").text(
+        "Hue: angle about the middle at the start; saturation: distance from it. Pale dots cross the section against "
+        "the start's direction. Dark red: cut of the unstable tube. Green: of the stable tube. Pale: cuts crossed "
+        "against the start's direction." + (" Star: periodic orbit." if stays else ""),
+        size=style.TEXT,
+    )
+    seen = [outline.vertices - (_TURN * outline.turns, 0.0) for outline in outlines]
+    for sign, word in ((1, "forward"), (-1, "backward")):
+        q = "q (rad)" if sign < 0 else ""
+        row = [Panel(partial(_cut, shown=first, title=f"start: {len(points)} points", labels=(q, "p / p₀")))]
+        for k, back in enumerate(runs[sign]):
+            landed = section_points(system, section, back.states)
+            seen.append(_within_half_a_turn(landed))
+            ways = np.sign(system.numeric.rate(back.states) @ np.asarray(section.normal))
+            shown = replace(first, points=landed, ways=ways, colours=colours[back.start])
+            title = f"return {k + 1} {word}: {len(landed)}"
+            row.append(Panel(partial(_cut, shown=shown, title=title, labels=(q, ""))))
+        if stays:
+            row.append(Panel(partial(_phase_plane, arm=0 if sign > 0 else 1, stays=stays)))
+        page.row(*row, height=3.2)
+    figure = page.figure()
+    wide, high = 1.08 * np.abs(np.vstack(seen)).max(axis=0)
+    for axes in figure.axes:
+        if axes.get_label() == "cut":
+            axes.set(xlim=(-min(np.pi, wide), min(np.pi, wide)), ylim=(-high, high))
+    return figure
+
+
+def _within_half_a_turn(points: Array) -> Array:
+    return points - np.column_stack([_TURN * np.rint(points[:, 0] / _TURN), np.zeros(len(points))])
+
+
+def _cut(axes: Axes, *, shown: _Panel, title: str, labels: tuple[str, str]) -> None:
+    """Draw points on the section, pale if they cross it against the start's direction."""
+    axes.set_label("cut")
+    quiet(axes, title, x=labels[0], y=labels[1])
+    axes.grid(False)
+    for outline in shown.outlines:
+        closed = np.vstack([outline.vertices, outline.vertices[:1]]) - (_TURN * outline.turns, 0.0)
+        colour = style.STABLE if outline.stable else style.UNSTABLE
+        opacity = 1.0 if outline.direction == shown.direction else 0.25
+        axes.plot(*closed.T, color=colour, lw=1.1, alpha=opacity, zorder=3)
+    for way, opacity in ((-shown.direction, 0.3), (shown.direction, 1.0)):
+        mine = shown.ways == way
+        points = _within_half_a_turn(shown.points[mine])
+        axes.scatter(*points.T, s=3.0, c=shown.colours[mine], alpha=opacity, linewidths=0)
+    axes.plot(*_within_half_a_turn(shown.marks).T, "*", color=style.INK, markersize=9, mec="white", zorder=6)
+
+
+def _phase_plane(axes: Axes, *, arm: int, stays: tuple[RotatingOrbit, ...]) -> None:
+    """Draw orbits in the phase plane of an arm."""
+    for kept in stays:
+        states = kept.system.propagator.sample(kept.state, np.linspace(0.0, kept.period, 400))
+        axes.plot(states[:, arm], states[:, 2 + arm], color=style.arm_colour(arm), linewidth=1.5)
+    number = style.number(arm)
+    title = f"periodic orbit, {stays[0].period:.3f} s" if len(stays) == 1 else "periodic orbits"
+    quiet(axes, "" if arm else title, x=f"θ{number} (rad)", y=f"ω{number} (rad/s)")
+    angle_axis(axes, "x")
