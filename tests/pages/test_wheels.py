@@ -59,7 +59,7 @@ def test_an_outline_contains_the_points_of_its_disc_up_to_whole_turns():
 
 def test_states_have_the_tubes_section_energy_and_direction(tubes, states):
     points = points_within(tubes.outlines, 24)
-    assert len(points) == len(states) > 30
+    assert len(points) == len(states) > 20
     assert np.abs(tubes.system.numeric.hamiltonian(states) - tubes.orbit.energy).max() < ENERGY
     assert np.abs(np.sin(tubes.section.height(states) / 2)).max() < 1e-14
     assert np.abs(section_points(tubes.system, tubes.section, states) - points).max() < 1e-12
