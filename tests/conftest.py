@@ -34,7 +34,7 @@ def plans_of_this_session_only(tmp_path_factory: pytest.TempPathFactory) -> Iter
 
 
 LONGEST = (
-    "test_small_sizes", "test_generated_scenes", "test_readme", "test_numbers_of_arms",
+    "test_generated_scenes", "test_readme", "test_numbers_of_arms",
     "test_recovery_on_the_bench", "test_compilers_and_targets",
     "test_exported_controller", "test_fuzz", "test_run_verb", "test_bifurcations", "test_own_systems", "test_figures",
     "test_extended", "test_batch", "test_walk_verb", "test_campaign", "test_kept_walks", "test_without_heyoka",

@@ -1,7 +1,7 @@
 """Do runs complete with dry friction in the plant, whether the model has it or not?
 
 Prints a table: Coulomb torque of the inner joint (the outer joint has half of it), its smoothing, and the completed
-runs by itinerary. A small size runs with the slow tests.
+runs by itinerary.
 """
 
 import re
