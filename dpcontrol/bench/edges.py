@@ -32,9 +32,9 @@ from dpcontrol.bench.control import held
 from dpcontrol.control.estimator_settings import EkfSettings
 from dpcontrol.control.interface import Controller, SampledModel
 from dpcontrol.control.lqr import HoldController, HoldSettings, hold_controller
+from dpcontrol.control.margins import SHAKEN
 from dpcontrol.control.ogy import OgyController, OgySettings, ogy_controller
 from dpcontrol.control.periodic import OrbitController, orbit_controller
-from dpcontrol.control.simulated_margins import SHAKEN
 from dpcontrol.control.tracking import TvlqrSettings, tracking_controller
 from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.foundation.arrays import Array
@@ -602,8 +602,8 @@ def stuck_border(arms: ArmChainParameters, orbit: SustainedOrbit, *, phase: floa
 
 
 FOLLOWED = (
-    ("hold-up-up", "lqr"), ("outer-turn", "tvlqr"), ("outer-turn", "adaptive"), ("keep-down-up", "tvlqr"),
-    ("cross", "tvlqr"), ("cross", "adaptive"), ("turn-from-rest", "tvlqr"), ("turn-from-rest", "adaptive"),
+    ("hold-up-up", "lqr"), ("outer-turn", "tvlqr"), ("outer-turn", "adaptive"), ("cross", "tvlqr"),
+    ("cross", "adaptive"), ("turn-from-rest", "tvlqr"), ("turn-from-rest", "adaptive"),
     ("up-up", "adaptive"),
 )  # fmt: skip
 """Itineraries and laws for comparing margins with campaigns; a quick chart has the first three."""
@@ -736,8 +736,7 @@ def margins_chart(quick: bool, progress: Progress) -> EdgeChart:
         title="Margins and the limits of campaigns",
         reading=(
             f"Borders: at half of {seeds} runs lost, or swinging within the limits; the drive differs from the model.",
-            "Diamonds: the margins, from simulations of the whole reference with eight small first errors, and for "
-            "kept orbits from multipliers.",
+            "Diamonds: the margins, from simulations of the whole reference with eight small first errors.",
             "A motion may end before a slow instability has grown, so its border may lie beyond its margin.",
         ),
         chosen=f"Margins as shown by `plan --margins`; a border up to {1 + SHORT:g} times as far counts as agreeing.",

@@ -233,7 +233,6 @@ def _log(file: Path, picture: Path, *, margins: bool) -> Answer:
     from dpcontrol.logs import read_log
     from dpcontrol.pages.layout import save_figure
     from dpcontrol.pages.page import draw
-    from dpcontrol.pages.series import margins_chart
 
     log = read_log(file)
     view = run_view(log)
@@ -242,7 +241,7 @@ def _log(file: Path, picture: Path, *, margins: bool) -> Answer:
         from dpcontrol.runs.run import Run
 
         borne = Run(log).margins()
-    save_figure(draw(view, [] if borne is None else [margins_chart(borne)]), picture)
+    save_figure(draw(view), picture)
     if not lacking(log):
         verdict = score(log)
         if borne is None:

@@ -18,8 +18,7 @@ from dpcontrol.control.estimator_settings import Augment, EkfSettings, FilterSet
 from dpcontrol.control.handover import NearestKeeper
 from dpcontrol.control.interface import MANY, Controller, GainSchedule, Mode, SampledModel, schedule_of
 from dpcontrol.control.lqr import HoldController, HoldSettings
-from dpcontrol.control.margins import Margins, law_margins
-from dpcontrol.control.simulated_margins import NominalLoop, simulated_margins
+from dpcontrol.control.margins import Margins, NominalLoop, margins_of
 from dpcontrol.control.tick import TickProgram, whole_periods
 from dpcontrol.control.tracking import TvlqrSettings, costs_to_go
 from dpcontrol.dynamics.chain import ArmChainParameters, Uncertainty
@@ -42,12 +41,8 @@ _PLACES = 100.0
 """Sampling rate of the reference for catching a run, Hz."""
 _ONWARD = 4.0
 """Preview of a start's gains after it joins the itinerary, s. The gains do not depend on anything later."""
-_UNBOUND = Limits(position=1e6, velocity=1e6, acceleration=1e6)
-"""Limits of a cart that nothing stops."""
 _HELD = 10.0
 """Simulated duration of a hold when its margins are computed, s."""
-_WOBBLE = 0.8
-"""Default for a reference that names no orbit, s."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -389,9 +384,8 @@ class Assembly:
         same settings.
 
         Raises:
-            InputError: the law acts by pulses or not at all and so has no margins, or the reference belongs to other
-                arms.
-            GoalMissed: no controller exists, or the loop does not stay on its reference.
+            InputError: the law goes by phase or by pulses, or the reference belongs to other arms.
+            GoalMissed: no controller exists.
         """
         # The plant has the parameters of the model, also instead of a user's plant.
         settings = replace(self.settings, travel=0.0, plant=None)
@@ -403,19 +397,14 @@ class Assembly:
         # To first order, a known belt with its input shaping is a lag, and play has no effect.
         unshaped = replace(settings.mechanics, known_belt=0.0, known_play=0.0)
         settings = replace(settings, drive_lag=settings.known_lag, mechanics=unshaped)
-        unbound = replace(self.reference, limits=_UNBOUND)
-        notes = self.reference.notes
-        found = law_margins(
-            self.controller, lambda law: Assembly(unbound, self.arms, settings, law=law).ticker().program,
-            rate=settings.rate,
-            wobble=max((orbit["period"] for orbit in notes.get("orbits", ())), default=_WOBBLE),
-            repeats="stay" in notes, lags=settings.known_lag > 0,
-        )  # fmt: skip
         law: Any = self.controller
         held = replace(law, ticks=round(_HELD * settings.rate)) if isinstance(law, HoldController) else law
         schedule = schedule_of(held, whole_periods(self.delay)[1])
         if schedule is None:
-            return found
+            raise InputError(
+                f'controller: kind = "{law.kind}" goes by phase or by pulses, and margins are simulated by the clock; '
+                "vary the drive in a campaign instead: `campaign NAME --over lag=0,0.01`"
+            )
         nominal = replace(self, settings=replace(settings, travel=self.settings.travel), law=held)
         plant = sampled_model(self.arms, settings.rate, settings.known_lag)
         own = settings.sensors
@@ -425,4 +414,4 @@ class Assembly:
             plant, lambda n: nominal.ticker(runs=n).program, lambda states: encoders.measure([*states]), schedule,
             self.delay, self.limits,
         )  # fmt: skip
-        return replace(found, simulated=simulated_margins(loop))
+        return margins_of(loop)

@@ -41,14 +41,13 @@ _LISTED = 7
 """Most symbols and most events in a list."""
 
 
-def draw(view: RunView, more: Sequence[Chart] = ()) -> Figure:
+def draw(view: RunView) -> Figure:
     """Return the page of a view as a figure.
 
     Args:
         view: motion to draw.
-        more: charts added to the view's.
     """
-    charts = [*motion_charts(view), *check_charts(view), *extra_charts(view), *more]
+    charts = [*motion_charts(view), *check_charts(view), *extra_charts(view)]
     half = (len(charts) + 1) // 2
     left, right = (
         [partial(_chart, chart=chart, view=view, last=chart is some[-1]) for chart in some]

@@ -1,8 +1,7 @@
-"""Charts of a run by name, further estimates, and a reference's margins."""
+"""Charts of a run by name, and of further estimates."""
 
 import numpy as np
 
-from dpcontrol.control.margins import Margins
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.judge.run_view import RunView, clean
 from dpcontrol.pages import style
@@ -57,25 +56,6 @@ def extra_charts(view: RunView) -> tuple[Chart, ...]:
         look = {"shown": shown, "note": ", ±2σ", "hint": ", band ±2σ", "legend": True}
         found.append(Chart(key, title, unit, (*lines, *truths), **look))
     return tuple(found)
-
-
-def margins_chart(margins: Margins) -> Chart:
-    """Return the loop's margins of gain, delay and lag.
-
-    They belong to the middle of each window along the reference.
-    """
-    time, least = margins.times + margins.windows / 2, margins.least()
-    figures = {name: 1e3 * value if name in ("delay", "lag") else value for name, (value, _) in least.items()}
-    gain, delay, lag = style.SERIES[:3]
-    lines = (
-        Line(
-            "low", "least gain", f"gain {figures['gain_low']:.2g}–{figures['gain_high']:.2g}", time, margins.low, gain
-        ),
-        Line("high", "greatest gain", "", time, margins.high, gain),
-        Line("delay", "delay", f"delay {figures['delay']:.3g}", time, 1e3 * margins.delay, delay),
-        Line("lag", "lag", f"lag {figures['lag']:.3g}", time, 1e3 * margins.lag, lag),
-    )
-    return Chart("", "Margins (×, ms)", "", lines, log=True)
 
 
 def charts(view: RunView) -> dict[str, Chart]:

@@ -118,9 +118,6 @@ def test_requested_margins_are_those_of_the_plan(tmp_path: Path, shipped_text: d
     assert 0 < shown["gain_low"]["value"] < 1 < shown["gain_high"]["value"]
     assert shown["delay"]["value"] > 0
     assert shown["lag"]["value"] > 0
-    assert shown["growth"] < 1
-    (windows,) = {len(values) for values in shown["along"].values()}
-    assert windows > 1
     assert api.closed_loop(str(scene)).margins().document() == shown
     assert "further delay" in dpcontrol("plan", scene, "--margins").stdout
 
@@ -128,5 +125,4 @@ def test_requested_margins_are_those_of_the_plan(tmp_path: Path, shipped_text: d
 def test_margins_of_pulses_are_rejected_with_an_alternative() -> None:
     ended = dpcontrol("plan", "keep-down-up", "--margins")
     assert ended.code == 2
-    assert "use" in ended.message
-    assert "tvlqr" in ended.message
+    assert "campaign NAME --over lag" in ended.message

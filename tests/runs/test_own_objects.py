@@ -266,7 +266,7 @@ def test_complex_numbers_are_refused_instead_of_losing_a_part() -> None:
 
 def test_margins_beside_a_python_plant_are_those_of_the_model() -> None:
     own, built_in = (dp.closed_loop("hold-up-up", **more).margins() for more in ({"plant": Arms()}, {}))
-    assert own.simulated == built_in.simulated
+    assert own.document() == built_in.document()
 
 
 _PRINTING = """\
