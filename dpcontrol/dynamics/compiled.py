@@ -29,7 +29,7 @@ import numpy as np
 
 from dpcontrol.dynamics.equations import Equations
 from dpcontrol.foundation.arrays import Array
-from dpcontrol.foundation.cache import cache_file, code_hash, compiler_folder, keep, kept
+from dpcontrol.foundation.cache import cache_file, compiler_folder, keep, kept
 from dpcontrol.foundation.errors import remark
 from dpcontrol.foundation.files import content_hash
 from dpcontrol.foundation.parts import Later, installed
@@ -38,6 +38,10 @@ if TYPE_CHECKING:
     import heyoka as hy
 else:
     hy = Later("heyoka", lambda heyoka: _settle(heyoka))
+
+
+_VERSION = "1"
+"""Version of this module's code, part of the cache keys of what it compiles: raise it whenever the code changes."""
 
 
 def _settle(heyoka: Any) -> None:
@@ -305,7 +309,7 @@ def _kept_at(function: ca.Function) -> Path | None:
     processor = _processor()
     if not processor:
         return None
-    key = content_hash(function.serialize(), code_hash(__name__), hy.__version__, ca.CasadiMeta.version(), processor)
+    key = content_hash(function.serialize(), _VERSION, hy.__version__, ca.CasadiMeta.version(), processor)
     return cache_file("machine-code", function.name(), key)
 
 
@@ -330,7 +334,7 @@ def fixed_step(equations: Equations) -> ca.Function:
     """
     f, (x, u, p) = equations.function(), (equations.state, equations.inputs, equations.parameters)
     # Cached with its machine code because the tableau is in scipy.integrate, which takes long to import.
-    key = content_hash(f.serialize(), code_hash(__name__), ca.CasadiMeta.version())
+    key = content_hash(f.serialize(), _VERSION, ca.CasadiMeta.version())
     file = cache_file("machine-code", "expression", key)
     if (content := kept(file)) is not None:
         with suppress(Exception):

@@ -1,6 +1,6 @@
 """Result cache, keyed by content.
 
-The key covers all that a result depends on: settings, parameters and code.
+The key covers all that a result depends on: settings, parameters and the version of the code, an explicit number.
 
 The folder is $DPCONTROL_CACHE, else $XDG_CACHE_HOME/dpcontrol, else ~/.cache/dpcontrol. It has one subfolder for each
 kind of result.
@@ -20,7 +20,6 @@ import subprocess
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from tempfile import TemporaryFile
 from typing import ClassVar
@@ -29,7 +28,7 @@ import dpcontrol
 from dpcontrol.foundation.config import at_home
 from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError, remark
-from dpcontrol.foundation.files import content_hash, write_whole
+from dpcontrol.foundation.files import write_whole
 
 VARIABLE = "DPCONTROL_CACHE"
 """Environment variable with the folder."""
@@ -48,11 +47,6 @@ _OURS = re.compile(rf"-[0-9a-f]{{16}}({'|'.join(map(re.escape, sorted(set(KINDS.
 """Suffixes of the cache's files; partly written files have further characters."""
 _SEAL = b"\nsha256:"
 _SEALED = len(_SEAL) + 64
-
-# Patterns that start with literal text match in a third of the time.
-_FROM = re.compile(rb"from (dpcontrol[\w.]*) import (\([^)]*\)|[^\n]*)")
-_IMPORT = re.compile(rb"import (dpcontrol[\w.]*)")
-_WORD = re.compile(rb"\w+")
 
 
 def cache_root() -> Path:
@@ -224,64 +218,6 @@ def _size(file: Path, *, clear: bool) -> int | None:
 def _files(folder: Path, names: re.Pattern[str]) -> Iterator[Path]:
     with suppress(FileNotFoundError, NotADirectoryError):
         yield from (file for file in sorted(folder.iterdir()) if names.search(file.name) and file.is_file())
-
-
-@cache
-def code_hash(module: str, root: Path | None = None) -> str:
-    """Return a hash of the code of a module and its imports.
-
-    Results of older code are then never used by newer code.
-
-    Args:
-        module: name of the module.
-        root: the package's folder, default that of the running one.
-    """
-    sources = module_sources(module, root)
-    return content_hash(*(part for name in sorted(sources) for part in (name, sources[name])))
-
-
-def module_sources(module: str, root: Path | None = None) -> dict[str, bytes]:
-    """Return the sources of a module and of its imports, by name.
-
-    Only modules of this package count.
-
-    The statements are parsed, not executed. Imports within functions and for type checking count too.
-
-    Args:
-        module: dotted name.
-        root: folder of the package; by default dpcontrol's.
-    """
-    root = Path(dpcontrol.__file__).parent if root is None else root
-    sources: dict[str, bytes] = {}
-    seen: set[str] = set()
-    left = [module]
-    while left:
-        name = left.pop()
-        if name in seen:
-            continue
-        seen.add(name)
-        file = _file(root, name)
-        if file is None:
-            continue
-        sources[name] = file.read_bytes()
-        left += [origin.decode() for origin in _IMPORT.findall(sources[name])]
-        for source, names in _FROM.findall(sources[name]):
-            origin = source.decode()
-            left.append(origin)
-            if root.joinpath(*origin.split(".")[1:]).is_dir():
-                left += [f"{origin}.{word.decode()}" for word in _WORD.findall(names)]
-    return sources
-
-
-def _file(root: Path, name: str) -> Path | None:
-    """Return the file of a module or package.
-
-    None for other names and for the root package.
-    """
-    path = root.joinpath(*name.split(".")[1:])
-    if path == root:
-        return None
-    return next((file for file in (path.with_suffix(".py"), path / "__init__.py") if file.is_file()), None)
 
 
 def commit() -> str:

@@ -58,7 +58,7 @@ from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arguments import whole
 from dpcontrol.foundation.arrays import Array
-from dpcontrol.foundation.cache import cache_file, code_hash, keep, kept
+from dpcontrol.foundation.cache import cache_file, keep, kept
 from dpcontrol.foundation.checked import number
 from dpcontrol.foundation.document import fields_of, picked, plain
 from dpcontrol.foundation.errors import InputError
@@ -89,6 +89,8 @@ Record = TypeVar("Record")
 
 FORMAT = "dpcontrol-atlas"
 VERSION = 2
+SEARCHING = 1
+"""Version of the searches, part of the cache keys: raise it whenever an atlas or a branch changes."""
 _ORBIT_SAMPLES = 256
 _FLIGHT_SAMPLES = 400
 _DENSE = 4
@@ -135,7 +137,7 @@ def atlas_key(model: Model | System, energy: float, settings: AtlasSettings) -> 
     """
     content = {
         "format": VERSION,
-        "code": code_hash(__name__),
+        "code": SEARCHING,
         "model": model.name,
         "parameters": _system(model).parameters.tolist(),
         "system": model.description if isinstance(model, System) else type(model.parameters).__name__,
@@ -586,7 +588,7 @@ def make_branches(
     energies = energies or (LOWEST, HIGHEST if source == target else HIGHEST_BETWEEN)
     content = {
         "format": BRANCHES_FORMAT,
-        "code": code_hash(__name__),
+        "code": SEARCHING,
         "parameters": model.system.parameters.tolist(),
         "system": type(model.parameters).__name__,
         "saddles": [source, target],

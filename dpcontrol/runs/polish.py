@@ -28,7 +28,7 @@ import numpy as np
 
 from dpcontrol.dynamics.chain import Level, equations_of
 from dpcontrol.foundation.arrays import Array
-from dpcontrol.foundation.cache import cache_file, code_hash, keep, kept
+from dpcontrol.foundation.cache import cache_file, keep, kept
 from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import content_hash
@@ -43,13 +43,15 @@ from dpcontrol.plans.plan import Plan
 from dpcontrol.plans.transfers import transfer_notes
 from dpcontrol.references.find import find_reference, on_mesh, tail
 from dpcontrol.references.method import method_named
-from dpcontrol.references.problem import EndConditions, Guess, Limits, ReferenceProblem, ReferenceSettings
+from dpcontrol.references.problem import PLANNING, EndConditions, Guess, Limits, ReferenceProblem, ReferenceSettings
 from dpcontrol.references.reference import PlanNotes, Reference, SymbolNote, joined, load_reference, plan_notes
 from dpcontrol.references.trajectory import Trajectory, even_mesh
 from dpcontrol.references.transcription import solve
 from dpcontrol.runs.campaign import Case, Job
 from dpcontrol.runs.preflight import outcomes, seconds_of
 
+POLISHING = 1
+"""Version of polishing, part of the cache keys: raise it whenever a polished plan changes."""
 SHARE = 0.7
 """Share of each limit that the motion may use: 1 leaves no margin for feedback, 0.7 costs 2 to 3 % of effort."""
 
@@ -202,7 +204,7 @@ def _key(plan: Plan) -> str:
     motion = plan.reference
     arrays = [part.tobytes() for part in (motion.mesh, motion.states, motion.inputs)]
     settings = json.dumps([plan.itinerary.text, plan.itinerary.model.text, plan.itinerary.limits.named()])
-    return content_hash(code_hash(__name__), settings, *arrays)
+    return content_hash(f"polishing {POLISHING}, planning {PLANNING}", settings, *arrays)
 
 
 def _polished(plan: Plan, progress: Progress) -> Reference:

@@ -32,7 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import isotonic_regression
 
-from dpcontrol.foundation.cache import cache_file, code_hash, keep, kept
+from dpcontrol.foundation.cache import cache_file, keep, kept
 from dpcontrol.foundation.files import content_hash
 from dpcontrol.foundation.processes import in_processes, processors
 from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress, part_of
@@ -47,6 +47,9 @@ from dpcontrol.plans.itinerary import Itinerary, overridden, setting_of
 from dpcontrol.plans.overrides import canonical
 from dpcontrol.plans.plan import Plan
 from dpcontrol.runs.campaign import MOST_TICKS, Case, Job, run_job
+
+RUNNING = 1
+"""Version of runs, part of the cache keys: raise it whenever a seed of a campaign ends in another way."""
 
 
 @dataclass(frozen=True)
@@ -305,7 +308,7 @@ def outcomes(job: Job, most: int) -> tuple[RunEnd, ...]:
     if len(job.seeds) > most:
         parts = (replace(job, seeds=job.seeds[k : k + most]) for k in range(0, len(job.seeds), most))
         return tuple(row for part in parts for row in outcomes(part, most))
-    file = cache_file("preflights", job.itinerary, content_hash(job.key, code_hash("dpcontrol.runs.campaign")))
+    file = cache_file("preflights", job.itinerary, content_hash(job.key, f"running {RUNNING}"))
     if (content := kept(file)) is not None:
         return tuple(RunEnd(*row) for row in json.loads(content))
     rows = tuple(RunEnd(r["seed"], r["completed"], r["ending"], r["reason"]) for r in run_job(job))

@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 from ending_truth import MOVING, class_of, flights, troubled, untrue, untrue_score
 
-from dpcontrol.foundation.cache import cache_root, code_hash, keep, kept
+from dpcontrol.foundation.cache import cache_root, keep, kept
 from dpcontrol.foundation.files import content_hash
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import Plan, make_plan
@@ -49,7 +49,7 @@ def planned(name: str) -> Plan:
 @cache
 def _key() -> str:
     judge = [Path(file or "").read_text() for file in (__file__, ending_truth.__file__)]
-    return content_hash(code_hash("dpcontrol.runs.campaign"), *judge)
+    return content_hash(f"running {RUNNING}", *judge)
 
 
 def judged(number: int) -> dict[str, Any]:

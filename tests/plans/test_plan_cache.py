@@ -1,10 +1,7 @@
 """Plans kept by content: found again, and never taken for another's."""
 
-import ast
 import io
 import shutil
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,12 +10,9 @@ import numpy as np
 import pytest
 from command_line import dpcontrol as call
 
-import dpcontrol
-from dpcontrol.foundation.cache import code_hash, module_sources
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.judge.score import score
 from dpcontrol.logs import RunLog
-from dpcontrol.plans import atlas
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import make_plan, plan_key
 from dpcontrol.references.reference import Reference, load_reference, save_reference
@@ -96,51 +90,6 @@ def test_a_changed_title_or_limit_requires_another_plan() -> None:
     assert plan_key(replace(scene, title="Another")) != plan_key(scene)
     assert plan_key(replace(scene, limits=replace(scene.limits, position=0.3))) != plan_key(scene)
     assert plan_key(scene.with_run({"mismatch": 0.1}, seed=5)) == plan_key(scene)
-
-
-ATLAS = atlas.__name__
-MADE_BY = sorted({name.rsplit(".", 1)[0] for name in module_sources(ATLAS)} - {"dpcontrol"})
-
-
-@pytest.fixture(scope="module")
-def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A copy of the package, to edit."""
-    folder = tmp_path_factory.mktemp("edited") / "dpcontrol"
-    shutil.copytree(Path(dpcontrol.__file__).parent, folder, ignore=shutil.ignore_patterns("__pycache__"))
-    return folder
-
-
-@pytest.mark.parametrize("package", MADE_BY)
-def test_an_edit_to_a_package_that_makes_atlases_requires_new_atlases(package: str, copy: Path) -> None:
-    names = [name for name in module_sources(ATLAS) if name.rsplit(".", 1)[0] == package]
-    file = copy.joinpath(*names[-1].split(".")[1:]).with_suffix(".py")
-    text = file.read_text()
-    file.write_text(text.replace("return ", "return  ", 1) + "\n_EDITED = 1\n")
-    try:
-        code_hash.cache_clear()
-        assert code_hash(ATLAS, copy) != code_hash(ATLAS)
-    finally:
-        file.write_text(text)
-    code_hash.cache_clear()
-    assert code_hash(ATLAS, copy) == code_hash(ATLAS)
-
-
-@pytest.mark.slow
-def test_all_code_that_an_atlas_runs_through_counts(tmp_path: Path) -> None:
-    """All modules of this package that an atlas imports are hashed, except empty packages."""
-    script = f"import sys, {ATLAS}; print(*(n for n in sys.modules if n.startswith('dpcontrol.')))"
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
-    hashed = module_sources(ATLAS)
-    for name in set(done.stdout.split()) - set(hashed):
-        file = Path(dpcontrol.__file__).parent.joinpath(*name.split(".")[1:], "__init__.py")
-        statements = ast.parse(file.read_text()).body
-        assert all(isinstance(s, ast.Expr) for s in statements), f"{name} is not hashed"
-
-
-def test_an_edit_to_the_command_line_keeps_the_atlases(copy: Path) -> None:
-    (copy / "cli" / "plan.py").write_text("")
-    code_hash.cache_clear()
-    assert code_hash(ATLAS, copy) == code_hash(ATLAS)
 
 
 @pytest.fixture(scope="module")
