@@ -24,6 +24,7 @@ from dpcontrol.foundation.cache import cache_root, keep, kept
 from dpcontrol.foundation.files import content_hash
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import Plan, make_plan
+from dpcontrol.runs.preflight import RUNNING
 
 pytestmark = pytest.mark.benchmark
 
