@@ -892,11 +892,13 @@ def fit_swing(angles: Array, carts: Array, period: float, arms: ArmChainParamete
         return motions, np.array([d @ _solved(d, rows) - rows for d in map(designed, motions)])
 
     guess = np.concatenate([np.zeros(n), arms.viscous, np.zeros(3 * n)]) / unit
-    dry = [(2 * n + k, _DRY * weight / unit[2 * n]) for k in range(n)]
-    for index, tried in (*dry, *((k, _DETUNED / unit[0]) for k in range(n)), *dry):
+    dry = [(2 * n + k, _DRY * weight / unit[2 * n], 1.0) for k in range(n)]
+    # Friction can look like another frequency, so a frequency must improve the fit the more the farther it is away.
+    detuned = [(k, _DETUNED / unit[0], 1 + np.abs(_DETUNED) / unit[0]) for k in range(n)]
+    for index, tried, costs in ((slice(2 * n, 3 * n), *dry[0][1:]), *dry, *detuned, *dry):
         lanes = np.tile(guess, (len(tried), 1))
-        lanes[:, index] = tried
-        guess = lanes[np.argmin((left(lanes)[1] ** 2).sum(axis=(1, 2)))]
+        lanes[:, index] = tried[:, None] if isinstance(index, slice) else tried
+        guess = lanes[np.argmin((left(lanes)[1] ** 2).sum(axis=(1, 2)) * costs)]
 
     @lru_cache(maxsize=2)
     def near(values: tuple[float, ...]) -> tuple[Array, Array]:
