@@ -263,6 +263,8 @@ def test_a_sensor_that_gives_no_numbers_is_named() -> None:
 
 # The bench's joints slide at 0.8 of the break-away torque; play that is not in the fit moves the estimate.
 FRICTION, WITH_PLAY = 0.15, 0.5
+# The model's own dry friction fades below 0.05 rad/s, where most of a small swing happens.
+FADING = 0.4
 DRY = (0.0, 0.001, 0.002, 0.005)
 
 
@@ -305,7 +307,7 @@ def test_the_models_own_dry_friction_is_no_finding() -> None:
     assert not found.wrong
     friction = next(f for f in found.findings if f.step == "friction")
     assert friction.verdict is Grade.OK
-    assert friction.figures["torques"] == pytest.approx(rusty.coulomb, rel=FRICTION)
+    assert friction.figures["torques"] == pytest.approx(rusty.coulomb, rel=FADING)
     assert next(f for f in found.findings if f.step == "model").verdict is Grade.OK
 
 
