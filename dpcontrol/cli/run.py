@@ -505,8 +505,9 @@ def commission_command(
     gain of the drive. Ctrl-C brakes the cart. The exit code is 1 if a finding is wrong. Settings and faults apply to
     the example bench. For more, see `dpcontrol guide commission`.
     """
-    from dpcontrol.loop.own import load_own, names_file
+    from dpcontrol.loop.own import names_file
     from dpcontrol.plans.itinerary import load_itinerary
+    from dpcontrol.runs.closed_loop import bench_of
     from dpcontrol.runs.run import OWN_BENCH, commission_rig, measured_text, rig_link
 
     own = address is not None and names_file(address)
@@ -520,13 +521,9 @@ def commission_command(
         # Detect a file that cannot be changed before the cart moves.
         measured_text(scene, {"delay": 1.0, "lag": 0.0, "zeros": [0.0], "counts": 1})
     # A user's rig connects to its hardware here.
-    bench = (
-        load_own("rig", address)
-        if own
-        else rig_link(address, key_file=key_file, insecure=insecure, real_time=real_time)
-    )
+    link = None if own else rig_link(address, key_file=key_file, insecure=insecure, real_time=real_time)
     found = commission_rig(
-        scene, bench, practice=practice, faults=fault, switches=switches or 0.0,
+        scene, link or bench_of(address), practice=practice, faults=fault, switches=switches or 0.0,
         notify=lambda text: print_message(f"dpcontrol: {text}"),
     )  # fmt: skip
     lines = [f"commissioning for {scene.name} on {address or 'the example bench, simulated'}"]

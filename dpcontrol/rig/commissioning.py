@@ -198,10 +198,7 @@ class _Session:
 
     def read(self) -> Reading:
         """Read and store the next reading."""
-        try:
-            reading = self.rig.read()
-        except ArithmeticError as failure:
-            raise self.halted(str(failure), _COMPLAINS) from failure
+        reading = self.rig.read()
         present = reading.present is None or bool(reading.present.all())
         positions = reading.positions - self._zeros
         if reading.present is not None and self.positions:
@@ -223,10 +220,7 @@ class _Session:
             _Halted: the rig has failed, the cart has left its range, or its position is not read.
         """
         command = min(max(acceleration, -self._most), self._most)
-        try:
-            self.rig.command(command)
-        except ArithmeticError as failure:
-            raise self.halted(str(failure), _COMPLAINS) from failure
+        self.rig.command(command)
         self.commands.append(command)
         reading = self.read()
         self._gap = 0 if self.present[-1] else self._gap + 1
@@ -350,6 +344,8 @@ def commission(
         _move(session, motion, arms, chirp, switches, limits, options, notify)
     except _Halted as halted:
         halts.append(halted.finding)
+    except ArithmeticError as failure:
+        halts.append(Finding(session.step if session else "still", Grade.WRONG, str(failure), _COMPLAINS))
     finally:
         rig.stop()
     if session is not None and motion.rang_to:
@@ -560,23 +556,24 @@ def _no_shift(session: _Session, arms: ArmChainParameters, seen: float) -> None:
 
 def _wait_until_still(session: _Session, options: CommissioningSettings, notify: Notify) -> None:
     """Hold the cart until the arms hardly swing."""
-    waited, notified = 0.0, False
-    while True:
+    attempts, swing = math.floor(options.wait / _WATCHED) + 1, 0.0
+    for attempt in range(attempts):
+        if attempt == 1:
+            notify(f"the arms swing by ±{swing:.2g} rad: hold them still; waiting for up to {options.wait:g} s")
         first = session.tick
-        session.hold(1.2)
-        waited += 1.2
-        swings = np.ptp(session.angles(first), axis=0) / 2
-        if float(swings.max()) <= options.still:
+        session.hold(_WATCHED)
+        swing = float(np.ptp(session.angles(first), axis=0).max()) / 2
+        if swing <= options.still:
             return
-        if waited > options.wait:
-            raise session.halted(
-                f"the arms still swing by ±{swings.max():.2g} rad after {waited:.0f} s",
-                "hold them until they hang still, let go and start again; if they do hang still, their readings are "
-                "not in radians, or are wrapped to one turn",
-            )
-        if not notified:
-            notify(f"the arms swing by ±{swings.max():.2g} rad: hold them still; waiting for up to {options.wait:g} s")
-            notified = True
+    raise session.halted(
+        f"the arms still swing by ±{swing:.2g} rad after {attempts * _WATCHED:.0f} s",
+        "hold them until they hang still, let go and start again; if they do hang still, their readings are not in "
+        "radians, or are wrapped to one turn",
+    )
+
+
+_WATCHED = 1.2
+"""Time of hanging still that is observed, s: longer than a period."""
 
 
 def _chirp(arms: ArmChainParameters, period: float, options: CommissioningSettings) -> tuple[Array, Array]:
@@ -734,7 +731,7 @@ _NO_LAG = 2e-5
 """Lag below which it counts as zero, s."""
 
 
-def _sandwich(jacobian: Array, residual: Array, weights: Array | None = None) -> Array:
+def _sandwich(jacobian: NDArray[Any], residual: Array, weights: Array | None = None) -> Array:
     """Return standard errors (p,) for correlated residuals.
 
     The residuals (K,) are correlated over blocks, and have the weights (K,) of soft_l1.
@@ -793,8 +790,7 @@ class CommissioningSwing(NamedTuple):
         readings: readings (K, n), rad.
         motion: absolute angles (K, n) of the fitted model, rad.
         slopes: derivatives (K n, p) of the readings with respect to the fitted parameters.
-        frequencies: frequencies (n,) of the modes, rad/s.
-        ratios: their ratios (n,) to those of the model.
+        ratios: frequencies (n,) of the modes relative to the model.
         viscous: viscous friction (n,) of the joints, N m s/rad, and its standard errors.
         dry: dry friction (n,) of the joints, N m, and its standard errors.
         zeros: readings (n,) of hanging arms, rad, and their standard errors.
@@ -803,24 +799,18 @@ class CommissioningSwing(NamedTuple):
     readings: Array
     motion: Array
     slopes: Array
-    frequencies: Array
     ratios: Array
     viscous: tuple[Array, Array]
     dry: tuple[Array, Array]
     zeros: tuple[Array, Array]
 
-    @property
-    def swing(self) -> Array:
-        """Return the rms (n,) of the readings, rad."""
-        return self.readings.std(axis=0)
-
 
 _LEAST_SWING = 1e-3
 """Swing of a joint that is necessary to judge its encoder, rad rms."""
-_DETUNED = np.linspace(-0.3, 0.3, 25)
-"""Logarithms of the fractions of the model's frequencies to try."""
-_DRY = np.array([0.0, 0.002, 0.005, 0.01, 0.02, 0.05, 0.2])
-"""Dry friction to try, as a share of gravity's torque on the arms."""
+_DETUNED = np.linspace(-3, 3, 25)
+"""Logarithms of the ratios of frequencies to try, in units of 0.1."""
+_DRY = np.array([0.0, 0.2, 0.5, 1.0, 2.0, 5.0, 20.0])
+"""Dry friction to try, in percent of gravity's torque on the arms."""
 _ROWS = 100.0
 """Sampling rate that is sufficient for slow swings, Hz."""
 _SWEEPS = 3
@@ -867,6 +857,19 @@ def simulated_swings(values: Array, carts: Array, period: float, arms: ArmChainP
     return (sums @ out)[..., 0].transpose(1, 0, 2)
 
 
+def _coarse_guess(costs: Callable[[Array], Array], guess: Array, arms: ArmChainParameters) -> Array:
+    """Return the best of coarse grids of friction and frequencies, one parameter after the other, scaled."""
+    n = arms.count
+    dry = [[2 * n + k] for k in range(n)]
+    # Friction can look like another frequency, so a frequency must improve the fit the more the farther it is away.
+    for places in (sum(dry, []), *dry, *([k] for k in range(n)), *dry):
+        tried, penalty = (_DETUNED, 1 + np.abs(_DETUNED)) if places[0] < n else (_DRY, np.ones(len(_DRY)))
+        lanes = np.tile(guess, (len(tried), 1))
+        lanes[:, places] = tried[:, None]
+        guess = lanes[np.argmin(costs(lanes) * penalty)]
+    return guess
+
+
 def fit_swing(angles: Array, carts: Array, period: float, arms: ArmChainParameters) -> CommissioningSwing:
     """Fit frequencies, friction and first state of the arms to their readings.
 
@@ -891,14 +894,8 @@ def fit_swing(angles: Array, carts: Array, period: float, arms: ArmChainParamete
         motions = simulated_swings(values * unit, x, period, arms)
         return motions, np.array([d @ _solved(d, rows) - rows for d in map(designed, motions)])
 
-    guess = np.concatenate([np.zeros(n), arms.viscous, np.zeros(3 * n)]) / unit
-    dry = [(2 * n + k, _DRY * weight / unit[2 * n], 1.0) for k in range(n)]
-    # Friction can look like another frequency, so a frequency must improve the fit the more the farther it is away.
-    detuned = [(k, _DETUNED / unit[0], 1 + np.abs(_DETUNED) / unit[0]) for k in range(n)]
-    for index, tried, costs in ((slice(2 * n, 3 * n), *dry[0][1:]), *dry, *detuned, *dry):
-        lanes = np.tile(guess, (len(tried), 1))
-        lanes[:, index] = tried[:, None] if isinstance(index, slice) else tried
-        guess = lanes[np.argmin((left(lanes)[1] ** 2).sum(axis=(1, 2)) * costs)]
+    start = np.concatenate([np.zeros(n), arms.viscous, np.zeros(3 * n)]) / unit
+    guess = _coarse_guess(lambda lanes: (left(lanes)[1] ** 2).sum(axis=(1, 2)), start, arms)
 
     @lru_cache(maxsize=2)
     def near(values: tuple[float, ...]) -> tuple[Array, Array]:
@@ -908,7 +905,8 @@ def fit_swing(angles: Array, carts: Array, period: float, arms: ArmChainParamete
         return (lanes[1:] - lanes[0]).reshape(5 * n, -1).T / _STEP
 
     found = optimize.least_squares(
-        lambda values: near(tuple(values))[1][0].ravel(), guess, lambda values: slopes(near(tuple(values))[1]),
+        lambda values: near(tuple(values))[1][0].ravel(), guess,
+        lambda values: slopes(near(tuple(values))[1]),  # type: ignore[arg-type]
         bounds=(np.repeat([-5.0, 0.0, 0.0, -np.inf, -np.inf], n), np.repeat([5.0, np.inf, np.inf, np.inf, np.inf], n)),
         ftol=1e-4, xtol=1e-4, max_nfev=25,
     )  # fmt: skip
@@ -918,12 +916,11 @@ def fit_swing(angles: Array, carts: Array, period: float, arms: ArmChainParamete
     turned = slopes(motions @ weights[:n])
     # Each reading has its own combination and zero.
     errors = _sandwich(np.hstack([turned, np.kron(design, np.eye(n))]), rest[0].ravel())
-    ratios, viscous, dry_torques, *_ = np.split(found.x * unit, 5)
+    ratios, viscous, dry, *_ = np.split(found.x * unit, 5)
     own = np.split(errors[: 5 * n] * unit, 5)
     return CommissioningSwing(
-        rows, motions[0], turned, modes(arms).frequencies * np.exp(ratios), np.exp(ratios), (viscous, own[1]),
-        (dry_torques, own[2]), (weights[-1], errors[-n:]),
-    )  # fmt: skip
+        rows, motions[0], turned, np.exp(ratios), (viscous, own[1]), (dry, own[2]), (weights[-1], errors[-n:])
+    )
 
 
 class Form(StrEnum):
@@ -1173,11 +1170,11 @@ def _encoders(wiring: Wiring, swing: CommissioningSwing, signs: list[tuple[str, 
     figures = {
         "form": wiring.form.value, "order": [k + 1 for k in wiring.order], "factors": factors.tolist(),
         "errors": [None if math.isinf(e) else e for e in wiring.errors.tolist()], "misfit": wiring.misfit,
-        "swing": swing.swing.tolist(),
+        "swing": swing.readings.std(axis=0).tolist(),
     }  # fmt: skip
     joint = "joint" if wiring.form in (Form.SUMMED, Form.RELATIVE) else "absolute"
     wrong = partial(Finding, "encoders", Grade.WRONG, figures=figures)
-    if swing.swing.max() < _LEAST_SWING:
+    if max(figures["swing"]) < _LEAST_SWING:
         remedy = "turn each arm by hand: loosen its joint if the reading follows, and check the encoder's plug if not"
         return [wrong("no arm's reading moves: the joints are stuck, or the encoders are not read", remedy)]
     stuck = np.flatnonzero(_stuck(wiring)).tolist()
@@ -1393,12 +1390,13 @@ _DETUNING, _FASTER, _LEAST_DAMPING = 0.05, 5.0, 0.01
 
 def _model(swing: CommissioningSwing, wiring: Wiring, arms: ArmChainParameters) -> Finding:
     """Compare the arms' frequencies and viscous dampings with the model's."""
-    hertz = ", ".join(f"{w / 2 / np.pi:.3f}" for w in swing.frequencies)
+    frequencies = modes(arms).frequencies * swing.ratios / 2 / np.pi
+    hertz = ", ".join(f"{frequency:.3f}" for frequency in frequencies)
     shares = ", ".join(f"{100 * (r - 1):+.1f} %" for r in swing.ratios)
     sentence = f"the arms swing at {hertz} Hz, {shares} off the model's"
     viscous, errors = swing.viscous
     surely = replace(arms, viscous=tuple(np.maximum(viscous - 3 * errors, 0.0).tolist()))
-    figures = {"frequencies": (swing.frequencies / 2 / np.pi).tolist(), "viscous": viscous.tolist(),
+    figures = {"frequencies": frequencies.tolist(), "viscous": viscous.tolist(),
                "viscous_errors": errors.tolist(), "ratios": swing.ratios.tolist()}  # fmt: skip
     faster = modes(surely).dampings / np.maximum(modes(arms).dampings, _LEAST_DAMPING / _FASTER)
     if float(faster.max()) > _FASTER:
