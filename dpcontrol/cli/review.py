@@ -341,7 +341,7 @@ def recover_command(
 
 def _recover_text(done: "Recovery") -> Iterator[str]:
     if done.log == done.source:
-        yield f"{done.log} is whole: there is nothing to recover"
+        yield f"{done.log} is readable as it is: there is nothing to recover"
         return
     kept = f" and {', '.join(done.attachments)}" if done.attachments else ""
     yield f"{done.log}: {done.ticks:,} ticks to {done.end_s:.3f} s{kept}, read back and sound"

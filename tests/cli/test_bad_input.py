@@ -391,3 +391,12 @@ def test_a_wrong_call_ends_with_2_and_points_to_help(line: str, tmp_path: Path) 
     assert ended.stdout == ""
     assert "--help" in ended.stderr
     assert "Traceback" not in ended.stderr
+
+
+@pytest.mark.parametrize("verb", ["model", "plan"])
+def test_a_file_that_is_there_and_no_toml_is_not_denied(
+    verb: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "poles.xml").write_text("<mujoco/>")
+    refused(verb, "poles.xml", naming="poles.xml is not valid TOML")
