@@ -148,11 +148,17 @@ class VerifiedFile:
     def tick(self) -> TickLayout:
         """Tick layout from the log's own description."""
         described = self.metadata.get(layout.LAYOUT_RECORD)
-        if described is None:
+        if described is None and (missing := self._no_measurements()):
             raise InputError(
                 f"{self.path}{self._writer} is not a log of `dpcontrol run`: it lacks the metadata record "
-                f"{layout.LAYOUT_RECORD}{self._no_measurements()}; give a log of `dpcontrol run`, or import a "
-                "bench recording with `dpcontrol import`"
+                f"{layout.LAYOUT_RECORD}{missing}; give a log of `dpcontrol run`, or import a bench recording with "
+                "`dpcontrol import`"
+            )
+        if described is None:
+            raise InputError(
+                f"{self.path}{self._writer} cannot be read as a run: it lacks the metadata record "
+                f"{layout.LAYOUT_RECORD}, as after cutting a log in time; keep metadata, attachments and the first "
+                "message of each topic, or make a recording of it with `dpcontrol import`"
             )
         if unsealed(layout.LAYOUT_RECORD, described) is None and described.get("format") == layout.FORMAT:
             raise ValueError(f"the checksum of {layout.LAYOUT_RECORD} differs")
@@ -485,7 +491,8 @@ def open_mcap(path: Path) -> VerifiedFile:
     data = recorded_bytes(path)
     if not (data.startswith(MAGIC) or MAGIC.startswith(data)):
         raise InputError(
-            f"{path} is not an MCAP file (it begins with {data[:8]!r}); give one, such as a log of `dpcontrol run`"
+            f"{path} is not a log because it is not an MCAP file (it begins with {data[:8]!r}); import a recording "
+            "with `dpcontrol import` first, or give a log of `dpcontrol run`"
         )
     records = _walk(path, data)
     view = memoryview(data)
@@ -1099,12 +1106,13 @@ def summarise(path: Path | str) -> LogSummary:
 
 
 def _summary_of_rewritten(file: VerifiedFile, found: Rewritten) -> LogSummary:
-    spans = {
-        found.tick.channels[name]: (len(topic.times), min(topic.times), max(topic.times))
-        for name, topic in found.topics.items()
-        if name in found.tick.channels
-    }
-    return replace(_summary(file, found.tick, found.described, spans), rewritten=True)
+    spans = {name: (len(topic.times), min(topic.times), max(topic.times)) for name, topic in found.topics.items()}
+    channels = found.tick.channels
+    known = {channels[name]: span for name, span in spans.items() if name in channels}
+    summary = _summary(file, found.tick, found.described, known)
+    # Without metadata the layout lacks topics whose names of fields were there.
+    others = [_topic(name, found.topics[name].schema, span) for name, span in spans.items() if name not in channels]
+    return replace(summary, topics=(*summary.topics, *others), rewritten=True)
 
 
 Spans = dict[int, tuple[int, int, int]]
@@ -1149,7 +1157,7 @@ def _topic(topic: str, kind: str, span: tuple[int, int, int] | None) -> TopicSum
         return TopicSummary(topic, kind, layout.UNITS[topic], 0, None, None, None)
     count, first, last = span
     rate = (count - 1) * 1e9 / (last - first) if last > first else None
-    return TopicSummary(topic, kind, layout.UNITS[topic], count, first / 1e9, last / 1e9, rate)
+    return TopicSummary(topic, kind, layout.UNITS.get(topic, ""), count, first / 1e9, last / 1e9, rate)
 
 
 @dataclass(frozen=True)
