@@ -11,9 +11,10 @@ metadata gives their lengths. One look per tick finds them all, and one copy ext
 Source: the MCAP format specification, version 0.
 """
 
+import re
 import struct
 import zlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -727,6 +728,11 @@ class RunLog(Shown):
         }  # fmt: skip
 
     @property
+    def segments(self) -> tuple[tuple[int, int], ...]:
+        """First and end rows of a recording's segments; none for a run, or if they do not fit the rows."""
+        return segments_in(self.metadata.get("segments", ""), len(self.time))
+
+    @property
     def parts(self) -> frozenset[str]:
         """Members of "rates", "estimate", "reference", "truth", "control" in the log.
 
@@ -788,13 +794,13 @@ class RunLog(Shown):
 
         Columns, if the log has them: `measured.arm_1` …, `rates.arm_1` …, `estimate.angle_1`, `estimate.rate_1`,
         `estimate.cart_position`, `estimate.cart_velocity`, the same for `reference` and `truth`, `control.command` ….
-        `extra.zero_1` and `sigma.zero_1` … hold the last logged values.
+        `extra.zero_1` and `sigma.zero_1` … hold the last logged values. `segment` numbers the segments of a recording.
 
         Raises:
             InputError: pandas is not installed.
         """
         data_frame, index = pandas_classes()
-        columns = {f"measured.{name}": self.measured[:, i] for i, name in enumerate(self.joint_names)}
+        columns: dict[str, Any] = {f"measured.{name}": self.measured[:, i] for i, name in enumerate(self.joint_names)}
         if self.rates is not None:
             columns |= {f"rates.{name}": self.rates[:, i] for i, name in enumerate(self.joint_names)}
         names = layout.state_names(len(self.arm_lengths), has_cart=self.has_cart)
@@ -806,7 +812,32 @@ class RunLog(Shown):
             for of, values in (("extra", self.extras.values), ("sigma", self.extras.sigmas)):
                 held = np.where((last >= 0)[:, None], values[last], np.nan)
                 columns |= {f"{of}.{name}": held[:, i] for i, name in enumerate(self.extras.names)}
+        if self.segments:
+            columns["segment"] = segment_numbers(self.segments, len(self.time))
         return data_frame(columns, index=index(self.time, name="time"))
+
+
+def segments_in(text: str, rows: int) -> tuple[tuple[int, int], ...]:
+    """Return first and end row of each segment, from a recording's metadata.
+
+    There are none if they do not fit the rows.
+
+    Args:
+        text: pairs as `write_recording` writes them, "0:300 300:600".
+        rows: number of samples.
+    """
+    found = tuple((int(first), int(end)) for first, end in re.findall(r"(\d{1,12}):(\d{1,12})", text))
+    return found if all(0 <= first < end <= rows for first, end in found) else ()
+
+
+def segment_numbers(segments: Sequence[tuple[int, int]], rows: int) -> NDArray[np.intp]:
+    """Return the number of each row's segment (K,), from 0.
+
+    Args:
+        segments: first and end row of each segment, in order.
+        rows: number of rows K.
+    """
+    return np.searchsorted([first for first, _ in segments], np.arange(rows), side="right") - 1
 
 
 def read_log(path: Path | str) -> RunLog:
