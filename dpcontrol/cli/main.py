@@ -24,7 +24,7 @@ from click.shell_completion import CompletionItem
 
 import dpcontrol
 from dpcontrol.cli.verbs import Call, print_json, print_message
-from dpcontrol.foundation.errors import GoalMissed, InputError, InputErrors, PartMissing, Remark, printable
+from dpcontrol.foundation.errors import GoalMissed, InputError, InputErrors, PartMissing, Remark, concise, printable
 from dpcontrol.foundation.interrupts import ended_by, interrupts
 
 GROUPS = {
@@ -259,7 +259,7 @@ def _failed(error: Exception, arguments: Sequence[str], call: Call) -> int:
         more = f"; see `{context.command_path} --help`" if context is not None else ""
         # click lists choices in lines of their own.
         text = " ".join(line.strip() for line in error.format_message().splitlines())
-        sentence, code = f"{text.rstrip('.')}{more}", error.exit_code
+        sentence, code = f"{concise(text).rstrip('.')}{more}", error.exit_code
     elif isinstance(error, OSError) and error.errno == errno.ENOSPC:
         sentence, code = _full(error), 1
     elif isinstance(error, MemoryError):

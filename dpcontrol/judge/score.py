@@ -122,7 +122,8 @@ def plan_of(log: RunLog) -> Reference:
     """
     data = log.attachments.get(REFERENCE_ATTACHMENT)
     if data is None:
-        raise InputError(f"{log.path} carries no {REFERENCE_ATTACHMENT}: only logs of `dpcontrol run` can be scored")
+        why = "another program has left out its attachments" if log.rewritten else "it is a recording, not a run"
+        raise InputError(f"{log.path} carries no {REFERENCE_ATTACHMENT}: {why}; give a log as `dpcontrol run` wrote it")
     place = f"{log.path}: its attachment {REFERENCE_ATTACHMENT}"
     try:
         reference = load_reference(io.BytesIO(data))

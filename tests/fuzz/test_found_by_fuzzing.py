@@ -440,7 +440,7 @@ def test_a_rate_of_1e300_in_a_recording_is_refused_in_one_sentence(recwarn: pyte
     Path("swing.csv").write_text("\n".join(["time,angle_1,angle_2,rate_1,rate_2", *rows]))
     ended = dpcontrol("import", "swing.csv")
     assert ended.code == 2
-    assert "a rate is 1e+300, which no bench reaches in any unit" in ended.message
+    assert "rate 2 is 1e+300, which no bench reaches in any unit" in ended.message
     assert not recwarn.list
 
 
