@@ -1606,9 +1606,9 @@ def start_bench(
 
 @checked
 def commission(
-    itinerary: str,
+    itinerary: "Plan | str",
     *,
-    rig: "RigLink | str | None" = None,
+    rig: "Rig | RigLink | str | None" = None,
     seed: Seed = 0,
     settings: Mapping[str, object] | None = None,
     faults: Sequence[str] = (),
@@ -1619,8 +1619,9 @@ def commission(
     """Check a rig before its first run, and measure its delay.
 
     Args:
-        itinerary: name or path of the itinerary.
-        rig: address or link of the rig (default: the example bench in simulated time).
+        itinerary: plan, or name or path of an itinerary.
+        rig: object with `read()`, `command(acceleration)` and `stop()`, address of a bench in real time, FILE.py:CLASS,
+            or link of `rig_link` (default: the example bench in simulated time).
         seed: seed of the random numbers on the example bench (default: 0).
         settings: settings of the example bench by path, which override the itinerary's (see `closed_loop`).
         faults: wiring mistakes of the example bench (default: none).
@@ -1632,26 +1633,28 @@ def commission(
         Findings with remedies, and measured values as `changes`.
 
     Raises:
-        InputError: no bench answers, it needs a key or has other arms, or the file cannot be written.
+        InputError: the rig lacks a method, no bench answers, it needs a key or has other arms, or the file cannot be
+            written.
 
     Examples:
         >>> dp.commission("outer-turn", faults=["encoder-2-reversed"]).wrong[0].step
         'encoders'
     """
     from dpcontrol.plans.itinerary import load_itinerary
+    from dpcontrol.runs.closed_loop import bench_of
     from dpcontrol.runs.run import OWN_BENCH, commission_rig, measured_text
 
-    scene, chosen = load_itinerary(itinerary), _settings(settings)
-    link = rig_link(rig) if isinstance(rig, str) else rig
-    if link is not None and link.address != OWN_BENCH and (faults or chosen):
-        raise InputError(f"rig = {link.address}: faults and settings are those of the example bench; omit them")
+    scene = load_itinerary(itinerary) if isinstance(itinerary, str) else itinerary.itinerary
+    chosen, bench = _settings(settings), bench_of(rig)
+    if getattr(bench, "address", bench) not in (None, OWN_BENCH) and (faults or chosen):
+        raise InputError(f"rig = {rig}: faults and settings are those of the example bench; omit them")
     if write:
         # A file that cannot be changed is reported before the cart moves.
         measured_text(scene, {"delay": 1.0, "lag": 0.0, "zeros": [0.0], "counts": 1})
     with reporting(progress, "commission") as report:
         found = commission_rig(
             scene,
-            link,
+            bench,
             practice=scene.with_run(chosen, seed=seed),
             faults=faults,
             switches=switches,

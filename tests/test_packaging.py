@@ -11,6 +11,7 @@ import zipfile
 from pathlib import Path
 
 import pytest
+from extras_table import PAGE, TABLE, extras_table
 
 import dpcontrol
 
@@ -145,6 +146,12 @@ def test_the_wheel_names_its_authors_the_paper_and_the_versions_of_python_that_i
     assert {version for version in supported if "." in version} == set(
         re.findall(r"^\| (3\.\d+) \|", guide, re.MULTILINE)
     )
+
+
+def test_the_guides_table_of_extras_is_the_one_that_the_project_gives() -> None:
+    found = TABLE.search(PAGE.read_text(encoding="utf-8"))
+    assert found is not None
+    assert found[0] == extras_table()
 
 
 def test_package_changes_and_citation_have_the_same_version() -> None:

@@ -60,7 +60,7 @@ from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arguments import whole
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.checked import numbers
-from dpcontrol.foundation.document import Documented, fields_of
+from dpcontrol.foundation.document import Documented, counted, fields_of
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.shown import Brief, Shown
@@ -815,13 +815,14 @@ def _status(
     Args:
         born: energy of the higher saddle, J, if the sweep starts just above it.
     """
-    status = f"{events} events explain every change of the count over {len(counts)} energies"
+    status = f"{counted(events, 'event')}; every change of the count over {len(counts)} energies is explained"
     if unexplained:
-        status = f"{events} events located, but {len(unexplained)} changes of the count have no located cause: "
+        changes = counted(len(unexplained), "change")
+        status = f"{counted(events, 'event')} located, but not the cause of {changes} of the count: "
         status += "; ".join(f"{a:.6g} to {b:.6g} J, {why}" for a, b, why in unexplained[:5])
     if born is not None:
         first = counts[0]
-        there = f"{first.count} connections exist there" if first.count else "no connections exist there"
+        there = f"{counted(first.count, 'connection')} there"
         status += f"; swept from {first.energy:.6g} J, just above the higher saddle's energy of {born:.6g} J: {there}"
     if scatters_from is not None:
         status += (

@@ -28,6 +28,7 @@ from dpcontrol.cli.verbs import (
     table,
     verb,
 )
+from dpcontrol.foundation.document import counted
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.progress import progress_bar
 
@@ -458,7 +459,7 @@ def bifurcations_command(
 
 
 def _bifurcations_text(model: "Model", found: "BifurcationSearch") -> Iterator[str | TextTable]:
-    title = f"{found.source} → {found.target}, {found.crossings} crossing(s) of {found.section.name}"
+    title = f"{found.source} → {found.target}, {counted(found.crossings, 'crossing')} of {found.section.name}"
     yield table(title, found.events, {
         f"energy{model.unit('J', _BRACKETS)}": "{.energy:.10f}",
         "kind": "{.kind}",

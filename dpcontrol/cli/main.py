@@ -24,7 +24,7 @@ from click.shell_completion import CompletionItem
 
 import dpcontrol
 from dpcontrol.cli.verbs import Call, print_json, print_message
-from dpcontrol.foundation.errors import GoalMissed, InputError, InputErrors, PartMissing, Remark, printable
+from dpcontrol.foundation.errors import GoalMissed, InputError, InputErrors, PartMissing, Remark, concise, printable
 from dpcontrol.foundation.interrupts import ended_by, interrupts
 
 GROUPS = {
@@ -169,12 +169,16 @@ def cli(ctx: click.Context) -> None:
     the command that made it, or with --force. Pictures and plans are always replaced.
 
     Exit codes: 0 done, 1 goal missed (with the reason), 2 bad input, 70 internal error (with a file for the report),
-    129 ended by SIGHUP, 130 interrupted, 143 ended by SIGTERM.
+    129 ended by SIGHUP, 130 interrupted, 141 the reader of the output ended first, 143 ended by SIGTERM.
     """
     if ctx.invoked_subcommand in VERBS:
         # Help is shown whatever the configuration contains.
         with suppress(InputError) if ctx.meta["help"] else nullcontext():
             ctx.default_map = _defaults()
+
+
+_READER_ENDED = 141
+"""Exit code if the reader of the output has ended, as shells report it for SIGPIPE."""
 
 
 def _defaults() -> dict[str, dict[str, Any]]:
@@ -223,6 +227,9 @@ def main(arguments: list[str] | None = None) -> None:
         code = 0
     except click.exceptions.Exit as done:
         code = done.exit_code
+    except SystemExit:
+        # click ends the program where the reader of a pipe has ended.
+        code = _READER_ENDED
     except (KeyboardInterrupt, click.Abort) as error:
         code = _interrupted(error)
     except Exception as error:  # noqa: BLE001 - the last one: a traceback on a user's terminal is a defect
@@ -251,7 +258,7 @@ def _failed(error: Exception, arguments: Sequence[str], call: Call) -> int:
         more = f"; see `{context.command_path} --help`" if context is not None else ""
         # click lists choices in lines of their own.
         text = " ".join(line.strip() for line in error.format_message().splitlines())
-        sentence, code = f"{text.rstrip('.')}{more}", error.exit_code
+        sentence, code = f"{concise(text).rstrip('.')}{more}", error.exit_code
     elif isinstance(error, OSError) and error.errno == errno.ENOSPC:
         sentence, code = _full(error), 1
     elif isinstance(error, MemoryError):

@@ -45,11 +45,12 @@ def score_command(
     one object, several give {"runs": [...]}. The exit code is 1 if a run is not completed, or if its log covers only a
     part of it. On a rig, it is 1 if by the estimate a symbol was not done.
     """
+    from dpcontrol.foundation.files import is_bag_folder
     from dpcontrol.judge.score import score
     from dpcontrol.logs import read_log
 
-    if nights := [path for path in logs if path.is_dir()]:
-        return _nights(nights, [path for path in logs if not path.is_dir()], why=why)
+    if nights := [path for path in logs if path.is_dir() and not is_bag_folder(path)]:
+        return _nights(nights, [path for path in logs if path not in nights], why=why)
     runs = [read_log(path) for path in logs]
     verdicts = [score(run) for run in runs]
     documents = [verdict.document() for verdict in verdicts]
@@ -339,7 +340,7 @@ def recover_command(
 
 def _recover_text(done: "Recovery") -> Iterator[str]:
     if done.log == done.source:
-        yield f"{done.log} is whole: there is nothing to recover"
+        yield f"{done.log} is readable as it is: there is nothing to recover"
         return
     kept = f" and {', '.join(done.attachments)}" if done.attachments else ""
     yield f"{done.log}: {done.ticks:,} ticks to {done.end_s:.3f} s{kept}, read back and sound"

@@ -479,8 +479,8 @@ def commission_command(
         "--rig",
         metavar="ADDRESS",
         group=BENCH,
-        help="Rig at udp://HOST:PORT, or udp for the example bench in a separate process. [default: the example "
-        "bench in simulated time]",
+        help="Rig at udp://HOST:PORT, FILE.py:CLASS of an own rig, or udp for the example bench in a separate process. "
+        "[default: the example bench in simulated time]",
     ),
     switches: float | None = option(
         group=BENCH,
@@ -505,22 +505,25 @@ def commission_command(
     gain of the drive. Ctrl-C brakes the cart. The exit code is 1 if a finding is wrong. Settings and faults apply to
     the example bench. For more, see `dpcontrol guide commission`.
     """
+    from dpcontrol.loop.own import names_file
     from dpcontrol.plans.itinerary import load_itinerary
+    from dpcontrol.runs.closed_loop import bench_of
     from dpcontrol.runs.run import OWN_BENCH, commission_rig, measured_text, rig_link
 
-    own = address in (None, OWN_BENCH)
-    if address is None and (real_time or key_file or insecure):
-        raise click.UsageError("--real-time, --key-file and --insecure apply to a rig: add --rig")
-    if not own and (fault or settings):
+    own = address is not None and names_file(address)
+    if (address is None or own) and (real_time or key_file or insecure):
+        raise click.UsageError("--real-time, --key-file and --insecure apply to benches at udp://: add --rig udp")
+    if address not in (None, OWN_BENCH) and (fault or settings):
         raise click.UsageError("--fault and settings of the bench apply to the example bench: omit them with --rig")
-    link = rig_link(address, key_file=key_file, insecure=insecure, real_time=real_time)
     scene = load_itinerary(itinerary)
     practice = scene.with_run(settings, seed=seed)
     if write:
         # Detect a file that cannot be changed before the cart moves.
         measured_text(scene, {"delay": 1.0, "lag": 0.0, "zeros": [0.0], "counts": 1})
+    # A user's rig connects to its hardware here.
+    link = None if own else rig_link(address, key_file=key_file, insecure=insecure, real_time=real_time)
     found = commission_rig(
-        scene, link, practice=practice, faults=fault, switches=switches or 0.0,
+        scene, link or bench_of(address), practice=practice, faults=fault, switches=switches or 0.0,
         notify=lambda text: print_message(f"dpcontrol: {text}"),
     )  # fmt: skip
     lines = [f"commissioning for {scene.name} on {address or 'the example bench, simulated'}"]

@@ -166,7 +166,7 @@ class Option(click.Option):
             self.help += f" [default: {absent}]"
 
     def check(self, value: Any) -> None:
-        """Reject wrong file names and useless integers.
+        """Reject wrong file names, useless integers, and NaN for a range.
 
         File names must not have the suffix of another format.
 
@@ -178,6 +178,9 @@ class Option(click.Option):
             OSError: an impossible file: its name is too long, or its folder is a file. This is checked before the work.
         """
         for one in value if isinstance(value, tuple) else (value,):
+            if isinstance(self.type, click.FloatRange) and one is not None and math.isnan(one):
+                # To click, which compares with the ends, NaN is within any range.
+                raise InputError(f"{self.opts[0]} = nan: must be a number in the range that --help shows")
             if isinstance(one, int) and abs(one) > _LARGEST:
                 raise InputError(f"{self.opts[0]}: a number with too many digits; must be at most {_LARGEST:,}")
         if isinstance(value, Path) and not value.name and self.type is not FOLDER:

@@ -403,10 +403,13 @@ class FilterEquations:
         r = unpack(noise, m)
         if self.as_measured:
             h = _sparse(self.observation @ self.restored)
-        moving = ca.vertcat(z[n : 2 * n], z[2 * n + 1]) * present
+        rates = [*range(n, 2 * n), 2 * n + 1]
+        moving = z[rates] * present
         if timing is not None:
-            r += timing.variance * moving @ moving.T
-            h -= timing.age * _sparse(np.eye(self.dimension)[[*range(n, 2 * n), 2 * n + 1]])
+            # The rates are uncertain too. With ω ωᵀ alone, an arm or a cart at rest would reveal the age of the reading
+            # within a count, and errors of the rates would pass for errors of the model.
+            r += timing.variance * (moving @ moving.T + covariance[rates, rates])
+            h -= timing.age * _sparse(np.eye(self.dimension)[rates])
         crossed = covariance @ h.T @ w
         # Compute 1 - W first: 1 + S - 1 would cancel a cart variance of 1e-13 m².
         inverse, back, d = _inverse(w @ h @ crossed + w @ r @ w + (ca.SX.eye(m) - w))

@@ -1322,7 +1322,8 @@ class TickProgram:
             "velocity": speed[None], "heading": speed[None], "scale_level": 1.0,
             "scale": np.array([0.0, velocity, 1.0, 0.0]),
             "scale_covariance": packed(np.diag([_SCALE_ERROR, _COMMAND_NOISE * _SCALE_CHECK, _RESPONSE, _LAG]) ** 2),
-            "timed": TIMING_PRIOR**2, "moved": np.inf, "last": np.inf, "step": np.inf,
+            "timing": self.period**2 / 12, "timed": TIMING_PRIOR**2,
+            "moved": np.inf, "last": np.inf, "step": np.inf,
         }  # fmt: skip
         if self.equations.plays:
             start["mark"] = np.inf

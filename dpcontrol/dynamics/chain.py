@@ -403,9 +403,9 @@ def pendulum_system(name: str, parameters: ArmChainParameters) -> System:
     if n == 2:
         # Rows: n, the coordinate of an arm that moves along the section, and the direction along the section.
         rows = {
-            "outer-down": ("angle_2 = 2 pi k", (0.0, 1.0), (1.0, 0.0), (1.0, 0.0)),
-            "inner-down": ("angle_1 = 2 pi k", (1.0, 0.0), (0.0, 1.0), (0.0, 1.0)),
-            "aligned": ("angle_1 = angle_2 + 2 pi k", (1.0, -1.0), (1.0, 0.0), (1.0, 1.0)),
+            "outer-down": ("θ₂ = 2πk", (0.0, 1.0), (1.0, 0.0), (1.0, 0.0)),
+            "inner-down": ("θ₁ = 2πk", (1.0, 0.0), (0.0, 1.0), (0.0, 1.0)),
+            "aligned": ("θ₁ = θ₂ + 2πk", (1.0, -1.0), (1.0, 0.0), (1.0, 1.0)),
         }
         for key, (title, normal, measure, along) in rows.items():
             sections[key] = Section(title, (*normal, 0.0, 0.0), (*measure, 0.0, 0.0), along, period=2 * np.pi)

@@ -32,6 +32,16 @@ class Documented:
         return document_of(self, self.KEYS)
 
 
+def counted(count: int, noun: str) -> str:
+    """Return a count with its noun, as in "no connections", "1 connection" and "2 connections".
+
+    Args:
+        count: number of things.
+        noun: the noun in the singular.
+    """
+    return f"{count or 'no'} {noun}{'' if count == 1 else 's'}"
+
+
 def document_of(result: Any, keys: str = "*") -> dict[str, Any]:
     """Return the entries of a result's document.
 

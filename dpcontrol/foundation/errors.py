@@ -7,12 +7,30 @@ import re
 import warnings
 from collections.abc import Sequence
 
+_WORD = re.compile(r"[^\s/\\]{256,}")
+"""A word that is no part of a file's path, because names of files have at most 255 bytes."""
+_LONGEST = 2000
+"""Number of characters of a sentence."""
+
+
+def concise(sentence: str) -> str:
+    """Return a sentence without the middle of its long words and lines, such as a key of a megabyte.
+
+    Args:
+        sentence: one sentence or several, a line each.
+    """
+    lines = _WORD.sub(lambda word: f"{word[0][:40]}…", sentence).split("\n")
+    return "\n".join(one if len(one) <= _LONGEST else f"{one[: _LONGEST // 2]} … {one[-400:]}" for one in lines)
+
 
 class InputError(Exception):
     """Bad input: one sentence with file, key, value and remedy.
 
     The exit code is 2.
     """
+
+    def __init__(self, sentence: str) -> None:
+        super().__init__(concise(sentence))
 
 
 class InputErrors(InputError):

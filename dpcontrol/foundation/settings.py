@@ -147,10 +147,7 @@ def with_values(text: str, table: str, values: Mapping[str, Any], *, file: str) 
         document[table] = tomlkit.table()
     edited: Any = document[table] if table else document
     for key, value in values.items():
-        item: Any = tomlkit.item(list(value) if isinstance(value, tuple) else value)
-        # A walk has a line for each symbol.
-        lines = isinstance(value, list | tuple) and len(value) > 1 and all(isinstance(one, str) for one in value)
-        edited[key] = item.multiline(True) if lines else item
+        edited[key] = _listed(value) if isinstance(value, list | tuple) else tomlkit.item(value)
     out = tomlkit.dumps(document)
     out = re.sub(r"\r?\n", "\r\n", out) if "\r\n" in text else out
     if _as_text(tomllib.loads(out)) != _as_text(wanted):
@@ -158,6 +155,17 @@ def with_values(text: str, table: str, values: Mapping[str, Any], *, file: str) 
         where = f"its [{table}]" if table else "it"
         raise InputError(f"{file}: {where} could not be changed; write there {shown}")
     return out
+
+
+def _listed(values: Sequence[Any]) -> Any:
+    """Return the item of a list, in which each text has a line."""
+    import tomlkit
+
+    # tomlkit parses a list in linear time, but appends to one in quadratic time.
+    texts = [tomlkit.item(one).as_string() for one in values]
+    lines = len(values) > 1 and all(isinstance(one, str) for one in values)
+    inside = "".join(f"\n    {text}," for text in texts) + "\n" if lines else ", ".join(texts)
+    return tomlkit.value(f"[{inside}]")
 
 
 def _as_text(values: Mapping[str, Any]) -> str:

@@ -62,7 +62,8 @@ def find(kind: str, name: str) -> Path:
     is_path = given.suffix == ".toml" or given.name != name
     if is_path:
         checked_source(given)
-    for file in [given] if is_path else [folder / f"{name}.toml" for folder in folders(kind)]:
+    # A file of this name that does not end in .toml comes last; reading it gives its error.
+    for file in [given] if is_path else [*(folder / f"{name}.toml" for folder in folders(kind)), given]:
         # A name that is not valid as a file name causes its own error.
         with suppress(OSError, ValueError):
             if file.is_file():

@@ -11,9 +11,10 @@ metadata gives their lengths. One look per tick finds them all, and one copy ext
 Source: the MCAP format specification, version 0.
 """
 
+import re
 import struct
 import zlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -148,11 +149,17 @@ class VerifiedFile:
     def tick(self) -> TickLayout:
         """Tick layout from the log's own description."""
         described = self.metadata.get(layout.LAYOUT_RECORD)
-        if described is None:
+        if described is None and (missing := self._no_measurements()):
             raise InputError(
                 f"{self.path}{self._writer} is not a log of `dpcontrol run`: it lacks the metadata record "
-                f"{layout.LAYOUT_RECORD}{self._no_measurements()}; give a log of `dpcontrol run`, or import a "
-                "bench recording with `dpcontrol import`"
+                f"{layout.LAYOUT_RECORD}{missing}; give a log of `dpcontrol run`, or import a bench recording with "
+                "`dpcontrol import`"
+            )
+        if described is None:
+            raise InputError(
+                f"{self.path}{self._writer} cannot be read as a run: it lacks the metadata record "
+                f"{layout.LAYOUT_RECORD}, as after cutting a log in time; keep metadata, attachments and the first "
+                "message of each topic, or make a recording of it with `dpcontrol import`"
             )
         if unsealed(layout.LAYOUT_RECORD, described) is None and described.get("format") == layout.FORMAT:
             raise ValueError(f"the checksum of {layout.LAYOUT_RECORD} differs")
@@ -485,7 +492,8 @@ def open_mcap(path: Path) -> VerifiedFile:
     data = recorded_bytes(path)
     if not (data.startswith(MAGIC) or MAGIC.startswith(data)):
         raise InputError(
-            f"{path} is not an MCAP file (it begins with {data[:8]!r}); give one, such as a log of `dpcontrol run`"
+            f"{path} is not a log because it is not an MCAP file (it begins with {data[:8]!r}); import a recording "
+            "with `dpcontrol import` first, or give a log of `dpcontrol run`"
         )
     records = _walk(path, data)
     view = memoryview(data)
@@ -720,6 +728,11 @@ class RunLog(Shown):
         }  # fmt: skip
 
     @property
+    def segments(self) -> tuple[tuple[int, int], ...]:
+        """First and end rows of a recording's segments; none for a run, or if they do not fit the rows."""
+        return segments_in(self.metadata.get("segments", ""), len(self.time))
+
+    @property
     def parts(self) -> frozenset[str]:
         """Members of "rates", "estimate", "reference", "truth", "control" in the log.
 
@@ -781,13 +794,13 @@ class RunLog(Shown):
 
         Columns, if the log has them: `measured.arm_1` …, `rates.arm_1` …, `estimate.angle_1`, `estimate.rate_1`,
         `estimate.cart_position`, `estimate.cart_velocity`, the same for `reference` and `truth`, `control.command` ….
-        `extra.zero_1` and `sigma.zero_1` … hold the last logged values.
+        `extra.zero_1` and `sigma.zero_1` … hold the last logged values. `segment` numbers the segments of a recording.
 
         Raises:
             InputError: pandas is not installed.
         """
         data_frame, index = pandas_classes()
-        columns = {f"measured.{name}": self.measured[:, i] for i, name in enumerate(self.joint_names)}
+        columns: dict[str, Any] = {f"measured.{name}": self.measured[:, i] for i, name in enumerate(self.joint_names)}
         if self.rates is not None:
             columns |= {f"rates.{name}": self.rates[:, i] for i, name in enumerate(self.joint_names)}
         names = layout.state_names(len(self.arm_lengths), has_cart=self.has_cart)
@@ -799,7 +812,32 @@ class RunLog(Shown):
             for of, values in (("extra", self.extras.values), ("sigma", self.extras.sigmas)):
                 held = np.where((last >= 0)[:, None], values[last], np.nan)
                 columns |= {f"{of}.{name}": held[:, i] for i, name in enumerate(self.extras.names)}
+        if self.segments:
+            columns["segment"] = segment_numbers(self.segments, len(self.time))
         return data_frame(columns, index=index(self.time, name="time"))
+
+
+def segments_in(text: str, rows: int) -> tuple[tuple[int, int], ...]:
+    """Return first and end row of each segment, from a recording's metadata.
+
+    There are none if they do not fit the rows.
+
+    Args:
+        text: pairs as `write_recording` writes them, "0:300 300:600".
+        rows: number of samples.
+    """
+    found = tuple((int(first), int(end)) for first, end in re.findall(r"(\d{1,12}):(\d{1,12})", text))
+    return found if all(0 <= first < end <= rows for first, end in found) else ()
+
+
+def segment_numbers(segments: Sequence[tuple[int, int]], rows: int) -> NDArray[np.intp]:
+    """Return the number of each row's segment (K,), from 0.
+
+    Args:
+        segments: first and end row of each segment, in order.
+        rows: number of rows K.
+    """
+    return np.searchsorted([first for first, _ in segments], np.arange(rows), side="right") - 1
 
 
 def read_log(path: Path | str) -> RunLog:
@@ -1099,12 +1137,13 @@ def summarise(path: Path | str) -> LogSummary:
 
 
 def _summary_of_rewritten(file: VerifiedFile, found: Rewritten) -> LogSummary:
-    spans = {
-        found.tick.channels[name]: (len(topic.times), min(topic.times), max(topic.times))
-        for name, topic in found.topics.items()
-        if name in found.tick.channels
-    }
-    return replace(_summary(file, found.tick, found.described, spans), rewritten=True)
+    spans = {name: (len(topic.times), min(topic.times), max(topic.times)) for name, topic in found.topics.items()}
+    channels = found.tick.channels
+    known = {channels[name]: span for name, span in spans.items() if name in channels}
+    summary = _summary(file, found.tick, found.described, known)
+    # Without metadata the layout lacks topics whose names of fields were there.
+    others = [_topic(name, found.topics[name].schema, span) for name, span in spans.items() if name not in channels]
+    return replace(summary, topics=(*summary.topics, *others), rewritten=True)
 
 
 Spans = dict[int, tuple[int, int, int]]
@@ -1149,7 +1188,7 @@ def _topic(topic: str, kind: str, span: tuple[int, int, int] | None) -> TopicSum
         return TopicSummary(topic, kind, layout.UNITS[topic], 0, None, None, None)
     count, first, last = span
     rate = (count - 1) * 1e9 / (last - first) if last > first else None
-    return TopicSummary(topic, kind, layout.UNITS[topic], count, first / 1e9, last / 1e9, rate)
+    return TopicSummary(topic, kind, layout.UNITS.get(topic, ""), count, first / 1e9, last / 1e9, rate)
 
 
 @dataclass(frozen=True)

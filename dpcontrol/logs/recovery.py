@@ -16,6 +16,7 @@ import re
 import struct
 import zlib
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from io import FileIO
 from itertools import count, pairwise
@@ -37,6 +38,7 @@ from dpcontrol.logs.reader import (
     LARGEST_CHUNK,
     MALFORMED,
     Batch,
+    RunLog,
     check_channels,
     check_replaced,
     described_layout,
@@ -195,7 +197,7 @@ class Recovery:
 
     Attributes:
         source: file that was read.
-        log: recovered log; equal to `source`, with nothing written, if that was complete.
+        log: recovered log; equal to `source`, with nothing written, if that was readable.
         ticks: number of ticks recovered.
         end_s: time of the last tick, s.
         ticks_lost: ticks missing inside, and at the end if the file records their number.
@@ -239,19 +241,18 @@ def recover(
 
     Raises:
         InputError: the file is missing, holds nothing recoverable or pieces of several logs, another program has
-            rewritten it, or the new log cannot be written or would replace another.
+            rewritten it and it is damaged, or the new log cannot be written or would replace another.
     """
     path = Path(path)
     data = recorded_bytes(path)
     if out is not None:
         checked_other_file(Path(out), path, what="the log to recover")
-    writer = other_writer(path)
-    if writer and _readable(path):
-        raise InputError(f"{path} needs no recovery: {writer} has rewritten it, and it is readable as it is")
+    with suppress(InputError):
+        return _untouched(path, read_log(path))
     found = salvage(data, progress=part_of(progress, 0.0, 0.6))
     described = _single_record(path, found, layout.LAYOUT_RECORD)
     if described is None or not any(chunk.times for chunk in found.chunks):
-        if writer:
+        if other_writer(path):
             # This raises the reason and the remedy.
             read_log(path)
         raise InputError(f"{path} cannot be recovered: {_nothing(found)}; make the log again with `dpcontrol run`")
@@ -262,20 +263,19 @@ def recover(
         done = _account(path, found, chunks, described=described, tick=tick)
     except MALFORMED as error:
         raise InputError(f"{path} cannot be recovered: its valid records contradict each other: {error}") from error
-    if _readable(path):
-        return replace(done, lost="")
     done = replace(done, log=_free_name(path) if out is None else Path(out))
     check_replaced(done.log, _single_record(path, found, layout.RUN_RECORD) or {}, recovers=path, force=force)
     _write(found, chunks, described=described, tick=tick, done=done, progress=part_of(progress, 0.6, 1.0))
     return done
 
 
-def _readable(path: Path) -> bool:
-    try:
-        read_log(path)
-    except InputError:
-        return False
-    return True
+def _untouched(path: Path, log: RunLog) -> Recovery:
+    """Return the recovery of a readable log, which may be one that another program has rewritten."""
+    return Recovery(
+        path, path, ticks=len(log.time), end_s=float(log.time[-1]), ticks_lost=0, milliseconds_lost=0.0, gaps=(),
+        end_known=log.end_s is not None, chunks_dropped=0, chunks_repeated=0, chunks_moved=False,
+        attachments=tuple(log.attachments), attachments_lost=(), lost="",
+    )  # fmt: skip
 
 
 def _check_declared(path: Path, tick: TickLayout, chunks: Sequence[SoundChunk]) -> None:

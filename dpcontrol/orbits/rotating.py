@@ -313,7 +313,7 @@ def _guesses(problem: HalfTurn, arm: int, sense: int, energy: float, settings: R
     turning, other = arm - 1, 2 - arm
     unit = np.eye(4)
     section = Section(
-        f"angle_{arm} = pi + 2 pi k",
+        f"θ{'₁₂'[turning]} = π + 2πk",
         tuple(unit[turning]),
         tuple(unit[other]),
         tuple(unit[other][:2]),

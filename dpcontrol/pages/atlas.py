@@ -11,6 +11,7 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from dpcontrol.foundation.document import counted
 from dpcontrol.pages import style
 from dpcontrol.pages.atlas_cuts import draw_cuts
 from dpcontrol.pages.atlas_flights import FLIGHT, draw_space
@@ -25,9 +26,8 @@ def draw_atlas(atlas: Atlas) -> Figure:
     It shows tubes, orbits and flights in space, and the cuts of every kind.
     """
     kinds = [kind for kind in atlas.kinds if connections_of(atlas, kind)]
-    orbits = "1 orbit" if len(atlas.orbits) == 1 else f"{len(atlas.orbits)} orbits"
-    title = f"{atlas.title} at {atlas.energy:g}{atlas.unit('J')}: {orbits}, {len(atlas.connections)} connections"
-    page = Page(title)
+    counts = f"{counted(len(atlas.orbits), 'orbit')}, {counted(len(atlas.connections), 'connection')}"
+    page = Page(f"{atlas.title} at {atlas.energy:g}{atlas.unit('J')}: {counts}")
     spaces: list[Panel | Stack] = [Panel(partial(_draw_whole, atlas=atlas), space=True)]
     panels = [
         partial(draw_cuts, atlas=atlas, kind=k, title=f"{k.source} → {k.target}: {k.count} at hits {list(k.hits)}")

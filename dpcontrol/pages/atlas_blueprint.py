@@ -5,8 +5,6 @@ It consists of views, their ranges and the summary.
 
 from __future__ import annotations
 
-import re
-
 import numpy as np
 
 from dpcontrol.foundation.arrays import Array
@@ -74,10 +72,10 @@ def section_frame(atlas: Atlas, kind: AtlasKind) -> tuple[float, Box]:
 def _section_title(atlas: Atlas, kind: AtlasKind) -> str:
     section = atlas.cut(kind.source, kind.section, kind.hits[0]).section
     coordinate, period = section_axes(section, atlas)
-    where = re.sub(r"angle_(\d)", lambda found: f"θ{chr(ord('₀') + int(found[1]))}", kind.section)
-    where = where.replace("2 pi k", "2πk")
     hits = "" if kind.hits == (1, 1) else f", hits {kind.hits[0]} and {kind.hits[1]}"
-    return f"{kind.source} → {kind.target}: {'p/p₀' if period else 'momentum'} over {coordinate} at {where}{hits}"
+    return (
+        f"{kind.source} → {kind.target}: {'p/p₀' if period else 'momentum'} over {coordinate} at {kind.section}{hits}"
+    )
 
 
 def atlas_summary(atlas: Atlas) -> str:

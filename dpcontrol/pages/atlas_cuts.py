@@ -55,13 +55,10 @@ def draw_cuts(
     if period:
         angle_axis(axes, "x")
     if legend:
-        key(axes, CUT_KEY)
+        every = len(connections_of(atlas, kind))
+        marked = f"{len(connections)} of {every} connections" if len(connections) < every else "connections"
+        key(axes, [*_TUBES, (marked, {"color": style.INK, "marker": "o", "linestyle": ""}), _BACKWARD])
 
 
-CUT_KEY: list[tuple[str, str | dict[str, Any]]] = [
-    ("tube out", style.UNSTABLE),
-    ("tube in", style.STABLE),
-    ("connections", {"color": style.INK, "marker": "o", "linestyle": ""}),
-    ("backward", {"color": style.CART, "linestyle": (0, (4, 1.6))}),
-]
-"""Key of a panel of cuts."""
+_TUBES: list[tuple[str, str | dict[str, Any]]] = [("tube out", style.UNSTABLE), ("tube in", style.STABLE)]
+_BACKWARD = ("backward", {"color": style.CART, "linestyle": (0, (4, 1.6))})

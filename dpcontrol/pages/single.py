@@ -14,6 +14,7 @@ from dpcontrol.bifurcations.bifurcations import BifurcationSearch, branch_diagra
 from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.document import counted
 from dpcontrol.judge.comparison import RunComparison
 from dpcontrol.judge.of_log import reference_view, run_view, sustained_view
 from dpcontrol.judge.preflight import Preflight
@@ -153,8 +154,8 @@ def search(axes: Axes, found: ConnectionSearch) -> None:
         _curves(axes, pieces, side.stable)
     for connection in found.connections:
         axes.plot(*connection.place, "o", color=style.INK, markeredgecolor="white", markersize=6, zorder=4)
-    names = f"{found.source.saddle} → {found.target.saddle}"
-    quiet(axes, f"{names}: {len(found.connections)} connections on {found.cuts[0].section.name}", x="q", y="p / p₀")
+    title = f"{found.source.saddle} → {found.target.saddle}: {counted(len(found.connections), 'connection')}"
+    quiet(axes, f"{title} on {found.cuts[0].section.name}", x="q", y="p / p₀")
 
 
 def connection(axes: Axes, found: Connection) -> None:
@@ -180,7 +181,7 @@ def symmetric(axes: Axes, found: SymmetricSearch) -> None:
     """
     for one in found.connections:
         axes.plot(*one.sample(600)[:, :2].T, linewidth=1.0, label=f"{one.source.energy:.6g}")
-        _plane(axes, one.source.system, (0, 1), f"{found.saddle}: {len(found.connections)} connections")
+        _plane(axes, one.source.system, (0, 1), f"{found.saddle}: {counted(len(found.connections), 'connection')}")
 
 
 def bifurcations(axes: Axes, found: BifurcationSearch) -> None:
@@ -193,7 +194,7 @@ def bifurcations(axes: Axes, found: BifurcationSearch) -> None:
         found: search to draw.
     """
     draw_momentum_branches(axes, branch_diagram(found))
-    title = f"{found.source} → {found.target}: {len(found.events)} bifurcations on {found.section.name}"
+    title = f"{found.source} → {found.target}: {counted(len(found.events), 'bifurcation')} on {found.section.name}"
     quiet(axes, title, x=f"energy{found.system.unit('J', ' ({})')}", y="p / p₀")
 
 

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -11,11 +11,14 @@ from dpcontrol.foundation.settings import parse_toml, with_values
 from dpcontrol.planner.shown import energies_of, fitting_model
 from dpcontrol.plans.itinerary import Itinerary, WalkPart, itinerary_from
 from dpcontrol.plans.model import Model, quoted
-from dpcontrol.walks.symbols import parse_walk
+from dpcontrol.plans.plan import plan_key
+from dpcontrol.walks.symbols import parse_symbol, parse_walk
 
 LONGEST = 100_000
 """Largest length of a text in characters."""
 _NAME = "itinerary"
+_USUAL_WRAPS = 2
+"""Wraps at a new stop. With two, nearly every pair of connections has an orbit."""
 _TEXT = """\
 title  = "Planned by looking"
 model  = {model}
@@ -98,6 +101,11 @@ class Draft:
             return "the TOML repeats its walk: edit it as text"
         return ""
 
+    @cached_property
+    def content(self) -> str:
+        """The key of the itinerary's plan, independent of name and title, or ""."""
+        return "" if self.itinerary is None else plan_key(replace(self.itinerary, name="", title=""))
+
     def document(self) -> dict[str, Any]:
         """Return the draft's data for the page."""
         run = self.values.get("run")
@@ -129,6 +137,37 @@ class Draft:
         if self.fixed and (not self.values or values.keys() & {"walk", "wraps"}):
             raise InputError(self.fixed)
         return with_values(self.text, table, values, file=f"{_NAME}.toml")
+
+    def appended(self, symbol: str) -> str:
+        """Return the text with one more symbol, and the usual wraps before it.
+
+        Args:
+            symbol: symbol that starts where the walk ends.
+
+        Raises:
+            InputError: the walk ends elsewhere, or can be edited only as text.
+        """
+        saddles = self.model.system.saddles if self.model else ()
+        if not self.fixed and self.stops and (source := parse_symbol(symbol, saddles).source) != self.stops[-1]:
+            raise InputError(f"{symbol!r} leaves {source}; the walk is at {self.stops[-1]}")
+        wraps = [*self.wraps, _USUAL_WRAPS] if self.walk else []
+        return self.changed("", {"walk": [*self.walk, symbol], "wraps": wraps})
+
+    def wrapped(self, stop: int, change: int) -> str:
+        """Return the text with more or fewer wraps at one stop.
+
+        Args:
+            stop: index of the stop.
+            change: number of additional wraps.
+
+        Raises:
+            InputError: no such stop, fewer than no wraps, or the walk can be edited only as text.
+        """
+        wraps = dict(enumerate(self.wraps))
+        wraps[stop] += change
+        if wraps[stop] < 0:
+            raise InputError(f"wraps at stop {stop + 1} = {wraps[stop]}: must be zero or positive")
+        return self.changed("", {"wraps": list(wraps.values())})
 
 
 def first_text(model: str) -> str:

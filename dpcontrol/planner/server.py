@@ -119,7 +119,10 @@ class Planner(AbstractContextManager["Planner"]):
     async def _guarded(self, scope: Any, receive: Any, send: Any) -> None:
         """Forward requests that pass the checks; answer others with status 403."""
         answer = self._application
-        if not self._admits(scope):
+        if not self._admits(scope) and scope["type"] == "websocket":
+            # The server calls any other answer to a socket an error of the application.
+            answer = websockets.WebSocketClose()
+        elif not self._admits(scope):
             answer = responses.PlainTextResponse(
                 "403: open the address that `dpcontrol planner` printed\n", 403, _HEADERS
             )
@@ -149,7 +152,7 @@ class Planner(AbstractContextManager["Planner"]):
         messages: asyncio.Queue[str] = asyncio.Queue()
         session = self._session(name)
         self._pages.setdefault(name, set()).add(messages)
-        for text in (self._models(), *self._marks.values(), *session.everything()):
+        for text in (await asyncio.to_thread(self._models), *self._marks.values(), *session.everything()):
             messages.put_nowait(text)
 
         async def send() -> None:
@@ -162,7 +165,7 @@ class Planner(AbstractContextManager["Planner"]):
             # A message of bytes causes a KeyError; our pages send text only.
             with suppress(KeyError):
                 async for text in socket.iter_text():
-                    session.command(text)
+                    await session.command(text)
         finally:
             sending.cancel()
             self._pages[name].discard(messages)

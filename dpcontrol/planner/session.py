@@ -4,12 +4,12 @@ A session has two slots for long jobs in separate processes. The slot "look" com
 and a new request replaces the previous one. The slot "work" runs one job on the itinerary at a time.
 """
 
+import asyncio
 import itertools
 import json
 import shutil
 import tempfile
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -20,12 +20,11 @@ from dpcontrol.foundation.files import write_whole
 from dpcontrol.planner.draft import Draft, enough_wraps, fault_of, first_text, read_draft
 from dpcontrol.planner.shown import shown_model
 from dpcontrol.planner.workers import WorkerJob, Workers
-from dpcontrol.plans.plan import plan_key
 
 _UNDONE = 200
 """Largest number of changes that can be undone."""
 _ITINERARIES, _LOGS = Path("itineraries"), Path("logs")
-_KEYS = {"": {"energy", "walk", "wraps", "start", "finish"}, "run": {"mismatch", "lag", "pushes"}}
+_KEYS = {"": {"energy", "start", "finish"}, "run": {"mismatch", "lag", "pushes"}}
 """Keys with controls on the page, by table."""
 _OUTDATED = {"plan": ("plan", "run", "seeds", "page"), "settings": ("run", "seeds", "page"), "run": ("run", "page"),
              "seeds": ("seeds",), "page": ("page",)}  # fmt: skip
@@ -41,7 +40,7 @@ class PageSession:
         self._workers, self._send = workers, send
         self._folder = Path(tempfile.mkdtemp(prefix="dpcontrol-planner-"))
         self._texts, self._at, self._typed = [first_text(model)], 0, False
-        self._draft = read_draft(self._texts[0])
+        self._draft, shown = _parsed(self._texts[0])
         self._name = next(name for name in _names() if not (_ITINERARIES / f"{name}.toml").exists())
         self._atlas: dict[str, Any] = {}
         self._made: dict[str, Any] = {}
@@ -52,7 +51,8 @@ class PageSession:
         self._shown: dict[str, str] = {}
         self._jobs: dict[str, WorkerJob] = {}
         self._again: Callable[[], None] | None = None
-        self._read()
+        self._order = asyncio.Lock()
+        self._take(self._draft, shown)
 
     def everything(self) -> list[str]:
         """Return all messages for a newly loaded page."""
@@ -82,34 +82,39 @@ class PageSession:
             "ack": self._acknowledged,
         }
 
-    def command(self, text: str) -> None:
-        """Execute a page's command and send the new state.
+    async def command(self, text: str) -> None:
+        """Execute a page's command after all previous ones and send the new state.
 
         Errors become messages.
 
         Args:
             text: JSON object with the action `do`, its number `n` and the action's arguments.
         """
-        try:
-            given = dict(json.loads(text))
-            self._acknowledged = int(given.pop("n", 0))
+        async with self._order:
+            number = self._acknowledged
             self._set_message("")
-            getattr(self, f"do_{given.pop('do')}")(**given)
-        except InputError as error:
-            self._set_message(str(error), "error")
-        except (TypeError, ValueError, OverflowError, KeyError, AttributeError, RecursionError) as error:
-            self._set_message(f"invalid command: {error}", "error")
-        self._send_state()
+            try:
+                given = dict(json.loads(text))
+                number = int(given.pop("n", 0))
+                waiting = getattr(self, f"do_{given.pop('do')}")(**given)
+                if waiting is not None:
+                    await waiting
+            except InputError as error:
+                self._set_message(str(error), "error")
+            except (TypeError, ValueError, OverflowError, KeyError, AttributeError, RecursionError) as error:
+                self._set_message(f"invalid command: {error}", "error")
+            self._acknowledged = number
+            self._send_state()
 
-    def do_model(self, name: str) -> None:
+    async def do_model(self, name: str) -> None:
         """Start a new itinerary with another model.
 
         Args:
             name: name or path of the model.
         """
-        self._change(first_text(str(name)))
+        await self._change(lambda _: first_text(str(name)))
 
-    def do_set(self, values: dict[str, Any], table: str = "") -> None:
+    async def do_set(self, values: dict[str, Any], table: str = "") -> None:
         """Set values in the itinerary's text.
 
         Args:
@@ -118,23 +123,50 @@ class PageSession:
         """
         if not values.keys() <= _KEYS[table]:
             raise InputError(f"{', '.join(values)}: the page has no control for these keys; edit the TOML")
-        self._change(self._draft.changed(table, values))
+        await self._change(lambda draft: draft.changed(table, values))
 
-    def do_toml(self, text: str) -> None:
+    async def do_append(self, symbol: str) -> None:
+        """Append a symbol to the walk.
+
+        Args:
+            symbol: symbol that starts where the walk ends.
+        """
+        await self._change(lambda draft: draft.appended(symbol))
+
+    async def do_shorten(self) -> None:
+        """Remove the walk's last symbol."""
+        await self._change(lambda draft: draft.changed("", {"walk": draft.walk[:-1], "wraps": draft.wraps[:-1]}))
+
+    async def do_wraps(self, stop: int, change: int) -> None:
+        """Change the wraps at one stop.
+
+        Args:
+            stop: index of the stop.
+            change: number of additional wraps.
+        """
+        await self._change(lambda draft: draft.wrapped(stop, change))
+
+    async def do_accept(self) -> None:
+        """Set the wraps that the failed plan proposes."""
+        if not (wraps := (self._made.get("plan") or {}).get("wraps")):
+            raise InputError("no wraps are proposed for this itinerary: plan it first")
+        await self._change(lambda draft: draft.changed("", {"wraps": wraps}))
+
+    async def do_toml(self, text: str) -> None:
         """Replace the text; consecutive edits are undone together.
 
         Args:
             text: itinerary in TOML.
         """
-        self._change(str(text), typed=True)
+        await self._change(lambda _: str(text), typed=True)
 
-    def do_undo(self) -> None:
+    async def do_undo(self) -> None:
         """Restore the previous text."""
-        self._step(-1)
+        await self._step(-1)
 
-    def do_redo(self) -> None:
+    async def do_redo(self) -> None:
         """Restore the next text."""
-        self._step(1)
+        await self._step(1)
 
     def do_plan(self) -> None:
         """Plan the itinerary."""
@@ -213,9 +245,11 @@ class PageSession:
         self._jobs.clear()
         shutil.rmtree(self._folder, ignore_errors=True)
 
-    def _step(self, by: int) -> None:
-        self._at = min(max(self._at + by, 0), len(self._texts) - 1)
-        self._read()
+    async def _step(self, by: int) -> None:
+        at = min(max(self._at + by, 0), len(self._texts) - 1)
+        draft, shown = await asyncio.to_thread(_parsed, self._texts[at])
+        self._at, self._typed = at, False
+        self._take(draft, shown)
 
     def _whole(self) -> Draft:
         if self._draft.itinerary is None:
@@ -240,21 +274,24 @@ class PageSession:
         self._saved |= saved
         self._set_message(f"saved {', '.join(saved.values())}", "good")
 
-    def _change(self, text: str, *, typed: bool = False) -> None:
+    async def _change(self, edit: Callable[[Draft], str], *, typed: bool = False) -> None:
+        """Replace the text, which is edited and parsed in a thread because a long walk takes seconds."""
+        text = await asyncio.to_thread(edit, self._draft)
         if text != self._texts[self._at]:
+            draft, shown = await asyncio.to_thread(_parsed, text)
             kept = self._texts[: self._at + (0 if typed and self._typed else 1)]
             self._texts = [*kept, text][-_UNDONE:]
-            self._at = len(self._texts) - 1
-            self._read(typed=typed)
+            self._at, self._typed = len(self._texts) - 1, typed
+            self._take(draft, shown)
 
-    def _read(self, *, typed: bool = False) -> None:
-        """Parse the current text and request the atlas of its energy."""
-        before, self._draft, self._typed = self._draft, read_draft(self._texts[self._at]), typed
-        if self._draft.model is not None:
-            self._show("model", _message("model", shown_model(self._draft.model)))
-        if self._made_of != _content(self._draft):
+    def _take(self, draft: Draft, shown: str) -> None:
+        """Replace the draft, show its model and request the atlas of its energy."""
+        before, self._draft = self._draft, draft
+        if shown:
+            self._show("model", shown)
+        if self._made_of != draft.content:
             self._forget("plan")
-        elif self._draft.text != before.text:
+        elif draft.text != before.text:
             self._forget("settings")
         self._look()
 
@@ -290,18 +327,18 @@ class PageSession:
     def _work(self, what: str, done: Done | None = None, **given: Any) -> None:
         if (job := self._jobs.get("work")) is not None:
             raise InputError(f"{job.what} is running: wait for it, or cancel it")
-        content = _content(self._draft)
+        content = self._draft.content
         self._forget(what)
         text = self._draft.text
 
         def found(value: Any) -> None:
             # The itinerary may have changed in the meantime.
-            if content == _content(self._draft) and (what == "plan" or text == self._draft.text):
+            if content == self._draft.content and (what == "plan" or text == self._draft.text):
                 self._made[what], self._made_of = value, content
 
         def missed(sentence: str) -> None:
             self._set_message(sentence, "error")
-            if what == "plan" and content == _content(self._draft):
+            if what == "plan" and content == self._draft.content:
                 wraps = enough_wraps(sentence)
                 self._made_of = content
                 self._made[what] = {
@@ -356,6 +393,9 @@ def _names() -> itertools.chain[str]:
     return itertools.chain(["planned"], (f"planned-{k}" for k in itertools.count(2)))
 
 
-def _content(draft: Draft) -> str:
-    """Return the key of the draft's plan, independent of name and title."""
-    return "" if draft.itinerary is None else plan_key(replace(draft.itinerary, name="", title=""))
+def _parsed(text: str) -> tuple[Draft, str]:
+    """Return the draft of a text, and its model's message or ""."""
+    draft = read_draft(text)
+    # Both take time for a long walk, and are kept.
+    _ = draft.stops, draft.content
+    return draft, "" if draft.model is None else _message("model", shown_model(draft.model))

@@ -87,7 +87,7 @@ def _marks(report: Reporter, *, model: str) -> list[dict[str, Any]]:
         found += [
             {
                 "energy": mark.energy,
-                "text": f"{' → '.join(pair)}: {mark.kind}, {mark.count_below} → {mark.count_above} connections",
+                "text": f"{' → '.join(pair)}: {mark.kind}, connections: {mark.count_below} → {mark.count_above}",
             }
             for mark in make_branches(loaded, *pair, progress=report.progress).marks
             if mark.kind != "section-artefact" and mark.energy < energies_of(loaded)[1]

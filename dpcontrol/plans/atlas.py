@@ -60,7 +60,7 @@ from dpcontrol.foundation.arguments import whole
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.cache import cache_file, keep, kept
 from dpcontrol.foundation.checked import number
-from dpcontrol.foundation.document import fields_of, picked, plain
+from dpcontrol.foundation.document import counted, fields_of, picked, plain
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import archive, content_hash, write_archive
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
@@ -396,7 +396,8 @@ def _status(
 ) -> str:
     """Return one sentence on existing, absent and possibly missed connections."""
     count = sum(kind.count for kind in kinds)
-    parts = [f"{len(orbits)} orbits, {count} connections of {len({(k.source, k.target) for k in kinds})} kinds"]
+    of_kinds = counted(len({(k.source, k.target) for k in kinds}), "kind")
+    parts = [f"{counted(len(orbits), 'orbit')}, {counted(count, 'connection')} of {of_kinds}"]
     if not system.sections:
         parts.append(f"{system.name} has no sections for connections")
     later = {(k.source, k.target): k.hits for k in kinds if k.count and k.hits != (1, 1)}

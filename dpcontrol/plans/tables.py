@@ -21,10 +21,11 @@ _PAGE = """\
 
 All settings of itineraries and runs, with their defaults and allowed values. This page is generated from the program.
 
-The headings name the tables of an itinerary's file. On the command line, `--set PATH=VALUE` overrides a setting of a
-run, and `campaign --over PATH=V1,V2` varies it. In Python, `settings={"drive.lag": 0.005}` does the same. The last part
-of a path is enough if it is unique or a key of `[run]`: `--set jerk=100`. Ten settings have options: `--mismatch`,
-`--initial-error`, `--lag`, `--delay`, `--counts`, `--travel`, `--controller`, `--estimator`, `--rate` and `--on-fall`.
+The headings name the tables of an itinerary's file, and *key* is the key in that table. On the command line,
+`--set PATH=VALUE` overrides a setting of a run, and `campaign --over PATH=V1,V2` varies it. In Python,
+`settings={"drive.lag": 0.005}` does the same. *Path* is given where it differs from the key. Its last part is enough if
+it is unique or a key of `[run]`: `--set jerk=100`. Ten settings have options: `--mismatch`, `--initial-error`, `--lag`,
+`--delay`, `--counts`, `--travel`, `--controller`, `--estimator`, `--rate` and `--on-fall`.
 
 `dpcontrol schema itinerary` and `dpcontrol schema model` print the JSON Schema of files. Save it, and name it in the
 first line of a file, such as `#:schema itinerary.schema.json`. Editors with a TOML language server, such as Taplo, then
@@ -67,15 +68,18 @@ def _table(prefix: str, kinds: Mapping[str, type], without: set[str]) -> str:
                 continue
             allowed = ", ".join(bounds[one.name].choices) or bounds[one.name].range
             text = "" if "str" in str(get_type_hints(declared)[one.name]) and not bounds[one.name].choices else allowed
-            row = rows.setdefault(one.name, [f"`{prefix}{one.name}`", "", text, helps[one.name]])
+            path = [f"`{prefix}{one.name}`"] if prefix else []
+            row = rows.setdefault(one.name, [f"`{one.name}`", *path, "", text, helps[one.name]])
             value = "required" if one.default is MISSING else _shown(one.default)
-            row[1] += f"{', ' if row[1] else ''}{value}{f' ({kind})' if kind else ''}"
+            row[-3] += f"{', ' if row[-3] else ''}{value}{f' ({kind})' if kind else ''}"
     if set(kinds) == set(CONTROLLERS):
-        rows["kind"] = ["`controller`", "adaptive", ", ".join(CONTROLLERS), "Law; the key is `kind`."]
-        rows["keep"] = ["`controller.keep`", "none", ", ".join(KEEPERS), "Law that keeps the stops of a walk."]
+        rows["kind"] = ["`kind`", "`controller`", "adaptive", ", ".join(CONTROLLERS), "Law."]
+        keepers = ", ".join(KEEPERS)
+        rows["keep"] = ["`keep`", "`controller.keep`", "none", keepers, "Law that keeps the stops of a walk."]
     if set(kinds) == set(ESTIMATORS):
-        rows["kind"] = ["`estimator`", "ekf", ", ".join(ESTIMATORS), "Filter; the key is `kind`."]
-    head = "| setting | default | allowed | meaning |\n|---|---|---|---|\n"
+        rows["kind"] = ["`kind`", "`estimator`", "ekf", ", ".join(ESTIMATORS), "Filter."]
+    columns = ["key", *(["path"] if prefix else []), "default", "allowed", "meaning"]
+    head = f"| {' | '.join(columns)} |\n{'|---' * len(columns)}|\n"
     return head + "".join(f"| {' | '.join(row)} |\n" for row in rows.values())
 
 

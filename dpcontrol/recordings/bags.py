@@ -7,6 +7,7 @@ A column name starts with its topic.
     /joint_states/arm_1/position    of sensor_msgs/JointState: position, velocity or effort
     /encoders.data[1]               of other messages: a field, one element of a list
     log_time, TOPIC.header.stamp    times in seconds, of recording or from the header
+    segment                         number of the segment, in a log that `dpcontrol import` wrote
 
 The topic of the first column sets the sample times. Values of other topics are interpolated to these times. Times that
 another topic does not cover are left out, and a remark gives their duration.
@@ -31,10 +32,11 @@ from dpcontrol.foundation.files import UNREADABLE, checked_size, is_bag_folder
 from dpcontrol.foundation.parts import part
 from dpcontrol.foundation.settings import suggest
 from dpcontrol.foundation.units import quantity
-from dpcontrol.logs.reader import VerifiedFile, open_mcap
+from dpcontrol.logs.layout import RUN_RECORD
+from dpcontrol.logs.reader import VerifiedFile, open_mcap, segment_numbers, segments_in
 
-LOG_TIME = "log_time"
-"""Name of the column of recording times."""
+LOG_TIME, SEGMENT = "log_time", "segment"
+"""Names of the columns of recording times, and of the segments' numbers."""
 _FIELD = re.compile(r"\.(\w+)|\[(\d+)\]")
 _JOINT_FIELDS = ("position", "velocity", "effort")
 _JOINT = re.compile(rf"/([^/]+)/({'|'.join(_JOINT_FIELDS)})")
@@ -69,12 +71,15 @@ def read_bag(
         PartMissing: rosbags is not installed.
     """
     with _opened(path, columns) as bag:
-        places = {name: _place(name, sorted(bag.counts), path) for name in columns if name != LOG_TIME}
+        topics = sorted(bag.counts)
+        places = {name: _place(name, topics, path) for name in columns if name not in (LOG_TIME, SEGMENT)}
         base = next(iter(places.values()))[0]
         found = {topic: _of_topic(bag, topic, places, path, optional) for topic, _ in places.values()}
     moments, out = found[base][LOG_TIME], {}
+    if SEGMENT in columns and (segments := segments_in(bag.segments, len(moments))):
+        found[base][SEGMENT] = segment_numbers(segments, len(moments)).astype(float)
     for name in columns:
-        topic = base if name == LOG_TIME else places[name][0]
+        topic = places[name][0] if name in places else base
         if name in found[topic]:
             values, at = found[topic][name], found[topic][LOG_TIME]
             out[name] = values if topic == base else np.interp(moments, at, values, left=np.nan, right=np.nan)
@@ -101,12 +106,13 @@ def _covered(path: Path, moments: Array, times: dict[str, Array]) -> NDArray[np.
 class _Bag:
     """The messages of a bag.
 
-    It holds their number by topic, the time of the first in ns, and a reader of one topic.
+    It holds their number by topic, the time of the first in ns, a reader of one topic, and the segments of a recording.
     """
 
     counts: dict[str, int]
     start: int
     messages: Callable[[str], Iterable[tuple[int, Any]]]
+    segments: str = ""
 
 
 @contextmanager
@@ -160,7 +166,7 @@ def _of_mcap(file: VerifiedFile, columns: Sequence[str]) -> _Bag:
                 decoders[number] = _decoder(file, number)
             yield time, decoders[number](body)
 
-    return _Bag(counts, start, messages)
+    return _Bag(counts, start, messages, file.values(RUN_RECORD).get("segments", ""))
 
 
 def _decoder(file: VerifiedFile, number: int) -> Callable[[bytes], Any]:

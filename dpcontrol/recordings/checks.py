@@ -321,8 +321,8 @@ def _continuous(samples: Samples, repairs: frozenset[str], period: float) -> Rep
 
 _FASTEST = 80.0
 """Limit of the angle rate, rad/s, above any bench. A swing exceeds it if radians and degrees are confused."""
-_WRONG_UNIT = 1e9
-"""Rate in any unit that no bench reaches, so that a larger one is damage."""
+_LARGEST = 1e9
+"""Limit of every measurement; none is larger in any unit, so that a larger one is damage."""
 _DEGREES = 180 / np.pi
 _FACTORS = {
     _DEGREES: "the angles look like degrees and the rates like rad/s",
@@ -356,6 +356,13 @@ def check_plausible(segments: Sequence[Samples], *, file: str) -> None:
         InputError: reports the contradiction, its size and the likely cause.
     """
     first = segments[0]
+    for segment in segments:
+        if (large := np.abs(segment.values) > _LARGEST).any():
+            row, column = _first(large)
+            raise InputError(
+                f"{segment.at(row)}: {segment.names[column]} is {segment.values[row, column]:.4g}, which no "
+                f"bench reaches in any unit (at most {_LARGEST:g}); look for a damaged value"
+            )
     turned = [_turned(segment) for segment in segments]
     derivative = np.concatenate([part[0] for part in turned])
     fastest = float(np.percentile(np.abs(derivative), 99))
@@ -365,12 +372,7 @@ def check_plausible(segments: Sequence[Samples], *, file: str) -> None:
             "check the unit of angles and time in the mapping (degrees taken for rad? counts? ms?)"
         )
     if first.of(RATE) is not None:
-        rates = np.concatenate([part[1] for part in turned])
-        if (largest := float(np.abs(rates).max())) > _WRONG_UNIT:
-            raise InputError(
-                f"{file}: a rate is {largest:.4g}, which no bench reaches in any unit; look for a damaged value"
-            )
-        _compare(derivative, rates, file=file)
+        _compare(derivative, np.concatenate([part[1] for part in turned]), file=file)
     if first.of(CART) is None and first.of(COMMAND) is None:
         # With the cart clamped, gravity alone moves the arms.
         _check_zero(segments, file=file)
@@ -459,6 +461,8 @@ _BETTER = 3.0
 """Factor by which another column order must fit better to be suggested."""
 _LEAST = 2.0
 """Least model acceleration for this check, rad/s²; below it recordings are inconclusive."""
+_GATHERED, _LEFT_OVER = 0.5, 0.5
+"""Least mean of exp(iθ) of an arm that swings about one angle, and least such angle, rad, that is no hanging arm's."""
 _MOVES = 0.05
 """Range of an angle that counts as motion, rad."""
 
@@ -516,6 +520,12 @@ def contradiction(recording: Recording, arms: ArmChainParameters, *, model: str)
         f"the model {model} contradicts the recording: its arms would accelerate by {shown[1]} rad/s² (rms), the "
         f"recorded ones accelerate by {shown[0]}, and the difference is {off[0]:.2g} times as large as the larger"
     )
+    # Swings are about hanging, up to whole turns.
+    middles = np.mean(np.exp(1j * recording.angles), axis=0)
+    left_over = [k for k in range(arms.count) if abs(middles[k]) > _GATHERED and abs(np.angle(middles[k])) > _LEFT_OVER]
+    if left_over:
+        shown = [f"angle {k + 1} swings about {np.angle(middles[k]):.2g} rad" for k in left_over]
+        return f"{text}; {' and '.join(shown)} instead of 0: is the mapping's zero what a hanging arm reads?"
     best = int(np.argmin(off))
     if _BETTER * off[best] < off[0]:
         as_read = ", ".join(str(arm + 1) for arm in orders[best])

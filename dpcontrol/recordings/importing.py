@@ -2,13 +2,15 @@
 
 Columns are mapped and checked, repaired on request, and cut into segments.
 
-A MATLAB file of cells has one segment per cell. A table or a whole MATLAB recording is one segment, unless a repair
-cuts it. Segments whose times overlap are laid end to end, and a note reports this.
+A MATLAB file of cells has one segment per cell. A table or a whole MATLAB recording is one segment, unless a column
+numbers its segments or a repair cuts it. Segments whose times overlap are laid end to end, and a note reports this.
 
 The mapping (`dpcontrol.recordings.mapping`) defines the columns: units, sign, zero, sampling.
 
-Files are CSV, Parquet, or MATLAB of any version. Table cells that are not numbers are reported by row. MATLAB's
-versions 4 to 7 are read by scipy; version 7.3 (HDF5) and objects (time series, Simulink data sets) by mat-io.
+Files are CSV, Parquet, or MATLAB of any version. Text tables are separated by commas, semicolons, tabs or blanks, and
+the columns of a table without a header are named by their numbers from 1. Table cells that are not numbers are
+reported by row. MATLAB's versions 4 to 7 are read by scipy; version 7.3 (HDF5) and objects (time series, Simulink data
+sets) by mat-io.
 Source: MathWorks, MAT-File Format (the version 5 format that scipy reads).
 """
 
@@ -17,10 +19,9 @@ import math
 import re
 import struct
 import zlib
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
-from itertools import pairwise
+from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.foundation.arrays import Array
-from dpcontrol.foundation.errors import InputError, PartMissing
+from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import UNREADABLE, checked_size, checked_source
 from dpcontrol.foundation.parts import part as package
 from dpcontrol.foundation.progress import Progress, no_progress
@@ -82,7 +83,8 @@ def import_recording(
     if not bag and kind not in MATLAB + TABLES:
         known = ", ".join((*MATLAB, *TABLES, ".mcap", ".bag"))
         raise InputError(
-            f"{path}: a recording is a file of kind {known} or a folder of ROS 2; this ends in {kind or 'nothing'}"
+            f"{path}: a recording is a file of kind {known} or a folder of ROS 2; this ends in {kind or 'nothing'}; "
+            "save it as CSV, for example"
         )
     if not (bag and path.is_dir()):
         checked_source(path)
@@ -98,10 +100,10 @@ def import_recording(
         else:
             _check_columns(path, given, "a bag")
             chosen, (columns, covered) = given, read_bag(path, given.named)
-        stretches, period = [_of_columns(path, chosen, columns, chosen.period).taken(covered)], chosen.period
+        stretches, period = _of_columns(path, chosen, columns, chosen.period, covered), chosen.period
     else:
-        chosen = given or _without_missing_rates(load_mapping("table"), path)
-        stretches, period = _table(path, chosen), chosen.period
+        chosen, columns = _table(path, given)
+        stretches, period = _of_columns(path, chosen, columns, chosen.period), chosen.period
     progress("checking", 0.5)
     return _recording(path, chosen, stretches, period=period, repairs=allowed)
 
@@ -109,29 +111,22 @@ def import_recording(
 def _fitting(variables: dict[str, Any], path: Path) -> Mapping:
     """Return the first known mapping whose columns all exist.
 
-    If there is none, the first of all is returned.
+    Raises:
+        InputError: there is none; lists the variables.
     """
     for name in _KNOWN:
         mapping = load_mapping(name)
-        wanted = (*mapping.cells.states[:1], *mapping.angles.columns, *mapping.rates.columns, mapping.cart.position)
+        wanted = (*mapping.cells.states[:1], *mapping.named, mapping.sampling.variable)
         try:
             for column_name in filter(None, wanted):
                 find(variables, column_name, file=path)
         except InputError:
             continue
         return mapping
-    return load_mapping(_KNOWN[0])
-
-
-def _without_missing_rates(mapping: Mapping, path: Path) -> Mapping:
-    """Return the mapping, without rates that a table lacks.
-
-    The rates are removed if the table has none of their columns.
-    """
-    there = table_columns(path)
-    if any(name in there for name in mapping.rates.columns):
-        return mapping
-    return replace(mapping, rates=replace(mapping.rates, columns=()))
+    raise InputError(
+        f"{path}: no shipped mapping fits its variables {', '.join(list(variables)[:12])}; give a mapping that names "
+        "columns (for time series NAME.Time and NAME.Data): --mapping"
+    )
 
 
 _JOINT_STATES = "joint-states"
@@ -149,8 +144,8 @@ def _joint_states(path: Path) -> tuple[Mapping, dict[str, Array], NDArray[np.boo
         [name.replace("arm_1", f"arm_{arm + 1}") for arm in range(MOST_ARMS)]
         for name in (first, mapping.rates.columns[0])
     )
-    cart = mapping.cart.position
-    optional = (*angles[1:], *rates, cart)
+    cart, segment = mapping.cart.position, mapping.time.segment
+    optional = (*angles[1:], *rates, cart, segment)
     columns, covered = read_bag(path, (first, *optional, mapping.time.column), optional=optional)
     angles, rates = (tuple(name for name in names if name in columns) for names in (angles, rates))
     chosen = replace(
@@ -173,12 +168,29 @@ def _check_columns(path: Path, mapping: Mapping, what: str) -> None:
         raise InputError(f"{path}: {what} holds no variable {mapping.sampling.variable!r}; give [sampling] period")
 
 
-def _table(path: Path, mapping: Mapping) -> list[Samples]:
-    _check_columns(path, mapping, "a table")
-    return [_of_columns(path, mapping, read_table(path, mapping.named), mapping.period)]
+def _table(path: Path, given: Mapping | None) -> tuple[Mapping, dict[str, Array]]:
+    """Return the mapping and the columns of a table.
+
+    The shipped mapping loses its rates if the table has none of them. The segments may be missing, too.
+    """
+    if given is not None:
+        _check_columns(path, given, "a table")
+        return given, read_table(path, given.named)
+    mapping = load_mapping("table")
+    rates = mapping.rates.columns
+    columns = read_table(path, mapping.named, optional=(*rates, mapping.time.segment))
+    rates = _present(path, list(columns), rates) if any(name in columns for name in rates) else ()
+    return replace(mapping, rates=replace(mapping.rates, columns=rates)), columns
 
 
-def _of_columns(path: Path, mapping: Mapping, columns: dict[str, Array], period: float) -> Samples:
+def _of_columns(
+    path: Path,
+    mapping: Mapping,
+    columns: dict[str, Array],
+    period: float,
+    covered: NDArray[np.bool_] | None = None,
+) -> list[Samples]:
+    """Return the samples of each segment, of the covered rows only."""
     lengths = {name: len(values) for name, values in columns.items()}
     if len(set(lengths.values())) > 1:
         shown_lengths = ", ".join(f"{name} {length}" for name, length in lengths.items())
@@ -189,7 +201,10 @@ def _of_columns(path: Path, mapping: Mapping, columns: dict[str, Array], period:
         COMMAND: (mapping.cart.command,),
     }  # fmt: skip
     found = {kind: np.column_stack([columns[name] for name in names]) for kind, names in groups.items() if any(names)}
-    return _samples(path, str(path), mapping, found, columns.get(mapping.time.column), period)
+    samples = _samples(path, str(path), mapping, found, columns.get(mapping.time.column), period)
+    number = columns.get(mapping.time.segment, np.zeros(len(samples.time)))
+    pieces = np.split(np.arange(len(number)), np.flatnonzero(np.diff(number)) + 1)
+    return [samples.taken(piece if covered is None else piece[covered[piece]]) for piece in pieces]
 
 
 def _samples(
@@ -238,7 +253,7 @@ def _matlab(path: Path, mapping: Mapping, variables: dict[str, Any]) -> tuple[li
             raise InputError(f"{path}: {mapping.sampling.variable} is {shown}; a sampling period is 1e-6 to 1 s")
     if not mapping.cells.states:
         found = {name: column(variables, name, file=path) for name in mapping.named}
-        return [_of_columns(path, mapping, found, period)], period
+        return _of_columns(path, mapping, found, period), period
     stretches: list[Samples] = []
     for k, name in enumerate(mapping.cells.states):
         # Only the first exists in every file: a data set may have no validation part.
@@ -347,7 +362,7 @@ def _in_order(parts: list[Samples], spacing: float) -> tuple[list[Samples], list
 _MISSING = ("", "nan", "na", "null", "none", "-")
 
 
-def read_table(path: Path, columns: Sequence[str]) -> dict[str, Array]:
+def read_table(path: Path, columns: Sequence[str], *, optional: Collection[str] = ()) -> dict[str, Array]:
     """Return the named columns (K,) of a .csv or .parquet file.
 
     An empty cell is nan.
@@ -355,12 +370,13 @@ def read_table(path: Path, columns: Sequence[str]) -> dict[str, Array]:
     Args:
         path: file.
         columns: names of columns.
+        optional: columns that are left out if the table lacks them.
 
     Raises:
         InputError: the file cannot be read, is not a table, lacks a column, or holds text in place of numbers.
     """
     try:
-        table = _parquet(path, columns) if path.suffix.lower() == ".parquet" else _csv(path, columns)
+        table = (_parquet if path.suffix.lower() == ".parquet" else _csv)(path, columns, optional)
     except OSError as error:
         # pyarrow reports damage as OSError too, in more than one line.
         raise InputError(
@@ -377,50 +393,33 @@ def _reason(error: BaseException) -> str:
     return next(iter(str(error).strip().splitlines()), type(error).__name__)
 
 
-def _check(path: Path, header: Sequence[str], columns: Sequence[str]) -> None:
+def _present(
+    path: Path, header: Sequence[str], columns: Sequence[str], optional: Collection[str] = ()
+) -> tuple[str, ...]:
+    """Return the columns that a table has, and reject a table without the others."""
     for name in columns:
         if header.count(name) > 1:
             raise InputError(f"{path}: {header.count(name)} columns are called {name!r}; rename all but one")
-        if name not in header:
-            shown = [one if len(one) <= 40 else f"{one[:40]}…" for one in header[:20]]
-            raise InputError(f"{path}: the column {name!r} is missing; {suggest(name, shown)}; check file and mapping")
+        if name not in (*header, *optional):
+            known = "the table has no header, so a mapping names columns by number; " if header[0] == "1" else ""
+            raise InputError(
+                f"{path}: the column {name!r} is missing; {known}{suggest(name, header[:20])}; check file and mapping"
+            )
+    return tuple(name for name in columns if name in header)
 
 
-def table_columns(path: Path) -> list[str]:
-    """Return the names of a table's columns.
-
-    The result is empty for an unreadable table, which a later step reports.
-
-    Args:
-        path: file.
-    """
-    try:
-        if path.suffix.lower() == ".parquet":
-            with _parquet_file(path) as file:
-                return list(file.schema_arrow.names)
-        return _header(path)[0]
-    except (OSError, ValueError, csv.Error, InputError, PartMissing):
-        return []
-
-
-@contextmanager
-def _parquet_file(path: Path) -> Iterator[Any]:
-    """Open a Parquet file; any fault becomes an OSError or a ValueError."""
+def _parquet(path: Path, columns: Sequence[str], optional: Collection[str]) -> dict[str, Array | list[str | None]]:
     arrow = package("pyarrow")
     try:
         # pyarrow takes a name such as s3:table.parquet for an address.
         with path.open("rb") as stream:
-            yield package("pyarrow.parquet").ParquetFile(stream)
+            file = package("pyarrow.parquet").ParquetFile(stream)
+            checked_size(8.0 * file.metadata.num_rows * len(columns))
+            wanted = _present(path, list(file.schema_arrow.names), columns, optional)
+            table = file.read(columns=list(wanted))
     except arrow.ArrowException as error:
         raise ValueError(_reason(error)) from error
-
-
-def _parquet(path: Path, columns: Sequence[str]) -> dict[str, Array | list[str | None]]:
-    with _parquet_file(path) as file:
-        checked_size(8.0 * file.metadata.num_rows * len(columns))
-        _check(path, list(file.schema_arrow.names), columns)
-        table = file.read(columns=list(columns))
-        return {name: _parquet_column(table.column(name), name, path) for name in columns}
+    return {name: _parquet_column(table.column(name), name, path) for name in wanted}
 
 
 def _parquet_column(values: Any, name: str, path: Path) -> Array | list[str | None]:
@@ -434,32 +433,40 @@ def _parquet_column(values: Any, name: str, path: Path) -> Array | list[str | No
     return values.to_pylist()
 
 
-def _header(path: Path) -> tuple[list[str], str]:
-    """Return the names and the separator of a text table.
+_NUMBER = re.compile(r"[-+]?(\d+([.,]\d*)?|[.,]\d+|nan|inf)(e[-+]?\d+)?", re.IGNORECASE)
 
-    The names are in its first line.
+
+def _rows(path: Path) -> Iterator[list[str]]:
+    """Yield the names of a text table's columns, then the cells of each row.
+
+    A first line of numbers is no header: the names are then 1, 2, ….
     """
     with path.open(encoding="utf-8-sig", newline="") as stream:
-        first = stream.readline(1_000_000)
-    if not first.strip():
-        raise InputError(f"{path} is empty or begins with an empty line; its first line must name the columns")
-    delimiter = max(",;\t", key=first.count)
-    return [name.strip() for name in next(csv.reader([first], delimiter=delimiter))], delimiter
+        head = [stream.readline(1_000_000), stream.readline(1_000_000)]
+        if not head[0].strip():
+            raise InputError(f"{path} is empty or begins with an empty line; it must begin with names or numbers")
+        # Commas beside another separator are decimal points, and NumPy writes a header as a comment.
+        mark = next((mark for mark in ";\t" if mark in head[0]), ",")
+        lines = chain([head[0].removeprefix("#"), head[1]], stream)
+        if mark not in head[0] and len(head[1].split()) > 1:
+            lines = (mark.join(line.split()) for line in lines)
+        rows = csv.reader(lines, delimiter=mark)
+        names = [cell.strip() for cell in next(rows)]
+        if all(map(_NUMBER.fullmatch, names)):
+            rows = chain([names], rows)
+            names = [str(number) for number in range(1, len(names) + 1)]
+        yield names
+        for row in filter(None, rows):
+            yield row if mark == "," else [cell.replace(",", ".") for cell in row]
 
 
-def _csv(path: Path, columns: Sequence[str]) -> dict[str, list[str | None]]:
-    header, delimiter = _header(path)
-    _check(path, header, columns)
-    with path.open(encoding="utf-8-sig", newline="") as stream:
-        lines = [line for line in csv.reader(stream, delimiter=delimiter) if line][1:]
+def _csv(path: Path, columns: Sequence[str], optional: Collection[str]) -> dict[str, list[str | None]]:
+    header, *lines = _rows(path)
+    places = {name: header.index(name) for name in _present(path, header, columns, optional)}
     for row, line in enumerate(lines, start=1):
         if len(line) != len(header):
-            raise ValueError(f"row {row} has {len(line)} cells, its header {len(header)}")
-    found: dict[str, list[str | None]] = {}
-    for name in columns:
-        place = header.index(name)
-        found[name] = [line[place] if delimiter == "," else line[place].replace(",", ".") for line in lines]
-    return found
+            raise ValueError(f"row {row} has {len(line)} cells, the first line {len(header)}")
+    return {name: [line[place] for line in lines] for name, place in places.items()}
 
 
 def _numbers(cells: Array | list[str | None], name: str, path: Path) -> Array:
@@ -482,8 +489,7 @@ def _number(cell: str | None, row: int, name: str, path: Path) -> float:
     try:
         return float(text)
     except ValueError:
-        shown = text if len(text) <= 40 else f"{text[:40]}…"
-        raise InputError(f"{path}: row {row} of column {name!r} holds {shown!r}; it must be a number") from None
+        raise InputError(f"{path}: row {row} of column {name!r} holds {text!r}; it must be a number") from None
 
 
 _STEP = re.compile(r"\.?([A-Za-z]\w*)|\{(\d+)\}|\((\d+),:\)|\(:,(\d+)\)")
@@ -509,6 +515,10 @@ def read_matlab(path: Path) -> dict[str, Any]:
         raise InputError(f"cannot read {path}: {error.strerror or error}; check the name") from error
     if not head:
         raise InputError(f"{path} is empty; save or copy the recording again")
+    if head.startswith(_OCTAVE):
+        raise InputError(
+            f"{path} is in a format of Octave that MATLAB does not read; save it in Octave with `save -v7`"
+        )
     try:
         if b"MATLAB 7.3" in head[:128] or b"\x89HDF\r\n\x1a\n" in head:
             checked_size(_hdf5_size(path))
@@ -542,6 +552,8 @@ def _plain(path: Path, size: int) -> dict[str, Any]:
     return _with_objects(path) if "__function_workspace__" in variables else variables
 
 
+_OCTAVE = (b"# Created by Octave", b"Octave-1-", b"\x89HDF\r\n\x1a\n")
+"""Beginnings of Octave's text, binary and HDF5 files; MATLAB's HDF5 begins with a header of its own."""
 _PACKED = 15
 """Type of compressed elements in a version 5 file."""
 
@@ -656,7 +668,7 @@ def numbers(value: Any, name: str, *, file: Path) -> Array:
         kind = {"c": "complex numbers", "U": "text", "S": "text", "b": "true and false", "O": "cells or an object"}
         raise InputError(f"{file}: {name} holds {kind.get(array.dtype.kind, 'a struct')}; a column holds real numbers")
     if array.size == 0:
-        raise InputError(f"{file}: {name} is empty; a recording has samples")
+        raise InputError(f"{file}: {name} is empty; a recording has samples (save those of an object as x = {name})")
     if max(array.shape, default=1) != array.size:
         shape = " x ".join(map(str, array.shape))
         raise InputError(f"{file}: {name} is {shape}; a column is one row or one column, as in {name}(1,:)")
@@ -682,15 +694,14 @@ def _member(value: Any, name: str) -> Any:
     fields = _properties(value)
     if fields is None:
         return None
-    if name in fields:
-        return fields[name]
     wanted = name.casefold()
-    for field, held in fields.items():
-        if str(field).casefold().rstrip("_") == wanted:
-            return held
-    if wanted == "time" and "TimeInfo" in fields:
-        return _times(fields["TimeInfo"])
-    return None
+    stored = [name, *(field for field in fields if str(field).casefold().rstrip("_") == wanted)]
+    held = next((fields[field] for field in stored if field in fields), None)
+    if wanted != "time" or (held is not None and np.size(held)):
+        return held
+    # A time series leaves its times empty where they are even.
+    times = _times(_member(value, "TimeInfo"))
+    return held if times is None else times
 
 
 def _times(info: Any) -> Any:

@@ -2,19 +2,21 @@
 
 They give units, sign, zero and sampling.
 
-    angle = sign · unit · value - zero,       rate = sign · unit · value
+    angle = sign · (unit · value - zero),       rate = sign · unit · value
 
-The `zero` is the reading of a hanging arm, in rad after the sign: 0 if the recording counts from hanging, π if it
+The `zero` is what a hanging arm reads, in rad, whatever the sign: 0 if the recording counts from hanging, π if it
 counts from upright. Relative encoders are summed from the inner arm outwards. Columns have the names of the file: a
-table header, or in MATLAB notation a variable, a field, a cell or a row (`data{2}.Values.Data`, `Y(1,:)`).
+table header, or in MATLAB notation a variable, a field, a cell or a row (`data{2}.Values.Data`, `Y(1,:)`). The columns
+of a table without a header have their numbers, from 1.
 """
 
 from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import BeforeValidator
 
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError, Mistakes
@@ -27,6 +29,8 @@ TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 LENGTH_UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}
 ZEROS = {"hanging": 0.0, "upright": np.pi}
 _LARGEST_ZERO = 100.0
+NAMED = BeforeValidator(lambda value: str(value) if type(value) is int else value)
+"""Conversion of a column's number, in a table without a header, to its name."""
 
 
 @dataclass(frozen=True)
@@ -43,9 +47,10 @@ class _Top(Settings):
 
 @dataclass(frozen=True)
 class _Time(Settings, table="time"):
-    """The times of the samples."""
+    """The times of the samples, and their segments."""
 
-    column: str = setting("", help="Column of the times.")
+    column: Annotated[str, NAMED] = setting("", help="Column of the times.")
+    segment: Annotated[str, NAMED] = setting("", help="Column that numbers the segments; a change begins a segment.")
     unit: str = setting("s", choices=tuple(TIME_UNITS), help="Unit of the times.")
 
 
@@ -73,7 +78,7 @@ class _Angles(Settings, table="angles"):
     Lists have one value for all arms or one for each.
     """
 
-    columns: tuple[str, ...] = setting((), help="Columns of the angles.")
+    columns: tuple[Annotated[str, NAMED], ...] = setting((), help="Columns of the angles.")
     unit: str = setting("rad", choices=tuple(ANGLE_UNITS), help="Unit of the angles.")
     counts_per_turn: int | tuple[int, ...] | None = setting(None, least=1, help="Counts of an encoder in a turn.")
     sign: float | tuple[float, ...] = setting(1.0, help="1 for counter-clockwise, -1 for clockwise.")
@@ -118,7 +123,7 @@ class _Angles(Settings, table="angles"):
 class _Rates(Settings, table="rates"):
     """The rates, inner arm first."""
 
-    columns: tuple[str, ...] = setting((), help="Columns of the rates.")
+    columns: tuple[Annotated[str, NAMED], ...] = setting((), help="Columns of the rates.")
     unit: str = setting("rad/s", choices=tuple(RATE_UNITS), help="Unit of the rates.")
 
 
@@ -126,9 +131,9 @@ class _Rates(Settings, table="rates"):
 class _Cart(Settings, table="cart"):
     """The cart and its command."""
 
-    position: str = setting("", help="Column of the cart's position.")
+    position: Annotated[str, NAMED] = setting("", help="Column of the cart's position.")
     unit: str = setting("m", choices=tuple(LENGTH_UNITS), help="Unit of the position.")
-    command: str = setting("", help="Column of the commanded acceleration, m/s².")
+    command: Annotated[str, NAMED] = setting("", help="Column of the commanded acceleration, m/s².")
 
 
 _TABLES = {"time": _Time, "sampling": _Sampling, "cells": _Cells, "angles": _Angles, "rates": _Rates, "cart": _Cart}
@@ -150,7 +155,7 @@ class Mapping:
     @property
     def named(self) -> tuple[str, ...]:
         """Names of all columns to read."""
-        single = (self.time.column, self.cart.position, self.cart.command)
+        single = (self.time.column, self.time.segment, self.cart.position, self.cart.command)
         return (*self.angles.columns, *self.rates.columns, *filter(None, single))
 
     @property
@@ -179,7 +184,7 @@ class Mapping:
     def _turned(self, values: Array, unit: float, zeros: tuple[float, ...]) -> Array:
         n = values.shape[1]
         scale = unit or 2 * np.pi / _each(self.angles.counts, n)
-        turned = values * scale * _each(self.angles.signs, n) - _each(zeros, n)
+        turned = (values * scale - _each(zeros, n)) * _each(self.angles.signs, n)
         return np.cumsum(turned, axis=1) if self.angles.relative else turned
 
     def lengths(self, arms: int) -> tuple[float, ...]:

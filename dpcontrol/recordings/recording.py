@@ -22,7 +22,6 @@ Source: Savitzky & Golay, Smoothing and Differentiation of Data (1964).
 """
 
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -35,11 +34,11 @@ from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.checked import Count, Index, checked
 from dpcontrol.foundation.document import picked
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import checked_source, content_hash
+from dpcontrol.foundation.files import content_hash
 from dpcontrol.foundation.progress import Cost
 from dpcontrol.foundation.shown import Brief, Timed, checked_times, pandas_classes
 from dpcontrol.logs import LogWriter, Mode, RunLog, check_replaced, control_fields, read_log
-from dpcontrol.logs.container import MAGIC
+from dpcontrol.logs.reader import segment_numbers
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -116,7 +115,9 @@ class Recording(Timed):
 
     @checked
     def frame(self, count: Count | None = None) -> "DataFrame":
-        """Return a pandas table.
+        """Return a pandas table, with the number of the segment in the column `segment`.
+
+        `dpcontrol import` reads it as CSV, with its segments.
 
         Args:
             count: number of interpolated rows; None for one row per sample.
@@ -124,10 +125,12 @@ class Recording(Timed):
         Raises:
             InputError: pandas is not installed.
         """
-        if count is not None:
-            return super().frame(count)
         data_frame, index = pandas_classes()
-        return data_frame(self.states(self.time), columns=list(self.columns), index=index(self.time, name="time"))
+        times = self.time if count is None else np.linspace(*self.time_range, count)
+        table = data_frame(self.states(times), columns=list(self.columns), index=index(times, name="time"))
+        rows = np.searchsorted(self.time, times, side="right") - 1
+        table["segment"] = segment_numbers(self.segments, len(self.time))[rows]
+        return table
 
     @property
     def arms(self) -> int:
@@ -293,13 +296,6 @@ def load_recording(path: Path | str) -> Recording:
     Raises:
         InputError: the file cannot be read, is not a log, or holds too few samples.
     """
-    path = Path(path)
-    checked_source(path)
-    with suppress(OSError), path.open("rb") as file:
-        head = file.read(len(MAGIC))
-        if head != MAGIC[: len(head)]:
-            metadata = f"{path} is not a log (it begins with {head!r})"
-            raise InputError(f"{metadata}; import a recording with `dpcontrol import` first")
     return recording_of(read_log(path))
 
 
@@ -318,13 +314,12 @@ def recording_of(log: RunLog) -> Recording:
             f"{log.path}: its time runs backward after {log.time[back[0]]:.3f} s; record it again, or import the "
             "original with `--repair time`"
         )
-    metadata = {"title": log.path.stem, "source": log.path.name, "segments": f"0:{k}"}
+    metadata, segments = {"title": log.path.stem, "source": log.path.name}, ((0, k),)
     command = log.controls.get("applied")
     if log.metadata.get("kind") in (KIND, REPLAYED):
-        metadata = {"title": log.path.stem, "source": "", "segments": "", **log.metadata}
+        metadata, segments = {"title": log.path.stem, "source": "", **log.metadata}, log.segments
         command = log.controls.get("command") if metadata.get("command") else None
-    segments = _segments(metadata["segments"])
-    if not segments or any(not 0 <= first < end <= k for first, end in segments):
+    if not segments:
         raise InputError(f"{log.path}: its segments do not fit its {k} samples; import the recording again")
     period = _period(log)
     for first, end in segments:
@@ -354,14 +349,6 @@ def _period(log: RunLog) -> float:
         return float(log.metadata["sampling_period"])
     except (KeyError, ValueError):
         return 1 / log.rate_hz
-
-
-def _segments(text: str) -> tuple[tuple[int, int], ...]:
-    try:
-        pairs = [part.split(":") for part in text.split()]
-        return tuple((int(first), int(end)) for first, end in pairs)
-    except ValueError:
-        return ()
 
 
 STILL = 1e-3
@@ -404,12 +391,7 @@ def cart_motion(part: Recording) -> CartMotion | None:
     if known.sum() < 2 or float(np.ptp(part.cart[known])) < STILL:
         return None
     # A single missing reading is replaced by interpolation between its neighbours.
-    position = part.cart
-    if not known.all():
-        from scipy.interpolate import make_interp_spline
-
-        between = make_interp_spline(part.time[known], part.cart[known], k=1)
-        position = np.asarray(between(part.time), dtype=np.float64)
+    position = np.interp(part.time, part.time[known], part.cart[known])
     velocity, felt = (smoothed_derivative(position, period, order) for order in (1, 2))
     if command is not None:
         sent = period * np.concatenate([[0.0], np.cumsum(command[:-1])])

@@ -97,7 +97,7 @@ class Deadlines:
     lost: int
     """Readings that did not arrive."""
     stale: int
-    """Readings that arrived after their tick."""
+    """Readings that arrived after their tick, the first time."""
     held: int
     """Periods in which the bench repeated an old command."""
     trip_median: float
@@ -144,6 +144,8 @@ _LATEST = 1_000_000
 """Number of last ticks whose delays and round trips are kept."""
 _OLDEST = 1.0
 """Maximum age of a reading, s; older ones count as of unknown age."""
+_REMEMBERED = 1024
+"""Number of last ticks whose readings are recognised when they are repeated."""
 _MOST_REFUSED = 256
 """Consecutive refused packets before the loop checks its clock."""
 
@@ -177,8 +179,7 @@ def parse_address(text: str) -> tuple[str, int]:
     except ValueError:
         parts = host = port = None
     if not (parts and host and port) or parts.scheme != SCHEME or parts.path.strip("/"):
-        shown = text if len(text) <= 100 else f"{text[:100]}…"
-        raise InputError(f"rig {shown!r}: must be udp://HOST:PORT, as `dpcontrol rig` prints it, or udp alone")
+        raise InputError(f"rig {text!r}: must be udp://HOST:PORT, as `dpcontrol rig` prints it, or udp alone")
     return host, port
 
 
@@ -232,6 +233,7 @@ class UdpRig(AbstractContextManager["UdpRig"]):
         self._worst = self._worst_trip = math.nan
         self._heard, self._held, self._missed, self._lost, self._stale = -1, 0, 0, 0, 0
         self._ignored = self._refused = 0
+        self._arrived = [-1] * _REMEMBERED
         self._last_error = ""
         # An unpredictable number shows that an answer belongs to this HELLO.
         self._request = secrets.token_bytes(8)
@@ -438,9 +440,12 @@ class UdpRig(AbstractContextManager["UdpRig"]):
             return None
         content = heard.content
         if isinstance(content, ReadingPacket):
-            if len(content.positions) != self.welcome.arms + 1 or content.tick >= self.welcome.ticks:
+            place = content.tick % _REMEMBERED
+            foreign = len(content.positions) != self.welcome.arms + 1 or content.tick >= self.welcome.ticks
+            if foreign or self._arrived[place] == content.tick:
                 self._refused += 1
                 return None
+            self._arrived[place] = content.tick
             if not heard.new:
                 self._stale += 1
                 return None

@@ -30,11 +30,12 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from functools import partial
+from functools import lru_cache, partial
 from itertools import permutations
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import linalg, optimize, signal
 
 from dpcontrol.dynamics.chain import ArmChainParameters
@@ -197,10 +198,7 @@ class _Session:
 
     def read(self) -> Reading:
         """Read and store the next reading."""
-        try:
-            reading = self.rig.read()
-        except ArithmeticError as failure:
-            raise self.halted(str(failure), _COMPLAINS) from failure
+        reading = self.rig.read()
         present = reading.present is None or bool(reading.present.all())
         positions = reading.positions - self._zeros
         if reading.present is not None and self.positions:
@@ -346,6 +344,8 @@ def commission(
         _move(session, motion, arms, chirp, switches, limits, options, notify)
     except _Halted as halted:
         halts.append(halted.finding)
+    except ArithmeticError as failure:
+        halts.append(Finding(session.step if session else "still", Grade.WRONG, str(failure), _COMPLAINS))
     finally:
         rig.stop()
     if session is not None and motion.rang_to:
@@ -423,8 +423,8 @@ def _judged(
     since = motion.held_from
     drive = fit_drive(carts, session.commands, session.period, first=motion.chirped_from, last=motion.chirped_to)
     swing = fit_swing(angles[since:], carts[since:], session.period, arms)
-    wiring = read_wiring(swing, arms)
-    signs = _signs(drive.gain, wiring.factors)
+    wiring = read_wiring(swing)
+    signs = _signs(drive.gain, np.where(wiring.unknown, 0.0, wiring.factors))
     return [
         _zeros(session, swing, wiring, zeros, settings, changes),
         _direction(drive, wiring, signs),
@@ -432,8 +432,8 @@ def _judged(
         *_encoders(wiring, swing, signs, drive.gain),
         _counts(session, wiring, drive.gain, settings, changes),
         _play(angles[since:], session.period, wiring, settings, changes),
-        _friction(angles[since:], session.period, arms, swing, settings),
-        _model(swing, wiring, modes(arms)),
+        _friction(swing, arms, settings),
+        _model(swing, wiring, arms),
     ]
 
 
@@ -539,7 +539,7 @@ def _no_shift(session: _Session, arms: ArmChainParameters, seen: float) -> None:
     for _ in range(round(1.0 / session.period)):
         session.advance(0.0)
     commanded = _response(np.array([*session.commands, 0.0]), session.period, 0.0)[:, 0]
-    wiring = read_wiring(fit_swing(session.angles(), commanded, session.period, arms), arms)
+    wiring = read_wiring(fit_swing(session.angles(), commanded, session.period, arms))
     if float(np.abs(wiring.factors).max()) > 0.3:
         raise session.halted(
             f"the arms began to swing when the cart was to shift by {1e3 * _LARGEST_SHIFT:g} mm and back, but its "
@@ -556,23 +556,24 @@ def _no_shift(session: _Session, arms: ArmChainParameters, seen: float) -> None:
 
 def _wait_until_still(session: _Session, options: CommissioningSettings, notify: Notify) -> None:
     """Hold the cart until the arms hardly swing."""
-    waited, notified = 0.0, False
-    while True:
+    attempts, swing = math.floor(options.wait / _WATCHED) + 1, 0.0
+    for attempt in range(attempts):
+        if attempt == 1:
+            notify(f"the arms swing by ±{swing:.2g} rad: hold them still; waiting for up to {options.wait:g} s")
         first = session.tick
-        session.hold(1.2)
-        waited += 1.2
-        swings = np.ptp(session.angles(first), axis=0) / 2
-        if float(swings.max()) <= options.still:
+        session.hold(_WATCHED)
+        swing = float(np.ptp(session.angles(first), axis=0).max()) / 2
+        if swing <= options.still:
             return
-        if waited > options.wait:
-            raise session.halted(
-                f"the arms still swing by ±{swings.max():.2g} rad after {waited:.0f} s",
-                "hold them until they hang still, let go and start again; if they do hang still, their readings are "
-                "not in radians, or are wrapped to one turn",
-            )
-        if not notified:
-            notify(f"the arms swing by ±{swings.max():.2g} rad: hold them still; waiting for up to {options.wait:g} s")
-            notified = True
+    raise session.halted(
+        f"the arms still swing by ±{swing:.2g} rad after {attempts * _WATCHED:.0f} s",
+        "hold them until they hang still, let go and start again; if they do hang still, their readings are not in "
+        "radians, or are wrapped to one turn",
+    )
+
+
+_WATCHED = 1.2
+"""Time of hanging still that is observed, s: longer than a period."""
 
 
 def _chirp(arms: ArmChainParameters, period: float, options: CommissioningSettings) -> tuple[Array, Array]:
@@ -730,18 +731,19 @@ _NO_LAG = 2e-5
 """Lag below which it counts as zero, s."""
 
 
-def _sandwich(jacobian: Array, residual: Array, weights: Array | None = None) -> Array:
+def _sandwich(jacobian: NDArray[Any], residual: Array, weights: Array | None = None) -> Array:
     """Return standard errors (p,) for correlated residuals.
 
     The residuals (K,) are correlated over blocks, and have the weights (K,) of soft_l1.
     """
     weights = np.ones(len(residual)) if weights is None else weights
-    edges = np.linspace(0, len(residual), _BLOCKS + 1).round().astype(int)[:-1]
+    blocks = max(_BLOCKS, 3 * jacobian.shape[1])
+    edges = np.linspace(0, len(residual), blocks + 1).round().astype(int)[:-1]
     scores = np.add.reduceat(jacobian * (weights * residual)[:, None], edges)
     # The derivative of weight times residual is the cube of the weight.
     inverse = np.linalg.pinv(jacobian.T @ (weights[:, None] ** 3 * jacobian))
-    few = _BLOCKS / (_BLOCKS - jacobian.shape[1])
-    return np.sqrt(few * np.diag(inverse @ (scores.T @ scores) @ inverse))
+    few = blocks / (blocks - jacobian.shape[1])
+    return np.sqrt(few) * np.linalg.norm(scores @ inverse, axis=0)
 
 
 class Modes(NamedTuple):
@@ -782,33 +784,96 @@ def _sums(n: int) -> Array:
 
 
 class CommissioningSwing(NamedTuple):
-    """Modes as the readings show them.
+    """Swing of n arms in K readings, and the motion of the model that is nearest to it.
 
-    Frequencies, dampings, shapes W (n, n), rms strengths of y.
-
-    `zeros` (n,) rad have standard errors. `ratios` (n,) are frequencies relative to the model, `misfit` (n,) the rms
-    residual of each reading, rad, and `swing` (n,) its rms value.
+    Attributes:
+        readings: readings (K, n), rad.
+        motion: absolute angles (K, n) of the fitted model, rad.
+        slopes: derivatives (K n, p) of the readings with respect to the fitted parameters.
+        ratios: frequencies (n,) of the modes relative to the model.
+        viscous: viscous friction (n,) of the joints, N m s/rad, and its standard errors.
+        dry: dry friction (n,) of the joints, N m, and its standard errors.
+        zeros: readings (n,) of hanging arms, rad, and their standard errors.
     """
 
-    frequencies: Array
-    dampings: Array
-    shapes: Array
-    strengths: Array
-    zeros: Array
-    zero_errors: Array
+    readings: Array
+    motion: Array
+    slopes: Array
     ratios: Array
-    misfit: Array
-    swing: Array
+    viscous: tuple[Array, Array]
+    dry: tuple[Array, Array]
+    zeros: tuple[Array, Array]
 
 
-_DETUNED = np.exp(np.linspace(-0.3, 0.3, 41))
-"""Fractions of the model's frequencies to try."""
-_ROWS = 200.0
+_LEAST_SWING = 1e-3
+"""Swing of a joint that is necessary to judge its encoder, rad rms."""
+_DETUNED = np.linspace(-3, 3, 25)
+"""Logarithms of the ratios of frequencies to try, in units of 0.1."""
+_DRY = np.array([0.0, 0.2, 0.5, 1.0, 2.0, 5.0, 20.0])
+"""Dry friction to try, in percent of gravity's torque on the arms."""
+_ROWS = 100.0
 """Sampling rate that is sufficient for slow swings, Hz."""
+_SWEEPS = 3
+"""Corrections of the dry torques in each step, which begin with those of the last step."""
+_STEP = 1e-4
+"""Difference of scaled parameters for derivatives."""
+
+
+def simulated_swings(values: Array, carts: Array, period: float, arms: ArmChainParameters) -> Array:
+    """Return the angles (P, K, n) of hanging arms on a moving cart, with viscous and dry friction, rad.
+
+    Rates of joints are found at the middle of each step, at which the dry torque of a joint either holds it or has its
+    full size (Moreau's time stepping). All sets of values are simulated together.
+
+    Args:
+        values: P rows of 5n values: logarithms of the ratios of frequencies, viscous friction, N m s/rad, dry friction,
+            N m, and first angles and rates of the joints.
+        carts: positions (K,) of the cart, m.
+        period: time between positions, s.
+        arms: model of the arms, whose friction is ignored.
+    """
+    n, model = arms.count, modes(arms)
+    sums = _sums(n)
+    ratios, viscous, dry, place, speed = (part[:, :, None] for part in np.split(values, 5, axis=1))
+    mass = sums.T @ arms.mass_in_line @ sums
+    shapes = sums.T @ arms.mass_in_line @ model.vectors
+    inverse = np.linalg.inv(mass + period * np.eye(n) * viscous)
+    stiffness = shapes @ ((model.frequencies[:, None] * np.exp(ratios)) ** 2 * shapes.T)
+    keeps, pulls = inverse @ mass, period * inverse @ stiffness
+    jumps = np.diff(carts, prepend=carts[0], n=2) / period
+    pushes = jumps[:, None, None] * (np.linalg.inv(sums) @ model.shapes.sum(axis=1))[:, None]
+    limit, held, out = period * dry, np.zeros_like(dry), np.empty((len(carts), *place.shape))
+    columns, sizes = [inverse[:, :, j : j + 1] for j in range(n)], [inverse[:, j : j + 1, j : j + 1] for j in range(n)]
+    out[0] = place
+    for k, push in enumerate(pushes, start=1):
+        speed = keeps @ (speed - push) - pulls @ place - inverse @ held
+        for j in [*range(n)] * _SWEEPS:
+            torque = held[:, j : j + 1] + speed[:, j : j + 1] / sizes[j]
+            torque = np.maximum(np.minimum(torque, limit[:, j : j + 1]), -limit[:, j : j + 1])
+            speed = speed - columns[j] * (torque - held[:, j : j + 1])
+            held[:, j : j + 1] = torque
+        place = place + period * speed
+        out[k] = place
+    return (sums @ out)[..., 0].transpose(1, 0, 2)
+
+
+def _coarse_guess(costs: Callable[[Array], Array], guess: Array, arms: ArmChainParameters) -> Array:
+    """Return the best of coarse grids of friction and frequencies, one parameter after the other, scaled."""
+    n = arms.count
+    dry = [[2 * n + k] for k in range(n)]
+    # Friction can look like another frequency, so a frequency must improve the fit the more the farther it is away.
+    for places in (sum(dry, []), *dry, *([k] for k in range(n)), *dry):
+        tried, penalty = (_DETUNED, 1 + np.abs(_DETUNED)) if places[0] < n else (_DRY, np.ones(len(_DRY)))
+        lanes = np.tile(guess, (len(tried), 1))
+        lanes[:, places] = tried[:, None]
+        guess = lanes[np.argmin(costs(lanes) * penalty)]
+    return guess
 
 
 def fit_swing(angles: Array, carts: Array, period: float, arms: ArmChainParameters) -> CommissioningSwing:
-    """Fit the arms' modes to their readings.
+    """Fit frequencies, friction and first state of the arms to their readings.
+
+    The readings can be any linear combination of the angles.
 
     Args:
         angles: readings (K, n) of the arms, rad.
@@ -816,52 +881,46 @@ def fit_swing(angles: Array, carts: Array, period: float, arms: ArmChainParamete
         period: time between readings, s.
         arms: model of the arms.
     """
-    n, model = arms.count, modes(arms)
-    every = max(1, round(1 / (_ROWS * period)))
+    n, every = arms.count, max(1, round(1 / (_ROWS * period)))
     rows, x, period = angles[::every], carts[::every] - carts[0], period * every
-    t, ones = np.arange(len(x)) * period, np.ones((len(x), 1))
+    weight = float(arms.base()[n * (n + 1) // 2 :][:n].max())
+    unit = np.repeat([0.1, 1e-3 * weight, 1e-2 * weight, 0.05, 0.3], n)
 
-    def columns(frequency: float, damping: float) -> Array:
-        """Return a mode's response and free swing (K, 3).
+    def designed(motion: Array) -> Array:
+        return np.hstack([motion, np.ones((len(rows), 1))])
 
-        The response is that to the cart.
-        """
-        w, z = frequency, damping
-        filter: Any = signal.cont2discrete(([-1, 0, 0], [1, 2 * z * w, w**2]), period, method="foh")
-        forced = signal.lfilter(np.ravel(filter[0]), filter[1], x)
-        free = np.exp(-z * w * t)
-        turned = w * math.sqrt(max(1 - z**2, 1e-6)) * t
-        return np.stack([forced, free * np.cos(turned), free * np.sin(turned)], axis=1)
+    def left(values: Array) -> tuple[Array, Array]:
+        """Return the motions (P, K, n) and the residuals (P, K, n) of the best combinations of their angles."""
+        motions = simulated_swings(values * unit, x, period, arms)
+        return motions, np.array([d @ _solved(d, rows) - rows for d in map(designed, motions)])
 
-    def left(parts: Sequence[Array]) -> tuple[Array, Array, Array]:
-        design = np.hstack([*parts, ones])
-        weights = _solved(design, rows)
-        return design, weights, rows - design @ weights
+    start = np.concatenate([np.zeros(n), arms.viscous, np.zeros(3 * n)]) / unit
+    guess = _coarse_guess(lambda lanes: (left(lanes)[1] ** 2).sum(axis=(1, 2)), start, arms)
 
-    frequencies, dampings = model.frequencies.copy(), np.clip(model.dampings, 1e-4, 0.2)
-    for _ in range(2):
-        for i in range(n):
-            others = [columns(frequencies[k], dampings[k]) for k in range(n) if k != i]
-            tried = model.frequencies[i] * _DETUNED
-            costs = [float(np.sum(left([columns(f, dampings[i]), *others])[2] ** 2)) for f in tried]
-            frequencies[i] = tried[int(np.argmin(costs))]
+    @lru_cache(maxsize=2)
+    def near(values: tuple[float, ...]) -> tuple[Array, Array]:
+        return left(values + _STEP * np.eye(5 * n + 1, 5 * n, k=-1))
 
-    def split(values: Array) -> list[Array]:
-        return [columns(w, z) for w, z in zip(np.exp(values[:n]), values[n:], strict=True)]
+    def slopes(lanes: Array) -> Array:
+        return (lanes[1:] - lanes[0]).reshape(5 * n, -1).T / _STEP
 
     found = optimize.least_squares(
-        lambda values: left(split(values))[2].ravel(), [*np.log(frequencies), *dampings],
-        bounds=([*np.log(model.frequencies) - 0.5] + [0.0] * n, [*np.log(model.frequencies) + 0.5] + [0.9] * n),
-        x_scale=[0.01] * (2 * n), max_nfev=60,
+        lambda values: near(tuple(values))[1][0].ravel(), guess,
+        lambda values: slopes(near(tuple(values))[1]),  # type: ignore[arg-type]
+        bounds=(np.repeat([-5.0, 0.0, 0.0, -np.inf, -np.inf], n), np.repeat([5.0, np.inf, np.inf, np.inf, np.inf], n)),
+        ftol=1e-4, xtol=1e-4, max_nfev=25,
     )  # fmt: skip
-    parts = split(found.x)
-    design, weights, rest = left(parts)
-    errors = [_sandwich(design, rest[:, k])[-1] for k in range(n)]
+    motions, rest = near(tuple(found.x))
+    design = designed(motions[0])
+    weights = _solved(design, rows)
+    turned = slopes(motions @ weights[:n])
+    # Each reading has its own combination and zero.
+    errors = _sandwich(np.hstack([turned, np.kron(design, np.eye(n))]), rest[0].ravel())
+    ratios, viscous, dry, *_ = np.split(found.x * unit, 5)
+    own = np.split(errors[: 5 * n] * unit, 5)
     return CommissioningSwing(
-        np.exp(found.x[:n]), found.x[n:], weights[: 3 * n : 3].T,
-        np.array([part[:, 0].std() for part in parts]), weights[-1], np.array(errors),
-        np.exp(found.x[:n]) / model.frequencies, rest.std(axis=0), rows.std(axis=0),
-    )  # fmt: skip
+        rows, motions[0], turned, np.exp(ratios), (viscous, own[1]), (dry, own[2]), (weights[-1], errors[-n:])
+    )
 
 
 class Form(StrEnum):
@@ -874,49 +933,63 @@ class Form(StrEnum):
 
 
 class Wiring(NamedTuple):
-    """Wiring: form, order, signs and factors, unexplained fraction.
+    """Wiring: form, order of the encoders, signs and factors (n,), unexplained fraction of the rms.
 
-    The order is that of the encoders. Signs and factors are (n,), and the fraction is that of the rms.
+    The standard error (n,) of a factor that friction hides is infinite.
     """
 
     form: Form
     order: tuple[int, ...]
     factors: Array
     misfit: float
+    errors: Array
+
+    @property
+    def unknown(self) -> NDArray[np.bool_]:
+        """Return which factors (n,) are unknown."""
+        return 3 * self.errors > _FACTOR * np.maximum(np.abs(self.factors), 1)
 
 
 _CLEARLY = 0.6
 """A fault is reported if it leaves less than this fraction of the correct wiring's residual."""
 
 
-def read_wiring(swing: CommissioningSwing, arms: ArmChainParameters) -> Wiring:
+def read_wiring(swing: CommissioningSwing) -> Wiring:
     """Return the wiring that fits the readings best.
 
     Args:
-        swing: modes as the readings show them.
-        arms: model of the arms.
+        swing: readings, and the motion of the fitted model.
     """
-    n, model = arms.count, modes(arms)
-    sums, strengths = _sums(n), swing.strengths
-    joints = np.linalg.inv(sums)
-    wanted = (swing.shapes * strengths).ravel()
-    size = max(float(np.linalg.norm(wanted)), 1e-12)
-    found: list[Wiring] = []
-    forms = {Form.SUMMED: (sums, joints), Form.ABSOLUTE: (np.eye(n), np.eye(n)),
-             Form.RELATIVE: (np.eye(n), joints), Form.TWICE: (sums, np.eye(n))}  # fmt: skip
+    n = swing.readings.shape[1]
+    sums, rest = _sums(n), swing.readings - swing.readings.mean(axis=0)
+    joints, one = np.linalg.inv(sums), np.eye(n)
+    forms = {Form.SUMMED: (sums, joints), Form.ABSOLUTE: (one, one), Form.RELATIVE: (one, joints),
+             Form.TWICE: (sums, one)}  # fmt: skip
+    found: list[tuple[Wiring, Array]] = []
     for order in permutations(range(n)):
         for form, (after, before) in forms.items():
-            inner = (before @ model.shapes)[list(order)] * strengths
-            columns = np.stack([np.outer(after[:, k], inner[k]).ravel() for k in range(n)], axis=1)
-            factors = _solved(columns, wanted)
-            left = float(np.linalg.norm(wanted - columns @ factors)) / size
-            found.append(Wiring(form, order, factors, left))
-    least = min(one.misfit for one in found)
-    return next(one for one in found if _CLEARLY * one.misfit <= least + 1e-3)
+            inner = (swing.motion - swing.motion.mean(axis=0)) @ before[list(order)].T
+            columns = (after * inner[:, None]).reshape(-1, n)
+            factors = _solved(columns, rest.ravel())
+            left = float(np.linalg.norm(rest.ravel() - columns @ factors) / max(np.linalg.norm(rest), 1e-12))
+            errors = np.where(inner.std(axis=0) < _LEAST_SWING, np.inf, 0.0)
+            found.append((Wiring(form, order, factors, left, errors), columns))
+    least = min(wiring.misfit for wiring, _ in found)
+    nearest, columns = next(pair for pair in found if _CLEARLY * pair[0].misfit <= least + 1e-3)
+    design = np.hstack([columns, swing.slopes, np.kron(np.ones((len(rest), 1)), one)])
+    errors = _sandwich(design, rest.ravel() - columns @ nearest.factors)[:n]
+    return nearest._replace(errors=np.maximum(errors, nearest.errors))
 
 
 _STUCK = 0.08
 """Fraction of the swing below which an encoder does not move."""
+
+
+def _stuck(wiring: Wiring) -> NDArray[np.bool_]:
+    """Return which encoders (n,) do not move although their joints do."""
+    return (np.abs(wiring.factors) < _STUCK) & ~wiring.unknown
+
+
 _FACTOR = 0.25
 """Maximum relative difference to the swing of the model, whose parameters are not exact."""
 _GAIN = 0.05
@@ -997,12 +1070,20 @@ _LIKELY = (1.0, 2.0, 4.0, 0.5, 0.25, _DEGREES)
 
 
 def _plain_factor(size: float) -> float:
-    """Return the likely factor of a fault.
+    """Return the likely factor of a fault, 1 for none.
 
     Its measured value `size` is as accurate as the model.
     """
     nearest = min(_LIKELY, key=lambda one: abs(math.log(one / size)))
-    return nearest if abs(nearest / size - 1) < _FACTOR else size
+    return nearest if abs(size / nearest - 1) <= _FACTOR else size
+
+
+def _scales(wiring: Wiring, gain: float) -> Array:
+    """Return the likely factor (n,) of each encoder, 1 without a fault, NaN if friction hides it."""
+    sizes = np.abs(wiring.factors * (gain if _cart_scale(gain, wiring.factors) else 1.0))
+    likely = np.array([_plain_factor(max(float(size), _STUCK)) for size in sizes])
+    doubtful = (likely != 1) & (np.abs(sizes - 1) < _FACTOR + 3 * wiring.errors)
+    return np.where(wiring.unknown | doubtful, np.nan, likely)
 
 
 def _named(name: str) -> str:
@@ -1051,24 +1132,26 @@ def _zeros(
     changes: dict[str, Any],
 ) -> Finding:  # fmt: skip
     """Judge the readings of hanging arms."""
-    off, before = swing.zeros, np.array(zeros or [0.0] * len(swing.zeros))
+    off, errors = swing.zeros
     noise = float(np.median(np.abs(np.diff(session.angles(), axis=0)))) / 0.954
-    shown = ", ".join(f"{v:+.4f} ± {e:.4f}" for v, e in zip(off, swing.zero_errors, strict=True))
-    sentence = f"hanging still, the arms read {shown} rad"
-    figures = {"zeros": off.tolist(), "zero_errors": swing.zero_errors.tolist(), "noise": noise}
-    allowed = max(_ZERO, 1.5 * settings.sensors.steps[0])
-    worst = float(np.abs(off).max())
-    if np.any(np.abs(wiring.factors) < _STUCK):
+    sentence = f"hanging still, the arms read {', '.join(map(_with_error, off, errors))} rad"
+    figures = {"zeros": off.tolist(), "zero_errors": errors.tolist(), "noise": noise}
+    if np.any(_stuck(wiring)):
         return Finding("still", Grade.UNSURE, "the arms' zeros cannot be determined while an encoder does not count",
                        "fix the encoder and start again", figures)  # fmt: skip
-    if worst > _FAR:
+    if np.abs(off).max() > _FAR:
         return Finding("still", Grade.WRONG, f"{sentence}: angles are measured from hanging, so each must be zero",
                        "set the encoders to zero while the arms hang", figures)  # fmt: skip
-    total = before + off
-    if worst > allowed or zeros:
-        changes["zeros"] = [round(float(v), 5) for v in total]
-    if worst <= allowed:
-        return Finding("still", Grade.OK, sentence, "", figures)
+    allowed = max(_ZERO, 1.5 * settings.sensors.steps[0])
+    # An arm that hangs on a joint which friction holds can rest beside its zero.
+    known = ~np.logical_or.accumulate(np.isinf(wiring.errors))
+    large, wrong = np.abs(off) > allowed, known & (np.abs(off) > np.maximum(allowed, 3 * errors))
+    if wrong.any() or zeros:
+        before = np.array(zeros or [0.0] * len(off))
+        changes["zeros"] = [round(float(v), 5) for v in np.where(known & (wrong | ~large), before + off, before)]
+    if not wrong.any():
+        hidden = "loosen the joints and start again: friction hides the zeros" if large.any() or not known.all() else ""
+        return Finding("still", Grade.UNSURE if hidden else Grade.OK, sentence, hidden, figures)
     tilt = f", or level the track: all arms hang to one side by {off.mean():+.4f} rad"
     return Finding(
         "still", Grade.WRONG, sentence,
@@ -1083,14 +1166,19 @@ def _encoders(wiring: Wiring, swing: CommissioningSwing, signs: list[tuple[str, 
 
     One finding for each fault.
     """
-    n, factors = len(wiring.factors), wiring.factors
+    factors, unknown = wiring.factors, wiring.unknown
     figures = {
         "form": wiring.form.value, "order": [k + 1 for k in wiring.order], "factors": factors.tolist(),
-        "misfit": wiring.misfit, "swing": swing.swing.tolist(),
+        "errors": [None if math.isinf(e) else e for e in wiring.errors.tolist()], "misfit": wiring.misfit,
+        "swing": swing.readings.std(axis=0).tolist(),
     }  # fmt: skip
     joint = "joint" if wiring.form in (Form.SUMMED, Form.RELATIVE) else "absolute"
     wrong = partial(Finding, "encoders", Grade.WRONG, figures=figures)
-    stuck = [k for k in range(n) if abs(factors[k]) < _STUCK]
+    if max(figures["swing"]) < _LEAST_SWING:
+        remedy = "turn each arm by hand: loosen its joint if the reading follows, and check the encoder's plug if not"
+        return [wrong("no arm's reading moves: the joints are stuck, or the encoders are not read", remedy)]
+    stuck = np.flatnonzero(_stuck(wiring)).tolist()
+    decided = not stuck and not unknown.any()
     found = [
         wrong(
             f"the encoder of arm {k + 1} does not move: it shows {abs(factors[k]):.2f} of the expected swing",
@@ -1098,7 +1186,7 @@ def _encoders(wiring: Wiring, swing: CommissioningSwing, signs: list[tuple[str, 
         )
         for k in stuck
     ]
-    if not stuck and wiring.misfit > _LEFT_OVER:
+    if decided and wiring.misfit > _LEFT_OVER:
         return [
             Finding(
                 "encoders",
@@ -1109,34 +1197,34 @@ def _encoders(wiring: Wiring, swing: CommissioningSwing, signs: list[tuple[str, 
                 figures,
             )
         ]
-    if not stuck and wiring.order != tuple(range(n)):
-        moved = [k + 1 for k in range(n) if wiring.order[k] != k]
+    if decided and (moved := [k + 1 for k, place in enumerate(wiring.order) if place != k]):
         found.append(wrong(f"the encoders of arms {' and '.join(map(str, moved))} are swapped",
                            "swap their plugs, or their order in the rig's program"))  # fmt: skip
-    if not stuck and wiring.form is Form.RELATIVE:
+    if decided and wiring.form is Form.RELATIVE:
         found.append(wrong(
             "the rig sends the angle between each arm and the previous one",
             "send absolute angles: the sum of an arm's joint angle and those of all previous joints"))  # fmt: skip
-    if not stuck and wiring.form is Form.TWICE:
+    if decided and wiring.form is Form.TWICE:
         found.append(wrong("the rig sums angles that are already absolute", "send each encoder's angle as it is"))
     turned = {name for one in signs[:1] for name in one} if len(signs) == 1 else set()
-    scaled = _cart_scale(gain, factors)
-    for k in range(n):
-        if k in stuck:
-            continue
+    for k, scale in enumerate(_scales(wiring, gain)):
         if f"arm {k + 1}" in turned:
             found.append(wrong(
                 f"the {joint} encoder of arm {k + 1} counts backwards",
                 "reverse the sign of that encoder's counts in the rig's program, before angles are summed, or swap its "
                 "channels A and B"))  # fmt: skip
-        size = abs(float(factors[k]))
-        if abs(size - 1) > _FACTOR and not scaled:
-            factor = _plain_factor(size)
-            why = "it may send degrees" if factor == _DEGREES else "its channels may count once, twice or four times"
+        if k not in stuck and not math.isnan(scale) and scale != 1:
+            why = "it may send degrees" if scale == _DEGREES else "its channels may count once, twice or four times"
             found.append(wrong(
-                f"the encoder of arm {k + 1} shows {size:.3g} times the swing of the model",
-                f"divide its angle by {factor:.3g} in the rig's program, or multiply its counts per turn there: {why}, "
+                f"the encoder of arm {k + 1} shows {abs(factors[k]):.3g} times the swing of the model",
+                f"divide its angle by {scale:.3g} in the rig's program, or multiply its counts per turn there: {why}, "
                 "and angles are in radians"))  # fmt: skip
+    hidden = [f"arm {k + 1}" for k in np.flatnonzero(np.isnan(_scales(wiring, gain)))]
+    if hidden:
+        found.append(Finding(
+            "encoders", Grade.UNSURE, f"friction hides the scale of the encoder of {' and of '.join(hidden)}",
+            "loosen the joint and start again, or turn the arm once by hand: its angle should change by 2π", figures,
+        ))  # fmt: skip
     if found:
         return found
     shown = ", ".join(f"{d:.2f}" for d in factors)
@@ -1149,28 +1237,29 @@ def _counts(
 ) -> Finding:  # fmt: skip
     """Compare the rounding of joint angles with the encoder counts in [run]."""
     joints = np.diff(np.array(session.positions)[:, :-1], axis=1, prepend=0.0)
-    steps = [_rounding(column) for column in joints.T]
+    steps = np.array([_rounding(column) for column in joints.T])
     # An angle that is four times too large has steps that are four times too large.
-    sizes = np.abs(wiring.factors * (gain if _cart_scale(gain, wiring.factors) else 1.0))
-    factors = [_plain_factor(max(float(size), _STUCK)) for size in sizes]
-    seen = [round(2 * np.pi * factor / step) if step else 0 for step, factor in zip(steps, factors, strict=True)]
+    scales = _scales(wiring, gain)
+    seen = [round(2 * np.pi * f / q) if q and f == f else None for f, q in zip(scales, steps, strict=True)]
     said = settings.sensors.counts
-    figures = {"counts": seen}
-    visible = {count for count in seen if count}
-    if not visible:
+    figures, measured = {"counts": seen}, [count for count in seen if count]
+    if not measured:
         sentence = "the arms' readings show no rounding to counts"
         return Finding("counts", Grade.OK if not said else Grade.UNSURE, sentence,
                        "" if not said else f"check that the encoders have {said:,} counts per turn, as in [run]",
                        figures)  # fmt: skip
-    coarsest = min(visible)
-    sentence = f"the encoders show {' and '.join(f'{c:,}' if c else 'no' for c in seen)} counts per turn"
-    if said and abs(coarsest / said - 1) < 0.02:
-        return Finding("counts", Grade.OK, f"{sentence}, as in [run]", "", figures)
-    changes["counts"] = coarsest
-    return Finding(
-        "counts", Grade.WRONG, f"{sentence}, but [run] has {f'{said:,}' if said else 'no rounding'}",
-        f"set counts = {coarsest} in [run], as --write does", figures, mended=True,
-    )  # fmt: skip
+    shown = " and ".join(f"{count:,}" if count else "unknown" for count in seen)
+    sentence = f"the encoders show {shown} counts per turn"
+    if said and all(abs(count / said - 1) < 0.02 for count in measured):
+        return Finding("counts", Grade.OK if all(seen) else Grade.UNSURE, f"{sentence}, as in [run]",
+                       "" if all(seen) else "loosen the joints: friction hides the others", figures)  # fmt: skip
+    differs = f"{sentence}, but [run] has {f'{said:,}' if said else 'no rounding'}"
+    if not all(seen) or max(measured) > 1.02 * min(measured):
+        return Finding("counts", Grade.WRONG, differs, "set counts in [run] to a number that is right for all encoders",
+                       figures, mended=True)  # fmt: skip
+    changes["counts"] = min(measured)
+    return Finding("counts", Grade.WRONG, differs, f"set counts = {min(measured)} in [run], as --write does", figures,
+                   mended=True)  # fmt: skip
 
 
 _SPAN, _SHORTEST = 0.1, 0.06
@@ -1237,7 +1326,7 @@ def _play(angles: Array, period: float, wiring: Wiring, settings: LoopSettings, 
     plays, errors = (np.array(values) for values in zip(*found, strict=True))
     figures = {"play": plays.tolist(), "play_errors": errors.tolist()}
     # Play can make joint encoders look like absolute ones.
-    right = wiring.form in (Form.SUMMED, Form.ABSOLUTE) and np.all(np.abs(np.abs(wiring.factors) - 1) < _FACTOR)
+    right = wiring.form in (Form.SUMMED, Form.ABSOLUTE) and bool(np.all(_scales(wiring, 1.0) == 1))
     if not right or not np.isfinite(plays).all():
         why = "the play of the encoders cannot be determined: the joints do not swing like those of the model"
         return Finding("play", Grade.UNSURE, why, "fix the other findings and start again", figures)
@@ -1271,38 +1360,27 @@ def _rounding(values: Array) -> float:
     return float(np.ptp(levels)) / round(float(np.ptp(levels)) / step)
 
 
-_FRICTION, _SMOOTHED, _TOO_DAMPED = 5e-4, 0.03, 0.3
-"""Minimum observable friction relative to gravity's torque, averaging time of rates, s, and damping of stuck arms."""
+_FRICTION = 5e-4
+"""Least observable friction relative to gravity's torque."""
 
 
-def _friction(
-    angles: Array, period: float, arms: ArmChainParameters, swing: CommissioningSwing, settings: LoopSettings
-) -> Finding:
-    """Compare the dry friction of the joints with [run].
-
-    The friction is the torque with the observed power loss.
-
-    A mode of unit mass loses 2 ζ ω q̇² beyond viscous friction. A joint with a dry torque c loses c |ρ|.
-    """
-    model, span, own = modes(arms), max(1, round(_SMOOTHED / period)), settings.mechanics
-    rates = (angles[span:] - angles[:-span]) / (span * period)
-    squares = ((rates @ np.linalg.inv(model.vectors).T) ** 2).mean(axis=0)
-    power = float(2 * (swing.dampings - model.dampings) * swing.frequencies @ squares)
-    ways = np.abs(np.diff(rates, axis=1, prepend=0.0)).mean(axis=0)
-    known = np.array(own.of_each("stiction", arms.count)) * own.kinetic + (arms.coulomb or 0.0)
-    torque, said = power / max(float(ways.sum()), 1e-9), float(known @ ways) / max(float(ways.sum()), 1e-9)
-    least = _FRICTION * float(arms.base()[arms.count * (arms.count + 1) // 2 :][: arms.count].max())
-    figures = {"torque": torque, "least": least}
-    if swing.dampings.max() > _TOO_DAMPED:
-        why = f"the arms hardly swing: their dry friction, about {1e3 * torque:.1g} mN m or more, cannot be measured"
-        return Finding("friction", Grade.UNSURE, why, "loosen the joints and start again", figures)
-    if torque < max(least, 1.5 * said):
-        none = f"the joints show no dry friction beyond {1e3 * least:.1g} mN m"
-        sentence = f"the swing decays as by a dry friction of {1e3 * torque:.2g} mN m in each joint, as in [run]"
-        return Finding("friction", Grade.OK, none if torque < least else sentence, "", figures)
-    sentence = f"the swing decays as by a dry friction of {1e3 * torque:.2g} mN m in each joint"
-    breakaway = torque / max(own.kinetic, 0.1)
-    remedy = f"set stiction = {breakaway:.2g} in [run], or identify the model (`dpcontrol identify`)"
+def _friction(swing: CommissioningSwing, arms: ArmChainParameters, settings: LoopSettings) -> Finding:
+    """Compare the dry friction of the joints with [run] and with the model."""
+    (torques, errors), own = swing.dry, settings.mechanics
+    said = np.array(own.of_each("stiction", arms.count)) * own.kinetic + (arms.coulomb or 0.0)
+    least = np.maximum(_FRICTION * arms.base()[arms.count * (arms.count + 1) // 2 :][: arms.count].max(), 3 * errors)
+    figures = {"torques": torques.tolist(), "errors": errors.tolist()}
+    if np.all(torques < least) and not said.any():
+        none = f"the joints show no dry friction beyond {1e3 * least.max():.1g} mN m"
+        return Finding("friction", Grade.OK, none, "", figures)
+    shown = " and ".join(_with_error(1e3 * torque, 1e3 * error) for torque, error in zip(torques, errors, strict=True))
+    sentence = f"the joints have a dry friction of {shown} mN m"
+    if np.all(np.abs(torques - said) < np.maximum(least, 0.5 * said)):
+        return Finding("friction", Grade.OK, f"{sentence}, as in [run] and the model", "", figures)
+    extra = np.maximum(torques - (arms.coulomb or 0.0), 0) / max(own.kinetic, 0.1)
+    remedy = (
+        f"set stiction = {[float(f'{v:.2g}') for v in extra]} in [run], or identify the model (`dpcontrol identify`)"
+    )
     return Finding("friction", Grade.UNSURE, sentence, remedy, figures)
 
 
@@ -1310,17 +1388,20 @@ _DETUNING, _FASTER, _LEAST_DAMPING = 0.05, 5.0, 0.01
 """Relative tolerance of frequencies, and the multiple of the model's damping that is reported."""
 
 
-def _model(swing: CommissioningSwing, wiring: Wiring, model: Modes) -> Finding:
-    """Compare the arms' frequencies and dampings with the model's."""
-    hertz = ", ".join(f"{w / 2 / np.pi:.3f}" for w in swing.frequencies)
+def _model(swing: CommissioningSwing, wiring: Wiring, arms: ArmChainParameters) -> Finding:
+    """Compare the arms' frequencies and viscous dampings with the model's."""
+    frequencies = modes(arms).frequencies * swing.ratios / 2 / np.pi
+    hertz = ", ".join(f"{frequency:.3f}" for frequency in frequencies)
     shares = ", ".join(f"{100 * (r - 1):+.1f} %" for r in swing.ratios)
     sentence = f"the arms swing at {hertz} Hz, {shares} off the model's"
-    figures = {"frequencies": (swing.frequencies / 2 / np.pi).tolist(), "dampings": swing.dampings.tolist(),
-               "ratios": swing.ratios.tolist()}  # fmt: skip
-    faster = swing.dampings / np.maximum(model.dampings, _LEAST_DAMPING / _FASTER)
+    viscous, errors = swing.viscous
+    surely = replace(arms, viscous=tuple(np.maximum(viscous - 3 * errors, 0.0).tolist()))
+    figures = {"frequencies": frequencies.tolist(), "viscous": viscous.tolist(),
+               "viscous_errors": errors.tolist(), "ratios": swing.ratios.tolist()}  # fmt: skip
+    faster = modes(surely).dampings / np.maximum(modes(arms).dampings, _LEAST_DAMPING / _FASTER)
     if float(faster.max()) > _FASTER:
-        sentence += f", and their swing decays {faster.max():.0f} times as fast"
-    elif float(np.abs(swing.ratios - 1).max()) < _DETUNING or np.any(np.abs(wiring.factors) < _STUCK):
+        sentence += f", and viscous friction damps their swing at least {faster.max():.0f} times as much"
+    elif float(np.abs(swing.ratios - 1).max()) < _DETUNING or np.any(_stuck(wiring) | wiring.unknown):
         return Finding("model", Grade.OK, sentence, "", figures)
     remedy = "identify the model from free swings of this rig (`dpcontrol identify`), or check the joints' bearings"
     return Finding("model", Grade.UNSURE, sentence, remedy, figures)

@@ -440,8 +440,7 @@ def resolved(host: str, port: int, *, name: str, family: int = 0) -> tuple[int, 
     except (OSError, ValueError, OverflowError) as error:
         # A name that is too long, or not a valid host name, is a ValueError.
         why = (error.strerror if isinstance(error, OSError) else None) or error
-        shown = name if len(name) <= 100 else f"{name[:100]}…"
-        raise InputError(f"{shown}: {why}; check the address") from error
+        raise InputError(f"{name}: {why}; check the address") from error
     return found[0], found[4]
 
 

@@ -22,7 +22,7 @@ from dpcontrol.judge.night import Night
 from dpcontrol.judge.preflight import Preflight
 from dpcontrol.logs import read_log
 from dpcontrol.loop.assembly import Assembly
-from dpcontrol.loop.own import OwnExpressions, OwnLaw, names_file, own_object
+from dpcontrol.loop.own import OwnExpressions, OwnLaw, OwnObject, names_file, own_object
 from dpcontrol.loop.protocols import UserRig
 from dpcontrol.plans.plan import Plan, recoverable, with_kept_starts
 from dpcontrol.runs.campaign import (
@@ -160,8 +160,8 @@ class ClosedLoop(Timed):
                 for a live view.
             GoalMissed: there is no reference to follow, no controller can be made for it, or the rig failed at once.
         """
-        link = linked(rig)
-        own = None if rig is None or link is not None else own_object("rig", rig)
+        bench = bench_of(rig)
+        link, own = (bench, None) if isinstance(bench, RigLink) else (None, bench)
         plan, assembly = self._flown
         scene = replace(plan.itinerary, loop=replace(plan.itinerary.loop, seed=seed))
         plan, shown, out = replace(plan, itinerary=scene), live_view if live else None, place("log", log)
@@ -210,7 +210,9 @@ class ClosedLoop(Timed):
             GoalMissed: there is no reference to follow, or no controller can be made for it.
         """
         night = hours if isinstance(hours, NightSettings) else NightSettings(hours)
-        out, link = Path(folder), linked(rig)
+        out, link = Path(folder), bench_of(rig)
+        if isinstance(link, OwnObject):
+            raise InputError(f'rig = {link}: a night needs a bench at an address; give "udp" or udp://HOST:PORT')
         scene = night_itinerary(self.plan.itinerary, given=self.options)
         check_folder(night_folder(out), resume=resume, force=force)
         night_cost(scene, night, night_folder(out), real_time=link is not None, yes=yes)
@@ -365,17 +367,15 @@ class ClosedLoop(Timed):
             )
 
 
-def linked(rig: object) -> RigLink | None:
-    """Return the link to a bench in real time, or None.
-
-    The result is None for any other rig.
+def bench_of(rig: object) -> RigLink | OwnObject | None:
+    """Return the link to a bench in real time, a user's rig, or None for the simulated bench.
 
     Args:
         rig: a user's object, FILE.py:CLASS, an address or a link.
 
     Raises:
-        InputError: the address is malformed.
+        InputError: the address is malformed, the file cannot be loaded, or the rig lacks a method.
     """
     if isinstance(rig, str) and not names_file(rig):
         return rig_link(rig, key_file=None, insecure=False, real_time=False)
-    return rig if isinstance(rig, RigLink) else None
+    return rig if rig is None or isinstance(rig, RigLink) else own_object("rig", rig)

@@ -962,7 +962,7 @@ def rig_link(address: str | None, *, key_file: Path | None, insecure: bool, real
 
 def commission_rig(
     itinerary: Itinerary,
-    link: RigLink | None = None,
+    bench: RigLink | OwnObject | None = None,
     *,
     practice: Itinerary | None = None,
     faults: Sequence[str] = (),
@@ -973,8 +973,8 @@ def commission_rig(
 
     Args:
         itinerary: itinerary of the rig.
-        link: link to the rig (default: the example bench in simulated time).
-        practice: itinerary with the settings of that bench.
+        bench: link to the rig, or the user's rig (default: the example bench in simulated time).
+        practice: itinerary with the settings of the example bench.
         faults: its wiring mistakes.
         switches: distance to creep to either side until a limit switch responds, m; 0 to skip this.
         notify: receives instructions about the next step.
@@ -985,15 +985,18 @@ def commission_rig(
     from dpcontrol.rig.commissioning import CommissioningSettings, commission
 
     options, rate = CommissioningSettings(), itinerary.loop.rate
-    recipe = hanging_recipe(practice or itinerary, faults=faults)
     find = partial(
         commission, arms=itinerary.model.arms, settings=itinerary.loop, limits=itinerary.loop.limits(itinerary.limits),
         zeros=itinerary.zeros, switches=switches, options=options, notify=notify,
     )  # fmt: skip
-    if link is None:
+    if isinstance(bench, OwnObject):
+        with without_collecting():
+            return find(OwnRig(bench, arms=itinerary.model.arms.count, period=1 / rate))
+    recipe = hanging_recipe(practice or itinerary, faults=faults)
+    if bench is None:
         return find(recipe.rig(()))
     ticks = round((options.seconds + 4 * switches / options.creep) * rate)
-    with link.connected(itinerary, recipe, ticks=ticks, what="commissioning") as (rig, _):
+    with bench.connected(itinerary, recipe, ticks=ticks, what="commissioning") as (rig, _):
         return find(rig)
 
 

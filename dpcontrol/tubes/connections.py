@@ -29,7 +29,7 @@ from dpcontrol.foundation.arguments import whole
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.budget import Budget
 from dpcontrol.foundation.checked import checked
-from dpcontrol.foundation.document import Documented
+from dpcontrol.foundation.document import Documented, counted
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.foundation.shown import Brief, Shown, Timed, checked_times
@@ -608,7 +608,9 @@ def find_connections(
     tangent = sum(uncertainty(c.transversality_angle, settings.same) > _TANGENT for c in found)
     later = any(end.later for cut in (unstable, backward) for end in cut.open_ends)
     complete = even and resolved and not (failed or left or hidden or tangent or later)
-    count = f"{'' if complete else 'at least '}{len(found)} connections"
+    # "at least 0" says nothing.
+    least, ending = ("at least ", "") if found and not complete else ("", "" if complete else " found")
+    count = f"{least}{counted(len(found), 'connection')}{ending}"
     status = f"{count}: unstable tube {unstable.status}; stable tube {backward.status}"
     if not even:
         status += "; closed cuts cross more often in one direction than in the other, so crossings were missed"
@@ -720,7 +722,7 @@ def reversed_search(search: ConnectionSearch) -> ConnectionSearch:
     found = _sort([reversed_in_time(connection) for connection in search.connections])
     unstable, stable = search.cuts[1], search.cuts[0]
     status = (
-        f"{len(found)} connections by time reversal of {search.source.saddle} to {search.target.saddle}: "
+        f"{counted(len(found), 'connection')} by time reversal of {search.source.saddle} to {search.target.saddle}: "
         f"unstable tube {unstable.status}; stable tube {stable.status}"
     )
     return replace(
@@ -789,7 +791,8 @@ def find_lap_connections(
         if not any(same):
             found.append(canonical)
     _sort(found)
-    status = f"{len(found)} connections at crossing {crossing} of {section.name} by the tube of {lapping[0].saddle}"
+    count = counted(len(found), "connection")
+    status = f"{count} at crossing {crossing} of {section.name} by the tube of {lapping[0].saddle}"
     status += "; other crossings may have more"
     if search.failed:
         status += f"; {search.failed} crossings of the cuts did not converge: try another energy"

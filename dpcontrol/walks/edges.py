@@ -20,7 +20,7 @@ from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.budget import Budget
 from dpcontrol.foundation.checked import checked
-from dpcontrol.foundation.document import Documented
+from dpcontrol.foundation.document import Documented, counted
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress, part_of
 from dpcontrol.foundation.settings import check_names
@@ -165,7 +165,8 @@ class Edges(Shown, Documented):
     named: tuple[Connection, ...] = ()
 
     def __repr__(self) -> str:
-        return f"<graph at {self.energy:g}: {len(self.orbits)} orbits, {len(self.connections)} connections>"
+        counts = f"{counted(len(self.orbits), 'orbit')}, {counted(len(self.connections), 'connection')}"
+        return f"<graph at {self.energy:g}: {counts}>"
 
     @property
     def saddles(self) -> tuple[str, ...]:

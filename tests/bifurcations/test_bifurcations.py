@@ -192,7 +192,7 @@ def test_every_change_in_a_small_sweep_is_explained(system):
         ("pitchfork", 4, 8),
     ]
     assert [c.count for c in found.counts] == [0, 4, 4, 8]
-    assert "2 events explain every change of the count over 4 energies" in found.status
+    assert "2 events; every change of the count over 4 energies is explained" in found.status
 
 
 @pytest.mark.parametrize("name", [SADDLE_NODE, PITCHFORK], ids=["saddle-node", "pitchfork"])

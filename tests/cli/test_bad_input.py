@@ -51,6 +51,7 @@ REPLACED = {
 }
 """(kind of file, text, its replacement, what the message must name)."""
 
+LONGEST = 4000  # characters of all messages: three sentences, of at most 2,000
 PROGRESS = re.compile(r"\d+% +\d+:\d\d:\d\d *$")
 """How a line of the progress bar ends where stderr is no terminal."""
 
@@ -132,6 +133,8 @@ def test_a_user_error_in_a_file_is_named(
         ("plan crss", "'cross'"),
         ("demo --itinerary outer-trn", "'outer-turn'"),
         ("demo --seed -1", "seed = -1"),
+        ("export outer-turn --clock nan --out c", "--clock = nan"),
+        ("connect lab --from down-up --to down-up --energy -0.07 --seconds nan", "--seconds = nan"),
     ],
 )
 def test_a_user_error_on_the_command_line_is_named(
@@ -140,6 +143,14 @@ def test_a_user_error_on_the_command_line_is_named(
     monkeypatch.chdir(tmp_path)
     refused(*line.split(), naming=naming)
     assert files(tmp_path) == set()
+
+
+@pytest.mark.parametrize("key", ["a" * 10**6, "'" + "b " * 500_000 + "'"], ids=["a word", "words"])
+def test_a_key_of_a_megabyte_is_not_repeated_whole(key: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("long.toml").write_text(f"{key} = 1\n")
+    refused("run", "long.toml", naming="long.toml: at the top level, the key")
+    assert len(dpcontrol("run", "long.toml").stderr) < LONGEST
 
 
 @pytest.fixture(scope="module")
@@ -391,3 +402,12 @@ def test_a_wrong_call_ends_with_2_and_points_to_help(line: str, tmp_path: Path) 
     assert ended.stdout == ""
     assert "--help" in ended.stderr
     assert "Traceback" not in ended.stderr
+
+
+@pytest.mark.parametrize("verb", ["model", "plan"])
+def test_a_file_that_is_there_and_no_toml_is_not_denied(
+    verb: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "poles.xml").write_text("<mujoco/>")
+    refused(verb, "poles.xml", naming="poles.xml is not valid TOML")

@@ -66,6 +66,18 @@ def test_full_streams_are_named_and_keep_the_exit_code() -> None:
         assert subprocess.run([PROGRAM, "model", "nosuch"], stderr=full, check=False).returncode == 2
 
 
+@pytest.mark.parametrize("command", ["--help", "model lab"])
+def test_a_command_whose_reader_has_ended_misses_no_goal(command: str) -> None:
+    reader, writer = os.pipe()
+    os.close(reader)
+    environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
+    done = subprocess.run(
+        [PROGRAM, *command.split()], stdout=writer, stderr=subprocess.PIPE, env=environment, check=False
+    )
+    os.close(writer)
+    assert (done.returncode, done.stderr) == (141, b"")
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("streams", ["2>&-", "<&- 2>&-"])
 def test_a_command_without_stderr_does_its_work(tmp_path: Path, streams: str) -> None:

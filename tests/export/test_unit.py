@@ -190,8 +190,29 @@ def test_fmpy_simulates_it_whole(exported: Exported) -> None:
     assert np.isfinite(found["command"]).all()
 
 
+def test_a_step_of_several_periods_is_as_many_steps_with_the_same_inputs(exported: Exported, tmp_path: Path) -> None:
+    with running(exported, tmp_path / "a") as long, running(exported, tmp_path / "b") as short:
+        # A clock that adds its steps is off by some roundings.
+        begin = 0.0
+        for periods in (1, 2, 7, 1, 64):
+            for one in (long, short):
+                one.set("measured_cart", 1e-4 * periods)
+            long.step(begin, periods * PERIOD)
+            for k in range(periods):
+                short.step(begin + k * PERIOD)
+            begin += periods * PERIOD
+            assert long.all("", SCALARS) == short.all("", SCALARS)
+
+
+def test_fmpy_simulates_a_whole_itinerary_with_the_steps_that_it_chooses(exported: Exported) -> None:
+    # FMPy doubles the step of the description until there are at most 1,000.
+    found = fmpy.simulate_fmu(str(exported.unit), stop_time=2001 * PERIOD, output=["command"])
+    assert np.diff(found["time"])[0] == pytest.approx(4 * PERIOD)
+    assert np.isfinite(found["command"]).all()
+
+
 def test_steps_that_divide_the_period_keep_the_outputs_and_others_are_rejected(
-    exported: Exported, tmp_path: Path
+    exported: Exported, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with running(exported, tmp_path / "a", start=2.0) as halves, running(exported, tmp_path / "b") as wholes:
         for k in range(20):
@@ -202,12 +223,13 @@ def test_steps_that_divide_the_period_keep_the_outputs_and_others_are_rejected(
             halves.step(2.0 + (k + 0.5) * PERIOD, PERIOD / 2)
             assert halves.get("command") == wholes.get("command")
             halves.set("measured_cart", 0.0)
-    for sizes in ([2 * PERIOD], [0.7 * PERIOD, 0.7 * PERIOD], [0.0]):
-        with running(exported, tmp_path / f"{sizes[0]}") as slave:
+    for number, sizes in enumerate(([2.5 * PERIOD], [0.7 * PERIOD, 0.7 * PERIOD], [PERIOD / 2, 2 * PERIOD], [0.0])):
+        with running(exported, tmp_path / f"{number}") as slave:
             for k, size in enumerate(sizes[:-1]):
                 slave.step(k * size, size)
             with pytest.raises(Exception, match="DoStep"):
                 slave.step(sum(sizes[:-1]), sizes[-1])
+            assert capsys.readouterr().out.startswith("[ERROR] ")
             slave.fmu.reset()
             slave.step(0.0)
 

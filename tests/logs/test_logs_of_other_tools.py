@@ -1,5 +1,6 @@
 """Logs that other tools wrote again are read by their topics; of those that hold no run, one sentence says why."""
 
+import json
 import subprocess
 import sys
 from collections import Counter
@@ -237,6 +238,18 @@ def test_a_log_without_messages_names_the_missing_topics(
     refused(log, "lacks /joint_states, /estimate/joint_states", tmp_path, monkeypatch)
 
 
+def test_a_log_without_metadata_is_never_called_foreign(tmp_path: Path, completed_run: Path) -> None:
+    whole = rewritten(completed_run, tmp_path / "whole.mcap", bare=True)
+    with pytest.warns(Remark, match="integrity cannot be checked"):
+        topics = {topic.topic: topic.count for topic in summarise(whole).topics}
+    assert topics == {topic.topic: topic.count for topic in summarise(completed_run).topics}
+    assert "another program has left out its attachments" in dpcontrol("score", whole).message
+    # The description of the arms is at the start, so that it is cut off.
+    said = dpcontrol("score", rewritten(completed_run, tmp_path / "cut.mcap", bare=True, only=(1.0, 3.0))).message
+    assert "lacks the metadata record dpcontrol.layout, as after cutting a log in time" in said
+    assert "not a log of" not in said
+
+
 @pytest.mark.parametrize("bare_end", [False, True])
 @pytest.mark.parametrize("only", [(0.0, 2.4), (2.4, 10.0), (1.0, 2.0)])
 def test_the_completion_of_a_run_is_unknown_from_a_part_of_its_log(
@@ -383,9 +396,10 @@ def test_damage_of_a_rewritten_log_has_a_remedy_that_helps(tmp_path: Path, how: 
 @pytest.mark.parametrize("how", [{"backwards": True}, {"bare": True}])
 def test_recovery_of_an_undamaged_rewritten_log_reports_that_it_needs_none(tmp_path: Path, how: dict[str, Any]) -> None:
     log = rewritten(write_sample(tmp_path / "run.mcap", sample()), tmp_path / "other.mcap", **how)
-    ended = dpcontrol("recover", log)
-    assert ended.code == 2
-    assert "needs no recovery: another program has rewritten it, and it is readable as it is" in ended.stderr
+    ended = dpcontrol("recover", log, "--json")
+    assert ended.code == 0
+    done = json.loads(ended.stdout)
+    assert (done["log"], done["ticks"], done["lost"]) == (str(log), len(read_log(log).time), "")
 
 
 def test_the_verbs_read_a_log_that_was_written_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

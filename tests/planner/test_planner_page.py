@@ -49,6 +49,53 @@ def test_an_itinerary_is_built_planned_run_and_saved_and_the_command_line_comple
     assert not [entry for entry in page.driver.get_log("browser") if entry["level"] == "SEVERE"]
 
 
+# Clicks two elements at once, before the server can answer the first click.
+CLICKS = "for (const one of arguments) document.querySelector(one).click()"
+
+
+def test_of_two_clicks_in_quick_succession_none_is_lost(page: Page) -> None:
+    first, second = (f'[data-role="connection"][data-name^="{ends}"]' for ends in (FIRST, SECOND))
+    page.driver.execute_script(CLICKS, first, second)
+    state = page.idle()
+    assert [name.split("[")[0] for name in state["walk"]] == [FIRST, SECOND]
+    # The second click continues a walk that the page has not yet seen.
+    page.driver.execute_script(CLICKS, first, second)
+    assert len(page.idle()["walk"]) == 4
+    plus = '[data-role="wraps-plus"][data-stop="0"]'
+    page.driver.execute_script(CLICKS, plus, plus)
+    assert page.idle()["wraps"][0] == state["wraps"][0] + 2
+    shorten = '[data-role="shorten"]'
+    page.driver.execute_script(CLICKS, shorten, shorten)
+    assert page.idle()["walk"] == state["walk"]
+
+
+def test_a_click_is_not_lost_if_the_list_changes_under_the_pressed_pointer(page: Page) -> None:
+    page.press("connection", f'[data-name^="{FIRST}"]')
+    button = page.role("connection", f'[data-name^="{FIRST}"]')
+    ActionChains(page.driver).click_and_hold(button).perform()
+    page.driver.execute_script(CLICKS, f'[data-role="connection"][data-name^="{SECOND}"]')
+    assert len(page.idle()["walk"]) == 2
+    ActionChains(page.driver).release().perform()
+    assert [name.split("[")[0] for name in page.idle()["walk"]] == [FIRST, SECOND, FIRST]
+
+
+# Types into the text, clicks at once, and returns whether more can be typed before the server has answered.
+TYPE_AND_CLICK = """
+const toml = document.querySelector("#toml");
+toml.value = "# typed\\n" + toml.value;
+toml.dispatchEvent(new InputEvent("input"));
+document.querySelector(arguments[0]).click();
+return !toml.readOnly;"""
+
+
+def test_a_click_follows_the_typed_text_and_text_follows_the_click(page: Page) -> None:
+    assert not page.driver.execute_script(TYPE_AND_CLICK, f'[data-role="connection"][data-name^="{FIRST}"]')
+    state = page.idle()
+    assert len(state["walk"]) == 1
+    assert state["toml"].startswith("# typed")
+    assert page.role("toml").get_attribute("readonly") is None
+
+
 def test_impossible_symbols_are_grey_with_the_reason_and_undo_reverts(page: Page) -> None:
     page.connect("down-up>up-down")
     button = page.role("connection", '[data-name^="down-up>down-up"]')

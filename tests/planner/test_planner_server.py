@@ -1,5 +1,6 @@
 """The planner's server accepts only local browsers, and answers invalid commands with messages."""
 
+import contextlib
 import http.client
 import json
 from collections.abc import Iterator
@@ -24,6 +25,10 @@ def status(address: str, path: str, **headers: str) -> int:
         connection.putheader(name, value)
     connection.endheaders()
     return connection.getresponse().status
+
+
+LONG = 5000
+"""Symbols of a walk that takes more than a second to read."""
 
 
 class Page:
@@ -81,13 +86,16 @@ def test_only_the_address_with_its_token_host_and_origin_is_answered(address: st
 
 
 @pytest.mark.parametrize("wrong", ["token", "origin"])
-def test_a_socket_without_token_or_from_another_site_is_refused(address: str, wrong: str) -> None:
+def test_a_socket_without_token_or_from_another_site_is_refused_without_a_line(
+    address: str, wrong: str, capfd: pytest.CaptureFixture[str]
+) -> None:
     place = urlsplit(address)
     query = "token=no" if wrong == "token" else place.query
     origin = "http://evil.example" if wrong == "origin" else f"http://{place.netloc}"
     with pytest.raises(InvalidStatus) as refused:
         connected.connect(f"ws://{place.netloc}/page/x?{query}", origin=origin)
     assert refused.value.response.status_code == 403
+    assert capfd.readouterr() == ("", "")
 
 
 def test_the_page_contacts_no_other_host() -> None:
@@ -106,6 +114,7 @@ def test_the_page_contacts_no_other_host() -> None:
         {"do": "name", "name": "../x"}, {"do": "model", "name": "three-body"}, {"do": "run", "seed": -1}, "{",
         {"do": "set", "table": "sensors", "values": {}}, {"do": "model", "name": "nothing"}, {"do": "plan"},
         {"do": "toml", "text": f"energy = {'9' * 400}"}, {"do": "toml", "text": "run.mismatch = 2026-01-01"},
+        {"do": "append", "symbol": 7}, {"do": "wraps", "stop": 0, "change": 1}, {"do": "accept"},
         {"do": "toml", "text": "run.lag = 07:32:00"}, {"do": "set", "values": {"start": "\ud800"}},
     ],
 )  # fmt: skip
@@ -126,7 +135,7 @@ def test_models_that_cannot_be_used_are_listed_with_their_message(page: Page) ->
 
 def test_changes_are_undone_and_redone_one_by_one(page: Page) -> None:
     first = page.until("state")["toml"]
-    page.send({"do": "set", "values": {"walk": ["down-up > up-down"], "wraps": []}})
+    page.send({"do": "append", "symbol": "down-up > up-down"})
     changed = page.send({"do": "set", "values": {"start": "orbit"}})
     assert changed["walk"] == ["down-up > up-down"]
     assert changed["start"] == "orbit"
@@ -136,16 +145,55 @@ def test_changes_are_undone_and_redone_one_by_one(page: Page) -> None:
     assert page.send({"do": "redo"})["toml"] == changed["toml"]
 
 
+def test_commands_are_applied_in_order_though_none_waits_for_the_one_before(page: Page) -> None:
+    page.until("state")
+    commands: list[dict[str, Any]] = [
+        {"do": "append", "symbol": "down-up > up-down"},
+        {"do": "append", "symbol": "up-down > down-up"},
+        {"do": "append", "symbol": "up-down > down-up"},
+        {"do": "append", "symbol": "down-up +"},
+        {"do": "wraps", "stop": 0, "change": 1},
+        {"do": "wraps", "stop": 0, "change": 1},
+        {"do": "wraps", "stop": 1, "change": -1},
+        {"do": "shorten"},
+    ]
+    for number, command in enumerate(commands, start=1):
+        page.socket.send(json.dumps({**command, "n": number}))
+    states: dict[int, dict[str, Any]] = {}
+    while len(commands) not in states:
+        state = page.until("state")
+        states[state["ack"]] = state
+    assert "leaves up-down; the walk is at down-up" in states[3]["message"]["text"]
+    assert states[7]["walk"] == ["down-up > up-down", "up-down > down-up", "down-up +"]
+    assert states[7]["wraps"] == [4, 1]
+    assert (states[8]["walk"], states[8]["wraps"]) == (states[7]["walk"][:2], [4])
+
+
+def test_a_long_walk_does_not_delay_another_page(page: Page, address: str) -> None:
+    other = Page(address, "beside-a-long-walk")
+    text, _ = page.until("state")["toml"], other.until("state")
+    symbols = ", ".join(['"down-up +"'] * LONG)
+    page.socket.send(json.dumps({"do": "toml", "text": text.replace("walk   = []", f"walk = [{symbols}]"), "n": 1}))
+    assert other.send({"do": "append", "symbol": "down-up +"})["walk"] == ["down-up +"]
+    # The other page has its answer before the long walk is read.
+    early = []
+    with contextlib.suppress(TimeoutError):
+        while True:
+            early.append(json.loads(page.socket.recv(timeout=0)))
+    assert all(message.get("state", {}).get("ack") != 1 for message in early)
+    assert len(page.until("state")["walk"]) == LONG
+
+
 def test_a_reloaded_page_restores_its_state_and_another_page_does_not(address: str) -> None:
     one, other = Page(address, "first-of-two"), Page(address, "second-of-two")
-    one.send({"do": "set", "values": {"walk": ["down-up +"], "wraps": []}})
+    one.send({"do": "append", "symbol": "down-up +"})
     one.socket.close()
     assert Page(address, "first-of-two").until("state")["walk"] == ["down-up +"]
     assert other.send({"do": "set", "values": {"finish": "orbit"}})["walk"] == []
 
 
 def test_an_itinerary_is_saved_without_replacing_another(page: Page, address: str) -> None:
-    page.send({"do": "set", "values": {"walk": ["down-up +"], "wraps": []}})
+    page.send({"do": "append", "symbol": "down-up +"})
     page.send({"do": "name", "name": "mine"})
     assert page.send({"do": "save"})["saved"]["toml"].endswith("mine.toml")
     assert page.send({"do": "save"})["message"]["kind"] == "good"
@@ -153,7 +201,7 @@ def test_an_itinerary_is_saved_without_replacing_another(page: Page, address: st
     assert "is not as this page saved it" in page.send({"do": "save"})["message"]["text"]
     assert Path("itineraries/mine.toml").read_text(encoding="utf-8") == "# edited elsewhere\n"
     other = Page(address, "one-more")
-    other.send({"do": "set", "values": {"walk": ["down-up -"], "wraps": []}})
+    other.send({"do": "append", "symbol": "down-up -"})
     other.send({"do": "name", "name": "mine"})
     assert "choose another name" in other.send({"do": "save"})["message"]["text"]
 
@@ -172,7 +220,7 @@ def test_work_can_be_cancelled_and_a_dead_process_restarted(page: Page) -> None:
     import subprocess
 
     page.until("atlas")
-    page.send({"do": "set", "values": {"walk": ["down-up +"], "wraps": []}})
+    page.send({"do": "append", "symbol": "down-up +"})
     assert page.send({"do": "plan"})["busy"]
     state = page.send({"do": "cancel"})
     assert state["busy"] is None

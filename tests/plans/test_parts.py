@@ -80,6 +80,10 @@ def test_a_run_through_two_energies_and_a_hold_is_completed(two_energies, tmp_pa
     done = run_plan(two_energies, tmp_path / "run.mcap").score()
     assert (done.completed, done.symbols_completed) == (True, 5)
     assert done.reason.endswith("at rest to the end")
+    assert (done.symbols_total, done.transfers) == (5, 3)
+    assert done.sentence.startswith(
+        "completed: 5 of 5 symbols and transfers; all 5 symbols and transfers done in order"
+    )
 
 
 @pytest.mark.slow

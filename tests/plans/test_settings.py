@@ -4,7 +4,7 @@ import json
 import re
 import tomllib
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ from dpcontrol.foundation.errors import InputError, mistakes_of
 from dpcontrol.foundation.shipped import folders
 from dpcontrol.logs import compare_messages
 from dpcontrol.plans.itinerary import itinerary_from, load_itinerary, setting_of
+from dpcontrol.plans.layout import RunTable
 from dpcontrol.plans.model import load_model, model_from
 from dpcontrol.plans.overrides import NAMED, parsed, paths, typed, values_in
 from dpcontrol.plans.tables import settings_page
@@ -254,8 +255,21 @@ MISTAKES: list[tuple[str, str, str]] = [
         "wraps = [1]: a walk of 1 symbol has 0",
     ),
     ("energy below the saddle", 'energy = -9\nwalk = ["down-up +"]\n', "energy = -9.0 J: down-up has Lyapunov orbits"),
+    (
+        "hold at one end",
+        'finish = "hold"\nstart = "rest"\nhold = "up-up"\n',
+        'finish = "hold": is for start and finish together',
+    ),
     ("error of a blow", f"{TURN}[[run.blows]]\ntime = -1\n", "[[run.blows]] 1, time = -1.0: must be zero or positive"),
 ]
+
+
+def test_every_key_that_the_page_on_settings_lists_under_run_is_a_key_of_run() -> None:
+    sections = [one.partition("\n") for one in settings_page().split("\n## ")]
+    listed = "".join(rows for title, _, rows in sections if title.startswith("[run]"))
+    keys = re.findall(r"^\| `(\w+)` \|", listed, re.MULTILINE)
+    assert "delay" in keys
+    assert sorted({*keys, "blows"}) == sorted({*(field.name for field in fields(RunTable)), "blows"})
 
 
 @pytest.mark.parametrize(("what", "text", "told"), MISTAKES, ids=[one[0] for one in MISTAKES])

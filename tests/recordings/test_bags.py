@@ -84,7 +84,8 @@ def test_a_bag_of_ros_2_is_imported_to_a_named_log(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "command", [("info",), ("review", "--save", "x.rrd"), ("report",), ("replay",), ("identify",), ("recover",)]
+    "command",
+    [("info",), ("review", "--save", "x.rrd"), ("report",), ("replay",), ("identify",), ("recover",), ("score",)],
 )
 def test_verbs_that_read_logs_send_a_bag_to_import(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: tuple[str, ...]

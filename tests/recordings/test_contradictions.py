@@ -1,5 +1,6 @@
 """Recordings that a model's arms cannot have made are remarked on; those that they made are not."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -53,6 +54,11 @@ def test_a_wrong_sign_or_a_constant_angle_contradicts_the_model(matrix: list[lis
     text = said(changed(swing, matrix))
     assert "times as large" in text
     assert "exchanged" not in text
+
+
+def test_an_arm_that_swings_about_another_angle_than_hanging_is_named(swing: Recording) -> None:
+    text = said(replace(swing, angles=np.column_stack([swing.angles[:, 0], swing.angles[:, 1] + 2.9 - 4 * np.pi])))
+    assert re.search(r"; angle 2 swings about 2\.[89]\d* rad instead of 0: is the mapping's zero", text)
 
 
 def test_arms_of_twice_the_length_contradict_by_half(swing: Recording) -> None:

@@ -12,6 +12,7 @@ from scipy.interpolate import CubicSpline
 from scipy.io import loadmat
 
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.logs import read_log
 from dpcontrol.recordings.importing import import_recording
 from dpcontrol.recordings.recording import Recording, load_recording, write_recording
 
@@ -114,6 +115,42 @@ def test_a_data_set_logged_at_even_times_opens_though_it_stores_no_times(tmp_pat
     assert np.abs(recording.time - times).max() <= TIME_STEP
 
 
+def test_time_series_open_by_a_mapping_and_are_named_without_one(tmp_path: Path) -> None:
+    matio = pytest.importorskip("matio", reason="mat-io writes MATLAB's objects for this test")
+    from matio.utils.matclass import MatlabOpaque
+
+    times, states = free_swing(400)
+    empty, length = np.zeros((0, 0)), np.array([[float(len(times))]])
+    even = {"Start_": np.array([[0.0]]), "Increment_": np.array([[PERIOD]]), "Time_": empty}
+    uneven = {"Start_": empty, "Increment_": empty, "Time_": times[:, None].copy()}
+    mapping = tmp_path / "series.toml"
+    mapping.write_text(
+        'arm_lengths = [0.2, 0.3]\n[time]\ncolumn = "Theta1.Time"\n[angles]\ncolumns = ["Theta1.Data", "Theta2.Data"]'
+    )
+    for number, stored in enumerate((even, uneven)):
+        info = MatlabOpaque({**stored, "Length": length}, "tsdata.timemetadata")
+        series = {
+            f"Theta{arm + 1}": MatlabOpaque(
+                {"Data_": states[:, arm, None].copy(), "Time": empty, "TimeInfo": info}, "timeseries"
+            )
+            for arm in range(2)
+        }
+        file = tmp_path / f"{number}.mat"
+        matio.save_to_mat(str(file), series, version="v7")
+        with pytest.raises(InputError, match=r"Theta1, Theta2; give a mapping .*NAME.Time and NAME.Data"):
+            import_recording(file)
+        recording = import_recording(file, str(mapping))
+        assert np.array_equal(recording.angles, states[:, :2])
+        assert np.abs(recording.time - times).max() <= TIME_STEP
+
+
+@pytest.mark.parametrize("head", [b"# Created by Octave 9.2.0\n", b"Octave-1-L\0", b"\x89HDF\r\n\x1a\n"])
+def test_octaves_own_formats_are_refused_with_the_command_that_saves_matlabs(tmp_path: Path, head: bytes) -> None:
+    (tmp_path / "swing.mat").write_bytes(head + bytes(100))
+    with pytest.raises(InputError, match=r"format of Octave .*save -v7"):
+        import_recording(tmp_path / "swing.mat")
+
+
 def test_cells_in_the_newest_matlab_format_read_as_those_of_the_old(tmp_path: Path) -> None:
     matio = pytest.importorskip("matio", reason="mat-io writes MATLAB's HDF5 files for this test")
     given = rig_variables()
@@ -142,13 +179,77 @@ def _written(values: NDArray[np.float64], folder: Path, angles: str) -> Recordin
     return import_recording(file, str(mapping))
 
 
-def test_degrees_clockwise_from_upright_are_the_same_motion(tmp_path: Path) -> None:
+@pytest.mark.parametrize("signs", [(1, 1), (-1, -1), (1, -1)])
+@pytest.mark.parametrize("relative", [False, True])
+def test_the_zero_is_what_a_hanging_arm_reads_whatever_the_sign(
+    tmp_path: Path, signs: tuple[int, int], relative: bool
+) -> None:
     _, states = free_swing(300)
-    told = 180 - np.degrees(states[:, :2])  # clockwise, and 180 degrees where the arm hangs
-    recording = _written(told, tmp_path, 'unit = "deg"\nsign = -1\nzero = -3.141592653589793')
+    joints = np.diff(states[:, :2], axis=1, prepend=0.0) if relative else states[:, :2]
+    hanging = (1.5, 4.6)
+    told = np.degrees(hanging + joints * signs)
+    keys = f"sign = {list(signs)}\nzero = {list(hanging)}\nrelative = {str(relative).lower()}"
+    recording = _written(told, tmp_path, f'unit = "deg"\n{keys}')
     assert np.abs(recording.angles - states[:, :2]).max() <= EXACT
     assert recording.rates is None
     assert recording.dt == PERIOD
+
+
+NUMBERED = """
+arm_lengths = [0.2, 0.3]
+[time]
+column = 1
+[angles]
+columns = [2, "3"]
+[rates]
+columns = [4, 5]
+"""
+WRITERS: dict[str, dict[str, Any]] = {
+    "commas": {"delimiter": ","}, "blanks": {}, "tabs": {"delimiter": "\t"}, "columns": {"fmt": "%25.17g"},
+}  # fmt: skip
+"""Of numpy.savetxt; the last one writes as MATLAB's save -ascii."""
+
+
+@pytest.mark.parametrize("writer", [*WRITERS, "decimal commas", "a comment as header"])
+def test_a_table_without_a_header_is_imported_by_the_numbers_of_its_columns(tmp_path: Path, writer: str) -> None:
+    columns = table_columns()
+    values, file, mapping = np.column_stack([*columns.values()]), tmp_path / "swing.txt", tmp_path / "numbered.toml"
+    mapping.write_text(NUMBERED)
+    if writer == "a comment as header":
+        np.savetxt(file, values, header=" ".join(columns))
+    else:
+        np.savetxt(file, values, **WRITERS.get(writer, {"delimiter": ";"}))
+        if writer == "decimal commas":
+            file.write_text(file.read_text().replace(".", ","))
+        with pytest.raises(InputError, match=r"has no header, so a mapping names columns by number; allowed: 1, 2, 3"):
+            import_recording(file)
+    recording = import_recording(file, None if writer == "a comment as header" else str(mapping))
+    assert np.array_equal(recording.angles, values[:, 1:3])
+    assert np.array_equal(recording.rates, values[:, 3:])  # type: ignore[arg-type]
+
+
+def test_segments_survive_tables_and_a_second_import(tmp_path: Path) -> None:
+    recording = import_recording(write_mat(tmp_path / "swing.mat", rig_variables(segments=3)))
+    log = write_recording(recording, tmp_path / "swing.mcap")
+    recording.frame().to_csv(tmp_path / "swing.csv")
+    read_log(log).frame().to_csv(tmp_path / "log.csv")
+    mapping = tmp_path / "log.toml"
+    mapping.write_text(
+        'arm_lengths = [0.2, 0.3]\n[time]\ncolumn = "time"\nsegment = "segment"\n'
+        '[angles]\ncolumns = ["measured.arm_1", "measured.arm_2"]'
+    )
+    assert recording.frame(4)["segment"].tolist() == [0, 0, 1, 2]
+    for file, given in (("swing.mcap", None), ("swing.csv", None), ("log.csv", str(mapping))):
+        again = import_recording(tmp_path / file, given)
+        assert again.segments == recording.segments
+        assert np.abs(again.angles - recording.angles).max() <= EXACT
+
+
+def test_a_constant_angle_beyond_all_benches_is_refused(tmp_path: Path) -> None:
+    columns = table_columns()
+    columns = {"time": columns["time"], "angle_1": [1e300] * 300, "angle_2": columns["angle_2"]}
+    with pytest.raises(InputError, match=r"row 1 .*angle 1 is 1e\+300, which no bench reaches in any unit"):
+        import_recording(write_csv(tmp_path / "far.csv", columns))
 
 
 @pytest.mark.parametrize(("given", "turns"), [("40000", (40_000, 40_000)), ("[40000, 8192]", (40_000, 8192))])

@@ -164,8 +164,8 @@ def test_lost_packets_are_counted_and_the_ticks_stay_the_benchs() -> None:
     assert rig.deadlines.held > 0
 
 
-def test_readings_that_come_after_their_tick_are_counted_and_dropped() -> None:
-    # A bench of ours that keeps reading 1 back until after reading 3.
+def test_late_and_repeated_readings_are_counted_apart_and_dropped() -> None:
+    # A bench of ours that keeps reading 1 back until after reading 3, on a network that repeats readings 2 and 1.
     with closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as bench:
         bench.bind(("127.0.0.1", 0))
         bench.settimeout(30)
@@ -176,7 +176,7 @@ def test_readings_that_come_after_their_tick_are_counted_and_dropped() -> None:
                 pass
             contents = [packets.ReadingPacket(k, (float(k),) * 3, -1, 0, 0.0, 0, Condition.WELL, "") for k in range(5)]
             made = [talk.pack(packets.reading(content)) for content in contents]
-            for tick in (0, 2, 3, 1, 4):
+            for tick in (0, 2, 3, 1, 2, 1, 4):
                 bench.sendto(made[tick], client)
 
         thread = threading.Thread(target=shuffled)
@@ -186,7 +186,7 @@ def test_readings_that_come_after_their_tick_are_counted_and_dropped() -> None:
         thread.join()
     assert [reading.present is None for reading in readings] == [True, False, True, True, True]
     assert [reading.positions[0] for reading in readings] == [0.0, 0.0, 2.0, 3.0, 4.0]
-    assert (rig.deadlines.lost, rig.deadlines.stale) == (1, 1)
+    assert (rig.deadlines.lost, rig.deadlines.stale, rig.deadlines.refused) == (1, 1, 2)
 
 
 def test_a_silent_loop_has_its_cart_stopped_and_is_notified() -> None:

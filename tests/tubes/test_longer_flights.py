@@ -31,6 +31,12 @@ def test_a_search_that_excludes_longer_flights_misses_its_goal() -> None:
     assert longer.document["count"] > short.document["count"]
 
 
+def test_an_incomplete_search_without_connections_gives_no_lower_bound() -> None:
+    ended = dpcontrol("connect", "lab", "--from", "down-up", "--to", "down-up", "--energy", "0.2", "--longest", "1")
+    assert ended.code == 1
+    assert "is not complete: no connections found: " in ended.message
+
+
 @pytest.mark.slow
 def test_the_advice_for_tubes_that_scatter_does_not_contradict_itself() -> None:
     found = dpcontrol(*LATE_CROSSING, "--longest", "3", "--seconds", "6")

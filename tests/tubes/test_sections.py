@@ -95,7 +95,7 @@ def test_names_include_the_section_and_the_verb_accepts_them(back, capsys):
         main([*line, "--name", name, "--json"])
     shown = json.loads(capsys.readouterr().out)
     assert done.value.code == 0
-    assert shown["section"] == "angle_1 = angle_2 + 2 pi k"
+    assert shown["section"] == "θ₁ = θ₂ + 2πk"
     assert shown["hits"] == [1, 2]
     (only,) = shown["connections"]
     assert only["name"] == name

@@ -1,13 +1,15 @@
 /* The controller as a co-simulation unit of FMI 2.0; modelDescription.xml names its variables in the order used here.
  *
  * A step of DPC_PERIOD does one tick with the inputs as they were set, so that the command answers them from the step's
- * end on. Shorter steps are allowed where a whole number of them makes a period: outputs stay in between.
+ * end on. A step of several whole periods does a tick in each, all with the inputs of its beginning. Shorter steps are
+ * allowed where a whole number of them makes a period: outputs stay in between.
  */
 #include "dpc_controller.h"
 
 #include <limits.h>
 #include <math.h>
 #include <stddef.h>
+#include <stdio.h>
 #include <string.h>
 
 /* What is used of fmi2Functions.h, where a tool has not put it before this file. */
@@ -250,17 +252,26 @@ ACCESS(Boolean, booleans, BOOLEAN_INPUTS, BOOLEANS)
 EXPORT fmi2Status fmi2DoStep(fmi2Component c, fmi2Real now, fmi2Real step, fmi2Boolean keeps_state)
 {
     unit *u = c;
-    double due = u->start + (double)u->controller.tick * DPC_PERIOD;
+    const double due = u->start + (double)u->controller.tick * DPC_PERIOD, end = now + step;
+    const double periods = step > DPC_PERIOD ? floor(step / DPC_PERIOD + 0.5) : 1;
+    const int whole = step <= DPC_PERIOD || fabs(step - periods * DPC_PERIOD) < SAME_TIME;
+    const int begins = due < now + SAME_TIME;
+    double k;
 
     if (!(step > 0) || fabs(now - u->time) > SAME_TIME)
         return refused(u, "a step must begin where the last one ended, and last longer than nothing");
-    u->time = now + step;
-    if (due + SAME_TIME < now || due + DPC_PERIOD + SAME_TIME < u->time)
-        return refused(u, "a step holds more than one period of the controller: let the communication step be its period");
-    if (due < now + SAME_TIME)
+    if (begins ? !whole : due < end - SAME_TIME) {
+        char why[200];
+
+        snprintf(why, sizeof why,
+                 "communication step from %.9g to %.9g s: must be a whole number of the controller's periods of %.9g s "
+                 "from the beginning of one, or divide its period",
+                 now, end, DPC_PERIOD);
+        return refused(u, why);
+    }
+    for (k = 0; begins && k < periods; k++)
         tick(u);
-    else if (due < u->time - SAME_TIME)
-        return refused(u, "a period of the controller begins within a step: let the communication step divide it");
+    u->time = end;
     return fmi2OK;
 }
 

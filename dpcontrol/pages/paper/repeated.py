@@ -45,7 +45,9 @@ def draw_repeated(gallery: Gallery, *, turns: int) -> PaperFigure:
     page.row(*panels, height=2.6)
     windings = {tuple(int(v) for v in np.abs(c.winding)) for c in connections}
     counts = ", ".join(
-        f"{sum(tuple(map(abs, c.winding)) == t for c in connections)} of winding ±{list(t)}" for t in sorted(windings)
+        f"{sum(tuple(map(abs, c.winding)) == t for c in connections)} "
+        + (f"of winding ±{list(t)}" if any(t) else "without winding")
+        for t in sorted(windings)
     )
     resolved = all(atlas.cut(SADDLE, kind.section, hit).resolved for hit in hits)
     torn = " and is drawn as far as it could be resolved: more connections than these exist"

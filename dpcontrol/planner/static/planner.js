@@ -4,7 +4,6 @@ const role = (name) => document.querySelector(`[data-role="${name}"]`);
 const id = (name) => document.getElementById(name);
 const all = (selector) => [...document.querySelectorAll(selector)];
 const FINE = 1e4; // places come in tenths of a millimetre
-const USUAL_WRAPS = 2; // of a new stop: with two, nearly every pair of connections has an orbit
 const got = { models: [], marks: {} };
 let state = { walk: [], wraps: [], names: [], busy: { what: "connecting", done: 0 } };
 let hovered = null, chosen = null; // names of connections: pointed at now, and last
@@ -21,10 +20,15 @@ const connections = () => got.atlas?.connections ?? [];
 const named = (name) => connections().find((one) => one.name === name);
 const shownOnes = () => connections().filter((one) => sameKind(one, kind));
 const digits = (value, count = 3) => `${+value.toPrecision(count)}`;
-let socket = null, sent = 0, pending = 0; // commands sent, and inputs that are still being changed
-const waiting = [];
+let socket = null, sent = 0; // commands sent
+const waiting = [], changing = new Set(); // commands, and inputs that are still being changed
+let pressed = false; // an element under a pressed pointer must stay, or its click is lost
+// Commands say what was done, and the server does it in order: none is computed from `state`.
 function send(what, given = {}) {
-  state = { ...state, busy: state.busy || { what, done: 0 } };
+  for (const finish of changing) finish();
+  // Text is typed only into the text that all earlier commands have made.
+  role("toml").readOnly = document.activeElement !== role("toml");
+  state = { ...state, late: true, busy: state.busy || { what, done: 0 } };
   if (socket?.readyState === WebSocket.OPEN) post({ do: what, ...given });
   else waiting.push({ do: what, ...given });
 }
@@ -67,7 +71,7 @@ const taken = {
 };
 function takeState(value) {
   // Until the server has taken the last command, work is under way.
-  const late = pending > 0 || value.ack < sent;
+  const late = changing.size > 0 || value.ack < sent;
   const before = state.busy ?? { what: "…", done: 0 };
   state = { ...value, late, busy: value.busy ?? (late ? before : null) };
   const { atlas } = got;
@@ -90,7 +94,7 @@ function make(tag, { data, ...given } = {}, ...children) {
 // Replace what an element holds if that has changed; the focus stays where it was.
 function fill(element, key, content) {
   const text = JSON.stringify(key);
-  if (element.shows === text) return;
+  if (element.shows === text || (pressed && element.shows)) return;
   element.shows = text;
   const active = element.contains(document.activeElement) ? document.activeElement.dataset : {};
   const where = Object.entries(active).map(([name, is]) => `[data-${name}="${CSS.escape(is)}"]`);
@@ -98,9 +102,10 @@ function fill(element, key, content) {
   if (where.length) element.querySelector(where.join(""))?.focus();
 }
 
-// Set an input's value unless the user is at it, or has just emptied it.
+// Set an input's value unless the user has changed it and is at it, or has just emptied it.
 function keep(input, value) {
-  const text = String(value), away = document.activeElement !== input || input.type === "range";
+  const text = String(value), changed = input.value !== input.kept && input.type !== "range";
+  const away = !changed || document.activeElement !== input;
   if (input.value === text) input.kept = text;
   if (!away || state.late || input.value === text) return;
   if (input.value !== "" || input.kept !== text) input.value = input.kept = text;
@@ -130,6 +135,7 @@ function render() {
   keep(id("slider"), state.energy ?? 0);
   keep(role("toml"), state.toml ?? "");
   keep(role("name"), state.name ?? "");
+  role("toml").readOnly &&= Boolean(state.late);
   for (const which of ["start", "finish"]) keep(role(which), state[which]);
   for (const input of all("input[data-key]")) {
     const value = state.settings?.[input.dataset.key];
@@ -198,11 +204,7 @@ function refusal(one) {
   const why = `leaves ${title(one.source)}; the walk is at ${title(at)}`;
   return state.fixed || !at || one.source === at ? state.fixed ?? "" : why;
 }
-function append(name) {
-  const why = name && refusal(named(name)), { walk, wraps } = state;
-  if (why) say(why, "error");
-  else if (name) set({ walk: [...walk, name], wraps: walk.length ? [...wraps, USUAL_WRAPS] : [] });
-}
+const append = (name) => name && send("append", { symbol: name });
 function renderList() {
   id("count").textContent = connections().length || "";
   const names = connections().map((one) => one.name);
@@ -234,10 +236,10 @@ function renderWalk() {
     const button = (which, textContent, more, stop) => make("button", { textContent,
       data: { role: `wraps-${which}`, stop }, disabled: Boolean(fixed || wraps[stop] + more < 0),
       ariaLabel: `${more > 0 ? "One more wrap" : "One wrap less"} at stop ${stop + 1}`,
-      onclick: () => set({ wraps: wraps.map((n, k) => (k === stop ? n + more : n)) }) });
+      onclick: () => send("wraps", { stop, change: more }) });
     rows.at(-1).append(make("button", { className: "far", textContent: "✕", ariaLabel: "Remove",
       title: "Remove the last symbol", disabled: Boolean(fixed), data: { role: "shorten" },
-      onclick: () => set({ walk: walk.slice(0, -1), wraps: wraps.slice(0, -1) }) }));
+      onclick: () => send("shorten") }));
     return rows.flatMap((row, k) => (k === rows.length - 1 ? [row] : [row,
       make("li", { className: "stop" }, `wraps at ${title(stops[k + 1])}`,
         button("minus", "−", -1, k), make("b", { textContent: wraps[k] ?? "?" }),
@@ -257,7 +259,7 @@ function renderPlan() {
     if (!plan) return [make("p", { textContent: "No plan yet.", className: "quiet" })];
     if (!plan.converged) return [make("p", { className: "bad", textContent: plan.status }),
       ...(plan.wraps ? [make("button", { textContent: `Use wraps [${plan.wraps}]`,
-        onclick: () => set({ wraps: plan.wraps }) })] : [])];
+        onclick: () => send("accept") })] : [])];
     return [make("div", { className: "uses" }, ...plan.uses.flatMap((use) => [
       make("span", { textContent: use.name }),
       make("meter", { max: use.bound, high: 0.95 * use.bound, value: use.largest,
@@ -553,16 +555,18 @@ function frame(now) {
 
 // Act when an input has not been changed for a while; until then the page is busy.
 function after(wait, act) {
-  let timer = 0;
-  return (given, delay = wait) => {
-    pending += timer ? 0 : 1;
-    state = { ...state, busy: state.busy ?? { what: "…", done: 0 } };
+  let timer = 0, given = null;
+  const finish = () => {
     clearTimeout(timer);
-    timer = setTimeout(() => {
-      timer = 0;
-      pending -= 1;
-      act(given);
-    }, delay);
+    changing.delete(finish);
+    act(given);
+  };
+  return (latest, delay = wait) => {
+    given = latest;
+    changing.add(finish);
+    state = { ...state, late: true, busy: state.busy ?? { what: "…", done: 0 } };
+    clearTimeout(timer);
+    timer = setTimeout(finish, delay);
   };
 }
 const setEnergy = after(400, (text) => {
@@ -681,6 +685,9 @@ onkeydown = (event) => {
   else return;
   event.preventDefault();
 };
+onpointerdown = ({ target }) => { pressed = Boolean(target.closest("button")); };
+// The click follows in the same task.
+onpointerup = onpointercancel = () => { pressed = false; setTimeout(render); };
 new ResizeObserver(() => { layGraph(); drawGraph(); drawSection(); }).observe(id("see"));
 matchMedia("(prefers-color-scheme: dark)").onchange = recolour;
 recolour();
