@@ -862,7 +862,7 @@ def _coarse_guess(costs: Callable[[Array], Array], guess: Array, arms: ArmChainP
     n = arms.count
     dry = [[2 * n + k] for k in range(n)]
     # Friction can look like another frequency, so a frequency must improve the fit the more the farther it is away.
-    for places in (sum(dry, []), *dry, *([k] for k in range(n)), *dry):
+    for places in ([place for joint in dry for place in joint], *dry, *([k] for k in range(n)), *dry):
         tried, penalty = (_DETUNED, 1 + np.abs(_DETUNED)) if places[0] < n else (_DRY, np.ones(len(_DRY)))
         lanes = np.tile(guess, (len(tried), 1))
         lanes[:, places] = tried[:, None]
