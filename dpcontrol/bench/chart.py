@@ -605,7 +605,7 @@ def _of(module: str, function: str = "chart") -> Drawer:
     return chart
 
 
-_EDGES = ("control", "moving", "ogy", "estimation", "margins")
+_EDGES = ("moving", "ogy", "estimation", "margins")
 CHARTS: dict[str, Drawer] = {
     "propagation": _of("propagation"),
     **{name: _of("design", f"{name}_chart") for name in ("connections", "transcription")},

@@ -12,10 +12,8 @@ as its distance from the finest transcription's. Time includes building the prog
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from importlib.util import find_spec
 from typing import Any, TypeVar
 
-import casadi as ca
 import numpy as np
 
 from dpcontrol.bench.chart import Diagram, Point, PrecisionChart
@@ -30,7 +28,7 @@ from dpcontrol.orbits.manifold import local_manifold
 from dpcontrol.plans.model import load_model
 from dpcontrol.references.find import find_reference
 from dpcontrol.references.method import method_named
-from dpcontrol.references.problem import ReferenceProblem, ReferenceSettings, state_scale
+from dpcontrol.references.problem import ReferenceProblem, ReferenceSettings
 from dpcontrol.references.reference import Reference
 from dpcontrol.references.trajectory import Solved, error_between_nodes, even_mesh, first_trajectory
 from dpcontrol.references.transcription import solve
@@ -244,12 +242,6 @@ WHOLE = (
     ("lobatto-5", 0.02), ("gauss-6", 0.05), ("radau-6", 0.03), ("gauss-7", 0.05), ("lobatto-7", 0.05),
     ("radau-8", 0.07), ("radau-9", 0.05), ("radau-10", 0.12),
 )  # fmt: skip
-GUESS_DEGREE = 10
-"""Degree of the polynomial fitted to the guess for rockit."""
-STRETCH = 0.5
-"""Part of the crossing's start, s, that is also solved by the other package."""
-ROCKIT = {25: (16.4, 1.32e-3), 50: (31.9, 3.28e-4), 100: (63.5, 8.16e-5), 200: (131.0, 2.04e-5)}
-"""rockit 0.6.7 by its intervals: multiple of the default's seconds, and error, as measured by this chart."""
 
 
 def transcription_chart(quick: bool, progress: Progress) -> PrecisionChart:
@@ -265,14 +257,13 @@ def transcription_chart(quick: bool, progress: Progress) -> PrecisionChart:
         name="transcription",
         title="Transcription",
         parts=(
-            *method_panels(problem, part_of(progress, 0.05, 0.6), quick=quick),
-            refined_panel(problem, part_of(progress, 0.6, 0.85), quick=quick),
-            rockit_panel(problem, part_of(progress, 0.85, 1.0), quick=quick),
+            *method_panels(problem, part_of(progress, 0.05, 0.7), quick=quick),
+            refined_panel(problem, part_of(progress, 0.7, 1.0), quick=quick),
         ),
         reading=(
             "A mark is a method with its points on intervals of one length, built and solved once from one guess.",
             "Error between nodes: a propagator restarts at each interval and measures the polynomial's error.",
-            "Last diagram: the first half second, also solved by rockit, which holds its input over an interval.",
+            "Last diagram: the mesh is refined until the error between nodes is below the tolerance.",
         ),
         chosen=(
             "Radau with 7 points, begun on 50 ms and split according to the error, IPOPT: higher orders gain "
@@ -386,95 +377,3 @@ def refined_panel(problem: ReferenceProblem, progress: Progress, *, quick: bool)
         f"mesh refined to {chosen.tolerance:.0e}", TIME, "error between nodes, scaled", floor=chosen.tolerance,
         why="errors below the tolerance are a matter of chance; the tolerance is the requirement",
     )  # fmt: skip
-
-
-def rockit_panel(problem: ReferenceProblem, progress: Progress, *, quick: bool) -> Diagram:
-    """Return the diagram of the crossing's start.
-
-    There is no weight on the guess. If rockit is installed, it solves the problem too.
-
-    Args:
-        problem: problem with a guess.
-        progress: called with a label and the completed share.
-        quick: fewer settings.
-    """
-    short = replace(problem, duration=STRETCH)
-    settings = ReferenceSettings(pendulum_weight=0.0)
-    finest = find_reference(short, replace(settings, method="radau-9", tolerance=1e-10))
-    if not finest.converged:
-        raise GoalMissed(finest.status)
-    scale = state_scale(problem.equations.dimension, problem.limits)
-
-    def judge(_: Alternative[tuple[Array, Array]], found: tuple[Array, Array]) -> Judged:
-        times, states = found
-        return Judged(float(np.abs((states - finest.state(times)) / scale).max()))
-
-    dense = np.linspace(0.0, STRETCH, 101)
-
-    def by_us(tolerance: float) -> tuple[Array, Array]:
-        return dense, find_reference(short, replace(settings, tolerance=tolerance)).state(dense)
-
-    tried = [
-        Alternative(settings.method, f"to {t:.0e}", partial(by_us, t), default=t == ReferenceSettings().tolerance)
-        for t in ((1e-4, 1e-6) if quick else (1e-3, 1e-4, 1e-6, 1e-8))
-    ]
-    installed = find_spec("rockit") is not None
-    if installed:
-        tried += [
-            Alternative("rockit", f"{n} intervals", partial(by_rockit, short, settings, n), outside=True)
-            for n in ((25,) if quick else (25, 50, 100, 200))
-        ]
-    points = compare(tried, judge, **_turns(quick=quick, quick_most=0.6, most=3.0), progress=progress).points
-    if not installed:
-        ours = next(p.seconds for p in points if p.default)
-        points += tuple(
-            Point("rockit 0.6.7 (stored)", f"{n} intervals", ours * slower, error, outside=True, stored=True,
-                  note="as measured where it was installed: pip install 'dpcontrol[bench]'")
-            for n, (slower, error) in ROCKIT.items()
-        )  # fmt: skip
-    return Diagram(
-        f"the first {STRETCH:g} s, free of the guess", "time, s", "error of the states, scaled", points,
-        why="interval and tolerance are chosen for whole itineraries",
-    )  # fmt: skip
-
-
-def by_rockit(problem: ReferenceProblem, settings: ReferenceSettings, intervals: int) -> tuple[Array, Array]:
-    """Return times (K,), s, and states (K, N) of rockit's optimum.
-
-    It uses Radau collocation with 4 points an interval.
-
-    Equations, cost, ends and first guess are equal. rockit holds its input over an interval, so its optimum differs a
-    little. The cost excludes the pendulum's distance from the guess, so `settings` must not weigh it.
-    Source: Gillis et al., Effortless modeling of optimal control problems with rockit (2020).
-
-    Args:
-        problem: problem with a guess.
-        settings: weights of the cost.
-        intervals: number of intervals.
-    """
-    import rockit  # pyright: ignore[reportMissingImports]
-
-    package: Any = rockit
-    ocp = package.Ocp(T=problem.duration)
-    dimension = problem.equations.dimension
-    states = [ocp.state() for _ in range(dimension)]
-    command = ocp.control()
-    rate = problem.equations.function()(ca.vertcat(*states), command, ca.DM(problem.parameters))
-    for k, state in enumerate(states):
-        ocp.set_der(state, rate[k])
-    ocp.add_objective(ocp.integral(command**2 + settings.cart_weight * states[problem.pendulum_dimension] ** 2))
-    start, end = problem.end_states()
-    sparse = np.linspace(0.0, problem.duration, 101)
-    powers = np.polynomial.polynomial.polyfit(sparse, problem.guess_at(sparse), GUESS_DEGREE).T
-    for k, state in enumerate(states):
-        ocp.subject_to(ocp.at_t0(state) == start[k])
-        ocp.subject_to(ocp.at_tf(state) == end[k])
-        if k < problem.pendulum_dimension:
-            # rockit requires expressions in its time variable.
-            ocp.set_initial(state, sum(float(c) * ocp.t**i for i, c in enumerate(powers[k])))
-    quiet = {"ipopt.print_level": 0, "print_time": False, "ipopt.sb": "yes", "ipopt.tol": 1e-10}
-    ocp.solver("ipopt", quiet)
-    ocp.method(package.DirectCollocation(N=intervals, M=1, degree=4, scheme="radau"))
-    solution = ocp.solve()
-    sampled = [solution.sample(state, grid="control") for state in states]
-    return np.array(sampled[0][0]), np.array([values for _, values in sampled]).T

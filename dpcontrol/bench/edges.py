@@ -2,12 +2,8 @@
 
 The prediction is a formula of a few lines.
 
-*Control.* An error ξ of the unstable direction obeys ξ' = λξ + bu with |u| ≤ a. At the first command it has grown to
-ξ e^{λd}. A command can correct it only below a·b/λ: d < ln(a |b| / (λ |ξ|)) / λ. For a wrong model, plant, prediction
-through the commands in flight and gain form one linear map of (x, commands). At the border its largest eigenvalue is on
-the unit circle. Omitting the filter costs up to a third. Neither holds along a moving reference.
-Source: Franklin, Powell & Workman, Digital Control of Dynamic Systems, 3rd ed., sections 8.6 and 9.3; for bounded
-inputs, Hu & Lin, Control Systems with Actuator Saturation (2001), chapter 2.
+*Moving references.* A known delay is predicted through, and the prediction runs on the model. The borders of the delay
+and of the plant's mismatch are only measured.
 
 *Estimation.* Of K ticks each is lost with probability p. Gaps of at least m ticks, the supervisor's limit, begin
 K (1 - p) pᵐ times on average, nearly independently. Half of the runs have none at K (1 - p) pᵐ = ln 2.
@@ -58,14 +54,12 @@ WALK = "outer-turn"
 
 ROOM = 20.0
 """Length of the track, m, so that authority alone decides."""
-HELD_ERROR, MOVING_ERROR = 0.05, 0.02
+MOVING_ERROR = 0.02
 """Initial error when the delay is varied, rad."""
 WEAK, STRONG = 5.0, 30.0
 """Acceleration limit, m/s², when the delay or the model is varied."""
 MISMATCH_RATE = 100.0
 """Hz."""
-WITHOUT_FILTER = 1 / 3
-"""Tolerance between the border of mismatch and its prediction."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,28 +95,6 @@ class LoopCase:
         last = farthest_at_last(run)
         return Attempt(last < self.near, f"finished, but {last:.2g} rad away over its last tenth")
 
-    def drawn_error(self, size: float) -> Array:
-        """Return the initial error (N,) of runs.
-
-        Args:
-            size: largest error, rad.
-        """
-        drawn = replace(self.settings, initial_error=size).draw(self.arms, ticks=2).initial_error
-        return np.concatenate([drawn, np.zeros(self.model.dimension - len(drawn))])
-
-    def linear(self, mismatch: float = 0.0) -> tuple[Array, Array]:
-        """Return A (N, N) and B (N,) over a tick.
-
-        They belong to the controller's first state.
-
-        Args:
-            mismatch: relative error of the plant's parameters.
-        """
-        plant = self.settings.draw(self.arms, ticks=2, mismatch=mismatch).plant.arms if mismatch else self.arms
-        model = sampled_model(plant, self.settings.rate)
-        a, b = model.linearised(self.controller.first_state[None, :], np.zeros(1))
-        return a[0], b[0]
-
 
 def farthest_at_last(run: BatchRun) -> float:
     """Return the largest final distance of the angles, rad.
@@ -134,24 +106,6 @@ def farthest_at_last(run: BatchRun) -> float:
     """
     tail, n = max(len(run.times) // 10, 1), run.references.shape[1]
     return float(np.abs(run.truth[-tail:, :n] - run.references[-tail:]).max())
-
-
-def held_at_rest(rate: float, *, seconds: float = 8.0) -> LoopCase:
-    """Return the lab's arms held at Down-Up.
-
-    Args:
-        rate: rate of the loop, Hz.
-        seconds: duration, s.
-
-    Raises:
-        InputError, GoalMissed: the equilibrium cannot be held at this rate.
-    """
-    lab = load_model("lab")
-    model = sampled_model(lab.arms, rate)
-    controller = hold_controller(lab.system.equilibrium(SADDLE), model, HoldSettings(), seconds=seconds)
-    settings = LoopSettings(seed=0, rate=rate, controller=HoldSettings())
-    reference = still(controller.state, seconds, method=method_named("radau-7"), limits=Limits(), interval=1.0)
-    return LoopCase(reference, lab.arms, model, controller, settings, near=0.1)
 
 
 @cache
@@ -169,39 +123,7 @@ def moving(rate: float) -> LoopCase:
 
 
 LATE = EdgeMap("Known delay, by rate", "rate of the loop, Hz", "delay, s", far="lost")
-WRONG = EdgeMap(
-    "Wrong model, by delay", "delay, s", "mismatch of the plant, share", far="lost", agrees=WITHOUT_FILTER
-)  # fmt: skip
-
-
-def control_chart(quick: bool, progress: Progress) -> EdgeChart:
-    """Return the chart of arms held at an equilibrium.
-
-    Args:
-        quick: fewer rates and delays.
-        progress: called with a label and the completed share.
-    """
-    ratio = 1.15 if quick else 1.06
-    late = replace(LATE, theory=f"the first command comes when {WEAK:g} m/s² can no longer turn the fall")
-    wrong = replace(WRONG, theory="largest eigenvalue of plant, prediction and gain together is 1")
-    return EdgeChart(
-        name="edges-control",
-        title="Limits of holding Down-Up",
-        reading=(
-            "Left: a known delay is predicted through, so it costs time only, whatever the rate. An error of up "
-            f"to {HELD_ERROR:g} rad must stay within reach until the first command acts.",
-            "Right: the prediction runs on the model; the longer the delay, the less it may be wrong.",
-            "Circles hold to the end, crosses end with the sentence in the data; diamonds are predicted.",
-        ),
-        chosen="Prediction through all commands in flight, at any rate; delays of the bench are 1 to 20 ms.",
-        parts=measured_maps(
-            progress,
-            (late, partial(held_delay_border, ratio=ratio),
-             (50.0, 200.0) if quick else (25.0, 50.0, 100.0, 200.0, 400.0)),
-            (wrong, partial(held_mismatch_border, ratio=ratio),
-             (0.05, 0.15) if quick else (0.02, 0.05, 0.1, 0.15, 0.2)),
-        ),
-    )  # fmt: skip
+WRONG = EdgeMap("Wrong model, by delay", "delay, s", "mismatch of the plant, share", far="lost")
 
 
 def moving_chart(quick: bool, progress: Progress) -> EdgeChart:
@@ -232,23 +154,22 @@ def moving_chart(quick: bool, progress: Progress) -> EdgeChart:
     )
 
 
-def delay_border(loop_case: LoopCase, *, error: float, ratio: float, predicted: float | None = None) -> Border:
+def delay_border(loop_case: LoopCase, *, error: float, ratio: float) -> Border:
     """Return the border of the known delay, s.
 
     Args:
         loop_case: controller on its model.
         error: largest initial error, rad.
         ratio: precision of the border, as a ratio.
-        predicted: predicted delay, s.
     """
-    rate, middle = loop_case.settings.rate, predicted or 0.2
+    rate = loop_case.settings.rate
     return find_border(
         lambda delay: loop_case.run(acceleration=WEAK, error=error, delay=delay), x=rate, line=f"{rate:g} Hz",
-        near=middle / 4, far=3 * middle, predicted=predicted, ratio=ratio, unit=1 / rate,
+        near=0.05, far=0.6, ratio=ratio, unit=1 / rate,
     )  # fmt: skip
 
 
-def mismatch_border(loop_case: LoopCase, delay: float, *, ratio: float, predicted: float | None = None) -> Border:
+def mismatch_border(loop_case: LoopCase, delay: float, *, ratio: float) -> Border:
     """Return the border of the plant's mismatch at a delay.
 
     All parameters change in one direction.
@@ -257,91 +178,11 @@ def mismatch_border(loop_case: LoopCase, delay: float, *, ratio: float, predicte
         loop_case: controller on its model.
         delay: known delay, s.
         ratio: precision of the border, as a ratio.
-        predicted: predicted mismatch.
     """
-    near, far = (predicted / 4, min(2.5 * predicted, 0.6)) if predicted else (0.01, 0.6)
     return find_border(
         lambda mismatch: loop_case.run(acceleration=STRONG, mismatch=mismatch, delay=delay), x=delay,
-        line=f"{1e3 * delay:g} ms", near=near, far=far, predicted=predicted, ratio=ratio,
+        line=f"{1e3 * delay:g} ms", near=0.01, far=0.6, ratio=ratio,
     )  # fmt: skip
-
-
-def held_delay_border(rate: float, *, ratio: float) -> Border:
-    """Return the border of the delay for held arms, s.
-
-    The border comes with its prediction.
-
-    Args:
-        rate: rate of the loop, Hz.
-        ratio: precision of the border, as a ratio.
-    """
-    loop_case = held_at_rest(rate)
-    predicted = longest_delay(loop_case, loop_case.drawn_error(HELD_ERROR), acceleration=WEAK)
-    return delay_border(loop_case, error=HELD_ERROR, ratio=ratio, predicted=predicted)
-
-
-def longest_delay(loop_case: LoopCase, error: Array, *, acceleration: float) -> float:
-    """Return the longest delay that can be corrected, s.
-
-    Args:
-        loop_case: controller on its model.
-        error: initial error (N,).
-        acceleration: limit of the cart, m/s².
-    """
-    a, b = loop_case.linear()
-    values, left = np.linalg.eig(a.T)
-    first = int(np.argmax(np.abs(values)))
-    growth, direction = float(values[first].real), np.real(left[:, first])
-    rate = float(np.log(growth)) * loop_case.settings.rate
-    # One held period: b (e^{λT} - 1)/λ.
-    reach = float(direction @ b) * rate / (growth - 1)
-    return float(np.log(acceleration * abs(reach) / (rate * abs(float(direction @ error)))) / rate)
-
-
-def held_mismatch_border(delay: float, *, ratio: float) -> Border:
-    """Return the border of mismatch for held arms.
-
-    The border comes with its prediction.
-
-    Args:
-        delay: known delay, s.
-        ratio: precision of the border, as a ratio.
-    """
-    loop_case = held_at_rest(MISMATCH_RATE, seconds=20.0)
-    controller, assumed = loop_case.controller, loop_case.linear()
-    assert isinstance(controller, HoldController)
-
-    def grows(mismatch: float) -> bool:
-        plant, ticks = loop_case.linear(mismatch), round(delay * MISMATCH_RATE)
-        loop = loop_matrix(plant, assumed, gain=controller.gain, delay=ticks)
-        return bool(np.abs(np.linalg.eigvals(loop)).max() >= 1)
-
-    # The first border counts: the eigenvalue may return into the circle.
-    predicted = next(filter(grows, np.geomspace(1e-3, 0.6, 60).tolist()), None)
-    return mismatch_border(loop_case, delay, ratio=ratio, predicted=predicted)
-
-
-def loop_matrix(
-    plant: tuple[Array, Array], assumed: tuple[Array, Array], *, gain: Array, delay: int
-) -> Array:  # fmt: skip
-    """Return the map of a tick for state and commands.
-
-    Commands are in flight, oldest first; both are deviations.
-
-    Args:
-        plant: A (N, N), B (N,) between ticks of the plant.
-        assumed: A (N, N), B (N,) of the predicting model.
-        gain: (N,).
-        delay: delay of the commands, ticks.
-    """
-    n = len(gain)
-    ahead = np.eye(n, n + delay)
-    for i in range(delay):
-        ahead = assumed[0] @ ahead
-        ahead[:, n + i] += assumed[1]
-    # State, commands in flight, and the new one: the first of the commands acts now, the rest wait.
-    rows: Array = np.vstack([np.eye(n + delay), -gain @ ahead])
-    return np.vstack([plant[0] @ rows[:n] + plant[1][:, None] * rows[n], rows[n + 1 :]])
 
 
 RATE = 1000.0

@@ -91,7 +91,7 @@ def test_a_chart_of_maps_is_json_and_a_picture(tmp_path):
 def test_edges_represent_all_maps_of_failure():
     assert check_names(("edges",)) == GROUPS["edges"]
     assert len(GROUPS["edges"]) > 3
-    assert check_names(("edges-control", "edges"))[0] == "edges-control"
+    assert check_names(("edges-moving", "edges"))[0] == "edges-moving"
     with pytest.raises(InputError, match="edges"):
         check_names(("edge",))
 

@@ -29,7 +29,7 @@ SAME_COST = 1e-3
 SAME_STATES = 1e-4
 
 
-@pytest.mark.skipif(not PYTHON, reason="pip install 'dpcontrol[bench]', or set DPCONTROL_ROCKIT_PYTHON")
+@pytest.mark.skipif(not PYTHON, reason="pip install rockit-meco, or set DPCONTROL_ROCKIT_PYTHON")
 def test_rockit_finds_the_same_cost_and_states():
     orbit = orbit_stretch(SECONDS)
     problem = ReferenceProblem(arm_chain_equations(2, Level.CART), LAB.base(), orbit.guess, SECONDS)
