@@ -611,10 +611,9 @@ def _check_ends(parts: tuple[Part, ...], start: str, finish: str, top: Place) ->
         InputError: names the end.
     """
     if "hold" in (start, finish) and not (start == finish and all(isinstance(parts[k], HoldPart) for k in (0, -1))):
-        key = "start" if start == "hold" else "finish"
         raise InputError(
-            f'{top} {key} = "hold": is for start and finish together, and for holds as first and last part; use '
-            '"rest", or in simulation "orbit"'
+            f'{top} {"start" if start == "hold" else "finish"} = "hold": is for start and finish together, and for '
+            'holds as first and last part; use "rest", or in simulation "orbit"'
         )
     if isinstance(parts[0], OrbitPart) and (start, finish) != ("orbit", "orbit"):
         raise InputError(f'{top} orbit: an orbit is kept from "orbit" to "orbit"; remove start and finish')
