@@ -59,6 +59,8 @@ A scale is stuck if J ≥ 30 and its reading has been constant for 45 ms. The no
 the smallest observed step if that is larger. The filter learns the response and the lag of the drive from the steps,
 so working scales of 0.2 mm reach J = 11 at most. A cart that moves by noise alone gives no evidence.
 
+    drive         The scale's readings follow the commands, see `dpcontrol.control.drive`.
+
 Age of the readings: a reading of age τ has positions that lack ω τ, with the rates ω. A reported age is corrected in
 the
 update: y = m - H(z - ω τ). Unknown variations are noise along ω for all positions at once:
@@ -79,6 +81,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import casadi as ca
 import numpy as np
 
+from dpcontrol.control.drive import CartReading, DriveWatch
 from dpcontrol.control.ekf import (
     RESTART_RATE,
     RESTART_VELOCITY,
@@ -124,6 +127,10 @@ class Outcome(IntEnum):
     """A limit switch was touched."""
     FALLEN = 10
     """The arms have left the reference, and the cart that follows them must brake now."""
+    DRIVE_OFF = 11
+    """The cart does not follow the commands."""
+    DRIVE_REVERSED = 12
+    """The cart moves against the commands."""
 
 
 BRAKING = 0.9
@@ -159,6 +166,8 @@ _TURNING = 4.0
 """Slow reversal, rad/s² and m/s²: it stays within a count q for 2 √(2 q / this), 18 ms with 40,000 counts."""
 _CART_STILL = 0.045
 """Shortest constant reading of the cart, s."""
+_IDLE_RESPONSE, _IDLE_SIGMAS = 0.4, 4.0
+"""Response of a drive whose cart has not moved since the start, at most, and the number of standard deviations below."""
 _JOINT_MOVED = 0.02
 """rad."""
 _SCALE_CHECK = 0.015
@@ -395,6 +404,11 @@ class TickEquations:
     split: bool = False
 
     @cached_property
+    def drive(self) -> DriveWatch:
+        """Watch of the drive."""
+        return DriveWatch(self.filter.arms, self.filter.period)
+
+    @cached_property
     def memory(self) -> Layout:
         """Values stored from tick to tick.
 
@@ -424,6 +438,8 @@ class TickEquations:
 
             scale_covariance: of these, the lower triangle row by row. scale_read: reading at the last comparison, m.
 
+            drive_watch: see `DriveWatch`.
+
             scale_waited: readings since. evidence: that the scale is stuck. scale_level, scale_surprise: factor of the
             assumed variance, and the squared relative error at the last changed reading.
 
@@ -445,7 +461,7 @@ class TickEquations:
             restarts=1, held=1, moved=1, restart=1, stopped=1, still=1, acted=1, cut=1, was_untrusted=1, last=m, step=m,
             same=m, begin=m - 1, away=m - 1, pulled=m - 1, strained=m - 1, held_back=m - 1, scale=4,
             scale_covariance=10, scale_read=1, scale_waited=1, scale_level=1, scale_surprise=1, evidence=1, heading=1,
-            turns=m - 1, timing=1, timed=1, lateness=1, strain=1,
+            drive_watch=self.drive.memory.size, turns=m - 1, timing=1, timed=1, lateness=1, strain=1,
             **({"mark": m - 1} if self.plays else {}), **({"shaped": 2} if self.shapes else {}),
             **({} if self.own is None else {"own": len(self.own.first)}), **({"origin": m} if self.split else {}),
         )  # fmt: skip
@@ -856,7 +872,38 @@ class TickEquations:
             "scale_level": ca.if_else(stepped, ca.fmax(level, 1), m["scale_level"]),
             "scale_surprise": ca.if_else(stepped, surprise, m["scale_surprise"]), "evidence": evidence,
         }  # fmt: skip
-        return ca.logic_and(evidence >= _SCALE_STUCK, count * period >= _CART_STILL - period / 2), after
+        # The filter also explains a constant reading by a drive without response.
+        idle = state[2] + _IDLE_SIGMAS * ca.sqrt(covariance[2, 2]) <= _IDLE_RESPONSE
+        contradicts = ca.logic_or(evidence >= _SCALE_STUCK, ca.logic_and(idle, ca.logic_not(smallest <= _BIG)))
+        return ca.logic_and(contradicts, count * period >= _CART_STILL - period / 2), after
+
+    def _drive(
+        self, known: "_Known", e: Mapping[str, ca.SX], stuck: tuple[ca.SX, dict[str, ca.SX]], taken: ca.SX | None
+    ) -> tuple[ca.SX, ca.SX, dict[str, ca.SX]]:
+        """Return the outcome of a drive that the cart does not follow, or 0.
+
+        The number of the stuck sensor and the watch's memory follow.
+
+        stuck: the same two of the sensors' watch. taken (2n,): see `_stuck`.
+        """
+        m, c, n, (sensor, watch) = known.memory, known.numbers, self.filter.arms, stuck
+        present, step = known.reading["present"], watch["step"][n]
+        v = ca.if_else(_finite(e["z"][2 * n + 1]), e["z"][2 * n + 1], 0)
+        moved = ca.if_else(_finite(m["last"][n]), watch["last"][n] - m["last"][n], 0)
+        count = ca.fmax(ca.if_else(step <= _BIG, step, 0), c["scale"])
+        variance, noise = c["noise"][-1] + e["timing"] * v**2, ca.fmax(c["drive_noise"], _COMMAND_NOISE)
+        fresh = _all(*(present[i] for i in range(n + 1)))
+        cart = CartReading(fresh, watch["same"][n] > 0, moved, known.reading["age"] * v, count, variance, noise)
+        found, memory = self.drive.judged(m["drive_watch"], cart, None if taken is None else taken[n:])
+        # Arms that move by the commands contradict a constant reading of the scale, not the drive.
+        constant = watch["same"][n] * self.filter.period >= found.lasts - self.filter.period / 2
+        by_scale = _all(found.unfollowed, constant, found.doubt > 0)
+        by_drive = _any(
+            _all(found.unfollowed, ca.logic_not(by_scale)), _all(ca.eq(sensor, n + 1), found.doubt < 0)
+        )
+        outcome = ca.if_else(found.against, int(Outcome.DRIVE_REVERSED), int(Outcome.DRIVE_OFF))
+        sensor = ca.if_else(by_drive, 0, ca.if_else(by_scale, n + 1, sensor))
+        return ca.if_else(by_drive, outcome, 0), sensor, {**watch, "drive_watch": memory}
 
     def _expected_cart(self, watch: Mapping[str, ca.SX], c: Mapping[str, ca.SX], acting: ca.SX) -> dict[str, ca.SX]:
         """The cart by scale and commands a period later, after `acting` m/s²."""
@@ -934,7 +981,8 @@ class TickEquations:
         holds = _all(astray, c["can_hold"], ca.logic_not(m["held"]))
         moves = _all(c["resynchronise"] > 0, means.error > c["resynchronise"], m["moved"] > TRACKING_MEMORY)
         taken = e.get("relative", e["z"])[: 2 * n] - m["z"][: 2 * n] if predicts else None
-        sensor, watch = self._stuck(known, ca.if_else(restarts, 0, means.strain), taken)
+        stuck = self._stuck(known, ca.if_else(restarts, 0, means.strain), taken)
+        drive, sensor, watch = self._drive(known, e, stuck, taken)
         outcome = ca.SX(int(Outcome.GO_ON))
         # From the weakest: each overrides those before it.
         for condition, code in (
@@ -956,6 +1004,7 @@ class TickEquations:
             ),
         ):
             outcome = ca.if_else(condition, int(code), outcome)
+        outcome = ca.if_else(drive > 0, drive, outcome)
         outcome = ca.if_else(m["stopped"] > 0, int(Outcome.GO_ON), outcome)
         stopped = ca.if_else(outcome >= int(Outcome.ESTIMATE_LOST), outcome, m["stopped"])
         return _Verdict(outcome, stopped, sensor, watch)
@@ -1033,7 +1082,7 @@ class TickEquations:
             "restart": ca.logic_or(again, means.blind), "stopped": verdict.stopped, "acted": path.acting,
             "cut": path.saturated, "was_untrusted": ca.logic_or(m["was_untrusted"], law.untrusted > 0), **verdict.watch,
             **self._expected_cart(verdict.watch, known.numbers, path.acting), **law.own, **path.after,
-            **self._predicted(known, e, means, path.acting, predicts=predicts),
+            **self._predicted(known, e, means, verdict.watch["drive_watch"], path.acting, predicts=predicts),
         }  # fmt: skip
         if self.plays:
             memory["mark"] = e["mark"]
@@ -1042,21 +1091,28 @@ class TickEquations:
         return memory
 
     def _predicted(
-        self, known: "_Known", e: Mapping[str, ca.SX], means: "_Means", acting: ca.SX, *, predicts: bool
+        self, known: "_Known", e: Mapping[str, ca.SX], means: "_Means", watch: ca.SX, acting: ca.SX, *, predicts: bool
     ) -> dict[str, ca.SX]:
-        """Return the filter's prediction over the coming period.
+        """Return the filter's prediction over the coming period, and the memory of the drive's watch.
 
-        Without `predicts`, its memory is unchanged.
+        Without `predicts`, the filter's memory is unchanged.
         """
         m, c = known.memory, known.numbers
         if not predicts:
-            return {"z": m["z"], "covariance": m["covariance"]}
+            nothing = ca.SX(self.filter.arms, 1), ca.SX(0)
+            kept = {"z": m["z"], "covariance": m["covariance"]}
+            return {**kept, "drive_watch": self.drive.commanded(watch, acting, *nothing)}
+        extra = dict(zip(self.filter.extra_names, ca.vertsplit(e["z"])[self.filter.equations.dimension :], strict=True))
+        error = extra.get("drive", ca.SX(0))
         start, origin = (e["relative"], self._origin(m)) if self.split else (e["z"], None)
         covariance = unpack(e["covariance"], self.filter.dimension)
         noise_inputs = self.filter.noise_inputs(covariance, acting - m["acted"], means.nis)
         predicted = self.filter.predicted
-        following, jacobian, noise = predicted(start, acting, c["parameters"], c["process"], noise_inputs, origin)
-        return {"z": following, "covariance": propagated(jacobian, covariance, noise)}
+        following, jacobian, noise, reach = predicted(start, acting, c["parameters"], c["process"], noise_inputs, origin)
+        return {
+            "z": following, "covariance": propagated(jacobian, covariance, noise),
+            "drive_watch": self.drive.commanded(watch, acting, reach, error),
+        }  # fmt: skip
 
     def _report(
         self, known: "_Known", e: Mapping[str, ca.SX], acts: "_Acts", law: "_Law", means: "_Means",
@@ -1320,7 +1376,7 @@ class TickProgram:
             "z": np.concatenate([first, np.zeros(self.equations.filter.dimension - len(first))]),
             "covariance": packed(t @ np.diag(self.settings.first_sigmas(self.model.arms) ** 2) @ t.T),
             "velocity": speed[None], "heading": speed[None], "scale_level": 1.0,
-            "scale": np.array([0.0, velocity, 1.0, 0.0]),
+            "scale": np.array([0.0, velocity, 1.0, 0.0]), "drive_watch": self.equations.drive.start(velocity),
             "scale_covariance": packed(np.diag([_SCALE_ERROR, _COMMAND_NOISE * _SCALE_CHECK, _RESPONSE, _LAG]) ** 2),
             "timed": TIMING_PRIOR**2, "moved": np.inf, "last": np.inf, "step": np.inf,
         }  # fmt: skip

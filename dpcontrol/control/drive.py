@@ -1,0 +1,157 @@
+"""Watch of the drive: does the cart follow the commands?
+
+Two observers of a cart at constant velocity, with the double pole e^(-Δt/T), see one the scale and one the commands.
+The error of the first is y, that of the second c, or c' for a drive with 20 ms more lag. All are high-pass filtered
+positions, so y = c for a perfect drive, and y = g c for one with the response g. A drive that is late by up to 20 ms
+gives a y between c and c'. With b = min(|c|, |c'|) where both have the same sign, else 0, the cart does not follow if
+
+    y sign(c) < 0.35 b   and   b ≥ 2 counts + 6 standard deviations + 1 m/s² T²
+
+for 3.5 T, which is 28 ms with T = 8 ms. It moves against the commands if Σ (2 y c + b²) < 0 over this time.
+
+A stuck scale gives the same y, so the arms decide. Δω are the filter's corrections of their rates, those by an
+estimated error of the drive included, and β the changes of these rates by the commands. Σ Δω·β is about 0 for arms on a
+cart that follows, and about -Σ β·β for arms on one that stands. From half of that on, the arms contradict the commands,
+and the drive is the cause.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from dpcontrol.control.ekf import Layout
+from dpcontrol.foundation.arrays import Array
+
+_TIME, _PERIODS = 0.008, 1.5
+"""Time constant T of the observers, s and at least periods."""
+_LATER = 0.02
+"""Additional lag of a working drive, s."""
+_FOLLOWED, _LASTS = 0.35, 3.5
+"""Response below which a cart does not follow, and the duration of this, in T.
+
+After a blow of 1 m/s on the cart of a working drive, it lasts 2.5 T.
+"""
+_COUNTS, _SIGMAS, _ACCELERATION = 2.0, 6.0, 1.0
+"""Motion that must be visible: counts, standard deviations, m/s²."""
+
+
+class CartReading(NamedTuple):
+    """The cart in a tick.
+
+    fresh: 1 if the cart was measured. repeats: 1 if its reading is the last one. moved m: change of its reading since the last one. ahead m: its motion during the
+    reading's age. count m: of the scale. variance m²: of the reading. noise m/s²: on each command.
+    """
+
+    fresh: ca.SX
+    repeats: ca.SX
+    moved: ca.SX
+    ahead: ca.SX
+    count: ca.SX
+    variance: ca.SX
+    noise: ca.SX
+
+
+class DriveFinding(NamedTuple):
+    """The decision on a drive.
+
+    unfollowed: 1 if the cart does not follow. against: 1 if it moves against the commands. lasts s: duration so far.
+    doubt: sum over this time and constant readings, negative if the arms contradict the commands, 0 if they are
+    unknown.
+    """
+
+    unfollowed: ca.SX
+    against: ca.SX
+    doubt: ca.SX
+    lasts: ca.SX
+
+
+@dataclass(frozen=True)
+class DriveWatch:
+    """Equations of the watch.
+
+    Attributes:
+        arms: number n of arms.
+        period: time between ticks, s.
+    """
+
+    arms: int
+    period: float
+
+    @cached_property
+    def memory(self) -> Layout:
+        """Values stored from tick to tick.
+
+            read, due, late (2): y, c and c', m, and their rates, m/s. lagged: acceleration with more lag, m/s².
+
+            reach (n,): changes of the arms' rates in a period by the last command, rad/s. assumed rad²/s²: its product
+            with those by the drive's estimated error.
+
+            lasts: time that the cart has not followed, s. against m², doubt rad²/s²: see `DriveFinding`.
+        """
+        return Layout(read=2, due=2, late=2, lagged=1, reach=self.arms, assumed=1, lasts=1, against=1, doubt=1)
+
+    @property
+    def _time(self) -> float:
+        return max(_TIME, _PERIODS * self.period)
+
+    def start(self, velocity: float) -> Array:
+        """Return the memory (size,) at the start of a run.
+
+        Args:
+            velocity: velocity of the cart, m/s.
+        """
+        return self.memory.filled({"read": np.array([0.0, -velocity])})
+
+    def judged(self, memory: ca.SX, cart: CartReading, corrections: ca.SX | None) -> tuple[DriveFinding, ca.SX]:
+        """Return the finding after a reading, and the memory before the next command.
+
+        Args:
+            memory: memory of the watch.
+            cart: the cart's reading.
+            corrections: changes (n,) of the predicted rates by the filter's update, rad/s, None if unknown.
+        """
+        m, time = {name: memory[where] for name, where in self.memory.slices.items()}, self._time
+        gaps = {"read": m["read"][0] + cart.moved, "due": m["due"][0], "late": m["late"][0]}
+        noise = cart.variance + cart.noise**2 * self.period * time**3 / 4
+        visible = _COUNTS * cart.count + _SIGMAS * ca.sqrt(noise) + _ACCELERATION * time**2
+        due, late = gaps["due"], gaps["late"]
+        least = ca.if_else(due * late > 0, ca.fmin(ca.fabs(due), ca.fabs(late)), 0)
+        read = gaps["read"] + cart.ahead
+        along = ca.if_else(due > 0, read, -read)
+        astray = ca.logic_and(least >= visible, ca.logic_not(along >= _FOLLOWED * least))
+        doubt = ca.SX(0)
+        if corrections is not None:
+            doubt = ca.dot(corrections, m["reach"]) + m["assumed"] + ca.dot(m["reach"], m["reach"]) / 2
+        for name, more, goes_on in (
+            ("lasts", self.period, astray), ("against", (2 * along + least) * least, astray),
+            ("doubt", doubt, ca.logic_or(astray, cart.repeats)),
+        ):  # fmt: skip
+            m[name] = ca.if_else(cart.fresh, ca.if_else(goes_on, m[name] + more, 0), m[name])
+        # Without a reading, no observer is corrected.
+        keeps = float(np.exp(-self.period / time))
+        for name, gap in gaps.items():
+            error = ca.if_else(cart.fresh, read if name == "read" else gap, 0)
+            rate = m[name][1] - (1 - keeps) ** 2 / self.period * error
+            m[name] = ca.vertcat(gap - (1 - keeps**2) * error, rate)
+        unfollowed = m["lasts"] >= _LASTS * time - self.period / 2
+        return DriveFinding(unfollowed, m["against"] < 0, m["doubt"], m["lasts"]), self.memory.joined(m)
+
+    def commanded(self, memory: ca.SX, acting: ca.SX, reach: ca.SX, error: ca.SX) -> ca.SX:
+        """Return the memory at the next reading.
+
+        Args:
+            memory: memory before the command.
+            acting: acceleration of the cart that the commands demand until then, m/s².
+            reach: changes (n,) of the rates by 1 m/s² during a period, rad/s, 0 if unknown.
+            error: estimated error of the drive's acceleration, m/s².
+        """
+        m, period = {name: memory[where] for name, where in self.memory.slices.items()}, self.period
+        m["lagged"] = acting + float(np.exp(-period / _LATER)) * (m["lagged"] - acting)
+        for name, acceleration in (("read", ca.SX(0)), ("due", acting), ("late", m["lagged"])):
+            gap, rate = m[name][0], m[name][1]
+            m[name] = ca.vertcat(gap + rate * period + acceleration * period**2 / 2, rate + acceleration * period)
+        m |= {"reach": reach * acting, "assumed": ca.dot(reach, reach) * acting * error}
+        return self.memory.joined(m)
