@@ -9,10 +9,9 @@ gives a y between c and c'. With b = min(|c|, |c'|) where both have the same sig
 
 for 3.5 T, which is 28 ms with T = 8 ms. It moves against the commands if Σ (2 y c + b²) < 0 over this time.
 
-A stuck scale gives the same y, so the arms decide. Δω are the filter's corrections of their rates, those by an
-estimated error of the drive included, and β the changes of these rates by the commands. Σ Δω·β is about 0 for arms on a
-cart that follows, and about -Σ β·β for arms on one that stands. From half of that on, the arms contradict the commands,
-and the drive is the cause.
+A stuck scale gives the same y, so the arms decide. Two observers of each arm see its encoder less the model's motion,
+and the part of this motion that is due to the commands. Their errors are r and s, and r is 0 on a cart that follows,
+but -s on one that stands. If Σ (r s + s²/2) < 0, the arms contradict the commands, and the drive is the cause.
 """
 
 from dataclasses import dataclass
@@ -41,8 +40,8 @@ _COUNTS, _SIGMAS, _ACCELERATION = 2.0, 6.0, 1.0
 class CartReading(NamedTuple):
     """The cart in a tick.
 
-    fresh: 1 if the cart was measured. repeats: 1 if its reading is the last one. moved m: change of its reading since the last one. ahead m: its motion during the
-    reading's age. count m: of the scale. variance m²: of the reading. noise m/s²: on each command.
+    fresh: 1 if the cart was measured. repeats: 1 if its reading is the last one. moved (n+1,): changes of the
+    readings since the last ones, rad and m. ahead m: the cart's motion during the reading's age. count m: of the scale. variance m²: of the reading. noise m/s²: on each command.
     """
 
     fresh: ca.SX
@@ -86,35 +85,41 @@ class DriveWatch:
 
             read, due, late (2): y, c and c', m, and their rates, m/s. lagged: acceleration with more lag, m/s².
 
-            reach (n,): changes of the arms' rates in a period by the last command, rad/s. assumed rad²/s²: its product
-            with those by the drive's estimated error.
+            arms, driven (2n): r and s, rad, and their rates, rad/s.
 
-            lasts: time that the cart has not followed, s. against m², doubt rad²/s²: see `DriveFinding`.
+            lasts: time that the cart has not followed, s. against m², doubt rad²: see `DriveFinding`.
         """
-        return Layout(read=2, due=2, late=2, lagged=1, reach=self.arms, assumed=1, lasts=1, against=1, doubt=1)
+        return Layout(read=2, due=2, late=2, lagged=1, arms=2 * self.arms, driven=2 * self.arms, lasts=1, against=1, doubt=1)
+
+    _observers = ("read", "due", "late", "arms", "driven")
+
+    def _parts(self, memory: ca.SX) -> dict[str, ca.SX]:
+        return {name: memory[where] for name, where in self.memory.slices.items()}
 
     @property
     def _time(self) -> float:
         return max(_TIME, _PERIODS * self.period)
 
-    def start(self, velocity: float) -> Array:
+    def start(self, velocity: float, rates: Array) -> Array:
         """Return the memory (size,) at the start of a run.
 
         Args:
             velocity: velocity of the cart, m/s.
+            rates: rates (n,) of the arms, rad/s.
         """
-        return self.memory.filled({"read": np.array([0.0, -velocity])})
+        return self.memory.filled({"read": np.array([0.0, -velocity]), "arms": np.append(0 * rates, -rates)})
 
-    def judged(self, memory: ca.SX, cart: CartReading, corrections: ca.SX | None) -> tuple[DriveFinding, ca.SX]:
+    def judged(self, memory: ca.SX, cart: CartReading) -> tuple[DriveFinding, ca.SX]:
         """Return the finding after a reading, and the memory before the next command.
 
         Args:
             memory: memory of the watch.
             cart: the cart's reading.
-            corrections: changes (n,) of the predicted rates by the filter's update, rad/s, None if unknown.
         """
-        m, time = {name: memory[where] for name, where in self.memory.slices.items()}, self._time
-        gaps = {"read": m["read"][0] + cart.moved, "due": m["due"][0], "late": m["late"][0]}
+        m, time, n = self._parts(memory), self._time, self.arms
+        gaps = {name: m[name][: m[name].shape[0] // 2] for name in self._observers}
+        gaps["read"] += cart.moved[n]
+        gaps["arms"] += cart.moved[:n]
         noise = cart.variance + cart.noise**2 * self.period * time**3 / 4
         visible = _COUNTS * cart.count + _SIGMAS * ca.sqrt(noise) + _ACCELERATION * time**2
         due, late = gaps["due"], gaps["late"]
@@ -122,9 +127,7 @@ class DriveWatch:
         read = gaps["read"] + cart.ahead
         along = ca.if_else(due > 0, read, -read)
         astray = ca.logic_and(least >= visible, ca.logic_not(along >= _FOLLOWED * least))
-        doubt = ca.SX(0)
-        if corrections is not None:
-            doubt = ca.dot(corrections, m["reach"]) + m["assumed"] + ca.dot(m["reach"], m["reach"]) / 2
+        doubt = ca.dot(gaps["arms"] + gaps["driven"] / 2, gaps["driven"])
         for name, more, goes_on in (
             ("lasts", self.period, astray), ("against", (2 * along + least) * least, astray),
             ("doubt", doubt, ca.logic_or(astray, cart.repeats)),
@@ -134,24 +137,23 @@ class DriveWatch:
         keeps = float(np.exp(-self.period / time))
         for name, gap in gaps.items():
             error = ca.if_else(cart.fresh, read if name == "read" else gap, 0)
-            rate = m[name][1] - (1 - keeps) ** 2 / self.period * error
+            rate = m[name][gap.shape[0] :] - (1 - keeps) ** 2 / self.period * error
             m[name] = ca.vertcat(gap - (1 - keeps**2) * error, rate)
         unfollowed = m["lasts"] >= _LASTS * time - self.period / 2
         return DriveFinding(unfollowed, m["against"] < 0, m["doubt"], m["lasts"]), self.memory.joined(m)
 
-    def commanded(self, memory: ca.SX, acting: ca.SX, reach: ca.SX, error: ca.SX) -> ca.SX:
+    def commanded(self, memory: ca.SX, acting: ca.SX, swing: ca.SX, driven: ca.SX) -> ca.SX:
         """Return the memory at the next reading.
 
         Args:
             memory: memory before the command.
             acting: acceleration of the cart that the commands demand until then, m/s².
-            reach: changes (n,) of the rates by 1 m/s² during a period, rad/s, 0 if unknown.
-            error: estimated error of the drive's acceleration, m/s².
+            swing: modelled accelerations (n,) of the arms until then, rad/s².
+            driven: the part (n,) of these that is due to the commands, rad/s², 0 if it is unknown.
         """
-        m, period = {name: memory[where] for name, where in self.memory.slices.items()}, self.period
+        m, period = self._parts(memory), self.period
         m["lagged"] = acting + float(np.exp(-period / _LATER)) * (m["lagged"] - acting)
-        for name, acceleration in (("read", ca.SX(0)), ("due", acting), ("late", m["lagged"])):
-            gap, rate = m[name][0], m[name][1]
+        for name, acceleration in zip(self._observers, (ca.SX(0), acting, m["lagged"], -swing, driven), strict=True):
+            gap, rate = ca.vertsplit(m[name], m[name].shape[0] // 2)
             m[name] = ca.vertcat(gap + rate * period + acceleration * period**2 / 2, rate + acceleration * period)
-        m |= {"reach": reach * acting, "assumed": ca.dot(reach, reach) * acting * error}
         return self.memory.joined(m)

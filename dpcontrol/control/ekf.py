@@ -322,8 +322,8 @@ class FilterEquations:
         process: ca.SX,
         noise_inputs: ca.SX,
         origin: ca.SX | None = None,
-    ) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
-        """Return the next z, its Jacobian and Q, both for T z, and the changes (n,) of the rates by 1 m/s².
+    ) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """Return the next z, its Jacobian and Q, both for T z.
 
         Args:
             z: present z (N+E,).
@@ -378,7 +378,7 @@ class FilterEquations:
         if self.as_measured:
             t, back = _sparse(self.carried), _sparse(self.restored)
             jacobian, noise = t @ jacobian @ back, t @ noise @ t.T
-        return following, jacobian, noise, pushed[n : 2 * n] * step
+        return following, jacobian, noise
 
     def updated(
         self, z: ca.SX, covariance: ca.SX, measured: ca.SX, present: ca.SX, noise: ca.SX, timing: Timing | None = None
@@ -437,7 +437,7 @@ class FilterEquations:
         covariance = unpack(triangle, size)
         before = z
         if predicts:
-            before, jacobian, q, _ = self.predicted(z, command, parameters, process, self.noise_inputs(covariance))
+            before, jacobian, q = self.predicted(z, command, parameters, process, self.noise_inputs(covariance))
             # Mirror one triangle so that casadi does not compute the other.
             covariance = unpack(propagated(jacobian, covariance, q), size)
         after, covariance, y, nis, _ = self.updated(before, covariance, measured, present, noise)
@@ -462,7 +462,7 @@ class FilterEquations:
             with_jacobian: True to return the next z, its Jacobian and Q by columns, False for the next z only.
         """
         inputs = {name: ca.SX.sym(name, size) for name, size in self.inputs.items()}
-        following, jacobian, q, _ = self.predicted(*inputs.values())
+        following, jacobian, q = self.predicted(*inputs.values())
         parts = [following, ca.vec(ca.densify(jacobian)), ca.vec(ca.densify(q))] if with_jacobian else [following]
         out = ca.densify(ca.vertcat(*parts))
         return ca.Function("prediction", [*inputs.values()], [ca.cse(out)], [*inputs], ["out"], {"cse": True})

@@ -166,7 +166,7 @@ _TURNING = 4.0
 """Slow reversal, rad/s² and m/s²: it stays within a count q for 2 √(2 q / this), 18 ms with 40,000 counts."""
 _CART_STILL = 0.045
 """Shortest constant reading of the cart, s."""
-_IDLE_RESPONSE, _IDLE_SIGMAS = 0.4, 4.0
+_IDLE_RESPONSE, _IDLE_SIGMAS = 0.5, 3.0
 """Response of a drive whose cart has not moved since the start, at most, and the number of standard deviations below."""
 _JOINT_MOVED = 0.02
 """rad."""
@@ -878,23 +878,24 @@ class TickEquations:
         return ca.logic_and(contradicts, count * period >= _CART_STILL - period / 2), after
 
     def _drive(
-        self, known: "_Known", e: Mapping[str, ca.SX], stuck: tuple[ca.SX, dict[str, ca.SX]], taken: ca.SX | None
+        self, known: "_Known", e: Mapping[str, ca.SX], stuck: tuple[ca.SX, dict[str, ca.SX]]
     ) -> tuple[ca.SX, ca.SX, dict[str, ca.SX]]:
         """Return the outcome of a drive that the cart does not follow, or 0.
 
         The number of the stuck sensor and the watch's memory follow.
 
-        stuck: the same two of the sensors' watch. taken (2n,): see `_stuck`.
+        stuck: the same two of the sensors' watch.
         """
         m, c, n, (sensor, watch) = known.memory, known.numbers, self.filter.arms, stuck
         present, step = known.reading["present"], watch["step"][n]
         v = ca.if_else(_finite(e["z"][2 * n + 1]), e["z"][2 * n + 1], 0)
-        moved = ca.if_else(_finite(m["last"][n]), watch["last"][n] - m["last"][n], 0)
+        moved = [ca.if_else(_finite(m["last"][i]), watch["last"][i] - m["last"][i], 0) for i in range(n + 1)]
+        angles = ca.DM(np.tril(np.ones((n, n)))) @ ca.vertcat(*moved[:n])
         count = ca.fmax(ca.if_else(step <= _BIG, step, 0), c["scale"])
         variance, noise = c["noise"][-1] + e["timing"] * v**2, ca.fmax(c["drive_noise"], _COMMAND_NOISE)
         fresh = _all(*(present[i] for i in range(n + 1)))
-        cart = CartReading(fresh, watch["same"][n] > 0, moved, known.reading["age"] * v, count, variance, noise)
-        found, memory = self.drive.judged(m["drive_watch"], cart, None if taken is None else taken[n:])
+        cart = CartReading(fresh, watch["same"][n] > 0, ca.vertcat(angles, moved[n]), known.reading["age"] * v, count, variance, noise)
+        found, memory = self.drive.judged(m["drive_watch"], cart)
         # Arms that move by the commands contradict a constant reading of the scale, not the drive.
         constant = watch["same"][n] * self.filter.period >= found.lasts - self.filter.period / 2
         by_scale = _all(found.unfollowed, constant, found.doubt > 0)
@@ -920,6 +921,16 @@ class TickEquations:
         for i, (sigma, drift) in enumerate(((_RESPONSE, _RESPONSE_DRIFT), (_LAG, _LAG_DRIFT)), start=2):
             noise[i, i] = ca.if_else(covariance[i, i] < sigma**2, drift**2 * period, 0)
         return {"scale": moves @ state, "scale_covariance": pack(moves @ covariance @ moves.T + noise)}
+
+    def _expected_arms(self, known: "_Known", e: Mapping[str, ca.SX], watch: ca.SX, acting: ca.SX) -> ca.SX:
+        """Return the drive's watch a period later, after `acting` m/s².
+
+        Estimated parameters and errors of the drive adapt to a stuck scale, so they are not used.
+        """
+        n, rate, size = self.filter.arms, self.filter.equations.function(), self.filter.equations.dimension
+        state = ca.vertcat(*(ca.if_else(_finite(value), value, 0) for value in ca.vertsplit(e["z"][:size])))
+        swing, free = (rate(state, a, known.numbers["parameters"])[n : 2 * n] for a in (acting, 0))
+        return self.drive.commanded(watch, acting, swing, swing - free)
 
     def _finish(
         self, known: "_Known", e: Mapping[str, ca.SX], acts: "_Acts", *, predicts: bool
@@ -982,7 +993,7 @@ class TickEquations:
         moves = _all(c["resynchronise"] > 0, means.error > c["resynchronise"], m["moved"] > TRACKING_MEMORY)
         taken = e.get("relative", e["z"])[: 2 * n] - m["z"][: 2 * n] if predicts else None
         stuck = self._stuck(known, ca.if_else(restarts, 0, means.strain), taken)
-        drive, sensor, watch = self._drive(known, e, stuck, taken)
+        drive, sensor, watch = self._drive(known, e, stuck)
         outcome = ca.SX(int(Outcome.GO_ON))
         # From the weakest: each overrides those before it.
         for condition, code in (
@@ -1082,7 +1093,8 @@ class TickEquations:
             "restart": ca.logic_or(again, means.blind), "stopped": verdict.stopped, "acted": path.acting,
             "cut": path.saturated, "was_untrusted": ca.logic_or(m["was_untrusted"], law.untrusted > 0), **verdict.watch,
             **self._expected_cart(verdict.watch, known.numbers, path.acting), **law.own, **path.after,
-            **self._predicted(known, e, means, verdict.watch["drive_watch"], path.acting, predicts=predicts),
+            "drive_watch": self._expected_arms(known, e, verdict.watch["drive_watch"], path.acting),
+            **self._predicted(known, e, means, path.acting, predicts=predicts),
         }  # fmt: skip
         if self.plays:
             memory["mark"] = e["mark"]
@@ -1091,28 +1103,21 @@ class TickEquations:
         return memory
 
     def _predicted(
-        self, known: "_Known", e: Mapping[str, ca.SX], means: "_Means", watch: ca.SX, acting: ca.SX, *, predicts: bool
+        self, known: "_Known", e: Mapping[str, ca.SX], means: "_Means", acting: ca.SX, *, predicts: bool
     ) -> dict[str, ca.SX]:
-        """Return the filter's prediction over the coming period, and the memory of the drive's watch.
+        """Return the filter's prediction over the coming period.
 
-        Without `predicts`, the filter's memory is unchanged.
+        Without `predicts`, its memory is unchanged.
         """
         m, c = known.memory, known.numbers
         if not predicts:
-            nothing = ca.SX(self.filter.arms, 1), ca.SX(0)
-            kept = {"z": m["z"], "covariance": m["covariance"]}
-            return {**kept, "drive_watch": self.drive.commanded(watch, acting, *nothing)}
-        extra = dict(zip(self.filter.extra_names, ca.vertsplit(e["z"])[self.filter.equations.dimension :], strict=True))
-        error = extra.get("drive", ca.SX(0))
+            return {"z": m["z"], "covariance": m["covariance"]}
         start, origin = (e["relative"], self._origin(m)) if self.split else (e["z"], None)
         covariance = unpack(e["covariance"], self.filter.dimension)
         noise_inputs = self.filter.noise_inputs(covariance, acting - m["acted"], means.nis)
         predicted = self.filter.predicted
-        following, jacobian, noise, reach = predicted(start, acting, c["parameters"], c["process"], noise_inputs, origin)
-        return {
-            "z": following, "covariance": propagated(jacobian, covariance, noise),
-            "drive_watch": self.drive.commanded(watch, acting, reach, error),
-        }  # fmt: skip
+        following, jacobian, noise = predicted(start, acting, c["parameters"], c["process"], noise_inputs, origin)
+        return {"z": following, "covariance": propagated(jacobian, covariance, noise)}
 
     def _report(
         self, known: "_Known", e: Mapping[str, ca.SX], acts: "_Acts", law: "_Law", means: "_Means",
@@ -1371,12 +1376,12 @@ class TickProgram:
         for command in np.clip(self.spread(queued), -most, most):
             sent = np.concatenate([sent[1:], command[None]])
             speed = np.clip(speed + command * self.period, -fastest, fastest)
-        t = self.equations.filter.carried
+        t, n = self.equations.filter.carried, self.model.arms
         start = {
             "z": np.concatenate([first, np.zeros(self.equations.filter.dimension - len(first))]),
             "covariance": packed(t @ np.diag(self.settings.first_sigmas(self.model.arms) ** 2) @ t.T),
             "velocity": speed[None], "heading": speed[None], "scale_level": 1.0,
-            "scale": np.array([0.0, velocity, 1.0, 0.0]), "drive_watch": self.equations.drive.start(velocity),
+            "scale": np.array([0.0, velocity, 1.0, 0.0]), "drive_watch": self.equations.drive.start(velocity, first[n : 2 * n]),
             "scale_covariance": packed(np.diag([_SCALE_ERROR, _COMMAND_NOISE * _SCALE_CHECK, _RESPONSE, _LAG]) ** 2),
             "timed": TIMING_PRIOR**2, "moved": np.inf, "last": np.inf, "step": np.inf,
         }  # fmt: skip
