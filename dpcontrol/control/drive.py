@@ -7,7 +7,9 @@ gives a y between c and c'. With b = min(|c|, |c'|) where both have the same sig
 
     y sign(c) < 0.35 b   and   b ≥ 2 counts + 6 standard deviations + 1 m/s² T²
 
-for 3.5 T, which is 28 ms with T = 8 ms. It moves against the commands if Σ (2 y c + b²) < 0 over this time.
+for 3.5 T in all, which is 28 ms with T = 8 ms, without following in between. A blow on the cart gives the same until
+its effect on y has faded, so b - y sign(c) must also be at least 0.6 of its recent maximum. The cart moves against the
+commands if Σ (2 y sign(c) + b) b < 0 over this time.
 
 A stuck scale gives the same y, so the arms decide. Two observers of each arm see its encoder less the model's motion,
 and the part of this motion that is due to the commands. Their errors are r and s, and r is 0 on a cart that follows,
@@ -29,9 +31,11 @@ _TIME, _PERIODS = 0.008, 1.5
 _LATER = 0.02
 """Additional lag of a working drive, s."""
 _FOLLOWED, _LASTS = 0.35, 3.5
-"""Response below which a cart does not follow, and the duration of this, in T.
+"""Response below which a cart does not follow, and the duration of this, in T."""
+_STAYS, _FADES = 0.6, 3.0
+"""Share of its maximum at which an error counts, and the time constant of this maximum, in T.
 
-After a blow of 1 m/s on the cart of a working drive, it lasts 2.5 T.
+The error after a blow is t e^(-t/T), which falls to 0.6 of its maximum within 2.4 T, and then faster than the maximum.
 """
 _COUNTS, _SIGMAS, _ACCELERATION = 2.0, 6.0, 1.0
 """Motion that must be visible: counts, standard deviations, m/s²."""
@@ -87,9 +91,9 @@ class DriveWatch:
 
             arms, driven (2n): r and s, rad, and their rates, rad/s.
 
-            lasts: time that the cart has not followed, s. against m², doubt rad²: see `DriveFinding`.
+            peak: recent maximum of b - y sign(c), m. lasts: time that the cart has not followed, s. against m², doubt rad²: see `DriveFinding`.
         """
-        return Layout(read=2, due=2, late=2, lagged=1, arms=2 * self.arms, driven=2 * self.arms, lasts=1, against=1, doubt=1)
+        return Layout(read=2, due=2, late=2, lagged=1, arms=2 * self.arms, driven=2 * self.arms, peak=1, lasts=1, against=1, doubt=1)
 
     _observers = ("read", "due", "late", "arms", "driven")
 
@@ -126,13 +130,19 @@ class DriveWatch:
         least = ca.if_else(due * late > 0, ca.fmin(ca.fabs(due), ca.fabs(late)), 0)
         read = gaps["read"] + cart.ahead
         along = ca.if_else(due > 0, read, -read)
-        astray = ca.logic_and(least >= visible, ca.logic_not(along >= _FOLLOWED * least))
+        seen = least >= visible
+        follows = ca.logic_and(seen, along >= _FOLLOWED * least)
+        short = ca.fmax(least - along, 0)
+        peak = ca.fmax(short, float(np.exp(-self.period / (_FADES * time))) * m["peak"])
+        m["peak"] = ca.if_else(cart.fresh, peak, m["peak"])
+        astray = ca.logic_and(ca.logic_and(seen, ca.logic_not(follows)), short >= _STAYS * peak)
         doubt = ca.dot(gaps["arms"] + gaps["driven"] / 2, gaps["driven"])
-        for name, more, goes_on in (
+        for name, more, counts in (
             ("lasts", self.period, astray), ("against", (2 * along + least) * least, astray),
-            ("doubt", doubt, ca.logic_or(astray, cart.repeats)),
+            ("doubt", doubt, ca.logic_or(astray, ca.logic_and(cart.repeats, ca.logic_not(seen)))),
         ):  # fmt: skip
-            m[name] = ca.if_else(cart.fresh, ca.if_else(goes_on, m[name] + more, 0), m[name])
+            after = ca.if_else(counts, m[name] + more, ca.if_else(follows, 0, m[name]))
+            m[name] = ca.if_else(cart.fresh, after, m[name])
         # Without a reading, no observer is corrected.
         keeps = float(np.exp(-self.period / time))
         for name, gap in gaps.items():
