@@ -5,11 +5,11 @@ The error of the first is y, that of the second c, or c' for a drive with 20 ms 
 positions, so y = c for a perfect drive, and y = g c for one with the response g. A drive that is late by up to 20 ms
 gives a y between c and c'. With b = min(|c|, |c'|) where both have the same sign, else 0, the cart does not follow if
 
-    y sign(c) < 0.35 b   and   b ≥ 2 counts + 6 standard deviations + 1 m/s² T²
+    y sign(c) < 0.25 b   and   b ≥ 2 counts + 6 standard deviations + 1 m/s² T²
 
 for 3.5 T in all, which is 28 ms with T = 8 ms, without following in between. A blow on the cart gives the same until
 its effect on y has faded, so b - y sign(c) must also be at least 0.6 of its recent maximum. The cart moves against the
-commands if Σ (2 y sign(c) + b) b < 0 over this time.
+commands if Σ (4 y sign(c) + b) b < 0 over this time.
 
 A stuck scale gives the same y, so the arms decide. Two observers of each arm see its encoder less the model's motion,
 and the part of this motion that is due to the commands. Their errors are r and s, and r is 0 on a cart that follows,
@@ -30,7 +30,7 @@ _TIME, _PERIODS = 0.008, 1.5
 """Time constant T of the observers, s and at least periods."""
 _LATER = 0.02
 """Additional lag of a working drive, s."""
-_FOLLOWED, _LASTS = 0.35, 3.5
+_FOLLOWED, _LASTS = 0.25, 3.5
 """Response below which a cart does not follow, and the duration of this, in T."""
 _STAYS, _FADES = 0.6, 3.0
 """Share of its maximum at which an error counts, and the time constant of this maximum, in T.
@@ -44,8 +44,9 @@ _COUNTS, _SIGMAS, _ACCELERATION = 2.0, 6.0, 1.0
 class CartReading(NamedTuple):
     """The cart in a tick.
 
-    fresh: 1 if the cart was measured. repeats: 1 if its reading is the last one. moved (n+1,): changes of the
-    readings since the last ones, rad and m. ahead m: the cart's motion during the reading's age. count m: of the scale. variance m²: of the reading. noise m/s²: on each command.
+    fresh: 1 if the cart was measured. repeats: 1 if its reading is the last one. moved (n+1,): changes of the readings
+    since the last ones, rad and m. ahead m: the cart's motion during the reading's age. count m: of the scale.
+    variance m²: of the reading. noise m/s²: on each command.
     """
 
     fresh: ca.SX
@@ -87,13 +88,17 @@ class DriveWatch:
     def memory(self) -> Layout:
         """Values stored from tick to tick.
 
-            read, due, late (2): y, c and c', m, and their rates, m/s. lagged: acceleration with more lag, m/s².
+        read, due, late (2): y, c and c', m, and their rates, m/s. lagged: acceleration with more lag, m/s².
 
-            arms, driven (2n): r and s, rad, and their rates, rad/s.
+        arms, driven (2n): r and s, rad, and their rates, rad/s.
 
-            peak: recent maximum of b - y sign(c), m. lasts: time that the cart has not followed, s. against m², doubt rad²: see `DriveFinding`.
+        peak: recent maximum of b - y sign(c), m. lasts: time that the cart has not followed, s. against m², doubt
+        rad²: see `DriveFinding`.
         """
-        return Layout(read=2, due=2, late=2, lagged=1, arms=2 * self.arms, driven=2 * self.arms, peak=1, lasts=1, against=1, doubt=1)
+        arms = 2 * self.arms
+        return Layout(
+            read=2, due=2, late=2, lagged=1, arms=arms, driven=arms, peak=1, lasts=1, against=1, doubt=1,
+        )  # fmt: skip
 
     _observers = ("read", "due", "late", "arms", "driven")
 
@@ -138,7 +143,7 @@ class DriveWatch:
         astray = ca.logic_and(ca.logic_and(seen, ca.logic_not(follows)), short >= _STAYS * peak)
         doubt = ca.dot(gaps["arms"] + gaps["driven"] / 2, gaps["driven"])
         for name, more, counts in (
-            ("lasts", self.period, astray), ("against", (2 * along + least) * least, astray),
+            ("lasts", self.period, astray), ("against", (4 * along + least) * least, astray),
             ("doubt", doubt, ca.logic_or(astray, ca.logic_and(cart.repeats, ca.logic_not(seen)))),
         ):  # fmt: skip
             after = ca.if_else(counts, m[name] + more, ca.if_else(follows, 0, m[name]))

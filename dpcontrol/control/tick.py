@@ -167,7 +167,7 @@ _TURNING = 4.0
 _CART_STILL = 0.045
 """Shortest constant reading of the cart, s."""
 _IDLE_RESPONSE, _IDLE_SIGMAS = 0.5, 3.0
-"""Response of a drive whose cart has not moved since the start, at most, and the number of standard deviations below."""
+"""Largest response of a drive whose cart has not moved since the start, and standard deviations below it."""
 _JOINT_MOVED = 0.02
 """rad."""
 _SCALE_CHECK = 0.015
@@ -894,14 +894,14 @@ class TickEquations:
         count = ca.fmax(ca.if_else(step <= _BIG, step, 0), c["scale"])
         variance, noise = c["noise"][-1] + e["timing"] * v**2, ca.fmax(c["drive_noise"], _COMMAND_NOISE)
         fresh = _all(*(present[i] for i in range(n + 1)))
-        cart = CartReading(fresh, watch["same"][n] > 0, ca.vertcat(angles, moved[n]), known.reading["age"] * v, count, variance, noise)
+        cart = CartReading(
+            fresh, watch["same"][n] > 0, ca.vertcat(angles, moved[n]), known.reading["age"] * v, count, variance, noise
+        )
         found, memory = self.drive.judged(m["drive_watch"], cart)
         # Arms that move by the commands contradict a constant reading of the scale, not the drive.
         constant = watch["same"][n] * self.filter.period >= found.lasts - self.filter.period / 2
         by_scale = _all(found.unfollowed, constant, found.doubt > 0)
-        by_drive = _any(
-            _all(found.unfollowed, ca.logic_not(by_scale)), _all(ca.eq(sensor, n + 1), found.doubt < 0)
-        )
+        by_drive = _any(_all(found.unfollowed, ca.logic_not(by_scale)), _all(ca.eq(sensor, n + 1), found.doubt < 0))
         outcome = ca.if_else(found.against, int(Outcome.DRIVE_REVERSED), int(Outcome.DRIVE_OFF))
         sensor = ca.if_else(by_drive, 0, ca.if_else(by_scale, n + 1, sensor))
         return ca.if_else(by_drive, outcome, 0), sensor, {**watch, "drive_watch": memory}
@@ -1381,7 +1381,8 @@ class TickProgram:
             "z": np.concatenate([first, np.zeros(self.equations.filter.dimension - len(first))]),
             "covariance": packed(t @ np.diag(self.settings.first_sigmas(self.model.arms) ** 2) @ t.T),
             "velocity": speed[None], "heading": speed[None], "scale_level": 1.0,
-            "scale": np.array([0.0, velocity, 1.0, 0.0]), "drive_watch": self.equations.drive.start(velocity, first[n : 2 * n]),
+            "scale": np.array([0.0, velocity, 1.0, 0.0]),
+            "drive_watch": self.equations.drive.start(velocity, first[n : 2 * n]),
             "scale_covariance": packed(np.diag([_SCALE_ERROR, _COMMAND_NOISE * _SCALE_CHECK, _RESPONSE, _LAG]) ** 2),
             "timed": TIMING_PRIOR**2, "moved": np.inf, "last": np.inf, "step": np.inf,
         }  # fmt: skip

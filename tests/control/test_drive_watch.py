@@ -24,7 +24,7 @@ BRAKES, FASTEST = 30.0, 3.0
 
 @dataclass(frozen=True)
 class Case:
-    """A cart with an arm, whose drive or scale fails at `fails` s. A blow at 0.7 s changes its velocity by `knock` m/s."""
+    """A cart with an arm, whose drive or scale fails at `fails` s, and that is struck by `knock` m/s at 0.7 s."""
 
     response: float = 1.0
     lag: float = 1e-9
