@@ -57,7 +57,8 @@ _WATCHED = frozenset(
     ("covariance", "velocity", "error", "nis", "silent", "restarts", "held", "moved", "restart", "stopped", "still",
      "cut", "was_untrusted", "last", "step", "same", "begin", "away", "origin", "timing", "timed",
      "lateness", "strain", "acted",
-     "scale", "scale_covariance", "scale_read", "scale_waited", "scale_level", "scale_surprise", "evidence")
+     "scale", "scale_covariance", "scale_read", "scale_waited", "scale_level", "scale_surprise", "evidence",
+     "drive_watch")
 )  # fmt: skip
 """Parts of a tick's memory without first-order effect on commands; see above."""
 MOST_GAIN, MOST_DELAY, MOST_LAG = 64.0, 0.128, 0.512

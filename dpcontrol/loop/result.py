@@ -101,6 +101,7 @@ class Ending(StrEnum):
     CART_STOP = "cart at its stop"
     ESTIMATE_LOST = "estimate lost"
     TRACKING_LOST = "tracking lost"
+    DRIVE_FAILED = "drive failed"
     PLANT_FAILED = "plant failed"
     OBJECT_FAILED = "object failed"
     """A user's law, estimator, plant or rig raised, took too long, or returned an invalid value."""
@@ -174,6 +175,7 @@ def explained(outcome: Outcome, now: float, figures: Mapping[str, float], *, arm
     error, distance = figures["error"], figures["distance"]
     away = f"an angle has stayed {error:.2g} rad from the reference"
     lost, shown = f"estimate lost at t = {now:.3f} s:", _lost(figures)
+    failed = f"drive failed at t = {now:.3f} s:"
     speed = f" with {velocity:.2f} m/s" if math.isfinite(velocity := figures["velocity"]) else ""
     cart = f"at {figures['position']:.3f} m{speed} it must brake now to stay on the track"
     match outcome:
@@ -198,6 +200,12 @@ def explained(outcome: Outcome, now: float, figures: Mapping[str, float], *, arm
             name = "the cart's scale" if which > arms else f"the encoder of joint {which}"
             same = f"it has given the same reading for {figures['repeats'] * period:.3g} s"
             return f"{lost} {name} is stuck: {same}; check its cable and its head"
+        case Outcome.DRIVE_OFF:
+            check = "is the drive on? Check its power, its enabling and its cable, and the cart's scale"
+            return f"{failed} the cart does not follow the commands: {check}"
+        case Outcome.DRIVE_REVERSED:
+            check = "check the signs of the drive and of the cart's scale, and that the drive is on"
+            return f"{failed} the cart moves against the commands: {check}"
         case Outcome.SWITCH:
             return (
                 f"cart at its stop at t = {now:.3f} s: a limit switch was touched, with an angle {distance:.2g} rad "
@@ -234,6 +242,8 @@ def ending(outcome: Outcome) -> Ending:
     """
     if outcome in (Outcome.CART, Outcome.SWITCH):
         return Ending.CART_STOP
+    if outcome in (Outcome.DRIVE_OFF, Outcome.DRIVE_REVERSED):
+        return Ending.DRIVE_FAILED
     return Ending.TRACKING_LOST if outcome in (Outcome.TRACKING_LOST, Outcome.FALLEN) else Ending.ESTIMATE_LOST
 
 

@@ -275,18 +275,19 @@ def watched_scale(
     velocity: Callable[[float], float], *, step: float, frozen_at: float = math.inf, seconds: float = 2.0
 ) -> float:
     """Return when a scale of resolution `step` m is called stuck on a cart of this velocity; infinite if never."""
-    tick, x = Ticked(scale=step, delay=0.0), 0.0
+    tick, state = Ticked(scale=step, delay=0.0), HANGING.copy()
+    state[-1] = velocity(0.0)
     tick.begin(np.zeros(0), velocity=velocity(0.0))
     seen = 0.0
     for k in range(round(seconds / PERIOD)):
         now = k * PERIOD
         if now < frozen_at:
-            seen = step * round(x / step)
+            seen = step * round(state[4] / step)
         sent = (velocity(now + PERIOD) - velocity(now)) / PERIOD
-        if tick(sent, positions=np.array([0.0, 0.0, seen]))["outcome"] == Outcome.STUCK:
+        if tick(sent, positions=np.array([*state[:2], seen]), wanted=state[:2])["outcome"] == Outcome.STUCK:
             assert tick.told("sensor")[0] == 3
             return now
-        x += (velocity(now) + velocity(now + PERIOD)) / 2 * PERIOD
+        state = MODEL.step(state, sent)
     return math.inf
 
 

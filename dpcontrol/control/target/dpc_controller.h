@@ -46,7 +46,9 @@ enum dpc_outcome {
     DPC_TRACKING_LOST = 7,
     DPC_STUCK = 8,          /* a sensor repeats itself: dpc_report.sensor */
     DPC_SWITCH = 9,         /* a limit switch answered */
-    DPC_FALLEN = 10         /* the arms have left the reference, and the cart that runs after them must brake */
+    DPC_FALLEN = 10,        /* the arms have left the reference, and the cart that runs after them must brake */
+    DPC_DRIVE_OFF = 11,     /* the cart does not follow the commands */
+    DPC_DRIVE_REVERSED = 12 /* the cart moves against the commands */
 };
 
 /* What dpc_status tells. */

@@ -550,7 +550,9 @@ static int run(void)
     static const char *const outcomes[] = {
         "", "", "", "", "the estimate is lost", "nothing was measured for too long",
         "the cart must brake now to stay on its track", "tracking is lost", "a sensor repeats itself",
-        "a limit switch answered", "the arms have left the reference and the cart runs off after them"};
+        "a limit switch answered", "the arms have left the reference and the cart runs off after them",
+        "the cart does not follow the commands: is the drive on?",
+        "the cart moves against the commands: check the signs of drive and scale"};
     static dpc_controller controller;
     dpc_reading reading = {{0}, {0}, 0, 0};
     dpc_report report;
@@ -598,7 +600,7 @@ static int run(void)
     }
     if (stopped_by)
         return complain(1, "the run was stopped at t = %.3f s: %s", (double)ended_at * DPC_PERIOD,
-                        stopped_by <= DPC_FALLEN ? outcomes[stopped_by] : "the controller gave it up");
+                        stopped_by <= DPC_DRIVE_REVERSED ? outcomes[stopped_by] : "the controller gave it up");
     return complain(0, "the run is over: it came to the end of %s", DPC_ITINERARY);
 }
 
