@@ -117,7 +117,7 @@ class Outcome(IntEnum):
     """Abandon the reference and hold the nearest orbit or equilibrium."""
     ESTIMATE_LOST = 4
     SILENT = 5
-    """Measurements were missing for too long."""
+    """Measurements of a position were missing for too long."""
     CART = 6
     """The cart must brake now to stay on its track."""
     TRACKING_LOST = 7
@@ -417,8 +417,9 @@ class TickEquations:
             sent: commands, oldest first, m/s². velocity: of the cart after all of them, m/s. drive: with a lag, the
             cart's acceleration at the start of the coming period, m/s².
 
-            error rad, nis: means. silent: time without measurement, s. restarts: so far. held: 1 after the reference
-            was abandoned. moved: time since the clock was moved, s. restart: 1 until a restarting filter has a reading.
+            error rad, nis: means. silent (n+1,): time since a position was measured, s. restarts: so far. held: 1 after
+            the reference was abandoned. moved: time since the clock was moved, s. restart: 1 until a restarting filter
+            has a reading.
 
             stopped: the outcome that ended the run, or 0. still: time since the cart's command became zero, s. acted:
             last acceleration, m/s². cut: 1 if the last command was cut. was_untrusted: 1 once an extra exceeded its
@@ -457,7 +458,7 @@ class TickEquations:
         sent = {"sent": self.whole + 2} if self.unrolled else {}
         lag = {"drive": 1} if self.lags else {}
         return Layout(
-            z=size, covariance=size * (size + 1) // 2, **sent, **lag, velocity=1, error=1, nis=1, silent=1,
+            z=size, covariance=size * (size + 1) // 2, **sent, **lag, velocity=1, error=1, nis=1, silent=m,
             restarts=1, held=1, moved=1, restart=1, stopped=1, still=1, acted=1, cut=1, was_untrusted=1, last=m, step=m,
             same=m, begin=m - 1, away=m - 1, pulled=m - 1, strained=m - 1, held_back=m - 1, scale=4,
             scale_covariance=10, scale_read=1, scale_waited=1, scale_level=1, scale_surprise=1, evidence=1, heading=1,
@@ -551,7 +552,7 @@ class TickEquations:
             1, or 0.
         sensor: number of the stuck one, from 1. repeats: ticks with its reading.
 
-        error rad, mean_nis, silent s: checked means. used: positions.
+        error rad, mean_nis, silent s: checked means, and the longest time without a position. used: positions.
 
         ahead (N,): state for which the command was computed. own: output of a user's law, m/s².
 
@@ -965,7 +966,7 @@ class TickEquations:
         nis = m["nis"] + ca.if_else(judged, (by_position - m["nis"]) * min(period / ESTIMATE_MEMORY, 1), 0)
         strained = ca.fmin(e["strain"] / ca.fmax(e["used"], 1), _MOST_AT_ONCE * c["lost_estimate"])
         strain = m["strain"] + ca.if_else(judged, (strained - m["strain"]) * min(period / ESTIMATE_MEMORY, 1), 0)
-        silent = ca.if_else(e["used"] > 0, 0, m["silent"] + period)
+        silent = ca.if_else(r["present"], 0, m["silent"] + period)
         angles = [e["z"][i] for i in range(n)]
         if predicts:
             # By the readings, which are right if the estimate is wrong. Another estimator's turns are unknown here.
@@ -1009,7 +1010,7 @@ class TickEquations:
                     (ca.logic_and(astray, ca.logic_not(holds)), Outcome.TRACKING_LOST),
                     (leaves, Outcome.CART),
                     (fallen, Outcome.FALLEN),
-                    (means.silent > c["missing"], Outcome.SILENT),
+                    (ca.mmax(means.silent) > c["missing"], Outcome.SILENT),
                     (lost, Outcome.ESTIMATE_LOST),
                 )
             ),
@@ -1073,7 +1074,7 @@ class TickEquations:
             ca.vertsplit(known.numbers["notch"]),
             ca.vertsplit(known.memory["shaped"]),
         )
-        shaped = b0 * command + first
+        shaped = _within(b0 * command + first, known.numbers["acceleration"])
         return shaped, {"shaped": ca.vertcat(b1 * command - a1 * shaped + second, b2 * command - a2 * shaped)}
 
     def _memory(
@@ -1143,7 +1144,7 @@ class TickEquations:
             "command": path.command, "outcome": verdict.outcome, "stop": stop,
             "done": path.after["still"] > SETTLING, "newly_cut": newly_cut, "untrusted": newly_untrusted,
             "sensor": verdict.sensor, "repeats": repeats, "error": means.error, "mean_nis": means.nis,
-            "silent": means.silent, "used": e["used"], "ahead": acts.ahead, "notable": verdict.outcome + stop,
+            "silent": ca.mmax(means.silent), "used": e["used"], "ahead": acts.ahead, "notable": verdict.outcome + stop,
             "news": newly_cut + newly_untrusted, "own": law.by_own + known.row["feedforward"],
         }  # fmt: skip
 

@@ -125,7 +125,7 @@ class SupervisorSettings(Settings, table="supervisor"):
         lost_estimate: mean NIS per degree of freedom. It reaches thousands if encoders are exact to a count and the
             model is wrong by a tenth, without harm. 1e5 is about 0.04 rad.
         restarts: restarts of the estimator within a second before it counts as lost.
-        missing: longest time without a measurement, s.
+        missing: longest time without a measurement of a position, s.
         braking: share of the largest acceleration that stopping assumes. The actual braking is harder.
         margin: free track that must remain after stopping, m.
         hold: "nearest" to hold the nearest orbit or equilibrium once if tracking is lost, "none" to stop.
@@ -144,7 +144,9 @@ class SupervisorSettings(Settings, table="supervisor"):
         100_000.0, least=5, most=1e12, help="Mean NIS per degree of freedom from which the estimate is lost."
     )
     restarts: int = setting(2, least=0, most=1000, help="Restarts of the estimator within a second.")
-    missing: float = setting(0.1, least=1e-4, most=60, unit="s", help="Longest time without a measurement.")
+    missing: float = setting(
+        0.1, least=1e-4, most=60, unit="s", help="Longest time without a measurement of a position."
+    )
     braking: float = setting(0.5, least=0.01, most=1, help="Share of the largest acceleration that stopping assumes.")
     margin: float = setting(0.002, least=0, most=1, unit="m", help="Free track that must remain after stopping.")
     hold: str = setting("none", choices=HOLDS, help="Motion to hold after lost tracking.")

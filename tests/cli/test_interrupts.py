@@ -65,7 +65,7 @@ main()
 """
 
 
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="a program is watched by a fork of itself")
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="a program is watched by a fork of itself, which is POSIX's")
 def test_an_interrupt_ends_compiled_code_that_holds_the_interpreter() -> None:
     """A sum of a C iterator without end looks for no signals, as casadi does not where it derives a program."""
     with subprocess.Popen([sys.executable, "-c", DEAF], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as program:

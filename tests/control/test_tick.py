@@ -410,10 +410,12 @@ def test_a_failing_filter_keeps_its_prediction_and_restarts() -> None:
             assert tick.told("sigmas")[2] == pytest.approx(10.0, rel=0.01)
 
 
-def test_missing_readings_are_tolerated_up_to_the_time_limit() -> None:
+@pytest.mark.parametrize("missing", [[0, 1, 2], [2], [0]], ids=str)
+def test_a_missing_position_is_tolerated_up_to_the_time_limit(missing: list[int]) -> None:
     tick = Ticked(missing=0.03)
-    nothing = np.zeros(3, dtype=bool)
-    outcomes = [tick(0.0, positions=np.full(3, np.nan), present=nothing)["outcome"] for _ in range(40)]
+    present, positions = np.ones(3, dtype=bool), np.zeros(3)
+    present[missing], positions[missing] = False, np.nan
+    outcomes = [tick(0.0, positions=positions, present=present)["outcome"] for _ in range(40)]
     assert outcomes.index(Outcome.SILENT) in (29, 30)
     assert not any(outcomes[:29])
 

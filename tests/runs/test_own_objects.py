@@ -296,7 +296,7 @@ def test_an_invalid_time_limit_is_refused(limit: object) -> None:
         dp.closed_loop("outer-turn", controller=law)
 
 
-@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="this system has no timers")
+@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="timers of signals are POSIX's")
 @pytest.mark.parametrize("during", [False, True])
 def test_timers_of_other_code_go_on(during: bool) -> None:
     class Law:
