@@ -33,6 +33,40 @@ def plans_of_this_session_only(tmp_path_factory: pytest.TempPathFactory) -> Iter
         yield
 
 
+PLATFORM_REASONS = (
+    # Another system than Linux.
+    "is POSIX's", "are POSIX's", "is Linux's", "names of macOS are UTF-8",
+    # No wheel for this Python or processor: see [project.optional-dependencies].
+    "mat-io writes MATLAB's",
+    # The environment: recordings that are not published, a registry that does not answer, processors in use by others.
+    "the rig's recordings are not in", "npm cannot bring the packages", "npm did not bring the packages",
+    "too busy for real time",
+)  # fmt: skip
+"""Parts of the reasons for which `.ci/run` lets a test be skipped: the test cannot run there whatever is installed."""
+
+
+def _without_skip(report: Any) -> Any:
+    """Return a report of a test or module. With DPCONTROL_TESTS_STRICT_SKIPS, a skip for want of a program fails."""
+    if os.environ.get("DPCONTROL_TESTS_STRICT_SKIPS") and report.skipped and not hasattr(report, "wasxfail"):
+        reason = str(report.longrepr[-1])
+        if not any(part in reason for part in PLATFORM_REASONS):
+            report.outcome = "failed"
+            report.longrepr = f"{reason}\nInstall what it needs, or add the reason to PLATFORM_REASONS."
+    return report
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport() -> Iterator[Any]:
+    """Check the reasons of skipped tests."""
+    return _without_skip((yield))
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report() -> Iterator[Any]:
+    """Check the reasons of skipped modules."""
+    return _without_skip((yield))
+
+
 LONGEST = (
     "test_generated_scenes", "test_readme", "test_numbers_of_arms",
     "test_recovery_on_the_bench", "test_compilers_and_targets",

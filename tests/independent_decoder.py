@@ -8,6 +8,9 @@ turns. The labels in order must be the plan's stops, with other labels in betwee
 them. Wraps are counted by phase, as turns of (angle, rate) about the stop for the arm with the largest swing. The
 periods between the halfway points of the neighbouring flights are compared with those of the reference. Peaks are not
 counted, because small swings hide some of them and others belong to the flights.
+
+A reference from rest waits before its first transfer. A run may be anywhere then, but its arms must hang when the
+transfer begins.
 """
 
 from dataclasses import dataclass
@@ -29,6 +32,8 @@ LOOKS = 200.0
 """Hz."""
 BRIEF = 0.02
 """Duration below which labels are passages, s."""
+WAITS, HANGS = 0.5, 1.5
+"""Longest wait at rest that no itinerary asks for, s, and the arms' largest angle at its end, rad."""
 LAST = 0.1
 """Allowed deviation over the last period, rad."""
 
@@ -58,6 +63,13 @@ class Plan:
     def made(self) -> list[tuple[Label, int, int]]:
         """The labels of the reference."""
         return labels(self, self.states)
+
+    @property
+    def waits(self) -> int:
+        """Number of ticks at rest before the first transfer."""
+        hangs = "up" not in self.notes["stops"][0]["saddle"] and self.notes["transfers"]
+        seconds = self.notes["transfers"][0][0] if hangs else 0.0
+        return round(seconds * self.rate) if seconds < WAITS + 1 / self.rate else 0
 
     def label(self, saddle: str, angles: Array) -> Label:
         home = np.array(self.notes["saddles"][saddle]["angles"])
@@ -170,7 +182,10 @@ def faults(plan: Plan, states: Array, accelerations: Array | None) -> list[str]:
         return ["not finite"]
     if len(states) < len(plan.states) - 1 and "program" not in plan.notes:
         out.append(f"ended {(len(plan.states) - len(states)) / plan.rate:.3f} s early")
-    seen, wanted = labels(plan, states), plan.made
+    begin = plan.waits
+    if begin and np.abs(states[min(begin, len(states) - 1), :n]).max() > HANGS:
+        out.append("does not hang at its first transfer")
+    seen, wanted = labels(plan, np.concatenate([plan.states[:begin], states[begin:]])), plan.made
     spans, due = _matched(seen, stops), _matched(wanted, stops)
     if due is None:
         return [*out, f"the reference itself does not make its stops: {[s[0] for s in wanted]}"]

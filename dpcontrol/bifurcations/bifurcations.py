@@ -817,8 +817,10 @@ def _status(
     """
     status = f"{counted(events, 'event')}; every change of the count over {len(counts)} energies is explained"
     if unexplained:
-        changes = counted(len(unexplained), "change")
-        status = f"{counted(events, 'event')} located, but not the cause of {changes} of the count: "
+        status = (
+            f"{counted(events, 'event')} located, but not the cause of {counted(len(unexplained), 'change')} of the "
+            "count: "
+        )
         status += "; ".join(f"{a:.6g} to {b:.6g} J, {why}" for a, b, why in unexplained[:5])
     if born is not None:
         first = counts[0]

@@ -177,10 +177,6 @@ def cli(ctx: click.Context) -> None:
             ctx.default_map = _defaults()
 
 
-_READER_ENDED = 141
-"""Exit code if the reader of the output has ended, as shells report it for SIGPIPE."""
-
-
 def _defaults() -> dict[str, dict[str, Any]]:
     """Return the configured defaults of options by verb; apply the colour.
 
@@ -228,8 +224,8 @@ def main(arguments: list[str] | None = None) -> None:
     except click.exceptions.Exit as done:
         code = done.exit_code
     except SystemExit:
-        # click ends the program where the reader of a pipe has ended.
-        code = _READER_ENDED
+        # click ends the program where the reader of a pipe has ended. Shells report this as 128 + SIGPIPE.
+        code = 141
     except (KeyboardInterrupt, click.Abort) as error:
         code = _interrupted(error)
     except Exception as error:  # noqa: BLE001 - the last one: a traceback on a user's terminal is a defect

@@ -386,12 +386,13 @@ def export_command(
     }  # fmt: skip
     coarser = f"{kibibytes(figures.coarser_per_second)} with gains at every {COARSER}th tick and lines between"
     halves = f"at {rate / 2:g} Hz half of it" + ("" if single else ", with --float half")
+    grows = f", {kibibytes(figures.tables_per_second)} for each second; {halves}, {coarser} "
+    grows += f"(wrong by {figures.coarser_error:.1%} at most)"
     lines = [
         f"{out}: controller of {scene.name} in {document['precision']} precision, {rate:g} Hz",
         f"  code    {kibibytes(figures.code)} by gcc -O2 on this computer, {figures.operations:,} operations a tick",
         f"  stack   {kibibytes(figures.stack)}, memory {kibibytes(figures.memory)}",
-        f"  tables  {kibibytes(figures.tables)}, {kibibytes(figures.tables_per_second)} for each second; {halves}, "
-        f"{coarser} (wrong by {figures.coarser_error:.1%} at most)",
+        f"  tables  {kibibytes(figures.tables)}" + (grows if figures.tables_per_second else " for a run of any length"),
     ]
     if figures.seconds_a_tick is not None:
         took, share = f"{1e3 * figures.seconds_a_tick:.2g} ms", figures.seconds_a_tick * rate

@@ -53,7 +53,7 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import checked_source, content_hash
 
 _TEMPLATES = Path(__file__).with_name("target")
-_VERSION = 2
+_VERSION = 3
 """Version of the interface, as in the header."""
 MOST_NUMBERS = 5_000_000
 """Maximum size of the tables; larger ones take compilers minutes and gigabytes."""
@@ -77,7 +77,7 @@ class Figures(NamedTuple):
     tables: int
     """Total size of the tables."""
     tables_per_second: float
-    """Size per second of reference."""
+    """Size per second of reference, 0 for a constant law and reference."""
     coarser_per_second: float
     """Size with gains at every `COARSER`-th tick and linear interpolation."""
     coarser_error: float
@@ -361,28 +361,35 @@ def controller_source(
     text = [_table(name, rows, single=single) for name, rows in {**arrays, "dpc_first_commands": queued}.items()]
     files["dpc_tables.c"] = "\n".join(['#include "dpc_tables.h"\n\n#include <math.h>\n', *text])
     width, seconds = 4 if single else 8, max(len(schedule.rows) - 1, 1) * program.period
+    per_second = width * count / seconds if max(len(tables.law), len(tables.states)) > 1 else 0.0
     code, stack = _measured(files)
     figures = Figures(
         operations=function.n_instructions(), code=code, stack=stack,
         memory=width * equations.memory.size + ctypes.sizeof(ctypes.c_long),
-        tables=width * count, tables_per_second=width * count / seconds,
+        tables=width * count, tables_per_second=per_second,
         coarser_per_second=width * (tables.law.size / COARSER + tables.states.size) / seconds,
         coarser_error=_error_between(tables.law), seconds_a_tick=takes,
     )  # fmt: skip
     shown = figures._asdict()
     known |= {f"BYTES_{name.upper()}": kibibytes(shown[name]) for name in _SHOWN}
+    shorter = "" if single else ", and `--float` halves them a second time"
+    known["TABLE_SIZE"], known["TABLE_ADVICE"] = kibibytes(figures.tables), ""
+    if per_second:
+        known["TABLE_SIZE"] += f", {kibibytes(per_second)} for each second"
+        known["TABLE_ADVICE"] = f"\nHalf the rate halves the tables{shorter}.\n"
     files["README.md"] = _filled("README.md", known)
     files["readings.csv"] = readings
     return ControllerSource(files, known["IDENTITY"], figures)
 
 
-_SHOWN = ("code", "stack", "memory", "tables", "tables_per_second")
+_SHOWN = ("code", "stack", "memory")
 
 
 def _described(program: TickProgram, equations: TickEquations, *, single: bool) -> dict[str, Any]:
     """Return values for the templates: arms, clock, bounds and arithmetic."""
     n, numbers, extras = equations.filter.arms, equations.numbers.slices, equations.filter.extra_names
-    bounds = ("acceleration", "lost_estimate", "lost_tracking", "missing")
+    bounds = {name: float(program.numbers[numbers[name]][0])
+              for name in ("acceleration", "lost_estimate", "lost_tracking", "missing")}  # fmt: skip
     columns = [*(f"measured.arm_{i + 1}" for i in range(n)), "measured.cart"]
     return {
         "VERSION": dpcontrol.__version__, "REAL": "float" if single else "double",
@@ -392,7 +399,7 @@ def _described(program: TickProgram, equations: TickEquations, *, single: bool) 
         "EXTRAS": len(extras), "EXTRA_NAMES": ", ".join(extras) or "nothing",
         "RATE": repr(1 / program.period), "PERIOD": repr(program.period), "DELAY": repr(_delay(program)),
         "LEAD": equations.lead, "QUEUED": max(equations.lead, 1),
-        **{name.upper(): f"{float(program.numbers[numbers[name]][0]):.9g}" for name in bounds},
+        **{name.upper(): repr(float(np.float32(bound)) if single else bound) for name, bound in bounds.items()},
         "PERIOD_REAL": _c_number(program.period, single=single), "SETTLING": _c_number(SETTLING, single=single),
         "COLUMNS": ", ".join(columns), "NAMES": ", ".join(f'"{name}"' for name in columns),
     }  # fmt: skip
@@ -482,7 +489,8 @@ def _types(program: TickProgram, real: str) -> tuple[np.dtype, np.dtype]:
     extras = len(program.equations.filter.extra_names)
     reading = [("positions", "f8", (n + 1,)), ("present", "u1", (n + 1,)), ("limit_switch", "i4"), ("age", "f8")]
     whole = {"outcome": "i4", "stopped_by": "i4", "stop": "i4", "done": "i4", "mode": "i4", "saturated": "i4",
-             "newly_cut": "i4", "used": "i4", "sensor": "i4", "repeats": "l", "untrusted": "i4"}  # fmt: skip
+             "newly_cut": "i4", "used": "i4", "refused": "i4", "sensor": "i4", "repeats": "l",
+             "untrusted": "i4"}  # fmt: skip
     lengths = {"state": size, "sigmas": size + extras, "extra": extras, "reference": size, "ahead": size}
     numbers = [(name, real, (length,)) for name, length in lengths.items() if length]
     scalars = ("wish", "feedforward", "feedback", "acting", "nis", "mean_nis", "error", "silent")
@@ -544,7 +552,7 @@ class LibraryProgram(TickProgram):
         self.controller_address = self._controller.ctypes.data
         real = ctypes.c_float if described.real_bytes == 4 else ctypes.c_double
         for name, result, more in (
-            ("dpc_init", None, []), ("dpc_step", real, [ctypes.c_void_p] * 2), ("dpc_sent", None, [real]),
+            ("dpc_init", None, []), ("dpc_step", real, [ctypes.c_void_p] * 2), ("dpc_sent", ctypes.c_int, [real]),
             ("dpc_status", ctypes.c_int, []),
         ):  # fmt: skip
             function = getattr(self._c, name)
@@ -675,7 +683,7 @@ def variables(first: Sequence[float], extras: Sequence[str]) -> list[Variable]:
         ("nis", "", "normalised innovation squared"),
         ("mean_nis", "", "for each position, mean over 0.2 s"),
         ("error", "rad", "largest distance of an angle from the reference, mean over 1 s"),
-        ("silent", "s", "since anything was measured"),
+        ("silent", "s", "since the position that is missing longest was measured"),
     ]
     return [
         *(Variable(f"measured_{joint}", "Real", "absolute position", "m" if joint == "cart" else "rad", repr(float(at)))
@@ -691,6 +699,7 @@ def variables(first: Sequence[float], extras: Sequence[str]) -> list[Variable]:
         Variable("stopped_by", "Integer", "the outcome that ended the run, else 0"),
         Variable("mode", "Integer", "enum dpc_mode"),
         Variable("used", "Integer", "positions in this step's estimate"),
+        Variable("refused", "Integer", "values of this step's reading that are no readings"),
         Variable("sensor", "Integer", "number of a stuck sensor, from 1"),
         Variable("repeats", "Integer", "steps with the same reading"),
         Variable("untrusted", "Integer", "number of an extra beyond its trusted range, from 1"),

@@ -478,14 +478,15 @@ class SampledModel:
         push[:, :n], push[:, n] = (1 - mean) * b, 1 - self.lag_keeps
         return whole, push
 
-    def linearised(self, states: Array, commands: Array) -> tuple[Array, Array]:
+    def linearised(self, states: Array, commands: Array, *, parameters: Array | None = None) -> tuple[Array, Array]:
         """Return the Jacobians A (K, N, N) and B (K, N).
 
         Args:
             states: states (K, N).
             commands: accelerations of the cart (K,), m/s².
+            parameters: base parameters (p,), default the model's.
         """
         count, n = np.shape(states)
-        parameters = np.repeat(self.parameters[:, None], count, axis=1)
-        _, a, b = self._function.map(count)(states.T, np.asarray(commands)[None, :], parameters)
+        base = np.repeat((self.parameters if parameters is None else parameters)[:, None], count, axis=1)
+        _, a, b = self._function.map(count)(states.T, np.asarray(commands)[None, :], base)
         return np.array(a).T.reshape(count, n, n).transpose(0, 2, 1), np.array(b).T.reshape(count, n)

@@ -79,9 +79,22 @@ class HoldSettings(QuadraticWeights):
     """Linear-quadratic regulator at an equilibrium."""
 
     kind: str = "lqr"
-    damping: float = setting(0.03, least=0, most=10, help="Assumed viscous friction of the joints beyond the model's.")
+    damping: float | None = setting(
+        None,
+        least=0,
+        most=10,
+        help="Assumed viscous friction of the joints beyond the model's; by default what the arms allow, at most 0.03.",
+    )
     """Viscous friction beyond the model's in each joint, over √(G M), for the mean effect of dry friction; gains
-    without it let the arms oscillate with twice the amplitude."""
+    without it let the arms oscillate with twice the amplitude. None: see `assumed_damping`."""
+
+
+UNKNOWN_FRICTION = 0.03
+"""Assumed viscous friction for dry friction that the model lacks."""
+_KEPT_MARGIN = 0.5
+"""Share of the loop's modulus margin that the assumed friction must leave."""
+_CIRCLE = np.exp(1j * np.geomspace(1e-4, np.pi, 500))[:, None]
+"""Points z of the unit circle at which the margin is computed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,16 +199,66 @@ class ExtraEffects(Brief):
     kept: Array
 
 
-def _damped(model: SampledModel, damping: float) -> SampledModel:
-    """Return the model with more viscous friction."""
+def _regulator(
+    model: SampledModel, x: Array, settings: HoldSettings, damping: float
+) -> tuple[Array, Array, Array, Array, Array]:
+    """Return A and B for arms with more viscous friction, and the gains, cost-to-go and multipliers of the best loop.
+
+    Raises:
+        GoalMissed: the equilibrium cannot be stabilised.
+    """
+    # Importing python-control takes more than a second.
+    from control import dlqr
+
     n, parameters = model.arms, model.parameters.copy()
     first = n * (n + 1) // 2 + 2 * n
     parameters[first : first + n] += damping * np.array(damping_scales(parameters, n))
-    return SampledModel(model.equations, parameters, period=model.period, lag=model.lag)
+    a, b = (v[0] for v in model.lagging(*model.linearised(x[None, :], np.zeros(1), parameters=parameters)))
+    weights, effort = settings.weights(n, model.period)
+    try:
+        on_state = np.diag(np.append(weights, [0.0] * (len(b) - len(x))))
+        gain, cost, values = dlqr(a, b[:, None], on_state, np.array([[effort]]))
+    except (np.linalg.LinAlgError, ValueError) as error:
+        raise GoalMissed(f"the equilibrium cannot be held: {error}") from error
+    return a, b, np.asarray(gain)[0], cost, values
+
+
+def assumed_damping(model: SampledModel, x: Array, settings: HoldSettings, *, most: float) -> float:
+    """Return the largest assumed damping that leaves the loop half of its modulus margin.
+
+    Dry friction c acts on a rate of amplitude A as viscous friction 4 c/(π A). It is strong where the arms are nearly
+    still and vanishes in large motion, so the gains must also hold arms without it. The more arms there are, the less
+    damping they bear. The modulus margin min |1 + L| is the distance of the loop from instability,
+
+        1 + L(z) = det(zI - A + BK) / det(zI - A) = Π (z - μ_closed) / (z - μ_open)  on |z| = 1,
+
+    with A, B of the model's own arms and K for damped ones. Åström & Murray, Feedback Systems, 2nd ed., section 10.3.
+
+    Args:
+        model: model of arms and drive from tick to tick.
+        x: equilibrium (N,).
+        settings: weights.
+        most: largest value.
+    """
+    a, b, *_ = _regulator(model, x, settings, 0.0)
+
+    def margin(damping: float) -> float:
+        closed = np.linalg.eigvals(a - np.outer(b, _regulator(model, x, settings, damping)[2]))
+        distances = np.abs(np.prod((_CIRCLE - closed) / (_CIRCLE - np.linalg.eigvals(a)), axis=1))
+        return float(distances.min()) if np.abs(closed).max() < 1 else 0.0
+
+    needed = _KEPT_MARGIN * margin(0.0)
+    return next(damping for damping in np.linspace(most, 0.0, 21).tolist() if margin(damping) >= needed)
 
 
 def hold_controller(
-    state: ArrayLike, model: SampledModel, settings: HoldSettings, *, seconds: float, extras: ExtraEffects | None = None
+    state: ArrayLike,
+    model: SampledModel,
+    settings: HoldSettings,
+    *,
+    seconds: float,
+    extras: ExtraEffects | None = None,
+    dry: float = 0.0,
 ) -> HoldController:
     """Return the regulator for an equilibrium with the cart in the middle.
 
@@ -205,6 +268,7 @@ def hold_controller(
         settings: weights and additional damping.
         seconds: duration of the hold, s.
         extras: extra quantities that receive gains.
+        dry: viscous friction that replaces the model's dry friction, over √(G M).
 
     Raises:
         InputError: the state is not an equilibrium of this model.
@@ -217,22 +281,13 @@ def hold_controller(
     fastest = float(np.abs(model.step(x, 0.0) - x)[: 2 * n].max()) / model.period
     if not fastest <= AT_REST:
         raise InputError(f"{x[:n].tolist()} rad is not an equilibrium: it accelerates by {fastest:.3g} rad/s²")
-    # Importing python-control takes more than a second.
-    from control import dlqr
-
-    weights, effort = settings.weights(n, model.period)
-    damped = _damped(model, settings.damping)
-    a, b = (v[0] for v in damped.lagging(*damped.linearised(x[None, :], np.zeros(1))))
-    try:
-        on_state = np.diag(np.append(weights, [0.0] * (len(b) - len(x))))
-        gain, cost, values = dlqr(a, b[:, None], on_state, np.array([[effort]]))
-    except (np.linalg.LinAlgError, ValueError) as error:
-        raise GoalMissed(f"the equilibrium cannot be held: {error}") from error
+    told = settings.damping
+    damping = assumed_damping(model, x, settings, most=UNKNOWN_FRICTION + dry) if told is None else told + dry
+    a, b, gains, cost, values = _regulator(model, x, settings, damping)
     slowest = float(np.abs(values).max())
     if not slowest < 1:
         raise GoalMissed(f"the equilibrium cannot be held: the best loop's largest multiplier is {slowest:.6g}")
-    text = f"slowest motion dies out in {-model.period / np.log(slowest):.3g} s"
-    gains = np.asarray(gain)[0]
+    text = f"slowest motion dies out in {-model.period / np.log(slowest):.3g} s, assumed damping {damping:.3g}"
     drive = float(gains[-1]) if model.lag else None
     found = HoldController(settings.kind, x, gains[: len(x)], max(round(seconds / model.period), 1), text, drive)
     if extras is None:
@@ -240,5 +295,5 @@ def hold_controller(
     pushes = cost @ np.pad(extras.effects, ((0, len(b) - len(x)), (0, 0)))
     closed, unit = a - np.outer(b, gains), np.eye(len(b))
     later = [np.linalg.solve(unit - d * closed.T, push) for d, push in zip(extras.kept, pushes.T, strict=True)]
-    on_extras = np.reshape(later, (-1, len(b))) @ b / (effort + b @ cost @ b)
+    on_extras = np.reshape(later, (-1, len(b))) @ b / (settings.effort * model.period + b @ cost @ b)
     return replace(found, extra_gains=on_extras, names=extras.names)

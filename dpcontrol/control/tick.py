@@ -59,6 +59,8 @@ A scale is stuck if J ≥ 30 and its reading has been constant for 45 ms. The no
 the smallest observed step if that is larger. The filter learns the response and the lag of the drive from the steps,
 so working scales of 0.2 mm reach J = 11 at most. A cart that moves by noise alone gives no evidence.
 
+    drive         The scale's readings follow the commands, see `dpcontrol.control.drive`.
+
 Age of the readings: a reading of age τ has positions that lack ω τ, with the rates ω. A reported age is corrected in
 the
 update: y = m - H(z - ω τ). Unknown variations are noise along ω for all positions at once:
@@ -79,6 +81,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import casadi as ca
 import numpy as np
 
+from dpcontrol.control.drive import CartReading, DriveWatch
 from dpcontrol.control.ekf import (
     RESTART_RATE,
     RESTART_VELOCITY,
@@ -114,7 +117,7 @@ class Outcome(IntEnum):
     """Abandon the reference and hold the nearest orbit or equilibrium."""
     ESTIMATE_LOST = 4
     SILENT = 5
-    """Measurements were missing for too long."""
+    """Measurements of a position were missing for too long."""
     CART = 6
     """The cart must brake now to stay on its track."""
     TRACKING_LOST = 7
@@ -124,6 +127,10 @@ class Outcome(IntEnum):
     """A limit switch was touched."""
     FALLEN = 10
     """The arms have left the reference, and the cart that follows them must brake now."""
+    DRIVE_OFF = 11
+    """The cart does not follow the commands."""
+    DRIVE_REVERSED = 12
+    """The cart moves against the commands."""
 
 
 BRAKING = 0.9
@@ -159,6 +166,8 @@ _TURNING = 4.0
 """Slow reversal, rad/s² and m/s²: it stays within a count q for 2 √(2 q / this), 18 ms with 40,000 counts."""
 _CART_STILL = 0.045
 """Shortest constant reading of the cart, s."""
+_IDLE_RESPONSE, _IDLE_SIGMAS = 0.5, 3.0
+"""Largest response of a drive whose cart has not moved since the start, and standard deviations below it."""
 _JOINT_MOVED = 0.02
 """rad."""
 _SCALE_CHECK = 0.015
@@ -395,6 +404,11 @@ class TickEquations:
     split: bool = False
 
     @cached_property
+    def drive(self) -> DriveWatch:
+        """Watch of the drive."""
+        return DriveWatch(self.filter.arms, self.filter.period)
+
+    @cached_property
     def memory(self) -> Layout:
         """Values stored from tick to tick.
 
@@ -403,8 +417,9 @@ class TickEquations:
             sent: commands, oldest first, m/s². velocity: of the cart after all of them, m/s. drive: with a lag, the
             cart's acceleration at the start of the coming period, m/s².
 
-            error rad, nis: means. silent: time without measurement, s. restarts: so far. held: 1 after the reference
-            was abandoned. moved: time since the clock was moved, s. restart: 1 until a restarting filter has a reading.
+            error rad, nis: means. silent (n+1,): time since a position was measured, s. restarts: so far. held: 1 after
+            the reference was abandoned. moved: time since the clock was moved, s. restart: 1 until a restarting filter
+            has a reading.
 
             stopped: the outcome that ended the run, or 0. still: time since the cart's command became zero, s. acted:
             last acceleration, m/s². cut: 1 if the last command was cut. was_untrusted: 1 once an extra exceeded its
@@ -424,6 +439,8 @@ class TickEquations:
 
             scale_covariance: of these, the lower triangle row by row. scale_read: reading at the last comparison, m.
 
+            drive_watch: see `DriveWatch`.
+
             scale_waited: readings since. evidence: that the scale is stuck. scale_level, scale_surprise: factor of the
             assumed variance, and the squared relative error at the last changed reading.
 
@@ -441,11 +458,11 @@ class TickEquations:
         sent = {"sent": self.whole + 2} if self.unrolled else {}
         lag = {"drive": 1} if self.lags else {}
         return Layout(
-            z=size, covariance=size * (size + 1) // 2, **sent, **lag, velocity=1, error=1, nis=1, silent=1,
+            z=size, covariance=size * (size + 1) // 2, **sent, **lag, velocity=1, error=1, nis=1, silent=m,
             restarts=1, held=1, moved=1, restart=1, stopped=1, still=1, acted=1, cut=1, was_untrusted=1, last=m, step=m,
             same=m, begin=m - 1, away=m - 1, pulled=m - 1, strained=m - 1, held_back=m - 1, scale=4,
             scale_covariance=10, scale_read=1, scale_waited=1, scale_level=1, scale_surprise=1, evidence=1, heading=1,
-            turns=m - 1, timing=1, timed=1, lateness=1, strain=1,
+            drive_watch=self.drive.memory.size, turns=m - 1, timing=1, timed=1, lateness=1, strain=1,
             **({"mark": m - 1} if self.plays else {}), **({"shaped": 2} if self.shapes else {}),
             **({} if self.own is None else {"own": len(self.own.first)}), **({"origin": m} if self.split else {}),
         )  # fmt: skip
@@ -535,7 +552,7 @@ class TickEquations:
             1, or 0.
         sensor: number of the stuck one, from 1. repeats: ticks with its reading.
 
-        error rad, mean_nis, silent s: checked means. used: positions.
+        error rad, mean_nis, silent s: checked means, and the longest time without a position. used: positions.
 
         ahead (N,): state for which the command was computed. own: output of a user's law, m/s².
 
@@ -856,7 +873,39 @@ class TickEquations:
             "scale_level": ca.if_else(stepped, ca.fmax(level, 1), m["scale_level"]),
             "scale_surprise": ca.if_else(stepped, surprise, m["scale_surprise"]), "evidence": evidence,
         }  # fmt: skip
-        return ca.logic_and(evidence >= _SCALE_STUCK, count * period >= _CART_STILL - period / 2), after
+        # The filter also explains a constant reading by a drive without response.
+        idle = state[2] + _IDLE_SIGMAS * ca.sqrt(covariance[2, 2]) <= _IDLE_RESPONSE
+        contradicts = ca.logic_or(evidence >= _SCALE_STUCK, ca.logic_and(idle, ca.logic_not(smallest <= _BIG)))
+        return ca.logic_and(contradicts, count * period >= _CART_STILL - period / 2), after
+
+    def _drive(
+        self, known: "_Known", e: Mapping[str, ca.SX], stuck: tuple[ca.SX, dict[str, ca.SX]]
+    ) -> tuple[ca.SX, ca.SX, dict[str, ca.SX]]:
+        """Return the outcome of a drive that the cart does not follow, or 0.
+
+        The number of the stuck sensor and the watch's memory follow.
+
+        stuck: the same two of the sensors' watch.
+        """
+        m, c, n, (sensor, watch) = known.memory, known.numbers, self.filter.arms, stuck
+        present, step = known.reading["present"], watch["step"][n]
+        v = ca.if_else(_finite(e["z"][2 * n + 1]), e["z"][2 * n + 1], 0)
+        moved = [ca.if_else(_finite(m["last"][i]), watch["last"][i] - m["last"][i], 0) for i in range(n + 1)]
+        angles = ca.DM(np.tril(np.ones((n, n)))) @ ca.vertcat(*moved[:n])
+        count = ca.fmax(ca.if_else(step <= _BIG, step, 0), c["scale"])
+        variance, noise = c["noise"][-1] + e["timing"] * v**2, ca.fmax(c["drive_noise"], _COMMAND_NOISE)
+        fresh = _all(*(present[i] for i in range(n + 1)))
+        cart = CartReading(
+            fresh, watch["same"][n] > 0, ca.vertcat(angles, moved[n]), known.reading["age"] * v, count, variance, noise
+        )
+        found, memory = self.drive.judged(m["drive_watch"], cart)
+        # Arms that move by the commands contradict a constant reading of the scale, not the drive.
+        constant = watch["same"][n] * self.filter.period >= found.lasts - self.filter.period / 2
+        by_scale = _all(found.unfollowed, constant, found.doubt > 0)
+        by_drive = _any(_all(found.unfollowed, ca.logic_not(by_scale)), _all(ca.eq(sensor, n + 1), found.doubt < 0))
+        outcome = ca.if_else(found.against, int(Outcome.DRIVE_REVERSED), int(Outcome.DRIVE_OFF))
+        sensor = ca.if_else(by_drive, 0, ca.if_else(by_scale, n + 1, sensor))
+        return ca.if_else(by_drive, outcome, 0), sensor, {**watch, "drive_watch": memory}
 
     def _expected_cart(self, watch: Mapping[str, ca.SX], c: Mapping[str, ca.SX], acting: ca.SX) -> dict[str, ca.SX]:
         """The cart by scale and commands a period later, after `acting` m/s²."""
@@ -873,6 +922,16 @@ class TickEquations:
         for i, (sigma, drift) in enumerate(((_RESPONSE, _RESPONSE_DRIFT), (_LAG, _LAG_DRIFT)), start=2):
             noise[i, i] = ca.if_else(covariance[i, i] < sigma**2, drift**2 * period, 0)
         return {"scale": moves @ state, "scale_covariance": pack(moves @ covariance @ moves.T + noise)}
+
+    def _expected_arms(self, known: "_Known", e: Mapping[str, ca.SX], watch: ca.SX, acting: ca.SX) -> ca.SX:
+        """Return the drive's watch a period later, after `acting` m/s².
+
+        Estimated parameters and errors of the drive adapt to a stuck scale, so they are not used.
+        """
+        n, rate, size = self.filter.arms, self.filter.equations.function(), self.filter.equations.dimension
+        state = ca.vertcat(*(ca.if_else(_finite(value), value, 0) for value in ca.vertsplit(e["z"][:size])))
+        swing, free = (rate(state, a, known.numbers["parameters"])[n : 2 * n] for a in (acting, 0))
+        return self.drive.commanded(watch, acting, swing, swing - free)
 
     def _finish(
         self, known: "_Known", e: Mapping[str, ca.SX], acts: "_Acts", *, predicts: bool
@@ -907,7 +966,7 @@ class TickEquations:
         nis = m["nis"] + ca.if_else(judged, (by_position - m["nis"]) * min(period / ESTIMATE_MEMORY, 1), 0)
         strained = ca.fmin(e["strain"] / ca.fmax(e["used"], 1), _MOST_AT_ONCE * c["lost_estimate"])
         strain = m["strain"] + ca.if_else(judged, (strained - m["strain"]) * min(period / ESTIMATE_MEMORY, 1), 0)
-        silent = ca.if_else(e["used"] > 0, 0, m["silent"] + period)
+        silent = ca.if_else(r["present"], 0, m["silent"] + period)
         angles = [e["z"][i] for i in range(n)]
         if predicts:
             # By the readings, which are right if the estimate is wrong. Another estimator's turns are unknown here.
@@ -934,7 +993,8 @@ class TickEquations:
         holds = _all(astray, c["can_hold"], ca.logic_not(m["held"]))
         moves = _all(c["resynchronise"] > 0, means.error > c["resynchronise"], m["moved"] > TRACKING_MEMORY)
         taken = e.get("relative", e["z"])[: 2 * n] - m["z"][: 2 * n] if predicts else None
-        sensor, watch = self._stuck(known, ca.if_else(restarts, 0, means.strain), taken)
+        stuck = self._stuck(known, ca.if_else(restarts, 0, means.strain), taken)
+        drive, sensor, watch = self._drive(known, e, stuck)
         outcome = ca.SX(int(Outcome.GO_ON))
         # From the weakest: each overrides those before it.
         for condition, code in (
@@ -950,12 +1010,13 @@ class TickEquations:
                     (ca.logic_and(astray, ca.logic_not(holds)), Outcome.TRACKING_LOST),
                     (leaves, Outcome.CART),
                     (fallen, Outcome.FALLEN),
-                    (means.silent > c["missing"], Outcome.SILENT),
+                    (ca.mmax(means.silent) > c["missing"], Outcome.SILENT),
                     (lost, Outcome.ESTIMATE_LOST),
                 )
             ),
         ):
             outcome = ca.if_else(condition, int(code), outcome)
+        outcome = ca.if_else(drive > 0, drive, outcome)
         outcome = ca.if_else(m["stopped"] > 0, int(Outcome.GO_ON), outcome)
         stopped = ca.if_else(outcome >= int(Outcome.ESTIMATE_LOST), outcome, m["stopped"])
         return _Verdict(outcome, stopped, sensor, watch)
@@ -1013,7 +1074,7 @@ class TickEquations:
             ca.vertsplit(known.numbers["notch"]),
             ca.vertsplit(known.memory["shaped"]),
         )
-        shaped = b0 * command + first
+        shaped = _within(b0 * command + first, known.numbers["acceleration"])
         return shaped, {"shaped": ca.vertcat(b1 * command - a1 * shaped + second, b2 * command - a2 * shaped)}
 
     def _memory(
@@ -1033,6 +1094,7 @@ class TickEquations:
             "restart": ca.logic_or(again, means.blind), "stopped": verdict.stopped, "acted": path.acting,
             "cut": path.saturated, "was_untrusted": ca.logic_or(m["was_untrusted"], law.untrusted > 0), **verdict.watch,
             **self._expected_cart(verdict.watch, known.numbers, path.acting), **law.own, **path.after,
+            "drive_watch": self._expected_arms(known, e, verdict.watch["drive_watch"], path.acting),
             **self._predicted(known, e, means, path.acting, predicts=predicts),
         }  # fmt: skip
         if self.plays:
@@ -1082,7 +1144,7 @@ class TickEquations:
             "command": path.command, "outcome": verdict.outcome, "stop": stop,
             "done": path.after["still"] > SETTLING, "newly_cut": newly_cut, "untrusted": newly_untrusted,
             "sensor": verdict.sensor, "repeats": repeats, "error": means.error, "mean_nis": means.nis,
-            "silent": means.silent, "used": e["used"], "ahead": acts.ahead, "notable": verdict.outcome + stop,
+            "silent": ca.mmax(means.silent), "used": e["used"], "ahead": acts.ahead, "notable": verdict.outcome + stop,
             "news": newly_cut + newly_untrusted, "own": law.by_own + known.row["feedforward"],
         }  # fmt: skip
 
@@ -1315,12 +1377,13 @@ class TickProgram:
         for command in np.clip(self.spread(queued), -most, most):
             sent = np.concatenate([sent[1:], command[None]])
             speed = np.clip(speed + command * self.period, -fastest, fastest)
-        t = self.equations.filter.carried
+        t, n = self.equations.filter.carried, self.model.arms
         start = {
             "z": np.concatenate([first, np.zeros(self.equations.filter.dimension - len(first))]),
             "covariance": packed(t @ np.diag(self.settings.first_sigmas(self.model.arms) ** 2) @ t.T),
             "velocity": speed[None], "heading": speed[None], "scale_level": 1.0,
             "scale": np.array([0.0, velocity, 1.0, 0.0]),
+            "drive_watch": self.equations.drive.start(velocity, first[n : 2 * n]),
             "scale_covariance": packed(np.diag([_SCALE_ERROR, _COMMAND_NOISE * _SCALE_CHECK, _RESPONSE, _LAG]) ** 2),
             "timing": self.period**2 / 12, "timed": TIMING_PRIOR**2,
             "moved": np.inf, "last": np.inf, "step": np.inf,

@@ -14,7 +14,9 @@ _LONGEST = 2000
 
 
 def concise(sentence: str) -> str:
-    """Return a sentence without the middle of its long words and lines, such as a key of a megabyte.
+    """Return a sentence with long words and lines shortened.
+
+    A file can have a key of a megabyte.
 
     Args:
         sentence: one sentence or several, a line each.

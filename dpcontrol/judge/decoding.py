@@ -9,8 +9,9 @@ offset, so a longer or shorter stay does not disturb later symbols. On that cloc
     min over |s| ≤ w of max over arms |θ(t) - θ*(τ(t) + s)| ≤ 1.5 rad            τ: the plan's time at run time t
 
 Angles are not wrapped, so a missing turn, a turn the wrong way, a left-out symbol and another saddle are all at least
-half a turn off. The window w is a quarter of the shortest period: a run may be early or late by less than a wobble.
-A stop counts once the run is halfway through it, or half a period after its arrival, whichever comes first.
+half a turn off. The window w is a quarter of the shortest period: a run may be early or late by less than a wobble. The
+wait at rest before a first transfer is not judged. A stop counts once the run is halfway through it, or half a period
+after its arrival, whichever comes first.
 
 Wraps are counted from the times between two crossings, because small orbits are hard to detect:
 
@@ -28,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.foundation.arrays import Array
-from dpcontrol.references.reference import PlanNotes, Reference, StopNote, SymbolNote, plan_notes
+from dpcontrol.references.reference import REST_BEFORE, PlanNotes, Reference, StopNote, SymbolNote, plan_notes
 
 FOLLOWS = 1.5
 """Greatest distance of a run from its plan, rad; half of the way to another saddle is π/2."""
@@ -82,6 +83,21 @@ def orbit_index(notes: PlanNotes, stop: StopNote) -> int:
     if "orbit" in stop:
         return int(stop["orbit"])
     return [o["saddle"] for o in notes["orbits"]].index(stop["saddle"])
+
+
+def judged_from(notes: PlanNotes) -> float:
+    """Return the plan's time from which a run must follow it, s.
+
+    The planner adds a wait at rest before the first transfer. The itinerary does not ask for it, so the arms may be
+    anywhere until the transfer begins.
+
+    Args:
+        notes: notes of the plan.
+    """
+    lowest = min(saddle["energy"] for saddle in notes["saddles"].values())
+    hangs = notes["saddles"][notes["stops"][0]["saddle"]]["energy"] == lowest
+    begin = notes["transfers"][0][0] if hangs and notes["transfers"] else 0.0
+    return begin if begin <= REST_BEFORE + _GRID else 0.0
 
 
 def shortest_period(notes: PlanNotes) -> float:
@@ -216,7 +232,7 @@ def _lost(angles: Array, clock: Array, plan: Reference) -> int | None:
         return np.asarray(np.abs(angles[rows] - way[(places[rows] + offset).clip(0, len(way) - 1)]).max(axis=1))
 
     # Not-a-number counts as far.
-    rows = np.arange(len(angles))
+    rows = np.flatnonzero(clock >= judged_from(notes))
     for offset in sorted(range(-reach, reach + 1), key=abs):
         rows = rows[~(gaps(rows, offset) <= FOLLOWS)]
         if not rows.size:

@@ -95,7 +95,7 @@ def cause_of(text: str) -> str:
                         ("limit switch", "limit switch"), ("cart at its stop", "cart near its stop")):  # fmt: skip
         if mark in text:
             return words
-    for words in ("tracking lost", "estimate lost", "plant failed"):
+    for words in ("tracking lost", "estimate lost", "drive failed", "plant failed"):
         if text.startswith(words):
             return words
     return "other"

@@ -71,7 +71,7 @@ class Score(Documented):
         falls: number of falls, with or without return.
         attempts: of each symbol, if returns were possible; 0 for symbols not started.
         catches: number of times the run continued from an earlier place before it fell.
-        transfers: number of transfers among the symbols.
+        transfers: number of transfers, most of which are counted with the symbols.
         judged_by: "truth" (plant states and drive acceleration, in simulation) or "estimate" (the loop's, on a rig).
         whole: False if the log covers only a part of the run.
     """
@@ -101,8 +101,11 @@ class Score(Documented):
     def sentence(self) -> str:
         """Verdict in one line."""
         done = {True: "completed", False: "NOT completed", None: "completion unknown"}[self.completed]
-        total = self.symbols_total
-        symbols = f"{self.symbols_completed} of {total} {_motions(total, self.transfers)}; " if total else ""
+        symbols = (
+            f"{self.symbols_completed} of {self.symbols_total} {_motions(self.symbols_total, self.transfers)}; "
+            if self.symbols_total
+            else ""
+        )
         after = [(self.falls, "fall", "s"), (self.catches, "catch", "es")]
         borne = " and ".join(f"{count} {what}{more * (count > 1)}" for count, what, more in after if count)
         return f"{done}{f' after {borne}' if borne else ''}: {symbols}{self.reason}"
@@ -290,7 +293,7 @@ def score(log: RunLog) -> Score:
         completed=(not verdict.problem) if known else None,
         symbols_completed=verdict.symbols,
         symbols_total=len(plan_notes(plan)["stops"]) - 1,
-        transfers=_transfers(plan_notes(plan)),
+        transfers=len(plan_notes(plan)["transfers"]),
         wraps=verdict.wraps,
         rms_tracking_error=float(np.sqrt(np.mean(away**2))),
         max_cart_position=float(np.abs(flown.states[:, 2 * flown.angles.shape[1]]).max()) if log.has_cart else 0.0,
@@ -415,13 +418,9 @@ def recovered_note(log: RunLog) -> str:
     return f"the log was recovered and lacks {log.recovered}"
 
 
-def _transfers(notes: PlanNotes) -> int:
-    return sum(symbol["name"] is None for symbol in notes["symbols"])
-
-
 def _motions(total: int, transfers: int) -> str:
     """Return the noun for all motions between stops, some of which are transfers."""
-    return "symbols and transfers" if 0 < transfers < total else "transfers" if transfers else "symbols"
+    return "symbols" if not transfers else "symbols and transfers" if transfers < total else "transfers"
 
 
 def _done(wraps: tuple[int | None, ...], notes: PlanNotes) -> str:
@@ -431,9 +430,8 @@ def _done(wraps: tuple[int | None, ...], notes: PlanNotes) -> str:
         return f"stayed {kind} {name} to the end"
     lowest = min(notes["saddles"].values(), key=lambda saddle: saddle["energy"])
     end = "at rest" if notes["saddles"].get(name) == lowest else "on the last orbit"
-    transfers = _transfers(notes)
-    all_of_them = f"all {total} {_motions(total, transfers)} done in order"
-    symbols = f"the {'transfer' if transfers else 'symbol'} done" if total == 1 else all_of_them
+    motions = _motions(total, len(notes["transfers"]))
+    symbols = f"the {motions[:-1]} done" if total == 1 else f"all {total} {motions} done in order"
     counted = [count for count in wraps if count is not None]
     required = f", wraps {counted} as asked" if counted else ""
     return f"{symbols}{required}, and {end} to the end"

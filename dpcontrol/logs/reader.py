@@ -729,7 +729,10 @@ class RunLog(Shown):
 
     @property
     def segments(self) -> tuple[tuple[int, int], ...]:
-        """First and end rows of a recording's segments; none for a run, or if they do not fit the rows."""
+        """First and end rows of a recording's segments.
+
+        There are none for a run, or if they do not fit the rows.
+        """
         return segments_in(self.metadata.get("segments", ""), len(self.time))
 
     @property

@@ -38,7 +38,6 @@ from dpcontrol.logs.reader import (
     LARGEST_CHUNK,
     MALFORMED,
     Batch,
-    RunLog,
     check_channels,
     check_replaced,
     described_layout,
@@ -248,7 +247,13 @@ def recover(
     if out is not None:
         checked_other_file(Path(out), path, what="the log to recover")
     with suppress(InputError):
-        return _untouched(path, read_log(path))
+        # A readable log may be one that another program has rewritten.
+        log = read_log(path)
+        return Recovery(
+            path, path, ticks=len(log.time), end_s=float(log.time[-1]), ticks_lost=0, milliseconds_lost=0.0, gaps=(),
+            end_known=log.end_s is not None, chunks_dropped=0, chunks_repeated=0, chunks_moved=False,
+            attachments=tuple(log.attachments), attachments_lost=(), lost="",
+        )  # fmt: skip
     found = salvage(data, progress=part_of(progress, 0.0, 0.6))
     described = _single_record(path, found, layout.LAYOUT_RECORD)
     if described is None or not any(chunk.times for chunk in found.chunks):
@@ -267,15 +272,6 @@ def recover(
     check_replaced(done.log, _single_record(path, found, layout.RUN_RECORD) or {}, recovers=path, force=force)
     _write(found, chunks, described=described, tick=tick, done=done, progress=part_of(progress, 0.6, 1.0))
     return done
-
-
-def _untouched(path: Path, log: RunLog) -> Recovery:
-    """Return the recovery of a readable log, which may be one that another program has rewritten."""
-    return Recovery(
-        path, path, ticks=len(log.time), end_s=float(log.time[-1]), ticks_lost=0, milliseconds_lost=0.0, gaps=(),
-        end_known=log.end_s is not None, chunks_dropped=0, chunks_repeated=0, chunks_moved=False,
-        attachments=tuple(log.attachments), attachments_lost=(), lost="",
-    )  # fmt: skip
 
 
 def _check_declared(path: Path, tick: TickLayout, chunks: Sequence[SoundChunk]) -> None:

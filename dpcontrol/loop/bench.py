@@ -49,6 +49,8 @@ _FINEST_ANGLE, _FINEST_CART = 1e-5, 1e-7
 
 AGES = ("unknown", "reported")
 """Whether a bench reports the ages of its readings."""
+FAILURES = ("off", "reversed")
+"""Faults of a drive: its cart brakes and stands, or it goes the other way."""
 
 
 @dataclass(frozen=True)
@@ -155,6 +157,8 @@ class DriveSettings(Settings, table="drive"):
         response: share of a command that the drive gives.
         track: distance of the hard stops from the centre, m, or inf for the itinerary's limit.
         switch_margin: distance of the limit switches from the hard stops, m.
+        failed_at: time from which the drive has `failure`, s.
+        failure: "off" if the cart brakes to a standstill, "reversed" if it goes the other way.
     """
 
     delay: float = setting(
@@ -182,6 +186,8 @@ class DriveSettings(Settings, table="drive"):
     switch_margin: float = setting(
         0.0, least=0, most=1000, unit="m", help="Distance of the limit switches from the hard stops."
     )
+    failed_at: float = setting(math.inf, least=0, infinite="never", unit="s", help="Time at which the drive fails.")
+    failure: str = setting("off", choices=FAILURES, help="Fault of the drive from then on.")
 
     def limits(self, limits: Limits) -> Limits:
         """Return the bounds of the drive.

@@ -341,12 +341,10 @@ def _hold(made: LawInputs) -> Controller:
     start, names = made.reference.state(0.0), extra_names(model.arms, estimator.augments)
     process = estimator.process(model.arms, model.period)
     effects, kept = extra_jacobians(model, estimator.augments, start[None], np.zeros(1), process)
-    if parameters.coulomb:
-        shares = np.array(parameters.coulomb) / np.array(damping_scales(parameters.base(), parameters.count))
-        dry = min(4 / (np.pi * _OSCILLATION) * float(shares.max()), _MOST_DRY)
-        settings = replace(settings, damping=settings.damping + dry)
+    shares = np.divide(parameters.coulomb or 0.0, damping_scales(parameters.base(), parameters.count))
+    dry = min(4 / (np.pi * _OSCILLATION) * float(shares.max()), _MOST_DRY)
     extras = ExtraEffects(names, effects[0], kept)
-    return hold_controller(start, model, settings, seconds=made.reference.duration, extras=extras)
+    return hold_controller(start, model, settings, seconds=made.reference.duration, extras=extras, dry=dry)
 
 
 def _tvlqr(made: LawInputs) -> Controller:

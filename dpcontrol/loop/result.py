@@ -101,6 +101,7 @@ class Ending(StrEnum):
     CART_STOP = "cart at its stop"
     ESTIMATE_LOST = "estimate lost"
     TRACKING_LOST = "tracking lost"
+    DRIVE_FAILED = "drive failed"
     PLANT_FAILED = "plant failed"
     OBJECT_FAILED = "object failed"
     """A user's law, estimator, plant or rig raised, took too long, or returned an invalid value."""
@@ -124,7 +125,7 @@ class SupervisorSettings(Settings, table="supervisor"):
         lost_estimate: mean NIS per degree of freedom. It reaches thousands if encoders are exact to a count and the
             model is wrong by a tenth, without harm. 1e5 is about 0.04 rad.
         restarts: restarts of the estimator within a second before it counts as lost.
-        missing: longest time without a measurement, s.
+        missing: longest time without a measurement of a position, s.
         braking: share of the largest acceleration that stopping assumes. The actual braking is harder.
         margin: free track that must remain after stopping, m.
         hold: "nearest" to hold the nearest orbit or equilibrium once if tracking is lost, "none" to stop.
@@ -143,7 +144,9 @@ class SupervisorSettings(Settings, table="supervisor"):
         100_000.0, least=5, most=1e12, help="Mean NIS per degree of freedom from which the estimate is lost."
     )
     restarts: int = setting(2, least=0, most=1000, help="Restarts of the estimator within a second.")
-    missing: float = setting(0.1, least=1e-4, most=60, unit="s", help="Longest time without a measurement.")
+    missing: float = setting(
+        0.1, least=1e-4, most=60, unit="s", help="Longest time without a measurement of a position."
+    )
     braking: float = setting(0.5, least=0.01, most=1, help="Share of the largest acceleration that stopping assumes.")
     margin: float = setting(0.002, least=0, most=1, unit="m", help="Free track that must remain after stopping.")
     hold: str = setting("none", choices=HOLDS, help="Motion to hold after lost tracking.")
@@ -174,6 +177,7 @@ def explained(outcome: Outcome, now: float, figures: Mapping[str, float], *, arm
     error, distance = figures["error"], figures["distance"]
     away = f"an angle has stayed {error:.2g} rad from the reference"
     lost, shown = f"estimate lost at t = {now:.3f} s:", _lost(figures)
+    failed = f"drive failed at t = {now:.3f} s:"
     speed = f" with {velocity:.2f} m/s" if math.isfinite(velocity := figures["velocity"]) else ""
     cart = f"at {figures['position']:.3f} m{speed} it must brake now to stay on the track"
     match outcome:
@@ -198,6 +202,12 @@ def explained(outcome: Outcome, now: float, figures: Mapping[str, float], *, arm
             name = "the cart's scale" if which > arms else f"the encoder of joint {which}"
             same = f"it has given the same reading for {figures['repeats'] * period:.3g} s"
             return f"{lost} {name} is stuck: {same}; check its cable and its head"
+        case Outcome.DRIVE_OFF:
+            check = "is the drive on? Check its power, its enabling and its cable, and the cart's scale"
+            return f"{failed} the cart does not follow the commands: {check}"
+        case Outcome.DRIVE_REVERSED:
+            check = "check the signs of the drive and of the cart's scale, and that the drive is on"
+            return f"{failed} the cart moves against the commands: {check}"
         case Outcome.SWITCH:
             return (
                 f"cart at its stop at t = {now:.3f} s: a limit switch was touched, with an angle {distance:.2g} rad "
@@ -234,6 +244,8 @@ def ending(outcome: Outcome) -> Ending:
     """
     if outcome in (Outcome.CART, Outcome.SWITCH):
         return Ending.CART_STOP
+    if outcome in (Outcome.DRIVE_OFF, Outcome.DRIVE_REVERSED):
+        return Ending.DRIVE_FAILED
     return Ending.TRACKING_LOST if outcome in (Outcome.TRACKING_LOST, Outcome.FALLEN) else Ending.ESTIMATE_LOST
 
 

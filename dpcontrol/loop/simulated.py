@@ -358,6 +358,7 @@ class SimulatedBench:
         """Period of the ticks, s."""
         own = settings.drive.limits(limits)
         self._drive = settings.drive.within(limits, draw.period, clip=lanes.clip)
+        self._fails = {settings.drive.failure: settings.drive.failed_at}
         self._switch_at = own.position - settings.drive.switch_margin
         whole = math.floor(settings.drive.delay)
         self._fraction = settings.drive.delay - whole
@@ -402,6 +403,7 @@ class SimulatedBench:
         self._seen: Any = None
         self._cart, self._ticks, self._tick = 2 * n, draw.ticks, -1
         self._braking: Any = None
+        self._off = False
         known = (zip(repeat(run), sorted(d.blows.items(), key=itemgetter(0))) for run, d in enumerate(draws))
         random = (zip(repeat(run), d.random_blows()) for run, d in enumerate(draws))
         # In order of the ticks, first the known ones.
@@ -432,11 +434,14 @@ class SimulatedBench:
         demands = self._demands
         del demands[self._sent_before :]
         noise = 0.0 if self._command_noise is None else self._command_noise[k]
+        if k * self.period >= self._fails.get("reversed", math.inf):
+            acceleration = -acceleration
         demands.append(self._drive.demanded(acceleration, noise, demands[-1]))
 
     def _pass(self, k: int) -> None:
         """Advance the bench by period k."""
         plant, demands, period = self._plant, self._demands, self.period
+        self._off = k * period >= self._fails.get("off", math.inf)
         if len(demands) <= self._sent_before:
             demands.append(demands[-1])
         while self._coming[1][0] <= k:
@@ -482,7 +487,9 @@ class SimulatedBench:
 
     def _acting(self, demand: Any, duration: float) -> Any:
         drive, velocity, braking = self._drive, self._plant.loop_velocity, self._braking
-        if braking is None:
+        if self._off:
+            acting = drive.braking(velocity, duration)
+        elif braking is None:
             acting = drive.acting(demand, velocity, duration)
         else:
             acting = drive.braking(velocity, duration)

@@ -57,8 +57,12 @@ def draw_cuts(
     if legend:
         every = len(connections_of(atlas, kind))
         marked = f"{len(connections)} of {every} connections" if len(connections) < every else "connections"
-        key(axes, [*_TUBES, (marked, {"color": style.INK, "marker": "o", "linestyle": ""}), _BACKWARD])
+        key(axes, [*_LINES, (marked, {"color": style.INK, "marker": "o", "linestyle": ""})])
 
 
-_TUBES: list[tuple[str, str | dict[str, Any]]] = [("tube out", style.UNSTABLE), ("tube in", style.STABLE)]
-_BACKWARD = ("backward", {"color": style.CART, "linestyle": (0, (4, 1.6))})
+_LINES: list[tuple[str, str | dict[str, Any]]] = [
+    ("tube out", style.UNSTABLE),
+    ("tube in", style.STABLE),
+    ("backward", {"color": style.CART, "linestyle": (0, (4, 1.6))}),
+]
+"""Key of the lines in a panel of cuts."""

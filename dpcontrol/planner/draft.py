@@ -12,7 +12,7 @@ from dpcontrol.planner.shown import energies_of, fitting_model
 from dpcontrol.plans.itinerary import Itinerary, WalkPart, itinerary_from
 from dpcontrol.plans.model import Model, quoted
 from dpcontrol.plans.plan import plan_key
-from dpcontrol.walks.symbols import parse_symbol, parse_walk
+from dpcontrol.walks.symbols import parse_walk
 
 LONGEST = 100_000
 """Largest length of a text in characters."""
@@ -81,11 +81,9 @@ class Draft:
 
     @cached_property
     def stops(self) -> list[str]:
-        """The saddles visited by the walk, in order."""
-        try:
-            symbols = parse_walk(self.walk, self.model.system.saddles) if self.model and self.walk else ()
-        except InputError:
-            return []
+        """The saddles visited by the walk, in order, or none while the text has an error."""
+        itinerary = self.itinerary
+        symbols = parse_walk(itinerary.walk, itinerary.model.system.saddles) if itinerary and itinerary.walk else ()
         return [symbols[0].source, *(symbol.target for symbol in symbols)] if symbols else []
 
     @property
@@ -147,26 +145,24 @@ class Draft:
         Raises:
             InputError: the walk ends elsewhere, or can be edited only as text.
         """
-        saddles = self.model.system.saddles if self.model else ()
-        if not self.fixed and self.stops and (source := parse_symbol(symbol, saddles).source) != self.stops[-1]:
-            raise InputError(f"{symbol!r} leaves {source}; the walk is at {self.stops[-1]}")
+        if self.model and not self.fixed:
+            parse_walk([*self.walk, symbol], self.model.system.saddles)
         wraps = [*self.wraps, _USUAL_WRAPS] if self.walk else []
         return self.changed("", {"walk": [*self.walk, symbol], "wraps": wraps})
 
     def wrapped(self, stop: int, change: int) -> str:
-        """Return the text with more or fewer wraps at one stop.
+        """Return the text with more or fewer wraps, but at least none, at one stop.
 
         Args:
             stop: index of the stop.
             change: number of additional wraps.
 
         Raises:
-            InputError: no such stop, fewer than no wraps, or the walk can be edited only as text.
+            InputError: the walk can be edited only as text.
+            KeyError: no such stop.
         """
         wraps = dict(enumerate(self.wraps))
-        wraps[stop] += change
-        if wraps[stop] < 0:
-            raise InputError(f"wraps at stop {stop + 1} = {wraps[stop]}: must be zero or positive")
+        wraps[stop] = max(wraps[stop] + change, 0)
         return self.changed("", {"wraps": list(wraps.values())})
 
 

@@ -118,15 +118,13 @@ class Planner(AbstractContextManager["Planner"]):
 
     async def _guarded(self, scope: Any, receive: Any, send: Any) -> None:
         """Forward requests that pass the checks; answer others with status 403."""
-        answer = self._application
-        if not self._admits(scope) and scope["type"] == "websocket":
-            # The server calls any other answer to a socket an error of the application.
-            answer = websockets.WebSocketClose()
-        elif not self._admits(scope):
-            answer = responses.PlainTextResponse(
-                "403: open the address that `dpcontrol planner` printed\n", 403, _HEADERS
-            )
-        await answer(scope, receive, send)
+        # Uvicorn logs any answer to a socket other than a close as an error.
+        refusal = (
+            websockets.WebSocketClose()
+            if scope["type"] == "websocket"
+            else responses.PlainTextResponse("403: open the address that `dpcontrol planner` printed\n", 403, _HEADERS)
+        )
+        await (self._application if self._admits(scope) else refusal)(scope, receive, send)
 
     def _admits(self, scope: Any) -> bool:
         headers = [(name.decode("latin-1"), value.decode("latin-1")) for name, value in scope["headers"]]

@@ -10,7 +10,7 @@ import json
 import shutil
 import tempfile
 from collections.abc import Callable
-from functools import partial
+from functools import partial, partialmethod
 from pathlib import Path
 from typing import Any
 
@@ -96,8 +96,10 @@ class PageSession:
             try:
                 given = dict(json.loads(text))
                 number = int(given.pop("n", 0))
-                waiting = getattr(self, f"do_{given.pop('do')}")(**given)
-                if waiting is not None:
+                do = given.pop("do")
+                if do in _EDITS:
+                    await self._change(partial(_EDITS[do], **given), typed=do == "toml")
+                elif (waiting := getattr(self, f"do_{do}")(**given)) is not None:
                     await waiting
             except InputError as error:
                 self._set_message(str(error), "error")
@@ -106,67 +108,11 @@ class PageSession:
             self._acknowledged = number
             self._send_state()
 
-    async def do_model(self, name: str) -> None:
-        """Start a new itinerary with another model.
-
-        Args:
-            name: name or path of the model.
-        """
-        await self._change(lambda _: first_text(str(name)))
-
-    async def do_set(self, values: dict[str, Any], table: str = "") -> None:
-        """Set values in the itinerary's text.
-
-        Args:
-            values: values by key.
-            table: table of the keys, "" for the top level.
-        """
-        if not values.keys() <= _KEYS[table]:
-            raise InputError(f"{', '.join(values)}: the page has no control for these keys; edit the TOML")
-        await self._change(lambda draft: draft.changed(table, values))
-
-    async def do_append(self, symbol: str) -> None:
-        """Append a symbol to the walk.
-
-        Args:
-            symbol: symbol that starts where the walk ends.
-        """
-        await self._change(lambda draft: draft.appended(symbol))
-
-    async def do_shorten(self) -> None:
-        """Remove the walk's last symbol."""
-        await self._change(lambda draft: draft.changed("", {"walk": draft.walk[:-1], "wraps": draft.wraps[:-1]}))
-
-    async def do_wraps(self, stop: int, change: int) -> None:
-        """Change the wraps at one stop.
-
-        Args:
-            stop: index of the stop.
-            change: number of additional wraps.
-        """
-        await self._change(lambda draft: draft.wrapped(stop, change))
-
     async def do_accept(self) -> None:
         """Set the wraps that the failed plan proposes."""
         if not (wraps := (self._made.get("plan") or {}).get("wraps")):
             raise InputError("no wraps are proposed for this itinerary: plan it first")
         await self._change(lambda draft: draft.changed("", {"wraps": wraps}))
-
-    async def do_toml(self, text: str) -> None:
-        """Replace the text; consecutive edits are undone together.
-
-        Args:
-            text: itinerary in TOML.
-        """
-        await self._change(lambda _: str(text), typed=True)
-
-    async def do_undo(self) -> None:
-        """Restore the previous text."""
-        await self._step(-1)
-
-    async def do_redo(self) -> None:
-        """Restore the next text."""
-        await self._step(1)
 
     def do_plan(self) -> None:
         """Plan the itinerary."""
@@ -273,6 +219,9 @@ class PageSession:
     def _note(self, **saved: str) -> None:
         self._saved |= saved
         self._set_message(f"saved {', '.join(saved.values())}", "good")
+
+    # These commands restore the previous and the next text.
+    do_undo, do_redo = partialmethod(_step, -1), partialmethod(_step, 1)
 
     async def _change(self, edit: Callable[[Draft], str], *, typed: bool = False) -> None:
         """Replace the text, which is edited and parsed in a thread because a long walk takes seconds."""
@@ -387,6 +336,24 @@ class PageSession:
 def _message(kind: str, value: Any) -> str:
     # A text with an error may have dates in place of numbers, and half characters, which only their escapes can send.
     return json.dumps({kind: plain(value)}, default=str)
+
+
+def _set(draft: Draft, values: dict[str, Any], table: str = "") -> str:
+    """Return the text with new values of keys that have controls on the page."""
+    if not values.keys() <= _KEYS[table]:
+        raise InputError(f"{', '.join(values)}: the page has no control for these keys; edit the TOML")
+    return draft.changed(table, values)
+
+
+_EDITS: dict[str, Callable[..., str]] = {
+    "model": lambda _, name: first_text(str(name)),
+    "toml": lambda _, text: str(text),
+    "set": _set,
+    "append": Draft.appended,
+    "shorten": lambda draft: draft.changed("", {"walk": draft.walk[:-1], "wraps": draft.wraps[:-1]}),
+    "wraps": Draft.wrapped,
+}
+"""Commands that return a new text from the draft and the command's arguments."""
 
 
 def _names() -> itertools.chain[str]:

@@ -396,8 +396,10 @@ def _status(
 ) -> str:
     """Return one sentence on existing, absent and possibly missed connections."""
     count = sum(kind.count for kind in kinds)
-    of_kinds = counted(len({(k.source, k.target) for k in kinds}), "kind")
-    parts = [f"{counted(len(orbits), 'orbit')}, {counted(count, 'connection')} of {of_kinds}"]
+    parts = [
+        f"{counted(len(orbits), 'orbit')}, {counted(count, 'connection')} of "
+        f"{counted(len({(k.source, k.target) for k in kinds}), 'kind')}"
+    ]
     if not system.sections:
         parts.append(f"{system.name} has no sections for connections")
     later = {(k.source, k.target): k.hits for k in kinds if k.count and k.hits != (1, 1)}

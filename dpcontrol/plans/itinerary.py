@@ -153,11 +153,7 @@ def _names(kind: type) -> list[str]:
 
 
 def read_run_settings(
-    tables: Mapping[str, Mapping[str, Any]],
-    top: Place,
-    *,
-    arms: ArmChainParameters | None = None,
-    folder: Path = Path(),
+    tables: Mapping[str, Mapping[str, Any]], top: Place, *, plant: Model | None = None
 ) -> tuple[LoopSettings, tuple[float, ...]]:
     """Return the settings of an itinerary's runs, and the rig's zeros.
 
@@ -166,8 +162,7 @@ def read_run_settings(
     Args:
         tables: run, controller, estimator and supervisor of the file.
         top: of the file.
-        arms: of the model; None if there is no own plant.
-        folder: of the file, which a relative path of a plant starts from.
+        plant: model of the plant's own arms, if the file names one.
 
     Raises:
         InputError: every mistake with file, table, key, value and allowed range.
@@ -192,9 +187,7 @@ def read_run_settings(
             with mistakes:
                 parts[part] = decode(kind, own, places["run"])
         parts |= {name: getattr(given, name) for name in _names(RunTable) if name in _names(LoopSettings)}
-        parts["plant"] = None
-        if given.plant and arms is not None:
-            parts["plant"] = own_plant(given.plant, arms, where=f"{places['run']} plant", beside=folder)
+        parts["plant"] = None if plant is None else plant.arms
     with mistakes:
         if keep not in KEEPERS:
             raise places["controller"].error("keep", keep, suggest(str(keep), KEEPERS))
@@ -350,6 +343,7 @@ class Itinerary:
         keeps: True if the file plans stops as stays on sustained orbits. Other controllers follow the same reference.
         zeros: readings (n,) of a rig's hanging arms, rad, or none.
         stored: .npz file of its existing plan, if any.
+        plant: text of the plant's model that the file names, if any.
     """
 
     name: str
@@ -366,6 +360,7 @@ class Itinerary:
     keeps: bool = False
     zeros: tuple[float, ...] = ()
     stored: Path | None = None
+    plant: str = ""
 
     @property
     def stay(self) -> HoldPart | OrbitPart | None:
@@ -417,8 +412,8 @@ class Itinerary:
             made = None if named else own_object("plant", plant)
             if made is not None and made.symbolic:
                 check_component(made.thing, self.model.arms.count)
-            arms = None if made else own_plant(str(plant), self.model.arms, where="plant")
-            loop = replace(loop, plant=arms if made is None else OwnPlant(made.name, made))
+            own = OwnPlant(made.name, made) if made else own_plant(str(plant), self.model.arms, where="plant").arms
+            loop = replace(loop, plant=own)
         loop = overridden(loop, settings)
         scene = replace(self, loop=loop if seed is None else replace(loop, seed=seed))
         _ = scene.uncertainty
@@ -458,7 +453,7 @@ def load_itinerary(name: str) -> Itinerary:
         return stored_itinerary(Path(name), load_reference(Path(name)))
     path = find("itineraries", name)
     document, text = read_toml(path)
-    scene = _itinerary(document, text, path, None)
+    scene = _itinerary(document, text, path)
     scene.remark_on_rig()
     return scene
 
@@ -478,7 +473,9 @@ def stored_itinerary(file: Path, reference: Reference) -> Itinerary:
     notes = reference.notes
     try:
         model = model_from(notes["made_from"]["model"], notes["model"])
-        scene = itinerary_from(notes["made_from"]["scene"], notes["itinerary"], model, folder=file.parent)
+        scene = itinerary_from(
+            notes["made_from"]["scene"], notes["itinerary"], model, plant=notes["made_from"].get("plant", "")
+        )
     except (KeyError, TypeError) as error:
         raise InputError(f"{file} is a reference, but its notes are not those of a plan: {error}") from error
     if reference.converged and not holds_plan(reference):
@@ -524,27 +521,29 @@ def itinerary_of(
     return itinerary_from("\n".join(lines) + "\n", name, model)
 
 
-def itinerary_from(text: str, name: str, model: Model, *, folder: Path = Path()) -> Itinerary:
+def itinerary_from(text: str, name: str, model: Model, *, plant: str = "") -> Itinerary:
     """Return the itinerary of a file's text, under a name.
 
     Args:
         text: text of a TOML file.
         name: name of the itinerary.
         model: model of the arms.
-        folder: folder of the files that it names, such as a plant's.
+        plant: text of the plant's model, where it travels with the itinerary's (default: the file that this names).
 
     Raises:
         InputError: a mistake in it.
     """
-    file = folder / f"{name}.toml"
-    return _itinerary(parse_toml(text, str(file)), text, file, model)
+    file = Path(f"{name}.toml")
+    return _itinerary(parse_toml(text, str(file)), text, file, model, model_from(plant, "plant") if plant else None)
 
 
 _TABLES = ("limits", "reference", "run", "controller", "estimator", "supervisor")
 _SAME_IN_PARTS = {name for kind in (WalkPart, HoldPart, OrbitPart) for name in _names(kind)}
 
 
-def _itinerary(document: Mapping[str, Any], text: str, path: Path, model: Model | None) -> Itinerary:
+def _itinerary(
+    document: Mapping[str, Any], text: str, path: Path, model: Model | None = None, plant: Model | None = None
+) -> Itinerary:
     """Return the itinerary of a file's contents and text.
 
     Raises:
@@ -585,8 +584,14 @@ def _itinerary(document: Mapping[str, Any], text: str, path: Path, model: Model 
         limits = decode(Limits, tables.get("limits", {}), replace(top, table="limits"))
     with mistakes:
         reference = _reference(tables.get("reference", {}), replace(top, table="reference"))
+    if header.start == "hold" and listed is None:
+        # Dry friction moves an arm that `adaptive` holds by twice as much.
+        tables["controller"] = {"kind": "lqr", **tables.get("controller", {})}
     with mistakes:
-        loop, zeros = read_run_settings(tables, top, arms=model.arms, folder=path.parent)
+        if plant is None and (named := tables.get("run", {}).get("plant")):
+            plant = own_plant(str(named), model.arms, where=f"{replace(top, table='run')} plant", beside=path.parent)
+    with mistakes:
+        loop, zeros = read_run_settings(tables, top, plant=plant)
         if zeros and len(zeros) != model.arms.count:
             raise InputError(f"{top} [run] zeros has {len(zeros)} values; give one for each of {model.arms.count} arms")
     known = tuple(part for part in parts if part is not None)
@@ -600,7 +605,7 @@ def _itinerary(document: Mapping[str, Any], text: str, path: Path, model: Model 
     assert loop is not None
     return Itinerary(
         path.stem, path, header.title or path.stem, model, known, start, finish, limits, reference, loop, text,
-        loop.keep != "none", zeros,
+        loop.keep != "none", zeros, plant="" if plant is None else plant.text,
     )  # fmt: skip
 
 
@@ -611,10 +616,9 @@ def _check_ends(parts: tuple[Part, ...], start: str, finish: str, top: Place) ->
         InputError: names the end.
     """
     if "hold" in (start, finish) and not (start == finish and all(isinstance(parts[k], HoldPart) for k in (0, -1))):
-        key = "start" if start == "hold" else "finish"
         raise InputError(
-            f'{top} {key} = "hold": is for start and finish together, and for holds as first and last part; use '
-            '"rest", or in simulation "orbit"'
+            f'{top} {"start" if start == "hold" else "finish"} = "hold": is for start and finish together, and for '
+            'holds as first and last part; use "rest", or in simulation "orbit"'
         )
     if isinstance(parts[0], OrbitPart) and (start, finish) != ("orbit", "orbit"):
         raise InputError(f'{top} orbit: an orbit is kept from "orbit" to "orbit"; remove start and finish')
@@ -663,8 +667,8 @@ def _named_model(name: str, *, where: str, beside: Path | None) -> Model:
         raise InputErrors([f"{where} = {name!r}: {mistake}" for mistake in mistakes_of(error)]) from error
 
 
-def own_plant(name: str, arms: ArmChainParameters, *, where: str, beside: Path | None = None) -> ArmChainParameters:
-    """Return the arms of a plant's model file.
+def own_plant(name: str, arms: ArmChainParameters, *, where: str, beside: Path | None = None) -> Model:
+    """Return the model of a plant's own arms.
 
     Args:
         name: name or path of the file.
@@ -681,7 +685,7 @@ def own_plant(name: str, arms: ArmChainParameters, *, where: str, beside: Path |
             f"{where} = {name!r}: the plant has {own.arms.count} arms, the itinerary's model {arms.count}; give "
             "a plant of as many arms"
         )
-    return own.arms
+    return own
 
 
 def _reference(values: Mapping[str, Any], place: Place) -> ReferenceSettings:

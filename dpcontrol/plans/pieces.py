@@ -33,8 +33,6 @@ from dpcontrol.references.reference import OrbitNote, PlanNotes, Reference, Stop
 from dpcontrol.tubes.connections import Connection
 from dpcontrol.walks.shadowing import ShadowingOrbit
 
-REST_BEFORE, REST_AFTER = 0.5, 1.0
-"""Time that the pendulum hangs still at the start and after its return, s."""
 WOBBLES = 2
 """Wobbles of a change between two orbits of one saddle."""
 
@@ -540,6 +538,7 @@ def notes_of_pieces(
             "scene_hash": content_hash(itinerary.text),
             "model": model.text,
             "model_hash": content_hash(model.text),
+            "plant": itinerary.plant,
             "parameters": json.loads(json.dumps(asdict(model.arms))),
         },
     }

@@ -251,7 +251,7 @@ def make_plan(
         return replace(load_plan(itinerary.stored), itinerary=itinerary)
     file = cache_file("plans", itinerary.name, plan_key(itinerary))
     if not fresh and (content := kept(file)) is not None:
-        return Plan(itinerary, load_reference(BytesIO(content)), file, cached=True)
+        return _cached(itinerary, content, file)
     announce(plan_cost(itinerary), yes=yes)
     # A cached plan does not need the planner.
     from dpcontrol.judge.decoding import shortfall
@@ -271,6 +271,21 @@ def make_plan(
     return plan
 
 
+def _cached(itinerary: Itinerary, content: bytes, file: Path) -> Plan:
+    """Return a cached plan with the texts of this itinerary.
+
+    The cache's key has the inputs of planning alone, so settings of runs and the plant may have changed.
+    """
+    reference = load_reference(BytesIO(content))
+    made_from = {
+        **reference.notes["made_from"],
+        "scene": itinerary.text,
+        "scene_hash": content_hash(itinerary.text),
+        "plant": itinerary.plant,
+    }
+    return Plan(itinerary, replace(reference, notes={**reference.notes, "made_from": made_from}), file, cached=True)
+
+
 def with_kept_starts(plan: Plan) -> Plan:
     """Return a plan with cached transfers from rest.
 
@@ -284,7 +299,7 @@ def with_kept_starts(plan: Plan) -> Plan:
         return plan
     file = _starts_file(plan)
     content = kept(file)
-    return plan if content is None else Plan(scene, load_reference(BytesIO(content)), file, plan.cached)
+    return plan if content is None else replace(_cached(scene, content, file), cached=plan.cached)
 
 
 def _starts_file(plan: Plan) -> Path:

@@ -26,8 +26,6 @@ from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.orbits.lyapunov import equilibria, equilibrium, lyapunov_orbit, resting_place
 from dpcontrol.plans.itinerary import HoldPart, Itinerary, OrbitPart, WalkPart
 from dpcontrol.plans.pieces import (
-    REST_AFTER,
-    REST_BEFORE,
     Goal,
     SolvedPiece,
     cart_problem,
@@ -40,7 +38,7 @@ from dpcontrol.plans.pieces import (
 from dpcontrol.plans.transfers import transfer_notes
 from dpcontrol.references.find import find_reference
 from dpcontrol.references.problem import EndConditions
-from dpcontrol.references.reference import PlanNotes, Reference, SegmentNote, joined
+from dpcontrol.references.reference import REST_AFTER, REST_BEFORE, PlanNotes, Reference, SegmentNote, joined
 from dpcontrol.references.sustained import SustainedOrbit, sustained_orbit
 from dpcontrol.tubes.connections import Connection
 from dpcontrol.tubes.symmetric import SymmetricSettings, find_symmetric_connections

@@ -48,6 +48,7 @@ _DRIVE = {
     "response": Usual(0.05, 3.0, ""),
     "track": Usual(0.02, 5.0, "m"),
     "switch_margin": Usual(0.0, 0.5, "m"),
+    "failed_at": Usual(0.0, 600.0, "s"),
 }
 _DISTURBANCES = {
     "push_impulse": Usual(0.0, 2.0, "N m s"),

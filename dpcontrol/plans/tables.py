@@ -74,8 +74,7 @@ def _table(prefix: str, kinds: Mapping[str, type], without: set[str]) -> str:
             row[-3] += f"{', ' if row[-3] else ''}{value}{f' ({kind})' if kind else ''}"
     if set(kinds) == set(CONTROLLERS):
         rows["kind"] = ["`kind`", "`controller`", "adaptive", ", ".join(CONTROLLERS), "Law."]
-        keepers = ", ".join(KEEPERS)
-        rows["keep"] = ["`keep`", "`controller.keep`", "none", keepers, "Law that keeps the stops of a walk."]
+        rows["keep"] = ["`keep`", "`controller.keep`", "none", ", ".join(KEEPERS), "Law that keeps a walk's stops."]
     if set(kinds) == set(ESTIMATORS):
         rows["kind"] = ["`kind`", "`estimator`", "ekf", ", ".join(ESTIMATORS), "Filter."]
     columns = ["key", *(["path"] if prefix else []), "default", "allowed", "meaning"]

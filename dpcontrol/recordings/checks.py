@@ -322,7 +322,7 @@ def _continuous(samples: Samples, repairs: frozenset[str], period: float) -> Rep
 _FASTEST = 80.0
 """Limit of the angle rate, rad/s, above any bench. A swing exceeds it if radians and degrees are confused."""
 _LARGEST = 1e9
-"""Limit of every measurement; none is larger in any unit, so that a larger one is damage."""
+"""Limit of every measurement. A larger one is damage in any unit."""
 _DEGREES = 180 / np.pi
 _FACTORS = {
     _DEGREES: "the angles look like degrees and the rates like rad/s",

@@ -396,7 +396,7 @@ def _reason(error: BaseException) -> str:
 def _present(
     path: Path, header: Sequence[str], columns: Sequence[str], optional: Collection[str] = ()
 ) -> tuple[str, ...]:
-    """Return the columns that a table has, and reject a table without the others."""
+    """Return the columns that a table has; reject missing ones."""
     for name in columns:
         if header.count(name) > 1:
             raise InputError(f"{path}: {header.count(name)} columns are called {name!r}; rename all but one")
@@ -437,7 +437,7 @@ _NUMBER = re.compile(r"[-+]?(\d+([.,]\d*)?|[.,]\d+|nan|inf)(e[-+]?\d+)?", re.IGN
 
 
 def _rows(path: Path) -> Iterator[list[str]]:
-    """Yield the names of a text table's columns, then the cells of each row.
+    """Yield the columns' names of a text table, then its rows.
 
     A first line of numbers is no header: the names are then 1, 2, ….
     """
@@ -515,17 +515,12 @@ def read_matlab(path: Path) -> dict[str, Any]:
         raise InputError(f"cannot read {path}: {error.strerror or error}; check the name") from error
     if not head:
         raise InputError(f"{path} is empty; save or copy the recording again")
-    if head.startswith(_OCTAVE):
-        raise InputError(
-            f"{path} is in a format of Octave that MATLAB does not read; save it in Octave with `save -v7`"
-        )
+    hdf5 = b"MATLAB 7.3" in head[:128] or b"\x89HDF\r\n\x1a\n" in head
     try:
-        if b"MATLAB 7.3" in head[:128] or b"\x89HDF\r\n\x1a\n" in head:
-            checked_size(_hdf5_size(path))
-            variables = _with_objects(path)
-        else:
-            checked_size(_unpacked_size(path))
-            variables = _plain(path, size)
+        checked_size((_hdf5_size if hdf5 else _unpacked_size)(path))
+        if head.startswith(_OCTAVE):
+            raise InputError(f"{path} is not a MATLAB file but one of Octave; save it in Octave with `save -v7`")
+        variables = _with_objects(path) if hdf5 else _plain(path, size)
     except UNREADABLE as error:
         raise InputError(
             f"{path} is not a MATLAB file, or is cut off or damaged ({_reason(error)}); save or copy it again"

@@ -115,21 +115,20 @@ class Recording(Timed):
 
     @checked
     def frame(self, count: Count | None = None) -> "DataFrame":
-        """Return a pandas table, with the number of the segment in the column `segment`.
-
-        `dpcontrol import` reads it as CSV, with its segments.
+        """Return a pandas table of angles, cart and segments.
 
         Args:
-            count: number of interpolated rows; None for one row per sample.
+            count: number of interpolated rows without segments. None, the default, for one row per sample, with the
+                column `segment` that `dpcontrol import` reads from CSV.
 
         Raises:
             InputError: pandas is not installed.
         """
+        if count is not None:
+            return super().frame(count)
         data_frame, index = pandas_classes()
-        times = self.time if count is None else np.linspace(*self.time_range, count)
-        table = data_frame(self.states(times), columns=list(self.columns), index=index(times, name="time"))
-        rows = np.searchsorted(self.time, times, side="right") - 1
-        table["segment"] = segment_numbers(self.segments, len(self.time))[rows]
+        table = data_frame(self.states(self.time), columns=list(self.columns), index=index(self.time, name="time"))
+        table["segment"] = segment_numbers(self.segments, len(self.time))
         return table
 
     @property

@@ -466,6 +466,10 @@ def summarised(reference: Reference) -> ReferenceSummary:
     return ReferenceSummary(reference, arms)
 
 
+REST_BEFORE, REST_AFTER = 0.5, 1.0
+"""Time that the pendulum hangs still at the start and after its return, s."""
+
+
 class StopNote(TypedDict):
     """A stop: place of wobbles or rest.
 
@@ -550,7 +554,7 @@ class ShadowingNote(TypedDict):
 class OriginNote(TypedDict):
     """Inputs that reproduce the plan.
 
-    Itinerary and model with their hashes, arms, program.
+    Texts of itinerary, model and plant ("" without an own plant), arms, program.
     """
 
     program: str
@@ -558,6 +562,7 @@ class OriginNote(TypedDict):
     scene_hash: str
     model: str
     model_hash: str
+    plant: str
     parameters: dict[str, Any]
     code: NotRequired[str]
 

@@ -175,7 +175,9 @@ class Run(Timed):
 
         with TemporaryDirectory() as folder:
             plan = _plan(self.log, Path(folder))
-            scene = itinerary_from(plan.itinerary.text, plan.itinerary.name, plan.itinerary.model)
+            scene = itinerary_from(
+                plan.itinerary.text, plan.itinerary.name, plan.itinerary.model, plant=plan.itinerary.plant
+            )
             typed = partial(_with_options, plan, scene)
             with reporting(progress, "why") as report:
                 return why(plan, self.score(), typed, workers=workers, yes=yes, progress=report)
@@ -586,10 +588,13 @@ def _plan(log: RunLog, folder: Path, *, repeats: bool = True) -> Plan:
     except UnicodeDecodeError as error:
         raise InputError(f"{log.path} cannot {cannot}: its model or itinerary is damaged ({error})") from error
     model = model_from(model_text, log.metadata["model"])
-    itinerary = itinerary_from(scene_text, log.metadata["itinerary"], model)
+    reference = plan_of(log)
+    itinerary = itinerary_from(
+        scene_text, log.metadata["itinerary"], model, plant=reference.notes["made_from"].get("plant", "")
+    )
     file = folder / REFERENCE_ATTACHMENT
     file.write_bytes(log.attachments[REFERENCE_ATTACHMENT])
-    return Plan(_with_settings(itinerary, log, cannot=cannot), plan_of(log), file, cached=True)
+    return Plan(_with_settings(itinerary, log, cannot=cannot), reference, file, cached=True)
 
 
 def _with_options(plan: Plan, scene: Itinerary, change: Mapping[str, Any]) -> Plan:

@@ -791,9 +791,10 @@ def find_lap_connections(
         if not any(same):
             found.append(canonical)
     _sort(found)
-    count = counted(len(found), "connection")
-    status = f"{count} at crossing {crossing} of {section.name} by the tube of {lapping[0].saddle}"
-    status += "; other crossings may have more"
+    status = (
+        f"{counted(len(found), 'connection')} at crossing {crossing} of {section.name} by the tube of "
+        f"{lapping[0].saddle}; other crossings may have more"
+    )
     if search.failed:
         status += f"; {search.failed} crossings of the cuts did not converge: try another energy"
     if search.partial:

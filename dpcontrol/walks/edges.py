@@ -165,8 +165,10 @@ class Edges(Shown, Documented):
     named: tuple[Connection, ...] = ()
 
     def __repr__(self) -> str:
-        counts = f"{counted(len(self.orbits), 'orbit')}, {counted(len(self.connections), 'connection')}"
-        return f"<graph at {self.energy:g}: {counts}>"
+        return (
+            f"<graph at {self.energy:g}: {counted(len(self.orbits), 'orbit')}, "
+            f"{counted(len(self.connections), 'connection')}>"
+        )
 
     @property
     def saddles(self) -> tuple[str, ...]:

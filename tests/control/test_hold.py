@@ -12,11 +12,13 @@ from dpcontrol.control.ekf import FilterEquations
 from dpcontrol.control.lqr import ExtraEffects, HoldController, HoldSettings, hold_controller
 from dpcontrol.control.tick import TickEquations
 from dpcontrol.control.tracking import riccati_gains
+from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.loop.loop import sampled_model
 from dpcontrol.references.problem import Limits
 
 GAIN = 1e-6  # Relative, of two solvers of one Riccati equation.
+MARGIN = 0.01  # Of two grids of frequencies.
 HELD = 0.02  # rad: 5 % of mismatch and encoder counts leave less than a hundredth.
 EQUILIBRIA = {"down-down": (0.0, 0.0), "down-up": (0.0, np.pi), "up-down": (np.pi, 0.0), "up-up": (np.pi, np.pi)}
 NONE = np.zeros(0)
@@ -48,6 +50,31 @@ def test_assumed_damping_is_viscous_friction_that_grows_with_gravity_and_inertia
     assumed = hold_controller(up, model_of(), settings, seconds=1.0).gain
     expected = hold_controller(up, sampled_model(rough, 1 / PERIOD), replace(settings, damping=0.0), seconds=1.0).gain
     assert assumed == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize("count", [2, 5])
+def test_the_default_damping_leaves_arms_without_dry_friction_half_of_their_margin(count: int) -> None:
+    """The margin min |1 + L| is that of the transfer function on a finer grid."""
+    rods = ArmChainParameters(
+        mass=(0.1,) * count, centre_of_mass=(0.25,) * count, length=(0.5,) * count, inertia=(0.1 / 48,) * count,
+        gravity=9.81, viscous=(0.0,) * count,
+    )  # fmt: skip
+    model, up = sampled_model(rods, 1000.0), np.concatenate([np.full(count, np.pi), np.zeros(count + 2)])
+    a, b = (one[0] for one in model.linearised(up[None], np.zeros(1)))
+    shifted = np.exp(1j * np.geomspace(1e-4, np.pi, 2000))[:, None, None] * np.eye(len(b)) - a
+    response = np.linalg.solve(shifted, b[:, None])[..., 0]
+
+    def margin(damping: float | None) -> float:
+        gain = hold_controller(up, model, HoldSettings(damping=damping), seconds=1.0).gain
+        stable = np.abs(np.linalg.eigvals(a - np.outer(b, gain))).max() < 1
+        return float(stable * np.abs(1 + response @ gain).min())
+
+    assert margin(None) >= 0.5 * margin(0.0) - MARGIN
+    if count == 2:
+        assert margin(None) == margin(0.03)
+    else:
+        assert margin(0.03) == 0.0
+        assert margin(0.0125) < 0.5 * margin(0.0)
 
 
 def test_estimated_disturbances_are_compensated_at_the_cost_of_a_long_recursion() -> None:

@@ -275,18 +275,19 @@ def watched_scale(
     velocity: Callable[[float], float], *, step: float, frozen_at: float = math.inf, seconds: float = 2.0
 ) -> float:
     """Return when a scale of resolution `step` m is called stuck on a cart of this velocity; infinite if never."""
-    tick, x = Ticked(scale=step, delay=0.0), 0.0
+    tick, state = Ticked(scale=step, delay=0.0), HANGING.copy()
+    state[-1] = velocity(0.0)
     tick.begin(np.zeros(0), velocity=velocity(0.0))
     seen = 0.0
     for k in range(round(seconds / PERIOD)):
         now = k * PERIOD
         if now < frozen_at:
-            seen = step * round(x / step)
+            seen = step * round(state[4] / step)
         sent = (velocity(now + PERIOD) - velocity(now)) / PERIOD
-        if tick(sent, positions=np.array([0.0, 0.0, seen]))["outcome"] == Outcome.STUCK:
+        if tick(sent, positions=np.array([*state[:2], seen]), wanted=state[:2])["outcome"] == Outcome.STUCK:
             assert tick.told("sensor")[0] == 3
             return now
-        x += (velocity(now) + velocity(now + PERIOD)) / 2 * PERIOD
+        state = MODEL.step(state, sent)
     return math.inf
 
 
@@ -409,10 +410,12 @@ def test_a_failing_filter_keeps_its_prediction_and_restarts() -> None:
             assert tick.told("sigmas")[2] == pytest.approx(10.0, rel=0.01)
 
 
-def test_missing_readings_are_tolerated_up_to_the_time_limit() -> None:
+@pytest.mark.parametrize("missing", [[0, 1, 2], [2], [0]], ids=str)
+def test_a_missing_position_is_tolerated_up_to_the_time_limit(missing: list[int]) -> None:
     tick = Ticked(missing=0.03)
-    nothing = np.zeros(3, dtype=bool)
-    outcomes = [tick(0.0, positions=np.full(3, np.nan), present=nothing)["outcome"] for _ in range(40)]
+    present, positions = np.ones(3, dtype=bool), np.zeros(3)
+    present[missing], positions[missing] = False, np.nan
+    outcomes = [tick(0.0, positions=positions, present=present)["outcome"] for _ in range(40)]
     assert outcomes.index(Outcome.SILENT) in (29, 30)
     assert not any(outcomes[:29])
 

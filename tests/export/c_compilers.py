@@ -15,6 +15,8 @@ from dpcontrol.loop.result import Reading
 from dpcontrol.loop.ticker import Ticker
 from dpcontrol.plans.plan import Plan
 
+SANITIZED = ["-g1", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+"""With gcc, more debugging information than lines is too much."""
 WARNINGS = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-ffp-contract=off"]
 SOURCES = ["dpc_controller.c", "dpc_tables.c"]
 
@@ -24,6 +26,14 @@ def needed(program: str) -> str:
     if shutil.which(program) is None:
         pytest.skip(f"{program} is not installed")
     return program
+
+
+def with_sanitizers(compiler: str, folder: Path) -> str:
+    """Return a compiler's name, or skip the test if it lacks the library of its sanitizers."""
+    (folder / "empty.c").write_text("int main(void) { return 0; }\n")
+    if ran(needed(compiler), *SANITIZED, "-o", "empty", "empty.c", folder=folder).returncode:
+        pytest.skip(f"{compiler} has no sanitizers: install the package of its runtime library")
+    return compiler
 
 
 def ran(*command: str | Path, folder: Path) -> subprocess.CompletedProcess[str]:
@@ -70,10 +80,18 @@ class SideBySide:
     def __call__(
         self, positions: np.ndarray, *, present: np.ndarray | None = None, switch: int = 0
     ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-        """Run a tick by both; return their reports by name."""
-        reading = Reading(0.0, positions, present=present, switch=switch)
+        """Run a tick by both; return their reports by name.
+
+        The loop's rigs mark a position that is not a number as missing. The exported code finds it itself.
+        """
+        finite = np.isfinite(positions)
+        marked = present if finite.all() else finite if present is None else present & finite
+        readings = [Reading(0.0, positions, present=here, switch=switch) for here in (marked, present)]
         k, self._k = min(self._k, self.count - 1), self._k + 1
-        own, other = (_named(ticker, ticker(k, reading)[:, 0].copy()) for ticker in (self.own, self.other))
+        own, other = (
+            _named(ticker, ticker(k, reading)[:, 0].copy())
+            for ticker, reading in zip((self.own, self.other), readings, strict=True)
+        )
         if self._told:
             self.c.set_sent(float(own["command"][0]))
         return own, other

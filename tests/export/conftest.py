@@ -1,5 +1,7 @@
 """Controllers exported once per session: of one itinerary, in double and in single precision."""
 
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -29,6 +31,22 @@ def double(plan: Plan, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, 
 def single(plan: Plan, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ControllerSource]:
     folder = tmp_path_factory.mktemp("single") / "controller"
     return folder, export_plan(plan, folder, single=True)
+
+
+@pytest.fixture(scope="session")
+def exported_law(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
+    """Return the folder of an itinerary, a law and a precision, with the frequency of an elastic belt, Hz, if any."""
+
+    @cache
+    def made(itinerary: str, law: str, precise: str, belt: float = 0.0) -> Path:
+        folder = tmp_path_factory.mktemp(law) / "controller"
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(export, "_measured", lambda files: (None, None))
+            scene = load_itinerary(itinerary).with_run({"controller": law, "belt": belt})
+            export_plan(make_plan(scene), folder, single=precise == "single")
+        return folder
+
+    return made
 
 
 # The benchmarks run the same tests in single precision, after seconds of gcc. Otherwise only a whole itinerary

@@ -162,7 +162,7 @@ def test_a_stuck_sensor_brakes_the_cart_at_the_same_tick(plan: Plan, exported: E
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("trouble", "outcome"),
-    [("switch", Outcome.SWITCH), ("silence", Outcome.SILENT), ("far", Outcome.CART), ("nan", Outcome.ESTIMATE_LOST)],
+    [("switch", Outcome.SWITCH), ("silence", Outcome.SILENT), ("far", Outcome.CART), ("nan", Outcome.SILENT)],
 )
 def test_decisions_of_the_supervisor_bring_the_cart_to_rest(
     plan: Plan, exported: Exported, trouble: str, outcome: Outcome

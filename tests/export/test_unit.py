@@ -36,7 +36,7 @@ JOINTS = ("arm_1", "arm_2", "cart")
 STATES = ("angle_1", "angle_2", "rate_1", "rate_2", "cart_position", "cart_velocity")
 SCALARS = (
     "command", "wish", "feedforward", "feedback", "acting", "nis", "mean_nis", "error", "silent", "outcome",
-    "stopped_by", "mode", "used", "sensor", "repeats", "untrusted", "stop", "done", "saturated", "newly_cut",
+    "stopped_by", "mode", "used", "refused", "sensor", "repeats", "untrusted", "stop", "done", "saturated", "newly_cut",
 )  # fmt: skip
 VECTORS = {"state": "", "reference": "reference_", "ahead": "ahead_", "sigmas": "sigma_"}
 PERIOD = 1 / SETTINGS.rate

@@ -23,7 +23,7 @@ KILLS = 4
 ROOM = 60_000
 """Bytes that the small disk takes: a few chunks of the sample."""
 
-posix = pytest.mark.skipif(os.name != "posix", reason="signals and limits of POSIX")
+posix = pytest.mark.skipif(os.name != "posix", reason="these signals are POSIX's")
 
 
 @pytest.mark.slow

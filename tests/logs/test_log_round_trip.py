@@ -211,7 +211,7 @@ def test_an_exception_keeps_the_partial_file_and_no_log(tmp_path: Path) -> None:
         read_log(tmp_path / "run.mcap.partial")
 
 
-@pytest.mark.skipif(os.name != "posix", reason="kills a process by SIGKILL")
+@pytest.mark.skipif(os.name != "posix", reason="SIGKILL is POSIX's")
 def test_a_killed_run_loses_at_most_a_chunk(tmp_path: Path) -> None:
     program = (
         "import sys, time; sys.path.insert(0, sys.argv[2]); import log_samples as s; from pathlib import Path\n"

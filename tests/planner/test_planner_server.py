@@ -163,7 +163,7 @@ def test_commands_are_applied_in_order_though_none_waits_for_the_one_before(page
     while len(commands) not in states:
         state = page.until("state")
         states[state["ack"]] = state
-    assert "leaves up-down; the walk is at down-up" in states[3]["message"]["text"]
+    assert "symbol 3 ('up-down > down-up') starts at up-down" in states[3]["message"]["text"]
     assert states[7]["walk"] == ["down-up > up-down", "up-down > down-up", "down-up +"]
     assert states[7]["wraps"] == [4, 1]
     assert (states[8]["walk"], states[8]["wraps"]) == (states[7]["walk"][:2], [4])

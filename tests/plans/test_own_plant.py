@@ -10,11 +10,11 @@ import pytest
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.shipped import find
-from dpcontrol.plans.itinerary import Itinerary, itinerary_from, load_itinerary
+from dpcontrol.plans.itinerary import Itinerary, load_itinerary
 from dpcontrol.plans.model import load_model
 from dpcontrol.plans.plan import make_plan
 from dpcontrol.runs.campaign import CampaignSettings, cases_of, run_campaign
-from dpcontrol.runs.run import run_plan
+from dpcontrol.runs.run import repeat_run, run_plan
 
 FRICTION = "viscous = [8e-4, 1e-4]\ncoulomb = [3e-4, 2e-4]\nquadratic = [1e-3, 1e-3]"
 SAME = 1e-9
@@ -55,10 +55,22 @@ def test_mismatch_and_the_factor_on_friction_go_with_the_plants_own(turn: Itiner
     assert tripled == replace(as_before, viscous=tuple(3.0 * k for k in as_before.viscous))
 
 
-def test_a_stored_plans_plant_is_found_beside_the_plan(rusty: Path) -> None:
-    text = find("itineraries", "outer-turn").read_text().replace("[run]", '[run]\nplant = "rusty.toml"')
-    loaded = itinerary_from(text, "with-rust", load_model("lab"), folder=rusty.parent)
-    assert loaded.loop.plant == load_model(str(rusty)).arms
+def test_a_plans_and_a_logs_plant_travel_with_them(rusty: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As the file has it at the time of the plan, although the plan itself was cached with another plant."""
+    text, scene = find("itineraries", "outer-turn").read_text(), rusty.with_name("with-rust.toml")
+    scene.write_text(text.replace("[run]", '[run]\nplant = "rusty.toml"'))
+    make_plan(load_itinerary(str(scene)))
+    rusty.write_text(rusty.read_text().replace("8e-4", "7e-4"))
+    plan, other = make_plan(load_itinerary(str(scene))), rusty.parent / "other"
+    own = load_model(str(rusty)).arms
+    other.mkdir()
+    (other / "plan.npz").write_bytes(plan.archive)
+    run_plan(plan, other / "run.mcap")
+    for file in (scene, rusty):
+        file.unlink()
+    monkeypatch.chdir(other)
+    assert load_itinerary("plan.npz").loop.plant == own
+    assert repeat_run(Path("run.mcap"), out=Path("again.mcap")).comparison.difference is None
 
 
 def test_an_itinerary_names_its_plant_from_its_own_folder(rusty: Path) -> None:

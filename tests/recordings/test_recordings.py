@@ -4,6 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 import pytest
 from bench_recordings import PERIOD, cells, free_swing, rig_file, rig_variables, table_columns, write_csv, write_mat
@@ -144,10 +145,14 @@ def test_time_series_open_by_a_mapping_and_are_named_without_one(tmp_path: Path)
         assert np.abs(recording.time - times).max() <= TIME_STEP
 
 
-@pytest.mark.parametrize("head", [b"# Created by Octave 9.2.0\n", b"Octave-1-L\0", b"\x89HDF\r\n\x1a\n"])
+@pytest.mark.parametrize("head", [b"# Created by Octave 9.2.0\n", b"Octave-1-L\0", b""], ids=["text", "binary", "HDF5"])
 def test_octaves_own_formats_are_refused_with_the_command_that_saves_matlabs(tmp_path: Path, head: bytes) -> None:
-    (tmp_path / "swing.mat").write_bytes(head + bytes(100))
-    with pytest.raises(InputError, match=r"format of Octave .*save -v7"):
+    if head:
+        (tmp_path / "swing.mat").write_bytes(head + bytes(100))
+    else:
+        with h5py.File(tmp_path / "swing.mat", "w") as file:
+            file["theta/value"] = np.zeros(300)
+    with pytest.raises(InputError, match=r"one of Octave; .*save -v7"):
         import_recording(tmp_path / "swing.mat")
 
 
@@ -238,7 +243,6 @@ def test_segments_survive_tables_and_a_second_import(tmp_path: Path) -> None:
         'arm_lengths = [0.2, 0.3]\n[time]\ncolumn = "time"\nsegment = "segment"\n'
         '[angles]\ncolumns = ["measured.arm_1", "measured.arm_2"]'
     )
-    assert recording.frame(4)["segment"].tolist() == [0, 0, 1, 2]
     for file, given in (("swing.mcap", None), ("swing.csv", None), ("log.csv", str(mapping))):
         again = import_recording(tmp_path / file, given)
         assert again.segments == recording.segments

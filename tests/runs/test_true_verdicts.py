@@ -29,6 +29,10 @@ seconds = {seconds}
 """
 
 
+_SETTLES = 0.1
+"""Time before the first transfer at which the arm of a timely run hangs, s; less than the next case is late."""
+
+
 def planned(folder: Path, text: str) -> Plan:
     file = folder / "scene.toml"
     file.write_text(text)
@@ -104,6 +108,28 @@ def test_runs_that_fall_and_go_on_are_judged_as_a_second_decoder_judges_them(on_
     found = Comparison()
     found.add(plan, options, [0, 1], np.random.default_rng(0))
     assert not found.false
+
+
+@pytest.mark.slow
+def test_a_run_from_rest_is_judged_from_its_first_transfer_on() -> None:
+    """An arm that starts upright hangs when the transfer begins, later, or only once the transfer has ended."""
+    plan, random, found = make_plan(load_itinerary("up-up")), np.random.default_rng(0), Comparison()
+    flown, begin = exact(plan), plan.notes["transfers"][0][0]
+    for late, completed in ((0.0, True), (0.2, False), (3.0, False)):
+        states = flown.states.copy()
+        states[:, 1] += np.pi * (flown.time < begin - _SETTLES + late)
+        other = replace(flown, states=states)
+        assert (verdict_on(other, plan.reference).problem == "") is completed, late
+    found.add(plan, {"initial_error": np.pi, "initial_rate": 10.0, "travel": 0.8}, list(range(16)), random)
+    assert 0 < found.completed < found.runs
+    assert not found.false
+
+
+def test_an_itinerary_on_an_orbit_asks_for_its_start(outer_turn: Plan) -> None:
+    flown = exact(outer_turn)
+    states = flown.states.copy()
+    states[:, 0] += np.pi * (flown.time < 0.05)
+    assert "did not start" in verdict_on(replace(flown, states=states), outer_turn.reference).problem
 
 
 def test_a_run_of_another_plan_is_not_completed(outer_turn: Plan) -> None:

@@ -37,9 +37,15 @@ static void dpc_tick(const dpc_real *memory, const dpc_real *measured, const dpc
     (void)now;
 }
 
+/* The row of a table for a tick: its first or last one for ticks before or after it. */
+static long row_at(long tick, long rows)
+{
+    return tick < 0 ? 0 : tick < rows ? tick : rows - 1;
+}
+
 static const dpc_real *state_at(long tick)
 {
-    return dpc_states[tick < 0 ? 0 : tick < DPC_STATE_ROWS ? tick : DPC_STATE_ROWS - 1];
+    return dpc_states[row_at(tick, DPC_STATE_ROWS)];
 }
 
 void dpc_init(dpc_controller *controller)
@@ -54,23 +60,28 @@ void dpc_init(dpc_controller *controller)
 dpc_real dpc_step(dpc_controller *controller, const dpc_reading *reading, dpc_report *report)
 {
     dpc_real out[AT_END], measured[DPC_POSITIONS], present[DPC_POSITIONS], offset[DPC_POSITIONS], limit_switch, age;
-    const long tick = controller->tick < DPC_TICKS ? controller->tick : DPC_TICKS - 1;
+    const long tick = row_at(controller->tick, DPC_TICKS);
     const dpc_real *now = state_at(tick);
-    int i;
+    const int aged = reading->age >= 0 && reading->age <= DPC_PERIOD;
+    int i, refused = !aged;
 
     for (i = 0; i < DPC_POSITIONS; i++) {
-        measured[i] = (dpc_real)reading->positions[i];
-        present[i] = reading->present[i] ? 1 : 0;
+        const int valid = fabs(reading->positions[i]) <= DPC_FARTHEST;
+        const double position = valid ? reading->positions[i] : 0;
+
+        measured[i] = (dpc_real)position;
+        present[i] = reading->present[i] && valid ? 1 : 0;
+        refused += reading->present[i] && !valid;
 #if DPC_SPLIT
-        offset[i] = (dpc_real)(reading->positions[i] - (double)controller->memory[AT_ORIGIN + i]);
+        offset[i] = (dpc_real)(position - (double)controller->memory[AT_ORIGIN + i]);
 #else
         offset[i] = measured[i];
 #endif
     }
     limit_switch = reading->limit_switch ? 1 : 0;
-    age = (dpc_real)reading->age;
-    dpc_tick(controller->memory, measured, present, offset, &limit_switch, &age,
-             dpc_law[tick < DPC_LAW_ROWS ? tick : DPC_LAW_ROWS - 1], state_at(tick + DPC_LEAD), now, out);
+    age = aged ? (dpc_real)reading->age : 0;
+    dpc_tick(controller->memory, measured, present, offset, &limit_switch, &age, dpc_law[row_at(tick, DPC_LAW_ROWS)],
+             state_at(tick + DPC_LEAD), now, out);
     for (i = 0; i < DPC_MEMORY; i++)
         controller->memory[i] = out[i];
 #if DPC_SPLIT
@@ -95,6 +106,7 @@ dpc_real dpc_step(dpc_controller *controller, const dpc_reading *reading, dpc_re
         report->saturated = (int)out[AT_SATURATED];
         report->newly_cut = (int)out[AT_NEWLY_CUT];
         report->used = (int)out[AT_USED];
+        report->refused = refused;
         report->sensor = (int)out[AT_SENSOR];
         report->repeats = (long)out[AT_REPEATS];
         report->untrusted = (int)out[AT_UNTRUSTED];
@@ -121,14 +133,19 @@ dpc_real dpc_step(dpc_controller *controller, const dpc_reading *reading, dpc_re
     return out[AT_COMMAND];
 }
 
-void dpc_sent(dpc_controller *controller, dpc_real command)
+int dpc_sent(dpc_controller *controller, dpc_real command)
 {
     dpc_real *last = &controller->memory[AT_SENT_LAST];
-    const dpc_real more = (command - *last) * @PERIOD_REAL@;
+    const dpc_real most = (dpc_real)DPC_ACCELERATION;
+    dpc_real more;
 
+    if (!(command >= -most && command <= most))
+        return 0;
+    more = (command - *last) * @PERIOD_REAL@;
     controller->memory[AT_VELOCITY] += more;
     controller->memory[AT_HEADING] += more;
     *last = command;
+    return 1;
 }
 
 int dpc_status(const dpc_controller *controller)

@@ -7,6 +7,10 @@
  *     dpc_init(&c);
  *     every DPC_PERIOD seconds:  command = dpc_step(&c, &reading, &report);
  *
+ * Any numbers may be passed to these functions. Values that are not finite or out of their range are refused and
+ * reported, so that no input makes a command infinite, larger than DPC_ACCELERATION or not a number, or switches a
+ * check off.
+ *
  * Do not compile with -ffast-math: what is not a number must be found not to be one.
  */
 #ifndef DPC_CONTROLLER_H
@@ -18,7 +22,7 @@ extern "C" {
 
 typedef @REAL@ dpc_real;
 
-#define DPC_VERSION 2               /* of this interface */
+#define DPC_VERSION 3               /* of this interface */
 #define DPC_IDENTITY "@IDENTITY@"   /* of all that the controller was made from */
 #define DPC_ITINERARY "@ITINERARY@"
 #define DPC_LAW "@LAW@"
@@ -32,6 +36,7 @@ typedef @REAL@ dpc_real;
 #define DPC_PERIOD @PERIOD@         /* s, from one dpc_step to the next */
 #define DPC_DELAY @DELAY@           /* periods from a reading to the acting of its command, as the controller believes */
 #define DPC_ACCELERATION @ACCELERATION@     /* m/s^2: no command is larger */
+#define DPC_FARTHEST 1e4            /* rad and m: a position beyond it is no reading; a float resolves it to 1e-3 */
 #define DPC_LEAD @LEAD@             /* periods for which the command is computed ahead: commands on their way at the start */
 
 /* What a step decides, dpc_report.outcome. From DPC_ESTIMATE_LOST on the cart is brought to rest. */
@@ -41,12 +46,14 @@ enum dpc_outcome {
     DPC_RESYNCHRONISE = 2,  /* an angle is far from the reference; nothing is done about it */
     DPC_HOLD = 3,           /* not used here */
     DPC_ESTIMATE_LOST = 4,
-    DPC_SILENT = 5,         /* nothing was measured for too long */
+    DPC_SILENT = 5,         /* a position was not measured for too long */
     DPC_CART = 6,           /* the cart must brake now to stay on its track */
     DPC_TRACKING_LOST = 7,
     DPC_STUCK = 8,          /* a sensor repeats itself: dpc_report.sensor */
     DPC_SWITCH = 9,         /* a limit switch answered */
-    DPC_FALLEN = 10         /* the arms have left the reference, and the cart that runs after them must brake */
+    DPC_FALLEN = 10,        /* the arms have left the reference, and the cart that runs after them must brake */
+    DPC_DRIVE_OFF = 11,     /* the cart does not follow the commands */
+    DPC_DRIVE_REVERSED = 12 /* the cart moves against the commands */
 };
 
 /* What dpc_status tells. */
@@ -71,9 +78,11 @@ typedef struct {
     double positions[DPC_POSITIONS];      /* rad: each arm's own angle from hanging, counter-clockwise positive, whole
                                              turns counted; then m: the cart from the middle of its track. Double also
                                              where dpc_real is float, which would round a count after some turns. */
-    unsigned char present[DPC_POSITIONS]; /* 1 where measured, 0 where not: that position may then be anything */
+    unsigned char present[DPC_POSITIONS]; /* 1 where measured, 0 where not: that position may then be anything. A
+                                             position that is not a number, or beyond DPC_FARTHEST, is not measured. */
     int limit_switch;                     /* 1 while a limit switch is touched */
-    double age;                           /* s from the reading to this step, at most a period; 0 if not known */
+    double age;                           /* s from the reading to this step, at most a period; 0 if not known, and
+                                             any other value counts as not known */
 } dpc_reading;
 
 /* What a step tells. */
@@ -87,6 +96,7 @@ typedef struct {
     int saturated;                    /* 1 where the command was cut, or the cart is at its greatest velocity */
     int newly_cut;                    /* 1 where that begins */
     int used;                         /* positions that this step's estimate is of */
+    int refused;                      /* values of this step's reading that were refused: present positions and age */
     int sensor;                       /* number of a stuck sensor, from 1: the arms' encoders, then the cart's scale */
     long repeats;                     /* steps for which it has given the same reading */
     int untrusted;                      /* number of an extra found beyond trust for the first time, from 1; else 0 */
@@ -103,7 +113,7 @@ typedef struct {
     dpc_real nis;                     /* normalised innovation squared of this step, about `used` in the mean */
     dpc_real mean_nis;                /* for each position, mean over 0.2 s: compared with a bound of @LOST_ESTIMATE@ */
     dpc_real error;                   /* rad: largest angle's distance from the reference, mean over 1 s; @LOST_TRACKING@ */
-    dpc_real silent;                  /* s since anything was measured; bound @MISSING@ s */
+    dpc_real silent;                  /* s since the position that is missing longest was measured; bound @MISSING@ s */
 } dpc_report;
 
 /* What the library was made for, to check a binary against what it is to be used with. */
@@ -122,8 +132,9 @@ void dpc_init(dpc_controller *controller);
 dpc_real dpc_step(dpc_controller *controller, const dpc_reading *reading, dpc_report *report);
 
 /* Tell that the drive was given another command than the last step's, as by a limiter of the target's own. Without it the
- * controller's next estimate is of a cart that went elsewhere. */
-void dpc_sent(dpc_controller *controller, dpc_real command);
+ * controller's next estimate is of a cart that went elsewhere. Return 1, or 0 for a command that is not a number or
+ * larger than DPC_ACCELERATION: it is refused, and the last step's stays. */
+int dpc_sent(dpc_controller *controller, dpc_real command);
 
 /* enum dpc_run, after the last step. */
 int dpc_status(const dpc_controller *controller);

@@ -52,7 +52,7 @@ enum {
     REAL_INPUTS = DPC_POSITIONS,
     REALS = REAL_INPUTS + 9 + 4 * DPC_STATES + 2 * DPC_EXTRAS,
     INTEGER_INPUTS = 1,
-    INTEGERS = INTEGER_INPUTS + 8,
+    INTEGERS = INTEGER_INPUTS + 9,
     BOOLEAN_INPUTS = DPC_POSITIONS,
     BOOLEANS = BOOLEAN_INPUTS + 4
 };
@@ -88,9 +88,9 @@ static void show(unit *u, const dpc_report *report)
 {
     const dpc_real numbers[9] = {report->command, report->wish, report->feedforward, report->feedback, report->acting,
                                  report->nis, report->mean_nis, report->error, report->silent};
-    const fmi2Integer integers[8] = {report->outcome, report->stopped_by, report->mode, report->used, report->sensor,
-                                     report->repeats < INT_MAX ? (int)report->repeats : INT_MAX, report->untrusted,
-                                     dpc_status(&u->controller)};
+    const fmi2Integer integers[9] = {report->outcome, report->stopped_by, report->mode, report->used, report->refused,
+                                     report->sensor, report->repeats < INT_MAX ? (int)report->repeats : INT_MAX,
+                                     report->untrusted, dpc_status(&u->controller)};
     const fmi2Boolean booleans[4] = {report->stop, report->done, report->saturated, report->newly_cut};
     fmi2Real *to = put(u->reals + REAL_INPUTS, numbers, 9);
 
@@ -133,8 +133,7 @@ static void tick(unit *u)
 
     for (i = 0; i < DPC_POSITIONS; i++) {
         reading.positions[i] = u->reals[i];
-        /* What is not a number is not a reading. */
-        reading.present[i] = u->booleans[i] && isfinite(u->reals[i]);
+        reading.present[i] = u->booleans[i] != 0;
     }
     reading.limit_switch = u->integers[0] != 0;
     reading.age = 0;
@@ -190,6 +189,8 @@ EXPORT fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean has_tolerance
 {
     unit *u = c;
 
+    if (!isfinite(start))
+        return refused(u, "the start of an experiment must be a finite time");
     u->start = u->time = start;
     return fmi2OK;
 }
@@ -258,7 +259,7 @@ EXPORT fmi2Status fmi2DoStep(fmi2Component c, fmi2Real now, fmi2Real step, fmi2B
     const int begins = due < now + SAME_TIME;
     double k;
 
-    if (!(step > 0) || fabs(now - u->time) > SAME_TIME)
+    if (!(step > 0) || !(fabs(now - u->time) <= SAME_TIME))
         return refused(u, "a step must begin where the last one ended, and last longer than nothing");
     if (begins ? !whole : due < end - SAME_TIME) {
         char why[200];

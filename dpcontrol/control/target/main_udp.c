@@ -548,9 +548,11 @@ static void report_deadlines(void)
 static int run(void)
 {
     static const char *const outcomes[] = {
-        "", "", "", "", "the estimate is lost", "nothing was measured for too long",
+        "", "", "", "", "the estimate is lost", "a position was not measured for too long",
         "the cart must brake now to stay on its track", "tracking is lost", "a sensor repeats itself",
-        "a limit switch answered", "the arms have left the reference and the cart runs off after them"};
+        "a limit switch answered", "the arms have left the reference and the cart runs off after them",
+        "the cart does not follow the commands: is the drive on?",
+        "the cart moves against the commands: check the signs of drive and scale"};
     static dpc_controller controller;
     dpc_reading reading = {{0}, {0}, 0, 0};
     dpc_report report;
@@ -574,16 +576,14 @@ static int run(void)
         }
         account(k, came);
         for (int i = 0; i < DPC_POSITIONS; i++) {
-            /* What is not a number is not a reading. */
-            reading.present[i] = came && isfinite(rig.reading.positions[i]);
-            if (reading.present[i])
-                reading.positions[i] = rig.reading.positions[i];
+            reading.present[i] = came != 0;
+            reading.positions[i] = rig.reading.positions[i];
         }
         reading.limit_switch = came && rig.reading.limit_switch;
         if (came && rig.reading.condition == SILENT && !stopped_by)
             return complain(1, "the bench stopped the cart: %s", rig.text);
         dpc_step(&controller, &reading, &report);
-        if (report.stop || !isfinite(report.command))
+        if (report.stop)
             send_message(STOP, 0, (const unsigned char *)"", 0);
         else
             say_command(k, (double)report.command);
@@ -598,7 +598,7 @@ static int run(void)
     }
     if (stopped_by)
         return complain(1, "the run was stopped at t = %.3f s: %s", (double)ended_at * DPC_PERIOD,
-                        stopped_by <= DPC_FALLEN ? outcomes[stopped_by] : "the controller gave it up");
+                        stopped_by <= DPC_DRIVE_REVERSED ? outcomes[stopped_by] : "the controller gave it up");
     return complain(0, "the run is over: it came to the end of %s", DPC_ITINERARY);
 }
 

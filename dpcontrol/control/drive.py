@@ -1,0 +1,174 @@
+"""Watch of the drive: does the cart follow the commands?
+
+Two observers of a cart at constant velocity, with the double pole e^(-Δt/T), see one the scale and one the commands.
+The error of the first is y, that of the second c, or c' for a drive with 20 ms more lag. All are high-pass filtered
+positions, so y = c for a perfect drive, and y = g c for one with the response g. A drive that is late by up to 20 ms
+gives a y between c and c'. With b = min(|c|, |c'|) where both have the same sign, else 0, the cart does not follow if
+
+    y sign(c) < 0.25 b   and   b ≥ 2 counts + 6 standard deviations + 1 m/s² T²
+
+for 3.5 T in all, which is 28 ms with T = 8 ms, without following in between. A blow on the cart gives the same until
+its effect on y has faded, so b - y sign(c) must also be at least 0.6 of its recent maximum. The cart moves against the
+commands if Σ (4 y sign(c) + b) b < 0 over this time.
+
+A stuck scale gives the same y, so the arms decide. Two observers of each arm see its encoder less the model's motion,
+and the part of this motion that is due to the commands. Their errors are r and s, and r is 0 on a cart that follows,
+but -s on one that stands. If Σ (r s + s²/2) < 0, the arms contradict the commands, and the drive is the cause.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from dpcontrol.control.ekf import Layout
+from dpcontrol.foundation.arrays import Array
+
+_TIME, _PERIODS = 0.008, 1.5
+"""Time constant T of the observers, s and at least periods."""
+_LATER = 0.02
+"""Additional lag of a working drive, s."""
+_FOLLOWED, _LASTS = 0.25, 3.5
+"""Response below which a cart does not follow, and the duration of this, in T."""
+_STAYS, _FADES = 0.6, 3.0
+"""Share of its maximum at which an error counts, and the time constant of this maximum, in T.
+
+The error after a blow is t e^(-t/T), which falls to 0.6 of its maximum within 2.4 T, and then faster than the maximum.
+"""
+_COUNTS, _SIGMAS, _ACCELERATION = 2.0, 6.0, 1.0
+"""Motion that must be visible: counts, standard deviations, m/s²."""
+
+
+class CartReading(NamedTuple):
+    """The cart in a tick.
+
+    fresh: 1 if the cart was measured. repeats: 1 if its reading is the last one. moved (n+1,): changes of the readings
+    since the last ones, rad and m. ahead m: the cart's motion during the reading's age. count m: of the scale.
+    variance m²: of the reading. noise m/s²: on each command.
+    """
+
+    fresh: ca.SX
+    repeats: ca.SX
+    moved: ca.SX
+    ahead: ca.SX
+    count: ca.SX
+    variance: ca.SX
+    noise: ca.SX
+
+
+class DriveFinding(NamedTuple):
+    """The decision on a drive.
+
+    unfollowed: 1 if the cart does not follow. against: 1 if it moves against the commands. lasts s: duration so far.
+    doubt: sum over this time and constant readings, negative if the arms contradict the commands, 0 if they are
+    unknown.
+    """
+
+    unfollowed: ca.SX
+    against: ca.SX
+    doubt: ca.SX
+    lasts: ca.SX
+
+
+@dataclass(frozen=True)
+class DriveWatch:
+    """Equations of the watch.
+
+    Attributes:
+        arms: number n of arms.
+        period: time between ticks, s.
+    """
+
+    arms: int
+    period: float
+
+    @cached_property
+    def memory(self) -> Layout:
+        """Values stored from tick to tick.
+
+        read, due, late (2): y, c and c', m, and their rates, m/s. lagged: acceleration with more lag, m/s².
+
+        arms, driven (2n): r and s, rad, and their rates, rad/s.
+
+        peak: recent maximum of b - y sign(c), m. lasts: time that the cart has not followed, s. against m², doubt
+        rad²: see `DriveFinding`.
+        """
+        arms = 2 * self.arms
+        return Layout(
+            read=2, due=2, late=2, lagged=1, arms=arms, driven=arms, peak=1, lasts=1, against=1, doubt=1,
+        )  # fmt: skip
+
+    _observers = ("read", "due", "late", "arms", "driven")
+
+    def _parts(self, memory: ca.SX) -> dict[str, ca.SX]:
+        return {name: memory[where] for name, where in self.memory.slices.items()}
+
+    @property
+    def _time(self) -> float:
+        return max(_TIME, _PERIODS * self.period)
+
+    def start(self, velocity: float, rates: Array) -> Array:
+        """Return the memory (size,) at the start of a run.
+
+        Args:
+            velocity: velocity of the cart, m/s.
+            rates: rates (n,) of the arms, rad/s.
+        """
+        return self.memory.filled({"read": np.array([0.0, -velocity]), "arms": np.append(0 * rates, -rates)})
+
+    def judged(self, memory: ca.SX, cart: CartReading) -> tuple[DriveFinding, ca.SX]:
+        """Return the finding after a reading, and the memory before the next command.
+
+        Args:
+            memory: memory of the watch.
+            cart: the cart's reading.
+        """
+        m, time, n = self._parts(memory), self._time, self.arms
+        gaps = {name: m[name][: m[name].shape[0] // 2] for name in self._observers}
+        gaps["read"] += cart.moved[n]
+        gaps["arms"] += cart.moved[:n]
+        noise = cart.variance + cart.noise**2 * self.period * time**3 / 4
+        visible = _COUNTS * cart.count + _SIGMAS * ca.sqrt(noise) + _ACCELERATION * time**2
+        due, late = gaps["due"], gaps["late"]
+        least = ca.if_else(due * late > 0, ca.fmin(ca.fabs(due), ca.fabs(late)), 0)
+        read = gaps["read"] + cart.ahead
+        along = ca.if_else(due > 0, read, -read)
+        seen = least >= visible
+        follows = ca.logic_and(seen, along >= _FOLLOWED * least)
+        short = ca.fmax(least - along, 0)
+        peak = ca.fmax(short, float(np.exp(-self.period / (_FADES * time))) * m["peak"])
+        m["peak"] = ca.if_else(cart.fresh, peak, m["peak"])
+        astray = ca.logic_and(ca.logic_and(seen, ca.logic_not(follows)), short >= _STAYS * peak)
+        doubt = ca.dot(gaps["arms"] + gaps["driven"] / 2, gaps["driven"])
+        for name, more, counts in (
+            ("lasts", self.period, astray), ("against", (4 * along + least) * least, astray),
+            ("doubt", doubt, ca.logic_or(astray, ca.logic_and(cart.repeats, ca.logic_not(seen)))),
+        ):  # fmt: skip
+            after = ca.if_else(counts, m[name] + more, ca.if_else(follows, 0, m[name]))
+            m[name] = ca.if_else(cart.fresh, after, m[name])
+        # Without a reading, no observer is corrected.
+        keeps = float(np.exp(-self.period / time))
+        for name, gap in gaps.items():
+            error = ca.if_else(cart.fresh, read if name == "read" else gap, 0)
+            rate = m[name][gap.shape[0] :] - (1 - keeps) ** 2 / self.period * error
+            m[name] = ca.vertcat(gap - (1 - keeps**2) * error, rate)
+        unfollowed = m["lasts"] >= _LASTS * time - self.period / 2
+        return DriveFinding(unfollowed, m["against"] < 0, m["doubt"], m["lasts"]), self.memory.joined(m)
+
+    def commanded(self, memory: ca.SX, acting: ca.SX, swing: ca.SX, driven: ca.SX) -> ca.SX:
+        """Return the memory at the next reading.
+
+        Args:
+            memory: memory before the command.
+            acting: acceleration of the cart that the commands demand until then, m/s².
+            swing: modelled accelerations (n,) of the arms until then, rad/s².
+            driven: the part (n,) of these that is due to the commands, rad/s², 0 if it is unknown.
+        """
+        m, period = self._parts(memory), self.period
+        m["lagged"] = acting + float(np.exp(-period / _LATER)) * (m["lagged"] - acting)
+        for name, acceleration in zip(self._observers, (ca.SX(0), acting, m["lagged"], -swing, driven), strict=True):
+            gap, rate = ca.vertsplit(m[name], m[name].shape[0] // 2)
+            m[name] = ca.vertcat(gap + rate * period + acceleration * period**2 / 2, rate + acceleration * period)
+        return self.memory.joined(m)
