@@ -379,7 +379,6 @@ MISTAKES: list[tuple[str, dict[str, Any]]] = [
         for one in (object(), 3, int, "no such", "x.py:Y", "udp://x", {"a": 1})
     ),
     ("loop.run", {"program": "x"}),
-    ("loop.run", {"library": "no/such.so"}),
     ("loop.standard_score", {"controllers": ["no such"]}),
     ("loop.standard_score", {"controllers": [None]}),
     ("loop.standard_score", {"controllers": [5]}),

@@ -169,12 +169,6 @@ def run_command(
     real_time: bool = option(group=BENCH, help="With --rig: priority over all ordinary processes."),
     key_file: Path | None = option(type=FILE, group=BENCH, help=KEY_HELP),
     insecure: bool = option(group=BENCH, help="With --rig: no key for a bench on another computer."),
-    library: Path | None = option(
-        "--controller-library",
-        type=FILE,
-        group=BENCH,
-        help="Shared library that computes the ticks, from `dpcontrol export` with the same options.",
-    ),
     hours: float | None = option(
         group=NIGHT, help="Duration of a long run through falls, h, with the folder logs/NAME-SEED."
     ),
@@ -216,15 +210,10 @@ def run_command(
             "--real-time, --key-file, --insecure and --hours apply to benches at udp://: omit them with --rig "
             "FILE.py:CLASS"
         )
-    if address is not None and library is not None:
-        raise click.UsageError("--controller-library applies to runs on the simulated bench: on a rig, run main_udp.c")
     if hours is None and (resume or keep_every != 1 or file_minutes != 10.0):
         raise click.UsageError("--resume, --keep-every and --file-minutes apply to long runs: add --hours")
-    if hours is not None and (program is not None or library is not None):
-        raise click.UsageError(
-            "--hours needs recovery after falls, which --controller-program and --controller-library do not have: "
-            "omit them"
-        )
+    if hours is not None and program is not None:
+        raise click.UsageError("--hours needs recovery after falls, which --controller-program does not have: omit it")
     if program is not None and address != "udp":
         raise click.UsageError("--controller-program controls the example bench of a run: add --rig udp")
     if program is not None and not (program.is_file() and os.access(program, os.X_OK)):
@@ -278,7 +267,7 @@ def run_command(
         return Answer(done.document(), done.lines(), done.failure and f"ended early: {done.failure}")
     if out is None:
         named = None if link is None else link.address
-        record = run_record(scene, rig=named if rig is None else rig.name, library=library)
+        record = run_record(scene, rig=named if rig is None else rig.name)
 
         def checked_log(log: Path) -> Path:
             check_replaced(log, record, force=force)
@@ -290,7 +279,7 @@ def run_command(
     with progress_bar("run") as progress:
         plan = make_plan(scene, progress=progress, yes=yes)
         if link is None:
-            flown = run_plan(plan, out, library=library, rig=rig, force=force, live=shown, progress=progress)
+            flown = run_plan(plan, out, rig=rig, force=force, live=shown, progress=progress)
             verdict = flown.score()
             failed = flown.failure if rig is not None or flown.object_failed else ""
             return Answer(verdict.document(), score_text(verdict), shortfall(verdict, failed=failed))

@@ -7,8 +7,7 @@ use these parts.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from functools import cached_property, partial
-from pathlib import Path
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -201,16 +200,14 @@ class Assembly:
         whole = started(gains, main, lead_in=ticks, place=round(note["at"] * settings.rate), turns=turns)
         return StartController(note["stop"], note["at"], ticks, turns, whole)
 
-    def ticker(self, *, runs: int = 1, library: Path | None = None) -> Ticker:
+    def ticker(self, *, runs: int = 1) -> Ticker:
         """Return controller, estimator and supervisor for one or more runs.
 
         Args:
             runs: number of runs, default 1.
-            library: library built from the files of `dpcontrol export`; it computes the ticks of a single run.
 
         Raises:
-            InputError: the delay is impossible, the controller belongs to other arms, or the library does not fit these
-                settings.
+            InputError: the delay is impossible, or the controller belongs to other arms.
         """
         settings, controller, model, lead = self.settings, self.controller, self.model, whole_periods(self.delay)[1]
         # The estimator relies on the stated noise of sensors and drive.
@@ -219,13 +216,7 @@ class Assembly:
             settings.drive.command_noise, period=model.period, keeps=model.lag_keeps
         )
         schedule = schedule_of(controller, lead)
-        make: Any = TickProgram
-        if library is not None:
-            from dpcontrol.control.export import LibraryProgram, checked_exportable
-
-            schedule = checked_exportable(controller, lead=lead)
-            make = partial(LibraryProgram, library)
-        program = make(
+        program = TickProgram(
             model, filters, noise=noise, delay=self.delay, runs=runs,
             bounds=self._bounds(0.0 if schedule is None else schedule.trust),
             law=schedule, mechanics=settings.known_mechanics(self.arms.count),
@@ -233,10 +224,7 @@ class Assembly:
         compiled = isinstance(settings.estimator, EkfSettings)
         estimator = None if compiled else make_estimator(filters, model, noise=noise)
         kind = settings.estimator.kind
-        ticker = Ticker(program, controller, schedule=schedule, estimator=estimator, estimator_kind=kind)
-        if library is not None and schedule is not None:
-            program.check(schedule, law=controller.kind)
-        return ticker
+        return Ticker(program, controller, schedule=schedule, estimator=estimator, estimator_kind=kind)
 
     def _bounds(self, trust: float) -> dict[str, float]:
         """Return the numbers by which a tick is judged (`tick.BOUNDS`)."""
@@ -263,7 +251,6 @@ class Assembly:
         recovery: RecoveryPlan | None = None,
         until: int = 0,
         keep: bool = True,
-        library: Path | None = None,
         progress: Progress = no_progress,
     ) -> ControlLoop:
         """Return a loop for any rig, simulated or real.
@@ -274,22 +261,15 @@ class Assembly:
             recovery: recovery from falls, by default `recovery` of this assembly.
             until: tick until which the itinerary repeats; 0 to run it once.
             keep: if False, rows are not kept in memory.
-            library: see `ticker`.
             progress: receiver of progress reports.
 
         Raises:
-            InputError: the delay is impossible, the controller belongs to other arms, or the library does not support
-                this loop.
+            InputError: the delay is impossible, or the controller belongs to other arms.
         """
         recovery, fallback = recovery or self.recovery, self.fallback
-        if library is not None and (rate_noise is not None or fallback is not None or recovery is not None):
-            what = "noise on measured rates" if fallback is None else 'hold = "nearest"'
-            what = what if recovery is None else "on_fall"
-            raise InputError(f"run: a controller's library does not support {what}; remove one of the two")
-        ticker = self.ticker(library=library)
         falls = None if recovery is None else FallRecovery(recovery, self.controller, until=until)
         return ControlLoop(
-            ticker, limits=self.limits, sink=sink or LoopSink(), rate_noise=rate_noise, fallback=fallback,
+            self.ticker(), limits=self.limits, sink=sink or LoopSink(), rate_noise=rate_noise, fallback=fallback,
             recovery=falls, keep=keep, progress=progress,
         )  # fmt: skip
 
@@ -311,7 +291,6 @@ class Assembly:
         recovery: RecoveryPlan | None = None,
         until: int = 0,
         keep: bool = True,
-        library: Path | None = None,
         progress: Progress = no_progress,
     ) -> LoopResult:
         """Track the reference on a simulated bench whose controller models these arms.
@@ -322,7 +301,6 @@ class Assembly:
             recovery: recovery from falls, by default `recovery` of this assembly.
             until: tick until which the itinerary repeats after falls; 0 to run it once.
             keep: if False, rows are not kept in memory.
-            library: see `ticker`.
             progress: receiver of progress reports.
 
         Raises:
@@ -336,7 +314,7 @@ class Assembly:
             draw = draw.endless()
         loop = self.loop(
             sink=sink, rate_noise=draw.reader("rate_noise", lambda rows: rows[:, :, None]), recovery=recovery,
-            until=until, keep=keep, library=library, progress=progress,
+            until=until, keep=keep, progress=progress,
         )  # fmt: skip
         rig = SimulatedRig(
             draw, self.settings.bench, limits=self.limits, start=self.controller.first_state, queued=loop.queued

@@ -136,7 +136,6 @@ class ClosedLoop(Timed):
         seed: Seed = 0,
         rig: UserRig | RigLink | str | None = None,
         program: Path | str | None = None,
-        library: Path | str | None = None,
         log: Path | str | None = None,
         force: bool = False,
         live: bool = False,
@@ -149,7 +148,6 @@ class ClosedLoop(Timed):
             rig: object with `read()`, `command(acceleration)` and `stop()`, or the address of a bench in real time:
                 "udp", udp://HOST:PORT, FILE.py:CLASS, or a link of `dp.rig_link` (default: the simulated bench).
             program: controlling program for rig "udp", such as main_udp of `export`.
-            library: shared library built from `export`'s files, which computes the ticks.
             log: log to write (default: in memory, or logs/NAME-SEED.mcap in real time).
             force: replace the log of another run there.
             live: show the run in the viewer.
@@ -176,7 +174,7 @@ class ClosedLoop(Timed):
             return Run(read_log(out))
         with reporting(progress, "run") as report:
             return run_plan(
-                plan, out, assembly=assembly.under(scene.loop), library=place("library", library), rig=own,
+                plan, out, assembly=assembly.under(scene.loop), rig=own,
                 force=force, live=shown, progress=report,
             )  # fmt: skip
 

@@ -41,7 +41,6 @@ from dpcontrol.foundation.document import picked
 from dpcontrol.foundation.errors import GoalMissed, InputError, mistakes_of, remark
 from dpcontrol.foundation.files import (
     checked_other_file,
-    checked_source,
     content_hash,
     in_the_way,
     write_folder,
@@ -98,8 +97,6 @@ if TYPE_CHECKING:
     from dpcontrol.runs.remedies import Why
 
 _SCENE, _MODEL = "scene.toml", "model.toml"
-_LIBRARY = "controller_library"
-"""Metadata of a run with a controller library: the identity of its file."""
 
 
 def default_log(itinerary: Itinerary) -> Path:
@@ -286,7 +283,6 @@ def run_plan(
     out: Path | None = None,
     *,
     assembly: Assembly | None = None,
-    library: Path | None = None,
     rig: OwnObject | None = None,
     force: bool = False,
     live: LiveSink | None = None,
@@ -298,7 +294,6 @@ def run_plan(
         plan: plan of the itinerary.
         out: log to write (default none).
         assembly: components shared by many runs.
-        library: library of `export_plan`, which computes the ticks.
         rig: a user's rig (default: the simulated bench).
         force: replace the log of another run.
         live: makes a sink that shows the run.
@@ -306,7 +301,7 @@ def run_plan(
 
     Raises:
         InputError: the log cannot be written or belongs to another run, the model's file lacks the uncertainty of a
-            drawn plant, the library is of another itinerary, or a live view has no display.
+            drawn plant, or a live view has no display.
         GoalMissed: the plan did not converge, no controller can be made for it, or no plant drawn.
     """
     plan = recoverable(plan.followed())
@@ -315,7 +310,7 @@ def run_plan(
 
     def run(sink: LoopSink) -> LoopResult:
         if rig is None:
-            return assembly.simulate(sink=sink, library=library, progress=progress)
+            return assembly.simulate(sink=sink, progress=progress)
         arms, period = scene.model.arms.count, 1 / scene.loop.rate
         flown = assembly.loop(sink=sink, progress=progress).run(OwnRig(rig, arms=arms, period=period))
         if not len(flown.ticks.times):
@@ -327,38 +322,29 @@ def run_plan(
             result = run(sink=sinks)
         made_by = _made_by(scene, None if rig is None else rig.name)
         return Run(_log_in_memory(plan, result.ticks, sink.kept, **made_by, **outcome(result)))
-    made_by = _made_by(scene, None if rig is None else rig.name, library)
+    made_by = _made_by(scene, None if rig is None else rig.name)
     check_replaced(out, {**run_metadata(scene), **made_by}, force=force)
     with log_writer(plan, out, **made_by) as writer, watched(plan, LogSink(writer), live=live) as sinks:
         writer.result(**outcome(run(sink=sinks)))
     return Run(read_log(out))
 
 
-def _made_by(itinerary: Itinerary, rig: str | None, library: Path | None = None) -> dict[str, str]:
-    """Return the metadata of a run that depend on the bench.
-
-    The drawn plant or the rig's name, and the library.
-    """
-    made_by = drawn_metadata(itinerary) if rig is None else {"rig": rig}
-    if library is not None:
-        check_exportable(itinerary)
-        made_by[_LIBRARY] = content_hash(checked_source(library).read_bytes()) if library.is_file() else str(library)
-    return made_by
+def _made_by(itinerary: Itinerary, rig: str | None) -> dict[str, str]:
+    """Return the metadata of a run that depend on the bench: the drawn plant or the rig's name."""
+    return drawn_metadata(itinerary) if rig is None else {"rig": rig}
 
 
-def run_record(itinerary: Itinerary, *, rig: str | None = None, library: Path | None = None) -> dict[str, str]:
+def run_record(itinerary: Itinerary, *, rig: str | None = None) -> dict[str, str]:
     """Return the metadata that identify a run before it starts.
 
     Args:
         itinerary: with the run's settings.
         rig: its address or name; None for the simulated bench.
-        library: shared library of the controller, if any.
 
     Raises:
-        InputError: the controller cannot be exported to C.
         GoalMissed: no plant can be drawn.
     """
-    return {**run_metadata(itinerary), **_made_by(itinerary, rig, library)}
+    return {**run_metadata(itinerary), **_made_by(itinerary, rig)}
 
 
 @contextmanager
@@ -577,11 +563,6 @@ def _plan(log: RunLog, folder: Path, *, repeats: bool = True) -> Plan:
         raise InputError(
             f"{log.path} cannot be repeated: it was made on {where}, and only simulated runs are repeatable; "
             f"`dpcontrol replay` compares it with a model"
-        )
-    if repeats and _LIBRARY in log.metadata:
-        raise InputError(
-            f"{log.path} cannot be repeated: a controller library computed its ticks, and the log does not contain "
-            f"it; run it again with --controller-library"
         )
     try:
         model_text, scene_text = (log.attachments[name].decode() for name in (_MODEL, _SCENE))

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from library_program import LibraryProgram, library_ticker
 
-from dpcontrol.control.export import LibraryProgram
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.loop.result import Reading
@@ -67,7 +67,7 @@ class SideBySide:
         scene, reference = plan.itinerary, plan.reference
         arms, loop = scene.model.arms, settings or scene.loop
         assembly = Assembly(reference, arms, loop)
-        self.own, self.other = assembly.ticker(), assembly.ticker(library=made)
+        self.own, self.other = assembly.ticker(), library_ticker(assembly, made)
         self.references, self.count = self.own.references, self.own.count
         self._told, self._k = told, 0
 

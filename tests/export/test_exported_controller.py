@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 from c_compilers import SOURCES, WARNINGS, SideBySide, compiled, library, needed, ran
 from command_line import dpcontrol
+from library_program import LibraryProgram
 
 from dpcontrol.control import export
-from dpcontrol.control.export import ControllerSource, LibraryProgram
+from dpcontrol.control.export import ControllerSource
 from dpcontrol.control.tick import SETTLING, Outcome
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import write_folder
 from dpcontrol.loop.assembly import Assembly
-from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import Plan
-from dpcontrol.runs.run import export_plan, run_plan
+from dpcontrol.runs.run import export_plan
 
 SAME = {"double": 1e-9, "float": 1e-2}  # m/s²: rounding of sines times the law's gains.
 COUNT = 2 * np.pi / 40_000
@@ -221,71 +221,6 @@ def test_the_header_gives_the_first_commands_and_the_reference(plan: Plan, doubl
     for tick, row in ((-5, 0), (0, 0), (1234, 1234), (10**9, -1)):
         c.dpc_reference(ctypes.c_long(tick), state)
         assert np.array_equal(np.array(state), both.references[row])
-
-
-def test_the_library_takes_the_ticks_place_in_a_run(plan: Plan, exported: Exported, tmp_path: Path) -> None:
-    made = library(exported[0])
-    log = tmp_path / "run.mcap"
-    ended = dpcontrol("run", "outer-turn", "--seed", "1", "--controller-library", made, "--out", log, "--json")
-    own = run_plan(replace(plan, itinerary=load_itinerary("outer-turn").with_run({}, seed=1))).score()
-    assert ended.code == 0, ended.message
-    shown = ended.document
-    assert (shown["completed"], shown["symbols_completed"]) == (True, own.symbols_completed)
-    # Rounding causes other encoder counts, which change the error by some percent.
-    assert shown["rms_tracking_error"] == pytest.approx(own.rms_tracking_error, rel=0.2)
-    again = dpcontrol("run", "--from", log, "--out", tmp_path / "again.mcap")
-    assert again.code == 2
-    assert "a controller library computed its ticks" in again.message
-    # Another run is not accepted as this one.
-    assert dpcontrol("run", "outer-turn", "--seed", "1", "--out", log).code == 2
-
-
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        (["--rate", "500"], "rate"),
-        (["--delay", "2"], "delay"),
-        (["--controller", "feedforward"], "law"),
-        (["--travel", "0.3"], "limits"),
-        (["--counts", "5000"], "settings of estimator"),
-        (["--set", "hold=nearest"], "hold"),
-        (["--set", "sensors.rate_noise=0.1"], "measured rates"),
-        (["--controller", "ogy"], "has an internal clock"),
-        (["--estimator", "ukf"], "ukf"),
-    ],
-)
-def test_a_library_of_other_settings_is_rejected(
-    double: Exported, tmp_path: Path, options: list[str], said: str
-) -> None:
-    log = tmp_path / "run.mcap"
-    ended = dpcontrol("run", "outer-turn", *options, "--controller-library", library(double[0]), "--out", log)
-    assert ended.code == 2
-    assert said in ended.message
-    assert len(ended.stderr.splitlines()) == 1
-    assert not log.exists()
-
-
-@pytest.mark.slow
-def test_a_library_for_another_bench_runs_with_any_mismatch_and_seed(double: Exported, plan: Plan) -> None:
-    scene = load_itinerary("outer-turn").with_run({"mismatch": 0.05, "lag": 0.002, "zero_error": 0.02}, seed=7)
-    assert run_plan(replace(plan, itinerary=scene), library=library(double[0])).converged
-
-
-@pytest.mark.slow
-def test_a_file_that_is_not_a_library_is_rejected(tmp_path: Path, double: Exported) -> None:
-    log, text = tmp_path / "run.mcap", tmp_path / "text.so"
-    text.write_text("no library")
-    (tmp_path / "other.c").write_text("int nothing(void) { return 0; }\n")
-    done = ran(needed("gcc"), "-shared", "-fPIC", "-o", "other.so", "other.c", folder=tmp_path)
-    assert done.returncode == 0
-    for made, said in (
-        (text, "is not a library of `dpcontrol export`"), (tmp_path / "other.so", "dpc_describe"),
-        (tmp_path / "missing.so", "there is no library"), (double[0], "directory"),
-    ):  # fmt: skip
-        ended = dpcontrol("run", "outer-turn", "--controller-library", made, "--out", log)
-        assert ended.code == 2, made
-        assert said in ended.stderr
-        assert not log.exists()
 
 
 @pytest.mark.parametrize(

@@ -12,9 +12,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 from command_line import dpcontrol
+from library_program import LibraryProgram, library_ticker
 from shadowing_stand_in import LAB, StandIn
 
-from dpcontrol.control.export import ControllerSource, LibraryProgram, Unit, controller_source, controller_unit
+from dpcontrol.control.export import ControllerSource, Unit, controller_source, controller_unit
 from dpcontrol.control.tracking import TrackingController, tracking_controller
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.loop import LoopSettings, sampled_model
@@ -153,7 +154,7 @@ def test_its_functions_are_those_of_the_standards_headers(exported: Exported, tm
 
 
 def test_on_the_plant_it_is_the_exported_c_to_the_last_bit(exported: Exported, tmp_path: Path) -> None:
-    ticker = Assembly(exported.reference, LAB, SETTINGS, law=exported.controller).ticker(library=exported.library)
+    ticker = library_ticker(Assembly(exported.reference, LAB, SETTINGS, law=exported.controller), exported.library)
     program, queued = ticker.program, ticker.queued[:, 0].tolist()
     assert isinstance(program, LibraryProgram)
     rig = bench(exported, queued)
