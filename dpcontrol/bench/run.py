@@ -1,40 +1,27 @@
 """Draw charts to pictures and data.
 
 Each is drawn to NAME.png, an appendix to NAME-more.png. NAME.json has points, machine and versions.
-
-A chart can be compared with an earlier drawing: methods keep their order on each front, defaults their quality.
-
-Two times that differ by less than `TIED` are a tie in either order. A point within this share of a front may be on it
-in one drawing and not in the other. Everything else must be unchanged.
-
-A default's time is compared in units of an adjacent yardstick, which runs only other packages. Drawings of different
-or busy machines are therefore comparable.
 """
 
 import json
 import os
 import platform
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
-from itertools import combinations
 from pathlib import Path
 from typing import Any
 
 from dpcontrol.bench.chart import (
-    ALLOWED,
     CHARTS,
     GROUPS,
     ChartPage,
-    Diagram,
-    Point,
     check_names,
 )
 from dpcontrol.bench.drawing import save_chart
 from dpcontrol.bench.measure import one_core
 from dpcontrol.foundation.cache import commit
-from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import write_whole
 from dpcontrol.foundation.parts import versions
 from dpcontrol.foundation.processes import in_processes, processors
@@ -164,124 +151,3 @@ def _processor() -> str:
         return platform.processor()
     named = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
     return named[0] if named else platform.processor()
-
-
-TIED = ALLOWED
-"""Relative difference of times that count as equal; a default this close to a front may leave it."""
-SLOWER = 2.0
-"""Tolerated ratio of a default's time to the earlier one: machines and their loads differ by less."""
-WORSE = 3.0
-"""Tolerated ratio of a default's error to the earlier one: rounding differs by less from build to build."""
-
-
-def earlier_panels(folder: Path, name: str) -> tuple[Diagram, ...]:
-    """Return a chart's panels from an earlier drawing.
-
-    Args:
-        folder: folder of the drawing.
-        name: name of the chart.
-
-    Raises:
-        InputError: the drawing is missing or invalid.
-    """
-    file = Path(folder) / f"{name}.json"
-    try:
-        return tuple(_panel(panel) for panel in json.loads(file.read_text(encoding="utf-8"))["panels"])
-    except OSError as error:
-        raise InputError(
-            f"no earlier drawing {file}: {error.strerror or error}; draw it with --out {folder}"
-        ) from error
-    except (ValueError, LookupError, TypeError) as error:
-        raise InputError(f"{file} is no drawing of a chart: {error}; draw it again with --out {folder}") from error
-
-
-def _panel(document: Mapping[str, Any]) -> Diagram:
-    known = {f.name for f in fields(Point)}
-    points = tuple(Point(**{name: value for name, value in p.items() if name in known}) for p in document["points"])
-    titles = {name: document[name] for name in ("title", "x_label", "y_label", "floor", "judged", "timed")}
-    return Diagram(points=points, **titles)
-
-
-def changes(before: Sequence[Diagram], after: Sequence[Diagram]) -> tuple[str, ...]:
-    """Return a sentence for each changed front, except ties.
-
-    Args:
-        before: panels of the earlier drawing.
-        after: panels of the new drawing.
-    """
-    known = {panel.title: panel for panel in before}
-    found = []
-    for panel in after:
-        texts = _changes(known[panel.title], panel) if panel.title in known else ["not in the earlier drawing"]
-        found += [f"{panel.title}: {text}" for text in texts]
-    return tuple(found)
-
-
-def _changes(before: Diagram, after: Diagram) -> list[str]:
-    # Points missing in one drawing were not measured (another package is not installed) and are skipped.
-    names = {p.name for p in before.points} & {p.name for p in after.points}
-    before, after = (replace(p, points=tuple(x for x in p.points if x.name in names)) for p in (before, after))
-    was, now = ({p.name: p for p in panel.points} for panel in (before, after))
-    fronts = [{p.name for p in panel.front} for panel in (before, after)]
-    left = {name: after.off_front(now[name]) for name in sorted(fronts[0] - fronts[1])}
-    joined = {name: before.off_front(was[name]) for name in sorted(fronts[1] - fronts[0])}
-    found = [f"{name} was on the front, and is {off:.0%} off it" for name, off in left.items() if off > TIED]
-    found += [f"{name} was {off:.0%} off the front, and is on it" for name, off in joined.items() if off > TIED]
-    for one, other in combinations(sorted(fronts[0] & fronts[1]), 2):
-        ratios = [p[one].seconds / p[other].seconds for p in (was, now)]
-        if max(ratios) > 1 + TIED and min(ratios) < 1 / (1 + TIED):
-            found.append(f"{one} took {ratios[0]:.2g} times as long as {other}, and takes {ratios[1]:.2g} times")
-    return found
-
-
-def losses(before: Sequence[Diagram], after: Sequence[Diagram]) -> tuple[str, ...]:
-    """Return a sentence for each default that became slower or less accurate.
-
-    Args:
-        before: panels of the earlier drawing.
-        after: panels of the new drawing.
-    """
-    return slower(before, after) + less_accurate(before, after)
-
-
-def slower(before: Sequence[Diagram], after: Sequence[Diagram]) -> tuple[str, ...]:
-    """Return a sentence for each default with a larger x value.
-
-    The value is compared with the earlier one.
-
-    Args:
-        before: panels of the earlier drawing.
-        after: panels of the new drawing.
-    """
-    found = []
-    for panel, was, now in _defaults(before, after):
-        if panel.timed and not (was.yardstick and now.yardstick):
-            continue
-        unit = now.yardstick / was.yardstick if panel.timed else 1.0
-        times = now.seconds / (unit * was.seconds)
-        if times > SLOWER:
-            found.append(f"{panel.title}: {now.name} takes {times:.2g} times the earlier cost ({panel.x_label})")
-    return tuple(found)
-
-
-def less_accurate(before: Sequence[Diagram], after: Sequence[Diagram]) -> tuple[str, ...]:
-    """Return a sentence for each default with a larger error than before.
-
-    Args:
-        before: panels of the earlier drawing.
-        after: panels of the new drawing.
-    """
-    return tuple(
-        f"{panel.title}: {now.name} errs by {now.error:.2g}, and did by {was.error:.2g}"
-        for panel, was, now in _defaults(before, after)
-        if max(now.error, panel.floor) > WORSE * max(was.error, panel.floor)
-    )
-
-
-def _defaults(before: Sequence[Diagram], after: Sequence[Diagram]) -> Iterator[tuple[Diagram, Point, Point]]:
-    """Yield each panel with one of its defaults, now and before."""
-    known = {(panel.title, p.name): p for panel in before for p in panel.points}
-    for panel in after:
-        for now in panel.defaults:
-            if (panel.title, now.name) in known:
-                yield panel, known[panel.title, now.name], now

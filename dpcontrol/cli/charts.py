@@ -5,7 +5,7 @@ from pathlib import Path
 from textwrap import fill
 from typing import TYPE_CHECKING
 
-from dpcontrol.bench.chart import CHARTS, GROUPS, PrecisionChart, check_names
+from dpcontrol.bench.chart import CHARTS, GROUPS
 from dpcontrol.cli.verbs import FOLDER, OUTPUT, YES, Answer, TextTable, argument, option, verb
 from dpcontrol.foundation.progress import progress_bar
 
@@ -74,9 +74,7 @@ Maps of the limits of methods, found by bisection, beside the predictions of the
 {_listed(GROUPS["edges"])}
 
 Without a name, all are drawn. The status reports defaults off their front and limits that differ from their
-prediction. With --strict, these give exit code 1. Use --against to compare with an earlier drawing: the order on each
-front, with times within a fifth of each other as a tie, and time and error of each default. Twice the time counts as
-slower.
+prediction. With --strict, these give exit code 1.
 """
 
 
@@ -85,9 +83,6 @@ def bench_command(
     *,
     names: tuple[str, ...] = argument(metavar="[CHART]...", required=False),
     quick: bool = option(help="Shorter measurements: all charts in three minutes."),
-    against: Path | None = option(
-        type=FOLDER, help="Folder of an earlier drawing, for a comparison of fronts and defaults."
-    ),
     strict: bool = option(help="Exit code 1 if a chart reports a deviation."),
     out: Path = option(
         type=FOLDER, default=Path("charts"), group=OUTPUT, help="Folder for NAME.png and NAME.json of each chart."
@@ -97,21 +92,11 @@ def bench_command(
     """Draw the charts and print their fronts and limits."""
     with progress_bar("bench") as progress:
         progress("loading", 0.0)
-        from dpcontrol.bench.run import changes, draw_charts, earlier_panels, losses
+        from dpcontrol.bench.run import draw_charts
 
-        # Read before the work: the folder may be the one that is drawn to.
-        charts = [name for name in check_names(names) if name not in GROUPS["edges"]]
-        earlier = {} if against is None else {name: earlier_panels(against, name) for name in charts}
         drawn = draw_charts(names, out, quick=quick, yes=yes, progress=progress)
     complaints = [text for d in drawn for text in d.chart.complaints]
     status = f"{len(drawn)} charts drawn; " + ("; ".join(complaints) or "every default stands where it may")
-    if against is not None:
-        fronts = [(earlier[d.chart.name], d.chart.parts) for d in drawn if isinstance(d.chart, PrecisionChart)]
-        changed = [text for before, after in fronts for text in changes(before, after)]
-        lost = [text for before, after in fronts for text in losses(before, after)]
-        status += "; " + ("; ".join(changed) or f"the order on each front is that in {against}")
-        status += "; " + ("; ".join(lost) or "no default became slower or less accurate")
-        complaints += changed + lost
     files = [{"file": d.pictures[0], "files": d.pictures, "data": d.data, "seconds": d.seconds} for d in drawn]
     document = {
         "charts": [{**d.chart.document(), **file} for d, file in zip(drawn, files, strict=True)],
@@ -124,7 +109,7 @@ def bench_command(
 def _text(drawn: "Sequence[DrawnChart]") -> Iterator[str | TextTable]:
     for d in drawn:
         yield from map(str, d.pictures)
-        for part in d.chart.diagrams:
+        for part in d.chart.parts:
             table = part.table()
             yield TextTable(table.title, table.columns, table.rows)
             yield f"  {part.finding()}"
