@@ -17,8 +17,8 @@ and the rate of each joint ρ
 
 The frequencies of M and K, viscous friction k, dry friction c and the first state are fitted with a free matrix B.
 Joints that friction holds do not show what their encoders read, and their findings are unsure. Encoders that are wired,
-scaled or summed wrongly give a special B. Let L be the sums of joint angles, D a diagonal of signs and factors, and P an
-exchange of encoders. Then B is L D P L⁻¹ (joint encoders, summed, as it should be), D P L⁻¹ (never summed), D P
+scaled or summed wrongly give a special B. Let L be the sums of joint angles, D a diagonal of signs and factors, and P
+an exchange of encoders. Then B is L D P L⁻¹ (joint encoders, summed, as it should be), D P L⁻¹ (never summed), D P
 (absolute encoders) or L D P (absolute angles summed again). The nearest form is reported. An accelerated cart leaves
 hanging arms behind, which relates the arms' signs to the cart's.
 
