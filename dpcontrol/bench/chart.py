@@ -98,7 +98,6 @@ class Point:
         stored: True if measured elsewhere, drawn but excluded from the front.
         others: further measures by name, for the JSON.
         note: a few words for display.
-        yardstick: time of the reference work beside it, s, or 0.
     """
 
     method: str
@@ -110,7 +109,6 @@ class Point:
     stored: bool = False
     note: str = ""
     others: Mapping[str, float] = field(default_factory=dict)
-    yardstick: float = 0.0
 
     def __post_init__(self) -> None:
         numbers = {"seconds": self.seconds, "error": self.error, **self.others}

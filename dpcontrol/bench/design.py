@@ -218,7 +218,7 @@ def three_body_panel(*, quick: bool) -> Diagram:
     gap = max(c.residual for c in found)
     note = "ratios stored by tests/benchmarks/test_against_hiten.py: of a fresh process; gap at least"
     points = (
-        Point("dpcontrol", f"{len(found)} connections", run.seconds, gap, default=True, yardstick=run.yardstick),
+        Point("dpcontrol", f"{len(found)} connections", run.seconds, gap, default=True),
         Point("hiten 0.5.4 (stored)", "", run.seconds * SLOWER, gap * WIDER, outside=True, stored=True, note=note),
     )
     return Diagram(

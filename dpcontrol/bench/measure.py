@@ -3,13 +3,8 @@
 They are processor time of this process on one core.
 
 Processor time excludes other programs on a busy machine. However, a processor can run at half speed, for a tenth of a
-second or for many. The candidates are therefore measured in turns, with a yardstick of scipy alone between the turns.
-A short measurement d, beside yardsticks with mean y, counts as
-
-    d ỹ / y,        ỹ the median of all yardsticks
-
-(a long one averages over such periods), and the median of the repeats counts. Work shorter than the clock's resolution
-is repeated within one measurement.
+second or for many. The candidates are therefore measured in turns, and the median of the repeats counts. Work shorter
+than the clock's resolution is repeated within one measurement.
 """
 
 import os
@@ -22,10 +17,6 @@ from functools import partial
 from math import inf
 from typing import Any, Generic, TypeVar
 
-import numpy as np
-from numpy.typing import NDArray
-from scipy.integrate import solve_ivp
-
 from dpcontrol.bench.chart import Diagram, Missing, Point
 from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.foundation.progress import Progress, no_progress
@@ -37,37 +28,15 @@ GRAIN = 2e-3
 """Least duration of a measurement, s."""
 _FIRST_GUESS = 20
 """Number of calls that estimates the time of one short call."""
-_EVERY = 0.02
-"""Time between yardsticks, s: shorter than the machine's speed changes, much longer than a yardstick."""
-_SHORT = 0.05
-"""Limit of the correction by adjacent yardsticks, s; below it medians of 15 then spread a third as much."""
 
 
 @dataclass(frozen=True)
 class TimedWork(Generic[T]):
-    """Median seconds of a call, and its start-up.
-
-    It also has the first result and the yardstick's median seconds.
-    """
+    """Median seconds of a call, its start-up, and its first result."""
 
     seconds: float
     start_up: float
     result: T
-    yardstick: float = 0.0
-
-
-def yardstick() -> float:
-    """Return the processor seconds of a flight by scipy's DOP853.
-
-    No code of this package takes part.
-    """
-
-    def rate(_: float, x: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.array([10 * (x[1] - x[0]), x[0] * (28 - x[2]) - x[1], x[0] * x[1] - 8 / 3 * x[2]])
-
-    began = time.process_time()
-    solve_ivp(rate, (0.0, 1.0), (1.0, 1.0, 1.0), method="DOP853", rtol=1e-8)
-    return time.process_time() - began
 
 
 def timed_in_turns(
@@ -80,7 +49,6 @@ def timed_in_turns(
     worth: Callable[[Key, T], bool] = lambda key, result: True,
     starts_up: bool = True,
     clock: Callable[[], float] = time.process_time,
-    beside: Callable[[], float] = yardstick,
     progress: Progress = no_progress,
 ) -> dict[Key, TimedWork[T]]:
     """Call each function once, then measure all in turns.
@@ -96,11 +64,9 @@ def timed_in_turns(
         worth: decides by key and first result; without worth the first call is the only one.
         starts_up: False for work without compilation, whose first call counts like the others.
         clock: function that returns a time, s.
-        beside: duration of the yardstick, s.
         progress: called at each first call and each round.
     """
-    speed = _Speed(clock, beside)
-    measured = {key: _Measured(function, grain, speed) for key, function in functions.items()}
+    measured = {key: _Measured(function, grain, clock) for key, function in functions.items()}
     for k, (key, own) in enumerate(measured.items()):
         progress(f"first call {k + 1} of {len(measured)}", k / len(measured) / (rounds + 1))
         own.start(worth=partial(worth, key), starts_up=starts_up)
@@ -110,41 +76,14 @@ def timed_in_turns(
             count, spent = len(own.found), sum(end - begin for begin, end in own.found)
             if own.going and count < number and (spent < most or count < least):
                 own.found.append(own.stretch())
-    speed.measure(now=True)
     return {key: own.timed() for key, own in measured.items()}
-
-
-class _Speed:
-    """Duration of the yardstick over the clock's time."""
-
-    def __init__(self, clock: Callable[[], float], beside: Callable[[], float]) -> None:
-        self.clock, self._beside = clock, beside
-        self._when: list[float] = []
-        self._took: list[float] = []
-
-    def measure(self, *, now: bool = False) -> None:
-        """Measure the yardstick unless the last measurement is recent."""
-        if now or not self._when or self.clock() - self._when[-1] >= _EVERY:
-            self._took.append(self._beside())
-            self._when.append(self.clock())
-
-    @property
-    def usual(self) -> float:
-        """Median seconds of the yardstick."""
-        return statistics.median(self._took)
-
-    def at(self, begin: float, end: float) -> float:
-        """Return the mean seconds of the yardsticks before and after a period."""
-        before = int(np.searchsorted(self._when, begin, side="right")) - 1
-        after = int(np.searchsorted(self._when, end, side="left"))
-        return (self._took[max(before, 0)] + self._took[min(after, len(self._took) - 1)]) / 2
 
 
 class _Measured(Generic[T]):
     """The measurements of one function: (begin, end) of each, of `calls` calls."""
 
-    def __init__(self, function: Callable[[], T], grain: float, speed: _Speed) -> None:
-        self._function, self._grain, self._speed = function, grain, speed
+    def __init__(self, function: Callable[[], T], grain: float, clock: Callable[[], float]) -> None:
+        self._function, self._grain, self._clock = function, grain, clock
         self._calls = 1
         self.found: list[tuple[float, float]] = []
         self.going = True
@@ -167,24 +106,17 @@ class _Measured(Generic[T]):
 
     def stretch(self) -> tuple[float, float]:
         """Make the calls of one measurement; return its begin and end."""
-        self._speed.measure()
-        begin = self._speed.clock()
+        begin = self._clock()
         for _ in range(self._calls):
             self._last = self._function()
-        end = self._speed.clock()
-        self._speed.measure()
-        return begin, end
+        return begin, self._clock()
 
     def timed(self) -> TimedWork[T]:
         """Return the result of all measurements."""
-        first = self._corrected(*self._first)
-        found = [self._corrected(begin, end) / self._calls for begin, end in self.found]
+        first = self._first[1] - self._first[0]
+        found = [(end - begin) / self._calls for begin, end in self.found]
         seconds = statistics.median(found) if found else first
-        return TimedWork(seconds, max(first - seconds, 0.0), self._result, self._speed.usual)
-
-    def _corrected(self, begin: float, end: float) -> float:
-        took = end - begin
-        return took * self._speed.usual / self._speed.at(begin, end) if took < _SHORT else took
+        return TimedWork(seconds, max(first - seconds, 0.0), self._result)
 
 
 @contextmanager
@@ -273,6 +205,6 @@ def compare(
             start_up[one.method] = max(start_up.get(one.method, 0.0), run.start_up)
         points.append(
             Point(one.method, one.setting, run.seconds / one.units, found.error, default=one.default,
-                  outside=one.outside, note=found.note, others=found.others, yardstick=run.yardstick)
+                  outside=one.outside, note=found.note, others=found.others)
         )  # fmt: skip
     return Diagram("", "", "", tuple(points), start_up, tuple(missing))

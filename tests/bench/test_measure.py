@@ -20,13 +20,6 @@ class Machine:
     def clock(self):
         return self.now
 
-    def yardstick(self):
-        return 1e-3 * self.slowness(len(self.calls))
-
-    @property
-    def own(self):
-        return {"clock": self.clock, "beside": self.yardstick}
-
     def work(self, name, seconds):
         def call():
             self.calls.append(name)
@@ -39,13 +32,13 @@ class Machine:
 def test_start_up_is_separated_from_repeated_time():
     # The first call compiles for 5 s; each takes 1 s, one in between 9 s.
     machine = Machine(lambda call: {1: 6.0, 3: 9.0}.get(call, 1.0))
-    found = timed(machine.work("a", 1.0), 5, most=100.0, clock=machine.clock, beside=lambda: 1e-3)
+    found = timed(machine.work("a", 1.0), 5, most=100.0, clock=machine.clock)
     assert (found.seconds, found.start_up, found.result) == (1.0, 5.0, "a")
 
 
 def test_slow_work_is_not_repeated_beyond_its_time_limit():
     machine = Machine()
-    assert timed(machine.work("a", 3.0), 50, most=5.0, **machine.own).seconds == 3.0
+    assert timed(machine.work("a", 3.0), 50, most=5.0, clock=machine.clock).seconds == 3.0
     assert len(machine.calls) == 3
 
 
@@ -67,34 +60,16 @@ def slow_in_the_second_half(call):
 def test_compared_methods_alternate():
     machine = Machine(slow_in_the_second_half)
     works = {"a": machine.work("a", 1.0), "b": machine.work("b", 0.8)}
-    found = timed_in_turns(works, 11, starts_up=False, clock=machine.clock, beside=lambda: 1e-3)
+    found = timed_in_turns(works, 11, starts_up=False, clock=machine.clock)
     assert machine.calls == ["a", "b"] * 11
     assert found["b"].seconds / found["a"].seconds == pytest.approx(0.8)
-
-
-def test_short_work_measured_while_the_machine_is_slow_counts_as_what_it_takes_otherwise():
-    machine = Machine(lambda call: 2.0 if call % 7 < 3 else 1.0)
-    found = timed(machine.work("a", 0.02), 15, most=100.0, **machine.own)
-    assert found.seconds / found.yardstick == pytest.approx(20.0)
-    # By the clock alone, it depends on which of the calls were slow.
-    raw = Machine(lambda call: 2.0 if call > 2 else 1.0)
-    assert timed(raw.work("a", 0.02), 15, most=100.0, clock=raw.clock, beside=lambda: 1e-3).seconds == pytest.approx(
-        0.04
-    )
-
-
-def test_long_work_has_the_time_of_the_clock():
-    # A yardstick tells only of how quick the machine was at its ends.
-    machine = Machine()
-    found = timed(machine.work("a", 1.0), 5, most=100.0, clock=machine.clock, beside=iter(range(1, 1000)).__next__)
-    assert found.seconds == 1.0
 
 
 def test_slow_work_leaves_the_turns_early_but_not_before_its_least():
     machine = Machine()
     timed_in_turns(
         {"slow": machine.work("slow", 10.0), "quick": machine.work("quick", 0.5)}, 9, most=3.0, least=3,
-        starts_up=False, **machine.own,
+        starts_up=False, clock=machine.clock,
     )  # fmt: skip
     assert machine.calls.count("slow") == 3
     assert machine.calls.count("quick") == 6
@@ -104,7 +79,7 @@ def test_uninteresting_work_is_called_once():
     machine = Machine()
     found = timed_in_turns(
         {"fails": machine.work("fails", 2.0), "works": machine.work("works", 1.0)}, 4,
-        worth=lambda key, result: result == "works", **machine.own,
+        worth=lambda key, result: result == "works", clock=machine.clock,
     )  # fmt: skip
     assert machine.calls.count("fails") == 1
     assert found["fails"].result == "fails"
@@ -114,7 +89,7 @@ def test_uninteresting_work_is_called_once():
 def test_progress_rises_from_first_calls_through_the_rounds():
     machine, told = Machine(), []
     works = {name: machine.work(name, 1.0) for name in "ab"}
-    timed_in_turns(works, 3, progress=lambda what, done: told.append((what, done)), **machine.own)
+    timed_in_turns(works, 3, progress=lambda what, done: told.append((what, done)), clock=machine.clock)
     assert [what for what, _ in told] == [
         "first call 1 of 2",
         "first call 2 of 2",
