@@ -303,8 +303,8 @@ def _unique(found: Newton, count: int) -> str:
     """Return the words on existence and uniqueness of an orbit."""
     unique, exists = bound(found.unique, lower=True), bound(found.exists)
     return (
-        f"exactly one orbit within {unique} of the nodes {passing(count)}, with the enclosed flight times; it is within "
-        f"{exists}"
+        f"exactly one orbit within {unique} of the nodes {passing(count)}, with the enclosed flight times; it is "
+        f"within {exists}"
     )
 
 

@@ -31,18 +31,17 @@ def statement(data: Mapping[str, Any]) -> str:
         ValueError: a value is no number.
         LookupError: a value is missing.
     """
-    equations = data["system"]["equations"]
-    angles, keys = EQUATIONS[equations]
+    angles, keys = EQUATIONS[data["system"]["equations"]]
     unique, exists, energy, least = (_exact(data[key]) for key in ("unique", "exists", "energy", "multiplier_exceeds"))
     turned, time = ", ".join(str(int(k)) for k in data["turns"][:angles]), sum(map(fraction, data["durations"]))
     return "\n".join(
         [
-            f"at the energy {energy}, exactly one orbit of the {equations} {passing(len(data['nodes']))}, within "
-            f"{unique} of the nodes and of the flight times",
+            f"at the energy {energy}, exactly one orbit of the {data['system']['equations']} "
+            f"{passing(len(data['nodes']))}, within {unique} of the nodes and of the flight times",
             f"it is within {exists} of them and closes after {float(time):.7g} time units"
             + f", with the turns {turned} of its angles" * bool(angles),
-            f"it starts near {_state(map(number, data['nodes'][0]))} and is hyperbolic: a multiplier exceeds {least} in "
-            "modulus",
+            f"it starts near {_state(map(number, data['nodes'][0]))} and is hyperbolic: a multiplier exceeds {least} "
+            "in modulus",
             *(_symbol(data, k, angles) for k in range(len(data["symbols"]))),
             "parameters: " + "; ".join(f"{key} {', '.join(map(_exact, data['system'][key]))}" for key in keys),
         ]
