@@ -517,15 +517,14 @@ def commission_command(
     if address not in (None, OWN_BENCH) and (fault or settings):
         raise click.UsageError("--fault and settings of the bench apply to the example bench: omit them with --rig")
     scene = load_itinerary(itinerary)
-    practice = scene.with_run(settings, seed=seed)
     if write:
         # Detect a file that cannot be changed before the cart moves.
         measured_text(scene, {"delay": 1.0, "lag": 0.0, "zeros": [0.0], "counts": 1})
     # A user's rig connects to its hardware here.
     link = None if own else rig_link(address, key_file=key_file, insecure=insecure, real_time=real_time)
     found = commission_rig(
-        scene, link or bench_of(address), practice=practice, faults=fault, switches=switches or 0.0,
-        notify=lambda text: print_message(f"dpcontrol: {text}"),
+        scene, link or bench_of(address), practice=scene.with_run(settings, seed=seed), faults=fault,
+        switches=switches or 0.0, notify=lambda text: print_message(f"dpcontrol: {text}"),
     )  # fmt: skip
     lines = [f"commissioning for {scene.name} on {address or 'the example bench, simulated'}"]
     for finding in found.findings:

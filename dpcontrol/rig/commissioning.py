@@ -8,22 +8,25 @@ drive of delay d, lag τ and gain γ moves the cart by
     x(t) = x_0 + v_0 t + γ Σ_j (u_j - u_{j-1}) p(t - j T - d),     p(s) = s²/2 - τ s + τ² (1 - e^{-s/τ})  for s > 0
 
 Both sides are high-pass filtered, which removes the accumulated noise of the command. Then d, τ and γ are fitted to the
-cart's readings. Standard errors account for residuals that are correlated over blocks. Small swings of hanging arms
-have normal modes
+cart's readings. Standard errors account for residuals that are correlated over blocks.
 
-    readings = zeros + W y + free swing,     ÿ_i + 2 ζ_i ω_i ẏ_i + ω_i² y_i = -ẍ
+Small swings of hanging arms follow the measured position x of the cart, so the drive has no effect. With joint angles φ
+and the rate of each joint ρ
 
-Here x is the measured cart position, so the drive has no effect. ω, ζ and W are fitted. The model's own angles are θ =
-W_0 y. Encoders that are wired, scaled or summed wrongly give readings B θ. Let L be the sums of joint angles, D a
-diagonal of signs and factors, and P an exchange of encoders. Then B is L D P L⁻¹ (joint encoders, summed, as it should
-be), D P L⁻¹ (never summed), D P (absolute encoders) or L D P (absolute angles summed again). The form nearest to W
-W_0⁻¹ is reported. An accelerated cart leaves hanging arms behind, which relates the arms' signs to the cart's.
+    M φ̈ + K φ + k ρ + c sgn ρ = -s ẍ,     readings = zeros + B L φ,     |torque| ≤ c where ρ = 0
+
+The frequencies of M and K, viscous friction k, dry friction c and the first state are fitted with a free matrix B. The
+readings cannot judge the encoder of a joint that friction holds, so its findings are unsure. Encoders that are wired,
+scaled or summed wrongly give a special B. Let L be the sums of joint angles, D a diagonal of signs and factors, and P
+an exchange of encoders. Then B is L D P L⁻¹ (joint encoders, summed, as it should be), D P L⁻¹ (never summed), D P
+(absolute encoders) or L D P (absolute angles summed again). The nearest form is reported. An accelerated cart leaves
+hanging arms behind, which relates the arms' signs to the cart's.
 
 Readings cannot distinguish a rig from its mirror image: either the cart and its drive are reversed, or all encoders. In
 this case, both are reported.
 
 Sources: Ljung, System identification (1999), sections 7.4 (output error) and 14.4 (prefilters). Golub & Pereyra,
-Separable nonlinear least squares (2003).
+Separable nonlinear least squares (2003). Moreau, Numerical aspects of the sweeping process (1999), for dry friction.
 """
 
 import math
@@ -55,10 +58,6 @@ REACH = 0.010
 _LONGEST_PERIOD = 0.05
 """s."""
 _SWITCHES = Bounds(least=2 * REACH, most=100, unit="m")
-
-
-def _sensor(k: int, arms: int) -> str:
-    return f"the encoder of arm {k + 1}" if k < arms else "the cart's scale"
 
 
 class Grade(StrEnum):
@@ -235,7 +234,8 @@ class _Session:
                     f"no reading came for {self._gap * self.period:.2g} s, so the cart was stopped",
                     "check whether the rig sends a reading each period, and whether the network loses packets",
                 )
-            which = " and ".join(_sensor(k, self.arms) for k in absent)
+            sensors = [*(f"the encoder of arm {k + 1}" for k in range(self.arms)), "the cart's scale"]
+            which = " and ".join(sensors[k] for k in absent)
             raise self.halted(
                 f"{which} gave no reading for {self._gap * self.period:.2g} s, so the cart was stopped",
                 "check whether it is plugged in, and whether the rig's program reads it",
@@ -279,16 +279,8 @@ class _Session:
         still = np.zeros(max(2, round(seconds / self.period)))
         self.follow(still, still)
 
-    def angles(self, first: int = 0) -> Array:
-        """Return the arms' readings (K, n) from tick `first`."""
-        return self._filled(first)[:, : self.arms]
-
-    def carts(self, first: int = 0) -> Array:
-        """Return the cart's readings (K,) from tick `first`."""
-        return self._filled(first)[:, self.arms]
-
-    def _filled(self, first: int) -> Array:
-        """Return readings from tick `first`, with gaps interpolated linearly."""
+    def filled(self, first: int = 0) -> Array:
+        """Return the readings (K, n+1) of arms and cart from tick `first`, with gaps interpolated linearly."""
         rows, present = np.array(self.positions[first:]), np.array(self.present[first:])
         if not present.all() and present.any():
             ticks = np.arange(len(rows))
@@ -309,9 +301,7 @@ def commission(
 ) -> Commissioning:
     """Check and measure a rig before its first run.
 
-    The arms hang, and the cart is at the centre.
-
-    The rig is stopped at the end and after any error.
+    The arms hang, and the cart is at the centre. The rig is stopped at the end and after any error.
 
     Args:
         rig: the rig.
@@ -404,7 +394,9 @@ def _move(
         motion.switches = [_untried("the drive has a fault", "fix the drive first")]
     else:
         notify(f"the cart creeps to the right, then to the left, by up to {switches:g} m: be ready to cut the power")
-        motion.switches = _tried_switches(session, switches, limits, options)
+        session.reach = switches + REACH
+        sides = ((1, "right"), (-1, "left"))
+        motion.switches = [_tried_switch(session, side, name, switches, limits, options) for side, name in sides]
 
 
 _SAFE_GAIN = 0.2
@@ -419,8 +411,8 @@ def _judged(
     changes: dict[str, Any],
 ) -> list[Finding]:  # fmt: skip
     """Return the findings of the motion, and add measured values to `changes`."""
-    angles, carts = (read()[: motion.rang_to + 1] for read in (session.angles, session.carts))
-    since = motion.held_from
+    readings, since = session.filled()[: motion.rang_to + 1], motion.held_from
+    angles, carts = readings[:, :-1], readings[:, -1]
     drive = fit_drive(carts, session.commands, session.period, first=motion.chirped_from, last=motion.chirped_to)
     swing = fit_swing(angles[since:], carts[since:], session.period, arms)
     wiring = read_wiring(swing)
@@ -476,7 +468,7 @@ def _shift(session: _Session, arms: ArmChainParameters) -> None:
     quarter = max(1, round(_SHIFT_SECONDS / 4 / session.period))
     pattern = np.repeat([1.0, -1.0, -1.0, 1.0], quarter) / (quarter * session.period) ** 2
     after = max(2, round(_AFTER_SHIFT / session.period))
-    before = session.carts()[-(len(pattern) + after) :]
+    before = session.filled()[-(len(pattern) + after) :, -1]
     wander = float(np.std(before - _drift(before)))
     seen = 0.0
     for size, share in _SHIFTS.items():
@@ -485,7 +477,7 @@ def _shift(session: _Session, arms: ArmChainParameters) -> None:
         first = session.tick
         for value in (*(pattern * size), *np.zeros(after)):
             session.advance(float(value))
-        carts = session.carts(first)
+        carts = session.filled(first)[:, -1]
         wanted = _response(np.array([*session.commands[first:], 0.0]), session.period, 0.0)[:, 0]
         # The drive's delay is still unknown, so the best-fitting one is used. The whole shift must be visible.
         delays = range(0, after + 1, max(1, quarter // 8))
@@ -529,7 +521,7 @@ def _no_shift(session: _Session, arms: ArmChainParameters, seen: float) -> None:
 
     The arms reveal motion of the cart.
     """
-    wandered = float(np.ptp(session.carts()))
+    wandered = float(np.ptp(session.filled()[:, -1]))
     if wandered > _SEEN:
         raise session.halted(
             f"the cart wanders by {1e3 * wandered:.2g} mm, in which a commanded shift of {1e3 * _LARGEST_SHIFT:g} mm "
@@ -539,7 +531,7 @@ def _no_shift(session: _Session, arms: ArmChainParameters, seen: float) -> None:
     for _ in range(round(1.0 / session.period)):
         session.advance(0.0)
     commanded = _response(np.array([*session.commands, 0.0]), session.period, 0.0)[:, 0]
-    wiring = read_wiring(fit_swing(session.angles(), commanded, session.period, arms))
+    wiring = read_wiring(fit_swing(session.filled()[:, :-1], commanded, session.period, arms))
     if float(np.abs(wiring.factors).max()) > 0.3:
         raise session.halted(
             f"the arms began to swing when the cart was to shift by {1e3 * _LARGEST_SHIFT:g} mm and back, but its "
@@ -562,7 +554,7 @@ def _wait_until_still(session: _Session, options: CommissioningSettings, notify:
             notify(f"the arms swing by ±{swing:.2g} rad: hold them still; waiting for up to {options.wait:g} s")
         first = session.tick
         session.hold(_WATCHED)
-        swing = float(np.ptp(session.angles(first), axis=0).max()) / 2
+        swing = float(np.ptp(session.filled(first)[:, :-1], axis=0).max()) / 2
         if swing <= options.still:
             return
     raise session.halted(
@@ -857,12 +849,11 @@ def simulated_swings(values: Array, carts: Array, period: float, arms: ArmChainP
     return (sums @ out)[..., 0].transpose(1, 0, 2)
 
 
-def _coarse_guess(costs: Callable[[Array], Array], guess: Array, arms: ArmChainParameters) -> Array:
+def _coarse_guess(costs: Callable[[Array], Array], guess: Array, n: int) -> Array:
     """Return the best of coarse grids of friction and frequencies, one parameter after the other, scaled."""
-    n = arms.count
     dry = [[2 * n + k] for k in range(n)]
     # Friction can look like another frequency, so a frequency must improve the fit the more the farther it is away.
-    for places in (sum(dry, []), *dry, *([k] for k in range(n)), *dry):
+    for places in ([*range(2 * n, 3 * n)], *dry, *([k] for k in range(n)), *dry):
         tried, penalty = (_DETUNED, 1 + np.abs(_DETUNED)) if places[0] < n else (_DRY, np.ones(len(_DRY)))
         lanes = np.tile(guess, (len(tried), 1))
         lanes[:, places] = tried[:, None]
@@ -886,16 +877,18 @@ def fit_swing(angles: Array, carts: Array, period: float, arms: ArmChainParamete
     weight = float(arms.base()[n * (n + 1) // 2 :][:n].max())
     unit = np.repeat([0.1, 1e-3 * weight, 1e-2 * weight, 0.05, 0.3], n)
 
-    def designed(motion: Array) -> Array:
-        return np.hstack([motion, np.ones((len(rows), 1))])
-
     def left(values: Array) -> tuple[Array, Array]:
-        """Return the motions (P, K, n) and the residuals (P, K, n) of the best combinations of their angles."""
+        """Return angles and a constant (P, K, n+1), and the residuals (P, K, n) of their best combinations."""
         motions = simulated_swings(values * unit, x, period, arms)
-        return motions, np.array([d @ _solved(d, rows) - rows for d in map(designed, motions)])
+        designs = np.concatenate([motions, np.ones((len(values), len(rows), 1))], axis=2)
+        return designs, np.array([design @ _solved(design, rows) - rows for design in designs])
 
     start = np.concatenate([np.zeros(n), arms.viscous, np.zeros(3 * n)]) / unit
-    guess = _coarse_guess(lambda lanes: (left(lanes)[1] ** 2).sum(axis=(1, 2)), start, arms)
+    # A fit from the model's frequencies and a friction that nearly holds the arms finds what a coarse search misses.
+    starts = (
+        start + np.repeat([0, 0, 1, 0, 0], n),
+        _coarse_guess(lambda lanes: (left(lanes)[1] ** 2).sum(axis=(1, 2)), start, n),
+    )
 
     @lru_cache(maxsize=2)
     def near(values: tuple[float, ...]) -> tuple[Array, Array]:
@@ -904,22 +897,25 @@ def fit_swing(angles: Array, carts: Array, period: float, arms: ArmChainParamete
     def slopes(lanes: Array) -> Array:
         return (lanes[1:] - lanes[0]).reshape(5 * n, -1).T / _STEP
 
-    found = optimize.least_squares(
-        lambda values: near(tuple(values))[1][0].ravel(), guess,
-        lambda values: slopes(near(tuple(values))[1]),  # type: ignore[arg-type]
-        bounds=(np.repeat([-5.0, 0.0, 0.0, -np.inf, -np.inf], n), np.repeat([5.0, np.inf, np.inf, np.inf, np.inf], n)),
-        ftol=1e-4, xtol=1e-4, max_nfev=25,
-    )  # fmt: skip
-    motions, rest = near(tuple(found.x))
-    design = designed(motions[0])
-    weights = _solved(design, rows)
-    turned = slopes(motions @ weights[:n])
+    bounds = np.repeat([[-5.0, 0.0, 0.0, -np.inf, -np.inf], [5.0, np.inf, np.inf, np.inf, np.inf]], n, axis=1)
+    fits = [
+        optimize.least_squares(
+            lambda values: near(tuple(values))[1][0].ravel(), guess,
+            lambda values: slopes(near(tuple(values))[1]),  # type: ignore[arg-type]
+            bounds=bounds, ftol=1e-4, xtol=1e-4, max_nfev=25,
+        )
+        for guess in starts
+    ]  # fmt: skip
+    found = min(fits, key=lambda fit: fit.cost)
+    designs, rest = near(tuple(found.x))
+    weights = _solved(designs[0], rows)
+    turned = slopes(designs @ weights)
     # Each reading has its own combination and zero.
-    errors = _sandwich(np.hstack([turned, np.kron(design, np.eye(n))]), rest[0].ravel())
+    errors = _sandwich(np.hstack([turned, np.kron(designs[0], np.eye(n))]), rest[0].ravel())
     ratios, viscous, dry, *_ = np.split(found.x * unit, 5)
     own = np.split(errors[: 5 * n] * unit, 5)
     return CommissioningSwing(
-        rows, motions[0], turned, np.exp(ratios), (viscous, own[1]), (dry, own[2]), (weights[-1], errors[-n:])
+        rows, designs[0, :, :n], turned, np.exp(ratios), (viscous, own[1]), (dry, own[2]), (weights[-1], errors[-n:])
     )
 
 
@@ -998,19 +994,14 @@ _LEFT_OVER = 0.3
 
 
 def _signs(gain: float, factors: Array) -> list[tuple[str, ...]]:
-    """Return the fewest reversals that explain the signs.
-
-    Drive, cart's scale, arms' encoders.
+    """Return the fewest reversals of drive, cart's scale and arms' encoders that explain the signs.
 
     There are two solutions if the rig and its mirror image need equally many.
     """
-    seen = {"drive": gain, **{f"arm {k + 1}": float(d) for k, d in enumerate(factors) if abs(d) > _STUCK}}
-    answers = []
-    for cart in (1, -1):
-        turned = tuple(name for name, value in seen.items() if value * cart < 0)
-        answers.append(turned if cart > 0 else ("cart", *turned))
-    fewest = min(map(len, answers))
-    return [one for one in answers if len(one) == fewest]
+    seen = {"cart": 1.0, "drive": gain}
+    seen |= {f"arm {k + 1}": float(factor) for k, factor in enumerate(factors) if abs(factor) > _STUCK}
+    answers = [tuple(name for name, value in seen.items() if value * cart < 0) for cart in (1, -1)]
+    return [answer for answer in answers if len(answer) == min(map(len, answers))]
 
 
 def _cart_scale(gain: float, factors: Array) -> bool:
@@ -1034,7 +1025,8 @@ def _direction(drive: DriveFit, wiring: Wiring, signs: list[tuple[str, ...]]) ->
             "check whether the drive works within its limits, and whether deadlines were missed", figures,
         )  # fmt: skip
     if len(signs) > 1:
-        either, other = (" and ".join(_named(name) for name in one) for one in signs)
+        named = {"drive": "the drive", "cart": "the cart's scale"}
+        either, other = (" and ".join(named.get(name, f"the encoder of {name}") for name in one) for one in signs)
         return wrong(
             f"either {either} are reversed, or {other}: the readings are the same",
             "check in which direction the cart goes first: to the right means that its drive is correct",
@@ -1066,28 +1058,19 @@ def _direction(drive: DriveFit, wiring: Wiring, signs: list[tuple[str, ...]]) ->
 
 
 _DEGREES = 180 / math.pi
-_LIKELY = (1.0, 2.0, 4.0, 0.5, 0.25, _DEGREES)
-
-
-def _plain_factor(size: float) -> float:
-    """Return the likely factor of a fault, 1 for none.
-
-    Its measured value `size` is as accurate as the model.
-    """
-    nearest = min(_LIKELY, key=lambda one: abs(math.log(one / size)))
-    return nearest if abs(size / nearest - 1) <= _FACTOR else size
+_LIKELY = np.array([1.0, 2.0, 4.0, 0.5, 0.25, _DEGREES])
 
 
 def _scales(wiring: Wiring, gain: float) -> Array:
-    """Return the likely factor (n,) of each encoder, 1 without a fault, NaN if friction hides it."""
-    sizes = np.abs(wiring.factors * (gain if _cart_scale(gain, wiring.factors) else 1.0))
-    likely = np.array([_plain_factor(max(float(size), _STUCK)) for size in sizes])
+    """Return the likely factor (n,) of each encoder, 1 without a fault, NaN if friction hides it.
+
+    A measured factor is as accurate as the model.
+    """
+    sizes = np.maximum(np.abs(wiring.factors * (gain if _cart_scale(gain, wiring.factors) else 1.0)), _STUCK)
+    nearest = _LIKELY[np.argmin(np.abs(np.log(_LIKELY / sizes[:, None])), axis=1)]
+    likely = np.where(np.abs(sizes / nearest - 1) <= _FACTOR, nearest, sizes)
     doubtful = (likely != 1) & (np.abs(sizes - 1) < _FACTOR + 3 * wiring.errors)
     return np.where(wiring.unknown | doubtful, np.nan, likely)
-
-
-def _named(name: str) -> str:
-    return {"drive": "the drive", "cart": "the cart's scale"}.get(name, f"the encoder of {name}")
 
 
 def _lateness(drive: DriveFit, settings: LoopSettings, period: float, changes: dict[str, Any]) -> Finding:
@@ -1133,9 +1116,8 @@ def _zeros(
 ) -> Finding:  # fmt: skip
     """Judge the readings of hanging arms."""
     off, errors = swing.zeros
-    noise = float(np.median(np.abs(np.diff(session.angles(), axis=0)))) / 0.954
     sentence = f"hanging still, the arms read {', '.join(map(_with_error, off, errors))} rad"
-    figures = {"zeros": off.tolist(), "zero_errors": errors.tolist(), "noise": noise}
+    figures = {"zeros": off.tolist(), "zero_errors": errors.tolist()}
     if np.any(_stuck(wiring)):
         return Finding("still", Grade.UNSURE, "the arms' zeros cannot be determined while an encoder does not count",
                        "fix the encoder and start again", figures)  # fmt: skip
@@ -1227,7 +1209,7 @@ def _encoders(wiring: Wiring, swing: CommissioningSwing, signs: list[tuple[str, 
         ))  # fmt: skip
     if found:
         return found
-    shown = ", ".join(f"{d:.2f}" for d in factors)
+    shown = ", ".join(f"{factor:.2f}" for factor in factors)
     sentence = f"{joint} encoders in order, each with its sign; they show {shown} of the model's swing"
     return [Finding("encoders", Grade.OK, sentence, "", figures)]
 
@@ -1248,18 +1230,17 @@ def _counts(
         return Finding("counts", Grade.OK if not said else Grade.UNSURE, sentence,
                        "" if not said else f"check that the encoders have {said:,} counts per turn, as in [run]",
                        figures)  # fmt: skip
-    shown = " and ".join(f"{count:,}" if count else "unknown" for count in seen)
+    # [run] has one number for all encoders: that of the coarsest.
+    coarsest, shown = min(measured), " and ".join(f"{count:,}" if count else "unknown" for count in seen)
     sentence = f"the encoders show {shown} counts per turn"
-    if said and all(abs(count / said - 1) < 0.02 for count in measured):
-        return Finding("counts", Grade.OK if all(seen) else Grade.UNSURE, f"{sentence}, as in [run]",
+    if said and (abs(coarsest / said - 1) < 0.02 or (coarsest > said and not all(seen))):
+        return Finding("counts", Grade.OK if all(seen) else Grade.UNSURE, f"{sentence}, and [run] has {said:,}",
                        "" if all(seen) else "loosen the joints: friction hides the others", figures)  # fmt: skip
-    differs = f"{sentence}, but [run] has {f'{said:,}' if said else 'no rounding'}"
-    if not all(seen) or max(measured) > 1.02 * min(measured):
-        return Finding("counts", Grade.WRONG, differs, "set counts in [run] to a number that is right for all encoders",
-                       figures, mended=True)  # fmt: skip
-    changes["counts"] = min(measured)
-    return Finding("counts", Grade.WRONG, differs, f"set counts = {min(measured)} in [run], as --write does", figures,
-                   mended=True)  # fmt: skip
+    changes["counts"] = coarsest
+    return Finding(
+        "counts", Grade.WRONG, f"{sentence}, but [run] has {f'{said:,}' if said else 'no rounding'}",
+        f"set counts = {coarsest} in [run], as --write does", figures, mended=True,
+    )  # fmt: skip
 
 
 _SPAN, _SHORTEST = 0.1, 0.06
@@ -1334,9 +1315,9 @@ def _play(angles: Array, period: float, wiring: Wiring, settings: LoopSettings, 
     shown = " and ".join(_with_error(1e3 * play, 1e3 * error) for play, error in found)
     seen = np.where(plays > np.maximum(least, 3 * errors), np.round(plays, 5), 0.0)
     if np.all(np.abs(plays - known) <= np.maximum(3 * errors, np.maximum(least, 0.2 * known))):
-        sentence = f"the encoders have a play of {shown} mrad, as in [run]"
-        none = f"the encoders show no play beyond {1e3 * least.max():.2g} mrad"
-        return Finding("play", Grade.OK, sentence if known.any() else none, "", figures)
+        same = f"have a play of {shown} mrad, as in [run]"
+        none = f"show no play beyond {1e3 * least.max():.2g} mrad"
+        return Finding("play", Grade.OK, f"the encoders {same if known.any() else none}", "", figures)
     changes["play"] = seen.tolist()
     said = " and ".join(f"{1e3 * play:g}" for play in known)
     return Finding(
@@ -1370,17 +1351,15 @@ def _friction(swing: CommissioningSwing, arms: ArmChainParameters, settings: Loo
     said = np.array(own.of_each("stiction", arms.count)) * own.kinetic + (arms.coulomb or 0.0)
     least = np.maximum(_FRICTION * arms.base()[arms.count * (arms.count + 1) // 2 :][: arms.count].max(), 3 * errors)
     figures = {"torques": torques.tolist(), "errors": errors.tolist()}
-    if np.all(torques < least) and not said.any():
-        none = f"the joints show no dry friction beyond {1e3 * least.max():.1g} mN m"
-        return Finding("friction", Grade.OK, none, "", figures)
     shown = " and ".join(_with_error(1e3 * torque, 1e3 * error) for torque, error in zip(torques, errors, strict=True))
     sentence = f"the joints have a dry friction of {shown} mN m"
     if np.all(np.abs(torques - said) < np.maximum(least, 0.5 * said)):
-        return Finding("friction", Grade.OK, f"{sentence}, as in [run] and the model", "", figures)
-    extra = np.maximum(torques - (arms.coulomb or 0.0), 0) / max(own.kinetic, 0.1)
-    remedy = (
-        f"set stiction = {[float(f'{v:.2g}') for v in extra]} in [run], or identify the model (`dpcontrol identify`)"
-    )
+        none = f"the joints show no dry friction beyond {1e3 * least.max():.1g} mN m"
+        known = f"{sentence}, as in [run] and the model" if said.any() else none
+        return Finding("friction", Grade.OK, known, "", figures)
+    breakaway = np.maximum(torques - (arms.coulomb or 0.0), 0) / max(own.kinetic, 0.1)
+    values = ", ".join(f"{torque:.2g}" for torque in breakaway)
+    remedy = f"set stiction = [{values}] in [run], or identify the model (`dpcontrol identify`)"
     return Finding("friction", Grade.UNSURE, sentence, remedy, figures)
 
 
@@ -1391,9 +1370,8 @@ _DETUNING, _FASTER, _LEAST_DAMPING = 0.05, 5.0, 0.01
 def _model(swing: CommissioningSwing, wiring: Wiring, arms: ArmChainParameters) -> Finding:
     """Compare the arms' frequencies and viscous dampings with the model's."""
     frequencies = modes(arms).frequencies * swing.ratios / 2 / np.pi
-    hertz = ", ".join(f"{frequency:.3f}" for frequency in frequencies)
     shares = ", ".join(f"{100 * (r - 1):+.1f} %" for r in swing.ratios)
-    sentence = f"the arms swing at {hertz} Hz, {shares} off the model's"
+    sentence = f"the arms swing at {', '.join(f'{f:.3f}' for f in frequencies)} Hz, {shares} off the model's"
     viscous, errors = swing.viscous
     surely = replace(arms, viscous=tuple(np.maximum(viscous - 3 * errors, 0.0).tolist()))
     figures = {"frequencies": frequencies.tolist(), "viscous": viscous.tolist(),
@@ -1411,18 +1389,10 @@ _ACCELERATE, _STOPPING = 0.3, 1.0
 """Accelerations towards the switches, and after a response, m/s²."""
 
 
-def _tried_switches(session: _Session, most: float, limits: Limits, options: CommissioningSettings) -> list[Finding]:
-    """Creep to each side until the switch responds, and return.
-
-    One finding for each side.
-    """
-    session.reach = most + REACH
-    return [_tried_switch(session, side, name, most, limits, options) for side, name in ((1, "right"), (-1, "left"))]
-
-
 def _tried_switch(
     session: _Session, side: int, name: str, most: float, limits: Limits, options: CommissioningSettings
 ) -> Finding:
+    """Creep to a side until the switch responds, and return."""
     answer, at = _creep(session, side, most, options.creep)
     _return(session, options)
     figures = {"side": name, "answer": answer, "position": at}
