@@ -203,7 +203,9 @@ def _check(file: Path) -> Answer:
         found = check_file(file, progress)
     if not found.proved:
         return Answer(found._asdict(), [found.status], found.status)
-    return Answer(found._asdict(), [f"checked: {found.status}", f"  in the file's words: {found.statement}"])
+    return Answer(
+        found._asdict(), [f"checked: {found.status}", *(f"  {one}" for one in str(found.statement).splitlines())]
+    )
 
 
 def _answer(proof: "Proof", out: Path | None) -> Answer:

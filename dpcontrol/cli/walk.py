@@ -329,7 +329,7 @@ def _answer_text(number: int, answer: "WalkAnswer", file: Path | None) -> Iterat
     h = "not measured" if estimate.kantorovich is None else f"{estimate.kantorovich:.1e}"
     radius = "unknown, as h ≥ 1/2" if estimate.radius is None else f"{estimate.radius:.1e}"
     yield (
-        f"  estimate: condition {estimate.condition:.1e}, Kantorovich h {h}, distance from the true orbit {radius}, "
+        f"  estimate: condition {estimate.condition:.1e}, Kantorovich h {h}, radius without rounding {radius}, "
         f"energy error {estimate.energy_error:.1e}"
     )
     if estimate.multipliers is not None:

@@ -26,10 +26,8 @@ import numpy as np
 from dpcontrol.control.ekf import Layout
 from dpcontrol.foundation.arrays import Array
 
-_TIME, _PERIODS = 0.008, 1.5
-"""Time constant T of the observers, s and at least periods."""
-_LATER = 0.02
-"""Additional lag of a working drive, s."""
+_TIME, _PERIODS, _LATER = 0.008, 1.5, 0.02
+"""Time constant T of the observers, s and at least periods, and the additional lag of a working drive, s."""
 _FOLLOWED, _LASTS = 0.25, 3.5
 """Response below which a cart does not follow, and the duration of this, in T."""
 _STAYS, _FADES = 0.6, 3.0
@@ -44,32 +42,15 @@ _COUNTS, _SIGMAS, _ACCELERATION = 2.0, 6.0, 1.0
 class CartReading(NamedTuple):
     """The cart in a tick.
 
-    fresh: 1 if the cart was measured. repeats: 1 if its reading is the last one. moved (n+1,): changes of the readings
-    since the last ones, rad and m. ahead m: the cart's motion during the reading's age. count m: of the scale.
-    variance m²: of the reading. noise m/s²: on each command.
+    fresh: 1 if it was measured. repeats: 1 if its reading is the last one. moved (n+1,): changes of the readings since
+    the last ones, rad and m. ahead m: the cart's motion during the reading's age. visible m: see `DriveWatch.visible`.
     """
 
     fresh: ca.SX
     repeats: ca.SX
     moved: ca.SX
     ahead: ca.SX
-    count: ca.SX
-    variance: ca.SX
-    noise: ca.SX
-
-
-class DriveFinding(NamedTuple):
-    """The decision on a drive.
-
-    unfollowed: 1 if the cart does not follow. against: 1 if it moves against the commands. lasts s: duration so far.
-    doubt: sum over this time and constant readings, negative if the arms contradict the commands, 0 if they are
-    unknown.
-    """
-
-    unfollowed: ca.SX
-    against: ca.SX
-    doubt: ca.SX
-    lasts: ca.SX
+    visible: ca.SX
 
 
 @dataclass(frozen=True)
@@ -92,22 +73,43 @@ class DriveWatch:
 
         arms, driven (2n): r and s, rad, and their rates, rad/s.
 
-        peak: recent maximum of b - y sign(c), m. lasts: time that the cart has not followed, s. against m², doubt
-        rad²: see `DriveFinding`.
+        peak: recent maximum of b - y sign(c), m. lasts: time that the cart has not followed, s. against,
+        doubt: sums over this time, m² and rad², negative if the cart moves against the commands, and if the arms
+        contradict them.
         """
         arms = 2 * self.arms
         return Layout(
             read=2, due=2, late=2, lagged=1, arms=arms, driven=arms, peak=1, lasts=1, against=1, doubt=1,
         )  # fmt: skip
 
-    _observers = ("read", "due", "late", "arms", "driven")
+    def parts(self, memory: ca.SX) -> dict[str, ca.SX]:
+        """Return the parts of a memory by their names.
 
-    def _parts(self, memory: ca.SX) -> dict[str, ca.SX]:
+        Args:
+            memory: memory of the watch.
+        """
         return {name: memory[where] for name, where in self.memory.slices.items()}
 
     @property
-    def _time(self) -> float:
+    def time(self) -> float:
+        """Time constant T of the observers, s."""
         return max(_TIME, _PERIODS * self.period)
+
+    @property
+    def longest(self) -> float:
+        """Time without following that proves a fault, s."""
+        return _LASTS * self.time
+
+    def visible(self, count: ca.SX, variance: ca.SX, noise: ca.SX) -> ca.SX:
+        """Return the least b that must be visible, m.
+
+        Args:
+            count: count of the scale, m.
+            variance: variance of its readings, m².
+            noise: standard deviation of the noise on each command, m/s².
+        """
+        variance = variance + noise**2 * self.period * self.time**3 / 4
+        return _COUNTS * count + _SIGMAS * ca.sqrt(variance) + _ACCELERATION * self.time**2
 
     def start(self, velocity: float, rates: Array) -> Array:
         """Return the memory (size,) at the start of a run.
@@ -118,44 +120,38 @@ class DriveWatch:
         """
         return self.memory.filled({"read": np.array([0.0, -velocity]), "arms": np.append(0 * rates, -rates)})
 
-    def judged(self, memory: ca.SX, cart: CartReading) -> tuple[DriveFinding, ca.SX]:
-        """Return the finding after a reading, and the memory before the next command.
+    def judged(self, memory: ca.SX, cart: CartReading) -> ca.SX:
+        """Return the memory after a reading and before the next command.
 
         Args:
             memory: memory of the watch.
             cart: the cart's reading.
         """
-        m, time, n = self._parts(memory), self._time, self.arms
-        gaps = {name: m[name][: m[name].shape[0] // 2] for name in self._observers}
-        gaps["read"] += cart.moved[n]
-        gaps["arms"] += cart.moved[:n]
-        noise = cart.variance + cart.noise**2 * self.period * time**3 / 4
-        visible = _COUNTS * cart.count + _SIGMAS * ca.sqrt(noise) + _ACCELERATION * time**2
-        due, late = gaps["due"], gaps["late"]
+        m = self.parts(memory)
+        gaps = {name: m[name][: m[name].shape[0] // 2] for name in _OBSERVERS}
+        gaps["read"] += cart.moved[self.arms]
+        gaps["arms"] += cart.moved[: self.arms]
+        due, late, read = gaps["due"], gaps["late"], gaps["read"] + cart.ahead
         least = ca.if_else(due * late > 0, ca.fmin(ca.fabs(due), ca.fabs(late)), 0)
-        read = gaps["read"] + cart.ahead
         along = ca.if_else(due > 0, read, -read)
-        seen = least >= visible
+        short, seen = ca.fmax(least - along, 0), least >= cart.visible
+        peak = ca.fmax(short, float(np.exp(-self.period / (_FADES * self.time))) * m["peak"])
         follows = ca.logic_and(seen, along >= _FOLLOWED * least)
-        short = ca.fmax(least - along, 0)
-        peak = ca.fmax(short, float(np.exp(-self.period / (_FADES * time))) * m["peak"])
-        m["peak"] = ca.if_else(cart.fresh, peak, m["peak"])
         astray = ca.logic_and(ca.logic_and(seen, ca.logic_not(follows)), short >= _STAYS * peak)
         doubt = ca.dot(gaps["arms"] + gaps["driven"] / 2, gaps["driven"])
-        for name, more, counts in (
-            ("lasts", self.period, astray), ("against", (4 * along + least) * least, astray),
-            ("doubt", doubt, ca.logic_or(astray, ca.logic_and(cart.repeats, ca.logic_not(seen)))),
-        ):  # fmt: skip
-            after = ca.if_else(counts, m[name] + more, ca.if_else(follows, 0, m[name]))
-            m[name] = ca.if_else(cart.fresh, after, m[name])
+        after = {"peak": peak} | {
+            name: ca.if_else(counts, m[name] + more, ca.if_else(follows, 0, m[name]))
+            for name, more, counts in (
+                ("lasts", self.period, astray), ("against", (4 * along + least) * least, astray),
+                ("doubt", doubt, ca.logic_or(astray, ca.logic_and(cart.repeats, ca.logic_not(seen)))),
+            )
+        }  # fmt: skip
+        keeps = float(np.exp(-self.period / self.time))
+        for name, gap in (gaps | {"read": read}).items():
+            rate = m[name][gap.shape[0] :] - (1 - keeps) ** 2 / self.period * gap
+            after[name] = ca.vertcat(gaps[name] - (1 - keeps**2) * gap, rate)
         # Without a reading, no observer is corrected.
-        keeps = float(np.exp(-self.period / time))
-        for name, gap in gaps.items():
-            error = ca.if_else(cart.fresh, read if name == "read" else gap, 0)
-            rate = m[name][gap.shape[0] :] - (1 - keeps) ** 2 / self.period * error
-            m[name] = ca.vertcat(gap - (1 - keeps**2) * error, rate)
-        unfollowed = m["lasts"] >= _LASTS * time - self.period / 2
-        return DriveFinding(unfollowed, m["against"] < 0, m["doubt"], m["lasts"]), self.memory.joined(m)
+        return self.memory.joined(m | {name: ca.if_else(cart.fresh, value, m[name]) for name, value in after.items()})
 
     def commanded(self, memory: ca.SX, acting: ca.SX, swing: ca.SX, driven: ca.SX) -> ca.SX:
         """Return the memory at the next reading.
@@ -164,11 +160,15 @@ class DriveWatch:
             memory: memory before the command.
             acting: acceleration of the cart that the commands demand until then, m/s².
             swing: modelled accelerations (n,) of the arms until then, rad/s².
-            driven: the part (n,) of these that is due to the commands, rad/s², 0 if it is unknown.
+            driven: the part (n,) of these that is due to the commands, rad/s².
         """
-        m, period = self._parts(memory), self.period
+        m, period = self.parts(memory), self.period
         m["lagged"] = acting + float(np.exp(-period / _LATER)) * (m["lagged"] - acting)
-        for name, acceleration in zip(self._observers, (ca.SX(0), acting, m["lagged"], -swing, driven), strict=True):
+        for name, acceleration in zip(_OBSERVERS, (ca.SX(0), acting, m["lagged"], -swing, driven), strict=True):
             gap, rate = ca.vertsplit(m[name], m[name].shape[0] // 2)
             m[name] = ca.vertcat(gap + rate * period + acceleration * period**2 / 2, rate + acceleration * period)
         return self.memory.joined(m)
+
+
+_OBSERVERS = ("read", "due", "late", "arms", "driven")
+"""Parts of the memory that are errors of observers, with their rates."""

@@ -211,8 +211,7 @@ def _regulator(
     from control import dlqr
 
     n, parameters = model.arms, model.parameters.copy()
-    first = n * (n + 1) // 2 + 2 * n
-    parameters[first : first + n] += damping * np.array(damping_scales(parameters, n))
+    parameters[n * (n + 1) // 2 + 2 * n :][:n] += damping * np.array(damping_scales(parameters, n))
     a, b = (v[0] for v in model.lagging(*model.linearised(x[None, :], np.zeros(1), parameters=parameters)))
     weights, effort = settings.weights(n, model.period)
     try:
@@ -220,7 +219,7 @@ def _regulator(
         gain, cost, values = dlqr(a, b[:, None], on_state, np.array([[effort]]))
     except (np.linalg.LinAlgError, ValueError) as error:
         raise GoalMissed(f"the equilibrium cannot be held: {error}") from error
-    return a, b, np.asarray(gain)[0], cost, values
+    return a, b, np.asarray(gain)[0], cost, np.asarray(values)
 
 
 def assumed_damping(model: SampledModel, x: Array, settings: HoldSettings, *, most: float) -> float:

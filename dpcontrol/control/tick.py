@@ -210,8 +210,8 @@ _AT_SIDE, _IN_PLAY = 0.3, 10.0
 The first is for a joint that moves its encoder and allows for errors of the play. The second is for other joints, whose
 readings are constant for some time.
 """
-_FASTEST = 1.1
-"""Largest velocity of the cart over the drive's limit."""
+_FASTEST, _LIMITED = 1.1, 0.9
+"""Largest velocity of the cart over the drive's limit, and that from which the limit changes commands."""
 _SHAPED_DAMPING = 1.0
 """Damping ratio of a belt with shaped commands."""
 _UNSEEN = 0.2
@@ -887,23 +887,26 @@ class TickEquations:
 
         stuck: the same two of the sensors' watch.
         """
-        m, c, n, (sensor, watch) = known.memory, known.numbers, self.filter.arms, stuck
-        present, step = known.reading["present"], watch["step"][n]
-        v = ca.if_else(_finite(e["z"][2 * n + 1]), e["z"][2 * n + 1], 0)
+        m, c, n, (sensor, watch), period = known.memory, known.numbers, self.filter.arms, stuck, self.filter.period
+        v, step = e["z"][2 * n + 1], watch["step"][n]
+        v = ca.if_else(_finite(v), v, 0)
         moved = [ca.if_else(_finite(m["last"][i]), watch["last"][i] - m["last"][i], 0) for i in range(n + 1)]
-        angles = ca.DM(np.tril(np.ones((n, n)))) @ ca.vertcat(*moved[:n])
+        moved = ca.vertcat(ca.DM(np.tril(np.ones((n, n)))) @ ca.vertcat(*moved[:n]), moved[n])
         count = ca.fmax(ca.if_else(step <= _BIG, step, 0), c["scale"])
-        variance, noise = c["noise"][-1] + e["timing"] * v**2, ca.fmax(c["drive_noise"], _COMMAND_NOISE)
-        fresh = _all(*(present[i] for i in range(n + 1)))
-        cart = CartReading(
-            fresh, watch["same"][n] > 0, ca.vertcat(angles, moved[n]), known.reading["age"] * v, count, variance, noise
-        )
-        found, memory = self.drive.judged(m["drive_watch"], cart)
+        # The accelerations of a drive near its greatest velocity are not known.
+        limited = ca.fabs(v) >= _LIMITED * c["velocity"]
+        variance = ca.if_else(limited, _BIG, c["noise"][-1] + e["timing"] * v**2)
+        visible = self.drive.visible(count, variance, ca.fmax(c["drive_noise"], _COMMAND_NOISE))
+        fresh = _all(*(known.reading["present"][i] for i in range(n + 1)))
+        cart = CartReading(fresh, watch["same"][n] > 0, moved, known.reading["age"] * v, visible)
+        memory = self.drive.judged(m["drive_watch"], cart)
+        found = self.drive.parts(memory)
+        unfollowed = found["lasts"] >= self.drive.longest - period / 2
         # Arms that move by the commands contradict a constant reading of the scale, not the drive.
-        constant = watch["same"][n] * self.filter.period >= found.lasts - self.filter.period / 2
-        by_scale = _all(found.unfollowed, constant, found.doubt > 0)
-        by_drive = _any(_all(found.unfollowed, ca.logic_not(by_scale)), _all(ca.eq(sensor, n + 1), found.doubt < 0))
-        outcome = ca.if_else(found.against, int(Outcome.DRIVE_REVERSED), int(Outcome.DRIVE_OFF))
+        constant = watch["same"][n] * period >= found["lasts"] - period / 2
+        by_scale = _all(unfollowed, constant, found["doubt"] > 0)
+        by_drive = _any(_all(unfollowed, ca.logic_not(by_scale)), _all(ca.eq(sensor, n + 1), found["doubt"] < 0))
+        outcome = ca.if_else(found["against"] < 0, int(Outcome.DRIVE_REVERSED), int(Outcome.DRIVE_OFF))
         sensor = ca.if_else(by_drive, 0, ca.if_else(by_scale, n + 1, sensor))
         return ca.if_else(by_drive, outcome, 0), sensor, {**watch, "drive_watch": memory}
 

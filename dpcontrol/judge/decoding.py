@@ -94,10 +94,11 @@ def judged_from(notes: PlanNotes) -> float:
     Args:
         notes: notes of the plan.
     """
-    lowest = min(saddle["energy"] for saddle in notes["saddles"].values())
-    hangs = notes["saddles"][notes["stops"][0]["saddle"]]["energy"] == lowest
-    begin = notes["transfers"][0][0] if hangs and notes["transfers"] else 0.0
-    return begin if begin <= REST_BEFORE + _GRID else 0.0
+    begin = min((begin for begin, _ in notes["transfers"]), default=np.inf)
+    if begin > REST_BEFORE + _GRID:
+        return 0.0
+    lowest = min(notes["saddles"].values(), key=lambda saddle: saddle["energy"])
+    return begin if notes["saddles"][notes["stops"][0]["saddle"]] == lowest else 0.0
 
 
 def shortest_period(notes: PlanNotes) -> float:

@@ -115,7 +115,7 @@ class WalkStory:
         parts = [f"{'period' if orbit.periodic else 'lasts'} {orbit.duration:.3f}{orbit.system.unit('s')}"]
         parts.append(f"largest gap at a node {orbit.residual:.1e}")
         if estimate is not None and estimate.radius is not None:
-            parts.append(f"estimated distance from the true orbit {estimate.radius:.1e}")
+            parts.append(f"Kantorovich radius without rounding {estimate.radius:.1e}")
         if estimate is not None and estimate.multipliers is not None:
             sign = "−" if estimate.multipliers.sign < 0 else ""
             parts.append(f"unstable multiplier {sign}exp({estimate.multipliers.log_unstable:.4g})")

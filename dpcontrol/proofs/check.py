@@ -15,6 +15,8 @@ H(x_0 + ε v) = H(x_0) along a solution and ∇H·v has a sign, ε vanishes.
 A symbol's claims are then checked in the boxes of all steps: its section crossings, the lifted saddle at its stop, the
 nearest connection at its node, and its wraps.
 
+The statement is composed from the certificate's numbers. A certificate with another statement is rejected.
+
 A certificate includes a digest of its content to detect accidental changes, on which the proof does not depend.
 
 Source: Moore, Kearfott, Cloud, Introduction to Interval Analysis (2009), chapter 10.
@@ -35,9 +37,10 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import checked_source
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.proofs.balls import NotClosed, flint, fraction, identity, largest, number, symmetric, working
+from dpcontrol.proofs.statements import statement
 from dpcontrol.proofs.symbols import Enclosed, check_symbols
 
-FORMAT = "dpcontrol proof 2"
+FORMAT = "dpcontrol proof 3"
 _BITS, _ORDER, _BOX_ORDER, _REMAINDER = 140, 18, 7, "1e-18"
 _LONGEST, _SHORTEST, _MOST_STEPS, _MOST_NODES = Fraction(1, 128), Fraction(1, 2**20), 30_000, 500
 """Steps in s, and limits on the work that a file can cause."""
@@ -269,7 +272,7 @@ def check(certificate: Mapping[str, Any], progress: Progress = no_progress) -> C
             raise NotClosed("its digest does not match its content, or its format is unknown")
         with working(_BITS):
             own = _SYSTEMS[certificate["system"]["equations"]](certificate["system"])
-            return CertificateCheck(True, _checked(own, certificate, progress), str(certificate["statement"]))
+            return CertificateCheck(True, "the certificate proves its statement", _checked(own, certificate, progress))
     except (NotClosed, LookupError, TypeError, ValueError, AttributeError, ArithmeticError, RecursionError) as error:
         invalid = "" if isinstance(error, NotClosed) else f"a value is missing or invalid, {type(error).__name__}: "
         return CertificateCheck(
@@ -320,18 +323,16 @@ def _middle(matrix: Any) -> Any:
 
 
 def _checked(own: _Flow, data: Mapping[str, Any], progress: Progress) -> str:
+    """Return the statement of a certificate after proving it."""
     nodes, normals = ([[number(v) for v in row] for row in data[key]] for key in ("nodes", "normals"))
     durations, scale = [fraction(v) for v in data["durations"]], [number(v) for v in data["scale"]]
     turns, unique, exists = [int(v) for v in data["turns"]], number(data["unique"]), number(data["exists"])
-    count, last, flights = len(nodes), 5 * len(nodes), []
+    count, last, flights, said = len(nodes), 5 * len(nodes), list[Any](), statement(data)
     sizes = {len(nodes), len(normals), len(durations)}, {len(v) for v in [*nodes, *normals, scale, turns]}
     if count > _MOST_NODES or sum(durations) > _MOST_STEPS * _LONGEST:
         raise NotClosed(f"its orbit has more than {_MOST_NODES} nodes or {float(_MOST_STEPS * _LONGEST):.0f} s")
-    claims = data["symbols"]
-    names, wraps = ", ".join(one["symbol"] for one in claims), [one["wraps"] for one in claims]
-    said = f" at the energy {data['energy']}" + f" that follows {names} with wraps {wraps}" * bool(claims)
-    if not data["statement"].endswith(said):
-        raise NotClosed("its statement is not that of its energy and symbols")
+    if data["statement"] != said:
+        raise NotClosed("its statement is not that of its numbers")
     positive = count > 1 and 0 < exists <= unique and min(durations) > 0 and all(s > 0 for s in scale)
     if sizes != ({count}, {4}) or not positive or any(turns[own.angles :]):
         raise NotClosed("its nodes, normals, durations, turns or radii are inconsistent")
@@ -359,6 +360,23 @@ def _checked(own: _Flow, data: Mapping[str, Any], progress: Progress) -> str:
     start = [c + d for c, d in zip(nodes[0], spread.entries(), strict=True)]
     residual[last] = own.energy(nodes[0]).value - number(data["energy"])
     matrix[last][:4] = [p * s for p, s in zip(own.energy(start).partials, scale, strict=True)]
+    _check_solution(matrix, residual, exists)
+    moved = [x + p * symmetric(unique) for x, p in zip(start, push, strict=True)]
+    if sum((a * b for a, b in zip(own.energy(moved).partials, push, strict=True)), flint.arb(0)).contains(0):
+        raise NotClosed("the energy does not determine the orbit")
+    _check_bounds(data, number(sum(durations)) + count * symmetric(exists), maps)
+    near = [[c + symmetric(s * exists) for c, s in zip(node, scale, strict=True)] for node in nodes]
+    times, angles = [number(v) + symmetric(exists) for v in durations], [k < own.angles for k in range(4)]
+    if data["symbols"]:
+        check_symbols(
+            data["symbols"],
+            Enclosed(flights, near, times, turns, angles, scale, lambda box: own.slopes(box)[0]),
+        )
+    return said
+
+
+def _check_solution(matrix: Sequence[Sequence[Any]], residual: Sequence[Any], exists: Any) -> None:
+    """Apply Newton–Kantorovich to the derivative over the ball and the residual at the nodes."""
     square = flint.arb_mat(matrix)
     inverse = flint.arb_mat(np.linalg.inv(_middle(square)).tolist())
     off = (inverse * square).tolist()
@@ -368,25 +386,12 @@ def _checked(own: _Flow, data: Mapping[str, Any], progress: Progress) -> str:
     first = largest((inverse * flint.arb_mat([[v] for v in residual])).entries())
     if not (contraction < 1 and first <= (1 - contraction) * exists):
         raise NotClosed("Newton–Kantorovich does not prove an orbit within `exists` of its nodes")
-    moved = [x + p * symmetric(unique) for x, p in zip(start, push, strict=True)]
-    if sum((a * b for a, b in zip(own.energy(moved).partials, push, strict=True)), flint.arb(0)).contains(0):
-        raise NotClosed("the energy does not determine the orbit")
-    period, (low, high) = number(sum(durations)) + count * symmetric(exists), map(number, data["period"])
+
+
+def _check_bounds(data: Mapping[str, Any], period: Any, maps: Sequence[Any]) -> None:
+    """Prove the bounds of a closed orbit's duration and multiplier from its derivatives."""
+    low, high = map(number, data["period"])
     least, pair = number(data["multiplier_exceeds"]), abs(_trace_of_product(maps) - 2)
     # λ + 1/λ grows with |λ| > 1.
     if not (low <= period and period <= high and least >= 1 and pair > least + 1 / least):
         raise NotClosed("its period or its multiplier is not proved to be within its bounds")
-    if claims:
-        near = [[c + symmetric(s * exists) for c, s in zip(node, scale, strict=True)] for node in nodes]
-        times = [number(v) + symmetric(exists) for v in durations]
-        check_symbols(
-            claims,
-            Enclosed(
-                flights, near, times, turns, [k < own.angles for k in range(4)], scale, lambda box: own.slopes(box)[0]
-            ),
-        )
-    return (
-        f"exactly one periodic orbit crosses the {count} planes within {data['unique']} of the nodes (scaled); it is "
-        f"within {data['exists']}, its period lies in its bounds, its multiplier exceeds "
-        f"{data['multiplier_exceeds']}" + f", and it follows its {len(claims)} symbols" * bool(claims)
-    )

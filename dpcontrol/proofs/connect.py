@@ -24,6 +24,7 @@ relations, cone conditions and the stable manifold theorem (2009).
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import reduce
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -193,7 +194,7 @@ def link(
     slope = reduce(lambda cone, one: _forward(one, cone)[0], found[: middle + 1], source.grows[first - 1])
     back = reduce(lambda cone, one: _backward(one, cone)[0], found[:middle:-1], target.shrinks[following])
     section, flight = described(connection.section), [box for one in found for box in one.spans]
-    if crossings(section, flight, surface.field.rates) != sum(connection.hits) - 1:
+    if len(crossings(section, flight, surface.field.rates)) != sum(connection.hits) - 1:
         raise NotClosed("the number of its section crossings does not match its hits")
     # The leg after the one that ends at the section begins with the states there.
     state = found[middle + 1].start
@@ -233,6 +234,23 @@ def _angle(
     return met.time, flint.arb.atan2(across, abs(a * c + b * d)) * 180 / flint.arb.pi()
 
 
+def check_distinct(surface: Surface, links: Sequence[CoveringRelation]) -> None:
+    """Prove that links on one section are distinct.
+
+    Args:
+        surface: energy surface.
+        links: proved connections (L,).
+
+    Raises:
+        NotClosed: two links are not proved to be distinct.
+    """
+    for one, other in combinations(links, 2):
+        states = zip(one.state, other.state, surface.turns, strict=True)
+        gaps = [folded(a - b, 2 * flint.arb.pi()) if turns else a - b for a, b, turns in states]
+        if all(gap.contains(0) for gap in gaps):
+            raise NotClosed(f"{one.connection.name} and {other.connection.name} are not proved to be distinct")
+
+
 def horseshoe(surface: Surface, boxes: Boxes, links: Sequence[CoveringRelation]) -> tuple[list[list[int]], Any]:
     """Return the horseshoe of links between one orbit's boxes.
 
@@ -251,21 +269,15 @@ def horseshoe(surface: Surface, boxes: Boxes, links: Sequence[CoveringRelation])
     Args:
         surface: energy surface.
         boxes: boxes of the orbit.
-        links: proved homoclinic connections (L,).
+        links: proved homoclinic connections (L,), which are distinct.
 
     Raises:
-        NotClosed: a duration does not determine its wraps, or two links are not proved to be distinct.
+        NotClosed: a duration does not determine its wraps.
     """
     legs, count = [one.time for one in boxes.segments], len(boxes.segments)
     spans = [box for one in boxes.segments for box in one.spans]
-    for k, one in enumerate(links):
-        if crossings(described(one.connection.section), spans, surface.field.rates):
-            raise NotClosed("the orbit's boxes meet a section")
-        for other in links[:k]:
-            states = zip(one.state, other.state, surface.turns, strict=True)
-            gaps = [folded(a - b, 2 * flint.arb.pi()) if turns else a - b for a, b, turns in states]
-            if all(gap.contains(0) for gap in gaps):
-                raise NotClosed(f"{one.connection.name} and {other.connection.name} are not proved to be distinct")
+    if any(crossings(described(one.connection.section), spans, surface.field.rates) for one in links):
+        raise NotClosed("the orbit's boxes meet a section")
 
     def way(here: int, there: int) -> Any:
         """Return the time (s) between two boxes of the orbit."""

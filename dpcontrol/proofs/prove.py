@@ -1,7 +1,7 @@
 """Statements about a system at one energy, and their proofs.
 
-`Proof` holds the verdict in words: "proved", or "not proved" with the step that does not close and what may help. An
-enclosure that does not close disproves nothing.
+`Proof` holds the verdict in words: "proved", or "not proved" with the step that does not close and the sizes that were
+tried. An enclosure that does not close disproves nothing.
 """
 
 import time
@@ -25,7 +25,7 @@ from dpcontrol.plans.model import ModelSystem
 from dpcontrol.proofs.balls import NotClosed, ball, bound, decimal, flint, located, symmetric, working
 from dpcontrol.proofs.charts import ChartSegment, Surface
 from dpcontrol.proofs.check import FORMAT, digest
-from dpcontrol.proofs.connect import horseshoe, link, orbit_boxes
+from dpcontrol.proofs.connect import check_distinct, horseshoe, link, orbit_boxes
 from dpcontrol.proofs.flow import Field, FlowSettings
 from dpcontrol.proofs.periodic import (
     Chain,
@@ -38,32 +38,25 @@ from dpcontrol.proofs.periodic import (
     newton,
     total_time,
 )
+from dpcontrol.proofs.statements import EQUATIONS, counted, passing, statement
 from dpcontrol.proofs.symbols import Enclosed, check_symbols, described
 from dpcontrol.tubes.connections import Connection
-from dpcontrol.tubes.frames import orbit_nodes
+from dpcontrol.tubes.frames import node_count, orbit_nodes
 from dpcontrol.walks.shadowing import ShadowingOrbit, phase_gap
-
-_HELP = {
-    "orbit": "more precision or another radius may help (--bits, --radius)",
-    "walk": "more precision, another radius or other wraps may help (--bits, --radius, --wraps)",
-    "connection": "more precision or smaller boxes may help (--bits, --box)",
-    "horseshoe": "more precision or smaller boxes may help (--bits, --box)",
-}
-"""Remedies of each kind of statement."""
 
 
 @dataclass(frozen=True)
 class ProofSettings:
     """Precision, radii and integrator of a proof.
 
-    The working precision is `bits`. Orbits are unique in balls of the scaled `radius`. If a radius does not close, it
-    is divided by a hundred up to `tries` times. Boxes around connections have the half-width `box`.
+    The working precision is `bits`. Orbits are unique in balls of the scaled `radius`. If it does not close, up to
+    `tries` radii are tried: larger than the first step, or else smaller. Boxes around connections have the half-width
+    `box`.
     """
 
     bits: int = 128
     radius: float = 1e-8
     box: float = 1e-7
-    segments: int = 8
     tries: int = 2
     flow: FlowSettings = FlowSettings()  # noqa: RUF009 - frozen, so it may be shared
 
@@ -128,7 +121,7 @@ def attempted(kind: str, statement: str, bits: int, work: Callable[[], Proof]) -
         with working(bits):
             proof = work()
     except (NotClosed, ZeroDivisionError, np.linalg.LinAlgError) as error:
-        proof = Proof(kind, False, f"not proved: {error}; {_HELP[kind]}", statement, {}, 0.0)
+        proof = Proof(kind, False, f"not proved: {error}", statement, {}, 0.0)
     return replace(proof, seconds=time.perf_counter() - begun)
 
 
@@ -146,7 +139,6 @@ def plain(value: Any) -> Any:
 
 
 def certificate(
-    statement: str,
     system: System,
     chain: tuple[Surface, Chain],
     proof: tuple[list[ChartSegment], Newton],
@@ -158,7 +150,6 @@ def certificate(
     check, which confirms its bounds.
 
     Args:
-        statement: proved statement.
         system: system of the orbit.
         chain: energy surface and legs.
         proof: enclosures of the legs and the Newton step.
@@ -168,8 +159,7 @@ def certificate(
     pair = multipliers(segments)
     if not isinstance(system, ModelSystem) or pair is None:
         return None
-    pendulum = isinstance(system.model.parameters, ArmChainParameters)
-    keys = ("mass", "centre_of_mass", "length", "inertia", "gravity") if pendulum else ("mass_ratio",)
+    equations = "double pendulum" if isinstance(system.model.parameters, ArmChainParameters) else "three bodies"
     exists = max(100 * float(found.exists), _LEAST_RADIUS)
     durations = [leg.duration for leg in legs]
     reach = Fraction(exists) * 2 * len(durations)
@@ -177,11 +167,10 @@ def certificate(
     content = plain(
         {
             "format": FORMAT,
-            "statement": statement,
             "versions": {name: number for name, number in versions().items() if name in ("dpcontrol", "python-flint")},
             "system": {
-                "equations": "double pendulum" if pendulum else "three bodies",
-                **{key: system.model.decimals[key] for key in keys},
+                "equations": equations,
+                **{key: system.model.decimals[key] for key in EQUATIONS[equations][1]},
             },
             "energy": surface.energy,
             "nodes": [leg.first.node for leg in legs],
@@ -196,6 +185,7 @@ def certificate(
             "symbols": list(claims),
         }
     )
+    content = {"statement": statement(content), **content}
     return {**content, "digest": digest(content)}
 
 
@@ -219,22 +209,23 @@ def proved_chain(
     Raises:
         NotClosed: no radius closes; the message gives the last reason.
     """
-    reason = NotClosed("no radius was tried")
-    for radius in (settings.radius / 100**attempt for attempt in range(settings.tries)):
+    reason, radius, tried = NotClosed("no radius was tried"), settings.radius, list[str]()
+    for _ in range(settings.tries):
+        tried.append(f"{radius:.0e}")
         try:
             segments = enclose(surface, chain, even(chain, radius), settings.flow, progress)
             found = newton(segments, radius)
             if found.proved:
                 return segments, found
-            beyond = bool(found.residual > radius)
             reason = NotClosed(
-                f"in balls of {radius:.0e} Newton–Kantorovich gives a contraction of {bound(found.contraction)} and "
-                f"a first step of {bound(found.residual)}, which do not prove a solution"
-                f"{': the radius must exceed the step' if beyond else ''}"
+                f"Newton–Kantorovich gives a contraction of {bound(found.contraction)} and a first step of "
+                f"{bound(found.residual)}, which do not prove a solution"
             )
+            # A ball must contain the first step; otherwise, the contraction is smaller in a smaller ball.
+            radius = 10 * float(found.residual) if found.residual > radius else radius / 100
         except NotClosed as error:
-            reason = error
-    raise reason
+            reason, radius = error, radius / 100
+    raise NotClosed(f"{reason}; balls of {', '.join(tried)} were tried")
 
 
 def prove_orbit(
@@ -262,8 +253,11 @@ def prove_orbit(
     settings = settings or ProofSettings()
     if not orbit.converged:
         raise GoalMissed(f"no orbit to prove: {orbit.status}")
-    system, count = orbit.system, settings.segments
-    statement = f"{system.name} has a hyperbolic periodic orbit about {orbit.saddle} at the energy {decimal(energy)}"
+    system, count = orbit.system, node_count(orbit)
+    stated = (
+        f"{system.name} at the energy {decimal(energy)}: exactly one orbit near the computed one about {orbit.saddle} "
+        f"{passing(count)}, and it is hyperbolic"
+    )
 
     def work() -> Proof:
         surface = surface_of(system, energy)
@@ -295,16 +289,23 @@ def prove_orbit(
         if pair is None:
             return Proof(
                 "orbit", False, "not proved: the orbit exists and is unique, but its multipliers are not proved to lie "
-                "off the unit circle; more precision may help, unless the orbit is elliptic", statement, figures, 0.0,
+                "off the unit circle", stated, figures, 0.0,
             )  # fmt: skip
-        unique, exists = bound(found.unique, lower=True), bound(found.exists)
-        status = f"proved: exactly one orbit within {unique} of the nodes; it is within {exists}"
         return Proof(
-            "orbit", True, status, statement, figures, 0.0,
-            certificate(statement, system, (surface, chain), (sharp, found)),
+            "orbit", True, f"proved: {_unique(found, count)}", stated, figures, 0.0,
+            certificate(system, (surface, chain), (sharp, found)),
         )  # fmt: skip
 
-    return attempted("orbit", statement, settings.bits, work)
+    return attempted("orbit", stated, settings.bits, work)
+
+
+def _unique(found: Newton, count: int) -> str:
+    """Return the words on existence and uniqueness of an orbit."""
+    unique, exists = bound(found.unique, lower=True), bound(found.exists)
+    return (
+        f"exactly one orbit within {unique} of the nodes {passing(count)}, with the enclosed flight times; it is "
+        f"within {exists}"
+    )
 
 
 def claims_of(walk: ShadowingOrbit, rivals: Sequence[Connection]) -> list[dict[str, Any]]:
@@ -324,9 +325,8 @@ def claims_of(walk: ShadowingOrbit, rivals: Sequence[Connection]) -> list[dict[s
         others = [other for other in rivals if kind(other) == kind(own) and other.name != own.name]
         out.append(
             {
-                "symbol": own.name,
                 "section": described(own.section),
-                "crossings": sum(own.hits) - 1,
+                "hits": [int(v) for v in own.hits],
                 "segments": [lasts[k - 1] + 1 if k else 0, lasts[k]],
                 "node": int(nodes[k]),
                 "turns": [int(v) for v in walk.offsets[k]],
@@ -368,9 +368,10 @@ def prove_walk(
     if not walk.converged:
         raise GoalMissed(f"no orbit to prove: {walk.status}")
     system, orbit = walk.orbit.system, walk.orbit
-    statement = (
-        f"{system.name} has a closed orbit at the energy {decimal(energy)} that follows {', '.join(walk.walk)} "
-        f"with wraps {[int(n) for n in walk.wraps]}"
+    count = len(orbit.states) - 1
+    stated = (
+        f"{system.name} at the energy {decimal(energy)}: exactly one orbit near the computed one {passing(count)}, and "
+        f"it follows {', '.join(walk.walk)} with wraps {[int(n) for n in walk.wraps]}"
     )
 
     def work() -> Proof:
@@ -392,7 +393,10 @@ def prove_walk(
             "contraction": bound(found.contraction),
             "nodes": len(chain),
             "steps": sum(len(one.spans) for one in segments),
-            "symbols": [{key: one[key] for key in ("symbol", "crossings", "wraps")} for one in claims],
+            "symbols": [
+                {"symbol": one.name, "crossings": sum(one.hits) - 1, "wraps": int(wraps)}
+                for one, wraps in zip(walk.connections, walk.wraps, strict=True)
+            ],
         }
         flights, nodes, times = zip(*((one.spans, one.start, one.time) for one in segments), strict=True)
         with located("a closed orbit exists and is unique, but it is not proved to follow its symbols:"):
@@ -402,16 +406,12 @@ def prove_walk(
                     flights, nodes, times, turns, surface.turns, [ball(v) for v in system.scale], surface.field.rates
                 ),
             )
-        status = (
-            f"proved: exactly one orbit within {bound(found.unique, lower=True)} of the {len(chain)} nodes, and it "
-            f"follows its {len(claims)} symbols"
-        )
         return Proof(
-            "walk", True, status, statement, figures, 0.0,
-            certificate(statement, system, (surface, chain), (segments, found), claims),
+            "walk", True, f"proved: {_unique(found, count)}, and it follows its symbols", stated, figures, 0.0,
+            certificate(system, (surface, chain), (segments, found), claims),
         )  # fmt: skip
 
-    return attempted("walk", statement, settings.bits, work)
+    return attempted("walk", stated, settings.bits, work)
 
 
 def prove_connections(
@@ -438,10 +438,10 @@ def prove_connections(
     if not connections:
         raise InputError("no connections to prove; find some with `dpcontrol connect`")
     system, first, last = connections[0].source.system, connections[0].source, connections[0].target
-    kind = "horseshoe" if whole else "connection"
-    statement = (
-        f"{system.name} has {len(connections)} transversal connections from the orbit about {first.saddle} to that "
-        f"about {last.saddle} at the energy {decimal(energy)}"
+    kind, count = "horseshoe" if whole else "connection", counted(len(connections), "transversal connection")
+    stated = (
+        f"{system.name} at the energy {decimal(energy)}: {count} from the orbit about {first.saddle} to that about "
+        f"{last.saddle}"
     )
 
     def work() -> Proof:
@@ -467,9 +467,10 @@ def prove_connections(
             "failed": failed,
         }
         if failed:
-            status = f"not proved: {len(failed)} of {len(connections)} ({failed[0]}); {_HELP[kind]}"
-            return Proof(kind, False, status, statement, figures, 0.0)
-        status = f"proved: all {len(links)} exist and are transversal"
+            status = f"not proved: {len(failed)} of {len(connections)} ({failed[0]})"
+            return Proof(kind, False, status, stated, figures, 0.0)
+        check_distinct(surface, links)
+        status = f"proved: {counted(len(links), 'distinct transversal connection')}"
         if whole:
             least, entropy = horseshoe(surface, source, links)
             figures |= {"least_wraps": max(map(max, least)), "entropy_at_least": entropy.str(12), "least": least}
@@ -477,6 +478,6 @@ def prove_connections(
                 f"; every walk on them with at least {figures['least_wraps']} wraps at each stop is realised by an "
                 f"orbit, and the topological entropy is at least {float(entropy) - 5e-5:.4f} per second"
             )
-        return Proof(kind, True, status, statement, figures, 0.0)
+        return Proof(kind, True, status, stated, figures, 0.0)
 
-    return attempted(kind, statement, settings.bits, work)
+    return attempted(kind, stated, settings.bits, work)

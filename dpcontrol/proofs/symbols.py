@@ -6,11 +6,11 @@ Claims are exact numbers as text, which certificates hold. They are proved in bo
 search for `prove walk`, and in those of the independent check for `prove check`.
 
 Between the middles of its two stops, each symbol has as many section crossings as its connection, which are
-hits_u + hits_s - 1. Heights above the section are enclosed during every step. If a height may vanish, the speed across
-the section must have a definite sign, and the sheets before and after determine the number of crossings. In the middle
-of each stop, every angle is within half a turn of the walk's lifted saddle, which proves the winding of each symbol. At
-the marked node, the orbit is nearer to its connection than to any other one of the same kind. The time between two
-marked nodes determines the wraps.
+hits_u + hits_s - 1, and the marked node is at number hits_u. Heights above the section are enclosed during every step.
+If a height may vanish, the speed across the section must have a definite sign, and the sheets before and after
+determine the number of crossings. In the middle of each stop, every angle is within half a turn of the walk's lifted
+saddle, which proves the winding of each symbol. At the marked node, the orbit is nearer to its connection than to any
+other one of the same kind. The time between two marked nodes determines the wraps.
 """
 
 import math
@@ -63,8 +63,10 @@ def period_of(section: Mapping[str, Any]) -> Any:
     return 2 * flint.arb.pi() if section["period"] == "2 pi" else number(section["period"])
 
 
-def crossings(section: Mapping[str, Any], boxes: Sequence[Vector], rates: Callable[[Vector], Vector]) -> int:
-    """Return the number of valid section crossings in boxes along a flight.
+def crossings(section: Mapping[str, Any], boxes: Sequence[Vector], rates: Callable[[Vector], Vector]) -> list[range]:
+    """Return the valid section crossings in boxes along a flight.
+
+    Each crossing is given by the boxes in which it may occur.
 
     Args:
         section: numbers of `described`.
@@ -81,7 +83,7 @@ def crossings(section: Mapping[str, Any], boxes: Sequence[Vector], rates: Callab
     clear = [k for k, sheet in enumerate(sheets) if sheet is not None]
     if not clear or clear[0] > 0 or clear[-1] + 1 < len(boxes):
         raise NotClosed("the trajectory begins or ends on its section")
-    count = 0
+    out: list[range] = []
     for first, last in pairwise(clear):
         passed, near = abs(int(sheets[last]) - int(sheets[first])), boxes[first + 1 : last]
         beyond = [dot(side, box) - middle for box in near]
@@ -93,8 +95,8 @@ def crossings(section: Mapping[str, Any], boxes: Sequence[Vector], rates: Callab
             speeds = [dot(normal, rates(box)) for box in near]
             if not all(v > 0 for v in beyond) or not (all(v > 0 for v in speeds) or all(v < 0 for v in speeds)):
                 raise NotClosed("the enclosures do not determine the number of section crossings")
-            count += passed
-    return count
+            out += [range(first + 1, last)] * passed
+    return out
 
 
 @dataclass(frozen=True)
@@ -127,7 +129,7 @@ class Enclosed:
             state: decimals (N,).
             turns: whole turns (N,) of the lift.
         """
-        return [x - c - 2 * flint.arb.pi() * k for x, c, k in zip(box, map(number, state), turns, strict=True)]
+        return [x - c - 2 * flint.arb.pi() * int(k) for x, c, k in zip(box, map(number, state), turns, strict=True)]
 
 
 def check_symbols(claims: Sequence[Mapping[str, Any]], flown: Enclosed) -> None:
@@ -158,8 +160,13 @@ def check_symbols(claims: Sequence[Mapping[str, Any]], flown: Enclosed) -> None:
             if not folded(level, period_of(section)).contains(0):
                 raise NotClosed("its marked node is not on its section")
             found = crossings(section, [box for one in flown.flights[first : last + 1] for box in one], flown.rates)
-            if found != claim["crossings"]:
-                raise NotClosed(f"its section is crossed {found} times instead of {claim['crossings']}")
+            # The marked node is in the last box before it and in the first one after it.
+            at = sum(len(one) for one in flown.flights[first:node])
+            hits = [(k + 1, len(found) - k) for k, boxes in enumerate(found) if at in boxes and at - 1 in boxes]
+            if hits != [tuple(int(v) for v in claim["hits"])]:
+                raise NotClosed(
+                    f"its marked node has the hits {hits} among {len(found)} crossings, not {claim['hits']}"
+                )
             if not all(abs(v) < flint.arb.pi() for v, turning in zip(stopped, flown.angles, strict=True) if turning):
                 raise NotClosed("the whole turns up to the next stop differ from those of the walk")
             if not all(own < other for other in others):

@@ -15,8 +15,8 @@ and the rate of each joint ρ
 
     M φ̈ + K φ + k ρ + c sgn ρ = -s ẍ,     readings = zeros + B L φ,     |torque| ≤ c where ρ = 0
 
-The frequencies of M and K, viscous friction k, dry friction c and the first state are fitted with a free matrix B.
-Joints that friction holds do not show what their encoders read, and their findings are unsure. Encoders that are wired,
+The frequencies of M and K, viscous friction k, dry friction c and the first state are fitted with a free matrix B. The
+readings cannot judge the encoder of a joint that friction holds, so its findings are unsure. Encoders that are wired,
 scaled or summed wrongly give a special B. Let L be the sums of joint angles, D a diagonal of signs and factors, and P
 an exchange of encoders. Then B is L D P L⁻¹ (joint encoders, summed, as it should be), D P L⁻¹ (never summed), D P
 (absolute encoders) or L D P (absolute angles summed again). The nearest form is reported. An accelerated cart leaves
@@ -1001,8 +1001,7 @@ def _signs(gain: float, factors: Array) -> list[tuple[str, ...]]:
     seen = {"cart": 1.0, "drive": gain}
     seen |= {f"arm {k + 1}": float(factor) for k, factor in enumerate(factors) if abs(factor) > _STUCK}
     answers = [tuple(name for name, value in seen.items() if value * cart < 0) for cart in (1, -1)]
-    fewest = min(map(len, answers))
-    return [answer for answer in answers if len(answer) == fewest]
+    return [answer for answer in answers if len(answer) == min(map(len, answers))]
 
 
 def _cart_scale(gain: float, factors: Array) -> bool:

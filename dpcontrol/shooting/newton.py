@@ -701,7 +701,7 @@ class ErrorEstimate(Brief):
     Attributes:
         condition: 1-norm condition number of the scaled Jacobian.
         kantorovich: h, None if no step was long enough for ω.
-        radius: estimated distance of the true orbit's nodes, None if h ≥ 1/2.
+        radius: Kantorovich's distance of the true orbit's nodes, None if h ≥ 1/2. It does not include rounding errors.
         energy_error: largest error over the nodes, in the energy's unit.
         departure: largest distance of a node from the guess.
         stops: distance of the nearest node from the periodic orbit, for each stop.
@@ -726,7 +726,7 @@ def estimate_error(shot: Shot, stops: Sequence[LyapunovOrbit]) -> ErrorEstimate:
     """
     guess, orbit = shot.guess, shot.orbit
     h = None if shot.lipschitz is None else shot.lipschitz * shot.correction
-    # Without ω, and below rounding errors, the last step estimates the distance.
+    # Without ω, and below rounding errors, the radius is that of the last step.
     radius: float | None = shot.correction
     if shot.lipschitz is not None and h is not None and h > 1e-8:
         radius = float((1 - np.sqrt(1 - 2 * h)) / shot.lipschitz) if h < 0.5 else None

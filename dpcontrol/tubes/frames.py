@@ -89,20 +89,22 @@ def node_count(orbit: LyapunovOrbit) -> int:
     Args:
         orbit: hyperbolic orbit.
     """
-    return max(3, min(8, int(np.log(abs(orbit.unstable_multiplier)) / 0.75)))
+    return max(8, int(np.log(abs(orbit.unstable_multiplier)) / 0.75))
 
 
 def orbit_nodes(orbit: LyapunovOrbit, count: int) -> tuple[Array, Array]:
     """Return nodes (K, N) of an orbit and their durations (K,).
 
-    The nodes are at equal times. Durations are in s.
+    The nodes are at equal times. Durations are in s. Each node is reached from the orbit's state by the shorter way, so
+    that errors grow by the root of the multiplier only.
 
     Args:
         orbit: periodic orbit.
         count: number K of nodes.
     """
     flow, step = orbit.system.propagator.flow, orbit.period / count
-    return np.array([flow(orbit.state, step * k) for k in range(count)]), np.full(count, step)
+    ways = (k if 2 * k <= count else k - count for k in range(count))
+    return np.array([flow(orbit.state, step * k) for k in ways]), np.full(count, step)
 
 
 def phased_times(connection: Connection, radius: float) -> tuple[Array, int, int, int]:

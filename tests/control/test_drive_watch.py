@@ -40,10 +40,11 @@ def machine(period: float, lanes: int) -> tuple[ca.Function, np.ndarray]:
     watch = DriveWatch(1, period)
     memory, moved = ca.SX.sym("memory", watch.memory.size), ca.SX.sym("moved", 2)
     present, repeats, count, sent = (ca.SX.sym(name) for name in ("present", "repeats", "count", "sent"))
-    cart = CartReading(present, repeats, moved, ca.SX(0), count, count**2 / 12, ca.SX(NOISE))
-    found, after = watch.judged(memory, cart)
-    after = watch.commanded(after, sent, TURN * sent, TURN * sent)
-    step = ca.Function("watch", [memory, moved, present, repeats, count, sent], [after, ca.vertcat(*found)])
+    visible = watch.visible(count, count**2 / 12, ca.SX(NOISE))
+    judged = watch.judged(memory, CartReading(present, repeats, moved, ca.SX(0), visible))
+    m, after = watch.parts(judged), watch.commanded(judged, sent, TURN * sent, TURN * sent)
+    found = ca.vertcat(m["lasts"] >= watch.longest - period / 2, m["against"] < 0, m["doubt"])
+    step = ca.Function("watch", [memory, moved, present, repeats, count, sent], [after, found])
     return step.map(lanes), np.tile(watch.start(0.0, np.zeros(1))[:, None], lanes)
 
 
@@ -76,7 +77,7 @@ def findings(cases: Sequence[Case], command: Callable[[float], float], *, period
         seen = np.where(present, np.array([angle, read]), last)
         after, found = step(memory, seen - last, present, seen[1] == last[1], count, np.full(len(cases), sent))
         memory, last = np.array(after), seen
-        rows.append(np.array(found)[:3])
+        rows.append(np.array(found))
         wanted = response * sent + random.normal(0, NOISE, len(cases))
         wanted = np.where(failed & (fault == "off"), np.clip(-v / period, -BRAKES, BRAKES), wanted)
         wanted = np.where(failed & (fault == "coasts"), 0.0, wanted)

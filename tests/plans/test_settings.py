@@ -122,6 +122,14 @@ def test_a_setting_by_path_is_that_of_a_file_and_is_typed_and_parsed_back(path: 
     assert itinerary_from(text, "turn", load_model("lab")).loop == loop
 
 
+def test_an_itinerary_that_only_holds_has_the_law_of_holds_unless_it_names_another() -> None:
+    held, model = STILL.partition("[run]")[0], load_model("lab")
+    for line, kind in (("", "lqr"), ("controller.effort = 2.0", "lqr"), ('controller.kind = "tvlqr"', "tvlqr")):
+        assert itinerary_from(f"{held}{line}\n", "held", model).loop.controller.kind == kind
+    moves = held.replace('start = "hold"', 'start = "rest"\nfinish = "rest"')
+    assert itinerary_from(moves, "from-rest", model).loop.controller.kind == "adaptive"
+
+
 def test_settings_of_a_law_have_paths_too() -> None:
     loop = load_itinerary("outer-turn").with_run({"controller": "lqr", "controller.damping": 0.2}).loop
     assert asdict(loop.controller)["damping"] == 0.2

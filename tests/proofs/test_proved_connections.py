@@ -49,6 +49,22 @@ def test_one_homoclinic_gives_a_horseshoe_with_entropy(steepest: Proof) -> None:
 
 
 @pytest.mark.slow
+def test_a_connection_between_strongly_unstable_orbits_is_proved_with_default_settings() -> None:
+    """The multiplier of the orbit is 7e10."""
+    found = dp.connections(dp.orbit(dp.load_model("lab"), "up-down", energy=0.49033))
+    one = max(found.connections, key=lambda c: c.transversality_angle)
+    proof = prove_connections([one], energy=Fraction("0.49033"))
+    assert proof.proved, proof.status
+
+
+@pytest.mark.slow
+def test_one_connection_given_twice_is_not_counted_as_two(found: ConnectionSearch) -> None:
+    proof = prove_connections([found.connections[0]] * 2, energy=ENERGY)
+    assert not proof.proved
+    assert "distinct" in proof.status
+
+
+@pytest.mark.slow
 def test_a_nonexistent_connection_is_not_proved(found: ConnectionSearch) -> None:
     one = found.connections[0]
     orbit = one.orbit

@@ -50,6 +50,17 @@ def test_enclosures_contain_the_independent_period_multiplier_and_state(case: tu
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("case", [("lab", "up-down", 0.49033), ("printed", "down-up", 0.4887)])
+def test_orbits_with_multipliers_near_1e11_are_proved_with_default_settings(case: tuple[str, str, float]) -> None:
+    orbit = dp.orbit(dp.load_model(case[0]), case[1], energy=case[2])
+    assert 5e10 < orbit.unstable_multiplier < 2e11
+    proof = dp.prove(orbit)
+    assert proof.proved, proof.status
+    assert near(proof.figures["period"], orbit.period, 1e-9)
+    assert near(proof.figures["multipliers"][0], orbit.unstable_multiplier, 1e-2)
+
+
+@pytest.mark.slow
 def test_a_period_differs_from_that_of_the_parameters_doubles_in_the_sixteenth_digit_only() -> None:
     proof = dp.prove(dp.orbit(dp.load_model("lab"), "down-up", energy=-0.07))
     with working(160):

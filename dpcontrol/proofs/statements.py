@@ -1,0 +1,111 @@
+"""Statements of certificates, composed from their numbers.
+
+`prove` writes the statement into a certificate. The independent check composes it again and compares the two. A
+statement contains numbers that the check proves, and no names: a renamed certificate differs from its own numbers.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from dpcontrol.proofs.balls import bound, decimal, flint, fraction, largest, number
+
+EQUATIONS = {
+    "double pendulum": (2, ("mass", "centre_of_mass", "length", "inertia", "gravity")),
+    "three bodies": (0, ("mass_ratio",)),
+}
+"""Number of angles and parameters of each system of equations."""
+
+
+def passing(count: int) -> str:
+    """Return what Newton–Kantorovich proves of an orbit with a number of sections."""
+    return f"closes after passing its {count} sections once, in order"
+
+
+def statement(data: Mapping[str, Any]) -> str:
+    """Return the statement of a certificate, a sentence per line.
+
+    Args:
+        data: content of the certificate by key.
+
+    Raises:
+        ValueError: a value is no number.
+        LookupError: a value is missing.
+    """
+    angles, keys = EQUATIONS[data["system"]["equations"]]
+    unique, exists, energy, least = (_exact(data[key]) for key in ("unique", "exists", "energy", "multiplier_exceeds"))
+    turned, time = ", ".join(str(int(k)) for k in data["turns"][:angles]), sum(map(fraction, data["durations"]))
+    return "\n".join(
+        [
+            f"at the energy {energy}, exactly one orbit of the {data['system']['equations']} "
+            f"{passing(len(data['nodes']))}, within {unique} of the nodes and of the flight times",
+            f"it is within {exists} of them and closes after {float(time):.7g} time units"
+            + f", with the turns {turned} of its angles" * bool(angles),
+            f"it starts near {_state(map(number, data['nodes'][0]))} and is hyperbolic: a multiplier exceeds {least} "
+            "in modulus",
+            *(_symbol(data, k, angles) for k in range(len(data["symbols"]))),
+            "parameters: " + "; ".join(f"{key} {', '.join(map(_exact, data['system'][key]))}" for key in keys),
+        ]
+    )
+
+
+def _symbol(data: Mapping[str, Any], k: int, angles: int) -> str:
+    """Return the sentence on a symbol, counted from zero."""
+    claims, count = data["symbols"], len(data["nodes"])
+    claim, before, after = claims[k], claims[k - 1], claims[(k + 1) % len(claims)]
+    first, second = map(int, claim["hits"])
+    near, *others = claim["states"]
+    node, following = int(claim["node"]), int(after["node"]) + count * (k + 1 == len(claims))
+    stay = sum(fraction(data["durations"][i % count]) for i in range(node, following))
+    leaves, enters = (
+        _state(_lifted(one["stop"], turns)[:angles])
+        for one, turns in ((before, claim["turns"]), (claim, claim["stop_turns"]))
+    )
+    return (
+        f"symbol {k + 1}: "
+        + f"from within half a turn of the angles {leaves} to within half a turn of {enters}, " * bool(angles)
+        + f"it crosses the section {_section(claim['section'])} {counted(first + second - 1, 'time')}; at crossing "
+        f"{first}, node {node + 1} is within {_distance(data, claim)} of {_state(map(number, near))}"
+        + f", nearer than to {counted(len(others), 'other state')}"
+        * bool(others)
+        + f"; the next symbol's node follows after {float(stay):.7g}, nearest to "
+        f"{float(fraction(claim['rest'])):.7g} + {int(claim['wraps'])} · {float(fraction(claim['period'])):.7g}"
+    )
+
+
+def _exact(value: Any) -> str:
+    return decimal(fraction(value)).lower()
+
+
+def counted(count: int, noun: str) -> str:
+    """Return a number with its noun."""
+    return f"{count} {noun}{'s' * (count != 1)}"
+
+
+def _lifted(state: Sequence[Any], turns: Sequence[Any]) -> list[Any]:
+    """Return a state with whole turns added, as balls."""
+    return [number(x) + 2 * flint.arb.pi() * int(k) for x, k in zip(state, turns, strict=True)]
+
+
+def _state(values: Iterable[Any]) -> str:
+    # Adding zero turns -0.0 into 0.0.
+    return f"({', '.join(f'{round(float(v.mid()), 4) + 0.0:.4f}' for v in values)})"
+
+
+def _distance(data: Mapping[str, Any], claim: Mapping[str, Any]) -> str:
+    """Return an upper bound of the scaled distance of a symbol's node from its connection."""
+    pairs = zip(
+        _lifted(claim["states"][0], claim["turns"]), data["nodes"][int(claim["node"])], data["scale"], strict=True
+    )
+    return bound(largest([(x - number(c)) / number(s) for x, c, s in pairs]) + number(data["exists"]))
+
+
+def _section(section: Mapping[str, Any]) -> str:
+    """Return a section's equation, with its condition if there is one."""
+    normal, side = (
+        " + ".join(f"{_exact(v)} x{i}" for i, v in enumerate(section[key], start=1) if fraction(v))
+        for key in ("normal", "side")
+    )
+    period = "2 pi" if section["period"] == "2 pi" else _exact(section["period"])
+    middle, reach = _exact(section["middle"]), section["reach"]
+    condition = f" where {side} > {middle}" if reach is None else f" where |{side} - {middle}| > {_exact(reach)}"
+    return f"{normal} = {_exact(section['offset'])} + {period} k" + condition * bool(side)
