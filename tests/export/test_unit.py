@@ -235,13 +235,22 @@ def test_steps_that_divide_the_period_keep_the_outputs_and_others_are_rejected(
             slave.step(0.0)
 
 
+def test_times_that_are_not_finite_are_rejected_and_change_nothing(exported: Exported, tmp_path: Path) -> None:
+    with running(exported, tmp_path) as slave:
+        for now, size in ((np.nan, PERIOD), (0.0, np.nan), (np.inf, PERIOD), (0.0, np.inf)):
+            with pytest.raises(Exception, match="DoStep"):
+                slave.step(now, size)
+        slave.step(0.0)
+        assert np.isfinite(slave.get("command"))
+
+
 def test_after_a_reset_it_begins_again(exported: Exported, tmp_path: Path) -> None:
     with running(exported, tmp_path) as slave:
         runs = []
         for _ in range(2):
             slave.set("measured_arm_1", float("nan"))
             slave.step(0.0)
-            assert slave.get("used") == 2
+            assert (slave.get("used"), slave.get("refused")) == (2, 1)
             slave.set("measured_arm_1", 0.1)
             slave.step(PERIOD)
             runs.append(slave.get("command"))
