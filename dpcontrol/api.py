@@ -522,7 +522,6 @@ def plan(
     *,
     fresh: bool = False,
     workers: Workers = 1,
-    scheduler: str = "",
     yes: bool = False,
     progress: Reporting = None,
 ) -> "Plan":
@@ -532,7 +531,6 @@ def plan(
         itinerary: name or path of an itinerary's file.
         fresh: plan it again even if it is cached.
         workers: processes that search for transfers, 0 for a useful number (default: 1).
-        scheduler: address of a Dask cluster that searches instead (default: none).
         yes: accept work of more than an hour or 4 GB (default: refused).
         progress: reports, see `dpcontrol.api`.
 
@@ -551,9 +549,7 @@ def plan(
     from dpcontrol.plans.plan import make_plan
 
     with reporting(progress, "plan") as report:
-        return make_plan(
-            load_itinerary(str(itinerary)), progress=report, fresh=fresh, workers=workers, scheduler=scheduler, yes=yes
-        )
+        return make_plan(load_itinerary(str(itinerary)), progress=report, fresh=fresh, workers=workers, yes=yes)
 
 
 @checked
@@ -758,7 +754,6 @@ def campaign(
     first_seed: Seed = 0,
     transitions: bool = False,
     workers: Workers = 0,
-    scheduler: str = "",
     out: Place | None = None,
     force: bool = False,
     yes: bool = False,
@@ -776,7 +771,6 @@ def campaign(
         first_seed: first seed (default: 0).
         transitions: run each transfer from hold to hold separately.
         workers: processes, 0 for one per processor.
-        scheduler: address of a Dask cluster that runs instead (default: none).
         out: Parquet table to write (default: none).
         force: replace the table of another campaign there.
         yes: accept work of more than an hour or 4 GB (default: refused).
@@ -795,7 +789,7 @@ def campaign(
     """
     from dpcontrol.runs.campaign import CampaignSettings
 
-    counts = CampaignSettings(runs=runs, first_seed=first_seed, workers=workers, scheduler=scheduler)
+    counts = CampaignSettings(runs=runs, first_seed=first_seed, workers=workers)
     with reporting(progress, "campaign") as report:
         chosen = _settings(settings, mismatch=mismatch, plant=plant)
         loop = _closed(planned, chosen, yes=yes, progress=part_of(report, 0.0, 0.1))

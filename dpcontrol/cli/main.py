@@ -188,7 +188,7 @@ def _defaults() -> dict[str, dict[str, Any]]:
     own = {one.name: one.value for one in configured() if one.source != "default"}
     if own.get("colour", "auto") != "auto":
         os.environ["FORCE_COLOR" if own["colour"] == "always" else "NO_COLOR"] = "1"
-    everywhere = {name: own[name] for name in ("workers", "scheduler") if name in own}
+    everywhere = {name: own[name] for name in ("workers",) if name in own}
     folder = {"folder": str(log_folder())} if "logs" in own else {}
     return {verb: everywhere | (folder if verb == "demo" else {}) for verb in VERBS}
 

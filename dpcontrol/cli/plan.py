@@ -51,9 +51,6 @@ def plan_command(
         group=WORK,
         help="Processes that search for transfers [one per processor if there are at least four].",
     ),
-    scheduler: str = option(
-        default="", metavar="ADDRESS", group=WORK, help="Dask cluster that searches for transfers."
-    ),
     yes: bool = YES,
 ) -> Answer:
     """Plan an itinerary: connections, shadowing orbit and reference.
@@ -69,7 +66,7 @@ def plan_command(
         from dpcontrol.plans.itinerary import load_itinerary
 
         only_walk(load_itinerary(itinerary))
-    plan = api.plan(itinerary, fresh=fresh, workers=workers, scheduler=scheduler, yes=yes, progress=True)
+    plan = api.plan(itinerary, fresh=fresh, workers=workers, yes=yes, progress=True)
     document = plan.document()
     polished = None
     if polish and plan.converged:

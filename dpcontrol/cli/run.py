@@ -566,9 +566,6 @@ def campaign_command(
         help="Method of simulation: many seeds in lockstep, or the loop itself.",
     ),
     workers: int = WORKERS,
-    scheduler: str = option(
-        default="", metavar="ADDRESS", group=WORK, help="Dask cluster for the runs, such as tcp://host:8786."
-    ),
     fixed: dict[str, Any] = run_settings(),
     out: Path | None = file_option(suffix=".parquet", help="Table to write [logs/NAME.parquet]."),
     force: bool = force_option(),
@@ -598,7 +595,6 @@ def campaign_command(
         first_seed=seed_from,
         path=how,
         workers=workers,
-        scheduler=scheduler,
         # A score needs no list of confirmed failures.
         replayed=0 if standard else CampaignSettings.replayed,
     )

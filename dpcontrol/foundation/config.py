@@ -23,7 +23,6 @@ class Config(Settings):
 
     logs: str = setting("logs", help="Folder of logs, tables and pages.")
     workers: int = setting(0, least=1, most=4096, zero="one for each processor", help="Processes.")
-    scheduler: str = setting("", help="Address of a Dask cluster.")
     viewer: str = setting("", help="Program that shows recordings; by default that of rerun-sdk.")
     colour: str = setting("auto", choices=("auto", "always", "never"), help="Colour in the terminal.")
 

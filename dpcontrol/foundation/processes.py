@@ -1,4 +1,4 @@
-"""Parallel work in processes of this machine or on a Dask cluster.
+"""Parallel work in processes of this machine.
 
 Results arrive in any order. If a process dies, new processes are started and its piece is repeated. If the parent
 process dies, its workers end.
@@ -12,17 +12,13 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, CancelledError, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager, suppress
-from itertools import islice
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol, TypeVar
+from typing import TypeVar
 
 from dpcontrol.foundation.errors import GoalMissed, InputError
-
-if TYPE_CHECKING:
-    from distributed import Client, Future
 
 Piece = TypeVar("Piece")
 Done = TypeVar("Done")
@@ -155,112 +151,3 @@ def ignoring_interrupts() -> Iterator[None]:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
     if noted:
         signal.raise_signal(signal.SIGINT)
-
-
-RESPONSE_TIME = "10s"
-"""Time limit for a cluster's response."""
-RETURN_TIME = 120.0
-"""Time limit for a lost scheduler to return with workers, s."""
-MOST_SUBMITTED = 512
-"""Maximum number of jobs submitted at once; each carries its plan."""
-
-
-class Keyed(Protocol):
-    """A job with a key of everything it depends on."""
-
-    @property
-    def key(self) -> str:
-        """The key, as 16 hexadecimal digits."""
-        ...
-
-
-Job = TypeVar("Job", bound=Keyed)
-
-
-def on_cluster(function: Callable[[Job], Done], jobs: Sequence[Job], address: str) -> Iterator[tuple[Job, Done]]:
-    """Yield each job with its result from a Dask cluster.
-
-    If the scheduler is lost, its jobs are submitted to the next one at this address.
-
-    Args:
-        function: function of a module, which computes the result of a job.
-        jobs: arguments of the function.
-        address: address of the scheduler.
-
-    Raises:
-        InputError: distributed is not installed, no scheduler responds, or the cluster has no workers.
-        GoalMissed: the workers of a job or the scheduler died repeatedly, or the scheduler did not return.
-    """
-    left = {job.key: job for job in jobs}
-    for attempt in range(ATTEMPTS):
-        with _client(address, again=attempt > 0) as client, suppress(CancelledError, OSError):
-            for job, done in _submitted(function, list(left.values()), client):
-                del left[job.key]
-                yield job, done
-            return
-    raise GoalMissed(
-        f"scheduler {address}: the scheduler was lost {ATTEMPTS} times, with {len(left)} unfinished jobs; finished "
-        "jobs are kept, so find the cause and run the same command again"
-    )
-
-
-def _client(address: str, *, again: bool) -> "Client":
-    """Return a client of the cluster.
-
-    With `again`, wait for its scheduler to return.
-    """
-    try:
-        from distributed import Client
-    except ImportError as error:
-        raise InputError(
-            f"scheduler {address}: the package distributed is not installed; pip install 'dpcontrol[cluster]'"
-        ) from error
-    try:
-        client = Client(address, timeout=RETURN_TIME if again else RESPONSE_TIME)
-        if again:
-            client.wait_for_workers(1, timeout=RETURN_TIME)
-    except (OSError, TimeoutError, ValueError) as error:
-        if again:
-            raise GoalMissed(
-                f"scheduler {address}: the scheduler was lost and did not return with workers; finished jobs are "
-                "kept, so start it again and run the same command again"
-            ) from error
-        raise InputError(
-            f"scheduler {address}: no Dask scheduler responds there; start one with `dask scheduler`"
-        ) from error
-    if not client.scheduler_info()["workers"]:
-        client.close()
-        raise InputError(f"scheduler {address}: the cluster has no workers; start one with `dask worker {address}`")
-    return client
-
-
-def _submitted(function: Callable[[Job], Done], jobs: Sequence[Job], client: "Client") -> Iterator[tuple[Job, Done]]:
-    """Yield jobs with their results as the cluster finishes them.
-
-    Raises:
-        CancelledError, OSError: the scheduler was lost.
-        GoalMissed: the workers of a job died repeatedly.
-    """
-    from distributed import KilledWorker, as_completed
-
-    waiting = iter(jobs)
-
-    def submitted(count: int) -> "dict[Future, Job]":
-        return {
-            client.submit(function, job, key=f"dpcontrol-{job.key}", retries=ATTEMPTS): job
-            for job in islice(waiting, count)
-        }
-
-    running = submitted(MOST_SUBMITTED)
-    finished = as_completed(running)
-    for future in finished:
-        try:
-            done = future.result()
-        except KilledWorker as error:
-            raise GoalMissed(
-                f"the cluster's workers died repeatedly on one job ({error}); finished jobs are kept"
-            ) from error
-        yield running.pop(future), done
-        more = submitted(1)
-        running |= more
-        finished.update(more)

@@ -132,7 +132,6 @@ def solve_pieces(
     *,
     fresh: bool = False,
     workers: int = 1,
-    scheduler: str = "",
     progress: Progress = no_progress,
 ) -> list[SolvedPiece]:
     """Return the pieces of all goals, with transfers between them.
@@ -146,7 +145,6 @@ def solve_pieces(
         goals: goals in order.
         fresh: ignore cached transfers.
         workers: processes that search for transfers.
-        scheduler: address of a Dask cluster that replaces them.
         progress: receiver of progress reports.
 
     Raises:
@@ -156,7 +154,7 @@ def solve_pieces(
     wanted = [way.transfer for way in ways if way is not None]
     ready = 0.5 if wanted else 0.0
     first = part_of(progress, 0.0, ready)
-    transfers = find_transfers(wanted, workers=workers, scheduler=scheduler, fresh=fresh, progress=first)
+    transfers = find_transfers(wanted, workers=workers, fresh=fresh, progress=first)
     pieces: list[SolvedPiece] = []
     for k, goal in enumerate(goals):
         begun, share = ready + (1 - ready) * k / len(goals), (1 - ready) / len(goals)

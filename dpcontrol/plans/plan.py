@@ -219,7 +219,6 @@ def make_plan(
     progress: Progress = no_progress,
     fresh: bool = False,
     workers: int = 1,
-    scheduler: str = "",
     yes: bool = False,
 ) -> Plan:
     """Plan an itinerary, or return its plan from the cache.
@@ -232,7 +231,6 @@ def make_plan(
         progress: receiver of progress reports.
         fresh: ignore the cache.
         workers: processes that search for transfers, 0 for a useful number.
-        scheduler: address of a Dask cluster that replaces them.
         yes: accept any duration.
 
     Raises:
@@ -244,7 +242,7 @@ def make_plan(
         whole, rest = part_of(progress, 0.0, 0.7), part_of(progress, 0.7, 1.0)
         plan = make_plan(
             replace(itinerary, loop=stops), orbits=orbits, progress=whole, fresh=fresh, workers=workers,
-            scheduler=scheduler, yes=yes,
+            yes=yes,
         )  # fmt: skip
         return recoverable(replace(plan, itinerary=itinerary), fresh=fresh, progress=rest)
     if itinerary.stored is not None and not fresh:
@@ -257,9 +255,7 @@ def make_plan(
     from dpcontrol.judge.decoding import shortfall
     from dpcontrol.plans.planning import planned
 
-    reference, notes, arrays = planned(
-        itinerary, orbits, fresh=fresh, workers=workers, scheduler=scheduler, progress=progress
-    )
+    reference, notes, arrays = planned(itinerary, orbits, fresh=fresh, workers=workers, progress=progress)
     notes["plan"], notes["made_from"]["code"] = plan_key(itinerary), f"planning {PLANNING}"
     reference = replace(reference, notes={**reference.notes, **notes}, extra={**reference.extra, **arrays})
     if reference.converged and (problem := shortfall(reference)):

@@ -54,7 +54,6 @@ def planned(
     *,
     fresh: bool = False,
     workers: int = 1,
-    scheduler: str = "",
     progress: Progress = no_progress,
 ) -> tuple[Reference, PlanNotes, dict[str, Array]]:
     """Return the reference of an itinerary, its notes and arrays.
@@ -64,7 +63,6 @@ def planned(
         orbits: shadowing orbits of its walks, if known.
         fresh: ignore cached transfers.
         workers: processes that search for transfers.
-        scheduler: address of a Dask cluster that replaces them.
         progress: receiver of progress reports.
 
     Raises:
@@ -79,9 +77,7 @@ def planned(
         return _kept_walk(itinerary, walk, chain, solver, part_of(progress, 0.5, 1.0))
     ready = 0.4 if itinerary.walks else 0.0
     goals = _goals(itinerary, list(orbits), part_of(progress, 0.0, ready))
-    pieces = solve_pieces(
-        itinerary, goals, fresh=fresh, workers=workers, scheduler=scheduler, progress=part_of(progress, ready, 0.9)
-    )
+    pieces = solve_pieces(itinerary, goals, fresh=fresh, workers=workers, progress=part_of(progress, ready, 0.9))
     reference, begins = joined([piece.reference for piece in pieces])
     notes, arrays = notes_of_pieces(itinerary, pieces, begins)
     ways = [(p.text, float(begin), p.reference) for p, begin in zip(pieces, begins, strict=False) if p.goal is None]

@@ -37,7 +37,7 @@ from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.cache import cache_file, keep, kept
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.files import content_hash
-from dpcontrol.foundation.processes import in_processes, on_cluster, processors
+from dpcontrol.foundation.processes import in_processes, processors
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.orbits.family import lyapunov_family
 from dpcontrol.orbits.lyapunov import LyapunovOrbit, equilibrium
@@ -139,7 +139,6 @@ def find_transfers(
     wanted: Sequence[Transfer],
     *,
     workers: int = 1,
-    scheduler: str = "",
     fresh: bool = False,
     progress: Progress = no_progress,
 ) -> dict[str, Reference]:
@@ -150,12 +149,10 @@ def find_transfers(
     Args:
         wanted: transfers to find.
         workers: processes of the search, 0 for one per processor if there are several transfers.
-        scheduler: address of a Dask cluster, or empty.
         fresh: ignore the cache.
         progress: receiver of progress reports.
 
     Raises:
-        InputError: no cluster answers.
         GoalMissed: some do not exist within the limits; the message has the cause.
     """
     found: dict[str, Reference] = {}
@@ -168,8 +165,8 @@ def find_transfers(
     missed: list[str] = []
     several = list(left.values())
     workers = workers or (processors() if len(several) >= _SEVERAL else 1)
-    alone = workers == 1 and not scheduler
-    for k, (one, (archive, why)) in enumerate(_sought(several, workers, scheduler, progress)):
+    alone = workers == 1
+    for k, (one, (archive, why)) in enumerate(_sought(several, workers, progress)):
         if not alone:
             progress(f"{k + 1} of {len(left)} transfers: {one.text}", (k + 1) / len(left))
         if why:
@@ -184,10 +181,8 @@ def find_transfers(
 
 
 def _sought(
-    wanted: Sequence[Transfer], workers: int, scheduler: str, progress: Progress
+    wanted: Sequence[Transfer], workers: int, progress: Progress
 ) -> Iterator[tuple[Transfer, tuple[bytes, str]]]:
-    if scheduler:
-        return on_cluster(search, wanted, scheduler)
     if workers > 1 and len(wanted) > 1:
         remedy = "Those that were found are kept: run the same command again, with fewer --workers"
         return in_processes(search, wanted, min(workers, len(wanted)), remedy=remedy)
@@ -196,7 +191,7 @@ def _sought(
 
 
 _ONE_AT_A_TIME = threading.Lock()
-"""Threads cannot share the solver, and a Dask worker may have several."""
+"""Threads cannot share the solver."""
 
 
 def search(wanted: Transfer, progress: Progress = no_progress) -> tuple[bytes, str]:

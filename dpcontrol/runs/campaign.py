@@ -3,7 +3,7 @@
 There can be several cases. Rates have confidence intervals.
 
 A case is a controller with values that override those of the itinerary. All cases run the same seeds, so they can be
-compared in pairs. Jobs of a few seeds each run in processes of this machine or on a Dask cluster. The table depends
+compared in pairs. Jobs of a few seeds each run in processes of this machine. The table depends
 neither on the number of workers nor on workers that die. A job carries all its inputs (reference, parameters,
 settings), so a worker needs this package but no files. The same job always gives the same rows.
 
@@ -73,7 +73,7 @@ from dpcontrol.foundation.files import (
     write_whole,
 )
 from dpcontrol.foundation.parts import Later, part
-from dpcontrol.foundation.processes import in_processes, on_cluster, processors
+from dpcontrol.foundation.processes import in_processes, processors
 from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress
 from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.foundation.shown import Brief, Shown, pandas_classes
@@ -127,7 +127,7 @@ replays: True if the loop fails tick by tick too; only tried for the first failu
 """
 
 _ONE_AT_A_TIME = threading.Lock()
-"""Threads cannot share compiled code, and a Dask worker may have several."""
+"""Threads cannot share compiled code."""
 
 
 @dataclass(frozen=True)
@@ -360,7 +360,6 @@ class CampaignSettings(Settings, table="campaign"):
         runs: runs of each case, from seed `first_seed` on.
         path: "compiled" runs many seeds in lockstep, "ticks" the loop itself.
         workers: processes, 0 for one per processor.
-        scheduler: address of a Dask cluster, or empty.
         batch: seeds in a job, fewer for long runs.
         replayed: number of a job's failures in lockstep that the loop itself runs again to confirm them.
     """
@@ -369,7 +368,6 @@ class CampaignSettings(Settings, table="campaign"):
     first_seed: int = setting(0, least=0, most=2**31)
     path: str = setting("compiled", choices=("compiled", "ticks"))
     workers: int = setting(0, least=1, most=1024, zero="one on each processor")
-    scheduler: str = ""
     batch: int = setting(256, least=1, most=4096)
     replayed: int = setting(4, least=0, most=4096)
 
@@ -682,10 +680,9 @@ def run_campaign(
         # If one of several laws does not fit the plan, no run begins.
         for job in laws.values() if len(laws) > 1 else ():
             _assembled(job)
-        local = not settings.scheduler
         # Objects of a script or a notebook cannot be sent to other processes.
         workers = 1 if any(case.loop.own for case in cases) else settings.workers or processors()
-        for job, rows in run_locally(left, workers) if local else on_cluster(run_job, left, settings.scheduler):
+        for job, rows in run_locally(left, workers):
             kept[job.key] = _table(({**row, **_numbers(job.case)} for row in rows), extra)
             if parts is not None:
                 if not (parts / RECORD).exists():

@@ -132,7 +132,7 @@ BASES: dict[str, tuple[tuple[tuple[str, ...], tuple[str, ...]], ...]] = {
 LEFT = {
     "bifurcations": {"energies"},
     "cache": {"clear"},
-    "campaign": {"standard", "workers", "scheduler"},
+    "campaign": {"standard", "workers"},
     "commission": {"address"},
     "preflight": {"runs", "workers"},
     "figures": {"names"},

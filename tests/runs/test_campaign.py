@@ -6,13 +6,12 @@ import multiprocessing
 import os
 import pickle
 import signal
-import socket
 import subprocess
 import time
 import tracemalloc
 from collections.abc import Iterator, Sequence
-from concurrent.futures import CancelledError, ThreadPoolExecutor
-from contextlib import nullcontext, suppress
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -280,115 +279,8 @@ def simulated_row(job: campaign_jobs.Job, seed: int) -> dict[str, Any]:
     }
 
 
-@pytest.mark.parametrize("lost", [1, processes.ATTEMPTS])
-def test_jobs_left_by_a_lost_scheduler_go_to_the_one_that_answers_next(
-    turn: Itinerary, lost: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    archive = make_plan(turn).file.read_bytes()
-    (case,) = cases_of(turn, fixed=HARD, over={})
-    jobs = [campaign_jobs.Job(turn.name, archive, turn.model.arms, case, (seed,), "compiled") for seed in range(6)]
-    asked: list[list[int]] = []
-
-    def submitted(_: Any, given: Sequence[campaign_jobs.Job], client: Any) -> Iterator[Any]:
-        asked.append([job.seeds[0] for job in given])
-        yield given[0], []
-        if len(asked) <= lost:
-            raise CancelledError
-        yield from ((job, []) for job in given[1:])
-
-    monkeypatch.setattr(processes, "_client", lambda address, again: nullcontext())
-    monkeypatch.setattr(processes, "_submitted", submitted)
-    done = processes.on_cluster(campaign_jobs.run_job, jobs, "tcp://lab:8786")
-    if lost < processes.ATTEMPTS:
-        assert [job.seeds[0] for job, _ in done] == [0, 1, 2, 3, 4, 5]
-        assert asked == [[0, 1, 2, 3, 4, 5], [1, 2, 3, 4, 5]]
-    else:
-        with pytest.raises(GoalMissed, match="lost 4 times, with 2 unfinished jobs; finished jobs are kept"):
-            list(done)
-
-
-class Cluster:
-    """A Dask scheduler and two workers in separate processes, as in a lab; a context manager."""
-
-    def __init__(self, folder: Path) -> None:
-        pytest.importorskip("distributed", reason="the package distributed is not installed")
-        with socket.socket() as free:
-            free.bind(("127.0.0.1", 0))
-            self.address = f"tcp://127.0.0.1:{free.getsockname()[1]}"
-        self._log = (folder / "cluster.log").open("w")
-        self._scheduler, self.workers = self._start_scheduler(), [self._start_worker() for _ in range(2)]
-
-    def _start(self, what: str, *arguments: str) -> subprocess.Popen[bytes]:
-        call = [PROGRAM.with_name("dask"), what, *arguments]
-        return subprocess.Popen(call, stdout=self._log, stderr=self._log, start_new_session=True)
-
-    def _start_scheduler(self) -> subprocess.Popen[bytes]:
-        host, port = self.address.removeprefix("tcp://").split(":")
-        return self._start("scheduler", "--host", host, "--port", port, "--no-dashboard")
-
-    def _start_worker(self) -> subprocess.Popen[bytes]:
-        return self._start("worker", self.address, "--nthreads", "2", "--no-dashboard", "--host", "127.0.0.1")
-
-    def kill_worker(self) -> None:
-        """Kill the process in which a worker runs jobs; its keeper starts another."""
-        works = [p for p in psutil.Process(self.workers[0].pid).children() if "spawn_main" in " ".join(p.cmdline())]
-        works[0].kill()
-
-    def restart_scheduler(self) -> None:
-        """Kill the scheduler, and start another at its address, with workers: Dask's own end with it."""
-        self._scheduler.kill()
-        self._scheduler.wait()
-        self._end(self.workers)
-        self._scheduler, self.workers = self._start_scheduler(), [self._start_worker() for _ in range(2)]
-
-    def __enter__(self) -> "Cluster":
-        from distributed import Client
-
-        with Client(self.address, timeout="60s") as client:
-            client.wait_for_workers(2, timeout=60)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._end([self._scheduler, *self.workers])
-        self._log.close()
-
-    @staticmethod
-    def _end(programs: list[subprocess.Popen[bytes]]) -> None:
-        for program in programs:
-            with suppress(ProcessLookupError):
-                os.killpg(program.pid, signal.SIGKILL)
-            program.wait()
-
-
-def on_failing_cluster(scene: Itinerary, file: Path, *, runs: int, batch: int) -> Campaign:
-    """Return a campaign on a cluster whose worker is killed after the first job, its scheduler after the third."""
-    happened = []
-    with Cluster(file.parent) as cluster:
-        fates = {"1 of": cluster.kill_worker, "3 of": cluster.restart_scheduler}
-
-        def fate(what: str, done: float) -> None:
-            for when, happens in fates.items():
-                if what.startswith(when):
-                    happens()
-                    happened.append(when)
-
-        settings = CampaignSettings(runs=runs, batch=batch, replayed=1, scheduler=cluster.address)
-        cases = cases_of(scene, fixed=HARD, over={})
-        found = run_campaign(make_plan(scene), cases, file, settings=settings, progress=fate)
-    assert happened == list(fates)
-    return found
-
-
 @pytest.mark.slow
-def test_a_killed_dask_worker_and_a_restarted_scheduler_change_nothing_in_the_table(
-    turn: Itinerary, undisturbed: list[dict[str, Any]], tmp_path: Path
-) -> None:
-    on_failing_cluster(turn, tmp_path / "cluster.parquet", runs=16, batch=4)
-    assert read_rows(tmp_path / "cluster.parquet")[0] == undisturbed
-
-
-@pytest.mark.slow
-def test_threads_of_one_worker_do_not_disturb_each_other(turn: Itinerary, undisturbed: list[dict[str, Any]]) -> None:
+def test_threads_do_not_disturb_each_other(turn: Itinerary, undisturbed: list[dict[str, Any]]) -> None:
     archive = make_plan(turn).file.read_bytes()
     (case,) = cases_of(turn, fixed=HARD, over={})
     jobs = [
@@ -398,13 +290,6 @@ def test_threads_of_one_worker_do_not_disturb_each_other(turn: Itinerary, undist
     with ThreadPoolExecutor(3) as pool:
         rows = [row for found in pool.map(campaign_jobs.run_job, jobs) for row in found]
     assert rows == undisturbed[:12]
-
-
-def test_a_missing_scheduler_is_reported(turn: Itinerary, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("distributed", reason="the package distributed is not installed")
-    monkeypatch.setattr(processes, "RESPONSE_TIME", "1s")
-    with pytest.raises(InputError, match="no Dask scheduler responds"):
-        campaign(turn, tmp_path / "nobody.parquet", scheduler="tcp://127.0.0.1:1")
 
 
 @pytest.mark.parametrize(
@@ -466,20 +351,6 @@ def test_a_score_is_the_mean_share_over_the_kinds(turn: Itinerary, tmp_path: Pat
     assert set(score.kinds) == {"encoder zeros", "model error"}
     assert all(share.runs == 4 for share in score.kinds.values())
     assert score.total == pytest.approx(sum(s.successes / 4 for s in score.kinds.values()) / 2)
-
-
-@pytest.mark.benchmark
-def test_a_thousand_runs_with_a_killed_dask_worker_and_a_restarted_scheduler_give_the_same_table(
-    turn: Itinerary, tmp_path: Path
-) -> None:
-    whole, cluster = tmp_path / "whole.parquet", tmp_path / "cluster.parquet"
-    quiet = campaign(turn, whole, runs=1000, batch=64, workers=2)
-    failing = on_failing_cluster(turn, cluster, runs=1000, batch=64)
-    assert read_rows(cluster)[0] == read_rows(whole)[0]
-    figures = [
-        {k: v for k, v in found.document().items() if k not in ("seconds", "file")} for found in (quiet, failing)
-    ]
-    assert figures[0] == figures[1]
 
 
 def test_jobs_that_differ_in_a_setting_differ_in_their_keys() -> None:
