@@ -306,7 +306,7 @@ def _drawn(
             seen.append(_within_half_a_turn(landed))
             ways = np.sign(system.numeric.rate(back.states) @ np.asarray(section.normal))
             shown = replace(first, points=landed, ways=ways, colours=colours[back.start])
-            title = f"return {k + 1} {word}: {len(landed)}"
+            title = f"return {k + 1} {word}: {_share_inside(landed, ways, outlines):.0%} in unstable cuts"
             row.append(Panel(partial(_cut, shown=shown, title=title, labels=(q, ""))))
         if stays:
             row.append(Panel(partial(_phase_plane, arm=0 if sign > 0 else 1, stays=stays)))
@@ -317,6 +317,12 @@ def _drawn(
         if axes.get_label() == "cut":
             axes.set(xlim=(-min(np.pi, wide), min(np.pi, wide)), ylim=(-high, high))
     return figure
+
+
+def _share_inside(points: Array, ways: Array, outlines: tuple[Outline, ...]) -> float:
+    """Return the share of points inside an unstable cut that is crossed in their direction."""
+    unstable = [outline for outline in outlines if not outline.stable]
+    return float(np.any([o.contains(points) & (ways == o.direction) for o in unstable], axis=0).mean())
 
 
 def _within_half_a_turn(points: Array) -> Array:
