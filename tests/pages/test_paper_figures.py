@@ -138,7 +138,7 @@ def test_wheels_hold_points_of_both_tubes_and_the_orbits_that_stay(shown):
     assert len(panels) == 10  # the start and three returns, forward and backward; two phase planes
     stars = [line.get_data() for line in panels[0].lines if line.get_marker() == "*"]
     assert stars
-    assert "return 1 forward" in panels[1].get_title(loc="left")
+    assert "return 1 forward: 100%" in " ".join(panels[1].get_title(loc="left").split())
     system = load_model("lab").system
     section = system.sections["down-up", "down-up"]
     orbit = lyapunov_orbit(system, "down-up", energy=wheels.WHEEL_ENERGIES["down-up"])
