@@ -83,13 +83,13 @@ class HoldSettings(QuadraticWeights):
         None,
         least=0,
         most=10,
-        help="Assumed viscous friction of the joints beyond the model's; by default what the arms allow, at most 0.03.",
+        help="Assumed viscous friction of the joints beyond the model's; by default what the arms allow, at most 0.06.",
     )
     """Viscous friction beyond the model's in each joint, over √(G M), for the mean effect of dry friction; gains
     without it let the arms oscillate with twice the amplitude. None: see `assumed_damping`."""
 
 
-UNKNOWN_FRICTION = 0.03
+UNKNOWN_FRICTION = 0.06
 """Assumed viscous friction for dry friction that the model lacks."""
 _KEPT_MARGIN = 0.5
 """Share of the loop's modulus margin that the assumed friction must leave."""

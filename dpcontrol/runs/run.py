@@ -571,7 +571,7 @@ def _plan(log: RunLog, folder: Path, *, repeats: bool = True) -> Plan:
     model = model_from(model_text, log.metadata["model"])
     reference = plan_of(log)
     itinerary = itinerary_from(
-        scene_text, log.metadata["itinerary"], model, plant=reference.notes["made_from"].get("plant", "")
+        scene_text, log.metadata["itinerary"], model, plant=reference.notes.get("made_from", {}).get("plant", "")
     )
     file = folder / REFERENCE_ATTACHMENT
     file.write_bytes(log.attachments[REFERENCE_ATTACHMENT])

@@ -1,6 +1,6 @@
 """What tubes buy: flights found along tubes, and by direct optimisation without them.
 
-    python tests/benchmarks/payoff.py            # half an hour on two cores; --quick: a minute, and nothing is stored
+    python tests/benchmarks/payoff.py            # minutes on two cores; --quick stores nothing
 
 Every flight is one program, regardless of the method:
 
@@ -529,10 +529,10 @@ AS_CHEAP = 1.1
 class Tries:
     """Numbers of tries for each flight: curves with waves, random inputs, CEM and homotopy."""
 
-    waves: int = 80
-    inputs: int = 15
-    cem: int = 5
-    homotopies: int = 16
+    waves: int = 8
+    inputs: int = 3
+    cem: int = 1
+    homotopies: int = 3
 
 
 def tries_of(one: ChartedFlight, tries: Tries, generator: np.random.Generator) -> Iterator[Try]:

@@ -71,7 +71,7 @@ def test_the_default_damping_leaves_arms_without_dry_friction_half_of_their_marg
 
     assert margin(None) >= 0.5 * margin(0.0) - MARGIN
     if count == 2:
-        assert margin(None) == margin(0.03)
+        assert margin(None) == margin(0.06)
     else:
         assert margin(0.03) == 0.0
         assert margin(0.0125) < 0.5 * margin(0.0)
