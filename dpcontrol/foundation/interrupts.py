@@ -31,12 +31,21 @@ def _interrupted(number: int, frame: FrameType | None) -> None:
 
 @contextmanager
 def interrupts() -> Iterator[None]:
-    """Raise KeyboardInterrupt for the first of `endings` in the block, however the block ends."""
+    """Raise KeyboardInterrupt for the first of `endings` in the block, however the block ends.
+
+    Only the main thread can set handlers; in others, those of Python remain.
+    """
     _received.clear()
-    for number in endings():
-        signal.signal(number, _interrupted)
-    with _as_interrupt(_received):
+    if threading.current_thread() is not threading.main_thread():
         yield
+        return
+    before = {number: signal.signal(number, _interrupted) for number in endings()}
+    try:
+        with _as_interrupt(_received):
+            yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 @contextmanager
