@@ -636,7 +636,7 @@ def draw(rows: Sequence[Mapping[str, Any]], picture: Path) -> None:
     times.barh(places, seconds, height=0.4, color="#1f6f9f")
     for place, value in zip(places, seconds, strict=True):
         times.text(value, place, f" {value:.2g} s" if value else " none found", va="center", fontsize=8)
-    times.set(xlabel="time of one core to a flight as cheap as along tubes, s", xlim=(0, 1.25 * max(seconds)))
+    times.set(xlabel="time to one as cheap, s of one core", xlim=(0, 1.25 * max(seconds)))
     for axes in (shares, times):
         axes.spines[["top", "right"]].set_visible(False)
     figure.savefig(picture, dpi=150)
