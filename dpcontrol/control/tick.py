@@ -62,10 +62,10 @@ so working scales of 0.2 mm reach J = 11 at most. A cart that moves by noise alo
     drive         The scale's readings follow the commands, see `dpcontrol.control.drive`.
 
 Age of the readings: a reading of age τ has positions that lack ω τ, with the rates ω. A reported age is corrected in
-the
-update: y = m - H(z - ω τ). Unknown variations are noise along ω for all positions at once:
+the update: y = m - H(z - ω τ). Unknown variations are noise along ω for all positions at once. With the covariance
+P_ω of the rates, this noise has the second moment
 
-    R + σ² ω ωᵀ,    σ² by recursive maximum likelihood over half a second, 0 at first
+    R + σ² (ω ωᵀ + P_ω),    σ² by recursive maximum likelihood over half a second, T²/12 at first with the period T
 
 A rig without jitter keeps σ² ≈ 0. The mean age is not estimated. It acts as an additional delay.
 """
@@ -156,8 +156,11 @@ _OLDEST = 1.5
 """Periods."""
 _LATE, _LATE_MEMORY = 0.5, 5.0
 """Bound in periods, and time constant in readings, of the mean apparent age of innovations."""
-TIMING_PRIOR = 2500.0
-"""Information in the assumption of constant ages, 1/period². A fiftieth of a period needs no correction."""
+TIMING_PRIOR = 1 / 12
+"""Assumed variance of the readings' age, and standard deviation of this assumption, period².
+
+It is that of ages spread evenly over a period. So little information lets the variance fall within a few readings.
+"""
 SAME = 1e-9
 """Difference of readings below which they are the same count, rad and m."""
 _STILL = 0.015
@@ -674,7 +677,7 @@ class TickEquations:
         """
         period = self.filter.period
         a, b = aligned * period, weight * period**2
-        timed = m["timed"] + min(period / TIMING_MEMORY, 1) * (TIMING_PRIOR**2 - m["timed"]) + b * b
+        timed = m["timed"] + min(period / TIMING_MEMORY, 1) * (TIMING_PRIOR**-2 - m["timed"]) + b * b
         # A reading is never older than a period. A much older appearance is due to a blow, a wrong model or a stuck
         # encoder.
         slope = ca.if_else(ca.fabs(a) <= _OLDEST * b, a * a - b, 0)
@@ -1388,7 +1391,7 @@ class TickProgram:
             "scale": np.array([0.0, velocity, 1.0, 0.0]),
             "drive_watch": self.equations.drive.start(velocity, first[n : 2 * n]),
             "scale_covariance": packed(np.diag([_SCALE_ERROR, _COMMAND_NOISE * _SCALE_CHECK, _RESPONSE, _LAG]) ** 2),
-            "timing": self.period**2 / 12, "timed": TIMING_PRIOR**2,
+            "timing": TIMING_PRIOR * self.period**2, "timed": TIMING_PRIOR**-2,
             "moved": np.inf, "last": np.inf, "step": np.inf,
         }  # fmt: skip
         if self.equations.plays:

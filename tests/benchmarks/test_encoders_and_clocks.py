@@ -28,8 +28,10 @@ SOON, BRISK = 0.05, 0.04
 
 Noise on the commands can move slower carts as far.
 """
+JITTERED = (*ITINERARIES, "outer-turn", "cross")
+"""Itineraries of readings of varying age: arms at rest do not show their age, so two of these start on an orbit."""
 JITTERED_RUNS = 200
-JITTER_SHARES = {0.5: 0.97, 1.0: 0.9}
+JITTER_SHARES = {0.5: 0.97, 1.0: 0.95}
 """Share of completed runs by the jitter in periods."""
 
 
@@ -38,9 +40,11 @@ def planned(name: str) -> Plan:
     return make_plan(load_itinerary(name))
 
 
-def row(title: str, options: Mapping[str, Any], seeds: Sequence[int]) -> list[float]:
+def row(
+    title: str, options: Mapping[str, Any], seeds: Sequence[int], names: Sequence[str] = ITINERARIES
+) -> list[float]:
     """Print a row of the table and return the shares of completed runs, by itinerary."""
-    found = [completed(planned(name), options, seeds) for name in ITINERARIES]
+    found = [completed(planned(name), options, seeds) for name in names]
     assert not any("stuck" in reason for _, reasons in found for reason in reasons)
     sys.stdout.write(f"{title}  {'  '.join(f'{len(seeds) - len(r):4d} of {len(seeds)}' for _, r in found)}\n")
     sys.stdout.flush()
@@ -60,11 +64,11 @@ def test_ordinary_encoders_complete_98_runs_of_100_and_no_scale_is_called_stuck(
 @pytest.mark.parametrize("rate", [500.0, 1000.0])
 @pytest.mark.parametrize("counts", [4000, 40_000])
 def test_readings_that_vary_in_age_by_up_to_a_period_complete(rate: float, counts: int) -> None:
-    sys.stdout.write(f"\n{'rate, counts, jitter':28s}  {'  '.join(ITINERARIES)}\n")
+    sys.stdout.write(f"\n{'rate, counts, jitter':28s}  {'  '.join(JITTERED)}\n")
     for periods, share in JITTER_SHARES.items():
         options = {"rate": rate, "counts": counts, "jitter": periods / rate}
         title = f"{rate:6.0f} Hz {counts:6d} {periods:.1f} periods"
-        assert min(row(title, options, range(JITTERED_RUNS))) >= share
+        assert min(row(title, options, range(JITTERED_RUNS), JITTERED)) >= share
 
 
 @pytest.mark.parametrize(("scale", "share"), [(1e-6, 1.0), (2e-5, 0.9), (1e-4, 0.8), (2e-4, 0.75)])

@@ -1,11 +1,12 @@
 from decimal import Decimal, localcontext
 
+import casadi as ca
 import numpy as np
 import pytest
 from shadowing_stand_in import LAB
 from textbook_filter import TextbookFilter, cart_noise
 
-from dpcontrol.control.ekf import CompiledEkf, checked_noise, packed, unpacked
+from dpcontrol.control.ekf import CompiledEkf, FilterEquations, Timing, checked_noise, packed, unpacked
 from dpcontrol.control.estimator_settings import EkfSettings
 from dpcontrol.control.interface import Estimate, SampledModel
 from dpcontrol.dynamics.chain import Level, arm_chain_equations
@@ -13,6 +14,7 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.loop.bench import SensorSettings
 
 ROUNDING = 1e-9  # Of two filters over thousands of ticks, relative to standard deviations; NIS loses most.
+SAMPLED = 0.03  # Relative, of a mean of 40,000 draws whose standard deviation is about the mean.
 DIGITS = 1e-13  # Relative, of a few ticks against 50 decimal digits.
 PACKS = 1e-9  # Sines of vectors round differently, and zeros that are hardly known yet enlarge that.
 
@@ -42,6 +44,23 @@ def swing(ticks: int, *, seed: int = 3, root: np.ndarray = ROOT) -> tuple[list[f
     for k, command in enumerate(commands):
         truth = states[k] = MODEL.step(truth, command)
     return commands, states, states @ POSITIONS.T + random.standard_normal((ticks, 3)) @ root.T
+
+
+def test_readings_of_unknown_age_are_as_surprising_as_the_filter_expects() -> None:
+    # The cart rests by the estimate, within 0.05 m/s: an error of its velocity must not pass for anything else.
+    state, sigmas = np.array([0.4, 2.8, 6.0, -9.0, 0.1, 0.0]), np.array([1e-4, 1e-4, 0.3, 0.3, 1e-6, 0.05])
+    spread, random, count = 1e-3, np.random.default_rng(8), 40_000
+    truth = state + sigmas * random.standard_normal((count, 6))
+    ages = spread * (random.random((count, 1)) - 0.5)
+    readings = truth[:, [0, 1, 4]] - ages * truth[:, [2, 3, 5]] + random.standard_normal((count, 3)) @ ROOT.T
+    measured, timing = ca.SX.sym("measured", 3), Timing(ca.SX(0), ca.SX(spread**2 / 12))
+    filters = FilterEquations(MODEL.equations, MODEL.period, ())
+    nis = filters.updated(
+        ca.SX(state), ca.SX(np.diag(sigmas**2)), measured, ca.SX.ones(3), ca.SX(packed(NOISE)), timing
+    )[3]
+    found = np.array(ca.Function("nis", [measured], [nis])(readings.T))
+    # The mean NIS of a consistent filter is the number of positions.
+    assert found.mean() == pytest.approx(3, rel=SAMPLED)
 
 
 @pytest.mark.slow

@@ -4,6 +4,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
+from coarse_benches import completed
 from shadowing_stand_in import LAB, StandIn
 
 from dpcontrol.control.estimator_settings import AdaptiveEkfSettings
@@ -13,6 +14,8 @@ from dpcontrol.loop.bench import DriveSettings, SensorSettings
 from dpcontrol.loop.loop import ControlLoop, LoopSettings
 from dpcontrol.loop.result import Ending, LoopResult, LoopSink, Reading
 from dpcontrol.loop.simulated import SimulatedRig
+from dpcontrol.plans.itinerary import load_itinerary
+from dpcontrol.plans.plan import make_plan
 from dpcontrol.references.reference import Reference
 
 PERIOD = 1e-3
@@ -112,3 +115,11 @@ def test_runs_with_jitter_of_a_period_come_to_their_end(
     # Where jitter is as long as the period, an arm in fast flight may look like one whose encoder is stuck.
     finished = sum(run.ending is Ending.FINISHED for run in runs)
     assert finished >= LEAST, [run.reason for run in runs]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("periods", [0.5, 1.0])
+def test_runs_with_jitter_that_start_on_an_orbit_complete(periods: float) -> None:
+    # Arms at full speed show the age of their readings from the first one on.
+    share, problems = completed(make_plan(load_itinerary("cross")), {"rate": 500.0, "jitter": periods / 500}, range(16))
+    assert share >= LEAST / 16, problems
