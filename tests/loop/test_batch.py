@@ -83,7 +83,7 @@ WHERE_IT_BREAKS = {
     ),
     "hard stop before the limit": (replace(BASE, initial_error=0.2, drive=DriveSettings(track=0.02)), Ending.CART_STOP),
     "a drive that gives nothing": (replace(BASE, drive=DriveSettings(response=0.0), sensors=SensorSettings()),
-        Ending.ESTIMATE_LOST,
+        Ending.DRIVE_FAILED,
     ),
     "believing too much": (
         replace(
