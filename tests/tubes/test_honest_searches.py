@@ -84,7 +84,7 @@ def test_a_search_that_runs_out_of_time_is_partial():
     orbits = orbits_between(load_model("lab").system, "down-up", "down-up", -0.07)
     search = find_connections(*orbits, settings=ConnectionSettings(seconds=1e-6))
     assert not search.complete
-    assert search.status.startswith("at least")
+    assert search.status.startswith(("at least", "no connections found"))
     assert search.partial
     assert "s of processor time" in search.status
 
