@@ -485,9 +485,9 @@ def archive(
     import numpy as np
 
     try:
-        with zipfile.ZipFile(path) as packed:
+        with zipfile.ZipFile(checked_source(path) if isinstance(path, Path) else path) as packed:
             checked_size(sum(info.file_size for info in packed.infolist()))
-        if not isinstance(path, Path | str):
+        if not isinstance(path, Path):
             path.seek(0)
         with np.load(path, allow_pickle=False) as packed:
             arrays = dict(packed)

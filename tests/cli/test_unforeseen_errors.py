@@ -129,7 +129,10 @@ def test_half_a_formula_in_a_title_is_drawn_as_text(folder: Path) -> None:
         ("connect lab --from down-up --to down-up --energy sNaN", "--energy sNaN: must be a finite number"),
         ("connect lab --from down-up --to down-up --energy 1e999", "--energy 1e999: must be a finite number"),
         ("walk lab --energy sNaN", "--energy sNaN: must be a finite number"),
-        ("connect lab --from down-up --to down-up --energy -0.07 --longest nan", "longest = nan: must be a finite"),
+        (
+            "connect lab --from down-up --to down-up --energy -0.07 --longest nan",
+            "longest = nan: must be a number in the range",
+        ),
         ("connect lab --from down-up --to down-up --energy -0.07 --longest inf", "longest = inf: must be a finite"),
         ("walk lab --energy -0.07 --random 2 --lengths 1 99999999999999999999", "--lengths: a number with"),
         ("walk lab --energy -0.07 --random 2 --extra-wraps 0 99999999999999999999", "--extra-wraps: a number with"),
