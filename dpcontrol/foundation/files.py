@@ -501,5 +501,6 @@ def archive(
     except FileNotFoundError as error:
         raise InputError(f"there is no {what.partition(' ')[2]} {path}; {make}") from error
     except (*UNREADABLE, InputError) as error:
-        reason = f"it lacks {error}" if isinstance(error, KeyError) else str(error)[:200] or type(error).__name__
+        said = next(iter(str(error).splitlines()), type(error).__name__)[:200]
+        reason = f"it lacks {error}" if isinstance(error, KeyError) else said
         raise InputError(f"{path} is not {what} of dpcontrol, or is damaged: {reason}; {again}") from error
