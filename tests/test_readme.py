@@ -281,7 +281,8 @@ def test_every_picture_is_shown_and_is_one() -> None:
 
 def test_a_page_with_a_picture_names_a_command_that_draws_it() -> None:
     drawn = re.compile(
-        r"dpcontrol (bench|walk|report|review|plan|planner) |`run |pytest -m benchmark|tests/benchmarks/\w+\.py|dpcontrol\.examples\."
+        r"dpcontrol (bench|walk|report|review|plan|planner) |`run |pytest -m benchmark|tests/benchmarks/\w+\.py|"
+        r"dpcontrol\.examples\."
     )
     for page, text in PAGES.items():
         assert "![" not in text or drawn.search(text), page.name
