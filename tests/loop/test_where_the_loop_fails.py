@@ -117,8 +117,10 @@ def test_a_delay_beyond_the_margin(
 ) -> None:
     settings = replace(REAL, drive=replace(REAL.drive, delay=late))
     run = ended(turn, controller, settings, believed_delay=1.0)
-    assert run.record.ending in (Ending.CART_STOP, Ending.TRACKING_LOST, Ending.ESTIMATE_LOST)
-    check(run, run.record.ending, "lost" if run.record.ending is not Ending.CART_STOP else "cart at its stop")
+    # For 50 ms and more a late drive looks like one that is off.
+    ends = {Ending.CART_STOP: "cart at its stop", Ending.DRIVE_FAILED: "does not follow the commands"}
+    assert run.record.ending in (*ends, Ending.TRACKING_LOST, Ending.ESTIMATE_LOST)
+    check(run, run.record.ending, ends.get(run.record.ending, "lost"))
 
 
 @pytest.mark.parametrize(
