@@ -8,7 +8,6 @@ from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from command_line import dpcontrol
 from jsonschema import Draft202012Validator
@@ -189,17 +188,16 @@ def test_overrides_mean_the_same_in_python_and_on_the_command_line(tmp_path: Pat
 def test_a_log_of_version_0_2_0_is_read_and_its_run_repeated(tmp_path: Path) -> None:
     again = dpcontrol("run", "--from", OLD / "run-0.2.0.mcap", "--out", tmp_path / "again.mcap", "--json")
     log, repeated = dp.open_log(OLD / "run-0.2.0.mcap").log, dp.open_log(tmp_path / "again.mcap").log
-    # The log was written on another kind of processor, whose instructions may round otherwise.
-    assert repeated.truth == pytest.approx(log.truth, abs=1e-9)
-    assert repeated.controls["command"] == pytest.approx(log.controls["command"], abs=1e-6)
-    if np.array_equal(repeated.truth, log.truth):
-        assert again.code == 0, again.stderr
-        assert again.document["repeated"]["difference"] is None
-    else:
-        assert "not the same run" in again.message
+    # The filter has changed since: it assumes that the age of readings varies from the first one on.
+    assert "not the same run" in again.message
+    assert repeated.time.tolist() == log.time.tolist()
+    assert repeated.truth[0] == pytest.approx(log.truth[0], abs=1e-9)
     loop = stored_settings(json.loads(log.metadata["run_settings"]), "run")
     assert (loop.drive.lag, loop.sensors.stuck_at, loop.mechanics.play) == (0.002, 0.45, (0.001, 0.0))
-    assert json.loads(json.dumps(asdict(loop))) == json.loads(log.metadata["run_settings"])
+    stored, read = json.loads(log.metadata["run_settings"]), json.loads(json.dumps(asdict(loop)))
+    # A drive that fails is a later setting.
+    read["drive"] = {name: value for name, value in read["drive"].items() if name in stored["drive"]}
+    assert read == stored
 
 
 def test_a_plan_of_version_0_2_0_is_read() -> None:
