@@ -192,13 +192,16 @@ def _number(value: Any) -> float:
     try:
         other = isinstance(value, str | bytes | bool | np.bool_) or np.ndim(value) or np.iscomplexobj(value)
         return math.nan if other else float(value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         return math.nan
 
 
 def _flags(value: Any) -> NDArray[np.bool_]:
     """Return truth values, none for any other value."""
-    array = np.asarray(value)
+    try:
+        array = np.asarray(value)
+    except ValueError:  # rows of unequal length
+        return np.empty(0, dtype=bool)
     return array.astype(bool) if array.dtype == bool else np.empty(0, dtype=bool)
 
 
