@@ -223,9 +223,10 @@ def main(arguments: list[str] | None = None) -> None:
         code = 0
     except click.exceptions.Exit as done:
         code = done.exit_code
-    except SystemExit:
-        # click ends the program where the reader of a pipe has ended. Shells report this as 128 + SIGPIPE.
-        code = 141
+    except SystemExit as done:
+        # click ends the program with 0 after completing words, and with 1 where the reader of a pipe has ended.
+        # Shells report the latter as 128 + SIGPIPE.
+        code = 141 if done.code else 0
     except (KeyboardInterrupt, click.Abort) as error:
         code = _interrupted(error)
     except Exception as error:  # noqa: BLE001 - the last one: a traceback on a user's terminal is a defect

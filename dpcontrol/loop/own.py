@@ -551,7 +551,7 @@ class OwnRig:
     def __init__(self, own: OwnObject, *, arms: int, period: float) -> None:
         self.own, self.period, self.fault = own, period, ""
         self._arms, self._count, self._stopped = arms, 0, False
-        self.truth: Array | None = None if not hasattr(own.thing, "truth") else np.zeros(2 * arms + 2)
+        self.truth: Array | None = None if getattr(own.thing, "truth", None) is None else np.zeros(2 * arms + 2)
         """The true state (2n+2,) at the last reading, if the object provides it."""
 
     def read(self) -> Reading:

@@ -77,7 +77,12 @@ def _exact(value: Any) -> str:
 
 
 def counted(count: int, noun: str) -> str:
-    """Return a number with its noun."""
+    """Return a number with its noun.
+
+    Args:
+        count: The number.
+        noun: The noun, in the singular.
+    """
     return f"{count} {noun}{'s' * (count != 1)}"
 
 

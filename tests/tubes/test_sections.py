@@ -107,7 +107,7 @@ def test_names_include_the_section_and_the_verb_accepts_them(back, capsys):
     ("options", "fragment"),
     [
         ("--section allined", "did you mean"),
-        ("--section inner-down", "the orbit about down-up itself crosses angle_1"),
+        ("--section inner-down", "the orbit about down-up itself crosses θ₁ = 2πk"),
         ("--longest 0", "x>0"),
     ],
 )
