@@ -120,7 +120,7 @@ class DriveWatch:
         """
         return self.memory.filled({"read": np.array([0.0, -velocity]), "arms": np.append(0 * rates, -rates)})
 
-    def judged(self, memory: ca.SX, cart: CartReading) -> ca.SX:
+    def update(self, memory: ca.SX, cart: CartReading) -> ca.SX:
         """Return the memory after a reading and before the next command.
 
         Args:
@@ -153,7 +153,7 @@ class DriveWatch:
         # Without a reading, no observer is corrected.
         return self.memory.joined(m | {name: ca.if_else(cart.fresh, value, m[name]) for name, value in after.items()})
 
-    def commanded(self, memory: ca.SX, acting: ca.SX, swing: ca.SX, driven: ca.SX) -> ca.SX:
+    def predict(self, memory: ca.SX, acting: ca.SX, swing: ca.SX, driven: ca.SX) -> ca.SX:
         """Return the memory at the next reading.
 
         Args:

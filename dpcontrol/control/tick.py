@@ -902,7 +902,7 @@ class TickEquations:
         visible = self.drive.visible(count, variance, ca.fmax(c["drive_noise"], _COMMAND_NOISE))
         fresh = _all(*(known.reading["present"][i] for i in range(n + 1)))
         cart = CartReading(fresh, watch["same"][n] > 0, moved, known.reading["age"] * v, visible)
-        memory = self.drive.judged(m["drive_watch"], cart)
+        memory = self.drive.update(m["drive_watch"], cart)
         found = self.drive.parts(memory)
         unfollowed = found["lasts"] >= self.drive.longest - period / 2
         # Arms that move by the commands contradict a constant reading of the scale, not the drive.
@@ -937,7 +937,7 @@ class TickEquations:
         n, rate, size = self.filter.arms, self.filter.equations.function(), self.filter.equations.dimension
         state = ca.vertcat(*(ca.if_else(_finite(value), value, 0) for value in ca.vertsplit(e["z"][:size])))
         swing, free = (rate(state, a, known.numbers["parameters"])[n : 2 * n] for a in (acting, 0))
-        return self.drive.commanded(watch, acting, swing, swing - free)
+        return self.drive.predict(watch, acting, swing, swing - free)
 
     def _finish(
         self, known: "_Known", e: Mapping[str, ca.SX], acts: "_Acts", *, predicts: bool

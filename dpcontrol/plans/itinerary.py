@@ -528,7 +528,7 @@ def itinerary_from(text: str, name: str, model: Model, *, plant: str = "") -> It
         text: text of a TOML file.
         name: name of the itinerary.
         model: model of the arms.
-        plant: text of the plant's model, where it travels with the itinerary's (default: the file that this names).
+        plant: text of the plant's model (default: that of the file which the itinerary names).
 
     Raises:
         InputError: a mistake in it.

@@ -131,9 +131,9 @@ void dpc_init(dpc_controller *controller);
 /* Do one tick and return its command in m/s^2; report may be a null pointer. */
 dpc_real dpc_step(dpc_controller *controller, const dpc_reading *reading, dpc_report *report);
 
-/* Tell that the drive was given another command than the last step's, as by a limiter of the target's own. Without it the
- * controller's next estimate is of a cart that went elsewhere. Return 1, or 0 for a command that is not a number or
- * larger than DPC_ACCELERATION: it is refused, and the last step's stays. */
+/* State the command that the drive received, if it is not the one of the last step, for example after a limiter of the
+ * target. Otherwise the next estimate assumes a motion that the cart did not make. Return 1. A command that is not a
+ * number or is larger than DPC_ACCELERATION is refused: then return 0 and keep the command of the last step. */
 int dpc_sent(dpc_controller *controller, dpc_real command);
 
 /* enum dpc_run, after the last step. */
