@@ -24,12 +24,9 @@ from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from io import BytesIO
 from pathlib import Path
 from tokenize import TokenError
-from typing import IO, TYPE_CHECKING, Any, TypeVar
+from typing import IO, Any, TypeVar
 
 from dpcontrol.foundation.errors import InputError
-
-if TYPE_CHECKING:
-    pass
 
 T = TypeVar("T")
 
@@ -94,8 +91,8 @@ def checked_folder(folder: Path, path: Path | None = None) -> None:
 def claimed(path: Path) -> Iterator[None]:
     """Prevent other commands from writing a file until the end of the block.
 
-    A claim is `.NAME.partial` beside the file, opened exclusively. The system ends the claim of a killed command. The
-    claim has no effect on Windows.
+    A claim is a locked file beside it, whose name has the start and the hash of its name. The system ends the claim of
+    a killed command. The claim has no effect where files cannot be locked.
 
     Args:
         path: file to write, which may be missing.
@@ -104,7 +101,8 @@ def claimed(path: Path) -> Iterator[None]:
         InTheWay: another command is writing it.
     """
     place = Path(os.path.realpath(path))
-    partial, made = place.with_name(f".{place.name[:40]}.partial"), missing_folders(place.parent)
+    partial = place.with_name(f".{place.name[:40]}-{content_hash(place.name)}.partial")
+    made = missing_folders(place.parent)
     place.parent.mkdir(parents=True, exist_ok=True)
     with partial.open("ab") as handle:
         if not _exclusive(handle.fileno()):
@@ -124,10 +122,11 @@ def _exclusive(handle: int) -> bool:
         import fcntl
 
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except ImportError:
-        return True
-    except OSError:
+    except BlockingIOError:
         return False
+    except (ImportError, OSError):
+        # Windows has no such locks, and neither have some network folders.
+        return True
     return os.fstat(handle).st_nlink > 0
 
 
