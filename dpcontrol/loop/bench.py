@@ -187,7 +187,11 @@ class DriveSettings(Settings, table="drive"):
         0.0, least=0, most=1000, unit="m", help="Distance of the limit switches from the hard stops."
     )
     failed_at: float = setting(math.inf, least=0, infinite="never", unit="s", help="Time at which the drive fails.")
-    failure: str = setting("off", choices=FAILURES, help="Fault of the drive from then on.")
+    failure: str = setting("off", choices=FAILURES, help="Fault of the drive from failed_at on.")
+
+    def _check_together(self) -> None:
+        if self.failure != "off" and self.failed_at == math.inf:
+            raise self.refusal("failure", "needs a time; give failed_at in s, such as failed_at = 0")
 
     def limits(self, limits: Limits) -> Limits:
         """Return the bounds of the drive.

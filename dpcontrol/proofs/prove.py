@@ -15,7 +15,7 @@ import numpy as np
 
 from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.dynamics.system import System
-from dpcontrol.foundation.document import Documented
+from dpcontrol.foundation.document import Documented, counted
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.parts import versions
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
@@ -38,7 +38,7 @@ from dpcontrol.proofs.periodic import (
     newton,
     total_time,
 )
-from dpcontrol.proofs.statements import EQUATIONS, counted, passing, statement
+from dpcontrol.proofs.statements import EQUATIONS, passing, statement
 from dpcontrol.proofs.symbols import Enclosed, check_symbols, described
 from dpcontrol.tubes.connections import Connection
 from dpcontrol.tubes.frames import node_count, orbit_nodes

@@ -7,6 +7,7 @@ statement contains numbers that the check proves, and no names: a renamed certif
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from dpcontrol.foundation.document import counted
 from dpcontrol.proofs.balls import bound, decimal, flint, fraction, largest, number
 
 EQUATIONS = {
@@ -74,16 +75,6 @@ def _symbol(data: Mapping[str, Any], k: int, angles: int) -> str:
 
 def _exact(value: Any) -> str:
     return decimal(fraction(value)).lower()
-
-
-def counted(count: int, noun: str) -> str:
-    """Return a number with its noun.
-
-    Args:
-        count: The number.
-        noun: The noun, in the singular.
-    """
-    return f"{count} {noun}{'s' * (count != 1)}"
 
 
 def _lifted(state: Sequence[Any], turns: Sequence[Any]) -> list[Any]:

@@ -152,6 +152,7 @@ def test_settings_of_a_law_have_paths_too() -> None:
         ({"lag": 10**400}, f"lag = 1{39 * '0'}…: must be a number"),
         ({"play": (0.1, 0.2, 0.3)}, "[run] play = (0.1, 0.2, 0.3): must be one number, or 2, one for each arm"),
         ({"controller": "tvlq"}, "controller = 'tvlq': did you mean 'tvlqr'?"),
+        ({"failure": "reversed"}, "drive: failure = 'reversed': needs a time; give failed_at in s"),
         ({"hold": "neares"}, "supervisor: hold = 'neares': did you mean 'nearest'?"),
     ],
 )
