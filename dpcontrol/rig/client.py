@@ -45,10 +45,9 @@ from dpcontrol.rig.packets import (
 def without_collecting() -> Iterator[None]:
     """Disable Python's cyclic garbage collection in the block.
 
-    A collection takes many milliseconds.
+    A collection takes many milliseconds, and seconds in a large program. So there is none before the block either.
     """
     was = gc.isenabled()
-    gc.collect()
     gc.disable()
     try:
         yield
