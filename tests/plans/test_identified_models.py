@@ -32,6 +32,7 @@ def file(found: Identification, tmp_path: Path) -> Path:
     )
 
 
+@pytest.mark.slow
 def test_a_written_model_loads_as_it_was_found(found: Identification, file: Path) -> None:
     model = load_model(str(file))
     assert model.arms == found.arms

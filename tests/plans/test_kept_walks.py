@@ -77,6 +77,7 @@ def test_flights_and_stays_are_one_motion(linger: Plan) -> None:
     assert reference.constraint_violation < NO_JUMP
 
 
+@pytest.mark.slow
 def test_a_stay_repeats_one_period_of_its_orbit(linger: Plan) -> None:
     entry = linger.notes["program"][2]
     first, last = entry["rows"]
@@ -95,6 +96,7 @@ def test_a_long_stay_costs_no_more_than_a_short_one(scene: Writer) -> None:
     assert long.reference.iterations == short.reference.iterations
 
 
+@pytest.mark.slow
 def test_a_stop_without_room_for_a_period_is_flown_through(scene: Writer) -> None:
     plan = make_plan(load_itinerary(str(scene(wraps="[0]"))))
     flights = [entry["fly"] for entry in plan.notes["program"] if "fly" in entry]

@@ -49,10 +49,11 @@ def test_mismatch_and_the_factor_on_friction_go_with_the_plants_own(turn: Itiner
     assert tripled == replace(as_before, viscous=tuple(3.0 * k for k in as_before.viscous))
 
 
+@pytest.mark.slow
 def test_a_plans_and_a_logs_plant_travel_with_them(rusty: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As the file has it at the time of the plan, although the plan itself was cached with another plant."""
-    text, scene = find("itineraries", "outer-turn").read_text(), rusty.with_name("with-rust.toml")
-    scene.write_text(text.replace("[run]", '[run]\nplant = "rusty.toml"'))
+    text, scene = find("itineraries", "hold-down-down").read_text(), rusty.with_name("with-rust.toml")
+    scene.write_text(text.replace("60.0", "0.5").replace("[run]", '[run]\nplant = "rusty.toml"'))
     make_plan(load_itinerary(str(scene)))
     rusty.write_text(rusty.read_text().replace("8e-4", "7e-4"))
     plan, other = make_plan(load_itinerary(str(scene))), rusty.parent / "other"

@@ -166,7 +166,7 @@ def test_mistakes_in_one_file_are_reported_together_one_line_each(tmp_path: Path
     ended = dpcontrol("run", file)
     assert ended.code == 2
     said = ended.stderr.splitlines()
-    wrong = ("'tittle'", "walk", "[limits] position", "[run] lag", "[run] counts", "'zeors'", "'lqrr'", "hold = 3")
+    wrong = ("'tittle'", "walk: ", "[limits] position", "[run] lag", "[run] counts", "'zeors'", "'lqrr'", "hold = 3")
     assert [sum(expected in line for line in said) for expected in wrong] == [1] * len(said)
 
 

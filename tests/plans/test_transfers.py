@@ -67,6 +67,7 @@ def test_a_hold_where_arms_rest_is_the_rest_at_an_end(there_and_back: Plan) -> N
     assert there_and_back.reference.duration - end == pytest.approx(0.5)
 
 
+@pytest.mark.slow
 def test_the_cost_of_a_transfer_is_that_of_its_reference(there_and_back: Plan) -> None:
     reference, document = there_and_back.reference, there_and_back.document()
     assert len(document["transfers"]) == 2
@@ -113,6 +114,7 @@ def test_the_closest_approach_is_to_the_nearest_of_all_orbits_of_a_family() -> N
     assert near["distance"] == pytest.approx(nearest, abs=BETWEEN_ORBITS)
 
 
+@pytest.mark.slow
 def test_a_transfer_that_begins_at_a_saddle_is_at_no_distance_from_its_orbits(there_and_back: Plan) -> None:
     for note, end in zip(there_and_back.document()["transfers"], (1, 0), strict=True):
         near = {one["orbit"]: one for one in note["closest"]}
@@ -121,6 +123,7 @@ def test_a_transfer_that_begins_at_a_saddle_is_at_no_distance_from_its_orbits(th
         assert near["down-up"]["time"] == pytest.approx(end * note["duration"])
 
 
+@pytest.mark.slow
 def test_interrupted_planning_continues_with_its_cached_transfers(
     tmp_path: Path, there_and_back: Plan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -145,6 +148,7 @@ def test_interrupted_planning_continues_with_its_cached_transfers(
     assert len(sought) == 5, "--fresh searches for both"
 
 
+@pytest.mark.slow
 def test_a_motions_sensitivity_is_how_far_plants_stray_whose_arms_are_a_little_off(there_and_back: Plan) -> None:
     """With the feedback of a controller that follows it, on a plant stepped by another integrator."""
     motion, arms = flown_again(there_and_back, 0), LAB.arms
