@@ -82,6 +82,7 @@ def test_the_guess_turns_the_arms_smoothly():
     assert np.abs(slope - states[:, 2:])[1:-1].max() < 1e-4
 
 
+@pytest.mark.slow
 def test_pieces_are_joined_in_time_and_jumps_are_detected(swing_up):
     method = method_named("radau-7")
     hold = still(UP, 0.5, method=method, limits=Limits(), interval=0.1)

@@ -101,6 +101,7 @@ def test_symmetries_are_found():
     assert ours.unstable_multiplier == pytest.approx(theirs.unstable_multiplier, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_a_lagrangian_and_its_hamiltonian_give_the_same_motion():
     """In Hill's rotating frame, momenta differ from velocities: p = (vx - y, vy + x)."""
 

@@ -112,14 +112,8 @@ def between_two(energy, count):
     return Case("henon-heiles", "top", "left", energy, count, across, everywhere, along, hit=2)
 
 
-CASES = [
-    turning("henon-heiles", 0.2, 4),
-    between_two(0.2, 4),
-]
-MORE = [
-    turning("de-leon-berne", 1.3, 4),
-    between_hill(-2.0, 2),
-]
+CASES = [between_two(0.2, 4)]
+MORE = [turning("henon-heiles", 0.2, 4), turning("de-leon-berne", 1.3, 4), between_hill(-2.0, 2)]
 
 
 @cache

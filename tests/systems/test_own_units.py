@@ -3,6 +3,7 @@
 import re
 from pathlib import Path
 
+import pytest
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
@@ -17,6 +18,7 @@ def texts(figure: Figure) -> str:
     return "\n".join(one.get_text() for one in figure.findobj(Text))
 
 
+@pytest.mark.slow
 def test_results_of_an_own_system_show_no_unit_of_si(tmp_path: Path) -> None:
     system = henon_heiles()
     orbit = dp.orbit(system, "top", energy=0.2)
