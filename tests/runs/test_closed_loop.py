@@ -14,6 +14,7 @@ def loop() -> ClosedLoop:
     return dp.closed_loop("outer-turn", mismatch=0.02, lag=0.002)
 
 
+@pytest.mark.slow
 def test_a_run_of_the_object_has_the_messages_of_the_shortcuts(loop: ClosedLoop, tmp_path: Path) -> None:
     options = {"lag": 0.002}
     loop.run(seed=3, log=tmp_path / "object.mcap")

@@ -11,7 +11,7 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.judge.campaign import campaign_summary
 from dpcontrol.runs.campaign import _write
 
-FLIPS = 400
+FLIPS = 100
 ROWS = pa.table(
     {
         "seed": list(range(40)),

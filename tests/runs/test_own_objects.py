@@ -44,6 +44,7 @@ def test_an_own_estimator_flies_and_the_log_lists_disabled_checks() -> None:
     assert (judged.log.controls["nis"][1:] >= 0).all()
 
 
+@pytest.mark.slow
 def test_an_own_plant_of_the_same_equations_moves_as_the_benchs_own() -> None:
     options: dict[str, Any] = {"controller": "tvlqr", "mismatch": 0.0, "initial_error": 0.0}
     own = dp.closed_loop("outer-turn", plant=Arms(), **options).run(seed=3)

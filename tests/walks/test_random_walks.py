@@ -56,6 +56,7 @@ def test_leads_of_any_length_are_part_of_the_orbit(edges, classifier, solver, le
     assert orbit.duration == pytest.approx(first.time_out + between + last.time_in + spare, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_forty_wraps_stay_near_the_periodic_orbit(edges, classifier, solver):
     chain = next(
         asked.chain for asked in drawn_requests(edges, 9, lengths=(3, 3), extra=(0, 0), seed=SEED, periodic=False)
