@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dpcontrol.dynamics.chain import Friction, base_ratios, with_laws
-from dpcontrol.foundation.errors import InputError
+from dpcontrol.dynamics.chain import base_ratios
 from dpcontrol.identification.fit import (
     Design,
     DesignSettings,
@@ -69,21 +68,3 @@ def test_a_pair_gives_more_information_than_either_experiment(design: Design) ->
     first, second = design.best_pair()
     assert digits(first.matrix + second.matrix) > max(first.information, second.information)
     assert all(e.information <= first.information for e in design.ranked())
-
-
-def test_zero_ratios_are_omitted_by_name(design: Design) -> None:
-    rubbing = design_experiments(replace(with_laws(LAB, (Friction.COULOMB,)), coulomb=(3e-4, 0.0)), settings=QUICK)
-    assert len(rubbing.names) == len(design.names) + 1
-    assert "coulomb_2/M12" in rubbing.status
-    assert "coulomb_2" not in design.status
-
-
-def test_a_singular_matrix_gives_no_information() -> None:
-    assert digits(np.diag([1.0, 0.0])) == -np.inf
-    assert digits(100.0 * np.eye(3)) == pytest.approx(1.0)
-
-
-@pytest.mark.parametrize(("name", "value"), [("seconds", 0.0), ("period", -1.0), ("steps", 1), ("track", float("nan"))])
-def test_impossible_settings_are_refused_by_name(name: str, value: float) -> None:
-    with pytest.raises(InputError, match=name):
-        DesignSettings(**{name: value})

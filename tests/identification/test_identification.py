@@ -1,7 +1,6 @@
 """Identification from quantised swings and the rig's recording, with selection of friction laws."""
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -51,17 +50,11 @@ def ten_runs() -> list[tuple[Identification, np.ndarray]]:
     return out
 
 
-@pytest.mark.benchmark
-def test_true_ratios_and_zeros_lie_inside_the_95_percent_region(ten_runs) -> None:
-    inside = [np.abs(found.values - truth) <= TWO_SIDED_95 * found.errors for found, truth in ten_runs]
-    assert np.mean(inside) >= COVERED
-
-
 @pytest.mark.slow
-def test_standard_errors_are_not_larger_than_the_errors(ten_runs) -> None:
-    # Regions must not be too wide either, so the mean square of normalised errors is near one.
-    squares = [((found.values - truth) / found.errors) ** 2 for found, truth in ten_runs]
-    assert 0.15 < np.median(squares) < 1.5
+def test_true_ratios_and_zeros_lie_inside_the_95_percent_region_which_is_not_too_wide(ten_runs) -> None:
+    apart = [np.abs(found.values - truth) / found.errors for found, truth in ten_runs]
+    assert np.mean(np.array(apart) <= TWO_SIDED_95) >= COVERED
+    assert 0.15 < np.median(np.square(apart)) < 1.5
 
 
 @pytest.mark.slow
@@ -84,13 +77,6 @@ def test_less_motion_gives_less_accurate_friction_with_a_remark(ten_runs) -> Non
     assert np.abs(few.values / truth - 1)[friction].max() > RATIO_ERROR
     assert (few.errors / few.values)[friction].max() > RATIO_ERROR
     assert np.abs((few.values - truth) / few.errors).max() < 4
-
-
-@pytest.mark.slow
-def test_the_status_explains_that_only_ratios_are_identified(ten_runs) -> None:
-    found, _ = ten_runs[0]
-    assert found.undetermined[0].startswith("M12 itself")
-    assert "only ratios" in found.undetermined[0]
 
 
 @pytest.mark.slow
@@ -188,21 +174,7 @@ def test_correlation_time_agrees_with_a_known_process() -> None:
     assert correlation_time([noise[:, None]]) == pytest.approx(1.0, abs=0.2)
 
 
-def test_too_few_segments_or_another_pendulum_are_refused() -> None:
-    recording, _ = recorded(LAB, 1, swings=2, seconds=0.5)
-    with pytest.raises(InputError, match="2 segments"):
-        identify([recording], LAB)
-    with pytest.raises(InputError, match="2 arms, the model has 3"):
-        identify([recording], load_model("triple").arms)
-
-
 def test_arms_at_rest_are_refused() -> None:
     still = simulated_recording(LAB, [np.zeros(2)] * 3, seconds=0.5)
     with pytest.raises(InputError, match="nothing to identify"):
         identify([still], LAB)
-
-
-@pytest.mark.parametrize(("name", "value"), [("zeros", "maybe"), ("left_out", 1), ("longest", 0.0), ("laws", ())])
-def test_impossible_settings_are_refused_by_name(name: str, value: Any) -> None:
-    with pytest.raises(InputError, match=name):
-        IdentificationSettings(**{name: value})

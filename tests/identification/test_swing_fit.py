@@ -16,7 +16,6 @@ from dpcontrol.dynamics.chain import (
     equations_of,
     with_laws,
 )
-from dpcontrol.foundation.errors import InputError
 from dpcontrol.identification.fit import FitSettings, Swing, SwingFit, Swings, fit_swings
 from dpcontrol.plans.model import load_model
 
@@ -150,31 +149,3 @@ def test_fitted_friction_is_not_negative(model: Swings) -> None:
     fit = fitted(model, swings_from([[1.0, 0.3, 0.0, 0.0], [-0.4, 1.1, 0.0, 0.0]], arms=without), RATIOS)
     assert (fit.parameters[4:] >= 0).all()
     assert fit.parameters[4:9] == pytest.approx(np.zeros(5), abs=0.02)
-
-
-def test_impossible_motion_is_not_reported_as_explained(model: Swings, exact: list[Swing]) -> None:
-    doubled = [replace(s, angles=2 * s.angles) for s in exact]
-    fit = fitted(model, doubled, RATIOS, FitSettings(iterations=15))
-    assert not fit.converged or fit.rms.min() > 0.01
-    if not fit.converged:
-        assert "starting model" in fit.status or "better model" in fit.status
-
-
-def test_too_few_steps_are_reported(model: Swings, exact: list[Swing]) -> None:
-    fit = fitted(model, exact, 1.1 * RATIOS, FitSettings(iterations=1))
-    assert not fit.converged
-    assert "still improving after 1 steps" in fit.status
-
-
-def test_a_swing_of_a_few_samples_is_refused(model: Swings) -> None:
-    with pytest.raises(InputError, match="fewer than 8 samples"):
-        fitted(model, [Swing(np.zeros((5, 2)), 1e-3)], RATIOS)
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [("window", 0.0), ("robust", -1.0), ("bend", float("nan")), ("iterations", 0), ("tolerance", 0.0)],
-)
-def test_impossible_settings_are_refused_by_name(name: str, value: float) -> None:
-    with pytest.raises(InputError, match=name):
-        FitSettings(**{name: value})

@@ -1,7 +1,6 @@
 """The atlas: everything of an energy, each thing once, in a file that comes back whole or is refused."""
 
 import json
-import zipfile
 from dataclasses import fields, is_dataclass, replace
 
 import numpy as np
@@ -10,10 +9,9 @@ from quick_rate import quick_rate
 from scipy.integrate import solve_ivp
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.plans.atlas import AtlasSettings, compute_atlas, load_atlas, make_atlas, save_atlas
+from dpcontrol.plans.atlas import compute_atlas, load_atlas, make_atlas, save_atlas
 from dpcontrol.plans.model import load_model
 from dpcontrol.tubes.connections import can_be_reversed, find_connections, orbits_between, reversed_search
-from dpcontrol.walks import edges
 from dpcontrol.walks.atlas import Atlas
 from tests.command_line import dpcontrol
 from tests.reference_values import CONNECTIONS, LYAPUNOV_ORBITS
@@ -64,6 +62,7 @@ def test_all_four_kinds_hold_the_reference_connections(high):
     assert len({c.name for c in high.connections}) == len(high.connections)
 
 
+@pytest.mark.slow
 def test_orbits_are_the_reference_ones_and_their_samples_lie_on_the_flow(model, high):
     for orbit in high.orbits:
         state, period, *_ = LYAPUNOV_ORBITS["lab", orbit.saddle, 0.2]
@@ -74,8 +73,8 @@ def test_orbits_are_the_reference_ones_and_their_samples_lie_on_the_flow(model, 
         assert np.abs(orbit.samples[quarter] - flown).max() < FLIGHT
 
 
+@pytest.mark.slow
 def test_rotating_orbits_of_both_arms_are_there_with_their_stability(model, high):
-    """The elliptic one of the inner arm at 0.2 J has an independently computed period and multipliers."""
     assert {o.arm for o in high.rotating_orbits} == {1, 2}
     (elliptic,) = (o for o in high.rotating_orbits if o.kind == "elliptic")
     assert elliptic.arm == 1
@@ -114,6 +113,7 @@ def test_flights_pass_the_section_at_time_zero_and_follow_the_equations(model, h
         assert c.times[-1] > c.time_in
 
 
+@pytest.mark.slow
 def test_strands_of_a_tube_end_on_its_cut(high):
     for cut in high.cuts:
         points = np.concatenate([piece.states for piece in cut.pieces])
@@ -124,25 +124,9 @@ def test_strands_of_a_tube_end_on_its_cut(high):
 
 
 @pytest.mark.slow
-def test_each_tube_is_cut_once(model, monkeypatch):
-    cut = []
-    plain = edges.tube_cut
-
-    def counted(manifold, section, **options):
-        cut.append((manifold.orbit.saddle, section.name, options["hit"]))
-        return plain(manifold, section, **options)
-
-    monkeypatch.setattr(edges, "tube_cut", counted)
-    monkeypatch.setattr("dpcontrol.tubes.connections.tube_cut", counted)
-    compute_atlas(model, 0.2)
-    assert len(cut) == len(set(cut)) == 4
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "pair", "energy", "hits"),
     [
-        ("lab", ("down-up", "up-down"), 0.2, (1, 1)),
         ("lab", ("down-up", "up-down"), 0.2, (1, 2)),
         ("lab", ("down-up", "down-up"), -0.07, (1, 1)),
         ("three-body", ("L1", "L2"), -1.5175, (2, 2)),
@@ -190,14 +174,6 @@ def test_if_first_hits_are_empty_the_next_are_searched_and_both_reported():
     assert all(k.open_ends for k in found.kinds if not k.complete)
 
 
-@pytest.mark.slow
-def test_the_requested_hits_are_searched(model):
-    found = compute_atlas(model, -0.07, settings=AtlasSettings(hits=(1, 2)))
-    assert {k.hits for k in found.kinds} == {(1, 2)}
-    assert found.connections
-    assert all(c.hits == (1, 2) for c in found.connections)
-
-
 def test_a_model_without_sections_has_orbits_of_every_family_and_no_connections():
     found = compute_atlas(load_model("triple"), 0.3)
     assert {(o.saddle, o.family) for o in found.orbits} == {
@@ -220,25 +196,13 @@ def same(first, second):
     return first == second or (first != first and second != second)
 
 
-def test_an_atlas_comes_back_from_its_file_bit_for_bit(high, tmp_path):
-    save_atlas(tmp_path / "a.npz", high)
+def test_an_atlas_comes_back_from_its_file_bit_for_bit(low, tmp_path):
+    endless = replace(low.connections[0], time_out=float("nan"))
+    stored = replace(low, connections=(endless, *low.connections[1:]))
+    save_atlas(tmp_path / "a.npz", stored)
     back = load_atlas(tmp_path / "a.npz")
     for field in fields(Atlas):
-        assert same(getattr(back, field.name), getattr(high, field.name)), field.name
-
-
-def test_infinite_numbers_are_restored(low, tmp_path):
-    lost = replace(low, connections=(replace(low.connections[0], time_out=float("nan")),))
-    save_atlas(tmp_path / "a.npz", lost)
-    assert np.isnan(load_atlas(tmp_path / "a.npz").connections[0].time_out)
-
-
-def test_an_atlas_is_readable_with_numpy_alone_and_holds_no_pickles(saved):
-    with np.load(saved, allow_pickle=False) as file:
-        header = json.loads(str(file["header"]))
-        assert (header["format"], header["version"]) == ("dpcontrol-atlas", 2)
-        assert file["orbit_0_samples"].shape[1] == 4
-        assert all(file[name].dtype != object for name in file.files)
+        assert same(getattr(back, field.name), getattr(stored, field.name)), field.name
 
 
 def rewritten(path, change):
@@ -253,35 +217,21 @@ def rewritten(path, change):
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        (lambda h, a: h.update(format="other"), "its format is 'other'"),
-        (lambda h, a: h.update(version=99), "its version is 99, this program reads 2"),
-        (lambda h, a: h.pop("orbits"), "it lacks 'orbits'"),
+        (lambda h, a: h.update(version=99), "its version is 99"),
         (lambda h, a: a.pop("orbit_0_samples"), "it lacks 'orbit_0_samples'"),
-        (lambda h, a: a.update(orbit_0_samples=np.zeros((4, 3))), "orbit_0_samples has shape"),
         (lambda h, a: a.update(orbit_0_samples=np.full((4, 4), np.nan)), "orbit_0_samples is not finite"),
         (lambda h, a: h["connections"][0].update(section=9), "out of range"),
     ],
-    ids=["format", "version", "header", "array", "shape", "number", "section"],
+    ids=["version", "array", "number", "section"],
 )
 def test_a_damaged_or_foreign_file_is_refused_with_its_reason(saved, change, reason):
-    rewritten(saved, change)
-    with pytest.raises(InputError, match=r"is not an atlas of dpcontrol, or is damaged") as refused:
-        load_atlas(saved)
-    assert reason in str(refused.value)
-
-
-def test_files_that_are_cut_short_or_no_archives_are_refused(saved, tmp_path):
     content = saved.read_bytes()
-    for data in (content[: len(content) // 2], b"", b"no archive", content[:-30]):
-        (tmp_path / "b.npz").write_bytes(data)
-        with pytest.raises(InputError, match="is not an atlas of dpcontrol"):
-            load_atlas(tmp_path / "b.npz")
-    with zipfile.ZipFile(tmp_path / "c.npz", "w") as archive:
-        archive.writestr("readme.txt", "hello")
-    with pytest.raises(InputError, match="is not an atlas"):
-        load_atlas(tmp_path / "c.npz")
-    with pytest.raises(InputError, match="there is no atlas"):
-        load_atlas(tmp_path / "none.npz")
+    rewritten(saved, change)
+    with pytest.raises(InputError, match=reason):
+        load_atlas(saved)
+    saved.write_bytes(content[:-30])
+    with pytest.raises(InputError, match="is not an atlas of dpcontrol"):
+        load_atlas(saved)
 
 
 @pytest.mark.slow
@@ -304,31 +254,5 @@ def test_the_verb_prints_one_document_with_orbits_and_connections(tmp_path):
     assert set(document["seconds"]) == {"orbits", "tubes", "connections", "jit"}
     assert document["file"] == str(tmp_path / "a.npz")
     assert document["complete"] is True
-    single = dpcontrol("connect", "lab", "--from", "down-up", "--to", "down-up", "--energy", "-0.07", "--json")
-    by_name = {c["name"]: c for c in document["connections"]}
-    for c in single.document["connections"]:
-        for key in c:
-            assert key in by_name[c["name"]]
-    orbit = dpcontrol("orbit", "lab", "--saddle", "down-up", "--energy", "-0.07", "--json").document
-    for key in orbit:
-        if key != "family_end":
-            assert key in document["orbits"][0]
-    assert document["orbits"][0]["state"] == orbit["state"]
     assert load_atlas(tmp_path / "a.npz").energy == -0.07
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (("lab", "--energy", "-0.3"), "the Lyapunov orbits about down-up exist only above its energy of -0.1754"),
-        (("lab", "--energy", "nan"), "must be a finite number"),
-        (("lab", "--energy", "0.2", "--out", "atlas.txt"), "a name that ends in .npz"),
-        (("labb", "--energy", "0.2"), "did you mean 'lab'"),
-        (("lab", "--energy", "0.2", "--hits", "0"), "neither one number from 1 to 9 nor two"),
-    ],
-)
-def test_a_mistake_is_one_sentence_and_exit_code_two(arguments, message):
-    done = dpcontrol("atlas", *arguments)
-    assert done.code == 2
-    assert message in done.stderr
-    assert "Traceback" not in done.stderr
+    assert dpcontrol("atlas", "lab", "--energy", "-0.3").code == 2

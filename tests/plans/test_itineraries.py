@@ -1,31 +1,22 @@
 """The shipped itineraries do what their titles say, and a walk may be repeated."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from dpcontrol.foundation.errors import InputError
 from dpcontrol.plans.itinerary import load_itinerary
-from dpcontrol.plans.plan import make_plan, plan_key
+from dpcontrol.plans.plan import make_plan
 from dpcontrol.plans.planning import shadowing_orbit
 from dpcontrol.runs.run import run_plan
-from tests.command_line import dpcontrol
 
 RESIDUAL = 1e-11
 ON_THE_ORBIT = 1e-6
 """Scaled distance after two wobbles of lead: λ^-2 is 3e-6 at -0.07 J of what is left at 1e-3 of the orbit."""
-OUTER, INNER = np.array([0, 1]), np.array([1, 0])
 JOURNEYS = {
     # Saddles at the stops, and whole turns of both arms from the first named position to the last.
-    "double-turn": (["down-up"] * 3, 2 * OUTER),
-    "triple-turn": (["down-up"] * 4, 3 * OUTER),
-    "turn-cross-turn-return": (["down-up", "down-up", "up-down", "up-down", "down-up"], None),
-    "round-trip": (
-        ["down-up"] * 3 + ["up-down"] * 3 + ["down-up"] * 2 + ["up-down"] * 3 + ["down-up"] * 2,
-        None,
-    ),
+    "triple-turn": (["down-up"] * 4, [0, 3]),
+    "round-trip": (["down-up"] * 3 + ["up-down"] * 3 + ["down-up"] * 2 + ["up-down"] * 3 + ["down-up"] * 2, None),
     "dance": (["down-up", "up-down", "up-down", "down-up"] * 3 + ["down-up"], None),
 }
 
@@ -54,20 +45,13 @@ def test_a_shipped_itinerary_is_followed_by_an_orbit_with_its_stops_turns_and_wr
     # Both ends have the same phase of the orbit, so they differ by whole turns.
     if turns is not None:
         change = (last - first)[:2] / (2 * np.pi)
-        assert np.rint(change).tolist() == turns.tolist()
+        assert np.rint(change).tolist() == turns
     for state, saddle, offset in ((first, stops[0], orbit.offsets[0]), (last, stops[-1], orbit.offsets[-1])):
         orbits = [o for c in chain for o in (c.source, c.target) if o.saddle == saddle]
         times = np.linspace(0.0, orbits[0].period, 20_001)
         curve = system.propagator.sample(orbits[0].state, times) + offset * system.turn_lengths
         apart = np.abs(curve - state).max(axis=1).min()
         assert apart < 2 * np.pi * 10 / 20_000 + ON_THE_ORBIT
-
-
-def test_round_trip_turns_both_arms_in_both_senses_and_crosses_in_both() -> None:
-    walk = load_itinerary("round-trip").walk
-    assert len(walk) == 12
-    for asked in ("down-up +", "down-up -", "up-down +", "up-down -", "down-up > up-down +", "down-up > up-down -"):
-        assert asked in walk
 
 
 def test_a_repeated_walk_is_done_so_often_with_the_last_wrap_between_rounds(tmp_path: Path) -> None:
@@ -78,65 +62,11 @@ def test_a_repeated_walk_is_done_so_often_with_the_last_wrap_between_rounds(tmp_
     assert (len(dance.walk), len(dance.wraps), dance.walks[0].repeat) == (12, 11, 3)
 
 
-def test_one_round_is_the_unchanged_walk(tmp_path: Path) -> None:
-    plain, once = load_itinerary(str(scene(tmp_path))), load_itinerary(str(scene(tmp_path, repeat="1")))
-    assert (once.walk, once.wraps, once.walks[0].repeat) == (plain.walk, plain.wraps, 1)
-    assert plan_key(once) == plan_key(plain)
-    assert plan_key(replace(plain, parts=(replace(plain.walks[0], repeat=2),))) != plan_key(plain)
-
-
-@pytest.mark.parametrize(
-    ("changes", "naming"),
-    [
-        ({"repeat": "0"}, ["repeat = 0", "1 to 10000"]),
-        ({"repeat": "-2"}, ["repeat = -2", "1 to 10000"]),
-        ({"repeat": "1000000000", "wraps": "[0, 1]"}, ["repeat = 1000000000", "1 to 10000"]),
-        ({"repeat": "2.0"}, ["repeat = 2.0", "whole number"]),
-        ({"repeat": '"twice"'}, ["repeat = 'twice'", "whole number"]),
-        ({"repeat": "true"}, ["repeat = True", "whole number"]),
-        ({"repeat": "2"}, ["wraps = [0]", "2 stops", "back to its first"]),
-        ({"wraps": "[0, 0]"}, ["wraps = [0, 0]", "1 interior stop"]),
-        (
-            {"repeat": "2", "energy": "0.2", "walk": '["down-up +", "down-up > up-down"]', "wraps": "[0, 0]"},
-            ["repeat = 2", "starts at down-up", "ends at up-down"],
-        ),
-        ({"repaet": "2"}, ["'repaet'", "'repeat'"]),
-    ],
-)
-def test_a_repeat_that_makes_no_sense_is_refused_in_one_sentence(
-    changes: dict[str, str], naming: list[str], tmp_path: Path
-) -> None:
-    with pytest.raises(InputError) as refused:
-        load_itinerary(str(scene(tmp_path, **changes)))
-    message = str(refused.value)
-    assert "scene.toml" in message
-    assert "\n" not in message
-    for part in naming:
-        assert part in message
-
-
 @pytest.mark.slow
 def test_a_repeated_walk_is_planned_run_and_scored_as_all_its_rounds(tmp_path: Path) -> None:
     plan = make_plan(load_itinerary(str(scene(tmp_path, wraps="[0, 0]", repeat="2", lead_in="1", lead_out="1"))))
     assert plan.reference.converged
     assert plan.notes["wraps"] == [0, 0, 0]
     assert [s["text"] for s in plan.notes["symbols"]] == ["down-up +", "down-up -"] * 2
-    log = tmp_path / "run.mcap"
-    done = run_plan(plan, log).score()
+    done = run_plan(plan).score()
     assert (done.completed, done.symbols_completed, done.wraps) == (True, 4, (0, 0, 0))
-    again = dpcontrol("score", log, "--json")
-    assert again.document["symbols_total"] == 4
-
-
-@pytest.mark.slow
-def test_two_turns_are_planned_and_run(tmp_path: Path) -> None:
-    done = dpcontrol("run", "double-turn", "--seed", "1", "--out", tmp_path / "turns.mcap", "--json")
-    assert done.code == 0
-    assert done.document["symbols_completed"] == done.document["symbols_total"] == 2
-
-
-def test_another_estimator_gets_the_defaults_of_the_adaptive_law() -> None:
-    loop = load_itinerary("outer-turn").with_run({"estimator": "ukf"}).loop
-    assert loop.controller.kind == "adaptive"
-    assert loop.estimator.kind == "ukf"
-    assert set(loop.estimator.augment) == {"zeros", "drive", "friction", "dry", "parameters"}

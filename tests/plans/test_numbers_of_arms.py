@@ -1,6 +1,5 @@
 """One, two and three arms go through the same code: planned, run, scored, reviewed, reported and exported."""
 
-from itertools import pairwise, permutations
 from pathlib import Path
 from typing import Any
 
@@ -8,7 +7,7 @@ import numpy as np
 import pytest
 from command_line import dpcontrol
 
-from dpcontrol.plans.itinerary import HoldPart, load_itinerary
+from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.transfers import Transfer, find_transfers
 
 TWO_ARMS = """
@@ -24,16 +23,6 @@ def document(*arguments: str | Path) -> Any:
     ended = dpcontrol(*arguments, "--json")
     assert ended.code == 0, ended.message
     return ended.document
-
-
-def test_fifty_six_connects_each_pair_of_equilibria_of_three_arms_once() -> None:
-    itinerary = load_itinerary("fifty-six")
-    holds = [part for part in itinerary.parts if isinstance(part, HoldPart)]
-    assert len(holds) == len(itinerary.parts) == 57
-    assert itinerary.limits.position == 1.0
-    assert itinerary.limits.acceleration == 30.0
-    done = [(a.hold, b.hold) for a, b in pairwise(holds)]
-    assert sorted(done) == sorted(permutations(itinerary.model.system.equilibria, 2))
 
 
 @pytest.mark.slow

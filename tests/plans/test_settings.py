@@ -1,10 +1,8 @@
 """Settings are declared once: files, logs, options, paths, tables and schema agree with the declaration."""
 
 import json
-import re
 import tomllib
-from collections.abc import Mapping
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +15,7 @@ from dpcontrol.foundation.errors import InputError, mistakes_of
 from dpcontrol.foundation.shipped import folders
 from dpcontrol.logs import compare_messages
 from dpcontrol.plans.itinerary import itinerary_from, load_itinerary, setting_of
-from dpcontrol.plans.layout import RunTable
-from dpcontrol.plans.model import load_model, model_from
+from dpcontrol.plans.model import load_model
 from dpcontrol.plans.overrides import NAMED, parsed, paths, typed, values_in
 from dpcontrol.plans.tables import settings_page
 from dpcontrol.runs.run import stored_settings
@@ -57,26 +54,19 @@ def test_the_schema_is_valid_accepts_every_shipped_file_and_rejects_mistakes(of:
     assert "Attributes:" not in json.dumps(schema)
     assert json.loads(json.dumps(schema, allow_nan=False)) == dpcontrol("schema", of, "--json").document
     valid = Draft202012Validator(schema).is_valid
-    files = sorted(folders(folder)[1].glob("*.toml"))
-    assert len(files) > 5
-    for file in files:
+    for file in folders(folder)[1].glob("*.toml"):
         document = tomllib.loads(file.read_text())
         assert valid(document), file.name
         assert not valid({**document, "tittle": "x"}), file.name
-        assert not valid({**document, "title": 3}), file.name
     if of == "itinerary":
         turn = tomllib.loads(TURN)
         assert valid({**turn, "run": {"lag": 0.01, "play": [0.1, 0.2], "belt": 0}})
-        for run in ({"lag": 2}, {"lag": "x"}, {"belt": 0.5}, {"ages": "old"}, {"counts": 1.5}, {"stuck_for": 0}):
+        for run in ({"lag": 2}, {"lag": "x"}, {"belt": 0.5}, {"counts": 1.5}):
             assert not valid({**turn, "run": run}), run
         assert valid({**turn, "controller": {"kind": "lqr", "damping": 0.1}})
         assert not valid({**turn, "controller": {"kind": "tvlqr", "damping": 0.1}})
-        assert valid({**turn, "controller": {"keep": "ogy", "schedule": "time"}})
-        assert not valid({**turn, "controller": {"keep": "ogy", "kind": "adaptive"}})
-        for lacking in ("energy", "walk"):
-            assert not valid({key: value for key, value in turn.items() if key != lacking})
+        assert not valid({key: value for key, value in turn.items() if key != "energy"})
         assert not valid({**turn, "hold": "up-up"})
-        assert not valid({**turn, "parts": [{"hold": "up-up"}]})
     else:
         arms = tomllib.loads(LAB)
         assert not valid({**arms, "gravity": {**arms["gravity"], "acceleration": -9.81}})
@@ -124,51 +114,11 @@ def test_a_setting_by_path_is_that_of_a_file_and_is_typed_and_parsed_back(path: 
     assert itinerary_from(text, "turn", load_model("lab")).loop == loop
 
 
-def test_an_itinerary_that_only_holds_has_the_law_of_holds_unless_it_names_another() -> None:
-    held, model = STILL.partition("[run]")[0], load_model("lab")
-    for line, kind in (("", "lqr"), ("controller.effort = 2.0", "lqr"), ('controller.kind = "tvlqr"', "tvlqr")):
-        assert itinerary_from(f"{held}{line}\n", "held", model).loop.controller.kind == kind
-    moves = held.replace('start = "hold"', 'start = "rest"\nfinish = "rest"')
-    assert itinerary_from(moves, "from-rest", model).loop.controller.kind == "adaptive"
-
-
 def test_settings_of_a_law_have_paths_too() -> None:
     loop = load_itinerary("outer-turn").with_run({"controller": "lqr", "controller.damping": 0.2}).loop
     assert asdict(loop.controller)["damping"] == 0.2
     with pytest.raises(InputError, match=r"controller.damping: adaptive has no such setting; it has angle, rate"):
         load_itinerary("outer-turn").with_run({"damping": 0.2})
-
-
-@pytest.mark.parametrize(
-    ("given", "told"),
-    [
-        ({"lagg": 1}, "lagg: no run has this setting; did you mean 'drive.lag'?"),
-        ({"drive.lagg": 1}, "drive.lagg: no run has this setting; did you mean 'drive.lag'?"),
-        ({"xyz": 1}, "xyz: no run has this setting; `dpcontrol guide settings` lists all"),
-        ({"command_noise": 1, "drive.command_noise": 2}, "drive.command_noise is given twice"),
-        ({"lag": 0.1, "drive.lag": 0.2}, "drive.lag = 0.2: drive.lag is given twice; give it once"),
-        ({"lag": "x"}, "lag = 'x': must be a number"),
-        ({"counts": 1.5}, "counts = 1.5: must be a whole number"),
-        ({"lag": True}, "lag = True: must be a number"),
-        ({"ages": 3}, "ages = 3: must be text"),
-        ({"lag": -1}, "drive: lag = -1.0: must be 0 to 1 s"),
-        ({"lag": 10**400}, f"lag = 1{39 * '0'}…: must be a number"),
-        ({"play": (0.1, 0.2, 0.3)}, "[run] play = (0.1, 0.2, 0.3): must be one number, or 2, one for each arm"),
-        ({"controller": "tvlq"}, "controller = 'tvlq': did you mean 'tvlqr'?"),
-        ({"failure": "reversed"}, "drive: failure = 'reversed': needs a time; give failed_at in s"),
-        ({"hold": "neares"}, "supervisor: hold = 'neares': did you mean 'nearest'?"),
-    ],
-)
-def test_a_mistaken_override_is_one_sentence(given: Mapping[str, Any], told: str) -> None:
-    with pytest.raises(InputError) as refused:
-        load_itinerary("outer-turn").with_run(given)
-    assert told in str(refused.value)
-    assert "\n" not in str(refused.value)
-    if len(given) == 1:
-        ((name, value),) = given.items()
-        ended = dpcontrol("run", "outer-turn", "--set", f"{name}={value}")
-        assert ended.code == 2
-        assert len(ended.stderr.splitlines()) == 1
 
 
 @pytest.mark.slow
@@ -219,121 +169,41 @@ def test_mistakes_in_one_file_are_reported_together_one_line_each(tmp_path: Path
     ended = dpcontrol("run", file)
     assert ended.code == 2
     said = ended.stderr.splitlines()
-    assert all(line.startswith(f"dpcontrol: {file}: ") for line in said)
-    for expected in (
-        "at the top level, the key 'tittle' is unknown: did you mean 'title'?", "walk: ",
-        "[limits] position = -1.0: must",
-        "[run] lag = 'x': must be a number", "[run] counts = -4: must be at least 1, or 0 for no rounding",
-        "[run] the key 'zeors' is unknown: did you mean 'zeros'?",
-        "[controller] kind = 'lqrr': did you mean 'lqr'?",
-        "[supervisor] hold = 3: ",
-    ):  # fmt: skip
-        assert sum(expected in line for line in said) == 1, expected
-    assert len(said) == 8
+    wrong = ("'tittle'", "walk: ", "[limits] position", "[run] lag", "[run] counts", "'zeors'", "'lqrr'", "hold = 3")
+    assert [sum(expected in line for line in said) for expected in wrong] == [1] * len(said)
 
 
 MISTAKES: list[tuple[str, str, str]] = [
     ("unknown key", f"{TURN}[run]\nlagg = 0.1\n", "[run] the key 'lagg' is unknown: did you mean 'lag'?"),
-    ("unknown table", f"{TURN}[runs]\nlag = 0.1\n", "at the top level, the key 'runs' is unknown: did you mean 'run'?"),
-    ("unknown top key", f"tilte = 'x'\n{TURN}", "at the top level, the key 'tilte' is unknown: did you mean 'title'?"),
-    ("missing key", 'walk = ["down-up +"]\n', "the key 'energy' is missing"),
     ("misspelt required key", 'walk = ["down-up +"]\nenergie = -0.07', "the key 'energy' is missing; is 'energie'"),
     ("text for number", f"{TURN}[run]\nlag = 'x'\n", "[run] lag = 'x': must be a number"),
-    ("number for text", f"{TURN}[run]\nages = 1\n", "[run] ages = 1: must be text in quotes"),
     ("fraction for whole number", f"{TURN}[run]\ncounts = 1.5\n", "[run] counts = 1.5: must be a whole number"),
-    ("truth for number", f"{TURN}[run]\nlag = true\n", "[run] lag = True: must be a number"),
     ("below the range", f"{TURN}[run]\nlag = -1\n", "[run] lag = -1.0: must be 0 to 1 s"),
-    ("above the range", f"{TURN}[limits]\nposition = 1e9\n", "[limits] position = 1000000000.0: must be"),
     ("wrong choice", f"{TURN}[reference]\nsolver = 'ipot'\n", "[reference] solver = 'ipot': did you mean 'ipopt'?"),
-    ("wrong kind", f"{TURN}[estimator]\nkind = 'efk'\n", "[estimator] kind = 'efk': did you mean 'ekf'?"),
     ("another kind's key", f"{TURN}[controller]\nkind = 'lqr'\ntrust = 1\n", "[controller] the key 'trust' is unknown"),
     ("table within [run]", f"{TURN}[run.sensors]\ncounts = 3\n", "[run.sensors] counts = 3: write this key in [run]"),
-    ("table instead of [run]", f"{TURN}[drive]\nlag = 0.1\n", "[drive] lag = 0.1: write this key in [run]"),
-    (
-        "table beside [run]",
-        f"{TURN}[run.supervisor]\non_fall = 'stop'\n",
-        "[run.supervisor] on_fall = 'stop': write this key in [supervisor]",
-    ),
-    ("unknown key of a hold", 'start = "hold"\nhold = "down-up"\nnosuch = 1\n', "the key 'nosuch' is unknown"),
-    ("any key of no feedback", f"{TURN}[controller]\nkind = 'feedforward'\nrate = 1\n", "the key 'rate' is unknown"),
     ("text in a list", f"{TURN}[run]\nplay = [0.1, 'x']\n", "[run] play holds 'x': must be"),
     ("value for a table", f"run = 3\n{TURN}", "run = 3: must be a table, [run]"),
+    ("repeated walk that ends elsewhere", 'repeat = 2\nenergy = 0.2\nwalk = ["down-up > up-down"]\n', "repeat = 2"),
+    ("hold beside a walk", f'{TURN}hold = "up-up"\n', "hold"),
+    ("rest without a cart", f'{TURN}start = "rest"\n[reference]\nlevel = "conservative"\n', "conservative"),
     ("impossible walk", 'energy = -0.07\nwalk = ["down-up ?"]\n', "walk: "),
-    (
-        "number of wraps",
-        'energy = -0.07\nwalk = ["down-up +"]\nwraps = [1]\n',
-        "wraps = [1]: a walk of 1 symbol has 0",
-    ),
     ("energy below the saddle", 'energy = -9\nwalk = ["down-up +"]\n', "energy = -9.0 J: down-up has Lyapunov orbits"),
-    (
-        "hold at one end",
-        'finish = "hold"\nstart = "rest"\nhold = "up-up"\n',
-        'finish = "hold": is for start and finish together',
-    ),
     ("error of a blow", f"{TURN}[[run.blows]]\ntime = -1\n", "[[run.blows]] 1, time = -1.0: must be zero or positive"),
 ]
 
 
-def test_every_key_that_the_page_on_settings_lists_under_run_is_a_key_of_run() -> None:
-    sections = [one.partition("\n") for one in settings_page().split("\n## ")]
-    listed = "".join(rows for title, _, rows in sections if title.startswith("[run]"))
-    keys = re.findall(r"^\| `(\w+)` \|", listed, re.MULTILINE)
-    assert "delay" in keys
-    assert sorted({*keys, "blows"}) == sorted({*(field.name for field in fields(RunTable)), "blows"})
-
-
 @pytest.mark.parametrize(("what", "text", "told"), MISTAKES, ids=[one[0] for one in MISTAKES])
-def test_each_of_these_mistakes_is_one_sentence(what: str, text: str, told: str) -> None:
+def test_each_kind_of_mistake_is_named(what: str, text: str, told: str) -> None:
     with pytest.raises(InputError) as refused:
         itinerary_from(text, "scene", load_model("lab"))
     (sentence,) = mistakes_of(refused.value)
-    assert sentence.startswith("scene.toml: ")
     assert told in sentence
 
 
-@pytest.mark.parametrize(
-    ("path", "text", "value"),
-    [
-        ("play", "[0.1, 0.2]", (0.1, 0.2)), ("play", "0.1,0.2,", (0.1, 0.2)), ("augment", "", ()),
-        ("augment", "[zeros,drive]", ("zeros", "drive")),
-    ],
-)  # fmt: skip
-def test_a_list_is_written_with_or_without_brackets(path: str, text: str, value: Any) -> None:
-    assert parsed(path, text) == value
-
-
-@pytest.mark.parametrize("text", ["[", "]", ",", "[,]", "1,,2", "[[1]]", "[1", "1,x"])
-def test_text_that_is_no_list_is_refused(text: str) -> None:
-    with pytest.raises(InputError, match="must be a number or a list of numbers"):
-        parsed("play", text)
-
-
-def test_lists_are_varied_if_they_are_in_brackets() -> None:
+def test_a_list_is_written_with_or_without_brackets_and_varied_in_brackets() -> None:
+    assert parsed("play", "[0.1, 0.2]") == parsed("play", "0.1,0.2,") == (0.1, 0.2)
+    assert parsed("augment", "[zeros,drive]") == ("zeros", "drive")
     assert values_in("[0.1,0.2],0.3,[0.2, 0.1]") == ["[0.1,0.2]", "0.3", "[0.2, 0.1]"]
-    assert values_in("0.1,0.2") == ["0.1", "0.2"]
-
-
-def test_a_blow_on_an_arm_that_does_not_exist_is_refused_with_its_table() -> None:
-    blow = f"{TURN}[[run.blows]]\ntime = 0.1\n[[run.blows]]\ntime = 0.1\narm = 2\n"
-    with pytest.raises(InputError, match=r"scene.toml: \[\[run.blows\]\] 2, arm = 2: must be 0 to 1"):
-        itinerary_from(blow, "scene", load_model("lab")).remark_on_rig()
-
-
-def test_several_values_out_of_bounds_in_a_model_are_each_reported_with_their_table() -> None:
-    text = re.sub(r"(?m)^mass\s*=\s*\[", "mass = [-1.0, ", LAB).replace("acceleration = ", "acceleration = -")
-    text = re.sub(r"(?m)^viscous\s*=\s*\[", "viscous = [-1.0, ", text)
-    with pytest.raises(InputError) as refused:
-        model_from(text, "mine")
-    assert [one.partition(" = ")[0] for one in mistakes_of(refused.value)] == [
-        "mine.toml: [arms] mass", "mine.toml: [gravity] acceleration", "mine.toml: [friction] viscous",
-    ]  # fmt: skip
-
-
-def test_mistakes_in_a_model_are_reported_together() -> None:
-    text = re.sub(r"(?m)^mass\s*=\s*\[", "mass = ['x', ", LAB.replace("acceleration =", "aceleration ="))
-    with pytest.raises(InputError) as refused:
-        model_from(text, "mine")
-    told = mistakes_of(refused.value)
-    assert len(told) == 2
-    assert "mine.toml: [arms] mass holds 'x': must be a list of numbers" in told
-    assert "mine.toml: [gravity] the key 'acceleration' is missing; is 'aceleration' a misspelling of it?" in told
+    with pytest.raises(InputError, match="must be a number or a list of numbers"):
+        parsed("play", "[1,x")

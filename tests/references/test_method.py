@@ -2,8 +2,7 @@ import numpy as np
 import pytest
 from scipy.special import roots_jacobi
 
-from dpcontrol.foundation.errors import InputError
-from dpcontrol.references.method import interpolation_matrix, method_named, radau
+from dpcontrol.references.method import interpolation_matrix, radau
 
 ROUNDING = 1e-12  # Sums of a few terms of order ten in double precision.
 COUNTS = range(2, 9)
@@ -38,9 +37,3 @@ def test_interpolation_reproduces_the_points_and_the_polynomial() -> None:
     curve = np.polynomial.Polynomial([1.0, -2.0, 0.5, 3.0, -1.0])
     at = np.concatenate([points, np.linspace(0.0, 1.0, 17)])
     assert interpolation_matrix(points, at) @ curve(points) == pytest.approx(curve(at), abs=ROUNDING)
-
-
-@pytest.mark.parametrize("name", ["radau-1", "radau-13", "radau", "gauss-0", "radau-x", ""])
-def test_an_unknown_method_is_refused_with_the_valid_names(name: str) -> None:
-    with pytest.raises(InputError, match="radau"):
-        method_named(name)

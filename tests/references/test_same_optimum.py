@@ -1,7 +1,5 @@
 """Several transcriptions and two solvers have the same optimum."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from multiple_shooting import solve_by_shooting
@@ -9,10 +7,9 @@ from numpy.typing import NDArray
 from shadowing_stand_in import LAB, orbit_stretch
 
 from dpcontrol.dynamics.chain import Level, arm_chain_equations
-from dpcontrol.foundation.errors import InputError
 from dpcontrol.references.find import find_reference
 from dpcontrol.references.method import Method, interpolation_matrix, method_named
-from dpcontrol.references.problem import EndConditions, Limits, ReferenceProblem, ReferenceSettings, state_scale
+from dpcontrol.references.problem import Limits, ReferenceProblem, ReferenceSettings, state_scale
 from dpcontrol.references.trajectory import Solved, first_trajectory
 from dpcontrol.references.transcription import solve
 
@@ -91,19 +88,3 @@ def test_shooting_agrees_where_a_limit_binds() -> None:
     assert held.cost == pytest.approx(flown.cost, rel=SAME_COST)
     assert held.cost > (1 + 5 * SAME_COST) * collocated(swing(), "radau-5", 0.02, "ipopt").cost
     assert np.abs(states(held, method) - states(flown, method)).max() < SAME_STATES
-
-
-@pytest.mark.parametrize(
-    ("limits", "ends"),
-    [
-        (Limits(jerk=100.0), EndConditions()),
-        (Limits(), EndConditions(stretch=0.1)),
-        (Limits(), EndConditions(closing=np.zeros(6))),
-        (Limits(), EndConditions(energy=-0.07)),
-    ],
-)
-def test_shooting_refuses_problems_that_require_collocation(limits: Limits, ends: EndConditions) -> None:
-    with pytest.raises(InputError, match="multiple shooting serves fixed times"):
-        solve_by_shooting(
-            replace(swing(limits), ends=ends), method_named("radau-5"), settings=ReferenceSettings(), mesh=mesh_of(0.1)
-        )

@@ -8,10 +8,8 @@ from quick_rate import quick_rate
 from scipy.integrate import solve_ivp
 
 from dpcontrol.dynamics.chain import ArmChainParameters
-from dpcontrol.foundation.errors import InputError
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.plans.model import load_model
-from dpcontrol.references.problem import Limits
 from dpcontrol.references.sustained import SectionMap, SustainedOrbit, sustained_orbit
 
 ERROR_BETWEEN_NODES = 1e-9  # Required, scaled.
@@ -192,13 +190,11 @@ def test_the_orbit_crosses_sections_only_at_their_times() -> None:
         assert (np.sign(late[near]) == np.sign(times[near] - section.time)).all()
         assert section.lateness(orbit.state(section.time + 1e-5)) == pytest.approx(1e-5, rel=1e-3)
         assert section.lateness(section.state + np.array([0, 0, 0, 0, 0.1, 0.1])) == 0.0
-    with pytest.raises(InputError, match="1 to 1000"):
-        orbit.sections(0)
 
 
 @pytest.mark.parametrize(
     ("saddle", "energy", "friction"),
-    [("down-up", -0.175429, 1.0), ("down-up", 0.25, 1.0), ("up-down", 0.1755, 1.0), ("down-up", 0.2, 5.0)],
+    [("down-up", -0.175429, 1.0), ("up-down", 0.1755, 1.0), ("down-up", 0.2, 5.0)],
 )
 def test_small_and_large_orbits_are_sustained_with_five_times_the_friction(
     saddle: str, energy: float, friction: float
@@ -217,18 +213,3 @@ def test_effort_grows_in_proportion_to_friction_and_to_small_amplitudes() -> Non
     saddle = -0.1754297469
     near = [sustained("down-up", e).reference.rms_cart_acceleration / np.sqrt(e - saddle) for e in (-0.1753, -0.175429)]
     assert near[0] == pytest.approx(near[1], rel=0.01)
-
-
-@pytest.mark.slow
-def test_the_status_names_limits_that_are_too_tight() -> None:
-    lyapunov = lyapunov_orbit(LAB.system, "down-up", energy=0.2)
-    orbit = sustained_orbit(lyapunov, LAB.arms, limits=Limits(acceleration=0.05))
-    assert not orbit.converged
-    assert "acceleration" in orbit.status
-    assert np.isnan(orbit.multipliers).all()
-
-
-def test_an_orbit_of_other_arms_is_refused() -> None:
-    lyapunov = lyapunov_orbit(load_model("point-mass").system, "down-up", energy=0.0)
-    with pytest.raises(InputError, match="other arms"):
-        sustained_orbit(lyapunov, LAB.arms)

@@ -52,7 +52,7 @@ class Filter:
 
 
 class Judged(Filter):
-    """The same, which gives its standard deviations as well."""
+    """The same with its standard deviations."""
 
     @property
     def sigmas(self):
@@ -105,10 +105,3 @@ class Wrong(Gains):
 
     def control(self, time, state, reference) -> float:
         return float("nan") if time >= 0.1 else super().control(time, state, reference)
-
-
-class Last(Gains):
-    """A law that fails in its last call."""
-
-    def control(self, time, state, reference):
-        return None if time > 4.8755 else super().control(time, state, reference)

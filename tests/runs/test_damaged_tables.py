@@ -11,13 +11,10 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.judge.campaign import campaign_summary
 from dpcontrol.runs.campaign import _write
 
-FLIPS = 400
+FLIPS = 100
 ROWS = pa.table(
     {
-        "itinerary": ["turn"] * 40,
-        "controller": ["tvlqr"] * 40,
         "seed": list(range(40)),
-        "mismatch": np.linspace(0, 0.1, 40),
         "completed": [k % 3 > 0 for k in range(40)],
         "reason": [f"symbol {k}" for k in range(40)],
         "max_cart_position": np.random.default_rng(1).uniform(size=40),

@@ -40,15 +40,3 @@ def test_the_gains_of_tvlqr_complete_the_itinerary_and_nothing_done_does_not() -
         _, _, over, _, info = env.step(np.zeros(1, dtype=np.float32))
     assert not info["completed"]
     assert info["reason"]
-
-
-def test_a_seed_determines_arms_errors_and_blows() -> None:
-    from dpcontrol.examples.gym_env import BenchEnv
-
-    def flown(seed: int) -> np.ndarray:
-        env = BenchEnv("outer-turn", knocks_per_minute=600.0)
-        first, _ = env.reset(seed=seed)
-        return np.array([first, *(env.step(np.full(1, 0.05, dtype=np.float32))[0] for _ in range(20))])
-
-    assert np.array_equal(flown(1), flown(1))
-    assert not np.array_equal(flown(1), flown(2))

@@ -9,7 +9,7 @@ from command_line import dpcontrol
 
 from dpcontrol import api
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.judge.decoding import orbit_index, planned_wraps, shortfall
+from dpcontrol.judge.decoding import orbit_index, shortfall
 from dpcontrol.plans.plan import Plan, load_plan
 from dpcontrol.references.find import tail
 from dpcontrol.references.reference import Reference, joined
@@ -57,25 +57,6 @@ def test_an_arm_that_turns_once_more_between_two_symbols_is_another_walk(turns: 
     inside = (times > first) & (times < second)
     states[..., 1] += np.where(inside, -2 * np.pi * np.sin(np.pi * (times - first) / (second - first)) ** 2, 0.0)
     assert departure(motion, replace(motion, states=states)) != ""
-
-
-def test_wraps_of_a_polished_plan_are_those_that_were_counted(turns: Plan) -> None:
-    notes = turns.notes
-    late = [notes["symbols"][0], {**notes["symbols"][1], "time": notes["symbols"][1]["time"] + 0.4}]
-    made = planned_wraps({**notes, "symbols": late}, 0)
-    (asked,) = notes["wraps"]
-    assert made is not None
-    assert asked is not None
-    assert abs(made - asked) > 0.3
-    assert planned_wraps({**notes, "symbols": late, "polished": [0.0, 0.0, 0.0]}, 0) == asked
-
-
-@pytest.mark.parametrize("itinerary", ["outer-turn", "hold-up-up"])
-def test_plans_that_do_not_lead_from_rest_to_rest_are_rejected_in_a_sentence(itinerary: str) -> None:
-    ended = dpcontrol("plan", itinerary, "--polish")
-    assert ended.code == 2
-    assert "--polish needs a motion from rest to rest" in ended.message
-    assert 'finish = "rest"' in ended.message
 
 
 @pytest.mark.slow

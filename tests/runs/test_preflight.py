@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 
 from dpcontrol.dynamics.chain import Uncertainty, ratio_names
-from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.statistics import wilson
-from dpcontrol.judge.preflight import HazardBorder, Improvement, Preflight, ShareAt
+from dpcontrol.judge.preflight import HazardBorder, Improvement, Preflight
 from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.pages.layout import save_figure
 from dpcontrol.plans.itinerary import load_itinerary
@@ -23,7 +22,6 @@ from dpcontrol.runs.preflight import (
     ASSUMED_MISMATCH,
     PreflightSettings,
     SceneChange,
-    hazards,
     preflight,
     with_known_errors,
 )
@@ -113,31 +111,6 @@ def test_a_change_is_worth_what_it_rescues_less_what_it_loses(turn: Plan, monkey
     assert sum(e.runs for e in found.endings) == found.share.runs - found.share.successes
 
 
-def test_changes_need_failures_and_borders_need_completed_runs(turn: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
-    made_up(monkeypatch, lambda loop, random: True)
-    fine = preflight(turn, settings=SMALL)
-    assert (fine.changes, fine.endings, fine.likely) == ((), (), None)
-    assert all(b.border is None for b in fine.borders)
-    made_up(monkeypatch, lambda loop, random: False)
-    hopeless = preflight(turn, settings=SMALL)
-    assert (hopeless.borders, hopeless.likely) == ((), False)
-    assert any("too few to find borders" in note for note in hopeless.notes)
-    assert {c.gain for c in hopeless.changes} == {0.0}
-
-
-def test_a_preflight_runs_in_python_and_without_lockstep_uses_few_runs(
-    turn: Plan, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    made_up(monkeypatch, lambda loop, random: random.uniform() < 0.9)
-    found = preflight(turn, {"missed_counts": 1.0}, settings=PreflightSettings(workers=1))
-    assert (found.borders, found.changes) == ((), ())
-    assert any("one after the other" in note for note in found.notes)
-    assert 32 <= found.share.runs < preflight(turn, settings=PreflightSettings(workers=1)).share.runs
-    assert len(repr(found)) < 300
-    # A larger requested number is run.
-    assert preflight(turn, {"missed_counts": 1.0}, settings=PreflightSettings(runs=16, workers=1)).borders
-
-
 @pytest.mark.slow
 def test_its_runs_are_those_of_a_campaign_and_are_kept(
     turn: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -191,47 +164,3 @@ def test_a_gain_and_its_error_weigh_both_kinds_of_seeds() -> None:
     assert change.gain == pytest.approx(0.2 * 0.5 - 0.8 / 16)
     up, down = 14 / 28, 5 / 52
     assert change.error**2 == pytest.approx(0.04 * up * (1 - up) / 28 + 0.64 * down * (1 - down) / 52)
-
-
-@pytest.mark.parametrize("values", [{"runs": 3}, {"workers": -1}, {"confidence": 2.0}])
-def test_impossible_settings_are_refused_by_name(values: dict[str, Any]) -> None:
-    with pytest.raises(InputError, match=next(iter(values))):
-        PreflightSettings(**values)
-
-
-def test_points_without_completing_seeds_have_no_share() -> None:
-    assert math.isnan(ShareAt(1.0, 32, 0, 0).share)
-
-
-def test_borders_of_belt_play_and_stiction_are_found_with_an_unchanged_model_of_the_loop(turn: Plan) -> None:
-    rough = {"belt": 60.0, "play": 0.004, "cable_torque": -0.001}
-    scene = turn.followed().itinerary.with_run(rough)
-    found = {one.name: one for one in hazards(turn, scene, most_delay=10)}
-    assert {"belt", "play", "stiction", "cable torque"} <= found.keys()
-    assert not {"cable stiffness", "first rates", "cart at first"} & found.keys()
-    assert (found["belt"].set, found["play"].set, found["cable torque"].set) == (60.0, 0.004, 0.001)
-    worse = scene.with_run(found["play"].options(0.02)).loop
-    assert worse.mechanics.play == 0.02
-    assert worse.known_mechanics(2) == scene.loop.known_mechanics(2)
-    # Of a belt less is worse.
-    assert found["belt"].place(30.0) > found["belt"].place(60.0)
-
-
-class _Arms:
-    def step(self, state: np.ndarray, acceleration: float, seconds: float) -> np.ndarray:
-        return state
-
-
-def test_only_settings_that_remain_beside_a_users_plant_have_borders(turn: Plan) -> None:
-    scene = turn.followed().itinerary.with_run({"plant": _Arms(), "initial_rate": 0.1})
-    found = hazards(turn, scene, most_delay=10)
-    assert [one.setting for one in found] == ["delay", "push_impulse", "zero_error", "counts", "travel", "initial_rate"]
-    for one in found:
-        scene.with_run(one.options(one.first if math.isfinite(one.first) else 1.0))
-
-
-def test_a_reference_with_its_cart_at_the_centre_has_a_border_of_travel() -> None:
-    plan = make_plan(load_itinerary("hold-up-up"))
-    (travel,) = (one for one in hazards(plan, plan.itinerary, most_delay=10) if one.setting == "travel")
-    assert plan.reference.max_cart_position == 0
-    assert 0 < travel.value(travel.place(travel.end)) < travel.set

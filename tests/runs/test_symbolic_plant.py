@@ -2,17 +2,14 @@
 
 import itertools
 import runpy
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
-import casadi as ca
 import numpy as np
 import pytest
-from command_line import dpcontrol
 from scipy.integrate import solve_ivp
 
 import dpcontrol as dp
-from dpcontrol.dynamics.components import Belt, Cable, ComponentFrame, EncoderPlay, Stiction
 from dpcontrol.dynamics.plant import PlantParameters
 from dpcontrol.loop.simulated import SimulatedPlant
 from dpcontrol.plans.model import load_model
@@ -31,10 +28,6 @@ def example(name: str, monkeypatch: pytest.MonkeyPatch) -> type[dp.SymbolicPlant
     space: dict = {"__name__": name}
     exec(text.split("# %%\n")[1], space)
     return space[NAMES[name]]
-
-
-def test_the_components_that_ship_are_symbolic_plants() -> None:
-    assert all(issubclass(one, dp.SymbolicPlant) for one in (Belt, EncoderPlay, Cable, Stiction))
 
 
 def moved(plant: dp.SymbolicPlant, state: np.ndarray, seconds: float) -> np.ndarray:
@@ -129,66 +122,3 @@ def test_a_plant_of_expressions_flies_in_lockstep_as_alone_and_keeps_its_arms(tm
     assert alone.plant is not None
     kinds = [type(one).__name__ for one in loop.assembly.draw().plant.components]
     assert kinds == ["Belt", "Stiction", "Spring"]
-    done = dpcontrol("run", "hold-up-up", "--set", f"plant={file}:Spring", "--out", str(tmp_path / "run.mcap"))
-    assert done.code == 0, done.stderr
-
-
-class _Raises(dp.SymbolicPlant):
-    @classmethod
-    def sizes(cls, arms: int) -> dp.Sizes:
-        raise ValueError("no sizes")
-
-
-@dataclass(frozen=True)
-class _Endless(dp.SymbolicPlant):
-    number: float = float("nan")
-
-    @classmethod
-    def sizes(cls, arms: int) -> dp.Sizes:
-        return dp.Sizes(parameters=1)
-
-
-class _Lost(dp.SymbolicPlant):
-    @classmethod
-    def sizes(cls, arms: int) -> dp.Sizes:
-        return dp.Sizes(states=1)
-
-    @classmethod
-    def terms(cls, frame: ComponentFrame) -> dp.Terms:
-        return dp.Terms(rates=ca.SX.zeros(1))
-
-    def start(self, state: np.ndarray) -> np.ndarray:
-        return np.array([np.nan])
-
-
-@pytest.mark.parametrize(
-    ("plant", "said"),
-    [
-        (_Raises(), r"_Raises: ValueError: no sizes"),
-        (_Endless(), r"_Endless: numbers\(\) gives \(nan,\): all must be finite"),
-        (_Lost(), r"_Lost: start\(\) gives \[nan\]: all must be finite"),
-    ],
-)
-def test_a_plant_without_usable_numbers_is_refused_by_name(plant: dp.SymbolicPlant, said: str) -> None:
-    with pytest.raises(dp.InputError, match=f"plant = {said}"):
-        dp.closed_loop("outer-turn", plant=plant)
-
-
-@pytest.mark.parametrize(
-    ("sizes", "terms", "said"),
-    [
-        (dp.Sizes(states=1), lambda frame: dp.Terms(), "terms has 0 rates"),
-        (dp.Sizes(parameters=2), lambda frame: dp.Terms(), "numbers has 1"),
-        (dp.Sizes(parameters=1), lambda frame: dp.Terms(dissipation=frame.parameters[7]), "out of bounds"),
-        (dp.Sizes(states=1, parameters=1), lambda frame: dp.Terms(rates=ca.erf(frame.velocity[0])), "heyoka"),
-    ],
-)
-def test_a_plant_that_does_not_fit_is_refused_by_name(sizes, terms, said: str) -> None:
-    @dataclass(frozen=True)
-    class Odd(dp.SymbolicPlant):
-        number: float = 1.0
-
-    Odd.sizes = classmethod(lambda cls, arms: sizes)  # type: ignore[method-assign]
-    Odd.terms = classmethod(lambda cls, frame: terms(frame))  # type: ignore[method-assign]
-    with pytest.raises(dp.InputError, match=f"plant = Odd: .*{said}"):
-        dp.closed_loop("outer-turn", plant=Odd())

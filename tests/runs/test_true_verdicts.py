@@ -8,7 +8,7 @@ import pytest
 from generated_itineraries import write_itinerary
 from verdict_runs import Comparison, drawn_options, for_plan
 
-from dpcontrol.judge.decoding import decode_run, shortfall
+from dpcontrol.judge.decoding import shortfall
 from dpcontrol.judge.score import Flown, verdict_on
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import Plan, make_plan, recoverable
@@ -69,20 +69,9 @@ def test_a_wide_orbit_between_a_transfer_and_a_hold_is_a_stop(tmp_path: Path) ->
 
 
 @pytest.mark.slow
-def test_a_hold_at_the_end_is_judged_for_no_longer_than_it_lasts(tmp_path: Path) -> None:
-    holds = [
-        f'[[parts]]\nhold = "{name}"\nseconds = {seconds}\n' for name, seconds in (("up-up", 1.0), ("down-down", 0.5))
-    ]
-    text = "".join(['model = "lab"\nstart = "rest"\nfinish = "rest"\n', *holds])
-    plan = planned(tmp_path, text)
-    assert plan.converged
-    assert verdict_on(exact(plan), plan.reference).problem == ""
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", [11, 12, 20])
+@pytest.mark.parametrize("seed", [11, 12])
 def test_drawn_itineraries_are_judged_as_a_second_decoder_judges_them(seed: int, tmp_path: Path) -> None:
-    """One whose stops are kept; two that end without a wobble, which the plan must refuse, and then with one."""
+    """One whose stops are kept; one that ends without a wobble, which the plan must refuse, and then with one."""
     file, random, found = write_itinerary(tmp_path, seed), np.random.default_rng(seed), Comparison()
     plan = make_plan(load_itinerary(str(file)))
     if seed != 11:
@@ -158,11 +147,3 @@ def test_a_reference_that_does_not_do_its_itinerary_is_refused_with_what_to_chan
         reference, mesh=reference.mesh[: rows + 1], states=reference.states[:rows], inputs=reference.inputs[:rows]
     )
     assert "over the last period it is up to" in shortfall(cut)
-
-
-def test_stops_of_the_reference_itself_are_found_where_it_stays(outer_turn: Plan) -> None:
-    flown = exact(outer_turn)
-    found = decode_run(flown.time, flown.angles, outer_turn.reference)
-    (crossing,) = found.crossings
-    assert crossing == pytest.approx(outer_turn.notes["symbols"][0]["time"], abs=2e-3)
-    assert found.visits[0].last < crossing * 1000 < found.visits[1].first

@@ -7,9 +7,8 @@ import pytest
 import dpcontrol as dp
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
-from dpcontrol.examples.henon_heiles import hamiltonian, henon_heiles
+from dpcontrol.examples.henon_heiles import henon_heiles
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
-from dpcontrol.plans.atlas import compute_atlas
 from dpcontrol.tubes.connections import find_connections
 from tests.systems.hill import hill
 
@@ -21,8 +20,8 @@ def saddle(q, p, c):
     return (px**2 + py**2 + x**2 - y**2) / 2 + y**4 / 4
 
 
-def made(energy=saddle, *, make=System.from_hamiltonian, **given):
-    return make("odd", energy, **{"coordinates": ("x", "y"), "equilibria": {"top": (0, 0)}} | given)
+def made(energy=saddle, **given):
+    return System.from_hamiltonian("odd", energy, **{"coordinates": ("x", "y"), "equilibria": {"top": (0, 0)}} | given)
 
 
 def with_(change):
@@ -30,68 +29,37 @@ def with_(change):
 
 
 BAD = {
-    "no saddle": ({"energy": lambda q, p, c: sum(v**2 for v in (*q, *p))}, "no saddle of index one.*top has index 0"),
-    "two unstable directions": (
-        {"energy": lambda q, p, c: (p[0] ** 2 + p[1] ** 2 - q[0] ** 2 - q[1] ** 2) / 2},
-        "no saddle of index one.*top has index 2",
-    ),
+    "no saddle": ({"energy": lambda q, p, c: sum(v**2 for v in (*q, *p))}, "no saddle of index one"),
     "no equilibrium": ({"energy": with_(lambda q, p, c: q[0] ** 3 + 2 * q[0])}, "no equilibrium.*nearer guess"),
     "two guesses of one": ({"equilibria": {"a": (0, 0), "b": (0, 0)}}, "a and b lead to one equilibrium"),
     "time": ({"energy": with_(lambda q, p, c: ca.cos(TIME))}, "depends on 't'"),
-    "a vector": ({"energy": lambda q, p, c: ca.vertcat(*q)}, r"shape \(2, 1\): an energy is one number"),
     "no expression": ({"energy": lambda q, p, c: None}, "fails on casadi"),
-    "numpy": ({"energy": lambda q, p, c: np.array([1.0, 2.0]) @ np.eye(3)}, "fails on casadi"),
-    "an unknown parameter": ({"energy": with_(lambda q, p, c: c["k"])}, "KeyError: 'k'"),
     "a parameter that is nan": ({"parameters": {"k": float("nan")}}, "parameter k = nan"),
-    "no number": ({"parameters": {"k": "1"}}, "parameter k = '1'"),
     "three coordinates": ({"coordinates": ("x", "y", "z")}, "has two"),
-    "one coordinate": ({"coordinates": ("x",)}, "has two"),
-    "three numbers": ({"equilibria": {"top": (0, 0, 0)}}, "give 2 finite coordinates"),
-    "a guess at infinity": ({"equilibria": {"top": (0, np.inf)}}, "give 2 finite coordinates"),
-    "a name with a space": ({"equilibria": {"the top": (0, 0)}}, "is not a name"),
     "a singularity": ({"energy": with_(lambda q, p, c: 1 / ca.sqrt(q[0] ** 2 + q[1] ** 2))}, "not finite"),
-    "no kinetic energy": (
-        {"energy": lambda q, v, c: -(q[0] ** 2) + q[1] ** 2, "make": System.from_lagrangian},
-        "not finite",
-    ),
     "an operation": ({"energy": with_(lambda q, p, c: ca.fmin(q[0], 0) ** 3)}, "cannot be compiled"),
-    "one period": ({"periods": (None,)}, "give 2, each positive or None"),
     "a period that is none": ({"periods": (6.28, None)}, "coordinate 1 does not repeat"),
     "a reverser that is none": (
         {"energy": with_(lambda q, p, c: q[0] ** 3), "reversers": [(-1, 1)]},
         "does not reverse its motion about top",
     ),
-    "a reverser of three signs": ({"reversers": [(1, 1, 1)]}, "give 2 signs"),
-    "a reverser that is no involution": ({"reversers": [2 * np.eye(4)]}, "its own inverse"),
-    "a scale below zero": ({"scale": -1.0}, "give one positive number"),
     "a section that there is not": ({"between": {("top", "top"): "left"}}, "names 'left'"),
-    "a pair that there is not": (
-        {"sections": {"s": Section.plane("x = 0", (1, 0))}, "between": {("top", "bottom"): "s"}},
-        "names 'bottom'",
-    ),
 }
 
 
 @pytest.mark.parametrize("case", BAD)
 def test_a_bad_system_is_refused(case):
     given, message = BAD[case]
-    with pytest.raises(dp.InputError, match=message) as caught:
+    with pytest.raises(dp.InputError, match=message):
         made(**given)
-    assert "\n" not in str(caught.value)
-    assert len(str(caught.value)) < 320
 
 
 def test_orbits_without_a_reverser_are_refused():
     friction = with_(lambda q, p, c: 0.1 * q[0] * p[1] + 0.2 * p[0] * q[0] ** 2 + 0.3 * q[1] ** 2 * p[1])
     ours = made(friction)
     assert ours.reversers == ()
-    for attempt in (
-        lambda: lyapunov_orbit(ours, "top", energy=0.1),
-        lambda: dp.graph(ours, energy=0.1),
-        lambda: compute_atlas(ours, 0.1),
-    ):
-        with pytest.raises(dp.InputError, match="no known time-reversal symmetry about top"):
-            attempt()
+    with pytest.raises(dp.InputError, match="no known time-reversal symmetry about top"):
+        lyapunov_orbit(ours, "top", energy=0.1)
 
 
 def test_energies_below_the_saddles_have_no_orbit():
@@ -102,37 +70,14 @@ def test_energies_below_the_saddles_have_no_orbit():
     for attempt in (dp.graph, dp.atlas):
         with pytest.raises(dp.InputError, match=r"above|begin at"):
             attempt(ours, energy=0.1)
-    with pytest.raises(dp.InputError, match="has no equilibrium 'botom'"):
-        lyapunov_orbit(ours, "botom", energy=0.2)
 
 
-def test_a_saddle_without_tubes_is_refused_by_name():
-    ours = System.from_hamiltonian(
-        "henon-heiles", hamiltonian, coordinates=("x", "y"), equilibria={"top": (0, 1), "well": (0, 0)}
-    )
-    with pytest.raises(dp.InputError, match=r"well of henon-heiles has the type centre.*choose one of top"):
-        lyapunov_orbit(ours, "well", energy=0.1)
-
-
-@pytest.mark.parametrize(
-    ("section", "message"),
-    [
-        (Section.plane("y = 0.1", (0, 1), offset=0.1), "not preserved by the reverser about L2"),
-        (Section.plane("y = 0", (0, 1)), "itself crosses"),
-        (Section.plane("slanted", (1, 1)), "not preserved by the reverser about L2"),
-    ],
-)
-def test_an_unsuitable_section_is_refused(section, message):
+def test_an_unsuitable_section_is_refused():
     orbit = lyapunov_orbit(hill(), "L2", energy=-2.1)
-    with pytest.raises(dp.InputError, match=message):
-        find_connections(orbit, orbit, section=section)
-
-
-def test_a_pair_without_a_section_is_refused_by_name():
-    ours = made(sections={"s": Section.plane("x = 0", (1, 0))}, between={})
-    orbit = lyapunov_orbit(ours, "top", energy=0.01)
-    with pytest.raises(dp.InputError, match="no section between top and top"):
-        dp.connections(orbit)
+    with pytest.raises(dp.InputError, match="not preserved by the reverser about L2"):
+        find_connections(orbit, orbit, section=Section.plane("y = 0.1", (0, 1), offset=0.1))
+    with pytest.raises(dp.InputError, match="itself crosses"):
+        find_connections(orbit, orbit, section=Section.plane("y = 0", (0, 1)))
 
 
 def test_a_tube_that_never_returns_has_a_status():
@@ -156,6 +101,7 @@ def test_symmetries_are_found():
     assert ours.unstable_multiplier == pytest.approx(theirs.unstable_multiplier, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_a_lagrangian_and_its_hamiltonian_give_the_same_motion():
     """In Hill's rotating frame, momenta differ from velocities: p = (vx - y, vy + x)."""
 

@@ -119,10 +119,3 @@ def test_connections_of_the_rotating_orbit_are_mirror_images(lab):
     gap = (extended(signs) * states[0] - states[1])[[0, 2, 3]]
     # The error of local manifolds is the square of the amplitude, 1e-20, and grows by about λ^0.5.
     assert np.abs(gap).max() < 1e-18
-
-
-def test_too_few_steps_are_reported_in_the_status(dance):
-    refined = refine(dance.shot.solution, settings=RefinementSettings(iterations=0))
-    assert not refined.converged
-    assert refined.status.startswith("not refined: the gap stays at ")
-    assert "use double precision" in refined.status

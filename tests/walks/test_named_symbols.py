@@ -4,12 +4,11 @@ import numpy as np
 import pytest
 
 from dpcontrol.foundation.errors import GoalMissed, InputError
-from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.plans.model import load_model
 from dpcontrol.tubes.connections import find_connections, orbits_between
-from dpcontrol.walks.edges import find_edges, rotating_connections, rotating_named, rotating_names
+from dpcontrol.walks.edges import find_edges, rotating_named, rotating_names
 from dpcontrol.walks.shadowing import shadow
-from dpcontrol.walks.symbols import choose, expanded, parse_symbol, parse_walk
+from dpcontrol.walks.symbols import expanded, parse_symbol, parse_walk
 from dpcontrol.walks.walks import resolve, through, vertex_names, ways
 
 LOW = -0.06985  # J: the outer arm's fastest rotating orbit has λ = -2.74
@@ -65,16 +64,6 @@ def test_named_symbols_do_not_change_other_symbols_or_counts(edges, found):
     assert found.named
     assert [c.name for c in found.connections] == [c.name for c in edges.connections]
     assert resolve(["down-up +"], found)[0].name == resolve(["down-up +"], edges)[0].name
-
-
-@pytest.mark.slow
-def test_second_hits_are_searched_only_for_the_named_pair(system):
-    pairs = [("down-up", "down-up"), ("up-down", "up-down")]
-    name = "up-down>up-down[1,0]h1.2@0.0000,0.0000"
-    found = walk_edges(system, 0.2, name, pairs=pairs)
-    assert {(c.source.saddle, c.hits) for c in found.named} == {("up-down", (1, 2))}
-    with pytest.raises(InputError, match="no connection is named 'up-down>up-down"):
-        resolve([name], found)
 
 
 @pytest.mark.slow
@@ -149,26 +138,3 @@ def test_walks_turn_at_a_rotating_orbit_the_given_number_of_times(system):
     assert [c.name for c in resolve(named, walk_edges(system, LOW, *named))] == named
     stops = ("down-up", "outer-rotating", "down-up")
     assert [c.name for c in through(stops, find_edges(system, LOW, symbols=ways(stops)))] == named
-
-
-@pytest.mark.slow
-def test_missing_rotating_orbits_are_reported(system, edges):
-    with pytest.raises(InputError, match=r"no 'inner-rotating' at -0.07 J: 0 orbits were found"):
-        walk_edges(system, -0.07, "down-up > inner-rotating")
-    with pytest.raises(InputError, match="go by way of a saddle"):
-        walk_edges(system, -0.07, "outer-rotating +")
-    with pytest.raises(InputError, match=r"up-down exist only above"):
-        resolve(["up-down > outer-rotating"], walk_edges(system, -0.07, "up-down > outer-rotating"))
-    with pytest.raises(InputError, match="'sideways-rotating' has no tubes"):
-        resolve(["down-up > sideways-rotating"], edges)
-    orbit = rotating_named(system, "outer-rotating", LOW)
-    saddle = lyapunov_orbit(system, "down-up", energy=LOW)
-    with pytest.raises(InputError, match="must cross the section"):
-        rotating_connections(saddle, orbit, section="inner-down")
-
-
-def test_unnamed_symbols_select_the_most_transversal_symmetric_connection(edges):
-    """The documented rule is symmetric connections first, then the most transversal one."""
-    chosen = choose(parse_symbol("down-up +", SADDLES), edges.connections)
-    rivals = [c for c in edges.connections if c.sense > 0 and c.symmetric]
-    assert chosen.transversality_angle == pytest.approx(max(c.transversality_angle for c in rivals), abs=1e-6)

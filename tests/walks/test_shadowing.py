@@ -89,15 +89,6 @@ def test_wraps_lengthen_a_stop_by_whole_periods(connections):
     assert stays[2] == pytest.approx(expected, abs=1e-3)
 
 
-def test_the_orbit_is_independent_of_the_number_of_segments(connections):
-    walked = chain(connections, ROUND_TRIP[:2])
-    coarse, fine = (shadow(walked, wraps=[1], settings=ShadowingSettings(segments=s)) for s in (8, 16))
-    assert coarse.converged
-    assert fine.converged
-    times = np.linspace(0, coarse.duration, 100)
-    assert np.abs(coarse.states(times) - fine.states(times)).max() < 1e-9
-
-
 def test_segments_too_long_for_the_multiplier_are_detected(connections):
     """A segment of one period multiplies rounding by λ = 2,000, so the defect exceeds 1e-12."""
     walked = chain(connections, ["down-up +", "down-up -"])
@@ -118,43 +109,18 @@ def test_plus_selects_the_most_transversal_symmetric_connection(turns):
         assert chosen.transversality_angle == max(c.transversality_angle for c in rivals)
 
 
-def test_a_connection_can_be_named(turns):
-    for connection in turns:
-        assert choose(parse_symbol(connection.name, SADDLES), turns) is connection
-
-
-def test_a_name_from_another_energy_is_refused_with_the_available_ones(turns):
-    with pytest.raises(InputError, match=r"no connection is named .* available: down-up>down-up"):
-        choose(parse_symbol("down-up>down-up[0,1]h1.1@9.0000,9.0000", SADDLES), turns)
-
-
 @pytest.mark.parametrize(
     ("walk", "fragment"),
     [
         ([], "at least one symbol"),
         (["down-up"], "is not a symbol"),
-        (["down-up *"], "is not a symbol"),
         (["up-up +"], "has no tubes; choose from down-up, up-down"),
-        (["down-up > down-up"], "has no direction of rotation"),
         (["down-up +", "up-down +"], 'ends at down-up, symbol 2 .* put "down-up > up-down" between'),
     ],
 )
 def test_invalid_walks_are_refused(walk, fragment):
     with pytest.raises(InputError, match=fragment):
         parse_walk(walk, SADDLES)
-
-
-@pytest.mark.parametrize(
-    ("wraps", "fragment"), [([], "1 interior stop;"), ([1, 2], "1 interior stop;"), ([-1], "zero or more")]
-)
-def test_invalid_wraps_are_refused(turns, wraps, fragment):
-    with pytest.raises(InputError, match=fragment):
-        shadow([turns[0], turns[1]], wraps=wraps)
-
-
-def test_walks_of_two_energies_are_refused(turns, connections):
-    with pytest.raises(InputError, match="an orbit has constant energy"):
-        shadow([turns[0], connections["down-up", "down-up"][0]], wraps=[2])
 
 
 @pytest.mark.parametrize("periodic", [False, True])

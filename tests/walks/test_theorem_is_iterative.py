@@ -3,12 +3,10 @@
 import numpy as np
 import pytest
 
-from dpcontrol.foundation.errors import InputError
 from dpcontrol.orbits.manifold import OrbitCurve
 from dpcontrol.plans.model import load_model
-from dpcontrol.shooting.newton import NewtonSettings
 from dpcontrol.tubes.connections import find_connections, orbits_between
-from dpcontrol.walks.shadowing import ShadowingSettings, shadow
+from dpcontrol.walks.shadowing import shadow
 from dpcontrol.walks.symbols import choose, components, composed, parse_symbol
 from dpcontrol.walks.walks import as_connection
 
@@ -146,15 +144,3 @@ def test_the_name_of_a_composite_edge_lists_its_parts(turn, back, other, composi
     assert composed(("a>b[0,1]h1.1@0,0", "c"), (3,)) == "(a>b[0,1]h1.1@0,0)·3·(c)"
     for name in (turn.name, "down-up +", "down-up>down-up[0,1]h1.1@(a", "down-up>down-up[0,1]h1.1@(a)·x·(b)"):
         assert components(name) is None
-
-
-def test_a_composite_edge_can_be_named_in_a_walk(found, composite):
-    assert choose(parse_symbol(composite.name, SADDLES), [*found, composite]) is composite
-
-
-def test_orbits_without_connections_are_refused(turn):
-    with pytest.raises(InputError, match="the orbit is periodic"):
-        as_connection(shadow([turn], wraps=[1], periodic=True))
-    hopeless = ShadowingSettings(newton=NewtonSettings(iterations=0))
-    with pytest.raises(InputError, match="the orbit has not converged"):
-        as_connection(shadow([turn, turn], wraps=[1], settings=hopeless))

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from dpcontrol.foundation.errors import InputError
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.orbits.manifold import OrbitCurve, local_manifold, rotating_vertex
 from dpcontrol.orbits.rotating import rotating_orbits
@@ -179,13 +178,3 @@ def test_a_walk_can_start_and_end_at_the_rotating_orbit(rotating, into, out):
     times = np.linspace(-1.0, plain.symbol_times[-1] - plain.symbol_times[0] + 1.0, 200)
     apart = longer.states(times + longer.symbol_times[0]) - plain.states(times + plain.symbol_times[0])
     assert np.abs(apart).max() < FLOWN
-
-
-def test_orbits_without_tubes_are_refused(system, lyapunov, rotating, section):
-    elliptic = next(o for o in rotating_orbits(system, 1, 0.2) if o.kind == "elliptic")
-    with pytest.raises(InputError, match=r"is elliptic .* only hyperbolic orbits have tubes"):
-        rotating_vertex(elliptic)
-    with pytest.raises(InputError, match="exactly one must be an orbit whose tubes cross"):
-        find_lap_connections(lyapunov, lyapunov, section=section, crossing=1)
-    with pytest.raises(InputError, match="must be 1 or more"):
-        find_lap_connections(lyapunov, rotating, section=section, crossing=0)

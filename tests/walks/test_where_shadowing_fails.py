@@ -8,9 +8,9 @@ import pytest
 from walk_classifier import WalkClassifier
 
 from dpcontrol.plans.model import load_model
-from dpcontrol.shooting.newton import NewtonSettings, solve_shooting
+from dpcontrol.shooting.newton import solve_shooting
 from dpcontrol.walks.edges import find_edges
-from dpcontrol.walks.shadowing import ShadowingSettings, WalkSolver, described, first_guess, shadow
+from dpcontrol.walks.shadowing import WalkSolver, described, first_guess
 
 TURN_BORN = -0.141987140339  # Down-Up to itself
 CROSSING_BORN = 0.188368752752  # Down-Up to Up-Down
@@ -103,16 +103,3 @@ def test_wraps_other_than_requested_are_reported(tangent):
     assert not wrong.converged
     assert wrong.fault == 0
     assert "wraps [2] instead of [3]" in wrong.status
-
-
-@pytest.mark.slow
-def test_one_node_per_period_is_reported_as_too_few(crossing):
-    """With λ = 1,880 per period, rounding of rates of 20 rad/s keeps the defect above 1e-12."""
-    walk = [crossing.between("down-up", "up-down")[0], crossing.between("up-down", "down-up")[0]]
-    tight = NewtonSettings(tolerance=1e-12)
-    long = shadow(walk, wraps=[4], settings=ShadowingSettings(1, newton=tight), rivals=crossing.connections)
-    short = shadow(walk, wraps=[4], settings=ShadowingSettings(8, newton=tight), rivals=crossing.connections)
-    assert short.converged
-    assert not long.converged
-    assert long.status.startswith(f"symbol {long.fault + 1} of 2 ({walk[long.fault].name})")
-    assert "more nodes" in long.status
