@@ -6,7 +6,7 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from dpcontrol.foundation.document import Documented, counted, document_of, plain
+from dpcontrol.foundation.document import Documented, document_of, plain
 
 
 class Gap(NamedTuple):
@@ -70,9 +70,3 @@ def test_named_tuples_are_objects():
 def test_the_objects_own_document_joins_further_entries():
     assert document_of(CART, "again=best.name **")["again"] == "front"
     assert document_of(CART, "again=best.name **")["count"] == 2
-
-
-def test_a_count_agrees_with_its_noun() -> None:
-    assert [counted(count, "bifurcation") for count in (0, 1, 2)] == [
-        "no bifurcations", "1 bifurcation", "2 bifurcations",
-    ]  # fmt: skip
