@@ -39,7 +39,6 @@ def is_part_of(found: RunLog, log: RunLog) -> None:
 
 
 def is_same(found: RunLog, log: RunLog) -> None:
-    """Assert that two logs hold the same."""
     is_part_of(found, log)
     is_part_of(log, found)
     for field in fields(RunLog):

@@ -111,26 +111,6 @@ def _run_until(path: Path, ticked: list[int], *, at: int, then: Callable[[], obj
             ticked.append(k)
 
 
-def test_an_interrupt_within_a_chunk_leaves_no_tick_twice(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from dpcontrol.logs.container import McapFile
-
-    add, calls = McapFile.add_chunk, []
-
-    def interrupted(file: McapFile, *arguments) -> None:
-        add(file, *arguments)
-        calls.append(1)
-        if len(calls) == 3:
-            raise KeyboardInterrupt
-
-    monkeypatch.setattr(McapFile, "add_chunk", interrupted)
-    run = sample()
-    with pytest.raises(KeyboardInterrupt), open_writer(tmp_path / "run.mcap", run) as log:
-        tick_all(log, run)
-    monkeypatch.undo()
-    done = recover(tmp_path / "run.mcap.partial")
-    assert (done.ticks, done.ticks_lost, done.chunks_repeated) == (60, 0, 0)
-
-
 @pytest.mark.slow
 @posix
 def test_ctrl_c_in_the_program_names_the_file_and_the_remedy(tmp_path: Path) -> None:

@@ -25,7 +25,6 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def foreign(*topics: str) -> bytes:
-    """Return a file of another program."""
     stream = BytesIO()
     writer = Writer(stream, enable_data_crcs=True)
     writer.start(library="somebody else's")

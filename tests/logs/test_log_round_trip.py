@@ -12,6 +12,7 @@ import pytest
 from log_samples import ATTACHMENTS, EXTRAS, METADATA, open_writer, sample, tick_all, write_sample
 from mcap.reader import make_reader
 from mcap_ros2.reader import read_ros2_messages
+from scipy.spatial.transform import Rotation
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs import control_fields, read_log
@@ -65,32 +66,21 @@ def test_transforms_come_at_fifty_hertz_and_agree_with_the_angles(tmp_path: Path
         for prefix, states in (("", run.truth), ("reference/", run.reference)):
             assert states is not None
             inner, outer, cart = states[k, 0], states[k, 1], states[k, 4]
-            place, turn = _compose(chain, f"{prefix}arm_2_link")
-            tip = place + turn @ [0, 0, -run.arm_lengths[1]]
+            place, turn = in_world(chain, f"{prefix}arm_2_link")
+            tip = place + turn.apply([0, 0, -run.arm_lengths[1]])
             first, second = run.arm_lengths
-            expected = [
-                cart + first * np.sin(inner) + second * np.sin(outer),
-                0,
-                -first * np.cos(inner) - second * np.cos(outer),
-            ]
-            np.testing.assert_allclose(tip, expected, atol=POSE_TOLERANCE)
+            across = cart + first * np.sin(inner) + second * np.sin(outer)
+            down = first * np.cos(inner) + second * np.cos(outer)
+            np.testing.assert_allclose(tip, [across, 0, -down], atol=POSE_TOLERANCE)
 
 
-def _compose(chain: dict, frame: str) -> tuple[np.ndarray, np.ndarray]:
+def in_world(chain: dict, frame: str) -> tuple[np.ndarray, Rotation]:
     if frame == "world":
-        return np.zeros(3), np.eye(3)
-    item = chain[frame]
-    place, turn = _compose(chain, item.header.frame_id)
-    move, q = item.transform.translation, item.transform.rotation
-    x, y, z, w = q.x, q.y, q.z, q.w
-    matrix = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-    return place + turn @ [move.x, move.y, move.z], turn @ matrix
+        return np.zeros(3), Rotation.identity()
+    link = chain[frame]
+    place, turn = in_world(chain, link.header.frame_id)
+    at, q = link.transform.translation, link.transform.rotation
+    return place + turn.apply([at.x, at.y, at.z]), turn * Rotation.from_quat([q.x, q.y, q.z, q.w])
 
 
 def test_a_state_that_is_no_number_is_logged_but_not_as_a_transform(tmp_path: Path) -> None:

@@ -15,7 +15,6 @@ from dpcontrol.logs.rolling import Digest, RollingLog, digest_of_log
 
 RATE = 100.0
 EXTRAS = ("zero_1", "zero_2")
-RNG = np.random.default_rng(5)
 
 
 def make(path: Path, more: Mapping[str, str]) -> LogWriter:
