@@ -22,8 +22,6 @@ Maker = Callable[[Path, Random], Path]
 
 
 def mat(change: Callable[[dict[str, Any], Random], Any]) -> Maker:
-    """Return a maker of the rig's file with changed variables."""
-
     def make(folder: Path, random: Random) -> Path:
         variables = rig_variables()
         change(variables, random)
@@ -33,8 +31,6 @@ def mat(change: Callable[[dict[str, Any], Random], Any]) -> Maker:
 
 
 def cell(name: str, value: Callable[[np.ndarray, Random], Any]) -> Maker:
-    """Return a maker of the rig's file with one changed cell."""
-
     def change(variables: dict[str, Any], random: Random) -> None:
         k = int(random.integers(len(variables[name])))
         variables[name][k, 0] = value(variables[name][k, 0], random)
@@ -43,8 +39,6 @@ def cell(name: str, value: Callable[[np.ndarray, Random], Any]) -> Maker:
 
 
 def table(change: Callable[[dict[str, Any], Random], Any]) -> Maker:
-    """Return a maker of a table with changed columns."""
-
     def make(folder: Path, random: Random) -> Path:
         columns: dict[str, Any] = table_columns()
         change(columns, random)
@@ -54,8 +48,6 @@ def table(change: Callable[[dict[str, Any], Random], Any]) -> Maker:
 
 
 def garbage(suffix: str, head: bytes = b"") -> Maker:
-    """Return a maker of random bytes behind a file's first bytes."""
-
     def make(folder: Path, random: Random) -> Path:
         file = folder / f"swing{suffix}"
         file.write_bytes(head + random.bytes(int(random.integers(3000))))
@@ -86,25 +78,6 @@ def huge(folder: Path, random: Random) -> Path:
     return file
 
 
-def put(value: float) -> Callable[[np.ndarray, Random], np.ndarray]:
-    def change(values: np.ndarray, random: Random) -> np.ndarray:
-        values = values.copy()
-        values[tuple(int(random.integers(size)) for size in values.shape)] = value
-        return values
-
-    return change
-
-
-def swapped(columns: dict[str, Any], _: Random) -> None:
-    columns["time"], columns["angle_1"] = columns["angle_1"], columns["time"]
-
-
-def shortened(columns: dict[str, Any], random: Random) -> None:
-    kept = int(random.integers(15))
-    for name in columns:
-        columns[name] = columns[name][:kept]
-
-
 MAKERS: dict[str, Maker] = {
     "cut": lambda folder, random: cut(write_mat(folder / "swing.mat", rig_variables()), random),
     "garbage for MATLAB 5": garbage(".mat", b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM"),
@@ -113,16 +86,16 @@ MAKERS: dict[str, Maker] = {
     "huge": huge,
     "transposed": cell("Y_id", lambda values, _: values.T),
     "rates first": cell("Y_id", lambda values, _: values[[2, 3, 0, 1]]),
-    "not finite": cell("Y_id", put(np.nan)),
-    "beyond all benches": cell("Y_id", put(1e9)),
+    "not finite": cell("Y_id", lambda values, _: np.where(values > values.mean(), values, np.nan)),
+    "beyond all benches": cell("Y_id", lambda values, _: 1e9 * values),
     "a time less": cell("Time_id", lambda values, _: values[:-1]),
     "times reversed": cell("Time_id", lambda values, _: values[::-1]),
     "a period of none": mat(lambda variables, random: variables.update(dt=float(random.choice([0.0, np.nan, 2e-3])))),
     "a variable missing": mat(lambda variables, random: variables.pop(str(random.choice(["Y_id", "Time_id", "dt"])))),
     "an empty cell": table(lambda columns, random: columns["angle_1"].__setitem__(int(random.integers(300)), "")),
-    "columns swapped": table(swapped),
+    "columns swapped": table(lambda columns, _: columns.update(time=columns["angle_1"], angle_1=columns["time"])),
     "a column renamed": table(lambda columns, _: columns.update({"angle_x": columns.pop("angle_1")})),
-    "too short": table(shortened),
+    "too short": table(lambda columns, _: columns.update({name: part[:9] for name, part in columns.items()})),
     "parquet cut": cut_parquet,
 }
 

@@ -94,45 +94,6 @@ def test_whole_recordings_by_simulink_open_as_structs_and_as_objects(tmp_path: P
         assert np.array_equal(recording.rates, states[:, 2:])  # type: ignore[arg-type]
 
 
-def test_time_series_open_by_a_mapping_and_are_named_without_one(tmp_path: Path) -> None:
-    matio = pytest.importorskip("matio", reason="mat-io writes MATLAB's objects for this test")
-    from matio.utils.matclass import MatlabOpaque
-
-    times, states = free_swing(400)
-    empty, length = np.zeros((0, 0)), np.array([[float(len(times))]])
-    even = {"Start_": np.array([[0.0]]), "Increment_": np.array([[PERIOD]]), "Time_": empty}
-    uneven = {"Start_": empty, "Increment_": empty, "Time_": times[:, None].copy()}
-    mapping = tmp_path / "series.toml"
-    mapping.write_text(
-        'arm_lengths = [0.2, 0.3]\n[time]\ncolumn = "Theta1.Time"\n[angles]\ncolumns = ["Theta1.Data", "Theta2.Data"]'
-    )
-    for number, stored in enumerate((even, uneven)):
-        info = MatlabOpaque({**stored, "Length": length}, "tsdata.timemetadata")
-        series = {
-            f"Theta{arm + 1}": MatlabOpaque(
-                {"Data_": states[:, arm, None].copy(), "Time": empty, "TimeInfo": info}, "timeseries"
-            )
-            for arm in range(2)
-        }
-        file = tmp_path / f"{number}.mat"
-        matio.save_to_mat(str(file), series, version="v7")
-        with pytest.raises(InputError, match=r"Theta1, Theta2; give a mapping .*NAME.Time and NAME.Data"):
-            import_recording(file)
-        recording = import_recording(file, str(mapping))
-        assert np.array_equal(recording.angles, states[:, :2])
-        assert np.abs(recording.time - times).max() <= TIME_STEP
-
-
-def test_cells_in_the_newest_matlab_format_read_as_those_of_the_old(tmp_path: Path) -> None:
-    matio = pytest.importorskip("matio", reason="mat-io writes MATLAB's HDF5 files for this test")
-    given = rig_variables()
-    matio.save_to_mat(str(tmp_path / "new.mat"), {**given, "dt": np.array([[PERIOD]])}, version="v7.3")
-    old = import_recording(write_mat(tmp_path / "old.mat", given))
-    new = import_recording(tmp_path / "new.mat")
-    assert np.array_equal(new.angles, old.angles)
-    assert new.segments == old.segments
-
-
 MAPPING = """
 title = "another rig"
 arm_lengths = [0.2, 0.3]
@@ -237,9 +198,6 @@ def test_parquet_reads_as_csv(tmp_path: Path) -> None:
     assert np.array_equal(by_csv.time, by_parquet.time)
 
 
-Fault = Callable[[dict[str, Any]], None]
-
-
 def _missing(columns: dict[str, Any]) -> None:
     columns["angle_2"][100:105] = [""] * 5
 
@@ -286,7 +244,9 @@ def _uneven(columns: dict[str, Any]) -> None:
         (_uneven, "sampling", "uneven sampling"),
     ],
 )
-def test_a_fault_is_named_and_corrected_only_on_request(tmp_path: Path, fault: Fault, repair: str, said: str) -> None:
+def test_a_fault_is_named_and_corrected_only_on_request(
+    tmp_path: Path, fault: Callable[[dict[str, Any]], None], repair: str, said: str
+) -> None:
     columns = table_columns()
     fault(columns)
     file = write_csv(tmp_path / "faulty.csv", columns)

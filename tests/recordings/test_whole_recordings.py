@@ -11,8 +11,6 @@ from scipy.integrate import solve_ivp
 from scipy.io import savemat
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.identification.identify import identify
-from dpcontrol.identification.replay import filter_settings, replay_recording
 from dpcontrol.plans.model import load_model
 from dpcontrol.recordings.importing import import_recording
 from dpcontrol.recordings.recording import load_recording, simulated_recording, write_recording
@@ -132,14 +130,3 @@ def test_a_cart_and_its_command_come_in_and_survive_the_log(tmp_path: Path) -> N
     assert np.abs(again.time - recording.time).max() <= STORED
     with pytest.raises(InputError, match=r"is not a log .*; import a recording with `dpcontrol import` first"):
         load_recording(file)
-
-
-def test_a_recording_of_another_number_of_arms_than_the_models_is_rejected(tmp_path: Path) -> None:
-    times = _times(2000, 1e-3)
-    angle, _ = _one_arm(times, driven=False)
-    savemat(tmp_path / "single.mat", {"Theta1": _logged(angle + np.pi, times)})
-    recording = import_recording(tmp_path / "single.mat")
-    with pytest.raises(InputError, match="1 arms and the model 2"):
-        replay_recording(recording, load_model("lab").arms, filter_settings("ekf"))
-    with pytest.raises(InputError, match="has 1 arms, the model has 2"):
-        identify([recording], load_model("lab").arms)
