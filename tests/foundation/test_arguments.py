@@ -29,21 +29,6 @@ def test_values_that_are_not_paths_are_refused():
         path("file", b"log.mcap")
 
 
-@pytest.mark.parametrize(
-    ("call", "name"),
-    [
-        (lambda: dp.run(None), "planned = None"),
-        (lambda: dp.campaign([]), "planned = []"),
-        (lambda: dp.orbit(3, "down-up", energy=0.1), "model = 3"),
-        (lambda: dp.Section.plane("x", (0, 1), period=0), "period = 0"),
-    ],
-)
-def test_public_calls_refuse_objects_of_the_wrong_type_by_name(call, name):
-    with pytest.raises(InputError) as refused:
-        call()
-    assert str(refused.value).startswith(name)
-
-
 @pytest.mark.slow
 def test_values_of_options_are_one_a_list_or_an_array():
     one, listed, array = (
