@@ -35,7 +35,6 @@ EACH = pytest.mark.parametrize("arms", [SINGLE, LAB, TRIPLE], ids=["single", "do
 
 
 def grown(arms: ArmChainParameters, factor: float) -> ArmChainParameters:
-    """The same arms with `factor` times the mass, inertia and friction."""
     names = ("mass", "inertia", "viscous", *arms.friction)
     return replace(arms, **{name: tuple(factor * v for v in getattr(arms, name)) for name in names})
 
@@ -92,22 +91,17 @@ def test_the_nearest_arms_agree_with_constrained_minimisation() -> None:
     assert distance == pytest.approx(found.fun, rel=1e-3, abs=MINIMISED)
 
 
-def test_friction_below_zero_becomes_zero() -> None:
-    wanted = base_ratios(LAB)
-    wanted[4] = -0.1
-    assert nearest_arms(wanted, LAB).viscous[0] == 0.0
-
-
-@pytest.mark.parametrize("value", [-1.0, 0.0, float("nan"), 1e-9])
-def test_ratios_without_a_pendulum_are_refused(value: float) -> None:
-    wanted = base_ratios(LAB)
-    wanted[0] = value
-    with pytest.raises(GoalMissed, match="no arms near"):
-        nearest_arms(wanted, LAB)
-
-
 def test_friction_laws_are_added_at_zero_and_removed() -> None:
     plain = with_laws(LAB, ())
     assert plain.friction == ()
     assert with_laws(plain, (Friction.QUADRATIC,)).quadratic == (0.0, 0.0)
     assert with_laws(LAB, tuple(Friction)) == LAB
+
+
+def test_ratios_of_friction_below_zero_become_zero_and_those_of_no_pendulum_are_refused() -> None:
+    wanted = base_ratios(LAB)
+    wanted[4] = -0.1
+    assert nearest_arms(wanted, LAB).viscous[0] == 0.0
+    for wanted[0] in (0.0, float("nan")):
+        with pytest.raises(GoalMissed, match="no arms near"):
+            nearest_arms(wanted, LAB)

@@ -20,7 +20,6 @@ LEVELS = [
     PlantParameters(LAB, lag=0.002, cart_mass=1.0, cart_viscous=3.0),
 ]
 SLOW = np.array([1, 1, 0.02, 0.02, 1, 1])
-NAMES = [plant.level.value for plant in LEVELS]
 DRY = PlantParameters(replace(LAB, coulomb=(1e-3, 2e-4), quadratic=(1e-5, 1e-6)))
 
 
@@ -54,7 +53,7 @@ def worst(plant: PlantParameters, duration: float, *, steps: int, slow: bool = F
     )
 
 
-@pytest.mark.parametrize("plant", LEVELS, ids=NAMES)
+@pytest.mark.parametrize("plant", LEVELS, ids=lambda plant: plant.level.value)
 @pytest.mark.parametrize("duration", [3e-4, 1e-3, 2e-3])
 def test_the_fixed_step_agrees_with_taylor_series_to_round_off(plant: PlantParameters, duration: float) -> None:
     steps = max(int(np.ceil(duration / longest_step(plant))), 1)
@@ -68,19 +67,6 @@ def test_longer_steps_fail_and_coulomb_friction_requires_shorter_ones() -> None:
     # Slow arms reverse within the step.
     assert worst(DRY, 1e-3, steps=1, slow=True) > 100 * COULOMB
     assert worst(DRY, 1e-3, steps=round(1e-3 / longest_step(DRY)), slow=True) < COULOMB
-
-
-def test_many_plants_step_like_a_single_one() -> None:
-    plant = LEVELS[1]
-    step = plant_step(2, plant.level)
-    starts = states(plant, 9)
-    inputs, out = np.zeros((step.size_in, 9)), np.zeros((step.size_out, 9))
-    inputs[step.slices["state"]] = starts.T
-    inputs[step.slices["parameters"]] = plant.numbers()[:, None]
-    inputs[step.slices["inputs"]], inputs[step.slices["duration"]] = 3.0, 1e-3
-    step(inputs, out)
-    alone = np.array([stepped(plant, s, 3.0, 1e-3, steps=1) for s in starts])
-    assert np.abs(out.T - alone).max() < 1e-13
 
 
 def test_without_lag_mass_and_tilt_the_plant_is_the_cart_level() -> None:
@@ -178,10 +164,8 @@ def test_a_couple_on_an_arm_changes_only_its_momentum_and_moves_a_free_cart() ->
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({"lag": -0.1}, "lag = -0.1"),
         ({"lag": 1e-9}, "must be 1e-05 to 1 s"),
         ({"cart_mass": 1.0}, "give a lag"),
-        ({"cart_viscous": 1.0}, "needs a cart with mass"),
         ({"tilt": float("nan")}, "tilt = nan"),
     ],
 )

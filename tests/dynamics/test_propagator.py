@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 
 from dpcontrol.dynamics.chain import Level, arm_chain_equations
 from dpcontrol.dynamics.compiled import to_heyoka
-from dpcontrol.dynamics.propagator import PolynomialInputPropagator, Section
+from dpcontrol.dynamics.propagator import PolynomialInputPropagator
 from dpcontrol.plans.model import load_model
 
 DOP853 = 1e-9  # error of scipy's DOP853 at 1e-12 over a second of this motion
@@ -63,9 +63,7 @@ def test_state_transition_matrix_agrees_with_differences_and_is_symplectic(lab, 
     columns = [(pendulum.flow(STATE + s, 0.5) - pendulum.flow(STATE - s, 0.5)) / 2e-5 for s in steps]
     assert np.allclose(stm, np.array(columns).T, rtol=1e-6, atol=1e-6)
     # In (q, p) the flow's derivative is symplectic. T maps (q, ω) to (q, p).
-    to_canonical = [
-        np.vstack([np.eye(4)[:2], lab.system.numeric.momentum_jacobian(x)]) for x in (STATE, end)
-    ]  # fmt: skip
+    to_canonical = [np.vstack([np.eye(4)[:2], lab.system.numeric.momentum_jacobian(x)]) for x in (STATE, end)]
     canonical = to_canonical[1] @ stm @ np.linalg.inv(to_canonical[0])
     form = np.block([[np.zeros((2, 2)), np.eye(2)], [-np.eye(2), np.zeros((2, 2))]])
     assert np.abs(canonical.T @ form @ canonical - form).max() < SYMPLECTIC
@@ -80,37 +78,6 @@ def test_samples_lie_on_the_flow_and_need_not_start_at_zero(pendulum):
     with_stm, matrices = pendulum.sample_with_stm(STATE, times)
     assert np.abs(with_stm - states).max() < 1e-12
     assert np.abs(matrices[-1] - pendulum.flow_with_stm(STATE, 0.4)[1]).max() < 1e-10
-
-
-@pytest.mark.slow
-def test_crossings_of_a_lifted_section_are_those_of_a_dense_solution(lab, pendulum):
-    section = Section("angle_2 = 2 pi k", (0, 1, 0, 0), (1, 0, 0, 0), (1, 0), period=2 * np.pi)
-    dense = by_scipy(lab.system.equations, lab.parameters.base(), STATE, 3.0).sol
-    t = np.linspace(1e-9, 3, 30_001)
-    turns = np.sin(dense(t)[1] / 2)
-    expected = t[np.flatnonzero(turns[:-1] * turns[1:] < 0)]
-    found = [pendulum.crossing(STATE, section, longest=3.0, hit=k + 1) for k in range(len(expected))]
-    assert len(expected) >= 2
-    assert np.allclose([c.time for c in found], expected, atol=2e-4)
-    for crossing in found:
-        assert abs(np.sin(crossing.state[1] / 2)) < 1e-13
-    assert pendulum.crossing(STATE, section, longest=3.0, hit=len(expected) + 1) is None
-
-
-def test_a_section_that_is_not_reached_gives_none(lab, pendulum):
-    section = Section("angle_1 = 1", (1, 0, 0, 0), (0, 1, 0, 0), (0, 1), offset=1.0)
-    assert pendulum.crossing([0.01, 0.0, 0.0, 0.0], section, longest=2.0) is None
-
-
-def test_a_one_sided_section_counts_only_that_side(pendulum):
-    normal, side = (0, 1, 0, 0), (0, 0, 0, 1)
-    both = Section("both", normal, (1, 0, 0, 0), (1, 0), period=2 * np.pi)
-    rising = Section("rising", normal, (1, 0, 0, 0), (1, 0), period=2 * np.pi, side=side)
-    rates = [pendulum.crossing(STATE, both, longest=5.0, hit=k).state[3] for k in (1, 2, 3, 4)]
-    assert min(rates) < 0 < max(rates)
-    first = next(k for k, rate in enumerate(rates, start=1) if rate > 0)
-    expected = pendulum.crossing(STATE, both, longest=5.0, hit=first)
-    assert pendulum.crossing(STATE, rising, longest=5.0).time == pytest.approx(expected.time, abs=1e-12)
 
 
 def test_every_mapped_operation_agrees_with_heyoka():

@@ -6,7 +6,7 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from dpcontrol.foundation.document import Documented, counted, document_of, plain
+from dpcontrol.foundation.document import Documented, document_of, plain
 
 
 class Gap(NamedTuple):
@@ -53,26 +53,10 @@ def test_keys_name_attributes_parts_lengths_items_and_the_results_of_methods():
     }
 
 
-def test_without_keys_a_dataclass_has_all_its_fields():
+def test_dataclasses_mappings_and_named_tuples_are_objects():
     assert plain([FRONT]) == [{"name": "front", "turns": [1.0, None]}]
-
-
-def test_entries_of_a_mapping_keep_its_keys():
     assert document_of({"by": {1: (3, 4)}}, "by:entries,bytes") == {"by": {"1": {"entries": 3, "bytes": 4}}}
-
-
-def test_named_tuples_are_objects():
-    assert document_of({"gaps": [Gap(0.0, np.array([1.0]))]}, "gaps:low,high") == {
-        "gaps": [{"low": 0.0, "high": [1.0]}]
-    }
-
-
-def test_the_objects_own_document_joins_further_entries():
-    assert document_of(CART, "again=best.name **")["again"] == "front"
-    assert document_of(CART, "again=best.name **")["count"] == 2
-
-
-def test_a_count_agrees_with_its_noun() -> None:
-    assert [counted(count, "bifurcation") for count in (0, 1, 2)] == [
-        "no bifurcations", "1 bifurcation", "2 bifurcations",
-    ]  # fmt: skip
+    gaps = {"gaps": [Gap(0.0, np.array([1.0]))]}
+    assert document_of(gaps, "gaps:low,high") == {"gaps": [{"low": 0.0, "high": [1.0]}]}
+    again = document_of(CART, "again=best.name **")
+    assert (again["again"], again["count"]) == ("front", 2)

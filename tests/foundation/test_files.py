@@ -67,13 +67,3 @@ def test_claims_of_long_names_that_begin_alike_are_independent(tmp_path: Path) -
     files = [tmp_path / f"{'a-long-name' * 5}-{k}.mcap" for k in range(2)]
     with claimed(files[0]), claimed(files[1]):
         assert len(list(tmp_path.iterdir())) == 2
-
-
-@pytest.mark.skipif(os.name != "posix", reason="files are locked on POSIX systems only")
-def test_a_folder_without_locks_can_be_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def unsupported(*_: int) -> None:
-        raise OSError(errno.ENOLCK, "No locks available")
-
-    monkeypatch.setattr("fcntl.flock", unsupported)
-    with claimed(tmp_path / "run.mcap"):
-        pass

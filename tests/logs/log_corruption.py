@@ -9,7 +9,6 @@ KINDS = ("flip", "flips", "cut", "swap", "repeat", "index", "zeros", "missing", 
 
 
 def records(data: bytes) -> list[tuple[int, int, int]]:
-    """Return opcode, start and end of each record of a whole file."""
     found, place = [], 8
     while place < len(data) - 8:
         end = place + 9 + int.from_bytes(data[place + 1 : place + 9], "little")

@@ -50,7 +50,6 @@ def sample(ticks: int = 250, *, arms: int = 2, has_cart: bool = True, has_truth:
 
 
 def open_writer(path: Path, run: Sample) -> LogWriter:
-    """Return a writer for `run`, not yet entered."""
     return LogWriter(
         path,
         arm_lengths=run.arm_lengths,
@@ -64,7 +63,6 @@ def open_writer(path: Path, run: Sample) -> LogWriter:
 
 
 def tick_all(log: LogWriter, run: Sample, *, upto: int | None = None) -> None:
-    """Log each tick of `run` separately."""
     for k in range(len(run.time) if upto is None else upto):
         log_tick(log, run, k)
 

@@ -1,7 +1,9 @@
-"""Third-party readers read logs completely: rosbags, mcap-ros2-support, Foxglove's JavaScript, Rerun's loader.
+"""Third-party readers read logs completely: rosbags, mcap-ros2-support, Foxglove's JavaScript.
 
 Each message of every type must equal the intended one, field by field. The intended message follows from the numbers of
-the run and the ROS 2 definitions, not from our reader.
+the run and the ROS 2 definitions, not from our reader. Links are placed by the specification of URDF: coordinates of
+continuous joints are in rad about the axis, those of prismatic joints in m along it, and a mimic joint has
+multiplier · coordinate + offset.
 """
 
 import json
@@ -12,18 +14,24 @@ from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 from log_samples import EXTRAS, open_writer, sample, tick_all
 from mcap_ros2.reader import read_ros2_messages
 from rosbags.highlevel import AnyReader
+from scipy.spatial.transform import Rotation
 
 from dpcontrol.logs import control_fields, joint_names
 from dpcontrol.logs.writer import link_frames, link_poses, robot_description
 
 TICKS = 120
 LIMITS = (0.9, 3.0, 30.0)
+SAME = 1e-9
+"""Rad: a rotation vector from a quaternion and back."""
+WRITTEN = 1e-6
+"""m: lengths stand in the URDF to six digits."""
 SEVERITIES = {"debug": 10, "info": 20, "warn": 30, "error": 40, "fatal": 50}
 """rcl_interfaces/msg/Log."""
 PACKAGES = ("@mcap/core@2.2.2", "@foxglove/rosmsg@5.0.5", "@foxglove/rosmsg2-serialization@3.1.0", "fzstd@0.1.1")
@@ -32,7 +40,7 @@ PACKAGES = ("@mcap/core@2.2.2", "@foxglove/rosmsg@5.0.5", "@foxglove/rosmsg2-ser
 Messages = dict[str, list[tuple[int, Any]]]
 
 
-@pytest.fixture(scope="module", params=[(2, True), (1, False)], ids=["two arms on a cart", "one arm"])
+@pytest.fixture(scope="module", params=[(2, True), (3, False)], ids=["two arms on a cart", "three arms"])
 def written(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Messages]:
     """A log with messages of every type and events of every severity, and what is in it: time in ns and message."""
     arms, has_cart = request.param
@@ -117,7 +125,6 @@ def transforms(time: int, links: Any, run: Any, k: int, has_cart: bool) -> list[
 
 
 def plain(message: Any) -> Any:
-    """Return a message of any reader as dicts, lists, numbers and text."""
     if isinstance(message, np.ndarray):
         return message.tolist()
     if isinstance(message, list | tuple):
@@ -156,16 +163,21 @@ def test_rosbags_reads_every_message_as_written(written: tuple[Path, Messages]) 
     check(found, written[1])
 
 
-def test_the_public_ros2_decoder_reads_every_message_as_written(written: tuple[Path, Messages]) -> None:
+def decoded(path: Path) -> Messages:
+    """Return a log's messages by topic, as the public decoder gives them."""
     found: Messages = {}
-    for message in read_ros2_messages(str(written[0])):
-        found.setdefault(message.channel.topic, []).append((message.log_time_ns, plain(message.ros_msg)))
-    check(found, written[1])
+    for message in read_ros2_messages(str(path)):
+        found.setdefault(message.channel.topic, []).append((message.log_time_ns, message.ros_msg))
+    return found
+
+
+def test_the_public_ros2_decoder_reads_every_message_as_written(written: tuple[Path, Messages]) -> None:
+    found = decoded(written[0])
+    check({topic: [(time, plain(one)) for time, one in messages] for topic, messages in found.items()}, written[1])
 
 
 @pytest.fixture(scope="module")
 def packages(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with Foxglove's packages from npm."""
     npm = shutil.which("npm")
     if npm is None or shutil.which("node") is None:
         pytest.skip("node or npm is not installed")
@@ -196,41 +208,43 @@ def test_foxgloves_packages_read_every_message_as_written(written: tuple[Path, M
     check(found, written[1])
 
 
-def test_reruns_loader_shows_every_message_as_written(written: tuple[Path, Messages]) -> None:
-    chunk = pytest.importorskip("rerun.chunk", reason="this version of rerun-sdk has no reader of chunks")
-    columns: dict[tuple[str, str], list[tuple[int, Any]]] = {}
-    for part in chunk.McapReader(written[0]).stream():
-        batch = part.to_record_batch()
-        if "message_log_time" in batch.schema.names:
-            times = batch.column("message_log_time").cast("int64").to_pylist()
-            for name in batch.schema.names:
-                values = batch.column(name).to_pylist()
-                columns.setdefault((str(part.entity_path), name), []).extend(zip(times, values, strict=True))
-    due = written[1]
+@pytest.mark.parametrize("ghost", [False, True])
+def test_joint_states_and_transforms_agree_on_the_urdf(written: tuple[Path, Messages], ghost: bool) -> None:
+    """As Foxglove's 3D panel and robot_state_publisher place links."""
+    prefix, messages = "reference/" if ghost else "", decoded(written[0])
+    # The links are those of the plant, if it is known.
+    states = messages["/reference/joint_states" if ghost else "/truth/joint_states"]
+    (_, text), *_ = messages[f"{'/reference' if ghost else ''}/robot_description"]
+    robot = ElementTree.fromstring(text.data)
+    moving = {joint.get("name", "") for joint in robot.findall("joint") if joint.find("mimic") is None}
+    (_, first), *_ = states
+    assert moving == {prefix + name for name in first.name}
+    by_time = {time: dict(zip(joints.name, joints.position, strict=True)) for time, joints in states}
+    compared = 0
+    for time, transforms in messages["/tf"]:
+        found = {item.child_frame_id: item for item in transforms.transforms}
+        for joint in robot.findall("joint"):
+            turn, move = placed(joint, {prefix + name: value for name, value in by_time[time].items()})
+            pose = found[joint.find("child").get("link")].transform
+            assert found[joint.find("child").get("link")].header.frame_id == joint.find("parent").get("link")
+            at, q = pose.translation, pose.rotation
+            assert np.allclose([at.x, at.y, at.z], move, atol=WRITTEN)
+            assert (turn.inv() * Rotation.from_quat([q.x, q.y, q.z, q.w])).magnitude() < SAME
+            compared += 1
+    assert compared == len(messages["/tf"]) * len(robot.findall("joint")) > 0
 
-    def column(path: str, name: str) -> list[tuple[int, Any]]:
-        return [(time, value) for time, value in columns[path, name] if value is not None]
 
-    for topic in (topic for topic in due if topic.endswith("joint_states")):
-        for field in ("position", "velocity"):
-            found = column(f"{topic}/{field}", "Scalars:scalars")
-            assert found == [(time, message[field]) for time, message in due[topic]], topic
-        # Rerun gives the names once if they do not change.
-        names = {tuple(value) for _, value in column(f"{topic}/position", "SeriesLines:names")}
-        assert names == {tuple(due[topic][0][1]["name"])}
-    control = [(time, value[0]) for time, value in column("/control", "dpcontrol_msgs.msg.Control:message")]
-    for topic in ("/robot_description", "/reference/robot_description"):
-        assert column(topic, "TextDocument:text") == [(time, [message["data"]]) for time, message in due[topic]]
-    check({"/control": control}, {"/control": due["/control"]})
-    levels = {10: "DEBUG", 20: "INFO", 30: "WARN", 40: "ERROR", 50: "CRITICAL"}
-    events = [(time, levels[m["level"]], f"[{m['name']}] {m['msg']}") for time, m in due["/rosout"]]
-    shown = zip(column("/rosout", "TextLog:level"), column("/rosout", "TextLog:text"), strict=True)
-    assert [(time, level[0], text[0]) for (time, level), (_, text) in shown] == events
-    moved = [(time, t) for time, message in due["/tf"] for t in message["transforms"]]
-    assert column("/tf", "Transform3D:parent_frame") == [(time, [t["header"]["frame_id"]]) for time, t in moved]
-    assert column("/tf", "Transform3D:child_frame") == [(time, [t["child_frame_id"]]) for time, t in moved]
-    for name, part in (("translation", "translation"), ("quaternion", "rotation")):
-        found = [value[0] for _, value in column("/tf", f"Transform3D:{name}")]
-        # Rerun keeps places in single precision.
-        values = np.array([list(t["transform"][part].values()) for _, t in moved], dtype=np.float32)
-        assert np.array_equal(np.array(found, dtype=np.float32), values)
+def placed(joint: ElementTree.Element, positions: dict[str, float]) -> tuple[Rotation, np.ndarray]:
+    """Return a child link's turn and place in its parent, by the specification."""
+    origin, mimic = joint.find("origin"), joint.find("mimic")
+    place = np.zeros(3) if origin is None else np.array(origin.get("xyz", "0 0 0").split(), dtype=float)
+    axis = np.array(joint.find("axis").get("xyz").split(), dtype=float)
+    value = (
+        positions[joint.get("name", "")]
+        if mimic is None
+        else float(mimic.get("multiplier", "1")) * positions[mimic.get("joint", "")] + float(mimic.get("offset", "0"))
+    )
+    if joint.get("type") == "prismatic":
+        return Rotation.identity(), place + value * axis
+    assert joint.get("type") == "continuous"
+    return Rotation.from_rotvec(value * axis), place

@@ -8,14 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dpcontrol.foundation.errors import InputError, Remark
+from dpcontrol.foundation.errors import Remark
 from dpcontrol.logs import LogWriter, read_log
 from dpcontrol.logs.container import McapFile
 from dpcontrol.logs.rolling import Digest, RollingLog, digest_of_log
 
 RATE = 100.0
 EXTRAS = ("zero_1", "zero_2")
-RNG = np.random.default_rng(5)
 
 
 def make(path: Path, more: Mapping[str, str]) -> LogWriter:
@@ -127,21 +126,6 @@ def test_a_full_disk_costs_the_file_that_was_being_written_and_no_other(
     assert "No space left" in lost[0].loss
 
 
-def test_a_disk_that_is_full_when_a_file_begins_is_survived_too(tmp_path: Path) -> None:
-    calls: list[Path] = []
-
-    def refusing(path: Path, more: Mapping[str, str]) -> LogWriter:
-        calls.append(path)
-        # A folder in its place cannot be written.
-        return make(tmp_path if len(calls) == 2 else path, more)
-
-    folder = tmp_path / "turn-7"
-    log = RollingLog(folder, folder.name, refusing, seconds=1.0, rate_hz=RATE, limit=0.4, extras=EXTRAS)
-    with pytest.warns(Remark, match="the run goes on"), log:
-        feed(log, 0, 250)
-    assert [file.stem[-1] for file in sorted(folder.glob("*.mcap"))] == ["1", "3"]
-
-
 def test_an_interrupted_night_leaves_whole_files(tmp_path: Path) -> None:
     folder = tmp_path / "turn-7"
     log = rolling(folder)
@@ -155,13 +139,3 @@ def test_an_interrupted_night_leaves_whole_files(tmp_path: Path) -> None:
         interrupted()
     assert read_log(folder / "turn-7-0002.mcap").time[-1] == pytest.approx(1.29)
     assert not [*folder.glob("*.partial")]
-
-
-def test_a_full_disk_leaves_no_empty_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(self: McapFile, *given: object) -> None:
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    monkeypatch.setattr(McapFile, "add_metadata", full)
-    with pytest.raises(InputError, match="No space left"):
-        make(tmp_path / "turn.mcap", {}).__enter__()
-    assert not [*tmp_path.iterdir()]

@@ -1,14 +1,12 @@
 """Rotating orbits and their families, compared with independent values, scipy and symmetries."""
 
-import json
-
 import casadi as ca
 import numpy as np
 import pytest
+from command_line import dpcontrol
 from quick_rate import quick_rate
 from scipy.integrate import solve_ivp
 
-from dpcontrol.cli.main import main
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.orbits.rotating import (
     RotatingFamilySettings,
@@ -84,7 +82,6 @@ def test_every_orbit_closes_after_one_turn(system, found):
 
 
 def test_multipliers_agree_with_finite_differences_of_the_poincare_map(system, found):
-    """Finite differences of the return map to the hanging position, in (angle, momentum) of the other arm."""
     orbit = found[1, 0.2][-1]
     energy = ca.Function("H", [system.equations.state, system.equations.parameters], [system.equations.hamiltonian])
 
@@ -113,19 +110,14 @@ def test_multipliers_agree_with_finite_differences_of_the_poincare_map(system, f
     assert np.linalg.det(matrix) == pytest.approx(1.0, abs=1e-5)
 
 
-def test_both_senses_are_reflections_of_each_other(system, found):
-    back = rotating_orbits(system, 2, -0.06985, sense=-1)
-    assert len(back) == len(found[2, -0.06985])
-    for there, here in zip(found[2, -0.06985], back, strict=True):
+def test_both_senses_are_reflections_of_each_other_and_a_finer_scan_finds_the_same_orbits(system, found):
+    key = (2, -0.06985)
+    back = rotating_orbits(system, *key, sense=-1)
+    denser = rotating_orbits(system, *key, settings=RotatingSettings(first_angles=1111, jump=0.1))
+    for there, here, again in zip(found[key], back, denser, strict=True):
         assert np.abs(there.state + here.state).max() < STATE
         assert here.winding == (0, -1)
-
-
-def test_a_finer_scan_finds_the_same_orbits(system, found):
-    denser = rotating_orbits(system, 2, -0.06985, settings=RotatingSettings(first_angles=1111, jump=0.1))
-    assert len(denser) == len(found[2, -0.06985])
-    for a, b in zip(denser, found[2, -0.06985], strict=True):
-        assert np.abs(a.state - b.state).max() < STATE
+        assert np.abs(there.state - again.state).max() < STATE
 
 
 def test_the_other_arm_can_be_upright_on_the_symmetry_line(system):
@@ -153,6 +145,7 @@ def test_both_sides_of_a_stability_change_differ(system, family):
     assert all(c.orbit.kind == "parabolic" or abs(abs(c.orbit.trace) - 2) < 1e-8 for c in family.changes)
 
 
+@pytest.mark.slow
 def test_a_family_folds_when_its_multipliers_meet_at_one(family):
     (fold,) = family.folds
     lowest = family.energies.min()
@@ -181,13 +174,10 @@ def test_each_family_at_an_energy_is_followed_once(system, found):
     assert max(there) > 0.75
 
 
-def test_the_verb_lists_rotating_orbits_with_their_stability(capsys):
-    with pytest.raises(SystemExit) as done:
-        main(["orbit", "lab", "--rotating", "inner", "--energy", "0.2", "--json"])
-    shown = json.loads(capsys.readouterr().out)
+def test_the_verb_lists_rotating_orbits_with_their_stability():
+    shown = dpcontrol("orbit", "lab", "--rotating", "inner", "--energy", "0.2", "--json").document
     state, period, multipliers, kind = REFERENCE[1, 0.2]
     fastest = shown["rotating_orbits"][-1]
-    assert done.value.code == 0
     assert shown["count"] == len(shown["rotating_orbits"]) == 2
     assert fastest["kind"] == kind
     assert fastest["winding"] == [1, 0]
@@ -197,12 +187,10 @@ def test_the_verb_lists_rotating_orbits_with_their_stability(capsys):
 
 
 @pytest.mark.slow
-def test_the_verb_follows_their_families_and_draws_them(capsys, tmp_path):
+def test_the_verb_follows_their_families_and_draws_them(tmp_path):
     picture = tmp_path / "inner.png"
-    with pytest.raises(SystemExit) as done:
-        main(["orbit", "lab", "--rotating", "inner", "--energies", "0.19", "0.21", "--picture", str(picture), "--json"])
-    shown = json.loads(capsys.readouterr().out)
-    assert done.value.code == 0
+    line = ["orbit", "lab", "--rotating", "inner", "--energies", "0.19", "0.21", "--picture", picture, "--json"]
+    shown = dpcontrol(*line).document
     assert shown["count"] == 2
     for family in shown["families"]:
         energies = [member["energy"] for member in family["members"]]
@@ -211,38 +199,13 @@ def test_the_verb_follows_their_families_and_draws_them(capsys, tmp_path):
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
-@pytest.mark.parametrize(
-    ("line", "code", "fragment"),
-    [
-        ("orbit lab --rotating inner --energy -0.3", 1, "no symmetric orbit that turns the inner arm"),
-        ("orbit lab --rotating inner --saddle down-up --energy 0.2", 2, "either --saddle"),
-        ("orbit lab --energy 0.2", 2, "either --saddle"),
-        ("orbit lab --rotating inner", 2, "give --energy"),
-        ("orbit lab --rotating inner --energies 0.3 0.2", 2, "must enclose"),
-        ("orbit three-body --rotating inner --energy -1.5", 2, "need two arms"),
-    ],
-)
-def test_the_verb_refuses_rotating_orbits_that_do_not_exist(capsys, line, code, fragment):
-    with pytest.raises(SystemExit) as done:
-        main(line.split())
-    assert done.value.code == code
-    assert fragment in capsys.readouterr().err
-
-
-def test_without_enough_energy_to_turn_there_are_no_orbits(system):
+def test_rotating_orbits_that_do_not_exist_are_refused(system, found):
     assert rotating_orbits(system, 1, -0.3) == ()
-
-
-@pytest.mark.parametrize(
-    ("arguments", "fragment"),
-    [((3, 0.2), "must be 1 .inner. or 2"), ((2, float("nan")), "finite")],
-    ids=str,
-)
-def test_impossible_requests_are_refused(system, arguments, fragment):
-    with pytest.raises(InputError, match=fragment):
-        rotating_orbits(system, *arguments)
-
-
-def test_a_family_must_enclose_its_orbit(found):
+    assert dpcontrol("orbit", "lab", "--rotating", "inner", "--energy", "-0.3").code == 1
+    assert dpcontrol("orbit", "lab", "--rotating", "inner", "--saddle", "down-up", "--energy", "0.2").code == 2
+    with pytest.raises(InputError, match=r"must be 1 .inner. or 2"):
+        rotating_orbits(system, 3, 0.2)
+    with pytest.raises(InputError, match="need two arms"):
+        rotating_orbits(load_model("three-body").system, 1, -1.5)
     with pytest.raises(InputError, match="must enclose"):
         rotating_family(found[1, 0.2][-1], (0.3, 0.4))

@@ -6,8 +6,6 @@ from typing import Any
 
 import pytest
 
-import dpcontrol as dp
-
 pytest.importorskip("flint")
 
 from dpcontrol.proofs import check as checking
@@ -20,16 +18,6 @@ BITS = 140
 
 Content = dict[str, Any]
 Alteration = tuple[Callable[[Content], object], str]
-
-
-@pytest.fixture(scope="module")
-def certificates() -> dict[str, Content]:
-    """Certificates of lab's orbit about Down-Up, and of the shortest closed walk of one forward turn, at -0.07 J."""
-    lab = dp.load_model("lab")
-    graph = dp.graph(lab, energy=-0.07)
-    walk = dp.shadow(graph, ["down-up +"], wraps=[0], periodic=True)
-    proofs = {"orbit": dp.prove(dp.orbit(lab, "down-up", energy=-0.07)), "walk": dp.prove(walk, rivals=graph)}
-    return {name: json.loads(json.dumps(proof.certificate)) for name, proof in proofs.items()}
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -50,8 +38,6 @@ def remembered() -> Iterator[None]:
 
 
 def said(old: str, new: str) -> Alteration:
-    """Return an alteration that replaces words of the statement by false ones."""
-
     def change(content: Content) -> None:
         assert old in content["statement"]
         content["statement"] = content["statement"].replace(old, new, 1)
@@ -60,7 +46,6 @@ def said(old: str, new: str) -> Alteration:
 
 
 def added(words: str) -> Alteration:
-    """Return an alteration that appends false words to the statement."""
     return (lambda content: content.update(statement=content["statement"] + "\n" + words)), words
 
 
@@ -70,7 +55,6 @@ def named(key: str, words: str) -> Alteration:
 
 
 def twice(content: Content) -> None:
-    """Run an orbit twice."""
     for key in ("nodes", "normals", "durations"):
         content[key] = content[key] * 2
     content["turns"] = [2 * k for k in content["turns"]]
@@ -78,7 +62,6 @@ def twice(content: Content) -> None:
 
 
 def symbol(words: str, **values: Any) -> Alteration:
-    """Return an alteration of the first symbol."""
     return (lambda content: content["symbols"][0].update(values)), words
 
 

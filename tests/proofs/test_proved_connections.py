@@ -12,28 +12,29 @@ pytest.importorskip("flint")
 
 from dpcontrol.proofs.balls import flint
 from dpcontrol.proofs.prove import Proof, ProofSettings, prove_connections
-from dpcontrol.tubes.connections import ConnectionSearch
+from dpcontrol.tubes.connections import Connection, ConnectionSearch
 
 ENERGY = Fraction("-0.07")
 
 
+def most_transversal(search: ConnectionSearch) -> Connection:
+    return max(search.connections, key=lambda c: c.transversality_angle)
+
+
 @pytest.fixture(scope="module")
 def found() -> ConnectionSearch:
-    """The homoclinics of lab's orbit about Down-Up at -0.07 J."""
     return dp.connections(dp.orbit(dp.load_model("lab"), "down-up", energy=-0.07))
 
 
 @pytest.fixture(scope="module")
 def steepest(found: ConnectionSearch) -> Proof:
-    """The proof of the most transversal one."""
-    one = max(found.connections, key=lambda c: c.transversality_angle)
-    return prove_connections([one], energy=ENERGY, whole=True)
+    return prove_connections([most_transversal(found)], energy=ENERGY, whole=True)
 
 
 @pytest.mark.slow
 def test_a_homoclinic_is_proved_with_the_computed_angle_and_state(found: ConnectionSearch, steepest: Proof) -> None:
     assert steepest.proved, steepest.status
-    one = max(found.connections, key=lambda c: c.transversality_angle)
+    one = most_transversal(found)
     (shown,) = steepest.figures["connections"]
     assert abs(flint.arb(shown["angle_deg"]) - one.transversality_angle) < 0.1
     for text, value in zip(shown["state"], one.state, strict=True):
@@ -52,25 +53,20 @@ def test_one_homoclinic_gives_a_horseshoe_with_entropy(steepest: Proof) -> None:
 def test_a_connection_between_strongly_unstable_orbits_is_proved_with_default_settings() -> None:
     """The multiplier of the orbit is 7e10."""
     found = dp.connections(dp.orbit(dp.load_model("lab"), "up-down", energy=0.49033))
-    one = max(found.connections, key=lambda c: c.transversality_angle)
+    one = most_transversal(found)
     proof = prove_connections([one], energy=Fraction("0.49033"))
     assert proof.proved, proof.status
 
 
 @pytest.mark.slow
-def test_one_connection_given_twice_is_not_counted_as_two(found: ConnectionSearch) -> None:
-    proof = prove_connections([found.connections[0]] * 2, energy=ENERGY)
+def test_one_connection_given_twice_a_nonexistent_one_and_large_boxes_are_not_proved(found: ConnectionSearch) -> None:
+    one = found.connections[0]
+    proof = prove_connections([one] * 2, energy=ENERGY)
     assert not proof.proved
     assert "distinct" in proof.status
-
-
-@pytest.mark.slow
-def test_a_nonexistent_connection_is_not_proved(found: ConnectionSearch) -> None:
-    one = found.connections[0]
-    orbit = one.orbit
-    states = orbit.states + 1e-4 * np.sin(np.arange(4))
-    wrong = replace(one, orbit=replace(orbit, states=states))
-    proof = prove_connections([wrong], energy=ENERGY)
+    assert not prove_connections([one], energy=ENERGY, settings=replace(ProofSettings(), box=1e-2)).proved
+    states = one.orbit.states + 1e-4 * np.sin(np.arange(4))
+    proof = prove_connections([replace(one, orbit=replace(one.orbit, states=states))], energy=ENERGY)
     assert not proof.proved
     assert proof.status.startswith("not proved: 1 of 1 (")
     assert "false" not in proof.status
@@ -96,9 +92,3 @@ def test_the_heteroclinics_at_a_fifth_of_a_joule_are_proved() -> None:
     proof = dp.prove(found)
     assert proof.proved, proof.status
     assert len(proof.figures["connections"]) == 4
-
-
-@pytest.mark.slow
-def test_boxes_that_are_too_large_are_not_proved(found: ConnectionSearch) -> None:
-    proof = prove_connections(found.connections[:1], energy=ENERGY, settings=replace(ProofSettings(), box=1e-2))
-    assert not proof.proved

@@ -21,19 +21,16 @@ LAB = dp.load_model("lab")
 
 @pytest.fixture(scope="module")
 def graph() -> Edges:
-    """The connections of lab at -0.07 J."""
     return dp.graph(LAB, energy=-0.07)
 
 
 @pytest.fixture(scope="module")
 def turn(graph: Edges) -> ShadowingOrbit:
-    """The closed walk of one turn of the outer arm, without wraps."""
     return dp.shadow(graph, ["down-up +"], wraps=[0], periodic=True)
 
 
 @pytest.fixture(scope="module")
 def proof(graph: Edges, turn: ShadowingOrbit) -> Proof:
-    """Its proof."""
     return dp.prove(turn, rivals=graph)
 
 

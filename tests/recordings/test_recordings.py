@@ -4,7 +4,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 import pytest
 from bench_recordings import PERIOD, cells, free_swing, rig_file, rig_variables, table_columns, write_csv, write_mat
@@ -95,77 +94,6 @@ def test_whole_recordings_by_simulink_open_as_structs_and_as_objects(tmp_path: P
         assert np.array_equal(recording.rates, states[:, 2:])  # type: ignore[arg-type]
 
 
-def test_a_data_set_logged_at_even_times_opens_though_it_stores_no_times(tmp_path: Path) -> None:
-    matio = pytest.importorskip("matio", reason="mat-io writes MATLAB's objects for this test")
-    from matio.utils.matclass import MatlabOpaque
-
-    times, states = free_swing(400)
-    upright = states + np.array([np.pi, np.pi, 0, 0])
-    signals = []
-    for column in upright.T:
-        # The fields that MATLAB's class definitions keep; Start, Increment and End are computed from them.
-        even = {"Start_": [[0.0]], "Increment_": [[PERIOD]], "Length": [[float(len(times))]], "Time_": np.zeros((0, 0))}
-        info = MatlabOpaque({name: np.array(value) for name, value in even.items()}, "tsdata.timemetadata")
-        series = MatlabOpaque({"Data_": column[:, None].copy(), "TimeInfo": info}, "timeseries")
-        signals.append(MatlabOpaque({"Values": series}, "Simulink.SimulationData.Signal"))
-    storage = MatlabOpaque({"Elements_": cells(signals)}, "Simulink.SimulationData.Storage.RamDatasetStorage")
-    data = MatlabOpaque({"Name": "logged", "Storage_": storage}, "Simulink.SimulationData.Dataset")
-    matio.save_to_mat(str(tmp_path / "raw.mat"), {"data": data}, version="v7")
-    recording = import_recording(tmp_path / "raw.mat", "multi-arm-raw")
-    assert np.abs(recording.angles - states[:, :2]).max() <= EXACT
-    assert np.abs(recording.time - times).max() <= TIME_STEP
-
-
-def test_time_series_open_by_a_mapping_and_are_named_without_one(tmp_path: Path) -> None:
-    matio = pytest.importorskip("matio", reason="mat-io writes MATLAB's objects for this test")
-    from matio.utils.matclass import MatlabOpaque
-
-    times, states = free_swing(400)
-    empty, length = np.zeros((0, 0)), np.array([[float(len(times))]])
-    even = {"Start_": np.array([[0.0]]), "Increment_": np.array([[PERIOD]]), "Time_": empty}
-    uneven = {"Start_": empty, "Increment_": empty, "Time_": times[:, None].copy()}
-    mapping = tmp_path / "series.toml"
-    mapping.write_text(
-        'arm_lengths = [0.2, 0.3]\n[time]\ncolumn = "Theta1.Time"\n[angles]\ncolumns = ["Theta1.Data", "Theta2.Data"]'
-    )
-    for number, stored in enumerate((even, uneven)):
-        info = MatlabOpaque({**stored, "Length": length}, "tsdata.timemetadata")
-        series = {
-            f"Theta{arm + 1}": MatlabOpaque(
-                {"Data_": states[:, arm, None].copy(), "Time": empty, "TimeInfo": info}, "timeseries"
-            )
-            for arm in range(2)
-        }
-        file = tmp_path / f"{number}.mat"
-        matio.save_to_mat(str(file), series, version="v7")
-        with pytest.raises(InputError, match=r"Theta1, Theta2; give a mapping .*NAME.Time and NAME.Data"):
-            import_recording(file)
-        recording = import_recording(file, str(mapping))
-        assert np.array_equal(recording.angles, states[:, :2])
-        assert np.abs(recording.time - times).max() <= TIME_STEP
-
-
-@pytest.mark.parametrize("head", [b"# Created by Octave 9.2.0\n", b"Octave-1-L\0", b""], ids=["text", "binary", "HDF5"])
-def test_octaves_own_formats_are_refused_with_the_command_that_saves_matlabs(tmp_path: Path, head: bytes) -> None:
-    if head:
-        (tmp_path / "swing.mat").write_bytes(head + bytes(100))
-    else:
-        with h5py.File(tmp_path / "swing.mat", "w") as file:
-            file["theta/value"] = np.zeros(300)
-    with pytest.raises(InputError, match=r"one of Octave; .*save -v7"):
-        import_recording(tmp_path / "swing.mat")
-
-
-def test_cells_in_the_newest_matlab_format_read_as_those_of_the_old(tmp_path: Path) -> None:
-    matio = pytest.importorskip("matio", reason="mat-io writes MATLAB's HDF5 files for this test")
-    given = rig_variables()
-    matio.save_to_mat(str(tmp_path / "new.mat"), {**given, "dt": np.array([[PERIOD]])}, version="v7.3")
-    old = import_recording(write_mat(tmp_path / "old.mat", given))
-    new = import_recording(tmp_path / "new.mat")
-    assert np.array_equal(new.angles, old.angles)
-    assert new.segments == old.segments
-
-
 MAPPING = """
 title = "another rig"
 arm_lengths = [0.2, 0.3]
@@ -184,7 +112,7 @@ def _written(values: NDArray[np.float64], folder: Path, angles: str) -> Recordin
     return import_recording(file, str(mapping))
 
 
-@pytest.mark.parametrize("signs", [(1, 1), (-1, -1), (1, -1)])
+@pytest.mark.parametrize("signs", [(1, 1), (1, -1)])
 @pytest.mark.parametrize("relative", [False, True])
 def test_the_zero_is_what_a_hanging_arm_reads_whatever_the_sign(
     tmp_path: Path, signs: tuple[int, int], relative: bool
@@ -209,13 +137,9 @@ columns = [2, "3"]
 [rates]
 columns = [4, 5]
 """
-WRITERS: dict[str, dict[str, Any]] = {
-    "commas": {"delimiter": ","}, "blanks": {}, "tabs": {"delimiter": "\t"}, "columns": {"fmt": "%25.17g"},
-}  # fmt: skip
-"""Of numpy.savetxt; the last one writes as MATLAB's save -ascii."""
 
 
-@pytest.mark.parametrize("writer", [*WRITERS, "decimal commas", "a comment as header"])
+@pytest.mark.parametrize("writer", ["columns", "decimal commas", "a comment as header"])
 def test_a_table_without_a_header_is_imported_by_the_numbers_of_its_columns(tmp_path: Path, writer: str) -> None:
     columns = table_columns()
     values, file, mapping = np.column_stack([*columns.values()]), tmp_path / "swing.txt", tmp_path / "numbered.toml"
@@ -223,7 +147,8 @@ def test_a_table_without_a_header_is_imported_by_the_numbers_of_its_columns(tmp_
     if writer == "a comment as header":
         np.savetxt(file, values, header=" ".join(columns))
     else:
-        np.savetxt(file, values, **WRITERS.get(writer, {"delimiter": ";"}))
+        # In columns, as MATLAB's save -ascii writes.
+        np.savetxt(file, values, **({"fmt": "%25.17g"} if writer == "columns" else {"delimiter": ";"}))
         if writer == "decimal commas":
             file.write_text(file.read_text().replace(".", ","))
         with pytest.raises(InputError, match=r"has no header, so a mapping names columns by number; allowed: 1, 2, 3"):
@@ -249,13 +174,6 @@ def test_segments_survive_tables_and_a_second_import(tmp_path: Path) -> None:
         assert np.abs(again.angles - recording.angles).max() <= EXACT
 
 
-def test_a_constant_angle_beyond_all_benches_is_refused(tmp_path: Path) -> None:
-    columns = table_columns()
-    columns = {"time": columns["time"], "angle_1": [1e300] * 300, "angle_2": columns["angle_2"]}
-    with pytest.raises(InputError, match=r"row 1 .*angle 1 is 1e\+300, which no bench reaches in any unit"):
-        import_recording(write_csv(tmp_path / "far.csv", columns))
-
-
 @pytest.mark.parametrize(("given", "turns"), [("40000", (40_000, 40_000)), ("[40000, 8192]", (40_000, 8192))])
 def test_counts_of_relative_encoders_are_summed_to_absolute_angles(
     tmp_path: Path, given: str, turns: tuple[int, int]
@@ -268,20 +186,6 @@ def test_counts_of_relative_encoders_are_summed_to_absolute_angles(
     assert np.all(np.abs(recording.angles - states[:, :2]).max(axis=0) <= half_counts + EXACT)
 
 
-@pytest.mark.parametrize(
-    ("given", "said"),
-    [
-        ("[4, 5, 6]", "counts_per_turn = (4, 5, 6): give one value, or one for each of 2 angles"),
-        ("[4096, 0]", "counts_per_turn = 0: must be at least 1"),
-        ("4096.5", "counts_per_turn = 4096.5: must be a whole number or a list of whole numbers"),
-    ],
-)
-def test_counts_that_no_pair_of_encoders_has_are_refused(tmp_path: Path, given: str, said: str) -> None:
-    with pytest.raises(InputError) as refused:
-        _written(np.zeros((300, 2)), tmp_path, f'unit = "counts"\ncounts_per_turn = {given}')
-    assert said in str(refused.value)
-
-
 def test_parquet_reads_as_csv(tmp_path: Path) -> None:
     import pyarrow as pa
     import pyarrow.parquet as pq
@@ -292,20 +196,6 @@ def test_parquet_reads_as_csv(tmp_path: Path) -> None:
     by_parquet = import_recording(tmp_path / "swing.parquet")
     assert np.array_equal(by_csv.angles, by_parquet.angles)
     assert np.array_equal(by_csv.time, by_parquet.time)
-
-
-@pytest.mark.slow
-def test_random_free_swings_are_all_plausible(tmp_path: Path) -> None:
-    random = np.random.default_rng(9)
-    for k in range(25):
-        start = (*random.uniform(-np.pi, np.pi, 2), *random.uniform(-12, 12, 2))
-        times, states = free_swing(1500, tuple(float(v) for v in start))
-        names = ("time", "angle_1", "angle_2", "rate_1", "rate_2")
-        file = write_csv(tmp_path / f"{k}.csv", dict(zip(names, (times, *states.T), strict=True)))
-        assert import_recording(file).arms == 2
-
-
-Fault = Callable[[dict[str, Any]], None]
 
 
 def _missing(columns: dict[str, Any]) -> None:
@@ -354,7 +244,9 @@ def _uneven(columns: dict[str, Any]) -> None:
         (_uneven, "sampling", "uneven sampling"),
     ],
 )
-def test_a_fault_is_named_and_corrected_only_on_request(tmp_path: Path, fault: Fault, repair: str, said: str) -> None:
+def test_a_fault_is_named_and_corrected_only_on_request(
+    tmp_path: Path, fault: Callable[[dict[str, Any]], None], repair: str, said: str
+) -> None:
     columns = table_columns()
     fault(columns)
     file = write_csv(tmp_path / "faulty.csv", columns)
@@ -398,9 +290,7 @@ def test_a_jump_is_rejected_with_any_option(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"angle_1": "angle_2", "angle_2": "angle_1"}, "columns swapped"),
         ({"angle_1": "rate_1", "rate_1": "angle_1"}, "columns swapped"),
-        ({"rate_1": "rate_2", "rate_2": "rate_1"}, "it is rate 2: are columns swapped?"),
         ({"angle_1": ("angle_1", 57.29578)}, "degrees"),
         ({"rate_1": ("rate_1", 57.29578), "rate_2": ("rate_2", 57.29578)}, "rates like degrees per second"),
         ({"rate_1": ("rate_1", -1.0)}, "opposite signs"),

@@ -20,6 +20,7 @@ STATE = 1e-9  # required; about 1e-12 is achieved
 RESIDUAL = 1e-11
 FLIGHT_TIME = 1e-5  # s: accuracy of a golden-section search on a distance with kinks
 NEAR_ORBIT = 2e-6  # scaled: closest approach of free propagation in double precision
+KEY = ("down-up", "down-up", -0.07)
 
 
 def search(key, **settings):
@@ -88,7 +89,7 @@ def test_windings_agree_with_an_independent_integration(found, key):
             assert np.abs(state[:2] - home).max() < np.pi
 
 
-@pytest.mark.parametrize("key", [("down-up", "down-up", -0.07), ("down-up", "up-down", 0.2)], ids=str)
+@pytest.mark.parametrize("key", CONNECTIONS, ids=str)
 def test_connections_reach_both_orbits(found, key):
     for c in found[key].connections:
         for orbit, sign in ((c.source, -1), (c.target, 1)):
@@ -121,7 +122,7 @@ def test_time_reversal_exchanges_the_flight_times_of_mirror_pairs(found):
 
 
 def test_names_and_states_are_independent_of_sampling_and_seed_distance(found):
-    key = ("down-up", "down-up", -0.07)
+    key = KEY
     finer = search(key, distance=3e-4, cut=CutSettings(first_phases=237, chord=0.02))
     assert [c.name for c in finer.connections] == [c.name for c in found[key].connections]
     for a, b in zip(finer.connections, found[key].connections, strict=True):
@@ -131,8 +132,7 @@ def test_names_and_states_are_independent_of_sampling_and_seed_distance(found):
 
 @pytest.mark.slow
 def test_transversality_angles_agree_with_finite_differences(found):
-    """The angle between the cuts follows from finite differences near the intersection."""
-    key = ("down-up", "down-up", -0.07)
+    key = KEY
     fine = search(key, cut=CutSettings(chord=0.002))
     for c in found[key].connections:
         if not c.symmetric or c.sense < 0:
@@ -153,43 +153,35 @@ def test_open_cuts_are_reported_with_their_cause(found):
     assert {end.branch for _, end in search.open_ends} == {1, -1}
     assert all("grazes" in end.reason for _, end in search.open_ends)
     assert "open" in search.status
-    assert found["down-up", "down-up", -0.07].complete
+    assert found[KEY].complete
 
 
-def test_a_tube_with_too_little_time_is_reported():
+def test_cuts_with_too_little_time_or_too_few_points_are_not_resolved():
     system = load_model("lab").system
-    manifold = UnstableManifold(lyapunov_orbit(system, "down-up", energy=-0.07))
-    cut = tube_cut(manifold, system.sections["down-up", "down-up"], settings=CutSettings(longest=0.5))
-    assert not cut.pieces
-    assert "no trajectory of the tube reaches" in cut.status
-    assert "never arrives" in cut.open_ends[0].reason
+    manifold, section = UnstableManifold(lyapunov_orbit(system, "down-up", energy=0.2)), system.sections[KEY[:2]]
+    short, coarse = (
+        tube_cut(manifold, section, settings=settings)
+        for settings in (CutSettings(longest=0.5), CutSettings(most_points=120))
+    )
+    assert not short.pieces
+    assert "never arrives" in short.open_ends[0].reason
+    assert "not resolved" in coarse.status
 
 
-def test_a_cut_at_its_refinement_limit_is_reported():
+def test_connections_need_orbits_of_one_energy_above_both_saddles():
     system = load_model("lab").system
-    manifold = UnstableManifold(lyapunov_orbit(system, "down-up", energy=0.2))
-    cut = tube_cut(manifold, system.sections["down-up", "down-up"], settings=CutSettings(most_points=120))
-    assert "not resolved" in cut.status
-
-
-def test_no_heteroclinics_below_the_energy_of_up_down():
     with pytest.raises(InputError, match=r"exist only above its energy of 0\.175429746"):
-        orbits_between(load_model("lab").system, "down-up", "up-down", 0.17)
-
-
-def test_orbits_of_different_energy_are_refused():
-    system = load_model("lab").system
-    first, second = (lyapunov_orbit(system, "down-up", energy=e) for e in (-0.07, 0.0))
+        orbits_between(system, "down-up", "up-down", 0.17)
     with pytest.raises(InputError, match="the flow conserves energy"):
-        find_connections(first, second)
+        find_connections(*(lyapunov_orbit(system, "down-up", energy=e) for e in (-0.07, 0.0)))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("distance", [1e-9, 3e-2])
 def test_seeds_too_near_or_too_far_make_a_search_incomplete(distance):
     """Rounding dominates the cuts of near seeds, and the linear approximation fails for distant seeds."""
-    expected = CONNECTIONS["down-up", "down-up", -0.07]
-    result = search(("down-up", "down-up", -0.07), distance=distance)
+    expected = CONNECTIONS[KEY]
+    result = search(KEY, distance=distance)
     wrong = len(result.connections) != expected[0]
     off = [min(on_torus(c.state, s) for s in map(np.array, expected[1])) for c in result.connections if c.sense > 0]
     if wrong:
@@ -231,55 +223,6 @@ def test_closed_cuts_are_refined_until_they_cross_evenly():
         fine = find_connections(*orbits, settings=ConnectionSettings(distance=distance))
         assert len(fine.connections) == 12
         assert "more often" not in fine.status
-
-
-def test_a_search_refines_coarse_intersections_first(monkeypatch):
-    solve, solved = intersections._solved, []
-    monkeypatch.setattr(intersections, "_TOGETHER", 1)
-    monkeypatch.setattr(intersections, "_solved", lambda *each: solved.append(each) or solve(*each))
-    orbits = orbits_between(load_model("lab").system, "down-up", "down-up", 0.2)
-    system, settings = orbits[0].system, ConnectionSettings()
-    manifold, section = local_manifold(orbits[0], settings.distance), system.sections["down-up", "down-up"]
-    cut = tube_cut(manifold, section, settings=settings.cut)
-    case = (system, section, (manifold, manifold), (cut, cut), settings)
-    every = intersect_cuts(*case)
-    solved.clear()
-    some = intersect_cuts(*case, spent=lambda: float(len(solved) >= 3))
-    scales = [one.scale for one in every.found]
-    assert scales == sorted(scales, reverse=True)
-    assert [one.scale for one in some.found] == scales[: len(some.found)]
-    assert 0 < len(some.found) < len(every.found)
-    assert some.left > 0 == every.left
-
-
-def test_intersections_that_are_not_solved_in_time_are_left_and_no_failures():
-    orbits = orbits_between(load_model("lab").system, "down-up", "down-up", 0.2)
-    system, settings = orbits[0].system, ConnectionSettings()
-    manifold, section = local_manifold(orbits[0], settings.distance), system.sections["down-up", "down-up"]
-    cut, shares = tube_cut(manifold, section, settings=settings.cut), []
-
-    def spent():
-        """The time is up during Newton's method, after one iteration."""
-        shares.append(float(bool(starts) and len(shares) > starts[0] + 1))
-        return shares[-1]
-
-    starts, approach = [], intersections._approaches
-    with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(intersections, "_approaches", lambda *each: starts.append(len(shares)) or approach(*each))
-        found = intersect_cuts(system, section, (manifold, manifold), (cut, cut), settings, spent=spent)
-    assert len(starts) < 4
-    assert found.left > 0
-    assert found.failed == 0
-
-
-def test_an_incomplete_thorough_search_reports_a_lower_bound_and_another_remedy():
-    orbits = orbits_between(load_model("lab").system, "down-up", "down-up", -0.07)
-    search = find_connections(*orbits, settings=ConnectionSettings(seconds=1e-9, thorough=True))
-    assert not search.complete
-    assert search.status.startswith("no connections found")
-    assert search.partial
-    assert "s of processor time" in search.status
-    assert "thorough" not in search.status
 
 
 @pytest.mark.slow

@@ -55,12 +55,6 @@ def test_near_the_end_of_its_family_an_orbit_closes_with_reciprocal_multipliers(
     assert abs(orbit.floquet_multipliers[0] * orbit.floquet_multipliers[3] - 1) < 1e-15 * orbit.unstable_multiplier
 
 
-def test_beyond_the_end_of_the_family_the_status_gives_the_reason(lab):
-    orbit = lyapunov_orbit(lab.system, "down-up", energy=0.6)
-    assert not orbit.converged
-    assert "could be followed only to 0.49" in orbit.status
-
-
 def test_at_a_grazing_phase_the_trajectory_touches_the_section(lab):
     """On one side of the phase, the normal rate vanishes. On the other, the trajectory just misses the section."""
     system = lab.system
@@ -110,13 +104,7 @@ def test_connections_at_other_energies_agree_with_extended_precision(lab, source
     for end, orbit in zip(exact.ends, (connection.source, connection.target), strict=True):
         assert float(end.duration) == pytest.approx(orbit.period, abs=PERIOD)
         assert np.abs(end.state.astype(float) - orbit.state).max() < STATE
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("energy", [-0.12, 0.05, 0.15])
-def test_connections_at_other_energies_reach_both_orbits(lab, energy):
-    found = find_connections(*orbits_between(lab.system, "down-up", "down-up", energy))
-    for c in found.connections:
+    for c in found.connections if source == target else ():
         for orbit, sign in ((c.source, -1), (c.target, 1)):
             flown = orbit.system.propagator.sample(c.state, sign * np.linspace(0, 3.0, 1500))
             assert OrbitCurve(orbit).distances(flown)[1].min() < NEAR_ORBIT

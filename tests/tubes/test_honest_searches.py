@@ -8,7 +8,6 @@ from uniform_rods import uniform_rods
 from dpcontrol.bifurcations.bifurcations import SweepSettings, find_bifurcations
 from dpcontrol.plans.model import load_model
 from dpcontrol.tubes.connections import ConnectionSearch, find_connections, orbits_between
-from dpcontrol.tubes.intersections import ConnectionSettings
 from dpcontrol.walks.edges import find_edges
 from dpcontrol.walks.symbols import choose, parse_symbol
 
@@ -21,10 +20,9 @@ def homoclinics(model: str, saddle: str, energy: float) -> ConnectionSearch:
     return find_connections(*orbits_between(load_model(model).system, saddle, saddle, energy))
 
 
-@pytest.mark.parametrize("energies", [(0.0975, 0.0979), (0.1715, 0.1720)], ids=str)
-def test_a_trajectory_that_returns_near_its_orbit_is_not_a_saddle_node(energies):
-    system = load_model("printed").system
-    found = find_bifurcations(system, "down-up", "down-up", energies=energies, settings=SweepSettings(energies=2))
+def test_a_trajectory_that_returns_near_its_orbit_is_not_a_saddle_node():
+    system, settings = load_model("printed").system, SweepSettings(energies=2)
+    found = find_bifurcations(system, "down-up", "down-up", energies=(0.0975, 0.0979), settings=settings)
     assert found.complete
     assert not found.events
     assert {c.count for c in found.counts} == {12}
@@ -37,7 +35,7 @@ def test_near_a_pitchfork_each_connection_is_counted_once():
     assert not homoclinics("lab", "down-up", PITCHFORK + 1e-10).complete
 
 
-@pytest.mark.parametrize("energy", [0.06, 0.17, 0.18, 0.195])
+@pytest.mark.parametrize("energy", [0.06, 0.195])
 def test_symmetric_connections_lie_on_the_symmetry_line_for_any_multiplier(energy):
     search = homoclinics("printed", "down-up", energy)
     for c in search.connections:
@@ -59,34 +57,20 @@ def test_a_short_symbol_selects_the_same_motion_at_nearby_energies():
 
 
 @pytest.mark.parametrize(
-    "arguments",
+    ("model", "source", "target", "energy", "complete"),
     [
-        ("connect", "three-body", "--from", "L2", "--to", "L2", "--energy", "-1.5185"),
-        ("connect", "printed", "--from", "up-down", "--to", "up-down", "--energy", "0.18706681656897742"),
-        pytest.param(("atlas", "point-mass", "--energy", "0.3"), marks=pytest.mark.slow),
+        pytest.param("printed", "up-down", "up-down", "0.18706681656897742", False, marks=pytest.mark.slow),
+        ("lab", "down-up", "up-down", "0.2", True),
     ],
-    ids=lambda arguments: " ".join(arguments[:2]),
 )
-def test_a_possibly_incomplete_search_exits_with_one(arguments):
-    shown = dpcontrol(*arguments, "--json")
-    assert not shown.document["complete"]
-    assert shown.code == 1
-
-
-def test_a_search_can_be_complete_with_open_cuts():
-    shown = dpcontrol("connect", "lab", "--from", "down-up", "--to", "up-down", "--energy", "0.2", "--json")
-    assert shown.document["open_cuts"]
-    assert shown.document["complete"]
-    assert shown.code == 0
-
-
-def test_a_search_that_runs_out_of_time_is_partial():
-    orbits = orbits_between(load_model("lab").system, "down-up", "down-up", -0.07)
-    search = find_connections(*orbits, settings=ConnectionSettings(seconds=1e-6))
-    assert not search.complete
-    assert search.status.startswith(("at least", "no connections found"))
-    assert search.partial
-    assert "s of processor time" in search.status
+def test_a_possibly_incomplete_search_exits_with_one(
+    model: str, source: str, target: str, energy: str, complete: bool
+) -> None:
+    """Cuts can be open in a complete search."""
+    shown = dpcontrol("connect", model, "--from", source, "--to", target, "--energy", energy, "--json")
+    assert shown.document["complete"] == complete
+    assert shown.document["open_cuts"] or not complete
+    assert shown.code == (0 if complete else 1)
 
 
 @pytest.mark.slow

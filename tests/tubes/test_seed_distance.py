@@ -21,7 +21,6 @@ REFINED = 1e-12  # multiple shooting removes the effect of the distance
 
 
 def images(key):
-    """The reference states, their mirror images and reflections."""
     states = [np.array(s) for s in CONNECTIONS[key][1]]
     states += [x * [-1, -1, 1, 1] for x in states]
     return np.array(states + [-x for x in states])
@@ -36,7 +35,6 @@ def off(state, truths):
 
 
 def unrefined_errors(key, distance):
-    """The errors of all intersections of the cuts before refinement."""
     system, settings = load_model("lab").system, ConnectionSettings(distance=distance)
     orbit, _ = orbits_between(system, *key)
     manifold, section = UnstableManifold(orbit, distance), system.sections[key[:2]]
@@ -62,6 +60,7 @@ def test_the_default_distance_is_near_the_optimum(chart):
     assert chart[DISTANCES.index(default)] < 3 * chart.min()
 
 
+@pytest.mark.slow
 def test_errors_grow_on_both_sides_like_rounding_and_truncation(chart):
     assert chart[0] > 5 * chart.min(), "rounding, which falls as the distance grows"
     growth = np.log(chart[-1] / chart[-2]) / np.log(DISTANCES[-1] / DISTANCES[-2])
