@@ -6,13 +6,10 @@ import pytest
 from bench_stand_in import PERIOD, Flight, fly, model_of, plant_of
 from shadowing_stand_in import LAB, StandIn
 
-from dpcontrol.control.handover import Fly, Keep, NearestKeeper, Program, program
+from dpcontrol.control.handover import Fly, Keep, Program, program
 from dpcontrol.control.interface import Action
-from dpcontrol.control.lqr import HoldSettings, hold_controller
-from dpcontrol.control.ogy import OgyController, OgySession, OgySettings, ogy_controller
-from dpcontrol.control.periodic import orbit_controller
+from dpcontrol.control.ogy import OgyController, OgySettings, ogy_controller
 from dpcontrol.control.tracking import TrackingController, TvlqrSettings, tracking_controller
-from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.plans.model import load_model
 from dpcontrol.references.reference import Reference
@@ -20,7 +17,6 @@ from dpcontrol.references.sustained import SustainedOrbit, sustained_orbit
 
 ON_ORBIT = 0.1  # rad: what a completed period asks for.
 JOIN = 0.06  # Largest scaled distance of a flight from its final orbit, with a plant 3 % off.
-NONE = np.zeros(0)
 
 
 @cache
@@ -57,10 +53,10 @@ def spans(actions: list[Action]) -> list[int]:
     return [k for k, action in enumerate(actions) if action.event.startswith("hand over to")]
 
 
-@pytest.fixture(scope="module", params=[0.0, 0.03])
-def done(request: pytest.FixtureRequest, there_and_back: Program) -> Flight:
-    """The program done by encoders on the model itself, and on a plant that is 3 % off."""
-    plant = plant_of(1, request.param)
+@pytest.fixture(scope="module")
+def done(there_and_back: Program) -> Flight:
+    """The program done by encoders on a plant that is 3 % off."""
+    plant = plant_of(1, 0.03)
     return fly(there_and_back.begin(), plant, there_and_back.first_state, there_and_back.ticks * PERIOD)
 
 
@@ -89,54 +85,3 @@ def test_a_stay_is_left_where_the_next_flight_begins(done: Flight) -> None:
         # The reference goes on from one controller to the next without a jump.
         jump = np.abs(done.actions[k].reference - done.actions[k - 1].reference) / [np.pi, np.pi, 10, 10, 0.8, 3]
         assert jump.max() < JOIN
-
-
-def test_resynchronising_moves_the_clock_under_way(there_and_back: Program) -> None:
-    session = there_and_back.begin()
-    assert session.resynchronise(0, orbit().state(0.3)).startswith("clock of the orbit moved by")
-
-
-@pytest.mark.slow
-def test_feedback_at_every_tick_hands_over_as_well(turn: tuple[StandIn, Reference]) -> None:
-    keeper = orbit_controller(orbit(), model_of(), TvlqrSettings(schedule="phase"), seconds=60.0)
-    made = program(
-        [Keep("before", keeper, wraps=2), Fly("turn", flight(turn[1])), Keep("after", keeper, wraps=3)], period=PERIOD
-    )
-    result = fly(made.begin(), plant_of(1, 0.03), made.first_state, made.ticks * PERIOD)
-    assert [event.split(":")[1] for event in result.events] == [" turn", " after"]
-    assert keeper.distance(result.states[-1]) < JOIN
-
-
-def test_stays_and_flights_that_do_not_meet_are_rejected_by_name(turn: tuple[StandIn, Reference]) -> None:
-    away = flight(turn[1])
-    other = ogy_controller(orbit(0.2), model_of(), OgySettings(), seconds=60.0)
-    with pytest.raises(GoalMissed, match=r"turn begins .* away from high: they do not meet"):
-        program([Keep("high", other, wraps=1), Fly("turn", away)], period=PERIOD)
-    with pytest.raises(GoalMissed, match=r"turn ends .* away from high: they do not meet"):
-        program([Fly("turn", away), Keep("high", other, wraps=1)], period=PERIOD)
-    with pytest.raises(InputError, match="wraps = -1"):
-        program([Keep("low", wobble(), wraps=-1)], period=PERIOD)
-    with pytest.raises(InputError, match="at least one segment"):
-        program([], period=PERIOD)
-
-
-def test_the_nearest_orbit_or_equilibrium_takes_over_and_holds() -> None:
-    system = load_model("lab").system
-    hold = {
-        name: hold_controller(system.equilibrium(name), model_of(), HoldSettings(), seconds=60.0)
-        for name in ("down-down", "up-up")
-    }
-    keeper = NearestKeeper({**hold, "low orbit": wobble()})
-    turns = np.array([2 * np.pi, -2 * np.pi, 0, 0, 0, 0])
-    start = orbit().state(0.2) + turns + np.array([0.02, 0.02, 0, 0, 0, 0])
-    session, text = keeper.session(7, start)
-    assert text.startswith("holds low orbit, ")
-    assert isinstance(session, OgySession)
-    session, _ = keeper.session(0, start)
-    held = fly(session, plant_of(0, 0.03), start, 6.0)
-    assert wobble().distance(held.states[-1]) < ON_ORBIT / np.pi
-    for name, controller in hold.items():
-        _, text = keeper.session(0, controller.first_state + turns + 0.01)
-        assert text.startswith(f"holds {name}, ")
-    with pytest.raises(InputError, match="no fallback"):
-        NearestKeeper({})
