@@ -77,17 +77,6 @@ def test_a_lumped_disturbance_is_followed() -> None:
     assert np.abs(errors[1].mean()) < 0.5 * np.abs(errors[0].mean())
 
 
-@pytest.mark.slow
-def test_errors_of_the_drive_are_estimated() -> None:
-    flown = run(3, lag=0.005, frequency=40.0, amplitude=10.0)
-    sure = {"cart_noise": 1e-3, "drive_error": 2.0}
-    plain = estimated(CompiledEkf(MODEL, EkfSettings(augment=(), **sure), noise=NOISE), flown)
-    told = estimated(CompiledEkf(MODEL, EkfSettings(augment=("drive",), **sure), noise=NOISE), flown)
-    errors = [np.array([e.state[5] for e in es[200:]]) - flown.states[200:, 5] for es in (plain, told)]
-    assert np.std(errors[1]) < 0.3 * np.std(errors[0])
-    assert np.mean([e.nis for e in told[200:]]) < np.mean([e.nis for e in plain[200:]])
-
-
 def test_friction_errors_count_for_every_law_and_the_smoothing_stays() -> None:
     arms = replace(LAB, coulomb=(1e-3, 2e-3))
     equations = arm_chain_equations(2, Level.CART, friction=(Friction.COULOMB,))

@@ -7,7 +7,7 @@ from scipy.stats import chi2
 from simulated_consistency import simulated_consistency
 
 from dpcontrol.control.ekf import EkfProgram
-from dpcontrol.control.estimator_settings import AdaptiveEkfSettings, EkfSettings, chi_square_band, nees, share_inside
+from dpcontrol.control.estimator_settings import AdaptiveEkfSettings, EkfSettings, chi_square_band, share_inside
 from dpcontrol.loop.bench import SensorSettings
 
 SHARE = 0.02  # About 95 %; the bar for a nominal plant with the noise that is modelled.
@@ -27,13 +27,6 @@ def test_too_small_counts_as_outside_as_well_as_too_large() -> None:
     assert share_inside(values, 6) == pytest.approx(0.95, abs=0.005)
     assert share_inside(values / 20, 6) < 0.2
     assert share_inside(values * 20, 6) < 0.2
-
-
-def test_nees_is_the_squared_error_in_units_of_the_covariance() -> None:
-    random = np.random.default_rng(5)
-    root = random.standard_normal((4, 4))
-    white = random.standard_normal((50, 4))
-    assert nees(white @ root.T, np.broadcast_to(root @ root.T, (50, 4, 4))) == pytest.approx((white**2).sum(1))
 
 
 @pytest.mark.slow

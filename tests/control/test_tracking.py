@@ -8,10 +8,8 @@ from dpcontrol.control.interface import SampledModel
 from dpcontrol.control.tick import TickEquations
 from dpcontrol.control.tracking import (
     PhaseController,
-    PhaseSession,
     TrackingController,
     TvlqrSettings,
-    phase_controller,
     terminal_cost,
     tracking_controller,
 )
@@ -79,19 +77,6 @@ def test_by_phase_a_run_that_is_early_is_left_its_lead_and_by_time_it_is_pulled_
     # The clock glides by half a tick a tick: it makes up the lead of 20 ticks in 40, pulled back meanwhile.
     assert max(by_phase[0][60:]) < 0.5 * max(by_time[0][60:])
     assert max(by_phase[1][60:]) < 0.5 * max(by_time[1][60:])
-
-
-def test_by_phase_the_clock_continues_while_the_reference_rests(
-    turn: tuple[StandIn, Reference], model: SampledModel
-) -> None:
-    states = np.repeat(turn[1].state(0.0)[None, :], 301, axis=0)
-    law = phase_controller(
-        "tvlqr", states=states, feedforward=np.zeros(300), gains=np.zeros((300, 6)), period=model.period
-    )
-    session = PhaseSession(law)
-    for k in range(250):
-        session.command(k, states[0] + 0.02, np.zeros(0))
-    assert session.place == pytest.approx(249, abs=1)
 
 
 def test_by_phase_the_clock_is_estimated_and_many_runs_agree_with_one(
