@@ -15,6 +15,7 @@ from dpcontrol.control.tick import SETTLING, Outcome
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import write_folder
 from dpcontrol.loop.assembly import Assembly
+from dpcontrol.loop.simulated import SimulatedRig
 from dpcontrol.plans.plan import Plan
 from dpcontrol.runs.run import export_plan
 
@@ -103,13 +104,13 @@ def test_every_number_of_the_report_is_the_loops(plan: Plan, double: Path) -> No
 @pytest.mark.slow
 @pytest.mark.parametrize("sensor", [1, 2, 3])
 def test_a_stuck_sensor_brakes_the_cart_at_the_same_tick(plan: Plan, double: Path, sensor: int) -> None:
-    both, rows = SideBySide(plan, library(double)), readings(double)[:, :3].copy()
-    joints = np.diff(np.insert(rows[:, :2], 0, 0.0, axis=1), axis=1)
-    (rows if sensor == 3 else joints)[900:, sensor - 1] = (rows if sensor == 3 else joints)[900, sensor - 1]
-    rows[:, :2] = np.cumsum(joints, axis=1)
-    outcomes = []
-    for positions in rows[:1400]:
-        own, other = both(positions)
+    loop = plan.itinerary.with_run({"stuck_at": 0.9, "stuck_sensor": sensor - 1}).loop
+    both, assembly = SideBySide(plan, library(double)), Assembly(plan.reference, plan.itinerary.model.arms, loop)
+    start, queued = assembly.controller.first_state, both.own.queued[:, 0].tolist()
+    rig, outcomes = SimulatedRig(assembly.draw(), loop.bench, limits=assembly.limits, start=start, queued=queued), []
+    for _ in range(1400):
+        own, other = both(rig.read().positions)
+        rig.command(float(own["command"][0]))
         outcomes.append((own["outcome"][0], other["outcome"][0], other["sensor"][0]))
     decided = [(own, other, which) for own, other, which in outcomes if own or other]
     assert decided == [(Outcome.STUCK, Outcome.STUCK, sensor)]
