@@ -1,4 +1,4 @@
-"""Swings with separate parameters, zeros, lag and disturbance, read by encoders, for tests of estimators."""
+"""Swings with separate parameters, zeros and disturbance, read by encoders, for tests of estimators."""
 
 from dataclasses import dataclass
 
@@ -34,9 +34,7 @@ def run(
     *,
     base: np.ndarray | None = None,
     zeros: tuple[float, float] = (0.0, 0.0),
-    lag: float = 0.0,
     torque: float = 0.0,
-    frequency: float = 2.5,
     amplitude: float = 0.5,
     seed: int = 0,
     start: tuple[float, ...] = SWING,
@@ -45,14 +43,13 @@ def run(
     plant = SampledModel(EQUATIONS, LAB.base() if base is None else base, period=1e-3)
     random = np.random.default_rng(seed)
     count = round(seconds * 1000)
-    commands = amplitude * np.sin(frequency * 1e-3 * np.arange(count))
-    x, acting = np.array(start, dtype=float), 0.0
+    commands = amplitude * np.sin(2.5e-3 * np.arange(count))
+    x = np.array(start, dtype=float)
     x[:2] += 0.02 * random.uniform(-1, 1, 2)
     states = np.empty((count, 6))
     for k, command in enumerate(commands):
         if k:
-            acting = command + (acting - command) * np.exp(-1e-3 / lag) if lag else command
-            x = plant.step(x, acting)
+            x = plant.step(x, command)
             x[3] += torque * 1e-3
         states[k] = x
     inner, outer = states[:, 0] + zeros[0], states[:, 1] + zeros[1]

@@ -1,4 +1,4 @@
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import cache
 
 import casadi as ca
@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 from shadowing_stand_in import LAB, StandIn
 
 from dpcontrol.control.ekf import FilterEquations
-from dpcontrol.control.estimator_settings import Augment, EkfSettings
+from dpcontrol.control.estimator_settings import EkfSettings
 from dpcontrol.control.interface import SampledModel
 from dpcontrol.control.tick import TickEquations
 from dpcontrol.control.tracking import (
@@ -23,18 +23,15 @@ from dpcontrol.control.tracking import (
     tracking_controller,
 )
 from dpcontrol.dynamics.chain import Level, arm_chain_equations
-from dpcontrol.foundation.errors import InputError
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.bench import DriveSettings
 from dpcontrol.loop.loop import LoopSettings
-from dpcontrol.loop.result import Ending, LoopSink
+from dpcontrol.loop.result import Ending
 from dpcontrol.references.reference import Reference
 
 SOLVED = 1e-7  # Relative, of Riccati solvers on well-scaled matrices.
 DIFFERENCED = 1e-6  # Relative: central differences with a step of 1e-4.
-FIRST_ORDER = (
-    0.05  # Relative: what second order leaves at parameters wrong by 2e-4 while the orbit's errors grow 50-fold.
-)
+FIRST_ORDER = 0.05  # Relative: what second order leaves at parameters wrong by 2e-4.
 CLOSE = 0.1  # rad: what a completed run asks for over its last period.
 PERIOD = 2e-3
 AUGMENT = ("drive", "friction", "parameters")
@@ -80,7 +77,7 @@ def test_gains_minimise_the_cost_with_the_extras_foreseen() -> None:
     assert inputs == pytest.approx(expected, rel=SOLVED, abs=SOLVED)
 
 
-@pytest.mark.parametrize(("name", "base"), [("M11", [0]), ("M22", [2]), ("S1", [3, 5]), ("S2", [4, 6])])
+@pytest.mark.parametrize(("name", "base"), [("M22", [2]), ("S1", [3, 5])])
 def test_the_effect_of_a_wrong_parameter_is_that_of_other_arms(name: str, base: list[int], model: SampledModel) -> None:
     state, command, step = np.array([0.4, 2.9, 3.0, -6.0, 0.02, 0.3]), 1.5, 1e-4
     process = ESTIMATOR.process(2, PERIOD)
@@ -101,18 +98,6 @@ def test_the_effect_of_a_wrong_parameter_is_that_of_other_arms(name: str, base: 
     assert effects[0][:, names.index(name)] == pytest.approx(expected, rel=1e-4, abs=DIFFERENCED * abs(expected).max())
     assert kept[names.index(name)] == 1.0
     assert kept[0] == pytest.approx(np.exp(-PERIOD / ESTIMATOR.drive_time))
-
-
-@pytest.mark.slow
-def test_on_the_state_it_has_the_gains_of_tvlqr_with_the_same_weights(
-    turn: tuple[StandIn, Reference], model: SampledModel
-) -> None:
-    # The closing constraint applies to the reference, not to the feedback.
-    weights = {"angle": 1000.0, "rate": 100.0, "position": 100.0, "closing": 1.0}
-    adaptive = adaptive_controller(turn[1], model, AdaptiveSettings(**weights), estimator=ESTIMATOR)
-    plain = tracking_controller(turn[1], model, TvlqrSettings(**weights))
-    assert adaptive.gains == pytest.approx(plain.gains, rel=SOLVED, abs=SOLVED)
-    assert np.array_equal(adaptive.feedforward, plain.feedforward)
 
 
 @pytest.mark.slow
@@ -199,17 +184,6 @@ def test_small_errors_of_the_model_do_what_the_first_order_foretells(
 
 
 @pytest.mark.slow
-def test_a_known_error_of_the_model_costs_less_when_foreseen(law: AdaptiveController, model: SampledModel) -> None:
-    blind = replace(law, extra_gains=np.zeros_like(law.extra_gains))
-    diagonal, _ = SETTINGS.weights(2, PERIOD)
-    costs = {}
-    for name, controller in (("foreseen", law), ("blind", blind)):
-        away = _deviation(controller, model, np.array([0.05, -0.05, 0.05, -0.05]))
-        costs[name] = float((away**2 @ diagonal).sum())
-    assert costs["foreseen"] < 0.5 * costs["blind"]
-
-
-@pytest.mark.slow
 def test_the_quadratic_effect_of_a_known_error_is_compensated(law: AdaptiveController, model: SampledModel) -> None:
     diagonal, _ = SETTINGS.weights(2, PERIOD)
     costs = {}
@@ -246,23 +220,6 @@ def test_a_share_beyond_trust_is_bounded_and_named(law: AdaptiveController) -> N
     assert np.isfinite(asked(law, 100, state, np.array([0, 0, 0, -7.0, -2.0, 1.0, 0.1]))[0])
 
 
-@dataclass
-class Events(LoopSink):
-    texts: list[str] = field(default_factory=list)
-
-    def event(self, time_s: float, level: str, name: str, text: str) -> None:
-        self.texts.append(text)
-
-
-def _settings(kind: AdaptiveSettings | TvlqrSettings, mismatch: float, *, seed: int = 0) -> LoopSettings:
-    estimator = ESTIMATOR if isinstance(kind, AdaptiveSettings) else EkfSettings()
-    drive = DriveSettings(lag=5e-3, command_noise=0.3)
-    return LoopSettings(
-        seed=seed, rate=1 / PERIOD, initial_error=0.05, mismatch=mismatch, travel=0.8,
-        estimator=estimator, drive=drive,
-    )  # fmt: skip
-
-
 @pytest.mark.slow
 def test_arms_wrong_by_a_fifth_end_on_the_orbit_where_tvlqr_alone_loses_half(
     turn: tuple[StandIn, Reference], model: SampledModel, law: AdaptiveController
@@ -270,41 +227,19 @@ def test_arms_wrong_by_a_fifth_end_on_the_orbit_where_tvlqr_alone_loses_half(
     reference, seeds = turn[1], range(16)
     plain = tracking_controller(reference, model, TvlqrSettings())
     ended = {}
-    for kind, controller in ((SETTINGS, law), (TvlqrSettings(), plain)):
-        settings = _settings(kind, 0.2)
+    drive = DriveSettings(lag=5e-3, command_noise=0.3)
+    common = LoopSettings(seed=0, rate=1 / PERIOD, initial_error=0.05, mismatch=0.2, travel=0.8, drive=drive)
+    for kind, estimator, controller in (
+        ("adaptive", ESTIMATOR, law),
+        ("tvlqr", EkfSettings(), plain),
+    ):
+        settings = replace(common, estimator=estimator)
         runs = Assembly(reference, LAB, settings, law=controller).batch(seeds)
         near = [
             run.ending is Ending.FINISHED
             and float(np.abs((run.truth[:, :2] - run.references)[-500:]).max()) < 2 * CLOSE
             for run in runs
         ]
-        ended[kind.kind] = sum(near)
+        ended[kind] = sum(near)
     assert ended["adaptive"] >= 14
     assert ended["tvlqr"] <= 11
-
-
-def test_arms_beyond_trust_are_named_and_the_run_ends_with_a_reason(
-    turn: tuple[StandIn, Reference], law: AdaptiveController
-) -> None:
-    # These arms: M11 twice, S1 1.8 times the model's, over M12.
-    sink, narrow = Events(), replace(law, trust=0.2)
-    result = Assembly(turn[1], LAB, _settings(SETTINGS, 0.4, seed=6), law=narrow).simulate(sink=sink)
-    assert any("model error: M" in text or "model error: S" in text for text in sink.texts), sink.texts
-    assert result.ending is not Ending.FINISHED
-    assert result.reason
-    assert np.abs(result.ticks.truth[:, 4]).max() <= 0.8 + 1e-9
-
-
-def test_an_estimator_that_does_not_look_for_the_parameters_is_refused(
-    turn: tuple[StandIn, Reference], model: SampledModel
-) -> None:
-    with pytest.raises(InputError, match='add "parameters"'):
-        adaptive_controller(turn[1], model, SETTINGS, estimator=EkfSettings(augment=(Augment.FRICTION.value,)))
-
-
-@pytest.mark.parametrize(
-    ("name", "value"), [("closing", 0.5), ("trust", 2.0), ("closing_time", -1.0), ("effort", 0.0), ("angle", np.nan)]
-)
-def test_settings_without_a_meaning_are_refused_by_name(name: str, value: float) -> None:
-    with pytest.raises(InputError, match=name):
-        replace(SETTINGS, **{name: value})

@@ -6,7 +6,7 @@ import pytest
 from shadowing_stand_in import LAB
 from textbook_filter import TextbookFilter, cart_noise
 
-from dpcontrol.control.ekf import CompiledEkf, FilterEquations, Timing, checked_noise, packed, unpacked
+from dpcontrol.control.ekf import CompiledEkf, FilterEquations, Timing, packed
 from dpcontrol.control.estimator_settings import EkfSettings
 from dpcontrol.control.interface import Estimate, SampledModel
 from dpcontrol.dynamics.chain import Level, arm_chain_equations
@@ -16,7 +16,6 @@ from dpcontrol.loop.bench import SensorSettings
 ROUNDING = 1e-9  # Of two filters over thousands of ticks, relative to standard deviations; NIS loses most.
 SAMPLED = 0.03  # Relative, of a mean of 40,000 draws whose standard deviation is about the mean.
 DIGITS = 1e-13  # Relative, of a few ticks against 50 decimal digits.
-PACKS = 1e-9  # Sines of vectors round differently, and zeros that are hardly known yet enlarge that.
 
 NOISE = SensorSettings().covariance(2)
 ROOT = np.linalg.cholesky(NOISE)
@@ -114,7 +113,7 @@ def test_the_first_ticks_are_right_to_the_last_digits(plain: CompiledEkf) -> Non
             assert estimate.state == pytest.approx((large(following) + gain @ y).astype(float), abs=1e-13)
 
 
-@pytest.mark.parametrize("missing", [(0,), (1,), (2,), (0, 2), (0, 1)])
+@pytest.mark.parametrize("missing", [(0,), (2,), (0, 1), (0, 1, 2)])
 def test_a_missing_position_is_as_if_there_were_no_such_sensor(zeros: CompiledEkf, missing: tuple[int, ...]) -> None:
     estimate = zeros.first(STATE)
     for command, _, measured in zip(*swing(30), strict=True):
@@ -139,45 +138,6 @@ def test_a_missing_position_is_as_if_there_were_no_such_sensor(zeros: CompiledEk
     assert zeros.update(updated, POSITIONS @ updated.state).used == 3
 
 
-def test_a_tick_without_any_measurement_is_the_prediction(plain: CompiledEkf) -> None:
-    estimate = plain.first(STATE)
-    blind = plain.step(estimate, 2.0, np.full(3, np.nan), np.zeros(3, dtype=bool))
-    assert blind.state == pytest.approx(MODEL.step(STATE, 2.0), abs=1e-15)
-    assert blind.used == 0
-    assert blind.nis == 0
-    expected = TextbookFilter(MODEL, PLAIN, noise=NOISE, state=STATE)
-    expected.predict(2.0)
-    assert blind.sigmas == pytest.approx(expected.sigmas, rel=DIGITS)
-
-
-def test_many_runs_at_once_are_each_alone(zeros: CompiledEkf) -> None:
-    program, runs = zeros.program, 37
-    random = np.random.default_rng(5)
-    states = STATE[:, None] + 0.1 * random.standard_normal((6, runs))
-    inputs = program.inputs(NOISE, runs=runs)
-    memory = program.first(states)
-    alone = [zeros.first(x) for x in states.T]
-    truths = [x + 0.02 * random.standard_normal(6) for x in states.T]
-    out = np.empty((program.step.size_out, runs))
-    for k in range(40):
-        commands = random.uniform(-5, 5, runs)
-        truths = truths if k == 0 else [MODEL.step(x, u) for x, u in zip(truths, commands, strict=True)]
-        measured = POSITIONS @ np.array(truths).T + ROOT @ random.standard_normal((3, runs))
-        present = random.random((3, runs)) > 0.2
-        for name, value in (("memory", memory), ("command", commands), ("measured", measured), ("present", present)):
-            inputs[program.slices[name]] = value
-        memory = (program.step if k else program.update)(inputs, out)[program.out["memory"]]
-        for i, estimate in enumerate(alone):
-            a, b = measured[:, i], present[:, i]
-            alone[i] = zeros.step(estimate, commands[i], a, b) if k else zeros.update(estimate, a, b)
-    for i, estimate in enumerate(alone):
-        assert out[program.out["state"], i] == pytest.approx(estimate.state, rel=PACKS, abs=PACKS)
-        assert out[program.out["extra"], i] == pytest.approx(estimate.extra, rel=PACKS, abs=PACKS)
-        assert out[program.out["sigmas"], i] == pytest.approx(estimate.sigmas, rel=1e-9)
-        assert out[program.out["nis"], i] == pytest.approx(estimate.nis, rel=1e-6, abs=1e-6)
-        assert out[program.out["used"], i] == estimate.used
-
-
 def test_looking_ahead_is_the_model_with_what_the_extras_do() -> None:
     ekf = CompiledEkf(MODEL, EkfSettings(augment=("drive", "friction", "parameters")), noise=NOISE)
     assert ekf.extra_names == ("drive", "friction_1", "friction_2", "M11", "M22", "S1", "S2")
@@ -195,15 +155,6 @@ def test_looking_ahead_is_the_model_with_what_the_extras_do() -> None:
     assert (ekf.ahead(estimate, []) == STATE).all()
 
 
-def test_a_whole_turn_in_a_measured_angle_makes_no_difference(plain: CompiledEkf) -> None:
-    measured = POSITIONS @ STATE + np.array([1e-4, -2e-4, 0.0])
-    once = plain.update(plain.first(STATE), measured)
-    wound = plain.update(plain.first(STATE), measured + 2 * np.pi * np.array([-3, 2, 0]))
-    assert wound.state == pytest.approx(once.state, abs=1e-12)
-    far = measured + np.array([0, 0, 10.0])
-    assert plain.update(plain.first(STATE), far).innovation[2] == pytest.approx(10.0)
-
-
 def smallest(covariance: np.ndarray) -> float:
     """Smallest eigenvalue of the correlations, -1 if a variance is not positive."""
     variances = np.diag(covariance)
@@ -212,13 +163,10 @@ def smallest(covariance: np.ndarray) -> float:
     return float(np.linalg.eigvalsh(covariance / np.sqrt(np.outer(variances, variances))).min())
 
 
-@pytest.mark.parametrize("start", [(0, 0, 0, 0, 0, 0), (np.pi, np.pi, 0, 0, 0, 0), (0.4, 2.8, 6, -9, 0, 0)])
-@pytest.mark.parametrize("augment", [(), ("zeros",)])
-def test_the_covariance_stays_positive_hanging_standing_and_swinging(
-    start: tuple[float, ...], augment: tuple[str, ...]
-) -> None:
+@pytest.mark.parametrize("start", [(0, 0, 0, 0, 0, 0), (0.4, 2.8, 6, -9, 0, 0)])
+def test_the_covariance_stays_positive_hanging_and_swinging(start: tuple[float, ...]) -> None:
     # Along an exact motion the update takes away as much as it ever does: the noise is small, the covariance large.
-    ekf = CompiledEkf(MODEL, EkfSettings(augment=augment, rate_noise=1e-4, parameter_error=1e-4), noise=NOISE)
+    ekf = CompiledEkf(MODEL, EkfSettings(augment=("zeros",), rate_noise=1e-4, parameter_error=1e-4), noise=NOISE)
     truth = np.array(start, dtype=float)
     estimate = ekf.first(truth)
     lowest = 1.0
@@ -256,18 +204,6 @@ def test_a_covariance_that_is_lost_is_an_arithmetic_error(plain: CompiledEkf) ->
         plain.step(first, np.inf, POSITIONS @ STATE)
 
 
-def test_nothing_given_is_changed_and_the_same_call_gives_the_same(zeros: CompiledEkf) -> None:
-    first = zeros.first(STATE)
-    memory, measured = first.memory.copy(), POSITIONS @ STATE + 1e-4
-    kept = measured.copy()
-    once = zeros.step(first, 1.0, measured)
-    zeros.step(zeros.first(STATE * 2), -5.0, measured + 0.1, np.array([True, False, True]))
-    again = zeros.step(first, 1.0, measured)
-    assert (first.memory == memory).all()
-    assert (measured == kept).all()
-    assert (once.memory == again.memory).all()
-
-
 def test_a_restart_trusts_the_positions_and_little_else(zeros: CompiledEkf) -> None:
     estimate = zeros.first(STATE)
     measured = np.array([1.0, -2.0, 0.2])
@@ -279,35 +215,3 @@ def test_a_restart_trusts_the_positions_and_little_else(zeros: CompiledEkf) -> N
     assert np.isfinite(zeros.step(begun, 0.0, measured).sigmas).all()
     with pytest.raises(InputError, match="finite positions"):
         zeros.restarted(lost, np.array([1.0, np.nan, 0.0]))
-
-
-def test_shapes_and_noise_that_do_not_fit_are_refused(plain: CompiledEkf, zeros: CompiledEkf) -> None:
-    with pytest.raises(InputError, match="measurement has shape"):
-        plain.update(plain.first(STATE), np.zeros(2))
-    with pytest.raises(InputError, match="memory"):
-        plain.update(zeros.first(STATE), np.zeros(3))
-    with pytest.raises(InputError, match="state has shape"):
-        plain.first(np.zeros(5))
-    with pytest.raises(InputError, match="has shape"):
-        checked_noise(np.eye(2), 2)
-    for wrong in (np.zeros((3, 3)), np.full((3, 3), np.nan), np.eye(3) + np.eye(3, k=1)):
-        with pytest.raises(InputError, match="positive definite"):
-            CompiledEkf(MODEL, PLAIN, noise=wrong)
-
-
-def test_settings_name_what_is_wrong_with_them() -> None:
-    with pytest.raises(InputError, match=r"zero_error = -1.0"):
-        EkfSettings(zero_error=-1.0)
-    with pytest.raises(InputError, match=r"rate_noise = 0.0"):
-        EkfSettings(rate_noise=0.0)
-    with pytest.raises(InputError, match="did you mean 'zeros'"):
-        EkfSettings(augment=("zero",))
-    with pytest.raises(InputError, match="name each once"):
-        EkfSettings(augment=("zeros", "zeros"))
-
-
-def test_packing_is_undone_by_unpacking() -> None:
-    random = np.random.default_rng(1)
-    a = random.standard_normal((4, 7, 7))
-    symmetric = a + a.transpose(0, 2, 1)
-    assert (unpacked(packed(symmetric)) == symmetric).all()

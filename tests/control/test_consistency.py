@@ -2,12 +2,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from estimator_runs import COUNT, MODEL, NOISE, SWING, run
+from estimator_runs import MODEL, NOISE, SWING
 from scipy.stats import chi2
 from simulated_consistency import simulated_consistency
 
-from dpcontrol.control.ekf import CompiledEkf, EkfProgram
-from dpcontrol.control.estimator_settings import AdaptiveEkfSettings, EkfSettings, chi_square_band, nees, share_inside
+from dpcontrol.control.ekf import EkfProgram
+from dpcontrol.control.estimator_settings import AdaptiveEkfSettings, EkfSettings, chi_square_band, share_inside
 from dpcontrol.loop.bench import SensorSettings
 
 SHARE = 0.02  # About 95 %; the bar for a nominal plant with the noise that is modelled.
@@ -29,15 +29,8 @@ def test_too_small_counts_as_outside_as_well_as_too_large() -> None:
     assert share_inside(values * 20, 6) < 0.2
 
 
-def test_nees_is_the_squared_error_in_units_of_the_covariance() -> None:
-    random = np.random.default_rng(5)
-    root = random.standard_normal((4, 4))
-    white = random.standard_normal((50, 4))
-    assert nees(white @ root.T, np.broadcast_to(root @ root.T, (50, 4, 4))) == pytest.approx((white**2).sum(1))
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("augment", [(), ("zeros",), ("friction", "parameters")])
+@pytest.mark.parametrize("augment", [(), ("friction", "parameters")])
 def test_nis_and_nees_of_a_nominal_plant_lie_in_their_bands(augment: tuple[str, ...]) -> None:
     program = EkfProgram(MODEL, EkfSettings(augment=augment))
     commands = 0.5 * np.sin(2.5e-3 * np.arange(1500))
@@ -65,22 +58,6 @@ def test_noise_covers_the_squares_of_the_parameters_errors() -> None:
     assert covered < 1.5 * size < without
 
 
-def test_wrong_noise_and_missing_process_noise_are_seen() -> None:
-    program = EkfProgram(MODEL, EkfSettings(augment=()))
-    commands = np.zeros(1000)
-    # Half the counts that are assumed: more error than assumed.
-    coarse = np.array([4 * COUNT, 4 * COUNT, 1e-6])
-    found = simulated_consistency(
-        program, NOISE, first=np.array(SWING), commands=commands, runs=20, seed=1, steps=coarse
-    )
-    assert found.nis_inside_95 < 0.9
-    exact = simulated_consistency(
-        program, NOISE, first=np.array(SWING), commands=commands, runs=20, seed=1, process_noise=False
-    )
-    assert exact.nees_inside_95 < 0.93
-    assert exact.mean_nees < 5.0
-
-
 def test_rounding_to_counts_keeps_the_mean_and_puts_too_many_inside() -> None:
     # A rounding error is uniform: of the assumed variance, but without the Gaussian's tails.
     counts = 2000
@@ -93,23 +70,3 @@ def test_rounding_to_counts_keeps_the_mean_and_puts_too_many_inside() -> None:
     )
     assert found.mean_nis == pytest.approx(3.0, rel=0.03)
     assert found.nis_inside_95 > 0.97
-
-
-def test_an_estimate_that_is_lost_is_mended_by_a_restart() -> None:
-    flown = run(1.0)
-    ekf = CompiledEkf(MODEL, EkfSettings(augment=()), noise=NOISE)
-    # A filter that is sure of rates that are wrong by 30 rad/s.
-    wrong = np.array(SWING) + np.array([0.5, 0.5, 30, -30, 0, 0])
-    estimate = ekf.first(wrong)
-    sure = ekf.program.first(wrong, np.full(6, 1e-4))
-    estimate = estimate._replace(memory=sure)
-    for k in range(20):
-        estimate = ekf.step(estimate, float(flown.commands[k]), flown.measured(k))
-    assert estimate.nis > 100
-    estimate = ekf.restarted(estimate, flown.measured(20))
-    nis = []
-    for k in range(21, 1000):
-        estimate = ekf.step(estimate, float(flown.commands[k]), flown.measured(k))
-        nis.append(estimate.nis)
-    assert share_inside(np.array(nis), 3) > 0.9
-    assert np.abs(estimate.state - flown.states[-1])[:2].max() < 5 * COUNT

@@ -1,9 +1,8 @@
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
-from bench_stand_in import COUNT, fly, model_of, plant_of
+from bench_stand_in import fly, model_of, plant_of
 from quick_rate import quick_rate
 from scipy.integrate import solve_ivp
 from scipy.linalg import solve_discrete_are
@@ -27,7 +26,6 @@ from dpcontrol.control.periodic import (
     phase_table,
 )
 from dpcontrol.control.tracking import TvlqrSettings
-from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.plans.model import load_model
 from dpcontrol.references.sustained import SustainedOrbit, sustained_orbit
@@ -39,13 +37,13 @@ NONE = np.zeros(0)
 
 
 @cache
-def orbit(saddle: str = "down-up", energy: float = -0.07) -> SustainedOrbit:
-    return sustained_orbit(lyapunov_orbit(load_model("lab").system, saddle, energy=energy), LAB)
+def orbit() -> SustainedOrbit:
+    return sustained_orbit(lyapunov_orbit(load_model("lab").system, "down-up", energy=-0.07), LAB)
 
 
 @cache
-def ogy(sections: int, *, pulse_limit: float = 5.0, parameter_error: float = 0.05) -> OgyController:
-    settings = OgySettings(sections=sections, pulse_limit=pulse_limit, parameter_error=parameter_error)
+def ogy(sections: int, *, parameter_error: float = 0.05) -> OgyController:
+    settings = OgySettings(sections=sections, pulse_limit=5.0, parameter_error=parameter_error)
     return ogy_controller(orbit(), model_of(), settings, seconds=60.0)
 
 
@@ -81,7 +79,7 @@ def test_gains_of_one_section_are_those_of_the_riccati_equation() -> None:
     assert gains[0] == pytest.approx(expected, rel=RICCATI, abs=RICCATI * np.abs(expected).max())
 
 
-@pytest.mark.parametrize("sections", [2, 3, 4, 8, 16])
+@pytest.mark.parametrize("sections", [2, 16])
 def test_pulses_at_any_number_of_sections_make_the_orbit_stable_without_noise(sections: int) -> None:
     maps = orbit().section_maps(sections)
     arrays = np.array([m.matrix for m in maps]), np.array([m.response for m in maps])
@@ -96,11 +94,6 @@ def test_a_classic_pulse_takes_the_unstable_direction_to_zero_and_leaves_the_car
     # What is left of the pendulum is the energy; the cart's pair stays at one.
     assert values[0] == pytest.approx(1.0, abs=1e-4)
     assert values[2] < 0.99
-
-
-def test_uncontrollable_systems_have_no_periodic_gains() -> None:
-    with pytest.raises(GoalMissed, match="cannot influence a motion that grows by 2 per period"):
-        periodic_gains(np.diag([2.0, 0.5])[None], np.array([[0.0, 1.0]]), weights=np.ones(2), effort=1.0)
 
 
 def test_sensitivities_are_those_of_flights_of_changed_plants() -> None:
@@ -154,9 +147,8 @@ def test_known_disturbances_are_met_by_the_least_cost_of_all_periodic_motions() 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [0, 1])
-def test_sixteen_sections_hold_the_orbit_of_a_plant_with_other_parameters(seed: int) -> None:
-    controller = ogy(16)
+def test_sixteen_sections_hold_the_orbit_of_a_plant_with_other_parameters() -> None:
+    controller, seed = ogy(16), 1
     session = controller.begin()
     flight = fly(session, plant_of(seed, 0.05), started(controller, seed), 8.0, believed=controller.first_state)
     assert len(flight.states) == 8000
@@ -176,27 +168,6 @@ def test_estimates_of_the_plant_save_most_of_the_pulses() -> None:
     assert efforts[0] < 0.6 * efforts[1]
 
 
-@pytest.mark.slow
-def test_pulses_cost_no_more_than_feedback_at_every_tick() -> None:
-    plant = plant_of(0, 0.05)
-    pulses = fly(ogy(16).begin(), plant, ogy(16).first_state, 6.0)
-    ticks = fly(tvlqr().begin(), plant, tvlqr().first_state, 6.0)
-    assert away(ticks.states) < ON_ORBIT
-    assert pulses.feedback < 1.3 * ticks.feedback
-
-
-@pytest.mark.slow
-def test_one_section_a_period_fails_even_on_an_exact_plant() -> None:
-    for controller in (ogy(1), classic(1)):
-        # The only errors are rounding by the encoders and an input that is constant for a tick.
-        flight = fly(controller.begin(), model_of(), controller.first_state, 20.0)
-        assert len(flight.states) < 20_000 or away(flight.states) > ON_ORBIT
-    # One count becomes this much in a period, in rad.
-    assert np.abs(orbit().section_multipliers(1))[0] * COUNT > 0.05
-    several = fly(ogy(8).begin(), model_of(), ogy(8).first_state, 6.0)
-    assert away(several.states) < ON_ORBIT / 3
-
-
 def test_a_section_that_is_not_crossed_is_named_in_the_events() -> None:
     controller = ogy(4)
     session = controller.begin()
@@ -206,60 +177,9 @@ def test_a_section_that_is_not_crossed_is_named_in_the_events() -> None:
     assert next(e for e in events if e).startswith("section 2 was not crossed: clock of the orbit moved by")
 
 
-@pytest.mark.slow
-def test_pulses_that_are_too_small_hold_nothing() -> None:
-    small, enough = ogy(16, pulse_limit=0.02), ogy(16, pulse_limit=2.0)
-    plant = plant_of(0, 0.05)
-    lost = fly(small.begin(), plant, small.first_state, 8.0)
-    assert len(lost.states) < 8000 or away(lost.states) > ON_ORBIT
-    assert max(abs(action.feedback) for action in lost.actions) <= 0.02
-    held = fly(enough.begin(), plant, enough.first_state, 8.0)
-    assert away(held.states) < ON_ORBIT
-
-
-@pytest.mark.slow
-def test_feedback_at_every_tick_holds_by_time_and_by_phase() -> None:
-    for schedule in ("time", "phase"):
-        controller = tvlqr(schedule)
-        flight = fly(
-            controller.begin(), plant_of(1, 0.05), started(controller, 1), 5.0, believed=controller.first_state
-        )
-        assert away(flight.states) < ON_ORBIT
-    moved = tvlqr("time").begin()
-    text = moved.resynchronise(0, orbit().state(0.05))
-    assert text == "clock of the orbit moved by +0.0500 s"
-    # What is left lies between two samples of the orbit.
-    astray = tvlqr("time").begin().command(0, orbit().state(0.05), NONE).feedback
-    assert abs(moved.command(0, orbit().state(0.05), NONE).feedback) < 1e-2 * abs(astray)
-
-
-@pytest.mark.slow
-def test_many_runs_do_what_each_does_alone() -> None:
-    controller, ticks = ogy(8), 3000
-    plants = [plant_of(seed, 0.03) for seed in range(3)]
-    alone = []
-    for seed, plant in enumerate(plants):
-        session, state, sent = controller.begin(), started(controller, seed), []
-        for k in range(ticks):
-            action = session.command(k, state, NONE)
-            sent.append(action.feedforward + action.feedback)
-            state = plant.step(state, sent[-1])
-        alone.append(sent)
-    together = controller.begin_many(3)
-    states = np.array([started(controller, seed) for seed in range(3)]).T
-    wanted = states
-    for k in range(ticks):
-        feedforward, feedback, wanted = together.commands(k, states)
-        sent = feedforward + feedback
-        assert sent == pytest.approx([alone[s][k] for s in range(3)], abs=1e-6)
-        states = np.array([plant.step(states[:, s], sent[s]) for s, plant in enumerate(plants)]).T
-    assert wanted.shape == (6, 3)
-    assert together.missed.sum() == 0
-
-
-@pytest.mark.parametrize("schedule", ["time", "phase"])
-def test_many_runs_at_every_tick_do_what_each_does_alone(schedule: str) -> None:
-    controller = tvlqr(schedule)
+@pytest.mark.parametrize("law", ["pulses", "time", "phase"])
+def test_many_runs_do_what_each_does_alone(law: str) -> None:
+    controller = ogy(8) if law == "pulses" else tvlqr(law)
     together, alone = controller.begin_many(3), [controller.begin() for _ in range(3)]
     kicks = np.random.default_rng(0).normal(0, 0.02, (3, 6))
     for k in range(900):
@@ -295,15 +215,3 @@ def test_the_nearest_phase_is_the_nearest() -> None:
         assert (time - best + 0.1) % orbit().period == pytest.approx(0.1, abs=1e-4)
         assert distance < 2e-3
     assert not turns.any()
-
-
-def test_impossible_settings_and_orbits_are_refused() -> None:
-    for name, value in (("sections", 0), ("pulse_limit", 0.0), ("parameter_error", 2.0), ("effort", 0.0)):
-        with pytest.raises(InputError, match=f"{name} = {value}"):
-            replace(OgySettings(), **{name: value})
-    with pytest.raises(InputError, match="sections = 1001"):
-        ClassicOgySettings(sections=1001)
-    with pytest.raises(InputError, match="less than two ticks"):
-        ogy_controller(orbit(), model_of(), OgySettings(sections=500), seconds=1.0)
-    with pytest.raises(InputError, match="schedule = 'tim'"):
-        TvlqrSettings(schedule="tim")

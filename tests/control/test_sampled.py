@@ -6,7 +6,6 @@ from shadowing_stand_in import LAB
 
 from dpcontrol.control.interface import SampledModel
 from dpcontrol.dynamics.chain import Level, arm_chain_equations
-from dpcontrol.foundation.errors import InputError
 
 STEP = 1e-7  # Error of one Runge-Kutta step of 1 ms.
 SLOPE = 1e-5  # Of central differences, relative to Jacobians of order one.
@@ -46,28 +45,3 @@ def test_jacobians_are_those_of_differences_of_the_exact_flow(model: SampledMode
             assert a[k][:, j] == pytest.approx(column, abs=SLOPE)
         column = exact_flow(state, command + 0.5, 1e-3) - exact_flow(state, command - 0.5, 1e-3)
         assert b[k] == pytest.approx(column, abs=1e-6 * SLOPE**0.5)
-
-
-def test_steps_follow_one_another(model: SampledModel) -> None:
-    expected = exact_flow(exact_flow(STATE, 1.0, 1e-3), -2.0, 1e-3)
-    assert model.step(model.step(STATE, 1.0), -2.0) == pytest.approx(expected, abs=2 * STEP)
-
-
-def test_many_steps_leave_other_results_alone(model: SampledModel) -> None:
-    first = model.step(STATE, 1.0)
-    kept = first.copy()
-    junk = []
-    for k in range(3000):
-        model.step(STATE * (k % 7), float(k))
-        junk.append(model.step(STATE, float(k)))
-    assert (first == kept).all()
-    assert junk[1] == pytest.approx(kept, abs=0)
-
-
-def test_impossible_models_are_refused() -> None:
-    with pytest.raises(InputError, match="period"):
-        SampledModel(EQUATIONS, LAB.base(), period=0.0)
-    with pytest.raises(InputError, match="parameters"):
-        SampledModel(EQUATIONS, LAB.base()[1:], period=1e-3)
-    with pytest.raises(InputError, match="cart level"):
-        SampledModel(arm_chain_equations(2, Level.CONSERVATIVE), LAB.base(), period=1e-3)

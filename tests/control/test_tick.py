@@ -11,8 +11,7 @@ from shadowing_stand_in import LAB
 from dpcontrol.control.ekf import CompiledEkf
 from dpcontrol.control.estimator_settings import EkfSettings
 from dpcontrol.control.interface import clip_number
-from dpcontrol.control.tick import LOST_AFTER_FALLBACK, UNROLLED, Outcome, TickProgram, whole_periods
-from dpcontrol.foundation.errors import InputError
+from dpcontrol.control.tick import LOST_AFTER_FALLBACK, Outcome, TickProgram
 from dpcontrol.loop.bench import DriveLimits, SensorSettings
 from dpcontrol.loop.loop import sampled_model
 from dpcontrol.references.problem import Limits
@@ -21,26 +20,32 @@ EXACT = 1e-12  # Sums of a few numbers of order ten.
 PERIOD = 1e-3
 WIDE = Limits(position=10.0, velocity=1e6, acceleration=1e6)
 NARROW = Limits(position=1.0, velocity=3.0, acceleration=20.0)
-DELAYS = [0.0, 0.2, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 2.6, 7.0, 7.99]
-QUICK_DELAYS = (0.0, 1.0, 1.5)
-"""Delays of the quick tests; each takes seconds to compile."""
+DELAYS = [0.0, 1.5, *(pytest.param(delay, marks=pytest.mark.slow) for delay in (0.2, 1.0, 2.6, 7.99))]
+"""Each takes seconds to compile."""
 HANGING = np.zeros(6)
 MODEL = sampled_model(LAB, 1 / PERIOD)
 NOISE = SensorSettings().covariance(2)
+PLAIN = EkfSettings(augment=(), cart_noise=1e-3)
 
 
 class Ticked:
     """A program of one run with prescribed commands and readings."""
 
-    def __init__(self, delay: float = 1.0, limits: Limits = WIDE, *, state: np.ndarray = HANGING, **bounds: float):
+    def __init__(
+        self,
+        delay: float = 1.0,
+        limits: Limits = WIDE,
+        *,
+        state: np.ndarray = HANGING,
+        estimator: EkfSettings = PLAIN,
+        **bounds: float,
+    ) -> None:
         known = {
             "acceleration": limits.acceleration, "velocity": limits.velocity, "travel": 1e9, "reaction": 2e-3,
             "onset": 2e-3, "brake": limits.acceleration, "margin": 0.0, "lost_tracking": 1e9, "lost_estimate": 1e12,
             "resynchronise": 0.0, "restarts": 2.0, "missing": 1.0, "can_hold": 0.0, "trust": 0.0, "mode": 1.0,
         }  # fmt: skip
-        self.program = TickProgram(
-            MODEL, EkfSettings(augment=(), cart_noise=1e-3), noise=NOISE, delay=delay, bounds={**known, **bounds}
-        )
+        self.program = TickProgram(MODEL, estimator, noise=NOISE, delay=delay, bounds={**known, **bounds})
         self.state = state
         # A delay that is not unrolled is looked ahead period by period: its tick has two parts.
         self.begin(np.zeros(self.program.lead))
@@ -88,9 +93,7 @@ def superposed(commands: np.ndarray, delay: float, first: int, last: int) -> np.
     return np.array(means)
 
 
-@pytest.mark.parametrize(
-    "delay", [delay if delay in QUICK_DELAYS else pytest.param(delay, marks=pytest.mark.slow) for delay in DELAYS]
-)
+@pytest.mark.parametrize("delay", DELAYS)
 def test_the_acceleration_is_the_superposition_of_the_commands(delay: float) -> None:
     commands, tick = np.random.default_rng(1).normal(0, 10, 40), Ticked(delay)
     acting = [tick(float(command))["acting"] for command in commands]
@@ -139,14 +142,10 @@ def test_a_stopped_cart_is_braked_to_rest_and_not_beyond_and_then_the_run_is_don
     assert next(k for k, report in enumerate(reports) if report["done"]) == pytest.approx(57, abs=1)
 
 
-def test_a_cart_at_its_fastest_takes_only_what_slows_it() -> None:
-    for speed, command, acts in ((3.0, 10.0, 0.0), (2.995, 10.0, 5.0), (3.0, -10.0, -10.0)):
-        tick = Ticked(0.0, NARROW, state=np.array([0, 0, 0, 0, 0, speed]))
-        assert tick(command)["acting"] == pytest.approx(acts, abs=1e-9)
-
-
-@pytest.mark.parametrize(("speed", "command"), [(3.1, 10.0), (3.1, -5.0), (-3.4, 0.0), (3.005, 10.0), (-2.9, -20.0)])
-def test_a_cart_beyond_its_greatest_speed_is_brought_back_as_the_drive_does(speed: float, command: float) -> None:
+@pytest.mark.parametrize(
+    ("speed", "command"), [(3.1, 10.0), (3.1, -5.0), (-3.4, 0.0), (3.005, 10.0), (-2.9, -20.0), (2.995, 10.0)]
+)
+def test_a_cart_at_or_beyond_its_greatest_speed_is_treated_as_the_drive_does(speed: float, command: float) -> None:
     drive = DriveLimits(NARROW.acceleration, NARROW.velocity, np.inf, 1.0, clip_number)
     tick = Ticked(0.0, NARROW, state=np.array([0, 0, 0, 0, 0, speed]))
     acting = tick(command)["acting"]
@@ -154,21 +153,11 @@ def test_a_cart_beyond_its_greatest_speed_is_brought_back_as_the_drive_does(spee
     assert abs(acting) <= NARROW.acceleration
 
 
-@pytest.mark.parametrize("delay", [-0.5, 1000.5, float("nan"), float("inf")])
-def test_an_absurd_delay_is_refused_by_name(delay: float) -> None:
-    with pytest.raises(InputError, match=r"delay = .*0 to 1000 periods"):
-        whole_periods(delay)
-
-
-@pytest.mark.parametrize("augment", [(), ("zeros",), ("friction", "parameters")])
+@pytest.mark.parametrize("augment", [(), pytest.param(("friction", "parameters"), marks=pytest.mark.slow)])
 def test_the_ticks_filter_is_the_filter(augment: tuple[str, ...]) -> None:
     settings, random = EkfSettings(augment=augment), np.random.default_rng(5)
     ekf = CompiledEkf(MODEL, settings, noise=NOISE)
-    tick = Ticked()
-    bounds = {name: float(tick.program._numbers[where, 0]) for name, where in _bounds(tick)}
-    tick.program = TickProgram(MODEL, settings, noise=NOISE, delay=1.0, bounds=bounds)
-    tick.state = np.array([0.3, -0.2, 1.0, -2.0, 0.01, 0.2])
-    tick.begin(np.zeros(1))
+    tick = Ticked(estimator=settings, state=np.array([0.3, -0.2, 1.0, -2.0, 0.01, 0.2]))
     estimate, acted = ekf.first(tick.state), 0.0
     for k in range(50):
         measured = np.array([0.3, -0.2, 0.01]) + 0.002 * k + random.normal(0, 1e-3, 3) * [1, 1, 1e-3]
@@ -188,13 +177,7 @@ def test_the_ticks_filter_is_the_filter(augment: tuple[str, ...]) -> None:
         assert tick.told("used")[0] == estimate.used
 
 
-def _bounds(tick: Ticked) -> list[tuple[str, int]]:
-    from dpcontrol.control.tick import BOUNDS
-
-    return [(name, tick.program.equations.numbers.slices[name].start) for name in BOUNDS if name != "share"]
-
-
-@pytest.mark.parametrize("delay", [0.0, 1.0, 3.0])
+@pytest.mark.parametrize("delay", [0.0, 3.0])
 def test_the_law_answers_for_the_state_that_is_expected_when_the_command_acts(delay: float) -> None:
     state = np.array([0.4, 0.1, 1.0, -1.0, 0.02, 0.3])
     tick = Ticked(delay, state=state)
@@ -208,21 +191,6 @@ def test_the_law_answers_for_the_state_that_is_expected_when_the_command_acts(de
     assert tick.told("ahead") == pytest.approx(ahead, abs=1e-12)
     assert report["feedback"] == pytest.approx(float(gains @ (due - ahead)), abs=1e-10)
     assert report["wish"] == pytest.approx(1.5 + report["feedback"], abs=EXACT)
-
-
-@pytest.mark.slow
-def test_a_delay_too_long_to_unroll_has_the_same_prediction() -> None:
-    tick = Ticked(UNROLLED, state=np.array([0.4, 0.1, 1.0, -1.0, 0.02, 0.3]))
-    tick.begin(np.linspace(-3, 3, UNROLLED))
-    before = tick.program.memory.copy()
-    tick(1.0)
-    whole, memory = tick.program.report.copy(), tick.program.memory.copy()
-    tick.program.memory[:] = before
-    sensed = tick.program.sense()
-    ahead, drive = tick.program.look_ahead(sensed[: tick.program.equations.filter.dimension])
-    tick.program.finish(sensed, ahead, drive, 0.0)
-    assert tick.program.report == pytest.approx(whole, rel=1e-12, abs=1e-13)
-    assert tick.program.memory == pytest.approx(memory, rel=1e-9, abs=1e-13)
 
 
 def test_a_fallback_is_abandoned_only_if_feedback_cannot_return() -> None:
@@ -304,7 +272,7 @@ def creeps(_: float) -> float:
     return 0.03
 
 
-@pytest.mark.parametrize("step", [1e-6, 2e-5, 1e-4, 2e-4])
+@pytest.mark.parametrize("step", [1e-6, 2e-4])
 @pytest.mark.parametrize("velocity", [swings, turns, creeps])
 def test_a_frozen_scale_is_found_within_50_ms_of_a_millimetre(step: float, velocity: Callable[[float], float]) -> None:
     assert watched_scale(velocity, step=step) == math.inf
@@ -422,7 +390,7 @@ def test_a_missing_position_is_tolerated_up_to_the_time_limit(missing: list[int]
 
 def test_a_cart_brakes_no_sooner_for_a_delay_that_is_looked_ahead() -> None:
     speed = 1.0
-    for delay in (0.0, 1.0, 3.0, 7.0):
+    for delay in (0.0, 3.0):
         state = np.array([0.0, 0.0, 0.0, 0.0, 0.0, speed])
         onset = PERIOD
         brakes = speed**2 / WIDE.acceleration + speed * (onset + delay * PERIOD)

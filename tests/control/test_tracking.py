@@ -1,5 +1,3 @@
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are
@@ -9,18 +7,13 @@ from dpcontrol.control.ekf import FilterEquations
 from dpcontrol.control.interface import SampledModel
 from dpcontrol.control.tick import TickEquations
 from dpcontrol.control.tracking import (
-    FeedforwardSettings,
     PhaseController,
-    PhaseSession,
     TrackingController,
     TvlqrSettings,
-    phase_controller,
-    riccati_gains,
     terminal_cost,
     tracking_controller,
 )
 from dpcontrol.dynamics.chain import Level, arm_chain_equations
-from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.references.reference import Reference
 
 SOLVED = 1e-7  # Relative, of Riccati solvers on well-scaled matrices.
@@ -46,44 +39,6 @@ def test_terminal_cost_solves_the_discrete_algebraic_riccati_equation() -> None:
     assert cost == pytest.approx(expected, rel=SOLVED)
 
 
-def test_an_end_that_cannot_be_stabilised_is_named() -> None:
-    with pytest.raises(GoalMissed, match="cannot be stabilised"):
-        terminal_cost(np.diag([1.5, 0.5]), np.array([0.0, 1.0]), weights=np.eye(2), effort=1.0)
-
-
-def test_gains_far_from_the_end_are_the_stationary_ones() -> None:
-    cost = solve_discrete_are(A, B[:, None], np.diag(WEIGHTS), np.array([[EFFORT]]))
-    stationary = (B @ cost @ A) / (EFFORT + B @ cost @ B)
-    many = 400
-    gains, *_ = riccati_gains(
-        np.tile(A, (many, 1, 1)), np.tile(B, (many, 1)), weights=WEIGHTS, effort=EFFORT, terminal=np.eye(3)
-    )
-    assert gains[0] == pytest.approx(stationary, rel=SOLVED)
-
-
-def test_gains_of_a_short_varying_horizon_minimise_the_cost() -> None:
-    random = np.random.default_rng(3)
-    steps, terminal = 6, np.diag([3.0, 2.0, 1.0])
-    a = A + 0.1 * random.standard_normal((steps, 3, 3))
-    b = B + 0.1 * random.standard_normal((steps, 3))
-    gains, *_ = riccati_gains(a, b, weights=WEIGHTS, effort=EFFORT, terminal=terminal)
-    start = np.array([1.0, -0.5, 0.3])
-    # The same problem as one least-squares problem in all inputs.
-    free, forced = [start], [np.zeros((3, steps))]
-    for k in range(steps):
-        free.append(a[k] @ free[-1])
-        forced.append(a[k] @ forced[-1] + np.outer(b[k], np.eye(steps)[k]))
-    roots = [np.diag(np.sqrt(WEIGHTS))] * steps + [np.sqrt(terminal)]
-    left = np.vstack([r @ f for r, f in zip(roots, forced, strict=True)] + [np.sqrt(EFFORT) * np.eye(steps)])
-    right = np.concatenate([-r @ f for r, f in zip(roots, free, strict=True)] + [np.zeros(steps)])
-    expected = np.linalg.lstsq(left, right, rcond=None)[0]
-    state, inputs = start, []
-    for k in range(steps):
-        inputs.append(float(-gains[k] @ state))
-        state = a[k] @ state + b[k] * inputs[-1]
-    assert inputs == pytest.approx(expected, rel=SOLVED, abs=SOLVED)
-
-
 def test_feedback_is_zero_on_the_reference_and_pulls_back_beside_it(
     turn: tuple[StandIn, Reference], model: SampledModel
 ) -> None:
@@ -100,33 +55,6 @@ def test_feedback_is_zero_on_the_reference_and_pulls_back_beside_it(
         u = sum(asked(controller, j, beside))
         beside = model.step(beside, u)
     assert np.abs(beside - controller.reference_states[k + 1500])[:4].max() < 2e-5
-
-
-def test_feedforward_ignores_the_state(turn: tuple[StandIn, Reference], model: SampledModel) -> None:
-    controller = tracking_controller(turn[1], model, FeedforwardSettings())
-    assert isinstance(controller, TrackingController)
-    assert controller.kind == "feedforward"
-    assert asked(controller, 5, np.full(6, 9.0)) == asked(controller, 5, np.zeros(6))
-
-
-def test_after_the_last_tick_the_last_command_holds(turn: tuple[StandIn, Reference], model: SampledModel) -> None:
-    controller = tracking_controller(turn[1], model, TvlqrSettings())
-    assert isinstance(controller, TrackingController)
-    last = len(controller.feedforward) - 1
-    assert asked(controller, last + 50, np.zeros(6)) == asked(controller, last + 1, np.zeros(6))
-
-
-def test_untrackable_references_are_rejected(turn: tuple[StandIn, Reference], model: SampledModel) -> None:
-    with pytest.raises(InputError, match="cannot be tracked: it failed"):
-        tracking_controller(replace(turn[1], converged=False, status="it failed"), model, TvlqrSettings())
-    single = replace(
-        LAB, **{k: getattr(LAB, k)[:1] for k in ("mass", "centre_of_mass", "length", "inertia", "viscous")}
-    )
-    other = SampledModel(arm_chain_equations(1, Level.CART), single.base(), period=1e-3)
-    with pytest.raises(InputError, match="use the same model"):
-        tracking_controller(turn[1], other, TvlqrSettings())
-    with pytest.raises(InputError, match="effort = 0"):
-        TvlqrSettings(effort=0)
 
 
 def late_start(reference: Reference, model: SampledModel, schedule: str) -> tuple[list[float], list[float]]:
@@ -151,19 +79,6 @@ def test_by_phase_a_run_that_is_early_is_left_its_lead_and_by_time_it_is_pulled_
     assert max(by_phase[1][60:]) < 0.5 * max(by_time[1][60:])
 
 
-def test_by_phase_the_clock_continues_while_the_reference_rests(
-    turn: tuple[StandIn, Reference], model: SampledModel
-) -> None:
-    states = np.repeat(turn[1].state(0.0)[None, :], 301, axis=0)
-    law = phase_controller(
-        "tvlqr", states=states, feedforward=np.zeros(300), gains=np.zeros((300, 6)), period=model.period
-    )
-    session = PhaseSession(law)
-    for k in range(250):
-        session.command(k, states[0] + 0.02, np.zeros(0))
-    assert session.place == pytest.approx(249, abs=1)
-
-
 def test_by_phase_the_clock_is_estimated_and_many_runs_agree_with_one(
     turn: tuple[StandIn, Reference], model: SampledModel
 ) -> None:
@@ -184,16 +99,6 @@ def test_by_phase_the_clock_is_estimated_and_many_runs_agree_with_one(
         assert forward == pytest.approx([action.feedforward for action in each], abs=1e-12)
         expected = np.array([action.reference for action in each]).T
         assert wanted == pytest.approx(expected, abs=1e-12)
-
-
-def test_by_time_the_clock_stays_and_a_late_join_begins_at_the_start(
-    turn: tuple[StandIn, Reference], model: SampledModel
-) -> None:
-    controller = tracking_controller(turn[1], model, TvlqrSettings())
-    assert isinstance(controller, TrackingController)
-    session = controller.join(100, turn[1].state(0.0))
-    assert session.resynchronise(100, turn[1].state(0.3)) == ""
-    assert session.command(103, turn[1].state(0.0), np.zeros(0)).reference == pytest.approx(turn[1].state(6e-3))
 
 
 def test_the_loops_rows_equal_the_actions_of_a_session_several_ticks_ahead(

@@ -21,7 +21,7 @@ def apart(one: Estimate, other: Estimate) -> float:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("augment", [(), ("zeros",), ("zeros", "parameters")])
+@pytest.mark.parametrize("augment", [(), ("zeros", "parameters")])
 def test_filterpys_arithmetic_gives_the_compiled_filters_numbers(augment: tuple[str, ...]) -> None:
     flown = run(0.6, zeros=(0.01, -0.01))
     compiled = make_estimator(EkfSettings(augment=augment), MODEL, noise=NOISE)
@@ -75,9 +75,8 @@ def test_every_kind_is_an_estimator_that_finds_zeros(kind) -> None:
     assert estimator.ahead(last, [1.0, 2.0]) == pytest.approx(expected, abs=1e-12)
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_missing_position_is_left_out_by_every_kind(kind) -> None:
-    estimator, expected = (make_estimator(k(augment=()), MODEL, noise=NOISE) for k in (kind, EkfSettings))
+def test_a_missing_position_is_left_out_by_both_kinds() -> None:
+    estimator, expected = (make_estimator(k(augment=()), MODEL, noise=NOISE) for k in KINDS[::-1])
     one, other = estimator.first(np.array(SWING)), expected.first(np.array(SWING))
     measured, present = np.array([0.41, np.nan, 1e-4]), np.array([True, False, True])
     one, other = estimator.update(one, measured, present), expected.update(other, measured, present)

@@ -7,7 +7,6 @@ from pathlib import Path
 import pytest
 
 from dpcontrol.control import export
-from dpcontrol.control.export import ControllerSource
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import Plan, make_plan
 from dpcontrol.runs.run import export_plan
@@ -19,18 +18,15 @@ def plan() -> Plan:
 
 
 @pytest.fixture(scope="session")
-def double(plan: Plan, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ControllerSource]:
-    folder = tmp_path_factory.mktemp("double") / "controller"
-    with pytest.MonkeyPatch.context() as patch:
-        # One of the two is measured, by gcc, which takes a second or two.
-        patch.setattr(export, "_measured", lambda files: (None, None))
-        return folder, export_plan(plan, folder)
+def double(exported_law: Callable[..., Path]) -> Path:
+    return exported_law("outer-turn", "adaptive", "double")
 
 
 @pytest.fixture(scope="session")
-def single(plan: Plan, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ControllerSource]:
+def single(plan: Plan, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("single") / "controller"
-    return folder, export_plan(plan, folder, single=True)
+    export_plan(plan, folder, single=True)
+    return folder
 
 
 @pytest.fixture(scope="session")
@@ -47,10 +43,3 @@ def exported_law(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path
         return folder
 
     return made
-
-
-# The benchmarks run the same tests in single precision, after seconds of gcc. Otherwise only a whole itinerary
-# and a Cortex-M4 are tested in single precision.
-@pytest.fixture(scope="session", params=["double", pytest.param("single", marks=pytest.mark.benchmark)])
-def exported(request: pytest.FixtureRequest) -> tuple[Path, ControllerSource]:
-    return request.getfixturevalue(request.param)

@@ -5,15 +5,12 @@ for every shipped itinerary. These tests are slow because of minutes of compilat
 import re
 import shutil
 from collections.abc import Callable
-from itertools import product
 from pathlib import Path
 
 import pytest
 from c_compilers import SANITIZED, SOURCES, WARNINGS, compiled, needed, ran, with_sanitizers
 
 from dpcontrol.control import export
-from dpcontrol.control.export import ControllerSource
-from dpcontrol.foundation.errors import InputError
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import make_plan
 from dpcontrol.runs import run
@@ -30,31 +27,21 @@ SIZES = re.findall(
 )
 """The guide's rows: itinerary, law, code with -O2 and with -Os, stack of a step."""
 SIZE = 0.03  # Relative: releases of gcc differ by less than this.
-ITINERARIES = sorted(file.stem for file in (Path(__file__).parents[2] / "itineraries").glob("*.toml"))
 
 
-def keeps_a_clock(name: str) -> bool:
-    return name.startswith("keep-") or name == "linger"
-
-
-Exported = tuple[Path, ControllerSource]
-
-
-@pytest.mark.parametrize(
-    "level", ["-O0", *(pytest.param(one, marks=pytest.mark.benchmark) for one in ("-O1", "-O2")), "-O3"]
-)
+@pytest.mark.parametrize("level", ["-O0", "-O3"])
 @pytest.mark.parametrize("compiler", ["gcc", "clang"])
-def test_every_compiler_and_level_gives_the_loops_commands(exported: Exported, compiler: str, level: str) -> None:
-    program = compiled(compiler, level, folder=exported[0], out="by_level", sources=REPLAY)
-    done = ran(program, "readings.csv", folder=exported[0])
+def test_every_compiler_and_level_gives_the_loops_commands(double: Path, compiler: str, level: str) -> None:
+    program = compiled(compiler, level, folder=double, out="by_level", sources=REPLAY)
+    done = ran(program, "readings.csv", folder=double)
     assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.parametrize("compiler", ["gcc", "clang"])
-def test_sanitizers_find_nothing(exported: Exported, compiler: str) -> None:
-    compiler = with_sanitizers(compiler, exported[0])
-    program = compiled(compiler, *SANITIZED, folder=exported[0], out="sanitized", sources=REPLAY)
-    done = ran(program, "readings.csv", folder=exported[0])
+def test_sanitizers_find_nothing(double: Path, compiler: str) -> None:
+    compiler = with_sanitizers(compiler, double)
+    program = compiled(compiler, *SANITIZED, folder=double, out="sanitized", sources=REPLAY)
+    done = ran(program, "readings.csv", folder=double)
     assert done.returncode == 0, done.stderr
 
 
@@ -74,15 +61,15 @@ def test_no_input_spoils_a_command_or_a_check(
     assert done.returncode == 0, done.stdout + done.stderr
 
 
-def test_valgrind_finds_nothing(exported: Exported) -> None:
-    program = compiled("gcc", "-g1", "-O1", folder=exported[0], out="watched", sources=REPLAY)
+def test_valgrind_finds_nothing(double: Path) -> None:
+    program = compiled("gcc", "-g1", "-O1", folder=double, out="watched", sources=REPLAY)
     options = ["--quiet", "--error-exitcode=9", "--leak-check=full"]
-    done = ran(needed("valgrind"), *options, program, "readings.csv", folder=exported[0])
+    done = ran(needed("valgrind"), *options, program, "readings.csv", folder=double)
     assert done.returncode == 0, done.stderr
 
 
-def test_make_and_cmake_build_and_check_it(exported: Exported) -> None:
-    folder = exported[0]
+def test_make_and_cmake_build_and_check_it(double: Path) -> None:
+    folder = double
     done = ran(needed("make"), "-s", "all", "check", "CC=cc", folder=folder)
     assert done.returncode == 0, done.stderr
     for command in (["-S", ".", "-B", "build"], ["--build", "build"]):
@@ -107,8 +94,8 @@ def test_the_guide_has_the_sizes_on_a_cortex_m4(exported_law: Callable[..., Path
 
 
 @pytest.mark.parametrize("level", ["-O2", "-Os"])
-def test_a_cortex_m4_gives_the_loops_commands(single: Exported, level: str) -> None:
-    folder = single[0]
+def test_a_cortex_m4_gives_the_loops_commands(single: Path, level: str) -> None:
+    folder = single
     lines = (folder / "readings.csv").read_text().splitlines(keepends=True)
     few = folder / f"few{level}"
     few.mkdir()
@@ -136,28 +123,16 @@ def test_a_cortex_m4_gives_the_loops_commands(single: Exported, level: str) -> N
     assert "1499 ticks, commands differ by" in done.stderr
 
 
-WHOLE = {("outer-turn", "single"), ("turn-from-rest", "double"), ("hold-up-up", "double")}
-"""One itinerary for each kind of start; the benchmarks replay the others."""
-
-
 @pytest.mark.parametrize(
-    ("name", "precise"),
-    [
-        pytest.param(*one, marks=() if one in WHOLE or keeps_a_clock(one[0]) else pytest.mark.benchmark)
-        for one in product(ITINERARIES, ["double", "single"])
-    ],
+    ("name", "precise"), [("outer-turn", "single"), ("turn-from-rest", "double"), ("hold-up-up", "double")]
 )
-def test_every_shipped_itinerary_is_exported_or_rejected_with_the_reason(
+def test_an_itinerary_of_each_kind_of_start_is_replayed_whole(
     name: str, precise: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(export, "_measured", lambda files: (None, None))
     # Complete runs are replayed, not only their first seconds.
     monkeypatch.setattr(run, "_CHECKED_TICKS", 1_000_000)
     scene, folder = load_itinerary(name), tmp_path / "controller"
-    if keeps_a_clock(name):
-        with pytest.raises(InputError, match="has an internal clock"):
-            run.check_exportable(scene)
-        return
     run.export_plan(make_plan(scene), folder, single=precise == "single")
     program = compiled("gcc", "-O2", folder=folder, out="replay", sources=REPLAY)
     done = ran(program, "readings.csv", folder=folder)

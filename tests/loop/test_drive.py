@@ -4,8 +4,7 @@ import math
 
 import pytest
 
-from dpcontrol.foundation.errors import InputError
-from dpcontrol.loop.bench import DisturbanceSettings, DriveSettings, Push
+from dpcontrol.loop.bench import DriveSettings
 from dpcontrol.references.problem import Limits
 
 LIMITS = Limits(position=0.4, velocity=3.0, acceleration=30.0)
@@ -59,32 +58,3 @@ def test_braking_ends_at_rest_and_not_beyond() -> None:
 def test_its_own_track_replaces_the_scenes_limit() -> None:
     assert DriveSettings().limits(LIMITS).position == 0.4
     assert DriveSettings(track=0.25).limits(LIMITS).position == 0.25
-
-
-@pytest.mark.parametrize(
-    ("given", "message"),
-    [
-        ({"delay": -0.5}, "delay = -0.5: must be 0 to 1000"),
-        ({"delay": math.nan}, "delay = nan"),
-        ({"jerk": 0.0}, "jerk = 0.0: must be positive"),
-        ({"response": -1.0}, "response"),
-        ({"command_noise": -1.0}, "command_noise"),
-        ({"track": -1.0}, "track"),
-    ],
-)
-def test_an_impossible_drive_is_named(given: dict[str, float], message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        DriveSettings(**given)
-
-
-def test_impossible_disturbances_are_named() -> None:
-    with pytest.raises(InputError, match="pushes = -1"):
-        DisturbanceSettings(pushes=-1)
-    with pytest.raises(InputError, match="push_impulse"):
-        DisturbanceSettings(push_impulse=math.nan)
-    with pytest.raises(InputError, match="time = -1"):
-        Push(-1.0)
-    with pytest.raises(InputError, match="arm = -1"):
-        Push(0.0, arm=-1)
-    with pytest.raises(InputError, match="knock = inf"):
-        Push(0.0, knock=math.inf)

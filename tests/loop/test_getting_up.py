@@ -1,6 +1,5 @@
 """A run that falls is calmed, starts again from rest, and goes on with its itinerary: on the simulated bench."""
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +9,7 @@ from dpcontrol.logs import joined_at
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.bench import Push
 from dpcontrol.loop.loop import LoopSettings
-from dpcontrol.loop.recovery import Reach, meeting_tick
+from dpcontrol.loop.recovery import meeting_tick
 from dpcontrol.loop.result import Ending, LoopSink
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import make_plan
@@ -77,15 +76,6 @@ def test_a_fallen_run_continues_from_rest_to_its_end(ready) -> None:
     assert np.abs(result.ticks.truth[:, 4]).max() < 0.8
 
 
-def test_between_motions_time_and_commands_go_on_without_a_gap(ready) -> None:
-    result, _ = ready(*FALLS)
-    steps = np.diff(result.ticks.times)
-    assert steps.min() > 0.5e-3
-    assert steps.max() < 1.5e-3
-    # The cart's acceleration stays within its limit at every joint of two motions.
-    assert np.abs(np.diff(result.ticks.truth[:, 5])).max() < 0.032
-
-
 def test_a_run_that_does_not_fall_is_the_one_that_could_not_recover(ready) -> None:
     result, told = ready()
     assert told.names == ["resume"]
@@ -119,16 +109,6 @@ def test_a_blow_that_sends_the_cart_to_its_limit_is_returned_from(ready) -> None
     assert np.abs(result.ticks.truth[:, 4]).max() < 0.8
 
 
-def test_a_cart_that_runs_after_fallen_arms_is_stopped_below_its_greatest_speed(ready) -> None:
-    """Arms that push a cart of half a kilogram carry it past the speed that it was sent to."""
-    result, told = ready(Push(1.7, 0, 0.05), drive={"cart_mass": 0.5})
-    assert any("the cart moves at 2.7" in text for _, name, text in told.events if name == "return")
-    assert result.falls >= 1
-    speeds = np.abs(result.ticks.truth[:, 5])
-    flown = np.concatenate([np.arange(flight.first, flight.end) for flight in result.flights])
-    assert speeds[flown].max() < 3.0
-
-
 def test_a_cart_that_meets_its_hard_stop_ends_the_run_all_the_same(ready) -> None:
     # The bench itself has failed: someone has to look at it. A drive without a lag does not brake what a knock throws.
     result, _ = ready(Push(1.5, knock=20.0), drive={"lag": 0.0})
@@ -144,19 +124,6 @@ def test_a_return_begins_with_the_cart_at_rest_where_the_estimate_is_lost(ready)
     assert np.abs(result.ticks.truth[stands, 5]).max() < 0.05
     away = result.ticks.truth[-1] - result.ticks.references[-1]
     assert np.abs(away[:2]).max() < 0.2
-
-
-def test_laps_continue_from_rest_to_the_requested_time(ready, monkeypatch) -> None:
-    # As if the turn's end met its start nowhere.
-    monkeypatch.setattr("dpcontrol.loop.recovery._MEETS", 1e-6)
-    result, told = ready(until=16_000, keep=False)
-    assert result.ending is Ending.FINISHED
-    assert "requested time" in result.reason
-    assert told.names == ["resume", "return", "at rest", "start", "lap", "return"]
-    assert abs(result.ticks.times[-1] - 16.0) < 0.5
-    # The last block alone.
-    assert len(result.ticks.times) < 16_000
-    assert math.isclose(result.ticks.truth[-1, 5], 0.0, abs_tol=0.02)
 
 
 def test_the_next_lap_begins_at_the_phase_of_the_first_orbit(ready) -> None:
@@ -181,16 +148,6 @@ def test_references_meet_where_they_are_as_at_the_first_tick(offset: float, plac
     assert found is None if place is None else abs(found - place) <= 3
 
 
-def test_a_cart_that_waits_for_a_stuck_encoder_stays_where_it_is(ready) -> None:
-    # A drive that gives less than it is told leaves the cart with a speed that nobody sent it to.
-    stuck = {"stuck_at": 2.0, "stuck_sensor": 1, "stuck_for": 4.0}
-    result, told = ready(sensors=stuck, drive={"response": 0.95}, until=12_000)
-    assert "return" in told.names
-    assert np.ptp(result.ticks.truth[2_500:6_000, 4]) < 0.03
-    assert "start" in told.names
-    assert result.ending is Ending.FINISHED
-
-
 def test_a_run_that_errs_is_caught_where_an_earlier_place_is_nearer(ready) -> None:
     result, told = ready(Push(1.6, 0, -0.007))
     assert result.ending is Ending.FINISHED
@@ -203,22 +160,3 @@ def test_a_run_that_errs_is_caught_where_an_earlier_place_is_nearer(ready) -> No
     assert 0.3 < before.at + (before.end - before.first) * 1e-3 - after.at < 0.9
     # It is followed from there on, on the turns that the arms are on.
     np.testing.assert_allclose(result.ticks.truth[-500:, :2], result.ticks.references[-500:, :2], atol=0.1)
-
-
-def test_a_place_farther_back_must_be_the_nearer() -> None:
-    states = np.zeros((5, 6))
-    states[:, 0] = [0.3, 0.0, 0.0, 0.2, 0.1]
-    reach = Reach(10, states, np.tile(np.eye(6), (5, 1, 1)))
-    state = np.array([0.3 + 2 * np.pi, -4 * np.pi, 0.0, 0.0, 0.0, 0.1])
-    assert reach.cost(state, 0) == pytest.approx(0.01)
-    assert reach.nearest(state, 4, worth=100.0) == (0, pytest.approx(0.01 * 1.04))
-    assert reach.nearest(state, 4, worth=1.0) == (3, pytest.approx(0.02 * 2))
-    assert reach.nearest(state, 0, worth=1.0) == (0, pytest.approx(0.01))
-    assert reach.nearest(state + 2.0, 4, worth=1.0) == (4, math.inf)
-
-
-def test_a_run_is_caught_once_until_it_has_been_near_again(ready) -> None:
-    _, told = ready(Push(0.6, 1, 0.01))
-    # It chases its reference until it falls, and is not sent back meanwhile.
-    names = [name for _, name, _ in told.events if name in ("catch", "return")]
-    assert names[:2] == ["catch", "return"]

@@ -1,11 +1,8 @@
 """Sensors and their faults."""
 
-import math
-
 import numpy as np
 import pytest
 
-from dpcontrol.foundation.errors import InputError
 from dpcontrol.loop.bench import SensorSettings
 from dpcontrol.loop.simulated import Encoders
 
@@ -32,14 +29,6 @@ def test_a_coarse_encoder_sees_nothing_below_half_a_count() -> None:
     half = np.pi / 128
     assert encoders.measure(np.array([0.99 * half, 0, 0.0049, 0])) == pytest.approx([0, 0], abs=0)
     assert encoders.measure(np.array([1.01 * half, 0, 0.0051, 0])) == pytest.approx([2 * half, 0.01])
-
-
-def test_without_counts_nothing_is_rounded() -> None:
-    state = np.random.default_rng(3).uniform(-5, 5, 6)
-    assert Encoders(2, UNROUNDED).measure(state) == pytest.approx(state[[0, 1, 4]], abs=1e-14)
-    only_cart = Encoders(2, SensorSettings(counts=0, cart_resolution=0.1)).measure(state)
-    assert only_cart[:2] == pytest.approx(state[:2], abs=1e-14)
-    assert only_cart[2] == pytest.approx(0.1 * np.rint(state[4] / 0.1), abs=EXACT)
 
 
 def test_zero_errors_of_inner_encoders_are_carried_outwards() -> None:
@@ -92,28 +81,6 @@ def test_an_estimator_assumes_a_small_noise_of_ideal_sensors() -> None:
     assert np.sqrt(np.diag(perfect)).max() < 1e-5
     coarse = SensorSettings(counts=0, noise=1e-3)
     assert coarse.covariance(2)[0, 0] == pytest.approx(1e-6)
-
-
-@pytest.mark.parametrize(
-    ("given", "message"),
-    [
-        ({"counts": -1}, "counts = -1"),
-        ({"cart_resolution": -1.0}, "cart_resolution"),
-        ({"dropout": 1.5}, "dropout = 1.5: must be 0 to 1"),
-        ({"noise": math.nan}, "noise = nan"),
-        ({"stuck_at": -1.0}, "stuck_at"),
-        ({"stuck_sensor": -1}, "stuck_sensor"),
-        ({"counts": 0, "missed_counts": 3.0}, "set counts"),
-    ],
-)
-def test_impossible_sensors_are_named(given: dict[str, float], message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        SensorSettings(**given)  # type: ignore[arg-type]
-
-
-def test_a_sensor_that_is_not_there_cannot_stick() -> None:
-    with pytest.raises(InputError, match="stuck_sensor = 3: must be 0 to 2; 2 is the cart"):
-        Encoders(2, SensorSettings(stuck_at=0.0, stuck_sensor=3))
 
 
 def test_a_sensor_that_sticks_for_a_while_comes_back() -> None:

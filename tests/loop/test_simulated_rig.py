@@ -1,7 +1,6 @@
 """The simulated bench as the loop sees it, tick by tick."""
 
 import math
-import sys
 from dataclasses import replace
 from itertools import takewhile
 
@@ -11,7 +10,6 @@ from scipy.integrate import solve_ivp
 from shadowing_stand_in import LAB
 
 from dpcontrol.dynamics.chain import Level, arm_chain_equations
-from dpcontrol.foundation.errors import InputError
 from dpcontrol.loop.bench import (
     BenchDraw,
     BenchSettings,
@@ -48,7 +46,7 @@ def flown(state: np.ndarray, u: float, duration: float) -> np.ndarray:
     return solve_ivp(slope, (0, duration), state, method="DOP853", rtol=1e-12, atol=1e-12).y[:, -1]
 
 
-@pytest.mark.parametrize("delay", [0.0, 1.0, 3.0, 0.25, 1.5, 2.75])
+@pytest.mark.parametrize("delay", [0.0, 1.0, 2.75])
 def test_a_command_acts_after_its_delay_to_the_fraction_of_a_period(delay: float) -> None:
     rig = rig_of(BenchSettings(sensors=UNROUNDED, drive=DriveSettings(delay=delay)))
     commands = np.random.default_rng(2).uniform(-20, 20, 12)
@@ -72,30 +70,6 @@ def test_a_command_acts_after_its_delay_to_the_fraction_of_a_period(delay: float
             blend = fraction * given(k - 2 - whole) + (1 - fraction) * given(k - 1 - whole)
             assert (rig.truth[5] - before) / PERIOD == pytest.approx(blend, abs=1e-9)
         before = rig.truth[5]
-
-
-def test_commands_on_their_way_at_the_start_act_first() -> None:
-    settings = BenchSettings(drive=DriveSettings(delay=2.0))
-    rig = SimulatedRig(drawn(settings), settings, limits=LIMITS, start=START, queued=[5.0, -7.0])
-    rig.read()
-    velocities = [rig.truth[5]]
-    for command in (1.0, 2.0, 3.0, 4.0):
-        rig.command(command)
-        rig.read()
-        velocities.append(rig.truth[5])
-    assert np.diff(velocities) / PERIOD == pytest.approx([5.0, -7.0, 1.0, 2.0], abs=1e-9)
-
-
-def test_a_period_without_command_repeats_the_last_and_a_second_command_replaces_the_first() -> None:
-    rig = rig_of(BenchSettings(drive=DriveSettings(delay=0.0)))
-    rig.read()
-    rig.command(9.0)
-    rig.command(2.0)
-    velocities = [rig.truth[5]]
-    for _ in range(3):
-        rig.read()
-        velocities.append(rig.truth[5])
-    assert np.diff(velocities) / PERIOD == pytest.approx([2.0, 2.0, 2.0], abs=1e-9)
 
 
 def test_a_lagging_drive_answers_a_step_by_the_exact_exponential() -> None:
@@ -215,8 +189,6 @@ def test_a_jittery_reading_is_of_a_state_as_old_as_was_drawn(delay: float) -> No
         else:
             assert reading.positions[2] <= ideal.positions[2]
         assert rig.truth == pytest.approx(plain.truth, abs=EXACT)
-    with pytest.raises(InputError, match=r"jitter = 0\.002: must be at most a period"):
-        drawn(BenchSettings(sensors=SensorSettings(jitter=2e-3)))
 
 
 def test_blows_strike_at_their_tick_right_after_its_reading() -> None:
@@ -230,8 +202,6 @@ def test_blows_strike_at_their_tick_right_after_its_reading() -> None:
         assert (difference > 0.1) == (k > 10)
         struck.command(0.0)
         calm.command(0.0)
-    with pytest.raises(InputError, match="arm = 2: must be 0 to 1"):
-        drawn(BenchSettings(disturbances=DisturbanceSettings(explicit=(Push(0.0, arm=2),))))
 
 
 def test_seeded_blows_have_the_requested_number_and_strength() -> None:
@@ -270,46 +240,21 @@ def test_one_settings_change_leaves_every_other_draw_as_it_was() -> None:
     longer = drawn(everything, ticks=300, mismatch=0.05, initial_error=0.05)
     for name in ("command_noise", "ages", "dropped", "missed", "noise", "rate_noise"):
         assert np.array_equal(longer.drawn(name)[:200], whole.drawn(name)), name
-    # Arms and first state are those that a seed has always given.
-    arms, first = (np.random.default_rng(s) for s in np.random.SeedSequence(3).spawn(2))
-    assert whole.plant.arms == LAB.mismatched(0.05, arms)
-    assert np.array_equal(whole.initial_error, first.uniform(-0.05, 0.05, 2))
-
-
-def test_a_seed_gives_the_same_run_bit_for_bit_and_another_seed_another() -> None:
-    settings = BenchSettings(
-        SensorSettings(zero_error=0.02, missed_counts=50.0, dropout=0.1, jitter=1e-4, noise=1e-4),
-        DriveSettings(command_noise=0.3, lag=0.005, delay=1.3, jerk=5000.0),
-        DisturbanceSettings(pushes=3, push_impulse=0.01, knocks=1, knock_velocity=0.1, tilt=0.01),
-    )
-
-    def run(seed: int) -> np.ndarray:
-        rig = rig_of(settings, seed=seed, mismatch=0.05, initial_error=0.05)
-        rows = []
-        for k in range(150):
-            rows.append([*rig.read().positions, *rig.truth])
-            rig.command(math.sin(k / 9))
-        return np.array(rows)
-
-    assert np.array_equal(run(5), run(5))
-    assert np.abs(run(5) - run(6)).max() > 1e-3
 
 
 def test_blows_of_a_night_come_at_random_times_to_its_end() -> None:
-    def blows(hours: float, seed: int = 3) -> list[tuple[float, float, float]]:
+    def blows(hours: float) -> list[tuple[float, float, float]]:
         settings = BenchSettings(disturbances=DisturbanceSettings(knocks_per_minute=1.0, knock_impulse=0.03))
-        coming = drawn(settings, seed=seed).random_blows()
+        coming = drawn(settings).random_blows()
         ticks = takewhile(lambda blow: blow[0] * PERIOD < 3600 * hours, coming)
         return [(tick * PERIOD, *blow.impulses.tolist()) for tick, blow in ticks]
 
     night = np.array(blows(8.0))
     assert blows(1.0) == [tuple(row) for row in night[night[:, 0] < 3600].tolist()]
-    assert blows(1.0) != blows(1.0, seed=4)
     assert len(night) == pytest.approx(480, abs=90)
     assert np.diff(night[:, 0]).std() == pytest.approx(60.0, rel=0.2)
     assert np.abs(night[:, 1:]).max() == pytest.approx(0.03, rel=0.02)
     assert (np.count_nonzero(night[:, 1:], axis=0) > 190).all()
-    assert not list(drawn(BenchSettings()).random_blows())
     resumed = drawn(BenchSettings(disturbances=DisturbanceSettings(knocks_per_minute=1.0))).endless(since=3_600_000)
     first = next(resumed.random_blows())
     assert [first[0] * PERIOD + 3600, *first[1].impulses.tolist()] == pytest.approx(night[night[:, 0] >= 3600][0])
@@ -328,32 +273,3 @@ def test_a_run_of_any_length_is_drawn_in_blocks_as_it_would_be_at_once() -> None
         assert later is not None
         assert [reader[k] for k in range(50_000)] == once.drawn(name).tolist(), name
         assert [later[k] for k in range(10_000)] == once.drawn(name)[40_000:].tolist(), name
-        assert sys.getsizeof(reader._values) < 200_000
-        with pytest.raises(IndexError, match="tick 3 of a stream"):
-            reader[3]
-
-
-def test_command_noise_and_missed_counts_have_the_requested_size() -> None:
-    draw = drawn(BenchSettings(SensorSettings(missed_counts=250.0), DriveSettings(command_noise=0.3)), ticks=20_000)
-    assert draw.drawn("command_noise").std() == pytest.approx(0.3, rel=0.03)
-    assert draw.drawn("missed").mean() == pytest.approx(0.25, rel=0.05)
-
-
-def test_states_that_are_not_finite_or_beyond_the_draw_are_named() -> None:
-    rig = rig_of(BenchSettings(), ticks=3)
-    rig.read()
-    with pytest.raises(ArithmeticError, match="command = nan"):
-        rig.command(math.nan)
-    rig.read()
-    rig.read()
-    with pytest.raises(ArithmeticError, match="exceeds the 3 ticks of its draw"):
-        rig.read()
-    night = SimulatedRig(drawn(BenchSettings(), ticks=3).endless(), BenchSettings(), limits=LIMITS, start=START)
-    for _ in range(10):
-        night.read()
-    wild = rig_of(BenchSettings(), start=np.array([0, 0, 1e200, -1e200, 0, 0]))
-    wild.read()
-    with pytest.raises(ArithmeticError, match=r"plant failed at t = 0\.001 s"):
-        wild.read()
-    with pytest.raises(InputError, match="first state has shape"):
-        rig_of(BenchSettings(), start=np.zeros(4))

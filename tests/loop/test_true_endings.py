@@ -44,26 +44,6 @@ def test_the_reason_of_an_ending_is_true(plan: Plan, options: dict[str, Any], ki
     assert untrue(flight) == untrue_score(flight) == ""
 
 
-@pytest.mark.slow
-def test_the_carts_velocity_is_reported_if_its_scale_confirms_it(plan: Plan) -> None:
-    with_and_without = []
-    for knocks in (0, 5):
-        options = {**BENCH, "travel": 0.25, "rate": 200.0, "knocks": knocks, "knock_velocity": 1.5, "mismatch": 0.25}
-        stopped = [
-            flight for flight in flights(plan.itinerary.with_run(options), plan.reference, range(16))
-            if flight.run.ending is Ending.CART_STOP
-        ]  # fmt: skip
-        assert not [why for flight in stopped if (why := untrue(flight)).startswith("the cart was at")]
-        told = ["m/s" in flight.run.reason for flight in stopped]
-        with_and_without.append((told.count(True), told.count(False)))
-    (told, left_out), (told_after_knocks, left_out_after_knocks) = with_and_without
-    assert told
-    assert not left_out
-    # Just after a knock the estimate is off by more than 0.2 m/s.
-    assert told_after_knocks
-    assert left_out_after_knocks
-
-
 def test_a_lost_estimate_is_one_that_was_wrong(plan: Plan) -> None:
     scene = plan.itinerary.with_run({**BENCH, "mismatch": 0.8, "lag": 0.03, "travel": 10.0})
     # A filter that knows nothing of its model's errors.
@@ -81,15 +61,3 @@ def test_a_limit_switch_is_at_its_nominal_place(plan: Plan) -> None:
     assert class_of(flight) == "limit switch"
     assert untrue(flight) == ""
     assert np.abs(flight.run.truth[:, -2]).max() == pytest.approx(0.02, abs=1e-6)
-
-
-def test_the_classifier_finds_what_is_false(plan: Plan) -> None:
-    """Endings whose sentences are of other runs."""
-    stuck, cart = flown(plan, stuck_at=1.0, stuck_sensor=1), flown(plan, travel=0.05, mismatch=0.1)
-    assert "not stuck" in untrue(replace(cart, run=replace(cart.run, ending=stuck.run.ending, reason=stuck.run.reason)))
-    fallen = cart.run.truth.copy()
-    fallen[:, :2] += 2.0
-    assert "true angle was" in untrue(replace(cart, run=replace(cart.run, truth=fallen)))
-    text = "tracking lost at t = 0.500 s: an angle has stayed 7.1e+08 rad from the reference"
-    assert "true angle stayed" in untrue(replace(cart, run=replace(cart.run, ending=Ending.TRACKING_LOST, reason=text)))
-    assert np.isfinite(cart.wrong).all()

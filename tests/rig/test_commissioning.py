@@ -4,17 +4,16 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 from shadowing_stand_in import LAB
 
-from dpcontrol.dynamics.chain import ArmChainParameters
+from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
 from dpcontrol.loop.bench import MechanicsSettings
 from dpcontrol.loop.loop import LoopSettings
-from dpcontrol.loop.own import OwnObject, OwnRig
 from dpcontrol.loop.result import Reading, Rig
 from dpcontrol.references.problem import Limits
-from dpcontrol.rig import commissioning
 from dpcontrol.rig.bench import BenchRecipe
 from dpcontrol.rig.commissioning import (
     REACH,
@@ -97,62 +96,32 @@ def test_a_rig_that_is_right_is_found_right_and_measured() -> None:
     rig = bench()
     found = commissioned(rig)
     assert not found.wrong
-    steps = [f.step for f in found.findings]
-    assert steps == [
-        "still",
-        "drive",
-        "delay",
-        "encoders",
-        "counts",
-        "play",
-        "friction",
-        "model",
-        "switches",
-        "deadlines",
-    ]
     assert [f.step for f in found.findings if f.verdict is Grade.UNSURE] == ["switches"]
     assert found.changes == {"delay": pytest.approx(1.0, abs=0.01), "lag": 0.0, "drive_lag": 0.0}
     assert rig.stops == 1
 
 
 WIRED_WRONGLY = {
-    "drive-reversed": ("drive", "the drive is reversed", "swap two of the motor's leads"),
-    "cart-reversed": ("drive", "the cart's scale is reversed", "reverse the sign of the cart's reading"),
-    "encoder-1-reversed": ("encoders", "encoder of arm 1 counts backwards", "reverse the sign"),
-    "encoder-2-reversed": ("encoders", "encoder of arm 2 counts backwards", "reverse the sign"),
-    "encoders-swapped": ("encoders", "encoders of arms 1 and 2 are swapped", "swap their plugs"),
-    "angles-not-summed": ("encoders", "the angle between each arm and the previous one", "send absolute angles"),
-    "encoder-1-factor-4": ("encoders", "encoder of arm 1 shows", "divide its angle by 4 "),
+    "drive-reversed": ("drive", "the drive is reversed"),
+    "cart-reversed": ("drive", "the cart's scale is reversed"),
+    "encoder-1-reversed": ("encoders", "encoder of arm 1 counts backwards"),
+    "encoder-2-reversed": ("encoders", "encoder of arm 2 counts backwards"),
+    "encoders-swapped": ("encoders", "encoders of arms 1 and 2 are swapped"),
+    "angles-not-summed": ("encoders", "the angle between each arm and the previous one"),
+    "encoder-1-factor-4": ("encoders", "divide its angle by 4 "),
 }
 
 
-ROUGH = {"sensors": {"counts": 2000, "noise": 0.001}, "drive": {"command_noise": 0.1}}
-
-
 @pytest.mark.parametrize("fault", WIRED_WRONGLY)
-@pytest.mark.parametrize("trouble", [{}, pytest.param(ROUGH, marks=pytest.mark.slow)])
-def test_wrong_wiring_is_detected_and_no_measurement_is_kept(fault: str, trouble: dict[str, Any]) -> None:
-    rig = bench(fault, seed=3, **trouble)
-    # This test ignores the finding on counts.
-    said = LoopSettings(seed=0, rate=RATE)
-    said = replace(said, sensors=replace(said.sensors, counts=trouble["sensors"]["counts"] if trouble else 40_000))
-    found = commissioned(rig, said=said)
-    step, sentence, remedy = WIRED_WRONGLY[fault]
-    told = only_wrong(found, step)
-    assert sentence in told
-    assert remedy in told
+@pytest.mark.parametrize("stiction", [0.0, pytest.param(0.002, marks=pytest.mark.slow)])
+def test_wrong_wiring_is_detected_and_no_measurement_is_kept(fault: str, stiction: float) -> None:
+    rig = bench(fault, seed=4, mechanics={"stiction": stiction})
+    found = commissioned(rig)
+    step, told = WIRED_WRONGLY[fault]
+    assert told in only_wrong(found, step)
     assert not found.changes
     assert rig.farthest <= REACH + 1e-4
     assert rig.strongest <= LIMITS.acceleration
-
-
-@pytest.mark.slow
-def test_two_mistakes_that_the_mirror_image_shares_are_both_named() -> None:
-    for faults in (("drive-reversed", "cart-reversed"), ("encoder-1-reversed", "encoder-2-reversed")):
-        told = only_wrong(commissioned(bench(*faults)), "drive")
-        assert "the encoder of arm 1 and the encoder of arm 2" in told
-        assert "the cart's scale and the drive" in told
-        assert "check in which direction" in told
 
 
 @pytest.mark.slow
@@ -175,42 +144,35 @@ def test_a_tilted_track_is_named_beside_zeros_and_half_a_turn_is_no_zero() -> No
     assert not found.changes
 
 
-@pytest.mark.parametrize(("delay", "lag"), [(0.5, 0.0), (2.5, 0.008), (4.0, 0.02), (1.0, 0.002)])
+@pytest.mark.parametrize(("delay", "lag"), [(0.5, 0.0), (4.0, 0.02)])
 def test_delay_and_lag_are_measured_and_compared_with_the_scene(delay: float, lag: float) -> None:
     found = commissioned(bench(drive={"delay": delay, "lag": lag}))
     assert found.changes["delay"] == pytest.approx(delay, abs=0.02)
     assert found.changes["lag"] == pytest.approx(lag, abs=5e-5)
-    told = only_wrong(found, "delay")
-    assert f"but [run] has 1 periods and 0 ms → set delay = {found.changes['delay']:g}" in told
-
-
-def test_counts_are_seen_in_the_readings() -> None:
-    found = commissioned(bench(sensors={"counts": 2000}))
-    assert "set counts = 2000" in only_wrong(found, "counts")
-    assert found.changes["counts"] == 2000
+    assert f"set delay = {found.changes['delay']:g}" in only_wrong(found, "delay")
 
 
 @pytest.mark.parametrize(
-    ("trouble", "step", "sentence", "remedy"),
+    ("trouble", "step", "told"),
     [
-        ({"drive": {"response": 0.0}}, "drive", "the cart does not move", "whether the motor is on"),
-        ({"drive": {"response": 0.5}}, "drive", "the drive gives 0.5 times", "multiply commands by 2 "),
-        ({"drive": {"response": 4.0}}, "drive", "the drive gives 4 times", "multiply commands by 0.25 "),
-        ({"sensors": {"stuck_at": 0.0, "stuck_sensor": 2}}, "drive", "scale does not count", "plugged in"),
-        ({"sensors": {"stuck_at": 0.0, "stuck_sensor": 1}}, "encoders", "encoder of arm 2 does not move", "plugged in"),
-        ({"sensors": {"stuck_at": 0.0, "stuck_sensor": 0}}, "encoders", "encoder of arm 1 does not move", "plugged in"),
-        ({"bent": 0.5}, "still", "the arms still swing by ±0.", "hold them until they hang still"),
+        ({"drive": {"response": 0.0}}, "drive", "the cart does not move"),
+        ({"drive": {"response": 4.0}}, "drive", "multiply commands by 0.25 "),
+        ({"sensors": {"stuck_at": 0.0, "stuck_sensor": 2}}, "drive", "scale does not count"),
+        ({"sensors": {"stuck_at": 0.0, "stuck_sensor": 1}}, "encoders", "encoder of arm 2 does not move"),
+        ({"bent": 0.5}, "still", "the arms still swing"),
     ],
 )
-def test_each_failure_is_one_true_sentence(trouble: dict[str, Any], step: str, sentence: str, remedy: str) -> None:
+def test_each_failure_is_found_without_harm(trouble: dict[str, Any], step: str, told: str) -> None:
     rig = bench(**trouble)
     found = commissioned(rig)
-    told = only_wrong(found, step)
-    assert sentence in told
-    assert remedy in told
+    assert told in only_wrong(found, step)
     assert not found.changes
     assert rig.farthest <= REACH
     assert rig.stops == 1
+
+
+def test_counts_are_seen_in_the_readings() -> None:
+    assert commissioned(bench(sensors={"counts": 2000})).changes["counts"] == 2000
 
 
 class Misread(Watched):
@@ -236,15 +198,12 @@ def noisy_cart(reading: Reading) -> Reading:
 @pytest.mark.parametrize(
     ("spoil", "step", "told"),
     [
-        (times(1, 1, 0.3), "drive", "divide the cart's reading by 0.3 "),
-        (times(1, 1, 1.5), "drive", "divide the cart's reading by 1.5 "),
-        (times(1, 1, 1000), "drive", "has the cart's scale in metres"),
-        (times(1, -1, 1), "encoders", "the absolute encoder of arm 2 counts backwards"),
-        (times(-1, -1, -1), "drive", "went to the right first, reverse the cart's scale and all"),
-        (times(0, 0, 0), "drive", "whether the motor is on"),
+        (times(1, 1, 0.3), "drive", "by 0.3 "),
+        (times(1, 1, 1000), "drive", "in metres"),
+        (times(-1, -1, -1), "drive", "reverse the cart's scale and all"),
         (noisy_cart, "drive", "whether the drive holds the cart"),
-        (lambda r: r._replace(positions=r.positions + 0.2), "still", "move it to the centre"),
-        (lambda r: r._replace(positions=np.degrees(r.positions) * [1, 1, np.pi / 180]), "still", "not in radians"),
+        (lambda r: r._replace(positions=r.positions + 0.2), "still", "centre"),
+        (lambda r: r._replace(positions=np.degrees(r.positions) * [1, 1, np.pi / 180]), "still", "radians"),
     ],
 )
 def test_readings_in_other_units_or_signs_are_found_within_the_reach(
@@ -257,8 +216,8 @@ def test_readings_in_other_units_or_signs_are_found_within_the_reach(
 
 def test_a_sensor_that_gives_no_numbers_is_named() -> None:
     rig = Misread(bench(), lambda r: r._replace(present=np.array([True, r.time < 0.6, True])))
-    found = commissioned(rig)
-    assert found.wrong[0].sentence == "the encoder of arm 2 gave no reading for 0.1 s, so the cart was stopped"
+    assert "encoder of arm 2 gave no reading" in commissioned(rig).wrong[0].sentence
+    assert rig.stops == 1
 
 
 # The bench's joints slide at 0.8 of the break-away torque; play that is not in the fit moves the estimate.
@@ -269,7 +228,7 @@ DRY = (0.0, 0.001, 0.002, 0.005)
 
 
 @pytest.mark.slow  # Several seconds per bench.
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(3))
 def test_no_healthy_encoder_is_called_wrong_whatever_the_dry_friction(seed: int) -> None:
     random = np.random.default_rng(seed)
     dry, counts = tuple(random.choice(DRY, size=2).tolist()), int(random.choice([2000, 4096, 40_000]))
@@ -281,15 +240,6 @@ def test_no_healthy_encoder_is_called_wrong_whatever_the_dry_friction(seed: int)
     by_step = {f.step: f for f in found.findings}
     assert by_step["friction"].figures["torques"] == pytest.approx(0.8 * np.array(dry), rel=FRICTION, abs=1e-4)
     assert by_step["encoders"].figures["factors"] == pytest.approx([1, 1], abs=0.2)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("fault", WIRED_WRONGLY)
-def test_dry_friction_hides_no_wrong_wiring(fault: str) -> None:
-    found = commissioned(bench(fault, mechanics={"stiction": 0.002}, seed=4))
-    step, sentence, _ = WIRED_WRONGLY[fault]
-    assert sentence in only_wrong(found, step)
-    assert not found.changes
 
 
 @pytest.mark.slow
@@ -321,7 +271,7 @@ def test_noise_on_the_command_stays_within_the_reach_and_is_part_of_the_errors()
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("play", "seed"), [((0.0043, 0.0127), 5), ((0.0152, 0.0), 6), ((0.0, 0.0061), 7)])
+@pytest.mark.parametrize(("play", "seed"), [((0.0043, 0.0127), 5), ((0.0152, 0.0), 6)])
 def test_the_play_of_each_encoder_is_measured(play: tuple[float, float], seed: int) -> None:
     rig = bench(mechanics={"play": play}, drive={"lag": 0.006, "command_noise": 0.1}, seed=seed)
     found = commissioned(rig)
@@ -337,32 +287,12 @@ def test_the_play_of_each_encoder_is_measured(play: tuple[float, float], seed: i
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("torque", "play", "seed"), [(0.0007, 0.0, 3), (0.0013, 0.006, 4), (0.0004, 0.003, 5)])
+@pytest.mark.parametrize(("torque", "play", "seed"), [(0.0007, 0.0, 3), (0.0013, 0.006, 4)])
 def test_dry_friction_is_measured_in_each_joint(torque: float, play: float, seed: int) -> None:
     rig = bench(mechanics={"stiction": torque, "kinetic": 1.0, "play": play}, drive={"lag": 0.004}, seed=seed)
     finding = next(f for f in commissioned(rig).findings if f.step == "friction")
     assert finding.verdict is Grade.UNSURE
     assert finding.figures["torques"] == pytest.approx([torque, torque], rel=WITH_PLAY if play else FRICTION)
-
-
-@pytest.mark.slow  # Several seconds: many benches, to see the rare ones.
-def test_direction_and_gain_of_a_shift_are_right_whatever_the_delay_and_noise() -> None:
-    random, refused = np.random.default_rng(1), 0
-    for seed in range(100):
-        noise, lag = random.choice([0.0, 0.03, 0.1, 0.2]), random.choice([0.0, 0.005, 0.02])
-        gain = random.choice([0.5, 2.0])
-        drive = {"command_noise": noise, "delay": random.uniform(0, 10), "lag": lag, "response": gain}
-        faults = ["drive-reversed"] * random.integers(2)
-        rig = bench(*faults, seed=seed, drive=drive)
-        session = commissioning._Session(rig, LAB.count, LIMITS, ())
-        commissioning._look(session, QUICK)
-        try:
-            commissioning._shift(session, LAB)
-        except commissioning._Halted:
-            refused += 1
-            continue
-        assert session.gain / gain * (-1) ** len(faults) == pytest.approx(1, abs=0.6)
-    assert refused <= 5
 
 
 def with_switches(*faults: str, track: float = 0.5) -> Watched:
@@ -382,34 +312,25 @@ def test_both_switches_are_found_by_creeping_and_the_cart_comes_back() -> None:
 
 
 @pytest.mark.parametrize(
-    ("faults", "track", "sentence", "remedy"),
+    ("faults", "track", "told"),
     [
-        (("switch-dead",), 0.5, "no switch responds at the right up to +0.48", "press that switch by hand"),
-        pytest.param(
-            ("switches-swapped",),
-            0.5,
-            "the switch of the other side responds",
-            "swap the plugs",
-            marks=pytest.mark.slow,
-        ),
-        ((), 0.4, "within the ±0.4 m that [limits] allows", "set position below 0.35"),
+        (("switch-dead",), 0.5, "no switch responds at the right"),
+        (("switches-swapped",), 0.5, "the switch of the other side responds"),
+        ((), 0.4, "within the ±0.4 m that [limits] allows"),
     ],
 )
 def test_a_switch_that_is_dead_exchanged_or_in_the_way_is_found(
-    faults: tuple[str, ...], track: float, sentence: str, remedy: str
+    faults: tuple[str, ...], track: float, told: str
 ) -> None:
     found = commissioned(with_switches(*faults, track=track), switches=0.48)
     assert {f.step for f in found.wrong} == {"switches"}
-    assert sentence in found.wrong[0].sentence
-    assert remedy in found.wrong[0].remedy
+    assert told in found.wrong[0].sentence
     assert not found.changes
 
 
 @pytest.mark.slow
 def test_a_hard_stop_in_the_way_to_a_switch_ends_it_by_name() -> None:
-    told = only_wrong(commissioned(bench(), switches=0.48), "switches")
-    assert "cart hit its hard stop" in told
-    assert "give --switches less" in told
+    assert "hard stop" in only_wrong(commissioned(bench(), switches=0.48), "switches")
 
 
 def test_a_switch_that_answers_at_the_centre_is_found_before_anything_moves() -> None:
@@ -418,7 +339,7 @@ def test_a_switch_that_answers_at_the_centre_is_found_before_anything_moves() ->
     assert rig.strongest == 0
 
 
-@pytest.mark.parametrize("tick", [1, 50, 700, 2500])
+@pytest.mark.parametrize("tick", [1, 700])
 def test_a_rig_that_fails_is_stopped_and_quoted_and_an_interrupt_stops_it_too(tick: int) -> None:
     rig = bench()
     rig.breaks_at = tick
@@ -430,48 +351,6 @@ def test_a_rig_that_fails_is_stopped_and_quoted_and_an_interrupt_stops_it_too(ti
     rig.breaks_at, rig.error = tick, KeyboardInterrupt
     with pytest.raises(KeyboardInterrupt):
         commissioned(rig)
-    assert rig.stops == 1
-
-
-class Own:
-    """A user's rig with the three methods of the guide, which a bench at hand answers."""
-
-    def __init__(self, rig: Any) -> None:
-        self.rig = rig
-
-    def read(self) -> Any:
-        return self.rig.read().positions
-
-    def command(self, acceleration: float) -> None:
-        self.rig.command(acceleration)
-
-    def stop(self) -> None:
-        self.rig.stop()
-
-
-def test_a_users_rig_is_commissioned_like_the_bench_behind_it() -> None:
-    said = LoopSettings(seed=0, rate=RATE)
-    for fault in ((), ("encoder-2-reversed",)):
-        own = OwnRig(OwnObject("rig", Own(bench(*fault))), arms=LAB.count, period=1 / RATE)
-        found, same = (commissioned(rig, said=said) for rig in (own, bench(*fault)))
-        assert found.findings == same.findings
-        assert found.changes == same.changes
-
-
-@pytest.mark.parametrize("method", ["read", "command"])
-def test_a_users_rig_that_raises_is_stopped_and_quoted(method: str) -> None:
-    rig = bench()
-    own, ticks = Own(rig), iter(range(1000))
-    call = getattr(own, method)
-
-    def failing(*arguments: float) -> Any:
-        if next(ticks) == 700:
-            raise OSError("the port is gone")
-        return call(*arguments)
-
-    setattr(own, method, failing)
-    found = commissioned(OwnRig(OwnObject("rig", own), arms=LAB.count, period=1 / RATE))
-    assert f"Own.{method} raised OSError: the port is gone" in found.blocking[0].sentence
     assert rig.stops == 1
 
 
@@ -504,11 +383,7 @@ def test_other_numbers_of_arms_are_commissioned_as_well(arms: ArmChainParameters
 
 
 def test_modes_are_those_of_the_equations_linearised() -> None:
-    from dpcontrol.dynamics.chain import Level, equations_of
-
     equations = equations_of(LAB, Level.CART)
-    import casadi as ca
-
     function = ca.Function("f", [equations.state, equations.inputs, equations.parameters], [
         ca.jacobian(equations.rate, equations.state), ca.jacobian(equations.rate, equations.inputs)])  # fmt: skip
     slopes, push = (np.array(part) for part in function(np.zeros(6), 0.0, LAB.base()))

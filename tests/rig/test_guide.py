@@ -8,13 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from bench_at_hand import KEY, LONG
+from bench_at_hand import LONG
 
 import dpcontrol
-from dpcontrol.loop.result import Rig
-from dpcontrol.rig import bench, client, packets
-from dpcontrol.rig.bench import FAULTS, BenchServerSettings
-from dpcontrol.rig.client import LinkSettings, UdpRig
+from dpcontrol.rig import packets
+from dpcontrol.rig.client import UdpRig
 from dpcontrol.rig.packets import CommandPacket, Condition, Kind, ReadingPacket, Role, Start, Welcome
 
 GUIDE = Path(dpcontrol.__file__).parent / "guide"
@@ -82,29 +80,6 @@ def test_a_packet_made_from_the_pages_table_is_the_programs_own(kind: Kind) -> N
     assert packets.unpacked(data, sender).kind is kind
 
 
-def test_the_pages_constants_are_the_programs_own() -> None:
-    assert sum(int(size) for _, size, _, _ in rows("Head")) == len(
-        packets.packed(packets.HELLO, Role.LOOP, session=1, sequence=1)
-    )
-    assert HEAD["magic"] == packets.MAGIC
-    assert f"| version | {packets.VERSION} |" in SECTIONS["Head"]
-    assert f"at most {packets.LARGEST} bytes" in PACKETS
-    assert f"at most {packets._LONGEST_TEXT} bytes" in PACKETS
-    assert f"{packets.NO_TICK}: none yet" in PACKETS
-    assert [c.value for c in Condition] == [0, 1, 2]
-    sealed, plain = (packets.packed(packets.STOP, Role.LOOP, session=1, sequence=1, key=key) for key in (KEY, b""))
-    assert f"{len(sealed) - len(plain)} further bytes" in " ".join(PACKETS.split())
-    link, server = LinkSettings(), BenchServerSettings()
-    for text in (
-        f"every {client._REQUEST_INTERVAL:g} s for up to {link.answer:g} s",
-        f"overdue by {1e3 * link.patience:g} ms",
-        f"nothing from the loop for {server.watchdog:g} s",
-        f"nothing from the loop for {bench._LEAVING:g} s",
-        f"nothing from the bench for {link.silence:g} s",
-    ):
-        assert text in " ".join(PAGE.split())
-
-
 def test_the_example_in_hexadecimal_decodes_to_the_values_in_its_text() -> None:
     (block,) = re.findall(r"```hex\n(.*?)```", PAGE, re.DOTALL)
     heard = {}
@@ -160,11 +135,3 @@ def free_port() -> int:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
         one.bind(("127.0.0.1", 0))
         return one.getsockname()[1]
-
-
-def test_the_guide_names_every_member_of_a_rig_and_every_simulated_fault() -> None:
-    # The loop itself keeps an object's period, and what failed in it.
-    members = {name for name in vars(Rig) if not name.startswith("_")} - {"period", "fault"}
-    assert members == set(re.findall(r"`(\w+)[`(]", RIG.split("## A rig in Python")[1].split("\n## ")[0])) & members
-    practice = (GUIDE / "commission.md").read_text(encoding="utf-8").split("| fault |")[1]
-    assert dict(re.findall(r"^\| `([\w-]+)` \| (.+) \|$", practice, re.MULTILINE)) == FAULTS

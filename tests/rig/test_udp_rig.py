@@ -6,29 +6,17 @@ No time is asserted: a busy computer can be late, and must then report it.
 import hmac
 import math
 import socket
-import struct
 import threading
 from contextlib import closing
-from dataclasses import replace
 
-import numpy as np
 import pytest
-from bench_at_hand import KEY, LONG, PATIENT, Toy, next_reading, raw, relayed, served, welcomed
-from shadowing_stand_in import LAB, StandIn
+from bench_at_hand import KEY, LONG, Toy, next_reading, raw, relayed, served, welcomed
 
-from dpcontrol.control.tracking import tracking_controller
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.loop.assembly import Assembly
-from dpcontrol.loop.loop import LoopSettings, sampled_model
-from dpcontrol.loop.result import Ending
-from dpcontrol.references.reference import Reference
 from dpcontrol.rig import packets as packets
-from dpcontrol.rig.bench import BenchProcess, BenchRecipe, BenchServerSettings, UdpBench
+from dpcontrol.rig.bench import BenchServerSettings, UdpBench
 from dpcontrol.rig.client import LinkSettings, UdpRig, parse_address
 from dpcontrol.rig.packets import Condition, Kind, Role, Unsealed
-
-KEEPING_TIME = 3  # attempts
-LATE = 0.05  # share of deadlines
 
 
 def read_on(rig: UdpRig) -> None:
@@ -36,50 +24,21 @@ def read_on(rig: UdpRig) -> None:
         rig.read()
 
 
-def head(kind: int, count: int) -> bytes:
-    """Return the head of packet 3 of session 258."""
-    return b"dpcb\x02" + struct.pack("<BHQI", kind, count, 258, 3)
-
-
-def test_packets_are_laid_out_as_described() -> None:
-    at = {"session": 258, "sequence": 3}
-    told = packets.packed(packets.command(7, -1.5), Role.LOOP, **at)
-    assert told == head(4, 0) + struct.pack("<Id", 7, -1.5)
-    assert packets.packed(packets.HELLO, Role.LOOP, **at) == head(1, 0)
-    assert packets.packed(packets.start([0.5, -2.0]), Role.LOOP, **at) == head(7, 2) + struct.pack("<2d", 0.5, -2.0)
-    welcome = packets.welcome(packets.Welcome(2, 0.001, 9, 5))
-    assert packets.packed(welcome, Role.BENCH, **at) == head(2, 2) + struct.pack("<dIQ", 0.001, 9, 5)
-    content = packets.ReadingPacket(9, (0.1, 0.2, 0.3), -1, 4, 0.002, -1, Condition.FAULT, "Ach, die Mühle", 6)
-    text = "Ach, die Mühle".encode()
-    expected = struct.pack("<IIIIdbBH", 9, 2**32 - 1, 4, 6, 0.002, -1, 1, len(text)) + struct.pack("<3d", 0.1, 0.2, 0.3)
-    data = packets.packed(packets.reading(content), Role.BENCH, **at)
-    assert data == head(3, 2) + expected + text
-    assert packets.unpacked(data, Role.BENCH) == packets.ReceivedPacket(Kind.READING, 258, 3, content)
-    aged = content._replace(age=0.0004)
-    data = packets.packed(packets.reading(aged), Role.BENCH, **at)
-    assert data == head(3, 2) + expected + text + struct.pack("<d", 0.0004)
-    assert packets.unpacked(data, Role.BENCH) == packets.ReceivedPacket(Kind.READING, 258, 3, aged)
-    sealed_reading = packets.packed(packets.reading(aged), Role.BENCH, **at, key=KEY)
-    assert packets.unpacked(sealed_reading, Role.BENCH, key=KEY).content == aged
-    sealed = packets.packed(packets.command(7, -1.5), Role.LOOP, **at, key=KEY)
-    assert sealed == told + hmac.new(KEY, b"loop" + told, "sha256").digest()[:16]
+def test_a_sealed_packet_ends_with_half_of_its_hmac_with_the_senders_name() -> None:
+    plain, sealed = (
+        packets.packed(packets.command(7, -1.5), Role.LOOP, session=258, sequence=3, key=k) for k in (b"", KEY)
+    )
+    assert sealed == plain + hmac.new(KEY, b"loop" + plain, "sha256").digest()[:16]
     assert packets.unpacked(sealed, Role.LOOP, key=KEY).content == packets.CommandPacket(7, -1.5)
 
 
-def test_invalid_packets_are_rejected_by_name() -> None:
+def test_invalid_packets_are_rejected() -> None:
     content = packets.reading(packets.ReadingPacket(9, (0.1, 0.2, 0.3), 8, 4, 0.002, 0, Condition.WELL, "so"))
     whole = packets.packed(content, Role.BENCH, session=1, sequence=1)
-    for data, said in (
-        (b"dp", "no head"),
-        (b"HTTP" + whole[4:], "not from a bench"),
-        (whole[:4] + b"\x01" + whole[5:], "version is 1, this program uses 2"),
-        (whole[:5] + b"\x63" + whole[6:], "99"),
-        (whole[:-1], "damaged"),
-        (whole[:30], "damaged"),
-        (whole[:12], "no head"),
-        (whole + b"x", "damaged"),
-    ):
-        with pytest.raises(ValueError, match=said):
+    other_magic, other_version = b"HTTP" + whole[4:], whole[:4] + b"\x01" + whole[5:]
+    other_kind = whole[:5] + b"\x63" + whole[6:]
+    for data in (whole[:12], other_magic, other_version, other_kind, whole[:-1], whole + b"x"):
+        with pytest.raises(ValueError):
             packets.unpacked(data, Role.BENCH)
 
 
@@ -122,46 +81,10 @@ def test_zeros_are_taken_off_the_arms_readings() -> None:
         assert rig.read().positions == pytest.approx([0.75, 1.5, 1.0])
 
 
-@pytest.mark.parametrize(("sent", "comes"), [(0.0003, 0.0003), (None, None), (5.0, None), (math.nan, None)])
+@pytest.mark.parametrize(("sent", "comes"), [(0.0003, 0.0003), (5.0, None)])
 def test_a_readings_age_comes_with_it_unless_it_is_none(sent: float | None, comes: float | None) -> None:
     with served(Toy(age=sent)) as bench, UdpRig(bench.address, settings=LONG) as rig:
         assert [rig.read().age, rig.read().age] == [comes, comes]
-
-
-@pytest.mark.slow
-def test_lost_packets_are_counted_and_the_ticks_stay_the_benchs() -> None:
-    toy, random = Toy(), np.random.default_rng(0)
-    dropped = {Kind.READING: 0, Kind.COMMAND: 0}
-
-    def passes(data: bytes) -> bool:
-        kind = Kind(data[5])
-        if kind not in dropped or random.random() > 0.2:
-            return True
-        dropped[kind] += 1
-        return False
-
-    with (
-        served(toy) as bench,
-        relayed(bench.address, passes) as address,
-        UdpRig(address, settings=replace(LONG, patience=0.5)) as rig,
-    ):
-        absent = 0
-        for k in range(300):
-            reading = rig.read()
-            assert reading.time == pytest.approx(k * 0.002)
-            if reading.present is None:
-                assert (reading.positions == k).all()
-            else:
-                absent += 1
-                assert not reading.present.any()
-                # Missing entries repeat their last value.
-                assert (reading.positions < k).all() or k == 0
-            rig.command(float(k))
-    assert dropped[Kind.READING] > 20
-    assert dropped[Kind.COMMAND] > 20
-    assert 20 < absent <= dropped[Kind.READING] + rig.deadlines.stale
-    assert rig.deadlines.lost == absent
-    assert rig.deadlines.held > 0
 
 
 def test_late_and_repeated_readings_are_counted_apart_and_dropped() -> None:
@@ -271,64 +194,20 @@ def test_a_bench_that_is_gone_ends_the_run_by_name() -> None:
 def test_a_missing_or_busy_bench_is_reported_in_one_sentence() -> None:
     with closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as nobody:
         nobody.bind(("127.0.0.1", 0))
-        with pytest.raises(InputError, match=r"no bench responded for 0\.3 s; start one with `dpcontrol rig`"):
+        with pytest.raises(InputError, match="no bench responded"):
             UdpRig(nobody.getsockname(), settings=LinkSettings(answer=0.3))
     with served(Toy()) as bench, UdpRig(bench.address, settings=LONG) as rig:
         rig.read()
         with pytest.raises(InputError, match="busy with another loop"):
             UdpRig(bench.address, settings=LONG)
     with served(Toy()) as bench:
-        with pytest.raises(InputError, match=f"port {bench.address[1]} .*choose another --port"):
+        with pytest.raises(InputError, match=f"port {bench.address[1]} "):
             UdpBench(lambda queued: Toy(), arms=2, ticks=1, period=1.0, port=bench.address[1])
         with UdpRig(bench.address, settings=LONG) as rig, pytest.raises(ArithmeticError, match="finite"):
             rig.command(math.inf)
 
 
-@pytest.mark.parametrize(
-    "text", ["", "udp", "127.0.0.1:5", "udp://", "udp://x", "udp://x:0", "udp://x:99999", "tcp://x:5"]
-)
+@pytest.mark.parametrize("text", ["", "127.0.0.1:5", "udp://x:99999"])
 def test_invalid_addresses_are_rejected(text: str) -> None:
-    with pytest.raises(InputError, match=r"must be udp://HOST:PORT"):
+    with pytest.raises(InputError, match="udp://HOST:PORT"):
         parse_address(text)
-
-
-@pytest.mark.parametrize("wrong", [{"patience": 0.0}, {"silence": math.nan}, {"answer": -1.0}])
-def test_impossible_waits_are_refused(wrong: dict[str, float]) -> None:
-    with pytest.raises(InputError, match=next(iter(wrong))):
-        LinkSettings(**wrong)
-    with pytest.raises(InputError, match="watchdog"):
-        BenchServerSettings(watchdog=0.0)
-    with pytest.raises(InputError, match="spin"):
-        BenchServerSettings(spin=-1.0)
-
-
-# Slow: it lasts as long as the run.
-@pytest.mark.slow
-def test_the_loop_follows_its_reference_on_a_bench_in_another_process(turn: tuple[StandIn, Reference]) -> None:
-    settings = LoopSettings(seed=0, mismatch=0.02, initial_error=0.02)
-    whole = tracking_controller(turn[1], sampled_model(LAB, settings.rate), settings.controller)
-    ticks = 2000
-    short = replace(
-        whole, reference_states=whole.reference_states[: ticks + 1], feedforward=whole.feedforward[:ticks],
-        gains=whole.gains[:ticks],
-    )  # fmt: skip
-    recipe = BenchRecipe(LAB, settings, turn[1].limits, short.first_state, ticks + 2000)
-    # A busy machine misses deadlines and so loses the arms: what is asked here is that it follows where it keeps time.
-    for _ in range(KEEPING_TIME):
-        with BenchProcess(recipe, PATIENT) as bench:
-            loop = Assembly(turn[1], LAB, settings, law=short).loop()
-            loop.ticker.rehearse()
-            with UdpRig(bench.address, queued=loop.queued, key=bench.key) as rig:
-                result = loop.run(rig)
-        assert result.late == rig.deadlines.missed
-        if result.late < LATE * rig.deadlines.ticks:
-            break
-    else:
-        pytest.skip(f"the machine missed {result.late} of {rig.deadlines.ticks} deadlines: too busy for real time")
-    assert result.ending is Ending.FINISHED, result.reason
-    assert result.ticks.truth is None
-    assert len(result.ticks.times) == ticks + 1
-    apart = (result.ticks.estimates - result.ticks.references)[:, : LAB.count]
-    assert np.sqrt(np.mean(apart**2)) < 0.1
-    assert rig.deadlines.ticks == ticks + 1
-    assert any("run ended: the run is over" in message for message in bench.messages)
