@@ -12,6 +12,7 @@ from shadowing_stand_in import LAB
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
 from dpcontrol.loop.bench import MechanicsSettings
 from dpcontrol.loop.loop import LoopSettings
+from dpcontrol.loop.own import OwnObject, OwnRig
 from dpcontrol.loop.result import Reading, Rig
 from dpcontrol.references.problem import Limits
 from dpcontrol.rig.bench import BenchRecipe
@@ -351,6 +352,48 @@ def test_a_rig_that_fails_is_stopped_and_quoted_and_an_interrupt_stops_it_too(ti
     rig.breaks_at, rig.error = tick, KeyboardInterrupt
     with pytest.raises(KeyboardInterrupt):
         commissioned(rig)
+    assert rig.stops == 1
+
+
+class Own:
+    """A user's rig with the three methods of the guide, which a bench at hand answers."""
+
+    def __init__(self, rig: Any) -> None:
+        self.rig = rig
+
+    def read(self) -> Any:
+        return self.rig.read().positions
+
+    def command(self, acceleration: float) -> None:
+        self.rig.command(acceleration)
+
+    def stop(self) -> None:
+        self.rig.stop()
+
+
+def test_a_users_rig_is_commissioned_like_the_bench_behind_it() -> None:
+    said = LoopSettings(seed=0, rate=RATE)
+    for fault in ((), ("encoder-2-reversed",)):
+        own = OwnRig(OwnObject("rig", Own(bench(*fault))), arms=LAB.count, period=1 / RATE)
+        found, same = (commissioned(rig, said=said) for rig in (own, bench(*fault)))
+        assert found.findings == same.findings
+        assert found.changes == same.changes
+
+
+def test_a_users_rig_that_raises_is_stopped() -> None:
+    rig = bench()
+    own, ticks = Own(rig), iter(range(1000))
+    read = own.read
+
+    def failing() -> Any:
+        if next(ticks) == 700:
+            raise OSError("the port is gone")
+        return read()
+
+    own.read = failing
+    found = commissioned(OwnRig(OwnObject("rig", own), arms=LAB.count, period=1 / RATE))
+    assert found.blocking
+    assert not found.changes
     assert rig.stops == 1
 
 

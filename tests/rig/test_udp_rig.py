@@ -3,6 +3,7 @@
 No time is asserted: a busy computer can be late, and must then report it.
 """
 
+import gc
 import hmac
 import math
 import socket
@@ -53,6 +54,16 @@ def test_a_seal_of_another_key_or_the_other_end_is_refused() -> None:
     ):
         with pytest.raises(Unsealed, match="sealed"):
             packets.unpacked(data, role, key=key)
+
+
+def test_a_run_begins_without_collecting_the_programs_garbage() -> None:
+    # In a large program a collection takes longer than a loop waits.
+    collections = sum(each["collections"] for each in gc.get_stats()[2:])
+    toy = Toy()
+    with served(toy) as bench, UdpRig(bench.address, settings=LONG) as rig:
+        rig.read()
+        rig.command(0.0)
+        assert sum(each["collections"] for each in gc.get_stats()[2:]) == collections
 
 
 def test_every_tick_comes_once_and_its_command_goes_back() -> None:
