@@ -61,6 +61,7 @@ def test_nothing_is_written_while_the_rig_is_wrong(scene: Path) -> None:
     assert scene.read_bytes() == before
 
 
+@pytest.mark.slow
 def test_a_shipped_scene_is_copied_into_the_working_folder(scene: Path) -> None:
     shipped = ROOT / "itineraries" / "outer-turn.toml"
     before = shipped.read_bytes()
@@ -69,59 +70,6 @@ def test_a_shipped_scene_is_copied_into_the_working_folder(scene: Path) -> None:
     assert "itineraries/outer-turn.toml: [run] now has delay = 1.5" in ended.stdout
     assert shipped.read_bytes() == before
     assert load_itinerary("outer-turn").loop.drive.delay == pytest.approx(1.5, abs=0.01)
-
-
-def test_an_inline_table_is_updated_as_well(scene: Path) -> None:
-    inline = scene.with_name("inline.toml")
-    head, tail = scene.read_text().split("[run]")
-    values = [line.split("#")[0].strip() for line in tail.splitlines() if "=" in line]
-    inline.write_text(f"run = {{ {', '.join(values)} }}\n{head}")
-    ended = dpcontrol("commission", inline, "--delay", "1.5", "--write")
-    assert ended.code == 0, ended.message
-    assert load_itinerary(str(inline)).loop.drive.delay == pytest.approx(1.5, abs=0.01)
-
-
-def test_a_file_that_cannot_be_written_is_reported_without_losing_measurements(scene: Path, monkeypatch) -> None:
-    def full(*_: object) -> None:
-        raise commissioning_error()
-
-    monkeypatch.setattr("dpcontrol.cli.run.write_whole", full)
-    ended = dpcontrol("commission", scene, "--write")
-    assert ended.code == 1
-    assert "no space" in ended.message
-    assert "delay: the delay is" in ended.stdout
-
-
-def commissioning_error() -> Exception:
-    from dpcontrol.foundation.errors import InputError
-
-    return InputError("cannot write mine.toml: no space left; choose another file or folder")
-
-
-@pytest.mark.parametrize(
-    ("arguments", "sentence"),
-    [
-        (("--real-time",), "add --rig"),
-        (("--rig", "udp://127.0.0.1:1", "--fault", "zeros-off"), "omit them with --rig"),
-        (("--rig", "udp://127.0.0.1:1", "--lag", "0.1"), "omit them with --rig"),
-        (("--rig", "tcp://x:1"), "must be udp://HOST:PORT"),
-        (("--fault", "encoder-2-reversd"), "did you mean 'encoder-2-reversed'?"),
-        (("--switches", "nan"), "switches = nan: must be 0.02 to 100 m"),
-        (("--rate", "10"), "takes at least 20 Hz; raise its rate"),
-        (("--switches", "0.001"), "switches = 0.001: must be 0.02 to 100 m"),
-    ],
-)
-def test_impossible_options_give_one_sentence(scene: Path, arguments: tuple[str, ...], sentence: str) -> None:
-    ended = dpcontrol("commission", scene, *arguments)
-    assert ended.code == 2
-    assert sentence in ended.stderr
-
-
-def test_zeros_for_other_arms_are_rejected_by_name(scene: Path) -> None:
-    scene.write_text(scene.read_text() + "zeros = [0.1]\n")
-    ended = dpcontrol("commission", scene)
-    assert ended.code == 2
-    assert "[run] zeros has 1 values; give one for each of 2 arms" in ended.message
 
 
 @pytest.mark.slow  # Some 15 s in real time, twice.
@@ -144,13 +92,3 @@ def test_a_bench_in_another_process_is_commissioned_over_udp(tmp_path: Path) -> 
     if late["verdict"] != "wrong":
         (wrong,) = [f for f in document["findings"] if f["verdict"] == "wrong"]
         assert "the drive is reversed" in wrong["sentence"]
-
-
-@pytest.mark.slow  # A whole run is exported.
-def test_an_exported_program_is_remarked_to_take_no_zeros_off(scene: Path) -> None:
-    hold = scene.with_name("hold.toml")
-    text = (ROOT / "itineraries" / "hold-down-down.toml").read_text()
-    hold.write_text(f"{text}zeros = [0.03, -0.02]\n")
-    ended = dpcontrol("export", hold, "--out", scene.with_name("controller"))
-    assert ended.code == 0
-    assert "[run] zeros = [0.03, -0.02] is not in the exported program" in ended.stderr

@@ -52,27 +52,3 @@ def test_designs_are_compared_without_a_log() -> None:
     assert {e["kind"] for e in ended.document["experiments"]} == {"swing", "cart"}
     assert ended.document["best"]
     assert Path("design.png").read_bytes().startswith(PNG)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        ([], "give at least one log"),
-        (["nowhere.mcap"], "nowhere.mcap"),
-        (["swing.mcap", "--model", "triple"], "2 arms, the model has 3"),
-        (["swing.mcap", "--model", "three-body"], "no arms"),
-        (["short.mcap"], "2 segments"),
-        (["swing.mcap", "--out", "model.txt"], ".toml"),
-        (["swing.mcap", "--picture", "model.jpg"], ".png"),
-        (["swing.mcap", "--design"], "omit LOGS"),
-    ],
-)
-def test_user_errors_are_one_sentence_and_nothing_is_written(arguments: list[str], said: str) -> None:
-    a_log("swing.mcap")
-    a_log("short.mcap", swings=2)
-    before = sorted(Path().rglob("*"))
-    ended = dpcontrol("identify", *arguments)
-    assert ended.code == 2
-    assert said in ended.stderr
-    assert "Traceback" not in ended.stderr
-    assert sorted(Path().rglob("*")) == before
