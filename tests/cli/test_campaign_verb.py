@@ -12,13 +12,13 @@ HARD = ("--mismatch", "0.15", "--initial-error", "0.1", "--controller", "feedfor
 def test_the_document_agrees_with_the_table_and_failures_repeat(tmp_path: Path) -> None:
     file = tmp_path / "turn.parquet"
     ended = dpcontrol(
-        "campaign", "outer-turn", *HARD, "--runs", "3", "--seed-from", "7", "--workers", "1", "--out", file, "--json"
+        "campaign", "outer-turn", *HARD, "--runs", "2", "--seed-from", "7", "--workers", "1", "--out", file, "--json"
     )
     assert ended.code == 0
     shown, rows = ended.document, pq.read_table(file).to_pylist()
-    assert [row["seed"] for row in rows] == [7, 8, 9]
-    assert (shown["runs"], shown["completed"]) == (3, sum(row["completed"] for row in rows))
-    assert shown["success_rate"] == shown["completed"] / 3
+    assert [row["seed"] for row in rows] == [7, 8]
+    assert (shown["runs"], shown["completed"]) == (2, sum(row["completed"] for row in rows))
+    assert shown["success_rate"] == shown["completed"] / 2
     low, high = shown["wilson_95"]
     assert 0 <= low <= shown["success_rate"] <= high <= 1
     assert shown["file"] == str(file)
@@ -30,6 +30,7 @@ def test_the_document_agrees_with_the_table_and_failures_repeat(tmp_path: Path) 
     assert again.document["reason"] == failed["reason"]
 
 
+@pytest.mark.slow  # Compiles the loop in lockstep.
 def test_a_preflight_reports_its_share_and_draws_its_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("dpcontrol.runs.preflight.hazards", lambda plan, scene, **most: [])
     monkeypatch.setattr("dpcontrol.runs.preflight.changes", lambda scene: [])

@@ -11,7 +11,7 @@ import pytest
 from command_line import dpcontrol, dpcontrol_program
 
 from dpcontrol.cli import main
-from dpcontrol.plans.overrides import NAMED, option_of, paths
+from dpcontrol.plans.overrides import paths
 
 VERBS = ("demo", "model", "orbit", "connect", "plan", "run", "score", "review")
 HEAVY = {"casadi", "heyoka", "rerun", "scipy", "matplotlib", "numpy"}
@@ -66,19 +66,15 @@ def test_the_example_in_a_verbs_help_runs(verb: str, tmp_path: Path, monkeypatch
     ("line", "progress"),
     [
         ("model lab", ""),
-        ("orbit lab --saddle down-up --energy -0.07", ""),
         ("connect lab --from down-up --to up-down --energy 0.2", "connections"),
-        ("plan outer-turn --fresh", "plan"),
-        ("run outer-turn", "run"),
+        ("plan hold-down-down --fresh", "plan"),
         ("run outer-turn --controller feedforward", "not completed"),
-        ("score whole.mcap", ""),
         ("review whole.mcap --save whole.rrd", "review"),
-        ("demo", "demo"),
     ],
 )
 def test_json_is_one_document_on_stdout_and_progress_goes_to_stderr(line: str, progress: str, tmp_path: Path) -> None:
     if "whole.mcap" in line:
-        assert dpcontrol("run", "outer-turn", "--out", tmp_path / "whole.mcap").code == 0
+        assert dpcontrol("run", "hold-down-down", "--out", tmp_path / "whole.mcap").code == 0
     ended = dpcontrol_program(*line.split(), "--json", folder=tmp_path)
     assert ended.code == (1 if "feedforward" in line else 0)
     assert isinstance(ended.document, dict)
@@ -87,28 +83,12 @@ def test_json_is_one_document_on_stdout_and_progress_goes_to_stderr(line: str, p
         assert ended.stderr == ""
 
 
-def test_json_numbers_carry_full_precision() -> None:
-    shown = dpcontrol("model", "lab", "--json").document
-    # Written out in the rig's data set with these digits; fewer would not be the same double.
-    assert shown["parameters"]["m1"]["value"] == 0.0938439747983407
-    assert shown["parameters"]["g"]["value"] == 9.8085802336215
-
-
 def test_the_version_is_the_packages(tmp_path: Path) -> None:
     from importlib.metadata import version
 
     shown = dpcontrol_program("--version", folder=tmp_path)
     assert shown.code == 0
     assert version("dpcontrol") in shown.stdout
-
-
-def test_help_of_a_run_setting_names_the_unit_of_its_bounds_and_every_choice() -> None:
-    shown = " ".join(dpcontrol("run", "--help").stdout.split())
-    for path in NAMED:
-        text = shown.partition(f"{option_of(path)} ")[2].partition(" --")[0]
-        assert paths()[path].help.removesuffix(".") in text, path
-        assert paths()[path].bounds.unit in text, path
-        assert set(paths()[path].bounds.choices) <= set(re.findall(r"[\w-]+", text)), path
 
 
 MOST_OPTIONS = 300
@@ -120,12 +100,3 @@ def test_every_setting_has_help_and_the_verbs_have_few_options() -> None:
     commands = [main.cli.get_command(click.Context(main.cli), name) for name in main.VERBS]
     options = [one for command in commands if command for one in command.params if isinstance(one, click.Option)]
     assert 100 < len(options) <= MOST_OPTIONS
-
-
-@pytest.mark.parametrize("verb", ["run", "campaign", "rig"])
-def test_help_groups_options_by_their_kind_in_order(verb: str) -> None:
-    shown = dpcontrol(verb, "--help").stdout
-    headings = re.findall(r"^(\w[\w ]*):$", shown, re.MULTILINE)
-    assert headings[0] == "Options"
-    assert headings[-2:] == ["Run settings", "Output"]
-    assert len(re.findall(r"^  --mismatch ", shown, re.MULTILINE)) == 1
