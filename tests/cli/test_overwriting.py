@@ -165,6 +165,7 @@ def test_a_link_to_a_file_of_another_kind_is_not_followed(line: str) -> None:
     link.unlink()
     link.symlink_to(f"own{link.suffix}")
     called(line)
+    assert link.is_symlink()
     assert Path(f"own{link.suffix}").is_file()
 
 
