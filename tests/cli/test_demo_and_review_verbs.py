@@ -66,21 +66,6 @@ def test_review_without_files_opens_the_viewer_on_a_recording(
     assert list((tmp_path / "tmp").iterdir()) == []
 
 
-@pytest.mark.parametrize("display", ["", ":0"])
-def test_review_without_a_display_is_rejected_and_leaves_nothing(
-    display: str, demo: tuple[Path, Ended], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    # If the named display does not exist, the viewer itself reports this at once.
-    monkeypatch.setattr("dpcontrol.pages.picture.viewer_program", lambda: Path("/bin/false"))
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    monkeypatch.setenv("DISPLAY", display)
-    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    ended = dpcontrol("review", demo[0] / "logs/outer-turn-0.mcap")
-    assert ended.code == 2
-    assert ("the viewer ended at once" if display else "there is no display") in ended.message
-    assert list(tmp_path.iterdir()) == []
-
-
 @pytest.mark.slow
 def test_a_log_two_logs_or_a_reference_are_reviewed(demo: tuple[Path, Ended], tmp_path: Path) -> None:
     log, reference = demo[0] / "logs/outer-turn-0.mcap", tmp_path / "turn.npz"

@@ -1,4 +1,4 @@
-"""Help that is quick and whose examples run; one JSON document on stdout, everything else on stderr."""
+"""Help that is quick and whose examples run, completion of names and values; one JSON document on stdout, everything else on stderr."""
 
 import re
 import shlex
@@ -8,12 +8,14 @@ from pathlib import Path
 
 import click
 import pytest
+from click.shell_completion import ShellComplete
 from command_line import dpcontrol, dpcontrol_program
 
-from dpcontrol.cli import main
-from dpcontrol.plans.overrides import paths
+from dpcontrol.cli.main import VERBS, cli
+from dpcontrol.loop.controllers import CONTROLLERS
 
-VERBS = ("demo", "model", "orbit", "connect", "plan", "run", "score", "review")
+EXAMPLES = ("demo", "model", "orbit", "connect", "plan", "run", "score", "review")
+ITINERARIES = Path(__file__).parents[2] / "itineraries"
 HEAVY = {"casadi", "heyoka", "rerun", "scipy", "matplotlib", "numpy"}
 LOADED = """
 import sys
@@ -46,7 +48,7 @@ def test_help_lists_every_verb_with_a_summary_and_the_exit_codes() -> None:
     assert re.search(r"0 done,\s+1\s+goal\s+missed.*2\s+bad\s+input", shown.stdout, re.DOTALL)
 
 
-@pytest.mark.parametrize("verb", VERBS)
+@pytest.mark.parametrize("verb", EXAMPLES)
 def test_the_example_in_a_verbs_help_runs(verb: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     shown = dpcontrol(verb, "--help")
     assert shown.code == 0
@@ -91,12 +93,50 @@ def test_the_version_is_the_packages(tmp_path: Path) -> None:
     assert version("dpcontrol") in shown.stdout
 
 
-MOST_OPTIONS = 300
-"""Of all verbs together, `--help` left out."""
+def offered(line: str) -> list[str]:
+    """Return the completions of the last word of a line; "" if the shell completes files."""
+    *words, last = line.split(" ")
+    found = ShellComplete(cli, {}, "dpcontrol", "_DPCONTROL_COMPLETE").get_completions(words[1:], last)
+    return [item.value if item.type == "plain" else "" for item in found]
 
 
-def test_every_setting_has_help_and_the_verbs_have_few_options() -> None:
-    assert [path for path, leaf in paths().items() if not leaf.help] == []
-    commands = [main.cli.get_command(click.Context(main.cli), name) for name in main.VERBS]
-    options = [one for command in commands if command for one in command.params if isinstance(one, click.Option)]
-    assert 100 < len(options) <= MOST_OPTIONS
+@pytest.mark.parametrize(
+    ("line", "wanted"),
+    [
+        ("dpcontrol plan ", {file.stem for file in ITINERARIES.glob("*.toml")}),
+        ("dpcontrol run outer", {"outer-turn"}),
+        ("dpcontrol run outer-turn --set drive.la", {"drive.lag="}),
+        ("dpcontrol run outer-turn --controller ", set(CONTROLLERS)),
+        ("dpcontrol orbit lab --saddle up", {"up-down"}),
+        ("dpcontrol connect three-body --from ", {"L1", "L2", "L3"}),
+        ("dpcontrol run outer-turn --rig ./my", {""}),
+        ("dpcontrol import x.csv --repair nan,g", {"nan,gaps"}),
+        ("dpcontrol campaign outer-turn --over mism", {"mismatch="}),
+        ("dpcontrol campaign outer-turn --over controller=lqr,a", {"controller=lqr,adaptive"}),
+        ("dpcontrol campaign outer-turn --over nosuch=", set()),
+        ("dpcontrol he", {"help"}),
+        ("dpcontrol plan ./my", {""}),
+    ],
+)
+def test_values_are_completed(line: str, wanted: set[str]) -> None:
+    assert set(offered(line)) == wanted
+
+
+def test_help_gives_the_default_of_every_option_that_takes_a_value() -> None:
+    silent = []
+    for verb in VERBS:
+        command = cli.get_command(click.Context(cli), verb)
+        assert command is not None
+        for one in command.params:
+            record = one.get_help_record(click.Context(click.Command(verb)))
+            if not isinstance(one, click.Option) or record is None or one.is_flag or one.required:
+                continue
+            if "[default: " not in record[1]:
+                silent.append(f"{verb} {one.opts[0]}")
+    assert not silent
+
+
+@pytest.mark.parametrize("verb", ["orbit", "cache"])
+def test_help_verb_equals_verb_help(verb: str) -> None:
+    assert dpcontrol("help", verb).stdout == dpcontrol(verb, "--help").stdout
+    assert f"Usage: dpcontrol {verb}" in dpcontrol("help", verb).stdout

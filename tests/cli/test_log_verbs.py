@@ -118,16 +118,6 @@ def test_a_run_with_every_kind_of_trouble_repeats_too(tmp_path: Path, kinds: tup
     assert messages(tmp_path / "again.mcap") == messages(log)
 
 
-@pytest.mark.slow
-def test_a_recovered_log_repeats_the_run_that_it_is_a_part_of(logged: Path, tmp_path: Path) -> None:
-    left = tmp_path / "cut.mcap.partial"
-    left.write_bytes(logged.read_bytes()[: int(0.7 * logged.stat().st_size)])
-    assert dpcontrol("recover", left).code == 0
-    ended = dpcontrol("run", "--from", tmp_path / "cut.mcap", "--out", tmp_path / "again.mcap")
-    assert ended.code == 0, ended.stderr
-    assert messages(tmp_path / "again.mcap") == messages(logged)
-
-
 def test_repeating_takes_no_other_options_and_needs_a_log_of_a_run(logged: Path, tmp_path: Path) -> None:
     refused = dpcontrol("run", "outer-turn", "--from", logged, "--mismatch", "0.1")
     assert refused.code == 2

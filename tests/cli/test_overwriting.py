@@ -12,7 +12,7 @@ from command_line import dpcontrol
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import claimed
-from dpcontrol.logs import LogWriter, check_replaced, recover
+from dpcontrol.logs import LogWriter, check_replaced
 from dpcontrol.runs.campaign import Job, run_job
 
 STILL = "still.toml"
@@ -111,19 +111,6 @@ def test_an_identified_model_leaves_a_file_that_was_not_identified_from_the_same
     assert ended.code == 2
     assert "mine.toml is there already" in ended.message
     assert Path("mine.toml").read_text() == 'title = "mine"\n'
-
-
-def test_a_recovered_log_takes_no_other_logs_place(folder: Path) -> None:
-    written(folder / "whole.mcap", ticks=200)
-    (folder / "cut.mcap").write_bytes((folder / "whole.mcap").read_bytes()[:-600])
-    content = (folder / "whole.mcap").read_bytes()
-    with pytest.raises(InputError, match=r"whole\.mcap is there already and holds another log"):
-        recover(folder / "cut.mcap", folder / "whole.mcap")
-    assert (folder / "whole.mcap").read_bytes() == content
-    recover(folder / "cut.mcap", folder / "new.mcap")
-    recover(folder / "cut.mcap", folder / "new.mcap")
-    recover(folder / "cut.mcap", folder / "whole.mcap", force=True)
-    assert (folder / "whole.mcap").read_bytes() != content
 
 
 @pytest.mark.parametrize(

@@ -8,8 +8,6 @@ import pytest
 from command_line import dpcontrol
 from reference_values import LYAPUNOV_ORBITS
 
-from dpcontrol import api
-
 ERROR_BETWEEN_NODES = 1e-6
 VIOLATION = 1e-9
 SHADOWING_RESIDUAL = 1e-10
@@ -79,14 +77,3 @@ def test_a_solver_that_fails_ends_with_1_and_its_reason_and_leaves_no_file(
     assert "maximum iterations" in ended.document["status"]
     assert "maximum iterations" in ended.message
     assert [file.name for file in tmp_path.rglob("*") if file.is_file()] == ["hasty.toml"]
-
-
-@pytest.mark.slow
-def test_requested_margins_are_those_of_the_plan(tmp_path: Path, shipped_text: dict[str, str]) -> None:
-    scene = tmp_path / "held.toml"
-    scene.write_text(shipped_text["hold-up-up"].replace("[run]", "[run]\nrate = 200").replace("60.0", "4.0"))
-    plain = dpcontrol("plan", scene, "--json").document
-    assert "margins" not in plain
-    shown = dpcontrol("plan", scene, "--margins", "--json").document["margins"]
-    assert 0 < shown["gain_low"]["value"] < 1 < shown["gain_high"]["value"]
-    assert api.closed_loop(str(scene)).margins().document() == shown

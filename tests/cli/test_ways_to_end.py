@@ -1,13 +1,11 @@
 """Interrupts, signals and closed streams end a command with its exit code, and finished results are kept."""
 
 import os
-import shutil
 import signal
 import subprocess
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
-from pathlib import Path
 
 import casadi as ca
 import pytest
@@ -120,13 +118,6 @@ def test_a_signal_ends_a_command_with_a_sentence(name: str) -> None:
     assert f"ended by {name}" in done.stderr
 
 
-@pytest.mark.skipif(shutil.which("nohup") is None, reason="nohup is POSIX's")
-def test_a_command_under_nohup_survives_the_end_of_its_terminal() -> None:
-    command = ["nohup", sys.executable, "-c", ENDED.format(number=1, seconds=0)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=50)
-    assert (done.returncode, "ended" in done.stderr) == (0, False)
-
-
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="/dev/full is Linux's")
 def test_full_streams_are_named_and_keep_the_exit_code() -> None:
     with open("/dev/full", "w") as full:
@@ -145,16 +136,3 @@ def test_a_command_whose_reader_has_ended_misses_no_goal(command: str) -> None:
     )
     os.close(writer)
     assert (done.returncode, done.stderr) == (141, b"")
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("streams", ["2>&-", "<&- 2>&-"])
-def test_a_command_without_stderr_does_its_work(tmp_path: Path, streams: str) -> None:
-    command = f'exec "$@" {streams}'
-    arguments = ["import", "--simulated", "lab", "--swings", "1", "--seconds", "1", "--out", "swing.mcap", "--json"]
-    done = subprocess.run(
-        ["sh", "-c", command, "sh", PROGRAM, *arguments], cwd=tmp_path, stdout=subprocess.PIPE, check=False
-    )
-    assert done.returncode == 0
-    assert b'"swing.mcap"' in done.stdout
-    assert [file.name for file in tmp_path.iterdir()] == ["swing.mcap"]

@@ -1,4 +1,4 @@
-"""`dpcontrol import` and `replay`: a recording comes in, is predicted, and both leave logs that others open."""
+"""`dpcontrol import`, `replay` and `identify`: a recording comes in, is predicted, and gives a model."""
 
 from pathlib import Path
 
@@ -9,7 +9,8 @@ import pytest
 from bench_recordings import rig_variables, table_columns, write_csv, write_mat
 from command_line import dpcontrol
 
-from dpcontrol.recordings.recording import load_recording
+from dpcontrol.plans.model import load_model
+from dpcontrol.recordings.recording import load_recording, simulated_recording, write_recording
 
 ROUNDING = 1e-12
 
@@ -102,3 +103,31 @@ def test_a_log_that_cannot_be_replayed_is_rejected_with_the_reason() -> None:
         assert ended.code == 2
         assert said in ended.message
     assert not Path("logs/swing-replay.mcap").exists()
+
+
+@pytest.mark.slow
+def test_a_model_with_uncertainty_and_a_picture_are_written() -> None:
+    starts = [np.array([1.0, 0.3]) * (-0.8) ** k for k in range(3)]
+    write_recording(simulated_recording(load_model("lab").arms, starts, seconds=1.0, period=2e-3), Path("swing.mcap"))
+    ended = dpcontrol("identify", "swing.mcap", "--no-zeros", "--picture", "found.png", "--json")
+    assert ended.code == 0, ended.stderr
+    document = ended.document
+    assert document["file"] == str(Path("models/swing.toml"))
+    assert document["friction_terms"] == ["viscous"]
+    assert set(document["parameters"]["M11/M12"]) == {"value", "standard_error"}
+    assert document["candidates"][0]["terms"] == ["viscous"]
+    assert sum(c["chosen"] for c in document["candidates"]) == 1
+    assert [(s["index"], s["used"]) for s in document["segments"]] == [(0, True), (1, True), (2, False)]
+    assert load_model("swing").uncertainty is not None
+    assert Path("found.png").read_bytes().startswith(b"\x89PNG")
+    # The model that was found runs every other verb that takes one.
+    assert dpcontrol("model", "swing", "--json").document["parameters"]["m1"]["value"] > 0
+
+
+@pytest.mark.slow
+def test_designs_are_compared_without_a_log() -> None:
+    ended = dpcontrol("identify", "--design", "--picture", "design.png", "--json")
+    assert ended.code == 0, ended.stderr
+    assert {e["kind"] for e in ended.document["experiments"]} == {"swing", "cart"}
+    assert ended.document["best"]
+    assert Path("design.png").read_bytes().startswith(b"\x89PNG")

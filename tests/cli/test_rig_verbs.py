@@ -1,7 +1,9 @@
-"""`dpcontrol commission`: what is wrong is said with a remedy, and what was measured goes into the scene's [run]."""
+"""`dpcontrol commission` and `rig`: measurements go into the scene's [run], and runs use a bench of another process."""
 
 import json
 import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -72,19 +74,25 @@ def test_a_shipped_scene_is_copied_into_the_working_folder(scene: Path) -> None:
     assert load_itinerary("outer-turn").loop.drive.delay == pytest.approx(1.5, abs=0.01)
 
 
+@contextmanager
+def bench(folder: Path, *options: str) -> Iterator[str]:
+    """Start an example bench in another process, and give its address."""
+    command = [PROGRAM, "rig", "outer-turn", "--runs", "1", "--json", *options]
+    with subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        lines = [process.stdout.readline()]
+        while lines[-1].strip() != "}":
+            lines.append(process.stdout.readline())
+        yield json.loads("".join(lines))["address"]
+        assert process.wait(60) == 0
+
+
 @pytest.mark.slow  # Some 15 s in real time, twice.
 def test_a_bench_in_another_process_is_commissioned_over_udp(tmp_path: Path) -> None:
-    command = [PROGRAM, "rig", "outer-turn", "--hanging", "--runs", "1", "--json", "--fault", "drive-reversed"]
-    with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as bench:
-        assert bench.stdout is not None
-        lines = [bench.stdout.readline()]
-        while lines[-1].strip() != "}":
-            lines.append(bench.stdout.readline())
-        address = json.loads("".join(lines))["address"]
+    with bench(tmp_path, "--hanging", "--fault", "drive-reversed") as address:
         ended = dpcontrol_program(
             "commission", "outer-turn", "--rig", address, "--real-time", "--write", "--json", folder=tmp_path
         )
-        assert bench.wait(60) == 0
     assert ended.code == 1
     document = ended.document
     assert not (tmp_path / "itineraries").exists()
@@ -92,3 +100,28 @@ def test_a_bench_in_another_process_is_commissioned_over_udp(tmp_path: Path) -> 
     if late["verdict"] != "wrong":
         (wrong,) = [f for f in document["findings"] if f["verdict"] == "wrong"]
         assert "the drive is reversed" in wrong["sentence"]
+
+
+@pytest.mark.slow
+def test_a_run_on_a_bench_in_another_process_is_logged_without_truth(tmp_path: Path) -> None:
+    log = tmp_path / "run.mcap"
+    with bench(tmp_path) as address:
+        wrong = dpcontrol("run", "outer-turn", "--rig", address, "--rate", "500", "--out", tmp_path / "no.mcap")
+    assert wrong.code == 2
+    assert "run with --rate 1000" in wrong.message
+    ended = dpcontrol("run", "outer-turn", "--rig", "udp", "--real-time", "--out", log, "--json")
+    shown = ended.document
+    assert shown["completed"] is None
+    assert "the true state is not known" in shown["reason"]
+    # A computer that stalls for a tenth of a second loses the arms, and the run must report this.
+    assert shown["deadlines"]["ticks"] > 0
+    assert 0 < shown["thinking"]["median"] <= shown["thinking"]["within_99"]
+    assert ended.code == (0 if shown["ending"] == "finished" and shown["symbols_completed"] == 1 else 1)
+    found = dpcontrol("info", log, "--json").document
+    assert found["metadata"]["deadlines_missed"] == str(shown["deadlines"]["missed"])
+    assert "/estimate/joint_states" in json.dumps(found)
+    assert "/truth/joint_states" not in json.dumps(found)
+    again = dpcontrol("run", "--from", log)
+    assert again.code == 2
+    assert f"it was made on the rig at {found['metadata']['rig']}" in again.message
+    assert not (tmp_path / "logs").exists()
