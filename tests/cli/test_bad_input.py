@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import dpcontrol, dpcontrol_program
+from command_line import dpcontrol
 
 from dpcontrol.logs import LogWriter, control_fields
 
@@ -190,10 +190,3 @@ def test_an_error_is_one_line_and_with_json_a_document(line: str, said: str) -> 
     document = json.loads(dpcontrol(*line.split(), "--json").stdout)
     assert document["error"] is True
     assert said in document["status"]
-
-
-def test_a_wrong_call_of_the_program_ends_with_2_and_points_to_help(tmp_path: Path) -> None:
-    ended = dpcontrol_program("model", "lab", "--colour", folder=tmp_path)
-    assert (ended.code, ended.stdout) == (2, "")
-    assert "--help" in ended.stderr
-    assert "Traceback" not in ended.stderr

@@ -10,7 +10,7 @@ import dpcontrol as dp
 from dpcontrol.bench.chart import CHARTS
 from dpcontrol.bench.run import charts_cost
 from dpcontrol.foundation.errors import GoalMissed, InputError, Remark
-from dpcontrol.foundation.progress import MOST_BYTES, MOST_SECONDS, Cost, announce
+from dpcontrol.foundation.progress import MOST_BYTES, MOST_SECONDS
 from dpcontrol.plans.itinerary import itinerary_from, load_itinerary
 from dpcontrol.plans.model import load_model
 from dpcontrol.plans.plan import plan_cost
@@ -91,14 +91,6 @@ def test_python_rejects_an_endless_itinerary_without_yes(
     monkeypatch.setattr("dpcontrol.plans.planning.planned", begun)
     with pytest.raises(GoalMissed, match="begun"), pytest.warns(Remark, match="will take about"):
         begin(str(file), yes=True)
-
-
-def test_work_with_yes_starts_and_is_announced() -> None:
-    long = Cost("a year's work", 3e7, 1e9, "years = 1")
-    with pytest.raises(InputError, match=r"^years = 1: a year's work will take about 350 days and 1 GB"):
-        announce(long, yes=False)
-    with pytest.warns(Remark, match="will take about 350 days"):
-        announce(long, yes=True)
 
 
 def test_shipped_itineraries_are_planned_without_yes() -> None:
