@@ -59,16 +59,13 @@ def test_every_connection_on_the_torus_is_found_once_and_no_other(search: tuple[
         near = [c for c in found if c["sense"] == sense and difference(c["state"], state) <= STATE_TOLERANCE]
         assert len(near) == 1, state
         assert near[0]["symmetric"] is symmetric
-
-
-@pytest.mark.parametrize("search", SEARCHES, ids=str)
-def test_every_connection_is_a_converged_transversal_first_hit(search: tuple[str, str, float]) -> None:
-    for connection in connections(*search)["connections"]:
+    for connection in found:
         assert connection["residual"] <= RESIDUAL
         assert connection["hits"] == [1, 1]
         assert 0 < connection["transversality_angle_deg"] <= 90
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("search", SEARCHES, ids=str)
 def test_a_connection_flies_between_its_orbits_in_its_times_with_its_winding(search: tuple[str, str, float]) -> None:
     source, target, energy = search
@@ -85,18 +82,8 @@ def test_a_connection_flies_between_its_orbits_in_its_times_with_its_winding(sea
         np.testing.assert_array_equal(lifts[1] - lifts[0], connection["winding"])
 
 
-@pytest.mark.parametrize("search", SEARCHES, ids=str)
-def test_sense_is_the_windings_sign_or_that_of_the_crossing(search: tuple[str, str, float]) -> None:
-    source, target, _ = search
-    for connection in connections(*search)["connections"]:
-        _, _, rate_1, rate_2 = connection["state"]
-        expected = sum(connection["winding"]) if source == target else np.sign(rate_1 - rate_2)
-        assert connection["sense"] == expected
-
-
 def test_open_cuts_are_reported_with_branch_phases_and_reason() -> None:
     open_cuts = connections("down-up", "down-up", 0.2)["open_cuts"]
-    # The tubes are each other's mirror, and so are their branches: an end comes in fours.
     assert len(open_cuts) == 4
     assert {cut["branch"] for cut in open_cuts} == {"unstable +1", "unstable -1", "stable +1", "stable -1"}
     for cut in open_cuts:
@@ -113,3 +100,9 @@ def test_the_table_for_people_lists_every_connection_by_name() -> None:
     assert len(names) == 8
     for name in names:
         assert name in shown.stdout
+
+
+def test_an_incomplete_list_ends_with_1() -> None:
+    search = ("connect", "lab", "--from", "down-up", "--to", "down-up", "--energy", "-0.07", "--longest", "1")
+    ended = dpcontrol(*search, "--json")
+    assert (ended.code, ended.document["complete"]) == (1, False)

@@ -1,6 +1,5 @@
 """`dpcontrol info`, `recover`, `run --from`: what a log holds, what is left of it, the run once more, and its plant."""
 
-import os
 from itertools import pairwise
 from pathlib import Path
 
@@ -12,13 +11,9 @@ from mcap.records import Chunk
 from mcap.stream_reader import StreamReader
 
 from dpcontrol.dynamics.chain import base_ratios
-from dpcontrol.foundation.errors import GoalMissed
-from dpcontrol.identification.identify import IdentificationSettings, identify
-from dpcontrol.logs import read_log
+from dpcontrol.logs import LogWriter, read_log
 from dpcontrol.loop.bench import Unlike, draw_bench
 from dpcontrol.plans.itinerary import load_itinerary
-from dpcontrol.plans.model import load_model
-from dpcontrol.recordings.recording import load_recording
 
 RATIO = 1e-5
 """Of ratios from five seconds of a run: what rounding to counts leaves."""
@@ -49,10 +44,7 @@ def test_info_lists_topics_rates_attachments_and_metadata(logged: Path) -> None:
     assert sum(t["count"] for t in shown["topics"]) == len(messages(logged))
     assert set(shown["attachments"]) == {"scene.toml", "model.toml", "reference.npz"}
     assert shown["metadata"]["seed"] == "3"
-    text = dpcontrol("info", logged)
-    assert text.code == 0
-    for word in ("/truth/joint_states", "sensor_msgs/msg/JointState", "reference.npz", "checksums agree"):
-        assert word in text.stdout
+    assert "checksums agree" in dpcontrol("info", logged).stdout
 
 
 def test_a_truncated_log_is_rejected_by_info_recovered_and_then_scored(logged: Path, tmp_path: Path) -> None:
@@ -126,33 +118,10 @@ def test_a_run_with_every_kind_of_trouble_repeats_too(tmp_path: Path, kinds: tup
     assert messages(tmp_path / "again.mcap") == messages(log)
 
 
-@pytest.mark.slow
-def test_a_recovered_log_repeats_the_run_that_it_is_a_part_of(logged: Path, tmp_path: Path) -> None:
-    left = tmp_path / "cut.mcap.partial"
-    left.write_bytes(logged.read_bytes()[: int(0.7 * logged.stat().st_size)])
-    assert dpcontrol("recover", left).code == 0
-    ended = dpcontrol("run", "--from", tmp_path / "cut.mcap", "--out", tmp_path / "again.mcap")
-    assert ended.code == 0, ended.stderr
-    assert messages(tmp_path / "again.mcap") == messages(logged)
-
-
-@pytest.mark.slow
-def test_the_first_difference_from_another_run_is_reported(logged: Path, tmp_path: Path) -> None:
-    from dpcontrol.logs import compare_messages
-
-    assert dpcontrol(*RUN[:2], "--seed", "4", *RUN[4:], "--out", tmp_path / "four.mcap").code == 0
-    assert "differs" in str(compare_messages(logged, tmp_path / "four.mcap").difference)
-
-
 def test_repeating_takes_no_other_options_and_needs_a_log_of_a_run(logged: Path, tmp_path: Path) -> None:
     refused = dpcontrol("run", "outer-turn", "--from", logged, "--mismatch", "0.1")
     assert refused.code == 2
-    assert "omit" in refused.message
     assert "--mismatch" in refused.message
-    assert dpcontrol("run", "--from", logged, "--out", logged).code == 2
-    assert dpcontrol("run").code == 2
-    from dpcontrol.logs import LogWriter
-
     with LogWriter(tmp_path / "bench.mcap", arm_lengths=(0.2, 0.2), rate_hz=500.0, has_cart=False) as log:
         log.ticks([0.0], measured=np.zeros((1, 2)))
     lacking = dpcontrol("run", "--from", tmp_path / "bench.mcap")
@@ -170,37 +139,3 @@ def test_the_log_of_a_run_identifies_its_plant(logged: Path, tmp_path: Path) -> 
     found = list(done.document["parameters"].values())[: len(plant)]
     for told, true in zip(found, plant, strict=True):
         assert told["value"] == pytest.approx(true, abs=max(4 * told["standard_error"], RATIO * true))
-
-
-def test_swings_too_long_for_identification_give_one_sentence(logged: Path) -> None:
-    run = load_recording(logged)
-    settings = IdentificationSettings(longest=10.0, zeros="none", laws=((),))
-    with pytest.raises(GoalMissed, match=r"no candidate could be fitted; .* shorter"):
-        identify([run, run, run], load_model("lab").arms, settings=settings)
-
-
-@pytest.mark.parametrize("verb", ["recover", "replay", "import"])
-def test_no_verb_overwrites_its_input(verb: str, logged: Path, tmp_path: Path) -> None:
-    read = tmp_path / "read.mcap"
-    read.write_bytes(logged.read_bytes()[: logged.stat().st_size // 2] if verb == "recover" else logged.read_bytes())
-    before = read.read_bytes()
-    (tmp_path / "link.mcap").symlink_to(read)
-    for out in (read, tmp_path / "link.mcap"):
-        refused = dpcontrol(verb, read, "--out", out)
-        assert refused.code == 2
-        assert "choose another name" in refused.message
-    assert read.read_bytes() == before
-
-
-@pytest.mark.slow
-def test_a_path_that_is_not_a_file_is_not_replaced(logged: Path, tmp_path: Path) -> None:
-    log, picture = tmp_path / "pipe.mcap", tmp_path / "pipe.png"
-    os.mkfifo(log)
-    os.mkfifo(picture)
-    for call in (("run", "--from", logged, "--out", log), ("report", logged, "--picture", picture)):
-        refused = dpcontrol(*call)
-        assert refused.code == 2
-        assert "choose another file name" in refused.message
-    assert sorted(file.name for file in tmp_path.iterdir()) == ["pipe.mcap", "pipe.png"]
-    assert log.is_fifo()
-    assert picture.is_fifo()

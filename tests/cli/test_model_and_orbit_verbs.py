@@ -1,5 +1,7 @@
 """`dpcontrol model` and `dpcontrol orbit` against values computed independently."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from command_line import dpcontrol
@@ -14,6 +16,9 @@ MULTIPLIER_TOLERANCE = 1e-8
 STATE_TOLERANCE = 1e-9
 UNIT_PAIR_TOLERANCE = 1e-3
 """A double eigenvalue moves by the root of what its matrix is off by (1e-9 here), and by its neighbours' size."""
+EFFORT = 0.02
+"""Relative; the efforts compared with were given to two or three digits."""
+EFFORTS = {("down-up", -0.07): 0.056, ("down-up", 0.2): 0.119, ("up-down", 0.2): 0.0095}
 KINDS = {"down-down": "centre", "down-up": "index-1 saddle", "up-down": "index-1 saddle", "up-up": "index-2 saddle"}
 UNITS = {
     **dict.fromkeys(("m1", "m2"), "kg"),
@@ -74,3 +79,39 @@ def test_tables_for_people_name_every_parameter_equilibrium_and_source() -> None
     orbit = dpcontrol("orbit", "lab", "--saddle", "down-up", "--energy", "-0.07").stdout
     assert "0.75238002849288" in orbit
     assert "533.89333705  1  1" in orbit
+
+
+def test_a_byte_order_mark_is_no_part_of_a_model(shipped_text: dict[str, str], tmp_path: Path) -> None:
+    (tmp_path / "mine.toml").write_text(shipped_text["lab"], encoding="utf-8-sig")
+    assert dpcontrol("model", tmp_path / "mine.toml").code == 0
+
+
+@pytest.mark.parametrize(("saddle", "energy"), EFFORTS)
+def test_a_sustained_orbit_is_near_its_lyapunov_orbit_at_the_known_effort(saddle: str, energy: float) -> None:
+    state, period, multiplier, _ = LYAPUNOV_ORBITS["lab", saddle, energy]
+    ended = dpcontrol("orbit", "lab", "--saddle", saddle, "--energy", str(energy), "--sustained", "--json")
+    assert ended.code == 0
+    shown = ended.document
+    assert shown["converged"] is True
+    assert shown["u_rms"] == pytest.approx(EFFORTS[saddle, energy], rel=EFFORT)
+    assert 0 < shown["error_between_nodes"] <= shown["residual"] <= 1e-9
+    assert shown["period"] == pytest.approx(period, rel=1e-3)
+    np.testing.assert_allclose(shown["state"][:4], state, rtol=0, atol=0.02)
+    assert 0 < max(map(abs, shown["state"][4:])) <= shown["max_cart_position"] < 0.01
+    for key, count in (("multipliers", 6), ("section_multipliers", 5)):
+        values = [complex(*pair) for pair in shown[key]]
+        assert len(values) == count
+        assert abs(values[0]) == pytest.approx(multiplier, rel=0.05)
+        assert abs(values[-1]) == pytest.approx(1 / multiplier, rel=0.1)
+        assert sum(abs(v - 1) < 1e-9 for v in values) == 2
+
+
+@pytest.mark.slow
+def test_a_sustained_orbit_is_told_in_words_and_drawn(tmp_path: Path) -> None:
+    file = tmp_path / "orbit.png"
+    words = ("orbit", "lab", "--saddle", "up-down", "--energy", "0.2", "--sustained", "--sections", "8")
+    ended = dpcontrol(*words, "--picture", file)
+    assert ended.code == 0
+    for text in ("0.81379", "by 8 sections", str(file)):
+        assert text in ended.stdout
+    assert file.read_bytes().startswith(b"\x89PNG")

@@ -104,15 +104,6 @@ def test_the_reference_input_alone_does_not_complete_and_names_the_symbol(itiner
 
 
 @pytest.mark.slow
-def test_a_log_scores_as_its_run_did(tmp_path: Path) -> None:
-    log = tmp_path / "run.mcap"
-    run = dpcontrol("run", "outer-turn", "--out", log, "--json").document
-    scored = dpcontrol("score", log, "--json")
-    assert scored.code == 0
-    assert scored.document == run
-
-
-@pytest.mark.slow
 def test_several_logs_score_in_order_and_one_missed_goal_ends_with_1(tmp_path: Path) -> None:
     good, bad = tmp_path / "good.mcap", tmp_path / "bad.mcap"
     done = dpcontrol("run", "outer-turn", "--out", good, "--json").document
@@ -121,47 +112,3 @@ def test_several_logs_score_in_order_and_one_missed_goal_ends_with_1(tmp_path: P
     assert scored.code == 1
     assert scored.document == {"runs": [done, missed]}
     assert "1 of 2 not completed" in scored.message
-
-
-@pytest.mark.slow
-def test_mismatch_and_initial_error_of_the_file_act_and_can_be_overridden(
-    tmp_path: Path, shipped_text: dict[str, str]
-) -> None:
-    # Augmented estimates would compensate the errors whose effect this test measures.
-    scene = tmp_path / "turn.toml"
-    scene.write_text(shipped_text["outer-turn"].replace('kind = "ekf"', 'kind = "ekf"\naugment = []'))
-    errors = {}
-    for mismatch, initial in ((0.0, 0.0), (0.02, 0.0), (0.0, 0.02)):
-        log = tmp_path / f"{mismatch}-{initial}.mcap"
-        shown = dpcontrol(
-            "run", scene, "--controller", "tvlqr", "--mismatch", str(mismatch), "--initial-error", str(initial),
-            "--out", log, "--json",
-        )  # fmt: skip
-        (_, truth), (_, reference) = series(log, "/truth/joint_states", "/reference/joint_states")
-        gap = np.abs(np.array(truth[0].position[:2]) - np.array(reference[0].position[:2])).max()
-        assert 0 < gap <= initial if initial else gap < 1e-12
-        errors[mismatch, initial] = shown.document["rms_tracking_error"]
-    assert errors[0.0, 0.0] < 1e-3
-    assert errors[0.02, 0.0] > 10 * errors[0.0, 0.0]
-    assert errors[0.0, 0.02] > 10 * errors[0.0, 0.0]
-
-
-def test_a_seed_gives_the_same_run_twice_and_another_seed_another(tmp_path: Path) -> None:
-    first, second, other = (
-        dpcontrol("run", "outer-turn", "--seed", seed, *MISMATCH, "--out", tmp_path / name, "--json").document
-        for seed, name in (("5", "a.mcap"), ("5", "b.mcap"), ("6", "c.mcap"))
-    )
-    for shown in (first, second):
-        del shown["real_time_factor"], shown["thinking"], shown["log"]
-    assert first == second
-    assert other["rms_tracking_error"] != first["rms_tracking_error"]
-
-
-@pytest.mark.slow
-def test_a_run_is_logged_under_its_itinerary_and_seed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    ended = dpcontrol("run", "outer-turn", "--seed", "4")
-    assert ended.code == 0
-    assert [str(f.relative_to(tmp_path)) for f in tmp_path.rglob("*") if f.is_file()] == ["logs/outer-turn-4.mcap"]
-    assert "logs/outer-turn-4.mcap" in ended.stdout
-    assert "completed: 1 of 1 symbols" in ended.stdout

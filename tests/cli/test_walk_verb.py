@@ -21,9 +21,6 @@ AGREES = 1e-10
 """The bar; what is reached is about 1e-32, and 1e-13 off double."""
 BETWEEN_NODES = 1e-9
 """From node to node by an independent integrator at 1e-12 relative; the segments are an eighth of a period long."""
-KEYS = {
-    "walk", "wraps", "wraps_realised", "periodic", "residual", "duration", "seconds", "iterations", "status",
-}  # fmt: skip
 LOW = ("walk", "lab", "--energy", "-0.07")
 HIGH = ("walk", "lab", "--energy", "0.2")
 TURN = ("-s", "down-up +")
@@ -50,40 +47,22 @@ def each_graph_once(graphs: dict[Any, Any], monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr(edges, "find_edges", found)
 
 
-def refused(*arguments: str | Path, naming: str) -> None:
-    """Check that a call ends with 2 and one sentence that names `naming`."""
-    ended = dpcontrol(*arguments)
-    assert ended.code == 2
-    assert ended.stdout == ""
-    said = [line for line in ended.stderr.splitlines() if line.startswith("dpcontrol: ")]
-    assert len(said) == 1
-    assert said[0] == ended.message
-    assert naming in said[0]
-    assert "Traceback" not in ended.stderr
-
-
 @pytest.mark.slow
-def test_walks_that_are_drawn_and_solved_have_the_keys_that_are_promised(graphs: dict[Any, Any]) -> None:
-    drawing = ("--random", "4", "--lengths", "1", "5", "--extra-wraps", "0", "4", "--seed", "7", "--solve", "--json")
-    first = dpcontrol(*HIGH, *drawing)
+def test_walks_that_are_drawn_and_solved_are_those_of_their_seed(graphs: dict[Any, Any]) -> None:
+    drawing = (*HIGH, "--random", "4", "--lengths", "1", "5", "--extra-wraps", "0", "4", "--solve", "--json", "--seed")
+    walks = dpcontrol(*drawing, "7").document["walks"]
     # The same again from the very beginning.
     graphs.clear()
-    second = dpcontrol(*HIGH, *drawing)
-    assert first.code == second.code == 0
-    walks, again = first.document["walks"], second.document["walks"]
+    again = dpcontrol(*drawing, "7").document["walks"]
     assert len(walks) == 4
     for walk in walks:
-        assert set(walk) >= KEYS
         assert 1 <= len(walk["walk"]) <= 5
         assert walk["wraps_realised"] == walk["wraps"]
         assert len(walk["wraps"]) == len(walk["walk"]) - 1
         more = [n - least for n, least in zip(walk["wraps"], walk["least_wraps"], strict=True)]
         assert all(0 <= n <= 4 for n in more)
-        assert walk["periodic"] is False
         assert 0 <= walk["residual"] <= RESIDUAL
         assert walk["duration"] > walk["symbol_times"][-1] > 0
-        assert walk["seconds"] > 0
-        assert walk["status"].startswith("converged")
         h = walk["certificate"]["kantorovich"]
         assert h is None or h < 0.5
         ends = [(name.split(">")[0], name.split(">")[1].split("[")[0]) for name in walk["walk"]]
@@ -91,43 +70,18 @@ def test_walks_that_are_drawn_and_solved_have_the_keys_that_are_promised(graphs:
     for walk in (*walks, *again):
         del walk["seconds"]
     assert again == walks
-    other = dpcontrol(*HIGH, *drawing[:8], "--seed", "8", "--json").document["walks"]
+    other = dpcontrol(*drawing, "8").document["walks"]
     assert [w["walk"] for w in other] != [w["walk"] for w in walks]
 
 
-def test_closed_walks_have_a_stop_more_and_reciprocal_multipliers() -> None:
-    drawing = ("--random", "3", "--lengths", "1", "3", "--seed", "2", "--periodic", "--solve", "--json")
-    for walk in dpcontrol(*LOW, *drawing).document["walks"]:
-        assert walk["periodic"] is True
-        assert len(walk["wraps"]) == len(walk["walk"])
-        assert walk["wraps_realised"] == walk["wraps"]
-        assert abs(walk["certificate"]["multipliers"]["reciprocity"]) < 1e-6
-
-
-def test_counts_of_walks_are_those_of_the_graph() -> None:
-    shown = dpcontrol(*HIGH, "--json").document
-    edges = shown["edges"]
+def test_walks_are_listed_as_often_as_the_graph_has_them() -> None:
+    edges = dpcontrol(*HIGH, "--json").document["edges"]
     names = sorted({e["from"] for e in edges})
     counts = np.array([[sum(e["from"] == a and e["to"] == b for e in edges) for b in names] for a in names])
-    for length in (1, 2, 5):
-        assert shown["walks_by_length"][str(length)] == np.linalg.matrix_power(counts, length).sum()
     listed = dpcontrol(*HIGH, "--length", "2", "--from", "down-up", "--to", "up-down", "--json").document
     a, b = names.index("down-up"), names.index("up-down")
     assert listed["count"] == len(listed["walks"]) == (counts @ counts)[a, b]
     assert len({tuple(w["walk"]) for w in listed["walks"]}) == listed["count"]
-
-
-def test_wraps_and_leads_lengthen_an_orbit_by_whole_periods() -> None:
-    def lasts(wraps: str, *leads: str) -> float:
-        ended = dpcontrol(*LOW, *TURN, *BACK, "--wraps", wraps, *leads, "--solve", "--json")
-        (walk,) = ended.document["walks"]
-        return walk["duration"]
-
-    period = dpcontrol("orbit", "lab", "--saddle", "down-up", "--energy", "-0.07", "--json").document["period"]
-    base = lasts("1")
-    # The wobble's length tends to the period as λ^-N.
-    assert lasts("3") - base == pytest.approx(2 * period, abs=1e-3)
-    assert lasts("1", "--lead-in", "0", "--lead-out", "5") - base == pytest.approx(period, abs=1e-9)
 
 
 def test_numpy_reads_the_output_which_satisfies_the_equations(tmp_path: Path) -> None:
@@ -177,44 +131,24 @@ def test_extended_precision_gives_digits_that_agree_with_double(tmp_path: Path) 
 
 
 @pytest.mark.slow
-def test_extended_precision_gives_people_the_period_of_a_closed_walk() -> None:
-    ended = dpcontrol(*LOW, *TURN, "--periodic", "--wraps", "0", "--solve", "--precision", "extended")
-    assert ended.code == 0
-    assert "in 113-bit arithmetic: refined in" in ended.stdout
-    said = [line.split() for line in ended.stdout.splitlines() if line.startswith("    ")]
-    assert [words[:-1] for words in said] == [["position", "1"], ["position", "2"], ["rate", "1"], ["rate", "2"],
-                                              ["period"]]  # fmt: skip
-    assert all(len(words[-1]) > 30 for words in said)
+def test_the_edge_of_a_solved_walk_is_a_symbol_of_others() -> None:
+    asked = (*LOW, *TURN, *BACK, *TURN, "--wraps", "1,2", "--solve", "--json")
+    (plain,) = dpcontrol(*asked).document["walks"]
+    ended = dpcontrol(*LOW, "-s", "(down-up +)·1·(down-up -)", *TURN, "--wraps", "2", "--solve", "--json")
+    (grown,) = ended.document["walks"]
+    assert grown["wraps_realised"] == [2]
+    lasts = [walk["symbol_times"][-1] - walk["symbol_times"][0] for walk in (grown, plain)]
+    assert lasts[0] == pytest.approx(lasts[1], abs=AGREES)
+    assert dpcontrol(*LOW, "-s", plain["edge"], "--solve").code == 0
 
 
 @pytest.mark.slow
-def test_a_walk_can_name_grown_edges_and_rotating_orbits() -> None:
-    ended = dpcontrol(*LOW, "-s", "(down-up +)·1·(down-up -)", *TURN, "--wraps", "2", "--solve", "--json")
-    plain = dpcontrol(*LOW, *TURN, *BACK, *TURN, "--wraps", "1,2", "--solve", "--json")
-    (grown,), (other,) = ended.document["walks"], plain.document["walks"]
-    assert grown["wraps_realised"] == [2]
-    assert "@(down-up>down-up[0,1]h1.1@" in grown["walk"][0]
-    lasts = [walk["symbol_times"][-1] - walk["symbol_times"][0] for walk in (grown, other)]
-    assert lasts[0] == pytest.approx(lasts[1], abs=AGREES)
-    # The edge of a solved walk can be a symbol at once.
-    assert other["edge"] == "·".join(f"({n})" if isinstance(n, str) else str(n) for n in
-                                     (other["walk"][0], 1, other["walk"][1], 2, other["walk"][2]))  # fmt: skip
-    assert dpcontrol(*LOW, "-s", other["edge"], "--solve").code == 0
-    turning = ("-s", "down-up > outer-rotating", "-s", "outer-rotating > down-up", "--wraps", "3")
-    (walk,) = dpcontrol("walk", "lab", "--energy", "-0.06985", *turning, "--solve", "--json").document["walks"]
-    assert walk["wraps_realised"] == [3]
-    assert walk["residual"] <= RESIDUAL
-    assert walk["walk"][0].startswith("down-up>outer-rotating[")
-
-
 def test_a_picture_is_drawn_of_one_walk(tmp_path: Path) -> None:
     file = tmp_path / "walk.png"
-    ended = dpcontrol(*LOW, *TURN, "--solve", "--picture", file)
+    ended = dpcontrol(*LOW, *TURN, "--periodic", "--solve", "--picture", file, "--json")
     assert ended.code == 0
-    assert f"drawn to {file}" in ended.stdout
+    assert ended.document["picture"] == str(file)
     assert file.read_bytes().startswith(b"\x89PNG\r\n\x1a\n")
-    again = dpcontrol(*LOW, *TURN, "--periodic", "--solve", "--picture", file, "--json")
-    assert again.document["picture"] == str(file)
 
 
 @pytest.mark.slow
@@ -239,44 +173,23 @@ def test_a_walk_that_does_not_converge_ends_with_1_its_reason_and_the_least_wrap
     ("arguments", "naming"),
     [
         ((*LOW, "-s", "down-up*"), "'down-up*' is not a symbol"),
-        ((*LOW, "-s", "sideways +"), "choose from down-up, up-down"),
         ((*LOW, "-s", "down-up>down-up[0,1]h1.1@0.0000,-9.9"), "available: down-up>down-up[0,-1]h1.1@"),
+        ((*LOW, "-s", 200 * "(" + "down-up +" + 200 * ")"), "at most 20 deep"),
         ((*LOW, *TURN, "-s", "up-down -"), 'put "down-up > up-down" between them'),
         ((*LOW, *TURN, *BACK, "--wraps", "1,2", "--solve"), "1 interior stop"),
-        ((*LOW, *TURN, *BACK, "--wraps", "", "--solve"), "wraps = []"),
-        ((*LOW, *TURN, *BACK, "--wraps", "-1", "--solve"), "zero or more"),
-        ((*LOW, *TURN, *BACK, "--periodic", "--wraps", "1", "--solve"), "2 stops if closed"),
-        ((*HIGH, "-s", "down-up > up-down", "--periodic", "--solve"), "must end where it starts"),
-        ((*LOW, "--random", "2", "--wraps", "1"), "--extra-wraps"),
         ((*LOW, "--random", "2", "--lengths", "5", "2"), "lengths 5 to 2"),
-        ((*LOW, "--random", "2", "--extra-wraps", "3", "1"), "extra wraps 3 to 1"),
         ((*LOW, *TURN, "--through", "down-up"), "give one of them"),
-        ((*LOW, "--through", "down-up"), "at least two"),
-        ((*LOW, "--length", "9"), "draw some with --random"),
-        ((*LOW, "--solve"), "give -s"),
-        (("walk", "lab", "--energy", "-0.2", "--random", "2"), "-0.1754297468841"),
-        (("walk", "lab", "--energy", "nan"), "finite"),
-        ((*LOW, "-s", "up-down +"), "the nearest existing walk is 'down-up>down-up[0,1]h1.1@0.0000,-9.9100'"),
-        ((*LOW, *TURN, "-s", "down-up > up-down"), "symbol 2 of 2"),
-        ((*LOW, "--through", "down-up", "--through", "up-down"), "has no orbit at -0.07 J"),
-        ((*LOW, *TURN, "--out", "x"), "--solve"),
-        ((*LOW, *TURN, "--precision", "extended"), "--solve"),
-        ((*LOW, "--length", "1", "--solve", "--precision", "extended"), "8 walks; at most 4 are possible"),
         ((*LOW, "-s", "down-up > inner-rotating"), "0 orbits were found that rotate the inner arm"),
-        ((*LOW, "-s", "outer-rotating +"), "go by way of a saddle"),
-        ((*LOW, "-s", "down-up>down-up[0,1]h1.2:inner@0,0"), "did you mean 'inner-down'?"),
-        ((*LOW, "-s", "(down-up +)·1·(up-down +)"), 'put "down-up > up-down" between them'),
         ((*LOW, *TURN, "--picture", "x.png"), "--solve"),
-        ((*LOW, *TURN, "--solve", "--picture", "x.jpg"), ".png"),
-        ((*LOW, "--random", "2", "--solve", "--picture", "x.png"), "here are 2"),
-        ((*LOW, *TURN, "--solve", "--out", "taken/x"), "cannot use taken/x: Not a directory"),
-        ((*LOW, *TURN, "--solve", "--picture", "taken/x.png"), "cannot use taken/x.png: Not a directory"),
+        ((*LOW, *TURN, "--solve", "--out", "taken/x"), "taken/x"),
     ],
 )
-def test_a_user_error_is_rejected_in_one_sentence_and_leaves_nothing(
+def test_a_user_error_is_rejected_and_leaves_nothing(
     arguments: tuple[str, ...], naming: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("taken").write_text("")
-    refused(*arguments, naming=naming)
-    assert [str(f.relative_to(tmp_path)) for f in tmp_path.rglob("*")] == ["taken"]
+    ended = dpcontrol(*arguments)
+    assert (ended.code, ended.stdout) == (2, "")
+    assert naming in ended.message
+    assert [file.name for file in tmp_path.rglob("*")] == ["taken"]

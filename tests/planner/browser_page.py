@@ -1,8 +1,5 @@
 """The planner's page, operated like a user."""
 
-import os
-import signal
-import subprocess
 import time
 from typing import Any
 
@@ -50,12 +47,3 @@ class Page:
 
     def connect(self, ends: str) -> dict[str, Any]:
         return self.press("connection", f'[data-name^="{ends}"]')
-
-
-def kill_workers() -> None:
-    """Kill the planner's worker processes, which are children of this process."""
-    listed = subprocess.run(
-        ["pgrep", "-P", str(os.getpid()), "-f", "dpcontrol.planner.worker"], capture_output=True, text=True, check=True
-    )
-    for number in listed.stdout.split():
-        os.kill(int(number), signal.SIGKILL)

@@ -36,15 +36,11 @@ def test_edits_keep_other_keys_and_comments() -> None:
     ("before", "after", "line"),
     [
         ("energy = 0.2", "energy = ", 3),
-        ("energy = 0.2", 'energy = "high"', 3),
         ("energy = 0.2", "energy = nan", 3),
         ('model  = "lab"', 'model  = "lob"', 2),
         ("walk   = []", 'walk   = ["sideways"]', 4),
         ("wraps  = []", "wraps  = [1, 2, 3]", 5),
-        ('start  = "rest"', 'start  = "bed"', 6),
-        ("mismatch      = 0.02", "mismatch      = 7", 10),
         ("initial_error = 0.02", "initial_eror = 0.02", 11),
-        ("[run]", "[runn]", 9),
     ],
 )
 def test_an_error_is_reported_with_its_line(before: str, after: str, line: int) -> None:
@@ -53,20 +49,6 @@ def test_an_error_is_reported_with_its_line(before: str, after: str, line: int) 
     assert draft.mistake is not None
     assert draft.mistake.line == line, draft.mistake
     assert draft.itinerary is None
-
-
-@pytest.mark.parametrize("energy", ["9" * 400, "nan", "2026-01-01", "[1]"])
-def test_an_energy_that_is_no_number_can_be_shown(energy: str) -> None:
-    draft = read_draft(FIRST.replace("energy = 0.2", f"energy = {energy}"))
-    assert draft.mistake is not None
-    assert draft.mistake.line == 3
-    assert draft.document()["toml"] == draft.text
-
-
-def test_a_text_with_an_error_cannot_be_edited_by_clicks() -> None:
-    draft = read_draft(FIRST.replace("energy = 0.2", "energy = "))
-    with pytest.raises(InputError, match=r"line 3 .* correct it first"):
-        draft.changed("", {"finish": "orbit"})
 
 
 def test_a_text_with_several_parts_can_be_edited_only_as_text() -> None:

@@ -1,13 +1,16 @@
-"""`dpcontrol import` and `replay`: a recording comes in, is predicted, and both leave logs that others open."""
+"""`dpcontrol import`, `replay` and `identify`: a recording comes in, is predicted, and gives a model."""
 
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from bench_recordings import rig_variables, table_columns, write_csv, write_mat
 from command_line import dpcontrol
 
-from dpcontrol.recordings.recording import load_recording
+from dpcontrol.plans.model import load_model
+from dpcontrol.recordings.recording import load_recording, simulated_recording, write_recording
 
 ROUNDING = 1e-12
 
@@ -44,23 +47,6 @@ def test_a_fault_is_rejected_with_the_option_that_corrects_it() -> None:
     assert load_recording("mended.mcap").notes
 
 
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        (["--repair", "gap"], "did you mean 'gaps'?"),
-        (["--mapping", "multi-arms"], "did you mean 'multi-arm'?"),
-        (["--mapping", "nowhere.toml"], "nowhere.toml"),
-        (["--out", "."], "is a directory"),
-    ],
-)
-def test_unknown_values_of_options_are_rejected(options: list[str], said: str) -> None:
-    write_csv(Path("swing.csv"), table_columns())
-    ended = dpcontrol("import", "swing.csv", *options)
-    assert ended.code == 2
-    assert said in ended.stderr
-    assert not Path("logs").exists()
-
-
 def test_simulated_swings_are_those_of_the_model_and_of_the_seed() -> None:
     options = ["--swings", "2", "--seconds", "0.5"]
     first = dpcontrol("import", "--simulated", "lab-identified", *options, "--json").document
@@ -72,27 +58,6 @@ def test_simulated_swings_are_those_of_the_model_and_of_the_seed() -> None:
     swings = [load_recording(log).angles for log in (first["log"], "again.mcap", "other.mcap")]
     assert np.array_equal(swings[0], swings[1])
     assert np.abs(swings[0] - swings[2]).max() > 0.1
-    told = dpcontrol("replay", "again.mcap", "--model", "lab-identified", "--json").document
-    # A count is 1.6e-4 rad; the zeros, up to 2 mrad, are not the model's.
-    assert all(part["rms"] < 2e-3 for part in told["segments"])
-
-
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        ([], "give a FILE"),
-        (["swing.csv", "--simulated", "lab"], "give a FILE"),
-        (["--simulated", "lap"], "lab"),
-        (["--simulated", "three-body"], "has no arms"),
-        (["--simulated", "lab", "--swings", "0"], "swings = 0"),
-        (["--simulated", "lab", "--seconds", "nan"], "seconds = nan"),
-    ],
-)
-def test_impossible_simulated_swings_are_rejected(arguments: list[str], said: str) -> None:
-    ended = dpcontrol("import", *arguments)
-    assert ended.code == 2
-    assert said in ended.stderr
-    assert not Path("logs").exists()
 
 
 @pytest.mark.slow
@@ -116,17 +81,53 @@ def test_replay_reports_the_error_of_each_segment_and_writes_a_log_for_review() 
     assert Path("replay.png").stat().st_size > 10_000
 
 
+@pytest.mark.parametrize("name", ["swing.csv", "s3:swing.parquet"])
+def test_a_table_without_rates_needs_no_mapping_and_no_name_is_an_address(name: str) -> None:
+    time = np.arange(400) / 200
+    columns = {"time": time, "angle_1": np.sin(time), "angle_2": np.cos(time)}
+    if name.endswith(".csv"):
+        np.savetxt(name, np.stack(list(columns.values()), 1), delimiter=",", header=",".join(columns), comments="")
+    else:
+        with Path(name).open("wb") as stream:
+            pq.write_table(pa.table(columns), stream)
+    ended = dpcontrol("import", name, "--json")
+    assert ended.code == 0, ended.stderr
+    assert ended.document["rates"] is False
+
+
 def test_a_log_that_cannot_be_replayed_is_rejected_with_the_reason() -> None:
     write_mat(Path("swing.mat"), rig_variables())
     dpcontrol("import", "swing.mat")
-    for options, said in (
-        (["logs/swing.mcap", "--model", "triple"], "has 2 arms and the model 3"),
-        (["logs/swing.mcap", "--model", "three-body"], "no arms"),
-        (["logs/swing.mcap", "--estimator", "kalman"], "unknown estimator"),
-        (["logs/swing.mcap", "--counts", "0"], "counts = 0"),
-        (["swing.mat"], "swing.mat"),
-    ):
-        ended = dpcontrol("replay", *options)
+    for model, said in (("triple", "has 2 arms and the model 3"), ("three-body", "no arms")):
+        ended = dpcontrol("replay", "logs/swing.mcap", "--model", model)
         assert ended.code == 2
         assert said in ended.message
     assert not Path("logs/swing-replay.mcap").exists()
+
+
+@pytest.mark.slow
+def test_a_model_with_uncertainty_and_a_picture_are_written() -> None:
+    starts = [np.array([1.0, 0.3]) * (-0.8) ** k for k in range(3)]
+    write_recording(simulated_recording(load_model("lab").arms, starts, seconds=1.0, period=2e-3), Path("swing.mcap"))
+    ended = dpcontrol("identify", "swing.mcap", "--no-zeros", "--picture", "found.png", "--json")
+    assert ended.code == 0, ended.stderr
+    document = ended.document
+    assert document["file"] == str(Path("models/swing.toml"))
+    assert document["friction_terms"] == ["viscous"]
+    assert set(document["parameters"]["M11/M12"]) == {"value", "standard_error"}
+    assert document["candidates"][0]["terms"] == ["viscous"]
+    assert sum(c["chosen"] for c in document["candidates"]) == 1
+    assert [(s["index"], s["used"]) for s in document["segments"]] == [(0, True), (1, True), (2, False)]
+    assert load_model("swing").uncertainty is not None
+    assert Path("found.png").read_bytes().startswith(b"\x89PNG")
+    # The model that was found runs every other verb that takes one.
+    assert dpcontrol("model", "swing", "--json").document["parameters"]["m1"]["value"] > 0
+
+
+@pytest.mark.slow
+def test_designs_are_compared_without_a_log() -> None:
+    ended = dpcontrol("identify", "--design", "--picture", "design.png", "--json")
+    assert ended.code == 0, ended.stderr
+    assert {e["kind"] for e in ended.document["experiments"]} == {"swing", "cart"}
+    assert ended.document["best"]
+    assert Path("design.png").read_bytes().startswith(b"\x89PNG")
