@@ -33,7 +33,6 @@ lag = 0.001
 COMMANDS = (
     "run rest.toml --out run.mcap",
     "plan rest.toml --out reference.npz",
-    "atlas lab --energy -0.07 --out atlas.npz",
     "import --simulated lab --swings 3 --seconds 0.3 --out swings.mcap",
     "campaign rest.toml --runs 2 --workers 1 --out campaign.parquet",
 )
