@@ -87,6 +87,20 @@ def acceleration(model: dict) -> ca.Function:
     return ca.Function("rate", [state, push], [ca.vertcat(rates, ca.solve(mass, force), speed, push)])
 
 
+def defects(x: ca.MX, slope: ca.MX, h: ca.MX | float) -> ca.MX:
+    """Return the gaps of Hermite and of Simpson for intervals of h, given states and slopes at ends and middles."""
+    a, m, b = _places(x.shape[1])
+    return ca.horzcat(
+        x[:, b] - x[:, a] - h / 6 * (slope[:, a] + 4 * slope[:, m] + slope[:, b]),
+        x[:, m] - (x[:, a] + x[:, b]) / 2 - h / 8 * (slope[:, a] - slope[:, b]),
+    )
+
+
+def _places(count: int) -> tuple[slice, slice, slice]:
+    """Return where the starts, middles and ends of intervals are."""
+    return slice(0, count - 2, 2), slice(1, count, 2), slice(2, count, 2)
+
+
 def _guess(
     generator: np.random.Generator, start: Array, end: Array, *, reach: float, duration: float
 ) -> tuple[Array, Array]:
@@ -112,13 +126,9 @@ def find_motion(model: dict, start: Array, end: Array, *, limits: dict, attempts
     x, u, duration = ca.MX.sym("x", size, count), ca.MX.sym("u", 1, count), ca.MX.sym("T")
     slope = rate.map(count)(x, u)
     h = duration / INTERVALS
-    a, m, b = slice(0, count - 2, 2), slice(1, count, 2), slice(2, count, 2)
-    defects = ca.horzcat(
-        x[:, b] - x[:, a] - h / 6 * (slope[:, a] + 4 * slope[:, m] + slope[:, b]),
-        x[:, m] - (x[:, a] + x[:, b]) / 2 - h / 8 * (slope[:, a] - slope[:, b]),
-    )
+    a, m, b = _places(count)
     cost = h / 6 * ca.sum2(u[:, a] ** 2 + 4 * u[:, m] ** 2 + u[:, b] ** 2)
-    program = {"x": ca.vertcat(ca.vec(x), ca.vec(u), duration), "f": cost, "g": ca.vec(defects)}
+    program = {"x": ca.vertcat(ca.vec(x), ca.vec(u), duration), "f": cost, "g": ca.vec(defects(x, slope, h))}
     options = {"ipopt": {"print_level": 0, "max_iter": 400, "sb": "yes", "tol": 1e-6}, "print_time": False}
     solver = ca.nlpsol("independent", "ipopt", program, options)
     top = np.tile(bounds, (count, 1))

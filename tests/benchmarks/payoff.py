@@ -79,12 +79,7 @@ TUBES, STRAIGHT, WAVES, INPUTS, CEM, HOMOTOPY = (
 
 @dataclass(frozen=True, eq=False)
 class ChartedFlight:
-    """A flight between states of two sustained orbits.
-
-    It is a problem with a guess from the tubes.
-
-    `seconds` of one processor cover orbits, tubes, connections and the shadowing orbit.
-    """
+    """A flight between states of two sustained orbits, with a guess from tubes that took `seconds` of a processor."""
 
     name: str
     problem: ReferenceProblem
@@ -99,19 +94,7 @@ class ChartedFlight:
 
 @cache
 def flight(name: str, walk: tuple[str, ...], energy: float, wraps: int = 1) -> ChartedFlight:
-    """Return the flight of a walk's symbols between sustained orbits.
-
-    The orbits are those of the lab's arms, at their phase 0.
-
-    Args:
-        name: name of the flight.
-        walk: symbols of the walk.
-        energy: energy of the orbits, J.
-        wraps: periods at each stop.
-
-    Raises:
-        GoalMissed: an orbit was not found.
-    """
+    """Return the flight of a walk's symbols between sustained orbits."""
     model = load_model("lab")
     began = time.process_time()
     symbols = parse_walk(walk, model.system.saddles)
@@ -136,12 +119,7 @@ def flight(name: str, walk: tuple[str, ...], energy: float, wraps: int = 1) -> C
 
 
 def lasting(problem: ReferenceProblem, duration: float) -> ReferenceProblem:
-    """Return the problem with another duration and equal ends.
-
-    Args:
-        problem: problem with fixed ends.
-        duration: duration, s.
-    """
+    """Return the problem with another duration and equal ends."""
     start, end = problem.end_states()
     guess = smooth_guess(start[:4], end[:4], duration)
     return ReferenceProblem(problem.equations, problem.parameters, guess, duration, problem.limits, problem.ends)
@@ -152,17 +130,7 @@ def lasting(problem: ReferenceProblem, duration: float) -> ReferenceProblem:
 
 @dataclass(frozen=True)
 class Recomputed:
-    """A flight recomputed by scipy alone.
-
-    Attributes:
-        effort: ∫u², m²/s³.
-        peak: m/s².
-        gap: largest scaled distance between intervals.
-        miss: largest scaled distance from the ends.
-        position: largest of the cart, m.
-        velocity: largest of the cart, m/s.
-        turns: of each arm, end to end.
-    """
+    """A flight recomputed by scipy alone: effort m²/s³, largest values in SI units, gap and miss scaled."""
 
     effort: float
     peak: float
@@ -173,30 +141,19 @@ class Recomputed:
     turns: tuple[int, int]
 
     def flies(self, limits: Limits) -> bool:
-        """True for a motion between the ends within limits.
-
-        Rounding is tolerated.
-
-        Args:
-            limits: limits of the cart.
-        """
+        """True for a motion between the ends within limits."""
         near = 1 + 1e-6
         inside = self.position <= near * limits.position and self.velocity <= near * limits.velocity
         return max(self.gap, self.miss) <= GAP and inside and self.peak <= near * limits.acceleration
 
 
 def motion_rate(arms: ArmChainParameters, x: Array, u: Array) -> Array:
-    """Return ẋ (6, K) of two arms on a cart.
+    """Return ẋ (6, K) of two arms on a cart, for states (6, K) and accelerations (K,) of the cart.
 
         A ω₁' + C cos(θ₁-θ₂) ω₂' = -C sin(θ₁-θ₂) ω₂² - G₁ sin θ₁ - (G₁/g) cos θ₁ u - k₁ ω₁ - k₂ (ω₁ - ω₂)
         B ω₂' + C cos(θ₁-θ₂) ω₁' =  C sin(θ₁-θ₂) ω₁² - G₂ sin θ₂ - (G₂/g) cos θ₂ u - k₂ (ω₂ - ω₁)
 
     A = m₁a₁² + m₂ℓ₁² + J₁, B = m₂a₂² + J₂, C = m₂ℓ₁a₂, G₁ = (m₁a₁ + m₂ℓ₁)g, G₂ = m₂a₂g.
-
-    Args:
-        arms: parameters of the arms.
-        x: states (6, K).
-        u: accelerations of the cart (K,), m/s².
     """
     (m1, m2), (a1, a2), (j1, j2), l1 = arms.mass, arms.centre_of_mass, arms.inertia, arms.length[0]
     g, (k1, k2) = arms.gravity, arms.viscous
@@ -213,15 +170,7 @@ def motion_rate(arms: ArmChainParameters, x: Array, u: Array) -> Array:
 
 
 def recomputed(arms: ArmChainParameters, motion: Trajectory, ends: tuple[Array, Array]) -> Recomputed:
-    """Return the scipy evaluation of a motion.
-
-    All intervals run in parallel, each from its first state.
-
-    Args:
-        arms: parameters of the arms.
-        motion: motion to evaluate.
-        ends: required first and last state (6,).
-    """
+    """Return the scipy evaluation of a motion; all intervals run in parallel, each from its first state."""
     lengths, scale = np.diff(motion.mesh), state_scale(6, LIMITS)
     inputs = BarycentricInterpolator(motion.method.points, motion.inputs[..., 0].T)
     count = len(lengths)
@@ -269,13 +218,7 @@ class Try:
 
 @dataclass(frozen=True)
 class HomotopySettings:
-    """Mesh, prices and effort of the homotopy.
-
-    Attributes:
-        step: step of the mesh, s.
-        prices: prices of the virtual accelerations, rising.
-        iterations: solver iterations per price.
-    """
+    """Step of the mesh, s, rising prices of the virtual accelerations, and solver iterations per price."""
 
     step: float = 0.025
     prices: tuple[float, ...] = (1e-2, 1.0, 1e2)
@@ -283,14 +226,7 @@ class HomotopySettings:
 
 
 def by_homotopy(problem: ReferenceProblem, settings: HomotopySettings | None = None) -> tuple[Array, Array, float]:
-    """Return states (K, N), inputs (K,) and their step, s.
-
-    The homotopy starts at the problem's guess.
-
-    Args:
-        problem: problem with a guess.
-        settings: step and prices.
-    """
+    """Return states (K, N), inputs (K,) and their step, s, of the homotopy from the problem's guess."""
     settings = settings or HomotopySettings()
     e, nx = problem.equations, problem.equations.dimension
     n, count = nx // 2 - 1, int(np.ceil(problem.duration / settings.step)) + 1
@@ -326,14 +262,7 @@ def by_homotopy(problem: ReferenceProblem, settings: HomotopySettings | None = N
 
 
 def searched(method: str, problem: ReferenceProblem, first: Trajectory | None = None, *, spent: float = 0.0) -> Try:
-    """Return the collocation result from a first trajectory.
-
-    Args:
-        method: name of the method in the chart.
-        problem: problem with a guess.
-        first: first trajectory, by default the guess.
-        spent: time that went into finding it, s.
-    """
+    """Return the collocation result from a first trajectory."""
     began = time.process_time()
     if first is None:
         first = first_trajectory(problem, method_named(SETTINGS.method), even_mesh(problem.duration, SETTINGS.interval))
@@ -343,28 +272,14 @@ def searched(method: str, problem: ReferenceProblem, first: Trajectory | None = 
 
 
 def led(method: str, problem: ReferenceProblem, generator: np.random.Generator) -> Try:
-    """Return the collocation result from a homotopy.
-
-    It starts at the guess with random waves.
-
-    Args:
-        method: name of the method in the chart.
-        problem: problem with a guess.
-        generator: random generator, which is advanced.
-    """
+    """Return the collocation result from a homotopy."""
     began = time.process_time()
     states, inputs, step = by_homotopy(replace(problem, guess=with_waves(problem, generator)))
     return searched(method, problem, flown(problem, states, inputs, step), spent=time.process_time() - began)
 
 
 def along_tubes(one: ChartedFlight) -> Try:
-    """Return the collocation result from the shadowing orbit.
-
-    Its seconds include tubes and connections.
-
-    Args:
-        one: flight along tubes.
-    """
+    """Return the collocation result from the shadowing orbit."""
     return searched(TUBES, one.problem, spent=one.seconds)
 
 
@@ -375,14 +290,7 @@ PUSH, KNOTS = 0.3, 12
 
 
 def with_waves(problem: ReferenceProblem, generator: np.random.Generator) -> Guess:
-    """Return the problem's guess with random waves on its angles.
-
-    The rates match them.
-
-    Args:
-        problem: problem with a guess.
-        generator: random generator, which is advanced.
-    """
+    """Return the problem's guess with random waves on its angles."""
     base, order = problem.guess, np.arange(1, HARMONICS + 1)
     heights = generator.normal(size=(HARMONICS, 2)) * (WAVE / order)[:, None]
 
@@ -406,14 +314,7 @@ def _shot(arms: ArmChainParameters) -> Compiled:
 
 
 def shot(arms: ArmChainParameters, start: Array, inputs: Array, step: float) -> Array:
-    """Return the states (K + 1, 6, S) from one start.
-
-    Args:
-        arms: parameters of the arms.
-        start: first state (6,).
-        inputs: held inputs (K, S), m/s².
-        step: time for which an input is held, s.
-    """
+    """Return the states (K + 1, 6, S) from one start."""
     machine, (count, lanes) = _shot(arms), inputs.shape
     rows = np.empty((machine.size_in, lanes))
     rows[machine.slices["parameters"]] = arms.base()[:, None]
@@ -427,16 +328,7 @@ def shot(arms: ArmChainParameters, start: Array, inputs: Array, step: float) -> 
 
 
 def flown(problem: ReferenceProblem, states: Array, inputs: Array, step: float) -> Trajectory:
-    """Return a shot motion as a first trajectory.
-
-    The shot motion is on the even mesh.
-
-    Args:
-        problem: problem with its duration.
-        states: states (K + 1, 6).
-        inputs: held inputs (K,), m/s².
-        step: time for which an input is held, s.
-    """
+    """Return a shot motion as a first trajectory."""
     method, mesh = method_named(SETTINGS.method), even_mesh(problem.duration, SETTINGS.interval)
     times, clock = times_on(mesh, method.support), step * np.arange(len(states))
     rows = np.stack([np.interp(times, clock, column) for column in states.T], axis=-1)
@@ -445,13 +337,7 @@ def flown(problem: ReferenceProblem, states: Array, inputs: Array, step: float) 
 
 
 def with_inputs(problem: ReferenceProblem, arms: ArmChainParameters, generator: np.random.Generator) -> Trajectory:
-    """Return the motion from the start under random inputs.
-
-    Args:
-        problem: problem with a fixed start.
-        arms: parameters of the arms.
-        generator: random generator, which is advanced.
-    """
+    """Return the motion from the start under random inputs."""
     count = int(np.ceil(problem.duration / _STEP))
     step = problem.duration / count
     knots = generator.normal(size=KNOTS) * PUSH
@@ -464,11 +350,7 @@ def with_inputs(problem: ReferenceProblem, arms: ArmChainParameters, generator: 
 
 @dataclass(frozen=True)
 class CemSettings:
-    """Samples, generations and weights of the cross-entropy method.
-
-    They are samples and elite of a generation, generations, length of held inputs s, initial standard deviation m/s²,
-    and weight of the squared scaled miss relative to ∫u².
-    """
+    """Of the cross-entropy method; hold: s of an input; spread: m/s² at first; weight: of the squared scaled miss."""
 
     samples: int = 256
     kept: int = 24
@@ -481,16 +363,7 @@ class CemSettings:
 def by_cem(
     problem: ReferenceProblem, arms: ArmChainParameters, generator: np.random.Generator, settings: CemSettings
 ) -> tuple[Trajectory, float]:
-    """Return the best motion of the cross-entropy method.
-
-    Its scaled miss at the end is the second value.
-
-    Args:
-        problem: problem with fixed ends.
-        arms: parameters of the arms.
-        generator: random generator, which is advanced.
-        settings: settings of the method.
-    """
+    """Return the best motion of the cross-entropy method, and its scaled miss at the end."""
     start, end = problem.end_states()
     holds = int(np.ceil(problem.duration / settings.hold))
     each = int(np.ceil(problem.duration / holds / (2 * _STEP)))
@@ -565,11 +438,7 @@ def valid_effort(one: ChartedFlight, tries: Sequence[Try]) -> float:
 
 
 def compared(job: tuple[tuple[str, tuple[str, ...], float], Tries]) -> list[dict[str, Any]]:
-    """Return a row for each method's tries of one flight, at its duration along tubes.
-
-    Raises:
-        GoalMissed: the flight along tubes is not valid.
-    """
+    """Return a row for each method's tries of one flight, at its duration along tubes."""
     which, tries = job
     one = flight(*which)
     every = list(tries_of(one, tries, np.random.default_rng([20, *which[0].encode()])))

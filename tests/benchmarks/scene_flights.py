@@ -76,16 +76,11 @@ def _limit_time(seconds: float) -> None:
     resource.setrlimit(resource.RLIMIT_CPU, (math.ceil(seconds), math.ceil(seconds) + 5))
 
 
-def planned_scene(scene: Scene, folder: Path, *, limit: float, again: Sequence[str] = ()) -> Planned:
-    """Plan a scene within `limit` s of processor time, unless its outcome is kept in `folder`.
-
-    again: outcomes that are not taken from the folder.
-    """
+def planned_scene(scene: Scene, folder: Path, *, limit: float) -> Planned:
+    """Plan a scene within `limit` s of processor time, unless its outcome is kept in `folder`."""
     note, plan = folder / f"{plan_key(scene)}.json", folder / f"{plan_key(scene)}.npz"
     if note.is_file():
-        kept = Planned(**json.loads(note.read_text()))
-        if kept.outcome not in again:
-            return kept
+        return Planned(**json.loads(note.read_text()))
     path = scene.write(folder / "files")
     command = [sys.executable, "-m", "dpcontrol", "plan", str(path), "--out", str(plan), "--workers", "1"]
     before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
@@ -177,10 +172,7 @@ def _number(level: str) -> tuple[float, str]:
 def failures(flights: Iterable[Flown], folder: Path, *, searches: bool = True) -> str:
     """Return lines for each scene that was refused or did not complete all its runs, with the reasons.
 
-    Args:
-        flights: scenes with their planning and their runs.
-        folder: folder of the scenes' files.
-        searches: add to each refusal what independent searches do not find either, which takes minutes.
+    searches: add to each refusal what independent searches do not find either, which takes minutes.
     """
     lines = []
     for one in flights:

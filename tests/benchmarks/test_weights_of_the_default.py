@@ -16,6 +16,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import coarse_benches
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
@@ -37,15 +38,7 @@ FACTORS = (0.5, 1.0, 2.0, 4.0)
 FIRST = (0.03, 0.07)
 """Standard deviations of the parameters' relative errors at the start."""
 FAR_OFF = ("turn-from-rest", "outer-turn", "cross")
-BENCH = {
-    "lag": 0.005,
-    "command_noise": 0.3,
-    "initial_error": 0.05,
-    "zero_error": 0.02,
-    "counts": 40_000,
-    "travel": 0.8,
-    "mismatch": 0.3,
-}
+BENCH = {**coarse_benches.BENCH, "mismatch": 0.3}
 QUIET, RUNS, FIRST_SEED = 24, 100, 30_000
 STORED = Path(__file__).with_name("weights.json")
 PICTURE = Path(__file__).parents[2] / ".assets" / "weights.png"
