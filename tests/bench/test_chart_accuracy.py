@@ -8,22 +8,18 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import dpcontrol.bench
-from dpcontrol.bench import design
 from dpcontrol.bench.chart import CHARTS, GROUPS
-from dpcontrol.bench.measure import Alternative, TimedWork
+from dpcontrol.bench.measure import TimedWork
 from dpcontrol.bench.propagation import (
     Stepper,
     buffered_rate,
     candidates,
     classical_step,
-    compared,
     symplectic_gauss,
-    tick_panels,
     work_of,
 )
 from dpcontrol.dynamics.compiled import fixed_step
 from dpcontrol.foundation.progress import no_progress
-from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.plans.model import load_model
 
 START = np.array([[0.9, 1.4, 0.5, -1.0]])
@@ -103,39 +99,6 @@ def test_a_tighter_tolerance_is_nearer_and_the_default_is_at_rounding(work):
     defaults = [c for c in tried if c.default]
     assert [(c.method, c.setting) for c in defaults] == [("Taylor, 8 at once", "rounding")]
     assert errors["Taylor, 8 at once", "rounding"] < AT_ROUNDING
-
-
-def test_a_method_that_cannot_fly_is_listed_with_its_reason(work):
-    def fails():
-        raise ArithmeticError("the state became infinite")
-
-    def diverges():
-        return np.full((1, 4), np.nan)
-
-    tried = [Alternative("a", "1 s", fails), Alternative("b", "2 s", diverges)]
-    found = compared(tried, work, quick=True)
-    assert found.points == ()
-    assert [m.method for m in found.missing] == ["a", "b"]
-
-
-@pytest.mark.benchmark
-def test_ticks_of_the_plant_are_at_rounding_and_of_the_model_below_an_encoder_count():
-    alone, together = tick_panels(load_model("lab").arms, quick=True)
-    plant, model = (next(p for p in alone.defaults if p.method.startswith(m)) for m in ("DOP853", "RK4"))
-    (many,) = together.defaults
-    assert plant.error < 1e-15
-    assert many.error < 1e-14
-    assert 1e-15 < model.error < 1 / 40_000
-
-
-@pytest.mark.benchmark
-def test_refined_connections_are_at_rounding_and_two_flights_are_not(system):
-    orbit = lyapunov_orbit(system, "down-up", energy=design.ENERGY)
-    truths = design.true_states(orbit, count=1)
-    # The double search against 113 bits.
-    assert design.worst(orbit, [truths[0][0]], truths) < 1e-13
-    near, far = (design.worst(orbit, design._two_flights(orbit, d), truths) for d in (3e-4, 1e-2))
-    assert 1e-13 < near < 0.1 * far
 
 
 @pytest.mark.slow

@@ -34,12 +34,6 @@ def test_the_front_holds_each_point_that_no_other_beats():
     assert [p.seconds for p in front] == sorted(p.seconds for p in front)
 
 
-def test_a_default_on_the_front_raises_no_complaint_and_needs_no_reason():
-    on = panel(*points_of([(1, 1e-3), (2, 1e-6), (3, 1e-6)], default={1}))
-    assert on.complaints() == ()
-    assert on.off_front(on.defaults[0]) == 0.0
-
-
 @pytest.mark.parametrize("slower", [ALLOWED * 0.9, ALLOWED * 1.1])
 def test_a_default_can_be_at_most_a_fifth_slower_with_a_reason(slower):
     points = points_of([(1.0, 1e-6), (1.0 + slower, 1.1e-6)], default={1})
@@ -50,13 +44,6 @@ def test_a_default_can_be_at_most_a_fifth_slower_with_a_reason(slower):
     assert explained.complaints() == ()
     far = points_of([(1.0, 1e-6), (1.0 + slower, 1e-3)], default={1})
     assert bool(panel(*far, why="a reason").complaints()) == (slower > ALLOWED)
-
-
-def test_a_stored_point_is_drawn_but_takes_no_part_in_the_front():
-    ours, theirs = Point("ours", "", 2.0, 1e-3, default=True), Point("theirs", "", 1.0, 1e-9, stored=True)
-    both = panel(ours, theirs)
-    assert both.front == (ours,)
-    assert both.complaints() == ()
 
 
 @pytest.mark.parametrize(("seconds", "error"), [(math.nan, 1.0), (1.0, math.inf), (0.0, 1.0), (1.0, -1.0)])

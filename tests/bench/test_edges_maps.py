@@ -1,12 +1,10 @@
 """Borders by bisection, and complaints about disagreement, unreported failures and missing borders."""
 
-import json
 import math
 
 import pytest
 
-from dpcontrol.bench.chart import AGREES, Attempt, Border, EdgeChart, EdgeMap, find_border
-from dpcontrol.bench.drawing import figure
+from dpcontrol.bench.chart import AGREES, Attempt, Border, EdgeMap, find_border
 
 BORDER = 0.37
 
@@ -64,16 +62,3 @@ def test_a_prediction_is_judged_by_how_far_it_is_from_the_border(share):
 def test_an_unreported_far_side_is_a_complaint():
     found = find_border(below(says=""), x=1.0, line="l", near=0.01, far=5.0)
     assert "is not reported" in one_map(found).complaints()[0]
-
-
-def test_a_chart_of_maps_is_json_and_a_picture(tmp_path):
-    found = find_border(below(), x=2.0, line="two", near=0.01, far=5.0, predicted=0.4)
-    none = find_border(below(0.0), x=3.0, line="three", near=0.1, far=1.0)
-    chart = EdgeChart("edges-x", "title", ("1", "2", "3"), "chosen", (one_map(found, none, theory="a rule"),))
-    text = json.dumps(chart.document(), allow_nan=False)
-    borders = json.loads(text)["maps"][0]["borders"]
-    assert borders[0]["measured"] == pytest.approx(BORDER, rel=0.1)
-    assert borders[1]["measured"] is None
-    figure(chart, chart.parts).savefig(tmp_path / "map.png")
-    assert (tmp_path / "map.png").stat().st_size > 1000
-    assert len(chart.parts[0].table().rows) == 2

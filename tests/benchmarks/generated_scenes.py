@@ -22,7 +22,7 @@ Ranges, and the reasons for those that are not written below:
     mechanics     encoder play of a gear or of a coupling; it is unknown if it is below 4 mrad. No model has stiction.
 """
 
-import argparse
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -297,15 +297,7 @@ def _mechanics(rng: np.random.Generator, arms: Arms) -> tuple[list[str], dict[st
     return lines, factors
 
 
-def _main() -> None:
-    parser = argparse.ArgumentParser(description="Write generated scenes as model and itinerary files.")
-    parser.add_argument("first", type=int, help="First seed.")
-    parser.add_argument("count", type=int, help="Number of scenes.")
-    parser.add_argument("folder", type=Path, help="Folder to write to.")
-    given = parser.parse_args()
-    for seed in range(given.first, given.first + given.count):
-        sampled_scene(seed).write(given.folder)
-
-
 if __name__ == "__main__":
-    _main()
+    begin, scenes, target = sys.argv[1:]
+    for number in range(int(begin), int(begin) + int(scenes)):
+        sampled_scene(number).write(Path(target))

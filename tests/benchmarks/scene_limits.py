@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 from generated_scenes import Scene
-from scene_flights import Flown, plan_key
+from scene_flights import Flown
 
 from dpcontrol.control.tracking import TvlqrSettings, tracking_controller
 from dpcontrol.loop.loop import sampled_model
@@ -33,8 +33,8 @@ SAMPLES = 400
 
 def demands(scene: Scene, folder: Path) -> tuple[float, float]:
     """Return the shaking and the growth of a scene."""
-    itinerary = load_itinerary(str(scene.write(folder / "files")))
-    reference = load_reference(folder / f"{plan_key(scene)}.npz")
+    itinerary = load_itinerary(str(folder / f"{scene.name}.toml"))
+    reference = load_reference(folder / f"{scene.name}.npz")
     arms, factors, rate = itinerary.model.arms, scene.factors, itinerary.loop.rate
     n = arms.count
 

@@ -3,8 +3,8 @@
     pytest -m benchmark tests/benchmarks/test_polished_effort.py -s
 
 The independent optimum has equations from a Lagrangian, casadi's Opti, trapezoidal collocation every 10 ms, and starts
-from the same robust plan, with the same ends, time, holds and limits. Where its free optimum leaves the walk, it is held
-to the robust plan by a weight, as small as keeps it.
+from the same robust plan, with the same ends, time, holds and limits. Where its free optimum leaves the walk, it is
+held to the robust plan by a weight, as small as keeps it.
 """
 
 import sys

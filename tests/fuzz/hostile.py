@@ -29,34 +29,25 @@ VERBS = [verb for verb in main.VERBS if verb != "planner"]
 """All verbs except the one that serves until it is interrupted."""
 
 NUMBERS = (
-    "nan", "sNaN", "-nan", "inf", "-inf", "1e400", "-1e400", "1e300", "-1", "0", "-0", "1e-320", "1e-9", "2", "0.5",
-    "7", "99999999999999999999", "-99999999999999999999", "9" * 400, "2147483648", "0x10", "1_0", "½", "١٢", "", " ",
-    "1,2", "1e9999999999", "+", "-",
+    "nan", "sNaN", "-inf", "1e400", "1e300", "-1", "0", "-0", "1e-320", "2", "0.5", "99999999999999999999", "9" * 400,
+    "2147483648", "0x10", "1_0", "½", "", "1,2", "1e9999999999", "-",
 )  # fmt: skip
 """Invalid and problematic numbers."""
 TEXTS = (
-    "", " ", "-", "--", "~", ".", "..", "[/nope]", "[bold]x", "[link=x]y[/link]", "\x1b[31mred\x1b[0m",
-    "\x1b]0;title\x07",
-    "n" * 240, "é" * 240, "a\nb", "a\rb", "a\0b", "%s%n{0}", "\u202egpj", "\udcff", "lab", "lab.toml", "nosuch",
-    "no/such", "down-up", "up-down", "up-up", "L1", "down-up +", "down-up > up-down", "down-up > outer-rotating",
-    "outer-rotating-9",
-    "(down-up +)·1·(down-up -)", "(" * 200 + "down-up +" + ")" * 200, "(down-up +)·99999999999999999999·(down-up -)",
-    "(down-up +)·" * 60, "down-up + 1 1,9", "aligned", "ekf", "ogy", "nan,gaps", "tvlqr",
+    "", "-", "--", "~", "..", "[/nope]", "[link=x]y[/link]", "\x1b[31mred\x1b[0m", "\x1b]0;title\x07", "é" * 240,
+    "a\nb", "a\rb", "a\0b", "%s%n{0}", "\u202egpj", "\udcff", "lab", "lab.toml", "no/such", "down-up", "up-up", "L1",
+    "down-up +", "down-up > up-down", "down-up > outer-rotating", "(" * 200 + "down-up +" + ")" * 200,
+    "(down-up +)·99999999999999999999·(down-up -)", "(down-up +)·" * 60, "down-up + 1 1,9", "ekf", "nan,gaps", "tvlqr",
 )  # fmt: skip
 """Names and symbols, also valid ones, because they are parsed before bad options."""
 TOML = (
-    *("nan", "inf", "-inf", "1e400", "-1", "0", "1e-300", "1e300", "7", "99999999999999999999", "1" * 5000, "true"),
-    *('""', '"[/nope]"', r'"\u001b[31mred"', r'"a\u0000b"'),
-    *(f'"{"n" * 240}"', '"a\\nb"', '"lab"', '"down-up"', '"nosuch"', "[]", "[[]]"),
-    *("[1, 'a']", "[nan, nan]", "[1e300, 1e300]", "[-1.0, 0.0]", "[1.0]", "[1.0, 1.0, 1.0]", "{}", "{a = 1}"),
-    *("1979-05-27T07:32:00Z", "[" * 200 + "]" * 200, '["down-up +"]', '["down-up +", "down-up -"]', "[99999999999999]"),
+    *("nan", "inf", "1e400", "-1", "0", "1e-300", "1e300", "7", "99999999999999999999", "1" * 5000, "true", '""'),
+    *('"[/nope]"', r'"\u001b[31mred"', r'"a\u0000b"', f'"{"n" * 240}"', '"lab"', '"down-up"', "[]", "[[]]", "{a = 1}"),
+    *("[1, 'a']", "[nan, nan]", "[1e300, 1e300]", "[1.0]", "1979-05-27T07:32:00Z", '["down-up +", "down-up -"]'),
 )
 """Values of TOML."""
 FLOATS = (float("nan"), float("inf"), 1e300, -1e300, 0.0, 1e9)
-JSON = (
-    *(None, True, -1, 0, 7, 10**20, 10**400, 1e300, float("nan"), float("inf"), "", "[/nope]", "\x1b[31m", "n" * 240),
-    *([], [[]], {}, {"a": 1}, [1, "a"], [None], "down-up", [10**12], [[10**9, 10**9]]),
-)
+JSON = (None, True, -1, 0, 10**400, 1e300, float("nan"), "", "[/nope]", "\x1b[31m", [], {"a": 1}, [None], [10**12])
 """Values of a header."""
 
 
@@ -175,26 +166,17 @@ Bytes = Callable[[st.DrawFn, bytes], bytes]
 
 
 def damaged(draw: st.DrawFn, content: bytes) -> bytes:
-    """Return bytes with flipped, deleted, repeated, zeroed or inserted parts."""
+    """Return bytes with flipped, deleted, repeated, zeroed or replaced parts."""
     changed = bytearray(content)
     for _ in range(draw(st.integers(1, 3))):
         at = draw(st.integers(0, max(0, len(changed) - 1)))
         span = draw(st.sampled_from((1, 2, 8, 100, 4096)))
-        match draw(st.sampled_from(("flip", "cut", "lose", "repeat", "zero", "insert", "number"))):
-            case "flip" if changed:
-                changed[at] ^= 1 << draw(st.integers(0, 7))
-            case "cut":
-                del changed[at:]
-            case "lose":
-                del changed[at : at + span]
-            case "repeat":
-                changed[at:at] = changed[at : at + span]
-            case "zero":
-                changed[at : at + span] = bytes(len(changed[at : at + span]))
-            case "insert":
-                changed[at:at] = draw(st.binary(min_size=1, max_size=16))
-            case "number":
-                changed[at : at + 8] = struct.pack("<Q", draw(st.sampled_from((0, 2**63, 2**64 - 1, 2**32, 1 << 40))))
+        part = changed[at : at + span]
+        number = struct.pack("<Q", draw(st.sampled_from((0, 2**63, 2**64 - 1, 2**32, 1 << 40))))
+        flipped = bytes(byte ^ 1 for byte in part[:1]) + part[1:]
+        changed[at : at + span] = draw(st.sampled_from((b"", part + part, bytes(len(part)), number, flipped)))
+        if not draw(st.integers(0, 6)):
+            del changed[at:]
     return bytes(changed)
 
 

@@ -37,7 +37,6 @@ COMMANDS = (
     "campaign rest.toml --runs 2 --workers 1 --out campaign.parquet",
 )
 SPECIAL = ("folder", "loop", "dangling", "/dev/null", "/dev/zero", "/dev/full", "/proc/self/mem", "empty")
-"""Names of special files: a folder, circular and broken links, devices, and an empty file."""
 
 
 class Laboratory:

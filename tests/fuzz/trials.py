@@ -21,6 +21,8 @@ from dpcontrol.cli.main import main
 
 PROGRESS = re.compile(r"^[\w ./()-]+: done$")
 """Output of the progress bar if stderr is not a terminal."""
+HALF = re.compile(r"^tmp/|(^|/)\.[^/]*$|\.(partial|tmp)$")
+"""Names of files that a call leaves half written."""
 ENOUGH, MORE = 20.0, 40.0
 """Time before an interrupt as by Ctrl-C, and for the end after it, s."""
 
@@ -57,31 +59,18 @@ def complaints(trial: Trial, ended: Ended) -> list[str]:
             found.append(f"not one sentence for each mistake: {ended.stderr!r}")
     elif ended.code == 1 and not any(line.startswith("dpcontrol: ") for line in said):
         found.append(f"no reason for exit code 1: {ended.stderr!r}")
-    if ended.code != 130 and (half := [name for name in ended.left if _half_written(name, trial)]):
+    named = [name for name in ended.left if any(argument.endswith(name) for argument in trial.arguments)]
+    half = [name for name in ended.left if name not in named and HALF.search(name)]
+    if half and ended.code != 130:
         found.append(f"half written: {', '.join(half)}")
     if "\x1b" in ended.stdout + ended.stderr:
         found.append(f"escape sequences of the input are printed: {ended.stdout + ended.stderr!r}"[:400])
     if "--json" in trial.arguments and ended.code in (0, 1):
-        found += _not_json(ended.stdout)
+        try:
+            json.dumps(json.loads(ended.stdout), allow_nan=False)
+        except ValueError as error:
+            found.append(f"--json printed no JSON document: {error}: {ended.stdout[:200]!r}")
     return found
-
-
-def _half_written(name: str, trial: Trial) -> bool:
-    last = name.rsplit("/", 1)[-1]
-    if any(argument.endswith(name) for argument in trial.arguments):
-        return False
-    return last.startswith(".") or last.endswith((".partial", ".tmp")) or name.startswith("tmp/")
-
-
-def _not_json(text: str) -> list[str]:
-    def refuse(constant: str) -> None:
-        raise ValueError(f"{constant} is no JSON")
-
-    try:
-        json.loads(text, parse_constant=refuse)
-    except ValueError as error:
-        return [f"--json printed no JSON document: {error}: {text[:200]!r}"]
-    return []
 
 
 @contextmanager
