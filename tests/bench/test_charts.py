@@ -1,7 +1,6 @@
 """Charts' data: the front by its definition, defaults judged, files whole; the verb's manners."""
 
 import json
-import math
 
 import numpy as np
 import pytest
@@ -44,12 +43,6 @@ def test_a_default_can_be_at_most_a_fifth_slower_with_a_reason(slower):
     assert explained.complaints() == ()
     far = points_of([(1.0, 1e-6), (1.0 + slower, 1e-3)], default={1})
     assert bool(panel(*far, why="a reason").complaints()) == (slower > ALLOWED)
-
-
-@pytest.mark.parametrize(("seconds", "error"), [(math.nan, 1.0), (1.0, math.inf), (0.0, 1.0), (1.0, -1.0)])
-def test_a_point_that_is_no_measurement_is_refused(seconds, error):
-    with pytest.raises(ValueError, match="m, setting"):
-        Point("m", "setting", seconds, error)
 
 
 def test_errors_below_the_floor_count_as_equal():

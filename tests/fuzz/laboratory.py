@@ -8,28 +8,8 @@ from pathlib import Path
 from command_line import dpcontrol
 
 ROOT = Path(__file__).parents[2]
-REST = """\
-title = "At rest"
-model = "lab"
-start = "hold"
-hold = "down-down"
-seconds = 0.5
-
-[controller]
-kind = "lqr"
-
-[limits]
-position = 0.4
-velocity = 3.0
-acceleration = 30.0
-
-[run]
-mismatch = 0.02
-initial_error = 0.02
-noise = 1e-4
-delay = 1.0
-lag = 0.001
-"""
+REST = (ROOT / "itineraries/hold-down-down.toml").read_text().replace("seconds = 60.0", "seconds = 0.5")
+REST += "noise = 1e-4\ndelay = 1.0\nlag = 0.001\n"
 COMMANDS = (
     "run rest.toml --out run.mcap",
     "plan rest.toml --out reference.npz",
