@@ -8,6 +8,7 @@ import json
 import math
 import os
 import re
+import shlex
 import subprocess
 import sys
 import time
@@ -20,6 +21,7 @@ from command_line import PROGRAM, dpcontrol_program
 from generated_scenes import Arms
 
 from dpcontrol.plans.model import load_model
+from dpcontrol.plans.overrides import typed
 
 WALKS = (
     (-0.07, ("down-up +",), "orbit"),
@@ -29,7 +31,7 @@ WALKS = (
     (0.2, ("up-down +",), "orbit"),
     (0.24, ("down-up > up-down", "up-down > down-up"), "orbit"),
 )
-"""Energies (J) of the laboratory's arms, walks, and where they start and finish."""
+"""Energies (J), walks, and where they start and finish."""
 LAB = load_model("lab").arms
 OWN = 0.05
 """Share by which each number of the arms differs from scaled ones of the laboratory."""
@@ -66,11 +68,11 @@ def drawn_night(seed: int) -> tuple[str, str, list[str]]:
     ]  # fmt: skip
     values = {
         "mismatch": random.uniform(0.01, 0.05), "lag": random.uniform(0.001, 0.006),
-        "command-noise": random.uniform(0.1, 0.5), "zero-error": random.uniform(0.002, 0.01),
-        "knocks-per-minute": random.uniform(2, 10), "knock-impulse": random.uniform(0.01, 0.03) * mass * length**1.5,
+        "command_noise": random.uniform(0.1, 0.5), "zero_error": random.uniform(0.002, 0.01),
+        "knocks_per_minute": random.uniform(2, 10), "knock_impulse": random.uniform(0.01, 0.03) * mass * length**1.5,
         "travel": 0.8 * length,
     }  # fmt: skip
-    options = [text for name, value in values.items() for text in (f"--{name}", f"{value:.4g}")]
+    options = shlex.split(typed({name: float(f"{value:.4g}") for name, value in values.items()}))
     return arms.text("Drawn arms", coulomb=False), "\n".join(itinerary) + "\n", [*options, "--seed", str(seed)]
 
 
