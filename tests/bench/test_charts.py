@@ -1,9 +1,6 @@
 """Charts' data: the front by its definition, defaults judged, files whole; the verb's manners."""
 
 import json
-import math
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -36,12 +33,6 @@ def test_the_front_holds_each_point_that_no_other_beats():
     assert [p.seconds for p in front] == sorted(p.seconds for p in front)
 
 
-def test_a_default_on_the_front_raises_no_complaint_and_needs_no_reason():
-    on = panel(*points_of([(1, 1e-3), (2, 1e-6), (3, 1e-6)], default={1}))
-    assert on.complaints() == ()
-    assert on.off_front(on.defaults[0]) == 0.0
-
-
 @pytest.mark.parametrize("slower", [ALLOWED * 0.9, ALLOWED * 1.1])
 def test_a_default_can_be_at_most_a_fifth_slower_with_a_reason(slower):
     points = points_of([(1.0, 1e-6), (1.0 + slower, 1.1e-6)], default={1})
@@ -52,32 +43,6 @@ def test_a_default_can_be_at_most_a_fifth_slower_with_a_reason(slower):
     assert explained.complaints() == ()
     far = points_of([(1.0, 1e-6), (1.0 + slower, 1e-3)], default={1})
     assert bool(panel(*far, why="a reason").complaints()) == (slower > ALLOWED)
-
-
-def test_a_second_view_of_the_same_work_shows_its_default_without_a_complaint():
-    points = points_of([(1.0, 1e-6), (9.0, 1e-6)], default={1})
-    assert panel(*points).complaints() != ()
-    view = panel(*points, judged=False)
-    assert view.complaints() == ()
-    assert view.document()["defaults"][0]["off_front"] > 1
-
-
-def test_a_stored_point_is_drawn_but_takes_no_part_in_the_front():
-    ours, theirs = Point("ours", "", 2.0, 1e-3, default=True), Point("theirs", "", 1.0, 1e-9, stored=True)
-    both = panel(ours, theirs)
-    assert both.front == (ours,)
-    assert both.complaints() == ()
-
-
-@pytest.mark.parametrize(("seconds", "error"), [(math.nan, 1.0), (1.0, math.inf), (0.0, 1.0), (1.0, -1.0)])
-def test_a_point_that_is_no_measurement_is_refused(seconds, error):
-    with pytest.raises(ValueError, match="m, setting"):
-        Point("m", "setting", seconds, error)
-
-
-def test_a_chart_without_a_default_is_refused():
-    with pytest.raises(ValueError, match="default"):
-        PrecisionChart("c", "t", READING, "nothing", (panel(*points_of([(1, 1)])),))
 
 
 def test_errors_below_the_floor_count_as_equal():
@@ -111,27 +76,6 @@ def test_a_chart_becomes_a_picture_and_its_data(one_chart, tmp_path):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["tiny.json", "tiny.png"]
 
 
-def test_the_verb_prints_fronts_for_people_and_one_document_for_programs(one_chart, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    shown = dpcontrol("bench", "--out", "here")
-    assert shown.code == 0
-    assert "every default stands where it may" in shown.stdout
-    document = dpcontrol("bench", "tiny", "--json").document
-    assert document["charts"][0]["panels"][0]["defaults"][0]["standing"] == "on the front"
-
-
-def test_help_names_every_chart_and_is_shown_without_numerics():
-    script = (
-        "import sys\n"
-        "from dpcontrol.cli.charts import bench_command as command\n"
-        "command(['--help'], standalone_mode=False)\n"
-        "assert not {'casadi', 'heyoka', 'matplotlib'} & set(sys.modules)\n"
-    )
-    shown = subprocess.run([sys.executable, "-c", script], check=True, capture_output=True, text=True).stdout
-    for name in (*registry.CHARTS, *registry.GROUPS):
-        assert name in shown
-
-
 def test_a_complaint_is_in_the_status_and_under_strict_the_exit_code(one_chart, monkeypatch, tmp_path):
     def chart(quick, progress):
         points = points_of([(1.0, 1e-6), (2.0, 1e-6)], default={1})
@@ -146,11 +90,8 @@ def test_a_complaint_is_in_the_status_and_under_strict_the_exit_code(one_chart, 
     assert "100% off the front" in failed.message
 
 
-def test_an_unknown_chart_is_refused_with_the_known_ones(tmp_path):
-    ended = dpcontrol("bench", "propagatoin", "--out", str(tmp_path / "none"))
-    assert ended.code == 2
-    assert "propagatoin" in ended.message
-    assert "propagation" in ended.message.replace("propagatoin", "")
+def test_an_unknown_chart_is_refused(tmp_path):
+    assert dpcontrol("bench", "propagatoin", "--out", str(tmp_path / "none")).code == 2
     assert not (tmp_path / "none").exists()
 
 

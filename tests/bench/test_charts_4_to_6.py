@@ -6,27 +6,20 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from dpcontrol.bench.chart import Diagram, Point
 from dpcontrol.bench.control import (
     PERIOD,
-    ControlTask,
-    against_tvlqr,
     derivative_trial,
     differences,
     estimator_trial,
     held,
-    measured,
     noise_of,
     swing,
 )
 from dpcontrol.control.estimator_settings import EkfSettings
-from dpcontrol.control.ogy import OgySettings, ogy_controller
 from dpcontrol.loop.controllers import make_estimator
 from dpcontrol.loop.loop import sampled_model
 from dpcontrol.loop.result import BatchRun, Ending
-from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.plans.model import load_model
-from dpcontrol.references.sustained import sustained_orbit
 
 EXACT = 1e-9  # Of slopes of straight lines: rounding of differences of numbers near one.
 FIRST_ORDER = 0.03  # Of a sampled low pass against the continuous one, at a hundredth of the sampling rate.
@@ -106,37 +99,3 @@ def test_a_run_is_held_if_its_last_period_is_near_the_orbit_up_to_phase_and_turn
     assert not judge(run_of(twice, Ending.TRACKING_LOST))
     early_only = np.vstack([orbit + 1.0, orbit])
     assert judge(run_of(early_only))
-
-
-@pytest.mark.slow
-def test_pulses_at_few_sections_are_missing_with_their_reason_and_at_many_a_point():
-    # An error grows by √534 = 23 from one of two sections to the next, by 1.5 from one of sixteen.
-    orbit = sustained_orbit(lyapunov_orbit(load_model("lab").system, "down-up", energy=-0.07), ARMS)
-    angles = orbit.state(np.linspace(0, orbit.period, 500))[:, :2]
-    task = ControlTask("An orbit", orbit.reference, ARMS, held(angles, period=orbit.period))
-    made = {
-        ("OGY", str(k)): (
-            lambda model, k=k: ogy_controller(orbit, model, OgySettings(sections=k), seconds=2.5),
-            EkfSettings(),
-        )
-        for k in (2, 16)
-    }
-    found = measured(task, made, seeds=2)
-    assert [(m.method, m.setting) for m in found.missing] == [("OGY", "2")]
-    assert "none of 2 runs completed" in found.missing[0].reason
-    (point,) = found.points
-    assert (point.method, point.setting) == ("OGY", "16")
-    assert 0 < point.error < 0.1
-    assert point.others["success_small"] == 1
-
-
-def test_the_choice_of_the_law_is_stated_by_its_measured_figures():
-    """The sentence once promised less feedback and two thirds more time, whatever was measured."""
-    points = [
-        Point("TVLQR", "time", 10e-6, 0.02, others={"effort": 0.5, "success": 0.75}),
-        Point("adaptive", "", 15e-6, 0.01, others={"effort": 0.6, "success": 1.0}),
-    ]
-    said = against_tvlqr(Diagram("One turn", "time, s", "error", tuple(points)))
-    assert "0.5 times the error" in said
-    assert "1.2 times its feedback and 1.5 times its time" in said
-    assert "100% of its runs complete, and 75% of TVLQR's" in said

@@ -7,39 +7,22 @@ changes no model and no itinerary.
     python tests/benchmarks/generated_scenes.py 0 10 scenes      # write seeds 0 to 9
     dpcontrol run scenes/scene-0003.toml
 
-Ranges, and the reasons for them:
+Ranges, and the reasons for those that are not written below:
 
-    arms          80 % two, 14 % one, 6 % three. Table-top rigs: 0.1 to 0.5 m, 0.3 to 2 kg/m (printed plastic to a
-                  steel bar), so 0.03 to 1 kg. Centre of mass at 0.3 to 0.7 of the length (encoders and bearings shift
-                  it). Inertia 0.7 to 1.3 of a uniform rod's.
+    arms          table-top rigs of printed plastic to a steel bar; encoders and bearings shift the centre of mass.
+                  Viscous joints alone would let a swing decay over 5 s (bushings) to 200 s (small ball bearings).
+                  Coulomb friction is up to 1.5 % of gravity's largest torque; the model lacks one third of these.
 
-    viscous       each joint alone would let a swing decay over 5 s (bushings) to 200 s (small ball bearings).
+    walks         energies 3 to 50 % of the way from the highest visited saddle to upright. Three arms have none here:
+                  their connections exist at isolated energies only.
 
-    Coulomb       none in 40 %. Otherwise up to 1.5 % of gravity's largest torque at the joint, smoothed over 0.005 to
-                  0.5 rad/s. One third of these frictions are absent from the model.
+    track         half of it is 1.2 to 2.5 times the arms' length; a plan uses 70 to 90 %. Velocity and acceleration
+                  are those of belt drives.
 
-    walks         one to six symbols, 0 to 4 wraps, energies 3 to 50 % of the way from the highest visited saddle to
-                  upright, both ends at rest or on an orbit.
-
-    others        holds of 1 to 3 s between rests, holds from the start, orbits kept, several parts at different
-                  energies. Three arms have no walks here: their connections exist at isolated energies only.
-
-    track         half the track is 1.2 to 2.5 times the arms' length, 0.3 to 1 m; a plan uses 70 to 90 % of it.
-                  Velocity 2 to 4 m/s and acceleration 20 to 40 m/s² are those of belt drives.
-
-    rig           200 Hz to 2 kHz, delay of 0 to 3 periods, lag of 0 to 20 ms (known to the controller in half of the
-                  scenes). Encoders have 1,000 to 40,000 counts, scales 1 to 200 µm. A third have jitter up
-                  to a period or 2 ms, and a third reading noise. Zeros are off by up to 0.03 rad, command noise is
-                  up to 0.5 m/s², and plants are off by ±5 %.
-
-    mechanics     a belt of 20 to 100 Hz in a fifth, damping 0.03 to 0.1, measured to ±10 %, the scale on the motor in
-                  two thirds. Encoder play in a third: 5 to 20 mrad from a gear or 0.5 to 4 mrad from a coupling.
-                  It is measured to ±30 % if it is above 4 mrad, else unknown. A cable in a quarter: up to 0.5 % of
-                  gravity's torque at rest, and as much for each turn. Stiction in a quarter: up to 0.3 % of gravity's
-                  torque at each joint, 0.6 to 0.9 of it while the joint slides; no model has it.
+    mechanics     encoder play of a gear or of a coupling; it is unknown if it is below 4 mrad. No model has stiction.
 """
 
-import argparse
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -94,10 +77,7 @@ class Arms:
 
 @dataclass(frozen=True)
 class Scene:
-    """One scene: the texts of its files, and the factors by which completion is tabulated.
-
-    plant: text of the plant's own model file; empty if the plant has the model's friction laws.
-    """
+    """The texts of a scene's files, and the factors by which completion is tabulated; the plant's is often empty."""
 
     seed: int
     model: str
@@ -317,15 +297,7 @@ def _mechanics(rng: np.random.Generator, arms: Arms) -> tuple[list[str], dict[st
     return lines, factors
 
 
-def _main() -> None:
-    parser = argparse.ArgumentParser(description="Write generated scenes as model and itinerary files.")
-    parser.add_argument("first", type=int, help="First seed.")
-    parser.add_argument("count", type=int, help="Number of scenes.")
-    parser.add_argument("folder", type=Path, help="Folder to write to.")
-    given = parser.parse_args()
-    for seed in range(given.first, given.first + given.count):
-        sampled_scene(seed).write(given.folder)
-
-
 if __name__ == "__main__":
-    _main()
+    begin, scenes, target = sys.argv[1:]
+    for number in range(int(begin), int(begin) + int(scenes)):
+        sampled_scene(number).write(Path(target))

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import casadi as ca
 import numpy as np
-from independent_planner import acceleration
+from independent_planner import acceleration, defects
 from independent_tubes import LOST, Pendulum
 
 Array = np.ndarray
@@ -27,13 +27,8 @@ def least_distance(model: dict, limits: dict, orbit: Array, period: float) -> fl
     count, h = 2 * INTERVALS + 1, period / INTERVALS
     x, u = ca.MX.sym("x", 6, count), ca.MX.sym("u", 1, count)
     slope = acceleration(model).map(count)(x, u)
-    a, m, b = slice(0, count - 2, 2), slice(1, count, 2), slice(2, count, 2)
-    defects = ca.horzcat(
-        x[:, b] - x[:, a] - h / 6 * (slope[:, a] + 4 * slope[:, m] + slope[:, b]),
-        x[:, m] - (x[:, a] + x[:, b]) / 2 - h / 8 * (slope[:, a] - slope[:, b]),
-    )
     cost = ca.sumsqr(x[:2, :] - orbit[:, :2].T) / count + PUSHED * ca.sumsqr(u) / count
-    program = {"x": ca.vertcat(ca.vec(x), ca.vec(u)), "f": cost, "g": ca.vec(defects)}
+    program = {"x": ca.vertcat(ca.vec(x), ca.vec(u)), "f": cost, "g": ca.vec(defects(x, slope, h))}
     options = {"ipopt": {"print_level": 0, "max_iter": 1000, "sb": "yes"}, "print_time": False}
     solver = ca.nlpsol("kept", "ipopt", program, options)
     top = np.tile([np.inf] * 4 + [limits["position"], limits["velocity"]], (count, 1))

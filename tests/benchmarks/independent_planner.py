@@ -2,15 +2,13 @@
 
 It solves min ∫u² dt over a free duration by Hermite-Simpson collocation with IPOPT, within the cart's limits. The
 equations come from the Lagrangian of arms in the plane. Initial guesses turn the arms smoothly from start to end and
-add random sine waves; the cart follows random waves too. `find_motion` returns the first solution of several attempts,
-and checks it by integration.
+add random sine waves; the cart follows random waves too. A solution is checked by integration.
 
 Source: Kelly, An introduction to trajectory optimization, SIAM Review 59 (2017), sections 4 and 5.
 """
 
 import tomllib
 from collections.abc import Callable
-from dataclasses import dataclass
 from itertools import pairwise, product
 from pathlib import Path
 
@@ -24,19 +22,6 @@ SHORTEST, LONGEST = 0.8, 8.0
 """Bounds of the duration, s."""
 LANDS = 0.05
 """Largest distance, rad and rad/s, between a solution and its integration over one interval."""
-
-
-@dataclass(frozen=True)
-class Motion:
-    """A solution: duration s, states (2K+1, 2n+2) and inputs (2K+1,) at the ends and middles of K intervals.
-
-    gap: the largest distance by which an interval misses its end when it is integrated.
-    """
-
-    duration: float
-    states: Array
-    inputs: Array
-    gap: float
 
 
 def _energies(model: dict) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX, ca.SX, ca.SX]:
@@ -87,6 +72,20 @@ def acceleration(model: dict) -> ca.Function:
     return ca.Function("rate", [state, push], [ca.vertcat(rates, ca.solve(mass, force), speed, push)])
 
 
+def defects(x: ca.MX, slope: ca.MX, h: ca.MX | float) -> ca.MX:
+    """Return the gaps of Hermite and of Simpson for intervals of h, given states and slopes at ends and middles."""
+    a, m, b = _places(x.shape[1])
+    return ca.horzcat(
+        x[:, b] - x[:, a] - h / 6 * (slope[:, a] + 4 * slope[:, m] + slope[:, b]),
+        x[:, m] - (x[:, a] + x[:, b]) / 2 - h / 8 * (slope[:, a] - slope[:, b]),
+    )
+
+
+def _places(count: int) -> tuple[slice, slice, slice]:
+    """Return where the starts, middles and ends of intervals are."""
+    return slice(0, count - 2, 2), slice(1, count, 2), slice(2, count, 2)
+
+
 def _guess(
     generator: np.random.Generator, start: Array, end: Array, *, reach: float, duration: float
 ) -> tuple[Array, Array]:
@@ -103,8 +102,8 @@ def _guess(
     return states, np.gradient(v[:, n], duration / (count - 1))
 
 
-def find_motion(model: dict, start: Array, end: Array, *, limits: dict, attempts: int, seed: int) -> Motion | None:
-    """Return a motion from `start` to `end` (2n+2,) within the limits, or None if no attempt converged."""
+def find_motion(model: dict, start: Array, end: Array, *, limits: dict, attempts: int, seed: int) -> bool:
+    """Return whether an attempt found a motion from `start` to `end` (2n+2,) within the limits."""
     rate, size = acceleration(model), len(start)
     n = size // 2 - 1
     bounds = np.array([np.inf] * 2 * n + [limits["position"], limits["velocity"]])
@@ -112,13 +111,9 @@ def find_motion(model: dict, start: Array, end: Array, *, limits: dict, attempts
     x, u, duration = ca.MX.sym("x", size, count), ca.MX.sym("u", 1, count), ca.MX.sym("T")
     slope = rate.map(count)(x, u)
     h = duration / INTERVALS
-    a, m, b = slice(0, count - 2, 2), slice(1, count, 2), slice(2, count, 2)
-    defects = ca.horzcat(
-        x[:, b] - x[:, a] - h / 6 * (slope[:, a] + 4 * slope[:, m] + slope[:, b]),
-        x[:, m] - (x[:, a] + x[:, b]) / 2 - h / 8 * (slope[:, a] - slope[:, b]),
-    )
+    a, m, b = _places(count)
     cost = h / 6 * ca.sum2(u[:, a] ** 2 + 4 * u[:, m] ** 2 + u[:, b] ** 2)
-    program = {"x": ca.vertcat(ca.vec(x), ca.vec(u), duration), "f": cost, "g": ca.vec(defects)}
+    program = {"x": ca.vertcat(ca.vec(x), ca.vec(u), duration), "f": cost, "g": ca.vec(defects(x, slope, h))}
     options = {"ipopt": {"print_level": 0, "max_iter": 400, "sb": "yes", "tol": 1e-6}, "print_time": False}
     solver = ca.nlpsol("independent", "ipopt", program, options)
     top = np.tile(bounds, (count, 1))
@@ -139,10 +134,9 @@ def find_motion(model: dict, start: Array, end: Array, *, limits: dict, attempts
             continue
         values = np.array(out["x"]).ravel()
         states, inputs = values[: size * count].reshape(count, size), values[size * count : -1]
-        gap = _gap(rate, states, inputs, float(values[-1]))
-        if gap < LANDS:
-            return Motion(float(values[-1]), states, inputs, gap)
-    return None
+        if _gap(rate, states, inputs, float(values[-1])) < LANDS:
+            return True
+    return False
 
 
 def _gap(rate: ca.Function, states: Array, inputs: Array, duration: float) -> float:

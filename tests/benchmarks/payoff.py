@@ -30,8 +30,8 @@ Sources: Betts, Practical Methods for Optimal Control Using Nonlinear Programmin
 Numerical Optimization, 2nd ed., section 11.3; Rubinstein & Kroese, The Cross-Entropy Method (2004), ch. 5.
 """
 
-import argparse
 import json
+import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -45,7 +45,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.interpolate import BarycentricInterpolator
 
-from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
+from dpcontrol.dynamics.chain import Level, equations_of
 from dpcontrol.dynamics.compiled import Compiled, compiled_step
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import GoalMissed
@@ -56,7 +56,7 @@ from dpcontrol.plans.planning import on_turns
 from dpcontrol.references.find import find_reference, smooth_guess
 from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import EndConditions, Guess, Limits, ReferenceProblem, ReferenceSettings, state_scale
-from dpcontrol.references.sustained import SustainedOrbit, sustained_orbit
+from dpcontrol.references.sustained import sustained_orbit
 from dpcontrol.references.trajectory import Trajectory, even_mesh, first_trajectory, times_on
 from dpcontrol.references.transcription import solve
 from dpcontrol.walks.edges import find_edges
@@ -67,6 +67,7 @@ from dpcontrol.walks.walks import resolve
 STORE = Path(__file__).parent / "charts" / "payoff.json"
 PICTURE = Path(__file__).parents[2] / ".assets" / "payoff.png"
 
+ARMS = load_model("lab").arms
 LIMITS = Limits()
 SETTINGS = ReferenceSettings(pendulum_weight=0.0, cart_weight=0.0)
 """Settings of every search: the package's, except for the cost, which is the effort alone."""
@@ -77,47 +78,15 @@ TUBES, STRAIGHT, WAVES, INPUTS, CEM, HOMOTOPY = (
 )  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False)
-class ChartedFlight:
-    """A flight between states of two sustained orbits.
-
-    It is a problem with a guess from the tubes.
-
-    `seconds` of one processor cover orbits, tubes, connections and the shadowing orbit.
-    """
-
-    name: str
-    problem: ReferenceProblem
-    orbits: tuple[SustainedOrbit, SustainedOrbit]
-    seconds: float = 0.0
-
-    @property
-    def ends(self) -> tuple[Array, Array]:
-        """States (6,) at start and end, with angles that include the winding."""
-        return self.problem.end_states()
-
-
 @cache
-def flight(name: str, walk: tuple[str, ...], energy: float, wraps: int = 1) -> ChartedFlight:
-    """Return the flight of a walk's symbols between sustained orbits.
-
-    The orbits are those of the lab's arms, at their phase 0.
-
-    Args:
-        name: name of the flight.
-        walk: symbols of the walk.
-        energy: energy of the orbits, J.
-        wraps: periods at each stop.
-
-    Raises:
-        GoalMissed: an orbit was not found.
-    """
+def flight(name: str, walk: tuple[str, ...], energy: float) -> tuple[ReferenceProblem, float]:
+    """Return a walk's flight between sustained orbits, with a guess from tubes, and their processor time, s."""
     model = load_model("lab")
     began = time.process_time()
     symbols = parse_walk(walk, model.system.saddles)
     pairs = list(dict.fromkeys((s.source, s.target) for symbol in symbols for s in symbol.simple))
     edges = find_edges(model.system, energy, pairs=pairs, symbols=symbols)
-    orbit = WalkSolver(edges.known).solve(resolve(walk, edges), [wraps] * (len(walk) - 1), lead_in=0, lead_out=0)
+    orbit = WalkSolver(edges.known).solve(resolve(walk, edges), [], lead_in=0, lead_out=0)
     if not orbit.converged:
         raise GoalMissed(f"{name}: {orbit.status}")
     goal = walk_goal(orbit, walk, round_off=(True, True))
@@ -132,74 +101,22 @@ def flight(name: str, walk: tuple[str, ...], energy: float, wraps: int = 1) -> C
         equations_of(model.arms, Level.CART), model.arms.base(), lambda times: sample(times + goal.begin), goal.seconds,
         limits=LIMITS, ends=EndConditions(start=ends[0], end=ends[1]),
     )  # fmt: skip
-    return ChartedFlight(name, problem, (orbits[0], orbits[1]), spent)
-
-
-def lasting(problem: ReferenceProblem, duration: float) -> ReferenceProblem:
-    """Return the problem with another duration and equal ends.
-
-    Args:
-        problem: problem with fixed ends.
-        duration: duration, s.
-    """
-    start, end = problem.end_states()
-    guess = smooth_guess(start[:4], end[:4], duration)
-    return ReferenceProblem(problem.equations, problem.parameters, guess, duration, problem.limits, problem.ends)
+    return problem, spent
 
 
 # --- Independent of the engine: equations written out, scipy's integrator, effort as a state.
 
 
-@dataclass(frozen=True)
-class Recomputed:
-    """A flight recomputed by scipy alone.
-
-    Attributes:
-        effort: ∫u², m²/s³.
-        peak: m/s².
-        gap: largest scaled distance between intervals.
-        miss: largest scaled distance from the ends.
-        position: largest of the cart, m.
-        velocity: largest of the cart, m/s.
-        turns: of each arm, end to end.
-    """
-
-    effort: float
-    peak: float
-    gap: float
-    miss: float
-    position: float
-    velocity: float
-    turns: tuple[int, int]
-
-    def flies(self, limits: Limits) -> bool:
-        """True for a motion between the ends within limits.
-
-        Rounding is tolerated.
-
-        Args:
-            limits: limits of the cart.
-        """
-        near = 1 + 1e-6
-        inside = self.position <= near * limits.position and self.velocity <= near * limits.velocity
-        return max(self.gap, self.miss) <= GAP and inside and self.peak <= near * limits.acceleration
-
-
-def motion_rate(arms: ArmChainParameters, x: Array, u: Array) -> Array:
-    """Return ẋ (6, K) of two arms on a cart.
+def motion_rate(x: Array, u: Array) -> Array:
+    """Return ẋ (6, K) of two arms on a cart, for states (6, K) and accelerations (K,).
 
         A ω₁' + C cos(θ₁-θ₂) ω₂' = -C sin(θ₁-θ₂) ω₂² - G₁ sin θ₁ - (G₁/g) cos θ₁ u - k₁ ω₁ - k₂ (ω₁ - ω₂)
         B ω₂' + C cos(θ₁-θ₂) ω₁' =  C sin(θ₁-θ₂) ω₁² - G₂ sin θ₂ - (G₂/g) cos θ₂ u - k₂ (ω₂ - ω₁)
 
     A = m₁a₁² + m₂ℓ₁² + J₁, B = m₂a₂² + J₂, C = m₂ℓ₁a₂, G₁ = (m₁a₁ + m₂ℓ₁)g, G₂ = m₂a₂g.
-
-    Args:
-        arms: parameters of the arms.
-        x: states (6, K).
-        u: accelerations of the cart (K,), m/s².
     """
-    (m1, m2), (a1, a2), (j1, j2), l1 = arms.mass, arms.centre_of_mass, arms.inertia, arms.length[0]
-    g, (k1, k2) = arms.gravity, arms.viscous
+    (m1, m2), (a1, a2), (j1, j2), l1 = ARMS.mass, ARMS.centre_of_mass, ARMS.inertia, ARMS.length[0]
+    g, (k1, k2) = ARMS.gravity, ARMS.viscous
     a, b, c = m1 * a1**2 + m2 * l1**2 + j1, m2 * a2**2 + j2, m2 * l1 * a2
     s1, s2 = m1 * a1 + m2 * l1, m2 * a2
     angle_1, angle_2, rate_1, rate_2, _, velocity = x
@@ -212,15 +129,10 @@ def motion_rate(arms: ArmChainParameters, x: Array, u: Array) -> Array:
     return np.array([rate_1, rate_2, turn_1, turn_2, velocity, u])
 
 
-def recomputed(arms: ArmChainParameters, motion: Trajectory, ends: tuple[Array, Array]) -> Recomputed:
-    """Return the scipy evaluation of a motion.
+def recomputed(motion: Trajectory, ends: tuple[Array, Array], limits: Limits) -> float:
+    """Return the effort of a motion by scipy, m²/s³; infinite if it has gaps, misses its ends or leaves the limits.
 
     All intervals run in parallel, each from its first state.
-
-    Args:
-        arms: parameters of the arms.
-        motion: motion to evaluate.
-        ends: required first and last state (6,).
     """
     lengths, scale = np.diff(motion.mesh), state_scale(6, LIMITS)
     inputs = BarycentricInterpolator(motion.method.points, motion.inputs[..., 0].T)
@@ -229,7 +141,7 @@ def recomputed(arms: ArmChainParameters, motion: Trajectory, ends: tuple[Array, 
     def rate(tau: float, flat: Array) -> Array:
         u = np.asarray(inputs(tau)).ravel()
         rows = flat.reshape(7, count)
-        return (lengths * np.vstack([motion_rate(arms, rows[:6], u), u**2])).ravel()
+        return (lengths * np.vstack([motion_rate(rows[:6], u), u**2])).ravel()
 
     first = np.vstack([motion.states[:, 0].T, np.zeros(count)])
     dense = np.linspace(0.0, 1.0, 11)
@@ -238,16 +150,11 @@ def recomputed(arms: ArmChainParameters, motion: Trajectory, ends: tuple[Array, 
     arrived = rows[:6, :, -1].T
     following = np.vstack([motion.states[1:, 0], ends[1]])
     missed = np.abs(motion.states[0, 0] - ends[0]), np.abs(arrived[-1] - ends[1])
-    turned = np.rint((arrived[-1, :2] - motion.states[0, 0, :2]) / np.pi / 2).astype(int)
-    return Recomputed(
-        effort=float(rows[6, :, -1].sum()),
-        peak=float(np.abs(inputs(dense)).max()),
-        gap=float((np.abs(arrived - following) / scale).max()),
-        miss=float((np.maximum(*missed) / scale).max()),
-        position=float(np.abs(rows[4]).max()),
-        velocity=float(np.abs(rows[5]).max()),
-        turns=(int(turned[0]), int(turned[1])),
-    )
+    gap, miss = np.abs(arrived - following) / scale, np.maximum(*missed) / scale
+    near = 1 + 1e-6
+    inside = np.abs(rows[4]).max() <= near * limits.position and np.abs(rows[5]).max() <= near * limits.velocity
+    inside &= np.abs(inputs(dense)).max() <= near * limits.acceleration
+    return float(rows[6, :, -1].sum()) if inside and max(gap.max(), miss.max()) <= GAP else float("inf")
 
 
 # --- Searches.
@@ -267,33 +174,15 @@ class Try:
         return float("inf") if self.motion is None else self.motion.effort
 
 
-@dataclass(frozen=True)
-class HomotopySettings:
-    """Mesh, prices and effort of the homotopy.
-
-    Attributes:
-        step: step of the mesh, s.
-        prices: prices of the virtual accelerations, rising.
-        iterations: solver iterations per price.
-    """
-
-    step: float = 0.025
-    prices: tuple[float, ...] = (1e-2, 1.0, 1e2)
-    iterations: int = 100
+MESH, PRICES, ITERATIONS = 0.025, (1e-2, 1.0, 1e2), 100
+"""Step of the homotopy's mesh, s, rising prices of the virtual accelerations, and solver iterations per price."""
 
 
-def by_homotopy(problem: ReferenceProblem, settings: HomotopySettings | None = None) -> tuple[Array, Array, float]:
-    """Return states (K, N), inputs (K,) and their step, s.
-
-    The homotopy starts at the problem's guess.
-
-    Args:
-        problem: problem with a guess.
-        settings: step and prices.
-    """
-    settings = settings or HomotopySettings()
+def by_homotopy(problem: ReferenceProblem, generator: np.random.Generator) -> Trajectory:
+    """Return the result of the homotopy from the problem's guess with waves."""
+    guess_at = with_waves(problem, generator)
     e, nx = problem.equations, problem.equations.dimension
-    n, count = nx // 2 - 1, int(np.ceil(problem.duration / settings.step)) + 1
+    n, count = nx // 2 - 1, int(np.ceil(problem.duration / MESH)) + 1
     scale, h = ca.DM(state_scale(nx, problem.limits)), problem.duration / (count - 1)
     states, inputs, virtual = (ca.MX.sym(name, rows, count) for name, rows in (("x", nx), ("u", 1), ("v", n)))
     price = ca.MX.sym("price")
@@ -305,7 +194,7 @@ def by_homotopy(problem: ReferenceProblem, settings: HomotopySettings | None = N
     cost = ca.sum2(weights * (inputs**2 + price * ca.sum1(virtual**2)))
     variables = ca.vertcat(ca.vec(states), ca.vec(inputs), ca.vec(virtual))
     options = {
-        "print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.max_iter": settings.iterations,
+        "print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.max_iter": ITERATIONS,
         "ipopt.tol": 1e-6, "error_on_fail": False,
     }  # fmt: skip
     solver = ca.nlpsol("homotopy", "ipopt", {"x": variables, "p": price, "f": cost, "g": ca.vec(defects)}, options)
@@ -317,55 +206,22 @@ def by_homotopy(problem: ReferenceProblem, settings: HomotopySettings | None = N
     free = np.full(n * count, np.inf)
     bounds = [np.concatenate([box.ravel(), np.full(count, side), side * free])
               for box, side in ((low, -problem.limits.acceleration), (high, problem.limits.acceleration))]  # fmt: skip
-    guess = np.hstack([problem.guess_at(times), np.zeros((count, 2))]) / np.array(scale).ravel()
+    guess = np.hstack([guess_at(times), np.zeros((count, 2))]) / np.array(scale).ravel()
     found = np.concatenate([guess.ravel(), np.zeros((1 + n) * count)])
-    for value in settings.prices:
+    for value in PRICES:
         found = np.array(solver(x0=found, p=value, lbx=bounds[0], ubx=bounds[1], lbg=0, ubg=0)["x"]).ravel()
     rows = found[: nx * count].reshape(count, nx) * np.array(scale).ravel()
-    return rows, found[nx * count : (nx + 1) * count], h
+    return flown(problem, rows, found[nx * count : (nx + 1) * count], h)
 
 
 def searched(method: str, problem: ReferenceProblem, first: Trajectory | None = None, *, spent: float = 0.0) -> Try:
-    """Return the collocation result from a first trajectory.
-
-    Args:
-        method: name of the method in the chart.
-        problem: problem with a guess.
-        first: first trajectory, by default the guess.
-        spent: time that went into finding it, s.
-    """
+    """Return the collocation result from a first trajectory."""
     began = time.process_time()
     if first is None:
         first = first_trajectory(problem, method_named(SETTINGS.method), even_mesh(problem.duration, SETTINGS.interval))
     solved = solve(problem, first, settings=SETTINGS, limits=problem.limits)
     spent += time.process_time() - began
     return Try(method, spent, solved.trajectory if solved.succeeded else None)
-
-
-def led(method: str, problem: ReferenceProblem, generator: np.random.Generator) -> Try:
-    """Return the collocation result from a homotopy.
-
-    It starts at the guess with random waves.
-
-    Args:
-        method: name of the method in the chart.
-        problem: problem with a guess.
-        generator: random generator, which is advanced.
-    """
-    began = time.process_time()
-    states, inputs, step = by_homotopy(replace(problem, guess=with_waves(problem, generator)))
-    return searched(method, problem, flown(problem, states, inputs, step), spent=time.process_time() - began)
-
-
-def along_tubes(one: ChartedFlight) -> Try:
-    """Return the collocation result from the shadowing orbit.
-
-    Its seconds include tubes and connections.
-
-    Args:
-        one: flight along tubes.
-    """
-    return searched(TUBES, one.problem, spent=one.seconds)
 
 
 WAVE, HARMONICS = 0.5, 6
@@ -375,14 +231,7 @@ PUSH, KNOTS = 0.3, 12
 
 
 def with_waves(problem: ReferenceProblem, generator: np.random.Generator) -> Guess:
-    """Return the problem's guess with random waves on its angles.
-
-    The rates match them.
-
-    Args:
-        problem: problem with a guess.
-        generator: random generator, which is advanced.
-    """
+    """Return the problem's guess with random waves on its angles."""
     base, order = problem.guess, np.arange(1, HARMONICS + 1)
     heights = generator.normal(size=(HARMONICS, 2)) * (WAVE / order)[:, None]
 
@@ -401,22 +250,15 @@ _STEP = 0.01
 
 
 @cache
-def _shot(arms: ArmChainParameters) -> Compiled:
-    return compiled_step(equations_of(arms, Level.CART))
+def _shot() -> Compiled:
+    return compiled_step(equations_of(ARMS, Level.CART))
 
 
-def shot(arms: ArmChainParameters, start: Array, inputs: Array, step: float) -> Array:
-    """Return the states (K + 1, 6, S) from one start.
-
-    Args:
-        arms: parameters of the arms.
-        start: first state (6,).
-        inputs: held inputs (K, S), m/s².
-        step: time for which an input is held, s.
-    """
-    machine, (count, lanes) = _shot(arms), inputs.shape
+def shot(start: Array, inputs: Array, step: float) -> Array:
+    """Return the states (K + 1, 6, S) from one start."""
+    machine, (count, lanes) = _shot(), inputs.shape
     rows = np.empty((machine.size_in, lanes))
-    rows[machine.slices["parameters"]] = arms.base()[:, None]
+    rows[machine.slices["parameters"]] = ARMS.base()[:, None]
     rows[machine.slices["duration"]] = step
     states = np.empty((count + 1, 6, lanes))
     states[0] = start[:, None]
@@ -427,16 +269,7 @@ def shot(arms: ArmChainParameters, start: Array, inputs: Array, step: float) -> 
 
 
 def flown(problem: ReferenceProblem, states: Array, inputs: Array, step: float) -> Trajectory:
-    """Return a shot motion as a first trajectory.
-
-    The shot motion is on the even mesh.
-
-    Args:
-        problem: problem with its duration.
-        states: states (K + 1, 6).
-        inputs: held inputs (K,), m/s².
-        step: time for which an input is held, s.
-    """
+    """Return a shot motion as a first trajectory."""
     method, mesh = method_named(SETTINGS.method), even_mesh(problem.duration, SETTINGS.interval)
     times, clock = times_on(mesh, method.support), step * np.arange(len(states))
     rows = np.stack([np.interp(times, clock, column) for column in states.T], axis=-1)
@@ -444,74 +277,47 @@ def flown(problem: ReferenceProblem, states: Array, inputs: Array, step: float) 
     return Trajectory(method, mesh, rows, inputs[places][..., None])
 
 
-def with_inputs(problem: ReferenceProblem, arms: ArmChainParameters, generator: np.random.Generator) -> Trajectory:
-    """Return the motion from the start under random inputs.
-
-    Args:
-        problem: problem with a fixed start.
-        arms: parameters of the arms.
-        generator: random generator, which is advanced.
-    """
+def with_inputs(problem: ReferenceProblem, generator: np.random.Generator) -> Trajectory:
+    """Return the motion from the start under random inputs."""
     count = int(np.ceil(problem.duration / _STEP))
     step = problem.duration / count
     knots = generator.normal(size=KNOTS) * PUSH
     inputs = np.interp(np.arange(count) / count, np.linspace(0.0, 1.0, KNOTS), knots)
-    states = shot(arms, problem.end_states()[0], np.repeat(inputs[:, None], 8, axis=1), step)[..., 0]
+    states = shot(problem.end_states()[0], np.repeat(inputs[:, None], 8, axis=1), step)[..., 0]
     # A cart beyond the track is no start for a search.
     states[:, 4:] = 0.0
     return flown(problem, states, inputs, step)
 
 
-@dataclass(frozen=True)
-class CemSettings:
-    """Samples, generations and weights of the cross-entropy method.
-
-    They are samples and elite of a generation, generations, length of held inputs s, initial standard deviation m/s²,
-    and weight of the squared scaled miss relative to ∫u².
-    """
-
-    samples: int = 256
-    kept: int = 24
-    generations: int = 80
-    hold: float = 0.1
-    spread: float = 1.0
-    weight: float = 1e3
+SAMPLES, BEST, GENERATIONS = 256, 24, 80
+"""Of the cross-entropy method: samples and elite of a generation, and generations."""
+HOLD, SPREAD, WEIGHT = 0.1, 1.0, 1e3
+"""s of an input, its standard deviation at first, m/s², and the weight of the squared scaled miss."""
 
 
-def by_cem(
-    problem: ReferenceProblem, arms: ArmChainParameters, generator: np.random.Generator, settings: CemSettings
-) -> tuple[Trajectory, float]:
-    """Return the best motion of the cross-entropy method.
-
-    Its scaled miss at the end is the second value.
-
-    Args:
-        problem: problem with fixed ends.
-        arms: parameters of the arms.
-        generator: random generator, which is advanced.
-        settings: settings of the method.
-    """
+def by_cem(problem: ReferenceProblem, generator: np.random.Generator) -> Trajectory:
+    """Return the best motion of the cross-entropy method."""
     start, end = problem.end_states()
-    holds = int(np.ceil(problem.duration / settings.hold))
+    holds = int(np.ceil(problem.duration / HOLD))
     each = int(np.ceil(problem.duration / holds / (2 * _STEP)))
     step, scale = problem.duration / holds / each, state_scale(6, problem.limits)
-    mean, spread = np.zeros(holds), np.full(holds, settings.spread)
-    best: tuple[float, float, Array, Array] | None = None
-    for _ in range(settings.generations):
-        inputs = mean[:, None] + spread[:, None] * generator.normal(size=(holds, settings.samples))
+    mean, spread = np.zeros(holds), np.full(holds, SPREAD)
+    best: tuple[float, Array, Array] | None = None
+    for _ in range(GENERATIONS):
+        inputs = mean[:, None] + spread[:, None] * generator.normal(size=(holds, SAMPLES))
         inputs = np.clip(inputs, -problem.limits.acceleration, problem.limits.acceleration)
         held_on = np.repeat(inputs, each, axis=0)
-        states = shot(arms, start, held_on, step)
+        states = shot(start, held_on, step)
         away = np.abs((states[-1] - end[:, None]) / scale[:, None])
-        costs = (inputs**2).sum(0) * problem.duration / holds + settings.weight * (away**2).sum(0)
+        costs = (inputs**2).sum(0) * problem.duration / holds + WEIGHT * (away**2).sum(0)
         costs = np.where(np.isfinite(costs), costs, np.inf)
         order = np.argsort(costs)
-        mean, spread = inputs[:, order[: settings.kept]].mean(1), inputs[:, order[: settings.kept]].std(1) + 1e-3
+        mean, spread = inputs[:, order[:BEST]].mean(1), inputs[:, order[:BEST]].std(1) + 1e-3
         first = int(order[0])
         if best is None or costs[first] < best[0]:
-            best = (float(costs[first]), float(away[:, first].max()), states[..., first].copy(), held_on[:, first])
+            best = float(costs[first]), states[..., first].copy(), held_on[:, first]
     assert best is not None
-    return flown(problem, best[2], best[3], step), best[1]
+    return flown(problem, best[1], best[2], step)
 
 
 # --- Charted flights.
@@ -535,49 +341,41 @@ class Tries:
     homotopies: int = 3
 
 
-def tries_of(one: ChartedFlight, tries: Tries, generator: np.random.Generator) -> Iterator[Try]:
+def tries_of(problem: ReferenceProblem, seconds: float, tries: Tries, generator: np.random.Generator) -> Iterator[Try]:
     """Yield the tries of every method, that along tubes first."""
-    arms, smooth = load_model("lab").arms, lasting(one.problem, one.problem.duration)
-    yield along_tubes(one)
+    start, end = problem.end_states()
+    smooth = replace(problem, guess=smooth_guess(start[:4], end[:4], problem.duration))
+    yield searched(TUBES, problem, spent=seconds)
     yield searched(STRAIGHT, smooth)
     for _ in range(tries.waves):
         yield searched(WAVES, replace(smooth, guess=with_waves(smooth, generator)))
-    for _ in range(tries.inputs):
-        began = time.process_time()
-        first = with_inputs(smooth, arms, generator)
-        yield searched(INPUTS, smooth, first, spent=time.process_time() - began)
-    for _ in range(tries.cem):
-        began = time.process_time()
-        first, _ = by_cem(smooth, arms, generator, CemSettings())
-        yield searched(CEM, smooth, first, spent=time.process_time() - began)
-    for _ in range(tries.homotopies):
-        yield led(HOMOTOPY, smooth, generator)
+    makers = ((INPUTS, tries.inputs, with_inputs), (CEM, tries.cem, by_cem), (HOMOTOPY, tries.homotopies, by_homotopy))
+    for method, count, make in makers:
+        for _ in range(count):
+            began = time.process_time()
+            first = make(smooth, generator)
+            yield searched(method, smooth, first, spent=time.process_time() - began)
 
 
-def valid_effort(one: ChartedFlight, tries: Sequence[Try]) -> float:
+def valid_effort(problem: ReferenceProblem, tries: Sequence[Try]) -> float:
     """Return the effort of the cheapest try, refined and computed again by scipy; infinite if it is no flight."""
     motion = min(tries, key=lambda t: t.effort).motion
-    fine = None if motion is None else find_reference(one.problem, SETTINGS, near=motion)
+    fine = None if motion is None else find_reference(problem, SETTINGS, near=motion)
     if fine is None or not fine.converged:
         return float("inf")
-    checked = recomputed(load_model("lab").arms, fine, one.ends)
-    return checked.effort if checked.flies(one.problem.limits) else float("inf")
+    return recomputed(fine, problem.end_states(), problem.limits)
 
 
 def compared(job: tuple[tuple[str, tuple[str, ...], float], Tries]) -> list[dict[str, Any]]:
-    """Return a row for each method's tries of one flight, at its duration along tubes.
-
-    Raises:
-        GoalMissed: the flight along tubes is not valid.
-    """
+    """Return a row for each method's tries of one flight, at its duration along tubes."""
     which, tries = job
-    one = flight(*which)
-    every = list(tries_of(one, tries, np.random.default_rng([20, *which[0].encode()])))
+    problem, seconds = flight(*which)
+    every = list(tries_of(problem, seconds, tries, np.random.default_rng([20, *which[0].encode()])))
     rows, ours = [], float("inf")
     for method in dict.fromkeys(t.method for t in every):
         mine = [t for t in every if t.method == method]
         efforts = [t.effort for t in mine if np.isfinite(t.effort)]
-        valid = valid_effort(one, mine)
+        valid = valid_effort(problem, mine)
         ours = valid if method == TUBES else ours
         if not np.isfinite(ours):
             raise GoalMissed(f"{which[0]}: the flight found along tubes is not valid")
@@ -644,21 +442,14 @@ def draw(rows: Sequence[Mapping[str, Any]], picture: Path) -> None:
 
 def main() -> None:
     """Search all flights by all methods, store the rows, draw them and print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="few tries of two flights, of which nothing is stored")
-    parser.add_argument("--stored", action="store_true", help="draw and print what is stored")
-    options = parser.parse_args()
-    if options.stored:
-        rows = json.loads(STORE.read_text(encoding="utf-8"))
-    else:
-        tries = Tries(2, 1, 1, 2) if options.quick else Tries()
-        jobs = [(which, tries) for which in (FLIGHTS[::4] if options.quick else FLIGHTS)]
-        found = in_processes(compared, jobs, processors(), remedy="Run it again")
-        rows = [row for _, flights in sorted(found, key=lambda pair: jobs.index(pair[0])) for row in flights]
-    if not options.quick:
+    quick = "--quick" in sys.argv
+    jobs = [(which, Tries(2, 1, 1, 2) if quick else Tries()) for which in (FLIGHTS[::4] if quick else FLIGHTS)]
+    found = in_processes(compared, jobs, processors(), remedy="Run it again")
+    rows = [row for _, flights in sorted(found, key=lambda pair: jobs.index(pair[0])) for row in flights]
+    if not quick:
         STORE.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
         draw(rows, PICTURE)
-    print(guide_table(rows))  # noqa: T201
+    sys.stdout.write(f"{guide_table(rows)}\n")
 
 
 if __name__ == "__main__":

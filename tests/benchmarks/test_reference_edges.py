@@ -22,7 +22,7 @@ from dpcontrol.pages.panels import quiet
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.planning import shadowing_orbit
 from dpcontrol.references.find import find_reference
-from dpcontrol.references.problem import Limits, ReferenceProblem, ReferenceSettings
+from dpcontrol.references.problem import Limits, ReferenceProblem
 
 FRICTION = (0.0, 0.5, 1.0, 2.0, 5.0, 8.0, 12.0, 16.0)
 SHARES = {
@@ -32,32 +32,26 @@ SHARES = {
 NAMES = ("outer-turn", "cross")
 
 
-def problem_of(itinerary, orbit, *, friction=1.0, limits=None):
-    arms = replace(itinerary.model.arms, viscous=tuple(friction * k for k in itinerary.model.arms.viscous))
-    return ReferenceProblem(
-        equations=arm_chain_equations(2, Level.CART),
-        parameters=arms.base(),
-        guess=orbit.states,
-        duration=orbit.duration,
-        limits=limits or Limits(),
-    )
-
-
 def edges_of(name):
     """Return {axis: [(value, converged, rms in m/s²)]} and what the motion takes of each limit on its own."""
-    itinerary, settings = load_itinerary(name), ReferenceSettings()
-    orbit = shadowing_orbit(itinerary)
-    free = find_reference(problem_of(itinerary, orbit), settings)
+    itinerary = load_itinerary(name)
+    orbit, arms = shadowing_orbit(itinerary), itinerary.model.arms
+
+    def found_with(friction=1.0, **limits):
+        parameters = replace(arms, viscous=tuple(friction * k for k in arms.viscous)).base()
+        equations, limits = arm_chain_equations(2, Level.CART), replace(Limits(), **limits)
+        return find_reference(ReferenceProblem(equations, parameters, orbit.states, orbit.duration, limits))
+
+    free = found_with()
     takes = {"position": free.max_cart_position, "acceleration": free.max_cart_acceleration}
     rows = {"friction": []}
     for factor in FRICTION:
-        found = find_reference(problem_of(itinerary, orbit, friction=factor), settings)
+        found = found_with(friction=factor)
         rows["friction"].append((factor, found.converged, found.rms_cart_acceleration))
     for axis, taken in takes.items():
         rows[axis] = []
         for share in SHARES[axis]:
-            limits = replace(Limits(), **{axis: share * taken})
-            found = find_reference(problem_of(itinerary, orbit, limits=limits), settings)
+            found = found_with(**{axis: share * taken})
             rows[axis].append((share * taken, found.converged, found.rms_cart_acceleration))
             if not found.converged:
                 assert f"cart {axis}" in found.status or "without limits" in found.status, found.status
@@ -95,15 +89,13 @@ def drawn(edges):
 
 
 @pytest.mark.benchmark
-def test_the_edges_of_references(capsys):
+def test_the_edges_of_references():
     edges = {name: edges_of(name) for name in NAMES}
-    with capsys.disabled():
-        for name, (rows, takes) in edges.items():
-            for kind, row in rows.items():
-                border = f", taken without limits: {takes[kind]:.4g}" if kind in takes else ""
-                sys.stdout.write(f"\n{name}, {kind}{border}\n")
-                for value, good, rms in row:
-                    sys.stdout.write(f"  {value:8.4g}  {f'{rms:.4f} m/s² rms' if good else 'none'}\n")
+    for name, (rows, takes) in edges.items():
+        for kind, row in rows.items():
+            sys.stdout.write(f"\n{name}, {kind}, taken without limits: {takes.get(kind, 0.0):.4g}\n")
+            for value, good, rms in row:
+                sys.stdout.write(f"  {value:8.4g}  {f'{rms:.4f} m/s² rms' if good else 'none'}\n")
     if "DPCONTROL_EDGES_PICTURE" in os.environ:
         save_figure(drawn(edges), os.environ["DPCONTROL_EDGES_PICTURE"])
     for rows, takes in edges.values():

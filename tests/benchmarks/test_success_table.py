@@ -6,6 +6,7 @@ Those that begin at rest, as on a rig, come first. Prints a row of the table for
 import sys
 from collections.abc import Sequence
 
+import coarse_benches
 import pytest
 
 from dpcontrol.foundation.statistics import Share
@@ -19,14 +20,6 @@ ITINERARIES = (
     "turn-from-rest", "cross-from-rest", "up-up", "two-energies", "round-trip-from-rest", "twelve",
     "outer-turn", "cross", "double-turn", "triple-turn", "turn-cross-turn-return", "round-trip", "dance", "linger",
 )  # fmt: skip
-BENCH = {
-    "lag": 0.005,
-    "command_noise": 0.3,
-    "initial_error": 0.05,
-    "zero_error": 0.02,
-    "counts": 40_000,
-    "travel": 0.8,
-}
 BARS = {0.05: 0.985, 0.1: 0.98, 0.2: 0.96, 0.3: 0.9}
 """By the mismatch: at ±5 % the least lower end of Wilson's interval, at more of it the least share."""
 RUNS, FIRST_SEED = 400, 70_000
@@ -61,7 +54,7 @@ def test_the_default_controller_completes_a_shipped_itinerary(name: str) -> None
     scene = load_itinerary(name)
     # A law with internal timing runs seed by seed.
     runs = RUNS if scene.loop.keep == "none" else RUNS // 4
-    shares = shares_of(name, cases_of(scene, fixed=BENCH, over={"mismatch": list(BARS)}), runs)
+    shares = shares_of(name, cases_of(scene, fixed=coarse_benches.BENCH, over={"mismatch": list(BARS)}), runs)
     row = " | ".join(f"{share.rate:.1%} ({100 * share.low:.1f})".replace("%", " %") for share in shares)
     sys.stdout.write(f"\n| {name} | {row} |\n")
     for share, (mismatch, bar) in zip(shares, BARS.items(), strict=True):
@@ -73,7 +66,7 @@ def test_the_default_controller_completes_a_shipped_itinerary(name: str) -> None
 def test_the_default_controller_tolerates_trouble(trouble: str) -> None:
     shares: list[Share] = []
     for name in TROUBLED:
-        fixed = {**BENCH, "mismatch": 0.05, **TROUBLES[trouble]}
+        fixed = {**coarse_benches.BENCH, **TROUBLES[trouble]}
         shares += shares_of(name, cases_of(load_itinerary(name), fixed=fixed, over={}), TROUBLED_RUNS)
     row = " | ".join(f"{share.rate:.1%}".replace("%", " %") for share in shares)
     sys.stdout.write(f"\n| {trouble} | {row} |\n")

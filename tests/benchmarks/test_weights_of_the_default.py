@@ -16,6 +16,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import coarse_benches
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
@@ -37,15 +38,7 @@ FACTORS = (0.5, 1.0, 2.0, 4.0)
 FIRST = (0.03, 0.07)
 """Standard deviations of the parameters' relative errors at the start."""
 FAR_OFF = ("turn-from-rest", "outer-turn", "cross")
-BENCH = {
-    "lag": 0.005,
-    "command_noise": 0.3,
-    "initial_error": 0.05,
-    "zero_error": 0.02,
-    "counts": 40_000,
-    "travel": 0.8,
-    "mismatch": 0.3,
-}
+BENCH = {**coarse_benches.BENCH, "mismatch": 0.3}
 QUIET, RUNS, FIRST_SEED = 24, 100, 30_000
 STORED = Path(__file__).with_name("weights.json")
 PICTURE = Path(__file__).parents[2] / ".assets" / "weights.png"
@@ -107,11 +100,8 @@ def drawn(found: list[dict[str, float]]) -> Figure:
             x, y = ([one[key_of] for one in line] for key_of in ("command_minus_plan", "completed"))
             axes.plot(x, y, "o-", color=colour, markersize=5)
             for one, across, up in zip(line, x, y, strict=True):
-                look = {"fontsize": style.SMALL, "color": colour, "textcoords": "offset points", "va": "center"}
-                # Lines rise to the peak and fall after it: left above a point, and right of the last one, none passes.
-                last = one is line[-1]
-                place = {"xytext": (8, 0)} if last else {"xytext": (-7, 7), "ha": "right"}
-                axes.annotate(f"× {one['factor']:g}", (across, up), **place, **look)
+                look = {"fontsize": style.SMALL, "color": colour, "textcoords": "offset points", "ha": "right"}
+                axes.annotate(f"× {one['factor']:g}", (across, up), (-7, 7), **look)
         ring = {"marker": "o", "linestyle": "none", "markerfacecolor": "none", "color": style.LIMIT}
         axes.plot(default["command_minus_plan"], default["completed"], markersize=14, **ring)
         axes.margins(0.1, 0.15)
@@ -119,8 +109,5 @@ def drawn(found: list[dict[str, float]]) -> Figure:
         lines = [(f"parameters first known to {first:.0%}", colour) for first, colour in colours.items()]
         key(axes, [*lines, ("default", {"markersize": 9, **ring})])
 
-    return (
-        Page(title, "Labels: weights of angles and rates, in multiples of the default.", width=8.0)
-        .row(draw, height=3.6)
-        .figure()
-    )
+    text = "Labels: weights of angles and rates, in multiples of the default."
+    return Page(title, text, width=8.0).row(draw, height=3.6).figure()

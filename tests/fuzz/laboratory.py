@@ -8,37 +8,15 @@ from pathlib import Path
 from command_line import dpcontrol
 
 ROOT = Path(__file__).parents[2]
-REST = """\
-title = "At rest"
-model = "lab"
-start = "hold"
-hold = "down-down"
-seconds = 0.5
-
-[controller]
-kind = "lqr"
-
-[limits]
-position = 0.4
-velocity = 3.0
-acceleration = 30.0
-
-[run]
-mismatch = 0.02
-initial_error = 0.02
-noise = 1e-4
-delay = 1.0
-lag = 0.001
-"""
+REST = (ROOT / "itineraries/hold-down-down.toml").read_text().replace("seconds = 60.0", "seconds = 0.5")
+REST += "noise = 1e-4\ndelay = 1.0\nlag = 0.001\n"
 COMMANDS = (
     "run rest.toml --out run.mcap",
     "plan rest.toml --out reference.npz",
-    "atlas lab --energy -0.07 --out atlas.npz",
     "import --simulated lab --swings 3 --seconds 0.3 --out swings.mcap",
     "campaign rest.toml --runs 2 --workers 1 --out campaign.parquet",
 )
 SPECIAL = ("folder", "loop", "dangling", "/dev/null", "/dev/zero", "/dev/full", "/proc/self/mem", "empty")
-"""Names of special files: a folder, circular and broken links, devices, and an empty file."""
 
 
 class Laboratory:
