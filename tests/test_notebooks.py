@@ -42,10 +42,6 @@ def test_a_notebook_has_its_outputs_and_imports_no_subpackage(file: Path) -> Non
     assert "error" not in {one.output_type for cell in code for one in cell.outputs}
 
 
-def test_there_are_three_notebooks() -> None:
-    assert {file.stem for file in NOTEBOOKS} == {"tubes_from_scratch", "walk_to_run", "your_own_law"}
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("file", NOTEBOOKS, ids=lambda file: file.stem)
 def test_a_notebook_prints_what_it_shows(file: Path) -> None:
