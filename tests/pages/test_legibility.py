@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from legible import PAPER, problems, texts_of
+from legible import PAPER, problems
 from matplotlib.figure import Figure
 from synthetic_run import synthetic_run, view_of
 from test_campaign_report import rows
@@ -34,11 +34,10 @@ from dpcontrol.pages.experiments import draw_design
 from dpcontrol.pages.figures import FIGURES
 from dpcontrol.pages.gallery import Gallery
 from dpcontrol.pages.identification import draw_identification
-from dpcontrol.pages.layout import Page, new_figure
+from dpcontrol.pages.layout import new_figure
 from dpcontrol.pages.night import draw_night
 from dpcontrol.pages.orbits import draw_families
 from dpcontrol.pages.page import draw
-from dpcontrol.pages.panels import name_rows
 from dpcontrol.pages.preflight import draw_preflight
 from dpcontrol.pages.transitions import draw_transitions
 from dpcontrol.pages.walks import draw_walk
@@ -49,8 +48,6 @@ from dpcontrol.plans.plan import make_plan
 from dpcontrol.recordings.recording import simulated_recording
 from dpcontrol.references.reference import summarised
 
-LABELS = 0.05
-"""Share of a panel's width that a free place beside it leaves: it has no tick labels."""
 LAB = load_model("lab")
 FEW_GUESSES = '[reference]\nmethod = "radau-5"\ninterval = 0.1\ntolerance = 1e-3\n'
 
@@ -228,30 +225,9 @@ def test_the_check_finds_small_overlapping_and_covering_texts() -> None:
     assert "'tiny' is printed at 5.0 pt" in said
 
 
-def test_the_check_accepts_a_figure_without_faults() -> None:
-    figure = new_figure(4.0, 3.0)
-    figure.add_subplot().plot([0, 1], [0, 1])
-    assert len(texts_of(figure)) > 8
-    assert problems(figure) == []
-
-
 def test_no_page_chooses_coordinates_of_panels() -> None:
     folder = Path(dpcontrol.pages.__file__).parent
     for file in folder.glob("*.py"):
         calls = [node for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))) if isinstance(node, ast.Call)]
         names = {node.func.attr for node in calls if isinstance(node.func, ast.Attribute)}
         assert not names & {"add_axes", "subplots_adjust", "tight_layout", "set_position"} or file.name == "layout.py"
-
-
-def test_a_grid_has_panels_of_equal_size_and_free_places_at_its_end() -> None:
-    figure = Page("").grid([lambda axes: axes.plot([0, 1])] * 5, across=3, height=1.5).figure()
-    assert [axes.axison for axes in figure.axes] == [True] * 5 + [False]
-    sizes = np.array([axes.get_window_extent().size for axes in figure.axes[:5]])
-    np.testing.assert_allclose(sizes, np.broadcast_to(sizes[0], sizes.shape), rtol=LABELS)
-
-
-def test_named_rows_have_the_first_name_at_the_top() -> None:
-    axes = new_figure(4.0, 3.0).add_subplot()
-    name_rows(axes, ["first", "second"])
-    labels = {label.get_text(): axes.transData.transform((0, k))[1] for k, label in enumerate(axes.get_yticklabels())}
-    assert labels["first"] > labels["second"]

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import rerun as rr
 
-from dpcontrol.foundation.errors import InputError, Remark
+from dpcontrol.foundation.errors import Remark
 from dpcontrol.foundation.rendering import live_view
 from dpcontrol.logs import read_log
 from dpcontrol.pages import live
@@ -125,10 +125,3 @@ def test_a_view_that_does_not_read_drops_rows_and_holds_nothing_up(plan, watched
     with pytest.warns(Remark, match=r"the live view was behind: [1-9]"):
         run = runs.run_plan(plan, live=live_view)
     assert run.converged
-
-
-def test_without_a_display_it_is_rejected_before_the_run(plan, monkeypatch) -> None:
-    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
-        monkeypatch.delenv(name, raising=False)
-    with pytest.raises(InputError, match="there is no display to open the viewer on"):
-        runs.run_plan(plan, live=live_view)

@@ -16,7 +16,6 @@ from dpcontrol.judge.night import (
     read_night,
 )
 from dpcontrol.logs.rolling import Digest
-from dpcontrol.pages.night import draw_night
 
 ON = "on the itinerary from t = 0.0000 s of the reference: "
 FALL = "tracking lost at t = 100.000 s: an angle has stayed 2 rad from the reference; symbol 1 of 1 is repeated"
@@ -88,16 +87,6 @@ def test_drift_and_tracking_are_those_of_the_files() -> None:
     assert drift.per_hour == pytest.approx(0.006, rel=0.1)
     assert told.tracking == pytest.approx(0.01)
     assert told.cart == 0.3
-
-
-def test_the_page_shows_hours_falls_and_missing_parts() -> None:
-    figure = draw_night(night())
-    strip, times, causes, _, drift, others = figure.axes
-    assert len(strip.lines) == len(night().falls)
-    assert {label.get_text() for label in times.get_yticklabels()} == {ITINERARY, CALMING, STARTING, BETWEEN, UNKNOWN}
-    assert [label.get_text() for label in causes.get_yticklabels()] == ["tracking lost", "sensor stuck"]
-    assert [len(axes.lines) for axes in (drift, others)] == [1, 0]
-    assert any("no log from 20.00 to 30.00 minutes" in line for line in night().lines())
 
 
 @pytest.mark.parametrize(

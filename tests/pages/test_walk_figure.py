@@ -1,6 +1,5 @@
 """The page of a walk: what it says is what the orbit does, and it is drawn for every kind of walk."""
 
-import struct
 from functools import cache
 from pathlib import Path
 
@@ -10,17 +9,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
-from dpcontrol.foundation.errors import InputError
-from dpcontrol.pages import style
 from dpcontrol.pages.layout import save_figure
-from dpcontrol.pages.walk_space import LIFTED_TURNS, is_lifted
 from dpcontrol.pages.walk_story import NEAR, WalkStory
 from dpcontrol.pages.walk_symbols import symbol_text, symbol_words
-from dpcontrol.pages.walks import FILM_SYMBOLS, draw_walk, film_shape
+from dpcontrol.pages.walks import draw_walk
 from dpcontrol.plans.model import load_model
 from dpcontrol.walks.edges import Edges, find_edges
 from dpcontrol.walks.shadowing import ShadowingOrbit, WalkSolver
-from dpcontrol.walks.walks import random_walk, resolve, through
+from dpcontrol.walks.walks import resolve, through
 
 LEAST_BYTES = 60_000  # of the page: an empty one of that size takes about 15,000
 LOW, HIGH = -0.07, 0.2
@@ -75,14 +71,6 @@ def test_wobbles_lie_between_the_symbols_and_carry_the_wraps_of_the_orbit() -> N
     assert np.rint((spans[2].end - spans[2].start) / period) >= 3
 
 
-def test_the_closing_stop_of_a_closed_walk_has_its_wraps() -> None:
-    orbit = found(["down-up +", "down-up -"], wraps=[1, 2], periodic=True)
-    spans = story(orbit).wobbles()
-    assert [w.wraps for w in spans] == [1, 2]
-    assert [w.closing for w in spans] == [False, True]
-    assert 0 <= spans[1].start < spans[1].end <= orbit.duration
-
-
 @pytest.mark.slow
 def test_coloured_parts_are_near_the_orbit() -> None:
     orbit = found(["down-up > up-down", "up-down > down-up"], energy=HIGH)
@@ -113,24 +101,6 @@ def test_symbols_are_described_in_words() -> None:
 
 
 @pytest.mark.slow
-def test_the_page_names_every_symbol_and_marks_it_at_its_time() -> None:
-    orbit = found(["down-up +", "down-up > up-down", "up-down -", "up-down > down-up"], energy=HIGH)
-    figure = drawn(orbit)
-    said = words(figure)
-    for connection, time in zip(orbit.connections, orbit.symbol_times, strict=True):
-        assert connection.name in said
-        assert f"{time:.3f}" in said
-    assert "An orbit of lab at 0.2 J that follows 4 symbols" in said
-    assert "wraps [1, 1, 1] as asked" in said
-    strip = figure.axes[0]
-    marks = {text.get_text(): text.get_position()[0] for text in strip.texts if text.get_text() in "1234"}
-    assert [marks[str(k + 1)] for k in range(4)] == pytest.approx(list(orbit.symbol_times))
-    stays = [t.get_text() for t in strip.texts if "×" in t.get_text()]
-    assert stays == ["down-up 2×", "down-up 1×", "up-down 1×", "up-down 1×", "down-up 2×"]
-    assert "↻" not in said
-
-
-@pytest.mark.slow
 def test_curves_on_the_page_are_the_orbits_own() -> None:
     orbit = found(["down-up +", "down-up -"])
     axes = panel(drawn(orbit), "Angles")
@@ -140,49 +110,6 @@ def test_curves_on_the_page_are_the_orbits_own() -> None:
         assert times[-1] == orbit.duration
         # The axis is ticked in units of π.
         assert np.pi * np.asarray(line.get_ydata())[::50] == pytest.approx(orbit.states(times[::50])[:, arm])
-
-
-def test_a_closed_walk_is_labelled() -> None:
-    said = words(drawn(found(["down-up +"], periodic=True)))
-    assert "A periodic orbit of lab at -0.07 J that follows 1 symbol" in said
-    assert "unstable multiplier" in said
-    assert "1× ↻" in said
-
-
-@pytest.mark.slow
-def test_whole_turns_are_counted_in_space_while_there_are_few() -> None:
-    few, many = found(["down-up +", "down-up -"]), found(["down-up +"] * 4)
-    assert is_lifted(story(few))
-    assert not is_lifted(story(many))
-    assert np.ptp(many.states(np.linspace(0, many.duration, 500))[:, 1]) > LIFTED_TURNS * 2 * np.pi
-    assert "whole turns counted" in panel(drawn(few), "The orbit").get_title(loc="left")
-    space = panel(drawn(many), "The orbit")
-    assert "modulo 2π" in space.get_title(loc="left")
-    low, high = space.get_ylim()
-    assert high - low < 2.5 * np.pi  # a turn, with the frame's margins
-
-
-@pytest.mark.parametrize(
-    ("count", "rows"), [(1, 1), (2, 1), (3, 1), (4, 2), (6, 2), (12, 2), (16, 3), (40, 3), (70, 3)]
-)
-def test_the_film_shows_every_symbol_in_few_rows(count: int, rows: int) -> None:
-    film = film_shape(count)
-    assert film[0] == rows
-    assert film[0] * film[1] >= min(count, FILM_SYMBOLS)
-    assert film[1] * film[2] <= 20
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("length", [1, 16, 21])
-def test_walks_of_any_length_are_drawn(length: int, tmp_path: Path) -> None:
-    chain = random_walk(edges(LOW), length, np.random.default_rng(4))
-    orbit = WalkSolver(edges(LOW).connections).solve(chain, [1] * (length - 1))
-    file = tmp_path / "new" / "walk.png"
-    save_figure(draw_walk(orbit, arm_lengths=load_model("lab").arms.length, model="lab"), file)
-    content = file.read_bytes()
-    assert content.startswith(b"\x89PNG\r\n\x1a\n")
-    assert struct.unpack(">II", content[16:24])[0] == round(150 * style.WIDTH)
-    assert len(content) > LEAST_BYTES
 
 
 @pytest.mark.slow
@@ -200,11 +127,3 @@ def test_a_system_without_arms_is_drawn_in_its_plane(tmp_path: Path) -> None:
     assert "θ" not in said
     assert "arm" not in said
     assert "leaves L1 and comes back" in said
-
-
-def test_a_place_that_cannot_be_written_is_rejected(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    orbit = found(["down-up +"])
-    with pytest.raises(InputError, match="cannot write"):
-        save_figure(draw_walk(orbit, arm_lengths=None, model="lab"), tmp_path / "file" / "walk.png")
-    assert [f.name for f in tmp_path.iterdir()] == ["file"]
