@@ -8,9 +8,7 @@ import pyarrow
 import pyarrow.parquet
 import pytest
 
-from dpcontrol.foundation.errors import InputError
 from dpcontrol.judge.campaign import campaign_summary
-from dpcontrol.pages.campaign import draw_campaign
 
 WILSON = 1e-6
 """The normal quantile below is given to seven digits."""
@@ -113,37 +111,3 @@ def test_runs_without_a_verdict_are_counted_apart(tmp_path: Path) -> None:
     summary = campaign_summary(table(tmp_path / "runs.parquet", [*rows(), {"completed": None}]))
     assert (summary.runs, summary.unknown) == (20, 1)
     assert "1 without a verdict" in summary.status
-
-
-def test_a_file_that_is_not_a_campaign_is_rejected_in_one_sentence(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="there is no campaign"):
-        campaign_summary(tmp_path / "none.parquet")
-    (tmp_path / "text.parquet").write_text("no table")
-    with pytest.raises(InputError, match="not a Parquet table"):
-        campaign_summary(tmp_path / "text.parquet")
-    with pytest.raises(InputError, match="has no column of completed runs, only seed"):
-        campaign_summary(table(tmp_path / "bare.parquet", [{"seed": 1}]))
-    with pytest.raises(InputError, match="no runs with a verdict"):
-        campaign_summary(table(tmp_path / "empty.parquet", [{"completed": None}]))
-
-
-def test_cases_that_a_campaign_compares_are_never_merged(tmp_path: Path) -> None:
-    content = [
-        {**row, "case": f"controller={row['controller']}, lag={lag}", "max_cart_position": lag + 0.01}
-        for lag in (0.0, 0.1)
-        for row in rows()
-    ]
-    summary = campaign_summary(table(tmp_path / "cases.parquet", content))
-    assert [group.label for group in summary.groups] == [
-        f"controller={controller}, lag={lag}" for controller in ("feedforward", "tvlqr") for lag in (0.0, 0.1)
-    ]
-    assert [group.share.successes for group in summary.groups] == [0, 0, 8, 8]
-    assert {group["controller"] for group in summary.document()["groups"]} == {"tvlqr", "feedforward"}
-    # Each group has a histogram.
-    spread = summary.spreads["max_cart_position"]
-    assert [(np.unique(good).tolist(), np.unique(bad).tolist()) for good, bad in spread.values()] == [
-        ([], [0.01]), ([], [0.11]), ([0.01], [0.01]), ([0.11], [0.11]),
-    ]  # fmt: skip
-    page = draw_campaign(summary)
-    shown = [axes for axes in page.axes if axes.get_title(loc="left").startswith("Cart's largest distance")]
-    assert {text.get_text() for text in shown[0].texts} == {group.label for group in summary.groups}

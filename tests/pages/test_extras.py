@@ -59,14 +59,3 @@ def test_the_zeros_found_are_those_that_were_drawn() -> None:
         assert name == f"zero_{k + 1}"
         away = abs(view.extras.values[-1, k] - view.extra_truth[name])
         assert away <= SIGMAS * view.extras.sigmas[-1, k] + 2e-3, name
-
-
-@pytest.mark.slow
-def test_other_laws_of_friction_leave_its_error_unknown(tmp_path: Path) -> None:
-    model = load_itinerary("outer-turn").model
-    rusty = tmp_path / "rusty.toml"
-    rusty.write_text(model.text + "coulomb = [1e-4, 1e-4]\n")
-    view = run_view(run_of(controller="adaptive", plant=str(rusty)).log)
-    assert {"friction_1", "friction_2"} <= set(view.extras.names if view.extras else ())
-    assert not {"friction_1", "friction_2"} & view.extra_truth.keys()
-    assert set(KNOWN) <= view.extra_truth.keys()

@@ -6,9 +6,6 @@ import subprocess
 import numpy as np
 import pytest
 
-from dpcontrol.foundation.errors import InputError
-from dpcontrol.pages.atlas import draw_atlas
-from dpcontrol.pages.atlas_flights import FLIGHT
 from dpcontrol.pages.atlas_parts import connections_of, kind_of, stable_direction
 from dpcontrol.pages.atlas_recording import write_atlas_recording
 from dpcontrol.pages.figures import draw_figures
@@ -53,22 +50,6 @@ def test_a_figure_is_written_with_a_caption_and_its_differences(name, gallery, t
     assert words == {name: {"file": f"{name}.png", "caption": drawn.caption, "differs": drawn.differs}}
     assert len(drawn.caption) > 100
     assert len(drawn.differs) > 50
-
-
-@pytest.mark.slow
-def test_the_drawn_atlas_shows_every_flight_in_space(low):
-    figure = draw_atlas(low)
-    space = next(axes for axes in figure.axes if axes.name == "3d")
-    flights = [line.get_data_3d() for line in space.lines if line.get_color() == FLIGHT]
-    assert len(flights) == len(low.connections) == 8
-    for drawn, c in zip(flights, low.connections, strict=True):
-        assert np.array_equal(np.array(drawn).T, c.states[:, [0, 1, 2]])
-
-
-def test_an_unknown_figure_is_rejected_before_anything_is_drawn(gallery, tmp_path):
-    with pytest.raises(InputError, match="there is no figure 'tube'"):
-        draw_figures(["energy-landscape", "tube"], gallery, tmp_path)
-    assert not list(tmp_path.iterdir())
 
 
 def test_connections_lie_on_cuts_crossed_in_the_same_direction(low):

@@ -9,11 +9,9 @@ from matplotlib.image import imread
 from synthetic_run import synthetic_run, view_of
 
 from dpcontrol.judge.run_view import RunView
-from dpcontrol.pages import style
 from dpcontrol.pages.charts import curve
 from dpcontrol.pages.layout import save_figure
 from dpcontrol.pages.page import draw
-from dpcontrol.pages.picture import write_picture
 from dpcontrol.pages.rerun_recording import write_recording
 
 PIXELS_SET = 0.02
@@ -28,13 +26,6 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> RunView:
 def _share_set(path: Path) -> float:
     pixels = imread(path)[..., :3]
     return float((np.abs(pixels - pixels[0, 0]).max(axis=-1) > 0.1).mean())
-
-
-@pytest.mark.slow
-def test_a_picture_is_as_wide_as_a_page_and_not_empty(run: RunView, tmp_path: Path) -> None:
-    path = write_picture(run, tmp_path / "run.png")
-    assert imread(path).shape[1] == round(style.WIDTH * 150)
-    assert _share_set(path) > PIXELS_SET
 
 
 def test_thinned_curves_keep_every_peak(run: RunView) -> None:

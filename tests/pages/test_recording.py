@@ -1,7 +1,6 @@
 """The Rerun recording of a run: whole, arranged, and holding what the log says."""
 
 import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -91,12 +90,3 @@ def test_other_shapes_are_recorded_too(tmp_path: Path, arms: int, has_cart: bool
     log = bare_log(tmp_path / "run.mcap", arms=arms, has_cart=has_cart, ticks=ticks)
     write_recording(series_of(log), tmp_path / "run.rrd")
     _rerun("rrd", "verify", str(tmp_path / "run.rrd"))
-
-
-@pytest.mark.slow
-def test_logs_and_contexts_are_imported_without_the_viewer_or_matplotlib() -> None:
-    program = (
-        "import sys, dpcontrol.logs, dpcontrol.judge.run_view, dpcontrol.pages.picture\n"
-        "assert not {'rerun', 'matplotlib'} & sys.modules.keys()\n"
-    )
-    subprocess.run([sys.executable, "-c", program], check=True, timeout=60)

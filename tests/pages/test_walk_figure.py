@@ -5,12 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from dpcontrol.pages.layout import save_figure
-from dpcontrol.pages.walk_story import NEAR, WalkStory
+from dpcontrol.pages.walk_story import WalkStory
 from dpcontrol.pages.walk_symbols import symbol_text, symbol_words
 from dpcontrol.pages.walks import draw_walk
 from dpcontrol.plans.model import load_model
@@ -51,11 +50,6 @@ def words(figure: Figure) -> str:
     return " ".join(" ".join(text.get_text() for text in figure.findobj(Text)).split())
 
 
-def panel(figure: Figure, title: str) -> Axes:
-    (axes,) = [axes for axes in figure.axes if axes.get_title(loc="left").startswith(title)]
-    return axes
-
-
 def test_wobbles_lie_between_the_symbols_and_carry_the_wraps_of_the_orbit() -> None:
     orbit = found(["down-up +", "down-up -", "down-up +"], wraps=[1, 3])
     spans = story(orbit).wobbles()
@@ -71,22 +65,6 @@ def test_wobbles_lie_between_the_symbols_and_carry_the_wraps_of_the_orbit() -> N
     assert np.rint((spans[2].end - spans[2].start) / period) >= 3
 
 
-@pytest.mark.slow
-def test_coloured_parts_are_near_the_orbit() -> None:
-    orbit = found(["down-up > up-down", "up-down > down-up"], energy=HIGH)
-    told = story(orbit)
-    assert tuple(told.curves) == ("down-up", "up-down")
-    stays = told.view("lab").plan.planned
-    spans = [(stay.first, stay.last, stay.saddle) for stay in stays]
-    assert [saddle for _, _, saddle in spans] == ["down-up", "up-down", "down-up"]
-    for time in np.linspace(0.0, orbit.duration, 60):
-        state = orbit.states(np.array([time]))[0]
-        inside = [saddle for start, end, saddle in spans if start <= time <= end]
-        near = [name for name, curve in told.curves.items() if curve.nearest(state)[1] < NEAR]
-        on_an_edge = any(abs(time - bound) < 0.02 for start, end, _ in spans for bound in (start, end))
-        assert on_an_edge or inside == near
-
-
 def test_symbols_are_described_in_words() -> None:
     chain = resolve(["down-up +", "down-up > up-down -", "up-down -", "up-down > down-up"], edges(HIGH))
     assert [symbol_text(c) for c in chain][:3] == ["down-up +", "down-up > up-down -", "up-down -"]
@@ -98,18 +76,6 @@ def test_symbols_are_described_in_words() -> None:
     ]
     for connection in chain:
         assert resolve([symbol_text(connection)], edges(HIGH))[0].sense == connection.sense
-
-
-@pytest.mark.slow
-def test_curves_on_the_page_are_the_orbits_own() -> None:
-    orbit = found(["down-up +", "down-up -"])
-    axes = panel(drawn(orbit), "Angles")
-    for arm, line in enumerate(axes.lines[:2]):
-        times = np.asarray(line.get_xdata(), dtype=float)
-        assert times[0] == 0.0
-        assert times[-1] == orbit.duration
-        # The axis is ticked in units of π.
-        assert np.pi * np.asarray(line.get_ydata())[::50] == pytest.approx(orbit.states(times[::50])[:, arm])
 
 
 @pytest.mark.slow
