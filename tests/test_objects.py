@@ -198,12 +198,3 @@ def test_connections_lie_on_the_cuts_of_both_tubes(results: dict[str, Any]) -> N
             gaps = points - connection.place
             gaps[:, 0] -= 2 * np.pi * np.rint(gaps[:, 0] / (2 * np.pi))
             assert np.linalg.norm(gaps, axis=1).min() < chord
-
-
-def test_a_night_is_a_table_of_its_files(results: dict[str, Any]) -> None:
-    """Two files with two and one falls before a gap, and a last one without any, 600 s each."""
-    table = results["night"].frame()
-    assert table.index.tolist() == [0.0, 600.0, 1800.0]
-    assert table["end"].tolist() == [600.0, 1200.0, 2400.0]
-    assert table["falls"].tolist() == [2, 1, 0]
-    assert table["zero_1"].tolist() == [0.0, 0.001, 0.003]

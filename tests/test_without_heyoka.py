@@ -75,7 +75,12 @@ def test_all_that_needs_no_new_orbit_works(bench: Path) -> None:
         "report turn.parquet --picture campaign.png --json",
         "export turn.npz --out controller --json",
         "cache --json",
+        "import swing.mat --out swing.mcap --json",
+        "replay swing.mcap --json",
+        "identify swing.mcap --no-zeros --out models/own.toml --json",
+        "model own --json",
     ]
+    write_mat(bench / "swing.mat", rig_variables(segments=3))
     ended = dict(zip(lines, without(HEYOKA, bench, *lines), strict=True))
     assert {line: one.stderr for line, one in ended.items() if one.code} == {}
     assert "tubes along the way are not shown" in ended[lines[4]].stderr
@@ -88,20 +93,6 @@ def test_all_that_needs_no_new_orbit_works(bench: Path) -> None:
     assert here["completed"]
     assert here["rms_tracking_error"] == pytest.approx(there["rms_tracking_error"], rel=0.05)
     assert here["max_cart_position"] == pytest.approx(there["max_cart_position"], rel=1e-3)
-
-
-@pytest.mark.slow  # Four seconds: a model is fitted.
-def test_a_recording_of_the_bench_is_imported_replayed_and_identified(tmp_path: Path) -> None:
-    write_mat(tmp_path / "swing.mat", rig_variables(segments=3))
-    for ended in without(
-        HEYOKA,
-        tmp_path,
-        "import swing.mat --out swing.mcap --json",
-        "replay swing.mcap --json",
-        "identify swing.mcap --no-zeros --out models/own.toml --json",
-        "model own --json",
-    ):
-        assert ended.code == 0, ended.stderr
 
 
 @pytest.mark.slow

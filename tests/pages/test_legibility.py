@@ -15,8 +15,6 @@ from test_campaign_report import rows
 from test_night import night
 from test_walk_figure import found as walk
 
-from dpcontrol.bench.chart import Border, Diagram, EdgeChart, EdgeMap, Point, PrecisionChart, Trial
-from dpcontrol.bench.drawing import figure as figure_of_chart
 from dpcontrol.foundation.statistics import wilson
 from dpcontrol.identification.fit import DesignSettings, design_experiments
 from dpcontrol.identification.identify import IdentificationSettings, identify, profiles
@@ -128,38 +126,19 @@ def transitions(folder: Path) -> Figure:
     return draw_transitions(summarised(plan.reference))
 
 
-def chart_of_methods(_: Path) -> Figure:
-    draw = np.random.default_rng(4)
-    points = [
-        Point(f"method {k % 6}", f"1e-{k:02d}", *spot, default=k == 5)
-        for k, spot in enumerate((10.0 ** draw.uniform([-5, -9], [-2, 0], (18, 2))).tolist())
-    ]
-    panels = [
-        Diagram(title, "time of a tick, s", "error of the angles, rad", tuple(points[k:]))
-        for k, title in enumerate(("One turn", "An orbit", "Both arms up"))
-    ]
-    return figure_of_chart(PrecisionChart("x", "A chart of methods", READING, "the sixth", tuple(panels)), panels)
-
-
-def chart_of_maps(_: Path) -> Figure:
-    cases = [f"an-itinerary-{k}, adaptive" for k in range(9)]
-    maps = []
-    for title, y in (("Too little", "gain"), ("Further delay", "delay, s"), ("Further lag", "delay, s")):
-        borders = [
-            Border(float(k), name, 0.02 + 1e-3 * k, 0.024, 0.021, "", tuple(Trial(v, v < 0.022, "") for v in TRIED))
-            for k, name in enumerate(cases)
-        ]
-        maps.append(EdgeMap(title, "itinerary and law", y, tuple(borders), theory="a margin", log_x=False))
-    return figure_of_chart(EdgeChart("x", "A chart of maps", READING, "margins", tuple(maps)), maps)
-
-
-READING = ("What is shown.", "How to read it.", "What it leaves out.")
-TRIED = (0.01, 0.02, 0.024, 0.1)
 QUICK = (run, campaign, long_run)
 SLOW = (
-    run_of_many_symbols, comparison, preflight, walk_page, chart_of_methods, chart_of_maps, reference, atlas, family,
-    design, identification, transitions,
-)  # fmt: skip
+    run_of_many_symbols,
+    comparison,
+    preflight,
+    walk_page,
+    reference,
+    atlas,
+    family,
+    design,
+    identification,
+    transitions,
+)
 
 
 @pytest.mark.parametrize(

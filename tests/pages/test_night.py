@@ -4,14 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from dpcontrol.judge.night import (
-    BETWEEN,
-    CALMING,
-    ITINERARY,
-    STARTING,
-    UNKNOWN,
-    Night,
-)
+from dpcontrol.judge.night import BETWEEN, CALMING, ITINERARY, STARTING, UNKNOWN, Night
 from dpcontrol.logs.rolling import Digest
 
 ON = "on the itinerary from t = 0.0000 s of the reference: "

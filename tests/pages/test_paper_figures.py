@@ -2,15 +2,13 @@
 
 import numpy as np
 import pytest
-from matplotlib.colors import to_hex
 
 from dpcontrol.orbits.cut import section_points, tube_cut
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.orbits.manifold import UnstableManifold
-from dpcontrol.pages import figures, gallery, style
+from dpcontrol.pages import gallery
 from dpcontrol.pages.paper import up_up, wheels
 from dpcontrol.pages.paper.returning import returning_search
-from dpcontrol.pages.paper.shadowing import shadowing_page
 from dpcontrol.plans.atlas import AtlasSettings, make_atlas
 from dpcontrol.plans.model import load_model
 
@@ -24,12 +22,6 @@ def shown():
         atlas=lambda name, energy, hits: make_atlas(load_model(name), energy, settings=AtlasSettings(hits=hits)).atlas,
         branches=lambda *_: pytest.fail("no sweep is needed here"),
     )
-
-
-def drawn(axes, colour):
-    """Return the curves of a colour in a panel, of two or three dimensions."""
-    lines = [line for line in axes.lines if to_hex(line.get_color()) == to_hex(colour)]
-    return [np.array(line.get_data_3d() if axes.name == "3d" else line.get_data()).T for line in lines]
 
 
 @pytest.mark.slow
@@ -51,20 +43,6 @@ def test_wheels_hold_points_of_both_tubes_and_the_orbits_that_stay(shown):
         assert section_points(system, section, one.state)[0] == pytest.approx(0.0, abs=ROUNDING)
         later = system.propagator.flow(one.state, one.period)
         assert later - one.state == pytest.approx([0.0, 2 * np.pi, 0.0, 0.0], abs=1e-7)
-
-
-@pytest.mark.slow
-def test_an_orbit_is_shadowed_twice_and_for_ever(shown):
-    page = shadowing_page(shown)
-    below = page.figure.axes[3:]
-    turns = []
-    for axes in below:
-        (outer,) = drawn(axes, style.arm_colour(1))
-        turns.append(round((outer[-1, 1] - outer[0, 1]) / (2 * np.pi)))
-    assert turns == [1, 2, 1]
-    (inner,), (outer,) = (drawn(below[2], style.arm_colour(arm)) for arm in (0, 1))
-    assert inner[0, 1] == pytest.approx(inner[-1, 1], abs=1e-6)
-    assert outer[-1, 1] - outer[0, 1] == pytest.approx(2 * np.pi, abs=1e-6)
 
 
 @pytest.mark.slow
@@ -92,15 +70,3 @@ def test_points_of_up_ups_manifold_lie_on_its_energy_and_come_from_it():
     # The manifold is its own image under (θ, ω) -> (-θ, -ω).
     for image in -states[::200]:
         assert system.scaled_distance(states, image).min() < 0.05
-
-
-@pytest.mark.parametrize("name", ["double-homoclinics", "triple-homoclinics"])
-@pytest.mark.slow
-def test_repeated_homoclinics_turn_the_outer_arm_so_often(name, shown):
-    turns = 2 if name.startswith("double") else 3
-    page = figures.FIGURES[name](shown)
-    below = [axes for axes in page.figure.axes if "against time" in axes.get_title(loc="left")]
-    assert below
-    for axes in below:
-        (outer,) = drawn(axes, style.arm_colour(1))
-        assert round((outer[-1, 1] - outer[0, 1]) / (2 * np.pi)) == turns
