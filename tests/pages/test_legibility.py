@@ -12,6 +12,7 @@ from legible import PAPER, problems
 from matplotlib.figure import Figure
 from synthetic_run import synthetic_run, view_of
 from test_campaign_report import rows
+from test_figures import GALLERY
 from test_night import night
 from test_walk_figure import found as walk
 
@@ -28,7 +29,6 @@ from dpcontrol.pages.campaign import draw_campaign
 from dpcontrol.pages.comparison import draw_comparison
 from dpcontrol.pages.experiments import draw_design
 from dpcontrol.pages.figures import FIGURES
-from dpcontrol.pages.gallery import Gallery
 from dpcontrol.pages.identification import draw_identification
 from dpcontrol.pages.layout import new_figure
 from dpcontrol.pages.night import draw_night
@@ -37,7 +37,7 @@ from dpcontrol.pages.page import draw
 from dpcontrol.pages.preflight import draw_preflight
 from dpcontrol.pages.transitions import draw_transitions
 from dpcontrol.pages.walks import draw_walk
-from dpcontrol.plans.atlas import AtlasSettings, make_atlas, make_branches
+from dpcontrol.plans.atlas import make_atlas
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.model import load_model
 from dpcontrol.plans.plan import make_plan
@@ -151,14 +151,9 @@ def test_a_page_is_legible_in_print(make: Callable[[Path], Figure], tmp_path: Pa
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [name for name in FIGURES if name != "branches"])
+@pytest.mark.parametrize("name", FIGURES)
 def test_a_figure_of_the_paper_is_legible_in_print(name: str) -> None:
-    gallery = Gallery(
-        system=lambda name: load_model(name).system,
-        atlas=lambda name, energy, hits: make_atlas(load_model(name), energy, settings=AtlasSettings(hits=hits)).atlas,
-        branches=lambda name, source, target, report: make_branches(load_model(name), source, target, progress=report),
-    )
-    figure = FIGURES[name](gallery).figure
+    figure = FIGURES[name](GALLERY).figure
     assert problems(figure) == []
     assert figure.get_figwidth() <= PAPER[0]
 
