@@ -15,7 +15,7 @@ import dpcontrol as dp
 from dpcontrol.foundation.parts import PartMissing
 from tests.test_objects import results_of_functions
 
-CALLS, LONGEST = 1000, 1000
+CALLS, LONGEST = 500, 1000
 """Number of calls with a wrong type, and length of the longest sentence, which lists all itineraries."""
 
 
