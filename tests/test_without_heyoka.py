@@ -75,9 +75,9 @@ def test_all_that_needs_no_new_orbit_works(bench: Path) -> None:
         "report turn.parquet --picture campaign.png --json",
         "export turn.npz --out controller --json",
         "cache --json",
-        "import swing.mat --out swing.mcap --json",
-        "replay swing.mcap --json",
-        "identify swing.mcap --no-zeros --out models/own.toml --json",
+        "import swing.mat --out mat.mcap --json",
+        "replay mat.mcap --json",
+        "identify mat.mcap --no-zeros --out models/own.toml --json",
         "model own --json",
     ]
     write_mat(bench / "swing.mat", rig_variables(segments=3))
