@@ -8,28 +8,12 @@ import pytest
 import dpcontrol
 
 EXAMPLES = sorted(file.stem for file in (Path(dpcontrol.__file__).parent / "examples").glob("[a-z]*.py"))
-SLOW = {
-    "mismatch",
-    "identify",
-    "walk",
-    "connections",
-    "export",
-    "night",
-    "from_rest",
-    "integral_action",
-    "air_drag",
-    "eddy_brake",
-    "mujoco_rig",
-    "typed",
-}
-"""Examples that take more than a few seconds."""
 NEEDS = {"mujoco_rig": "mujoco", "gym_env": "gymnasium"}
 """Additional packages that examples need."""
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.slow if name in SLOW else ()) for name in EXAMPLES]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", EXAMPLES)
 def test_an_example_runs_and_ends_in_its_picture(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     if name in NEEDS:
         pytest.importorskip(NEEDS[name], reason=f"{NEEDS[name]} is not installed")

@@ -89,23 +89,6 @@ def test_the_wheel_declares_the_console_script_and_the_dependencies(wheel: Path)
     assert f"Requires-Python: {project['requires-python']}" in fields
 
 
-@pytest.mark.slow
-def test_an_unpacked_wheel_finds_its_own_models_and_itineraries(wheel: Path, tmp_path: Path) -> None:
-    site, elsewhere = tmp_path / "site", tmp_path / "elsewhere"
-    elsewhere.mkdir()
-    with zipfile.ZipFile(wheel) as archive:
-        archive.extractall(site)
-    package, *files = found_from(elsewhere, path=site)
-    assert Path(package) == site / "dpcontrol" / "__init__.py"
-    data = site.resolve() / "dpcontrol" / "data"
-    assert [Path(f) for f in files] == [
-        data / "models" / "lab.toml",
-        data / "models" / "printed.toml",
-        data / "itineraries" / "outer-turn.toml",
-        data / "itineraries" / "cross.toml",
-    ]
-
-
 @pytest.mark.slow  # Two installations, seven seconds.
 @pytest.mark.parametrize("kind", ["wheel", "sdist"])
 def test_the_built_wheel_installs_and_runs_in_another_folder(kind: str, wheel: Path, tmp_path: Path) -> None:
@@ -161,15 +144,6 @@ def test_package_changes_and_citation_have_the_same_version() -> None:
     assert released[0] == dpcontrol.__version__
     assert cited is not None
     assert cited[1] == dpcontrol.__version__
-
-
-def test_the_shell_completes_verbs_and_options() -> None:
-    for words, place, expected in (("dpcontrol sc", "1", "plain,score"), ("dpcontrol run --mism", "2", "--mismatch")):
-        asked = {"_DPCONTROL_COMPLETE": "bash_complete", "COMP_WORDS": words, "COMP_CWORD": place}
-        done = subprocess.run(
-            [sys.executable, "-m", "dpcontrol"], env={**os.environ, **asked}, capture_output=True, text=True, check=True
-        )
-        assert expected in done.stdout
 
 
 @pytest.mark.slow

@@ -279,35 +279,6 @@ def test_every_picture_is_shown_and_is_one() -> None:
         assert file.stat().st_size <= 3e6
 
 
-def test_a_page_with_a_picture_names_a_command_that_draws_it() -> None:
-    drawn = re.compile(
-        r"dpcontrol (bench|walk|report|review|plan|planner) |`run |pytest -m benchmark|tests/benchmarks/\w+\.py|"
-        r"dpcontrol\.examples\."
-    )
-    for page, text in PAGES.items():
-        assert "![" not in text or drawn.search(text), page.name
-
-
-@pytest.mark.slow
-def test_the_guide_lists_each_of_its_pages_once_and_shows_it() -> None:
-    listed = [one["topic"] for one in dpcontrol("guide", "--json").document["topics"]]
-    assert sorted(listed) == sorted(page.stem for page in PAGES if page.parent == GUIDE and page.stem != "README")
-    plain = dpcontrol("guide").stdout
-    for topic in listed:
-        assert re.search(rf"^  {topic} +\S", plain, re.MULTILINE)
-        shown = dpcontrol("guide", topic)
-        title = PAGES[GUIDE / f"{topic}.md"].split("\n")[0].removeprefix("# ")
-        assert shown.code == 0
-        assert title in shown.stdout
-    assert dpcontrol("guide", listed[0], "--json").document["text"] == PAGES[GUIDE / f"{listed[0]}.md"]
-
-
-def test_an_unknown_page_is_bad_input_with_a_suggestion() -> None:
-    ended = dpcontrol("guide", "rigg")
-    assert ended.code == 2
-    assert ended.message.startswith("dpcontrol: the guide has no page 'rigg'; did you mean 'rig'?")
-
-
 def test_the_table_of_topics_is_that_of_the_logs() -> None:
     from dpcontrol.logs import layout
 

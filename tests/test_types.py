@@ -55,18 +55,13 @@ def checked(folder: Path, *command: str) -> str:
     return done.stdout + done.stderr
 
 
-def test_examples_check_under_pyright_strict(project: Path) -> None:
-    assert "\n0 errors" in "\n" + checked(project, "pyright", "--pythonpath", sys.executable)
+PYRIGHT = ("pyright", "--pythonpath", sys.executable)
+MYPY = ("mypy", "--strict", "--follow-imports=silent")
 
 
-def test_examples_check_under_mypy_strict(project: Path) -> None:
-    files = [file.name for file in project.glob("*.py")]
-    assert "Success: no issues" in checked(project, "mypy", "--strict", "--follow-imports=silent", *files)
-
-
-def test_both_find_mistakes_in_the_types_of_arguments(project: Path) -> None:
-    by_pyright = checked(project / "mistaken", "pyright", "--pythonpath", sys.executable)
-    by_mypy = checked(project / "mistaken", "mypy", "--strict", "--follow-imports=silent", "mistaken.py")
-    for line in (4, 5, 6):
-        assert f"mistaken.py:{line}:" in by_pyright
-        assert f"mistaken.py:{line}:" in by_mypy
+@pytest.mark.parametrize(("checker", "clean"), [(PYRIGHT, "0 errors"), (MYPY, "Success: no issues")])
+def test_a_checker_accepts_the_examples_and_finds_mistakes(checker: tuple[str, ...], clean: str, project: Path) -> None:
+    files = [file.name for file in project.glob("*.py")] if checker is MYPY else []
+    assert f"\n{clean}" in "\n" + checked(project, *checker, *files)
+    found = checked(project / "mistaken", *checker, *(["mistaken.py"] if files else []))
+    assert all(f"mistaken.py:{line}:" in found for line in (4, 5, 6))

@@ -35,6 +35,7 @@ for arguments in json.loads(sys.argv[1]):
 print(json.dumps(ended))
 """
 """Verbs one after the other, in one program: each would take a second to start."""
+HEYOKA = ("heyoka",)
 
 
 def without(modules: tuple[str, ...], folder: Path, *lines: str) -> list[Ended]:
@@ -51,11 +52,6 @@ def without(modules: tuple[str, ...], folder: Path, *lines: str) -> list[Ended]:
     return [Ended(*one) for one in json.loads(done.stdout)]
 
 
-def without_heyoka(folder: Path, *lines: str) -> list[Ended]:
-    """Call the program in `folder` for each line, without heyoka."""
-    return without(("heyoka",), folder, *lines)
-
-
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a plan in a file and in the cache, made where heyoka is."""
@@ -64,35 +60,34 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.slow
-def test_a_stored_plan_is_shown_and_run_and_its_log_scored(bench: Path) -> None:
-    lines = ("model lab", "plan outer-turn", "reference turn.npz", "run turn.npz --out quick.mcap", "info quick.mcap")
-    for line, ended in zip(lines, without_heyoka(bench, *lines), strict=True):
-        assert (line, ended.code, ended.stderr.count("heyoka")) == (line, 0, 0), ended.stderr
-    assert dpcontrol("score", bench / "quick.mcap", "--json").document["completed"]
-
-
 @pytest.mark.slow  # Sixteen seconds: every verb that the sentence below is not for.
 def test_all_that_needs_no_new_orbit_works(bench: Path) -> None:
     lines = [
+        "plan outer-turn --json",
         "run outer-turn --seed 3 --out here.mcap --json",
         "score here.mcap --json",
         "run --from here.mcap --out again.mcap --json",
         "review here.mcap --save here.rrd --picture here.png --json",
         "report here.mcap --picture here.pdf --json",
+        "info here.mcap --json",
         "recover here.mcap --json",
         "campaign turn.npz --runs 3 --out turn.parquet --json",
         "report turn.parquet --picture campaign.png --json",
         "export turn.npz --out controller --json",
         "cache --json",
+        "import swing.mat --out mat.mcap --json",
+        "replay mat.mcap --json",
+        "identify mat.mcap --no-zeros --out models/own.toml --json",
+        "model own --json",
     ]
-    ended = dict(zip(lines, without_heyoka(bench, *lines), strict=True))
+    write_mat(bench / "swing.mat", rig_variables(segments=3))
+    ended = dict(zip(lines, without(HEYOKA, bench, *lines), strict=True))
     assert {line: one.stderr for line, one in ended.items() if one.code} == {}
-    assert "tubes along the way are not shown" in ended[lines[3]].stderr
+    assert "tubes along the way are not shown" in ended[lines[4]].stderr
     assert (bench / "controller" / "Makefile").is_file()
     # The same run but for rounding, which the seconds on an unstable orbit enlarge.
     here, there = (
-        ended[lines[1]].document,
+        ended[lines[2]].document,
         dpcontrol("run", "outer-turn", "--seed", "3", "--out", bench / "there.mcap", "--json").document,
     )
     assert here["completed"]
@@ -100,23 +95,9 @@ def test_all_that_needs_no_new_orbit_works(bench: Path) -> None:
     assert here["max_cart_position"] == pytest.approx(there["max_cart_position"], rel=1e-3)
 
 
-@pytest.mark.slow  # Four seconds: a model is fitted.
-def test_a_recording_of_the_bench_is_imported_replayed_and_identified(tmp_path: Path) -> None:
-    write_mat(tmp_path / "swing.mat", rig_variables(segments=3))
-    for ended in without_heyoka(
-        tmp_path,
-        "import swing.mat --out swing.mcap --json",
-        "replay swing.mcap --json",
-        "identify swing.mcap --no-zeros --out models/own.toml --json",
-        "model own --json",
-    ):
-        assert ended.code == 0, ended.stderr
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("json_asked", [False, True])
 def test_a_request_for_an_orbit_or_a_plan_names_the_package_to_install(
-    json_asked: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # Nothing that another test has computed, and that would do.
     monkeypatch.setenv("DPCONTROL_CACHE", str(tmp_path / "cache"))
@@ -129,16 +110,12 @@ def test_a_request_for_an_orbit_or_a_plan_names_the_package_to_install(
         "plan cross --fresh",
         "run round-trip",
     ]
-    for ended in without_heyoka(tmp_path, *(f"{line} --json" if json_asked else line for line in lines)):
+    for ended in without(HEYOKA, tmp_path, *lines):
         assert ended.code == 2
-        assert "need heyoka" in ended.message
         assert "conda install -c conda-forge heyoka.py" in ended.message
-        assert ended.stderr.count("dpcontrol: ") == 1
-        if json_asked:
-            assert ended.document["error"]
 
 
-@pytest.mark.parametrize("points", [(), (1,), (8,), (200,)])
+@pytest.mark.parametrize("points", [(), (8,)])
 def test_casadis_virtual_machine_agrees_with_the_compiled_code(points: tuple[int, ...]) -> None:
     arms = load_model("lab").arms
     function = compiled.fixed_step(equations_of(arms, Level.CART))
@@ -175,6 +152,4 @@ def test_without_extras_and_posix_all_else_works_and_a_sentence_names_the_extra(
     for (line, extra), one in zip(lines.items(), ended, strict=True):
         assert (line, one.code) == (line, 2 if extra else 0), one.stderr
         assert f"pip install '{extra}'" in one.message if extra else True, one.stderr
-    assert "drawn by matplotlib" in ended[3].stdout
-    assert "dpcontrol[viewer]" in ended[3].stdout
     assert (bench / "bare.png").stat().st_size > 100_000

@@ -10,7 +10,7 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[1] / "pages"))
 from synthetic_run import synthetic_run, view_of
 
-from dpcontrol.judge.nearest import closest_approach, limit_uses, nis_reading
+from dpcontrol.judge.nearest import limit_uses, nis_reading
 from dpcontrol.logs import Mode
 
 
@@ -30,9 +30,6 @@ def test_the_largest_share_of_a_limit_comes_first_with_its_time(view):
         ("cart position", 0.75, view.time[10]),
         ("cart velocity", 1 / 6, view.time[20]),
     ]
-    assert (
-        closest_approach(still) == f"Closest to a limit: cart position, 300 of 400 mm at {view.time[10]:.2f} s (75%)."
-    )
 
 
 def test_ticks_after_an_abort_do_not_count(view):
@@ -48,8 +45,3 @@ def test_ticks_after_an_abort_do_not_count(view):
 def test_only_means_above_the_band_are_an_alarm(view, mean, word):
     draws = np.random.default_rng(3).chisquare(2, 20_000) * mean / 2
     assert nis_reading(replace(view, nis=draws, sensors=2)).startswith(f"Filter: {word}")
-
-
-def test_nothing_is_said_without_limits_or_nis(view):
-    bare = replace(view, limits=None, reference=None, nis=None)
-    assert closest_approach(bare) == nis_reading(bare) == ""

@@ -1,49 +1,12 @@
-"""The review of a run with falls shows the times on the itinerary, returning, and starting."""
+"""Of a run with falls, the flights count that no later one repeats."""
 
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from dpcontrol.judge.of_log import run_view
 from dpcontrol.judge.score import counted, flights_of
 from dpcontrol.logs import Event, Flight, joined_at, joined_text
-from dpcontrol.loop.bench import Push
-from dpcontrol.pages.strips import strips
-from dpcontrol.plans.itinerary import load_itinerary
-from dpcontrol.plans.plan import make_plan
-from dpcontrol.runs.run import run_plan
-
-
-@pytest.fixture(scope="module")
-def log():
-    scene = load_itinerary("outer-turn").with_run({"on_fall": "resume", "lag": 0.005, "travel": 0.8}, seed=3)
-    blows = (Push(1.7, 0, 0.02), Push(3.0, 1, 0.02))
-    loop = replace(scene.loop, disturbances=replace(scene.loop.disturbances, explicit=blows))
-    return run_plan(make_plan(replace(scene, loop=loop))).log
-
-
-@pytest.mark.slow
-def test_a_strip_shows_the_phases_of_a_run(log) -> None:
-    view = run_view(log)
-    (strip,) = [one for one in strips(view) if one.key == "motion"]
-    assert [span.text for span in strip.spans] == ["itinerary", "return", "start", "itinerary"]
-    assert strip.spans[0].first == 0.0
-    assert strip.spans[-1].last == pytest.approx(log.time[-1])
-    assert all(a.last == b.first for a, b in zip(strip.spans[:-1], strip.spans[1:], strict=True))
-
-
-@pytest.mark.slow
-def test_completed_symbols_have_the_times_of_the_run(log) -> None:
-    view = run_view(log)
-    returned = next(event.time for event in log.events if event.name == "resume" and event.time)
-    # The turn failed before it fell, and was done after it had come back.
-    assert view.crossings[0] is not None
-    assert view.crossings[0] > returned
-    assert [stay.saddle for stay in view.done] == ["down-up", "down-up"]
-    (planned,) = [at for at, _ in view.plan.symbols]
-    assert abs(planned - view.crossings[0]) < 0.2
 
 
 def test_ticks_that_are_flown_again_do_not_count() -> None:

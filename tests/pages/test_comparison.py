@@ -6,15 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from matplotlib.text import Text
 from synthetic_run import synthetic_run, view_of
 from test_recording import bare_log
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.judge.comparison import MOST, compare
 from dpcontrol.judge.run_view import RunView, Stay, series_of
-from dpcontrol.pages import style
-from dpcontrol.pages.comparison import draw_comparison
 from dpcontrol.pages.comparison_recording import write_comparison_recording
 from dpcontrol.pages.picture import viewer_program
 
@@ -52,60 +49,27 @@ def test_runs_cross_the_symbols_section_at_the_same_moment(pair: list[RunView]) 
     assert comparison.moment == 2.5
     assert [run.delay for run in comparison.runs] == [0.0, 0.625]
     assert all(run.view.crossings == (2.5,) for run in comparison.runs)
-    assert comparison.status.count("by its decoded crossing (true angles)") == 2
 
 
-def test_a_run_without_the_symbol_is_aligned_by_its_plan_with_a_message(
-    pair: list[RunView],
+def test_a_run_without_the_symbol_is_aligned_by_its_plan_and_one_without_a_plan_at_its_start(
+    pair: list[RunView], tmp_path: Path
 ) -> None:
     first, second = pair
     plan = replace(first.plan, symbols=((1.25, "down-up +"),))
     comparison = compare([replace(first, crossings=(), plan=plan), second])
     assert [run.delay for run in comparison.runs] == [0.625, 0.0]
-    assert "first by its plan's time (not done)" in comparison.status
+    bare = series_of(bare_log(tmp_path / "bare.mcap", arms=2, has_cart=True, ticks=50))
+    assert compare([first, bare]).runs[1].delay == 2.5
 
 
-def test_a_recording_without_a_plan_is_aligned_at_its_start(pair: list[RunView], tmp_path: Path) -> None:
-    bare = bare_log(tmp_path / "bare.mcap", arms=2, has_cart=True, ticks=50)
-    comparison = compare([pair[0], series_of(bare)])
-    assert comparison.runs[1].delay == 2.5
-    assert "bare by its start (no such symbol)" in comparison.status
-
-
-def test_incomparable_files_are_rejected_in_one_sentence(pair: list[RunView], tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=f"up to {MOST}"):
+def test_incomparable_files_are_rejected(pair: list[RunView], tmp_path: Path) -> None:
+    with pytest.raises(InputError):
         compare([pair[0]] * (MOST + 1))
-    with pytest.raises(InputError, match="symbols 1 to 1"):
+    with pytest.raises(InputError):
         compare(pair, symbol=2)
     other = bare_log(tmp_path / "one.mcap", arms=1, has_cart=True, ticks=5)
-    with pytest.raises(InputError, match="numbers of arms"):
+    with pytest.raises(InputError):
         compare([pair[0], series_of(other)])
-
-
-def test_logs_with_the_same_name_get_different_labels(pair: list[RunView]) -> None:
-    assert [run.name for run in compare([pair[0], pair[0]]).runs] == ["first (1)", "first (2)"]
-
-
-@pytest.mark.slow
-def test_the_page_of_a_pair_names_both_runs_and_draws_each_in_every_panel(
-    pair: list[RunView],
-) -> None:
-    figure = draw_comparison(compare(pair))
-    texts = [text.get_text() for text in figure.findobj(Text)]
-    assert {"first", "second"} <= set(texts)
-    for axes in figure.axes:
-        title = axes.get_title(loc="left")
-        if title.startswith(("Arm", "Cart", "Tracking", "Acceleration", "NIS")):
-            colours = {line.get_color() for line in axes.lines}
-            assert set(style.RUNS[:2]) <= colours, title
-
-
-@pytest.mark.slow
-def test_panels_of_a_pair_share_their_time_axis(pair: list[RunView]) -> None:
-    figure = draw_comparison(compare(pair))
-    panels = [axes for axes in figure.axes if axes.get_title(loc="left").startswith(("Cart", "Tracking", "NIS"))]
-    assert len(panels) == 3
-    assert len({axes.get_xlim() for axes in panels}) == 1
 
 
 def test_the_recording_of_a_pair_is_verified_by_the_viewers_own_tool(pair: list[RunView], tmp_path: Path) -> None:

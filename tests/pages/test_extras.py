@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from dpcontrol.judge.of_log import run_view
-from dpcontrol.pages.page import draw
 from dpcontrol.pages.series import extra_charts
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import make_plan
@@ -52,29 +51,6 @@ def test_the_estimates_of_a_log_end_at_its_plants_ratios(adaptive: Run) -> None:
 
 
 @pytest.mark.slow
-def test_a_run_in_memory_has_the_extras_of_its_log(adaptive: Run) -> None:
-    memory = run_of(controller="adaptive", mismatch=0.05, travel=0.8)
-    one, other = memory.log.extras, adaptive.log.extras
-    assert one is not None
-    assert other is not None
-    assert one.names == other.names
-    np.testing.assert_allclose(one.time, other.time, atol=1e-9)
-    np.testing.assert_array_equal(one.values, other.values)
-    np.testing.assert_array_equal(one.sigmas, other.sigmas)
-    assert memory.plant == adaptive.plant
-
-
-@pytest.mark.slow
-def test_the_page_has_a_chart_for_each_kind_with_the_truth_in_it(adaptive: Run) -> None:
-    view = run_view(adaptive.log)
-    shown = {chart.key: chart for chart in extra_charts(view)}
-    assert list(shown)[-4:] == ["drive", "friction", "dry", "parameters"]
-    assert [line.key for line in shown["parameters"].lines] == [*KNOWN, *(f"{name}_truth" for name in KNOWN)]
-    titles = [axes.get_title(loc="left").replace("\n", " ") for axes in draw(view).axes]
-    assert all(chart.scaled()[1] in titles for chart in shown.values())
-
-
-@pytest.mark.slow
 def test_the_zeros_found_are_those_that_were_drawn() -> None:
     view = run_view(run_of(zero_error=0.02, mismatch=0.0).log)
     assert extra_charts(view)[0].key == "zeros"
@@ -83,21 +59,3 @@ def test_the_zeros_found_are_those_that_were_drawn() -> None:
         assert name == f"zero_{k + 1}"
         away = abs(view.extras.values[-1, k] - view.extra_truth[name])
         assert away <= SIGMAS * view.extras.sigmas[-1, k] + 2e-3, name
-
-
-@pytest.mark.slow
-def test_other_laws_of_friction_leave_its_error_unknown(tmp_path: Path) -> None:
-    model = load_itinerary("outer-turn").model
-    rusty = tmp_path / "rusty.toml"
-    rusty.write_text(model.text + "coulomb = [1e-4, 1e-4]\n")
-    view = run_view(run_of(controller="adaptive", plant=str(rusty)).log)
-    assert {"friction_1", "friction_2"} <= set(view.extras.names if view.extras else ())
-    assert not {"friction_1", "friction_2"} & view.extra_truth.keys()
-    assert set(KNOWN) <= view.extra_truth.keys()
-
-
-@pytest.mark.slow
-def test_the_track_that_is_drawn_is_the_runs_and_not_the_plans() -> None:
-    view = run_view(run_of(travel=0.8, mismatch=0.0).log)
-    assert view.limits is not None
-    assert view.limits[0] == 0.8

@@ -1,6 +1,5 @@
 """Every page can be read in print: texts have at least 8 pt and neither overlap nor cover curves."""
 
-import ast
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -9,16 +8,14 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from legible import PAPER, problems, texts_of
+from legible import PAPER, problems
 from matplotlib.figure import Figure
 from synthetic_run import synthetic_run, view_of
 from test_campaign_report import rows
+from test_figures import GALLERY
 from test_night import night
 from test_walk_figure import found as walk
 
-import dpcontrol.pages
-from dpcontrol.bench.chart import Border, Diagram, EdgeChart, EdgeMap, Point, PrecisionChart, Trial
-from dpcontrol.bench.drawing import figure as figure_of_chart
 from dpcontrol.foundation.statistics import wilson
 from dpcontrol.identification.fit import DesignSettings, design_experiments
 from dpcontrol.identification.identify import IdentificationSettings, identify, profiles
@@ -32,25 +29,21 @@ from dpcontrol.pages.campaign import draw_campaign
 from dpcontrol.pages.comparison import draw_comparison
 from dpcontrol.pages.experiments import draw_design
 from dpcontrol.pages.figures import FIGURES
-from dpcontrol.pages.gallery import Gallery
 from dpcontrol.pages.identification import draw_identification
-from dpcontrol.pages.layout import Page, new_figure
+from dpcontrol.pages.layout import new_figure
 from dpcontrol.pages.night import draw_night
 from dpcontrol.pages.orbits import draw_families
 from dpcontrol.pages.page import draw
-from dpcontrol.pages.panels import name_rows
 from dpcontrol.pages.preflight import draw_preflight
 from dpcontrol.pages.transitions import draw_transitions
 from dpcontrol.pages.walks import draw_walk
-from dpcontrol.plans.atlas import AtlasSettings, make_atlas, make_branches
+from dpcontrol.plans.atlas import make_atlas
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.model import load_model
 from dpcontrol.plans.plan import make_plan
 from dpcontrol.recordings.recording import simulated_recording
 from dpcontrol.references.reference import summarised
 
-LABELS = 0.05
-"""Share of a panel's width that a free place beside it leaves: it has no tick labels."""
 LAB = load_model("lab")
 FEW_GUESSES = '[reference]\nmethod = "radau-5"\ninterval = 0.1\ntolerance = 1e-3\n'
 
@@ -76,17 +69,6 @@ def comparison(folder: Path) -> Figure:
 
 def campaign(folder: Path) -> Figure:
     pq.write_table(pa.Table.from_pylist(rows()), folder / "campaign.parquet")
-    return draw_campaign(campaign_summary(folder / "campaign.parquet"))
-
-
-def campaign_of_mismatches(folder: Path) -> Figure:
-    random = np.random.default_rng(1)
-    table = [
-        {"completed": bool(random.random() < 0.95 - 4 * mismatch), "mismatch": mismatch, "reason": "lost at t = 3 s",
-         "symbols_completed": int(random.integers(3)), "symbols_total": 3, "max_cart_position": random.random() / 3}
-        for mismatch in (0.01, 0.05, 0.1, 0.2) for _ in range(30)
-    ]  # fmt: skip
-    pq.write_table(pa.Table.from_pylist(table), folder / "campaign.parquet")
     return draw_campaign(campaign_summary(folder / "campaign.parquet"))
 
 
@@ -144,58 +126,25 @@ def transitions(folder: Path) -> Figure:
     return draw_transitions(summarised(plan.reference))
 
 
-def chart_of_methods(_: Path) -> Figure:
-    draw = np.random.default_rng(4)
-    points = [
-        Point(f"method {k % 6}", f"1e-{k:02d}", *spot, default=k == 5)
-        for k, spot in enumerate((10.0 ** draw.uniform([-5, -9], [-2, 0], (18, 2))).tolist())
-    ]
-    panels = [
-        Diagram(title, "time of a tick, s", "error of the angles, rad", tuple(points[k:]))
-        for k, title in enumerate(("One turn", "An orbit", "Both arms up"))
-    ]
-    return figure_of_chart(PrecisionChart("x", "A chart of methods", READING, "the sixth", tuple(panels)), panels)
-
-
-def chart_of_maps(_: Path) -> Figure:
-    cases = [f"an-itinerary-{k}, adaptive" for k in range(9)]
-    maps = []
-    for title, y in (("Too little", "gain"), ("Further delay", "delay, s"), ("Further lag", "delay, s")):
-        borders = [
-            Border(float(k), name, 0.02 + 1e-3 * k, 0.024, 0.021, "", tuple(Trial(v, v < 0.022, "") for v in TRIED))
-            for k, name in enumerate(cases)
-        ]
-        maps.append(EdgeMap(title, "itinerary and law", y, tuple(borders), theory="a margin", log_x=False))
-    return figure_of_chart(EdgeChart("x", "A chart of maps", READING, "margins", tuple(maps)), maps)
-
-
-READING = ("What is shown.", "How to read it.", "What it leaves out.")
-TRIED = (0.01, 0.02, 0.024, 0.1)
-QUICK = (
-    run,
+QUICK = (run, campaign, long_run)
+SLOW = (
     run_of_many_symbols,
-    campaign,
-    campaign_of_mismatches,
-    long_run,
+    comparison,
+    preflight,
+    walk_page,
+    reference,
+    atlas,
+    family,
+    design,
+    identification,
+    transitions,
 )
-LONGER = (comparison, preflight, walk_page, chart_of_methods, chart_of_maps)
-"""Pages that take seconds to draw."""
-SLOW = (reference, atlas, family, design, identification, transitions)
 
 
 @pytest.mark.parametrize(
-    "make", [*QUICK, *(pytest.param(make, marks=pytest.mark.slow) for make in LONGER)], ids=lambda make: make.__name__
+    "make", [*QUICK, *(pytest.param(make, marks=pytest.mark.slow) for make in SLOW)], ids=lambda make: make.__name__
 )
 def test_a_page_is_legible_in_print(make: Callable[[Path], Figure], tmp_path: Path) -> None:
-    figure = make(tmp_path)
-    assert problems(figure) == []
-    assert figure.get_figwidth() <= PAPER[0]
-    assert figure.get_figheight() <= PAPER[1]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("make", SLOW, ids=lambda make: make.__name__)
-def test_a_page_of_computed_results_is_legible_in_print(make: Callable[[Path], Figure], tmp_path: Path) -> None:
     figure = make(tmp_path)
     assert problems(figure) == []
     assert figure.get_figwidth() <= PAPER[0]
@@ -204,12 +153,7 @@ def test_a_page_of_computed_results_is_legible_in_print(make: Callable[[Path], F
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in FIGURES if name != "branches"])
 def test_a_figure_of_the_paper_is_legible_in_print(name: str) -> None:
-    gallery = Gallery(
-        system=lambda name: load_model(name).system,
-        atlas=lambda name, energy, hits: make_atlas(load_model(name), energy, settings=AtlasSettings(hits=hits)).atlas,
-        branches=lambda name, source, target, report: make_branches(load_model(name), source, target, progress=report),
-    )
-    figure = FIGURES[name](gallery).figure
+    figure = FIGURES[name](GALLERY).figure
     assert problems(figure) == []
     assert figure.get_figwidth() <= PAPER[0]
 
@@ -226,32 +170,3 @@ def test_the_check_finds_small_overlapping_and_covering_texts() -> None:
     assert "'covers the line' covers a curve" in said
     assert "'one label' and 'another' overlap" in said
     assert "'tiny' is printed at 5.0 pt" in said
-
-
-def test_the_check_accepts_a_figure_without_faults() -> None:
-    figure = new_figure(4.0, 3.0)
-    figure.add_subplot().plot([0, 1], [0, 1])
-    assert len(texts_of(figure)) > 8
-    assert problems(figure) == []
-
-
-def test_no_page_chooses_coordinates_of_panels() -> None:
-    folder = Path(dpcontrol.pages.__file__).parent
-    for file in folder.glob("*.py"):
-        calls = [node for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))) if isinstance(node, ast.Call)]
-        names = {node.func.attr for node in calls if isinstance(node.func, ast.Attribute)}
-        assert not names & {"add_axes", "subplots_adjust", "tight_layout", "set_position"} or file.name == "layout.py"
-
-
-def test_a_grid_has_panels_of_equal_size_and_free_places_at_its_end() -> None:
-    figure = Page("").grid([lambda axes: axes.plot([0, 1])] * 5, across=3, height=1.5).figure()
-    assert [axes.axison for axes in figure.axes] == [True] * 5 + [False]
-    sizes = np.array([axes.get_window_extent().size for axes in figure.axes[:5]])
-    np.testing.assert_allclose(sizes, np.broadcast_to(sizes[0], sizes.shape), rtol=LABELS)
-
-
-def test_named_rows_have_the_first_name_at_the_top() -> None:
-    axes = new_figure(4.0, 3.0).add_subplot()
-    name_rows(axes, ["first", "second"])
-    labels = {label.get_text(): axes.transData.transform((0, k))[1] for k, label in enumerate(axes.get_yticklabels())}
-    assert labels["first"] > labels["second"]

@@ -12,9 +12,8 @@ import numpy as np
 import pytest
 import rerun as rr
 
-from dpcontrol.foundation.errors import InputError, Remark
+from dpcontrol.foundation.errors import Remark
 from dpcontrol.foundation.rendering import live_view
-from dpcontrol.logs import read_log
 from dpcontrol.pages import live
 from dpcontrol.pages.live import LiveView, ShownState, messages
 from dpcontrol.pages.picture import viewer_program
@@ -84,51 +83,29 @@ def test_sent_data_arrive_as_rows_at_fifty_hertz_and_are_drawn(plan, tmp_path: P
         assert f"{entity}:" in stats
 
 
+def killed(view: LiveView) -> None:
+    os.kill(view.process, signal.SIGKILL)
+    os.waitpid(view.process, 0)
+
+
+def stopped(view: LiveView) -> None:
+    os.kill(view.process, signal.SIGSTOP)
+    # No more room than a page: what does not fit is dropped.
+    fcntl.fcntl(view._pipe, fcntl.F_SETPIPE_SZ, 4096)
+
+
 @pytest.mark.slow
-def test_a_run_is_the_same_with_a_live_view_and_without(plan, watched, tmp_path: Path) -> None:
-    for name, shown in (("plain", False), ("live", True)):
-        runs.run_plan(plan, tmp_path / f"{name}.mcap", live=live_view if shown else None)
-    plain, other = (read_log(tmp_path / f"{name}.mcap") for name in ("plain", "live"))
-    np.testing.assert_array_equal(plain.truth, other.truth)
-    np.testing.assert_array_equal(plain.time, other.time)
+@pytest.mark.parametrize(("happens", "remark"), [(killed, "ended before the run"), (stopped, "was behind: [1-9]")])
+def test_a_run_is_the_same_whatever_becomes_of_its_view(plan, watched, monkeypatch, happens, remark) -> None:
+    begun = LiveView.__enter__
+
+    def entered(self):
+        view = begun(self)
+        happens(self)
+        return view
+
+    monkeypatch.setattr(LiveView, "__enter__", entered)
+    with pytest.warns(Remark, match=f"the live view {remark}"):
+        shown = runs.run_plan(plan, live=live_view)
     assert len(watched) == 1
-
-
-@pytest.mark.slow
-def test_a_run_continues_after_its_view_is_killed(plan, watched, monkeypatch) -> None:
-    begun = LiveView.__enter__
-
-    def killed(self):
-        entered = begun(self)
-        os.kill(self.process, signal.SIGKILL)
-        os.waitpid(self.process, 0)
-        return entered
-
-    monkeypatch.setattr(LiveView, "__enter__", killed)
-    with pytest.warns(Remark, match="the live view ended before the run"):
-        run = runs.run_plan(plan, live=live_view)
-    assert run.converged
-
-
-@pytest.mark.slow
-def test_a_view_that_does_not_read_drops_rows_and_holds_nothing_up(plan, watched, monkeypatch) -> None:
-    begun = LiveView.__enter__
-
-    def stopped(self):
-        entered = begun(self)
-        os.kill(self.process, signal.SIGSTOP)
-        # No more room than a page: what does not fit is dropped.
-        fcntl.fcntl(self._pipe, fcntl.F_SETPIPE_SZ, 4096)
-        return entered
-
-    monkeypatch.setattr(LiveView, "__enter__", stopped)
-    with pytest.warns(Remark, match=r"the live view was behind: [1-9]"):
-        run = runs.run_plan(plan, live=live_view)
-    assert run.converged
-
-
-def test_without_a_display_it_is_rejected_before_the_run(plan, monkeypatch) -> None:
-    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
-        monkeypatch.delenv(name, raising=False)
-    with pytest.raises(InputError, match="there is no display to open the viewer on"):
-        runs.run_plan(plan, live=live_view)
+    np.testing.assert_array_equal(shown.log.truth, runs.run_plan(plan).log.truth)

@@ -4,19 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from dpcontrol.foundation.errors import InputError
-from dpcontrol.judge.night import (
-    BETWEEN,
-    CALMING,
-    ITINERARY,
-    STARTING,
-    UNKNOWN,
-    Night,
-    cause_of,
-    read_night,
-)
+from dpcontrol.judge.night import BETWEEN, CALMING, ITINERARY, STARTING, UNKNOWN, Night
 from dpcontrol.logs.rolling import Digest
-from dpcontrol.pages.night import draw_night
 
 ON = "on the itinerary from t = 0.0000 s of the reference: "
 FALL = "tracking lost at t = 100.000 s: an angle has stayed 2 rad from the reference; symbol 1 of 1 is repeated"
@@ -88,36 +77,3 @@ def test_drift_and_tracking_are_those_of_the_files() -> None:
     assert drift.per_hour == pytest.approx(0.006, rel=0.1)
     assert told.tracking == pytest.approx(0.01)
     assert told.cart == 0.3
-
-
-def test_the_page_shows_hours_falls_and_missing_parts() -> None:
-    figure = draw_night(night())
-    strip, times, causes, _, drift, others = figure.axes
-    assert len(strip.lines) == len(night().falls)
-    assert {label.get_text() for label in times.get_yticklabels()} == {ITINERARY, CALMING, STARTING, BETWEEN, UNKNOWN}
-    assert [label.get_text() for label in causes.get_yticklabels()] == ["tracking lost", "sensor stuck"]
-    assert [len(axes.lines) for axes in (drift, others)] == [1, 0]
-    assert any("no log from 20.00 to 30.00 minutes" in line for line in night().lines())
-
-
-@pytest.mark.parametrize(
-    ("text", "cause"),
-    [
-        (FALL, "tracking lost"),
-        (STUCK, "sensor stuck"),
-        ("estimate lost at t = 1.000 s: no measurement for 0.101 s; check the encoders' cables", "no measurement"),
-        ("cart at its stop at t = 2.000 s: a limit switch was touched, with an angle", "limit switch"),
-        ("cart at its stop at t = 2.000 s: at 0.399 m with 1.20 m/s it must brake", "cart near its stop"),
-        ("something else", "other"),
-    ],
-)
-def test_causes_have_few_words(text: str, cause: str) -> None:
-    assert cause_of(text) == cause
-
-
-def test_a_folder_without_a_night_is_named(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="a folder without logs of a long run"):
-        read_night(tmp_path)
-    (tmp_path / f"{tmp_path.name}-0001.json").write_text("{}")
-    with pytest.raises(InputError, match="is damaged, and its log was thinned"):
-        read_night(tmp_path)

@@ -5,18 +5,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from legible import problems
 from matplotlib.image import imread
 from synthetic_run import synthetic_run, view_of
-from test_recording import bare_log
 
-from dpcontrol.foundation.errors import InputError
-from dpcontrol.judge.run_view import RunView, series_of
-from dpcontrol.pages import style
+from dpcontrol.judge.run_view import RunView
 from dpcontrol.pages.charts import curve
 from dpcontrol.pages.layout import save_figure
 from dpcontrol.pages.page import draw
-from dpcontrol.pages.picture import write_picture
 from dpcontrol.pages.rerun_recording import write_recording
 
 PIXELS_SET = 0.02
@@ -31,39 +26,6 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> RunView:
 def _share_set(path: Path) -> float:
     pixels = imread(path)[..., :3]
     return float((np.abs(pixels - pixels[0, 0]).max(axis=-1) > 0.1).mean())
-
-
-@pytest.mark.slow
-def test_a_picture_is_as_wide_as_a_page_and_not_empty(run: RunView, tmp_path: Path) -> None:
-    path = write_picture(run, tmp_path / "run.png")
-    assert imread(path).shape[1] == round(style.WIDTH * 150)
-    assert _share_set(path) > PIXELS_SET
-
-
-@pytest.mark.slow
-def test_texts_in_the_drawn_picture_do_not_overlap(run: RunView) -> None:
-    steps = tuple((0.5 + 0.6 * i, f"symbol {i + 1}") for i in range(6))
-    for shown in (
-        run,
-        replace(run, plan=replace(run.plan, symbols=steps)),
-        replace(run, plan=replace(run.plan, symbols=()), verdict="stopped: " + "why " * 70),
-    ):
-        assert problems(draw(shown)) == []
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("arms", "has_cart", "ticks"), [(1, True, 50), (2, False, 50), (3, True, 50), (2, True, 1)])
-def test_other_shapes_are_drawn_too(tmp_path: Path, arms: int, has_cart: bool, ticks: int) -> None:
-    log = bare_log(tmp_path / "run.mcap", arms=arms, has_cart=has_cart, ticks=ticks)
-    save_figure(draw(series_of(log)), tmp_path / "run.png")
-    assert _share_set(tmp_path / "run.png") > PIXELS_SET / 4
-
-
-@pytest.mark.slow
-def test_a_picture_that_cannot_be_written_is_an_input_error(run: RunView, tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match="cannot write"):
-        save_figure(draw(run), tmp_path / "file" / "run.png")
 
 
 def test_thinned_curves_keep_every_peak(run: RunView) -> None:

@@ -1,21 +1,16 @@
 """Logs that hold measured angles only: shown for what they are, with nothing made up and no line across a gap."""
 
-import resource
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-import rerun as rr
 from synthetic_run import ARM_LENGTHS, synthetic_run, write_log
 
-from dpcontrol.foundation.errors import InputError
 from dpcontrol.judge.of_log import run_view
 from dpcontrol.judge.run_view import series_of
-from dpcontrol.logs import LogWriter, RunLog, control_fields, read_log
+from dpcontrol.logs import LogWriter, RunLog, control_fields, read_log, recover
 from dpcontrol.pages.charts import curve
-from dpcontrol.pages.page import draw
 from dpcontrol.pages.rerun_recording import write_recording
 from dpcontrol.pages.strips import mode_spans
 
@@ -41,19 +36,6 @@ def test_rates_are_differences_within_each_segment(bench: RunLog) -> None:
     assert view.state[:, 2:] == pytest.approx(expected, abs=RATE_ERROR)
 
 
-def test_missing_data_are_not_drawn(bench: RunLog) -> None:
-    view = series_of(bench)
-    for part in (view.reference, view.estimate, view.error, view.sigma, view.control, view.nis):
-        assert part is None
-    titles = [axes.get_title(loc="left") for axes in draw(run_view(bench)).axes]
-    assert [title for title in titles if title] == [
-        "Angles from hanging (rad)",
-        "Rates (rad/s), by differences",
-        "Arm 1: ω₁ (rad/s) over θ₁",
-        "Arm 2: ω₂ (rad/s) over θ₂",
-    ]
-
-
 def test_no_line_is_drawn_across_a_gap(bench: RunLog) -> None:
     view = series_of(bench)
     time, values = curve(view, view.time, view.state[:, 0])
@@ -61,48 +43,6 @@ def test_no_line_is_drawn_across_a_gap(bench: RunLog) -> None:
     between = (time > 0.9995) & (time < 1.9995)
     assert np.isnan(values[between]).all()
     assert between.sum() == 1
-
-
-def test_the_viewer_draws_no_line_across_a_gap(bench: RunLog, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A row without a value ends the viewer's line (its series_query: an empty batch is a Clear)."""
-    empty: dict[str, list[int]] = {}
-    send = rr.RecordingStream.send_columns
-
-    def noted(self: rr.RecordingStream, path: str, indexes: Any, columns: Any, **others: Any) -> None:
-        if path.startswith("plots/"):
-            (index,) = indexes
-            times = index.as_arrow_array().cast("int64").to_pylist()
-            (rows,) = (column.as_arrow_array().to_pylist() for column in columns)
-            empty[path] = [time for time, row in zip(times, rows, strict=True) if not row]
-        send(self, path, indexes, columns, **others)
-
-    monkeypatch.setattr(rr.RecordingStream, "send_columns", noted)
-    write_recording(run_view(bench), tmp_path / "bench.rrd")
-    assert len(empty) == 4
-    assert all(times == [1_499_500_000] for times in empty.values())
-
-
-def test_a_disk_that_fills_under_a_recording_is_a_sentence_and_leaves_nothing(bench: RunLog, tmp_path: Path) -> None:
-    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    shown = run_view(bench)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, limits[1]))
-    try:
-        with pytest.raises(InputError, match=r"cannot write .*bench\.rrd: File too large"):
-            write_recording(shown, tmp_path / "bench.rrd")
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
-    assert not list(tmp_path.iterdir())
-
-
-def test_nothing_is_judged_without_an_itinerary(bench: RunLog) -> None:
-    shown = run_view(bench)
-    assert shown.good is None
-    assert "no plan" in shown.verdict
-
-
-def test_a_recording_from_the_bench_can_be_recorded_for_the_viewer(bench: RunLog, tmp_path: Path) -> None:
-    write_recording(run_view(bench), tmp_path / "bench.rrd")
-    assert (tmp_path / "bench.rrd").stat().st_size > 10_000
 
 
 def test_a_replay_with_a_cart_shows_its_nis_for_the_arms_and_no_controller(tmp_path: Path) -> None:
@@ -133,3 +73,12 @@ def test_an_estimate_that_repeats_the_reference_is_no_reference(tmp_path: Path) 
     same = replace(made, reference=made.estimate)
     assert series_of(read_log(write_log(tmp_path / "same.mcap", same))).reference is None
     assert series_of(read_log(write_log(tmp_path / "run.mcap", made))).reference is not None
+
+
+def test_every_view_of_a_recovered_log_shows_its_losses(tmp_path: Path) -> None:
+    whole = write_log(tmp_path / "run.mcap", synthetic_run())
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(whole.read_bytes()[: whole.stat().st_size // 2])
+    log = read_log(recover(cut).log)
+    assert log.recovered
+    assert str(log.recovered) in run_view(log).verdict

@@ -1,68 +1,32 @@
-"""The page of a walk: what it says is what the orbit does, and it is drawn for every kind of walk."""
+"""The story of a walk on its page is what the orbit does."""
 
-import struct
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.text import Text
 
-from dpcontrol.foundation.errors import InputError
-from dpcontrol.pages import style
-from dpcontrol.pages.layout import save_figure
-from dpcontrol.pages.walk_space import LIFTED_TURNS, is_lifted
-from dpcontrol.pages.walk_story import NEAR, WalkStory
-from dpcontrol.pages.walk_symbols import symbol_text, symbol_words
-from dpcontrol.pages.walks import FILM_SYMBOLS, draw_walk, film_shape
+from dpcontrol.pages.walk_story import WalkStory
 from dpcontrol.plans.model import load_model
 from dpcontrol.walks.edges import Edges, find_edges
 from dpcontrol.walks.shadowing import ShadowingOrbit, WalkSolver
-from dpcontrol.walks.walks import random_walk, resolve, through
-
-LEAST_BYTES = 60_000  # of the page: an empty one of that size takes about 15,000
-LOW, HIGH = -0.07, 0.2
+from dpcontrol.walks.walks import resolve
 
 
 @cache
-def edges(energy: float) -> Edges:
-    pairs = [("down-up", "down-up")] if energy == LOW else None
-    return find_edges(load_model("lab").system, energy, pairs=pairs)
+def edges() -> Edges:
+    return find_edges(load_model("lab").system, -0.07, pairs=[("down-up", "down-up")])
 
 
-def found(
-    texts: list[str], *, energy: float = LOW, wraps: list[int] | None = None, periodic: bool = False
-) -> ShadowingOrbit:
-    chain = resolve(texts, edges(energy))
-    count = len(chain) if periodic else len(chain) - 1
-    orbit = WalkSolver(edges(energy).connections).solve(chain, wraps or [1] * count, periodic=periodic)
+def found(texts: list[str], *, wraps: list[int] | None = None) -> ShadowingOrbit:
+    chain = resolve(texts, edges())
+    orbit = WalkSolver(edges().connections).solve(chain, wraps or [1] * (len(chain) - 1))
     assert orbit.converged
     return orbit
 
 
-def story(orbit: ShadowingOrbit) -> WalkStory:
-    return WalkStory(orbit, load_model("lab").arms.length)
-
-
-def drawn(orbit: ShadowingOrbit) -> Figure:
-    return draw_walk(orbit, arm_lengths=load_model("lab").arms.length, model="lab")
-
-
-def words(figure: Figure) -> str:
-    """Return all that is written on a page."""
-    return " ".join(" ".join(text.get_text() for text in figure.findobj(Text)).split())
-
-
-def panel(figure: Figure, title: str) -> Axes:
-    (axes,) = [axes for axes in figure.axes if axes.get_title(loc="left").startswith(title)]
-    return axes
-
-
 def test_wobbles_lie_between_the_symbols_and_carry_the_wraps_of_the_orbit() -> None:
     orbit = found(["down-up +", "down-up -", "down-up +"], wraps=[1, 3])
-    spans = story(orbit).wobbles()
+    spans = WalkStory(orbit, load_model("lab").arms.length).wobbles()
     assert [w.wraps for w in spans] == [2, 1, 3, 2]
     assert [w.saddle for w in spans] == ["down-up"] * 4
     bounds = [0.0, *orbit.symbol_times, orbit.duration]
@@ -73,138 +37,3 @@ def test_wobbles_lie_between_the_symbols_and_carry_the_wraps_of_the_orbit() -> N
     assert spans[0].end == pytest.approx(2 * period, abs=1e-9)
     assert spans[-1].end - spans[-1].start == pytest.approx(2 * period, abs=1e-9)
     assert np.rint((spans[2].end - spans[2].start) / period) >= 3
-
-
-def test_the_closing_stop_of_a_closed_walk_has_its_wraps() -> None:
-    orbit = found(["down-up +", "down-up -"], wraps=[1, 2], periodic=True)
-    spans = story(orbit).wobbles()
-    assert [w.wraps for w in spans] == [1, 2]
-    assert [w.closing for w in spans] == [False, True]
-    assert 0 <= spans[1].start < spans[1].end <= orbit.duration
-
-
-@pytest.mark.slow
-def test_coloured_parts_are_near_the_orbit() -> None:
-    orbit = found(["down-up > up-down", "up-down > down-up"], energy=HIGH)
-    told = story(orbit)
-    assert tuple(told.curves) == ("down-up", "up-down")
-    stays = told.view("lab").plan.planned
-    spans = [(stay.first, stay.last, stay.saddle) for stay in stays]
-    assert [saddle for _, _, saddle in spans] == ["down-up", "up-down", "down-up"]
-    for time in np.linspace(0.0, orbit.duration, 60):
-        state = orbit.states(np.array([time]))[0]
-        inside = [saddle for start, end, saddle in spans if start <= time <= end]
-        near = [name for name, curve in told.curves.items() if curve.nearest(state)[1] < NEAR]
-        on_an_edge = any(abs(time - bound) < 0.02 for start, end, _ in spans for bound in (start, end))
-        assert on_an_edge or inside == near
-
-
-def test_symbols_are_described_in_words() -> None:
-    chain = resolve(["down-up +", "down-up > up-down -", "up-down -", "up-down > down-up"], edges(HIGH))
-    assert [symbol_text(c) for c in chain][:3] == ["down-up +", "down-up > up-down -", "up-down -"]
-    assert [symbol_words(c) for c in chain] == [
-        "outer arm turns once counter-clockwise",
-        "crosses from down-up to up-down",
-        "inner arm turns once clockwise",
-        "crosses from up-down to down-up",
-    ]
-    for connection in chain:
-        assert resolve([symbol_text(connection)], edges(HIGH))[0].sense == connection.sense
-
-
-@pytest.mark.slow
-def test_the_page_names_every_symbol_and_marks_it_at_its_time() -> None:
-    orbit = found(["down-up +", "down-up > up-down", "up-down -", "up-down > down-up"], energy=HIGH)
-    figure = drawn(orbit)
-    said = words(figure)
-    for connection, time in zip(orbit.connections, orbit.symbol_times, strict=True):
-        assert connection.name in said
-        assert f"{time:.3f}" in said
-    assert "An orbit of lab at 0.2 J that follows 4 symbols" in said
-    assert "wraps [1, 1, 1] as asked" in said
-    strip = figure.axes[0]
-    marks = {text.get_text(): text.get_position()[0] for text in strip.texts if text.get_text() in "1234"}
-    assert [marks[str(k + 1)] for k in range(4)] == pytest.approx(list(orbit.symbol_times))
-    stays = [t.get_text() for t in strip.texts if "×" in t.get_text()]
-    assert stays == ["down-up 2×", "down-up 1×", "up-down 1×", "up-down 1×", "down-up 2×"]
-    assert "↻" not in said
-
-
-@pytest.mark.slow
-def test_curves_on_the_page_are_the_orbits_own() -> None:
-    orbit = found(["down-up +", "down-up -"])
-    axes = panel(drawn(orbit), "Angles")
-    for arm, line in enumerate(axes.lines[:2]):
-        times = np.asarray(line.get_xdata(), dtype=float)
-        assert times[0] == 0.0
-        assert times[-1] == orbit.duration
-        # The axis is ticked in units of π.
-        assert np.pi * np.asarray(line.get_ydata())[::50] == pytest.approx(orbit.states(times[::50])[:, arm])
-
-
-def test_a_closed_walk_is_labelled() -> None:
-    said = words(drawn(found(["down-up +"], periodic=True)))
-    assert "A periodic orbit of lab at -0.07 J that follows 1 symbol" in said
-    assert "unstable multiplier" in said
-    assert "1× ↻" in said
-
-
-@pytest.mark.slow
-def test_whole_turns_are_counted_in_space_while_there_are_few() -> None:
-    few, many = found(["down-up +", "down-up -"]), found(["down-up +"] * 4)
-    assert is_lifted(story(few))
-    assert not is_lifted(story(many))
-    assert np.ptp(many.states(np.linspace(0, many.duration, 500))[:, 1]) > LIFTED_TURNS * 2 * np.pi
-    assert "whole turns counted" in panel(drawn(few), "The orbit").get_title(loc="left")
-    space = panel(drawn(many), "The orbit")
-    assert "modulo 2π" in space.get_title(loc="left")
-    low, high = space.get_ylim()
-    assert high - low < 2.5 * np.pi  # a turn, with the frame's margins
-
-
-@pytest.mark.parametrize(
-    ("count", "rows"), [(1, 1), (2, 1), (3, 1), (4, 2), (6, 2), (12, 2), (16, 3), (40, 3), (70, 3)]
-)
-def test_the_film_shows_every_symbol_in_few_rows(count: int, rows: int) -> None:
-    film = film_shape(count)
-    assert film[0] == rows
-    assert film[0] * film[1] >= min(count, FILM_SYMBOLS)
-    assert film[1] * film[2] <= 20
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("length", [1, 16, 21])
-def test_walks_of_any_length_are_drawn(length: int, tmp_path: Path) -> None:
-    chain = random_walk(edges(LOW), length, np.random.default_rng(4))
-    orbit = WalkSolver(edges(LOW).connections).solve(chain, [1] * (length - 1))
-    file = tmp_path / "new" / "walk.png"
-    save_figure(draw_walk(orbit, arm_lengths=load_model("lab").arms.length, model="lab"), file)
-    content = file.read_bytes()
-    assert content.startswith(b"\x89PNG\r\n\x1a\n")
-    assert struct.unpack(">II", content[16:24])[0] == round(150 * style.WIDTH)
-    assert len(content) > LEAST_BYTES
-
-
-@pytest.mark.slow
-def test_a_system_without_arms_is_drawn_in_its_plane(tmp_path: Path) -> None:
-    model = load_model("three-body")
-    found = find_edges(model.system, -1.5175, pairs=[("L1", "L1")])
-    chain = through(["L1", "L1", "L1"], found)
-    orbit = WalkSolver(found.connections).solve(chain, [1])
-    assert orbit.converged
-    file = tmp_path / "walk.png"
-    save_figure(draw_walk(orbit, arm_lengths=None, model="three-body"), file)
-    assert file.stat().st_size > LEAST_BYTES
-    said = words(draw_walk(orbit, arm_lengths=None, model="three-body"))
-    assert "The orbit in the plane" in said
-    assert "θ" not in said
-    assert "arm" not in said
-    assert "leaves L1 and comes back" in said
-
-
-def test_a_place_that_cannot_be_written_is_rejected(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    orbit = found(["down-up +"])
-    with pytest.raises(InputError, match="cannot write"):
-        save_figure(draw_walk(orbit, arm_lengths=None, model="lab"), tmp_path / "file" / "walk.png")
-    assert [f.name for f in tmp_path.iterdir()] == ["file"]
