@@ -30,6 +30,7 @@ from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.foundation.progress import no_progress
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.plans.model import load_model
+from dpcontrol.references.problem import ReferenceSettings
 
 START = np.array([[0.9, 1.4, 0.5, -1.0]])
 SECONDS = 1.0
@@ -170,7 +171,7 @@ def test_more_points_on_the_same_intervals_are_nearer_and_cost_the_same():
     problem = design.crossing_problem()
     error = {}
     for name in ("radau-5", "radau-7"):
-        solved = design.transcribed(problem, name, 0.03)
+        solved = design.transcribed(problem, ReferenceSettings(method=name, interval=0.03))
         assert solved.succeeded
         error[name] = float(design.error_between_nodes(problem, solved.trajectory).max())
     assert error["radau-7"] < 0.1 * error["radau-5"]
@@ -193,7 +194,7 @@ def test_points_can_have_zero_error_but_not_an_undefined_one():
 @pytest.mark.parametrize("name", [name for name in CHARTS if name not in GROUPS["edges"]])
 def test_each_quick_chart_has_its_defaults(name, monkeypatch):
     def once(functions, *_, worth=lambda key, result: True, **__):
-        found = {key: TimedWork(1.0, 0.0, function()) for key, function in functions.items()}
+        found = {key: TimedWork(1.0, function()) for key, function in functions.items()}
         for key, timed in found.items():
             worth(key, timed.result)
         return found

@@ -75,11 +75,6 @@ def test_a_point_that_is_no_measurement_is_refused(seconds, error):
         Point("m", "setting", seconds, error)
 
 
-def test_a_chart_without_a_default_is_refused():
-    with pytest.raises(ValueError, match="default"):
-        PrecisionChart("c", "t", READING, "nothing", (panel(*points_of([(1, 1)])),))
-
-
 def test_errors_below_the_floor_count_as_equal():
     points = points_of([(1, 3e-16), (2, 1e-16)], default={1})
     assert panel(*points).front == tuple(points)

@@ -6,11 +6,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from dpcontrol.bench.chart import Diagram, Point
 from dpcontrol.bench.control import (
     PERIOD,
     ControlTask,
-    against_tvlqr,
     derivative_trial,
     differences,
     estimator_trial,
@@ -128,15 +126,3 @@ def test_pulses_at_few_sections_are_missing_with_their_reason_and_at_many_a_poin
     assert (point.method, point.setting) == ("OGY", "16")
     assert 0 < point.error < 0.1
     assert point.others["success_small"] == 1
-
-
-def test_the_choice_of_the_law_is_stated_by_its_measured_figures():
-    """The sentence once promised less feedback and two thirds more time, whatever was measured."""
-    points = [
-        Point("TVLQR", "time", 10e-6, 0.02, others={"effort": 0.5, "success": 0.75}),
-        Point("adaptive", "", 15e-6, 0.01, others={"effort": 0.6, "success": 1.0}),
-    ]
-    said = against_tvlqr(Diagram("One turn", "time, s", "error", tuple(points)))
-    assert "0.5 times the error" in said
-    assert "1.2 times its feedback and 1.5 times its time" in said
-    assert "100% of its runs complete, and 75% of TVLQR's" in said

@@ -5,7 +5,8 @@ from functools import cache
 
 import pytest
 
-from dpcontrol.bench.edges import COUNTS, counts_border, held_orbit, holds, limit_border, pulses
+from dpcontrol.bench.control import held_orbit
+from dpcontrol.bench.edges import COUNTS, counts_border, holds, limit_border, pulses
 from dpcontrol.control.ogy import OgyController
 from dpcontrol.references.sustained import SustainedOrbit
 
