@@ -42,9 +42,6 @@ AGREES = 0.25
 """Tolerance between measured and predicted borders, as a share."""
 LEADING = 3
 """Diagrams on a page of a chart."""
-_MOST_PROBES = 60
-_SHOWN = 90
-"""Characters of a message shown in a table; the JSON holds all."""
 
 
 UNITS = ("s", "m", "rad", "J", "m/s²", "m²/s³", "1/(N m s)", "N m s")
@@ -194,12 +191,12 @@ class Diagram(Documented):
     def finding(self) -> str:
         """Return the diagram's result in one sentence.
 
-        It compares the first default with the best point of another method.
+        It compares the first default with the fastest other point that is as precise.
         """
         ours = next(iter(self.defaults), self.front[-1])
         error, unit = self._error(ours), split_label(self.y_label)[1]
         measured, cost = (label.partition(",")[0] for label in (self.y_label, self.x_label))
-        as_good = [p for p, e in self._running if p.method != ours.method and e <= error]
+        as_good = [p for p, e in self._running if p is not ours and e <= error]
         if not as_good:
             return f"{ours.name} has the smallest {measured}, {quantity(error, unit) if self.log_y else f'{error:.0%}'}"
         other = min(as_good, key=lambda p: p.seconds)
@@ -349,13 +346,12 @@ def find_border(
         return border(None, good)
     if works(bad):
         return border(bad, None)
-    while len(trials) < _MOST_PROBES and max(good / bad, bad / good) > ratio:
+    while max(good / bad, bad / good) > ratio:
         middle = math.sqrt(good * bad)
         if unit:
-            low, high = sorted((round(good / unit), round(bad / unit)))
-            if high - low < 2:
-                break
-            middle = min(max(round(middle / unit), low + 1), high - 1) * unit
+            middle = round(middle / unit) * unit
+        if middle in (good, bad):
+            break
         good, bad = (middle, bad) if works(middle) else (good, middle)
     return border(good, bad)
 
@@ -418,7 +414,7 @@ class EdgeMap(Documented):
         """Return the borders as a table."""
         rows = tuple(
             (b.line, *("-" if y is None else f"{y:.4g}" for y in (b.near, b.far, b.predicted)),
-             "" if b.off is None else f"{b.off:.0%}", shorten(b.says, _SHOWN, placeholder=" …"))
+             "" if b.off is None else f"{b.off:.0%}", shorten(b.says, 90, placeholder=" …"))
             for b in self.borders
         )  # fmt: skip
         notes = (f"predicted: {self.theory}",) if self.theory else ()
@@ -492,20 +488,18 @@ def measured_maps(
     return tuple(maps)
 
 
-Drawer = Callable[[bool, Progress], ChartPage]
-"""(quick, progress) -> chart; modules are imported on use. `quick` reduces the work but keeps the order on fronts."""
-
-
 def _drawn(module: str, name: str, quick: bool, progress: Progress) -> ChartPage:
     return getattr(importlib.import_module(f"dpcontrol.bench.{module}"), f"{name}_chart")(quick, progress)
 
 
-CHARTS: dict[str, Drawer] = {
+CHARTS: dict[str, Callable[[bool, Progress], ChartPage]] = {
     "propagation": partial(_drawn, "propagation", "propagation"),
     **{name: partial(_drawn, "design", name) for name in ("connections", "transcription")},
     **{name: partial(_drawn, "control", name) for name in ("estimation", "control")},
     **{f"edges-{name}": partial(_drawn, "edges", name) for name in ("moving", "ogy", "estimation", "margins")},
 }
+"""Functions (quick, progress) -> chart; modules are imported on use. `quick` reduces the work but keeps the order on
+fronts."""
 GROUPS = {"edges": tuple(name for name in CHARTS if name.startswith("edges-"))}
 """Names for groups of charts."""
 

@@ -99,12 +99,11 @@ def control_chart(quick: bool, progress: Progress) -> PrecisionChart:
     tracking = _tracking(seeds)
     progress("control, an orbit", 0.3)
     orbit = _orbit((4, 16), seeds, 4.0) if quick else _orbit((1, 2, 3, 4, 8, 16, 32), 10, 10.0)
-    progress("control, both arms up", 0.9)
-    hold = _hold((0.1, 1.0, 10.0) if quick else (0.1, 1.0, 10.0, 100.0), seeds)
+    weights = (0.1, 1.0, 10.0) if quick else (0.1, 1.0, 10.0, 100.0)
     return PrecisionChart(
         name="control",
         title=f"Control, arms {SMALL:.0%} and {LARGE:.0%} off",
-        parts=(*tracking, *orbit, hold),
+        parts=(*tracking, *orbit, _hold(weights, seeds)),
         reading=(
             "Upper diagrams of a task: rms error of the angles against a tick's time; beside them the share of runs "
             f"at {LARGE:.0%} mismatch that fail.",
@@ -155,13 +154,8 @@ def outcome(task: ControlTask, controller: Controller, settings: LoopSettings, *
         settings: settings of the loop.
         seeds: runs at each mismatch.
     """
-    lanes = [(seed, mismatch) for mismatch in (SMALL, LARGE) for seed in range(seeds)]
     assembly = Assembly(task.reference, task.arms, settings, law=controller)
-    if assembly.lockstep:
-        runs = assembly.batch([seed for seed, _ in lanes], mismatches=[mismatch for _, mismatch in lanes])
-    else:
-        draws = (assembly.draw(seed=seed, mismatch=mismatch) for seed, mismatch in lanes)
-        runs = [BatchRun.of(assembly.simulate(draw=draw)) for draw in draws]
+    runs = assembly.batch([*range(seeds)] * 2, mismatches=[SMALL] * seeds + [LARGE] * seeds)
     small, large = runs[:seeds], runs[seeds:]
     good = [run for run in small if task.judge(run)]
     if not good:
@@ -240,18 +234,15 @@ def tick_of(task: ControlTask, controller: Controller, settings: LoopSettings) -
         settings: settings of the loop.
     """
     ticker = Assembly(task.reference, task.arms, settings, law=controller).ticker()
-    where = ticker.program.model.position_indices
-    seen, ticks = controller.first_state[where], cycle(range(ticker.count))
+    where, ticks = ticker.program.model.position_indices, cycle(range(ticker.count))
 
     def step() -> None:
-        nonlocal seen
         k = next(ticks)
         if not k:
             ticker.begin()
-            seen = controller.first_state[where]
-        ticker(k, Reading(0.0, seen))
         # A constant state would let the clocks of stateful controllers lose it.
-        seen = ticker.references[k][where]
+        state = ticker.references[k - 1] if k else controller.first_state
+        ticker(k, Reading(0.0, state[where]))
 
     return step
 
@@ -281,8 +272,8 @@ def _tracking(seeds: int) -> tuple[Diagram, Diagram]:
             lambda m: adaptive_controller(reference, m, AdaptiveSettings(), estimator=AUGMENTED), AUGMENTED,
         ),
     }  # fmt: skip
-    why = "the filter's estimates of arms, drive and encoders leave little for feedback to do"
-    return _pair(task, measured(task, made, seeds=seeds, default=("adaptive", "")), why=why)
+    found = measured(task, made, seeds=seeds, default=("adaptive", ""))
+    return _pair(task, found, why="the filter's estimates of arms, drive and encoders leave little for feedback to do")
 
 
 def _orbit(sections: tuple[int, ...], seeds: int, seconds: float) -> tuple[Diagram, Diagram, Diagram]:

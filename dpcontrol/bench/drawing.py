@@ -33,8 +33,6 @@ FLOOR = 1e-17
 """Drawn position of an error of exactly zero."""
 MOST_LABELS = 20
 """Points of a diagram that all have their settings beside them."""
-_TALL = 3.7
-"""Height of a diagram, inches."""
 _RING, _CLEAR = 15.0, 10.0
 """Diameter of a ring about a default, and width of another mark, points."""
 _DEFAULT: Look = {
@@ -76,7 +74,7 @@ def figure(page: ChartPage, parts: Sequence[Any]) -> Figure:
         m: {"marker": MARKS[k % len(MARKS)], "color": SERIES[k % len(SERIES)]} for k, m in enumerate(methods)
     }
     panels = [partial(_draw, part=part, looks=looks) for part in parts]
-    drawn = Page(page.title, page.chosen).grid(panels, across=min(len(parts), 2), height=_TALL)
+    drawn = Page(page.title, page.chosen).grid(panels, across=min(len(parts), 2), height=3.7)
     picture = drawn.text("\n".join(page.reading)).figure()
     for axes, part in zip(picture.axes, parts, strict=False):
         # The space for labels is known once the axes have their positions.

@@ -46,10 +46,6 @@ from dpcontrol.references.problem import Limits
 from dpcontrol.references.reference import still
 from dpcontrol.references.sustained import SustainedOrbit
 
-SADDLE = "down-up"
-"""Saddle to hold."""
-ROOM = 20.0
-"""Length of the track, m, so that authority alone decides."""
 MOVING_ERROR = 0.02
 """Initial error when the delay is varied, rad."""
 WEAK, STRONG = 5.0, 30.0
@@ -80,7 +76,8 @@ class LoopCase:
         # A timing error of half a period is a further error, with a high cost in a slow loop.
         drive = DriveSettings(delay=round(delay * self.assembly.settings.rate))
         settings = replace(self.assembly.settings, mismatch=mismatch, initial_error=error, drive=drive)
-        limits = Limits(position=ROOM, velocity=ROOM, acceleration=acceleration)
+        # A long track, so that authority alone decides.
+        limits = Limits(position=20.0, velocity=20.0, acceleration=acceleration)
         reference = replace(self.assembly.reference, limits=limits)
         (run,) = replace(self.assembly, reference=reference, settings=settings).batch([0])
         failure = failure_of(run, near=self.near)
@@ -326,7 +323,6 @@ def estimation_chart(quick: bool, progress: Progress) -> EdgeChart:
         "A stuck encoder of the outer arm, on the orbit about Down-Up", "phase at which it sticks",
         "time until it is reported, s", far="reported", near="goes on", log_x=False,
     )  # fmt: skip
-    equilibrium = model.system.equilibrium(SADDLE)
     return EdgeChart(
         name="edges-estimation",
         title="Limits of estimation",
@@ -338,7 +334,8 @@ def estimation_chart(quick: bool, progress: Progress) -> EdgeChart:
         chosen="0.1 s without a sample: an error at Down-Up grows 2.2-fold in it, far within authority.",
         parts=measured_maps(
             progress,
-            (lost, lambda rate: lost_border(model.arms, equilibrium, rate=rate, seeds=5 if quick else 9),
+            (lost, lambda rate: lost_border(model.arms, model.system.equilibrium("down-up"), rate=rate,
+                                            seeds=5 if quick else 9),
              (100.0,) if quick else (50.0, 100.0, 200.0, 400.0)),
             (stuck, lambda phase: stuck_border(model.arms, orbit, phase=phase),
              (0.3,) if quick else (0.1, 0.3, 0.5, 0.7, 0.9)),

@@ -15,6 +15,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from math import inf
+from timeit import Timer
 from typing import Any, Generic, TypeVar
 
 from dpcontrol.bench.chart import Diagram, Missing, Point
@@ -26,8 +27,6 @@ Key = TypeVar("Key", bound=Hashable)
 
 GRAIN = 2e-3
 """Least duration of a measurement, s."""
-_FIRST_GUESS = 20
-"""Number of calls that estimates the time of one short call."""
 
 
 @dataclass
@@ -83,40 +82,26 @@ def timed_in_turns(
         progress: called at each first call and each round.
     """
     measured: dict[Key, TimedWork[T]] = {}
-    going: dict[Key, TimedWork[T]] = {}
+    timers: dict[Key, Timer] = {}
     for k, (key, function) in enumerate(functions.items()):
         progress(f"first call {k + 1} of {len(functions)}", k / len(functions) / (rounds + 1))
         begin = clock()
         result = function()
-        measured[key] = TimedWork(clock() - begin, result)
+        work = measured[key] = TimedWork(clock() - begin, result)
         if worth(key, result):
-            going[key] = measured[key]
-            _choose_calls(measured[key], function, clock, starts_up=starts_up)
+            timers[key] = Timer(function, timer=clock)
+            seconds = timers[key].timeit(1) if starts_up or work.first < GRAIN else work.first
+            while seconds < GRAIN:
+                work.calls *= 2
+                seconds = timers[key].timeit(work.calls)
+            work.times.append(seconds)
     for number in range(1, rounds + 1):
         progress(f"round {number} of {rounds}", number / (rounds + 1))
-        for key, work in going.items():
+        for key, timer in timers.items():
+            work = measured[key]
             if len(work.times) < number and (sum(work.times) < most or len(work.times) < least):
-                work.times.append(_duration(functions[key], work.calls, clock))
+                work.times.append(timer.timeit(work.calls))
     return measured
-
-
-def _choose_calls(
-    work: TimedWork[T], function: Callable[[], T], clock: Callable[[], float], *, starts_up: bool
-) -> None:
-    """Determine the calls per measurement; a single call that lasts long enough is the first measurement."""
-    once = _duration(function, 1, clock) if starts_up or work.first < GRAIN else work.first
-    if once >= GRAIN:
-        work.times.append(once)
-        return
-    several = _duration(function, _FIRST_GUESS, clock)
-    work.calls = max(1, round(GRAIN * _FIRST_GUESS / several)) if several else 1000
-
-
-def _duration(function: Callable[[], Any], calls: int, clock: Callable[[], float]) -> float:
-    begin = clock()
-    for _ in range(calls):
-        function()
-    return clock() - begin
 
 
 @contextmanager

@@ -176,13 +176,11 @@ def propagation_chart(quick: bool, progress: Progress) -> PrecisionChart:
     tube = work_of(system, seeds[:: 8 if quick else 2], 2 * orbit.period)
     # A start from rest, whose initial error grows five-millionfold.
     swing = work_of(system, np.array([[1.7, 2.2, 0.0, 0.0]]), 10.0)
-    tried = candidates(tube, batches=True, quick=quick)
-    along = compared(tried, tube, quick=quick, progress=part_of(progress, 0.2, 0.5))
-    tried = candidates(swing, batches=False, quick=quick)
-    chaotic = compared(tried, swing, quick=quick, progress=part_of(progress, 0.5, 0.8))
+    many, one = candidates(tube, batches=True, quick=quick), candidates(swing, batches=False, quick=quick)
+    along = compared(many, tube, quick=quick, progress=part_of(progress, 0.2, 0.5))
+    chaotic = compared(one, swing, quick=quick, progress=part_of(progress, 0.5, 0.8))
     look = {"x_label": "time of a trajectory, s", "y_label": "error, scaled"}
     chaotic = replace(chaotic, title=f"chaotic swing, {swing.duration:.0f} s", **look)
-    progress("propagation: tick", 0.8)
     return PrecisionChart(
         name="propagation",
         title="Propagation",
@@ -384,22 +382,6 @@ def _by_scipy(
     return run.y[:, -1]
 
 
-def tick_states(arms: ArmChainParameters) -> Array:
-    """Return states (LANES, N) along 3 s of free swing.
-
-    The swing starts from high up, with the cart moving.
-
-    Args:
-        arms: arms on a driven cart.
-    """
-    equations = equations_of(arms, Level.CART)
-    flow = PolynomialInputPropagator(equations, arms.base(), degree=0)
-    start = np.zeros(equations.dimension)
-    start[: arms.count] = 2.5
-    start[-1] = 0.1
-    return flow.sample(start, np.zeros(1), np.linspace(0.0, 3.0, LANES))
-
-
 def exact_ticks(equations: Equations, parameters: Array, states: Array) -> Array:
     """Return the states one tick later, from 113-bit arithmetic.
 
@@ -428,10 +410,12 @@ def tick_panels(arms: ArmChainParameters, *, quick: bool) -> tuple[Diagram, Diag
         quick: fewer rounds.
     """
     equations, parameters = equations_of(arms, Level.CART), arms.base()
-    states = tick_states(arms)
+    plant = PolynomialInputPropagator(equations, parameters, degree=0)
+    # States along 3 s of free swing from high up, with the cart moving.
+    start = np.concatenate([np.full(arms.count, 2.5), np.zeros(equations.dimension - arms.count - 1), [0.1]])
+    states = plant.sample(start, np.zeros(1), np.linspace(0.0, 3.0, LANES))
     truth = exact_ticks(equations, parameters, states)
     scale = state_scale(equations.dimension, Limits())
-    plant = PolynomialInputPropagator(equations, parameters, degree=0)
     model = SampledModel(equations, parameters, period=TICK)
     program = {"x": equations.state, "u": equations.inputs, "p": equations.parameters, "ode": equations.rate}
     cvodes = ca.integrator("tick", "cvodes", program, 0.0, TICK, {"reltol": 1e-10, "abstol": 1e-10})

@@ -10,18 +10,16 @@ import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
-from dpcontrol.bench.chart import CHARTS, GROUPS, ChartPage, check_names
+from dpcontrol.bench.chart import CHARTS, ChartPage, check_names
 from dpcontrol.bench.drawing import save_chart
 from dpcontrol.bench.measure import one_core
 from dpcontrol.foundation.cache import commit
 from dpcontrol.foundation.document import counted
 from dpcontrol.foundation.files import write_whole
 from dpcontrol.foundation.parts import versions
-from dpcontrol.foundation.processes import in_processes, processors
 from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress, part_of
 
 
@@ -37,8 +35,6 @@ class DrawnChart:
 
 _SECONDS = {False: 150.0, True: 25.0}
 """Cost of a chart, s of one processor, for full and quick charts."""
-_MEMORY = 4e8
-"""Memory of a process that draws charts, bytes."""
 
 
 def charts_cost(names: Sequence[str], *, quick: bool) -> Cost:
@@ -48,10 +44,7 @@ def charts_cost(names: Sequence[str], *, quick: bool) -> Cost:
         names: charts to draw.
         quick: shorter measurements.
     """
-    maps = sum(name in GROUPS["edges"] for name in names)
-    at_once = max(min(processors(), maps), 1)
-    seconds = (len(names) - maps + maps / at_once) * _SECONDS[quick]
-    return Cost(counted(len(names), "chart"), seconds, at_once * _MEMORY, "bench")
+    return Cost(counted(len(names), "chart"), len(names) * _SECONDS[quick], 4e8, "bench")
 
 
 def draw_charts(
@@ -59,8 +52,7 @@ def draw_charts(
 ) -> tuple[DrawnChart, ...]:
     """Draw charts (all if `names` is empty).
 
-    Timed charts come first, sequentially in this process, on one core, with the others idle. Maps of failure have no
-    times and are drawn in parallel on all cores.
+    They are drawn one after the other on one core, with the others idle.
 
     Args:
         names: charts or groups of charts.
@@ -71,26 +63,17 @@ def draw_charts(
 
     Raises:
         InputError: a name is unknown, the folder is not writable, or the charts would take too long.
-        GoalMissed: the processes that draw maps failed repeatedly.
     """
     chosen = check_names(tuple(names))
     announce(charts_cost(chosen, quick=quick), yes=yes)
     # Read before the work, so that later edits of the checkout do not matter.
     made_with = {"quick": quick, "machine": machine(), "versions": versions(), "commit": commit()}
-    draw = partial(draw_chart, folder=folder, made_with=made_with)
-    # A single chart reports its progress, which processes do not.
-    maps = [name for name in chosen if name in GROUPS["edges"] and len(chosen) > 1]
-    drawn: dict[str, DrawnChart] = {}
+    drawn = []
     with one_core():
-        for name in chosen:
-            if name not in maps:
-                begin, end = len(drawn) / len(chosen), (len(drawn) + 1) / len(chosen)
-                drawn[name] = draw(name, progress=part_of(progress, begin, end))
-    remedy = "Finished charts are saved: name the missing ones"
-    for name, done in in_processes(draw, maps, max(min(processors(), len(maps)), 1), remedy=remedy):
-        drawn[name] = done
-        progress(f"{len(chosen) - len(drawn)} maps left", len(drawn) / len(chosen))
-    return tuple(drawn[name] for name in chosen)
+        for k, name in enumerate(chosen):
+            report = part_of(progress, k / len(chosen), (k + 1) / len(chosen))
+            drawn.append(draw_chart(name, folder=folder, made_with=made_with, progress=report))
+    return tuple(drawn)
 
 
 def draw_chart(

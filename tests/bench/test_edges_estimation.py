@@ -7,7 +7,6 @@ import pytest
 
 from dpcontrol.bench.edges import (
     MOVED,
-    SADDLE,
     STILL,
     arriving,
     earliest_report,
@@ -36,7 +35,7 @@ def test_half_of_many_drawn_runs_see_a_gap_at_the_predicted_share(rate):
 
 @pytest.mark.slow
 def test_runs_end_at_the_predicted_share_of_lost_samples_with_a_reason():
-    found = lost_border(LAB.arms, LAB.system.equilibrium(SADDLE), rate=60.0, seeds=5)
+    found = lost_border(LAB.arms, LAB.system.equilibrium("down-up"), rate=60.0, seeds=5)
     assert found.off is not None
     assert found.off < APART
     assert "estimate lost" in found.says
@@ -45,7 +44,7 @@ def test_runs_end_at_the_predicted_share_of_lost_samples_with_a_reason():
 
 @pytest.mark.benchmark
 def test_a_stuck_encoder_is_reported_after_what_must_pass_and_not_long_after():
-    orbit = sustained_orbit(lyapunov_orbit(LAB.system, SADDLE, energy=-0.07), LAB.arms)
+    orbit = sustained_orbit(lyapunov_orbit(LAB.system, "down-up", energy=-0.07), LAB.arms)
     found = stuck_border(LAB.arms, orbit, phase=0.3)
     assert found.near is not None
     assert found.far is not None
