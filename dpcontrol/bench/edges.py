@@ -414,7 +414,7 @@ def stuck_border(arms: ArmChainParameters, orbit: SustainedOrbit, *, phase: floa
         phase: phase at which the encoder is stuck, 1 for a period.
     """
     model = sampled_model(arms, RATE)
-    # The filter needs half a second before the encoder sticks.
+    # The run lasts at least half a second before the encoder sticks.
     at = round((math.ceil(0.5 / orbit.period) + phase) * orbit.period, 3)
     settings = LoopSettings(seed=0, sensors=SensorSettings(stuck_at=at, stuck_sensor=1))
 
