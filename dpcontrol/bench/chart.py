@@ -27,6 +27,7 @@ import importlib
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from textwrap import shorten
 from typing import Any, ClassVar
 
@@ -39,41 +40,21 @@ ALLOWED = 0.2
 """Largest distance of a default from the front, with a reason."""
 AGREES = 0.25
 """Tolerance between measured and predicted borders, as a share."""
-READING_LINES = 3
 LEADING = 3
 """Diagrams on a page of a chart."""
-_MOST_PROBES = 60
-_SHOWN = 90
-"""Characters of a message shown in a table; the JSON holds all."""
-
-
-def unit_of(label: str) -> str:
-    """Return the unit of an axis label, or "".
-
-    It follows the last comma.
-
-    Args:
-        label: quantity, with or without a unit.
-    """
-    unit = label.rpartition(", ")[2] if ", " in label else ""
-    return unit if unit in UNITS else ""
-
-
-def _count(value: float) -> str:
-    """Return a number without unit, to two digits."""
-    return f"{float(f'{value:.2g}'):,.10g}" if value < 10 else f"{float(f'{value:.2g}'):,.0f}"
-
-
-def name_of(label: str) -> str:
-    """Return an axis label without its unit.
-
-    Args:
-        label: quantity, with or without a unit.
-    """
-    return label.rpartition(", ")[0] if unit_of(label) else label
 
 
 UNITS = ("s", "m", "rad", "J", "m/s²", "m²/s³", "1/(N m s)", "N m s")
+
+
+def split_label(label: str) -> tuple[str, str]:
+    """Return the quantity and the unit of an axis label, the unit after its last comma or "".
+
+    Args:
+        label: quantity, with or without a unit.
+    """
+    name, _, unit = label.rpartition(", ")
+    return (name, unit) if unit in UNITS else (label, "")
 
 
 @dataclass(frozen=True)
@@ -160,17 +141,6 @@ class Diagram(Documented):
     judged: bool = True
     timed: bool = True
 
-    def titled(self, title: str, x_label: str, y_label: str, **more: Any) -> "Diagram":
-        """Return the diagram with other titles and labels.
-
-        Args:
-            title: title of the diagram.
-            x_label: quantity and unit of the horizontal axis.
-            y_label: quantity and unit of the vertical axis.
-            **more: further fields of the diagram, by name.
-        """
-        return replace(self, title=title, x_label=x_label, y_label=y_label, **more)
-
     @property
     def _running(self) -> list[tuple[Point, float]]:
         """Points that take part in the front, with their errors."""
@@ -182,14 +152,12 @@ class Diagram(Documented):
     @property
     def front(self) -> tuple[Point, ...]:
         """Points on the front, fastest first."""
-
-        def beaten(point: Point, error: float) -> bool:
-            return any(
-                p.seconds <= point.seconds and e <= error and (p.seconds, e) != (point.seconds, error)
-                for p, e in self._running
-            )
-
-        best = [p for p, error in self._running if not beaten(p, error)]
+        running = self._running
+        best = [
+            p
+            for p, e in running
+            if not any(q.seconds <= p.seconds and f <= e and (q.seconds, f) != (p.seconds, e) for q, f in running)
+        ]
         return tuple(sorted(best, key=lambda p: (p.seconds, p.error)))
 
     @property
@@ -223,51 +191,27 @@ class Diagram(Documented):
     def finding(self) -> str:
         """Return the diagram's result in one sentence.
 
-        It compares the first default with the best other method.
+        It compares the first default with the fastest other point that is as precise.
         """
-        if not self.defaults:
-            best = min(self.points, key=lambda p: (self._error(p), p.seconds))
-            return f"{best.name} has the smallest {self._measured}, {self._shown(best)}"
-        ours = self.defaults[0]
-        others = [(p, e) for p, e in self._running if p.method != ours.method]
-        as_good = [p for p, e in others if e <= self._error(ours)]
-        if not others:
-            return f"{ours.name}: {self._shown(ours)}"
-        if as_good:
-            other = min(as_good, key=lambda p: p.seconds)
-            ratio = other.seconds / ours.seconds
-            times = f"{ratio:.2g} times" if ratio >= 1 else f"{ratio:.0%} of"
-            if not self.timed:
-                return f"{other.name} does as well as {ours.name} with {times} the {name_of(self.x_label)}"
-            link = "but takes" if ratio >= 1 else "and takes"
-            return f"{other.name} does as well as {ours.name}, {link} {times} its time"
-        return f"{ours.name} has the smallest {self._measured}, {self._shown(ours)}"
-
-    @property
-    def _measured(self) -> str:
-        """Name of the quantity on the y axis, in a sentence."""
-        return "error" if "error" in self.y_label else name_of(self.y_label)
-
-    def _shown(self, point: Point) -> str:
-        """Return the error of a point with its unit."""
-        unit = unit_of(self.y_label)
-        if not self.log_y:
-            return f"{point.error:.0%}"
-        return quantity(point.error, unit) if unit else f"{max(point.error, self.floor):.1e}"
+        ours = next(iter(self.defaults), self.front[-1])
+        error, unit = self._error(ours), split_label(self.y_label)[1]
+        measured, cost = (label.partition(",")[0] for label in (self.y_label, self.x_label))
+        as_good = [p for p, e in self._running if p is not ours and e <= error]
+        if not as_good:
+            return f"{ours.name} has the smallest {measured}, {quantity(error, unit) if self.log_y else f'{error:.0%}'}"
+        other = min(as_good, key=lambda p: p.seconds)
+        return f"{other.name} does as well as {ours.name} at {other.seconds / ours.seconds:.2g} times its {cost}"
 
     def complaints(self) -> tuple[str, ...]:
         """Return a sentence for each default off the front without reason.
 
         Defaults too far off count even with a reason.
         """
-        found = []
-        for p in self.defaults if self.judged else ():
-            off = self.off_front(p)
-            if off > ALLOWED:
-                found.append(f"{self.title}: the default {p.name} is {off:.0%} off the front; choose another")
-            elif p not in self.front and not self.why:
-                found.append(f"{self.title}: the default {p.name} is {off:.0%} off the front and no reason is given")
-        return tuple(found)
+        return tuple(
+            f"{self.title}: the default {p.name} is {self.standing(p)}{'' if self.why else ' and no reason is given'}"
+            for p in self.defaults
+            if self.judged and (self.off_front(p) > ALLOWED or not (self.why or p in self.front))
+        )
 
     @property
     def standings(self) -> list[dict[str, Any]]:
@@ -402,13 +346,12 @@ def find_border(
         return border(None, good)
     if works(bad):
         return border(bad, None)
-    while len(trials) < _MOST_PROBES and max(good / bad, bad / good) > ratio:
+    while max(good / bad, bad / good) > ratio:
         middle = math.sqrt(good * bad)
         if unit:
-            low, high = sorted((round(good / unit), round(bad / unit)))
-            if high - low < 2:
-                break
-            middle = min(max(round(middle / unit), low + 1), high - 1) * unit
+            middle = round(middle / unit) * unit
+        if middle in (good, bad):
+            break
         good, bad = (middle, bad) if works(middle) else (good, middle)
     return border(good, bad)
 
@@ -446,13 +389,11 @@ class EdgeMap(Documented):
         measured = [b.measured for b in self.borders if b.measured is not None]
         if not measured:
             return f"no line {self.far}"
-        unit = unit_of(self.y_label)
-        low, high = (quantity(y, unit) if unit else _count(y) for y in (min(measured), max(measured)))
-        between = f"at {low}" if low == high else f"between {low} and {high}"
+        unit = split_label(self.y_label)[1]
+        limits = dict.fromkeys(quantity(y, unit) for y in (min(measured), max(measured)))
         off = [b.off for b in self.borders if b.off is not None]
-        never = [b.line for b in self.borders if b.near is None]
-        lost = f", always at {' and '.join(never)}" if never else ""
-        return f"{self.far} {between}{lost}" + (f", at most {max(off):.0%} from the prediction" if off else "")
+        predicted = f", at most {max(off):.0%} from the prediction" if off else ""
+        return f"{self.far} at {' to '.join(limits)}{predicted}"
 
     def complaints(self) -> tuple[str, ...]:
         """Return a sentence for each border with a fault.
@@ -461,13 +402,10 @@ class EdgeMap(Documented):
         """
         found = []
         for b in self.borders:
-            where, predicted = f"{self.title}, {b.line}", f"predicted at {b.predicted or 0:.3g}"
-            if b.predicted is not None and b.near is None:
-                found.append(f"{where}: nothing works, not even {b.far:.3g}, {predicted}")
-            elif b.predicted is not None and b.far is None:
-                found.append(f"{where}: no border up to {b.near:.3g}, {predicted}")
-            elif b.off is not None and b.off > self.agrees:
-                found.append(f"{where}: border at {b.measured:.3g}, {predicted}, {b.off:.0%} apart")
+            where = f"{self.title}, {b.line}"
+            if b.predicted is not None and (b.off is None or b.off > self.agrees):
+                border = "no border" if b.measured is None else f"border at {b.measured:.3g}"
+                found.append(f"{where}: {border}, predicted at {b.predicted:.3g}")
             if b.far is not None and not b.says:
                 found.append(f"{where}: the failure at {b.far:.3g} is not reported")
         return tuple(found)
@@ -476,7 +414,7 @@ class EdgeMap(Documented):
         """Return the borders as a table."""
         rows = tuple(
             (b.line, *("-" if y is None else f"{y:.4g}" for y in (b.near, b.far, b.predicted)),
-             "" if b.off is None else f"{b.off:.0%}", shorten(b.says, _SHOWN, placeholder=" …"))
+             "" if b.off is None else f"{b.off:.0%}", shorten(b.says, 90, placeholder=" …"))
             for b in self.borders
         )  # fmt: skip
         notes = (f"predicted: {self.theory}",) if self.theory else ()
@@ -489,12 +427,9 @@ class ChartPage(Documented):
     """A page of `dpcontrol bench`.
 
     It has a name for command line and files, a title, three reading hints, the choice and its diagrams.
-
-    Raises:
-        ValueError: the reading does not have three lines.
     """
 
-    KEYS: ClassVar[str] = "name title headline reading chosen complaints findings"
+    KEYS: ClassVar[str] = "name title headline=title reading chosen complaints findings"
 
     name: str
     title: str
@@ -502,24 +437,15 @@ class ChartPage(Documented):
     chosen: str
     parts: tuple[Any, ...]
 
-    def __post_init__(self) -> None:
-        if len(self.reading) != READING_LINES:
-            raise ValueError(f"{self.name}: {len(self.reading)} lines on how to read it; write {READING_LINES}")
-
-    @property
-    def headline(self) -> str:
-        """The title, with the page's result if it has one."""
-        return self.title
-
     @property
     def pages(self) -> dict[str, tuple[Any, ...]]:
         """The diagrams of each picture.
 
         They are by the end of its file's name: the first ones, then the appendix.
         """
-        first, rest = self.parts[:LEADING], self.parts[LEADING:]
-        sheets = [rest[k : k + LEADING] for k in range(0, len(rest), LEADING)]
-        return {"": first, **{f"-more{f'-{k + 1}' if k else ''}": sheet for k, sheet in enumerate(sheets)}}
+        sheets = [self.parts[k : k + LEADING] for k in range(0, len(self.parts), LEADING)]
+        ends = ["", "-more", *(f"-more-{k}" for k in range(2, len(sheets)))]
+        return dict(zip(ends, sheets, strict=False))
 
     @property
     def complaints(self) -> tuple[str, ...]:
@@ -534,28 +460,9 @@ class ChartPage(Documented):
 
 @dataclass(frozen=True)
 class PrecisionChart(ChartPage):
-    """A page of work-precision diagrams.
-
-    Raises:
-        ValueError: the reading does not have three lines, or no panel holds a default.
-    """
+    """A page of work-precision diagrams."""
 
     KEYS: ClassVar[str] = f"{ChartPage.KEYS} panels=parts"
-    parts: tuple[Diagram, ...]
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not any(panel.defaults for panel in self.parts):
-            raise ValueError(f"{self.name}: no point is the product's default")
-
-    @property
-    def headline(self) -> str:
-        """The title and the largest distance of a default from its front."""
-        off = [panel.off_front(p) for panel in self.parts if panel.judged for p in panel.defaults]
-        result = (
-            f"within {worst:.0%} of the best" if (worst := max(off, default=0.0)) >= 0.005 else "the best at its cost"
-        )
-        return f"{self.title}: each default is {result}"
 
 
 @dataclass(frozen=True)
@@ -563,13 +470,6 @@ class EdgeChart(ChartPage):
     """A page of maps with the borders between success and failure."""
 
     KEYS: ClassVar[str] = f"{ChartPage.KEYS} maps=parts"
-    parts: tuple[EdgeMap, ...]
-
-    @property
-    def headline(self) -> str:
-        """The title, and the largest distance of a border from its prediction."""
-        off = [border.off for part in self.parts for border in part.borders if border.off is not None]
-        return f"{self.title}: within {max(off):.0%} of predictions" if off else self.title
 
 
 def measured_maps(
@@ -581,35 +481,25 @@ def measured_maps(
         progress: called with a label and the completed share.
         *plans: (map without borders, border at a value, values).
     """
-    total, maps, done = sum(len(values) for *_, values in plans), [], 0
-    for one, border, values in plans:
-        found = []
-        for value in values:
-            progress(f"{one.title}: {value}", done / total)
-            found.append(border(value))
-            done += 1
-        maps.append(replace(one, borders=tuple(found)))
+    maps = []
+    for k, (one, border, values) in enumerate(plans):
+        progress(one.title, k / len(plans))
+        maps.append(replace(one, borders=tuple(map(border, values))))
     return tuple(maps)
 
 
-Drawer = Callable[[bool, Progress], ChartPage]
-"""(quick, progress) -> chart; modules are imported on use. `quick` reduces the work but keeps the order on fronts."""
+def _drawn(module: str, name: str, quick: bool, progress: Progress) -> ChartPage:
+    return getattr(importlib.import_module(f"dpcontrol.bench.{module}"), f"{name}_chart")(quick, progress)
 
 
-def _of(module: str, function: str = "chart") -> Drawer:
-    def chart(quick: bool, progress: Progress) -> ChartPage:
-        return getattr(importlib.import_module(f"dpcontrol.bench.{module}"), function)(quick, progress)
-
-    return chart
-
-
-_EDGES = ("moving", "ogy", "estimation", "margins")
-CHARTS: dict[str, Drawer] = {
-    "propagation": _of("propagation"),
-    **{name: _of("design", f"{name}_chart") for name in ("connections", "transcription")},
-    **{name: _of("control", f"{name}_chart") for name in ("estimation", "control")},
-    **{f"edges-{name}": _of("edges", f"{name}_chart") for name in _EDGES},
+CHARTS: dict[str, Callable[[bool, Progress], ChartPage]] = {
+    "propagation": partial(_drawn, "propagation", "propagation"),
+    **{name: partial(_drawn, "design", name) for name in ("connections", "transcription")},
+    **{name: partial(_drawn, "control", name) for name in ("estimation", "control")},
+    **{f"edges-{name}": partial(_drawn, "edges", name) for name in ("moving", "ogy", "estimation", "margins")},
 }
+"""Functions (quick, progress) -> chart; modules are imported on use. `quick` reduces the work but keeps the order on
+fronts."""
 GROUPS = {"edges": tuple(name for name in CHARTS if name.startswith("edges-"))}
 """Names for groups of charts."""
 
@@ -623,9 +513,8 @@ def check_names(names: tuple[str, ...]) -> tuple[str, ...]:
     Raises:
         InputError: a name is unknown.
     """
-    chosen: list[str] = []
-    for name in names:
-        if name not in CHARTS and name not in GROUPS:
-            raise InputError(f"there is no chart {name!r}; choose from {', '.join((*CHARTS, *GROUPS))}")
-        chosen += GROUPS.get(name, (name,))
-    return tuple(dict.fromkeys(chosen)) or tuple(CHARTS)
+    unknown = [name for name in names if name not in (*CHARTS, *GROUPS)]
+    if unknown:
+        raise InputError(f"there is no chart {unknown[0]!r}; choose from {', '.join((*CHARTS, *GROUPS))}")
+    chosen = [chart for name in names for chart in GROUPS.get(name, (name,))]
+    return tuple(dict.fromkeys(chosen or CHARTS))

@@ -60,7 +60,7 @@ from dpcontrol.plans.plan import make_plan
 from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import ANGLE_SCALE, RATE_SCALE, Limits
 from dpcontrol.references.reference import Reference, still
-from dpcontrol.references.sustained import sustained_orbit
+from dpcontrol.references.sustained import SustainedOrbit, sustained_orbit
 
 RATE = 1000.0
 SMALL, LARGE = 0.02, 0.10
@@ -99,12 +99,11 @@ def control_chart(quick: bool, progress: Progress) -> PrecisionChart:
     tracking = _tracking(seeds)
     progress("control, an orbit", 0.3)
     orbit = _orbit((4, 16), seeds, 4.0) if quick else _orbit((1, 2, 3, 4, 8, 16, 32), 10, 10.0)
-    progress("control, both arms up", 0.9)
-    hold = _hold((0.1, 1.0, 10.0) if quick else (0.1, 1.0, 10.0, 100.0), seeds)
+    weights = (0.1, 1.0, 10.0) if quick else (0.1, 1.0, 10.0, 100.0)
     return PrecisionChart(
         name="control",
         title=f"Control, arms {SMALL:.0%} and {LARGE:.0%} off",
-        parts=(*tracking, *orbit, hold),
+        parts=(*tracking, *orbit, _hold(weights, seeds)),
         reading=(
             "Upper diagrams of a task: rms error of the angles against a tick's time; beside them the share of runs "
             f"at {LARGE:.0%} mismatch that fail.",
@@ -113,28 +112,8 @@ def control_chart(quick: bool, progress: Progress) -> PrecisionChart:
             "Both arms up: effort against error, by the weight of the effort. The data hold effort and success of "
             "every point.",
         ),
-        chosen=f"{against_tvlqr(tracking[0])}. OGY at k = 16.",
+        chosen="The adaptive law for references, TVLQR by time for an orbit, and OGY at k = 16.",
     )  # fmt: skip
-
-
-def against_tvlqr(errors: Diagram) -> str:
-    """Return a sentence on the adaptive law beside TVLQR by time.
-
-    Args:
-        errors: diagram of the errors on a reference.
-    """
-    points = {(point.method, point.setting): point for point in errors.points}
-    ours, other = points.get(("adaptive", "")), points.get(("TVLQR", "time"))
-    law = "The adaptive law for references"
-    if ours is None or other is None:
-        return law
-    error, feedback = ours.error / other.error, ours.others["effort"] / other.others["effort"]
-    done, theirs = (f"{point.others['success']:.0%}" for point in (ours, other))
-    return (
-        f"{law}: {error:.2g} times the error of TVLQR by time, {feedback:.2g} times its feedback and "
-        f"{ours.seconds / other.seconds:.2g} times its time of a tick. At {LARGE:.0%} mismatch {done} of its runs "
-        f"complete, and {theirs} of TVLQR's"
-    )
 
 
 def measured(task: ControlTask, made: Made, *, seeds: int, default: tuple[str, str] = ("", "")) -> Diagram:
@@ -175,13 +154,8 @@ def outcome(task: ControlTask, controller: Controller, settings: LoopSettings, *
         settings: settings of the loop.
         seeds: runs at each mismatch.
     """
-    lanes = [(seed, mismatch) for mismatch in (SMALL, LARGE) for seed in range(seeds)]
     assembly = Assembly(task.reference, task.arms, settings, law=controller)
-    if assembly.lockstep:
-        runs = assembly.batch([seed for seed, _ in lanes], mismatches=[mismatch for _, mismatch in lanes])
-    else:
-        draws = (assembly.draw(seed=seed, mismatch=mismatch) for seed, mismatch in lanes)
-        runs = [BatchRun.of(assembly.simulate(draw=draw)) for draw in draws]
+    runs = assembly.batch([*range(seeds)] * 2, mismatches=[SMALL] * seeds + [LARGE] * seeds)
     small, large = runs[:seeds], runs[seeds:]
     good = [run for run in small if task.judge(run)]
     if not good:
@@ -219,6 +193,22 @@ def held(orbit_angles: Array, *, period: float, near: float = 0.1) -> Judge:
     return judge
 
 
+def held_orbit() -> SustainedOrbit:
+    """Return the lab's sustained orbit about down-up, at -0.07 J."""
+    lab = load_model("lab")
+    return sustained_orbit(lyapunov_orbit(lab.system, "down-up", energy=-0.07), lab.arms)
+
+
+def keeps(orbit: SustainedOrbit) -> Judge:
+    """Return a judge of runs that hold a sustained orbit.
+
+    Args:
+        orbit: orbit to hold.
+    """
+    angles = orbit.state(np.linspace(0, orbit.period, 1000))[:, : orbit.arms.count]
+    return held(angles, period=orbit.period)
+
+
 def _completed(reference: Reference) -> Judge:
     limits = reference.limits
 
@@ -244,34 +234,30 @@ def tick_of(task: ControlTask, controller: Controller, settings: LoopSettings) -
         settings: settings of the loop.
     """
     ticker = Assembly(task.reference, task.arms, settings, law=controller).ticker()
-    where = ticker.program.model.position_indices
-    seen, ticks = controller.first_state[where], cycle(range(ticker.count))
+    where, ticks = ticker.program.model.position_indices, cycle(range(ticker.count))
 
     def step() -> None:
-        nonlocal seen
         k = next(ticks)
         if not k:
             ticker.begin()
-            seen = controller.first_state[where]
-        ticker(k, Reading(0.0, seen))
         # A constant state would let the clocks of stateful controllers lose it.
-        seen = ticker.references[k][where]
+        state = ticker.references[k - 1] if k else controller.first_state
+        ticker(k, Reading(0.0, state[where]))
 
     return step
 
 
-def _pair(task: ControlTask, made: Made, *, seeds: int, default: tuple[str, str], why: str) -> tuple[Diagram, Diagram]:
+def _pair(task: ControlTask, found: Diagram, *, why: str) -> tuple[Diagram, Diagram]:
     """Return the task's two panels against a tick's time.
 
     They show the error, and the share of failures at the large mismatch.
     """
-    found, x = measured(task, made, seeds=seeds, default=default), "time of a tick, filter and law, s"
+    error = replace(
+        found, title=f"{task.title}, error", x_label="time of a tick, filter and law, s", y_label=_ERROR, why=why
+    )
     failed = tuple(replace(p, error=1 - p.others["success"]) for p in found.points)
-    return (
-        found.titled(f"{task.title}, error", x, _ERROR, why=why),
-        found.titled(f"{task.title}, failures", x, f"share that fails at {LARGE:.0%} mismatch", points=failed, why=why,
-                    log_y=False),
-    )  # fmt: skip
+    share = f"share that fails at {LARGE:.0%} mismatch"
+    return error, replace(error, title=f"{task.title}, failures", y_label=share, points=failed, log_y=False)
 
 
 def _tracking(seeds: int) -> tuple[Diagram, Diagram]:
@@ -286,15 +272,13 @@ def _tracking(seeds: int) -> tuple[Diagram, Diagram]:
             lambda m: adaptive_controller(reference, m, AdaptiveSettings(), estimator=AUGMENTED), AUGMENTED,
         ),
     }  # fmt: skip
-    why = "the filter's estimates of arms, drive and encoders leave little for feedback to do"
-    return _pair(task, made, seeds=seeds, default=("adaptive", ""), why=why)
+    found = measured(task, made, seeds=seeds, default=("adaptive", ""))
+    return _pair(task, found, why="the filter's estimates of arms, drive and encoders leave little for feedback to do")
 
 
 def _orbit(sections: tuple[int, ...], seeds: int, seconds: float) -> tuple[Diagram, Diagram, Diagram]:
-    model = load_model("lab")
-    orbit = sustained_orbit(lyapunov_orbit(model.system, "down-up", energy=-0.07), model.arms)
-    angles = orbit.state(np.linspace(0, orbit.period, 1000))[:, : model.arms.count]
-    task = ControlTask("An orbit", orbit.reference, model.arms, held(angles, period=orbit.period))
+    orbit = held_orbit()
+    task = ControlTask("An orbit", orbit.reference, orbit.arms, keeps(orbit))
 
     def pulses(k: int, kind: type) -> Callable[[SampledModel], Controller]:
         return lambda m: ogy_controller(orbit, m, kind(sections=k), seconds=seconds)
@@ -308,7 +292,7 @@ def _orbit(sections: tuple[int, ...], seeds: int, seconds: float) -> tuple[Diagr
     made |= {("OGY", f"k = {k}"): (pulses(k, OgySettings), _BARE) for k in sections}
     made |= {("OGY, classic", f"k = {k}"): (pulses(k, ClassicOgySettings), _BARE) for k in sections[-2:]}
     why = "a periodic gain at every tick continues the laws for references"
-    error, failures = _pair(task, made, seeds=seeds, default=("TVLQR", "time"), why=why)
+    error, failures = _pair(task, measured(task, made, seeds=seeds, default=("TVLQR", "time")), why=why)
     shipped = f"OGY, k = {OgySettings().sections}"
     spending = tuple(
         replace(p, seconds=max(p.others["effort"], 1e-9), default=p.name == shipped)
@@ -338,8 +322,8 @@ def _hold(weights: tuple[float, ...], seeds: int) -> Diagram:
         for w in weights
     }  # fmt: skip
     found = measured(task, made, seeds=seeds, default=("LQR", "effort × 1"))
-    return found.titled(
-        "Both arms up, LQR", "rms of the feedback, m/s²", _ERROR, timed=False,
+    return replace(
+        found, title="Both arms up, LQR", x_label="rms of the feedback, m/s²", y_label=_ERROR, timed=False,
         points=tuple(replace(p, seconds=p.others["effort"]) for p in found.points),
         why="the same weights as TVLQR's, so that a hold passes into a motion without a jump",
     )  # fmt: skip
@@ -350,21 +334,13 @@ PERIOD = 1e-3
 SETTLED = 300
 """Ticks omitted at the start, which would judge the first guess and not the filter."""
 CART_RESOLUTION = 1e-6
-MISMATCH = 0.02
 ZERO_ERROR = 3e-3
 """Reading accuracy of an arm's resting position, rad."""
 CUTOFFS = (10.0, 30.0, 100.0, math.inf)
 """Hz."""
 AUGMENTS = ((), ("zeros",), EkfSettings().augment, AdaptiveEkfSettings().augment)
 _METHODS = (("EKF, compiled", "ekf"), ("UKF, filterpy", "ukf"))
-_EVERY = 20
-"""Ticks between two values of NEES."""
 _SWING = (0.4, 2.8, 2.0, -3.0, 0.0, 0.0)
-_START_ERROR = 0.02
-_WHY = (
-    "feedback on the state alone fails on zeros of a few milliradians, and estimating them costs less than "
-    "twice the time; parameters are estimated if a controller requires them"
-)
 
 
 def estimation_chart(quick: bool, progress: Progress) -> PrecisionChart:
@@ -377,14 +353,14 @@ def estimation_chart(quick: bool, progress: Progress) -> PrecisionChart:
     arms = load_model("lab").arms
     resolutions = (4000, 40_000) if quick else (512, 4000, 40_000, 400_000)
     seconds, seeds = (1.0, 1) if quick else (3.0, 3)
-    swings = [swing(arms, seconds=seconds, seed=k, mismatch=MISMATCH, zero_error=ZERO_ERROR) for k in range(seeds)]
+    swings = [swing(arms, seconds=seconds, seed=k, mismatch=SMALL, zero_error=ZERO_ERROR) for k in range(seeds)]
     panels = []
     for k, counts in enumerate(resolutions):
         progress(f"estimation, {counts} counts", k / len(resolutions))
         panels.append(_panel(arms, swings, counts, quick=quick))
     return PrecisionChart(
         name="estimation",
-        title=f"Estimation, plant {MISMATCH:.0%} and zeros {ZERO_ERROR * 1e3:g} mrad off",
+        title=f"Estimation, plant {SMALL:.0%} and zeros {ZERO_ERROR * 1e3:g} mrad off",
         parts=tuple(panels),
         reading=(
             "Each point: an estimator on the same swings. Across: a tick's time. Up: the rms scaled error of angles "
@@ -440,7 +416,7 @@ def swing(arms: ArmChainParameters, *, seconds: float, seed: int, mismatch: floa
     n, count = arms.count, round(seconds / PERIOD)
     commands = 0.5 * np.sin(2.5 * PERIOD * np.arange(count))
     x = np.array(_SWING)
-    x[:n] += _START_ERROR * random.uniform(-1, 1, n)
+    x[:n] += INITIAL_ERROR * random.uniform(-1, 1, n)
     states = np.empty((count, len(x)))
     for k, command in enumerate(commands.tolist()):
         x = model.step(x, command) if k else x
@@ -455,32 +431,27 @@ def _panel(arms: ArmChainParameters, swings: list[KnownSwing], counts: int, *, q
     judged: dict[tuple[str, str], Judged] = {}
     tried: list[Alternative[Any]] = []
     measured = swings[0].measured(counts)
-    for name, kind in _METHODS:
+    for name, kind in (("EKF, compiled", "ekf"), ("UKF, filterpy", "ukf")):
         for augment in AUGMENTS[:2] if quick and kind == "ukf" else AUGMENTS:
-            default = kind == "ekf" and augment in AUGMENTS[2:]
             # Every method has the settings of the law that requires these extras.
             kinds = ADAPTIVE_ESTIMATORS if augment == AUGMENTS[3] else ESTIMATORS
             estimator = make_estimator(kinds[kind](augment=augment), model, noise=noise_of(arms, counts))
             last = estimator.update(estimator.first(np.array(_SWING)), measured[0])
-            one = Alternative(
-                name, _label(augment), partial(estimator.step, last, 0.1, measured[1]),
-                default=default,
-            )  # fmt: skip
-            tried.append(one)
-            judged[one.method, one.setting] = estimator_trial(estimator, swings, counts=counts)
+            label = "all extras" if augment == AUGMENTS[3] else "+".join(augment) or "state only"
+            work = partial(estimator.step, last, 0.1, measured[1])
+            tried.append(Alternative(name, label, work, default=kind == "ekf" and augment in AUGMENTS[2:]))
+            judged[name, label] = estimator_trial(estimator, swings, counts=counts)
     joints, rates = measured[:, : arms.count], swings[0].states[0, arms.count : 2 * arms.count]
     for cutoff in CUTOFFS:
         label = f"{cutoff:g} Hz" if cutoff < math.inf else "no low pass"
         tried.append(Alternative("differences", label, partial(differences, rates, joints[0], joints[1], cutoff)))
         judged["differences", label] = derivative_trial(cutoff, swings, counts=counts)
-    found = compare(tried, lambda one, _: judged[one.method, one.setting])
-    return found.titled(
-        f"{counts} counts per turn", "time of a tick, s", "rms error of the arms' state (scaled)", why=_WHY
-    )
-
-
-def _label(augment: tuple[str, ...]) -> str:
-    return "all extras" if augment == AUGMENTS[-1] else "+".join(augment) or "state only"
+    return replace(
+        compare(tried, lambda one, _: judged[one.method, one.setting]),
+        title=f"{counts} counts per turn", x_label="time of a tick, s", y_label="rms error of the arms' state (scaled)",
+        why="feedback on the state alone fails on zeros of a few milliradians, and estimating them costs less than "
+        "twice the time; parameters are estimated if a controller requires them",
+    )  # fmt: skip
 
 
 def estimator_trial(estimator: Estimator, swings: list[KnownSwing], *, counts: int) -> Judged:
@@ -508,7 +479,7 @@ def estimator_trial(estimator: Estimator, swings: list[KnownSwing], *, counts: i
                 continue
             errors.append(_scaled(estimate.state - flown.states[k], n))
             nis.append(estimate.nis)
-            if k % _EVERY == 0:
+            if k % 20 == 0:
                 normalised.append(_nees(estimator, estimate, flown.states[k], bias, zeros))
     inside = share_inside(np.array(nis), m)
     of_state = share_inside(np.array(normalised), swings[0].states.shape[1] + len(zeros))

@@ -24,9 +24,8 @@ import numpy as np
 from scipy.optimize import brentq
 
 from dpcontrol.bench.chart import Attempt, Border, EdgeChart, EdgeMap, find_border, half_of, measured_maps
-from dpcontrol.bench.control import held
+from dpcontrol.bench.control import RATE, held_orbit, keeps
 from dpcontrol.control.estimator_settings import EkfSettings
-from dpcontrol.control.interface import Controller, SampledModel
 from dpcontrol.control.lqr import HoldController, HoldSettings, hold_controller
 from dpcontrol.control.margins import SHAKEN
 from dpcontrol.control.ogy import OgyController, OgySettings, ogy_controller
@@ -39,42 +38,31 @@ from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.bench import DriveSettings, SensorSettings
 from dpcontrol.loop.loop import LoopSettings, sampled_model
 from dpcontrol.loop.result import BatchRun, Ending
-from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.model import load_model
 from dpcontrol.plans.plan import make_plan
 from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import Limits
-from dpcontrol.references.reference import Reference, still
-from dpcontrol.references.sustained import SustainedOrbit, sustained_orbit
+from dpcontrol.references.reference import still
+from dpcontrol.references.sustained import SustainedOrbit
 
-SADDLE, SADDLE_ENERGY = "down-up", -0.07
-"""Saddle to hold, and its energy, J."""
-WALK = "outer-turn"
-
-ROOM = 20.0
-"""Length of the track, m, so that authority alone decides."""
 MOVING_ERROR = 0.02
 """Initial error when the delay is varied, rad."""
 WEAK, STRONG = 5.0, 30.0
 """Acceleration limit, m/s², when the delay or the model is varied."""
-MISMATCH_RATE = 100.0
-"""Hz."""
+ASTRAY = 0.3
+"""Largest distance from the reference over the last tenth of a successful run, rad."""
 
 
 @dataclass(frozen=True, eq=False)
 class LoopCase:
-    """A controller at a rate in Hz on its model.
+    """A controller in a loop of one rate.
 
     A run succeeds if its angles end within `near` rad of the reference, over its last tenth.
     """
 
-    reference: Reference
-    arms: ArmChainParameters
-    model: SampledModel
-    controller: Controller
-    settings: LoopSettings
-    near: float
+    assembly: Assembly
+    near: float = ASTRAY
 
     def run(self, *, acceleration: float, mismatch: float = 0.0, error: float = 1e-3, delay: float = 0.0) -> Attempt:
         """Return the outcome of a run at the reference.
@@ -86,26 +74,31 @@ class LoopCase:
             delay: s.
         """
         # A timing error of half a period is a further error, with a high cost in a slow loop.
-        drive = DriveSettings(delay=round(delay * self.settings.rate))
-        settings = replace(self.settings, mismatch=mismatch, initial_error=error, drive=drive)
-        reference = replace(self.reference, limits=Limits(position=ROOM, velocity=ROOM, acceleration=acceleration))
-        (run,) = Assembly(reference, self.arms, settings, law=self.controller).batch([0])
-        if run.ending is not Ending.FINISHED:
-            return Attempt(False, run.reason)
-        last = farthest_at_last(run)
-        return Attempt(last < self.near, f"finished, but {last:.2g} rad away over its last tenth")
+        drive = DriveSettings(delay=round(delay * self.assembly.settings.rate))
+        settings = replace(self.assembly.settings, mismatch=mismatch, initial_error=error, drive=drive)
+        # A long track, so that authority alone decides.
+        limits = Limits(position=20.0, velocity=20.0, acceleration=acceleration)
+        reference = replace(self.assembly.reference, limits=limits)
+        (run,) = replace(self.assembly, reference=reference, settings=settings).batch([0])
+        failure = failure_of(run, near=self.near)
+        return Attempt(not failure, failure)
 
 
-def farthest_at_last(run: BatchRun) -> float:
-    """Return the largest final distance of the angles, rad.
-
-    The largest final distance is measured from the reference over a run's last tenth.
+def failure_of(run: BatchRun, *, near: float = ASTRAY, most: float = math.inf) -> str:
+    """Return why a run did not end near its reference, or "".
 
     Args:
         run: run along a reference.
+        near: largest distance of the angles over its last tenth, rad.
+        most: largest rms feedback, m/s².
     """
+    if run.ending is not Ending.FINISHED:
+        return run.reason
+    if run.rms_feedback > most:
+        return f"finished, but the command swings: feedback of {run.rms_feedback:.2g} m/s² rms"
     tail, n = max(len(run.times) // 10, 1), run.references.shape[1]
-    return float(np.abs(run.truth[-tail:, :n] - run.references[-tail:]).max())
+    away = float(np.abs(run.truth[-tail:, :n] - run.references[-tail:]).max())
+    return "" if away < near else f"finished, but {away:.2g} rad away over its last tenth"
 
 
 @cache
@@ -115,15 +108,10 @@ def moving(rate: float) -> LoopCase:
     Args:
         rate: rate of the loop, Hz.
     """
-    scene = load_itinerary(WALK)
-    model = sampled_model(scene.model.arms, rate)
-    reference = make_plan(scene).reference
-    controller = tracking_controller(reference, model, TvlqrSettings())
-    return LoopCase(reference, scene.model.arms, model, controller, LoopSettings(seed=0, rate=rate), near=0.3)
-
-
-LATE = EdgeMap("Known delay, by rate", "rate of the loop, Hz", "delay, s", far="lost")
-WRONG = EdgeMap("Wrong model, by delay", "delay, s", "mismatch of the plant, share", far="lost")
+    scene = load_itinerary("outer-turn")
+    reference, arms = make_plan(scene).reference, scene.model.arms
+    controller = tracking_controller(reference, sampled_model(arms, rate), TvlqrSettings())
+    return LoopCase(Assembly(reference, arms, LoopSettings(seed=0, rate=rate), law=controller))
 
 
 def moving_chart(quick: bool, progress: Progress) -> EdgeChart:
@@ -133,11 +121,13 @@ def moving_chart(quick: bool, progress: Progress) -> EdgeChart:
         quick: one rate, one delay.
         progress: called with a label and the completed share.
     """
+    late = EdgeMap("Known delay, by rate", "rate of the loop, Hz", "delay, s", far="lost")
+    wrong = EdgeMap("Wrong model, by delay", "delay, s", "mismatch of the plant, share", far="lost")
     parts = measured_maps(
         progress,
-        (LATE, lambda rate: delay_border(moving(rate), error=MOVING_ERROR, ratio=1.08),
+        (late, lambda rate: delay_border(moving(rate), error=MOVING_ERROR, ratio=1.08),
          (100.0,) if quick else (25.0, 50.0, 100.0, 200.0)),
-        (WRONG, lambda delay: mismatch_border(moving(MISMATCH_RATE), delay, ratio=1.1),
+        (wrong, lambda delay: mismatch_border(moving(100.0), delay, ratio=1.1),
          (0.1,) if quick else (0.04, 0.07, 0.1, 0.14)),
     )  # fmt: skip
     return EdgeChart(
@@ -162,7 +152,7 @@ def delay_border(loop_case: LoopCase, *, error: float, ratio: float) -> Border:
         error: largest initial error, rad.
         ratio: precision of the border, as a ratio.
     """
-    rate = loop_case.settings.rate
+    rate = loop_case.assembly.settings.rate
     return find_border(
         lambda delay: loop_case.run(acceleration=WEAK, error=error, delay=delay), x=rate, line=f"{rate:g} Hz",
         near=0.05, far=0.6, ratio=ratio, unit=1 / rate,
@@ -185,17 +175,10 @@ def mismatch_border(loop_case: LoopCase, delay: float, *, ratio: float) -> Borde
     )  # fmt: skip
 
 
-RATE = 1000.0
 LIMIT = 0.5
 """Size of the pulses, m/s², when counts are varied."""
 COUNTS = 40_000.0
 """Counts per turn when the pulses are varied."""
-
-
-def held_orbit() -> SustainedOrbit:
-    """Return the lab's orbit about its saddle."""
-    lab = load_model("lab")
-    return sustained_orbit(lyapunov_orbit(lab.system, SADDLE, energy=SADDLE_ENERGY), lab.arms)
 
 
 def pulses(orbit: SustainedOrbit, sections: int, *, seconds: float) -> OgyController:
@@ -233,7 +216,7 @@ def ogy_chart(quick: bool, progress: Progress) -> EdgeChart:
         name="edges-ogy",
         title="OGY needs three pulses a period; with sixteen, small ones suffice",
         reading=(
-            f"The orbit about Down-Up at {SADDLE_ENERGY:g} J has the multiplier λ = {orbit.multipliers[0].real:.0f}. "
+            f"The orbit about Down-Up at {orbit.energy:g} J has the multiplier λ = {orbit.multipliers[0].real:.0f}. "
             "From one of k sections to the next an error grows by about λ^(1/k).",
             f"Circles: at least half of {seeds} runs hold; crosses: fewer. Zeros of the encoders lie anywhere within a "
             "count.",
@@ -266,10 +249,9 @@ def holds(orbit: SustainedOrbit, controller: OgyController, *, counts: float, se
     settings = LoopSettings(
         seed=0, rate=RATE, sensors=sensors, estimator=EkfSettings(augment=()), initial_error=1e-5
     )  # fmt: skip
-    arms, period = load_model("lab").arms, orbit.period
     wide = replace(orbit.reference, limits=Limits(position=5.0, acceleration=30.0))
-    runs = Assembly(wide, arms, settings, law=controller).batch(range(seeds))
-    judge = held(orbit.state(np.linspace(0, period, 1000))[:, : arms.count], period=period)
+    runs = Assembly(wide, orbit.arms, settings, law=controller).batch(range(seeds))
+    judge = keeps(orbit)
     away = "finished, but away from the orbit in its last period"
     return half_of(
         [Attempt(judge(run), away if run.ending is Ending.FINISHED else run.reason) for run in runs], "runs lost"
@@ -285,11 +267,15 @@ def limit_border(orbit: SustainedOrbit, law: OgyController, *, seeds: int, ratio
         seeds: number of runs.
         ratio: precision of the border, as a ratio.
     """
-
-    def probe(limit: float) -> Attempt:
-        return holds(orbit, replace(law, pulse_limit=limit), counts=COUNTS, seeds=seeds)
-
-    return find_border(probe, x=len(law.times), line=f"k = {len(law.times)}", near=5.0, far=0.01, ratio=ratio)
+    k = len(law.times)
+    return find_border(
+        lambda limit: holds(orbit, replace(law, pulse_limit=limit), counts=COUNTS, seeds=seeds),
+        x=k,
+        line=f"k = {k}",
+        near=5.0,
+        far=0.01,
+        ratio=ratio,
+    )
 
 
 def counts_border(orbit: SustainedOrbit, law: OgyController, *, seeds: int, ratio: float) -> Border:
@@ -303,17 +289,19 @@ def counts_border(orbit: SustainedOrbit, law: OgyController, *, seeds: int, rati
         seeds: number of runs.
         ratio: precision of the border, as a ratio.
     """
-
-    def probe(counts: float) -> Attempt:
-        return holds(orbit, law, counts=counts, seeds=seeds)
-
-    return find_border(probe, x=len(law.times), line=f"k = {len(law.times)}", near=4e8, far=50.0, ratio=ratio)
+    k = len(law.times)
+    return find_border(
+        lambda counts: holds(orbit, law, counts=counts, seeds=seeds),
+        x=k,
+        line=f"k = {k}",
+        near=4e8,
+        far=50.0,
+        ratio=ratio,
+    )
 
 
 SECONDS = 10.0
-"""Duration of the runs that lose samples."""
-BEFORE = 0.5
-"""Least time of the run before a sensor sticks, s."""
+"""Duration of stays, and of runs that lose samples, s."""
 MOVED, STILL = 0.02, 0.015
 """Least angle in rad and time in s that distinguish a stuck joint from a still one."""
 
@@ -335,7 +323,6 @@ def estimation_chart(quick: bool, progress: Progress) -> EdgeChart:
         "A stuck encoder of the outer arm, on the orbit about Down-Up", "phase at which it sticks",
         "time until it is reported, s", far="reported", near="goes on", log_x=False,
     )  # fmt: skip
-    equilibrium = model.system.equilibrium(SADDLE)
     return EdgeChart(
         name="edges-estimation",
         title="Limits of estimation",
@@ -347,7 +334,8 @@ def estimation_chart(quick: bool, progress: Progress) -> EdgeChart:
         chosen="0.1 s without a sample: an error at Down-Up grows 2.2-fold in it, far within authority.",
         parts=measured_maps(
             progress,
-            (lost, lambda rate: lost_border(model.arms, equilibrium, rate=rate, seeds=5 if quick else 9),
+            (lost, lambda rate: lost_border(model.arms, model.system.equilibrium("down-up"), rate=rate,
+                                            seeds=5 if quick else 9),
              (100.0,) if quick else (50.0, 100.0, 200.0, 400.0)),
             (stuck, lambda phase: stuck_border(model.arms, orbit, phase=phase),
              (0.3,) if quick else (0.1, 0.3, 0.5, 0.7, 0.9)),
@@ -367,11 +355,8 @@ def arriving(rate: float, *, missing: float, seconds: float) -> float:
     """
     ticks, gap = seconds * rate, math.floor(missing * rate + 1e-9) + 1
     # The number of gaps grows with p up to p = m / (m + 1); the border lies below.
-
-    def excess(p: float) -> float:
-        return ticks * (1 - p) * p**gap - math.log(2)
-
-    return (1 - float(brentq(excess, 0.0, gap / (gap + 1)))) * rate  # type: ignore[arg-type]
+    share: Any = brentq(lambda p: ticks * (1 - p) * p**gap - math.log(2), 0.0, gap / (gap + 1))
+    return (1 - float(share)) * rate
 
 
 def lost_border(arms: ArmChainParameters, equilibrium: Array, *, rate: float, seeds: int) -> Border:
@@ -429,7 +414,8 @@ def stuck_border(arms: ArmChainParameters, orbit: SustainedOrbit, *, phase: floa
         phase: phase at which the encoder is stuck, 1 for a period.
     """
     model = sampled_model(arms, RATE)
-    at = round((math.ceil(BEFORE / orbit.period) + phase) * orbit.period, 3)
+    # The run lasts at least half a second before the encoder sticks.
+    at = round((math.ceil(0.5 / orbit.period) + phase) * orbit.period, 3)
     settings = LoopSettings(seed=0, sensors=SensorSettings(stuck_at=at, stuck_sensor=1))
 
     def probe(after: float) -> Attempt:
@@ -450,10 +436,6 @@ FOLLOWED = (
 """Itineraries and laws for comparing margins with campaigns; a quick chart has the first three."""
 MARGIN_ERROR = 2e-3
 """Initial error of each angle, rad: small, so that stability decides and not the size of the disturbance."""
-STAYED = 10.0
-"""Duration of a stay, s."""
-ASTRAY = 0.3
-"""Largest distance from the reference over the last tenth of a successful run, rad."""
 TRIED = 10.0
 """Greatest gain of a simulated drive; larger ones are not tried."""
 SHORT = 0.5
@@ -486,28 +468,15 @@ class FollowedReference:
         other = self.assembly.under(replace(self.assembly.settings, drive=drive))
         runs = replace(other, law=self.assembly.controller, believed_delay=assumed).batch(range(self.seeds))
         most = SHAKEN * self.assembly.limits.acceleration / gain
-        failed = [why for run in runs if (why := _failure_reason(run, most))]
-        return Attempt(2 * len(failed) < self.seeds, failed[0] if failed else "")
-
-
-def _failure_reason(run: BatchRun, most: float) -> str:
-    """Return the reason why a run left its reference, or "".
-
-    most: largest rms feedback, m/s².
-    """
-    if run.ending is not Ending.FINISHED:
-        return run.reason
-    if run.rms_feedback > most:
-        return f"finished, but the command swings: feedback of {run.rms_feedback:.2g} m/s² rms"
-    away = farthest_at_last(run)
-    return "" if away < ASTRAY else f"finished, but {away:.2g} rad away over its last tenth"
+        failed = list(filter(None, (failure_of(run, most=most) for run in runs)))
+        return Attempt(2 * len(failed) < self.seeds, next(iter(failed), ""))
 
 
 @cache
 def followed(itinerary: str, law: str, seeds: int) -> FollowedReference:
     """Return the loop of an itinerary and a law, with its margins.
 
-    A stay lasts for `STAYED` s.
+    A stay lasts for `SECONDS` s.
 
     Args:
         itinerary: name of the itinerary.
@@ -522,7 +491,7 @@ def followed(itinerary: str, law: str, seeds: int) -> FollowedReference:
     assembly = Assembly(reference, arms, settings)
     controller: Any = assembly.controller
     if isinstance(controller, OrbitController | HoldController):
-        assembly = replace(assembly, law=replace(controller, ticks=round(STAYED * settings.rate)))
+        assembly = replace(assembly, law=replace(controller, ticks=round(SECONDS * settings.rate)))
     margins = {name: value for name, (value, _) in assembly.margins().least().items()}
     return FollowedReference(assembly, margins, seeds)
 
@@ -542,8 +511,8 @@ def margin_border(name: str, case: tuple[str, str], *, seeds: int, ratio: float)
         name, (predicted / 16, 4 * predicted)
     )
     return find_border(
-        lambda value: loop.run(**{key: value}), x=0.0, line=", ".join(case), near=near, far=far, ratio=ratio,
-        predicted=predicted if name != "gain_high" or predicted < TRIED else None,
+        lambda value: loop.run(**{key: value}), x=float(FOLLOWED.index(case)), line=", ".join(case),
+        near=near, far=far, ratio=ratio, predicted=predicted if name != "gain_high" or predicted < TRIED else None,
     )  # fmt: skip
 
 
@@ -555,16 +524,11 @@ def margins_chart(quick: bool, progress: Progress) -> EdgeChart:
         progress: called with a label and the completed share.
     """
     cases, seeds, ratio = (FOLLOWED[:3], 8, 1.15) if quick else (FOLLOWED, 32, 1.08)
-
-    def border(case: tuple[str, str], name: str) -> Border:
-        found = margin_border(name, case, seeds=seeds, ratio=ratio)
-        return replace(found, x=float(cases.index(case)))
-
     theory = "the loop's margin, least along the reference"
     maps = [
         (
             EdgeMap(title, "itinerary and law", label, theory=theory, far="lost", log_x=False, agrees=SHORT),
-            partial(border, name=name), cases,
+            partial(margin_border, name, seeds=seeds, ratio=ratio), cases,
         )
         for name, title, label in (
             ("gain_low", "Too little of a command", "share that the drive gives"),

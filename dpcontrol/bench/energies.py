@@ -49,34 +49,32 @@ def energies_chart(itinerary: Itinerary, progress: Progress = no_progress) -> Pr
     floor = max(equilibrium(system, name).energy for name in names)
     points, missing = [], []
     branches = {s.text: SymbolBranches(system, s) for s in symbols if not s.parts and s.name is None}
-    own_choice = {text: branch.chosen(walk.energy) for text, branch in branches.items()}
-    moved: list[str] = []
+    chosen = {text: branch.chosen(walk.energy) for text, branch in branches.items()}
+
+    def there(text: str, energy: float) -> str:
+        connection = chosen.get(text)
+        if connection is None or energy == walk.energy:
+            return text
+        followed = branches[text].followed(connection, energy)
+        if followed is None:
+            raise GoalMissed(f"{text}: its connection at {walk.energy:.4g} J cannot be followed to this energy")
+        return followed.name
+
     for k, factor in enumerate(ENERGIES):
-        energy = floor + factor * (walk.energy - floor)
-        progress(f"{energy:.3g} J", k / len(ENERGIES))
+        energy = walk.energy if factor == 1.0 else floor + factor * (walk.energy - floor)
+        label = f"{energy:.3g} J"
+        progress(label, k / len(ENERGIES))
         try:
-            texts = []
-            for text in walk.walk:
-                chosen = own_choice.get(text)
-                if chosen is None or factor == 1.0:
-                    texts.append(text)
-                    continue
-                there = branches[text].followed(chosen, energy)
-                if there is None:
-                    raise GoalMissed(f"{text}: its connection at {walk.energy:.4g} J cannot be followed to this energy")
-                other = branches[text].chosen(energy)
-                if other is not None and other.name != there.name and f"{text!r} at {energy:.3g} J" not in moved:
-                    moved.append(f"{text!r} at {energy:.3g} J")
-                texts.append(there.name)
-            found = at_energy(itinerary, replace(walk, energy=energy, walk=tuple(texts)), RUNS)
+            texts = tuple(there(text, energy) for text in walk.walk)
+            found = at_energy(itinerary, replace(walk, energy=energy, walk=texts), RUNS)
         except (InputError, GoalMissed) as error:
-            missing.append(Missing("loop", f"{energy:.3g} J", str(error)))
+            missing.append(Missing("loop", label, str(error)))
             continue
-        own, label = factor == 1.0, f"{energy:.3g} J"
         points.append(Point("reference", label, energy - floor, found["reference"], others=found))
-        if np.isfinite(found["loop"]):
+        if found["completed"]:
             note = f"{found['completed']:.0%} come through"
-            points.append(Point("loop", label, energy - floor, found["loop"], default=own, note=note, others=found))
+            loop = Point("loop", label, energy - floor, found["loop"], factor == 1.0, note=note, others=found)
+            points.append(loop)
         else:
             missing.append(Missing("loop", label, f"no run completes at ±{MISMATCH:.0%}"))
     if not any(p.default for p in points):
@@ -85,17 +83,14 @@ def energies_chart(itinerary: Itinerary, progress: Progress = no_progress) -> Pr
         itinerary.title, "energy above the highest saddle's, J", "∫u², m²/s³", tuple(points), missing=tuple(missing),
         judged=False, timed=False,
     )  # fmt: skip
-    followed = f"The connections of {walk.energy:.4g} J are followed to the other energies."
-    if moved:
-        others = f"There the symbols alone mean others: {', '.join(moved)}"
-        followed += f" {others}; `dpcontrol walk --compare` reports the first such energy."
     return PrecisionChart(
         name=f"{itinerary.name}-energies",
         title=f"{itinerary.name}: effort over energies",
         reading=(
             "A mark is the whole itinerary planned at one energy; the ring marks the itinerary's.",
             "reference: the effort of the plan alone, on a plant equal to the model.",
-            f"loop: mean effort of completed runs, of {RUNS} plants off by {MISMATCH:.0%}. {followed}",
+            f"loop: mean effort of completed runs, of {RUNS} plants off by {MISMATCH:.0%}. The connections of "
+            f"{walk.energy:.4g} J are followed to the other energies.",
         ),
         chosen=energy_text(walk.energy, points),
         parts=(panel,),
@@ -156,10 +151,11 @@ def energy_text(own: float, points: Sequence[Point]) -> str:
     loops = [p for p in points if p.method == "loop"]
     most = max(p.others["completed"] for p in loops)
     best = min((p for p in loops if p.others["completed"] == most), key=lambda p: p.error)
-    (mine,) = [p for p in loops if p.default]
-    fewer = mine.others["completed"] < most
-    if not fewer and mine.error <= POOR * best.error:
+    mine = next(p for p in loops if p.default)
+    completed = mine.others["completed"]
+    if completed == most and mine.error <= POOR * best.error:
         return f"{own:.4g} J is a good choice: at ±{MISMATCH:.0%} no energy tried takes {1 - 1 / POOR:.0%} less effort"
-    better = f"{best.others['energy']:.4g} J takes {best.error:.3g} m²/s³ at ±{MISMATCH:.0%}, not {mine.error:.3g}"
-    text = f"{own:.4g} J is a poor choice: {better}"
-    return f"{text}, and {most:.0%} of runs complete it, not {mine.others['completed']:.0%}" if fewer else text
+    return (
+        f"{own:.4g} J is a poor choice: {best.others['energy']:.4g} J takes {best.error:.3g} m²/s³ at "
+        f"±{MISMATCH:.0%}, not {mine.error:.3g}, and {most:.0%} of runs complete it, not {completed:.0%}"
+    )

@@ -15,6 +15,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from math import inf
+from timeit import Timer
 from typing import Any, Generic, TypeVar
 
 from dpcontrol.bench.chart import Diagram, Missing, Point
@@ -26,24 +27,39 @@ Key = TypeVar("Key", bound=Hashable)
 
 GRAIN = 2e-3
 """Least duration of a measurement, s."""
-_FIRST_GUESS = 20
-"""Number of calls that estimates the time of one short call."""
 
 
-@dataclass(frozen=True)
+@dataclass
 class TimedWork(Generic[T]):
-    """Median seconds of a call, its start-up, and its first result."""
+    """Times of a function's calls.
 
-    seconds: float
-    start_up: float
+    Attributes:
+        first: seconds of the first call.
+        result: result of the first call.
+        calls: calls per measurement.
+        times: seconds of each measurement.
+    """
+
+    first: float
     result: T
+    calls: int = 1
+    times: list[float] = field(default_factory=list)
+
+    @property
+    def seconds(self) -> float:
+        """Median seconds of a call."""
+        return statistics.median(self.times) / self.calls if self.times else self.first
+
+    @property
+    def start_up(self) -> float:
+        """Seconds that only the first call takes."""
+        return max(self.first - self.seconds, 0.0)
 
 
 def timed_in_turns(
     functions: Mapping[Key, Callable[[], T]],
     rounds: int = 31,
     *,
-    grain: float = GRAIN,
     most: float = inf,
     least: int = 3,
     worth: Callable[[Key, T], bool] = lambda key, result: True,
@@ -53,12 +69,11 @@ def timed_in_turns(
 ) -> dict[Key, TimedWork[T]]:
     """Call each function once, then measure all in turns.
 
-    Each of `rounds` measures every function for at least `grain` s.
+    Each of `rounds` measures every function for at least `GRAIN` s.
 
     Args:
         functions: works by key.
         rounds: measurements of each function.
-        grain: shortest measurement, s.
         most: measuring time of a function, s, after which it is skipped once measured `least` times.
         least: measurements before a function can be skipped.
         worth: decides by key and first result; without worth the first call is the only one.
@@ -66,57 +81,27 @@ def timed_in_turns(
         clock: function that returns a time, s.
         progress: called at each first call and each round.
     """
-    measured = {key: _Measured(function, grain, clock) for key, function in functions.items()}
-    for k, (key, own) in enumerate(measured.items()):
-        progress(f"first call {k + 1} of {len(measured)}", k / len(measured) / (rounds + 1))
-        own.start(worth=partial(worth, key), starts_up=starts_up)
+    measured: dict[Key, TimedWork[T]] = {}
+    timers: dict[Key, Timer] = {}
+    for k, (key, function) in enumerate(functions.items()):
+        progress(f"first call {k + 1} of {len(functions)}", k / len(functions) / (rounds + 1))
+        begin = clock()
+        result = function()
+        work = measured[key] = TimedWork(clock() - begin, result)
+        if worth(key, result):
+            timers[key] = Timer(function, timer=clock)
+            seconds = timers[key].timeit(1) if starts_up or work.first < GRAIN else work.first
+            while seconds < GRAIN:
+                work.calls *= 2
+                seconds = timers[key].timeit(work.calls)
+            work.times.append(seconds)
     for number in range(1, rounds + 1):
         progress(f"round {number} of {rounds}", number / (rounds + 1))
-        for own in measured.values():
-            count, spent = len(own.found), sum(end - begin for begin, end in own.found)
-            if own.going and count < number and (spent < most or count < least):
-                own.found.append(own.stretch())
-    return {key: own.timed() for key, own in measured.items()}
-
-
-class _Measured(Generic[T]):
-    """The measurements of one function: (begin, end) of each, of `calls` calls."""
-
-    def __init__(self, function: Callable[[], T], grain: float, clock: Callable[[], float]) -> None:
-        self._function, self._grain, self._clock = function, grain, clock
-        self._calls = 1
-        self.found: list[tuple[float, float]] = []
-        self.going = True
-
-    def start(self, *, worth: Callable[[T], bool], starts_up: bool) -> None:
-        """Make the first call, and determine the calls per measurement."""
-        self._first = once = self.stretch()
-        self._result = self._last
-        self.going = worth(self._result)
-        if not self.going:
-            return
-        if starts_up or once[1] - once[0] < self._grain:
-            once = self.stretch()
-        if once[1] - once[0] >= self._grain:
-            self.found.append(once)
-            return
-        self._calls = _FIRST_GUESS
-        begin, end = self.stretch()
-        self._calls = max(1, round(self._grain * _FIRST_GUESS / (end - begin))) if end > begin else 1000
-
-    def stretch(self) -> tuple[float, float]:
-        """Make the calls of one measurement; return its begin and end."""
-        begin = self._clock()
-        for _ in range(self._calls):
-            self._last = self._function()
-        return begin, self._clock()
-
-    def timed(self) -> TimedWork[T]:
-        """Return the result of all measurements."""
-        first = self._first[1] - self._first[0]
-        found = [(end - begin) / self._calls for begin, end in self.found]
-        seconds = statistics.median(found) if found else first
-        return TimedWork(seconds, max(first - seconds, 0.0), self._result)
+        for key, timer in timers.items():
+            work = measured[key]
+            if len(work.times) < number and (sum(work.times) < most or len(work.times) < least):
+                work.times.append(timer.timeit(work.calls))
+    return measured
 
 
 @contextmanager
@@ -125,15 +110,14 @@ def one_core() -> Iterator[None]:
 
     This has no effect if the system does not allow it.
     """
-    if not hasattr(os, "sched_setaffinity"):
-        yield
-        return
-    before = os.sched_getaffinity(0)
-    os.sched_setaffinity(0, {max(before)})
+    before = os.sched_getaffinity(0) if hasattr(os, "sched_setaffinity") else set()
+    if before:
+        os.sched_setaffinity(0, {max(before)})
     try:
         yield
     finally:
-        os.sched_setaffinity(0, before)
+        if before:
+            os.sched_setaffinity(0, before)
 
 
 @dataclass(frozen=True)
@@ -147,7 +131,6 @@ class Alternative(Generic[T]):
     setting: str
     work: Callable[[], T]
     default: bool = False
-    outside: bool = False
     units: float = 1.0
 
 
@@ -161,9 +144,8 @@ class Judged:
 
 
 def compare(
-    alternatives: Sequence[Alternative[T]], judge: Callable[[Alternative[T], T], Judged | str], rounds: int = 31,
-    *, starts_up: bool = True, **turns: Any,
-) -> Diagram:  # fmt: skip
+    alternatives: Sequence[Alternative[T]], judge: Callable[[Alternative[T], T], Judged | str], **turns: Any
+) -> Diagram:
     """Time alternatives in turns and judge their first results.
 
     If the judgement is a text, the point is missing for this reason. Work that raises an ArithmeticError, RuntimeError
@@ -172,8 +154,6 @@ def compare(
     Args:
         alternatives: works to time.
         judge: function of an alternative and its first result.
-        rounds: see `timed_in_turns`.
-        starts_up: see `timed_in_turns`.
         **turns: further arguments of `timed_in_turns`.
 
     Returns:
@@ -193,7 +173,7 @@ def compare(
         return not isinstance(judged[k], str)
 
     works = {k: partial(tried, one.work) for k, one in enumerate(alternatives)}
-    spent = timed_in_turns(works, rounds, worth=worth, starts_up=starts_up, **turns)
+    spent = timed_in_turns(works, worth=worth, **turns)
     points, missing = [], []
     start_up: dict[str, float] = {}
     for k, one in enumerate(alternatives):
@@ -201,10 +181,9 @@ def compare(
         if isinstance(found, str):
             missing.append(Missing(one.method, one.setting, found))
             continue
-        if starts_up:
+        if turns.get("starts_up", True):
             start_up[one.method] = max(start_up.get(one.method, 0.0), run.start_up)
-        points.append(
-            Point(one.method, one.setting, run.seconds / one.units, found.error, default=one.default,
-                  outside=one.outside, note=found.note, others=found.others)
-        )  # fmt: skip
+        seconds = run.seconds / one.units
+        point = Point(one.method, one.setting, seconds, found.error, one.default, note=found.note, others=found.others)
+        points.append(point)
     return Diagram("", "", "", tuple(points), start_up, tuple(missing))

@@ -17,7 +17,7 @@ Source: Hairer, Lubich & Wanner, Geometric Numerical Integration (2006), section
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import partial
 from typing import Any
 
 import casadi as ca
@@ -133,20 +133,17 @@ def buffered_rate(equations: Equations, parameters: Array, command: float = 0.0)
         parameters: values (p,).
         command: value of all inputs: the cart's acceleration, m/s².
     """
-    arguments = [equations.state, equations.inputs, equations.parameters]
-    function = ca.Function("rate", arguments, [ca.densify(equations.rate)])
+    values = [command] * equations.input_count + list(parameters)
+    rate_of_state = ca.substitute(equations.rate, ca.vertcat(equations.inputs, equations.parameters), ca.SX(values))
+    function = ca.Function("rate", [equations.state], [ca.densify(rate_of_state)])
     x, out = np.zeros(equations.dimension), np.zeros(equations.dimension)
-    held = np.full(equations.input_count, command), np.array(parameters, dtype=float)
     buffer: Any
     buffer, run = function.buffer()
-    for k, array in enumerate((x, *held)):
-        if array.size:
-            buffer.set_arg(k, memoryview(array.data))
+    buffer.set_arg(0, memoryview(x.data))
     buffer.set_res(0, memoryview(out.data))
-    # The buffer only refers to the run's objects and arrays, which must live as long as it.
-    keep = (function, buffer, held)
 
-    def rate(_: float, state: Array, keep: object = keep) -> Array:
+    # The buffer only refers to the run's objects, which must live as long as it.
+    def rate(_: float, state: Array, keep: object = (function, buffer)) -> Array:
         x[:] = state
         run()
         return out.copy()
@@ -155,23 +152,16 @@ def buffered_rate(equations: Equations, parameters: Array, command: float = 0.0)
 
 
 ENERGY = 0.2
-SWING = (1.7, 2.2, 0.0, 0.0)
-"""Start from rest: an initial error grows five-millionfold in 10 s."""
-SWING_SECONDS = 10.0
-TUBE_PERIODS = 2.0
 LANES = 64
-ENERGY_ROUNDING = 1e-14
-"""Rounding of the energy, over its scale."""
 TOLERANCES = (0.0, 1e-12, 1e-9, 1e-6)
 """Tolerances of Taylor's method; zero stands for rounding."""
 STEPS = (5e-4, 1e-3, 2e-3, 5e-3)
 MOST_CALLS = 60_000
 TICK, COMMAND = 1e-3, 5.0
 """Duration in s and command in m/s² of a tick."""
-TICK_ROUNDING = 1e-15
 
 
-def chart(quick: bool, progress: Progress) -> PrecisionChart:
+def propagation_chart(quick: bool, progress: Progress) -> PrecisionChart:
     """Return the errors of integrators against their computing times.
 
     Args:
@@ -183,26 +173,23 @@ def chart(quick: bool, progress: Progress) -> PrecisionChart:
     progress("propagation: truth in 113 bits", 0.0)
     orbit = lyapunov_orbit(system, "down-up", energy=ENERGY)
     seeds, _ = UnstableManifold(orbit).seeds(np.arange(LANES) / LANES, 1)
-    tube = work_of(system, seeds[:: 8 if quick else 2], TUBE_PERIODS * orbit.period)
-    swing = work_of(system, np.array([SWING]), SWING_SECONDS)
-    progress("propagation: trajectory of a tube", 0.2)
-    tried = candidates(tube, batches=True, quick=quick)
-    along = compared(tried, tube, quick=quick, progress=part_of(progress, 0.2, 0.5))
-    progress("propagation: chaotic swing", 0.5)
-    tried = candidates(swing, batches=False, quick=quick)
-    chaotic = compared(tried, swing, quick=quick, progress=part_of(progress, 0.5, 0.8))
-    drifts = tuple(replace(p, error=p.others["drift"]) for p in chaotic.points)
-    progress("propagation: tick", 0.8)
-    title, label = f"chaotic swing, {swing.duration:.0f} s", "time of a trajectory, s"
+    tube = work_of(system, seeds[:: 8 if quick else 2], 2 * orbit.period)
+    # A start from rest, whose initial error grows five-millionfold.
+    swing = work_of(system, np.array([[1.7, 2.2, 0.0, 0.0]]), 10.0)
+    many, one = candidates(tube, batches=True, quick=quick), candidates(swing, batches=False, quick=quick)
+    along = compared(many, tube, quick=quick, progress=part_of(progress, 0.2, 0.5))
+    chaotic = compared(one, swing, quick=quick, progress=part_of(progress, 0.5, 0.8))
+    look = {"x_label": "time of a trajectory, s", "y_label": "error, scaled"}
+    chaotic = replace(chaotic, title=f"chaotic swing, {swing.duration:.0f} s", **look)
     return PrecisionChart(
         name="propagation",
         title="Propagation",
         parts=(
-            along.titled(f"trajectory of a tube, {tube.duration:.2f} s", label, "error, scaled"),
-            chaotic.titled(title, label, "error, scaled"),
-            chaotic.titled(
-                f"{title}, energy", label, "energy drift, share of the scale", points=drifts, floor=ENERGY_ROUNDING,
-                judged=False,
+            replace(along, title=f"trajectory of a tube, {tube.duration:.2f} s", **look),
+            chaotic,
+            replace(
+                chaotic, title=f"{chaotic.title}, energy", y_label="energy drift, share of the scale", floor=1e-14,
+                points=tuple(replace(p, error=p.others["drift"]) for p in chaotic.points), judged=False,
             ),
             *tick_panels(model.arms, quick=quick),
         ),
@@ -231,11 +218,6 @@ class Work:
     duration: float
     truth: Array
 
-    @cached_property
-    def energies(self) -> Array:
-        """Energies (K,) of the states."""
-        return self.system.numeric.hamiltonian(self.states)
-
     def error(self, arrived: Array) -> float:
         """Return the largest scaled error of arrivals.
 
@@ -250,8 +232,8 @@ class Work:
         Args:
             arrived: final states (K, N), or the first ones of them.
         """
-        change = self.system.numeric.hamiltonian(arrived) - self.energies[: len(arrived)]
-        return float(np.abs(change).max() / self.system.energy_scale)
+        energy, first = self.system.numeric.hamiltonian, self.states[: len(arrived)]
+        return float(np.abs(energy(arrived) - energy(first)).max() / self.system.energy_scale)
 
 
 def work_of(system: System, states: Array, duration: float) -> Work:
@@ -400,22 +382,6 @@ def _by_scipy(
     return run.y[:, -1]
 
 
-def tick_states(arms: ArmChainParameters) -> Array:
-    """Return states (LANES, N) along 3 s of free swing.
-
-    The swing starts from high up, with the cart moving.
-
-    Args:
-        arms: arms on a driven cart.
-    """
-    equations = equations_of(arms, Level.CART)
-    flow = PolynomialInputPropagator(equations, arms.base(), degree=0)
-    start = np.zeros(equations.dimension)
-    start[: arms.count] = 2.5
-    start[-1] = 0.1
-    return flow.sample(start, np.zeros(1), np.linspace(0.0, 3.0, LANES))
-
-
 def exact_ticks(equations: Equations, parameters: Array, states: Array) -> Array:
     """Return the states one tick later, from 113-bit arithmetic.
 
@@ -444,10 +410,12 @@ def tick_panels(arms: ArmChainParameters, *, quick: bool) -> tuple[Diagram, Diag
         quick: fewer rounds.
     """
     equations, parameters = equations_of(arms, Level.CART), arms.base()
-    states = tick_states(arms)
+    plant = PolynomialInputPropagator(equations, parameters, degree=0)
+    # States along 3 s of free swing from high up, with the cart moving.
+    start = np.concatenate([np.full(arms.count, 2.5), np.zeros(equations.dimension - arms.count - 1), [0.1]])
+    states = plant.sample(start, np.zeros(1), np.linspace(0.0, 3.0, LANES))
     truth = exact_ticks(equations, parameters, states)
     scale = state_scale(equations.dimension, Limits())
-    plant = PolynomialInputPropagator(equations, parameters, degree=0)
     model = SampledModel(equations, parameters, period=TICK)
     program = {"x": equations.state, "u": equations.inputs, "p": equations.parameters, "ode": equations.rate}
     cvodes = ca.integrator("tick", "cvodes", program, 0.0, TICK, {"reltol": 1e-10, "abstol": 1e-10})
@@ -471,8 +439,10 @@ def tick_panels(arms: ArmChainParameters, *, quick: bool) -> tuple[Diagram, Diag
 
     ticks = compare(tried, judge, rounds=9 if quick else 25)
     alone, together = (
-        ticks.titled(f"a tick of 1 ms, {what}", "time of a tick, s", "error, scaled", floor=TICK_ROUNDING,
-                    points=tuple(p for p in ticks.points if ("at once" in p.method) is many))
+        replace(
+            ticks, title=f"a tick of 1 ms, {what}", x_label="time of a tick, s", y_label="error, scaled", floor=1e-15,
+            points=tuple(p for p in ticks.points if ("at once" in p.method) is many),
+        )
         for what, many in (("one run", False), (f"{LANES} runs", True))
     )  # fmt: skip
     return alone, together

@@ -8,23 +8,18 @@ import os
 import platform
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
-from dpcontrol.bench.chart import (
-    CHARTS,
-    GROUPS,
-    ChartPage,
-    check_names,
-)
+from dpcontrol.bench.chart import CHARTS, ChartPage, check_names
 from dpcontrol.bench.drawing import save_chart
 from dpcontrol.bench.measure import one_core
 from dpcontrol.foundation.cache import commit
+from dpcontrol.foundation.document import counted
 from dpcontrol.foundation.files import write_whole
 from dpcontrol.foundation.parts import versions
-from dpcontrol.foundation.processes import in_processes, processors
 from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress, part_of
 
 
@@ -38,12 +33,8 @@ class DrawnChart:
     seconds: float
 
 
-_SECONDS = {False: 90.0, True: 10.0}
+_SECONDS = {False: 150.0, True: 25.0}
 """Cost of a chart, s of one processor, for full and quick charts."""
-_LONGER = {"edges-margins": 2.8}
-"""Charts whose full cost is a multiple of the others', and the multiple."""
-_MEMORY = 4e8
-"""Memory of a process that draws charts, bytes."""
 
 
 def charts_cost(names: Sequence[str], *, quick: bool) -> Cost:
@@ -53,12 +44,7 @@ def charts_cost(names: Sequence[str], *, quick: bool) -> Cost:
         names: charts to draw.
         quick: shorter measurements.
     """
-    mapped = sum(1.0 if quick else _LONGER.get(name, 1.0) for name in names if name in GROUPS["edges"])
-    at_once = max(min(processors(), sum(name in GROUPS["edges"] for name in names)), 1)
-    timed = sum(name not in GROUPS["edges"] for name in names)
-    seconds = (timed + mapped / at_once) * _SECONDS[quick]
-    work = f"{len(names)} chart{'s' if len(names) > 1 else ''}"
-    return Cost(work, seconds, at_once * _MEMORY, "bench")
+    return Cost(counted(len(names), "chart"), len(names) * _SECONDS[quick], 4e8, "bench")
 
 
 def draw_charts(
@@ -66,8 +52,7 @@ def draw_charts(
 ) -> tuple[DrawnChart, ...]:
     """Draw charts (all if `names` is empty).
 
-    Timed charts come first, sequentially in this process, on one core, with the others idle. Maps of failure have no
-    times and are drawn in parallel on all cores.
+    They are drawn one after the other on one core, with the others idle.
 
     Args:
         names: charts or groups of charts.
@@ -78,36 +63,17 @@ def draw_charts(
 
     Raises:
         InputError: a name is unknown, the folder is not writable, or the charts would take too long.
-        GoalMissed: the processes that draw maps failed repeatedly.
     """
     chosen = check_names(tuple(names))
     announce(charts_cost(chosen, quick=quick), yes=yes)
     # Read before the work, so that later edits of the checkout do not matter.
     made_with = {"quick": quick, "machine": machine(), "versions": versions(), "commit": commit()}
-    draw = partial(draw_chart, folder=folder, made_with=made_with)
-    maps = [name for name in chosen if name in GROUPS["edges"]]
-    if len(maps) == 1 or processors() == 1:
-        maps = []
-    drawn: dict[str, DrawnChart] = {}
-    for name in chosen:
-        if name not in maps:
-            begin, end = len(drawn) / len(chosen), (len(drawn) + 1) / len(chosen)
-            progress(name, begin)
-            with one_core():
-                drawn[name] = draw(name, progress=part_of(_named(name, progress), begin, end))
-    if maps:
-        progress(f"{len(maps)} maps of failure", len(drawn) / len(chosen))
-        remedy = "Finished charts are saved: name the missing ones"
-        for name, done in in_processes(draw, maps, min(processors(), len(maps)), remedy=remedy):
-            drawn[name] = done
-            left = ", ".join(name for name in maps if name not in drawn)
-            progress(f"maps left: {left}" if left else "maps", len(drawn) / len(chosen))
-    return tuple(drawn[name] for name in chosen)
-
-
-def _named(name: str, progress: Progress) -> Progress:
-    """Return a progress whose text begins with a chart's name."""
-    return lambda what, done: progress(what if what.startswith(name) else f"{name}: {what}", done)
+    drawn = []
+    with one_core():
+        for k, name in enumerate(chosen):
+            report = part_of(progress, k / len(chosen), (k + 1) / len(chosen))
+            drawn.append(draw_chart(name, folder=folder, made_with=made_with, progress=report))
+    return tuple(drawn)
 
 
 def draw_chart(
@@ -145,9 +111,8 @@ def machine() -> dict[str, Any]:
 
 
 def _processor() -> str:
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        return platform.processor()
-    named = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return named[0] if named else platform.processor()
+    with suppress(OSError):
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    return platform.processor()

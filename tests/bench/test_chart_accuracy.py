@@ -105,7 +105,7 @@ def test_a_tighter_tolerance_is_nearer_and_the_default_is_at_rounding(work):
 @pytest.mark.parametrize("name", [name for name in CHARTS if name not in GROUPS["edges"]])
 def test_each_quick_chart_has_its_defaults(name, monkeypatch):
     def once(functions, *_, worth=lambda key, result: True, **__):
-        found = {key: TimedWork(1.0, 0.0, function()) for key, function in functions.items()}
+        found = {key: TimedWork(1.0, function()) for key, function in functions.items()}
         for key, timed in found.items():
             worth(key, timed.result)
         return found

@@ -96,7 +96,7 @@ def test_an_unknown_chart_is_refused(tmp_path):
 
 
 @pytest.mark.slow
-def test_maps_are_computed_together_and_returned_in_the_requested_order(tmp_path):
+def test_maps_are_returned_in_the_requested_order(tmp_path):
     asked = ["edges-ogy", "edges-moving"]
     drawn = draw_charts(asked, tmp_path, quick=True)
     assert [d.chart.name for d in drawn] == asked

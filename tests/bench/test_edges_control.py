@@ -12,7 +12,6 @@ from dpcontrol.bench.edges import (
     followed,
     moving,
 )
-from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.bench import DriveSettings
 
 RATE = 50.0
@@ -26,8 +25,8 @@ def test_commands_on_their_way_at_the_start_belong_to_where_the_motion_leads():
 
 def test_lockstep_and_loop_queue_the_same_commands():
     stand = moving(RATE)
-    late = replace(stand.settings, seed=3, initial_error=0.01, drive=DriveSettings(delay=10))
-    assembly = Assembly(stand.reference, stand.arms, late, law=stand.controller)
+    late = replace(stand.assembly.settings, seed=3, initial_error=0.01, drive=DriveSettings(delay=10))
+    assembly = replace(stand.assembly, settings=late)
     together, alone = assembly.batch([3])[0], assembly.simulate()
     assert alone.ticks.truth is not None
     assert np.abs(together.truth[:40] - alone.ticks.truth[:40]).max() < 1e-9

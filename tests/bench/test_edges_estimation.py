@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from dpcontrol.bench.edges import SADDLE, arriving, lost_border
+from dpcontrol.bench.edges import arriving, lost_border
 from dpcontrol.plans.model import load_model
 
 APART = 0.25  # the bar
@@ -26,5 +26,5 @@ def test_half_of_many_drawn_runs_see_a_gap_at_the_predicted_share(rate):
 
 @pytest.mark.slow
 def test_runs_end_at_the_predicted_share_of_lost_samples():
-    found = lost_border(LAB.arms, LAB.system.equilibrium(SADDLE), rate=60.0, seeds=5)
+    found = lost_border(LAB.arms, LAB.system.equilibrium("down-up"), rate=60.0, seeds=5)
     assert found.off < APART

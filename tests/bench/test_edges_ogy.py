@@ -5,7 +5,8 @@ from functools import cache
 
 import pytest
 
-from dpcontrol.bench.edges import COUNTS, held_orbit, holds, pulses
+from dpcontrol.bench.control import held_orbit
+from dpcontrol.bench.edges import COUNTS, holds, pulses
 from dpcontrol.references.sustained import SustainedOrbit
 
 RUNS = 8
