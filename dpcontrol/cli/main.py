@@ -25,7 +25,7 @@ from click.shell_completion import CompletionItem
 import dpcontrol
 from dpcontrol.cli.verbs import Call, print_json, print_message
 from dpcontrol.foundation.errors import GoalMissed, InputError, InputErrors, PartMissing, Remark, concise, printable
-from dpcontrol.foundation.interrupts import ended_by, interrupts
+from dpcontrol.foundation.interrupts import ended_by, forget_interrupts, interrupts
 
 GROUPS = {
     "Start": {
@@ -238,6 +238,7 @@ def main(arguments: list[str] | None = None) -> None:
 
 def _interrupted(error: BaseException) -> int:
     number = ended_by()
+    forget_interrupts()
     how = "interrupted" if number == signal.SIGINT else f"ended by {number.name}"
     print_message(f"dpcontrol: {how}; finished results are kept")
     _echo_notes(error)
