@@ -154,8 +154,11 @@ TIMING_MEMORY = 0.5
 """Time constant of the estimated age of readings, s."""
 _OLDEST = 1.5
 """Periods."""
-_LATE, _LATE_MEMORY = 0.5, 5.0
-"""Bound in periods, and time constant in readings, of the mean apparent age of innovations."""
+_LATE, _VERY_LATE, _LATE_MEMORY = 0.5, 0.75, 5.0
+"""Bounds in periods, and time constant in readings, of the mean apparent age of innovations.
+
+From the first bound on, the estimated variance of the ages can only fall. Beyond the second, it is 0.
+"""
 TIMING_PRIOR = 1 / 12
 """Assumed variance of the readings' age, and standard deviation of this assumption, period².
 
@@ -683,8 +686,10 @@ class TickEquations:
         slope = ca.if_else(ca.fabs(a) <= _OLDEST * b, a * a - b, 0)
         variance = _clip(m["timing"] + period**2 * slope / timed, ca.SX(0), ca.SX(period**2 / 3))
         late = m["lateness"] + (a - b * m["lateness"]) / (1 + b) / _LATE_MEMORY
-        # Ages vary about the filter's. A constant lateness is due to a stuck encoder or a wrong model.
-        variance = ca.if_else(ca.fabs(late) <= _LATE, variance, 0)
+        # Ages vary about the filter's. A constant lateness is due to a stuck encoder or a wrong model, so the variance
+        # does not grow with it.
+        held = ca.if_else(ca.fabs(late) <= _VERY_LATE, ca.fmin(variance, m["timing"]), 0)
+        variance = ca.if_else(ca.fabs(late) <= _LATE, variance, held)
         after = {"timing": variance, "timed": timed, "lateness": _within(late, ca.SX(_OLDEST))}
         return {name: ca.if_else(sound, value, m[name]) for name, value in after.items()}
 

@@ -24,6 +24,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import hsv_to_rgb
 from matplotlib.figure import Figure
 from matplotlib.path import Path
+from numpy.typing import NDArray
 
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System, momentum_scale
@@ -87,7 +88,7 @@ class Return:
         seconds: times (M,) since the start.
     """
 
-    start: Array
+    start: NDArray[np.intp]
     states: Array
     seconds: Array
 
@@ -125,7 +126,7 @@ def section_states(
     n = system.dimension // 2
     normal, position = np.asarray(section.normal)[:n], np.asarray(section.position)[:n]
     along = np.asarray(section.momentum)
-    q = np.linalg.solve(np.array([normal, position]), np.array([np.zeros(len(points)), points[:, 0]])).T
+    q = np.linalg.solve(np.array([normal, position]), np.array([np.zeros(len(points)), points[:, 0]])).T.astype(float)
     still = np.hstack([q, np.zeros_like(q)])
     mass = system.numeric.mass_matrix(still)
     momentum = points[:, 1] * momentum_scale(system, section)
@@ -138,7 +139,7 @@ def section_states(
     c = np.einsum("ki,kij,kj->k", v0, mass, v0) / 2 + system.numeric.hamiltonian(still) - energy
     discriminant = b * b - 4 * a * c
     root = np.sqrt(np.maximum(discriminant, 0.0))
-    states, exists = np.hstack([q, v0]), np.zeros(len(points), dtype=bool)
+    states, exists = np.hstack([q, v0]).astype(float), np.zeros(len(points), dtype=bool)
     for sign in (1, -1):
         velocity = v0 + ((-b + sign * root) / (2 * a))[:, None] * w
         right = (discriminant >= 0) & (np.sign(velocity @ normal) == direction)
