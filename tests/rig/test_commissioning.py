@@ -113,8 +113,10 @@ WIRED_WRONGLY = {
 }
 
 
-@pytest.mark.parametrize("fault", WIRED_WRONGLY)
-@pytest.mark.parametrize("stiction", [0.0, pytest.param(0.002, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    ("fault", "stiction"),
+    [("encoder-2-reversed", 0.0), *(pytest.param(fault, 0.002, marks=pytest.mark.slow) for fault in WIRED_WRONGLY)],
+)
 def test_wrong_wiring_is_detected_and_no_measurement_is_kept(fault: str, stiction: float) -> None:
     rig = bench(fault, seed=4, mechanics={"stiction": stiction})
     found = commissioned(rig)
@@ -145,6 +147,7 @@ def test_a_tilted_track_is_named_beside_zeros_and_half_a_turn_is_no_zero() -> No
     assert not found.changes
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("delay", "lag"), [(0.5, 0.0), (4.0, 0.02)])
 def test_delay_and_lag_are_measured_and_compared_with_the_scene(delay: float, lag: float) -> None:
     found = commissioned(bench(drive={"delay": delay, "lag": lag}))
@@ -153,6 +156,7 @@ def test_delay_and_lag_are_measured_and_compared_with_the_scene(delay: float, la
     assert f"set delay = {found.changes['delay']:g}" in only_wrong(found, "delay")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("trouble", "step", "told"),
     [
@@ -172,6 +176,7 @@ def test_each_failure_is_found_without_harm(trouble: dict[str, Any], step: str, 
     assert rig.stops == 1
 
 
+@pytest.mark.slow
 def test_counts_are_seen_in_the_readings() -> None:
     assert commissioned(bench(sensors={"counts": 2000})).changes["counts"] == 2000
 
@@ -196,6 +201,7 @@ def noisy_cart(reading: Reading) -> Reading:
     return reading._replace(positions=np.array([0.0, 0.0, noise]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("spoil", "step", "told"),
     [
@@ -252,6 +258,7 @@ def test_joints_that_friction_holds_leave_their_encoders_unsure() -> None:
     assert "counts" not in found.changes
 
 
+@pytest.mark.slow
 def test_the_models_own_dry_friction_is_no_finding() -> None:
     rusty = replace(LAB, coulomb=(1e-3, 5e-4))
     found = commissioned(bench(arms=rusty), arms=rusty)
@@ -262,6 +269,7 @@ def test_the_models_own_dry_friction_is_no_finding() -> None:
     assert next(f for f in found.findings if f.step == "model").verdict is Grade.OK
 
 
+@pytest.mark.slow
 def test_noise_on_the_command_stays_within_the_reach_and_is_part_of_the_errors() -> None:
     rig = bench(drive={"command_noise": 0.3, "delay": 2.0}, sensors={"noise": 0.002}, seed=1)
     found = commissioned(rig)
@@ -312,6 +320,7 @@ def test_both_switches_are_found_by_creeping_and_the_cart_comes_back() -> None:
     assert abs(float(rig.plant.truth[-2])) < 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("faults", "track", "told"),
     [
@@ -371,6 +380,7 @@ class Own:
         self.rig.stop()
 
 
+@pytest.mark.slow
 def test_a_users_rig_is_commissioned_like_the_bench_behind_it() -> None:
     said = LoopSettings(seed=0, rate=RATE)
     for fault in ((), ("encoder-2-reversed",)):
