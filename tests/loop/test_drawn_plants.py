@@ -36,7 +36,8 @@ def _draw(scale: float, seed: int = 3, *, mismatch: float = 0.0) -> BenchDraw:
     return draw_bench(LAB, NOISY, seed=seed, ticks=200, period=1e-3, unlike=unlike)
 
 
-@pytest.mark.parametrize("scale", [0.5, pytest.param(2.0, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("scale", [0.5, 2.0])
 def test_plants_have_the_covariance_times_the_scale(scale: float) -> None:
     away = np.stack([base_ratios(_draw(scale, seed).plant.arms) / RATIOS - 1 for seed in range(DRAWS)])
     assert away.std(axis=0) == pytest.approx(np.full(len(RATIOS), scale * SHARE), rel=SPREAD)
