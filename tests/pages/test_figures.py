@@ -90,8 +90,7 @@ def test_wheels_hold_points_of_both_tubes_and_the_orbits_that_stay():
     page = wheels.wheels_page(GALLERY, saddle="down-up")
     panels = page.figure.axes
     assert len(panels) == 10  # the start and three returns, forward and backward; two phase planes
-    stars = [line.get_data() for line in panels[0].lines if line.get_marker() == "*"]
-    assert stars
+    (stars,) = (line.get_xdata() for line in panels[0].lines if line.get_marker() == "*")
     system = load_model("lab").system
     section = system.sections["down-up", "down-up"]
     orbit = lyapunov_orbit(system, "down-up", energy=wheels.WHEEL_ENERGIES["down-up"])
