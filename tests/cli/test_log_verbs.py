@@ -107,10 +107,10 @@ def test_a_run_repeated_from_its_log_has_the_same_bytes_in_every_message(
 @pytest.mark.slow
 @pytest.mark.parametrize("kinds", [("--controller", "adaptive"), ("--controller", "tvlqr", "--estimator", "ukf")])
 def test_a_run_with_every_kind_of_trouble_repeats_too(tmp_path: Path, kinds: tuple[str, ...]) -> None:
-    troubles = {"mismatch": 0.05, "initial-error": 0.02, "lag": 0.004, "delay": 1.5, "command-noise": 0.3, "tilt": 0.01,
-                "noise": 5e-4, "dropout": 0.02, "jitter": 5e-4, "zero-error": 0.01, "missed-counts": 1, "pushes": 2,
-                "push-impulse": 5e-4, "knocks": 1, "knock-velocity": 0.05}  # fmt: skip
-    asked = [word for name, value in troubles.items() for word in (f"--{name}", str(value))]
+    troubles = {"mismatch": 0.05, "initial_error": 0.02, "lag": 0.004, "delay": 1.5, "command_noise": 0.3, "tilt": 0.01,
+                "noise": 5e-4, "dropout": 0.02, "jitter": 5e-4, "zero_error": 0.01, "missed_counts": 1, "pushes": 2,
+                "push_impulse": 5e-4, "knocks": 1, "knock_velocity": 0.05}  # fmt: skip
+    asked = [word for name, value in troubles.items() for word in ("--set", f"{name}={value}")]
     log = tmp_path / "hard.mcap"
     dpcontrol("run", "outer-turn", *kinds, *asked, "--seed", "7", "--out", log)
     ended = dpcontrol("run", "--from", log, "--out", tmp_path / "again.mcap", "--json")
