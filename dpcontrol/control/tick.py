@@ -684,12 +684,11 @@ class TickEquations:
         # A reading is never older than a period. A much older appearance is due to a blow, a wrong model or a stuck
         # encoder.
         slope = ca.if_else(ca.fabs(a) <= _OLDEST * b, a * a - b, 0)
-        variance = _clip(m["timing"] + period**2 * slope / timed, ca.SX(0), ca.SX(period**2 / 3))
         late = m["lateness"] + (a - b * m["lateness"]) / (1 + b) / _LATE_MEMORY
-        # Ages vary about the filter's. A constant lateness is due to a stuck encoder or a wrong model, so the variance
-        # does not grow with it.
-        held = ca.if_else(ca.fabs(late) <= _VERY_LATE, ca.fmin(variance, m["timing"]), 0)
-        variance = ca.if_else(ca.fabs(late) <= _LATE, variance, held)
+        # Ages vary about the filter's. A constant lateness is due to a stuck encoder or a wrong model.
+        largest = ca.if_else(ca.fabs(late) <= _VERY_LATE, m["timing"], 0)
+        largest = ca.if_else(ca.fabs(late) <= _LATE, period**2 / 3, largest)
+        variance = _clip(m["timing"] + period**2 * slope / timed, ca.SX(0), largest)
         after = {"timing": variance, "timed": timed, "lateness": _within(late, ca.SX(_OLDEST))}
         return {name: ca.if_else(sound, value, m[name]) for name, value in after.items()}
 
