@@ -85,7 +85,7 @@ class LoopCase:
 
 
 def failure_of(run: BatchRun, *, near: float = ASTRAY, most: float = math.inf) -> str:
-    """Return why a run did not end near its reference, or "".
+    """Return the cause of a run's end away from its reference, or "".
 
     Args:
         run: run along a reference.
