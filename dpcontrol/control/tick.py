@@ -187,6 +187,8 @@ _COMMAND_NOISE = 0.3
 """Least noise on each command, that of a usual drive, m/s²."""
 _SCALE_ERROR = 1e-5
 """Standard deviation of a cart's distance from its drive, m."""
+_COARSEST = 0.2, 0.02
+"""Largest count of an encoder and of the cart's scale, rad and m. A larger change of a reading is no count."""
 _SCALE_UNSEEN = 2e-4
 """Assumed count of the cart's scale before its first step, m."""
 _RESPONSE, _RESPONSE_DRIFT = 0.25, 0.02
@@ -799,7 +801,8 @@ class TickEquations:
             moved = value - m["last"][i]
             step = ca.fabs(moved)
             same = step < self.same[0 if arm else 1]
-            smallest = ca.if_else(same, m["step"][i], ca.fmin(m["step"][i], step))
+            jumped = step > _COARSEST[0 if arm else 1]
+            smallest = ca.if_else(ca.logic_or(same, jumped), m["step"][i], ca.fmin(m["step"][i], step))
             count = ca.if_else(same, m["same"][i] + 1, 0)
             # A reading within a count's rounding of the last one does not replace it.
             values = {"last": ca.if_else(same, m["last"][i], value), "step": smallest, "same": count}
@@ -1032,15 +1035,12 @@ class TickEquations:
         return _Verdict(outcome, stopped, sensor, watch)
 
     def _farthest(self, known: "_Known", acts: "_Acts") -> ca.SX:
-        """Return the cart's resting place if it brakes now.
-
-        The cart's resting place is in m from the centre.
-        """
+        """Return the cart's resting place if it brakes now, or its place if it is farther, m from the centre."""
         m, c, n = known.memory, known.numbers, self.filter.arms
         x, v, sent = acts.ahead[2 * n], acts.ahead[2 * n + 1], m["velocity"]
         # The drive is no faster, whatever the estimate of a cart whose scale has just stuck.
         v = ca.fmin(ca.fmax(v, -_FASTEST * c["velocity"]), _FASTEST * c["velocity"])
-        farthest = self._stopping_point(x, v, c)
+        farthest = ca.fmax(ca.fabs(x), self._stopping_point(x, v, c))
         # Sent commands without an effect yet, for a lagging drive.
         return ca.fmax(farthest, ca.if_else(ca.fabs(sent) > 0, self._stopping_point(x, m["heading"], c), -_BIG))
 

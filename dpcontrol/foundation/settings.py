@@ -295,6 +295,22 @@ class Settings:
     def _refused(cls, key: str, value: Any, complaint: str) -> InputError:
         return InputError(f"{f'{cls.TABLE}: ' if cls.TABLE else ''}{key} = {shortened(value)}: {complaint}")
 
+    def of_each(self, name: str, arms: int) -> tuple[Any, ...]:
+        """Return the values of a setting for each arm.
+
+        Args:
+            name: setting whose value is one number, or one for each arm.
+            arms: number of arms.
+
+        Raises:
+            InputError: their number differs from that of the arms.
+        """
+        value = getattr(self, name)
+        values = tuple(value) if isinstance(value, tuple | list) else (value,) * arms
+        if len(values) != arms:
+            raise self.refusal(name, f"must be one number, or {arms}, one for each arm")
+        return values
+
     def refusal(self, key: str, complaint: str) -> InputError:
         """Return the error of a setting's present value.
 
@@ -458,6 +474,7 @@ _TYPES = {
     tuple[int, ...]: "must be a list of whole numbers",
     tuple[float, ...]: "must be a list of numbers",
     float | tuple[float, ...]: "must be a number or a list of numbers",
+    int | tuple[int, ...]: "must be a whole number or a list of whole numbers",
     int | tuple[int, ...] | None: "must be a whole number or a list of whole numbers",
 }
 """Complaint about a value of another type."""

@@ -58,7 +58,7 @@ class SensorSettings(Settings, table="sensors"):
     """The sensors and their faults.
 
     Attributes:
-        counts: counts of a relative arm encoder per turn, 0 for no rounding.
+        counts: counts of the relative arm encoders per turn, one number or one for each arm; 0 for no rounding.
         cart_resolution: resolution of the cart's scale, m, 0 for no rounding.
         zero_error: bound of the uniform error of each arm encoder's zero, rad. Outer angles have the sum.
         noise: standard deviation of each relative angle, rad.
@@ -73,7 +73,9 @@ class SensorSettings(Settings, table="sensors"):
         zero_drift: drift of each arm encoder's zero, in either direction, rad/h.
     """
 
-    counts: int = setting(40_000, least=1, zero="no rounding", help="Encoder counts per turn of a joint.")
+    counts: int | tuple[int, ...] = setting(
+        40_000, least=1, zero="no rounding", help="Encoder counts per turn of a joint."
+    )
     cart_resolution: float = setting(
         1e-6, least=1e-12, most=1, zero="no rounding", unit="m", help="Resolution of the cart's scale."
     )
@@ -106,37 +108,37 @@ class SensorSettings(Settings, table="sensors"):
 
     def _check_together(self) -> None:
         """Check that an encoder which loses counts has counts."""
-        if self.missed_counts and not self.counts:
+        if self.missed_counts and not np.all(self.counts):
             raise InputError(
                 f"sensors: missed_counts = {self.missed_counts!r} with counts = 0: an encoder without counts cannot "
                 f"lose any; set counts"
             )
 
-    @property
-    def steps(self) -> tuple[float, float]:
-        """The rounding steps of the readings; zero for none.
+    def steps(self, arms: int) -> tuple[float, ...]:
+        """Return the rounding steps of the relative angles, rad; zero for none.
 
-        They are that of a relative angle, rad, and of the cart, m.
+        Args:
+            arms: number of arms.
         """
-        return (2 * np.pi / self.counts if self.counts else 0.0), self.cart_resolution
+        return tuple(2 * np.pi / counts if counts else 0.0 for counts in self.of_each("counts", arms))
 
     def covariance(self, arms: int) -> Array:
         """Return the covariance (n+1, n+1) of the measured positions.
 
         Rounding of q²/12 plus noise.
 
-        cov(angle_i, angle_j) = (min(i, j) + 1)(q²/12 + noise²). Ideal sensors get the steps `_FINEST_ANGLE` and
-        `_FINEST_CART`, because a filter needs a positive covariance.
+        cov(angle_i, angle_j) is the sum of q_k²/12 + noise² over k ≤ min(i, j). Ideal sensors get the steps
+        `_FINEST_ANGLE` and `_FINEST_CART`, because a filter needs a positive covariance.
 
         Args:
             arms: number n of arms.
         """
-        angle, cart = self.steps
-        angle = angle or (0.0 if self.noise else _FINEST_ANGLE)
-        cart = cart or (0.0 if self.cart_noise else _FINEST_CART)
+        steps = np.array(self.steps(arms))
+        steps[steps == 0] = 0.0 if self.noise else _FINEST_ANGLE
+        cart = self.cart_resolution or (0.0 if self.cart_noise else _FINEST_CART)
         index = np.arange(arms)
         out = np.zeros((arms + 1, arms + 1))
-        out[:arms, :arms] = (np.minimum.outer(index, index) + 1) * (angle**2 / 12 + self.noise**2)
+        out[:arms, :arms] = np.cumsum(steps**2 / 12 + self.noise**2)[np.minimum.outer(index, index)]
         out[arms, arms] = cart**2 / 12 + self.cart_noise**2
         return out
 
@@ -376,23 +378,14 @@ class MechanicsSettings(Settings, table="mechanics"):
         math.inf, least=0, most=1, infinite="as play", unit="rad", help="Play that the estimator assumes."
     )
 
-    def of_each(self, name: str, arms: int) -> tuple[float, ...]:
-        """Return the values of a setting for each arm.
+    def of_each(self, name: str, arms: int) -> tuple[Any, ...]:
+        """Return the values of a setting for each arm; infinite play is the bench's own.
 
         Args:
             name: `play`, `known_play` or `stiction`.
             arms: number of arms.
-
-        Raises:
-            InputError: their number differs from that of the arms.
         """
-        value = getattr(self, name)
-        if value == math.inf:
-            return self.of_each("play", arms)
-        values = tuple(value) if isinstance(value, tuple | list) else (value,) * arms
-        if len(values) != arms:
-            raise self.refusal(name, f"must be one number, or {arms}, one for each arm")
-        return values
+        return super().of_each("play" if getattr(self, name) == math.inf else name, arms)
 
     def components(self, arms: int, offsets: Array) -> tuple[SymbolicPlant, ...]:
         """Return the components of a plant.

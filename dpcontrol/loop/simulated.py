@@ -57,7 +57,7 @@ class Encoders:
         self.settings = settings
         self._arms, self._lanes = arms, lanes
         self._places, self._cart_place = [places.get(k) for k in range(arms)], places.get(arms, 2 * arms)
-        self._angle, self._cart = settings.steps
+        self._steps, self._cart = settings.steps(arms), settings.cart_resolution
         self._zeros: list[Any] = [0.0] * arms if zeros is None else lanes.rows(np.asarray(zeros, dtype=float))
         self._drift: list[Any] | None = None if drift is None or not drift.any() else lanes.rows(drift)
         self._missed = [0] * arms
@@ -81,7 +81,7 @@ class Encoders:
             noise: noise (n+1,) added to the relative angles, rad, and to the cart, m.
         """
         # For arrays this short, plain floats take a third of the time of numpy calls.
-        step, arms, nearest = self._angle, self._arms, self._lanes.rounded
+        steps, arms, nearest = self._steps, self._arms, self._lanes.rounded
         lost, added = self._missed, None if noise is None else self._lanes.rows(noise)
         if missed is not None:
             self._miss(state, missed.tolist())
@@ -90,7 +90,7 @@ class Encoders:
         zeros, drift = self._zeros, self._drift
         if drift is not None:
             zeros = [zero + rate * time for zero, rate in zip(zeros, drift, strict=True)]
-        for k, zero in enumerate(zeros):
+        for k, (zero, step) in enumerate(zip(zeros, steps, strict=True)):
             outer, own = state[k], self._places[k]
             value = (outer - inner if own is None else state[own]) + zero
             inner = outer

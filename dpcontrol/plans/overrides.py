@@ -130,14 +130,15 @@ def _of_type(name: str, value: Any, hint: Any) -> Any:
     Raises:
         InputError: it is of another type.
     """
+    whole = "int" in str(hint)
     if isinstance(value, list | tuple) and "tuple" in str(hint):
-        return tuple(value)
+        return tuple(_of_type(name, one, int) for one in value) if whole else tuple(value)
     if isinstance(value, Real) and not isinstance(value, bool):
         number: Any = value
         with suppress(OverflowError):
-            if hint is int and (isinstance(value, Integral) or float(number).is_integer()):
+            if whole and (isinstance(value, Integral) or float(number).is_integer()):
                 return int(number)
-            if hint is not int and "float" in str(hint) and hint != tuple[float, ...]:
+            if not whole and "float" in str(hint) and hint != tuple[float, ...]:
                 return float(number)
     if hint is str and isinstance(value, str):
         return value
@@ -148,7 +149,8 @@ def _kind(hint: Any) -> str:
     if hint is str:
         return "text"
     if "tuple" in str(hint):
-        return "a list of texts" if "str" in str(hint) else "a number or a list of numbers"
+        kind = "whole number" if "int" in str(hint) else "number"
+        return "a list of texts" if "str" in str(hint) else f"a {kind} or a list of {kind}s"
     return "a whole number" if hint is int else "a number"
 
 
@@ -164,14 +166,15 @@ def parsed(name: str, text: str) -> Any:
     """
     hint, text = paths()[resolved(name)].hint, text.strip()
     try:
-        if "tuple" in str(hint) and (text.startswith("[") or "," in text or "float" not in str(hint)):
+        number = int if "int" in str(hint) else float
+        if "tuple" in str(hint) and (text.startswith("[") or "," in text or "str" in str(hint)):
             parts = [part.strip() for part in (text[1:-1] if re.fullmatch(r"\[.*\]", text) else text).split(",")]
             # The last value of a list may be followed by a comma, as in TOML.
             parts = parts if parts[-1] else parts[:-1]
             if not all(parts):
                 raise ValueError(text)
-            return tuple(parts if "str" in str(hint) else map(float, parts))
-        return text if hint is str else int(text) if hint is int else float(text)
+            return tuple(parts if "str" in str(hint) else map(number, parts))
+        return text if hint is str else number(text)
     except ValueError:
         raise InputError(f"{name} = {shortened(text)}: must be {_kind(hint)}") from None
 
@@ -196,7 +199,8 @@ def typed(settings: Mapping[str, Any]) -> str:
     words: list[str] = []
     for name, value in settings.items():
         path, text = resolved(name), ",".join(map(str, value)) if isinstance(value, tuple) else str(value)
-        words += [option_of(path), text] if path in NAMED else ["--set", f"{path}={text}"]
+        named = path in NAMED and not isinstance(value, tuple)
+        words += [option_of(path), text] if named else ["--set", f"{path}={text}"]
     return shlex.join(words)
 
 

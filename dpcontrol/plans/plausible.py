@@ -108,11 +108,11 @@ def rig_oddities(limits: Limits, loop: LoopSettings, *, arms: int, zeros: Sequen
     for number, blow in enumerate(loop.disturbances.explicit, start=1):
         if blow.arm >= arms:
             raise InputError(f"[[run.blows]] {number}, arm = {blow.arm}: must be 0 to {arms - 1}, 0 for the inner arm")
-    for name in ("play", "known_play", "stiction"):
+    for name in ("counts", "play", "known_play", "stiction"):
         try:
-            loop.mechanics.of_each(name, arms)
+            (loop.sensors if name == "counts" else loop.mechanics).of_each(name, arms)
         except InputError as error:
-            raise InputError(f"[run] {str(error).removeprefix('mechanics: ')}") from error
+            raise InputError(f"[run] {str(error).partition(': ')[2]}") from error
     parts = [("[limits]", limits, _LIMITS), ("[run]", loop, _LOOP), ("[run]", loop.sensors, _SENSORS)]
     parts += [("[run]", loop.drive, _DRIVE), ("[run]", loop.disturbances, _DISTURBANCES)]
     parts += [("[run]", loop.mechanics, _MECHANICS), ("[supervisor]", loop.supervisor, _SUPERVISOR)]

@@ -389,8 +389,11 @@ def cart_motion(part: Recording) -> CartMotion | None:
     known = np.isfinite(part.cart)
     if known.sum() < 2 or float(np.ptp(part.cart[known])) < STILL:
         return None
-    # A single missing reading is replaced by interpolation between its neighbours.
-    position = np.interp(part.time, part.time[known], part.cart[known])
+    # A missing reading lies on the line through its neighbours, or through the first or last two.
+    from scipy.interpolate import make_interp_spline
+
+    between = make_interp_spline(part.time[known], part.cart[known], k=1)
+    position = np.asarray(between(part.time), dtype=np.float64)
     velocity, felt = (smoothed_derivative(position, period, order) for order in (1, 2))
     if command is not None:
         sent = period * np.concatenate([[0.0], np.cumsum(command[:-1])])

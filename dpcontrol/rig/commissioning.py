@@ -1124,7 +1124,7 @@ def _zeros(
     if np.abs(off).max() > _FAR:
         return Finding("still", Grade.WRONG, f"{sentence}: angles are measured from hanging, so each must be zero",
                        "set the encoders to zero while the arms hang", figures)  # fmt: skip
-    allowed = max(_ZERO, 1.5 * settings.sensors.steps[0])
+    allowed = max(_ZERO, 1.5 * max(settings.sensors.steps(len(off))))
     # An arm that hangs on a joint which friction holds can rest beside its zero.
     known = ~np.logical_or.accumulate(np.isinf(wiring.errors))
     large, wrong = np.abs(off) > allowed, known & (np.abs(off) > np.maximum(allowed, 3 * errors))
@@ -1214,6 +1214,10 @@ def _encoders(wiring: Wiring, swing: CommissioningSwing, signs: list[tuple[str, 
     return [Finding("encoders", Grade.OK, sentence, "", figures)]
 
 
+_SAME = 0.02
+"""Largest relative difference of counts that are the same."""
+
+
 def _counts(
     session: _Session, wiring: Wiring, gain: float, settings: LoopSettings, changes: dict[str, Any]
 ) -> Finding:  # fmt: skip
@@ -1223,23 +1227,24 @@ def _counts(
     # An angle that is four times too large has steps that are four times too large.
     scales = _scales(wiring, gain)
     seen = [round(2 * np.pi * f / q) if q and f == f else None for f, q in zip(scales, steps, strict=True)]
-    said = settings.sensors.counts
-    figures, measured = {"counts": seen}, [count for count in seen if count]
-    if not measured:
+    said = settings.sensors.of_each("counts", len(seen))
+    figures, assumed = {"counts": seen}, " and ".join(f"{count:,}" if count else "no rounding" for count in said)
+    if not any(seen):
         sentence = "the arms' readings show no rounding to counts"
-        return Finding("counts", Grade.OK if not said else Grade.UNSURE, sentence,
-                       "" if not said else f"check that the encoders have {said:,} counts per turn, as in [run]",
+        return Finding("counts", Grade.UNSURE if any(said) else Grade.OK, sentence,
+                       f"check that the encoders have {assumed} counts per turn, as in [run]" if any(said) else "",
                        figures)  # fmt: skip
-    # [run] has one number for all encoders: that of the coarsest.
-    coarsest, shown = min(measured), " and ".join(f"{count:,}" if count else "unknown" for count in seen)
+    shown = " and ".join(f"{count:,}" if count else "unknown" for count in seen)
     sentence = f"the encoders show {shown} counts per turn"
-    if said and (abs(coarsest / said - 1) < 0.02 or (coarsest > said and not all(seen))):
-        return Finding("counts", Grade.OK if all(seen) else Grade.UNSURE, f"{sentence}, and [run] has {said:,}",
+    if all(not one or (own and abs(one / own - 1) < _SAME) for one, own in zip(seen, said, strict=True)):
+        return Finding("counts", Grade.OK if all(seen) else Grade.UNSURE, f"{sentence}, and [run] has {assumed}",
                        "" if all(seen) else "loosen the joints: friction hides the others", figures)  # fmt: skip
-    changes["counts"] = coarsest
+    # An encoder that was not measured keeps its number.
+    found = [one or own for one, own in zip(seen, said, strict=True)]
+    changes["counts"] = found if len(set(found)) > 1 else found[0]
     return Finding(
-        "counts", Grade.WRONG, f"{sentence}, but [run] has {f'{said:,}' if said else 'no rounding'}",
-        f"set counts = {coarsest} in [run], as --write does", figures, mended=True,
+        "counts", Grade.WRONG, f"{sentence}, but [run] has {assumed}",
+        f"set counts = {changes['counts']} in [run], as --write does", figures, mended=True,
     )  # fmt: skip
 
 

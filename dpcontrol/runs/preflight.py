@@ -118,6 +118,11 @@ _TROUBLES = (
 )
 
 
+def _fewest_counts(scene: Itinerary) -> int:
+    """Return the counts per turn of the coarsest encoder, 0 if none rounds."""
+    return min(filter(None, scene.loop.sensors.of_each("counts", scene.model.arms.count)), default=0)
+
+
 def changes(scene: Itinerary) -> Iterator[Sequence[SceneChange]]:
     """Yield the possible changes of each kind, smallest first.
 
@@ -125,7 +130,7 @@ def changes(scene: Itinerary) -> Iterator[Sequence[SceneChange]]:
         scene: itinerary of the run.
     """
     loop = scene.loop
-    limit, drive, counts = loop.travel or scene.limits.position, loop.drive, loop.sensors.counts
+    limit, drive = loop.travel or scene.limits.position, loop.drive
     wide, *wider = map(_short, (1.5 * limit, 2 * limit, max(4 * limit, 2 * scene.limits.position)))
     yield (
         SceneChange(f"a travel of ±{wide:g} m", {"travel": wide}, f"more travel: ±{wide:g} m"),
@@ -148,9 +153,8 @@ def changes(scene: Itinerary) -> Iterator[Sequence[SceneChange]]:
     if drive.lag and loop.drive_lag != drive.lag:
         known = "a controller with the drive's lag"
         yield (SceneChange(known, {"drive_lag": drive.lag}, "give the controller the drive's lag"),)
-    if counts:
-        finer = {"counts": 4 * counts}
-        yield (SceneChange(f"{4 * counts} counts a turn", finer, "finer encoders: four times the counts"),)
+    if finer := 4 * _fewest_counts(scene):
+        yield (SceneChange(f"{finer} counts a turn", {"counts": finer}, "finer encoders: four times the counts"),)
     if loop.rate < _QUICK:
         # The delay stays the same in seconds.
         delay = {"delay": _short(drive.delay * _QUICK / loop.rate)} if drive.delay else {}
@@ -632,12 +636,12 @@ def with_known_errors(scene: Itinerary, options: Mapping[str, Any]) -> tuple[Iti
         unknown = "" if identified else f"; {scene.model.path.name} has no [uncertainty]"
         source = "assumed" if assumed else of("mismatch")
         known.append(Assumption("arms", f"each parameter off by up to ±{loop.mismatch:.3g}", source + unknown))
-    limit = loop.travel or scene.limits.position
+    limit, counts = loop.travel or scene.limits.position, _fewest_counts(scene)
     known += [
         Assumption("start", f"each angle off by up to ±{loop.initial_error:g} rad", of("initial_error")),
         Assumption("delay", f"{1e3 * drive.delay / loop.rate:.3g} ms at {loop.rate:g} Hz", of("delay")),
         Assumption("lag", f"{1e3 * drive.lag:.3g} ms", of("lag")),
-        Assumption("encoders", f"{sensors.counts:,} counts a turn" if sensors.counts else "not rounded", of("counts")),
+        Assumption("encoders", f"{counts:,} counts a turn" if counts else "not rounded", of("counts")),
         Assumption("zeros", f"off by up to ±{sensors.zero_error:g} rad", of("zero_error")),
         Assumption("travel", f"±{limit:g} m", of("travel") if loop.travel else f"[limits] of {scene.path.name}"),
     ]
@@ -728,7 +732,7 @@ def hazards(plan: Plan, scene: Itinerary, *, most_delay: float) -> list[Hazard]:
         Hazard(f"{pushes} blows", "push_impulse", "mN m s", blows.push_impulse if blows.pushes else 0.0, 0.005, 20.0,
                shown=1e3, besides=(("pushes", pushes),)),
         Hazard("zeros", "zero_error", "mrad", sensors.zero_error, 0.05, 0.8, shown=1e3),
-        Hazard("counts", "counts", "a turn", sensors.counts or math.inf, 1000, 16, falling=True, step=1.0),
+        Hazard("counts", "counts", "a turn", _fewest_counts(scene) or math.inf, 1000, 16, falling=True, step=1.0),
         # A reference whose cart stays at the centre needs some travel as well.
         Hazard("travel", "travel", "mm", travel, math.inf, max(plan.reference.max_cart_position, 1e-3 * travel),
                falling=True, shown=1e3),

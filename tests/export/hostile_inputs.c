@@ -5,7 +5,7 @@
  * Readings are those of the reference, with values that are no numbers, too large, tiny, or far away among them. All
  * commands must be finite and within DPC_ACCELERATION. Every CHECK_EVERY steps, copies of the controller get readings
  * that must stop the cart: an answer of the limit switch, no reading, one position that is never a number, a cart
- * that runs off its track. Prints what was done; exits with 1 after the first fault.
+ * that runs off its track, one that is read beyond its end. Prints what was done; exits with 1 after the first fault.
  */
 #include "dpc_controller.h"
 
@@ -18,6 +18,7 @@
 #define AFTER_STOP 60    /* steps after a stop, until a new run begins */
 #define STOPS_WITHIN 2.0 /* s */
 #define RUNS_OFF 0.5     /* m/s */
+#define BEYOND 1.0       /* m */
 
 static const double odd[] = {
     NAN, INFINITY, -INFINITY, 1e38, -1e38, 3.5e38, 1e308, -1e308, 1e20, 1e6, DPC_FARTHEST, -DPC_FARTHEST, 9999.9, -1e3, 100,
@@ -82,8 +83,10 @@ static int goes_on(dpc_controller copy, int check)
             reading.present[i] = 0;
         if (check == 2)
             reading.positions[DPC_ARMS] += RUNS_OFF * (double)k * DPC_PERIOD;
-        if (check > 2)
+        if (check > 2 && check < 3 + DPC_POSITIONS)
             reading.positions[check - 3] = NAN;
+        if (check >= 3 + DPC_POSITIONS)
+            reading.positions[DPC_ARMS] = check % 2 ? BEYOND : -BEYOND;
         if (wrong(dpc_step(&copy, &reading, NULL)))
             return 1;
     }
@@ -132,7 +135,7 @@ int main(int count, char **arguments)
             return fault("table", k, (double)ticks[i]);
         running += dpc_status(&controller) <= DPC_FINISHED;
         stopped = dpc_status(&controller) <= DPC_FINISHED ? 0 : stopped + 1;
-        for (i = 0; k % CHECK_EVERY == 0 && i < 3 + DPC_POSITIONS; i++, checks++)
+        for (i = 0; k % CHECK_EVERY == 0 && i < 5 + DPC_POSITIONS; i++, checks++)
             if (goes_on(controller, i))
                 return fault("the cart goes on", k, i);
         if (stopped > AFTER_STOP) {

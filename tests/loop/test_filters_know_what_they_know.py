@@ -16,7 +16,7 @@ from dpcontrol.loop.assembly import Assembly
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import make_plan
 
-PARAMETERS = (0.55, 1.5)
+PARAMETERS = (0.55, 1.55)
 """Of 64 runs, from 2 s on."""
 EARLY = (0.4, 1.75)
 """After half a second, when the prior still counts, which fits ±10 %."""

@@ -83,7 +83,7 @@ def value_of(path: str) -> Any:
         return others[0]
     low = max(leaf.bounds.least, leaf.bounds.above, -1.0)
     high = min(leaf.bounds.most, low + 50)
-    return int(low + 1) if leaf.hint is int else low + 0.25 * (high - low)
+    return int(low + 1) if "int" in str(leaf.hint) else low + 0.25 * (high - low)
 
 
 APART = ("plant", "controller", "model_uncertainty")
