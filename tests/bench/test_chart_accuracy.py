@@ -27,6 +27,7 @@ SECONDS = 1.0
 ORDER_SLACK = 0.35  # the next term of the error's expansion, at these steps
 DOP853 = 1e-10  # scipy at a tolerance of 1e-13, over one second
 AT_ROUNDING = 1e-12
+IN_THE_GUIDE = "connections"  # which draws it
 
 
 @pytest.fixture(scope="module")
@@ -102,7 +103,7 @@ def test_a_tighter_tolerance_is_nearer_and_the_default_is_at_rounding(work):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [name for name in CHARTS if name not in GROUPS["edges"]])
+@pytest.mark.parametrize("name", [name for name in CHARTS if name not in (*GROUPS["edges"], IN_THE_GUIDE)])
 def test_each_quick_chart_has_its_defaults(name, monkeypatch):
     def once(functions, *_, worth=lambda key, result: True, **__):
         found = {key: TimedWork(1.0, function()) for key, function in functions.items()}

@@ -96,9 +96,7 @@ def test_an_unknown_chart_is_refused(tmp_path):
 
 
 @pytest.mark.slow
-def test_maps_are_returned_in_the_requested_order(tmp_path):
-    asked = ["edges-ogy", "edges-moving"]
-    drawn = draw_charts(asked, tmp_path, quick=True)
-    assert [d.chart.name for d in drawn] == asked
-    assert all(d.pictures[0].read_bytes().startswith(b"\x89PNG") for d in drawn)
-    assert [json.loads(d.data.read_text())["name"] for d in drawn] == asked
+def test_a_map_is_drawn(tmp_path):
+    (drawn,) = draw_charts(["edges-ogy"], tmp_path, quick=True)
+    assert drawn.pictures[0].read_bytes().startswith(b"\x89PNG")
+    assert json.loads(drawn.data.read_text())["name"] == "edges-ogy"

@@ -76,7 +76,7 @@ def test_five_generated_scenes_are_planned_and_completed(tmp_path: Path) -> None
     _check(flights, tmp_path, risk=0.01, searches=False)
 
 
-@pytest.mark.slow
+@pytest.mark.benchmark
 @pytest.mark.parametrize(("energy", "missing"), [(-0.07, []), (-0.165, ["'down-up +' at -0.165 J"])])
 def test_the_second_search_finds_the_turns_that_there_are(energy: float, missing: list[str], tmp_path: Path) -> None:
     """At -0.07 J eight connections are known; just above the saddle there are none."""

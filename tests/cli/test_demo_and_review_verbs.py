@@ -124,8 +124,7 @@ def test_report_shows_the_margins_of_a_log_on_request(demo: tuple[Path, Ended], 
     page, log = tmp_path / "page.png", demo[0] / "logs/outer-turn-0.mcap"
     shown = dpcontrol("report", log, "--margins", "--picture", page, "--json").document
     assert page.read_bytes().startswith(PNG)
-    assert shown["margins"] == dpcontrol("plan", "outer-turn", "--margins", "--json").document["margins"]
-    assert shown["margins"]["lag"]["value"] < 0.2
+    assert 0.005 < shown["margins"]["lag"]["value"] < 0.2
 
 
 @pytest.mark.slow

@@ -54,7 +54,7 @@ def tried(trials: st.SearchStrategy[Trial], laboratory: Laboratory, *, count: in
 
 @pytest.mark.parametrize("verb", [pytest.param(v, marks=pytest.mark.slow) if v in LONG else v for v in VERBS])
 def test_every_option_is_accepted_or_refused_with_a_message(verb: str, laboratory: Laboratory) -> None:
-    tried(option_trials(verb, laboratory), laboratory, count=OPTIONS)
+    tried(option_trials(verb, laboratory), laboratory, count=OPTIONS // 2 if verb in LONG else OPTIONS)
 
 
 @pytest.mark.parametrize("kind", KINDS)
