@@ -57,10 +57,10 @@ def slow_results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     loop, swings = dp.closed_loop("outer-turn"), dp.swings("lab", count=3, seconds=1.5)
     orbit = dp.orbit("lab", "down-up", energy=-0.07)
     folder = tmp_path_factory.mktemp("logs")
-    loop.campaign(runs=2, out=folder / "two.parquet")
+    campaign = loop.campaign(runs=2, out=folder / "two.parquet")
     logs = [loop.run(seed=seed, log=folder / f"{seed}.mcap").log.path for seed in (1, 2)]
     return {
-        "campaign": loop.campaign(runs=2),
+        "campaign": campaign,
         "preflight": loop.preflight(runs=16, workers=1),
         "identification": dp.identify(swings, model="lab"),
         "summary": dp.open_campaign(folder / "two.parquet"),

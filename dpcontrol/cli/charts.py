@@ -82,7 +82,7 @@ prediction. With --strict, these give exit code 1.
 def bench_command(
     *,
     names: tuple[str, ...] = argument(metavar="[CHART]...", required=False),
-    quick: bool = option(help="Shorter measurements: all charts in five minutes."),
+    quick: bool = option(help="Fewer and shorter measurements."),
     strict: bool = option(help="Exit code 1 if a chart reports a deviation."),
     out: Path = option(
         type=FOLDER, default=Path("charts"), group=OUTPUT, help="Folder for NAME.png and NAME.json of each chart."

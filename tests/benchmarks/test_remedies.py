@@ -42,6 +42,8 @@ CAUSES = {
     "wrong law": ("controller", 0.0, 0.0),
 }
 """The setting behind each cause, and between which values it is drawn, evenly by their logarithm."""
+ITINERARIES = ("outer-turn", "turn-from-rest", "cross-from-rest", "up-up", "cross")
+RUNS = 200
 SEEDS, EACH = 32, 2
 """Runs by which failing seeds are found, and failing runs of each cause in turn."""
 
@@ -72,17 +74,9 @@ def failing_runs(plans: Sequence[Plan], *, seed: int) -> Iterator[tuple[Plan, st
                 yield plan, cause, [*shlex.split(typed(options)), "--seed", str(one), "--force"]
 
 
-@pytest.mark.parametrize(
-    ("itineraries", "runs"),
-    [
-        pytest.param(("outer-turn",), 5, marks=pytest.mark.slow),
-        pytest.param(
-            ("outer-turn", "turn-from-rest", "cross-from-rest", "up-up", "cross"), 200, marks=pytest.mark.benchmark
-        ),
-    ],
-)
-def test_printed_remedies_help_when_they_are_typed(itineraries: tuple[str, ...], runs: int, tmp_path: Path) -> None:
-    plans = [make_plan(load_itinerary(name)) for name in itineraries]
+@pytest.mark.benchmark
+def test_printed_remedies_help_when_they_are_typed(tmp_path: Path) -> None:
+    plans = [make_plan(load_itinerary(name)) for name in ITINERARIES]
     file, log = tmp_path / "plan.npz", tmp_path / "failing.mcap"
     found: dict[str, list[list[bool]]] = defaultdict(list)
     for plan, cause, options in failing_runs(plans, seed=31):
@@ -94,7 +88,7 @@ def test_printed_remedies_help_when_they_are_typed(itineraries: tuple[str, ...],
         remedies = asked.document["why"]["saves"]
         again = [("run", file, *options, *shlex.split(one), "--out", tmp_path / "typed.mcap") for one in remedies]
         found[cause].append([dpcontrol(*words).code == 0 for words in again])
-        if sum(map(len, found.values())) == runs:
+        if sum(map(len, found.values())) == RUNS:
             break
     for cause, mine in found.items():
         helps = [done for one in mine for done in one]

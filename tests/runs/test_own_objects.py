@@ -12,6 +12,7 @@ from own_objects import Arms, Filter, Gains, Judged, Mute, Rig, Wrong
 
 import dpcontrol as dp
 from dpcontrol.loop.result import Reading
+from dpcontrol.runs.campaign import STANDARD
 
 SAME, STEPS = 1e-6, 1e-4
 """rad and rad/s: sums in another order; steps of another method. Later an encoder's count flips, and the runs part."""
@@ -182,7 +183,8 @@ def test_a_stopped_rig_receives_neither_commands_nor_a_second_stop() -> None:
 
 
 @pytest.mark.slow
-def test_the_standard_score_is_that_of_the_loops_own_law() -> None:
+def test_the_standard_score_is_that_of_the_loops_own_law(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("dpcontrol.runs.campaign.STANDARD", STANDARD[:1])
     loop = dp.closed_loop("hold-up-up", controller=dp.SymbolicLaw(_push))
     (found,) = loop.standard_score(settings=dp.CampaignSettings(runs=1, replayed=0))
     assert found.controller == "_push"

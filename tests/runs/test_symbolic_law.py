@@ -11,10 +11,21 @@ import pytest
 
 import dpcontrol as dp
 from dpcontrol.control.lqr import HoldController
+from dpcontrol.plans.itinerary import itinerary_from
+from dpcontrol.plans.model import load_model
+from dpcontrol.plans.plan import make_plan
 
 SAME, BEGINNING = 1e-9, 300
 """rad, before an encoder's count flips: sums in another order. Ticks before that."""
-PLAN = dp.plan("hold-up-up")
+SHORT_HOLD = """
+model = "lab"
+start = "hold"
+hold = "up-up"
+seconds = 4.0
+controller = { kind = "lqr" }
+run = { mismatch = 0.02, initial_error = 0.02 }
+"""
+PLAN = make_plan(itinerary_from(SHORT_HOLD, "short-hold", load_model("lab")))
 HELD = dp.closed_loop(PLAN, estimator="ekf").assembly.controller
 FILE = """
 import casadi as ca

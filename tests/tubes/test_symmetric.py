@@ -71,19 +71,6 @@ def test_a_search_stops_at_a_second_unstable_direction() -> None:
     assert "2 unstable directions" in search.status
 
 
-@pytest.mark.slow
-def test_three_arms_turn_along_the_tube_in_closed_loop_while_the_cart_moves_by_millimetres(turn: Connection) -> None:
-    search = SymmetricSearch("down-down-up", 0, 1, (-1.02, -0.99), (turn,), 0, "")
-    back = dp.shadow(search, ["down-down-up -"], lead_in=1, lead_out=1)
-    assert back.connections[0].winding == (0, 0, -1)
-    plan = dp.reference(dp.shadow(search, ["down-down-up +"], lead_in=1, lead_out=1), limits=dp.Limits(position=1.0))
-    assert plan.converged
-    assert plan.reference.max_cart_position < 0.01
-    run = dp.run(plan, mismatch=0.02, seed=1)
-    assert run.score().completed
-    assert round((run.log.truth[-1, 2] - run.log.truth[0, 2]) / (2 * np.pi)) == 1
-
-
 def test_calls_without_a_sense_for_isolated_energies_are_refused(turn: Connection) -> None:
     search = SymmetricSearch("down-down-up", 0, 1, (-1.02, -0.99), (turn,), 0, "at least 1")
     assert dp.shadow(search, [turn.name]).connections == (turn,)
