@@ -63,7 +63,7 @@ def test_a_stuck_sensor_repeats_itself_while_the_others_go_on(which: int) -> Non
 
 
 def test_noise_has_the_covariance_of_the_settings() -> None:
-    settings = SensorSettings(counts=2000, cart_resolution=1e-3, noise=2e-3, cart_noise=5e-4)
+    settings = SensorSettings(counts=(2000, 500), cart_resolution=1e-3, noise=2e-3, cart_noise=5e-4)
     encoders, random = Encoders(2, settings), np.random.default_rng(1)
     sigmas = np.array([2e-3, 2e-3, 5e-4])
     errors = []
