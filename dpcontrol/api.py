@@ -56,7 +56,7 @@ if TYPE_CHECKING:
     from dpcontrol.judge.comparison import RunComparison
     from dpcontrol.judge.night import Night
     from dpcontrol.logs import LogSummary, Recovery
-    from dpcontrol.loop.result import Reading as Reading
+    from dpcontrol.loop.protocols import Reading as Reading
     from dpcontrol.orbits.family import LyapunovFamily
     from dpcontrol.orbits.lyapunov import Equilibrium, LyapunovOrbit
     from dpcontrol.orbits.rotating import RotatingFamily, RotatingOrbit

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from dpcontrol.loop.result import Reading
+from dpcontrol.loop.protocols import Reading
 from dpcontrol.rig import packets as packets
 from dpcontrol.rig.bench import BenchServerSettings, UdpBench
 from dpcontrol.rig.client import LinkSettings

@@ -9,7 +9,7 @@ from pathlib import Path
 from dpcontrol.cli.main import main
 from dpcontrol.logs import read_log, recover
 from dpcontrol.loop import assembly
-from dpcontrol.loop.result import Reading
+from dpcontrol.loop.protocols import Reading
 
 
 class TellingRig(assembly.SimulatedRig):

@@ -52,7 +52,8 @@ from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.bench import SensorSettings
 from dpcontrol.loop.controllers import ADAPTIVE_ESTIMATORS, ESTIMATORS, make_estimator
 from dpcontrol.loop.loop import LoopSettings, sampled_model
-from dpcontrol.loop.result import BatchRun, Ending, Reading
+from dpcontrol.loop.protocols import Reading
+from dpcontrol.loop.result import BatchRun, Ending
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.model import load_model

@@ -34,7 +34,7 @@ from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError, remark
 from dpcontrol.foundation.files import content_hash
 from dpcontrol.loop.bench import Blow
-from dpcontrol.loop.result import Reading
+from dpcontrol.loop.protocols import Reading
 
 NEEDED = {
     "controller": ("control(time, state, reference)",),

@@ -3,15 +3,37 @@
 A class needs no base: it has one of these types if it has the methods. `dpcontrol.loop.own` calls them.
 """
 
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
-from numpy.typing import ArrayLike
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from dpcontrol.foundation.arrays import Array
 
 if TYPE_CHECKING:
     from dpcontrol.control.symbolic import Setpoint
-    from dpcontrol.loop.result import Reading
+
+
+class Reading(NamedTuple):
+    """Readings of the sensors at one tick.
+
+    S runs in lockstep have positions and present (n+1, S), age (S,), and switch (S,), which is True if one is touched.
+
+    Attributes:
+        time: since the first reading, s.
+        positions: absolute angles, summed from relative encoders, then the cart (n+1,).
+        present: new entries (n+1,), the others repeat their last value; None if all are new.
+        switch: -1 or +1 while the limit switch at the left or right end of the track is touched, else 0.
+        late: delay beyond the deadline, s.
+        age: age of the reading at its tick, s, None if the rig does not report it.
+    """
+
+    time: float
+    positions: Array
+    present: NDArray[np.bool_] | None = None
+    switch: Any = 0
+    late: float = 0.0
+    age: Any = None
 
 
 class UserLaw(Protocol):
@@ -40,7 +62,7 @@ class UserEstimator(Protocol):
     It may have `reset()`, and `sigmas` (N,), the standard deviations of its estimate.
     """
 
-    def update(self, reading: "Reading", acceleration: float, /) -> ArrayLike:
+    def update(self, reading: Reading, acceleration: float, /) -> ArrayLike:
         """Return the estimated state.
 
         Args:
@@ -76,7 +98,7 @@ class UserRig(Protocol):
     It may have `truth`, the true state (2n+2,), for scores.
     """
 
-    def read(self) -> "ArrayLike | Reading":
+    def read(self) -> ArrayLike | Reading:
         """Return the positions (n+1,) at the next tick, or a reading.
 
         The positions are those of the arms, rad, and of the cart, m.

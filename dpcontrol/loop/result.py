@@ -11,10 +11,9 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any, NamedTuple, Protocol
+from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dpcontrol.control.estimator_settings import share_inside
 from dpcontrol.control.tick import Outcome
@@ -25,29 +24,7 @@ from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.foundation.shown import Brief
 from dpcontrol.logs import Flight, LogWriter
 from dpcontrol.logs.rolling import RollingLog
-from dpcontrol.loop.protocols import UserRig
-
-
-class Reading(NamedTuple):
-    """Readings of the sensors at one tick.
-
-    S runs in lockstep have positions and present (n+1, S), age (S,), and switch (S,), which is True if one is touched.
-
-    Attributes:
-        time: since the first reading, s.
-        positions: absolute angles, summed from relative encoders, then the cart (n+1,).
-        present: new entries (n+1,), the others repeat their last value; None if all are new.
-        switch: -1 or +1 while the limit switch at the left or right end of the track is touched, else 0.
-        late: delay beyond the deadline, s.
-        age: age of the reading at its tick, s, None if the rig does not report it.
-    """
-
-    time: float
-    positions: Array
-    present: NDArray[np.bool_] | None = None
-    switch: Any = 0
-    late: float = 0.0
-    age: Any = None
+from dpcontrol.loop.protocols import Reading, UserRig
 
 
 class Rig(UserRig, Protocol):

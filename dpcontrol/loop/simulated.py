@@ -25,7 +25,7 @@ from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.loop.bench import BenchDraw, BenchSettings, Blow, SensorSettings
 from dpcontrol.loop.own import OwnArms
-from dpcontrol.loop.result import Reading
+from dpcontrol.loop.protocols import Reading
 from dpcontrol.references.problem import Limits
 
 

@@ -17,7 +17,7 @@ from dpcontrol.control.tick import UNROLLED, Outcome, TickProgram
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.loop.own import OwnController, OwnEstimates, OwnFailure, OwnSession, wrong_command
-from dpcontrol.loop.result import Reading
+from dpcontrol.loop.protocols import Reading
 
 _SCALE_SECONDS = 0.01
 """Interval over which the cart's velocity is computed from its scale, s."""

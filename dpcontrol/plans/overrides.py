@@ -199,8 +199,7 @@ def typed(settings: Mapping[str, Any]) -> str:
     words: list[str] = []
     for name, value in settings.items():
         path, text = resolved(name), ",".join(map(str, value)) if isinstance(value, tuple) else str(value)
-        named = path in NAMED and not isinstance(value, tuple)
-        words += [option_of(path), text] if named else ["--set", f"{path}={text}"]
+        words += [option_of(path), text] if path in NAMED and "," not in text else ["--set", f"{path}={text}"]
     return shlex.join(words)
 
 

@@ -44,7 +44,8 @@ from dpcontrol.foundation.processes import end_with_parent
 from dpcontrol.foundation.settings import Settings, check_names, setting
 from dpcontrol.foundation.shown import Brief
 from dpcontrol.loop.loop import LoopSettings
-from dpcontrol.loop.result import Reading, Rig
+from dpcontrol.loop.protocols import Reading
+from dpcontrol.loop.result import Rig
 from dpcontrol.loop.simulated import SimulatedRig
 from dpcontrol.references.problem import Limits
 from dpcontrol.rig import packets as packets

@@ -24,7 +24,7 @@ import numpy as np
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.settings import Settings, setting
-from dpcontrol.loop.result import Reading
+from dpcontrol.loop.protocols import Reading
 from dpcontrol.rig import packets as packets
 from dpcontrol.rig.packets import (
     LARGEST,

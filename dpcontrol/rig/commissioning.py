@@ -47,7 +47,8 @@ from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.settings import Bounds, Settings, setting
 from dpcontrol.loop.loop import LoopSettings
-from dpcontrol.loop.result import Reading, Rig
+from dpcontrol.loop.protocols import Reading
+from dpcontrol.loop.result import Rig
 from dpcontrol.references.problem import Limits
 from dpcontrol.rig.client import Deadlines
 
@@ -1234,8 +1235,7 @@ def _counts(
         return Finding("counts", Grade.UNSURE if any(said) else Grade.OK, sentence,
                        f"check that the encoders have {assumed} counts per turn, as in [run]" if any(said) else "",
                        figures)  # fmt: skip
-    shown = " and ".join(f"{count:,}" if count else "unknown" for count in seen)
-    sentence = f"the encoders show {shown} counts per turn"
+    sentence = f"the encoders show {' and '.join(f'{one:,}' if one else 'unknown' for one in seen)} counts per turn"
     if all(not one or (own and abs(one / own - 1) < _SAME) for one, own in zip(seen, said, strict=True)):
         return Finding("counts", Grade.OK if all(seen) else Grade.UNSURE, f"{sentence}, and [run] has {assumed}",
                        "" if all(seen) else "loosen the joints: friction hides the others", figures)  # fmt: skip

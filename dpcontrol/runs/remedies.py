@@ -26,10 +26,9 @@ from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress
 from dpcontrol.foundation.statistics import paired
 from dpcontrol.judge.score import Score
 from dpcontrol.plans.overrides import typed as typed_options
-from dpcontrol.plans.plan import Plan, recoverable
+from dpcontrol.plans.plan import Plan
 from dpcontrol.runs.campaign import Case, Job
 from dpcontrol.runs.preflight import SceneChange, changes, outcomes, seconds_of
-from dpcontrol.runs.run import run_plan
 
 SAME, SAME_ALONE = 16, 8
 """Variants of the failed run, and as many neighbouring seeds: in lockstep, and sequentially."""
@@ -141,9 +140,9 @@ _Group = tuple[Sequence[tuple[SceneChange, Job]], Sequence[bool]]
 
 
 def why(
-    plan: Plan,
     failed: Score,
     typed: Callable[[Mapping[str, Any]], Plan],
+    flown: Callable[[Plan], Score],
     *,
     workers: int = 0,
     yes: bool = False,
@@ -152,9 +151,9 @@ def why(
     """Return the changes that complete a logged run.
 
     Args:
-        plan: plan of the failed run.
-        failed: score of this run.
+        failed: score of the failed run.
         typed: returns the run's plan with options added to its command line.
+        flown: returns the score of a plan's run.
         workers: number of processes, 0 for one per processor.
         yes: accept any duration, default False.
         progress: receiver of progress reports.
@@ -167,6 +166,7 @@ def why(
         raise InputError(f"{failed.log}: {failed.reason}; give the log as `dpcontrol run` wrote it")
     if failed.completed:
         return Why(failed.log, failed.seed, failed.reason, ())
+    plan = typed({})
     scene, groups = plan.itinerary, [*changes(plan.itinerary)]
     lockstep = scene.loop.lockstep
     size = SAME if lockstep else SAME_ALONE
@@ -195,7 +195,7 @@ def why(
     for k, ((jobs_of, _), found) in enumerate(ended, 1):
         progress(f"changes: {k} of {len(pieces)} kinds", k / (len(pieces) + 1))
         for (change, _), (done, verdict) in zip(jobs_of, found, strict=False):
-            trials.append(_judged(change, done, verdict, before, typed))
+            trials.append(_judged(change, done, verdict, before, lambda options: flown(typed(options))))
     progress("why", 1.0)
     return Why(failed.log, failed.seed, failed.reason, tuple(trials), null)
 
@@ -261,7 +261,7 @@ def _judged(
     done: Sequence[bool],
     verdict: str,
     before: Sequence[bool],
-    typed: Callable[[Mapping[str, Any]], Plan],
+    alone: Callable[[Mapping[str, Any]], Score],
 ) -> TriedChange:
     """Return a change with its verdict.
 
@@ -272,5 +272,5 @@ def _judged(
     tried = partial(TriedChange, change.text, typed_options(change.options), counts=counts)
     if not (done and done[0] and _beats(done, before)):
         return tried(completed=bool(done and done[0]), verdict=verdict)
-    alone = run_plan(recoverable(typed(change.options))).score()
-    return tried(completed=bool(alone.completed), verdict=alone.reason, helps=bool(alone.completed))
+    score = alone(change.options)
+    return tried(completed=bool(score.completed), verdict=score.reason, helps=bool(score.completed))

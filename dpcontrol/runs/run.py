@@ -175,9 +175,9 @@ class Run(Timed):
             scene = itinerary_from(
                 plan.itinerary.text, plan.itinerary.name, plan.itinerary.model, plant=plan.itinerary.plant
             )
-            typed = partial(_with_options, plan, scene)
+            typed, flown = partial(_with_options, plan, scene), lambda one: run_plan(recoverable(one)).score()
             with reporting(progress, "why") as report:
-                return why(plan, self.score(), typed, workers=workers, yes=yes, progress=report)
+                return why(self.score(), typed, flown, workers=workers, yes=yes, progress=report)
 
     def margins(self) -> Margins:
         """Return the margins of gain, delay and lag.

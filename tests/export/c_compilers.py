@@ -11,7 +11,7 @@ from library_program import LibraryProgram, library_ticker
 
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.loop import LoopSettings
-from dpcontrol.loop.result import Reading
+from dpcontrol.loop.protocols import Reading
 from dpcontrol.loop.ticker import Ticker
 from dpcontrol.plans.plan import Plan
 

@@ -25,7 +25,8 @@ import dpcontrol as dp
 from dpcontrol.control.tracking import tracking_controller
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.loop import ControlLoop, LoopSettings, sampled_model
-from dpcontrol.loop.result import Ending, Reading
+from dpcontrol.loop.protocols import Reading
+from dpcontrol.loop.result import Ending
 from dpcontrol.loop.simulated import SimulatedRig
 from dpcontrol.references.reference import Reference
 from dpcontrol.rig.bench import BenchRecord, BenchServerSettings, RecordedRig

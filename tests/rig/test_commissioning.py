@@ -13,7 +13,8 @@ from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
 from dpcontrol.loop.bench import MechanicsSettings
 from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.loop.own import OwnObject, OwnRig
-from dpcontrol.loop.result import Reading, Rig
+from dpcontrol.loop.protocols import Reading
+from dpcontrol.loop.result import Rig
 from dpcontrol.references.problem import Limits
 from dpcontrol.rig.bench import BenchRecipe
 from dpcontrol.rig.commissioning import (

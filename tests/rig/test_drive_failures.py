@@ -8,7 +8,8 @@ from bench_at_hand import LONG, served
 
 import dpcontrol as dp
 from dpcontrol.control.interface import Mode
-from dpcontrol.loop.result import Ending, LoopResult, Reading
+from dpcontrol.loop.protocols import Reading
+from dpcontrol.loop.result import Ending, LoopResult
 from dpcontrol.rig.client import UdpRig
 from dpcontrol.runs.closed_loop import ClosedLoop
 

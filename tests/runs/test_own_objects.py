@@ -11,7 +11,7 @@ from command_line import dpcontrol
 from own_objects import Arms, Filter, Gains, Judged, Mute, Rig, Wrong
 
 import dpcontrol as dp
-from dpcontrol.loop.result import Reading
+from dpcontrol.loop.protocols import Reading
 from dpcontrol.runs.campaign import STANDARD
 
 SAME, STEPS = 1e-6, 1e-4
