@@ -19,6 +19,9 @@ VIEWER_STARTS = 20.0
 """Seconds to wait for the stand-in viewer; it takes milliseconds unless the machine is very busy."""
 
 
+pytestmark = pytest.mark.slow  # A run of a quarter of a minute.
+
+
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Ended]:
     """A folder in which the demo was shown, and how that ended."""
@@ -66,7 +69,6 @@ def test_review_without_files_opens_the_viewer_on_a_recording(
     assert list((tmp_path / "tmp").iterdir()) == []
 
 
-@pytest.mark.slow
 def test_a_log_two_logs_or_a_reference_are_reviewed(demo: tuple[Path, Ended], tmp_path: Path) -> None:
     log, reference = demo[0] / "logs/outer-turn-0.mcap", tmp_path / "turn.npz"
     reference.write_bytes(read_log(log).attachments["reference.npz"])
@@ -119,7 +121,6 @@ def test_the_actual_itinerary_is_reported_beside_the_planned_one(demo: tuple[Pat
     assert view.crossings[0] == pytest.approx(passed, abs=2 / log.rate_hz)
 
 
-@pytest.mark.slow
 def test_report_shows_the_margins_of_a_log_on_request(demo: tuple[Path, Ended], tmp_path: Path) -> None:
     page, log = tmp_path / "page.png", demo[0] / "logs/outer-turn-0.mcap"
     shown = dpcontrol("report", log, "--margins", "--picture", page, "--json").document
@@ -127,7 +128,6 @@ def test_report_shows_the_margins_of_a_log_on_request(demo: tuple[Path, Ended], 
     assert 0.005 < shown["margins"]["lag"]["value"] < 0.2
 
 
-@pytest.mark.slow
 def test_a_stretch_of_a_log_is_filmed_and_no_viewer_opens(demo: tuple[Path, Ended], tmp_path: Path) -> None:
     log, film = demo[0] / "logs/outer-turn-0.mcap", tmp_path / "turn.gif"
     ended = dpcontrol("review", log, "--film", film, "--stretch", "1", "1.4", "--json")

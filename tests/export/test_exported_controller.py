@@ -186,8 +186,8 @@ def test_the_header_gives_the_first_commands_and_the_reference(plan: Plan, doubl
         ("keep-down-up", [], 'kind = "ogy"'),
         ("outer-turn", ["--set", "hold=nearest"], 'hold = "nearest"'),
         ("outer-turn", ["--estimator", "ukf"], 'kind = "ukf"'),
-        ("outer-turn", ["--delay", "9"], "8 periods ahead"),
-        ("outer-turn", ["--clock", "8", "--float"], "faster target"),
+        pytest.param("outer-turn", ["--delay", "9"], "8 periods ahead", marks=pytest.mark.slow),
+        pytest.param("outer-turn", ["--clock", "8", "--float"], "faster target", marks=pytest.mark.slow),
     ],
 )
 def test_a_law_that_cannot_be_exported_is_rejected_without_files(

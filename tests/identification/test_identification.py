@@ -128,6 +128,7 @@ def test_the_rigs_held_out_segments_are_predicted_within_tolerance(rig: Identifi
     assert rig.started_at * 1e3 == pytest.approx([3.8, 2.9, 2.7, 2.9, 4.0], abs=0.1)
 
 
+@pytest.mark.slow
 def test_the_rigs_friction_needs_coulomb_and_the_airs_drag(rig: Identification) -> None:
     assert rig.friction_terms == ("viscous", "coulomb", "quadratic")
     assert rig.arms.quadratic[1] > 10 * rig.errors[rig.names.index("quadratic_2/M12")] * rig.arms.base()[1]

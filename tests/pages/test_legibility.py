@@ -126,8 +126,9 @@ def transitions(folder: Path) -> Figure:
     return draw_transitions(summarised(plan.reference))
 
 
-QUICK = (run, campaign, long_run)
+QUICK = (run, campaign)
 SLOW = (
+    long_run,
     run_of_many_symbols,
     comparison,
     preflight,

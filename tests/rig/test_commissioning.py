@@ -427,9 +427,8 @@ def one_arm() -> ArmChainParameters:
     return replace(LAB, **{name: getattr(LAB, name)[:1] for name in columns})
 
 
-@pytest.mark.parametrize(
-    "arms", [pytest.param(one_arm(), id="one"), pytest.param(three_arms(), id="three", marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("arms", [pytest.param(one_arm(), id="one"), pytest.param(three_arms(), id="three")])
 def test_other_numbers_of_arms_are_commissioned_as_well(arms: ArmChainParameters) -> None:
     assert not commissioned(bench(arms=arms), arms=arms).wrong
     told = only_wrong(commissioned(bench("encoder-1-reversed", arms=arms), arms=arms), "encoders")

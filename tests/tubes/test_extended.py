@@ -105,6 +105,7 @@ def test_a_refined_connection_equals_the_reference_to_the_last_bit(refined):
     assert np.all(np.abs(gap) <= LAST_BIT * np.spacing(np.abs(expected)) + 1e-30)
 
 
+@pytest.mark.slow
 def test_the_residual_is_below_double_precision(refined):
     _, _, found = refined
     assert found.converged
