@@ -15,6 +15,7 @@ README = (Path(__file__).parent.parent / "README.md").read_text(encoding="utf-8"
 EXAMPLE = README.partition("```python\n")[2].partition("```")[0]
 
 
+@pytest.mark.slow
 def test_the_example_of_the_readme_runs_unchanged(example: dict[str, Any]) -> None:
     assert len([line for line in EXAMPLE.splitlines() if line and not line.startswith("import")]) <= 20
     assert example["run"].score().sentence.startswith("completed: 1 of 1 symbols")
@@ -28,6 +29,7 @@ def test_there_are_at_most_sixty_functions_and_none_has_the_name_of_a_subpackage
     assert not {folder.name for folder in Path(dp.__file__).parent.iterdir()} & set(dp.__all__)
 
 
+@pytest.mark.slow
 def test_a_run_in_memory_is_the_one_that_is_logged(example: dict[str, Any]) -> None:
     """Figures agree to rounding, because a log has times in whole nanoseconds."""
     memory, logged = example["run"].document(), example["logged"].document()
@@ -51,12 +53,14 @@ def test_a_plan_of_a_walk_is_that_of_the_file_it_writes(example: dict[str, Any])
     assert figures[0] == figures[1]
 
 
+@pytest.mark.slow
 def test_a_failure_is_a_value(example: dict[str, Any]) -> None:
     missed = dp.run(example["reference"], settings={"controller": "feedforward"}, mismatch=0.05)
     assert not missed.converged
     assert missed.status.startswith("NOT completed")
 
 
+@pytest.mark.slow
 def test_an_interior_stop_has_the_fewest_wraps_by_default(example: dict[str, Any]) -> None:
     walk = dp.shadow(example["found"], ["down-up +", "down-up -"])
     assert walk.converged
@@ -65,6 +69,7 @@ def test_an_interior_stop_has_the_fewest_wraps_by_default(example: dict[str, Any
         dp.shadow(example["found"], ["down-up +", "down-up -"], wraps=[1, 2])
 
 
+@pytest.mark.slow
 def test_progress_is_reported_to_a_function(example: dict[str, Any]) -> None:
     told: list[tuple[str, float]] = []
     dp.connections(example["orbit"], progress=lambda what, done: told.append((what, done)))

@@ -1,8 +1,7 @@
 """Every block of commands, Python and TOML in the README and the guide runs and prints the shown output.
 
-Each section of a page is a separate test in a new folder with the page's files. Its blocks run in order, Python in one
-namespace. A block marked `slow` runs with the slow tests, together with the other blocks of its section. So do all
-blocks of the guide. Blocks of ```text are not run.
+Each section of a page is a separate slow test in a new folder with the page's files. Its blocks run in order, Python in
+one namespace. Blocks of ```text are not run.
 
 The two lines that set up an environment are not run here, but compared with the project's files. `.ci/run` extracts the
 line that runs the tests from the README and executes it.
@@ -28,10 +27,9 @@ ENVIRONMENT = "python3 -m venv .venv && .venv/bin/pip install -e "
 
 
 class Block(NamedTuple):
-    """A fenced block of a page: its kind, whether it is slow, and its text."""
+    """A fenced block of a page: its kind and its text."""
 
     kind: str
-    slow: bool
     text: str
 
     def conversations(self) -> list[tuple[str, list[str]]]:
@@ -47,8 +45,8 @@ class Block(NamedTuple):
 
 def blocks(text: str, *kinds: str) -> list[Block]:
     """Return the blocks of a text, limited to `kinds` if any are given."""
-    found = re.findall(r"^```(\w+)((?: slow)?)\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
-    return [Block(kind, bool(slow), inside) for kind, slow, inside in found if not kinds or kind in kinds]
+    found = re.findall(r"^```(\w+)\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+    return [Block(kind, inside) for kind, inside in found if not kinds or kind in kinds]
 
 
 EVERYTHING = "\n".join(PAGES.values())
@@ -80,16 +78,8 @@ SECTIONS = [
 
 
 def cases() -> list[Any]:
-    """Return each section with its quick blocks, and again with all blocks if some are slow; the guide is slow."""
-    found = []
-    for section in SECTIONS:
-        name = f"{section.page.parent.name}-{section.page.stem}-{section.title}"
-        quick = [one for one in section.blocks if not one.slow and section.page.parent != GUIDE]
-        if quick:
-            found.append(pytest.param(section._replace(blocks=quick), id=name))
-        if quick != section.blocks:
-            found.append(pytest.param(section, id=f"{name}-slow", marks=pytest.mark.slow))
-    return found
+    """Return the sections with their names."""
+    return [pytest.param(one, id=f"{one.page.parent.name}-{one.page.stem}-{one.title}") for one in SECTIONS]
 
 
 def made_by() -> dict[str, str]:
@@ -174,6 +164,7 @@ def test_the_pages_show_every_verb_at_work() -> None:
     assert {command.split()[1] for command, _ in COMMANDS} >= set(VERBS) - {"demo", "rig", "planner"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("section", cases())
 def test_the_blocks_of_a_section_run_and_print_the_shown_output(section: Section) -> None:
     for command in makers("\n".join(block.text for block in section.blocks)):

@@ -4,21 +4,27 @@ import ast
 import tomllib
 from collections import Counter
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import networkx as nx
 import pytest
 
 ROOT = Path(__file__).parent.parent / "dpcontrol"
-MODULES = {
-    path.relative_to(ROOT).as_posix(): ast.parse(path.read_text(encoding="utf-8"))
-    for path in sorted(ROOT.rglob("*.py"))
-    if path.relative_to(ROOT).parts[0] != "examples"
-}
 RECORD = tomllib.loads((Path(__file__).parent / "size.toml").read_text(encoding="utf-8"))
 
 LINES, EXPRESSION_LINES = 60, 80  # of a function without its docstring; the second if its body is one statement
 PARAMETERS = 6  # without self and cls: a function with more misses an object
+
+
+@cache
+def modules() -> dict[str, ast.Module]:
+    """Return the package's modules by their paths; parsing takes seconds, so only the worker that needs them does it."""
+    return {
+        path.relative_to(ROOT).as_posix(): ast.parse(path.read_text(encoding="utf-8"))
+        for path in sorted(ROOT.rglob("*.py"))
+        if path.relative_to(ROOT).parts[0] != "examples"
+    }
 
 
 def _is_docstring(node: ast.stmt) -> bool:
@@ -30,7 +36,7 @@ def _statements(tree: ast.Module) -> int:
 
 
 def _functions() -> Iterator[tuple[str, ast.FunctionDef | ast.AsyncFunctionDef]]:
-    for name, tree in MODULES.items():
+    for name, tree in modules().items():
         for node in ast.walk(tree):
             if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
                 yield f"{name}:{node.name}", node
@@ -58,7 +64,7 @@ def _imported(name: str, tree: ast.Module) -> Iterator[str]:
             folder = "/".join((node.module or "").split(".")[1:])
             for alias in node.names:
                 inner = f"{folder}/{alias.name}.py".lstrip("/")
-                yield inner if inner in MODULES else f"{folder}.py"
+                yield inner if inner in modules() else f"{folder}.py"
         elif isinstance(node, ast.Import):
             for alias in node.names:
                 yield "/".join(alias.name.split(".")[1:]) + ".py"
@@ -66,17 +72,17 @@ def _imported(name: str, tree: ast.Module) -> Iterator[str]:
 
 def _circles() -> list[list[str]]:
     graph = nx.DiGraph(
-        (name, other) for name, tree in MODULES.items() for other in _imported(name, tree) if other in MODULES
+        (name, other) for name, tree in modules().items() for other in _imported(name, tree) if other in modules()
     )
     return sorted(sorted(circle) for circle in nx.strongly_connected_components(graph) if len(circle) > 1)
 
 
 def test_the_package_has_no_more_statements_than_recorded() -> None:
-    assert sum(map(_statements, MODULES.values())) <= RECORD["statements"]
+    assert sum(map(_statements, modules().values())) <= RECORD["statements"]
 
 
 def test_each_package_has_a_forecast_and_the_forecasts_add_up_to_the_goal() -> None:
-    packages = {name.split("/")[0] for name in MODULES if "/" in name}
+    packages = {name.split("/")[0] for name in modules() if "/" in name}
     assert packages <= set(RECORD["forecast"]) | {"cli"}
     assert sum(RECORD["forecast"].values()) <= RECORD["goal"]
 
@@ -91,7 +97,7 @@ def test_each_package_has_a_forecast_and_the_forecasts_add_up_to_the_goal() -> N
             "names",
             lambda: [
                 name
-                for name, count in Counter(path.split("/")[-1] for path in MODULES).items()
+                for name, count in Counter(path.split("/")[-1] for path in modules()).items()
                 if count > 1 and name != "__init__.py"
             ],
         ),
@@ -99,7 +105,7 @@ def test_each_package_has_a_forecast_and_the_forecasts_add_up_to_the_goal() -> N
             "unformatted",
             lambda: [
                 f"{name}: {count}"
-                for name in MODULES
+                for name in modules()
                 if (count := (ROOT / name).read_text(encoding="utf-8").count("# fmt: skip"))
             ],
         ),

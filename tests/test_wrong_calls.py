@@ -14,6 +14,8 @@ import dpcontrol as dp
 from dpcontrol.foundation.parts import PartMissing
 from tests.test_objects import results_of_functions
 
+pytestmark = pytest.mark.slow  # Each kind of result is made first.
+
 LONGEST = 1000
 """Length of the longest sentence, which lists all itineraries."""
 
@@ -249,7 +251,6 @@ def test_every_function_and_method_has_arguments_that_suffice(things: dict[str, 
             pytest.fail(f"{name}: {error}; add it to BY_NAME or GOOD")
 
 
-@pytest.mark.slow
 def test_a_wrong_type_is_refused_in_one_sentence(things: dict[str, Any]) -> None:
     for call in wrong_calls(things):
         refused(things, *call)

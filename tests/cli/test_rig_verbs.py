@@ -54,6 +54,7 @@ def test_measured_values_are_written_once_and_then_equal_those_of_the_file(scene
     assert "wrong" not in again.stdout
 
 
+@pytest.mark.slow
 def test_nothing_is_written_while_the_rig_is_wrong(scene: Path) -> None:
     before = scene.read_bytes()
     ended = dpcontrol("commission", scene, "--fault", "encoders-swapped", "--delay", "2", "--write")

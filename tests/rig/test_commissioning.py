@@ -114,9 +114,9 @@ WIRED_WRONGLY = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
-    ("fault", "stiction"),
-    [("encoder-2-reversed", 0.0), *(pytest.param(fault, 0.002, marks=pytest.mark.slow) for fault in WIRED_WRONGLY)],
+    ("fault", "stiction"), [("encoder-2-reversed", 0.0), *((fault, 0.002) for fault in WIRED_WRONGLY)]
 )
 def test_wrong_wiring_is_detected_and_no_measurement_is_kept(fault: str, stiction: float) -> None:
     rig = bench(fault, seed=4, mechanics={"stiction": stiction})
