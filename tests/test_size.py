@@ -19,7 +19,7 @@ PARAMETERS = 6  # without self and cls: a function with more misses an object
 
 @cache
 def modules() -> dict[str, ast.Module]:
-    """Return the package's modules by their paths; parsing takes seconds, so only the worker that needs them does it."""
+    """Return the package's modules by their paths. Parsing takes seconds, of the worker that needs it only."""
     return {
         path.relative_to(ROOT).as_posix(): ast.parse(path.read_text(encoding="utf-8"))
         for path in sorted(ROOT.rglob("*.py"))
