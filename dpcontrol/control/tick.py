@@ -1040,7 +1040,8 @@ class TickEquations:
         x, v, sent = acts.ahead[2 * n], acts.ahead[2 * n + 1], m["velocity"]
         # The drive is no faster, whatever the estimate of a cart whose scale has just stuck.
         v = ca.fmin(ca.fmax(v, -_FASTEST * c["velocity"]), _FASTEST * c["velocity"])
-        farthest = ca.fmax(ca.fabs(x), self._stopping_point(x, v, c))
+        # A return, which has no margin, brings the cart back onto its track.
+        farthest = ca.fmax(ca.if_else(c["margin"] > 0, ca.fabs(x), 0), self._stopping_point(x, v, c))
         # Sent commands without an effect yet, for a lagging drive.
         return ca.fmax(farthest, ca.if_else(ca.fabs(sent) > 0, self._stopping_point(x, m["heading"], c), -_BIG))
 

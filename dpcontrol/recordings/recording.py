@@ -389,9 +389,9 @@ def cart_motion(part: Recording) -> CartMotion | None:
     known = np.isfinite(part.cart)
     if known.sum() < 2 or float(np.ptp(part.cart[known])) < STILL:
         return None
-    # A missing reading lies on the line through its neighbours, or through the first or last two.
     from scipy.interpolate import make_interp_spline
 
+    # A missing reading lies on the line through its neighbours, or through the first or last two.
     between = make_interp_spline(part.time[known], part.cart[known], k=1)
     position = np.asarray(between(part.time), dtype=np.float64)
     velocity, felt = (smoothed_derivative(position, period, order) for order in (1, 2))

@@ -1229,18 +1229,18 @@ def _counts(
     scales = _scales(wiring, gain)
     seen = [round(2 * np.pi * f / q) if q and f == f else None for f, q in zip(scales, steps, strict=True)]
     said = settings.sensors.of_each("counts", len(seen))
-    figures, assumed = {"counts": seen}, " and ".join(f"{count:,}" if count else "no rounding" for count in said)
+    figures, assumed = {"counts": seen}, " and ".join({f"{n:,}" if n else "no rounding": n for n in said})
     if not any(seen):
         sentence = "the arms' readings show no rounding to counts"
         return Finding("counts", Grade.UNSURE if any(said) else Grade.OK, sentence,
                        f"check that the encoders have {assumed} counts per turn, as in [run]" if any(said) else "",
                        figures)  # fmt: skip
     sentence = f"the encoders show {' and '.join(f'{one:,}' if one else 'unknown' for one in seen)} counts per turn"
-    if all(not one or (own and abs(one / own - 1) < _SAME) for one, own in zip(seen, said, strict=True)):
+    if all(not one or (told and abs(one / told - 1) < _SAME) for one, told in zip(seen, said, strict=True)):
         return Finding("counts", Grade.OK if all(seen) else Grade.UNSURE, f"{sentence}, and [run] has {assumed}",
                        "" if all(seen) else "loosen the joints: friction hides the others", figures)  # fmt: skip
     # An encoder that was not measured keeps its number.
-    found = [one or own for one, own in zip(seen, said, strict=True)]
+    found = [one or told for one, told in zip(seen, said, strict=True)]
     changes["counts"] = found if len(set(found)) > 1 else found[0]
     return Finding(
         "counts", Grade.WRONG, f"{sentence}, but [run] has {assumed}",
