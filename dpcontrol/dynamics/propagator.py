@@ -27,7 +27,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dpcontrol.dynamics.compiled import hy, to_heyoka
+from dpcontrol.dynamics.compiled import COMPACT, hy, to_heyoka
 from dpcontrol.dynamics.equations import Equations
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.checked import number, numbers
@@ -292,7 +292,7 @@ class CrossingFinder:
     def _rate(self) -> Any:
         def made() -> Any:
             variables, rates = zip(*_at_rest(self.equations), strict=True)
-            return hy.cfunc(rates, vars=variables, compact_mode=True)
+            return hy.cfunc(rates, vars=variables, **COMPACT)
 
         return _copied(self.equations, "rates", made)
 
@@ -502,7 +502,7 @@ class Propagator:
                 system = hy.var_ode_sys(system, args=hy.var_args.vars, order=1) if stm else system
                 # compact_mode compiles ten times faster and runs at most two times slower.
                 make = hy.taylor_adaptive_batch if many else hy.taylor_adaptive
-                return make(system, np.zeros(states.shape), tol=self.tolerance, compact_mode=True)
+                return make(system, np.zeros(states.shape), tol=self.tolerance, **COMPACT)
 
             integrator = _copied(self.equations, (*kind, self.tolerance), made)
             # Parameters that the equations never use are not part of the compiled code.
@@ -727,7 +727,7 @@ class PolynomialInputPropagator:
                 value = hy.par[first + k] + hy.time * value
             inputs.append(value)
         system = taylor_system(self.equations, inputs, held)
-        return hy.taylor_adaptive(system, [0.0] * self.equations.dimension, compact_mode=True, time=0.0)
+        return hy.taylor_adaptive(system, [0.0] * self.equations.dimension, **COMPACT, time=0.0)
 
     def flow(self, state: ArrayLike, coefficients: ArrayLike, duration: float) -> Array:
         """Return the state (N,) after a duration.
@@ -840,7 +840,7 @@ class ExtendedPropagator:
         def made() -> Any:
             system = taylor_system(self.equations, [])
             zero = extended(np.zeros(len(system)))
-            return hy.taylor_adaptive(system, zero, time=zero[0], fp_type=_real(), compact_mode=True)
+            return hy.taylor_adaptive(system, zero, time=zero[0], fp_type=_real(), **COMPACT)
 
         integrator = _copied(self.equations, "extended", made)
         # Parameters that the equations never use are not part of the compiled code.
@@ -855,7 +855,7 @@ class ExtendedPropagator:
             states, parameters = [x for x, _ in taylor_system(e, [])], [hy.par[i] for i in range(e.parameters.shape[0])]
             function = ca.Function("energy", [e.state, e.parameters], [e.hamiltonian])
             value = to_heyoka(function, [states, parameters])
-            return hy.cfunc(value, vars=states, fp_type=_real(), compact_mode=True)
+            return hy.cfunc(value, vars=states, fp_type=_real(), **COMPACT)
 
         return _copied(e, "extended energy", made)
 
