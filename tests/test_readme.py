@@ -18,6 +18,7 @@ import pytest
 from command_line import Ended, dpcontrol
 
 from dpcontrol.cli.main import VERBS
+from dpcontrol.pages.figures import FIGURES
 
 ROOT = Path(__file__).parents[1]
 GUIDE = ROOT / "dpcontrol" / "guide"
@@ -199,8 +200,12 @@ def test_the_toml_shown_is_that_of_a_model_an_itinerary_or_a_part_of_one(text: s
 
 @pytest.mark.slow
 def test_the_commands_that_show_the_numbers_run() -> None:
-    assert len(commands_in_text()) >= 4
-    for command in commands_in_text():
+    figures = [command.split()[2:] for command in commands_in_text() if command.split()[1] == "figures"]
+    # tests/pages/test_legibility.py draws each of them.
+    assert {name for names in figures for name in names} <= set(FIGURES)
+    others = [command for command in commands_in_text() if command.split()[1] != "figures"]
+    assert len(others) >= 4
+    for command in others:
         run_as_documented(command)
 
 

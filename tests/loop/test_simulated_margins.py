@@ -33,10 +33,14 @@ def keeps(run: BatchRun, most: float) -> bool:
     return run.ending is Ending.FINISHED and away < KEPT and run.rms_feedback < most
 
 
+FLIGHTS = [
+    pytest.param("turn-from-rest", 0.0, marks=pytest.mark.benchmark),
+    pytest.param("cross-from-rest", 0.005, marks=pytest.mark.benchmark),
+]
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "coulomb"), [("hold-up-up", 0.005), ("turn-from-rest", 0.0), ("cross-from-rest", 0.005)]
-)
+@pytest.mark.parametrize(("name", "coulomb"), [("hold-up-up", 0.005), *FLIGHTS])
 def test_runs_are_lost_where_their_margins_end(name: str, coulomb: float) -> None:
     scene = load_itinerary(name).with_run(BENCH)
     reference, settings = make_plan(scene).reference, scene.loop

@@ -62,7 +62,7 @@ def test_a_wide_orbit_between_a_transfer_and_a_hold_is_a_stop(tmp_path: Path) ->
     assert verdict_on(exact(plan), plan.reference).problem == ""
     found.add(plan, {"mismatch": 0.0}, list(range(8)), random)
     assert found.completed == 8
-    found.add(plan, {"mismatch": 0.3}, list(range(16)), random)
+    found.add(plan, {"mismatch": 0.3}, list(range(8)), random)
     found.add(plan, {"mismatch": 0.02, "controller": "feedforward"}, list(range(8)), random)
     assert found.completed < found.runs
     assert not found.false
@@ -81,8 +81,7 @@ def test_drawn_itineraries_are_judged_as_a_second_decoder_judges_them(seed: int,
         plan = make_plan(load_itinerary(str(file)))
     assert plan.converged
     assert verdict_on(exact(plan), plan.reference).problem == ""
-    for _ in range(1 if seed == 11 else 4):
-        found.add(plan, for_plan(drawn_options(random), plan), list(range(2 if seed == 11 else 16)), random)
+    found.add(plan, for_plan(drawn_options(random), plan), list(range(2 if seed == 11 else 16)), random)
     found.add(plan, {"mismatch": 0.0}, [0], random)
     assert found.completed > 0
     assert found.wrong > 0

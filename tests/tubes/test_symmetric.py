@@ -74,6 +74,7 @@ def test_a_search_stops_at_a_second_unstable_direction() -> None:
 def test_calls_without_a_sense_for_isolated_energies_are_refused(turn: Connection) -> None:
     search = SymmetricSearch("down-down-up", 0, 1, (-1.02, -0.99), (turn,), 0, "at least 1")
     assert dp.shadow(search, [turn.name]).connections == (turn,)
+    assert dp.shadow(search, ["down-down-up -"]).connections[0].winding == (0, 0, -1)
     triple, lab = (
         dp.orbit(dp.load_model(name), saddle, energy=energy)
         for name, saddle, energy in (("triple", "down-down-up", -1.02), ("lab", "down-up", -0.07))
