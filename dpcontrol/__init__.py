@@ -3,6 +3,8 @@
 `import dpcontrol as dp` offers the functions of `dpcontrol.api`, each loaded when it is first used.
 """
 
+from dpcontrol.foundation.version import VERSION
+
 TYPE_CHECKING = False  # typing's own takes as long to import as all of this
 if TYPE_CHECKING:
     from dpcontrol.api import (
@@ -85,7 +87,7 @@ if TYPE_CHECKING:
         write_recording,
     )
 
-__version__ = "0.2.0"
+__version__ = VERSION
 __all__ = [
     "BenchAddress",
     "CampaignSettings",

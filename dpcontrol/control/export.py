@@ -45,12 +45,12 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-import dpcontrol
 from dpcontrol.control.interface import Controller, GainSchedule, schedule_of
 from dpcontrol.control.tick import SETTLING, UNROLLED, TickEquations, TickProgram
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import content_hash
+from dpcontrol.foundation.version import PROGRAM, VERSION
 
 _TEMPLATES = Path(__file__).with_name("target")
 _VERSION = 3
@@ -392,7 +392,7 @@ def _described(program: TickProgram, equations: TickEquations, *, single: bool) 
               for name in ("acceleration", "lost_estimate", "lost_tracking", "missing")}  # fmt: skip
     columns = [*(f"measured.arm_{i + 1}" for i in range(n)), "measured.cart"]
     return {
-        "VERSION": dpcontrol.__version__, "REAL": "float" if single else "double",
+        "VERSION": VERSION, "REAL": "float" if single else "double",
         "PRECISION": "single" if single else "double", "SPLIT": int(equations.split),
         "TOLERANCE": "1e-2" if single else "1e-9",
         "ARMS": n, "POSITIONS": n + 1, "STATES": equations.filter.equations.dimension,
@@ -574,7 +574,7 @@ def model_description(
     more = f"; let it act {delay - 1:g} periods later" if delay > 1 else ""
     root = ET.Element("fmiModelDescription", {
         "fmiVersion": "2.0", "modelName": name, "guid": guid, "variableNamingConvention": "flat",
-        "generationTool": f"dpcontrol {dpcontrol.__version__}",
+        "generationTool": PROGRAM,
         "description": f"{title}: estimator, control law and supervisor, one tick per step of {period!r} s. Commands "
         f"must act {delay:g} periods after their readings; a step gives the command after one{more}.",
     })  # fmt: skip
