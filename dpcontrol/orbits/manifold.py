@@ -54,22 +54,28 @@ class Frame(Brief):
 
 @dataclass(frozen=True)
 class UnstableManifold(Brief):
-    """The local unstable manifold of a hyperbolic orbit, branches +1 and -1."""
+    """The local unstable manifold of a hyperbolic orbit, branches +1 and -1.
+
+    Attributes:
+        distance: largest scaled distance of the seeds from the orbit.
+        side: +1, or -1 to exchange the branches.
+    """
 
     orbit: LyapunovOrbit
     distance: float = 3e-4
+    side: int = 1
 
     @cached_property
     def vector(self) -> Array:
         """The unstable Floquet vector (N,) at phase zero, with scaled length one.
 
-        Its largest coordinate determines the sign, so the branches have unique names.
+        Its largest coordinate and `side` determine the sign, so the branches have unique names.
         """
         values, vectors = np.linalg.eig(self.orbit.monodromy)
         v = np.real(vectors[:, np.argmax(np.abs(values))])
         v = v / np.linalg.norm(v / self.orbit.system.scale)
         n = len(v) // 2
-        return v * np.sign(v[np.argmax(np.abs(v[:n]))])
+        return v * (self.side * np.sign(v[np.argmax(np.abs(v[:n]))]))
 
     @cached_property
     def exponent(self) -> float:
@@ -229,7 +235,6 @@ class SegmentedManifold(UnstableManifold):
     """The local unstable manifold of an orbit stored as nodes."""
 
     orbit: HyperbolicOrbit
-    distance: float = 3e-4
 
     @cached_property
     def _node_vectors(self) -> tuple[Array, float, int]:
@@ -254,7 +259,7 @@ class SegmentedManifold(UnstableManifold):
         grown_by = np.concatenate([[0.0], np.cumsum(np.log(lengths))[:-1]])
         vectors *= np.exp(grown_by - exponent * orbit.node_times[:-1] / orbit.period)[:, None]
         first = vectors[0, : len(scale) // 2] * scale[: len(scale) // 2]
-        return vectors * scale * np.sign(first[np.argmax(np.abs(first))]), exponent, sign
+        return vectors * scale * (self.side * np.sign(first[np.argmax(np.abs(first))])), exponent, sign
 
     @cached_property
     def vector(self) -> Array:
