@@ -374,8 +374,8 @@ class OrbitRecord(Brief, Documented):
 
 
 @dataclass(frozen=True)
-class LyapunovOrbit(OrbitRecord, Timed):
-    """A periodic orbit about a saddle.
+class PeriodicOrbit(OrbitRecord, Timed):
+    """A periodic orbit with its symmetry, from which its manifolds are computed.
 
     Attributes:
         monodromy (N, N): state-transition matrix over one period.
@@ -399,6 +399,46 @@ class LyapunovOrbit(OrbitRecord, Timed):
     def columns(self) -> tuple[str, ...]:
         """Names of the N entries of a state."""
         return self.system.columns
+
+    @property
+    def unstable_multiplier(self) -> float:
+        """The largest Floquet multiplier, real for a saddle's orbit."""
+        return float(self.floquet_multipliers[0].real)
+
+    @property
+    def centre(self) -> Array:
+        """State (N,) of the saddle."""
+        return self.system.equilibrium(self.saddle)
+
+    @property
+    def reverser(self) -> Array:
+        """The reverser (N, N), which maps the unstable to the stable manifold."""
+        return self.system.reversers[0]
+
+    @property
+    def whole_turns(self) -> Array:
+        """Whole turns (N,) per period, zero for Lyapunov orbits."""
+        return np.zeros(self.system.dimension)
+
+    @property
+    def turn(self) -> Array:
+        """Change (N,) of the coordinates over one period."""
+        return self.whole_turns * self.system.turn_lengths
+
+    @property
+    def laps(self) -> bool:
+        """True if the orbit and its tubes may cross sections every lap."""
+        return False
+
+    @property
+    def nodes(self) -> tuple[Array, Array]:
+        """Times (M,), s, and states (M, N) from which the orbit is integrated: its start alone."""
+        return np.zeros(1), self.state[None]
+
+
+@dataclass(frozen=True)
+class LyapunovOrbit(PeriodicOrbit):
+    """A periodic orbit about a saddle."""
 
     @cached_property
     def _curve(self) -> "OrbitCurve":
@@ -436,36 +476,6 @@ class LyapunovOrbit(OrbitRecord, Timed):
         if not self.converged:
             raise GoalMissed(f"the orbit about {self.saddle}: {self.status}")
         return Tube(self, stable, branch)
-
-    @property
-    def unstable_multiplier(self) -> float:
-        """The largest Floquet multiplier, real for a saddle's orbit."""
-        return float(self.floquet_multipliers[0].real)
-
-    @property
-    def centre(self) -> Array:
-        """State (N,) of the saddle."""
-        return self.system.equilibrium(self.saddle)
-
-    @property
-    def reverser(self) -> Array:
-        """The reverser (N, N), which maps the unstable to the stable manifold."""
-        return self.system.reversers[0]
-
-    @property
-    def whole_turns(self) -> Array:
-        """Whole turns (N,) per period, zero for Lyapunov orbits."""
-        return np.zeros(self.system.dimension)
-
-    @property
-    def turn(self) -> Array:
-        """Change (N,) of the coordinates over one period."""
-        return self.whole_turns * self.system.turn_lengths
-
-    @property
-    def laps(self) -> bool:
-        """True if the orbit and its tubes may cross sections every lap."""
-        return False
 
 
 def lyapunov_orbit(

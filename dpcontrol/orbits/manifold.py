@@ -16,6 +16,7 @@ Problem, 3rd ed., chapter 8.
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Generic, TypeVar
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -24,9 +25,10 @@ from scipy.spatial import KDTree
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.shown import Brief
-from dpcontrol.orbits.lyapunov import LyapunovOrbit
+from dpcontrol.orbits.lyapunov import LyapunovOrbit, PeriodicOrbit
 from dpcontrol.orbits.rotating import RotatingOrbit
 
+Orbit = TypeVar("Orbit", bound=PeriodicOrbit)
 _STEEPEST = 0.95  # largest compensation of the vectors' growth by a change of the seeds' distance
 _PROBES = 96  # number of phases at which vector lengths are compared
 
@@ -53,7 +55,7 @@ class Frame(Brief):
 
 
 @dataclass(frozen=True)
-class UnstableManifold(Brief):
+class UnstableManifold(Brief, Generic[Orbit]):
     """The local unstable manifold of a hyperbolic orbit, branches +1 and -1.
 
     Attributes:
@@ -61,7 +63,7 @@ class UnstableManifold(Brief):
         side: +1, or -1 to exchange the branches.
     """
 
-    orbit: LyapunovOrbit
+    orbit: Orbit
     distance: float = 3e-4
     side: int = 1
 
@@ -210,6 +212,11 @@ class HyperbolicOrbit(LyapunovOrbit):
     node_states: Array
 
     @property
+    def nodes(self) -> tuple[Array, Array]:
+        """Times (M + 1,), s, and states (M + 1, N), including both ends."""
+        return self.node_times, self.node_states
+
+    @property
     def centre(self) -> Array:
         """State (N,) at rest about which the orbit is symmetric."""
         return self.rest
@@ -231,17 +238,16 @@ class HyperbolicOrbit(LyapunovOrbit):
 
 
 @dataclass(frozen=True)
-class SegmentedManifold(UnstableManifold):
+class SegmentedManifold(UnstableManifold[Orbit]):
     """The local unstable manifold of an orbit stored as nodes."""
-
-    orbit: HyperbolicOrbit
 
     @cached_property
     def _node_vectors(self) -> tuple[Array, float, int]:
         """Node vectors (M, N), the exponent ln |λ| and λ's sign."""
         orbit = self.orbit
         scale = orbit.system.scale
-        _, stms = orbit.system.propagator.flows_with_stm(orbit.node_states[:-1], np.diff(orbit.node_times))
+        times, states = orbit.nodes
+        _, stms = orbit.system.propagator.flows_with_stm(states[:-1], np.diff(times))
         # The initial vector has a component in every direction.
         vector = np.cos(np.arange(len(scale)) + 1.0)
         lengths, vectors, sign = np.ones(len(stms)), np.empty((len(stms), len(scale))), 1
@@ -257,7 +263,7 @@ class SegmentedManifold(UnstableManifold):
                 break
         exponent = float(np.log(lengths).sum())
         grown_by = np.concatenate([[0.0], np.cumsum(np.log(lengths))[:-1]])
-        vectors *= np.exp(grown_by - exponent * orbit.node_times[:-1] / orbit.period)[:, None]
+        vectors *= np.exp(grown_by - exponent * times[:-1] / orbit.period)[:, None]
         first = vectors[0, : len(scale) // 2] * scale[: len(scale) // 2]
         return vectors * scale * (self.side * np.sign(first[np.argmax(np.abs(first))])), exponent, sign
 
@@ -284,18 +290,18 @@ class SegmentedManifold(UnstableManifold):
         """
         orbit = self.orbit
         system, period = orbit.system, orbit.period
-        nodes, exponent, sign = self._node_vectors
+        (node_times, node_states), (nodes, exponent, sign) = orbit.nodes, self._node_vectors
         phases = np.atleast_1d(np.asarray(phases, dtype=float))
         rounds = np.floor(phases)
         elapsed = (phases - rounds) * period
-        segment = np.clip(np.searchsorted(orbit.node_times, elapsed, side="right") - 1, 0, len(nodes) - 1)
+        segment = np.clip(np.searchsorted(node_times, elapsed, side="right") - 1, 0, len(nodes) - 1)
         states = np.empty((len(phases), system.dimension))
         vectors = np.empty_like(states)
         for k in np.unique(segment):
             where = np.flatnonzero(segment == k)
             where = where[np.argsort(elapsed[where], kind="stable")]
-            along = elapsed[where] - orbit.node_times[k]
-            states[where], matrices = system.propagator.sample_with_stm(orbit.node_states[k], along)
+            along = elapsed[where] - node_times[k]
+            states[where], matrices = system.propagator.sample_with_stm(node_states[k], along)
             vectors[where] = (matrices @ nodes[k]) * np.exp(-exponent * along / period)[:, None]
         vectors *= np.where(rounds % 2 == 1, float(sign), 1.0)[:, None]
         state_slopes = system.numeric.rate(states) * period
@@ -305,16 +311,14 @@ class SegmentedManifold(UnstableManifold):
         return Frame(phases, states + rounds[:, None] * orbit.turn, vectors, state_slopes, vector_slopes, lengths)
 
 
-def local_manifold(orbit: LyapunovOrbit, distance: float = 3e-4) -> UnstableManifold:
+def local_manifold(orbit: Orbit, distance: float = 3e-4) -> UnstableManifold[Orbit]:
     """Return the local unstable manifold of an orbit.
 
     Args:
         orbit: hyperbolic orbit.
         distance: largest scaled distance of the seeds from the orbit.
     """
-    if isinstance(orbit, HyperbolicOrbit):
-        return SegmentedManifold(orbit, distance)
-    return UnstableManifold(orbit, distance)
+    return (SegmentedManifold if len(orbit.nodes[0]) > 1 else UnstableManifold)(orbit, distance)
 
 
 _FLOWN = 8
@@ -381,7 +385,7 @@ SAMPLES = 512  # a periodic cubic spline through them has a scaled error of abou
 class OrbitCurve(Brief):
     """The curve of a periodic orbit, with phases of period 1."""
 
-    orbit: LyapunovOrbit
+    orbit: PeriodicOrbit
 
     @cached_property
     def samples(self) -> Array:

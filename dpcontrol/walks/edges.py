@@ -102,7 +102,7 @@ def rotating_connections(
     Raises:
         InputError: both orbits rotate, or no section is suitable.
     """
-    lapping = [orbit for orbit in (source, target) if isinstance(orbit, HyperbolicOrbit)]
+    lapping = [orbit for orbit in (source, target) if orbit.laps]
     if len(lapping) != 1:
         raise InputError(
             f"{source.saddle} > {target.saddle}: only connections between a rotating orbit and a saddle can be "
@@ -121,7 +121,7 @@ def rotating_connections(
     return replace(found, status=f"{never}; later crossings may have some")
 
 
-def _section(lapping: HyperbolicOrbit, home: LyapunovOrbit, name: str | None) -> Section:
+def _section(lapping: LyapunovOrbit, home: LyapunovOrbit, name: str | None) -> Section:
     system = lapping.system
     if name is not None:
         candidates = [system.section_between(home.saddle, home.saddle, name)]
