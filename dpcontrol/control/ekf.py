@@ -18,11 +18,12 @@ Source: Bar-Shalom, Li & Kirubarajan, Estimation with Applications to Tracking a
 """
 
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections import namedtuple
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from math import inf
-from typing import NamedTuple
+from math import inf, isfinite
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -38,39 +39,54 @@ from dpcontrol.dynamics.equations import Equations
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 
+Parts = TypeVar("Parts")
 
-class Layout:
-    """Contiguous named parts of a vector: name=length."""
 
-    def __init__(self, **sizes: int) -> None:
-        ends = np.cumsum([*sizes.values()])
-        self.slices = {name: slice(int(end - n), int(end)) for (name, n), end in zip(sizes.items(), ends, strict=True)}
-        """Range of each part by name."""
-        self.size = int(ends[-1])
+class Layout(Generic[Parts]):
+    """Contiguous parts of a vector, which a named tuple of their lengths declares.
 
-    def symbols(self, name: str) -> tuple[ca.SX, dict[str, ca.SX]]:
+    A part that a vector lacks has length 0.
+    """
+
+    def __init__(self, lengths: Any) -> None:
+        ends = np.cumsum(lengths).tolist()
+        self.size: int = ends[-1]
+        self.slices: Any = lengths._make(slice(end - n, end) for n, end in zip(lengths, ends, strict=True))
+        """Range of each part."""
+        self.names = [name for name, length in lengths._asdict().items() if length]
+        """Names of the parts that the vector has."""
+
+    def of(self, vector: Any) -> Parts:
+        """Return the parts of a vector, which share its memory.
+
+        Args:
+            vector: expression (size,), or numbers (size,) or (size, runs).
+        """
+        return self.slices._make(vector[where] for where in self.slices)
+
+    def symbols(self, name: str) -> tuple[ca.SX, Parts]:
         """Return a vector of symbols and its parts.
 
         Args:
             name: name of the vector.
         """
         vector = ca.SX.sym(name, self.size)
-        return vector, {part: vector[where] for part, where in self.slices.items()}
+        return vector, self.of(vector)
 
-    def joined(self, parts: Mapping[str, ca.SX]) -> ca.SX:
+    def joined(self, parts: Parts) -> ca.SX:
         """Return the vector of these parts.
 
         Args:
-            parts: all parts by name, (length,).
+            parts: all parts, (length,).
         """
-        return ca.densify(ca.vertcat(*(parts[name] for name in self.slices)))
+        return ca.densify(ca.vertcat(*(getattr(parts, name) for name in self.names)))
 
-    def filled(self, parts: Mapping[str, Array | float], runs: int | None = None) -> Array:
+    def filled(self, runs: int | None = None, **parts: Array | float) -> Array:
         """Return the vector of numbers, with zeros for missing parts.
 
         Args:
-            parts: values by name, numbers, (length,) or (length, runs).
             runs: number of runs; None for one.
+            **parts: values by name, numbers, (length,) or (length, runs).
 
         Returns:
             Vector (size,), or (size, runs).
@@ -78,7 +94,7 @@ class Layout:
         out = np.zeros(self.size if runs is None else (self.size, runs))
         for name, value in parts.items():
             given = np.asarray(value, dtype=float)
-            out[self.slices[name]] = given[:, None] if runs is not None and given.ndim == 1 else given
+            out[getattr(self.slices, name)] = given[:, None] if runs is not None and given.ndim == 1 else given
         return out
 
 
@@ -508,12 +524,15 @@ def _compiled(
     return made, step, update, Compiled(made.prediction(with_jacobian=False))
 
 
+_Outputs = namedtuple("_Outputs", "z covariance sigmas innovation nis used sound")
+
+
 class EkfProgram:
     """The filter of one model, laid out for one or many runs.
 
     `step` and `update` take `inputs` (M,) or (M, S); `slices` holds the slices of memory, command, measured, present,
-    noise, parameters and process. Outputs begin with the memory for the next tick; `out` holds the slices of the
-    rest. Missing positions also need finite values.
+    noise, parameters and process. `out` lays out the outputs, of which z and covariance are the memory for the next
+    tick. Missing positions also need finite values.
     """
 
     def __init__(self, model: SampledModel, settings: FilterSettings) -> None:
@@ -522,12 +541,7 @@ class EkfProgram:
         self.equations, self.step, self.update, self.ahead = _compiled(model.equations, model.period, settings.augments)
         """Map the inputs of a prediction to the next z (N+E,), without a measurement."""
         size, m = self.equations.dimension, model.arms + 1
-        covariance = size * (size + 1) // 2
-        self.out = Layout(z=size, covariance=covariance, sigmas=size, innovation=m, nis=1, used=1, sound=1).slices
-        """Slices of the outputs by name."""
-        self.out["memory"] = slice(0, self.out["covariance"].stop)
-        self.out["state"] = slice(0, model.dimension)
-        self.out["extra"] = slice(model.dimension, size)
+        self.out = Layout[_Outputs](_Outputs(size, size * (size + 1) // 2, size, m, 1, 1, 1))
         self.process = settings.process(model.arms, model.period)
         self.slices = self.step.slices
         """Slices of the inputs by name."""
@@ -657,8 +671,8 @@ class CompiledEkf(KalmanFilter):
             self._ahead_inputs[self.program.ahead.slices[name]] = value
 
     def _begun(self, memory: Array, sigmas: Array) -> Estimate:
-        out, still = self.program.out, np.zeros(self.model.arms + 1)
-        return Estimate(memory[out["state"]], memory[out["extra"]], sigmas, still, float("nan"), 0, memory)
+        z, n, still = memory[self.program.out.slices.z], self.model.dimension, np.zeros(self.model.arms + 1)
+        return Estimate(z[:n], z[n:], sigmas, still, float("nan"), 0, memory)
 
     def update(self, estimate: Estimate, measured: Array, present: Present = None) -> Estimate:
         """Return the estimate after a measurement.
@@ -703,16 +717,14 @@ class CompiledEkf(KalmanFilter):
         positions[:] = np.where(counts, measured, 0.0)
         inputs[program.slices["present"]] = counts
         out = function.machine(inputs, np.empty(function.size_out))
-        nis, used, sound = (out[program.out[name]].item() for name in ("nis", "used", "sound"))
-        if not (0 <= nis < inf and -inf < sound < inf):
+        parts, n = program.out.of(out), self.model.dimension
+        if not (0 <= (nis := parts.nis.item()) < inf and isfinite(parts.sound.item())):
             raise ArithmeticError(
                 "the filter's covariance is no longer positive, or its state no longer finite; begin again from the "
                 "measured positions, or assume more noise"
             )
-        state, extra, sigmas, innovation, memory = (
-            out[program.out[name]] for name in ("state", "extra", "sigmas", "innovation", "memory")
-        )
-        return Estimate(state, extra, sigmas, innovation, nis, int(used), memory)
+        z, used = parts.z, int(parts.used.item())
+        return Estimate(z[:n], z[n:], parts.sigmas, parts.innovation, nis, used, out[: len(memory)])
 
     def ahead(self, estimate: Estimate, commands: Sequence[float]) -> Array:
         """Return the state (N,) after all pending commands, one per period.
@@ -724,7 +736,7 @@ class CompiledEkf(KalmanFilter):
             estimate: present estimate.
             commands: pending commands, oldest first, m/s².
         """
-        inputs, n = self._ahead_inputs, self.program.out["z"].stop
+        inputs, n = self._ahead_inputs, self.program.out.slices.z.stop
         z = estimate.memory[:n]
         for command in commands:
             inputs[:n], inputs[n] = z, command
@@ -737,4 +749,4 @@ class CompiledEkf(KalmanFilter):
         Args:
             estimate: estimate of this filter.
         """
-        return unpacked(estimate.memory[self.program.out["covariance"]])
+        return unpacked(estimate.memory[self.program.out.slices.covariance])

@@ -232,7 +232,7 @@ class Assembly:
         return Ticker(program, controller, schedule=schedule, estimator=estimator, estimator_kind=kind)
 
     def _bounds(self, trust: float) -> dict[str, float]:
-        """Return the numbers by which a tick is judged (`tick.BOUNDS`)."""
+        """Return the numbers by which a tick is judged (`tick.Numbers`)."""
         settings, limits, s = self.settings, self.limits, self.settings.supervisor
         delay = settings.drive.delay
         return {

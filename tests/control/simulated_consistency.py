@@ -88,9 +88,9 @@ def simulated_consistency(
         inputs[program.slices["command"]] = command
         inputs[program.slices["measured"]] = positions
         (program.step if k else program.update)(inputs, out)
-        memory = out[program.out["memory"]].copy()
+        memory = out[: program.out.slices.covariance.stop].copy()
         if k >= settled:
-            nis.append(out[program.out["nis"]][0].copy())
+            nis.append(out[program.out.slices.nis][0].copy())
             if k % every == 0:
                 p = unpacked(memory[size:].T)
                 errors.append(nees((truth - memory[:size]).T, p))
