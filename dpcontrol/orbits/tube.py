@@ -20,8 +20,8 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Reporting, reporting
 from dpcontrol.foundation.shown import Shown
 from dpcontrol.orbits.cut import MOST_PERIODS, Cut, CutSettings, Piece, Sampler, section_points, tube_cut
-from dpcontrol.orbits.lyapunov import PeriodicOrbit
 from dpcontrol.orbits.manifold import UnstableManifold, local_manifold
+from dpcontrol.orbits.orbit import PeriodicOrbit
 
 _MOMENTS = 160
 """Samples of a strand."""

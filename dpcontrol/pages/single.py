@@ -22,7 +22,8 @@ from dpcontrol.judge.run_view import RunView, series_of
 from dpcontrol.logs import RunLog
 from dpcontrol.orbits.cut import Cut, Piece
 from dpcontrol.orbits.family import LyapunovFamily
-from dpcontrol.orbits.lyapunov import LyapunovOrbit, PeriodicOrbit
+from dpcontrol.orbits.lyapunov import LyapunovOrbit
+from dpcontrol.orbits.orbit import PeriodicOrbit
 from dpcontrol.orbits.rotating import RotatingFamily, RotatingOrbit
 from dpcontrol.orbits.tube import Tube
 from dpcontrol.pages import orbits, style

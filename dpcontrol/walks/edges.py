@@ -27,8 +27,9 @@ from dpcontrol.foundation.settings import check_names
 from dpcontrol.foundation.shown import Brief, Shown
 from dpcontrol.orbits.cut import Cut, tube_cut
 from dpcontrol.orbits.lyapunov import LyapunovOrbit, lyapunov_orbit
-from dpcontrol.orbits.manifold import HyperbolicOrbit, OrbitCurve, UnstableManifold, local_manifold, rotating_vertex
+from dpcontrol.orbits.manifold import OrbitCurve, UnstableManifold, local_manifold
 from dpcontrol.orbits.rotating import can_rotate, rotating_orbits
+from dpcontrol.orbits.vertex import HyperbolicOrbit, rotating_vertex
 from dpcontrol.tubes.connections import (
     Connection,
     ConnectionSearch,
