@@ -309,7 +309,7 @@ class FallRecovery:
             ticker: ticker of the run.
         """
         fastest, place = self._plan.limits.velocity, 2 * self._arms + 1
-        speed = abs(report.state.item(place))
+        speed = abs(report.state.item(place, 0))
         if speed < _FAST * fastest or self.motion is Motion.RETURN:
             return ""
         planned = abs(float(ticker.references[k - ticker.began, place]))
