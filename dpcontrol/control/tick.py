@@ -89,7 +89,6 @@ from dpcontrol.control.ekf import (
     FilterEquations,
     Layout,
     Timing,
-    checked_noise,
     pack,
     packed,
     propagated,
@@ -100,7 +99,6 @@ from dpcontrol.control.interface import GainSchedule, Mode, Present, SampledMode
 from dpcontrol.dynamics.compiled import VECTOR, Compiled
 from dpcontrol.dynamics.equations import Equations
 from dpcontrol.foundation.arrays import Array
-from dpcontrol.foundation.errors import InputError
 
 if TYPE_CHECKING:
     from dpcontrol.control.symbolic import SymbolicLaw
@@ -227,8 +225,6 @@ _UNSEEN = 0.2
 """Assumed count of a sensor before its first motion, rad."""
 _BIG = 1e30
 """Bound on all numbers of a sound run, also representable in single precision."""
-LONGEST_DELAY = 1000.0
-"""Periods."""
 UNROLLED = 8
 """Periods of prediction in one function; the loop repeats the prediction for further ones."""
 
@@ -326,82 +322,33 @@ class KnownMechanics(NamedTuple):
         return np.array([(k**2 + own + 1) / below, middle, (k**2 - own + 1) / below, middle, (k**2 - wide + 1) / below])
 
 
-class _Known(NamedTuple):
-    """The parts of a tick's inputs, by their names."""
+_Known = namedtuple("_Known", "memory reading row numbers")
+"""The parts of a tick's inputs."""
+_Acts = namedtuple("_Acts", "ahead drive back coming")
+"""State (N,) at which the command acts, and the cart's acceleration `drive` then, m/s².
 
-    memory: Memory
-    reading: Measurement
-    row: Row
-    numbers: Numbers
+back m/s²: feedback in addition to the row's. coming m/s²: acceleration in the coming period, None if not yet known.
+"""
+_Law = namedtuple("_Law", "forward feedback finite untrusted by_own own")
+"""Feedforward and feedback, m/s².
 
+finite: 1 if both are finite. untrusted: see `TickEquations.law`. by_own, own: feedback and memory of a user's law.
+"""
+_Means = namedtuple("_Means", "nis strain silent distance blind error")
+"""Checked means, see `TickEquations.memory`.
 
-class _Acts(NamedTuple):
-    """State (N,) at which the command acts.
+distance: of this tick, rad. blind: 1 during a restart.
+"""
+_Verdict = namedtuple("_Verdict", "outcome stopped sensor watch")
+"""The decision of a tick.
 
-    drive m/s²: the cart's acceleration then.
+It has the outcome, that which stopped the run or 0, the number of a stuck sensor or 0, and the memory after the watch.
+"""
+_Path = namedtuple("_Path", "forward feedback wish command acting saturated after")
+"""Commands after the law.
 
-    back m/s²: feedback in addition to the row's. coming m/s²: acceleration in the coming period, if already known.
-    """
-
-    ahead: ca.SX
-    drive: ca.SX
-    back: ca.SX
-    coming: ca.SX | None
-
-
-class _Law(NamedTuple):
-    """Feedforward and feedback, m/s².
-
-    finite: 1 if both are finite. untrusted: see `TickEquations.law`. by_own, own: feedback and memory of a user's law.
-    """
-
-    forward: ca.SX
-    feedback: ca.SX
-    finite: ca.SX
-    untrusted: ca.SX
-    by_own: ca.SX
-    own: ca.SX
-
-
-class _Means(NamedTuple):
-    """Checked means, see `TickEquations.memory`.
-
-    distance: of this tick, rad. blind: 1 during a restart.
-    """
-
-    nis: ca.SX
-    strain: ca.SX
-    silent: ca.SX
-    distance: ca.SX
-    blind: ca.SX
-    error: ca.SX
-
-
-class _Verdict(NamedTuple):
-    """The decision of a tick.
-
-    It has the outcome, that which stopped the run or 0, the number of a stuck sensor or 0, and the watch's memory.
-    """
-
-    outcome: ca.SX
-    stopped: ca.SX
-    sensor: ca.SX
-    watch: Memory
-
-
-class _Path(NamedTuple):
-    """Commands after the law.
-
-    Parts, wish and command, m/s², the acceleration, 1 if it was cut, and the memory.
-    """
-
-    forward: ca.SX
-    feedback: ca.SX
-    wish: ca.SX
-    command: ca.SX
-    acting: ca.SX
-    saturated: ca.SX
-    after: Memory
+Parts, wish and command, m/s², the acceleration, 1 if it was cut, and the memory.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -790,7 +737,7 @@ class TickEquations:
         command, memory = ca.vertsplit(out, [0, 1, out.shape[0]])
         return ca.if_else(row.own, command - row.feedforward, 0), memory
 
-    def _stuck(self, known: "_Known", nis: ca.SX, taken: ca.SX | None) -> tuple[ca.SX, Memory]:
+    def _stuck(self, known: _Known, nis: ca.SX, taken: ca.SX | None) -> tuple[ca.SX, Memory]:
         """Return the number of the first stuck sensor, from 1.
 
         The watch's memory follows.
@@ -898,7 +845,7 @@ class TickEquations:
         contradicts = ca.logic_or(evidence >= _SCALE_STUCK, ca.logic_and(idle, ca.logic_not(smallest <= _BIG)))
         return ca.logic_and(contradicts, count * period >= _CART_STILL - period / 2), after
 
-    def _drive(self, known: "_Known", e: Sensed, stuck: tuple[ca.SX, Memory]) -> tuple[ca.SX, ca.SX, Memory]:
+    def _drive(self, known: _Known, e: Sensed, stuck: tuple[ca.SX, Memory]) -> tuple[ca.SX, ca.SX, Memory]:
         """Return the outcome of a drive that the cart does not follow, or 0.
 
         The number of the stuck sensor and the watch's memory follow.
@@ -944,7 +891,7 @@ class TickEquations:
             noise[i, i] = ca.if_else(covariance[i, i] < sigma**2, drift**2 * period, 0)
         return watch._replace(scale=moves @ state, scale_covariance=pack(moves @ covariance @ moves.T + noise))
 
-    def _expected_arms(self, known: "_Known", e: Sensed, watch: ca.SX, acting: ca.SX) -> ca.SX:
+    def _expected_arms(self, known: _Known, e: Sensed, watch: ca.SX, acting: ca.SX) -> ca.SX:
         """Return the drive's watch a period later, after `acting` m/s².
 
         Estimated parameters and errors of the drive adapt to a stuck scale, so they are not used.
@@ -954,7 +901,7 @@ class TickEquations:
         swing, free = (rate(state, a, known.numbers.parameters)[n : 2 * n] for a in (acting, 0))
         return self.drive.predict(watch, acting, swing, swing - free)
 
-    def _finish(self, known: "_Known", e: Sensed, acts: "_Acts", *, predicts: bool) -> tuple[Memory, Report]:
+    def _finish(self, known: _Known, e: Sensed, acts: _Acts, *, predicts: bool) -> tuple[Memory, Report]:
         """Memory and report after the estimate e."""
         law = self._by_law(known, e, acts)
         means = self._means(known, e, predicts=predicts)
@@ -964,7 +911,7 @@ class TickEquations:
             known, e, acts, law, means, verdict, path
         )
 
-    def _by_law(self, known: "_Known", e: Sensed, acts: "_Acts") -> "_Law":
+    def _by_law(self, known: _Known, e: Sensed, acts: _Acts) -> _Law:
         """Feedforward and feedback before limits, and their memory."""
         row, c, size = known.row, known.numbers, self.filter.equations.dimension
         by_row, untrusted = self.law(row, acts.ahead, acts.drive, e.z[size:], c.trust)
@@ -973,7 +920,7 @@ class TickEquations:
         finite = ca.logic_and(e.sound, _finite(row.feedforward + feedback))
         return _Law(row.feedforward, feedback, finite, untrusted, by_own, own)
 
-    def _means(self, known: "_Known", e: Sensed, *, predicts: bool) -> "_Means":
+    def _means(self, known: _Known, e: Sensed, *, predicts: bool) -> _Means:
         """Return means of innovations and of distances.
 
         The distances are those from the reference. The time without measurement is included.
@@ -996,9 +943,7 @@ class TickEquations:
         error = m.error + ca.if_else(seen, (distance - m.error) * min(period / TRACKING_MEMORY, 1), 0)
         return _Means(nis, strain, silent, distance, blind, error)
 
-    def _verdict(
-        self, known: "_Known", e: Sensed, acts: "_Acts", law: "_Law", means: "_Means", *, predicts: bool
-    ) -> "_Verdict":
+    def _verdict(self, known: _Known, e: Sensed, acts: _Acts, law: _Law, means: _Means, *, predicts: bool) -> _Verdict:
         """The outcome, written so that NaN stops the run."""
         m, c, n = known.memory, known.numbers, self.filter.arms
         finite = _all(law.finite, means.nis <= c.lost_estimate, _finite(means.distance + ca.sum1(e.z[:n])))
@@ -1040,7 +985,7 @@ class TickEquations:
         stopped = ca.if_else(outcome >= int(Outcome.ESTIMATE_LOST), outcome, m.stopped)
         return _Verdict(outcome, stopped, sensor, watch)
 
-    def _farthest(self, known: "_Known", acts: "_Acts") -> ca.SX:
+    def _farthest(self, known: _Known, acts: _Acts) -> ca.SX:
         """Return the cart's resting place if it brakes now, or its place if it is farther, m from the centre."""
         m, c, n = known.memory, known.numbers, self.filter.arms
         x, v, sent = acts.ahead[2 * n], acts.ahead[2 * n + 1], m.velocity
@@ -1051,7 +996,7 @@ class TickEquations:
         # Sent commands without an effect yet, for a lagging drive.
         return ca.fmax(farthest, ca.if_else(ca.fabs(sent) > 0, self._stopping_point(x, m.heading, c), -_BIG))
 
-    def _path(self, known: "_Known", e: Sensed, acts: "_Acts", law: "_Law", verdict: "_Verdict") -> "_Path":
+    def _path(self, known: _Known, e: Sensed, acts: _Acts, law: _Law, verdict: _Verdict) -> _Path:
         """Return the command within the drive's limits.
 
         The acceleration in the coming period is included.
@@ -1082,7 +1027,7 @@ class TickEquations:
         )
         return _Path(forward, feedback, wish, shaped, acting, saturated, after)
 
-    def _shaped(self, known: "_Known", command: ca.SX) -> tuple[ca.SX, ca.SX]:
+    def _shaped(self, known: _Known, command: ca.SX) -> tuple[ca.SX, ca.SX]:
         """The command to the drive, and the memory of its shaping."""
         if not self.shapes:
             return command, known.memory.shaped
@@ -1095,8 +1040,8 @@ class TickEquations:
         return shaped, ca.vertcat(b1 * command - a1 * shaped + second, b2 * command - a2 * shaped)
 
     def _memory(
-        self, known: "_Known", e: Sensed, law: "_Law", means: "_Means", verdict: "_Verdict",
-        path: "_Path", *, predicts: bool,
+        self, known: _Known, e: Sensed, law: _Law, means: _Means, verdict: _Verdict,
+        path: _Path, *, predicts: bool,
     ) -> Memory:  # fmt: skip
         """Memory for the next tick."""
         m, period = known.memory, self.filter.period
@@ -1115,7 +1060,7 @@ class TickEquations:
         )  # fmt: skip
 
     def _predicted(
-        self, known: "_Known", e: Sensed, means: "_Means", acting: ca.SX, *, predicts: bool
+        self, known: _Known, e: Sensed, means: _Means, acting: ca.SX, *, predicts: bool
     ) -> tuple[ca.SX, ca.SX]:
         """Return the filter's prediction over the coming period.
 
@@ -1132,8 +1077,8 @@ class TickEquations:
         return following, propagated(jacobian, covariance, noise)
 
     def _report(
-        self, known: "_Known", e: Sensed, acts: "_Acts", law: "_Law", means: "_Means",
-        verdict: "_Verdict", path: "_Path",
+        self, known: _Known, e: Sensed, acts: _Acts, law: _Law, means: _Means,
+        verdict: _Verdict, path: _Path,
     ) -> Report:  # fmt: skip
         """Report for loop and log."""
         m, size, stop = known.memory, self.filter.equations.dimension, verdict.stopped > 0
@@ -1274,11 +1219,7 @@ def whole_periods(delay: float) -> tuple[int, int]:
     Args:
         delay: delay of a command, in periods.
 
-    Raises:
-        InputError: the delay is negative or absurd.
     """
-    if not 0 <= delay <= LONGEST_DELAY:
-        raise InputError(f"run: delay = {delay!r}: must be 0 to {LONGEST_DELAY:g} periods")
     return math.floor(delay), round(delay)
 
 
@@ -1290,8 +1231,7 @@ class TickProgram:
     Arrays have a column for each run and fill whole vectors of the processor, because partial vectors round
     differently. So a single run equals one of many. bounds: see `Numbers`.
 
-    Raises:
-        InputError: the delay is impossible, or the noise (n+1, n+1) is not a covariance.
+    noise (n+1, n+1) is the covariance of the measured positions.
     """
 
     def __init__(
@@ -1328,7 +1268,7 @@ class TickProgram:
         again[arms : 2 * arms], again[2 * arms + 1] = RESTART_RATE, RESTART_VELOCITY
         known = {
             **bounds, "share": delay - whole, "lag": model.lag, "lag_keeps": model.lag_keeps,
-            "noise": packed(checked_noise(noise, arms)),
+            "noise": packed(noise),
             "parameters": model.parameters, "process": settings.process(arms, model.period), "fresh": again**2,
         }  # fmt: skip
         if equations.plays and mechanics is not None:
@@ -1341,8 +1281,6 @@ class TickProgram:
         self._constants[:] = equations.numbers.filled(self.lanes, **known)
         self.memory, self.reading = equations.memory.of(self.stored), equations.reading.of(reading)
         self.numbers = equations.numbers.of(self._constants)
-        self.reading.present[:] = 1.0
-        self._all, self._switched, self._aged = True, 0, False
         self._out = np.empty((equations.memory.size + equations.report.size, self.lanes))
         self._sent: Array = self.memory.sent if unrolls else np.zeros((whole + 2, self.lanes))
         self._kept, told = self._out[: equations.memory.size], self._out[equations.memory.size :]
@@ -1419,20 +1357,12 @@ class TickProgram:
             rate_error: error (n, 1) or (n, lanes) of the rates that the law receives, rad/s; None to keep the last.
             age: age of the reading, s, None if unknown.
         """
-        self.reading.measured[:] = positions
-        if present is not None:
-            # A missing position can have any value.
-            self.reading.present[:] = present if present.ndim > 1 else present[:, None]
-            self._all = False
-        elif not self._all:
-            self.reading.present[:] = 1.0
-            self._all = True
-        if age is not None or self._aged:
-            self.reading.age[:], self._aged = 0.0 if age is None else age, age is not None
-        if switch is not self._switched:
-            self.reading.switch[:] = self._switched = switch
+        seen = self.reading
+        # A missing position can have any value.
+        seen.measured[:], seen.switch[:], seen.age[:] = positions, switch, 0.0 if age is None else age
+        seen.present[:] = 1.0 if present is None else present if present.ndim > 1 else present[:, None]
         if rate_error is not None:
-            self.reading.rate_error[:] = rate_error
+            seen.rate_error[:] = rate_error
 
     def tick(self) -> None:
         """Compute a whole tick with the row in `row`."""

@@ -463,10 +463,11 @@ class FallRecovery:
         since = (k - seen) * period
         if since < _LOOKS:
             return
-        self._seen = k, ticker.cart_reading
-        drift = (ticker.cart_reading - where) / since
+        cart = ticker.program.reading.measured[-1, 0].item()
+        self._seen, drift = (k, cart), (cart - where) / since
         if since < 2 * _LOOKS and report.done.item(0) and abs(drift) > _DRIFTS:
-            ticker.brake_from(drift)
+            # Braking continues from the measured velocity instead of the commanded one.
+            ticker.program.memory.velocity[:] = drift
 
     def _is_reliable(self, k: int, report: Report, ticker: Ticker, period: float) -> bool:
         """True if the cart is still and the filter is right.
@@ -475,7 +476,11 @@ class FallRecovery:
         """
         # Arms at rest give constant readings, like a stuck sensor. After a time limit, the sensor is used again.
         since = k - self._began
-        stuck = self._why is Outcome.STUCK and since * period < _STUCK and ticker.repeats(self._sensor) >= since
+        stuck = (
+            self._why is Outcome.STUCK
+            and since * period < _STUCK
+            and ticker.program.memory.same[self._sensor - 1, 0] >= since
+        )
         lost = not report.mean_nis.item(0) <= ticker.program.numbers.lost_estimate.item(0)
         if stuck or lost or report.silent.item(0):
             self._lost_at = k

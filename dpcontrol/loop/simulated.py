@@ -335,8 +335,6 @@ class SimulatedBench:
         queued: Sequence[Any] = (), lanes: Lanes = ONE,
     ) -> None:  # fmt: skip
         draw, n = draws[0], draws[0].plant.arms.count
-        if np.shape(start)[-1:] != (2 * n + 2,):
-            raise InputError(f"the first state has shape {np.shape(start)}: {n} arms on a cart need ({2 * n + 2},)")
 
         def joined(drawn: list[Array]) -> Array:
             """Return drawn values.

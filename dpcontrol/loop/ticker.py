@@ -309,14 +309,6 @@ class Ticker:
             measured = self.program.reading.measured[:, 0].copy()
             self._estimate = self.estimator.restarted(self._estimate, measured)
 
-    def repeats(self, sensor: int) -> float:
-        """Return the number of ticks with a constant reading.
-
-        Args:
-            sensor: number of the sensor, counted from 1: the inner arm's encoder first, the cart's scale last.
-        """
-        return float(self.program.memory.same[sensor - 1, 0])
-
     def resynchronise(self, k: int) -> str:
         """Move the law's clock to the nearest phase.
 
@@ -349,19 +341,6 @@ class Ticker:
         """
         self.program.memory.stopped[:] = float(Outcome.TRACKING_LOST)
         self.freeze_reference(k)
-
-    @property
-    def cart_reading(self) -> float:
-        """The last measured position of the cart, m."""
-        return float(self.program.reading.measured[self._arms, 0])
-
-    def brake_from(self, velocity: float) -> None:
-        """Continue braking from a velocity other than the commanded one.
-
-        Args:
-            velocity: velocity of the cart, m/s.
-        """
-        self.program.memory.velocity[:] = velocity
 
     def rehearse(self) -> None:
         """Run ticks and discard them, to load everything before the first deadline.
