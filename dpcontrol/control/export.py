@@ -78,15 +78,10 @@ class Figures(NamedTuple):
     """Total size of the tables."""
     tables_per_second: float
     """Size per second of reference, 0 for a constant law and reference."""
-    coarser_per_second: float
-    """Size with gains at every `COARSER`-th tick and linear interpolation."""
-    coarser_error: float
-    """Largest interpolation error of a gain, as a share of its maximum."""
     seconds_a_tick: float | None
     """Duration of a tick from its operations, at the stated clock."""
 
 
-COARSER = 10
 CYCLES = {True: 5.0, False: 60.0}
 """Clock cycles per operation on a Cortex-M4, in single precision by its instructions, and in double by software."""
 
@@ -167,8 +162,8 @@ class _Tables(NamedTuple):
 
 
 def _tables(equations: TickEquations, schedule: GainSchedule) -> _Tables:
-    row, n = equations.row.of(schedule.rows.T), equations.filter.arms
-    law = np.concatenate([getattr(row, name) for name in _law_parts(equations)]).T
+    row, where, n = equations.row.of(schedule.rows.T), equations.row.slices, equations.filter.arms
+    law = np.concatenate([schedule.rows[:, : where.gains.stop], schedule.rows[:, where.state.stop : -n]], axis=1)
     states, last = schedule.references, len(schedule.references) - 1
     acts = np.minimum(np.arange(len(law)) + equations.lead, last)
     assert np.array_equal(row.state.T, states[acts])
@@ -187,24 +182,10 @@ def _tables(equations: TickEquations, schedule: GainSchedule) -> _Tables:
     )
 
 
-def _law_parts(equations: TickEquations) -> list[str]:
-    return [name for name in equations.row.names if name not in ("state", "wanted")]
-
-
 def _without_end(rows: Array) -> Array:
     """Return the rows up to the first of the final equal ones."""
     differing = np.flatnonzero((rows != rows[-1]).any(axis=1))
     return rows[: differing[-1] + 2 if len(differing) else 1]
-
-
-def _error_between(law: Array) -> float:
-    """Return the interpolation error between every `COARSER`-th row.
-
-    The interpolation error is relative to each column's maximum.
-    """
-    places = np.arange(len(law))
-    lines = [np.interp(places, places[::COARSER], column[::COARSER]) for column in law.T]
-    return float(np.max(np.abs(np.array(lines).T - law).max(0) / np.maximum(np.abs(law).max(0), 1e-300)))
 
 
 _ARGUMENTS = ("memory", "measured", "present", "offset", "limit_switch", "age", "law", "acts", "now")
@@ -362,8 +343,7 @@ def controller_source(
         operations=function.n_instructions(), code=code, stack=stack,
         memory=width * equations.memory.size + ctypes.sizeof(ctypes.c_long),
         tables=width * count, tables_per_second=per_second,
-        coarser_per_second=width * (tables.law.size / COARSER + tables.states.size) / seconds,
-        coarser_error=_error_between(tables.law), seconds_a_tick=takes,
+        seconds_a_tick=takes,
     )  # fmt: skip
     shown = figures._asdict()
     known |= {f"BYTES_{name.upper()}": kibibytes(shown[name]) for name in _SHOWN}
