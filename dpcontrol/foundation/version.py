@@ -3,6 +3,7 @@
 from pathlib import Path
 
 VERSION = "0.2.0"
+__version__ = VERSION
 PROGRAM = f"dpcontrol {VERSION}"
 """Name of the program in files that it writes."""
 PACKAGE = Path(__file__).parent.parent
