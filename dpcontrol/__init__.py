@@ -84,8 +84,8 @@ if TYPE_CHECKING:
         symbol_changes,
         write_recording,
     )
+    from dpcontrol.foundation.version import __version__ as __version__
 
-__version__ = "0.2.0"
 __all__ = [
     "BenchAddress",
     "CampaignSettings",
@@ -171,12 +171,13 @@ _HOMES = {
     "NightSettings": "dpcontrol.runs.night",
     "Reading": "dpcontrol.loop.result",
     "ReplaySettings": "dpcontrol.identification.replay",
+    "__version__": "dpcontrol.foundation.version",
 }
-"""Modules of classes that `dpcontrol.api` does not import at once."""
+"""Modules of names that `dpcontrol.api` does not import at once."""
 
 
 def __getattr__(name: str) -> object:
-    if name not in __all__:
+    if name not in __dir__():
         raise AttributeError(f"module 'dpcontrol' has no attribute {name!r}")
     import importlib
 

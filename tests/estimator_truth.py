@@ -83,11 +83,10 @@ class _Recorder:
 
     def __call__(self, k, reading, rate_error=None):
         report = self._ticker(k, reading, rate_error)
-        sizes = self._ticker.program.equations.report.slices
-        self.nis.append(report[sizes["nis"]][0].copy())
+        self.nis.append(report.nis[0].copy())
         if k in self._ticks:
-            estimate = np.concatenate([report[sizes["state"]], report[sizes["extra"]]])
-            self.kept.append((self._bench.truth.copy(), estimate, report[sizes["sigmas"]].copy()))
+            estimate = np.concatenate([report.state, report.extra])
+            self.kept.append((self._bench.truth.copy(), estimate, report.sigmas.copy()))
         return report
 
 

@@ -77,6 +77,20 @@ def _circles() -> list[list[str]]:
     return sorted(sorted(circle) for circle in nx.strongly_connected_components(graph) if len(circle) > 1)
 
 
+def _imports_of_the_top(tree: ast.Module) -> Iterator[str]:
+    """What a module imports of the top package itself."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names if alias.name == "dpcontrol")
+        elif isinstance(node, ast.ImportFrom) and node.module == "dpcontrol":
+            yield from (alias.name for alias in node.names)
+
+
+def test_no_module_imports_the_top_package_but_verbs_import_its_functions() -> None:
+    imports = {(name.split("/")[0], what) for name, tree in modules().items() for what in _imports_of_the_top(tree)}
+    assert imports == {("cli", "api")}
+
+
 def test_the_package_has_no_more_statements_than_recorded() -> None:
     assert sum(map(_statements, modules().values())) <= RECORD["statements"]
 

@@ -466,7 +466,7 @@ class FollowedReference:
         assumed, rate = self.assembly.delay, self.assembly.settings.rate
         drive = replace(self.assembly.settings.drive, response=gain, lag=lag, delay=assumed + delay * rate)
         other = self.assembly.under(replace(self.assembly.settings, drive=drive))
-        runs = replace(other, law=self.assembly.controller, believed_delay=assumed).batch(range(self.seeds))
+        runs = replace(other, believed_delay=assumed).batch(range(self.seeds))
         most = SHAKEN * self.assembly.limits.acceleration / gain
         failed = list(filter(None, (failure_of(run, most=most) for run in runs)))
         return Attempt(2 * len(failed) < self.seeds, next(iter(failed), ""))

@@ -190,7 +190,7 @@ class LinkProblem:
                 scale = self.system.scale**2
                 if float(np.sum(nearest.vector * manifold.vector / scale)) < 0:
                     # A branch must denote the same side of the orbit at all energies.
-                    manifold.__dict__["vector"] = -manifold.vector
+                    manifold = replace(manifold, side=-1)
             self._manifolds[saddle, energy] = manifold
         return self._manifolds[saddle, energy]
 

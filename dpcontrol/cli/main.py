@@ -22,10 +22,10 @@ from typing import Any
 import click
 from click.shell_completion import CompletionItem
 
-import dpcontrol
 from dpcontrol.cli.verbs import Call, print_json, print_message
 from dpcontrol.foundation.errors import GoalMissed, InputError, InputErrors, PartMissing, Remark, concise, printable
 from dpcontrol.foundation.interrupts import ended_by, forget_interrupts, interrupts
+from dpcontrol.foundation.version import PACKAGE, PROGRAM, VERSION
 
 GROUPS = {
     "Start": {
@@ -76,7 +76,7 @@ GROUPS = {
 VERBS = {verb: entry for verbs in GROUPS.values() for verb, entry in verbs.items()}
 
 
-_INSTALLED = (sys.prefix, sys.base_prefix, dpcontrol.__file__.removesuffix("__init__.py"))
+_INSTALLED = (sys.prefix, sys.base_prefix, f"{PACKAGE}{os.sep}")
 """Folders of libraries and of this program."""
 
 
@@ -155,9 +155,7 @@ class _Verbs(click.Group):
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
     epilog="Start with `dpcontrol demo`, then `dpcontrol guide`. Every verb has --help with an example, and --json.",
 )
-@click.version_option(
-    dpcontrol.__version__, prog_name="dpcontrol", help="Version, and with --json the versions of all parts."
-)
+@click.version_option(VERSION, prog_name="dpcontrol", help="Version, and with --json the versions of all parts.")
 @click.option(
     "--debug", is_flag=True, expose_value=False, help="Tracebacks and libraries' warnings on stderr; also after a verb."
 )
@@ -301,7 +299,7 @@ def _unforeseen(error: Exception, arguments: Sequence[str]) -> str:
     The returned message asks for a report.
     """
     trace = "".join(traceback.format_exception(error))
-    program = f"dpcontrol {dpcontrol.__version__}, Python {sys.version}, {sys.platform}"
+    program = f"{PROGRAM}, Python {sys.version}, {sys.platform}"
     what = f"internal error of dpcontrol, {' '.join(f'{type(error).__name__}: {error}'.split())[:_MOST]}"
     try:
         handle, name = tempfile.mkstemp(prefix="dpcontrol-error-", suffix=".txt")

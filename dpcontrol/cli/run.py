@@ -348,7 +348,7 @@ def export_command(
     tvlqr, adaptive, lqr, feedforward. Settings of the bench, such as --mismatch, only change the simulated run that
     `make check` replays.
     """
-    from dpcontrol.control.export import COARSER, kibibytes
+    from dpcontrol.control.export import kibibytes
     from dpcontrol.plans.itinerary import load_itinerary
     from dpcontrol.plans.plan import make_plan
     from dpcontrol.runs.run import check_exportable, export_plan, export_unit
@@ -373,10 +373,8 @@ def export_command(
         "unit" if unit else "folder": out, "files": [] if unit else list(source.files), "identity": source.identity,
         "precision": "single" if single else "double", "rate": rate, **figures._asdict(),
     }  # fmt: skip
-    coarser = f"{kibibytes(figures.coarser_per_second)} with gains at every {COARSER}th tick and lines between"
     halves = f"at {rate / 2:g} Hz half of it" + ("" if single else ", with --float half")
-    grows = f", {kibibytes(figures.tables_per_second)} for each second; {halves}, {coarser} "
-    grows += f"(wrong by {figures.coarser_error:.1%} at most)"
+    grows = f", {kibibytes(figures.tables_per_second)} for each second; {halves}"
     lines = [
         f"{out}: controller of {scene.name} in {document['precision']} precision, {rate:g} Hz",
         f"  code    {kibibytes(figures.code)} by gcc -O2 on this computer, {figures.operations:,} operations a tick",

@@ -16,9 +16,9 @@ and the part of this motion that is due to the commands. Their errors are r and 
 but -s on one that stands. If Σ (r s + s²/2) < 0, the arms contradict the commands, and the drive is the cause.
 """
 
+from collections import namedtuple
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -39,18 +39,15 @@ _COUNTS, _SIGMAS, _ACCELERATION = 2.0, 6.0, 1.0
 """Motion that must be visible: counts, standard deviations, m/s²."""
 
 
-class CartReading(NamedTuple):
-    """The cart in a tick.
+_Memory = namedtuple("_Memory", "read due late lagged arms driven peak lasts against doubt")
 
-    fresh: 1 if it was measured. repeats: 1 if its reading is the last one. moved (n+1,): changes of the readings since
-    the last ones, rad and m. ahead m: the cart's motion during the reading's age. visible m: see `DriveWatch.visible`.
-    """
 
-    fresh: ca.SX
-    repeats: ca.SX
-    moved: ca.SX
-    ahead: ca.SX
-    visible: ca.SX
+CartReading = namedtuple("CartReading", "fresh repeats moved ahead visible")
+"""The cart in a tick.
+
+fresh: 1 if it was measured. repeats: 1 if its reading is the last one. moved (n+1,): changes of the readings since the
+last ones, rad and m. ahead m: the cart's motion during the reading's age. visible m: see `DriveWatch.visible`.
+"""
 
 
 @dataclass(frozen=True)
@@ -66,7 +63,7 @@ class DriveWatch:
     period: float
 
     @cached_property
-    def memory(self) -> Layout:
+    def memory(self) -> Layout[_Memory]:
         """Values stored from tick to tick.
 
         read, due, late (2): y, c and c', m, and their rates, m/s. lagged: acceleration with more lag, m/s².
@@ -78,17 +75,7 @@ class DriveWatch:
         contradict them.
         """
         arms = 2 * self.arms
-        return Layout(
-            read=2, due=2, late=2, lagged=1, arms=arms, driven=arms, peak=1, lasts=1, against=1, doubt=1,
-        )  # fmt: skip
-
-    def parts(self, memory: ca.SX) -> dict[str, ca.SX]:
-        """Return the parts of a memory by their names.
-
-        Args:
-            memory: memory of the watch.
-        """
-        return {name: memory[where] for name, where in self.memory.slices.items()}
+        return Layout(_Memory(2, 2, 2, lagged=1, arms=arms, driven=arms, peak=1, lasts=1, against=1, doubt=1))
 
     @property
     def time(self) -> float:
@@ -118,7 +105,7 @@ class DriveWatch:
             velocity: velocity of the cart, m/s.
             rates: rates (n,) of the arms, rad/s.
         """
-        return self.memory.filled({"read": np.array([0.0, -velocity]), "arms": np.append(0 * rates, -rates)})
+        return self.memory.filled(read=np.array([0.0, -velocity]), arms=np.append(0 * rates, -rates))
 
     def update(self, memory: ca.SX, cart: CartReading) -> ca.SX:
         """Return the memory after a reading and before the next command.
@@ -127,7 +114,7 @@ class DriveWatch:
             memory: memory of the watch.
             cart: the cart's reading.
         """
-        m = self.parts(memory)
+        m = self.memory.of(memory)._asdict()
         gaps = {name: m[name][: m[name].shape[0] // 2] for name in _OBSERVERS}
         gaps["read"] += cart.moved[self.arms]
         gaps["arms"] += cart.moved[: self.arms]
@@ -151,7 +138,8 @@ class DriveWatch:
             rate = m[name][gap.shape[0] :] - (1 - keeps) ** 2 / self.period * gap
             after[name] = ca.vertcat(gaps[name] - (1 - keeps**2) * gap, rate)
         # Without a reading, no observer is corrected.
-        return self.memory.joined(m | {name: ca.if_else(cart.fresh, value, m[name]) for name, value in after.items()})
+        taken = {name: ca.if_else(cart.fresh, value, m[name]) for name, value in after.items()}
+        return self.memory.joined(_Memory(**m | taken))
 
     def predict(self, memory: ca.SX, acting: ca.SX, swing: ca.SX, driven: ca.SX) -> ca.SX:
         """Return the memory at the next reading.
@@ -162,12 +150,12 @@ class DriveWatch:
             swing: modelled accelerations (n,) of the arms until then, rad/s².
             driven: the part (n,) of these that is due to the commands, rad/s².
         """
-        m, period = self.parts(memory), self.period
+        m, period = self.memory.of(memory)._asdict(), self.period
         m["lagged"] = acting + float(np.exp(-period / _LATER)) * (m["lagged"] - acting)
         for name, acceleration in zip(_OBSERVERS, (ca.SX(0), acting, m["lagged"], -swing, driven), strict=True):
             gap, rate = ca.vertsplit(m[name], m[name].shape[0] // 2)
             m[name] = ca.vertcat(gap + rate * period + acceleration * period**2 / 2, rate + acceleration * period)
-        return self.memory.joined(m)
+        return self.memory.joined(_Memory(**m))
 
 
 _OBSERVERS = ("read", "due", "late", "arms", "driven")

@@ -1,8 +1,7 @@
 """The extended Kalman filter as machine code, for one run or many.
 
-`EkfProgram` is the filter's step as one function, with its inputs and outputs in arrays (M,) or (M, S). `CompiledEkf`
-calls it for one run, so both give the same estimates. The step computes state and extras, covariance, innovation and
-NIS:
+The filter's step is one function, with its inputs and outputs in arrays (M,) or (M, S). `CompiledEkf` calls it for one
+run. The step computes state and extras, covariance, innovation and NIS:
 
     predict:  z⁻ = F(z, u),  P⁻ = A P Aᵀ + Q(z)         update:  y = wrap(m - H z⁻),  S = W (H P⁻ Hᵀ + R) W + I - W,
     K = P⁻ Hᵀ W S⁻¹,  z = z⁻ + K y,  P = (I - K H) P⁻ (I - K H)ᵀ + K R Kᵀ,  NIS = yᵀ S⁻¹ y
@@ -18,11 +17,12 @@ Source: Bar-Shalom, Li & Kirubarajan, Estimation with Applications to Tracking a
 """
 
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections import namedtuple
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from math import inf
-from typing import NamedTuple
+from math import inf, isfinite
+from typing import Any, Generic, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -36,41 +36,55 @@ from dpcontrol.control.interface import Estimate, Estimator, Present, SampledMod
 from dpcontrol.dynamics.compiled import Compiled
 from dpcontrol.dynamics.equations import Equations
 from dpcontrol.foundation.arrays import Array
-from dpcontrol.foundation.errors import InputError
+
+Parts = TypeVar("Parts")
 
 
-class Layout:
-    """Contiguous named parts of a vector: name=length."""
+class Layout(Generic[Parts]):
+    """Contiguous parts of a vector, which a named tuple of their lengths declares.
 
-    def __init__(self, **sizes: int) -> None:
-        ends = np.cumsum([*sizes.values()])
-        self.slices = {name: slice(int(end - n), int(end)) for (name, n), end in zip(sizes.items(), ends, strict=True)}
-        """Range of each part by name."""
-        self.size = int(ends[-1])
+    A part that a vector lacks has length 0.
+    """
 
-    def symbols(self, name: str) -> tuple[ca.SX, dict[str, ca.SX]]:
+    def __init__(self, lengths: Any) -> None:
+        ends = np.cumsum(lengths).tolist()
+        self.size: int = ends[-1]
+        self.slices: Any = lengths._make(slice(end - n, end) for n, end in zip(lengths, ends, strict=True))
+        """Range of each part."""
+        self.names = [name for name, length in lengths._asdict().items() if length]
+        """Names of the parts that the vector has."""
+
+    def of(self, vector: Any) -> Parts:
+        """Return the parts of a vector, which share its memory.
+
+        Args:
+            vector: expression (size,), or numbers (size,) or (size, runs).
+        """
+        return self.slices._make(vector[where] for where in self.slices)
+
+    def symbols(self, name: str) -> tuple[ca.SX, Parts]:
         """Return a vector of symbols and its parts.
 
         Args:
             name: name of the vector.
         """
         vector = ca.SX.sym(name, self.size)
-        return vector, {part: vector[where] for part, where in self.slices.items()}
+        return vector, self.of(vector)
 
-    def joined(self, parts: Mapping[str, ca.SX]) -> ca.SX:
+    def joined(self, parts: Parts) -> ca.SX:
         """Return the vector of these parts.
 
         Args:
-            parts: all parts by name, (length,).
+            parts: all parts, (length,).
         """
-        return ca.densify(ca.vertcat(*(parts[name] for name in self.slices)))
+        return ca.densify(ca.vertcat(*(getattr(parts, name) for name in self.names)))
 
-    def filled(self, parts: Mapping[str, Array | float], runs: int | None = None) -> Array:
+    def filled(self, runs: int | None = None, **parts: Array | float) -> Array:
         """Return the vector of numbers, with zeros for missing parts.
 
         Args:
-            parts: values by name, numbers, (length,) or (length, runs).
             runs: number of runs; None for one.
+            **parts: values by name, numbers, (length,) or (length, runs).
 
         Returns:
             Vector (size,), or (size, runs).
@@ -78,7 +92,7 @@ class Layout:
         out = np.zeros(self.size if runs is None else (self.size, runs))
         for name, value in parts.items():
             given = np.asarray(value, dtype=float)
-            out[self.slices[name]] = given[:, None] if runs is not None and given.ndim == 1 else given
+            out[getattr(self.slices, name)] = given[:, None] if runs is not None and given.ndim == 1 else given
         return out
 
 
@@ -171,14 +185,8 @@ def _inverse(matrix: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
     return back.T @ ca.diag(1 / d) @ back, back, d
 
 
-class Timing(NamedTuple):
-    """Timing of a reading.
-
-    Age in s before its tick, and variance of the unknown part, s².
-    """
-
-    age: ca.SX
-    variance: ca.SX
+Timing = namedtuple("Timing", "age variance")
+"""Timing of a reading: its age in s before its tick, and the variance of the unknown part, s²."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -477,24 +485,6 @@ RESTART_VELOCITY = 1.0
 """Standard deviation of the cart velocity after a restart, m/s."""
 
 
-def checked_noise(noise: Array, arms: int) -> Array:
-    """Return R (n+1, n+1), a covariance of the measured positions.
-
-    Args:
-        noise: matrix (n+1, n+1) to check, rad² and m².
-        arms: number n of arms.
-
-    Raises:
-        InputError: The shape is wrong or the matrix is not a covariance.
-    """
-    r, m = np.array(noise, dtype=float), arms + 1
-    if r.shape != (m, m):
-        raise InputError(f"measurement noise has shape {r.shape}: {arms} arms need ({m}, {m})")
-    if not np.isfinite(r).all() or np.abs(r - r.T).max() > 1e-12 * np.abs(r).max() or np.linalg.eigvalsh(r).min() <= 0:
-        raise InputError("measurement noise must be a positive definite covariance")
-    return r
-
-
 @lru_cache(maxsize=32)
 def _compiled(
     equations: Equations, period: float, augments: tuple[Augment, ...]
@@ -508,121 +498,30 @@ def _compiled(
     return made, step, update, Compiled(made.prediction(with_jacobian=False))
 
 
-class EkfProgram:
-    """The filter of one model, laid out for one or many runs.
-
-    `step` and `update` take `inputs` (M,) or (M, S); `slices` holds the slices of memory, command, measured, present,
-    noise, parameters and process. Outputs begin with the memory for the next tick; `out` holds the slices of the
-    rest. Missing positions also need finite values.
-    """
-
-    def __init__(self, model: SampledModel, settings: FilterSettings) -> None:
-        self.model = model
-        self.settings = settings
-        self.equations, self.step, self.update, self.ahead = _compiled(model.equations, model.period, settings.augments)
-        """Map the inputs of a prediction to the next z (N+E,), without a measurement."""
-        size, m = self.equations.dimension, model.arms + 1
-        covariance = size * (size + 1) // 2
-        self.out = Layout(z=size, covariance=covariance, sigmas=size, innovation=m, nis=1, used=1, sound=1).slices
-        """Slices of the outputs by name."""
-        self.out["memory"] = slice(0, self.out["covariance"].stop)
-        self.out["state"] = slice(0, model.dimension)
-        self.out["extra"] = slice(model.dimension, size)
-        self.process = settings.process(model.arms, model.period)
-        self.slices = self.step.slices
-        """Slices of the inputs by name."""
-
-    def first(self, state: Array, sigmas: Array | None = None) -> Array:
-        """Return the memory for an initial state.
-
-        Args:
-            state: state (N,) or states (N, S).
-            sigmas: standard deviations (N+E,); defaults to those of the settings.
-        """
-        arms, shape = self.model.arms, np.shape(state)[1:]
-        one = packed(np.diag(np.square(self.settings.first_sigmas(arms) if sigmas is None else sigmas)))
-        extra = np.zeros((self.equations.dimension - self.model.dimension, *shape))
-        covariance = one.reshape(-1, *(1 for _ in shape)) * np.ones(shape)
-        return np.concatenate([np.asarray(state, dtype=float), extra, covariance])
-
-    def restarted(self, state: Array, measured: Array) -> tuple[Array, Array]:
-        """Return memory and standard deviations (N+E,) of a reset estimate.
-
-        Args:
-            state: last estimate (N,), whose finite rates are kept.
-            measured: positions (n+1,), rad and m.
-
-        Raises:
-            InputError: a measured position is missing or not finite.
-        """
-        model, arms = self.model, self.model.arms
-        z = np.asarray(measured, dtype=float)
-        if z.shape != (arms + 1,) or not np.isfinite(z).all():
-            raise InputError(f"measured = {z.tolist()!r}: a restart needs {arms + 1} finite positions")
-        x = np.where(np.isfinite(state), state, 0.0)
-        x[arms : 2 * arms] = np.clip(x[arms : 2 * arms], -3 * RESTART_RATE, 3 * RESTART_RATE)
-        x[-1] = np.clip(x[-1], -3 * RESTART_VELOCITY, 3 * RESTART_VELOCITY)
-        x[model.position_indices] = z
-        sigmas = self.settings.first_sigmas(arms)
-        sigmas[arms : 2 * arms] = RESTART_RATE
-        sigmas[2 * arms + 1] = RESTART_VELOCITY
-        return self.first(x, sigmas), sigmas
-
-    def inputs(self, noise: Array, *, runs: int | None = None) -> Array:
-        """Return the inputs of the filter's functions.
-
-        All positions are present, and everything unknown is zero.
-
-        Args:
-            noise: covariance R (n+1, n+1) of the measured positions.
-            runs: number of runs; None for one.
-
-        Returns:
-            Inputs (M,), or (M, runs).
-
-        Raises:
-            InputError: the noise has the wrong shape or is no covariance.
-        """
-        out = np.zeros(self.step.size_in if runs is None else (self.step.size_in, runs))
-        known = {
-            "noise": packed(checked_noise(noise, self.model.arms)),
-            "parameters": self.model.parameters,
-            "process": self.process,
-            "present": np.ones(self.model.arms + 1),
-        }
-        for name, value in known.items():
-            out[self.slices[name]] = value if runs is None else value[:, None]
-        return out
+_Outputs = namedtuple("_Outputs", "z covariance sigmas innovation nis used sound")
 
 
 class KalmanFilter(Estimator):
     """Base of all filters, which compiles the model's equations.
 
-    Model, settings, measurement noise (n+1, n+1) and compiled equations.
-
-    Raises:
-        InputError: The noise has the wrong shape or is not a covariance.
+    The functions `whole` and `correct` are the step and the measurement update alone; `ahead_of` is the prediction.
     """
 
     def __init__(self, model: SampledModel, settings: FilterSettings, *, noise: Array) -> None:
-        self.model, self.settings = model, settings
-        self.noise = checked_noise(noise, model.arms)
-        self.program = EkfProgram(model, settings)
-        self.kind, self.extra_names = settings.kind, self.program.equations.extra_names
+        self.model, self.settings, self.noise = model, settings, noise
+        compiled = _compiled(model.equations, model.period, settings.augments)
+        self.equations, self.whole, self.correct, self.ahead_of = compiled
+        self.process = settings.process(model.arms, model.period)
+        self.kind, self.extra_names = settings.kind, self.equations.extra_names
 
     def first(self, state: Array) -> Estimate:
         """Return the estimate before any measurement.
 
         Args:
             state: initial state (N,), to which the settings give the standard deviations.
-
-        Raises:
-            InputError: the state has the wrong shape.
         """
-        x = np.array(state, dtype=float)
-        if x.shape != (self.model.dimension,):
-            raise InputError(f"state has shape {x.shape}: the filter's model needs ({self.model.dimension},)")
-        return self._begun(self.program.first(x), self.settings.first_sigmas(self.model.arms))
+        z = np.append(state, np.zeros(len(self.extra_names)))
+        return self._begun(z, self.settings.first_sigmas(self.model.arms))
 
     def restarted(self, estimate: Estimate, measured: Array) -> Estimate:
         """Return an estimate reset to measured positions, for recovery.
@@ -631,34 +530,43 @@ class KalmanFilter(Estimator):
 
         Args:
             estimate: last estimate.
-            measured: positions (n+1,), rad and m.
-
-        Raises:
-            InputError: a measured position is missing or not finite.
+            measured: positions (n+1,), rad and m; those that are not finite are kept as well.
         """
-        return self._begun(*self.program.restarted(estimate.state, measured))
+        arms, places = self.model.arms, self.model.position_indices
+        x = np.where(np.isfinite(estimate.state), estimate.state, 0.0)
+        x[arms : 2 * arms] = np.clip(x[arms : 2 * arms], -3 * RESTART_RATE, 3 * RESTART_RATE)
+        x[-1] = np.clip(x[-1], -3 * RESTART_VELOCITY, 3 * RESTART_VELOCITY)
+        x[places] = np.where(np.isfinite(measured), measured, x[places])
+        sigmas = self.settings.first_sigmas(arms)
+        sigmas[arms : 2 * arms], sigmas[2 * arms + 1] = RESTART_RATE, RESTART_VELOCITY
+        return self._begun(np.append(x, np.zeros(len(self.extra_names))), sigmas)
 
     @abstractmethod
-    def _begun(self, memory: Array, sigmas: Array) -> Estimate:
-        """Return the estimate of a program's first memory.
-
-        The standard deviations are (N+E,).
-        """
+    def _begun(self, z: Array, sigmas: Array) -> Estimate:
+        """Return the estimate z (N+E,) with independent errors of the standard deviations (N+E,)."""
 
 
 class CompiledEkf(KalmanFilter):
-    """The extended Kalman filter for one sampled model; an `Estimator`. Not thread-safe."""
+    """The extended Kalman filter for one sampled model; an `Estimator`. Not thread-safe.
+
+    Attributes:
+        inputs: of `whole` and `correct`, (M,); missing positions also need finite values.
+        out: layout of their outputs, of which z and covariance are the memory for the next tick.
+    """
 
     def __init__(self, model: SampledModel, settings: FilterSettings, *, noise: Array) -> None:
         super().__init__(model, settings, noise=noise)
-        self._inputs = self.program.inputs(noise)
-        self._ahead_inputs = np.zeros(self.program.ahead.size_in)
-        for name, value in (("parameters", model.parameters), ("process", self.program.process)):
-            self._ahead_inputs[self.program.ahead.slices[name]] = value
+        size, m, slices = self.equations.dimension, model.arms + 1, self.whole.slices
+        self.out = Layout[_Outputs](_Outputs(size, size * (size + 1) // 2, size, m, 1, 1, 1))
+        self.inputs, self._ahead_inputs = np.zeros(self.whole.size_in), np.zeros(self.ahead_of.size_in)
+        self.inputs[slices["noise"]] = packed(noise)
+        for inputs, places in ((self.inputs, slices), (self._ahead_inputs, self.ahead_of.slices)):
+            inputs[places["parameters"]], inputs[places["process"]] = model.parameters, self.process
 
-    def _begun(self, memory: Array, sigmas: Array) -> Estimate:
-        out, still = self.program.out, np.zeros(self.model.arms + 1)
-        return Estimate(memory[out["state"]], memory[out["extra"]], sigmas, still, float("nan"), 0, memory)
+    def _begun(self, z: Array, sigmas: Array) -> Estimate:
+        n, still = self.model.dimension, np.zeros(self.model.arms + 1)
+        memory = np.append(z, packed(np.diag(np.square(sigmas))))
+        return Estimate(z[:n], z[n:], sigmas, still, float("nan"), 0, memory)
 
     def update(self, estimate: Estimate, measured: Array, present: Present = None) -> Estimate:
         """Return the estimate after a measurement.
@@ -669,50 +577,40 @@ class CompiledEkf(KalmanFilter):
             present: flags (n+1,) of the valid positions.
 
         Raises:
-            InputError: the measurement or the estimate has the wrong shape.
             ArithmeticError: the estimate is no longer finite, or its covariance no longer positive.
         """
-        return self._called(self.program.update, estimate, measured, present)
+        return self._called(self.correct, estimate, measured, present)
 
     def step(self, estimate: Estimate, command: float, measured: Array, present: Present = None) -> Estimate:
         """Return the estimate a period later.
 
         Args:
             estimate: estimate one tick earlier.
-            command: acceleration of the cart during the period, m/s².
+            command: acceleration of the cart, m/s².
             measured: positions (n+1,), rad and m.
             present: True for each valid position (n+1,), None if all are valid.
 
         Raises:
-            InputError, ArithmeticError: see `update`.
+            ArithmeticError: see `update`.
         """
-        self._inputs[self.program.slices["command"]] = command
-        return self._called(self.program.step, estimate, measured, present)
+        self.inputs[self.whole.slices["command"]] = command
+        return self._called(self.whole, estimate, measured, present)
 
     def _called(self, function: Compiled, estimate: Estimate, measured: Array, present: Present) -> Estimate:
-        program, inputs = self.program, self._inputs
-        memory, positions = inputs[program.slices["memory"]], inputs[program.slices["measured"]]
-        if measured.shape != positions.shape or len(estimate.memory) != len(memory):
-            raise InputError(
-                f"measurement has shape {measured.shape} and the estimate's memory {estimate.memory.shape}: the filter "
-                f"needs {positions.shape} and {memory.shape}"
-            )
-        memory[:] = estimate.memory
-        counts = np.ones(len(positions), dtype=bool) if present is None else present
+        inputs, slices = self.inputs, self.whole.slices
+        inputs[slices["memory"]] = estimate.memory
+        counts = np.ones(len(measured), dtype=bool) if present is None else present
         # Replace NaN before the products: zero times NaN is NaN.
-        positions[:] = np.where(counts, measured, 0.0)
-        inputs[program.slices["present"]] = counts
+        inputs[slices["measured"]], inputs[slices["present"]] = np.where(counts, measured, 0.0), counts
         out = function.machine(inputs, np.empty(function.size_out))
-        nis, used, sound = (out[program.out[name]].item() for name in ("nis", "used", "sound"))
-        if not (0 <= nis < inf and -inf < sound < inf):
+        parts, n = self.out.of(out), self.model.dimension
+        if not (0 <= (nis := parts.nis.item()) < inf and isfinite(parts.sound.item())):
             raise ArithmeticError(
                 "the filter's covariance is no longer positive, or its state no longer finite; begin again from the "
                 "measured positions, or assume more noise"
             )
-        state, extra, sigmas, innovation, memory = (
-            out[program.out[name]] for name in ("state", "extra", "sigmas", "innovation", "memory")
-        )
-        return Estimate(state, extra, sigmas, innovation, nis, int(used), memory)
+        z, used, memory = parts.z, int(parts.used.item()), out[: len(estimate.memory)]
+        return Estimate(z[:n], z[n:], parts.sigmas, parts.innovation, nis, used, memory)
 
     def ahead(self, estimate: Estimate, commands: Sequence[float]) -> Array:
         """Return the state (N,) after all pending commands, one per period.
@@ -724,11 +622,11 @@ class CompiledEkf(KalmanFilter):
             estimate: present estimate.
             commands: pending commands, oldest first, m/s².
         """
-        inputs, n = self._ahead_inputs, self.program.out["z"].stop
+        inputs, n = self._ahead_inputs, self.equations.dimension
         z = estimate.memory[:n]
         for command in commands:
             inputs[:n], inputs[n] = z, command
-            z = self.program.ahead.machine(inputs, np.empty(n))
+            z = self.ahead_of.machine(inputs, np.empty(n))
         return z[: self.model.dimension]
 
     def covariance(self, estimate: Estimate) -> Array:
@@ -737,4 +635,4 @@ class CompiledEkf(KalmanFilter):
         Args:
             estimate: estimate of this filter.
         """
-        return unpacked(estimate.memory[self.program.out["covariance"]])
+        return unpacked(estimate.memory[self.out.slices.covariance])

@@ -45,12 +45,12 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-import dpcontrol
 from dpcontrol.control.interface import Controller, GainSchedule, schedule_of
-from dpcontrol.control.tick import SETTLING, UNROLLED, TickEquations, TickProgram
+from dpcontrol.control.tick import SETTLING, UNROLLED, Measurement, TickEquations, TickProgram
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import content_hash
+from dpcontrol.foundation.version import PROGRAM, VERSION
 
 _TEMPLATES = Path(__file__).with_name("target")
 _VERSION = 3
@@ -78,15 +78,10 @@ class Figures(NamedTuple):
     """Total size of the tables."""
     tables_per_second: float
     """Size per second of reference, 0 for a constant law and reference."""
-    coarser_per_second: float
-    """Size with gains at every `COARSER`-th tick and linear interpolation."""
-    coarser_error: float
-    """Largest interpolation error of a gain, as a share of its maximum."""
     seconds_a_tick: float | None
     """Duration of a tick from its operations, at the stated clock."""
 
 
-COARSER = 10
 CYCLES = {True: 5.0, False: 60.0}
 """Clock cycles per operation on a Cortex-M4, in single precision by its instructions, and in double by software."""
 
@@ -140,11 +135,11 @@ def identity(program: TickProgram, schedule: GainSchedule) -> str:
         schedule: gains of the law.
     """
     equations = program.equations
-    parts = [*equations.numbers.slices, *equations.memory.slices, *equations.row.slices, *equations.filter.extra_names]
+    parts = [*equations.numbers.names, *equations.memory.names, *equations.row.names, *equations.filter.extra_names]
     shape = repr((_VERSION, equations.whole, equations.lead, equations.shares, program.period, parts))
     if equations.own is not None:
         shape += equations.function().serialize()
-    arrays = (program.numbers, program.memory[:, 0], schedule.rows, schedule.references, schedule.queued)
+    arrays = (program.constants, program.stored[:, 0], schedule.rows, schedule.references, schedule.queued)
     return content_hash(shape, *(np.ascontiguousarray(one, dtype="<f8").tobytes() for one in arrays))
 
 
@@ -167,12 +162,12 @@ class _Tables(NamedTuple):
 
 
 def _tables(equations: TickEquations, schedule: GainSchedule) -> _Tables:
-    row, n = equations.row, equations.filter.arms
-    law = np.concatenate([schedule.rows[:, row.slices[name]] for name in _law_parts(equations)], axis=1)
+    row, where, n = equations.row.of(schedule.rows.T), equations.row.slices, equations.filter.arms
+    law = np.concatenate([schedule.rows[:, : where.gains.stop], schedule.rows[:, where.state.stop : -n]], axis=1)
     states, last = schedule.references, len(schedule.references) - 1
     acts = np.minimum(np.arange(len(law)) + equations.lead, last)
-    assert np.array_equal(schedule.rows[:, row.slices["state"]], states[acts])
-    assert np.array_equal(schedule.rows[:, row.slices["wanted"]], states[: len(law), :n])
+    assert np.array_equal(row.state.T, states[acts])
+    assert np.array_equal(row.wanted.T, states[: len(law), :n])
     varying = np.ptp(law, axis=0) > 0
     names = ["feedforward", *(f"gain {i + 1}" for i in range(equations.filter.equations.dimension))]
     names += ["acceleration", "gain on acceleration"] if equations.lags else []
@@ -187,26 +182,10 @@ def _tables(equations: TickEquations, schedule: GainSchedule) -> _Tables:
     )
 
 
-def _law_parts(equations: TickEquations) -> list[str]:
-    lag = ["drive", "drive_gain"] if equations.lags else []
-    own = [] if equations.own is None else ["own"]
-    return ["feedforward", "gains", *lag, *([] if equations.shares is None else ["extra_gains", "pair_gains"]), *own]
-
-
 def _without_end(rows: Array) -> Array:
     """Return the rows up to the first of the final equal ones."""
     differing = np.flatnonzero((rows != rows[-1]).any(axis=1))
     return rows[: differing[-1] + 2 if len(differing) else 1]
-
-
-def _error_between(law: Array) -> float:
-    """Return the interpolation error between every `COARSER`-th row.
-
-    The interpolation error is relative to each column's maximum.
-    """
-    places = np.arange(len(law))
-    lines = [np.interp(places, places[::COARSER], column[::COARSER]) for column in law.T]
-    return float(np.max(np.abs(np.array(lines).T - law).max(0) / np.maximum(np.abs(law).max(0), 1e-300)))
 
 
 _ARGUMENTS = ("memory", "measured", "present", "offset", "limit_switch", "age", "law", "acts", "now")
@@ -227,17 +206,14 @@ def _function(program: TickProgram, tables: _Tables, *, single: bool) -> ca.Func
     still = len(tables.states) == 1
     steers = ca.SX(ca.DM(tables.states[0])) if still else acts
     wanted, row = steers[:n] if still else now[:n], equations.row
-    of_law, at = {}, 0
-    for name in _law_parts(equations):
-        length = row.slices[name].stop - row.slices[name].start
-        of_law[name], at = ca.vertcat(*known[at : at + length]), at + length
-    given = row.joined({**of_law, "state": steers, "wanted": wanted})
+    # The law's columns are those of a row without its state and the reference's angles.
+    first = row.slices.gains.stop
+    given = ca.vertcat(*known[:first], steers, *known[first:], wanted)
     # Values that only a fallback changes are constant.
-    parts["held"] = ca.SX(0)
+    parts = parts._replace(held=ca.SX(0))
     offset = ca.SX.sym("offset", n + 1)
-    seen = {"measured": measured, "present": present, "switch": switch, "age": age, "offset": offset}
-    reading = equations.reading.joined({**seen, "rate_error": ca.SX.zeros(n)})
-    numbers = ca.SX(ca.DM(program.numbers))
+    reading = equations.reading.joined(Measurement(measured, present, switch, age, ca.SX.zeros(n), offset))
+    numbers = ca.SX(ca.DM(program.constants))
     (out,) = equations.function().call([equations.memory.joined(parts), reading, given, numbers], True, False)
     inputs = [memory, measured, present, offset, switch, age, law, acts, now]
     return ca.Function("tick", inputs, [ca.cse(out)], [*_ARGUMENTS], ["out"], {"cse": True})
@@ -249,14 +225,14 @@ def _for_precision(equations: TickEquations, *, single: bool) -> TickEquations:
 
 def _start(program: TickProgram, *, single: bool) -> Array:
     """Return the initial memory (M,)."""
-    start = program.memory[:, 0].copy()
+    start = program.stored[:, 0].copy()
     if not single:
         return start
-    parts = {name: start[where] for name, where in program.equations.memory.slices.items()}
-    places, z = program.model.position_indices, parts["z"]
-    parts["origin"] = z[places].astype(np.float32).astype(float)
-    z[places] -= parts["origin"]
-    return _for_precision(program.equations, single=True).memory.filled(parts)
+    parts = program.equations.memory.of(start)
+    places = program.model.position_indices
+    origin = parts.z[places].astype(np.float32).astype(float)
+    parts.z[places] -= origin
+    return _for_precision(program.equations, single=True).memory.filled(**parts._replace(origin=origin)._asdict())
 
 
 _READ = re.compile(r"arg\[(\d+)\]\? arg\[\d+\]\[(\d+)\] : 0")
@@ -367,8 +343,7 @@ def controller_source(
         operations=function.n_instructions(), code=code, stack=stack,
         memory=width * equations.memory.size + ctypes.sizeof(ctypes.c_long),
         tables=width * count, tables_per_second=per_second,
-        coarser_per_second=width * (tables.law.size / COARSER + tables.states.size) / seconds,
-        coarser_error=_error_between(tables.law), seconds_a_tick=takes,
+        seconds_a_tick=takes,
     )  # fmt: skip
     shown = figures._asdict()
     known |= {f"BYTES_{name.upper()}": kibibytes(shown[name]) for name in _SHOWN}
@@ -387,12 +362,12 @@ _SHOWN = ("code", "stack", "memory")
 
 def _described(program: TickProgram, equations: TickEquations, *, single: bool) -> dict[str, Any]:
     """Return values for the templates: arms, clock, bounds and arithmetic."""
-    n, numbers, extras = equations.filter.arms, equations.numbers.slices, equations.filter.extra_names
-    bounds = {name: float(program.numbers[numbers[name]][0])
+    n, extras = equations.filter.arms, equations.filter.extra_names
+    bounds = {name: getattr(program.numbers, name).item(0)
               for name in ("acceleration", "lost_estimate", "lost_tracking", "missing")}  # fmt: skip
     columns = [*(f"measured.arm_{i + 1}" for i in range(n)), "measured.cart"]
     return {
-        "VERSION": dpcontrol.__version__, "REAL": "float" if single else "double",
+        "VERSION": VERSION, "REAL": "float" if single else "double",
         "PRECISION": "single" if single else "double", "SPLIT": int(equations.split),
         "TOLERANCE": "1e-2" if single else "1e-9",
         "ARMS": n, "POSITIONS": n + 1, "STATES": equations.filter.equations.dimension,
@@ -409,9 +384,9 @@ def _laid_out(equations: TickEquations) -> dict[str, Any]:
     """Return the indices of the tick's results for the C code."""
     memory, report = equations.memory, equations.report
     kept = ("z", "velocity", "heading", "stopped", "still", *(["origin"] if equations.split else []))
-    places = {name: memory.slices[name].start for name in kept}
-    places["sent_last"] = memory.slices["sent"].stop - 1
-    places |= {name: memory.size + where.start for name, where in report.slices.items()}
+    places = {name: getattr(memory.slices, name).start for name in kept}
+    places["sent_last"] = memory.slices.sent.stop - 1
+    places |= {name: memory.size + getattr(report.slices, name).start for name in report.names}
     lines = "\n".join(f"    AT_{name.upper()} = {place}," for name, place in places.items())
     return {"MEMORY": memory.size, "PLACES": lines, "RESULTS": memory.size + report.size}
 
@@ -445,8 +420,7 @@ def _string(text: str) -> str:
 
 
 def _delay(program: TickProgram) -> float:
-    share = program.numbers[program.equations.numbers.slices["share"]][0]
-    return program.equations.whole + float(share)
+    return program.equations.whole + program.numbers.share.item(0)
 
 
 def _measured(files: Mapping[str, str]) -> tuple[int | None, int | None]:
@@ -574,7 +548,7 @@ def model_description(
     more = f"; let it act {delay - 1:g} periods later" if delay > 1 else ""
     root = ET.Element("fmiModelDescription", {
         "fmiVersion": "2.0", "modelName": name, "guid": guid, "variableNamingConvention": "flat",
-        "generationTool": f"dpcontrol {dpcontrol.__version__}",
+        "generationTool": PROGRAM,
         "description": f"{title}: estimator, control law and supervisor, one tick per step of {period!r} s. Commands "
         f"must act {delay:g} periods after their readings; a step gives the command after one{more}.",
     })  # fmt: skip

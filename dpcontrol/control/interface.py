@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from dpcontrol.dynamics.compiled import Compiled
 from dpcontrol.dynamics.equations import Equations
 from dpcontrol.foundation.arrays import Array
-from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.shown import Brief
 from dpcontrol.references.problem import ANGLE_SCALE, RATE_SCALE
 
@@ -390,20 +389,9 @@ class SampledModel:
     The period and the drive's `lag` are in s, the base parameters are (p,).
 
     An instance must not be shared between threads, since its buffers are reused.
-
-    Raises:
-        InputError: the period is not positive, the number of parameters is wrong, or there is not exactly one input.
     """
 
     def __init__(self, equations: Equations, parameters: Array, *, period: float, lag: float = 0.0) -> None:
-        if not np.isfinite(period) or period <= 0:
-            raise InputError(f"period = {period!r}: must be a positive, finite number of seconds")
-        if equations.input_count != 1:
-            raise InputError(f"the equations have {equations.input_count} inputs: the loop needs the cart level")
-        if np.shape(parameters) != (equations.parameters.shape[0],):
-            raise InputError(
-                f"parameters have shape {np.shape(parameters)}: the equations take ({equations.parameters.shape[0]},)"
-            )
         self.equations, self.period, self.lag = equations, period, lag
         self.lag_keeps = math.exp(-period / lag) if lag else 0.0
         """Factor by which the cart's acceleration decays over a period with a lagging drive."""

@@ -275,8 +275,6 @@ def hold_controller(
     """
     n = model.arms
     x = np.concatenate([np.asarray(state, dtype=float)[: 2 * n], [0.0, 0.0]])
-    if len(x) != model.dimension:
-        raise InputError(f"the equilibrium has {len(x) - 2} states, the model {model.dimension - 2} without its cart")
     fastest = float(np.abs(model.step(x, 0.0) - x)[: 2 * n].max()) / model.period
     if not fastest <= AT_REST:
         raise InputError(f"{x[:n].tolist()} rad is not an equilibrium: it accelerates by {fastest:.3g} rad/s²")

@@ -138,8 +138,8 @@ class NominalLoop:
             program.take(self.readings_of(x), None, 0, None)
             program.row[:] = row[:, None]
             program.tick()
-            report, at = program.report, program.at
-            command = sent[k % slots] = report[at["command"]]
+            report = program.report
+            command = sent[k % slots] = report.command[0]
             acting = g * ((1 - part) * sent[(k - whole) % slots, each] + part * sent[(k - whole - 1) % slots, each])
             acting, wanted = (np.clip(a, -most, most) for a in (acting, g * command))
             inputs[len(x)] = acting + mean * (lagging - acting)
@@ -148,8 +148,8 @@ class NominalLoop:
             path = references[k + 1 : k + 2, :n] if k < tail else references[k - around : k + around : _EVERY, :n]
             away = np.abs(x[:n] - path[:, :, None]).max(axis=1).min(axis=0, initial=np.inf)
             near = (away < (_LOST if k < tail else ASTRAY)) & (np.abs(x[2 * n]) < self.limits.position)
-            swing += (wanted - (command - report[at["feedback"]])) ** 2 / tenth
-            kept_up = near & (report[at["stop"]] == 0)
+            swing += (wanted - (command - report.feedback[0])) ** 2 / tenth
+            kept_up = near & (report.stop[0] == 0)
             if (k + 1) % tenth == 0:
                 kept_up &= (swing < (SHAKEN * most) ** 2) | (k < tenth)
                 swing[:] = 0.0

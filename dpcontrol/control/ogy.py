@@ -25,8 +25,8 @@ Sources: Anderson & Moore, Optimal Control: Linear Quadratic Methods, sections 3
 & Wittenmark, Adaptive Control, section 2.2, for the least squares.
 """
 
+from collections import namedtuple
 from collections.abc import Callable
-from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -345,25 +345,21 @@ class OgyController(Brief):
         return self.table.distance(state)
 
 
-class OgySession(ClockedSession):
-    """The section, pulse and estimated plant errors of a run.
+_Course = namedtuple("_Course", "section elapsed pulse foreseen flying lift guess covariance crossings")
+"""The course of one run, or of S runs in arrays.
 
-    The session holds the last crossed section, the time since, the active pulse, and the errors.
+The last crossed section, the time since, s, and the active pulse, m/s². foreseen (N,): the model's prediction since
+that section. flying: True if it is valid. lift (N,): whole turns, rad. guess, covariance: the plant's errors.
+crossings: number of crossings in time.
+"""
+
+
+class OgySession(ClockedSession):
+    """The course of a run under OGY control.
 
     With `count`, the session serves as many lockstep runs from the first state. The values are then arrays (S,), since
     runs cross their sections at different ticks.
     """
-
-    _section: Any
-    _elapsed: Any
-    _pulse: Any
-    _foreseen: Array
-    _flying: Any
-    _lift: Array
-    _guess: Array
-    _covariance: Array
-    crossings: Any
-    missed: Any
 
     def __init__(self, controller: OgyController, count: int | None = None) -> None:
         self._law = law = controller
@@ -374,24 +370,31 @@ class OgySession(ClockedSession):
         self._times: Any = law.times.tolist() if count is None else law.times
         self._tick = 0
         self._lost: tuple[int, float] | None = None
-        # The first section is crossed at once, as if the last one had just been left.
-        own: dict[str, Any] = {"_section": len(law.times) - 1, "_elapsed": law.duration, "_pulse": 0.0}
-        # The model's prediction since that section, and whether it is still valid.
-        own |= {"_foreseen": np.zeros(len(law.first_state)), "_flying": False, "_lift": np.zeros(len(law.first_state))}
-        if law.learning is not None:
-            own |= {"_guess": np.zeros(len(law.learning.prior)), "_covariance": law.learning.prior}
-        # Number of crossings, and of those out of time.
-        own |= {"crossings": 0, "missed": 0}
-        self._own = tuple(own)
-        for name, value in own.items():
-            setattr(self, name, value if count is None else np.array([value] * count))
+        prior = np.zeros((0, 0)) if law.learning is None else law.learning.prior
+        rest = np.zeros(len(law.first_state))
+        first = _Course(
+            section=len(law.times) - 1,
+            elapsed=law.duration,
+            pulse=0.0,
+            foreseen=rest,
+            flying=False,
+            lift=rest,
+            guess=np.zeros(len(prior)),
+            covariance=prior,
+            crossings=0,
+        )
+        self.course = first if count is None else _Course(*(np.array([value] * count) for value in first))
         self._sent: Any = 0.0
         self._step = law.model.step if count is None else _many_steps(law.model, count)
 
     @property
     def time(self) -> Any:
         """Return the time on the orbit's clock, s."""
-        return (self._times[self._section] + self._elapsed) % self.orbit_period
+        return self._clock % self.orbit_period
+
+    @property
+    def _clock(self) -> Any:
+        return self._times[self.course.section] + self.course.elapsed
 
     def command(self, tick: int, state: Array, extra: Array) -> Action:
         """Return the action for the period from a tick.
@@ -416,76 +419,79 @@ class OgySession(ClockedSession):
             states: state (N,) of one run, or states (S, N).
         """
         law, lanes, period, passed = self._law, self.lanes, self._law.model.period, tick - self._tick
-        self._elapsed = self._elapsed + passed * period
-        self._tick, self._lost = tick, None
+        self._pass(tick)
+        self._lost, course = None, self.course
         if law.learning is not None and passed:
-            self._foreseen = self._step(self._foreseen, self._sent)
-            self._flying = self._flying & (passed == 1)
-        x = states - self._lift
-        near = self._elapsed > law.duration - law.window
+            foreseen = self._step(course.foreseen, self._sent)
+            self.course = course = course._replace(foreseen=foreseen, flying=course.flying & (passed == 1))
+        x = states - course.lift
+        near = course.elapsed > law.duration - law.window
         if lanes is MANY or near:
-            ahead = (self._section + 1) % len(law.times)
+            ahead = (course.section + 1) % len(law.times)
             late = lanes.dot(x - law.states[ahead], law.normals[ahead])
             due = late >= 0.0
-            overdue = (self._elapsed > law.duration + law.window) & (late < 0.0)
+            overdue = (course.elapsed > law.duration + law.window) & (late < 0.0)
             if lanes is MANY or due or overdue:
-                self._where(near & due, OgySession._cross, ahead, late, x)
-                self._where(overdue, OgySession._lose, ahead, states)
-        clock, middle = self._times[self._section] + self._elapsed, self._elapsed + period / 2
+                self._where(near & due, self._crossed, ahead, late, x)
+                self._where(overdue, self._moved_on, ahead, states)
+            course = self.course
+        clock, middle = self._clock, course.elapsed + period / 2
         # Adding zero converts minus zero to zero.
-        feedback = self._pulse * (middle < law.duration) * np.sin(np.pi * middle / law.duration) + 0.0
+        feedback = course.pulse * (middle < law.duration) * np.sin(np.pi * middle / law.duration) + 0.0
         feedforward = law.table.input(clock + period / 2, lanes)
         self._sent = feedforward + feedback
-        return feedforward, feedback, law.table.state(clock, lanes) + self._lift
+        return feedforward, feedback, law.table.state(clock, lanes) + course.lift
 
-    def _where(self, holds: Any, change: Callable[..., None], *given: Any) -> None:
+    def _pass(self, tick: int) -> None:
+        elapsed = self.course.elapsed + (tick - self._tick) * self._law.model.period
+        self.course, self._tick = self.course._replace(elapsed=elapsed), tick
+
+    def _where(self, holds: Any, change: Callable[..., _Course], *given: Any) -> None:
         """Apply a change to this run if `holds`.
 
         In lockstep, apply it to the runs for which `holds` is True.
         """
         if self.lanes is ONE:
             if holds:
-                change(self, *given)
+                self.course = change(self.course, *given)
         elif len(runs := np.flatnonzero(holds)):
-            part = copy(self)
-            for name in self._own:
-                setattr(part, name, getattr(self, name)[runs])
-            change(part, *(value[runs] for value in given))
-            for name in self._own:
-                getattr(self, name)[runs] = getattr(part, name)
+            part = change(_Course(*(value[runs] for value in self.course)), *(value[runs] for value in given))
+            for values, changed in zip(self.course, part, strict=True):
+                values[runs] = changed
 
-    def _cross(self, section: Any, late: Any, x: Array) -> None:
+    def _crossed(self, course: _Course, section: Any, late: Any, x: Array) -> _Course:
         law, lanes, learning = self._law, self.lanes, self._law.learning
         late = lanes.clip(late, 0.0, law.window)
+        guess, covariance = course.guess, course.covariance
         if learning is not None:
-            away = (x - self._foreseen)[..., :-2, None]
+            away = (x - course.foreseen)[..., :-2, None]
             surprise = (law.projections[section] @ away)[..., 0]
-            guess, covariance = learning.updated(self._section, self._guess, self._covariance, surprise)
-            taught = np.asarray(self._flying)[..., None]
-            self._guess = np.where(taught, guess, self._guess)
-            self._covariance = np.where(taught[..., None], covariance, self._covariance)
-        self._section, self._elapsed, self._foreseen, self._flying = section, late, x, True
+            taught = np.asarray(course.flying)[..., None]
+            learnt, sure = learning.updated(course.section, guess, covariance, surprise)
+            guess, covariance = np.where(taught, learnt, guess), np.where(taught[..., None], sure, covariance)
         pulse = -lanes.dot(law.gains[section], x - law.table.state(law.times[section] + late, lanes))
         if learning is not None:
-            pulse = pulse - lanes.dot(learning.shifts[section], self._guess)
-        self._pulse = lanes.clip(pulse, -law.pulse_limit, law.pulse_limit)
-        self.crossings = self.crossings + 1
+            pulse = pulse - lanes.dot(learning.shifts[section], guess)
+        pulse = lanes.clip(pulse, -law.pulse_limit, law.pulse_limit)
+        return _Course(section, late, pulse, x, True, course.lift, guess, covariance, course.crossings + 1)
 
-    def _lose(self, section: Any, states: Array) -> None:
-        self._lost = section, self._found(states)
-        self.missed = self.missed + 1
+    def _moved_on(self, course: _Course, section: Any, states: Array) -> _Course:
+        """The course after a section that was not crossed."""
+        course, moved = self._nearest(course, states)
+        self._lost = section, moved
+        return course
 
-    def _found(self, states: Array) -> Any:
-        """Move the clock to the nearest phase; return the shift, s.
+    def _nearest(self, course: _Course, states: Array) -> tuple[_Course, Any]:
+        """Return the course with its clock at the nearest phase, and the shift, s.
 
         The argument is a state (N,) or states (S, N).
         """
-        law, expected = self._law, self.time
-        time, _, self._lift = law.table.nearest(states)
+        law, expected = self._law, (self._law.times[course.section] + course.elapsed) % self.orbit_period
+        time, _, lift = law.table.nearest(states)
         since = np.mod(time[..., None] - law.times, self.orbit_period)
-        self._section, self._elapsed = np.argmin(since, axis=-1), since.min(-1)
-        self._pulse, self._flying = 0.0, False
-        return law.table.shift(time, expected)
+        section, elapsed = np.argmin(since, axis=-1), since.min(-1)
+        moved = course._replace(section=section, elapsed=elapsed, pulse=0.0, flying=False, lift=lift)
+        return moved, law.table.shift(time, expected)
 
     def resynchronise(self, tick: int, state: Array) -> str:
         """Move the clock to the nearest phase and return a sentence.
@@ -496,9 +502,9 @@ class OgySession(ClockedSession):
             tick: present tick.
             state: state (N,) at that tick.
         """
-        self._elapsed = self._elapsed + (tick - self._tick) * self._law.model.period
-        self._tick = tick
-        return f"clock of the orbit moved by {self._found(state):+.4f} s"
+        self._pass(tick)
+        self.course, moved = self._nearest(self.course, state)
+        return f"clock of the orbit moved by {moved:+.4f} s"
 
 
 def _many_steps(model: SampledModel, count: int) -> Callable[[Array, Array], Array]:

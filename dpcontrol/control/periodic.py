@@ -366,7 +366,3 @@ def check_orbit(orbit: "SustainedOrbit", model: SampledModel) -> None:
     """
     if not orbit.converged:
         raise InputError(f"the orbit cannot be held: {orbit.status}")
-    if orbit.equations.dimension != model.dimension:
-        raise InputError(
-            f"the orbit has {orbit.equations.dimension} states, the model {model.dimension}: use one model"
-        )

@@ -71,7 +71,8 @@ A rig without jitter keeps σ² ≈ 0. The mean age is not estimated. It acts as
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections import namedtuple
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property, lru_cache, partial, reduce
@@ -88,7 +89,6 @@ from dpcontrol.control.ekf import (
     FilterEquations,
     Layout,
     Timing,
-    checked_noise,
     pack,
     packed,
     propagated,
@@ -99,7 +99,6 @@ from dpcontrol.control.interface import GainSchedule, Mode, Present, SampledMode
 from dpcontrol.dynamics.compiled import VECTOR, Compiled
 from dpcontrol.dynamics.equations import Equations
 from dpcontrol.foundation.arrays import Array
-from dpcontrol.foundation.errors import InputError
 
 if TYPE_CHECKING:
     from dpcontrol.control.symbolic import SymbolicLaw
@@ -226,17 +225,15 @@ _UNSEEN = 0.2
 """Assumed count of a sensor before its first motion, rad."""
 _BIG = 1e30
 """Bound on all numbers of a sound run, also representable in single precision."""
-LONGEST_DELAY = 1000.0
-"""Periods."""
 UNROLLED = 8
 """Periods of prediction in one function; the loop repeats the prediction for further ones."""
 
-BOUNDS = (
-    "share", "acceleration", "velocity", "travel", "reaction", "onset", "brake", "margin", "lost_tracking",
-    "lost_estimate", "resynchronise", "restarts", "missing", "can_hold", "trust", "mode",
-    "scale", "drive_noise",
-)  # fmt: skip
-"""Numbers that judge a run.
+Numbers = namedtuple(
+    "Numbers",
+    "share acceleration velocity travel reaction onset brake margin lost_tracking lost_estimate resynchronise restarts "
+    "missing can_hold trust mode scale drive_noise lag lag_keeps noise parameters process fresh play moves notch",
+)
+"""Constants of a run: the numbers that judge it, and those of its model (see `TickEquations.numbers`).
 
 share: part of the period in which the previous command still acts.
 acceleration m/s², velocity m/s, travel m: limits of the cart. reaction s: until a command acts.
@@ -246,6 +243,27 @@ lost_tracking rad, lost_estimate, resynchronise rad, restarts, missing s, margin
 can_hold: 1 if there is a fallback. trust: of an adaptive law. mode: of a tick that tracks or holds, see `Mode`.
 scale m: resolution of the cart's scale. drive_noise m/s²: stated noise on each command.
 """
+
+
+Memory = namedtuple(
+    "Memory",
+    "z covariance sent drive velocity error nis silent restarts held moved restart stopped still acted cut "
+    "was_untrusted last step same begin away pulled strained held_back scale scale_covariance scale_read scale_waited "
+    "scale_level scale_surprise evidence heading drive_watch turns timing timed lateness strain mark shaped own origin",
+)
+"""Values stored from tick to tick, see `TickEquations.memory`."""
+Measurement = namedtuple("Measurement", "measured present switch age rate_error offset")
+"""Input from the rig, see `TickEquations.reading`."""
+Row = namedtuple("Row", "feedforward gains state drive drive_gain extra_gains pair_gains own wanted")
+"""Input from the table, see `TickEquations.row`."""
+Sensed = namedtuple("Sensed", "z covariance sigmas nis used sound turns timing timed lateness strain mark relative")
+"""Output of the first part of a tick, see `TickEquations.sensed`."""
+Report = namedtuple(
+    "Report",
+    "state wish feedforward feedback acting saturated nis mode sigmas extra command outcome stop done newly_cut "
+    "untrusted sensor repeats error mean_nis silent used ahead notable news own",
+)
+"""Output of a tick, see `TickEquations.report`."""
 
 
 def _all(*conditions: ca.SX) -> ca.SX:
@@ -304,82 +322,33 @@ class KnownMechanics(NamedTuple):
         return np.array([(k**2 + own + 1) / below, middle, (k**2 - own + 1) / below, middle, (k**2 - wide + 1) / below])
 
 
-class _Known(NamedTuple):
-    """The parts of a tick's inputs, by their names."""
+_Known = namedtuple("_Known", "memory reading row numbers")
+"""The parts of a tick's inputs."""
+_Acts = namedtuple("_Acts", "ahead drive back coming")
+"""State (N,) at which the command acts, and the cart's acceleration `drive` then, m/s².
 
-    memory: Mapping[str, ca.SX]
-    reading: Mapping[str, ca.SX]
-    row: Mapping[str, ca.SX]
-    numbers: Mapping[str, ca.SX]
+back m/s²: feedback in addition to the row's. coming m/s²: acceleration in the coming period, None if not yet known.
+"""
+_Law = namedtuple("_Law", "forward feedback finite untrusted by_own own")
+"""Feedforward and feedback, m/s².
 
+finite: 1 if both are finite. untrusted: see `TickEquations.law`. by_own, own: feedback and memory of a user's law.
+"""
+_Means = namedtuple("_Means", "nis strain silent distance blind error")
+"""Checked means, see `TickEquations.memory`.
 
-class _Acts(NamedTuple):
-    """State (N,) at which the command acts.
+distance: of this tick, rad. blind: 1 during a restart.
+"""
+_Verdict = namedtuple("_Verdict", "outcome stopped sensor watch")
+"""The decision of a tick.
 
-    drive m/s²: the cart's acceleration then.
+It has the outcome, that which stopped the run or 0, the number of a stuck sensor or 0, and the memory after the watch.
+"""
+_Path = namedtuple("_Path", "forward feedback wish command acting saturated after")
+"""Commands after the law.
 
-    back m/s²: feedback in addition to the row's. coming m/s²: acceleration in the coming period, if already known.
-    """
-
-    ahead: ca.SX
-    drive: ca.SX
-    back: ca.SX
-    coming: ca.SX | None
-
-
-class _Law(NamedTuple):
-    """Feedforward and feedback, m/s².
-
-    finite: 1 if both are finite. untrusted: see `TickEquations.law`. by_own, own: feedback and memory of a user's law.
-    """
-
-    forward: ca.SX
-    feedback: ca.SX
-    finite: ca.SX
-    untrusted: ca.SX
-    by_own: ca.SX
-    own: dict[str, ca.SX]
-
-
-class _Means(NamedTuple):
-    """Checked means, see `TickEquations.memory`.
-
-    distance: of this tick, rad. blind: 1 during a restart.
-    """
-
-    nis: ca.SX
-    strain: ca.SX
-    silent: ca.SX
-    distance: ca.SX
-    blind: ca.SX
-    error: ca.SX
-
-
-class _Verdict(NamedTuple):
-    """The decision of a tick.
-
-    It has the outcome, that which stopped the run or 0, the number of a stuck sensor or 0, and the watch's memory.
-    """
-
-    outcome: ca.SX
-    stopped: ca.SX
-    sensor: ca.SX
-    watch: dict[str, ca.SX]
-
-
-class _Path(NamedTuple):
-    """Commands after the law.
-
-    Parts, wish and command, m/s², the acceleration, 1 if it was cut, and the memory.
-    """
-
-    forward: ca.SX
-    feedback: ca.SX
-    wish: ca.SX
-    command: ca.SX
-    acting: ca.SX
-    saturated: ca.SX
-    after: dict[str, ca.SX]
+Parts, wish and command, m/s², the acceleration, 1 if it was cut, and the memory.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -417,7 +386,7 @@ class TickEquations:
         return DriveWatch(self.filter.arms, self.filter.period)
 
     @cached_property
-    def memory(self) -> Layout:
+    def memory(self) -> Layout[Memory]:
         """Values stored from tick to tick.
 
             z, covariance: prediction for the coming reading, and the covariance's lower triangle row by row.
@@ -463,20 +432,18 @@ class TickEquations:
         origin, which the owner of the memory can change.
         """
         size, m = self.filter.dimension, self.filter.arms + 1
-        sent = {"sent": self.whole + 2} if self.unrolled else {}
-        lag = {"drive": 1} if self.lags else {}
-        return Layout(
-            z=size, covariance=size * (size + 1) // 2, **sent, **lag, velocity=1, error=1, nis=1, silent=m,
-            restarts=1, held=1, moved=1, restart=1, stopped=1, still=1, acted=1, cut=1, was_untrusted=1, last=m, step=m,
-            same=m, begin=m - 1, away=m - 1, pulled=m - 1, strained=m - 1, held_back=m - 1, scale=4,
-            scale_covariance=10, scale_read=1, scale_waited=1, scale_level=1, scale_surprise=1, evidence=1, heading=1,
-            drive_watch=self.drive.memory.size, turns=m - 1, timing=1, timed=1, lateness=1, strain=1,
-            **({"mark": m - 1} if self.plays else {}), **({"shaped": 2} if self.shapes else {}),
-            **({} if self.own is None else {"own": len(self.own.first)}), **({"origin": m} if self.split else {}),
-        )  # fmt: skip
+        return Layout(Memory(
+            z=size, covariance=size * (size + 1) // 2, sent=self.unrolled * (self.whole + 2), drive=int(self.lags),
+            velocity=1, error=1, nis=1, silent=m, restarts=1, held=1, moved=1, restart=1, stopped=1, still=1, acted=1,
+            cut=1, was_untrusted=1, last=m, step=m, same=m, begin=m - 1, away=m - 1, pulled=m - 1, strained=m - 1,
+            held_back=m - 1, scale=4, scale_covariance=10, scale_read=1, scale_waited=1, scale_level=1,
+            scale_surprise=1, evidence=1, heading=1, drive_watch=self.drive.memory.size, turns=m - 1, timing=1, timed=1,
+            lateness=1, strain=1, mark=self.plays * (m - 1), shaped=2 * self.shapes,
+            own=0 if self.own is None else len(self.own.first), origin=self.split * m,
+        ))  # fmt: skip
 
     @cached_property
-    def reading(self) -> Layout:
+    def reading(self) -> Layout[Measurement]:
         """Input from the rig.
 
         measured (n+1,): angles, rad, and the cart's position, m. present (n+1,): 1 where measured.
@@ -488,10 +455,10 @@ class TickEquations:
         offset (n+1,): measured minus the memory's origin, if positions are split.
         """
         m = self.filter.arms + 1
-        return Layout(measured=m, present=m, switch=1, age=1, rate_error=m - 1, **({"offset": m} if self.split else {}))
+        return Layout(Measurement(measured=m, present=m, switch=1, age=1, rate_error=m - 1, offset=self.split * m))
 
     @cached_property
-    def row(self) -> Layout:
+    def row(self) -> Layout[Row]:
         """Input from the table.
 
         At the tick at which the command acts:
@@ -506,14 +473,14 @@ class TickEquations:
         At this tick: wanted (n,), the reference's angles.
         """
         size = self.filter.equations.dimension
-        m = sum(self.shares or ())
-        extras = {} if self.shares is None else {"extra_gains": len(self.shares), "pair_gains": m * (m + 1) // 2}
-        lag = {"drive": 1, "drive_gain": 1} if self.lags else {}
-        own = {} if self.own is None else {"own": 1}
-        return Layout(feedforward=1, gains=size, state=size, **lag, **extras, **own, wanted=self.filter.arms)
+        m, lag = sum(self.shares or ()), int(self.lags)
+        return Layout(Row(
+            feedforward=1, gains=size, state=size, drive=lag, drive_gain=lag, extra_gains=len(self.shares or ()),
+            pair_gains=m * (m + 1) // 2, own=int(self.own is not None), wanted=self.filter.arms,
+        ))  # fmt: skip
 
     @cached_property
-    def numbers(self) -> Layout:
+    def numbers(self) -> Layout[Numbers]:
         """Constants of a run.
 
         bounds. noise: R packed. parameters, process: see `FilterEquations`. fresh (N+E,): variances after a
@@ -526,27 +493,27 @@ class TickEquations:
         With a belt: notch (5,), see `KnownMechanics.notch`.
         """
         known, m = self.filter.inputs, self.filter.arms + 1
-        return Layout(
-            **dict.fromkeys(BOUNDS, 1), lag=1, lag_keeps=1, noise=m * (m + 1) // 2, parameters=known["parameters"],
-            process=known["process"], fresh=self.filter.dimension,
-            **({"play": m - 1, "moves": 1} if self.plays else {}), **({"notch": 5} if self.shapes else {}),
-        )  # fmt: skip
+        return Layout(Numbers(
+            *[1] * Numbers._fields.index("noise"), noise=m * (m + 1) // 2, parameters=known["parameters"],
+            process=known["process"], fresh=self.filter.dimension, play=self.plays * (m - 1), moves=int(self.plays),
+            notch=5 * self.shapes,
+        ))  # fmt: skip
 
     @cached_property
-    def sensed(self) -> Layout:
+    def sensed(self) -> Layout[Sensed]:
         """Output of the first part.
 
         z, covariance, sigmas (N+E,), nis, used positions, turns, and sound: 1 if all is finite and no angle has
-        slipped.
+        slipped. relative: in a whole tick, z relative to its origin.
         """
         size = self.filter.dimension
-        return Layout(
+        return Layout(Sensed(
             z=size, covariance=size * (size + 1) // 2, sigmas=size, nis=1, used=1, sound=1, turns=self.filter.arms,
-            timing=1, timed=1, lateness=1, strain=1, **({"mark": self.filter.arms} if self.plays else {}),
-        )  # fmt: skip
+            timing=1, timed=1, lateness=1, strain=1, mark=self.plays * self.filter.arms, relative=0,
+        ))  # fmt: skip
 
     @cached_property
-    def report(self) -> Layout:
+    def report(self) -> Layout[Report]:
         """Output of a tick.
 
         state (N,): estimate. sigmas, extra: standard deviations of state and extras, and the extras.
@@ -567,21 +534,21 @@ class TickEquations:
         notable: not 0 with an outcome or during a stop. news: not 0 with other events.
         """
         n, size = self.filter.equations.dimension, self.filter.dimension
-        return Layout(
+        return Layout(Report(
             state=n, wish=1, feedforward=1, feedback=1, acting=1, saturated=1, nis=1, mode=1, sigmas=size,
             extra=size - n, command=1,
             outcome=1, stop=1, done=1, newly_cut=1, untrusted=1, sensor=1, repeats=1, error=1, mean_nis=1,
-            silent=1, used=1, ahead=n, notable=1, news=1, **({} if self.own is None else {"own": 1}),
-        )  # fmt: skip
+            silent=1, used=1, ahead=n, notable=1, news=1, own=int(self.own is not None),
+        ))  # fmt: skip
 
     # The parts.
 
-    def _sense(self, m: Mapping[str, ca.SX], r: Mapping[str, ca.SX], c: Mapping[str, ca.SX]) -> dict[str, ca.SX]:
+    def _sense(self, m: Memory, r: Measurement, c: Numbers) -> Sensed:
         """The filter's update."""
         n, size = self.filter.arms, self.filter.dimension
-        z, triangle, again = m["z"], m["covariance"], m["restart"]
+        z, triangle, again = m.z, m.covariance, m.restart
         # All values here are relative to the origin, if there is one.
-        positions_read = r["offset"] if self.split else r["measured"]
+        positions_read = r.offset if self.split else r.measured
         # A restarting filter uses the positions, keeps finite rates and resets extras.
         positions = {**{i: i for i in range(n)}, 2 * n: n}
         most = [np.inf] * n + [3 * RESTART_RATE] * n + [np.inf, 3 * RESTART_VELOCITY]
@@ -593,7 +560,7 @@ class TickEquations:
             known = ca.if_else(_finite(z[i]), z[i], 0)
             if i in positions:
                 k = positions[i]
-                anew.append(ca.if_else(r["present"][k], positions_read[k], known))
+                anew.append(ca.if_else(r.present[k], positions_read[k], known))
             else:
                 anew.append(_within(known, ca.SX(most[i])))
         z = ca.vertcat(*(ca.if_else(again, anew[i], z[i]) for i in range(size)))
@@ -603,19 +570,19 @@ class TickEquations:
             for j in range(i + 1):
                 kept = ca.if_else(ca.logic_not(again), triangle[len(entries)], 0)
                 shared = np.flatnonzero(t[i] * t[j]).tolist()
-                fresh = sum((c["fresh"][k] for k in shared[1:]), c["fresh"][shared[0]]) if shared else None
+                fresh = sum((c.fresh[k] for k in shared[1:]), c.fresh[shared[0]]) if shared else None
                 entries.append(kept if fresh is None else kept + ca.if_else(again, fresh, 0))
         covariance = unpack(ca.vertcat(*entries), size)
         # NaN must not reach the products: zero times NaN is not zero.
         moving = ca.vertcat(z[n : 2 * n], z[2 * n + 1])
-        now = positions_read + r["age"] * moving
-        measured = ca.vertcat(*(ca.if_else(r["present"][i], now[i], 0) for i in range(n + 1)))
-        noise, marks = c["noise"], {}
+        now = positions_read + r.age * moving
+        measured = ca.vertcat(*(ca.if_else(r.present[i], now[i], 0) for i in range(n + 1)))
+        noise, mark = c.noise, m.mark
         if self.plays:
-            shift, spread, marks = self._without_play(m, r, c, measured - ca.DM(self.filter.observation) @ z)
+            shift, spread, mark = self._without_play(m, r, c, measured - ca.DM(self.filter.observation) @ z)
             measured, noise = measured + shift, noise + pack(spread)
         after, covariance, innovation, nis, weighed = self.filter.updated(
-            z, covariance, measured, r["present"], noise, Timing(r["age"], m["timing"])
+            z, covariance, measured, r.present, noise, Timing(r.age, m.timing)
         )
         turns, slipped = self._slipped(m, r, measured - ca.DM(self.filter.observation) @ z, innovation)
         variances = ca.diag(covariance)
@@ -629,22 +596,17 @@ class TickEquations:
         sound = _all(sound, *(ca.fabs(after[n + i]) <= np.pi / self.filter.period for i in range(n)))
         # If the update fails, the restart begins with the prediction.
         after = ca.vertcat(*(ca.if_else(sound, after[i], z[i]) for i in range(size)))
-        used = ca.sum1(r["present"])
+        used = ca.sum1(r.present)
         aligned, weight = ca.horzsplit(moving.T @ weighed)
-        clock = self._timing(m, aligned, weight, sound)
+        timing, timed, lateness = self._timing(m, aligned, weight, sound)
         # Sherman and Morrison: S without the part due to varying ages.
-        clock["strain"] = nis + m["timing"] * aligned**2 / (1 - m["timing"] * weight)
-        out = {
-            "z": after, "covariance": pack(covariance), "sigmas": sigmas, "nis": nis, "used": used, "sound": sound,
-            "turns": turns, **clock, **marks,
-        }  # fmt: skip
-        if self.split:
-            out |= {"z": after + self._origin(m), "relative": after}
-        return out
+        strain = nis + m.timing * aligned**2 / (1 - m.timing * weight)
+        whole = after + self._origin(m) if self.split else after
+        return Sensed(
+            whole, pack(covariance), sigmas, nis, used, sound, turns, timing, timed, lateness, strain, mark, after
+        )
 
-    def _without_play(
-        self, m: Mapping[str, ca.SX], r: Mapping[str, ca.SX], c: Mapping[str, ca.SX], apart: ca.SX
-    ) -> tuple[ca.SX, ca.SX, dict[str, ca.SX]]:
+    def _without_play(self, m: Memory, r: Measurement, c: Numbers, apart: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
         """Return corrections (n+1,) from the encoders' angles to the joints'.
 
         Their covariance and the new marks follow.
@@ -656,21 +618,21 @@ class TickEquations:
         sums = ca.DM(np.tril(np.ones((n, n))))
         shifts, variances, marks = [], [], []
         for i in range(n):
-            angle = r["measured"][i] - (r["measured"][i - 1] if i else 0)
-            change, half, behind = angle - m["mark"][i], c["play"][i] / 2, (apart[i - 1] if i else 0) - apart[i]
-            known = _all(*(r["present"][k] for k in range(max(i - 1, 0), i + 1)))
-            marked = _finite(m["mark"][i])
-            moves = _all(ca.fabs(change) >= c["moves"], known, marked)
+            angle = r.measured[i] - (r.measured[i - 1] if i else 0)
+            change, half, behind = angle - m.mark[i], c.play[i] / 2, (apart[i - 1] if i else 0) - apart[i]
+            known = _all(*(r.present[k] for k in range(max(i - 1, 0), i + 1)))
+            marked = _finite(m.mark[i])
+            moves = _all(ca.fabs(change) >= c.moves, known, marked)
             somewhere = _within(ca.atan2(ca.sin(behind), ca.cos(behind)), half)
             shift = ca.if_else(moves, ca.if_else(change > 0, half, -half), somewhere)
             shifts.append(ca.if_else(known, shift, 0))
             variances.append((ca.if_else(moves, _AT_SIDE, _IN_PLAY) * half) ** 2)
             # The first mark is the first reading.
-            marks.append(ca.if_else(ca.logic_or(moves, ca.logic_not(marked)), angle, m["mark"][i]))
+            marks.append(ca.if_else(ca.logic_or(moves, ca.logic_not(marked)), angle, m.mark[i]))
         spread = sums @ ca.diag(ca.vertcat(*variances)) @ sums.T
-        return ca.vertcat(sums @ ca.vertcat(*shifts), 0), ca.diagcat(spread, 0), {"mark": ca.vertcat(*marks)}
+        return ca.vertcat(sums @ ca.vertcat(*shifts), 0), ca.diagcat(spread, 0), ca.vertcat(*marks)
 
-    def _timing(self, m: Mapping[str, ca.SX], aligned: ca.SX, weight: ca.SX, sound: ca.SX) -> dict[str, ca.SX]:
+    def _timing(self, m: Memory, aligned: ca.SX, weight: ca.SX, sound: ca.SX) -> Iterator[ca.SX]:
         """Return the estimated variance of the readings' age.
 
         The results are the variance, the information in it, and their recent mean, after an update.
@@ -682,21 +644,19 @@ class TickEquations:
         """
         period = self.filter.period
         a, b = aligned * period, weight * period**2
-        timed = m["timed"] + min(period / TIMING_MEMORY, 1) * (TIMING_PRIOR**-2 - m["timed"]) + b * b
+        timed = m.timed + min(period / TIMING_MEMORY, 1) * (TIMING_PRIOR**-2 - m.timed) + b * b
         # A reading is never older than a period. A much older appearance is due to a blow, a wrong model or a stuck
         # encoder.
         slope = ca.if_else(ca.fabs(a) <= _OLDEST * b, a * a - b, 0)
-        late = m["lateness"] + (a - b * m["lateness"]) / (1 + b) / _LATE_MEMORY
+        late = m.lateness + (a - b * m.lateness) / (1 + b) / _LATE_MEMORY
         # Ages vary about the filter's. A constant lateness is due to a stuck encoder or a wrong model.
-        largest = ca.if_else(ca.fabs(late) <= _VERY_LATE, m["timing"], 0)
+        largest = ca.if_else(ca.fabs(late) <= _VERY_LATE, m.timing, 0)
         largest = ca.if_else(ca.fabs(late) <= _LATE, period**2 / 3, largest)
-        variance = _clip(m["timing"] + period**2 * slope / timed, ca.SX(0), largest)
-        after = {"timing": variance, "timed": timed, "lateness": _within(late, ca.SX(_OLDEST))}
-        return {name: ca.if_else(sound, value, m[name]) for name, value in after.items()}
+        variance = _clip(m.timing + period**2 * slope / timed, ca.SX(0), largest)
+        after = ((variance, m.timing), (timed, m.timed), (_within(late, ca.SX(_OLDEST)), m.lateness))
+        return (ca.if_else(sound, value, before) for value, before in after)
 
-    def _slipped(
-        self, m: Mapping[str, ca.SX], r: Mapping[str, ca.SX], apart: ca.SX, innovation: ca.SX
-    ) -> tuple[ca.SX, ca.SX]:
+    def _slipped(self, m: Memory, r: Measurement, apart: ca.SX, innovation: ca.SX) -> tuple[ca.SX, ca.SX]:
         """Return whole turns between readings and predictions (n,).
 
         The second result is 1 if one of them is new.
@@ -704,26 +664,25 @@ class TickEquations:
         apart (n+1,): the innovation before it is wrapped. The filter cannot detect a whole turn, so it would continue
         with diverged rates. The encoders count turns.
         """
-        n, again = self.filter.arms, m["restart"]
-        seen = [ca.if_else(r["present"][i], apart[i] - innovation[i], m["turns"][i]) for i in range(n)]
+        n, again = self.filter.arms, m.restart
+        seen = [ca.if_else(r.present[i], apart[i] - innovation[i], m.turns[i]) for i in range(n)]
         turns = [ca.if_else(again, 0, turn) for turn in seen]
         # Jumps of a reading, as of an encoder with one turn, and the first reading are not slips.
         jumped = [
-            ca.logic_not(ca.fabs(r["measured"][i] - (r["measured"][i - 1] if i else 0) - m["last"][i]) < np.pi)
-            for i in range(n)
+            ca.logic_not(ca.fabs(r.measured[i] - (r.measured[i - 1] if i else 0) - m.last[i]) < np.pi) for i in range(n)
         ]
-        slipped = [ca.fabs(turns[i] - m["turns"][i]) > np.pi for i in range(n)]
+        slipped = [ca.fabs(turns[i] - m.turns[i]) > np.pi for i in range(n)]
         return ca.vertcat(*turns), _all(_any(*slipped), ca.logic_not(again), ca.logic_not(_any(*jumped)))
 
-    def _origin(self, m: Mapping[str, ca.SX]) -> ca.SX:
+    def _origin(self, m: Memory) -> ca.SX:
         """Origin of z, (N+E,)."""
         n = self.filter.arms
         out = ca.SX.zeros(self.filter.dimension)
         for k, i in enumerate([*range(n), 2 * n]):
-            out[i] = m["origin"][k]
+            out[i] = m.origin[k]
         return out
 
-    def _acting(self, command: ca.SX, velocity: ca.SX, drive: ca.SX, c: Mapping[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
+    def _acting(self, command: ca.SX, velocity: ca.SX, drive: ca.SX, c: Numbers) -> tuple[ca.SX, ca.SX]:
         """Return the cart's accelerations in the period, m/s².
 
         One is the mean, the other that at the end.
@@ -731,15 +690,15 @@ class TickEquations:
         The drive keeps its velocity reference within its limit. If that already exceeds the limit, the drive returns it
         with at most its largest acceleration, see `DriveLimits.acting`.
         """
-        period, fastest = self.filter.period, c["velocity"]
-        aims = velocity + c["lag"] * drive if self.lags else velocity
-        given = _within(_clip(command, (-fastest - aims) / period, (fastest - aims) / period), c["acceleration"])
+        period, fastest = self.filter.period, c.velocity
+        aims = velocity + c.lag * drive if self.lags else velocity
+        given = _within(_clip(command, (-fastest - aims) / period, (fastest - aims) / period), c.acceleration)
         if not self.lags:
             return given, drive
-        keeps = c["lag_keeps"]
-        return given + c["lag"] / period * (1 - keeps) * (drive - given), given + keeps * (drive - given)
+        keeps = c.lag_keeps
+        return given + c.lag / period * (1 - keeps) * (drive - given), given + keeps * (drive - given)
 
-    def law(self, row: Mapping[str, Any], ahead: Any, drive: Any, extra: Any, trust: Any) -> tuple[Any, Any]:
+    def law(self, row: Row, ahead: Any, drive: Any, extra: Any, trust: Any) -> tuple[Any, Any]:
         """Return the feedback of a row, m/s².
 
         Args:
@@ -754,9 +713,9 @@ class TickEquations:
         """
         feedback, untrusted = 0.0, 0.0
         for i in range(ahead.shape[0]):
-            feedback += row["gains"][i] * (row["state"][i] - ahead[i])
+            feedback += row.gains[i] * (row.state[i] - ahead[i])
         if self.lags:
-            feedback += row["drive_gain"] * (row["drive"] - drive)
+            feedback += row.drive_gain * (row.drive - drive)
         found_wrong: list[Any] = []
         for i, share in enumerate(self.shares or ()):
             value = extra[i]
@@ -764,63 +723,61 @@ class TickEquations:
                 untrusted = ca.if_else(ca.fabs(value) > trust, i + 1, untrusted)
                 value = _within(value, trust)
                 found_wrong.append(value)
-            feedback -= row["extra_gains"][i] * value
+            feedback -= row.extra_gains[i] * value
         for k, (one, other) in enumerate(combinations_with_replacement(found_wrong, 2)):
-            feedback -= row["pair_gains"][k] * one * other
+            feedback -= row.pair_gains[k] * one * other
         return feedback, untrusted
 
-    def _by_own(
-        self, m: Mapping[str, ca.SX], row: Mapping[str, ca.SX], ahead: ca.SX, parameters: ca.SX
-    ) -> tuple[ca.SX, dict[str, ca.SX]]:
+    def _by_own(self, m: Memory, row: Row, ahead: ca.SX, parameters: ca.SX) -> tuple[ca.SX, ca.SX]:
         """Return the feedback of a user's law, m/s², and its memory."""
         if self.own is None:
-            return ca.SX(0), {}
+            return ca.SX(0), m.own
         law = self.own.expression(ahead.shape[0], parameters.shape[0])
-        out = law(ahead, row["state"], row["feedforward"], m["own"], parameters)
+        out = law(ahead, row.state, row.feedforward, m.own, parameters)
         command, memory = ca.vertsplit(out, [0, 1, out.shape[0]])
-        return ca.if_else(row["own"], command - row["feedforward"], 0), {"own": memory}
+        return ca.if_else(row.own, command - row.feedforward, 0), memory
 
-    def _stuck(self, known: "_Known", nis: ca.SX, taken: ca.SX | None) -> tuple[ca.SX, dict[str, ca.SX]]:
+    def _stuck(self, known: _Known, nis: ca.SX, taken: ca.SX | None) -> tuple[ca.SX, Memory]:
         """Return the number of the first stuck sensor, from 1.
 
         The watch's memory follows.
 
         taken (2n,): changes of predicted angles and rates by the filter's update, if known.
         """
-        n, period, wanted = self.filter.arms, self.filter.period, known.row["wanted"]
+        n, period, wanted = self.filter.arms, self.filter.period, known.row.wanted
         m, r, c = known.memory, known.reading, known.numbers
-        fresh = _all(*(r["present"][i] for i in range(n + 1)))
+        fresh = _all(*(r.present[i] for i in range(n + 1)))
         after: dict[str, list[ca.SX]] = {
             name: [] for name in ("last", "step", "same", "begin", "away", "pulled", "strained", "held_back")
         }
         found: list[ca.SX] = []
         for i in range(n + 1):
             arm = i < n
-            inner = r["measured"][i - 1] if arm and i else 0
-            value = r["measured"][i] - inner
-            moved = value - m["last"][i]
+            inner = r.measured[i - 1] if arm and i else 0
+            value = r.measured[i] - inner
+            moved = value - m.last[i]
             step = ca.fabs(moved)
             same = step < self.same[0 if arm else 1]
             jumped = step > _COARSEST[0 if arm else 1]
-            smallest = ca.if_else(ca.logic_or(same, jumped), m["step"][i], ca.fmin(m["step"][i], step))
-            count = ca.if_else(same, m["same"][i] + 1, 0)
+            smallest = ca.if_else(ca.logic_or(same, jumped), m.step[i], ca.fmin(m.step[i], step))
+            count = ca.if_else(same, m.same[i] + 1, 0)
             # A reading within a count's rounding of the last one does not replace it.
-            values = {"last": ca.if_else(same, m["last"][i], value), "step": smallest, "same": count}
+            values = {"last": ca.if_else(same, m.last[i], value), "step": smallest, "same": count}
             if not arm:
                 frozen, scale = self._frozen_scale(m, c, value, count, smallest)
-                after |= {name: [ca.if_else(fresh, now, m[name])] for name, now in scale.items()}
+                after |= {name: [ca.if_else(fresh, now, getattr(m, name))] for name, now in scale.items()}
                 found.append(ca.logic_and(fresh, frozen))
             else:
                 should = wanted[i] - (wanted[i - 1] if i else 0)
-                begin = ca.if_else(same, m["begin"][i], should)
-                away = ca.if_else(same, ca.fmax(m["away"][i], ca.fabs(should - begin)), 0)
+                begin = ca.if_else(same, m.begin[i], should)
+                away = ca.if_else(same, ca.fmax(m.away[i], ca.fabs(should - begin)), 0)
                 q = ca.if_else(smallest <= _BIG, smallest, _UNSEEN / _COUNTS)
                 longest = ca.fmax(2 * ca.sqrt(2 * q / _TURNING), _STILL) / period
-                pulled, strained, held = m["pulled"][i], m["strained"][i], m["held_back"][i]
+                pulled, strained, held = m.pulled[i], m.strained[i], m.held_back[i]
                 evident = count >= _LONG * longest
                 if taken is not None:
                     turned, braked = (taken[k] - (taken[k - 1] if i else 0) for k in (i, n + i))
-                    on = ca.logic_and(same, ca.logic_not(m["restart"]))
+                    on = ca.logic_and(same, ca.logic_not(m.restart))
                     pulled, strained = ca.if_else(on, pulled + braked, 0), ca.if_else(on, strained + ca.fabs(braked), 0)
                     held = ca.if_else(on, held + pulled * period + turned, 0)
                     # An oscillating filter gives no evidence.
@@ -835,14 +792,14 @@ class TickEquations:
                     )
                 )  # fmt: skip
             for name, now in values.items():
-                after[name].append(ca.if_else(fresh, now, m[name][i]))
+                after[name].append(ca.if_else(fresh, now, getattr(m, name)[i]))
         sensor = ca.SX(0)
         for i in reversed(range(n + 1)):
             sensor = ca.if_else(found[i], i + 1, sensor)
-        return sensor, {name: ca.vertcat(*values) for name, values in after.items()}
+        return sensor, m._replace(**{name: ca.vertcat(*values) for name, values in after.items()})
 
     def _frozen_scale(
-        self, m: Mapping[str, ca.SX], c: Mapping[str, ca.SX], value: ca.SX, count: ca.SX, smallest: ca.SX
+        self, m: Memory, c: Numbers, value: ca.SX, count: ca.SX, smallest: ca.SX
     ) -> tuple[ca.SX, dict[str, ca.SX]]:
         """True if the cart's scale has frozen.
 
@@ -851,15 +808,15 @@ class TickEquations:
         value m: the reading. count: number of equal readings before it. smallest m: smallest step so far.
         """
         period = self.filter.period
-        first = ca.logic_not(_finite(m["last"][self.filter.arms]))
-        waited = ca.if_else(first, 0, m["scale_waited"] + 1)
+        first = ca.logic_not(_finite(m.last[self.filter.arms]))
+        waited = ca.if_else(first, 0, m.scale_waited + 1)
         due = waited * period >= _SCALE_CHECK - period / 2
         constant = count >= waited
-        q = ca.fmax(ca.if_else(smallest <= _BIG, smallest, _SCALE_UNSEEN), c["scale"])
+        q = ca.fmax(ca.if_else(smallest <= _BIG, smallest, _SCALE_UNSEEN), c.scale)
         rounding = q**2 / 12 + _SCALE_ERROR**2
-        state, covariance = m["scale"][:, :], unpack(m["scale_covariance"], m["scale"].shape[0])
+        state, covariance = m.scale[:, :], unpack(m.scale_covariance, m.scale.shape[0])
         state[0] = ca.if_else(first, 0, state[0])
-        apart = value - m["scale_read"] - state[0]
+        apart = value - m.scale_read - state[0]
         beyond = ca.fmax(ca.fabs(apart) - q, 0)
         surprise = beyond**2 / (covariance[0, 0] + rounding)
         # A constant reading does not move the prediction within a count.
@@ -867,30 +824,28 @@ class TickEquations:
         noise = rounding + ca.if_else(ca.logic_and(constant, beyond <= 0), q**2, 0)
         gain = covariance[:, 0] / (covariance[0, 0] + noise)
         corrected = state + gain * wrong
-        corrected[0] -= value - m["scale_read"]
-        level = ca.fmax(m["scale_level"] * (1 - _SCALE_CHECK / _SURPRISE_MEMORY), _SURPRISE * m["scale_surprise"])
-        evidence = ca.if_else(count > 0, m["evidence"], 0)
-        more = ca.fmax(evidence + surprise / m["scale_level"] - _SCALE_OFFSET, 0)
+        corrected[0] -= value - m.scale_read
+        level = ca.fmax(m.scale_level * (1 - _SCALE_CHECK / _SURPRISE_MEMORY), _SURPRISE * m.scale_surprise)
+        evidence = ca.if_else(count > 0, m.evidence, 0)
+        more = ca.fmax(evidence + surprise / m.scale_level - _SCALE_OFFSET, 0)
         evidence = ca.if_else(ca.logic_and(due, constant), more, evidence)
         stepped, again = ca.logic_and(due, ca.logic_not(constant)), ca.logic_or(first, due)
         after = {
             "scale": ca.vertcat(*(ca.if_else(due, corrected[i], state[i]) for i in range(state.shape[0]))),
             "scale_covariance": ca.if_else(
-                due, pack(covariance - gain @ covariance[0, :]), m["scale_covariance"]
+                due, pack(covariance - gain @ covariance[0, :]), m.scale_covariance
             ),
-            "scale_read": ca.if_else(again, value, m["scale_read"]), "scale_waited": ca.if_else(due, 0, waited),
+            "scale_read": ca.if_else(again, value, m.scale_read), "scale_waited": ca.if_else(due, 0, waited),
             # The reading may stop between two comparisons, so a surprise counts from the next step.
-            "scale_level": ca.if_else(stepped, ca.fmax(level, 1), m["scale_level"]),
-            "scale_surprise": ca.if_else(stepped, surprise, m["scale_surprise"]), "evidence": evidence,
+            "scale_level": ca.if_else(stepped, ca.fmax(level, 1), m.scale_level),
+            "scale_surprise": ca.if_else(stepped, surprise, m.scale_surprise), "evidence": evidence,
         }  # fmt: skip
         # The filter also explains a constant reading by a drive without response.
         idle = state[2] + _IDLE_SIGMAS * ca.sqrt(covariance[2, 2]) <= _IDLE_RESPONSE
         contradicts = ca.logic_or(evidence >= _SCALE_STUCK, ca.logic_and(idle, ca.logic_not(smallest <= _BIG)))
         return ca.logic_and(contradicts, count * period >= _CART_STILL - period / 2), after
 
-    def _drive(
-        self, known: "_Known", e: Mapping[str, ca.SX], stuck: tuple[ca.SX, dict[str, ca.SX]]
-    ) -> tuple[ca.SX, ca.SX, dict[str, ca.SX]]:
+    def _drive(self, known: _Known, e: Sensed, stuck: tuple[ca.SX, Memory]) -> tuple[ca.SX, ca.SX, Memory]:
         """Return the outcome of a drive that the cart does not follow, or 0.
 
         The number of the stuck sensor and the watch's memory follow.
@@ -898,57 +853,55 @@ class TickEquations:
         stuck: the same two of the sensors' watch.
         """
         m, c, n, (sensor, watch), period = known.memory, known.numbers, self.filter.arms, stuck, self.filter.period
-        v, step = e["z"][2 * n + 1], watch["step"][n]
+        v, step = e.z[2 * n + 1], watch.step[n]
         v = ca.if_else(_finite(v), v, 0)
-        moved = [ca.if_else(_finite(m["last"][i]), watch["last"][i] - m["last"][i], 0) for i in range(n + 1)]
+        moved = [ca.if_else(_finite(m.last[i]), watch.last[i] - m.last[i], 0) for i in range(n + 1)]
         moved = ca.vertcat(ca.DM(np.tril(np.ones((n, n)))) @ ca.vertcat(*moved[:n]), moved[n])
-        count = ca.fmax(ca.if_else(step <= _BIG, step, 0), c["scale"])
+        count = ca.fmax(ca.if_else(step <= _BIG, step, 0), c.scale)
         # The accelerations of a drive near its greatest velocity are not known.
-        limited = ca.fabs(v) >= _LIMITED * c["velocity"]
-        variance = ca.if_else(limited, _BIG, c["noise"][-1] + e["timing"] * v**2)
-        visible = self.drive.visible(count, variance, ca.fmax(c["drive_noise"], _COMMAND_NOISE))
-        fresh = _all(*(known.reading["present"][i] for i in range(n + 1)))
-        cart = CartReading(fresh, watch["same"][n] > 0, moved, known.reading["age"] * v, visible)
-        memory = self.drive.update(m["drive_watch"], cart)
-        found = self.drive.parts(memory)
-        unfollowed = found["lasts"] >= self.drive.longest - period / 2
+        limited = ca.fabs(v) >= _LIMITED * c.velocity
+        variance = ca.if_else(limited, _BIG, c.noise[-1] + e.timing * v**2)
+        visible = self.drive.visible(count, variance, ca.fmax(c.drive_noise, _COMMAND_NOISE))
+        fresh = _all(*(known.reading.present[i] for i in range(n + 1)))
+        cart = CartReading(fresh, watch.same[n] > 0, moved, known.reading.age * v, visible)
+        memory = self.drive.update(m.drive_watch, cart)
+        found = self.drive.memory.of(memory)
+        unfollowed = found.lasts >= self.drive.longest - period / 2
         # Arms that move by the commands contradict a constant reading of the scale, not the drive.
-        constant = watch["same"][n] * period >= found["lasts"] - period / 2
-        by_scale = _all(unfollowed, constant, found["doubt"] > 0)
-        by_drive = _any(_all(unfollowed, ca.logic_not(by_scale)), _all(ca.eq(sensor, n + 1), found["doubt"] < 0))
-        outcome = ca.if_else(found["against"] < 0, int(Outcome.DRIVE_REVERSED), int(Outcome.DRIVE_OFF))
+        constant = watch.same[n] * period >= found.lasts - period / 2
+        by_scale = _all(unfollowed, constant, found.doubt > 0)
+        by_drive = _any(_all(unfollowed, ca.logic_not(by_scale)), _all(ca.eq(sensor, n + 1), found.doubt < 0))
+        outcome = ca.if_else(found.against < 0, int(Outcome.DRIVE_REVERSED), int(Outcome.DRIVE_OFF))
         sensor = ca.if_else(by_drive, 0, ca.if_else(by_scale, n + 1, sensor))
-        return ca.if_else(by_drive, outcome, 0), sensor, {**watch, "drive_watch": memory}
+        return ca.if_else(by_drive, outcome, 0), sensor, watch._replace(drive_watch=memory)
 
-    def _expected_cart(self, watch: Mapping[str, ca.SX], c: Mapping[str, ca.SX], acting: ca.SX) -> dict[str, ca.SX]:
+    def _expected_cart(self, watch: Memory, c: Numbers, acting: ca.SX) -> Memory:
         """The cart by scale and commands a period later, after `acting` m/s²."""
-        period, state = self.filter.period, watch["scale"]
-        covariance = unpack(watch["scale_covariance"], state.shape[0])
+        period, state = self.filter.period, watch.scale
+        covariance = unpack(watch.scale_covariance, state.shape[0])
         moves = ca.SX.eye(state.shape[0])
         moves[0, 1:] = ca.horzcat(period, acting * period**2 / 2, -acting * period)
         moves[1, 2] = acting * period
         noise = ca.SX(*moves.shape)
-        each = ca.fmax(c["drive_noise"], _COMMAND_NOISE) ** 2 * period
+        each = ca.fmax(c.drive_noise, _COMMAND_NOISE) ** 2 * period
         noise[0, 0], noise[1, 1] = each * period**3 / 3, each * period
         noise[0, 1] = noise[1, 0] = each * period**2 / 2
         # Without motion, the knowledge of the drive fades to that of the start.
         for i, (sigma, drift) in enumerate(((_RESPONSE, _RESPONSE_DRIFT), (_LAG, _LAG_DRIFT)), start=2):
             noise[i, i] = ca.if_else(covariance[i, i] < sigma**2, drift**2 * period, 0)
-        return {"scale": moves @ state, "scale_covariance": pack(moves @ covariance @ moves.T + noise)}
+        return watch._replace(scale=moves @ state, scale_covariance=pack(moves @ covariance @ moves.T + noise))
 
-    def _expected_arms(self, known: "_Known", e: Mapping[str, ca.SX], watch: ca.SX, acting: ca.SX) -> ca.SX:
+    def _expected_arms(self, known: _Known, e: Sensed, watch: ca.SX, acting: ca.SX) -> ca.SX:
         """Return the drive's watch a period later, after `acting` m/s².
 
         Estimated parameters and errors of the drive adapt to a stuck scale, so they are not used.
         """
         n, rate, size = self.filter.arms, self.filter.equations.function(), self.filter.equations.dimension
-        state = ca.vertcat(*(ca.if_else(_finite(value), value, 0) for value in ca.vertsplit(e["z"][:size])))
-        swing, free = (rate(state, a, known.numbers["parameters"])[n : 2 * n] for a in (acting, 0))
+        state = ca.vertcat(*(ca.if_else(_finite(value), value, 0) for value in ca.vertsplit(e.z[:size])))
+        swing, free = (rate(state, a, known.numbers.parameters)[n : 2 * n] for a in (acting, 0))
         return self.drive.predict(watch, acting, swing, swing - free)
 
-    def _finish(
-        self, known: "_Known", e: Mapping[str, ca.SX], acts: "_Acts", *, predicts: bool
-    ) -> tuple[dict[str, ca.SX], dict[str, ca.SX]]:
+    def _finish(self, known: _Known, e: Sensed, acts: _Acts, *, predicts: bool) -> tuple[Memory, Report]:
         """Memory and report after the estimate e."""
         law = self._by_law(known, e, acts)
         means = self._means(known, e, predicts=predicts)
@@ -958,60 +911,58 @@ class TickEquations:
             known, e, acts, law, means, verdict, path
         )
 
-    def _by_law(self, known: "_Known", e: Mapping[str, ca.SX], acts: "_Acts") -> "_Law":
+    def _by_law(self, known: _Known, e: Sensed, acts: _Acts) -> _Law:
         """Feedforward and feedback before limits, and their memory."""
         row, c, size = known.row, known.numbers, self.filter.equations.dimension
-        by_row, untrusted = self.law(row, acts.ahead, acts.drive, e["z"][size:], c["trust"])
-        by_own, own = self._by_own(known.memory, row, acts.ahead, c["parameters"])
+        by_row, untrusted = self.law(row, acts.ahead, acts.drive, e.z[size:], c.trust)
+        by_own, own = self._by_own(known.memory, row, acts.ahead, c.parameters)
         feedback = acts.back + by_row + by_own
-        finite = ca.logic_and(e["sound"], _finite(row["feedforward"] + feedback))
-        return _Law(row["feedforward"], feedback, finite, untrusted, by_own, own)
+        finite = ca.logic_and(e.sound, _finite(row.feedforward + feedback))
+        return _Law(row.feedforward, feedback, finite, untrusted, by_own, own)
 
-    def _means(self, known: "_Known", e: Mapping[str, ca.SX], *, predicts: bool) -> "_Means":
+    def _means(self, known: _Known, e: Sensed, *, predicts: bool) -> _Means:
         """Return means of innovations and of distances.
 
         The distances are those from the reference. The time without measurement is included.
         """
         m, r, c, n, period = known.memory, known.reading, known.numbers, self.filter.arms, self.filter.period
-        judged = ca.logic_and(e["used"] > 0, e["sound"])
+        judged = ca.logic_and(e.used > 0, e.sound)
         # A blow ends within a tick, and is not evidence of a lost estimate.
-        by_position = ca.fmin(e["nis"] / ca.fmax(e["used"], 1), _MOST_AT_ONCE * c["lost_estimate"])
-        nis = m["nis"] + ca.if_else(judged, (by_position - m["nis"]) * min(period / ESTIMATE_MEMORY, 1), 0)
-        strained = ca.fmin(e["strain"] / ca.fmax(e["used"], 1), _MOST_AT_ONCE * c["lost_estimate"])
-        strain = m["strain"] + ca.if_else(judged, (strained - m["strain"]) * min(period / ESTIMATE_MEMORY, 1), 0)
-        silent = ca.if_else(r["present"], 0, m["silent"] + period)
-        angles = [e["z"][i] for i in range(n)]
+        by_position = ca.fmin(e.nis / ca.fmax(e.used, 1), _MOST_AT_ONCE * c.lost_estimate)
+        nis = m.nis + ca.if_else(judged, (by_position - m.nis) * min(period / ESTIMATE_MEMORY, 1), 0)
+        strained = ca.fmin(e.strain / ca.fmax(e.used, 1), _MOST_AT_ONCE * c.lost_estimate)
+        strain = m.strain + ca.if_else(judged, (strained - m.strain) * min(period / ESTIMATE_MEMORY, 1), 0)
+        silent = ca.if_else(r.present, 0, m.silent + period)
+        angles = [e.z[i] for i in range(n)]
         if predicts:
             # By the readings, which are right if the estimate is wrong. Another estimator's turns are unknown here.
-            angles = [ca.if_else(r["present"][i], r["measured"][i] - e["turns"][i], angles[i]) for i in range(n)]
-        distance = _largest([ca.fabs(angles[i] - known.row["wanted"][i]) for i in range(n)])
-        blind = ca.logic_and(m["restart"], ca.logic_not(e["used"] > 0))
-        seen = ca.logic_and(e["sound"], ca.logic_not(blind))
-        error = m["error"] + ca.if_else(seen, (distance - m["error"]) * min(period / TRACKING_MEMORY, 1), 0)
+            angles = [ca.if_else(r.present[i], r.measured[i] - e.turns[i], angles[i]) for i in range(n)]
+        distance = _largest([ca.fabs(angles[i] - known.row.wanted[i]) for i in range(n)])
+        blind = ca.logic_and(m.restart, ca.logic_not(e.used > 0))
+        seen = ca.logic_and(e.sound, ca.logic_not(blind))
+        error = m.error + ca.if_else(seen, (distance - m.error) * min(period / TRACKING_MEMORY, 1), 0)
         return _Means(nis, strain, silent, distance, blind, error)
 
-    def _verdict(
-        self, known: "_Known", e: Mapping[str, ca.SX], acts: "_Acts", law: "_Law", means: "_Means", *, predicts: bool
-    ) -> "_Verdict":
+    def _verdict(self, known: _Known, e: Sensed, acts: _Acts, law: _Law, means: _Means, *, predicts: bool) -> _Verdict:
         """The outcome, written so that NaN stops the run."""
         m, c, n = known.memory, known.numbers, self.filter.arms
-        finite = _all(law.finite, means.nis <= c["lost_estimate"], _finite(means.distance + ca.sum1(e["z"][:n])))
+        finite = _all(law.finite, means.nis <= c.lost_estimate, _finite(means.distance + ca.sum1(e.z[:n])))
         lost = ca.logic_not(finite)
-        restarts = ca.logic_and(lost, m["restarts"] < c["restarts"] - 0.5)
-        leaves = self._farthest(known, acts) >= c["travel"]
+        restarts = ca.logic_and(lost, m.restarts < c.restarts - 0.5)
+        leaves = self._farthest(known, acts) >= c.travel
         # A cart that follows fallen arms is not the cause of the ending.
-        fallen = ca.logic_and(leaves, means.distance > c["lost_tracking"])
-        most = ca.if_else(m["held"], ca.fmax(c["lost_tracking"], LOST_AFTER_FALLBACK), c["lost_tracking"])
+        fallen = ca.logic_and(leaves, means.distance > c.lost_tracking)
+        most = ca.if_else(m.held, ca.fmax(c.lost_tracking, LOST_AFTER_FALLBACK), c.lost_tracking)
         astray = means.error > most
-        holds = _all(astray, c["can_hold"], ca.logic_not(m["held"]))
-        moves = _all(c["resynchronise"] > 0, means.error > c["resynchronise"], m["moved"] > TRACKING_MEMORY)
-        taken = e.get("relative", e["z"])[: 2 * n] - m["z"][: 2 * n] if predicts else None
+        holds = _all(astray, c.can_hold, ca.logic_not(m.held))
+        moves = _all(c.resynchronise > 0, means.error > c.resynchronise, m.moved > TRACKING_MEMORY)
+        taken = (e.relative if self.split else e.z)[: 2 * n] - m.z[: 2 * n] if predicts else None
         stuck = self._stuck(known, ca.if_else(restarts, 0, means.strain), taken)
         drive, sensor, watch = self._drive(known, e, stuck)
         outcome = ca.SX(int(Outcome.GO_ON))
         # From the weakest: each overrides those before it.
         for condition, code in (
-            (known.reading["switch"], Outcome.SWITCH),
+            (known.reading.switch, Outcome.SWITCH),
             (moves, Outcome.RESYNCHRONISE),
             (holds, Outcome.HOLD),
             # Neither a restart nor a hold helps against a stuck sensor.
@@ -1023,37 +974,35 @@ class TickEquations:
                     (ca.logic_and(astray, ca.logic_not(holds)), Outcome.TRACKING_LOST),
                     (leaves, Outcome.CART),
                     (fallen, Outcome.FALLEN),
-                    (ca.mmax(means.silent) > c["missing"], Outcome.SILENT),
+                    (ca.mmax(means.silent) > c.missing, Outcome.SILENT),
                     (lost, Outcome.ESTIMATE_LOST),
                 )
             ),
         ):
             outcome = ca.if_else(condition, int(code), outcome)
         outcome = ca.if_else(drive > 0, drive, outcome)
-        outcome = ca.if_else(m["stopped"] > 0, int(Outcome.GO_ON), outcome)
-        stopped = ca.if_else(outcome >= int(Outcome.ESTIMATE_LOST), outcome, m["stopped"])
+        outcome = ca.if_else(m.stopped > 0, int(Outcome.GO_ON), outcome)
+        stopped = ca.if_else(outcome >= int(Outcome.ESTIMATE_LOST), outcome, m.stopped)
         return _Verdict(outcome, stopped, sensor, watch)
 
-    def _farthest(self, known: "_Known", acts: "_Acts") -> ca.SX:
+    def _farthest(self, known: _Known, acts: _Acts) -> ca.SX:
         """Return the cart's resting place if it brakes now, or its place if it is farther, m from the centre."""
         m, c, n = known.memory, known.numbers, self.filter.arms
-        x, v, sent = acts.ahead[2 * n], acts.ahead[2 * n + 1], m["velocity"]
+        x, v, sent = acts.ahead[2 * n], acts.ahead[2 * n + 1], m.velocity
         # The drive is no faster, whatever the estimate of a cart whose scale has just stuck.
-        v = ca.fmin(ca.fmax(v, -_FASTEST * c["velocity"]), _FASTEST * c["velocity"])
+        v = ca.fmin(ca.fmax(v, -_FASTEST * c.velocity), _FASTEST * c.velocity)
         # A return, which has no margin, brings the cart back onto its track.
-        farthest = ca.fmax(ca.if_else(c["margin"] > 0, ca.fabs(x), 0), self._stopping_point(x, v, c))
+        farthest = ca.fmax(ca.if_else(c.margin > 0, ca.fabs(x), 0), self._stopping_point(x, v, c))
         # Sent commands without an effect yet, for a lagging drive.
-        return ca.fmax(farthest, ca.if_else(ca.fabs(sent) > 0, self._stopping_point(x, m["heading"], c), -_BIG))
+        return ca.fmax(farthest, ca.if_else(ca.fabs(sent) > 0, self._stopping_point(x, m.heading, c), -_BIG))
 
-    def _path(
-        self, known: "_Known", e: Mapping[str, ca.SX], acts: "_Acts", law: "_Law", verdict: "_Verdict"
-    ) -> "_Path":
+    def _path(self, known: _Known, e: Sensed, acts: _Acts, law: _Law, verdict: _Verdict) -> _Path:
         """Return the command within the drive's limits.
 
         The acceleration in the coming period is included.
         """
         m, c, period, n = known.memory, known.numbers, self.filter.period, self.filter.arms
-        most, fastest, sent, stop = c["acceleration"], c["velocity"], m["velocity"], verdict.stopped > 0
+        most, fastest, sent, stop = c.acceleration, c.velocity, m.velocity, verdict.stopped > 0
         forward = ca.if_else(ca.logic_or(stop, ca.logic_not(law.finite)), 0, law.forward)
         feedback = ca.if_else(law.finite, law.feedback, 0)
         feedback = ca.if_else(stop, _within(-sent / period, BRAKING * most), feedback)
@@ -1062,112 +1011,107 @@ class TickEquations:
         velocity = _within(sent + command * period, fastest)
         # Braking to rest leaves a rounding error.
         velocity = ca.if_else(ca.fabs(velocity) > AT_REST, velocity, 0)
-        still = ca.if_else(_all(m["stopped"] > 0, ca.logic_not(ca.fabs(sent) > 0)), m["still"] + period, 0)
-        queue, coming = {}, acts.coming
+        still = ca.if_else(_all(m.stopped > 0, ca.logic_not(ca.fabs(sent) > 0)), m.still + period, 0)
+        queue, coming = m.sent, acts.coming
         if coming is None:
-            queue = {"sent": ca.vertcat(m["sent"][1:], command)}
-            coming = c["share"] * queue["sent"][0] + (1 - c["share"]) * queue["sent"][1]
+            queue = ca.vertcat(m.sent[1:], command)
+            coming = c.share * queue[0] + (1 - c.share) * queue[1]
         place = self.filter.equations.dimension - 1
-        acting, moved_on = self._acting(coming, e["z"][place], m.get("drive", ca.SX(0)), c)
+        acting, moved_on = self._acting(coming, e.z[place], m.drive, c)
         saturated = ca.logic_or(ca.fabs(wish) > most, ca.fabs(velocity) >= fastest)
-        heading, v = m["heading"], acts.ahead[2 * n + 1]
+        heading, v = m.heading, acts.ahead[2 * n + 1]
         heading = _within(heading + command * period + (v - heading) * min(period / _LAGS, 1), fastest)
-        shaped, kept = self._shaped(known, command)
-        after = {**queue, "velocity": velocity, "heading": heading, "still": still, "drive": moved_on, **kept}
+        shaped, notch = self._shaped(known, command)
+        after = verdict.watch._replace(
+            sent=queue, velocity=velocity, heading=heading, still=still, drive=moved_on, shaped=notch
+        )
         return _Path(forward, feedback, wish, shaped, acting, saturated, after)
 
-    def _shaped(self, known: "_Known", command: ca.SX) -> tuple[ca.SX, dict[str, ca.SX]]:
+    def _shaped(self, known: _Known, command: ca.SX) -> tuple[ca.SX, ca.SX]:
         """The command to the drive, and the memory of its shaping."""
         if not self.shapes:
-            return command, {}
+            return command, known.memory.shaped
         # Drive, shaping and belt act as a lag, which the filter models.
         (b0, b1, b2, a1, a2), (first, second) = (
-            ca.vertsplit(known.numbers["notch"]),
-            ca.vertsplit(known.memory["shaped"]),
+            ca.vertsplit(known.numbers.notch),
+            ca.vertsplit(known.memory.shaped),
         )
-        shaped = _within(b0 * command + first, known.numbers["acceleration"])
-        return shaped, {"shaped": ca.vertcat(b1 * command - a1 * shaped + second, b2 * command - a2 * shaped)}
+        shaped = _within(b0 * command + first, known.numbers.acceleration)
+        return shaped, ca.vertcat(b1 * command - a1 * shaped + second, b2 * command - a2 * shaped)
 
     def _memory(
-        self, known: "_Known", e: Mapping[str, ca.SX], law: "_Law", means: "_Means", verdict: "_Verdict",
-        path: "_Path", *, predicts: bool,
-    ) -> dict[str, ca.SX]:  # fmt: skip
+        self, known: _Known, e: Sensed, law: _Law, means: _Means, verdict: _Verdict,
+        path: _Path, *, predicts: bool,
+    ) -> Memory:  # fmt: skip
         """Memory for the next tick."""
         m, period = known.memory, self.filter.period
         falls, again = ca.eq(verdict.outcome, int(Outcome.HOLD)), ca.eq(verdict.outcome, int(Outcome.RESTART))
         moved = ca.eq(verdict.outcome, int(Outcome.RESYNCHRONISE))
-        memory = {
-            "turns": e["turns"], **{name: e[name] for name in ("timing", "timed", "lateness")},
-            "strain": means.strain, "error": ca.if_else(falls, 0, means.error),
-            "nis": ca.if_else(again, 0, means.nis), "silent": means.silent,
-            "restarts": m["restarts"] * (1 - min(period / RESTART_MEMORY, 1)) + again,
-            "held": ca.if_else(falls, 1, m["held"]), "moved": ca.if_else(moved, 0, m["moved"] + period),
-            "restart": ca.logic_or(again, means.blind), "stopped": verdict.stopped, "acted": path.acting,
-            "cut": path.saturated, "was_untrusted": ca.logic_or(m["was_untrusted"], law.untrusted > 0), **verdict.watch,
-            **self._expected_cart(verdict.watch, known.numbers, path.acting), **law.own, **path.after,
-            "drive_watch": self._expected_arms(known, e, verdict.watch["drive_watch"], path.acting),
-            **self._predicted(known, e, means, path.acting, predicts=predicts),
-        }  # fmt: skip
-        if self.plays:
-            memory["mark"] = e["mark"]
-        if self.split:
-            memory["origin"] = m["origin"]
-        return memory
+        z, covariance = self._predicted(known, e, means, path.acting, predicts=predicts)
+        return self._expected_cart(path.after, known.numbers, path.acting)._replace(
+            z=z, covariance=covariance, turns=e.turns, timing=e.timing, timed=e.timed, lateness=e.lateness,
+            strain=means.strain, error=ca.if_else(falls, 0, means.error),
+            nis=ca.if_else(again, 0, means.nis), silent=means.silent,
+            restarts=m.restarts * (1 - min(period / RESTART_MEMORY, 1)) + again,
+            held=ca.if_else(falls, 1, m.held), moved=ca.if_else(moved, 0, m.moved + period),
+            restart=ca.logic_or(again, means.blind), stopped=verdict.stopped, acted=path.acting,
+            cut=path.saturated, was_untrusted=ca.logic_or(m.was_untrusted, law.untrusted > 0), own=law.own,
+            drive_watch=self._expected_arms(known, e, verdict.watch.drive_watch, path.acting), mark=e.mark,
+        )  # fmt: skip
 
     def _predicted(
-        self, known: "_Known", e: Mapping[str, ca.SX], means: "_Means", acting: ca.SX, *, predicts: bool
-    ) -> dict[str, ca.SX]:
+        self, known: _Known, e: Sensed, means: _Means, acting: ca.SX, *, predicts: bool
+    ) -> tuple[ca.SX, ca.SX]:
         """Return the filter's prediction over the coming period.
 
         Without `predicts`, its memory is unchanged.
         """
         m, c = known.memory, known.numbers
         if not predicts:
-            return {"z": m["z"], "covariance": m["covariance"]}
-        start, origin = (e["relative"], self._origin(m)) if self.split else (e["z"], None)
-        covariance = unpack(e["covariance"], self.filter.dimension)
-        noise_inputs = self.filter.noise_inputs(covariance, acting - m["acted"], means.nis)
+            return m.z, m.covariance
+        start, origin = (e.relative, self._origin(m)) if self.split else (e.z, None)
+        covariance = unpack(e.covariance, self.filter.dimension)
+        noise_inputs = self.filter.noise_inputs(covariance, acting - m.acted, means.nis)
         predicted = self.filter.predicted
-        following, jacobian, noise = predicted(start, acting, c["parameters"], c["process"], noise_inputs, origin)
-        return {"z": following, "covariance": propagated(jacobian, covariance, noise)}
+        following, jacobian, noise = predicted(start, acting, c.parameters, c.process, noise_inputs, origin)
+        return following, propagated(jacobian, covariance, noise)
 
     def _report(
-        self, known: "_Known", e: Mapping[str, ca.SX], acts: "_Acts", law: "_Law", means: "_Means",
-        verdict: "_Verdict", path: "_Path",
-    ) -> dict[str, ca.SX]:  # fmt: skip
+        self, known: _Known, e: Sensed, acts: _Acts, law: _Law, means: _Means,
+        verdict: _Verdict, path: _Path,
+    ) -> Report:  # fmt: skip
         """Report for loop and log."""
         m, size, stop = known.memory, self.filter.equations.dimension, verdict.stopped > 0
-        newly_cut = ca.logic_and(path.saturated, ca.logic_not(m["cut"]))
-        newly_untrusted = ca.if_else(m["was_untrusted"], 0, law.untrusted)
+        newly_cut = ca.logic_and(path.saturated, ca.logic_not(m.cut))
+        newly_untrusted = ca.if_else(m.was_untrusted, 0, law.untrusted)
         repeats = ca.SX(0)
         for i in range(self.filter.arms + 1):
-            repeats = ca.if_else(ca.eq(verdict.sensor, i + 1), verdict.watch["same"][i], repeats)
-        tracks = ca.if_else(path.saturated, int(Mode.SATURATED), known.numbers["mode"])
+            repeats = ca.if_else(ca.eq(verdict.sensor, i + 1), verdict.watch.same[i], repeats)
+        tracks = ca.if_else(path.saturated, int(Mode.SATURATED), known.numbers.mode)
         # Reports and logs hold relative errors, the filter logarithms.
-        extras, sigmas = e["z"][:, :], e["sigmas"][:, :]
+        extras, sigmas = e.z[:, :], e.sigmas[:, :]
         for i in self.filter.shares:
             sigmas[i] *= ca.exp(extras[i])
             extras[i] = ca.exp(extras[i]) - 1
-        return {
-            "state": e["z"][:size], "wish": path.wish, "feedforward": path.forward, "feedback": path.feedback,
-            "acting": path.acting, "saturated": path.saturated, "nis": e["nis"],
-            "mode": ca.if_else(stop, int(Mode.ABORTED), tracks), "sigmas": sigmas, "extra": extras[size:],
-            "command": path.command, "outcome": verdict.outcome, "stop": stop,
-            "done": path.after["still"] > SETTLING, "newly_cut": newly_cut, "untrusted": newly_untrusted,
-            "sensor": verdict.sensor, "repeats": repeats, "error": means.error, "mean_nis": means.nis,
-            "silent": ca.mmax(means.silent), "used": e["used"], "ahead": acts.ahead, "notable": verdict.outcome + stop,
-            "news": newly_cut + newly_untrusted, "own": law.by_own + known.row["feedforward"],
-        }  # fmt: skip
+        return Report(
+            state=e.z[:size], wish=path.wish, feedforward=path.forward, feedback=path.feedback, acting=path.acting,
+            saturated=path.saturated, nis=e.nis, mode=ca.if_else(stop, int(Mode.ABORTED), tracks), sigmas=sigmas,
+            extra=extras[size:], command=path.command, outcome=verdict.outcome, stop=stop,
+            done=path.after.still > SETTLING, newly_cut=newly_cut, untrusted=newly_untrusted, sensor=verdict.sensor,
+            repeats=repeats, error=means.error, mean_nis=means.nis, silent=ca.mmax(means.silent), used=e.used,
+            ahead=acts.ahead, notable=verdict.outcome + stop, news=newly_cut + newly_untrusted,
+            own=law.by_own + known.row.feedforward,
+        )  # fmt: skip
 
-    def _stopping_point(self, position: ca.SX, velocity: ca.SX, c: Mapping[str, ca.SX]) -> ca.SX:
+    def _stopping_point(self, position: ca.SX, velocity: ca.SX, c: Numbers) -> ca.SX:
         """Return the cart's resting place if it brakes now.
 
         The cart's resting place is measured from the centre in the direction of the cart's motion, m.
 
         It is negative on the side of its start, and includes the margin.
         """
-        reached = position + velocity * c["onset"]
-        return ca.if_else(velocity < 0, -reached, reached) + velocity * velocity / c["brake"] + c["margin"]
+        reached = position + velocity * c.onset
+        return ca.if_else(velocity < 0, -reached, reached) + velocity * velocity / c.brake + c.margin
 
     # The functions.
 
@@ -1175,8 +1119,8 @@ class TickEquations:
         """Return the whole tick: (memory, reading, row, numbers) -> memory and report."""
         (memory, m), (reading, r), (row, t), (numbers, c) = self._symbols()
         e = self._sense(m, r, c)
-        z, drive = e["z"], m.get("drive", ca.SX(0))
-        for command in on_their_way(m["sent"], c["share"], whole=self.whole, lead=self.lead):
+        z, drive = e.z, m.drive
+        for command in on_their_way(m.sent, c.share, whole=self.whole, lead=self.lead):
             z, drive = self._moved(z, drive, command, c)
         acts = _Acts(self._seen(z, r), drive, ca.SX(0), None)
         after, report = self._finish(_Known(m, r, t, c), e, acts, predicts=True)
@@ -1223,19 +1167,19 @@ class TickEquations:
         inputs |= {"ahead": ahead, "drive": drive, "back": back, **({} if coming is None else {"coming": coming})}
         return _function("finish", inputs, out)
 
-    def _symbols(self) -> list[tuple[ca.SX, dict[str, ca.SX]]]:
+    def _symbols(self) -> list[tuple[ca.SX, Any]]:
         layouts = {"memory": self.memory, "reading": self.reading, "row": self.row, "numbers": self.numbers}
         return [layout.symbols(name) for name, layout in layouts.items()]
 
-    def _moved(self, z: ca.SX, drive: ca.SX, command: ca.SX, c: Mapping[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
+    def _moved(self, z: ca.SX, drive: ca.SX, command: ca.SX, c: Numbers) -> tuple[ca.SX, ca.SX]:
         """State and extras, and the cart's acceleration, a period later."""
         acting, following = self._acting(command, z[self.filter.equations.dimension - 1], drive, c)
-        return self.filter.predicted(z, acting, c["parameters"], c["process"], ca.SX(3, 1))[0], following
+        return self.filter.predicted(z, acting, c.parameters, c.process, ca.SX(3, 1))[0], following
 
-    def _seen(self, z: ca.SX, r: Mapping[str, ca.SX]) -> ca.SX:
+    def _seen(self, z: ca.SX, r: Measurement) -> ca.SX:
         """The state that the law receives."""
         n, size = self.filter.arms, self.filter.equations.dimension
-        return ca.vertcat(*(z[i] + (r["rate_error"][i - n] if n <= i < 2 * n else 0) for i in range(size)))
+        return ca.vertcat(*(z[i] + (r.rate_error[i - n] if n <= i < 2 * n else 0) for i in range(size)))
 
 
 def on_their_way(sent: Any, share: Any, *, whole: int, lead: int) -> list[Any]:
@@ -1275,11 +1219,7 @@ def whole_periods(delay: float) -> tuple[int, int]:
     Args:
         delay: delay of a command, in periods.
 
-    Raises:
-        InputError: the delay is negative or absurd.
     """
-    if not 0 <= delay <= LONGEST_DELAY:
-        raise InputError(f"run: delay = {delay!r}: must be 0 to {LONGEST_DELAY:g} periods")
     return math.floor(delay), round(delay)
 
 
@@ -1289,10 +1229,9 @@ class TickProgram:
     It belongs to one model, filter, delay and law, and computes `runs` runs in lockstep.
 
     Arrays have a column for each run and fill whole vectors of the processor, because partial vectors round
-    differently. So a single run equals one of many. bounds: see `BOUNDS`.
+    differently. So a single run equals one of many. bounds: see `Numbers`.
 
-    Raises:
-        InputError: the delay is impossible, or the noise (n+1, n+1) is not a covariance.
+    noise (n+1, n+1) is the covariance of the measured positions.
     """
 
     def __init__(
@@ -1329,35 +1268,26 @@ class TickProgram:
         again[arms : 2 * arms], again[2 * arms + 1] = RESTART_RATE, RESTART_VELOCITY
         known = {
             **bounds, "share": delay - whole, "lag": model.lag, "lag_keeps": model.lag_keeps,
-            "noise": packed(checked_noise(noise, arms)),
+            "noise": packed(noise),
             "parameters": model.parameters, "process": settings.process(arms, model.period), "fresh": again**2,
         }  # fmt: skip
         if equations.plays and mechanics is not None:
             known |= {"play": np.array(mechanics.play), "moves": _MOVES * np.sqrt(noise[0, 0])}
         if equations.shapes and mechanics is not None:
             known["notch"] = mechanics.notch(model.period)
-        whole_input = Layout(
-            memory=equations.memory.size, reading=equations.reading.size, row=equations.row.size,
-            numbers=equations.numbers.size,
-        )  # fmt: skip
-        self._inputs = np.zeros((whole_input.size, self.lanes))
-        self.memory, self.reading, self.row, self._numbers = (
-            self._inputs[where] for where in whole_input.slices.values()
-        )
-        self._numbers[:] = equations.numbers.filled(known, self.lanes)
-        reading = equations.reading.slices
-        self._measured, self._present = self.reading[reading["measured"]], self.reading[reading["present"]]
-        self._switch, self._rate_error = self.reading[reading["switch"]][0], self.reading[reading["rate_error"]]
-        self._present[:] = 1.0
-        self._age = self.reading[reading["age"]]
-        self._all, self._switched, self._aged = True, 0, False
+        sizes = [layout.size for layout in (equations.memory, equations.reading, equations.row, equations.numbers)]
+        self._inputs = np.zeros((sum(sizes), self.lanes))
+        self.stored, reading, self.row, self._constants = np.split(self._inputs, np.cumsum(sizes)[:-1])
+        self._constants[:] = equations.numbers.filled(self.lanes, **known)
+        self.memory, self.reading = equations.memory.of(self.stored), equations.reading.of(reading)
+        self.numbers = equations.numbers.of(self._constants)
         self._out = np.empty((equations.memory.size + equations.report.size, self.lanes))
-        queue = np.zeros((whole + 2, self.lanes))
-        self._sent: Array = self.memory[equations.memory.slices["sent"]] if unrolls else queue
-        self._kept, self.report = self._out[: equations.memory.size], self._out[equations.memory.size :]
-        """Report (size, lanes) of the last tick, overwritten at the next."""
-        self.at = {name: where.start for name, where in equations.report.slices.items()}
-        """The first row of each part of a report, by its name."""
+        self._sent: Array = self.memory.sent if unrolls else np.zeros((whole + 2, self.lanes))
+        self._kept, told = self._out[: equations.memory.size], self._out[equations.memory.size :]
+        self.report = equations.report.of(told)
+        """Report of the last tick, parts (length, lanes), overwritten at the next."""
+        self.logged = told[: equations.report.slices.extra.stop, 0]
+        """Its first parts up to the extras, which a log's row holds, of the first run."""
 
     def machine(self, name: str) -> Compiled:
         """Return one of the functions as machine code.
@@ -1382,7 +1312,7 @@ class TickProgram:
             queued: pending commands (lead, runs), oldest first, m/s².
             velocity: velocity of the cart, m/s.
         """
-        most, fastest = (self._numbers[self.equations.numbers.slices[name], 0] for name in ("acceleration", "velocity"))
+        most, fastest = self.numbers.acceleration[0, 0], self.numbers.velocity[0, 0]
         sent = np.zeros(self._sent.shape)
         speed = np.full(self.lanes, velocity)
         for command in np.clip(self.spread(queued), -most, most):
@@ -1397,16 +1327,11 @@ class TickProgram:
             "drive_watch": self.equations.drive.start(velocity, first[n : 2 * n]),
             "scale_covariance": packed(np.diag([_SCALE_ERROR, _COMMAND_NOISE * _SCALE_CHECK, _RESPONSE, _LAG]) ** 2),
             "timing": TIMING_PRIOR * self.period**2, "timed": TIMING_PRIOR**-2,
-            "moved": np.inf, "last": np.inf, "step": np.inf,
+            "moved": np.inf, "last": np.inf, "step": np.inf, "mark": np.inf, "drive": sent[1][None],
         }  # fmt: skip
-        if self.equations.plays:
-            start["mark"] = np.inf
         if self.equations.own is not None:
             start["own"] = self.equations.own.first
-        if self.equations.lags:
-            # The last acceleration.
-            start["drive"] = sent[1][None]
-        self.memory[:] = self.equations.memory.filled(start, self.lanes)
+        self.stored[:] = self.equations.memory.filled(self.lanes, **start)
         self._sent[:] = sent
 
     def spread(self, values: Array) -> Array:
@@ -1432,25 +1357,17 @@ class TickProgram:
             rate_error: error (n, 1) or (n, lanes) of the rates that the law receives, rad/s; None to keep the last.
             age: age of the reading, s, None if unknown.
         """
-        self._measured[:] = positions
-        if present is not None:
-            # A missing position can have any value.
-            self._present[:] = present if present.ndim > 1 else present[:, None]
-            self._all = False
-        elif not self._all:
-            self._present[:] = 1.0
-            self._all = True
-        if age is not None or self._aged:
-            self._age[:], self._aged = 0.0 if age is None else age, age is not None
-        if switch is not self._switched:
-            self._switch[:] = self._switched = switch
+        seen = self.reading
+        # A missing position can have any value.
+        seen.measured[:], seen.switch[:], seen.age[:] = positions, switch, 0.0 if age is None else age
+        seen.present[:] = 1.0 if present is None else present if present.ndim > 1 else present[:, None]
         if rate_error is not None:
-            self._rate_error[:] = rate_error
+            seen.rate_error[:] = rate_error
 
     def tick(self) -> None:
         """Compute a whole tick with the row in `row`."""
         self._tick(self._inputs, self._out)
-        self.memory[:] = self._kept
+        self.stored[:] = self._kept
 
     @cached_property
     def _tick(self) -> Any:
@@ -1466,31 +1383,30 @@ class TickProgram:
             _ = self.machine(name).machine
 
     @property
-    def numbers(self) -> Array:
+    def constants(self) -> Array:
         """Constants of a run, (size,); see `TickEquations.numbers`."""
-        return self._numbers[:, 0].copy()
+        return self._constants[:, 0].copy()
 
-    def set_number(self, name: str, value: float) -> None:
-        """Change one of the `BOUNDS`.
+    def bound(self, **bounds: float) -> None:
+        """Change some of the `Numbers`.
 
         Args:
-            name: name of the bound.
-            value: its new value.
+            **bounds: new values by name.
         """
-        self._numbers[self.equations.numbers.slices[name]] = value
+        for name, value in bounds.items():
+            getattr(self.numbers, name)[:] = value
 
     # Split, for laws with internal timing and for delays too long to unroll.
 
     def sense(self) -> Array:
         """Update the filter; return `sensed` (size, lanes)."""
         made = self.machine("sense")
-        inputs = np.concatenate([self.memory, self.reading, self._numbers])
+        inputs = np.concatenate([self.stored, *self.reading, self._constants])
         return made.machine(inputs, np.empty((made.size_out, self.lanes)))
 
     def on_their_way(self) -> list[Array]:
         """Return the commands (lanes,) of each of the next `lead` periods, m/s²."""
-        share = self._numbers[self.equations.numbers.slices["share"]][0]
-        return on_their_way(self._sent, share, whole=self._delay[0], lead=self.lead)
+        return on_their_way(self._sent, self.numbers.share[0], whole=self._delay[0], lead=self.lead)
 
     @property
     def drive(self) -> Array:
@@ -1498,8 +1414,7 @@ class TickProgram:
 
         They are those at the start of the coming period.
         """
-        at = self.equations.memory.slices.get("drive")
-        return np.zeros(self.lanes) if at is None else self.memory[at][0]
+        return self.memory.drive[0] if self.equations.lags else np.zeros(self.lanes)
 
     def look_ahead(self, z: Array) -> tuple[Array, Array]:
         """Return states (N, lanes) for which commands are computed.
@@ -1532,7 +1447,7 @@ class TickProgram:
             states: states (N, lanes).
         """
         out = states.copy()
-        out[self.model.arms : 2 * self.model.arms] += self._rate_error
+        out[self.model.arms : 2 * self.model.arms] += self.reading.rate_error
         return out
 
     def moved(self, z: Array, drive: Array, command: Array) -> tuple[Array, Array]:
@@ -1547,7 +1462,7 @@ class TickProgram:
             States and extras (N+E, lanes), and `drive` (lanes,).
         """
         made = self.machine("moved")
-        inputs = np.concatenate([z, drive[None], command[None], self._numbers])
+        inputs = np.concatenate([z, drive[None], command[None], self._constants])
         out = made.machine(inputs, np.empty((made.size_out, self.lanes)))
         return out[:-1], out[-1]
 
@@ -1566,7 +1481,7 @@ class TickProgram:
         if not self.equations.unrolled:
             parts.append(self.on_their_way()[0][None])
         made.machine(np.concatenate(parts), self._out)
-        self.memory[:] = self._kept
+        self.stored[:] = self._kept
         if not self.equations.unrolled:
             self._sent[:-1] = self._sent[1:]
-            self._sent[-1] = self.report[self.at["command"]]
+            self._sent[-1] = self.report.command

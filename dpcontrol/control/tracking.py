@@ -479,10 +479,6 @@ def _at_ticks(reference: Reference, model: SampledModel) -> tuple[Array, Array, 
     """
     if not reference.converged:
         raise InputError(f"the reference cannot be tracked: {reference.status}")
-    if reference.states.shape[-1] != model.dimension:
-        raise InputError(
-            f"the reference has {reference.states.shape[-1]} states, the model {model.dimension}; use the same model"
-        )
     count = max(int(np.ceil(reference.duration / model.period - 1e-6)), 1)
     times = reference.mesh[0] + model.period * np.arange(count + 1)
     # The input in the middle of a period; a constant input then errs only by the square of the period.

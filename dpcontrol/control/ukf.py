@@ -17,12 +17,11 @@ from typing import Any
 import numpy as np
 from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 
-from dpcontrol.control.ekf import KalmanFilter, unpacked
+from dpcontrol.control.ekf import KalmanFilter
 from dpcontrol.control.estimator_settings import UkfSettings
 from dpcontrol.control.interface import Estimate, Present, SampledModel
 from dpcontrol.dynamics.compiled import Compiled
 from dpcontrol.foundation.arrays import Array
-from dpcontrol.foundation.errors import InputError
 
 
 @contextmanager
@@ -54,9 +53,9 @@ class Ukf(KalmanFilter):
 
     def __init__(self, model: SampledModel, settings: UkfSettings, *, noise: Array) -> None:
         super().__init__(model, settings, noise=noise)
-        self.size = self.program.equations.dimension
-        self._shares = self.program.equations.shares
-        self._linear = Compiled(self.program.equations.prediction(with_jacobian=True))
+        self.size = self.equations.dimension
+        self._shares = self.equations.shares
+        self._linear = Compiled(self.equations.prediction(with_jacobian=True))
         self._command = 0.0
         points = MerweScaledSigmaPoints(self.size, alpha=settings.spread, beta=settings.weight, kappa=0.0)
         inner = _Unscented(self.size, model.arms + 1, model.period, hx=None, fx=None, points=points)
@@ -73,13 +72,13 @@ class Ukf(KalmanFilter):
         Returns:
             Points of the same shape.
         """
-        inputs = np.empty((self.program.ahead.size_in, *points.shape[1:]))
+        inputs = np.empty((self.ahead_of.size_in, *points.shape[1:]))
         column = (slice(None), *(None for _ in points.shape[1:]))
         inputs[: self.size] = points
         inputs[self.size] = command
-        inputs[self.program.ahead.slices["parameters"]] = self.model.parameters[column]
-        inputs[self.program.ahead.slices["process"]] = self.program.process[column]
-        return self.program.ahead(inputs, np.empty(points.shape))
+        inputs[self.ahead_of.slices["parameters"]] = self.model.parameters[column]
+        inputs[self.ahead_of.slices["process"]] = self.process[column]
+        return self.ahead_of(inputs, np.empty(points.shape))
 
     def linearised(self, z: Array, covariance: Array, command: float) -> tuple[Array, Array, Array]:
         """Return the next z (N+E,), its Jacobian and Q (N+E, N+E).
@@ -90,13 +89,12 @@ class Ukf(KalmanFilter):
             command: acceleration of the cart, m/s².
         """
         variance = covariance.diagonal()[self._shares].mean() if self._shares else 0.0
-        inputs = np.concatenate([z, [command], self.model.parameters, self.program.process, [variance, 0.0, 1.0]])
+        inputs = np.concatenate([z, [command], self.model.parameters, self.process, [variance, 0.0, 1.0]])
         out, n = self._linear(inputs, np.empty(self._linear.size_out)), self.size
         return out[:n], out[n : n + n * n].reshape(n, n).T, out[n + n * n :].reshape(n, n).T
 
-    def _begun(self, memory: Array, sigmas: Array) -> Estimate:
-        z, covariance = memory[: self.size], unpacked(memory[self.size :])
-        return self._estimate(z, covariance, np.zeros(self.model.arms + 1), float("nan"), 0)
+    def _begun(self, z: Array, sigmas: Array) -> Estimate:
+        return self._estimate(z, np.diag(np.square(sigmas)), np.zeros(self.model.arms + 1), float("nan"), 0)
 
     def _estimate(self, z: Array, covariance: Array, innovation: Array, nis: float, used: int) -> Estimate:
         n, variances = self.model.dimension, covariance.diagonal()
@@ -113,18 +111,15 @@ class Ukf(KalmanFilter):
             present: True for each valid position (n+1,), None if all are valid.
 
         Raises:
-            InputError: the measurement has the wrong shape.
             ArithmeticError: the covariance is singular or no longer finite.
         """
         m = self.model.arms + 1
-        if np.shape(measured) != (m,):
-            raise InputError(f"measurement has shape {np.shape(measured)}: the filter needs ({m},)")
         rows = np.arange(m) if present is None else np.flatnonzero(present)
         z, covariance = estimate.memory
         innovation = np.zeros(m)
         if not len(rows):
             return self._estimate(z, covariance, innovation, 0.0, 0)
-        h, r = self.program.equations.observation[rows], self.noise[np.ix_(rows, rows)]
+        h, r = self.equations.observation[rows], self.noise[np.ix_(rows, rows)]
         # Wrapped, because whole turns in a measured angle have no meaning.
         away = measured[rows] - h @ z
         turns = np.where(rows < m - 1, np.round(away / (2 * np.pi)), 0.0)

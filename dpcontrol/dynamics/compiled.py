@@ -212,14 +212,9 @@ class Compiled:
 
     All inputs are contiguous in one array; `first(name)` is the index of an input. The function is compiled at its
     first call and cannot be shared between threads. Without heyoka, casadi's interpreter replaces it.
-
-    Raises:
-        ValueError: an input is not a column, or there is more than one output.
     """
 
     def __init__(self, function: ca.Function) -> None:
-        if function.n_out() != 1 or any(function.size2_in(i) != 1 for i in range(function.n_in())):
-            raise ValueError(f"{function.name()} must have columns for inputs and one output")
         self._function = function
         sizes = [function.size1_in(i) for i in range(function.n_in())]
         ends = np.cumsum(sizes)

@@ -24,11 +24,11 @@ from pathlib import Path
 from tempfile import TemporaryFile
 from typing import ClassVar
 
-import dpcontrol
 from dpcontrol.foundation.config import at_home
 from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError, remark
 from dpcontrol.foundation.files import write_whole
+from dpcontrol.foundation.version import PACKAGE
 
 VARIABLE = "DPCONTROL_CACHE"
 """Environment variable with the folder."""
@@ -222,7 +222,7 @@ def _files(folder: Path, names: re.Pattern[str]) -> Iterator[Path]:
 
 def commit() -> str:
     """Return the commit of the checkout, or "" if installed."""
-    root = Path(dpcontrol.__file__).parent.parent
+    root = PACKAGE.parent
     if not (root / ".git").exists():
         return ""
     command = ["git", "-C", str(root), "describe", "--always", "--dirty"]

@@ -1,13 +1,12 @@
 """The pages of the guide, which come with the package."""
 
 import re
-from pathlib import Path
 
-import dpcontrol
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.settings import suggest
+from dpcontrol.foundation.version import PACKAGE
 
-GUIDE = Path(dpcontrol.__file__).parent / "guide"
+GUIDE = PACKAGE / "guide"
 """The folder of the guide's pages; its README.md lists them in reading order."""
 
 

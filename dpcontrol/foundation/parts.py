@@ -14,8 +14,8 @@ from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 from typing import Any
 
-from dpcontrol import __version__
 from dpcontrol.foundation.errors import PartMissing
+from dpcontrol.foundation.version import VERSION
 
 _NEEDED = {
     "heyoka": "orbits, tubes and new plans need heyoka, which pip installs only on Linux; install it by `conda install "
@@ -93,7 +93,7 @@ def versions() -> dict[str, str]:
 
     The result is "" if not installed.
     """
-    found = {"dpcontrol": __version__, "python": platform.python_version(), "system": platform.platform()}
+    found = {"dpcontrol": VERSION, "python": platform.python_version(), "system": platform.platform()}
     for name in _DISTRIBUTIONS:
         try:
             found[name] = version(name)

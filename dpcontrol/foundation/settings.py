@@ -277,12 +277,12 @@ class Settings:
         mistakes = Mistakes()
         for name in bounds_of(type(self)):
             with mistakes:
-                self._check(name, getattr(self, name))
+                self.check(name, getattr(self, name))
         mistakes.report()
         self._check_together()
 
     @classmethod
-    def _check(cls, name: str, value: Any) -> None:
+    def check(cls, name: str, value: Any) -> None:
         bounds = bounds_of(cls)[name]
         for one in value if isinstance(value, tuple | list) else (value,):
             if one is not None and (complaint := bounds.complaint(one)):
@@ -432,7 +432,7 @@ def decode(kind: type[T], values: Mapping[str, Any], place: Place, *, also: Iter
 
 def _complaint(kind: Any, key: str, value: Any) -> str:
     try:
-        kind._check(key, value)
+        kind.check(key, value)
     except InputError as error:
         return str(error).removeprefix(f"{kind.TABLE}: ")
     return ""

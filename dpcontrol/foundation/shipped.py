@@ -9,12 +9,12 @@ contains them in `dpcontrol/data`; in a checkout they are beside the package.
 from contextlib import suppress
 from pathlib import Path
 
-import dpcontrol
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import checked_source
 from dpcontrol.foundation.settings import nearest
+from dpcontrol.foundation.version import PACKAGE
 
-MAPPINGS = Path(dpcontrol.__file__).parent / "recordings" / "mappings"
+MAPPINGS = PACKAGE / "recordings" / "mappings"
 """Folder of the mappings for importing recordings."""
 
 
@@ -29,9 +29,8 @@ def folders(kind: str) -> tuple[Path, Path]:
     Args:
         kind: "models" or "itineraries".
     """
-    package = Path(dpcontrol.__file__).parent
-    inside = package / "data" / kind
-    return Path(kind), inside if inside.is_dir() else package.parent / kind
+    inside = PACKAGE / "data" / kind
+    return Path(kind), inside if inside.is_dir() else PACKAGE.parent / kind
 
 
 def known(kind: str) -> list[str]:

@@ -13,7 +13,7 @@ import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -107,17 +107,11 @@ class Night(Shown):
 
     folder: Path
     digests: tuple[Digest, ...]
-    partials: tuple[Path, ...] = ()
-    spans: tuple[NightSpan, ...] = field(init=False)
-    falls: tuple[Fall, ...] = field(init=False)
-    endings: tuple[tuple[float, str], ...] = field(init=False)
+    partials: tuple[Path, ...]
+    spans: Sequence[NightSpan]
+    falls: Sequence[Fall]
+    endings: Sequence[tuple[float, str]]
     """Times and texts of endings, except by the planned time."""
-
-    def __post_init__(self) -> None:
-        """Find spans and falls in the digests."""
-        spans, falls, endings = _followed(self.digests)
-        for name, value in (("spans", spans), ("falls", falls), ("endings", endings)):
-            object.__setattr__(self, name, tuple(value))
 
     @property
     def failure(self) -> str:
@@ -329,7 +323,12 @@ def _firsts(falls: Sequence[Fall], spans: Sequence[NightSpan]) -> list[Fall]:
     return [fall for fall in falls if any(abs(fall.time - end) < 1e-6 for end in ends)]
 
 
-def _followed(digests: Sequence[Digest]) -> tuple[list[NightSpan], list[Fall], list[tuple[float, str]]]:
+def followed(digests: Sequence[Digest]) -> tuple[list[NightSpan], list[Fall], list[tuple[float, str]]]:
+    """Return the spans and falls of digests in order, and the times and texts of endings but by the planned time.
+
+    Args:
+        digests: digests in order.
+    """
     spans: list[NightSpan] = []
     falls: list[Fall] = []
     endings: list[tuple[float, str]] = []
@@ -392,7 +391,7 @@ def read_night(folder: Path) -> Night:
     partials = partials_of(folder / folder.resolve().name)
     # Partial files with a recovered log are not reported.
     left = [file for file in partials if not (folder / f"{file.name.partition('.mcap')[0]}.mcap").exists()]
-    return Night(folder, tuple(digests), tuple(left))
+    return Night(folder, tuple(digests), tuple(left), *followed(digests))
 
 
 def _digests(folder: Path) -> Iterator[Digest]:

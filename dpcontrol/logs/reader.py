@@ -151,13 +151,13 @@ class VerifiedFile:
         described = self.metadata.get(layout.LAYOUT_RECORD)
         if described is None and (missing := self._no_measurements()):
             raise InputError(
-                f"{self.path}{self._writer} is not a log of `dpcontrol run`: it lacks the metadata record "
+                f"{self.path}{self.writer} is not a log of `dpcontrol run`: it lacks the metadata record "
                 f"{layout.LAYOUT_RECORD}{missing}; give a log of `dpcontrol run`, or import a bench recording with "
                 "`dpcontrol import`"
             )
         if described is None:
             raise InputError(
-                f"{self.path}{self._writer} cannot be read as a run: it lacks the metadata record "
+                f"{self.path}{self.writer} cannot be read as a run: it lacks the metadata record "
                 f"{layout.LAYOUT_RECORD}, as after cutting a log in time; keep metadata, attachments and the first "
                 "message of each topic, or make a recording of it with `dpcontrol import`"
             )
@@ -224,7 +224,7 @@ class VerifiedFile:
             self.note(opcode, batch.data[start:end])
 
     def _check_channels(self) -> None:
-        check_channels(self.path, self.tick, schemas=self.schemas, channels=self.channels, writer=self._writer)
+        check_channels(self.path, self.tick, schemas=self.schemas, channels=self.channels, writer=self.writer)
 
     @property
     def is_native(self) -> bool:
@@ -232,7 +232,7 @@ class VerifiedFile:
         return self.library.startswith(_OWN)
 
     @property
-    def _writer(self) -> str:
+    def writer(self) -> str:
         return f" (written by {self.library})" if self.library else ""
 
     def _no_measurements(self) -> str:
@@ -885,7 +885,7 @@ def _rewritten(file: VerifiedFile, other: InputError | None = None) -> Rewritten
     except MALFORMED as error:
         # Such a log is readable by its topics, so their messages are at fault.
         if isinstance(other, OtherChannels):
-            raise InputError(f"{file.path}{file._writer}: {error}; {_AS_WRITTEN}") from error
+            raise InputError(f"{file.path}{file.writer}: {error}; {_AS_WRITTEN}") from error
         # The caller reports a more specific error.
         return None
     if found is not None and (name := mixed(topics)):

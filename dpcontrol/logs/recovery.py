@@ -27,10 +27,10 @@ import zstandard
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Metadata, Schema
 
-import dpcontrol
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import checked_other_file, whole_file
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
+from dpcontrol.foundation.version import PROGRAM
 from dpcontrol.logs import layout
 from dpcontrol.logs.container import CHUNK_HEAD, SUFFIX, ChunkMessages, McapFile, sealed, unsealed
 from dpcontrol.logs.layout import TickLayout
@@ -414,7 +414,7 @@ def _write(
     """
     with whole_file(done.log) as temporary:
         with FileIO(temporary, "wb") as stream:
-            file = McapFile(stream, library=f"dpcontrol {dpcontrol.__version__}")
+            file = McapFile(stream, library=PROGRAM)
             for values in found.metadata.get(layout.RUN_RECORD, [])[:1]:
                 file.add_metadata(layout.RUN_RECORD, sealed(layout.RUN_RECORD, values))
             for name in done.attachments:

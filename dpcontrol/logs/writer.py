@@ -35,9 +35,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-import dpcontrol
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import checked_target, missing_folders, remove_empty, unwritable
+from dpcontrol.foundation.version import PROGRAM
 from dpcontrol.logs import layout
 from dpcontrol.logs.container import ChunkMessages, McapFile, moved_away, open_partial, sealed, sync_folder
 from dpcontrol.logs.layout import TickLayout
@@ -503,7 +503,7 @@ class LogWriter:
             self._made = missing_folders(self.path.parent)
             self.path.parent.mkdir(parents=True, exist_ok=True)
             self.partial, self._stream = open_partial(self.path)
-            self._file = McapFile(self._stream, library=f"dpcontrol {dpcontrol.__version__}")
+            self._file = McapFile(self._stream, library=PROGRAM)
             self._file.add_metadata(layout.RUN_RECORD, self._metadata)
             for name, data in self._attachments.items():
                 self._file.add_attachment(name, data)
@@ -645,7 +645,7 @@ class LogWriter:
             "limits": " ".join(repr(float(limit)) for limit in self._limits or ()),
             "parts": " ".join(part for part in layout.PARTS if part in tick.parts),
             "attachments": json.dumps(list(self._attachments)),
-            "program": f"dpcontrol {dpcontrol.__version__}",
+            "program": PROGRAM,
             **({layout.EXTRAS_KEY: " ".join(tick.extras)} if tick.extras else {}),
         }
         file.add_metadata(layout.LAYOUT_RECORD, sealed(layout.LAYOUT_RECORD, described))

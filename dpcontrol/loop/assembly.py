@@ -57,17 +57,20 @@ class Assembly:
     """Controller that replaces the one of the settings."""
     believed_delay: float | None = None
     """Delay that the loop assumes, in periods; None for the drive's delay."""
+    base: "Assembly | None" = None
+    """Assembly whose fallback and recovery this one uses."""
 
     def under(self, settings: LoopSettings) -> "Assembly":
-        """Return the parts built so far under other settings.
+        """Return an assembly with this controller under other settings.
+
+        It uses the same fallback and recovery if its supervisor and its drive's delay are the same.
 
         Args:
             settings: settings that differ in bench, supervisor or seed only.
         """
-        other = replace(self, settings=settings)
-        parts = ("controller", "fallback", "recovery")
-        other.__dict__.update({name: self.__dict__[name] for name in parts if name in self.__dict__})
-        return other
+        before = self.settings
+        same = (settings.supervisor, settings.drive.delay) == (before.supervisor, before.drive.delay)
+        return replace(self, settings=settings, law=self.controller, base=self if same else None)
 
     @property
     def limits(self) -> Limits:
@@ -115,6 +118,8 @@ class Assembly:
             InputError: the reference belongs to other arms.
             GoalMissed: an orbit was not found or cannot be held.
         """
+        if self.base is not None:
+            return self.base.fallback
         if self.settings.supervisor.hold == "none":
             return None
         law = self.settings.controller
@@ -131,7 +136,7 @@ class Assembly:
             InputError: the reference has no starts, or the controller has no time-indexed gains.
             GoalMissed: no controller exists for a start.
         """
-        return self.planned_recovery()
+        return self.planned_recovery() if self.base is None else self.base.recovery
 
     def planned_recovery(self, *, later: bool = False) -> RecoveryPlan | None:
         """Return `recovery`, which a run may extend.
@@ -227,7 +232,7 @@ class Assembly:
         return Ticker(program, controller, schedule=schedule, estimator=estimator, estimator_kind=kind)
 
     def _bounds(self, trust: float) -> dict[str, float]:
-        """Return the numbers by which a tick is judged (`tick.BOUNDS`)."""
+        """Return the numbers by which a tick is judged (`tick.Numbers`)."""
         settings, limits, s = self.settings, self.limits, self.settings.supervisor
         delay = settings.drive.delay
         return {

@@ -497,8 +497,6 @@ class StreamReader:
         while tick >= self._end:
             self._values = self._rows(self._make(self._random, self._block))
             self._first, self._end = self._end, self._end + self._block
-        if tick < self._first:
-            raise IndexError(f"tick {tick} of a stream is requested after tick {self._first}")
         return self._values[tick - self._first]
 
 

@@ -111,9 +111,6 @@ def make_estimator(settings: EstimatorSettings | OwnEstimator, model: SampledMod
         settings: settings of the estimator, which select its kind.
         model: model of the n arms that predicts the state.
         noise: covariance (n+1, n+1) of the measured positions, rad² and m².
-
-    Raises:
-        InputError: the noise has the wrong shape or is no covariance.
     """
     return filter_of(settings).make(settings, model, noise)
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from dpcontrol.control.tick import Outcome
+from dpcontrol.control.tick import Outcome, Report
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.loop.bench import BenchDraw
 from dpcontrol.loop.own import LARGEST, wrong_command
@@ -35,22 +35,20 @@ class Lockstep:
         """Run to the last tick, or until every run has ended."""
         ticker, bench, noise = self._ticker, self._bench, self._rate_noise
         rows = JudgedTicks(ticker.count, self._runs, self._arms)
-        command, notable, done = (ticker.at[name] for name in ("command", "notable", "done"))
-        own = ticker.at.get("own")
         with np.errstate(all="ignore"):
             for k in range(ticker.count):
                 reading = bench.read()
                 report = ticker(k, reading, None if noise is None else noise[k])
-                bench.command(report[command])
-                rows.take(k, report, ticker.at, bench.truth)
+                bench.command(report.command[0])
+                rows.take(k, report, bench.truth)
                 if (failed := bench.failed) is not None:
                     why = f"plant failed at t = {k * self._period:.3f} s: its state is no longer finite"
                     self._end(failed, k, Ending.PLANT_FAILED, why)
-                if own is not None:
-                    self._check(k, report[own])
-                if np.add.reduce(report[notable]):
+                for commands in report.own:
+                    self._check(k, commands)
+                if np.add.reduce(report.notable[0]):
                     self._handle_outcomes(k, report, rows)
-                    for lane in np.flatnonzero(report[done] * self._alive).tolist():
+                    for lane in np.flatnonzero(report.done[0] * self._alive).tolist():
                         self._end([lane], k + 1, self._endings[lane], self._reasons[lane])
                 for lane, fault in bench.faults.items():
                     if self._endings[lane] is not Ending.CART_STOP:
@@ -74,9 +72,9 @@ class Lockstep:
             why = f"{wrong_command(self._ticker.kind, commands.item(lane))}, at t = {k * self._period:.3f} s"
             self._end([lane], k + 1, Ending.OBJECT_FAILED, why)
 
-    def _handle_outcomes(self, k: int, report: Array, rows: JudgedTicks) -> None:
+    def _handle_outcomes(self, k: int, report: Report, rows: JudgedTicks) -> None:
         """Stop the carts of runs whose outcome at tick k ends them."""
-        outcomes = report[self._ticker.at["outcome"]] * self._alive
+        outcomes = report.outcome[0] * self._alive
         for lane in np.flatnonzero(outcomes).tolist():
             outcome = Outcome(int(outcomes[lane]))
             if outcome is Outcome.RESTART:

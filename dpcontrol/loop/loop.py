@@ -144,9 +144,7 @@ class ControlLoop:
         if recovery is not None:
             self._emit_choices(0, [recovery.begin(ticker)])
         late, quiet_until = 0, 0.0
-        at, take, watched = ticker.at, rows.take, ticker.watched
-        command, notable, news, done_at = at["command"], at["notable"], at["news"], at["done"]
-        noise = self._rate_noise
+        take, watched, noise, logged = rows.take, ticker.watched, self._rate_noise, ticker.program.logged
         clock, thinking = time.perf_counter, deque[float](maxlen=_THOUGHTS)
         thought = thinking.append
         began = clock()
@@ -164,17 +162,17 @@ class ControlLoop:
             thought(clock() - called)
             wrong = None
             try:
-                rig.command(report.item(command, 0))
+                rig.command(report.command.item(0))
             except ArithmeticError as failure:
                 wrong = failure
-            take(k - self._first, reading, report, rig.truth, ticker.references[k - ticker.began])
+            take(k - self._first, reading, logged, rig.truth, ticker.references[k - ticker.began])
             self._done = done = k + 1
             if watched and wrong is None:
                 wrong = ticker.failure
             if wrong is not None:
                 self._fail(k, wrong)
                 break
-            if report.item(notable, 0):
+            if report.notable.item(0):
                 self._handle_outcome(k, rig)
             if reading.late > 0:
                 late, now = late + 1, k * period
@@ -187,7 +185,7 @@ class ControlLoop:
             if rig.fault and self.ending is not Ending.CART_STOP:
                 self.ending, self.reason = Ending.CART_STOP, rig.fault
                 break
-            if report.item(news, 0):
+            if report.news.item(0):
                 self._emit_news(k)
             if recovery is not None:
                 if self._fall is not None:
@@ -202,12 +200,12 @@ class ControlLoop:
                     if not following:
                         break
                     self._emit_choices(done, following)
-                if self._stopped and report.item(done_at, 0):
+                if self._stopped and report.done.item(0):
                     break
                 if done == self._until and not self._stopped:
                     self.reason, self._stopped = "the requested time is over", True
                     ticker.brake(k)
-            elif done == self.count or report.item(done_at, 0):
+            elif done == self.count or report.done.item(0):
                 break
             if done % self._flush_every == 0:
                 self._flush(done)
@@ -248,8 +246,7 @@ class ControlLoop:
     def _handle_outcome(self, k: int, rig: Rig) -> None:
         """React to tick k: recover, restart, hold, or stop the cart."""
         ticker, now = self.ticker, k * self._period
-        report = ticker.program.report
-        outcome = Outcome(int(report.item(ticker.at["outcome"], 0)))
+        outcome = Outcome(int(ticker.report.outcome.item(0)))
         if outcome is not Outcome.GO_ON:
             why = explained(outcome, now, ticker.figures(k), arms=self._arms, period=self._period)
             if self._recovery is not None and outcome >= Outcome.ESTIMATE_LOST:
@@ -271,7 +268,7 @@ class ControlLoop:
                 self.ending, self.reason, self._stopped = ending(outcome), why, True
                 # From here on the reference is constant.
                 ticker.freeze_reference(k)
-        if report.item(ticker.at["stop"], 0) and (self._stopped or self._recovery is None):
+        if ticker.report.stop.item(0) and (self._stopped or self._recovery is None):
             # The drive brakes without commands; the loop sends its prediction of the braking meanwhile.
             rig.stop()
 

@@ -386,7 +386,7 @@ class OwnEstimates(Estimator):
         self.failure: OwnFailure | None = None
         self.judged = True
         """True if the object provided standard deviations at the last update."""
-        self.sent, self._count = 0.0, 0
+        self._sent, self._count = 0.0, 0
 
     def first(self, state: Array) -> Estimate:
         """Return the estimate before any measurement.
@@ -394,9 +394,17 @@ class OwnEstimates(Estimator):
         Args:
             state: nominal initial state (N,).
         """
-        self.failure, self.sent, self._count = None, 0.0, 0
+        self.failure, self._sent, self._count = None, 0.0, 0
         none = np.full(len(state), np.nan)
         return Estimate(state.copy(), np.empty(0), none, np.zeros(self._model.arms + 1), 0.0, 0, None)
+
+    def sends(self, command: float) -> None:
+        """Receive the last command, which the object's next update is told.
+
+        Args:
+            command: acceleration of the cart, m/s².
+        """
+        self._sent = command
 
     def update(self, estimate: Estimate, measured: Array, present: Present = None) -> Estimate:
         """Return the estimate at the first tick.
@@ -426,7 +434,7 @@ class OwnEstimates(Estimator):
         try:
             if not self._count:
                 own.reset()
-            state = own.numbers("update", own.call("update", reading, self.sent), size)
+            state = own.numbers("update", own.call("update", reading, self._sent), size)
             given = own.value("sigmas")
             sigmas = estimate.sigmas if given is None else own.numbers("sigmas", given, size)
         except OwnFailure as failure:

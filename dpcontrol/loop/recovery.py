@@ -29,7 +29,7 @@ import numpy as np
 
 from dpcontrol.control.calming import CalmingController
 from dpcontrol.control.interface import Controller, GainSchedule, whole_turns
-from dpcontrol.control.tick import BRAKING, Outcome
+from dpcontrol.control.tick import BRAKING, Outcome, Report
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.shown import Brief
 from dpcontrol.logs import CATCH, LAP, REST, RESUME, RETURN, START, Flight, joined_text
@@ -81,7 +81,7 @@ class Motion(StrEnum):
 def calming_bounds(limits: Limits) -> Mapping[str, float]:
     """Return the bounds that differ during a return.
 
-    They replace those of a flight (`tick.BOUNDS`).
+    They replace those of a flight (`tick.Numbers`).
 
     Any distance from rest is allowed, and the filter may restart without limit. The law keeps the cart on its track.
     The supervisor intervenes only if nothing but maximum braking remains.
@@ -279,7 +279,9 @@ class FallRecovery:
         Args:
             ticker: ticker of the run.
         """
-        self._bounds = {name: ticker.number(name) for name in calming_bounds(self._plan.limits)}
+        self._bounds = {
+            name: getattr(ticker.program.numbers, name).item(0) for name in calming_bounds(self._plan.limits)
+        }
         ticker.prepare_to_hold()
         if self.until:
             self._meets = meeting_tick(ticker.references, round(LAST_SECONDS / ticker.program.period))
@@ -296,18 +298,18 @@ class FallRecovery:
         self._begins = False
         return Choice("info", name, joined_text(self._at, what))
 
-    def runs_off(self, k: int, report: Array, ticker: Ticker) -> str:
+    def runs_off(self, k: int, report: Report, ticker: Ticker) -> str:
         """Return a fall's sentence if the cart runs away, or "".
 
         A cart runs away near its maximum speed, if the reference is slower.
 
         Args:
             k: tick.
-            report: report (size, 1) of the tick, see `TickEquations.report`.
+            report: report of the tick.
             ticker: ticker of the run.
         """
         fastest, place = self._plan.limits.velocity, 2 * self._arms + 1
-        speed = abs(report.item(place, 0))
+        speed = abs(report.state.item(place, 0))
         if speed < _FAST * fastest or self.motion is Motion.RETURN:
             return ""
         planned = abs(float(ticker.references[k - ticker.began, place]))
@@ -344,7 +346,7 @@ class FallRecovery:
                 return None
         logged = self.motion is not Motion.RETURN or k * period - self._began * period > 1.0
         self.motion, self._why, self._began = Motion.RETURN, outcome, k
-        self._sensor = int(ticker.program.report[ticker.at["sensor"], 0])
+        self._sensor = int(ticker.report.sensor.item(0))
         self._rested, self._lost_at = k, k
         # After a fall, the parameter estimates may be wrong.
         ticker.lose()
@@ -374,22 +376,22 @@ class FallRecovery:
         if still:
             ticker.brake(k + 1)
 
-    def follow_up(self, k: int, report: Array, ticker: Ticker, period: float) -> Sequence[Choice]:
+    def follow_up(self, k: int, report: Report, ticker: Ticker, period: float) -> Sequence[Choice]:
         """Handle the completed tick k and return events.
 
         Events occur only if the motion changes.
 
         Args:
             k: tick.
-            report: report (size, 1) of the tick, see `TickEquations.report`.
+            report: report of the tick.
             ticker: ticker of the run.
             period: time between ticks, s.
         """
         if self.motion is Motion.ITINERARY:
-            if report.item(ticker.at["error"], 0) < FOLLOWED:
+            if report.error.item(0) < FOLLOWED:
                 self._followed = k
             if not k % _EVERY:
-                self._latest.append(report[: self._arms, 0].copy())
+                self._latest.append(report.state[: self._arms, 0].copy())
             if self._meets is not None and round(self._at / period) + k + 1 - self._joins == self._meets:
                 return self._lapped(k, ticker.references[k + 1 - ticker.began], ticker)
             return () if k % _EVERY else self._caught(k, report, ticker, period)
@@ -420,13 +422,13 @@ class FallRecovery:
         rested = Choice("info", REST, f"after {(k - self._began) * period:.2f} s")
         return [rested, *self._start(k, report, ticker)]
 
-    def _caught(self, k: int, report: Array, ticker: Ticker, period: float) -> Sequence[Choice]:
+    def _caught(self, k: int, report: Report, ticker: Ticker, period: float) -> Sequence[Choice]:
         """Resume from an earlier place if the state is near it.
 
         The state must be far from the present place of the reference.
         """
         plan, reach, n = self._plan, self._plan.reach, self._arms
-        state = report[: 2 * n + 2, 0]
+        state = report.state[:, 0]
         here = min(round((self._at / period + k - self._joins) / reach.every), len(reach.states) - 1)
         own = reach.cost(state, here)
         self._near = self._near or not own > _FAR
@@ -452,7 +454,7 @@ class FallRecovery:
         what = f"{self._progress()}; caught, {back:.2f} s back: cost-to-go {least:.3g} instead of {own:.3g}"
         return [Choice("warn", CATCH, joined_text(self._at, what))]
 
-    def _hold_still(self, k: int, report: Array, ticker: Ticker, period: float) -> None:
+    def _hold_still(self, k: int, report: Report, ticker: Ticker, period: float) -> None:
         """Brake a stopped cart that drifts.
 
         A drive does not follow commands exactly. The cart's scale gives the drift; a stuck scale reports no motion.
@@ -461,32 +463,37 @@ class FallRecovery:
         since = (k - seen) * period
         if since < _LOOKS:
             return
-        self._seen = k, ticker.cart_reading
-        drift = (ticker.cart_reading - where) / since
-        if since < 2 * _LOOKS and report.item(ticker.at["done"], 0) and abs(drift) > _DRIFTS:
-            ticker.brake_from(drift)
+        cart = ticker.program.reading.measured[-1, 0].item()
+        self._seen, drift = (k, cart), (cart - where) / since
+        if since < 2 * _LOOKS and report.done.item(0) and abs(drift) > _DRIFTS:
+            # Braking continues from the measured velocity instead of the commanded one.
+            ticker.program.memory.velocity[:] = drift
 
-    def _is_reliable(self, k: int, report: Array, ticker: Ticker, period: float) -> bool:
+    def _is_reliable(self, k: int, report: Report, ticker: Ticker, period: float) -> bool:
         """True if the cart is still and the filter is right.
 
         The filter must agree with the readings again.
         """
         # Arms at rest give constant readings, like a stuck sensor. After a time limit, the sensor is used again.
         since = k - self._began
-        stuck = self._why is Outcome.STUCK and since * period < _STUCK and ticker.repeats(self._sensor) >= since
-        lost = not report.item(ticker.at["mean_nis"], 0) <= ticker.number("lost_estimate")
-        if stuck or lost or report.item(ticker.at["silent"], 0):
+        stuck = (
+            self._why is Outcome.STUCK
+            and since * period < _STUCK
+            and ticker.program.memory.same[self._sensor - 1, 0] >= since
+        )
+        lost = not report.mean_nis.item(0) <= ticker.program.numbers.lost_estimate.item(0)
+        if stuck or lost or report.silent.item(0):
             self._lost_at = k
             ticker.lose()
-        return bool(report.item(ticker.at["done"], 0)) and (k - self._lost_at) * period >= _TRIED
+        return bool(report.done.item(0)) and (k - self._lost_at) * period >= _TRIED
 
-    def _at_rest(self, k: int, report: Array, ticker: Ticker) -> int:
+    def _at_rest(self, k: int, report: Report, ticker: Ticker) -> int:
         """Return the number of ticks at rest up to k.
 
         At rest, the arms hang still and the cart is centred.
         """
         n = self._arms
-        state = report[: 2 * n + 2, 0].tolist()
+        state = report.state[:, 0].tolist()
         if any(abs(rate) > _QUIET for rate in state[n : 2 * n]):
             self._quiet = k
         elif k - self._quiet == self._quiet_ticks and not self._fresh:
@@ -503,12 +510,12 @@ class FallRecovery:
             self._rested = k
         return k - self._rested
 
-    def _start(self, k: int, report: Array, ticker: Ticker) -> list[Choice]:
+    def _start(self, k: int, report: Report, ticker: Ticker) -> list[Choice]:
         plan = self._plan
         start = max((one for one in plan.starts if one.stop <= self._stop), key=lambda one: one.stop)
         self._stop = start.stop
         n = len(start.turns)
-        ticker.follow(k + 1, start, lift=whole_turns(report[:n, 0]), bounds=self._bounds)
+        ticker.follow(k + 1, start, lift=whole_turns(report.state[:n, 0]), bounds=self._bounds)
         self._at, self._joins = start.at, k + 1 + start.lead_in
         self.motion = Motion.START
         text = f"from rest to stop {start.stop + 1} ({plan.names[start.stop]}): {self._progress()}"

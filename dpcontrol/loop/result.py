@@ -16,7 +16,7 @@ from typing import Protocol
 import numpy as np
 
 from dpcontrol.control.estimator_settings import share_inside
-from dpcontrol.control.tick import Outcome
+from dpcontrol.control.tick import Outcome, Report
 from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
@@ -292,13 +292,13 @@ class Ticks(Brief):
         names = ("times", "measured", "estimates", "references", "truth", "control")
         return cls(*(whole(name) for name in names), extras=whole("extras"))  # type: ignore[arg-type]
 
-    def take(self, k: int, reading: Reading, report: Array, truth: Array | None, reference: Array) -> None:
+    def take(self, k: int, reading: Reading, logged: Array, truth: Array | None, reference: Array) -> None:
         """Write tick k.
 
         Args:
             k: tick.
             reading: reading of the tick.
-            report: report (size, 1), see `TickEquations.report`.
+            logged: the report's part in a log, see `TickProgram.logged`.
             truth: true state (N,), None if unknown.
             reference: reference state (N,).
         """
@@ -310,7 +310,7 @@ class Ticks(Brief):
             self.truth[k] = truth
         packed = self.packed
         assert packed is not None
-        packed[k] = report[: packed.shape[1], 0]
+        packed[k] = logged
 
     def without_nis(self, k: int) -> None:
         """Clear the NIS of tick k because the filter restarts.
@@ -521,13 +521,12 @@ class JudgedTicks:
         self._done = 0
         self._freedom = arms + 1
 
-    def take(self, k: int, report: Array, at: Mapping[str, int], truth: Array) -> None:
+    def take(self, k: int, report: Report, truth: Array) -> None:
         """Store tick k.
 
         Args:
             k: tick.
-            report: its report (size, S), see `TickEquations.report`.
-            at: rows of the report by name.
+            report: its report, parts (length, S).
             truth: true states (N, S).
         """
         turn = k % _TURN
@@ -535,11 +534,7 @@ class JudgedTicks:
         self._done = k + 1
         if turn == _TURN - 1:
             self._truth[:, k - turn : k + 1] = self._latest.transpose(2, 0, 1)
-        self._applied[k], self._feedback[k], self._nis[k] = (
-            report[at["acting"]],
-            report[at["feedback"]],
-            report[at["nis"]],
-        )
+        self._applied[k], self._feedback[k], self._nis[k] = report.acting[0], report.feedback[0], report.nis[0]
 
     def without_nis(self, k: int, lane: int) -> None:
         """Clear the NIS of a tick because the filter restarts.

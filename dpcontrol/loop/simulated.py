@@ -246,14 +246,14 @@ class SimulatedPlant:
                         alone = SimulatedPlant([self.plants[run]], self.state[:, run], track=track)
                         lasts = np.broadcast_to(duration, beyond.shape)[run].item()
                         begin = np.broadcast_to(time, beyond.shape)[run].item()
-                        alone._meet_stop(float(acceleration[run]), lasts, begin + k * lasts)
+                        alone.meet_stop(float(acceleration[run]), lasts, begin + k * lasts)
                         self.faults.setdefault(run, alone.faults[0])
                         following[:, run] = alone.state
                 self.state[:] = following
                 continue
             values: list[Any] = following.tolist()
             if values[cart] > track or values[cart] < -track:
-                self._meet_stop(acceleration, float(duration), time + k * duration)
+                self.meet_stop(acceleration, float(duration), time + k * duration)
             else:
                 self._states[:] = self._flown
                 self.values = values
@@ -278,7 +278,7 @@ class SimulatedPlant:
         self._machine(self._inputs, self._flown)
         return self._following
 
-    def _meet_stop(self, acceleration: float, duration: float, time: float) -> None:
+    def meet_stop(self, acceleration: float, duration: float, time: float) -> None:
         """Move one run to a hard stop within `duration` s.
 
         The cart stops and is held there.
@@ -335,8 +335,6 @@ class SimulatedBench:
         queued: Sequence[Any] = (), lanes: Lanes = ONE,
     ) -> None:  # fmt: skip
         draw, n = draws[0], draws[0].plant.arms.count
-        if np.shape(start)[-1:] != (2 * n + 2,):
-            raise InputError(f"the first state has shape {np.shape(start)}: {n} arms on a cart need ({2 * n + 2},)")
 
         def joined(drawn: list[Array]) -> Array:
             """Return drawn values.

@@ -13,7 +13,7 @@ import numpy as np
 
 from dpcontrol.control.handover import NearestKeeper
 from dpcontrol.control.interface import Controller, Estimate, Estimator, GainSchedule, schedule_of
-from dpcontrol.control.tick import UNROLLED, Outcome, TickProgram
+from dpcontrol.control.tick import UNROLLED, Outcome, Report, TickProgram
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.loop.own import OwnController, OwnEstimates, OwnFailure, OwnSession, wrong_command
@@ -51,10 +51,10 @@ class Ticker:
         self._own = estimator if isinstance(estimator, OwnEstimates) else None
         self._judged = True
         self._has_own = self._own is not None or isinstance(controller, OwnController)
-        self.watched = self._has_own or "own" in program.at
+        self.watched = self._has_own or program.equations.own is not None
         """True if a user's law or estimator takes part, which may fail."""
         self.kind, self.estimator_kind = controller.kind, estimator_kind
-        self.lead, self.at = program.lead, program.at
+        self.lead, self.report = program.lead, program.report
         self._arms, self._n = program.model.arms, program.model.dimension
         if len(controller.first_state) != self._n:
             raise InputError(
@@ -62,13 +62,7 @@ class Ticker:
             )
         self.count, self._many = controller.ticks + 1, program.runs > 1
         self._schedule = schedule
-        sizes = program.equations.report.slices
-        self._extra, self._ahead = sizes["extra"], sizes["ahead"]
-        self._wanted, self._reading = program.equations.row.slices["wanted"], program.equations.reading.slices
-        self._forward = program.equations.row.slices["feedforward"].start
-        first = program.equations.row.slices["state"].start
-        self._state = slice(first, first + self._arms)
-        self._stopped = program.equations.memory.slices["stopped"].start
+        self._row = program.equations.row.of(program.row)
         self._whole = schedule is not None and estimator is None and self.lead <= UNROLLED
         self.event = ""
         """The law's decision in the last tick, as a sentence for the log, or ""."""
@@ -80,7 +74,7 @@ class Ticker:
     @property
     def failure(self) -> OwnFailure | None:
         """The error of a user's law or estimator in the last tick."""
-        if "own" in self.at and (wrong := wrong_command(self.kind, self.program.report.item(self.at["own"], 0))):
+        if self.report.own.size and (wrong := wrong_command(self.kind, self.report.own.item(0))):
             return wrong
         session = self._session.failure if isinstance(self._session, OwnSession) else None
         return session or (None if self._own is None else self._own.failure)
@@ -104,7 +98,7 @@ class Ticker:
             self._rows = self._schedule.rows[:, :, None]
             self._lift = np.zeros(self._rows.shape[1:])
             self.queued = self._schedule.queued[:, None]
-            program.set_number("mode", float(self._schedule.mode))
+            program.bound(mode=float(self._schedule.mode))
         else:
             self._session = self._begun()
             self.references = np.empty((self.count, self._arms, program.runs) if self._many else (self.count, self._n))
@@ -148,11 +142,11 @@ class Ticker:
         action = self._session.command(tick, ahead[:, 0].copy(), extra[:, 0].copy())
         self._coming.append(action.reference)
         self.event = action.event
-        self.program.set_number("mode", float(action.mode))
+        self.program.bound(mode=float(action.mode))
         return action.feedforward, action.feedback
 
-    def __call__(self, k: int, reading: Reading, rate_error: Array | None = None) -> Array:
-        """Compute tick k and return its report (size, lanes).
+    def __call__(self, k: int, reading: Reading, rate_error: Array | None = None) -> Report:
+        """Compute tick k and return its report, parts (length, lanes).
 
         The next tick overwrites the report.
 
@@ -170,10 +164,10 @@ class Ticker:
         if self._whole:
             np.add(self._rows[k - self.began], self._lift, out=program.row)
             program.tick()
-            return program.report
+            return self.report
         return self._by_parts(k - self.began, reading)
 
-    def _by_parts(self, k: int, reading: Reading) -> Array:
+    def _by_parts(self, k: int, reading: Reading) -> Report:
         """Compute the tick that is k ticks after the present controller started."""
         program = self.program
         if self.estimator is None:
@@ -186,25 +180,25 @@ class Ticker:
         back: Any = 0.0
         if self._session is None:
             np.add(self._rows[k], self._lift, out=program.row)
-        elif not self._many and program.memory[self._stopped, 0]:
+        elif not self._many and program.memory.stopped[0, 0]:
             # The cart is braking; the law is no longer called.
             self.references[k] = self.references[k - 1]
         else:
             self.event = ""
             forward, back = self._call_law(k + self.lead, ahead, z[self._n :])
             wanted = self._coming.popleft()
-            program.row[self._forward] = forward
+            self._row.feedforward[:] = forward
             self.references[k] = wanted
-            program.row[self._wanted] = wanted if self._many else wanted[: self._arms, None]
+            self._row.wanted[:] = wanted if self._many else wanted[: self._arms, None]
         program.finish(sensed, ahead, drive, back, predicts=self.estimator is None)
-        if self.estimator is not None and program.report[self.at["outcome"], 0] == Outcome.RESTART:
+        if self.estimator is not None and self.report.outcome[0, 0] == Outcome.RESTART:
             self._estimate = self.estimator.restarted(self._estimate, reading.positions)
         if self._own is not None and not self._own.judged:
-            program.report[self.at["nis"]] = math.nan
+            self.report.nis[:] = math.nan
             if self._judged:
                 self.event = f"{self._own.kind} has no sigmas: NIS and the check of the estimate are off"
             self._judged = False
-        return program.report
+        return self.report
 
     def _estimated(self, estimator: Estimator, k: int, reading: Reading) -> tuple[Array, Array, Array]:
         """Return sensed values, predicted state and `drive`, by another estimator.
@@ -218,20 +212,18 @@ class Ticker:
         try:
             if k:
                 if self._own is not None:
-                    self._own.sent = program.report[self.at["command"], 0].item()
-                acted = program.report[self.at["acting"], 0].item()
-                now = estimator.step(before, acted, reading.positions, reading.present)
+                    self._own.sends(self.report.command.item(0))
+                now = estimator.step(before, self.report.acting.item(0), reading.positions, reading.present)
             else:
                 now = estimator.update(before, reading.positions, reading.present)
             self._estimate = now
         except ArithmeticError:
             now, sound = before, 0.0
         ahead = estimator.ahead(now, way)
-        parts = {
-            "z": np.concatenate([now.state, now.extra]), "sigmas": now.sigmas, "nis": now.nis if sound else np.nan,
-            "used": now.used, "sound": sound,
-        }  # fmt: skip
-        sensed = program.equations.sensed.filled(parts, program.lanes)
+        sensed = program.equations.sensed.filled(
+            program.lanes, z=np.concatenate([now.state, now.extra]), sigmas=now.sigmas,
+            nis=now.nis if sound else np.nan, used=now.used, sound=sound,
+        )  # fmt: skip
         return sensed, program.with_rate_error(program.spread(ahead[:, None])), drive
 
     def hold(self, k: int, fallback: NearestKeeper) -> str:
@@ -243,15 +235,14 @@ class Ticker:
             k: tick.
             fallback: laws that hold orbits and equilibria.
         """
-        program, report = self.program, self.program.report
-        self._session, held = fallback.session(k + self.lead, report[self._ahead, 0].copy())
+        self._session, held = fallback.session(k + self.lead, self.report.ahead[:, 0].copy())
         k -= self.began
         now = self.references[k].copy()
         self.references = np.concatenate([self.references[: k + 1], np.empty((self.count - k - 1, self._n))])
         self._coming.clear()
         self._coming.extend([now] * self.lead)
         # The gains of the row no longer apply.
-        program.row[:] = 0.0
+        self.program.row[:] = 0.0
         self._whole = False
         return held
 
@@ -274,16 +265,23 @@ class Ticker:
             k: the next tick.
             controller: controller to follow.
             lift: whole turns (n,) added to its angles, rad.
-            bounds: new values of `tick.BOUNDS`.
+            bounds: new values of `tick.Numbers`.
             uses_switch: if False, the end switches do not stop the run.
         """
         program = self.program
         self._uses_switch = uses_switch
-        places = program.equations.memory.slices
-        for name in ("error", "restarts", "held", "moved", "stopped", "still", "silent"):
-            program.memory[places[name]] = 0.0
-        for name, value in bounds.items():
-            program.set_number(name, value)
+        memory = program.memory
+        for part in (
+            memory.error,
+            memory.restarts,
+            memory.held,
+            memory.moved,
+            memory.stopped,
+            memory.still,
+            memory.silent,
+        ):
+            part[:] = 0.0
+        program.bound(**bounds)
         self.controller, self.kind, self.began = controller, controller.kind, k
         self.count = controller.ticks + 1
         self._schedule = schedule = schedule_of(controller, self.lead)
@@ -292,7 +290,7 @@ class Ticker:
         self._coming.clear()
         if schedule is None:
             self._session = self._begun()
-            now = program.report[: self._n, 0].copy()
+            now = self.report.state[:, 0].copy()
             self.references = np.tile(now, (self.count, 1))
             self._coming.extend([now] * self.lead)
             return
@@ -300,32 +298,16 @@ class Ticker:
         self.references[:, : self._arms] += lift
         # The table is long, so each row is turned in its own tick.
         self._lift = np.zeros(self._rows.shape[1:])
-        self._lift[self._state] = self._lift[self._wanted] = lift[:, None]
-        program.set_number("mode", float(schedule.mode))
+        turned = program.equations.row.of(self._lift)
+        turned.state[: self._arms] = turned.wanted[:] = lift[:, None]
+        program.bound(mode=float(schedule.mode))
 
     def lose(self) -> None:
         """Restart the filter at the next reading with a wide covariance."""
-        memory, places = self.program.memory, self.program.equations.memory.slices
-        memory[places["restart"]], memory[places["nis"]] = 1.0, 0.0
+        self.program.memory.restart[:], self.program.memory.nis[:] = 1.0, 0.0
         if self.estimator is not None:
-            measured = self.program.reading[self._reading["measured"], 0].copy()
+            measured = self.program.reading.measured[:, 0].copy()
             self._estimate = self.estimator.restarted(self._estimate, measured)
-
-    def number(self, name: str) -> float:
-        """Return one of the `BOUNDS`.
-
-        Args:
-            name: name of a bound.
-        """
-        return float(self.program.numbers[self.program.equations.numbers.slices[name]][0])
-
-    def repeats(self, sensor: int) -> float:
-        """Return the number of ticks with a constant reading.
-
-        Args:
-            sensor: number of the sensor, counted from 1: the inner arm's encoder first, the cart's scale last.
-        """
-        return float(self.program.memory[self.program.equations.memory.slices["same"]][sensor - 1, 0])
 
     def resynchronise(self, k: int) -> str:
         """Move the law's clock to the nearest phase.
@@ -338,7 +320,7 @@ class Ticker:
         """
         if self._session is None:
             return ""
-        return self._session.resynchronise(k + self.lead, self.program.report[self._ahead, 0].copy())
+        return self._session.resynchronise(k + self.lead, self.report.ahead[:, 0].copy())
 
     def freeze_reference(self, k: int) -> None:
         """Keep the reference constant from tick k while the cart brakes.
@@ -357,21 +339,8 @@ class Ticker:
         Args:
             k: tick.
         """
-        self.program.memory[self.program.equations.memory.slices["stopped"]] = float(Outcome.TRACKING_LOST)
+        self.program.memory.stopped[:] = float(Outcome.TRACKING_LOST)
         self.freeze_reference(k)
-
-    @property
-    def cart_reading(self) -> float:
-        """The last measured position of the cart, m."""
-        return float(self.program.reading[self._reading["measured"]][self._arms, 0])
-
-    def brake_from(self, velocity: float) -> None:
-        """Continue braking from a velocity other than the commanded one.
-
-        Args:
-            velocity: velocity of the cart, m/s.
-        """
-        self.program.memory[self.program.equations.memory.slices["velocity"]] = velocity
 
     def rehearse(self) -> None:
         """Run ticks and discard them, to load everything before the first deadline.
@@ -387,19 +356,18 @@ class Ticker:
         self.begin()
         if self._whole:
             # `begin` has replaced some arrays, which the tick loads again.
-            begun = self.program.memory.copy()
+            begun = self.program.stored.copy()
             self(0, reading)
-            self.program.memory[:] = begun
+            self.program.stored[:] = begun
 
     def flag_estimate(self) -> str:
         """Return a sentence on the parameter that left its range.
 
         The law does not trust values outside this range.
         """
-        schedule, report = self._schedule, self.program.report
+        schedule, which = self._schedule, int(self.report.untrusted.item(0)) - 1
         assert schedule is not None
-        which = int(report[self.at["untrusted"], 0]) - 1
-        share = report[self._extra, 0][which]
+        share = self.report.extra[which, 0]
         return (
             f"model error: {schedule.names[which]} is estimated to be off by {share:+.0%}, beyond the "
             f"first-order range (trust {schedule.trust:g}); identify the arms, or tracking may be lost"
@@ -417,21 +385,22 @@ class Ticker:
             k: the last tick.
             lane: number of the run, default 0.
         """
-        column, references, arms = self.program.report[:, lane], self.references[k - self.began], self._arms
-        names = ("mean_nis", "error", "silent", "sensor", "repeats", "wish", "command", "untrusted", "newly_cut")
-        angles = column[:arms]
+        report, references, arms = self.report, self.references[k - self.began], self._arms
+        state = report.state[:, lane]
+        angles = state[:arms]
         wanted = references[:arms] if references.ndim == 1 else references[:, lane]
-        measured, present = (self.program.reading[self._reading[name]] for name in ("measured", "present"))
-        apart = measured[:arms, lane] - angles
-        read = measured[:arms, lane] - 2 * np.pi * np.rint(apart / (2 * np.pi))
-        seen = present[:arms, lane] > 0
-        velocity, span = column.item(self._n - 1), len(self._carts)
+        measured = self.program.reading.measured[:arms, lane]
+        apart = measured - angles
+        read = measured - 2 * np.pi * np.rint(apart / (2 * np.pi))
+        seen = self.program.reading.present[:arms, lane] > 0
+        velocity, span = state.item(self._n - 1), len(self._carts)
         moved = self._carts[k % span, lane] - self._carts[(k + 1) % span, lane]
         by_scale = moved / ((span - 1) * self.program.period)
         agree = abs(velocity - by_scale) <= _VELOCITY + _VELOCITY_SHARE * abs(by_scale)
+        names = ("mean_nis", "error", "silent", "sensor", "repeats", "wish", "command", "untrusted", "newly_cut")
         return {
-            **{name: column.item(self.at[name]) for name in names},
+            **{name: getattr(report, name).item(lane) for name in names},
             "distance": float(np.abs(np.where(seen, read, angles) - wanted).max()),
             "apart": float(np.abs(apart[seen]).max(initial=0.0)),
-            "position": column.item(self._n - 2), "velocity": velocity if agree else math.nan,
+            "position": state.item(self._n - 2), "velocity": velocity if agree else math.nan,
         }  # fmt: skip

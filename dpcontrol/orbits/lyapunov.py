@@ -18,7 +18,7 @@ Source: Lamb & Roberts, Time-reversal symmetry in dynamical systems (1998), theo
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,13 +27,11 @@ from dpcontrol.dynamics.system import System, saddle_index
 from dpcontrol.foundation.arguments import whole
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.checked import checked, number
-from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import GoalMissed, InputError
-from dpcontrol.foundation.shown import Brief, Timed, checked_times
-
-if TYPE_CHECKING:
-    from dpcontrol.orbits.manifold import OrbitCurve
-    from dpcontrol.orbits.tube import Tube
+from dpcontrol.foundation.shown import Brief, checked_times
+from dpcontrol.orbits.manifold import OrbitCurve
+from dpcontrol.orbits.orbit import PeriodicOrbit
+from dpcontrol.orbits.tube import Tube
 
 
 @dataclass(frozen=True)
@@ -344,66 +342,11 @@ class ContinuationSettings:
 
 
 @dataclass(frozen=True)
-class OrbitRecord(Brief, Documented):
-    """Properties of a periodic orbit about a saddle.
-
-    Attributes:
-        energy: J.
-        period: s.
-        state (N,): on the reverser's fixed set.
-        floquet_multipliers (N,): largest first.
-        residual: largest component of x(T) - x(0).
-        status: outcome of the search.
-    """
-
-    KEYS: ClassVar[str] = "energy period state floquet_multipliers residual status saddle family"
-
-    energy: float
-    period: float
-    state: Array
-    floquet_multipliers: NDArray[np.complex128]
-    residual: float
-    status: str
-    saddle: str
-    family: int
-
-    @property
-    def name(self) -> str:
-        """The saddle's name, with the family unless it is the first."""
-        return self.saddle if self.family == 0 else f"{self.saddle} family {self.family}"
-
-
-@dataclass(frozen=True)
-class LyapunovOrbit(OrbitRecord, Timed):
-    """A periodic orbit about a saddle.
-
-    Attributes:
-        monodromy (N, N): state-transition matrix over one period.
-        newton_residual: of the shooting equations, scaled.
-    """
-
-    system: System
-    monodromy: Array
-    newton_residual: float
-    converged: bool
-
-    def __repr__(self) -> str:
-        return f"<orbit about {self.saddle} at {self.energy:g}: {self.status}>"
-
-    @property
-    def time_range(self) -> tuple[float, float]:
-        """Zero and the period, s."""
-        return 0.0, self.period
-
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """Names of the N entries of a state."""
-        return self.system.columns
+class LyapunovOrbit(PeriodicOrbit):
+    """A periodic orbit about a saddle."""
 
     @cached_property
-    def _curve(self) -> "OrbitCurve":
-        from dpcontrol.orbits.manifold import OrbitCurve
-
+    def _curve(self) -> OrbitCurve:
         return OrbitCurve(self)
 
     def states(self, times: Any = None) -> Array:
@@ -421,7 +364,7 @@ class LyapunovOrbit(OrbitRecord, Timed):
         return self.sample() if times is None else self._curve.states(checked_times(times) / self.period)
 
     @checked
-    def manifold(self, *, stable: bool = False, branch: Literal[-1, 0, 1] = 0) -> "Tube":
+    def manifold(self, *, stable: bool = False, branch: Literal[-1, 0, 1] = 0) -> Tube:
         """Return the orbit's tube.
 
         Args:
@@ -431,41 +374,9 @@ class LyapunovOrbit(OrbitRecord, Timed):
         Raises:
             GoalMissed: the orbit did not converge.
         """
-        from dpcontrol.orbits.tube import Tube
-
         if not self.converged:
             raise GoalMissed(f"the orbit about {self.saddle}: {self.status}")
         return Tube(self, stable, branch)
-
-    @property
-    def unstable_multiplier(self) -> float:
-        """The largest Floquet multiplier, real for a saddle's orbit."""
-        return float(self.floquet_multipliers[0].real)
-
-    @property
-    def centre(self) -> Array:
-        """State (N,) of the saddle."""
-        return self.system.equilibrium(self.saddle)
-
-    @property
-    def reverser(self) -> Array:
-        """The reverser (N, N), which maps the unstable to the stable manifold."""
-        return self.system.reversers[0]
-
-    @property
-    def whole_turns(self) -> Array:
-        """Whole turns (N,) per period, zero for Lyapunov orbits."""
-        return np.zeros(self.system.dimension)
-
-    @property
-    def turn(self) -> Array:
-        """Change (N,) of the coordinates over one period."""
-        return self.whole_turns * self.system.turn_lengths
-
-    @property
-    def laps(self) -> bool:
-        """True if the orbit and its tubes may cross sections every lap."""
-        return False
 
 
 def lyapunov_orbit(

@@ -16,17 +16,17 @@ Problem, 3rd ed., chapter 8.
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Generic, TypeVar
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.spatial import KDTree
 
 from dpcontrol.foundation.arrays import Array
-from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.shown import Brief
-from dpcontrol.orbits.lyapunov import LyapunovOrbit
-from dpcontrol.orbits.rotating import RotatingOrbit
+from dpcontrol.orbits.orbit import PeriodicOrbit
 
+Orbit = TypeVar("Orbit", bound=PeriodicOrbit)
 _STEEPEST = 0.95  # largest compensation of the vectors' growth by a change of the seeds' distance
 _PROBES = 96  # number of phases at which vector lengths are compared
 
@@ -53,23 +53,29 @@ class Frame(Brief):
 
 
 @dataclass(frozen=True)
-class UnstableManifold(Brief):
-    """The local unstable manifold of a hyperbolic orbit, branches +1 and -1."""
+class UnstableManifold(Brief, Generic[Orbit]):
+    """The local unstable manifold of a hyperbolic orbit, branches +1 and -1.
 
-    orbit: LyapunovOrbit
+    Attributes:
+        distance: largest scaled distance of the seeds from the orbit.
+        side: +1, or -1 to exchange the branches.
+    """
+
+    orbit: Orbit
     distance: float = 3e-4
+    side: int = 1
 
     @cached_property
     def vector(self) -> Array:
         """The unstable Floquet vector (N,) at phase zero, with scaled length one.
 
-        Its largest coordinate determines the sign, so the branches have unique names.
+        Its largest coordinate and `side` determine the sign, so the branches have unique names.
         """
         values, vectors = np.linalg.eig(self.orbit.monodromy)
         v = np.real(vectors[:, np.argmax(np.abs(values))])
         v = v / np.linalg.norm(v / self.orbit.system.scale)
         n = len(v) // 2
-        return v * np.sign(v[np.argmax(np.abs(v[:n]))])
+        return v * (self.side * np.sign(v[np.argmax(np.abs(v[:n]))]))
 
     @cached_property
     def exponent(self) -> float:
@@ -185,58 +191,16 @@ _SETTLED = 1e-15
 
 
 @dataclass(frozen=True)
-class HyperbolicOrbit(LyapunovOrbit):
-    """A hyperbolic periodic orbit outside the saddles' families.
-
-    The attribute `saddle` is the name of the vertex.
-
-    Attributes:
-        mirror (N, N), rest (N,): reverser and its centre.
-        winding (N,): whole turns per period.
-        node_times (M + 1,): 0 to the period, s.
-        node_states (M + 1, N): including both ends.
-    """
-
-    mirror: Array
-    rest: Array
-    winding: Array
-    node_times: Array
-    node_states: Array
-
-    @property
-    def centre(self) -> Array:
-        """State (N,) at rest about which the orbit is symmetric."""
-        return self.rest
-
-    @property
-    def reverser(self) -> Array:
-        """The reverser (N, N) that maps the orbit to itself."""
-        return self.mirror
-
-    @property
-    def whole_turns(self) -> Array:
-        """Whole turns (N,) of the coordinates per period."""
-        return self.winding
-
-    @property
-    def laps(self) -> bool:
-        """True if the orbit and its tubes may cross sections every lap."""
-        return True
-
-
-@dataclass(frozen=True)
-class SegmentedManifold(UnstableManifold):
+class SegmentedManifold(UnstableManifold[Orbit]):
     """The local unstable manifold of an orbit stored as nodes."""
-
-    orbit: HyperbolicOrbit
-    distance: float = 3e-4
 
     @cached_property
     def _node_vectors(self) -> tuple[Array, float, int]:
         """Node vectors (M, N), the exponent ln |λ| and λ's sign."""
         orbit = self.orbit
         scale = orbit.system.scale
-        _, stms = orbit.system.propagator.flows_with_stm(orbit.node_states[:-1], np.diff(orbit.node_times))
+        times, states = orbit.nodes
+        _, stms = orbit.system.propagator.flows_with_stm(states[:-1], np.diff(times))
         # The initial vector has a component in every direction.
         vector = np.cos(np.arange(len(scale)) + 1.0)
         lengths, vectors, sign = np.ones(len(stms)), np.empty((len(stms), len(scale))), 1
@@ -252,9 +216,9 @@ class SegmentedManifold(UnstableManifold):
                 break
         exponent = float(np.log(lengths).sum())
         grown_by = np.concatenate([[0.0], np.cumsum(np.log(lengths))[:-1]])
-        vectors *= np.exp(grown_by - exponent * orbit.node_times[:-1] / orbit.period)[:, None]
+        vectors *= np.exp(grown_by - exponent * times[:-1] / orbit.period)[:, None]
         first = vectors[0, : len(scale) // 2] * scale[: len(scale) // 2]
-        return vectors * scale * np.sign(first[np.argmax(np.abs(first))]), exponent, sign
+        return vectors * scale * (self.side * np.sign(first[np.argmax(np.abs(first))])), exponent, sign
 
     @cached_property
     def vector(self) -> Array:
@@ -279,18 +243,18 @@ class SegmentedManifold(UnstableManifold):
         """
         orbit = self.orbit
         system, period = orbit.system, orbit.period
-        nodes, exponent, sign = self._node_vectors
+        (node_times, node_states), (nodes, exponent, sign) = orbit.nodes, self._node_vectors
         phases = np.atleast_1d(np.asarray(phases, dtype=float))
         rounds = np.floor(phases)
         elapsed = (phases - rounds) * period
-        segment = np.clip(np.searchsorted(orbit.node_times, elapsed, side="right") - 1, 0, len(nodes) - 1)
+        segment = np.clip(np.searchsorted(node_times, elapsed, side="right") - 1, 0, len(nodes) - 1)
         states = np.empty((len(phases), system.dimension))
         vectors = np.empty_like(states)
         for k in np.unique(segment):
             where = np.flatnonzero(segment == k)
             where = where[np.argsort(elapsed[where], kind="stable")]
-            along = elapsed[where] - orbit.node_times[k]
-            states[where], matrices = system.propagator.sample_with_stm(orbit.node_states[k], along)
+            along = elapsed[where] - node_times[k]
+            states[where], matrices = system.propagator.sample_with_stm(node_states[k], along)
             vectors[where] = (matrices @ nodes[k]) * np.exp(-exponent * along / period)[:, None]
         vectors *= np.where(rounds % 2 == 1, float(sign), 1.0)[:, None]
         state_slopes = system.numeric.rate(states) * period
@@ -300,73 +264,14 @@ class SegmentedManifold(UnstableManifold):
         return Frame(phases, states + rounds[:, None] * orbit.turn, vectors, state_slopes, vector_slopes, lengths)
 
 
-def local_manifold(orbit: LyapunovOrbit, distance: float = 3e-4) -> UnstableManifold:
+def local_manifold(orbit: Orbit, distance: float = 3e-4) -> UnstableManifold[Orbit]:
     """Return the local unstable manifold of an orbit.
 
     Args:
         orbit: hyperbolic orbit.
         distance: largest scaled distance of the seeds from the orbit.
     """
-    if isinstance(orbit, HyperbolicOrbit):
-        return SegmentedManifold(orbit, distance)
-    return UnstableManifold(orbit, distance)
-
-
-_FLOWN = 8
-"""Segments of a rotating orbit from the symmetry line; their mirror images give as many more."""
-
-
-def rotating_vertex(orbit: RotatingOrbit, *, name: str | None = None) -> HyperbolicOrbit:
-    """Return a rotating orbit as a vertex of the connection graph.
-
-    Args:
-        orbit: hyperbolic rotating orbit.
-        name: by default "outer-rotating" or "inner-rotating", with "-back" for clockwise rotation.
-
-    Raises:
-        InputError: the orbit is not hyperbolic and has no tubes.
-    """
-    if "hyperbolic" not in orbit.kind:
-        raise InputError(
-            f"the rotating orbit at {orbit.energy:g} J is {orbit.kind} (trace {orbit.trace:.6g}): only hyperbolic "
-            "orbits have tubes; choose another orbit or energy"
-        )
-    system, n = orbit.system, orbit.system.dimension // 2
-    default = f"{('inner', 'outer')[orbit.arm - 1]}-rotating{'' if sum(orbit.winding) > 0 else '-back'}"
-    rest = np.concatenate([orbit.state[:n], np.zeros(n)])
-    winding = np.zeros(2 * n)
-    winding[:n] = orbit.winding
-    times = np.linspace(0.0, orbit.period, 2 * _FLOWN + 1)
-    mirror = system.reversers[-1]
-    first = system.propagator.sample(orbit.state, times[: _FLOWN + 1])
-    # γ(1 - φ) = R γ(φ) + a whole turn.
-    second = (first[:-1][::-1] - rest) @ mirror.T + rest + winding * system.turn_lengths
-    states = np.vstack([first, second])
-    _, stms = system.propagator.flows_with_stm(states[:-1], np.diff(times))
-    monodromy = np.eye(2 * n)
-    for stm in stms:
-        monodromy = stm @ monodromy
-    multiplier = float(complex(orbit.floquet_multipliers[0]).real)
-    neutral = [1.0] * (2 * n - 2)
-    return HyperbolicOrbit(
-        system=system,
-        saddle=name or default,
-        family=0,
-        energy=orbit.energy,
-        state=states[0],
-        period=orbit.period,
-        floquet_multipliers=np.array([multiplier, *neutral, 1 / multiplier], dtype=complex),
-        monodromy=monodromy,
-        residual=orbit.residual,
-        newton_residual=orbit.newton_residual,
-        converged=True,
-        status=orbit.status,
-        mirror=mirror,
-        rest=rest,
-        winding=winding,
-        node_times=times,
-        node_states=states,
-    )
+    return (SegmentedManifold if len(orbit.nodes[0]) > 1 else UnstableManifold)(orbit, distance)
 
 
 SAMPLES = 512  # a periodic cubic spline through them has a scaled error of about 1e-9
@@ -376,7 +281,7 @@ SAMPLES = 512  # a periodic cubic spline through them has a scaled error of abou
 class OrbitCurve(Brief):
     """The curve of a periodic orbit, with phases of period 1."""
 
-    orbit: LyapunovOrbit
+    orbit: PeriodicOrbit
 
     @cached_property
     def samples(self) -> Array:

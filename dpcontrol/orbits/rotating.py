@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.checked import number
 from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
@@ -182,7 +183,9 @@ def rotating_orbits(
         InputError: the system is not a double pendulum, or an argument is invalid.
     """
     settings = settings or RotatingSettings()
-    _check(system, arm, energy, sense)
+    if not can_rotate(system):
+        raise InputError(f"{system.name} is not a double pendulum: rotating orbits need two arms")
+    energy = number("energy", energy)
     found: list[RotatingOrbit] = []
     for position in (0.0, np.pi):
         problem = half_turn(system, arm, sense, position)
@@ -280,17 +283,6 @@ def kind_of(trace: float) -> str:
 def can_rotate(system: System) -> bool:
     """Return True if a system has two arms and both reversers."""
     return {"outer-down", "inner-down", "aligned"} <= set(system.named_sections) and len(system.reversers) > 1
-
-
-def _check(system: System, arm: int, energy: float, sense: int) -> None:
-    if not can_rotate(system):
-        raise InputError(f"{system.name} is not a double pendulum: rotating orbits need two arms")
-    if arm not in (1, 2):
-        raise InputError(f"arm = {arm}: must be 1 (inner) or 2 (outer)")
-    if sense not in (1, -1):
-        raise InputError(f"sense = {sense}: must be +1 (counter-clockwise) or -1")
-    if not np.isfinite(energy):
-        raise InputError(f"energy = {energy}: must be a finite number of joules")
 
 
 @dataclass(frozen=True)

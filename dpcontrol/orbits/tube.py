@@ -20,8 +20,8 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Reporting, reporting
 from dpcontrol.foundation.shown import Shown
 from dpcontrol.orbits.cut import MOST_PERIODS, Cut, CutSettings, Piece, Sampler, section_points, tube_cut
-from dpcontrol.orbits.lyapunov import LyapunovOrbit
 from dpcontrol.orbits.manifold import UnstableManifold, local_manifold
+from dpcontrol.orbits.orbit import PeriodicOrbit
 
 _MOMENTS = 160
 """Samples of a strand."""
@@ -37,7 +37,7 @@ class Tube(Shown, Documented):
 
     KEYS: ClassVar[str] = "orbit stable branch"
 
-    orbit: LyapunovOrbit
+    orbit: PeriodicOrbit
     stable: bool = False
     branch: Literal[-1, 0, 1] = 0
 

@@ -83,7 +83,7 @@ class Page:
     good: bool | None = None
     about: str = ""
     width: float = style.WIDTH
-    _rows: list[tuple[float, Callable[[SubFigure], None]]] = field(default_factory=list)
+    rows: list[tuple[float, Callable[[SubFigure], None]]] = field(default_factory=list)
 
     def row(self, *items: Item, height: float) -> "Page":
         """Add panels beside one another.
@@ -93,7 +93,7 @@ class Page:
             height: height of the row, inches.
         """
         if items:
-            self._rows.append((height, lambda part: _row(part, items)))
+            self.rows.append((height, lambda part: _row(part, items)))
         return self
 
     def grid(self, panels: Sequence[Draw], *, across: int, height: float) -> "Page":
@@ -147,7 +147,7 @@ class Page:
                 place = 0.5 * _EDGE / self.width, 1 - 0.25 * _EDGE / height
                 part.text(*place, "\n".join(lines), fontsize=size, color=colour, va="top", linespacing=_LINE)
 
-            self._rows.append((height, write))
+            self.rows.append((height, write))
         return self
 
     def figure(self) -> Figure:
@@ -156,7 +156,7 @@ class Page:
         head = Page("", width=self.width / 1.12).text(self.title, colour=style.INK, size=style.TITLE)
         result = Page("", width=self.width)
         result.text(self.verdict, colour=style.verdict_colour(self.good), size=style.VERDICT)
-        rows = [*head._rows, *result._rows, *self._rows]
+        rows = [*head.rows, *result.rows, *self.rows]
         heights = [height for height, _ in rows]
         figure = new_figure(self.width, sum(heights) + _EDGE)
         # The last part is the page's lower edge.

@@ -23,6 +23,7 @@ from dpcontrol.logs import RunLog
 from dpcontrol.orbits.cut import Cut, Piece
 from dpcontrol.orbits.family import LyapunovFamily
 from dpcontrol.orbits.lyapunov import LyapunovOrbit
+from dpcontrol.orbits.orbit import PeriodicOrbit
 from dpcontrol.orbits.rotating import RotatingFamily, RotatingOrbit
 from dpcontrol.orbits.tube import Tube
 from dpcontrol.pages import orbits, style
@@ -57,7 +58,7 @@ def _plane(axes: Axes, system: System, columns: tuple[int, int], title: str) -> 
             angle_axis(axes, which)
 
 
-def _rings(axes: Axes, orbit: LyapunovOrbit, turns: Array | None = None) -> None:
+def _rings(axes: Axes, orbit: PeriodicOrbit, turns: Array | None = None) -> None:
     states = orbit.sample() + (0.0 if turns is None else turns)
     axes.plot(*states[:, :2].T, color=style.saddle_colour(orbit.saddle), linewidth=2.5)
 

@@ -66,8 +66,9 @@ from dpcontrol.foundation.files import archive, content_hash, write_archive
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.foundation.settings import Settings, adapter, setting
 from dpcontrol.orbits.cut import Cut, Piece, section_points
-from dpcontrol.orbits.lyapunov import LyapunovOrbit, OrbitRecord, equilibria
+from dpcontrol.orbits.lyapunov import LyapunovOrbit, equilibria
 from dpcontrol.orbits.manifold import UnstableManifold
+from dpcontrol.orbits.orbit import OrbitRecord
 from dpcontrol.orbits.rotating import RotatingOrbit, RotatingRecord, can_rotate, rotating_orbits
 from dpcontrol.plans.model import Model
 from dpcontrol.tubes.connections import Connection, ConnectionRecord

@@ -15,13 +15,13 @@ from itertools import pairwise, product
 
 import numpy as np
 
-import dpcontrol
 from dpcontrol.dynamics.chain import Level, equations_of
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.document import picked
 from dpcontrol.foundation.files import content_hash
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.foundation.shown import Brief
+from dpcontrol.foundation.version import PROGRAM
 from dpcontrol.orbits.lyapunov import LyapunovOrbit, equilibria, resting_place
 from dpcontrol.orbits.manifold import OrbitCurve
 from dpcontrol.plans.itinerary import Itinerary
@@ -531,7 +531,7 @@ def notes_of_pieces(
             name: {"angles": e.state[:n].tolist(), "energy": e.energy} for name, e in equilibria(model.system).items()
         },
         "made_from": {
-            "program": f"dpcontrol {dpcontrol.__version__}",
+            "program": PROGRAM,
             "scene": itinerary.text,
             "scene_hash": content_hash(itinerary.text),
             "model": model.text,

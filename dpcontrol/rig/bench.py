@@ -219,9 +219,9 @@ class RecordedRig:
         sent = float(self._record.commands[self._tick])
         if math.isfinite(sent):
             self.difference = max(self.difference, abs(acceleration - sent))
-            memory, at = self._program.memory, self._program.equations.memory.slices
-            memory[at["velocity"]] += (sent - acceleration) * self.period
-            memory[at["sent"].stop - 1] = sent
+            memory = self._program.memory
+            memory.velocity[:] += (sent - acceleration) * self.period
+            memory.sent[-1] = sent
 
     def stop(self) -> None:
         """Do nothing, since the record contains the braking."""

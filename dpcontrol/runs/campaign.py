@@ -60,7 +60,6 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-import dpcontrol
 from dpcontrol.dynamics.chain import ArmChainParameters, Uncertainty
 from dpcontrol.foundation.checked import is_list
 from dpcontrol.foundation.document import Documented, document_of
@@ -78,6 +77,7 @@ from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress
 from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.foundation.shown import Brief, Shown, pandas_classes
 from dpcontrol.foundation.statistics import Pairing, Share, paired, wilson
+from dpcontrol.foundation.version import VERSION
 from dpcontrol.judge.campaign import CampaignSummary, summary_of
 from dpcontrol.judge.score import Flown, verdict_on
 from dpcontrol.loop.assembly import Assembly
@@ -819,7 +819,7 @@ def campaign_record(
     """
     return {
         **({"transitions": True} if transitions else {}),
-        "version": dpcontrol.__version__,
+        "version": VERSION,
         "itinerary": itinerary.name,
         "model": itinerary.model.name,
         "scene_hash": content_hash(itinerary.text),

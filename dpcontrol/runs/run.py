@@ -20,7 +20,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-import dpcontrol
 from dpcontrol.control.estimator_settings import extra_names
 from dpcontrol.control.export import (
     LEAVING,
@@ -50,6 +49,7 @@ from dpcontrol.foundation.progress import Progress, Reporting, no_progress, repo
 from dpcontrol.foundation.settings import Place, decode, frozen, with_values
 from dpcontrol.foundation.shipped import folders
 from dpcontrol.foundation.shown import Timed, checked_times
+from dpcontrol.foundation.version import VERSION
 from dpcontrol.judge.score import (
     DRAWN_METADATA,
     HARDEST_METADATA,
@@ -487,7 +487,7 @@ def run_metadata(itinerary: Itinerary) -> Mapping[str, str]:
         itinerary: itinerary with the settings of the run.
     """
     return {
-        "version": dpcontrol.__version__,
+        "version": VERSION,
         "commit": commit(),
         "itinerary": itinerary.name,
         "model": itinerary.model.name,
@@ -542,7 +542,7 @@ def repeat_run(source: Path, out: Path, *, force: bool = False, progress: Progre
     compare_messages(source, source)
     with TemporaryDirectory() as folder:
         verdict = run_plan(_plan(log, Path(folder)), out, force=force, progress=progress).score()
-    then, now = log.metadata.get("version", "?"), dpcontrol.__version__
+    then, now = log.metadata.get("version", "?"), VERSION
     versions = None if then == now else f"the log was written by version {then}, this is {now}"
     return Repeat(verdict, compare_messages(source, out), versions)
 

@@ -35,7 +35,7 @@ from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.foundation.shown import Brief, Shown, Timed, checked_times
 from dpcontrol.orbits.cut import Cut, OpenEnd, longest_flight, section_points, tube_cut
 from dpcontrol.orbits.lyapunov import LyapunovOrbit, lyapunov_orbit
-from dpcontrol.orbits.manifold import HyperbolicOrbit, OrbitCurve, local_manifold
+from dpcontrol.orbits.manifold import OrbitCurve, local_manifold
 from dpcontrol.shooting.newton import Guess, ManifoldEnd, ShootingOrbit, solve_shooting
 from dpcontrol.tubes.intersections import ConnectionSettings, Intersection, balanced, intersect_cuts
 
@@ -757,7 +757,7 @@ def find_lap_connections(
         InputError: both orbits or neither cross the section, the crossing number is below one, or the energies differ.
     """
     settings = ConnectionSettings()
-    lapping = [orbit for orbit in (source, target) if isinstance(orbit, HyperbolicOrbit)]
+    lapping = [orbit for orbit in (source, target) if orbit.laps]
     if len(lapping) != 1:
         raise InputError(
             f"{source.saddle} and {target.saddle}: exactly one must be an orbit whose tubes cross on every lap"
@@ -804,7 +804,7 @@ def find_lap_connections(
     return replace(search, connections=tuple(found), complete=False, status=status)
 
 
-def grown_crossing(orbit: HyperbolicOrbit, section: Section) -> int:
+def grown_crossing(orbit: LyapunovOrbit, section: Section) -> int:
     """Return the last crossing before a tube becomes large.
 
     The limit of its scaled distance is about 0.4.

@@ -25,7 +25,7 @@ from dpcontrol.foundation.settings import check_names
 from dpcontrol.foundation.shown import Brief, Shown
 from dpcontrol.foundation.units import InUnits
 from dpcontrol.orbits.cut import Piece
-from dpcontrol.orbits.lyapunov import OrbitRecord
+from dpcontrol.orbits.orbit import OrbitRecord
 from dpcontrol.orbits.rotating import RotatingRecord
 from dpcontrol.tubes.connections import ConnectionRecord
 

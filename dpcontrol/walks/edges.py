@@ -27,8 +27,9 @@ from dpcontrol.foundation.settings import check_names
 from dpcontrol.foundation.shown import Brief, Shown
 from dpcontrol.orbits.cut import Cut, tube_cut
 from dpcontrol.orbits.lyapunov import LyapunovOrbit, lyapunov_orbit
-from dpcontrol.orbits.manifold import HyperbolicOrbit, OrbitCurve, UnstableManifold, local_manifold, rotating_vertex
+from dpcontrol.orbits.manifold import OrbitCurve, UnstableManifold, local_manifold
 from dpcontrol.orbits.rotating import can_rotate, rotating_orbits
+from dpcontrol.orbits.vertex import HyperbolicOrbit, rotating_vertex
 from dpcontrol.tubes.connections import (
     Connection,
     ConnectionSearch,
@@ -102,7 +103,7 @@ def rotating_connections(
     Raises:
         InputError: both orbits rotate, or no section is suitable.
     """
-    lapping = [orbit for orbit in (source, target) if isinstance(orbit, HyperbolicOrbit)]
+    lapping = [orbit for orbit in (source, target) if orbit.laps]
     if len(lapping) != 1:
         raise InputError(
             f"{source.saddle} > {target.saddle}: only connections between a rotating orbit and a saddle can be "
@@ -121,7 +122,7 @@ def rotating_connections(
     return replace(found, status=f"{never}; later crossings may have some")
 
 
-def _section(lapping: HyperbolicOrbit, home: LyapunovOrbit, name: str | None) -> Section:
+def _section(lapping: LyapunovOrbit, home: LyapunovOrbit, name: str | None) -> Section:
     system = lapping.system
     if name is not None:
         candidates = [system.section_between(home.saddle, home.saddle, name)]

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.control.ekf import EkfProgram, unpacked
+from dpcontrol.control.ekf import CompiledEkf, unpacked
 from dpcontrol.control.estimator_settings import nees, share_inside
 from dpcontrol.dynamics.compiled import Compiled
 
@@ -36,8 +36,7 @@ class Consistency:
 
 
 def simulated_consistency(
-    program: EkfProgram,
-    noise: Array,
+    ekf: CompiledEkf,
     *,
     first: Array,
     commands: Array,
@@ -49,21 +48,22 @@ def simulated_consistency(
 ) -> Consistency:
     """Run `runs` filters over `commands` (K,) m/s² from `first` (N,), with truths drawn from what the filter assumes.
 
-    noise (n+1, n+1): what the filter assumes of the measurement, and is given unless `steps` (n+1,), the encoders'
-    resolutions in rad and m, are: then readings are rounded to them. every: ticks between two values of NEES.
+    The measurement has the noise that the filter assumes, unless `steps` (n+1,) are given, the encoders' resolutions in
+    rad and m: then readings are rounded to them. every: ticks between two values of NEES.
     """
     random = np.random.default_rng(seed)
-    equations, size, arms = program.equations, program.equations.dimension, program.model.arms
-    sigmas, h, root = program.settings.first_sigmas(arms), equations.observation, np.linalg.cholesky(noise)
+    equations, size, arms = ekf.equations, ekf.equations.dimension, ekf.model.arms
+    sigmas, h, root = ekf.settings.first_sigmas(arms), equations.observation, np.linalg.cholesky(ekf.noise)
     linear = Compiled(equations.prediction(with_jacobian=True))
     start = np.concatenate([first, np.zeros(size - len(first))])[:, None]
     truth = start + sigmas[:, None] * random.standard_normal((size, runs))
-    inputs, memory = program.inputs(noise, runs=runs), program.first(np.repeat(first[:, None], runs, axis=1))
+    inputs, memory = (np.repeat(a[:, None], runs, axis=1) for a in (ekf.inputs, ekf.first(first).memory))
+    inputs[ekf.whole.slices["present"]] = 1.0
     known = np.zeros((linear.size_in, runs))
-    known[linear.slices["parameters"]] = program.model.parameters[:, None]
-    known[linear.slices["process"]] = program.process[:, None]
-    out, moved = np.empty((program.step.size_out, runs)), np.empty((linear.size_out, runs))
-    settled = int(_SETTLING / program.model.period)
+    known[linear.slices["parameters"]] = ekf.model.parameters[:, None]
+    known[linear.slices["process"]] = ekf.process[:, None]
+    out, moved = np.empty((ekf.whole.size_out, runs)), np.empty((linear.size_out, runs))
+    settled = int(_SETTLING / ekf.model.period)
     relative = np.eye(arms + 1) - np.diag([*([1.0] * (arms - 1)), 0.0], -1)
     sums = np.linalg.inv(relative)
     nis, errors = [], []
@@ -84,13 +84,13 @@ def simulated_consistency(
             positions = positions + root @ random.standard_normal((arms + 1, runs))
         else:
             positions = sums @ (np.rint(relative @ positions / steps[:, None]) * steps[:, None])
-        inputs[program.slices["memory"]] = memory
-        inputs[program.slices["command"]] = command
-        inputs[program.slices["measured"]] = positions
-        (program.step if k else program.update)(inputs, out)
-        memory = out[program.out["memory"]].copy()
+        inputs[ekf.whole.slices["memory"]] = memory
+        inputs[ekf.whole.slices["command"]] = command
+        inputs[ekf.whole.slices["measured"]] = positions
+        (ekf.whole if k else ekf.correct)(inputs, out)
+        memory = out[: ekf.out.slices.covariance.stop].copy()
         if k >= settled:
-            nis.append(out[program.out["nis"]][0].copy())
+            nis.append(out[ekf.out.slices.nis][0].copy())
             if k % every == 0:
                 p = unpacked(memory[size:].T)
                 errors.append(nees((truth - memory[:size]).T, p))

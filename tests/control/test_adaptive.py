@@ -130,8 +130,7 @@ def laws_expression() -> ca.Function:
     tick = TickEquations(filters, 0, 0, shares)
     sizes = {"row": tick.row.size, "state": 6, "extra": 7, "trust": 1}
     row, state, extra, trust = (ca.SX.sym(name, size) for name, size in sizes.items())
-    parts = {name: row[where] for name, where in tick.row.slices.items()}
-    law = tick.law(parts, state, ca.SX(0), extra, trust)
+    law = tick.law(tick.row.of(row), state, ca.SX(0), extra, trust)
     return ca.Function("law", [row, state, extra, trust], list(law))
 
 

@@ -6,7 +6,7 @@ from estimator_runs import MODEL, NOISE, SWING
 from scipy.stats import chi2
 from simulated_consistency import simulated_consistency
 
-from dpcontrol.control.ekf import EkfProgram
+from dpcontrol.control.ekf import CompiledEkf
 from dpcontrol.control.estimator_settings import AdaptiveEkfSettings, EkfSettings, chi_square_band, share_inside
 from dpcontrol.loop.bench import SensorSettings
 
@@ -32,13 +32,13 @@ def test_too_small_counts_as_outside_as_well_as_too_large() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("augment", [(), ("friction", "parameters")])
 def test_nis_and_nees_of_a_nominal_plant_lie_in_their_bands(augment: tuple[str, ...]) -> None:
-    program = EkfProgram(MODEL, EkfSettings(augment=augment))
+    ekf = CompiledEkf(MODEL, EkfSettings(augment=augment), noise=NOISE)
     commands = 0.5 * np.sin(2.5e-3 * np.arange(1500))
-    found = simulated_consistency(program, NOISE, first=np.array(SWING), commands=commands, runs=60, seed=8)
+    found = simulated_consistency(ekf, first=np.array(SWING), commands=commands, runs=60, seed=8)
     assert found.nis_inside_95 == pytest.approx(0.95, abs=SHARE)
     assert found.nees_inside_95 == pytest.approx(0.95, abs=SHARE)
     assert found.mean_nis == pytest.approx(3.0, rel=0.02)
-    assert found.mean_nees == pytest.approx(program.equations.dimension, rel=0.05)
+    assert found.mean_nees == pytest.approx(ekf.equations.dimension, rel=0.05)
 
 
 @pytest.mark.slow
@@ -51,7 +51,7 @@ def test_noise_covers_the_squares_of_the_parameters_errors() -> None:
             AdaptiveEkfSettings(), augment=("parameters",), model_error=0.14, nonlinearity=nonlinearity, rate_noise=2e-4
         )  # fmt: skip
         found[nonlinearity] = simulated_consistency(
-            EkfProgram(MODEL, settings), NOISE, first=np.array(SWING), commands=commands, runs=24, seed=8,
+            CompiledEkf(MODEL, settings, noise=NOISE), first=np.array(SWING), commands=commands, runs=24, seed=8,
             process_noise=False,
         ).mean_nees  # fmt: skip
     without, covered = found.values()
@@ -63,10 +63,8 @@ def test_rounding_to_counts_keeps_the_mean_and_puts_too_many_inside() -> None:
     counts = 2000
     steps = np.array([2 * np.pi / counts] * 2 + [1e-6])
     noise = SensorSettings(counts=counts).covariance(2)
-    program = EkfProgram(MODEL, EkfSettings(augment=()))
+    ekf = CompiledEkf(MODEL, EkfSettings(augment=()), noise=noise)
     commands = 0.5 * np.sin(2.5e-3 * np.arange(1000))
-    found = simulated_consistency(
-        program, noise, first=np.array(SWING), commands=commands, runs=40, seed=2, steps=steps
-    )
+    found = simulated_consistency(ekf, first=np.array(SWING), commands=commands, runs=40, seed=2, steps=steps)
     assert found.mean_nis == pytest.approx(3.0, rel=0.03)
     assert found.nis_inside_95 > 0.97

@@ -42,8 +42,8 @@ def machine(period: float, lanes: int) -> tuple[ca.Function, np.ndarray]:
     present, repeats, count, sent = (ca.SX.sym(name) for name in ("present", "repeats", "count", "sent"))
     visible = watch.visible(count, count**2 / 12, ca.SX(NOISE))
     judged = watch.update(memory, CartReading(present, repeats, moved, ca.SX(0), visible))
-    m, after = watch.parts(judged), watch.predict(judged, sent, TURN * sent, TURN * sent)
-    found = ca.vertcat(m["lasts"] >= watch.longest - period / 2, m["against"] < 0, m["doubt"])
+    m, after = watch.memory.of(judged), watch.predict(judged, sent, TURN * sent, TURN * sent)
+    found = ca.vertcat(m.lasts >= watch.longest - period / 2, m.against < 0, m.doubt)
     step = ca.Function("watch", [memory, moved, present, repeats, count, sent], [after, found])
     return step.map(lanes), np.tile(watch.start(0.0, np.zeros(1))[:, None], lanes)
 

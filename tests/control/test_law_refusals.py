@@ -7,16 +7,12 @@ from functools import partial
 import numpy as np
 import pytest
 from bench_stand_in import model_of
-from shadowing_stand_in import LAB, StandIn
+from shadowing_stand_in import StandIn
 
-from dpcontrol.control.ekf import CompiledEkf
 from dpcontrol.control.estimator_settings import EkfSettings
-from dpcontrol.control.handover import program
-from dpcontrol.control.interface import SampledModel
 from dpcontrol.control.lqr import HoldSettings, hold_controller
 from dpcontrol.control.ogy import OgySettings
 from dpcontrol.control.periodic import periodic_gains
-from dpcontrol.control.tick import whole_periods
 from dpcontrol.control.tracking import (
     AdaptiveSettings,
     TvlqrSettings,
@@ -24,7 +20,6 @@ from dpcontrol.control.tracking import (
     terminal_cost,
     tracking_controller,
 )
-from dpcontrol.dynamics.chain import Level, arm_chain_equations
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.references.reference import Reference
 
@@ -38,12 +33,7 @@ from dpcontrol.references.reference import Reference
         (partial(EkfSettings, augment=("zero",)), "zeros"),
         (partial(OgySettings, sections=0), "sections"),
         (partial(TvlqrSettings, schedule="tim"), "schedule"),
-        (partial(whole_periods, np.nan), "delay"),
-        (partial(SampledModel, model_of().equations, LAB.base()[1:], period=1e-3), "parameters"),
-        (partial(SampledModel, arm_chain_equations(2, Level.CONSERVATIVE), LAB.base(), period=1e-3), "cart level"),
-        (partial(CompiledEkf, model_of(), EkfSettings(), noise=np.zeros((3, 3))), "positive definite"),
         (partial(hold_controller, [0.3, np.pi, 0.0, 0.0], model_of(), HoldSettings(), seconds=1.0), "equilibrium"),
-        (partial(program, [], period=1e-3), "segment"),
     ],
 )
 def test_what_has_no_meaning_is_refused_by_name(call: Callable[[], object], said: str) -> None:

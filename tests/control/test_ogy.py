@@ -153,7 +153,7 @@ def test_sixteen_sections_hold_the_orbit_of_a_plant_with_other_parameters() -> N
     flight = fly(session, plant_of(seed, 0.05), started(controller, seed), 8.0, believed=controller.first_state)
     assert len(flight.states) == 8000
     assert away(flight.states) < ON_ORBIT
-    assert session.crossings == pytest.approx(16 * 8.0 / orbit().period, rel=0.06)
+    assert session.course.crossings == pytest.approx(16 * 8.0 / orbit().period, rel=0.06)
     assert {action.mode for action in flight.actions} <= {Mode.PULSING, Mode.HOLDING}
     assert not flight.events
 

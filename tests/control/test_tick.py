@@ -63,22 +63,22 @@ class Ticked:
         gains: np.ndarray | None = None,
         due: np.ndarray | None = None,
     ) -> dict[str, float]:
-        program, row = self.program, self.program.equations.row.slices
+        program, row = self.program, self.program.equations.row.of(self.program.row)
         measured = self.state[MODEL.position_indices] if positions is None else positions
         program.take(measured[:, None], present, 0, None)
         program.row[:] = 0.0
-        program.row[row["feedforward"]] = command
-        program.row[row["wanted"]] = (self.state[:2] if wanted is None else wanted)[:, None]
+        row.feedforward[:] = command
+        row.wanted[:] = (self.state[:2] if wanted is None else wanted)[:, None]
         if gains is not None and due is not None:
-            program.row[row["gains"]], program.row[row["state"]] = gains[:, None], due[:, None]
+            row.gains[:], row.state[:] = gains[:, None], due[:, None]
         program.tick()
-        return {name: float(program.report[at, 0]) for name, at in program.at.items()}
+        return {name: part.item(0) for name, part in program.report._asdict().items() if part.size}
 
     def kept(self, name: str) -> np.ndarray:
-        return self.program.memory[self.program.equations.memory.slices[name], 0]
+        return getattr(self.program.memory, name)[:, 0]
 
     def told(self, name: str) -> np.ndarray:
-        return self.program.report[self.program.equations.report.slices[name], 0]
+        return getattr(self.program.report, name)[:, 0]
 
 
 def superposed(commands: np.ndarray, delay: float, first: int, last: int) -> np.ndarray:
@@ -322,10 +322,9 @@ def test_a_filter_that_has_slipped_a_turn_is_restarted_from_the_encoders() -> No
     tick = Ticked()
     for _ in range(5):
         tick(0.0)
-    memory = tick.program.equations.memory.slices
     # It believes in a rate that no reading shows, and so little of the readings that its NIS is small.
-    tick.program.memory[memory["z"].start] = 4.0
-    tick.program.memory[memory["covariance"]] *= 1e12
+    tick.program.memory.z[0] = 4.0
+    tick.program.memory.covariance[:] *= 1e12
     report = tick(3.0)
     assert report["outcome"] == Outcome.RESTART
     assert report["error"] < 0.1
@@ -348,11 +347,10 @@ def test_a_blow_on_the_cart_does_not_cost_the_estimate() -> None:
 
 def test_an_estimator_can_restart_again_after_a_consistent_second() -> None:
     tick = Ticked(restarts=1.0)
-    triangle = tick.program.equations.memory.slices["covariance"]
     for wait, expected in ((0, Outcome.RESTART), (1200, Outcome.RESTART), (100, Outcome.ESTIMATE_LOST)):
         for _ in range(wait):
             assert tick(0.0)["outcome"] == Outcome.GO_ON
-        tick.program.memory[triangle] = np.nan
+        tick.program.memory.covariance[:] = np.nan
         assert tick(0.0)["outcome"] == expected
 
 
@@ -365,9 +363,8 @@ def test_a_cart_that_runs_after_fallen_arms_is_not_what_ended_the_run(away: floa
 def test_a_failing_filter_keeps_its_prediction_and_restarts() -> None:
     tick = Ticked(restarts=1.0)
     tick(0.0)
-    triangle = tick.program.equations.memory.slices["covariance"]
     for expected in (Outcome.RESTART, Outcome.ESTIMATE_LOST):
-        tick.program.memory[triangle] = np.nan
+        tick.program.memory.covariance[:] = np.nan
         report = tick(3.0, positions=np.array([0.01, 0.02, 0.0]))
         assert report["outcome"] == expected
         assert np.isfinite(tick.told("state")).all()

@@ -112,6 +112,6 @@ def test_the_loops_rows_equal_the_actions_of_a_session_several_ticks_ahead(
     for k in (0, 1, 700, last - 2, last - 1, last):
         row, state = schedule.rows[k], controller.reference_states[k] + 0.01
         action = session.command(k + 2, state, np.zeros(0))
-        assert float(row[where["feedforward"]][0]) == action.feedforward
-        assert float(row[where["gains"]] @ (row[where["state"]] - state)) == pytest.approx(action.feedback, rel=1e-9)
-        assert row[where["wanted"]] == pytest.approx(controller.reference_states[k, :2])
+        assert float(row[where.feedforward][0]) == action.feedforward
+        assert float(row[where.gains] @ (row[where.state] - state)) == pytest.approx(action.feedback, rel=1e-9)
+        assert row[where.wanted] == pytest.approx(controller.reference_states[k, :2])

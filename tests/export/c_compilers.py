@@ -12,7 +12,6 @@ from library_program import LibraryProgram, library_ticker
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.loop.protocols import Reading
-from dpcontrol.loop.ticker import Ticker
 from dpcontrol.plans.plan import Plan
 
 SANITIZED = ["-g1", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
@@ -89,13 +88,9 @@ class SideBySide:
         readings = [Reading(0.0, positions, present=here, switch=switch) for here in (marked, present)]
         k, self._k = min(self._k, self.count - 1), self._k + 1
         own, other = (
-            _named(ticker, ticker(k, reading)[:, 0].copy())
+            {name: part[:, 0].copy() for name, part in ticker(k, reading)._asdict().items()}
             for ticker, reading in zip((self.own, self.other), readings, strict=True)
         )
         if self._told:
             self.c.set_sent(float(own["command"][0]))
         return own, other
-
-
-def _named(ticker: Ticker, report: np.ndarray) -> dict[str, np.ndarray]:
-    return {name: report[where] for name, where in ticker.program.equations.report.slices.items()}

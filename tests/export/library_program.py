@@ -73,8 +73,7 @@ class LibraryProgram(TickProgram):
             function.restype, function.argtypes = result, [ctypes.c_void_p, *more]
         self._step = self._c.dpc_step
         self._arguments = (self.controller_address, self._reading.ctypes.data, self._told.ctypes.data)
-        where = self.equations.report.slices
-        self._copied = [(name, where[name]) for name in report.fields or () if name in where]
+        self._copied = [(name, part) for name, part in self.report._asdict().items() if name in (report.fields or ())]
 
     def begin(self, first: Array, queued: Array, *, velocity: float) -> None:
         """Begin a run; see `TickProgram.begin`.
@@ -110,12 +109,10 @@ class LibraryProgram(TickProgram):
     def tick(self) -> None:
         """Compute a whole tick with the library's table."""
         reading, told, report = self._reading, self._told, self.report
-        reading["positions"] = self._measured[:, 0]
-        reading["present"] = self._present[:, 0]
-        reading["limit_switch"], reading["age"] = self._switch[0], self._age[0, 0]
+        reading["positions"], reading["present"] = self.reading.measured[:, 0], self.reading.present[:, 0]
+        reading["limit_switch"], reading["age"] = self.reading.switch[0, 0], self.reading.age[0, 0]
         self._step(*self._arguments)
-        for name, where in self._copied:
-            report[where, 0] = told[name]
-        at = self.at
-        report[at["notable"], 0] = report[at["outcome"], 0] + report[at["stop"], 0]
-        report[at["news"], 0] = report[at["newly_cut"], 0] + report[at["untrusted"], 0]
+        for name, part in self._copied:
+            part[:, 0] = told[name]
+        report.notable[:] = report.outcome + report.stop
+        report.news[:] = report.newly_cut + report.untrusted

@@ -233,9 +233,8 @@ class Recorded:
         sent = acceleration + self.other * np.sin(self.k)
         self.rig.command(sent)
         self.record.answered(self.k, sent)
-        at = self.program.equations.memory.slices
-        self.program.memory[at["sent"].stop - 1] = sent
-        self.program.memory[at["velocity"]] += (sent - acceleration) * self.period
+        self.program.memory.sent[-1] = sent
+        self.program.memory.velocity[:] += (sent - acceleration) * self.period
 
     def stop(self) -> None:
         self.rig.stop()

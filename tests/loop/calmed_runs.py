@@ -77,16 +77,15 @@ def calmed(
     bench = BatchBench(draws, run.bench, limits=LIMITS, start=start, queued=list(ticker.queued), lanes=MANY)
     ticker.lose()
     # What is known of the cart is not lost with the arms.
-    memory, places = ticker.program.memory, ticker.program.equations.memory.slices
-    for place in (places["z"].start + 5, places["velocity"], places["heading"]):
-        memory[place] = start[:, 5]
-    for name, value in calming_bounds(LIMITS).items():
-        ticker.program.set_number(name, value)
+    memory = ticker.program.memory
+    for part in (memory.z[5:6], memory.velocity, memory.heading):
+        part[:] = start[:, 5]
+    ticker.program.bound(**calming_bounds(LIMITS))
     rest, farthest = np.full(len(lanes), np.inf), np.zeros(len(lanes))
     with np.errstate(all="ignore"):
         for k in range(law.ticks):
             report = ticker(k, bench.read())
-            bench.command(report[ticker.at["command"]])
+            bench.command(report.command[0])
             truth = bench.truth
             farthest = np.maximum(farthest, np.abs(truth[4]))
             away = np.abs(truth[:2] - 2 * np.pi * np.rint(truth[:2] / (2 * np.pi))).max(0)

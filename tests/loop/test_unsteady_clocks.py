@@ -34,8 +34,7 @@ def flown(reference: Reference, sensors: SensorSettings) -> tuple[LoopResult, Co
 
 def deviation(loop: ControlLoop) -> float:
     """Return the standard deviation of the readings' age that the loop has found, s."""
-    program = loop.ticker.program
-    return float(np.sqrt(program.memory[program.equations.memory.slices["timing"]][0, 0]))
+    return float(np.sqrt(loop.ticker.program.memory.timing[0, 0]))
 
 
 def rate_errors(result: LoopResult) -> float:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from dpcontrol.judge.night import BETWEEN, CALMING, ITINERARY, STARTING, UNKNOWN, Night
+from dpcontrol.judge.night import BETWEEN, CALMING, ITINERARY, STARTING, UNKNOWN, Night, followed
 from dpcontrol.logs.rolling import Digest
 
 ON = "on the itinerary from t = 0.0000 s of the reference: "
@@ -44,7 +44,7 @@ def night(folder: Path = Path("turn-0")) -> Night:
         digest(1, 0.0, first, on=False), digest(2, 600.0, second, zero=0.001),
         digest(4, 1800.0, third, on=False, zero=0.003, session=2),
     )  # fmt: skip
-    return Night(folder, digests)
+    return Night(folder, digests, (), *followed(digests))
 
 
 def test_uptime_is_the_time_between_joining_and_leaving() -> None:

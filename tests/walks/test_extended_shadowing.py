@@ -7,8 +7,8 @@ import pytest
 
 from dpcontrol.dynamics.propagator import ExtendedPropagator, digits, extended, pi_times
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
-from dpcontrol.orbits.manifold import rotating_vertex
 from dpcontrol.orbits.rotating import rotating_orbits
+from dpcontrol.orbits.vertex import rotating_vertex
 from dpcontrol.plans.model import load_model
 from dpcontrol.shooting.extended import RefinementSettings, refine
 from dpcontrol.tubes.connections import find_connections, find_lap_connections, grown_crossing, orbits_between

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
-from dpcontrol.orbits.manifold import OrbitCurve, local_manifold, rotating_vertex
+from dpcontrol.orbits.manifold import OrbitCurve, local_manifold
 from dpcontrol.orbits.rotating import rotating_orbits
+from dpcontrol.orbits.vertex import rotating_vertex
 from dpcontrol.plans.model import load_model
 from dpcontrol.tubes.connections import find_lap_connections, grown_crossing
 from dpcontrol.walks.shadowing import shadow
