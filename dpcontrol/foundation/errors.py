@@ -29,10 +29,19 @@ class InputError(Exception):
     """Bad input: one sentence with file, key, value and remedy.
 
     The exit code is 2.
+
+    Attributes:
+        symbol: index of the walk's symbol at which it occurs, or None.
+        table: table of the file.
+        key: key of the table.
+        line: line of the file if it could not be parsed, or None.
     """
 
-    def __init__(self, sentence: str) -> None:
+    def __init__(
+        self, sentence: str, *, symbol: int | None = None, table: str = "", key: str = "", line: int | None = None
+    ) -> None:
         super().__init__(concise(sentence))
+        self.symbol, self.table, self.key, self.line = symbol, table, key, line
 
 
 class InputErrors(InputError):
@@ -90,7 +99,15 @@ class GoalMissed(Exception):
     """A computation without a result: one sentence with the reason.
 
     The exit code is 1.
+
+    Attributes:
+        symbol: index of the walk's symbol that failed, or None.
+        wraps: wraps with which the walk has an orbit, or None.
     """
+
+    def __init__(self, sentence: str, *, symbol: int | None = None, wraps: tuple[int, ...] | None = None) -> None:
+        super().__init__(sentence)
+        self.symbol, self.wraps = symbol, wraps
 
 
 class Remark(UserWarning):

@@ -26,10 +26,12 @@ from numpy.typing import NDArray
 from dpcontrol.dynamics.system import System, saddle_index
 from dpcontrol.foundation.arguments import whole
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.causes import OrbitCause
 from dpcontrol.foundation.checked import checked, number
 from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.shown import Brief, Timed, checked_times
+from dpcontrol.words.searches import Concluded
 
 if TYPE_CHECKING:
     from dpcontrol.orbits.manifold import OrbitCurve
@@ -353,7 +355,6 @@ class OrbitRecord(Brief, Documented):
         state (N,): on the reverser's fixed set.
         floquet_multipliers (N,): largest first.
         residual: largest component of x(T) - x(0).
-        status: outcome of the search.
     """
 
     KEYS: ClassVar[str] = "energy period state floquet_multipliers residual status saddle family"
@@ -363,7 +364,6 @@ class OrbitRecord(Brief, Documented):
     state: Array
     floquet_multipliers: NDArray[np.complex128]
     residual: float
-    status: str
     saddle: str
     family: int
 
@@ -374,18 +374,47 @@ class OrbitRecord(Brief, Documented):
 
 
 @dataclass(frozen=True)
-class LyapunovOrbit(OrbitRecord, Timed):
+class OrbitOutcome:
+    """How an orbit was found.
+
+    Attributes:
+        newton_residual: of the shooting equations, scaled.
+        steps: number of continuation steps from the saddle.
+        reached: energy of the last orbit before this one, J.
+    """
+
+    cause: OrbitCause
+    newton_residual: float
+    steps: int = 0
+    reached: float = float("nan")
+
+
+@dataclass(frozen=True)
+class LyapunovOrbit(OrbitRecord, Timed, Concluded):
     """A periodic orbit about a saddle.
 
     Attributes:
         monodromy (N, N): state-transition matrix over one period.
-        newton_residual: of the shooting equations, scaled.
     """
 
     system: System
     monodromy: Array
-    newton_residual: float
-    converged: bool
+    outcome: OrbitOutcome
+
+    @property
+    def cause(self) -> OrbitCause:
+        """How the search for the orbit ended."""
+        return self.outcome.cause
+
+    @property
+    def newton_residual(self) -> float:
+        """Residual of the shooting equations, scaled."""
+        return self.outcome.newton_residual
+
+    @property
+    def converged(self) -> bool:
+        """True if the orbit was reached."""
+        return self.cause is not OrbitCause.LOST
 
     def __repr__(self) -> str:
         return f"<orbit about {self.saddle} at {self.energy:g}: {self.status}>"
@@ -436,6 +465,11 @@ class LyapunovOrbit(OrbitRecord, Timed):
         if not self.converged:
             raise GoalMissed(f"the orbit about {self.saddle}: {self.status}")
         return Tube(self, stable, branch)
+
+    @property
+    def unstable_directions(self) -> int:
+        """Number of Floquet multipliers outside the unit circle."""
+        return int(np.sum(np.abs(self.floquet_multipliers) > 1 + _HYPERBOLIC))
 
     @property
     def unstable_multiplier(self) -> float:
@@ -498,29 +532,16 @@ def lyapunov_orbit(
                 f"{'above' if linear.sign > 0 else 'below'} its energy of {linear.energy!r} J"
             )
         )
-    unknowns, residual, converged, status = _follow(problem, settings, linear, energy)
-    return described_orbit(
-        problem,
-        unknowns,
-        saddle=saddle,
-        family=family,
-        energy=energy,
-        newton_residual=residual,
-        converged=converged,
-        status=status,
-    )
+    unknowns, outcome = _follow(problem, settings, linear, energy)
+    return described_orbit(problem, unknowns, saddle=saddle, family=family, energy=energy, outcome=outcome)
+
+
+_HYPERBOLIC = 1e-4
+"""A multiplier counts as unstable if its modulus exceeds one by more than this."""
 
 
 def described_orbit(
-    problem: SymmetricShooting,
-    unknowns: Array,
-    *,
-    saddle: str,
-    family: int,
-    energy: float,
-    newton_residual: float,
-    converged: bool,
-    status: str,
+    problem: SymmetricShooting, unknowns: Array, *, saddle: str, family: int, energy: float, outcome: OrbitOutcome
 ) -> LyapunovOrbit:
     """Return the orbit for solved unknowns (n + 1,).
 
@@ -530,9 +551,7 @@ def described_orbit(
         saddle: name of the equilibrium.
         family: number of the family.
         energy: energy of the orbit, J.
-        newton_residual: scaled residual of the solution.
-        converged: True if the residual is within the tolerance.
-        status: a sentence on the search.
+        outcome: how the unknowns were found.
     """
     system = problem.system
     state, period = problem.state(unknowns), problem.period(unknowns)
@@ -547,9 +566,7 @@ def described_orbit(
         floquet_multipliers=floquet_multipliers(system, state, period, monodromy),
         monodromy=monodromy,
         residual=float(np.abs(end - state).max()),
-        newton_residual=newton_residual,
-        converged=converged,
-        status=status,
+        outcome=outcome,
     )
 
 
@@ -564,7 +581,7 @@ class _Passed:
 
 def _follow(
     problem: SymmetricShooting, settings: ContinuationSettings, linear: LinearCentre, energy: float
-) -> tuple[Array, float, bool, str]:
+) -> tuple[Array, OrbitOutcome]:
     """Continue in s = √(energy above the saddle) with cubic prediction."""
     saddle_energy, sign = linear.energy, linear.sign
     goal = np.sqrt(abs(energy - saddle_energy))
@@ -592,14 +609,11 @@ def _follow(
             step = (s - last.s) / 2
             if step < settings.smallest_step * largest:
                 reached = saddle_energy + sign * last.s**2
-                return last.unknowns, residual, False, problem.system.worded(
-                    f"not converged: the family could be followed only to {reached:.6g} J (residual "
-                    f"{residual:.1e} beyond); use an energy nearer to the saddle's"
-                )  # fmt: skip
+                return last.unknowns, OrbitOutcome(OrbitCause.LOST, residual, reached=reached)
             continue
         passed.append(_Passed(s, found.unknowns, 2 * sign * s * found.slope))
         step = min(largest, step * 1.5)
-    return passed[-1].unknowns, residual, True, f"converged in {len(passed) - 1} continuation steps"
+    return passed[-1].unknowns, OrbitOutcome(OrbitCause.CONTINUED, residual, steps=len(passed) - 1)
 
 
 def _predicted(points: Sequence[_Passed], s: float) -> Array:

@@ -22,9 +22,10 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial import KDTree
 
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.causes import OrbitCause
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.shown import Brief
-from dpcontrol.orbits.lyapunov import LyapunovOrbit
+from dpcontrol.orbits.lyapunov import LyapunovOrbit, OrbitOutcome
 from dpcontrol.orbits.rotating import RotatingOrbit
 
 _STEEPEST = 0.95  # largest compensation of the vectors' growth by a change of the seeds' distance
@@ -326,7 +327,7 @@ def rotating_vertex(orbit: RotatingOrbit, *, name: str | None = None) -> Hyperbo
     Raises:
         InputError: the orbit is not hyperbolic and has no tubes.
     """
-    if "hyperbolic" not in orbit.kind:
+    if not orbit.hyperbolic:
         raise InputError(
             f"the rotating orbit at {orbit.energy:g} J is {orbit.kind} (trace {orbit.trace:.6g}): only hyperbolic "
             "orbits have tubes; choose another orbit or energy"
@@ -358,9 +359,7 @@ def rotating_vertex(orbit: RotatingOrbit, *, name: str | None = None) -> Hyperbo
         floquet_multipliers=np.array([multiplier, *neutral, 1 / multiplier], dtype=complex),
         monodromy=monodromy,
         residual=orbit.residual,
-        newton_residual=orbit.newton_residual,
-        converged=True,
-        status=orbit.status,
+        outcome=OrbitOutcome(OrbitCause.ROTATING, orbit.newton_residual),
         mirror=mirror,
         rest=rest,
         winding=winding,
