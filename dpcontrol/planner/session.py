@@ -17,7 +17,7 @@ from typing import Any
 from dpcontrol.foundation.document import plain
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import write_whole
-from dpcontrol.planner.draft import Draft, enough_wraps, fault_of, first_text, read_draft
+from dpcontrol.planner.draft import Draft, first_text, read_draft
 from dpcontrol.planner.shown import shown_model
 from dpcontrol.planner.workers import WorkerJob, Workers
 
@@ -270,8 +270,10 @@ class PageSession:
             self._atlas = atlas
             self._workers.mark(given["model"])
 
-        failed = partial(self._set_message, kind="error")
-        self._start("look", "atlas", found, failed, given, partial(self._look, again=True))
+        def missed(failure: dict[str, Any]) -> None:
+            self._set_message(failure["status"], "error")
+
+        self._start("look", "atlas", found, missed, given, partial(self._look, again=True))
 
     def _work(self, what: str, done: Done | None = None, **given: Any) -> None:
         if (job := self._jobs.get("work")) is not None:
@@ -285,17 +287,12 @@ class PageSession:
             if content == self._draft.content and (what == "plan" or text == self._draft.text):
                 self._made[what], self._made_of = value, content
 
-        def missed(sentence: str) -> None:
-            self._set_message(sentence, "error")
+        def missed(failure: dict[str, Any]) -> None:
+            self._set_message(failure["status"], "error")
             if what == "plan" and content == self._draft.content:
-                wraps = enough_wraps(sentence)
+                fits = failure["wraps"] and len(failure["wraps"]) == len(self._draft.wraps)
                 self._made_of = content
-                self._made[what] = {
-                    "converged": False,
-                    "status": sentence,
-                    "fault": fault_of(sentence, self._draft.walk),
-                    "wraps": wraps if wraps and len(wraps) == len(self._draft.wraps) else None,
-                }
+                self._made[what] = {"converged": False, **failure, "wraps": failure["wraps"] if fits else None}
 
         again = partial(self._work, what, done, **given)
         self._start("work", what, done or found, missed, given, again)

@@ -670,16 +670,17 @@ class WalkSolver:
         """
         return replace(self.fewest(orbit.connections, periodic=orbit.periodic), tried=orbit.wraps)
 
-    def missed(self, orbit: ShadowingOrbit, what: str = "") -> GoalMissed:
+    def missed(self, orbit: ShadowingOrbit, what: str = "", *, first: int = 0) -> GoalMissed:
         """Return the error of a failed walk, with its symbol and the wraps that work.
 
         Args:
             orbit: result that has not converged.
             what: beginning of the message.
+            first: index of the orbit's first symbol in the whole walk.
         """
         advice = self.advice(orbit)
         wraps = advice.wraps if advice.failed is None else None
-        return GoalMissed(f"{what}{orbit.status}; {advice.status}", symbol=orbit.fault, wraps=wraps)
+        return GoalMissed(f"{what}{orbit.status}; {advice.status}", symbol=first + (orbit.fault or 0), wraps=wraps)
 
     def _store_wraps(self, orbit: ShadowingOrbit) -> None:
         chain = orbit.connections
