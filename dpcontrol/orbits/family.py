@@ -536,10 +536,8 @@ def lyapunov_family(
     far = high if linear.sign > 0 else low
     if (far - linear.energy) * linear.sign <= 0:
         raise InputError(
-            system.worded(
-                f"energies {low:g} to {high:g} J: the Lyapunov orbits about {saddle} exist only "
-                f"{'above' if linear.sign > 0 else 'below'} its energy of {linear.energy:.6g} J"
-            )
+            f"energies {low:g} to {high:g}{system.unit('J')}: the Lyapunov orbits about {saddle} exist only "
+            f"{'above' if linear.sign > 0 else 'below'} its energy of {linear.energy:.6g}{system.unit('J')}"
         )
     curve = _curve(problem, linear, settings)
 
@@ -573,11 +571,8 @@ def lyapunov_family(
         last = family_end(system, [*points, *_tail(curve, run.here, settings)], problem, largest=largest)
         points = [p for p in points if p.measures[SIZE] <= largest]
     if not points:
-        raise InputError(
-            system.worded(
-                f"energies {low:g} to {high:g} J: the family about {saddle} does not reach them; {last.status}"
-            )
-        )
+        span = f"energies {low:g} to {high:g}{system.unit('J')}"
+        raise InputError(f"{span}: the family about {saddle} does not reach them; {last.status}")
     members = tuple(orbit(p) for p in points)
     events = tuple(FamilyEvent("fold" if e.test == SLOPE else e.test, orbit(e.place)) for e in run.events)
     return LyapunovFamily(system, saddle, family, events, members=members, ends=(first, last))

@@ -527,10 +527,8 @@ def lyapunov_orbit(
     problem, linear = symmetric_shooting(system, saddle, whole("family", family, least=-1, most=1000))
     if (energy - linear.energy) * linear.sign <= 0:
         raise InputError(
-            system.worded(
-                f"energy = {energy!r} J: the Lyapunov orbits about {saddle} exist only "
-                f"{'above' if linear.sign > 0 else 'below'} its energy of {linear.energy!r} J"
-            )
+            f"energy = {energy!r}{system.unit('J')}: the Lyapunov orbits about {saddle} exist only "
+            f"{'above' if linear.sign > 0 else 'below'} its energy of {linear.energy!r}{system.unit('J')}"
         )
     unknowns, outcome = _follow(problem, settings, linear, energy)
     return described_orbit(problem, unknowns, saddle=saddle, family=family, energy=energy, outcome=outcome)

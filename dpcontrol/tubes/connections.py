@@ -111,6 +111,14 @@ class Connection(ConnectionRecord, Timed):
         return self.source.system.columns
 
     @property
+    def section_key(self) -> str | None:
+        """Short name of the section, None for the default one between the saddles."""
+        system = self.source.system
+        if system.sections.get((self.source.saddle, self.target.saddle)) == self.section:
+            return None
+        return next((key for key, section in system.named_sections.items() if section == self.section), "other")
+
+    @property
     def place(self) -> Array:
         """Coordinates (q, p/p₀) of the crossing of the section."""
         return section_points(self.source.system, self.section, self.state)
@@ -391,8 +399,7 @@ def named(connection: Connection) -> Connection:
     # Adding zero turns -0.0 into 0.0.
     place = ",".join(f"{round(float(v), 4) + 0.0:.4f}" for v in (position, state[coordinate + len(state) // 2]))
     turns, (out, back) = ",".join(str(k) for k in connection.winding), connection.hits
-    own = system.sections.get(saddles) == section
-    on = "" if own else f":{next((key for key, one in system.named_sections.items() if one == section), 'other')}"
+    on = "" if connection.section_key is None else f":{connection.section_key}"
     return replace(connection, name=f"{saddles[0]}>{saddles[1]}[{turns}]h{out}.{back}{on}@{place}{section.mark(state)}")
 
 
@@ -535,11 +542,8 @@ def find_connections(
     budget = budget or Budget(settings.seconds)
     section = section or system.section_between(source.saddle, target.saddle)
     if source.energy != target.energy:
-        raise InputError(
-            system.worded(
-                f"orbits at {source.energy:g} J and {target.energy:g} J cannot be connected: the flow conserves energy"
-            )
-        )
+        energies = " and ".join(f"{orbit.energy:g}{system.unit('J')}" for orbit in (source, target))
+        raise InputError(f"orbits at {energies} cannot be connected: the flow conserves energy")
     if not section.kept_by(target.reverser, target.centre):
         raise InputError(
             f"section {section.name}: not preserved by the reverser about {target.saddle}, which maps the unstable "

@@ -152,7 +152,7 @@ class SymbolBranches:
         for k, energy in enumerate(grid):
             progress(f"{self.symbol.text} at {energy:.4g} J", 0.5 * k / len(grid))
             if self.chosen(energy) is None:
-                absent.append(self.system.worded(f"{energy:.6g} J"))
+                absent.append(f"{energy:.6g}{self.system.unit('J')}")
         if absent:
             remark(
                 f'"{self.symbol.text}" selects no connection at {", ".join(absent)}: changes beside these energies are '

@@ -533,8 +533,11 @@ def _check(chain: tuple[Connection, ...], wraps: Sequence[int], lead_in: int, le
                 raise InputError(f"{name} = {value}: must be at most {MOST_WRAPS:,}")
     energies = {c.source.energy for c in chain}
     if len(energies) > 1:
-        text = f"the walk mixes energies {sorted(energies)} J: an orbit has constant energy; "
-        raise InputError(chain[0].source.system.worded(f"{text}join references of different energies instead"))
+        unit = chain[0].source.system.unit("J")
+        raise InputError(
+            f"the walk mixes energies {sorted(energies)}{unit}: an orbit has constant energy; join references of "
+            "different energies instead"
+        )
 
 
 MOST = 12

@@ -271,11 +271,8 @@ def _connection(symbol: Symbol, edges: Edges) -> Connection:
     elif not candidates and any(name in ROTATING for name in pair):
         searches = [one for one in edges.incomplete if (one.source.saddle, one.target.saddle) == pair]
         why = f" ({searches[0].status})" if searches else ""
-        raise InputError(
-            edges.system.worded(
-                f"{symbol.text!r}: no such connection was found at {edges.energy:g} J{why}; try another energy"
-            )
-        )
+        place = f"{edges.energy:g}{edges.system.unit('J')}"
+        raise InputError(f"{symbol.text!r}: no such connection was found at {place}{why}; try another energy")
     return choose(symbol, candidates)
 
 
@@ -319,16 +316,16 @@ def through(stops: Sequence[str], edges: Edges) -> Walk:
     chain: list[Connection] = []
     for stop in stops:
         if stop not in graph:
-            text = f"{stop!r} has no orbit at {edges.energy:g} J: {suggest(stop, edges.orbits)}"
-            raise InputError(edges.system.worded(text))
+            place = f"{edges.energy:g}{edges.system.unit('J')}"
+            raise InputError(f"{stop!r} has no orbit at {place}: {suggest(stop, edges.orbits)}")
     for here, there in pairwise(stops):
         if here == there:
             path = [here, there] if graph.has_edge(here, there) else []
         else:
             path = nx.shortest_path(graph, here, there) if nx.has_path(graph, here, there) else []
         if not path:
-            text = f"no walk at {edges.energy:g} J leads from {here} to {there}; try a higher energy"
-            raise InputError(edges.system.worded(text))
+            place = f"{edges.energy:g}{edges.system.unit('J')}"
+            raise InputError(f"no walk at {place} leads from {here} to {there}; try a higher energy")
         chain += [choose(way, edges.between(way.source, way.target)) for way in ways(path)]
     return tuple(chain)
 
@@ -411,8 +408,8 @@ def random_walk(edges: Edges, length: int, generator: np.random.Generator, *, pe
     onward = np.ones(len(names), dtype=object)
     first = np.array([powers[length][k, k] if periodic else (powers[length] @ onward)[k] for k in range(len(names))])
     if not first.sum():
-        text = f"no {'closed ' if periodic else ''}walk of {length} symbols exists at {edges.energy:g} J"
-        raise InputError(edges.system.worded(text))
+        what = f"no {'closed ' if periodic else ''}walk of {length} symbols"
+        raise InputError(f"{what} exists at {edges.energy:g}{edges.system.unit('J')}")
     at = start = _drawn(first, generator)
     chain: list[Connection] = []
     for left in range(length - 1, -1, -1):

@@ -36,6 +36,10 @@ def _failed(why: str) -> Callable[[Any], str]:
     return lambda r: f"not converged: gap {r.residual:.1e} after {r.iterations} iterations ({why})"
 
 
+def _joule(r: Any, energy: float, digits: int = 6) -> str:
+    return f"{energy:.{digits}g}{r.system.unit('J')}"
+
+
 def _joined(*clauses: tuple[object, str]) -> str:
     return "; ".join(text for holds, text in clauses if holds)
 
@@ -125,8 +129,8 @@ def _on_grid(beyond: Callable[[Any], str]) -> Callable[[Any], str]:
 
 def family_sentence(r: Any) -> str:
     """Return the range and the end of a family of orbits."""
-    ends = f"{r.members[0].energy:.9g} to {r.members[-1].energy:.9g} J"
-    return r.ends[1].system.worded(f"{len(r.members)} orbits from {ends}") + f"; {r.ends[1].status}"
+    ends = f"{r.members[0].energy:.9g} to {r.members[-1].energy:.9g}{r.ends[1].system.unit('J')}"
+    return f"{len(r.members)} orbits from {ends}; {r.ends[1].status}"
 
 
 def rotating_family_sentence(r: Any) -> str:
@@ -138,6 +142,43 @@ def rotating_family_sentence(r: Any) -> str:
             f"{len(r.changes)} changes of stability, {len(r.folds)} folds in energy",
         ),
         *((end.cause is FamilyEndCause.STUCK, end.status) for end in r.ends),
+    )
+
+
+def caveat_sentence(r: Any) -> str:
+    """Return why a search at one energy is not complete, or ""."""
+    if r.unresolved:
+        return f"{r.unresolved[-1].hit}. crossing: {r.unresolved[-1].status}"
+    if r.failed:
+        return f"{r.failed} crossings of the cuts did not converge"
+    if r.unmatched:
+        return f"{r.unmatched} crossings of the cuts are not connections"
+    return "" if r.tubes else "an orbit or its tube does not exist"
+
+
+def bifurcations_sentence(r: Any) -> str:
+    """Return the outcome of a search for bifurcations."""
+    found, unit = counted(len(r.events), "event"), r.system.unit("J")
+    gaps = "; ".join(f"{low:.6g} to {high:.6g}{unit}, {why}" for low, high, why in r.unexplained[:5])
+    single = [c for c in r.counts if not c.complete and (r.scatters_from is None or c.energy < r.scatters_from)]
+    single_at = "; ".join(f"at {c.energy:.6g}{unit} {c.caveat}" for c in single[:3])
+    begin = f"{r.counts[0].energy:.6g}{unit}, just above the higher saddle's energy of {r.born or 0:.6g}{unit}"
+    return _joined(
+        (not gaps, f"{found}; every change of the count over {len(r.counts)} energies is explained"),
+        (
+            gaps,
+            f"{found} located, but not the cause of {counted(len(r.unexplained), 'change')} of the count: {gaps}",
+        ),
+        (r.born is not None, f"swept from {begin}: {counted(r.counts[0].count, 'connection')} there"),
+        (
+            r.scatters_from is not None,
+            f"above {r.scatters_from or 0:.6g}{unit} counts are lower bounds (at least), of connections found and "
+            f"followed: {r.counts[-1].caveat}",
+        ),
+        (
+            single,
+            f"{len(single)} searches{'' if r.scatters_from is None else ' below'} are not complete: {single_at}",
+        ),
     )
 
 
@@ -194,44 +235,42 @@ SENTENCES: Mapping[type[StrEnum], Mapping[Any, Callable[[Any], str]]] = {
     OrbitCause: {
         OrbitCause.CONTINUED: lambda r: f"converged in {r.outcome.steps} continuation steps",
         OrbitCause.MEMBER: lambda r: f"converged to a residual of {r.newton_residual:.1e}, as a member of its family",
-        OrbitCause.NEARBY: lambda r: r.system.worded(f"converged from the orbit at {r.outcome.reached:.9g} J"),
+        OrbitCause.NEARBY: lambda r: f"converged from the orbit at {_joule(r, r.outcome.reached, 9)}",
         OrbitCause.ROTATING: lambda r: (
             f"converged to a residual of {r.newton_residual:.1e}; closed to {r.residual:.1e}"
         ),
-        OrbitCause.LOST: lambda r: r.system.worded(
-            f"not converged: the family could be followed only to {r.outcome.reached:.6g} J (residual "
+        OrbitCause.LOST: lambda r: (
+            f"not converged: the family could be followed only to {_joule(r, r.outcome.reached, 6)} (residual "
             f"{r.newton_residual:.1e} beyond); use an energy nearer to the saddle's"
         ),
     },
     FamilyEndCause: {
-        FamilyEndCause.SADDLE: lambda r: r.system.worded(
-            f"the orbits shrink to {r.equilibrium} itself at its energy of {r.energy:.9g} J"
+        FamilyEndCause.SADDLE: lambda r: (
+            f"the orbits shrink to {r.equilibrium} itself at its energy of {_joule(r, r.energy, 9)}"
         ),
-        FamilyEndCause.ENERGY_BOUND: lambda r: r.system.worded(
-            f"reached the bound of {r.energy:g} J; the family continues"
-        ),
-        FamilyEndCause.HYPERBOLICITY_LOST: lambda r: r.system.worded(
-            f"hyperbolicity is lost at {r.energy:.12g} J: a multiplier crosses {r.multiplier:+.0f} and "
+        FamilyEndCause.ENERGY_BOUND: lambda r: f"reached the bound of {_joule(r, r.energy)}; the family continues",
+        FamilyEndCause.HYPERBOLICITY_LOST: lambda r: (
+            f"hyperbolicity is lost at {_joule(r, r.energy, 12)}: a multiplier crosses {r.multiplier:+.0f} and "
             f"{'the family branches or folds' if r.multiplier > 0 else 'the period doubles'}"
         ),
-        FamilyEndCause.HOMOCLINICS: lambda r: r.system.worded(
+        FamilyEndCause.HOMOCLINICS: lambda r: (
             f"ends in the homoclinics of {r.equilibrium}: the period grows without bound (followed to {r.period:.3g} "
-            f"s, multiplier {r.multiplier:.1e}) as the energy tends to {r.limit:.6g} J, extrapolated; {r.equilibrium} "
-            f"has {r.height:.6g} J"
+            f"s, multiplier {r.multiplier:.1e}) as the energy tends to {_joule(r, r.limit, 6)}, extrapolated; "
+            f"{r.equilibrium} has {_joule(r, r.height, 6)}"
         ),
         FamilyEndCause.PASSES_EQUILIBRIUM: lambda r: (
             f"ends in the homoclinics of {r.equilibrium}: at {r.energy:.9g} J the period has grown to {r.period:.3g} s "
             f"and the orbit passes {r.equilibrium} ({r.height:.9g} J) at a scaled distance of {r.distance:.1g}"
         ),
         FamilyEndCause.LONG_PERIOD: lambda r: f"stopped at {r.energy:.9g} J: the period has grown to {r.period:.3g} s",
-        FamilyEndCause.LARGE_MULTIPLIER: lambda r: r.system.worded(
-            f"stopped at {r.energy:.9g} J: multipliers above {r.limit:g} exceed double precision"
+        FamilyEndCause.LARGE_MULTIPLIER: lambda r: (
+            f"stopped at {_joule(r, r.energy, 9)}: multipliers above {r.limit:g} exceed double precision"
         ),
-        FamilyEndCause.MANY_MEMBERS: lambda r: r.system.worded(
-            f"stopped after {r.limit} members at {r.energy:.9g} J; allow more"
+        FamilyEndCause.MANY_MEMBERS: lambda r: (
+            f"stopped after {r.limit} members at {_joule(r, r.energy, 9)}; allow more"
         ),
-        FamilyEndCause.STUCK: lambda r: r.system.worded(
-            f"could not be followed beyond {r.energy:.9g} J (residual {r.residual:.1e})"
+        FamilyEndCause.STUCK: lambda r: (
+            f"could not be followed beyond {_joule(r, r.energy, 9)} (residual {r.residual:.1e})"
         ),
     },
     CutCause: {
