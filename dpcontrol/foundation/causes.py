@@ -25,7 +25,6 @@ class RefinementCause(StrEnum):
 
     REFINED = auto()
     STALLED = auto()
-    DIVERGED = auto()
 
 
 class WalkCause(StrEnum):

@@ -57,14 +57,16 @@ class InputError(Exception):
         return (self,)
 
     def under(self, where: str, *, table: str = "", key: str = "") -> "InputError":
-        """Return the same mistake in another place.
+        """Return the same mistake, or mistakes, in another place.
 
         Args:
-            where: beginning of the message.
+            where: beginning of each message.
             table: table of the file, by default the present one.
             key: key of the table, by default the present one.
         """
-        return InputError(self.sentence, where=where, table=table or self.table, key=key or self.key)
+        return together(
+            [InputError(one.sentence, where=where, table=table or one.table, key=key or one.key) for one in self.errors]
+        )
 
 
 class InputErrors(InputError):
@@ -78,16 +80,6 @@ class InputErrors(InputError):
     def errors(self) -> tuple[InputError, ...]:
         """The single mistakes."""
         return self._errors
-
-    def under(self, where: str, *, table: str = "", key: str = "") -> InputError:
-        """Return the same mistakes in another place.
-
-        Args:
-            where: beginning of each message.
-            table: table of the file, by default the present one.
-            key: key of the table, by default the present one.
-        """
-        return together([error.under(where, table=table, key=key) for error in self.errors])
 
 
 def together(errors: Sequence[InputError]) -> InputError:

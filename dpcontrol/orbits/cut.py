@@ -455,11 +455,11 @@ def _pieces(samples: CutSamples, sampler: Sampler) -> tuple[list[Piece], list[Op
         head, tail = runs[0], runs[-1]
         if head.phases[0] == samples.phases[0] and tail.phases[-1] == samples.phases[-1]:
             runs = [*runs[1:-1], CutSamples.joined([tail, replace(head, phases=head.phases + 1)[1:]])]
-    return [_piece(run, sampler.branch, closed) for run in runs], gaps
-
-
-def _piece(run: CutSamples, branch: int, closed: bool) -> Piece:
-    return Piece(branch, run.phases, run.points, run.states, run.times, int(np.sign(run.rates[0])), closed)
+    pieces = [
+        Piece(sampler.branch, run.phases, run.points, run.states, run.times, int(np.sign(run.rates[0])), closed)
+        for run in runs
+    ]
+    return pieces, gaps
 
 
 def _mirrored(manifold: UnstableManifold, section: Section, piece: Piece) -> Piece:

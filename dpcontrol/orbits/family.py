@@ -555,7 +555,8 @@ def lyapunov_family(
         large = point.measures[SIZE] > largest
         return FamilyEnd(point.energy, FamilyEndCause.LARGE_MULTIPLIER, system, limit=largest) if large else None
 
-    birth, heading = _birth(linear, curve)
+    tangent = np.append(linear.direction, 0.0) / curve.weights
+    birth, heading = np.append(0.0 * linear.direction, _birth_arc(problem, linear)), tangent / np.linalg.norm(tangent)
     # At the saddle the curve meets that of the resting arcs (0, τ), so its tangent comes from the linear centre.
     here = replace(curve.point(birth, heading, 0.0), tangent=heading)
     largest = settings.largest_multiplier
@@ -608,12 +609,6 @@ def _curve(problem: SymmetricShooting, linear: LinearCentre, settings: FamilySet
 
 def _birth_arc(problem: SymmetricShooting, linear: LinearCentre) -> float:
     return 2 * np.pi / linear.frequency / problem.quarters
-
-
-def _birth(linear: LinearCentre, curve: FamilyCurve) -> tuple[Array, Array]:
-    """Return unknowns and tangent (n + 1,) at the saddle."""
-    tangent = np.append(linear.direction, 0.0) / curve.weights
-    return np.append(0.0 * linear.direction, _birth_arc(curve.problem, linear)), tangent / np.linalg.norm(tangent)
 
 
 def _tail(curve: FamilyCurve, start: FamilyPoint, settings: FamilySettings) -> list[FamilyPoint]:

@@ -407,11 +407,6 @@ class LyapunovOrbit(OrbitRecord, Timed, Concluded):
         return self.outcome.cause
 
     @property
-    def newton_residual(self) -> float:
-        """Residual of the shooting equations, scaled."""
-        return self.outcome.newton_residual
-
-    @property
     def converged(self) -> bool:
         """True if the orbit was reached."""
         return self.cause is not OrbitCause.LOST

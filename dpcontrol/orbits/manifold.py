@@ -22,10 +22,9 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial import KDTree
 
 from dpcontrol.foundation.arrays import Array
-from dpcontrol.foundation.causes import OrbitCause
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.shown import Brief
-from dpcontrol.orbits.lyapunov import LyapunovOrbit, OrbitOutcome
+from dpcontrol.orbits.lyapunov import LyapunovOrbit
 from dpcontrol.orbits.rotating import RotatingOrbit
 
 _STEEPEST = 0.95  # largest compensation of the vectors' growth by a change of the seeds' distance
@@ -359,7 +358,7 @@ def rotating_vertex(orbit: RotatingOrbit, *, name: str | None = None) -> Hyperbo
         floquet_multipliers=np.array([multiplier, *neutral, 1 / multiplier], dtype=complex),
         monodromy=monodromy,
         residual=orbit.residual,
-        outcome=OrbitOutcome(OrbitCause.ROTATING, orbit.newton_residual),
+        outcome=orbit.outcome,
         mirror=mirror,
         rest=rest,
         winding=winding,

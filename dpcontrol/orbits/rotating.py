@@ -45,7 +45,7 @@ from dpcontrol.orbits.family import (
     follow,
     nearest_equilibrium,
 )
-from dpcontrol.orbits.lyapunov import SymmetricShooting, fixed_and_moved
+from dpcontrol.orbits.lyapunov import OrbitOutcome, SymmetricShooting, fixed_and_moved
 from dpcontrol.words.searches import Concluded, rotating_family_sentence
 
 
@@ -108,17 +108,17 @@ class RotatingRecord(Brief, Documented):
 
 @dataclass(frozen=True)
 class RotatingOrbit(RotatingRecord, Timed, Concluded):
-    """A symmetric rotating orbit with the scaled residual of its shooting equations."""
+    """A symmetric rotating orbit with the residual of its shooting equations."""
 
     converged: ClassVar[bool] = True
 
     system: System
-    newton_residual: float
+    outcome: OrbitOutcome
 
     @property
     def cause(self) -> OrbitCause:
         """How the search for the orbit ended: every orbit that it returns has converged."""
-        return OrbitCause.ROTATING
+        return self.outcome.cause
 
     def __repr__(self) -> str:
         return f"<{self.name} at {self.energy:g}: {self.kind}, {self.status}>"
@@ -258,7 +258,7 @@ def described(problem: HalfTurn, unknowns: Array, arm: int, energy: float, newto
         trace=trace,
         kind=kind_of(trace),
         residual=residual,
-        newton_residual=newton_residual,
+        outcome=OrbitOutcome(OrbitCause.ROTATING, newton_residual),
     )
 
 
@@ -485,7 +485,7 @@ def rotating_family(
         return described(problem, point.unknowns, orbit.arm, point.energy, point.residual)
 
     unknowns = np.append(problem.start.T @ (orbit.state - problem.centre), orbit.period / 2)
-    first = curve.point(unknowns, None, orbit.newton_residual)
+    first = curve.point(unknowns, None, orbit.outcome.newton_residual)
     up, down = (_followed(curve, start, energies, settings, progress) for start in (first, first.reversed()))
     points = [*reversed(down.points), first, *up.points]
     members = tuple(described_point(p) for p in points)

@@ -41,7 +41,8 @@ class PageSession:
         self._folder = Path(tempfile.mkdtemp(prefix="dpcontrol-planner-"))
         self._texts, self._at, self._typed = [first_text(model)], 0, False
         self._draft, shown = _parsed(self._texts[0])
-        self._name = next(name for name in _names() if not (_ITINERARIES / f"{name}.toml").exists())
+        names = itertools.chain(["planned"], (f"planned-{k}" for k in itertools.count(2)))
+        self._name = next(name for name in names if not (_ITINERARIES / f"{name}.toml").exists())
         self._atlas: dict[str, Any] = {}
         self._made: dict[str, Any] = {}
         self._made_of, self._written = "", b""
@@ -351,10 +352,6 @@ _EDITS: dict[str, Callable[..., str]] = {
     "wraps": Draft.wrapped,
 }
 """Commands that return a new text from the draft and the command's arguments."""
-
-
-def _names() -> itertools.chain[str]:
-    return itertools.chain(["planned"], (f"planned-{k}" for k in itertools.count(2)))
 
 
 def _parsed(text: str) -> tuple[Draft, str]:

@@ -259,7 +259,7 @@ def _newton(
     amplitudes = extended(np.array([end.amplitude for end in guess.ends or ()]))
     now = equations.placed(Unknowns(extended(guess.states), extended(guess.durations), amplitudes, extended(0.0)[()]))
     best: tuple[Any, Unknowns] = (np.inf, now)
-    iteration, cause = 0, RefinementCause.STALLED
+    iteration = 0
     for iteration in range(settings.iterations + 1):
         try:
             flights = zip(now.states[:-1], now.durations, strict=True)
@@ -268,7 +268,6 @@ def _newton(
             doubles, segments = now.states.astype(float), now.durations.astype(float)
             flown, stms = system.propagator.flows_with_stm(doubles[:-1], segments)
         except ArithmeticError:
-            cause = RefinementCause.DIVERGED
             break
         previous = best[0]
         if residual < previous:
@@ -281,8 +280,7 @@ def _newton(
         now = equations.moved(now, extended(splu(matrix).solve(-scaled) * equations.columns) * residual)
     residual, now = best
     correction = float(np.abs(now.states[kept] - extended(guess.states[kept])).max())
-    if residual <= settings.tolerance:
-        cause = RefinementCause.REFINED
+    cause = RefinementCause.REFINED if residual <= settings.tolerance else RefinementCause.STALLED
     marked = np.array(sorted(guess.markers))
     times = np.concatenate([extended(np.zeros(1)), np.cumsum(now.durations)])
     return ExtendedOrbit(

@@ -15,7 +15,6 @@ Sources: Kaheman et al. (2023), section 3; Koon, Lo, Marsden, Ross, Heteroclinic
 resonance transitions in celestial mechanics (2000), section 4.
 """
 
-import difflib
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
@@ -32,6 +31,7 @@ from dpcontrol.foundation.checked import checked
 from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
+from dpcontrol.foundation.settings import suggest
 from dpcontrol.foundation.shown import Brief, Shown, Timed, checked_times
 from dpcontrol.orbits.cut import Cut, OpenEnd, section_points, tube_cut
 from dpcontrol.orbits.lyapunov import LyapunovOrbit, lyapunov_orbit
@@ -473,14 +473,11 @@ class ConnectionSearch(Shown, Documented, Concluded):
         Raises:
             InputError: no such connection; the message suggests the most similar name.
         """
-        names = [c.name for c in self.connections]
-        if name in names:
-            return self.connections[names.index(name)]
-        if not names:
-            raise InputError(f"no connection {name!r}: the search found none ({self.status})")
-        close = difflib.get_close_matches(name, names, n=1, cutoff=0.3)
-        hint = f"did you mean {close[0]!r}?" if close else f"names look like {names[0]!r}"
-        raise InputError(f"no connection {name!r} among the {len(names)} found; {hint} (quote it in a shell)")
+        for connection in self.connections:
+            if connection.name == name:
+                return connection
+        names = suggest(name, [connection.name for connection in self.connections])
+        raise InputError(f"no connection {name!r}, {names} ({self.status}); quote it in a shell")
 
     @property
     def open_ends(self) -> tuple[tuple[str, OpenEnd], ...]:

@@ -526,11 +526,8 @@ def _check(chain: tuple[Connection, ...], wraps: Sequence[int], lead_in: int, le
     check_stops(chain, wraps, periodic=periodic)
     for name, values in (("wraps", wraps), ("lead_in", (lead_in,)), ("lead_out", (lead_out,))):
         for value in values:
-            number = isinstance(value, int | float | np.number) and not isinstance(value, bool) and np.isfinite(value)
-            if not number or int(value) != value or value < 0:
-                raise InputError(f"{name} = {value!r}: must be a whole number, zero or more")
-            if value > MOST_WRAPS:
-                raise InputError(f"{name} = {value}: must be at most {MOST_WRAPS:,}")
+            if not 0 <= value <= MOST_WRAPS:
+                raise InputError(f"{name} = {value}: must be 0 to {MOST_WRAPS:,}")
     energies = {c.source.energy for c in chain}
     if len(energies) > 1:
         unit = chain[0].source.system.unit("J")
@@ -618,8 +615,9 @@ class WalkSolver:
             strands=self._strands,
             rivals=self.rivals,
         )
-        if orbit.converged:
-            self._store_wraps(orbit)
+        for k, count in enumerate(orbit.wraps if orbit.converged else ()):
+            pair = (chain[k].name, chain[(k + 1) % len(chain)].name)
+            self.least_seen[pair] = min(count, self.least_seen.get(pair, count))
         return orbit
 
     def least(self, chain: Sequence[Connection], *, periodic: bool = False) -> tuple[int, ...]:
@@ -684,12 +682,6 @@ class WalkSolver:
         advice = self.advice(orbit)
         wraps = advice.wraps if advice.failed is None else None
         return GoalMissed(f"{what}{orbit.status}; {advice.status}", symbol=first + (orbit.fault or 0), wraps=wraps)
-
-    def _store_wraps(self, orbit: ShadowingOrbit) -> None:
-        chain = orbit.connections
-        for k, count in enumerate(orbit.wraps):
-            pair = (chain[k].name, chain[(k + 1) % len(chain)].name)
-            self.least_seen[pair] = min(count, self.least_seen.get(pair, count))
 
 
 def _stops_beside(orbit: ShadowingOrbit, count: int, periodic: bool) -> set[int]:

@@ -102,8 +102,6 @@ def parse_symbol(text: str, saddles: Sequence[str]) -> Symbol:
     Raises:
         InputError: the text is not a symbol, or an orbit is not in `saddles`.
     """
-    if not isinstance(text, str):
-        raise InputError(f"a symbol must be text such as 'down-up +', not {type(text).__name__}")
     text = text.strip()
     full = _FULL.fullmatch(text)
     if (pieces := _pieces(full["place"] if full else text)) is not None:

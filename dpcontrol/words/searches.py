@@ -209,10 +209,6 @@ SENTENCES: Mapping[type[StrEnum], Mapping[Any, Callable[[Any], str]]] = {
             f"not refined: the gap stays at {float(r.residual):.1e} after {r.iterations} iterations; use more nodes, "
             "or use double precision"
         ),
-        RefinementCause.DIVERGED: lambda r: (
-            f"not refined: a segment could not be propagated after {r.iterations} iterations (gap "
-            f"{float(r.residual):.1e}); use more nodes, or use double precision"
-        ),
     },
     WalkCause: {
         WalkCause.CONVERGED: lambda r: r.orbit.status,
@@ -234,14 +230,16 @@ SENTENCES: Mapping[type[StrEnum], Mapping[Any, Callable[[Any], str]]] = {
     },
     OrbitCause: {
         OrbitCause.CONTINUED: lambda r: f"converged in {r.outcome.steps} continuation steps",
-        OrbitCause.MEMBER: lambda r: f"converged to a residual of {r.newton_residual:.1e}, as a member of its family",
+        OrbitCause.MEMBER: lambda r: (
+            f"converged to a residual of {r.outcome.newton_residual:.1e}, as a member of its family"
+        ),
         OrbitCause.NEARBY: lambda r: f"converged from the orbit at {_joule(r, r.outcome.reached, 9)}",
         OrbitCause.ROTATING: lambda r: (
-            f"converged to a residual of {r.newton_residual:.1e}; closed to {r.residual:.1e}"
+            f"converged to a residual of {r.outcome.newton_residual:.1e}; closed to {r.residual:.1e}"
         ),
         OrbitCause.LOST: lambda r: (
             f"not converged: the family could be followed only to {_joule(r, r.outcome.reached, 6)} (residual "
-            f"{r.newton_residual:.1e} beyond); use an energy nearer to the saddle's"
+            f"{r.outcome.newton_residual:.1e} beyond); use an energy nearer to the saddle's"
         ),
     },
     FamilyEndCause: {

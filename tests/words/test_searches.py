@@ -62,7 +62,7 @@ def test_each_cause_has_a_sentence(kind: type[StrEnum]) -> None:
         ),
         (
             OrbitCause.LOST,
-            {"outcome": SimpleNamespace(reached=0.5), "newton_residual": 1e-3, "system": JOULE},
+            {"outcome": SimpleNamespace(reached=0.5, newton_residual=1e-3), "system": JOULE},
             ["only to 0.5 J", "nearer to the saddle's"],
         ),
         (CutCause.RESOLVED, CUT, ["resolved to chords of 0.05 by 100 trajectories"]),
