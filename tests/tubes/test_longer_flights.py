@@ -37,7 +37,7 @@ def test_an_escaping_branch_is_reported_and_keeps_the_search_complete() -> None:
     orbit = lyapunov_orbit(system, "top", energy=0.17)
     search = find_connections(orbit, orbit)
     assert search.complete, search.status
-    escaping = [end for _, end in search.open_ends if end.escapes]
+    escaping = [end for _, end in search.open_ends if end.cause is OpenEndCause.ESCAPES]
     assert {end.branch for end in escaping} == {1}
 
 
