@@ -2049,7 +2049,7 @@ def _edges(searches: "Sequence[ConnectionSearch]") -> "Edges":
         absent=(),
         searched=tuple((search.source.saddle, search.target.saddle) for search in searches),
         connections=tuple(one for search in searches for one in search.connections),
-        notes=(),
+        incomplete=(),
     )
 
 

@@ -85,7 +85,7 @@ GOOD: dict[str, dict[str, Any]] = {
     "rotating_orbits": {"energy": 0.3},
 }
 """Values of functions for which those by name do not suffice."""
-UNCHECKED = ("unit", "worded", "placed", "from_hamiltonian", "from_lagrangian")
+UNCHECKED = ("unit", "placed", "from_hamiltonian", "from_lagrangian")
 """Methods that render texts of pages, and those that check their arguments themselves; see tests/systems."""
 
 

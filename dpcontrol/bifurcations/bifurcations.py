@@ -60,13 +60,14 @@ from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arguments import whole
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.checked import numbers
-from dpcontrol.foundation.document import Documented, counted, fields_of
+from dpcontrol.foundation.document import Documented, fields_of
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.shown import Brief, Shown
-from dpcontrol.orbits.cut import section_points, tube_cut
+from dpcontrol.orbits.cut import Cut, section_points, tube_cut
 from dpcontrol.orbits.lyapunov import equilibrium
 from dpcontrol.tubes.intersections import ConnectionSettings, intersect_cuts
+from dpcontrol.words.searches import bifurcations_sentence, caveat_sentence
 
 _HALVINGS = 8  # largest number of bisections of a path around a turn
 
@@ -336,17 +337,32 @@ class SweepSettings:
 
 @dataclass(frozen=True)
 class Found:
-    """Solved links at one energy, without images under the symmetry S."""
+    """Solved links at one energy, without images under the symmetry S.
+
+    Attributes:
+        unmatched: number of crossings of the cuts that are no connections.
+        failed: number of crossings that did not converge.
+        unresolved: cuts that are not resolved.
+        tubes: False if an orbit or its tube does not exist.
+    """
 
     energy: float
     points: tuple[PathPoint, ...]
     weight: int
-    caveat: str
+    unmatched: int
+    failed: int
+    unresolved: tuple[Cut, ...]
+    tubes: bool = True
 
     @property
     def complete(self) -> bool:
-        """True if the search had no caveats."""
-        return not self.caveat
+        """True if each crossing of resolved cuts is a connection."""
+        return self.tubes and not (self.unmatched or self.failed or self.unresolved)
+
+    @property
+    def caveat(self) -> str:
+        """Why the search is not complete, in words."""
+        return caveat_sentence(self)
 
     @property
     def count(self) -> int:
@@ -426,8 +442,8 @@ class Sweep:
         """Search with scaled chords; also return True if cuts are resolved."""
         try:
             manifolds = self.problem.manifolds(energy)
-        except (ArithmeticError, InputError) as error:
-            return Found(energy, (), 1, str(error)), False
+        except (ArithmeticError, InputError):
+            return Found(energy, (), 1, 0, 0, (), tubes=False), False
         settings = self.settings.search
         settings = replace(settings, cut=replace(settings.cut, chord=fineness * settings.cut.chord))
         # Both tubes have similar flight times.
@@ -437,25 +453,21 @@ class Sweep:
         stable = unstable if shared else tube_cut(manifolds[1], self.section, hit=hits[1], settings=settings.cut)
         crossed = intersect_cuts(self.problem.system, self.section, manifolds, (unstable, stable), settings)
         points: list[PathPoint] = []
-        caveat = ""
+        unmatched = 0
         for c in crossed.found:
             branches = (c.sides[0].branch, c.sides[1].branch)
             phases = (float(c.phases[0]) % 1.0, float(c.phases[1]) % 1.0)
             guess = Link(branches, phases, float(sum(c.times)), tuple(float(k) + 0.0 for k in c.turns))
             try:
                 point = self.problem.solved(guess, energy)
-            except ArithmeticError as error:
-                caveat = f"a crossing of the cuts is not a connection ({error})"
+            except ArithmeticError:
+                unmatched += 1
                 continue
             if self.among(point.link, points) is None:
                 points.append(point)
-        if crossed.failed:
-            caveat = f"{crossed.failed} crossings of the cuts did not converge"
-        for cut in (unstable, stable):
-            if not cut.resolved:
-                caveat = f"{cut.hit}. crossing: {cut.status}"
         weight = 2 if all(m.branches_are_mirrored for m in manifolds) else 1
-        return Found(energy, tuple(points), weight, caveat), unstable.resolved and stable.resolved
+        unresolved = tuple(cut for cut in (unstable, stable) if not cut.resolved)
+        return Found(energy, tuple(points), weight, unmatched, crossed.failed, unresolved), not unresolved
 
     def among(self, link: Link, points: list[PathPoint] | tuple[PathPoint, ...]) -> int | None:
         """Return the index of the point with this link, or None.
@@ -698,6 +710,7 @@ class BifurcationSearch(Shown, Documented):
         complete: True if there are none and every search was complete.
         scatters_from: J, or None.
         runs: connections that were followed.
+        born: energy of the higher saddle, J, if the sweep starts just above it.
     """
 
     KEYS: ClassVar[str] = (
@@ -716,8 +729,17 @@ class BifurcationSearch(Shown, Documented):
     unexplained: tuple[tuple[float, float, str], ...]
     runs: tuple[Branch, ...]
     scatters_from: float | None
-    complete: bool
-    status: str
+    born: float | None
+
+    @property
+    def complete(self) -> bool:
+        """True if every search is complete and every change of the count is explained."""
+        return not self.unexplained and all(count.complete for count in self.counts)
+
+    @property
+    def status(self) -> str:
+        """The outcome in words."""
+        return bifurcations_sentence(self)
 
     def __repr__(self) -> str:
         return f"<bifurcations: {self.status}>"
@@ -764,8 +786,8 @@ def find_bifurcations(
     floor = max(births) + settings.closest * system.energy_scale
     start = max(low, floor)
     if start >= high:
-        text = f"energies {low:g} to {high:g} J: both orbits, and thus connections, exist only above "
-        raise InputError(system.worded(f"{text}{max(births):.6g} J"))
+        span, least = f"{low:g} to {high:g}{system.unit('J')}", f"{max(births):.6g}{system.unit('J')}"
+        raise InputError(f"energies {span}: both orbits, and thus connections, exist only above {least}")
     sweep = Sweep(system, source, target, crossings, settings)
     grid = [float(e) for e in np.linspace(start, high, settings.energies)]
     narrowest = 1.001 * (grid[1] - grid[0]) / 2**settings.halvings
@@ -773,7 +795,7 @@ def find_bifurcations(
     while k < len(grid) - 1:
         progress(f"{source} → {target} at {grid[k]:.4f} J", (grid[k] - start) / (high - start))
         ends = grid[k], grid[k + 1]
-        searched = not any(sweep.search(energy).caveat for energy in ends)
+        searched = all(sweep.search(energy).complete for energy in ends)
         if not _adds_up(sweep, *ends) and ends[1] - ends[0] > narrowest and searched:
             grid.insert(k + 1, sum(ends) / 2)
             continue
@@ -796,47 +818,8 @@ def find_bifurcations(
         unexplained=unexplained,
         runs=tuple(run for a, b in pairs for run in sweep.between(a, b).runs),
         scatters_from=scatters_from,
-        complete=not unexplained and all(c.complete for c in counts),
-        status=system.worded(
-            _status(len(events), counts, unexplained, scatters_from, max(births) if start > low else None)
-        ),
+        born=max(births) if start > low else None,
     )
-
-
-def _status(
-    events: int,
-    counts: Sequence[Found],
-    unexplained: Sequence[tuple[float, float, str]],
-    scatters_from: float | None,
-    born: float | None,
-) -> str:
-    """Return the outcome of a sweep as a sentence.
-
-    Args:
-        born: energy of the higher saddle, J, if the sweep starts just above it.
-    """
-    status = f"{counted(events, 'event')}; every change of the count over {len(counts)} energies is explained"
-    if unexplained:
-        status = (
-            f"{counted(events, 'event')} located, but not the cause of {counted(len(unexplained), 'change')} of the "
-            "count: "
-        )
-        status += "; ".join(f"{a:.6g} to {b:.6g} J, {why}" for a, b, why in unexplained[:5])
-    if born is not None:
-        first = counts[0]
-        there = f"{counted(first.count, 'connection')} there"
-        status += f"; swept from {first.energy:.6g} J, just above the higher saddle's energy of {born:.6g} J: {there}"
-    if scatters_from is not None:
-        status += (
-            f"; above {scatters_from:.6g} J counts are lower bounds (at least), of connections found and followed: "
-            f"{counts[-1].caveat}"
-        )
-    single = [c for c in counts if not c.complete and (scatters_from is None or c.energy < scatters_from)]
-    if single:
-        where = "" if scatters_from is None else " below"
-        status += f"; {len(single)} searches{where} are not complete: "
-        status += "; ".join(f"at {c.energy:.6g} J {c.caveat}" for c in single[:3])
-    return status
 
 
 def _adds_up(sweep: Sweep, low: float, high: float) -> bool:

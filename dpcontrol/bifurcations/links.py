@@ -33,10 +33,12 @@ import numpy as np
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.causes import OrbitCause
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.shown import Brief
 from dpcontrol.orbits.lyapunov import (
     LyapunovOrbit,
+    OrbitOutcome,
     SymmetricShooting,
     described_orbit,
     lyapunov_orbit,
@@ -157,11 +159,8 @@ class LinkProblem:
             found = problem.member(known[near], energy, iterations=10, tolerance=1e-13)
             if found.residual < 1e-12:
                 known[energy] = found.unknowns
-                return described_orbit(
-                    problem, found.unknowns, saddle=saddle, family=0, energy=energy, newton_residual=found.residual,
-                    converged=True,
-                    status=f"converged from the orbit at {near:.9g} J",
-                )  # fmt: skip
+                outcome = OrbitOutcome(OrbitCause.NEARBY, found.residual, reached=near)
+                return described_orbit(problem, found.unknowns, saddle=saddle, family=0, energy=energy, outcome=outcome)
         orbit = lyapunov_orbit(self.system, saddle, energy=energy)
         if not orbit.converged:
             raise ArithmeticError(f"the Lyapunov orbit about {saddle} at {energy:.9g} J: {orbit.status}")

@@ -154,7 +154,7 @@ def _family_text(model: "Model", found: "LyapunovFamily", saddle: str) -> Iterat
         f"state{model.unit('rad, rad/s', _BRACKETS)}": lambda m: spaced(m.state, ".6f"),
     })  # fmt: skip
     for side, end in zip(("from", "to"), found.ends, strict=True):
-        yield f"{side:5s}{end.energy:.9g}{model.unit('J')}: {end.reason}"
+        yield f"{side:5s}{end.energy:.9g}{model.unit('J')}: {end.status}"
 
 
 def _rotating(model: "Model", arm: str, energy: float | None, energies: Range | None, picture: Path | None) -> Answer:
@@ -211,7 +211,7 @@ def _rotating_text(families: "Iterable[RotatingFamily]", arm: str) -> Iterator[s
         for fold in family.folds:
             yield f"  at {fold.energy:.10g} J the family turns back in energy"
         for side, end in zip(("from", "to"), family.ends, strict=True):
-            yield f"  {side}: {end}"
+            yield f"  {side}: {end.status}"
 
 
 def _sustained(model: "Model", saddle: str, energy: float, family: int, sections: int, picture: Path | None) -> Answer:
@@ -311,7 +311,8 @@ def connect_command(
     """
     from dpcontrol import api
     from dpcontrol.plans.model import load_model
-    from dpcontrol.tubes.connections import orbits_between, searched_at
+    from dpcontrol.tubes.connections import orbits_between
+    from dpcontrol.walks.symbols import parse_symbol
 
     if (energy is None) == (energies is None):
         raise click.UsageError("give either --energy or, for three arms, --energies LO HI")
@@ -332,13 +333,13 @@ def connect_command(
         raise InputError(
             "--precision extended refines one connection: add its --name from the list of `dpcontrol connect`"
         )
-    named_hits, named_section = searched_at(name or "") or ((1, 1), None)
+    symbol = None if name is None else parse_symbol(name, [source, target])
     loaded = load_model(model)
     orbits = orbits_between(loaded.system, source, target, float(energy))
     search = api.connections(
         *orbits,
-        hits=hits or named_hits,
-        section=section or named_section,
+        hits=hits or (symbol and symbol.hits) or (1, 1),
+        section=section or (symbol and symbol.section),
         longest=longest,
         thorough=thorough,
         seconds=seconds,
@@ -372,7 +373,7 @@ def _connect_text(
     yield search.status
     for tube, end in search.open_ends[:SHOWN]:
         low, high = end.phase_interval
-        yield f"open: {tube} tube, branch {end.branch:+d}, phase {low:.6f} … {high:.6f}: {end.reason}"
+        yield f"open: {tube} tube, branch {end.branch:+d}, phase {low:.6f} … {high:.6f}: {end.status}"
     if len(search.open_ends) > SHOWN:
         yield f"… and {len(search.open_ends) - SHOWN} more open ends, which --json lists"
 

@@ -23,7 +23,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from dpcontrol.cli.verbs import Call, print_json, print_message
-from dpcontrol.foundation.errors import GoalMissed, InputError, InputErrors, PartMissing, Remark, concise, printable
+from dpcontrol.foundation.errors import GoalMissed, InputError, PartMissing, Remark, concise, printable
 from dpcontrol.foundation.interrupts import ended_by, forget_interrupts, interrupts
 from dpcontrol.foundation.version import PACKAGE, PROGRAM, VERSION
 
@@ -271,7 +271,7 @@ def _failed(error: Exception, arguments: Sequence[str], call: Call) -> int:
     if call.debug:
         print_message("".join(traceback.format_exception(error)).rstrip())
     # Names may hold line breaks; each mistake is one line.
-    for mistake in error.mistakes if isinstance(error, InputErrors) else (sentence,):
+    for mistake in map(str, error.errors) if isinstance(error, InputError) else (sentence,):
         print_message(f"dpcontrol: {mistake.replace(chr(10), chr(92) + 'n')}")
     _echo_notes(error)
     return code

@@ -1,7 +1,6 @@
 """The verb `walk`, which lists walks and solves their orbits."""
 
 import math
-import re
 from collections.abc import Iterator, Sequence
 from decimal import Decimal
 from pathlib import Path
@@ -51,7 +50,7 @@ class _Wraps(click.ParamType):
         if isinstance(value, tuple):
             return value
         try:
-            return tuple(int(n) for n in re.split(r"[,\s]+", str(value).strip()) if n)
+            return tuple(int(n) for n in str(value).replace(",", " ").split())
         except ValueError:
             self.fail(f"{value!r} is not a list of whole numbers, as in 2,3,2.", param, ctx)
 
@@ -221,7 +220,7 @@ def _changes(model: "Model", symbols: "Sequence[Symbol]", begin: float, end: flo
     if begin == end or not math.isfinite(end):
         raise InputError(f"--compare {end:g}: must be a finite energy other than --energy {begin:g}")
     found = symbol_changes(model.system, symbols, (begin, end), progress=progress)
-    span = model.system.worded(f"between {begin:g} and {end:g} J")
+    span = f"between {begin:g} and {end:g}{model.unit('J')}"
     status = f"{len(found)} changes of the selected connections {span}"
     document = {"symbol_changes": [one.document() for one in found], "energies": (begin, end), "status": status}
     return Answer(document, [*(one.sentence for one in found), status])
@@ -234,7 +233,7 @@ def _graph(edges: "Edges") -> Answer:
     counts = {str(k): count_walks(edges, k) for k in range(1, 9)}
     text = [
         table(
-            edges.system.worded(f"connections at {edges.energy:g} J"),
+            f"connections at {edges.energy:g}{edges.system.unit('J')}",
             edges.searched,
             {
                 "from → to": "{0[0]} → {0[1]}",

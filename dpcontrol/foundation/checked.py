@@ -10,7 +10,6 @@ these are annotated. A wrong number of arguments and an unknown keyword remain P
 import builtins
 import inspect
 import math
-import re
 import types
 from collections.abc import Callable, Collection, Mapping, Sequence, Set
 from dataclasses import dataclass
@@ -202,7 +201,7 @@ def _is_line(text: str) -> bool:
 
     Such a line has no control characters and fits in a path.
     """
-    parts = re.split(r"[/\\]", text)
+    parts = text.replace("\\", "/").split("/")
     return printable(text) == text and "\n" not in text and len(text) < 4000 and all(len(one) < 250 for one in parts)
 
 

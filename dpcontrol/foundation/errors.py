@@ -29,18 +29,66 @@ class InputError(Exception):
     """Bad input: one sentence with file, key, value and remedy.
 
     The exit code is 2.
+
+    Attributes:
+        sentence: the message without the place at its beginning.
+        table: table of the file, "" for the top level.
+        key: key of the table, if the mistake is in the value of one.
+        line: line of the file, if it could not be parsed.
+        symbol: index of the walk's symbol that cannot be resolved.
     """
 
-    def __init__(self, sentence: str) -> None:
-        super().__init__(concise(sentence))
+    def __init__(
+        self,
+        sentence: str,
+        *,
+        where: str = "",
+        table: str = "",
+        key: str = "",
+        line: int = 0,
+        symbol: int | None = None,
+    ) -> None:
+        super().__init__(concise(f"{where}{sentence}"))
+        self.sentence, self.table, self.key, self.line, self.symbol = sentence, table, key, line, symbol
+
+    @property
+    def errors(self) -> "tuple[InputError, ...]":
+        """The single mistakes."""
+        return (self,)
+
+    def under(self, where: str, *, table: str = "", key: str = "") -> "InputError":
+        """Return the same mistake, or mistakes, in another place.
+
+        Args:
+            where: beginning of each message.
+            table: table of the file, by default the present one.
+            key: key of the table, by default the present one.
+        """
+        return together(
+            [InputError(one.sentence, where=where, table=table or one.table, key=key or one.key) for one in self.errors]
+        )
 
 
 class InputErrors(InputError):
     """Several mistakes in one input, one sentence and one line each."""
 
-    def __init__(self, mistakes: Sequence[str]) -> None:
-        super().__init__("\n".join(mistakes))
-        self.mistakes = tuple(mistakes)
+    def __init__(self, errors: "Sequence[InputError]") -> None:
+        super().__init__("\n".join(map(str, errors)), table=errors[0].table, key=errors[0].key, line=errors[0].line)
+        self._errors = tuple(errors)
+
+    @property
+    def errors(self) -> tuple[InputError, ...]:
+        """The single mistakes."""
+        return self._errors
+
+
+def together(errors: Sequence[InputError]) -> InputError:
+    """Return one error for one mistake or several.
+
+    Args:
+        errors: mistakes in one input.
+    """
+    return InputErrors(errors) if len(errors) > 1 else errors[0]
 
 
 class Mistakes:
@@ -50,14 +98,14 @@ class Mistakes:
     """
 
     def __init__(self) -> None:
-        self.sentences: list[str] = []
+        self.errors: list[InputError] = []
 
     def __enter__(self) -> "Mistakes":
         return self
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> bool:
         if isinstance(error, InputError):
-            self.sentences += mistakes_of(error)
+            self.errors += error.errors
         return isinstance(error, InputError)
 
     def report(self) -> None:
@@ -66,17 +114,8 @@ class Mistakes:
         Raises:
             InputError: one mistake, or several (`InputErrors`).
         """
-        if self.sentences:
-            raise InputErrors(self.sentences) if len(self.sentences) > 1 else InputError(self.sentences[0])
-
-
-def mistakes_of(error: InputError) -> tuple[str, ...]:
-    """Return the sentences of an error, one for each mistake.
-
-    Args:
-        error: one mistake, or several (`InputErrors`).
-    """
-    return getattr(error, "mistakes", (str(error),))
+        if self.errors:
+            raise together(self.errors)
 
 
 class PartMissing(Exception):
@@ -90,7 +129,15 @@ class GoalMissed(Exception):
     """A computation without a result: one sentence with the reason.
 
     The exit code is 1.
+
+    Attributes:
+        symbol: index of the walk's symbol that failed, or None.
+        wraps: wraps with which the walk has an orbit, or None.
     """
+
+    def __init__(self, sentence: str, *, symbol: int | None = None, wraps: tuple[int, ...] | None = None) -> None:
+        super().__init__(sentence)
+        self.symbol, self.wraps = symbol, wraps
 
 
 class Remark(UserWarning):

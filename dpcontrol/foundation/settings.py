@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any, ClassVar, TypeVar, get_origin, get_type_hints
 
 from dpcontrol.foundation.arguments import shortened
-from dpcontrol.foundation.errors import InputError, InputErrors, Mistakes, mistakes_of
+from dpcontrol.foundation.errors import InputError, Mistakes
 
 T = TypeVar("T")
 
@@ -118,7 +118,10 @@ def parse_toml(text: str, file: str) -> dict[str, Any]:
             raise RecursionError
         return found
     except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{file} is not valid TOML: {error}") from error
+        # Before Python 3.14, the error has its line in the text only, or is at the end of the document.
+        found = re.search(r"\(at line (\d+),", str(error))
+        line = int(found[1]) if found else text.count("\n") + 1
+        raise InputError(f" is not valid TOML: {error}", where=file, line=line) from error
     except (RecursionError, ValueError) as error:
         raise InputError(f"{file} is not usable TOML: nested too deeply, or a number of too many digits") from error
 
@@ -149,7 +152,7 @@ def with_values(text: str, table: str, values: Mapping[str, Any], *, file: str) 
     for key, value in values.items():
         edited[key] = _listed(value) if isinstance(value, list | tuple) else tomlkit.item(value)
     out = tomlkit.dumps(document)
-    out = re.sub(r"\r?\n", "\r\n", out) if "\r\n" in text else out
+    out = out.replace("\r\n", "\n").replace("\n", "\r\n") if "\r\n" in text else out
     if _as_text(tomllib.loads(out)) != _as_text(wanted):
         shown = ", ".join(f"{key} = {value!r}" for key, value in values.items())
         where = f"its [{table}]" if table else "it"
@@ -293,7 +296,8 @@ class Settings:
 
     @classmethod
     def _refused(cls, key: str, value: Any, complaint: str) -> InputError:
-        return InputError(f"{f'{cls.TABLE}: ' if cls.TABLE else ''}{key} = {shortened(value)}: {complaint}")
+        where = f"{cls.TABLE}: " if cls.TABLE else ""
+        return InputError(f"{key} = {shortened(value)}: {complaint}", where=where, table=cls.TABLE, key=key)
 
     def of_each(self, name: str, arms: int) -> tuple[Any, ...]:
         """Return the values of a setting for each arm.
@@ -385,7 +389,16 @@ class Place:
             value: its value.
             complaint: what is wrong, such as "must be positive".
         """
-        return InputError(f"{self} {key} = {shortened(value)}: {complaint}")
+        return self.refusal(f"{key} = {shortened(value)}: {complaint}", key)
+
+    def refusal(self, sentence: str, key: str = "") -> InputError:
+        """Return an error at this place.
+
+        Args:
+            sentence: what is wrong.
+            key: key of the table.
+        """
+        return InputError(sentence, where=f"{self} ", table=self.table, key=key)
 
 
 def decode(kind: type[T], values: Mapping[str, Any], place: Place, *, also: Iterable[str] = ()) -> T:
@@ -409,12 +422,10 @@ def decode(kind: type[T], values: Mapping[str, Any], place: Place, *, also: Iter
         # Strict pydantic rejects Python dictionaries as dataclasses, but accepts those of JSON.
         return adapter(kind).validate_json(json.dumps(values, default=str))
     except InputError as error:
-        # Messages of settings begin with their table, as the place already does.
-        sentences = [f"{place} {one.removeprefix(f'{kind.TABLE}: ')}" for one in mistakes_of(error)]  # type: ignore[attr-defined]
-        raise InputErrors(sentences) if len(sentences) > 1 else InputError(sentences[0]) from error
+        raise error.under(f"{place} ", table=place.table) from error
     except ValidationError as error:
         if not all(one["loc"] for one in error.errors(include_url=False, include_context=False)):
-            raise InputError(f"{place} a text is not valid Unicode; write it again") from error
+            raise place.refusal("a text is not valid Unicode; write it again") from error
         wrong = {str(one["loc"][0]): one for one in error.errors(include_url=False, include_context=False)}
     known = [f.name for f in fields(kind)]  # type: ignore[arg-type]
     mistakes = Mistakes()
@@ -424,18 +435,17 @@ def decode(kind: type[T], values: Mapping[str, Any], place: Place, *, also: Iter
         with mistakes:
             if key in wrong:
                 raise _mistake(kind, key, wrong[key], place, (values, sorted({*known, *also})))
-            if key in bounds_of(kind) and (text := _complaint(kind, key, values[key])):
-                raise InputError(f"{place} {text}")
+            if key in bounds_of(kind):
+                _check_value(kind, key, values[key], place)
     mistakes.report()
     raise AssertionError("pydantic rejected valid values")
 
 
-def _complaint(kind: Any, key: str, value: Any) -> str:
+def _check_value(kind: Any, key: str, value: Any, place: Place) -> None:
     try:
         kind.check(key, value)
     except InputError as error:
-        return str(error).removeprefix(f"{kind.TABLE}: ")
-    return ""
+        raise error.under(f"{place} ", table=place.table) from error
 
 
 def frozen(value: Any) -> Any:
@@ -490,16 +500,16 @@ def _mistake(
     values, known = keys
     if wrong["type"] in ("missing", "missing_argument"):
         close = nearest(key, [one for one in values if one not in known])
-        return InputError(
-            f"{place} the key {key!r} is missing{f'; is {close!r} a misspelling of it?' if close else ''}"
+        return place.refusal(
+            f"the key {key!r} is missing{f'; is {close!r} a misspelling of it?' if close else ''}", close
         )
     if wrong["type"] == "unexpected_keyword_argument":
-        where = "" if place.table else " at the top level,"
-        return InputError(f"{place}{where} the key {key!r} is unknown: {suggest(key, known)}")
+        top = "" if place.table else "at the top level, "
+        return place.refusal(f"{top}the key {key!r} is unknown: {suggest(key, known)}", key)
     hint, value = get_type_hints(kind)[key], values[key]
     if isinstance(value, tuple) and get_origin(hint) is not None:
         inside = next((value[k] for k in wrong["loc"] if isinstance(k, int)), value)
-        return InputError(f"{place} {key} holds {inside!r}: {_TYPES.get(hint, wrong['msg'])}")
+        return place.refusal(f"{key} holds {inside!r}: {_TYPES.get(hint, wrong['msg'])}", key)
     text = str(_TYPES.get(hint, wrong["msg"]))
     if hint is int and (bounds := bounds_of(kind).get(key)):
         text += f", {bounds.range}"

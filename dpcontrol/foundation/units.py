@@ -4,7 +4,6 @@ Unusual values cause a remark, impossible ones an error.
 """
 
 import math
-import re
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
@@ -87,16 +86,6 @@ class InUnits:
             form: format of the unit, with its blank.
         """
         return form.format(name) if self.si else ""
-
-    def worded(self, text: str) -> str:
-        """Return a text on energies for this system.
-
-        If the system has its own units, the unit J is removed.
-
-        Args:
-            text: text with energies in J.
-        """
-        return text if self.si else re.sub(r"(?<=[\d\]]) J\b", "", text)
 
 
 class Usual(NamedTuple):

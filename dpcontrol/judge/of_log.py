@@ -3,14 +3,13 @@
 They are read from their files. An orbit is a sustained one.
 
 A plan's tubes lead from a stop's orbit to the section of the next symbol, and on to the next stop. Its notes hold each
-connection's name, with the hits and the section, and the section's lifted height. The unstable tube of the stop's orbit
+connection's hits and section, and the section's lifted height. The unstable tube of the stop's orbit
 is cut there (`tubes.cut`). The stable tube of the next stop is such a tube reversed in time. Of each tube only the
 branch that meets the section at the plan's height is kept. Source: Kaheman et al. (2023), section 3.
 """
 
 import json
 import math
-import re
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from itertools import pairwise
@@ -61,7 +60,6 @@ INSTANTS = 160
 _HEIGHT = 1e-6
 _CUT = CutSettings(smallest_phase_step=3e-4)
 """Least visible distance; if doubling the phases brings neighbours no nearer, a cut is drawn open."""
-_NAME = re.compile(r"h(?P<unstable>\d+)\.(?P<stable>\d+)(?::(?P<section>[\w-]+))?@")
 
 
 def tubes_of(notes: PlanNotes, system: System) -> tuple[TubeCurve, ...]:
@@ -76,15 +74,15 @@ def tubes_of(notes: PlanNotes, system: System) -> tuple[TubeCurve, ...]:
     made: dict[tuple[Any, ...], TubeCurve] = {}
     flown: dict[tuple[Any, ...], list[TubeCurve]] = {}
     for k, symbol in enumerate(notes["symbols"]):
-        name = _NAME.search(str(symbol["name"] or ""))
-        # Tubes of three arms have no sections.
-        if name is None or symbol["section"] is None or not system.sections:
+        # Tubes of three arms have no sections, and plans of earlier versions do not name them.
+        hits = symbol.get("hits")
+        if symbol["section"] is None or hits is None or not system.sections:
             continue
-        section = system.section_between(symbol["source"], symbol["target"], name["section"])
+        section = system.section_between(symbol["source"], symbol["target"], symbol["section"]["name"])
         height = float(symbol["section"]["value"])
         for stable, stop, hit in (
-            (False, notes["stops"][k], int(name["unstable"])),
-            (True, notes["stops"][k + 1], int(name["stable"])),
+            (False, notes["stops"][k], hits[0]),
+            (True, notes["stops"][k + 1], hits[1]),
         ):
             index = stop.get("arrived_on", stop["orbit"]) if stable else stop["orbit"]
             entry = notes["orbits"][index]

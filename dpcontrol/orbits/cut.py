@@ -15,10 +15,12 @@ from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System, momentum_scale
 from dpcontrol.foundation.arrays import Array, Flags
 from dpcontrol.foundation.budget import Budget
+from dpcontrol.foundation.causes import BranchCause, CutCause, OpenEndCause
 from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.foundation.shown import Brief, Shown
 from dpcontrol.orbits.manifold import UnstableManifold
+from dpcontrol.words.searches import Concluded
 
 _THOROUGH = 20_000
 """Number of phases of a thorough cut; undetected windows of other trajectories are narrower than 5e-5."""
@@ -219,8 +221,8 @@ class Sampler(Brief):
         patient = replace(self, settings=replace(self.settings, longest=patience))
         return bool(patient.fly(_some(phases)).arrived.any())
 
-    def departure(self, phases: Array) -> str:
-        """Return how all trajectories leave for ever, or "".
+    def departs(self, phases: Array) -> bool:
+        """Return True if all trajectories leave for ever.
 
         Within the flight time they diverge, or move away at a constant rate.
 
@@ -230,15 +232,11 @@ class Sampler(Brief):
         propagator, duration = self.manifold.orbit.system.propagator, self.longest * self.manifold.orbit.period
         times = np.linspace(0.0, duration, max(_FOLLOWED, int(np.ceil(self.longest))) + 1)[1:]
         seeds, _ = self.manifold.seeds(_some(phases), self.branch)
-        ways: set[str] = set()
         for seed in seeds:
-            if self.budget.spent:
-                return ""
             states = propagator.followed(seed, times)
-            if len(states) == len(times) and not self._moves_away(states[len(times) // 2 :]):
-                return ""
-            ways.add("diverge" if len(states) < len(times) else "move away at a constant rate")
-        return " or ".join(sorted(ways))
+            if self.budget.spent or (len(states) == len(times) and not self._moves_away(states[len(times) // 2 :])):
+                return False
+        return True
 
     def _moves_away(self, states: Array) -> bool:
         """Return True if a coordinate that is no angle changes steadily.
@@ -262,7 +260,23 @@ _FOLLOWED = 24  # smallest number of states at which a trajectory is examined
 _STEADY, _AWAY = 1e-3, 10.0  # largest change of a constant rate, relative; distance in sizes of the orbit
 
 
-def refined(sampler: Sampler, start: float, *, progress: Progress = no_progress) -> tuple[CutSamples, str, bool]:
+@dataclass(frozen=True)
+class UnresolvedBranch(Concluded):
+    """A branch of a cut whose refinement stopped early.
+
+    Attributes:
+        sampler: the branch, with section, crossing and settings.
+        points: number of points when it stopped.
+    """
+
+    cause: BranchCause
+    sampler: Sampler
+    points: int
+
+
+def refined(
+    sampler: Sampler, start: float, *, progress: Progress = no_progress
+) -> tuple[CutSamples, UnresolvedBranch | None]:
     """Sample one period and bisect phase steps until all chords are short.
 
     Args:
@@ -271,7 +285,7 @@ def refined(sampler: Sampler, start: float, *, progress: Progress = no_progress)
         progress: called with a label and the completed share.
 
     Returns:
-        The samples, the reason if refinement stopped early, and True if time ran out.
+        The samples, and the branch with the cause if refinement stopped early.
     """
     settings = sampler.settings
     budget = sampler.budget.part(settings.seconds)
@@ -296,18 +310,12 @@ def refined(sampler: Sampler, start: float, *, progress: Progress = no_progress)
         wide = (arrived[:-1] | arrived[1:]) & (steps > settings.smallest_phase_step)
         wide &= ~samples.continuous(sampler.chord)
         if not wide.any():
-            return samples, "", False
+            return samples, None
         if np.count_nonzero(steps[wide] < settings.fine_phase_step) > settings.most_jumps:
-            return samples, (
-                f"branch {sampler.branch:+d} scatters before crossing {sampler.hit}: more than {settings.most_jumps} "
-                f"jumps between phases {settings.fine_phase_step:g} apart; shorten --longest (longest in Python)"
-            ), False  # fmt: skip
+            return samples, UnresolvedBranch(BranchCause.SCATTERS, sampler, len(samples))
         samples = CutSamples.joined([samples, flown(((phases[:-1] + phases[1:]) / 2)[wide])])
         samples = samples[np.argsort(samples.phases, kind="stable")]
-    left = f"branch {sampler.branch:+d}: {len(samples)} points leave wide chords"
-    if budget.spent:
-        return samples, f"{left} after its share of the processor time", True
-    return samples, f"{left}; shorten --longest (longest in Python)", False
+    return samples, UnresolvedBranch(BranchCause.TIME if budget.spent else BranchCause.POINTS, sampler, len(samples))
 
 
 _AT_ONCE = 64
@@ -315,22 +323,24 @@ _AT_ONCE = 64
 
 
 @dataclass(frozen=True)
-class OpenEnd(Brief):
+class OpenEnd(Brief, Concluded):
     """A phase interval in which a cut is open.
 
     Attributes:
         hides: True if it may contain more of the same crossing. Grazing and escaping trajectories hide nothing, nor
             do those that exceed a requested flight time.
         later: True if some arrive after that time, or may arrive after the default one.
-        escapes: True if they leave for ever.
+        sampler: the branch, with section and crossing.
+        samples: trajectories without a crossing, or the two on either side.
     """
 
     branch: int
     phase_interval: tuple[float, float]
-    reason: str
+    cause: OpenEndCause
     hides: bool
-    later: bool = False
-    escapes: bool = False
+    later: bool
+    sampler: Sampler = field(repr=False, compare=False)
+    samples: CutSamples = field(repr=False, compare=False)
 
 
 @dataclass(frozen=True)
@@ -356,19 +366,22 @@ class Piece(Brief):
 
 
 @dataclass(frozen=True)
-class Cut(Shown, Documented):
+class Cut(Shown, Documented, Concluded):
     """The pieces and open ends of a tube's cut, both branches.
 
     Attributes:
         trajectories: number of trajectories.
-        resolved: True if all chords are short except at open ends.
+        chord: longest chord of a resolved cut, in the system's section scale.
+        longest: longest flight, in periods of the orbit.
+        unresolved: branches whose refinement stopped early.
         stable: True for the image on the stable tube.
         spent: True if time ran out.
+        seconds: limit of the processor time of this cut alone, s; infinite if there is none.
     """
 
     KEYS: ClassVar[str] = (
         "hit stable trajectories resolved status section=section.name pieces:branch,direction,closed,phases,points "
-        "open_ends:branch,phase_interval,reason partial=spent"
+        "open_ends:branch,phase_interval,reason=status partial=spent"
     )
 
     section: Section
@@ -376,43 +389,48 @@ class Cut(Shown, Documented):
     pieces: tuple[Piece, ...]
     open_ends: tuple[OpenEnd, ...]
     trajectories: int
-    resolved: bool
-    status: str
+    chord: float
+    longest: float
+    unresolved: tuple[UnresolvedBranch, ...] = ()
     spent: bool = False
     stable: bool = False
+    seconds: float = np.inf
 
     def __repr__(self) -> str:
         kind = "stable" if self.stable else "unstable"
         return f"<cut of the {kind} tube at crossing {self.hit} of {self.section.name}: {self.status}>"
 
+    @property
+    def cause(self) -> CutCause:
+        """How the cut ended."""
+        if self.pieces:
+            return CutCause.UNRESOLVED if self.unresolved else CutCause.RESOLVED
+        escapes = self.open_ends and all(end.cause is OpenEndCause.ESCAPES for end in self.open_ends)
+        return CutCause.ESCAPES if escapes else CutCause.NEVER_ARRIVES
+
+    @property
+    def resolved(self) -> bool:
+        """True if all chords are short except at open ends."""
+        return not self.unresolved
+
 
 def _gap(samples: CutSamples, sampler: Sampler, grazing: float) -> OpenEnd:
     """Return the open end at a jump or between failed phases."""
-    hit, interval = sampler.hit, (float(samples.phases[0] % 1), float(samples.phases[-1] % 1))
-    if not samples.arrived[0]:
-        reason = (
-            f"never arrives: {len(samples)} phases do not reach crossing {hit} of {sampler.section.name} within "
-            f"{sampler.longest:g} periods"
-        )
-        if sampler.budget.spent:
-            return OpenEnd(sampler.branch, interval, reason, hides=True)
-        requested, departure = sampler.settings.longest is not None, sampler.departure(samples.phases)
-        later = bool(requested or departure) and sampler.arrives_later(samples.phases)
-        if departure and not later:
-            reason = f"escapes: {len(samples)} phases {departure} and never reach {sampler.section.name}"
-            return OpenEnd(sampler.branch, interval, reason, hides=False, escapes=True)
-        return OpenEnd(sampler.branch, interval, reason, hides=not requested, later=later or not requested)
-    first, second = samples.rates
-    slow = min(abs(first), abs(second))
-    if slow > grazing:
-        reason = (
-            f"jumps: neighbouring trajectories separate before crossing {hit} (normal rates {first:.3g} and "
-            f"{second:.3g}); they pass near another orbit or were not refined further"
-        )
-        return OpenEnd(sampler.branch, interval, reason, hides=True)
-    falls = f"{slow:.1e}{sampler.manifold.orbit.system.unit('rad/s')}"
-    reason = f"grazes the section: crossing {hit} jumps where the normal rate falls to {falls}"
-    return OpenEnd(sampler.branch, interval, reason, hides=False)
+    interval = (float(samples.phases[0] % 1), float(samples.phases[-1] % 1))
+
+    def end(cause: OpenEndCause, *, hides: bool, later: bool = False) -> OpenEnd:
+        return OpenEnd(sampler.branch, interval, cause, hides, later, sampler, samples)
+
+    if samples.arrived[0]:
+        jumps = float(np.abs(samples.rates).min()) > grazing
+        return end(OpenEndCause.JUMPS if jumps else OpenEndCause.GRAZES, hides=jumps)
+    if sampler.budget.spent:
+        return end(OpenEndCause.NEVER_ARRIVES, hides=True)
+    requested, departs = sampler.settings.longest is not None, sampler.departs(samples.phases)
+    later = (requested or departs) and sampler.arrives_later(samples.phases)
+    if departs and not later:
+        return end(OpenEndCause.ESCAPES, hides=False)
+    return end(OpenEndCause.NEVER_ARRIVES, hides=not requested, later=later or not requested)
 
 
 def _pieces(samples: CutSamples, sampler: Sampler) -> tuple[list[Piece], list[OpenEnd]]:
@@ -437,11 +455,11 @@ def _pieces(samples: CutSamples, sampler: Sampler) -> tuple[list[Piece], list[Op
         head, tail = runs[0], runs[-1]
         if head.phases[0] == samples.phases[0] and tail.phases[-1] == samples.phases[-1]:
             runs = [*runs[1:-1], CutSamples.joined([tail, replace(head, phases=head.phases + 1)[1:]])]
-    return [_piece(run, sampler.branch, closed) for run in runs], gaps
-
-
-def _piece(run: CutSamples, branch: int, closed: bool) -> Piece:
-    return Piece(branch, run.phases, run.points, run.states, run.times, int(np.sign(run.rates[0])), closed)
+    pieces = [
+        Piece(sampler.branch, run.phases, run.points, run.states, run.times, int(np.sign(run.rates[0])), closed)
+        for run in runs
+    ]
+    return pieces, gaps
 
 
 def _mirrored(manifold: UnstableManifold, section: Section, piece: Piece) -> Piece:
@@ -484,38 +502,36 @@ def tube_cut(
     settings, budget = settings or CutSettings(), budget or Budget(np.inf)
     pieces: list[Piece] = []
     gaps: list[OpenEnd] = []
-    flown, unresolved, late = 0, "", False
+    unresolved: list[UnresolvedBranch] = []
+    flown, late = 0, False
     branches = (1,) if manifold.branches_are_mirrored else (1, -1)
     for k, branch in enumerate(branches):
         # Each branch gets half of the time, less a reserve for open ends.
         allowed = budget.until(0.9 * (k + 1) / len(branches))
         within = part_of(progress, k / len(branches), (k + 1) / len(branches))
-        samples, stopped, over = refined(
-            Sampler(manifold, section, hit, branch, settings, allowed), 0.0, progress=within
-        )
-        sampler, late = Sampler(manifold, section, hit, branch, settings, budget), late or over
-        unresolved += f"; {stopped}" if stopped else ""
+        samples, stopped = refined(Sampler(manifold, section, hit, branch, settings, allowed), 0.0, progress=within)
+        sampler = Sampler(manifold, section, hit, branch, settings, budget)
+        unresolved += [] if stopped is None else [stopped]
         flown += len(samples)
         found, open_ends = _pieces(samples, sampler)
         pieces += found
         gaps += open_ends
-        late = late or (budget.spent and any(end.hides for end in open_ends))
+        out_of_time = stopped is not None and stopped.cause is BranchCause.TIME
+        late = late or out_of_time or (budget.spent and any(end.hides for end in open_ends))
         if manifold.branches_are_mirrored:
             pieces += [_mirrored(manifold, section, piece) for piece in found]
             gaps += [
                 replace(g, branch=-g.branch, phase_interval=tuple((p + 0.5) % 1 for p in g.phase_interval))
                 for g in open_ends
             ]
-    if not pieces and gaps and all(gap.escapes for gap in gaps):
-        status = f"escapes: no trajectory returns to {section.name}"
-    elif not pieces:
-        status = (
-            f"no trajectory of the tube reaches crossing {hit} of {section.name} within "
-            f"{longest_flight(manifold, settings):g} periods"
-            f"{'; allow longer flights, or use another energy' if any(gap.later for gap in gaps) else ''}"
-        )
-    elif unresolved:
-        status = f"not resolved by {flown} trajectories{unresolved}"
-    else:
-        status = f"resolved to chords of {settings.chord:g} by {flown} trajectories"
-    return Cut(section, hit, tuple(pieces), tuple(gaps), flown, not unresolved, status, late)
+    return Cut(
+        section,
+        hit,
+        tuple(pieces),
+        tuple(gaps),
+        flown,
+        settings.chord,
+        longest_flight(manifold, settings),
+        unresolved=tuple(unresolved),
+        spent=late,
+    )

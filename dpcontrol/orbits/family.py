@@ -28,6 +28,7 @@ from scipy.optimize import brentq
 
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.causes import FamilyEndCause, OrbitCause
 from dpcontrol.foundation.checked import checked
 from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError
@@ -37,10 +38,12 @@ from dpcontrol.foundation.shown import Brief, Shown, pandas_classes
 from dpcontrol.orbits.lyapunov import (
     LinearCentre,
     LyapunovOrbit,
+    OrbitOutcome,
     SymmetricShooting,
     described_orbit,
     symmetric_shooting,
 )
+from dpcontrol.words.searches import Concluded, family_sentence
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -201,32 +204,31 @@ class CurveEvent:
 
 
 @dataclass(frozen=True)
-class FamilyEnd:
-    """First or last orbit of a family.
-
-    It has the reason for the end.
+class FamilyEnd(Concluded):
+    """First or last orbit of a family, with the cause of the end.
 
     Attributes:
         energy: J.
-        kind: "saddle", "energy bound", "homoclinics", "hyperbolicity lost" or "not followed further".
-        reason: a sentence.
+        system: system of the family.
+        equilibrium: name of the equilibrium that the orbits approach, if any.
+        height: its energy, J.
+        distance: its scaled distance from the last orbit.
+        period: of the last orbit, s.
+        multiplier: largest multiplier of the last orbit, or the critical one.
+        limit: limit that was reached, or the extrapolated energy, J.
+        residual: scaled residual of the last orbit.
     """
 
     energy: float
-    kind: str
-    reason: str
-
-
-def lost(test: str, place: FamilyPoint) -> FamilyEnd:
-    """Return the end of a family at a multiplier's crossing of ±1.
-
-    Args:
-        test: name of the crossing, which ends with +1 or -1.
-        place: point of the crossing.
-    """
-    what = "the family branches or folds" if test.endswith("+1") else "the period doubles"
-    reason = f"hyperbolicity is lost at {place.energy:.12g} J: a multiplier crosses {test.split()[1]} and {what}"
-    return FamilyEnd(place.energy, "hyperbolicity lost", reason)
+    cause: FamilyEndCause
+    system: System = field(repr=False)
+    equilibrium: str = ""
+    height: float = np.nan
+    distance: float = np.nan
+    period: float = np.nan
+    multiplier: float = np.nan
+    limit: float = np.nan
+    residual: float = np.nan
 
 
 @dataclass
@@ -254,7 +256,7 @@ def follow(
     *,
     tests: Sequence[str],
     settings: FollowingSettings,
-    stop: Callable[[FamilyPoint], str],
+    stop: Callable[[FamilyPoint], FamilyEnd | None],
     losing: Sequence[str] = (),
     born: bool = False,
     too_long: Callable[[FamilyPoint, FamilyPoint], bool] = lambda here, following: False,
@@ -268,13 +270,13 @@ def follow(
         energies: (lowest, highest), J.
         tests: measures whose zeros are located.
         settings: steps and limits.
-        stop: function that returns a reason to end, or "".
+        stop: function that returns the end of the family at a point, or None.
         losing: tests that end the family.
         born: True if the family starts at this point.
         too_long: see `FamilyCurve.followed`.
         progress: called with a label and the completed share.
     """
-    low, high = energies
+    (low, high), system = energies, curve.problem.system
     run = Followed(start)
 
     def within(energy: float) -> bool:
@@ -300,7 +302,8 @@ def follow(
                     run.events.append(CurveEvent(test, place, *sides))
                     if test in losing and run.last is None:
                         run.points.append(place)
-                        run.last = lost(test, place)
+                        cause = FamilyEndCause.HYPERBOLICITY_LOST
+                        run.last = FamilyEnd(place.energy, cause, system, multiplier=CRITICAL[test])
         if run.last is not None:
             return run
         way = 1 if following.energy > before.energy else -1
@@ -308,7 +311,7 @@ def follow(
             if (before.energy - bound) * (following.energy - bound) < 0 or following.energy == bound:
                 place = at(following, bound)
                 run.points += [] if place is None else [place]
-                end = FamilyEnd(bound, "energy bound", f"reached the bound of {bound:g} J; the family continues")
+                end = FamilyEnd(bound, FamilyEndCause.ENERGY_BOUND, system)
                 if bound == energies[::way][1]:
                     run.last = end
                     return run
@@ -316,11 +319,11 @@ def follow(
         if within(following.energy):
             run.points.append(following)
             progress("family of orbits", min(1.0, abs(following.energy - start.energy) / (high - low)))
-        reason = stop(following)
-        if not reason and len(run.points) >= settings.most_members:
-            reason = f"stopped after {settings.most_members} members at {following.energy:.9g} J; allow more"
-        if reason:
-            run.last = FamilyEnd(following.energy, "not followed further", reason)
+        run.last = stop(following)
+        if run.last is None and len(run.points) >= settings.most_members:
+            cause = FamilyEndCause.MANY_MEMBERS
+            run.last = FamilyEnd(following.energy, cause, system, limit=settings.most_members)
+        if run.last is not None:
             return run
     return run
 
@@ -361,18 +364,13 @@ def family_end(
     goal = float(system.numeric.hamiltonian(system.equilibria[name]))
     limit = _extrapolated(points, problem)
     if distance < LINGERS and limit is not None and abs(limit - goal) < 1e-3 * system.energy_scale:
+        period, size = problem.period(place.unknowns), place.measures[SIZE]
         return FamilyEnd(
-            place.energy,
-            "homoclinics",
-            f"ends in the homoclinics of {name}: the period grows without bound (followed to "
-            f"{problem.period(place.unknowns):.3g} s, multiplier {place.measures[SIZE]:.1e}) as the energy tends to "
-            f"{limit:.6g} J, extrapolated; {name} has {goal:.6g} J",
+            place.energy, FamilyEndCause.HOMOCLINICS, system, name, goal, distance, period, multiplier=size, limit=limit
         )
     if largest is not None:
-        reason = f"stopped at {place.energy:.9g} J: multipliers above {largest:g} exceed double precision"
-    else:
-        reason = f"could not be followed beyond {place.energy:.9g} J (residual {place.residual:.1e})"
-    return FamilyEnd(place.energy, "not followed further", reason)
+        return FamilyEnd(place.energy, FamilyEndCause.LARGE_MULTIPLIER, system, limit=largest)
+    return FamilyEnd(place.energy, FamilyEndCause.STUCK, system, residual=place.residual)
 
 
 def _extrapolated(points: list[FamilyPoint], problem: SymmetricShooting) -> float | None:
@@ -394,7 +392,9 @@ def _extrapolated(points: list[FamilyPoint], problem: SymmetricShooting) -> floa
     return float(energies[-1] + last / decay)
 
 
-_TESTS = (SLOPE, "multiplier +1", "multiplier -1")
+CRITICAL = {"multiplier +1": 1.0, "multiplier -1": -1.0}
+"""Multipliers at which hyperbolicity is lost, by the test of their crossing."""
+_TESTS = (SLOPE, *CRITICAL)
 
 
 @dataclass(frozen=True)
@@ -409,16 +409,25 @@ class FamilySettings(FollowingSettings):
     tail: int = 25
 
 
+_UNFINISHED = (FamilyEndCause.LARGE_MULTIPLIER, FamilyEndCause.MANY_MEMBERS, FamilyEndCause.STUCK)
 Member = TypeVar("Member")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Family(Shown, Generic[Member]):
-    """K members along a family's curve; `status` describes the continuation."""
+    """K members along a family's curve.
+
+    Attributes:
+        ends: first and last end.
+    """
 
     members: tuple[Member, ...]
-    converged: bool
-    status: str
+    ends: tuple[FamilyEnd, FamilyEnd]
+
+    @property
+    def status(self) -> str:
+        """Range and end of the family in words."""
+        return family_sentence(self)
 
     def __repr__(self) -> str:
         return f"<family of orbits: {self.status}>"
@@ -479,20 +488,19 @@ class FamilyEvent:
 
 @dataclass(frozen=True)
 class LyapunovFamily(Family[LyapunovOrbit], Documented):
-    """Lyapunov orbits along a family's curve, starting at the saddle.
+    """Lyapunov orbits along a family's curve, starting at the saddle."""
 
-    Attributes:
-        ends: ends of the family, the saddle's side first.
-        converged: True if every member is closed and Newton's method failed at neither end.
-    """
-
-    KEYS: ClassVar[str] = "family=members ends:energy,kind,reason events:kind,**orbit saddle status"
+    KEYS: ClassVar[str] = "family=members ends:energy,cause,reason=status events:kind,**orbit saddle status"
 
     system: System
     saddle: str
     family: int
     events: tuple[FamilyEvent, ...]
-    ends: tuple[FamilyEnd, FamilyEnd]
+
+    @property
+    def converged(self) -> bool:
+        """True if the family was followed to its end."""
+        return self.ends[1].cause not in _UNFINISHED
 
 
 def lyapunov_family(
@@ -528,10 +536,8 @@ def lyapunov_family(
     far = high if linear.sign > 0 else low
     if (far - linear.energy) * linear.sign <= 0:
         raise InputError(
-            system.worded(
-                f"energies {low:g} to {high:g} J: the Lyapunov orbits about {saddle} exist only "
-                f"{'above' if linear.sign > 0 else 'below'} its energy of {linear.energy:.6g} J"
-            )
+            f"energies {low:g} to {high:g}{system.unit('J')}: the Lyapunov orbits about {saddle} exist only "
+            f"{'above' if linear.sign > 0 else 'below'} its energy of {linear.energy:.6g}{system.unit('J')}"
         )
     curve = _curve(problem, linear, settings)
 
@@ -542,42 +548,35 @@ def lyapunov_family(
             saddle=saddle,
             family=family,
             energy=point.energy,
-            newton_residual=point.residual,
-            converged=True,
-            status=f"converged to a residual of {point.residual:.1e}, as a member of its family",
+            outcome=OrbitOutcome(OrbitCause.MEMBER, point.residual),
         )
 
-    birth, heading = _birth(linear, curve)
+    def stop(point: FamilyPoint) -> FamilyEnd | None:
+        large = point.measures[SIZE] > largest
+        return FamilyEnd(point.energy, FamilyEndCause.LARGE_MULTIPLIER, system, limit=largest) if large else None
+
+    tangent = np.append(linear.direction, 0.0) / curve.weights
+    birth, heading = np.append(0.0 * linear.direction, _birth_arc(problem, linear)), tangent / np.linalg.norm(tangent)
     # At the saddle the curve meets that of the resting arcs (0, τ), so its tangent comes from the linear centre.
     here = replace(curve.point(birth, heading, 0.0), tangent=heading)
     largest = settings.largest_multiplier
     run = follow(
         curve, here, energies, tests=_TESTS, losing=_TESTS[1:], settings=settings, born=True, progress=progress,
-        stop=lambda point: SIZE if point.measures[SIZE] > largest else "",
+        stop=stop,
     )  # fmt: skip
-    at_saddle = f"the orbits shrink to {saddle} itself at its energy of {linear.energy:.9g} J"
-    first = run.first or FamilyEnd(linear.energy, "saddle", at_saddle)
+    first = run.first or FamilyEnd(linear.energy, FamilyEndCause.SADDLE, system, saddle)
     last, points = run.last, run.points
     if last is None:
         last = family_end(system, points or [run.here], problem)
-    elif last.reason == SIZE:
+    elif last.cause is FamilyEndCause.LARGE_MULTIPLIER:
         last = family_end(system, [*points, *_tail(curve, run.here, settings)], problem, largest=largest)
         points = [p for p in points if p.measures[SIZE] <= largest]
     if not points:
-        raise InputError(
-            system.worded(
-                f"energies {low:g} to {high:g} J: the family about {saddle} does not reach them; {last.reason}"
-            )
-        )
+        span = f"energies {low:g} to {high:g}{system.unit('J')}"
+        raise InputError(f"{span}: the family about {saddle} does not reach them; {last.status}")
     members = tuple(orbit(p) for p in points)
-    converged = last.kind != "not followed further"
-    first, last = (replace(end, reason=system.worded(end.reason)) for end in (first, last))
-    ends = f"{members[0].energy:.9g} to {members[-1].energy:.9g} J"
-    status = system.worded(f"{len(members)} orbits from {ends}; {last.reason}")
     events = tuple(FamilyEvent("fold" if e.test == SLOPE else e.test, orbit(e.place)) for e in run.events)
-    return LyapunovFamily(
-        system, saddle, family, events, (first, last), members=members, converged=converged, status=status
-    )
+    return LyapunovFamily(system, saddle, family, events, members=members, ends=(first, last))
 
 
 def _curve(problem: SymmetricShooting, linear: LinearCentre, settings: FamilySettings) -> FamilyCurve:
@@ -610,12 +609,6 @@ def _curve(problem: SymmetricShooting, linear: LinearCentre, settings: FamilySet
 
 def _birth_arc(problem: SymmetricShooting, linear: LinearCentre) -> float:
     return 2 * np.pi / linear.frequency / problem.quarters
-
-
-def _birth(linear: LinearCentre, curve: FamilyCurve) -> tuple[Array, Array]:
-    """Return unknowns and tangent (n + 1,) at the saddle."""
-    tangent = np.append(linear.direction, 0.0) / curve.weights
-    return np.append(0.0 * linear.direction, _birth_arc(curve.problem, linear)), tangent / np.linalg.norm(tangent)
 
 
 def _tail(curve: FamilyCurve, start: FamilyPoint, settings: FamilySettings) -> list[FamilyPoint]:

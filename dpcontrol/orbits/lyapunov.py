@@ -26,11 +26,12 @@ from numpy.typing import NDArray
 from dpcontrol.dynamics.system import System, saddle_index
 from dpcontrol.foundation.arguments import whole
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.causes import OrbitCause
 from dpcontrol.foundation.checked import checked, number
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.shown import Brief, checked_times
 from dpcontrol.orbits.manifold import OrbitCurve
-from dpcontrol.orbits.orbit import PeriodicOrbit
+from dpcontrol.orbits.orbit import OrbitOutcome, PeriodicOrbit
 from dpcontrol.orbits.tube import Tube
 
 
@@ -404,34 +405,15 @@ def lyapunov_orbit(
     problem, linear = symmetric_shooting(system, saddle, whole("family", family, least=-1, most=1000))
     if (energy - linear.energy) * linear.sign <= 0:
         raise InputError(
-            system.worded(
-                f"energy = {energy!r} J: the Lyapunov orbits about {saddle} exist only "
-                f"{'above' if linear.sign > 0 else 'below'} its energy of {linear.energy!r} J"
-            )
+            f"energy = {energy!r}{system.unit('J')}: the Lyapunov orbits about {saddle} exist only "
+            f"{'above' if linear.sign > 0 else 'below'} its energy of {linear.energy!r}{system.unit('J')}"
         )
-    unknowns, residual, converged, status = _follow(problem, settings, linear, energy)
-    return described_orbit(
-        problem,
-        unknowns,
-        saddle=saddle,
-        family=family,
-        energy=energy,
-        newton_residual=residual,
-        converged=converged,
-        status=status,
-    )
+    unknowns, outcome = _follow(problem, settings, linear, energy)
+    return described_orbit(problem, unknowns, saddle=saddle, family=family, energy=energy, outcome=outcome)
 
 
 def described_orbit(
-    problem: SymmetricShooting,
-    unknowns: Array,
-    *,
-    saddle: str,
-    family: int,
-    energy: float,
-    newton_residual: float,
-    converged: bool,
-    status: str,
+    problem: SymmetricShooting, unknowns: Array, *, saddle: str, family: int, energy: float, outcome: OrbitOutcome
 ) -> LyapunovOrbit:
     """Return the orbit for solved unknowns (n + 1,).
 
@@ -441,9 +423,7 @@ def described_orbit(
         saddle: name of the equilibrium.
         family: number of the family.
         energy: energy of the orbit, J.
-        newton_residual: scaled residual of the solution.
-        converged: True if the residual is within the tolerance.
-        status: a sentence on the search.
+        outcome: how the unknowns were found.
     """
     system = problem.system
     state, period = problem.state(unknowns), problem.period(unknowns)
@@ -458,9 +438,7 @@ def described_orbit(
         floquet_multipliers=floquet_multipliers(system, state, period, monodromy),
         monodromy=monodromy,
         residual=float(np.abs(end - state).max()),
-        newton_residual=newton_residual,
-        converged=converged,
-        status=status,
+        outcome=outcome,
     )
 
 
@@ -475,7 +453,7 @@ class _Passed:
 
 def _follow(
     problem: SymmetricShooting, settings: ContinuationSettings, linear: LinearCentre, energy: float
-) -> tuple[Array, float, bool, str]:
+) -> tuple[Array, OrbitOutcome]:
     """Continue in s = √(energy above the saddle) with cubic prediction."""
     saddle_energy, sign = linear.energy, linear.sign
     goal = np.sqrt(abs(energy - saddle_energy))
@@ -503,14 +481,11 @@ def _follow(
             step = (s - last.s) / 2
             if step < settings.smallest_step * largest:
                 reached = saddle_energy + sign * last.s**2
-                return last.unknowns, residual, False, problem.system.worded(
-                    f"not converged: the family could be followed only to {reached:.6g} J (residual "
-                    f"{residual:.1e} beyond); use an energy nearer to the saddle's"
-                )  # fmt: skip
+                return last.unknowns, OrbitOutcome(OrbitCause.LOST, residual, reached=reached)
             continue
         passed.append(_Passed(s, found.unknowns, 2 * sign * s * found.slope))
         step = min(largest, step * 1.5)
-    return passed[-1].unknowns, residual, True, f"converged in {len(passed) - 1} continuation steps"
+    return passed[-1].unknowns, OrbitOutcome(OrbitCause.CONTINUED, residual, steps=len(passed) - 1)
 
 
 def _predicted(points: Sequence[_Passed], s: float) -> Array:

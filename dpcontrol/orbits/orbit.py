@@ -8,8 +8,14 @@ from numpy.typing import NDArray
 
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.causes import OrbitCause
 from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.shown import Brief, Timed
+from dpcontrol.words.searches import Concluded
+
+
+_HYPERBOLIC = 1e-4
+"""A multiplier counts as unstable if its modulus exceeds one by more than this."""
 
 
 @dataclass(frozen=True)
@@ -22,7 +28,6 @@ class OrbitRecord(Brief, Documented):
         state (N,): on the reverser's fixed set.
         floquet_multipliers (N,): largest first.
         residual: largest component of x(T) - x(0).
-        status: outcome of the search.
     """
 
     KEYS: ClassVar[str] = "energy period state floquet_multipliers residual status saddle family"
@@ -32,7 +37,6 @@ class OrbitRecord(Brief, Documented):
     state: Array
     floquet_multipliers: NDArray[np.complex128]
     residual: float
-    status: str
     saddle: str
     family: int
 
@@ -43,18 +47,42 @@ class OrbitRecord(Brief, Documented):
 
 
 @dataclass(frozen=True)
-class PeriodicOrbit(OrbitRecord, Timed):
+class OrbitOutcome:
+    """How an orbit was found.
+
+    Attributes:
+        newton_residual: of the shooting equations, scaled.
+        steps: number of continuation steps from the saddle.
+        reached: energy of the last orbit before this one, J.
+    """
+
+    cause: OrbitCause
+    newton_residual: float
+    steps: int = 0
+    reached: float = float("nan")
+
+
+@dataclass(frozen=True)
+class PeriodicOrbit(OrbitRecord, Timed, Concluded):
     """A periodic orbit with its symmetry, from which its manifolds are computed.
 
     Attributes:
         monodromy (N, N): state-transition matrix over one period.
-        newton_residual: of the shooting equations, scaled.
     """
 
     system: System
     monodromy: Array
-    newton_residual: float
-    converged: bool
+    outcome: OrbitOutcome
+
+    @property
+    def cause(self) -> OrbitCause:
+        """How the search for the orbit ended."""
+        return self.outcome.cause
+
+    @property
+    def converged(self) -> bool:
+        """True if the orbit was reached."""
+        return self.cause is not OrbitCause.LOST
 
     def __repr__(self) -> str:
         return f"<orbit about {self.saddle} at {self.energy:g}: {self.status}>"
@@ -68,6 +96,11 @@ class PeriodicOrbit(OrbitRecord, Timed):
     def columns(self) -> tuple[str, ...]:
         """Names of the N entries of a state."""
         return self.system.columns
+
+    @property
+    def unstable_directions(self) -> int:
+        """Number of Floquet multipliers outside the unit circle."""
+        return int(np.sum(np.abs(self.floquet_multipliers) > 1 + _HYPERBOLIC))
 
     @property
     def unstable_multiplier(self) -> float:

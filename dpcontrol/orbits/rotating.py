@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.causes import FamilyEndCause, OrbitCause
 from dpcontrol.foundation.checked import number
 from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError
@@ -38,13 +39,15 @@ from dpcontrol.orbits.family import (
     CurveEvent,
     Family,
     FamilyCurve,
+    FamilyEnd,
     FamilyPoint,
     Followed,
     FollowingSettings,
     follow,
     nearest_equilibrium,
 )
-from dpcontrol.orbits.lyapunov import SymmetricShooting, fixed_and_moved
+from dpcontrol.orbits.lyapunov import OrbitOutcome, SymmetricShooting, fixed_and_moved
+from dpcontrol.words.searches import Concluded, rotating_family_sentence
 
 
 @dataclass(frozen=True)
@@ -97,16 +100,26 @@ class RotatingRecord(Brief, Documented):
     trace: float
     kind: str
     residual: float
-    status: str
+
+    @property
+    def hyperbolic(self) -> bool:
+        """True if the multipliers are off the unit circle."""
+        return self.kind in ("hyperbolic", "inverse hyperbolic")
 
 
 @dataclass(frozen=True)
-class RotatingOrbit(RotatingRecord, Timed):
-    """A symmetric rotating orbit with the scaled residual of its shooting equations."""
+class RotatingOrbit(RotatingRecord, Timed, Concluded):
+    """A symmetric rotating orbit with the residual of its shooting equations."""
+
+    converged: ClassVar[bool] = True
 
     system: System
-    newton_residual: float
-    converged: bool
+    outcome: OrbitOutcome
+
+    @property
+    def cause(self) -> OrbitCause:
+        """How the search for the orbit ended: every orbit that it returns has converged."""
+        return self.outcome.cause
 
     def __repr__(self) -> str:
         return f"<{self.name} at {self.energy:g}: {self.kind}, {self.status}>"
@@ -248,9 +261,7 @@ def described(problem: HalfTurn, unknowns: Array, arm: int, energy: float, newto
         trace=trace,
         kind=kind_of(trace),
         residual=residual,
-        newton_residual=newton_residual,
-        converged=True,
-        status=f"converged to a residual of {newton_residual:.1e}; closed to {residual:.1e}",
+        outcome=OrbitOutcome(OrbitCause.ROTATING, newton_residual),
     )
 
 
@@ -374,7 +385,6 @@ def _refined(
     return arrivals
 
 
-_STUCK = "could not be followed beyond"
 _TRACE = "trace"
 _CRITICAL = {"multiplier +1": 2.0, "multiplier -1": -2.0}
 """Traces of multiplier crossings at ±1."""
@@ -404,15 +414,24 @@ class RotatingFamily(Family[RotatingOrbit], Documented):
 
     Attributes:
         folds: folds in energy.
-        ends: reasons for both ends.
-        converged: True if Newton's method failed at neither end.
     """
 
-    KEYS: ClassVar[str] = "members changes:critical_trace,before,after,**orbit folds ends status"
+    KEYS: ClassVar[str] = (
+        "members changes:critical_trace,before,after,**orbit folds ends:energy,cause,reason=status status"
+    )
 
     changes: tuple[StabilityChange, ...]
     folds: tuple[RotatingOrbit, ...]
-    ends: tuple[str, str]
+
+    @property
+    def converged(self) -> bool:
+        """True if Newton's method failed at neither end."""
+        return all(end.cause is not FamilyEndCause.STUCK for end in self.ends)
+
+    @property
+    def status(self) -> str:
+        """Range and changes of the family in words."""
+        return rotating_family_sentence(self)
 
 
 def rotating_family(
@@ -458,7 +477,7 @@ def rotating_family(
         return described(problem, point.unknowns, orbit.arm, point.energy, point.residual)
 
     unknowns = np.append(problem.start.T @ (orbit.state - problem.centre), orbit.period / 2)
-    first = curve.point(unknowns, None, orbit.newton_residual)
+    first = curve.point(unknowns, None, orbit.outcome.newton_residual)
     up, down = (_followed(curve, start, energies, settings, progress) for start in (first, first.reversed()))
     points = [*reversed(down.points), first, *up.points]
     members = tuple(described_point(p) for p in points)
@@ -466,13 +485,8 @@ def rotating_family(
                for event in reversed(down.events) if event.test != SLOPE]  # fmt: skip
     changes += [_change(event, described_point(event.place)) for event in up.events if event.test != SLOPE]
     folds = tuple(described_point(e.place) for e in (*reversed(down.events), *up.events) if e.test == SLOPE)
-    lower, upper = (_homoclinics(problem, run.here) if run.last is None else run.last.reason for run in (down, up))
-    failed = [end for end in (lower, upper) if end.startswith(_STUCK)]
-    status = f"{len(members)} orbits from {members[0].energy:.9g} to {members[-1].energy:.9g} J, "
-    status += f"{len(changes)} changes of stability, {len(folds)} folds in energy"
-    if failed:
-        status += "; " + "; ".join(failed)
-    return RotatingFamily(tuple(changes), folds, (lower, upper), members=members, converged=not failed, status=status)
+    lower, upper = (run.last or _homoclinics(problem, run.here) for run in (down, up))
+    return RotatingFamily(tuple(changes), folds, members=members, ends=(lower, upper))
 
 
 def rotating_families(
@@ -530,13 +544,13 @@ def _followed(
         first, second = here.measures[_TRACE], following.measures[_TRACE]
         return abs(first) > 2 and abs(second) > 2 and first * second < 0
 
-    def stop(here: FamilyPoint) -> str:
-        period = curve.problem.period(here.unknowns)
+    def stop(here: FamilyPoint) -> FamilyEnd | None:
+        system, period = curve.problem.system, curve.problem.period(here.unknowns)
         if period > settings.longest:
-            return f"stopped at {here.energy:.9g} J: the period has grown to {period:.3g} s"
+            return FamilyEnd(here.energy, FamilyEndCause.LONG_PERIOD, system, period=period)
         if abs(here.measures[_TRACE]) > settings.largest:
-            return f"stopped at {here.energy:.9g} J: multipliers above {settings.largest:g} exceed double precision"
-        return ""
+            return FamilyEnd(here.energy, FamilyEndCause.LARGE_MULTIPLIER, system, limit=settings.largest)
+        return None
 
     tests = (*_CRITICAL, SLOPE)
     return follow(
@@ -551,15 +565,12 @@ def _change(event: CurveEvent, orbit: RotatingOrbit, *, downward: bool = False) 
     return StabilityChange(orbit, critical, *((after, before) if downward else (before, after)))
 
 
-def _homoclinics(problem: SymmetricShooting, place: FamilyPoint) -> str:
-    """Return the reason for an end of the family."""
+def _homoclinics(problem: SymmetricShooting, place: FamilyPoint) -> FamilyEnd:
+    """Return the end of a family at which no step converges."""
     system = problem.system
     name, near = nearest_equilibrium(problem, place)
     height = float(system.numeric.hamiltonian(system.equilibria[name]))
     if near > LINGERS or abs(height - place.energy) > 1e-3 * system.energy_scale:
-        return f"{_STUCK} {place.energy:.9g} J: no step converges"
-    return (
-        f"ends in the homoclinics of {name}: at {place.energy:.9g} J the period has grown to "
-        f"{problem.period(place.unknowns):.3g} s and the orbit passes {name} ({height:.9g} J) "
-        f"at a scaled distance of {near:.1g}"
-    )
+        return FamilyEnd(place.energy, FamilyEndCause.STUCK, system, residual=place.residual)
+    period = problem.period(place.unknowns)
+    return FamilyEnd(place.energy, FamilyEndCause.PASSES_EQUILIBRIUM, system, name, height, near, period)

@@ -125,10 +125,7 @@ class Tube(Shown, Documented):
         pieces = [piece for piece in cut.pieces if piece.branch in self.branches]
         ends = tuple(end for end in cut.open_ends if end.branch in self.branches)
         pieces = tuple(self.placed(piece, section) for piece in pieces)
-        status = cut.status
-        if cut.spent:
-            status += f"; partial: the cut reached its limit of {seconds:g} s of processor time: allow more seconds"
-        return replace(cut, pieces=pieces, open_ends=ends, stable=self.stable, status=status)
+        return replace(cut, pieces=pieces, open_ends=ends, stable=self.stable, seconds=seconds)
 
     def placed(self, piece: Piece, section: Section) -> Piece:
         """Return a piece of a cut as one of this tube.

@@ -69,7 +69,7 @@ def rotating_vertex(orbit: RotatingOrbit, *, name: str | None = None) -> Hyperbo
     Raises:
         InputError: the orbit is not hyperbolic and has no tubes.
     """
-    if "hyperbolic" not in orbit.kind:
+    if not orbit.hyperbolic:
         raise InputError(
             f"the rotating orbit at {orbit.energy:g} J is {orbit.kind} (trace {orbit.trace:.6g}): only hyperbolic "
             "orbits have tubes; choose another orbit or energy"
@@ -101,9 +101,7 @@ def rotating_vertex(orbit: RotatingOrbit, *, name: str | None = None) -> Hyperbo
         floquet_multipliers=np.array([multiplier, *neutral, 1 / multiplier], dtype=complex),
         monodromy=monodromy,
         residual=orbit.residual,
-        newton_residual=orbit.newton_residual,
-        converged=True,
-        status=orbit.status,
+        outcome=orbit.outcome,
         mirror=mirror,
         rest=rest,
         winding=winding,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 
 import numpy as np
@@ -76,4 +75,4 @@ def run_path(k: int, run: ComparedRun) -> str:
         k: index of the run, from 0.
         run: run of the comparison.
     """
-    return f"{k + 1}_{re.sub(r'[^A-Za-z0-9]+', '_', run.name)}"
+    return f"{k + 1}_{'_'.join(''.join(c if c.isascii() and c.isalnum() else ' ' for c in run.name).split())}"

@@ -39,7 +39,7 @@ def draw_families(families: Sequence[LyapunovFamily], title: str) -> Figure:
     page.row(*curves, height=2.9)
     for family in families:
         first, last = family.ends
-        text = f"{family.saddle} from {first.energy:.6g}: {first.reason}; to {last.energy:.6g}: {last.reason}"
+        text = f"{family.saddle} from {first.energy:.6g}: {first.status}; to {last.energy:.6g}: {last.status}"
         page.text(text)
     return page.figure()
 

@@ -1,7 +1,5 @@
 """Draft of an itinerary, stored only as TOML text."""
 
-import re
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -195,58 +193,29 @@ def read_draft(text: str) -> Draft:
             return Draft(text, values, model, None, None)
         return Draft(text, values, model, itinerary_from(text, _NAME, model), None)
     except InputError as error:
+        if values and model is None:
+            error = InputError(str(error), key="model")
         message = str(error).removeprefix(f"{_NAME}.toml").lstrip(": ")
-        return Draft(text, values, model, None, Mistake(line_of(text, message), message))
+        return Draft(text, values, model, None, Mistake(line_of(text, error), message))
 
 
-def line_of(text: str, message: str) -> int:
-    """Return the line number (from 1) to which an error message refers.
+def line_of(text: str, error: InputError) -> int:
+    """Return the line number (from 1) of an error in a text.
 
     Args:
         text: itinerary in TOML.
-        message: error of the itinerary.
+        error: error of the itinerary.
     """
-    lines = text.splitlines() or [""]
-    if found := re.search(r"at line (\d+)", message):
-        return min(int(found[1]), len(lines))
-    if "end of document" in message:
-        return len(lines)
-    named = re.match(r"\[+([\w.-]+)\]+", message)
-    places: list[tuple[int, int]] = []
-    table = ""
-    for k, line in enumerate(lines, start=1):
-        header = re.match(r"\s*\[+\s*([\w.-]+)\s*\]+", line)
-        table = header[1] if header else table
-        key = header or re.match(r"\s*([\w-]+)\s*=", line)
-        if key and (not named or (named[1] == table and not header)):
-            place = re.search(rf"(?<![\w-]){re.escape(key[1])}(?![\w-])", message)
-            places += [(place.start(), k)] if place else []
-    # Messages start with the key to which they refer.
-    return min(places, default=(0, 1))[1]
+    table, header, lines = "", 1, text.splitlines()
+    for number, line in enumerate(lines, start=1):
+        begin = line.partition("#")[0].strip()
+        if begin.startswith("["):
+            table = begin.strip("[] ")
+            header = number if table == error.table else header
+        elif table == error.table and begin.partition("=")[0].strip() == error.key != "":
+            return number
+    return min(error.line, len(lines)) or header
 
 
 def _listed(value: Any, kind: type) -> list[Any]:
     return [one for one in value if isinstance(one, kind)] if isinstance(value, list) else []
-
-
-def fault_of(status: str, walk: Sequence[str]) -> int | None:
-    """Return the index of the symbol that a failed plan's status names.
-
-    Args:
-        status: status of the plan.
-        walk: symbols of the walk.
-    """
-    if found := re.search(r"symbol (\d+)\b", status):
-        return min(int(found[1]), len(walk)) - 1 if walk else None
-    return next((k for k, text in enumerate(walk) if text in status), None)
-
-
-def enough_wraps(status: str) -> list[int] | None:
-    """Return the wraps suggested in a failed plan's status, or None.
-
-    Args:
-        status: status of the plan.
-    """
-    found = re.search(r"must be at least \[([\d, ]*)\]|wraps \[([\d, ]*)\] work", status)
-    digits = re.findall(r"\d+", found[1] or found[2] or "") if found else []
-    return [int(one) for one in digits] or None

@@ -17,7 +17,7 @@ from typing import Any
 from dpcontrol.foundation.document import plain
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import write_whole
-from dpcontrol.planner.draft import Draft, enough_wraps, fault_of, first_text, read_draft
+from dpcontrol.planner.draft import Draft, first_text, read_draft
 from dpcontrol.planner.shown import shown_model
 from dpcontrol.planner.workers import WorkerJob, Workers
 
@@ -41,7 +41,8 @@ class PageSession:
         self._folder = Path(tempfile.mkdtemp(prefix="dpcontrol-planner-"))
         self._texts, self._at, self._typed = [first_text(model)], 0, False
         self._draft, shown = _parsed(self._texts[0])
-        self._name = next(name for name in _names() if not (_ITINERARIES / f"{name}.toml").exists())
+        names = itertools.chain(["planned"], (f"planned-{k}" for k in itertools.count(2)))
+        self._name = next(name for name in names if not (_ITINERARIES / f"{name}.toml").exists())
         self._atlas: dict[str, Any] = {}
         self._made: dict[str, Any] = {}
         self._made_of, self._written = "", b""
@@ -270,8 +271,10 @@ class PageSession:
             self._atlas = atlas
             self._workers.mark(given["model"])
 
-        failed = partial(self._set_message, kind="error")
-        self._start("look", "atlas", found, failed, given, partial(self._look, again=True))
+        def missed(failure: dict[str, Any]) -> None:
+            self._set_message(failure["status"], "error")
+
+        self._start("look", "atlas", found, missed, given, partial(self._look, again=True))
 
     def _work(self, what: str, done: Done | None = None, **given: Any) -> None:
         if (job := self._jobs.get("work")) is not None:
@@ -285,17 +288,12 @@ class PageSession:
             if content == self._draft.content and (what == "plan" or text == self._draft.text):
                 self._made[what], self._made_of = value, content
 
-        def missed(sentence: str) -> None:
-            self._set_message(sentence, "error")
+        def missed(failure: dict[str, Any]) -> None:
+            self._set_message(failure["status"], "error")
             if what == "plan" and content == self._draft.content:
-                wraps = enough_wraps(sentence)
+                fits = failure["wraps"] and len(failure["wraps"]) == len(self._draft.wraps)
                 self._made_of = content
-                self._made[what] = {
-                    "converged": False,
-                    "status": sentence,
-                    "fault": fault_of(sentence, self._draft.walk),
-                    "wraps": wraps if wraps and len(wraps) == len(self._draft.wraps) else None,
-                }
+                self._made[what] = {"converged": False, **failure, "wraps": failure["wraps"] if fits else None}
 
         again = partial(self._work, what, done, **given)
         self._start("work", what, done or found, missed, given, again)
@@ -354,10 +352,6 @@ _EDITS: dict[str, Callable[..., str]] = {
     "wraps": Draft.wrapped,
 }
 """Commands that return a new text from the draft and the command's arguments."""
-
-
-def _names() -> itertools.chain[str]:
-    return itertools.chain(["planned"], (f"planned-{k}" for k in itertools.count(2)))
 
 
 def _parsed(text: str) -> tuple[Draft, str]:

@@ -2,7 +2,8 @@
 
 `python -m dpcontrol.planner.worker` reads one job per line from standard input, as JSON {"do": NAME, ...}. It writes
 lines that consist of a word and JSON: `progress [TEXT, SHARE]`, `show:KIND VALUE` for the page, and `remark TEXT`. The
-last line of a job is `done VALUE` or `failed SENTENCE`. The process exits at the end of its input.
+last line of a job is `done VALUE`, or `failed {"status": SENTENCE, "fault": INDEX, "wraps": [COUNT, …]}` with the
+failed symbol of a walk and the wraps that work. The process exits at the end of its input.
 """
 
 import base64
@@ -149,6 +150,18 @@ def _planned(text: str, progress: Progress) -> Plan:
     return make_plan(itinerary_from(text, _NAME, model), progress=progress)
 
 
+def failure_of(error: Exception) -> dict[str, Any]:
+    """Return the cause of a failed job: a sentence, the failed symbol's index and the wraps that work, or None.
+
+    Args:
+        error: exception that ended the job.
+    """
+    if not isinstance(error, GoalMissed | InputError | PartMissing):
+        return {"status": f"internal error in dpcontrol, {type(error).__name__}: {error}", "fault": None, "wraps": None}
+    symbol, wraps = getattr(error, "symbol", None), getattr(error, "wraps", None)
+    return {"status": printable(str(error)), "fault": symbol, "wraps": wraps}
+
+
 def main() -> None:
     """Run jobs until the end of input."""
     report = Reporter(os.dup(1))
@@ -162,10 +175,8 @@ def main() -> None:
         given = json.loads(jobs.get())
         try:
             report.write("done", JOBS[given.pop("do")](report, **given))
-        except (GoalMissed, InputError, PartMissing) as error:
-            report.write("failed", printable(str(error)))
         except Exception as error:  # noqa: BLE001 - the page shows it, and the process goes on
-            report.write("failed", f"internal error in dpcontrol, {type(error).__name__}: {error}")
+            report.write("failed", failure_of(error))
 
 
 def _listen(jobs: "queue.SimpleQueue[str]") -> None:

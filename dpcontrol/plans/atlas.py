@@ -293,14 +293,14 @@ def _compile(system: System, sections: list[Section]) -> None:
 
 def _sampled_orbit(orbit: LyapunovOrbit) -> AtlasOrbit:
     phases = np.arange(_ORBIT_SAMPLES) / _ORBIT_SAMPLES
-    return AtlasOrbit(**fields_of(OrbitRecord, orbit), samples=UnstableManifold(orbit).frame(phases).states)
+    samples = UnstableManifold(orbit).frame(phases).states
+    return AtlasOrbit(**fields_of(OrbitRecord, orbit), status=orbit.status, samples=samples)
 
 
 def _sampled_rotating(orbit: RotatingOrbit) -> AtlasRotatingOrbit:
     times = np.arange(_ORBIT_SAMPLES) / _ORBIT_SAMPLES * orbit.period
-    return AtlasRotatingOrbit(
-        **fields_of(RotatingRecord, orbit), samples=orbit.system.propagator.sample(orbit.state, times)
-    )
+    samples = orbit.system.propagator.sample(orbit.state, times)
+    return AtlasRotatingOrbit(**fields_of(RotatingRecord, orbit), status=orbit.status, samples=samples)
 
 
 def _sampled_connection(connection: Connection) -> AtlasConnection:
@@ -339,7 +339,7 @@ def _sampled_cut(manifold: UnstableManifold, cut: Cut, settings: AtlasSettings) 
     return AtlasCut(
         saddle=orbit.saddle,
         pieces=tuple(piece(one) for one in cut.pieces),
-        open_ends=tuple((end.branch, end.phase_interval, end.reason) for end in cut.open_ends),
+        open_ends=tuple((end.branch, end.phase_interval, end.status) for end in cut.open_ends),
         **picked(cut, "section", "hit", "trajectories", "resolved", "status"),
         strands=np.array([states for _, _, states in flown]).reshape(-1, instants, system.dimension),
         strand_branches=np.array([branch for branch, _, _ in flown], dtype=np.int64),
@@ -386,7 +386,7 @@ def _kind(one: PairSearch) -> AtlasKind:
         section=search.cuts[0].section.name,
         hits=(search.cuts[0].hit, search.cuts[1].hit),
         count=len(search.connections),
-        open_ends=tuple((tube, end.branch, end.phase_interval, end.reason) for tube, end in search.open_ends),
+        open_ends=tuple((tube, end.branch, end.phase_interval, end.status) for tube, end in search.open_ends),
         by_reversal=one.by_reversal,
         **picked(search, "failed", "complete", "status", "partial"),
     )

@@ -20,7 +20,7 @@ from dpcontrol.control.estimator_settings import Augment, FilterSettings
 from dpcontrol.control.tracking import AdaptiveSettings, TvlqrSettings
 from dpcontrol.dynamics.chain import ArmChainParameters, Uncertainty
 from dpcontrol.dynamics.plant import check_component
-from dpcontrol.foundation.errors import InputError, InputErrors, Mistakes, mistakes_of, remark
+from dpcontrol.foundation.errors import InputError, Mistakes, remark, together
 from dpcontrol.foundation.settings import Place, decode, nearest, parse_toml, read_toml, suggest
 from dpcontrol.foundation.shipped import find
 from dpcontrol.loop.bench import Push
@@ -64,7 +64,7 @@ def _parts(
         place, part = replace(top, table="parts", number=number), None
         with mistakes:
             if "orbit" in one:
-                raise InputError(f"{place} orbit: an itinerary that keeps an orbit has no [[parts]]")
+                raise place.refusal("orbit: an itinerary that keeps an orbit has no [[parts]]", "orbit")
             part = _part(one, model, place)
         found.append(part)
     return tuple(found)
@@ -79,14 +79,14 @@ def _part(values: Mapping[str, Any], model: Model, place: Place, *, also: Sequen
     saddles = model.system.saddles
     if "hold" in values:
         if "walk" in values:
-            raise InputError(f"{place} hold: this part has a walk as well; give each its own [[parts]]")
+            raise place.refusal("hold: this part has a walk as well; give each its own [[parts]]", "hold")
         stay = decode(HoldPart, values, place, also=also)
         if stay.hold not in (names := equilibria(model.system)):
             raise place.error("hold", stay.hold, suggest(stay.hold, names))
         return stay
     if "orbit" in values:
         if "walk" in values:
-            raise InputError(f"{place} orbit: an itinerary that keeps an orbit has no walk; remove one of them")
+            raise place.refusal("orbit: an itinerary that keeps an orbit has no walk; remove one of them", "orbit")
         kept = decode(OrbitPart, values, place, also=also)
         if kept.orbit not in saddles:
             raise place.error("orbit", kept.orbit, suggest(kept.orbit, saddles))
@@ -108,10 +108,8 @@ def _check_energy(energy: float, saddles: Sequence[str], model: Model, place: Pl
     points = equilibria(model.system)
     for saddle in saddles:
         if energy <= points[saddle].energy:
-            raise InputError(
-                f"{place} energy = {energy!r} J: {saddle} has Lyapunov orbits only above its own "
-                f"{points[saddle].energy:.9g} J; choose a higher energy"
-            )
+            only = f"{saddle} has Lyapunov orbits only above its own {points[saddle].energy:.9g} J"
+            raise place.refusal(f"energy = {energy!r} J: {only}; choose a higher energy", "energy")
 
 
 def _count(number: int, thing: str) -> str:
@@ -128,15 +126,13 @@ def _expanded(part: WalkPart, saddles: Sequence[str], place: Place) -> WalkPart:
     try:
         symbols = parse_walk(walk, saddles)
     except InputError as error:
-        raise InputError(f"{place} walk: {error}") from error
+        raise error.under(f"{place} walk: ", table=place.table, key="walk") from error
     stops = len(walk) - 1
     of = f"a walk of {_count(len(walk), 'symbol')} has {_count(stops, 'interior stop')}"
     if repeat > 1:
         if symbols[0].source != symbols[-1].target:
-            raise InputError(
-                f"{place} repeat = {repeat}: the walk starts at {symbols[0].source} and ends at "
-                f"{symbols[-1].target}; only a walk that ends where it starts can be repeated"
-            )
+            ends = f"the walk starts at {symbols[0].source} and ends at {symbols[-1].target}"
+            raise place.error("repeat", repeat, f"{ends}; only a walk that ends where it starts can be repeated")
         stops = len(walk)
         of = (
             f"a walk of {stops} symbols that is repeated has {stops} stops, the last from its last symbol back to its "
@@ -205,7 +201,7 @@ def read_run_settings(
     try:
         return LoopSettings(seed=0, keep=keep, controller=law, **parts), given.zeros
     except InputError as error:
-        raise InputError(f"{places['run']} {str(error).removeprefix('run: ')}") from error
+        raise error.under(f"{places['run']} ", table="run") from error
 
 
 def _take_misplaced(found: dict[str, Any], names: Iterable[str], place: Place, mistakes: Mistakes) -> None:
@@ -567,13 +563,13 @@ def _itinerary(
     with mistakes:
         for key in rest if listed is not None else ():
             if key in _SAME_IN_PARTS:
-                raise InputError(f"{top} {key}: the file lists [[parts]]; move the key into one of them")
+                raise top.refusal(f"{key}: the file lists [[parts]]; move the key into one of them", key)
     header = unread = Header()
     with mistakes:
         more = {key: one for key, one in rest.items() if key not in _SAME_IN_PARTS} if listed is not None else {}
         header = decode(Header, {**head, **more}, top, also=[*_TABLES, *_SAME_IN_PARTS, "parts"])
     with mistakes:
-        model = model or _named_model(header.model, where=f"{top} model", beside=path.parent)
+        model = model or _named_model(header.model, where=f"{top} model", at=("", "model"), beside=path.parent)
         _ = model.arms  # an itinerary needs arms on a cart
     if model is None:
         mistakes.report()
@@ -593,7 +589,8 @@ def _itinerary(
     with mistakes:
         loop, zeros = read_run_settings(tables, top, plant=plant)
         if zeros and len(zeros) != model.arms.count:
-            raise InputError(f"{top} [run] zeros has {len(zeros)} values; give one for each of {model.arms.count} arms")
+            run = replace(top, table="run")
+            raise run.refusal(f"zeros has {len(zeros)} values; give one for each of {model.arms.count} arms", "zeros")
     known = tuple(part for part in parts if part is not None)
     start, finish = header.start, head.get("finish", header.start if header.start == "hold" else "orbit")
     if known and len(known) == len(parts) and header is not unread:
@@ -616,12 +613,14 @@ def _check_ends(parts: tuple[Part, ...], start: str, finish: str, top: Place) ->
         InputError: names the end.
     """
     if "hold" in (start, finish) and not (start == finish and all(isinstance(parts[k], HoldPart) for k in (0, -1))):
-        raise InputError(
-            f'{top} {"start" if start == "hold" else "finish"} = "hold": is for start and finish together, and for '
-            'holds as first and last part; use "rest", or in simulation "orbit"'
+        raise top.error(
+            "start" if start == "hold" else "finish",
+            "hold",
+            'is for start and finish together, and for holds as first and last part; use "rest", or in simulation '
+            '"orbit"',
         )
     if isinstance(parts[0], OrbitPart) and (start, finish) != ("orbit", "orbit"):
-        raise InputError(f'{top} orbit: an orbit is kept from "orbit" to "orbit"; remove start and finish')
+        raise top.refusal('orbit: an orbit is kept from "orbit" to "orbit"; remove start and finish', "orbit")
     for key, which, part in (("start", start, parts[0]), ("finish", finish, parts[-1])):
         if which == "orbit" and isinstance(part, HoldPart):
             raise top.error(key, which, f"the part there is a hold without an orbit; {key} at rest")
@@ -655,16 +654,19 @@ def _check_level(
         )
 
 
-def _named_model(name: str, *, where: str, beside: Path | None) -> Model:
+def _named_model(name: str, *, where: str, at: tuple[str, str], beside: Path | None) -> Model:
     """Return a model by name or path.
 
-    The folder `beside` has priority.
+    The folder `beside` has priority. An error has the table and key `at`.
     """
     own = None if beside is None else beside / name
     try:
         return load_model(str(own) if own is not None and name.endswith(".toml") and own.is_file() else name)
     except InputError as error:
-        raise InputErrors([f"{where} = {name!r}: {mistake}" for mistake in mistakes_of(error)]) from error
+        table, key = at
+        raise together(
+            [InputError(f"{where} = {name!r}: {mistake}", table=table, key=key) for mistake in error.errors]
+        ) from error
 
 
 def own_plant(name: str, arms: ArmChainParameters, *, where: str, beside: Path | None = None) -> Model:
@@ -679,7 +681,7 @@ def own_plant(name: str, arms: ArmChainParameters, *, where: str, beside: Path |
     Raises:
         InputError: no such file, a mistake in it, or another number of arms; begins with `where`.
     """
-    own = _named_model(name, where=where, beside=beside)
+    own = _named_model(name, where=where, at=("run", "plant"), beside=beside)
     if own.arms.count != arms.count:
         raise InputError(
             f"{where} = {name!r}: the plant has {own.arms.count} arms, the itinerary's model {arms.count}; give "
@@ -693,5 +695,5 @@ def _reference(values: Mapping[str, Any], place: Place) -> ReferenceSettings:
     try:
         method_named(settings.method)
     except InputError as error:
-        raise InputError(f"{place} {error}") from error
+        raise error.under(f"{place} ", table=place.table, key="method") from error
     return settings

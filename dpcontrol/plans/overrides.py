@@ -6,12 +6,12 @@ Paths follow the fields of `LoopSettings`, such as `mismatch`, `drive.lag` and `
 `estimator` alone are kinds, or a user's objects.
 """
 
-import re
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import fields
 from functools import cache
+from itertools import accumulate
 from numbers import Integral, Real
 from typing import Any, NamedTuple, get_type_hints
 
@@ -168,7 +168,8 @@ def parsed(name: str, text: str) -> Any:
     try:
         number = int if "int" in str(hint) else float
         if "tuple" in str(hint) and (text.startswith("[") or "," in text or "str" in str(hint)):
-            parts = [part.strip() for part in (text[1:-1] if re.fullmatch(r"\[.*\]", text) else text).split(",")]
+            inner = text[1:-1] if text[:1] + text[-1:] == "[]" else text
+            parts = [part.strip() for part in inner.split(",")]
             # The last value of a list may be followed by a comma, as in TOML.
             parts = parts if parts[-1] else parts[:-1]
             if not all(parts):
@@ -185,7 +186,9 @@ def values_in(text: str) -> list[str]:
     Args:
         text: values of one setting, such as "0.1,0.2" or "[0.1,0.2],[0.2,0.1]".
     """
-    return re.split(r",(?![^\[\]]*\])", text)
+    # A comma within brackets has more opening than closing brackets before it.
+    depths = accumulate((c == "[") - (c == "]") for c in text)
+    return "".join("\n" if c == "," and not depth else c for c, depth in zip(text, depths, strict=True)).split("\n")
 
 
 def typed(settings: Mapping[str, Any]) -> str:

@@ -427,7 +427,7 @@ class _Story:
         winding = np.rint((angles - np.asarray(before["angles"])) / (2 * np.pi))
         symbol = {
             "text": text, "time": sum(self.transfers[-1]) / 2, "name": None, "source": before["saddle"],
-            "target": name, "winding": [int(turns) for turns in winding], "sense": 0, "section": None,
+            "target": name, "winding": [int(turns) for turns in winding], "sense": 0, "section": None, "hits": None,
             "time_out": None, "time_in": None, "phase_out": None, "phase_in": None,
         }  # fmt: skip
         self._arrive(name, angles, here, symbol, None)  # type: ignore[arg-type]
@@ -550,7 +550,8 @@ def _connection_note(text: str, connection: Connection, crossing: Array, time: f
         winding=list(connection.winding),
         section={
             "normal": list(normal), "value": float(np.dot(normal, crossing)),
-            "angles": crossing[: len(crossing) // 2].tolist(),
+            "angles": crossing[: len(crossing) // 2].tolist(), "name": connection.section_key,
         },
+        hits=list(connection.hits),
         **picked(connection, "name", "sense", "time_out", "time_in", "phase_out", "phase_in"),
     )  # fmt: skip

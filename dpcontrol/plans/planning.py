@@ -14,7 +14,7 @@ sustained one (`references.sustained`), repeated for whole periods.
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import pairwise
+from itertools import pairwise, takewhile
 
 import numpy as np
 
@@ -140,8 +140,14 @@ def shadowing_orbit(
     progress("shadowing orbit", 0.9)
     result = solver.solve(chain, part.wraps, lead_in=part.lead_in, lead_out=part.lead_out)
     if not result.converged:
-        raise GoalMissed(f"the shadowing orbit: {result.status}; {solver.advice(result)}")
+        raise solver.missed(result, "the shadowing orbit: ", first=_first_symbol(itinerary, part))
     return result
+
+
+def _first_symbol(itinerary: Itinerary, part: WalkPart) -> int:
+    """Return the index of a walk's first symbol among those of all parts."""
+    before = takewhile(lambda walk: walk is not part, itinerary.walks)
+    return sum(len(walk.walk) for walk in before)
 
 
 _BESIDE, _BETWEEN = 0.01, 5
@@ -180,9 +186,10 @@ def _connections(itinerary: Itinerary, part: WalkPart, progress: Progress) -> tu
         return resolve(part.walk, edges), WalkSolver(edges.known)
     except (InputError, GoalMissed) as error:
         # The name of a connection is valid at one energy only.
-        if any(simple.name is not None for symbol in symbols for simple in symbol.simple):
-            raise
-        raise type(error)(f"{error}; {_other_energies(system, part)}") from error
+        named = any(simple.name is not None for symbol in symbols for simple in symbol.simple)
+        more = "" if named else f"; {_other_energies(system, part)}"
+        symbol = None if error.symbol is None else _first_symbol(itinerary, part) + error.symbol
+        raise type(error)(f"{error}{more}", symbol=symbol) from error
 
 
 _SHARES = (0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.7)
@@ -300,7 +307,7 @@ def _flight(part: WalkPart, chain: Sequence[Connection], solver: WalkSolver, fir
     """Return the flight of the symbols from `first` to before `last`."""
     orbit = solver.solve(chain[first:last], part.wraps[first : last - 1], lead_in=0, lead_out=0)
     if not orbit.converged:
-        raise GoalMissed(f"the shadowing orbit: {orbit.status}; {solver.advice(orbit)}")
+        raise solver.missed(orbit, "the shadowing orbit: ", first=first)
     wraps = part.wraps[first - 1] if first else None
     return walk_goal(orbit, part.walk[first:last], round_off=(True, True), wraps=wraps)
 

@@ -112,7 +112,7 @@ def rig_oddities(limits: Limits, loop: LoopSettings, *, arms: int, zeros: Sequen
         try:
             (loop.sensors if name == "counts" else loop.mechanics).of_each(name, arms)
         except InputError as error:
-            raise InputError(f"[run] {str(error).partition(': ')[2]}") from error
+            raise error.under("[run] ") from error
     parts = [("[limits]", limits, _LIMITS), ("[run]", loop, _LOOP), ("[run]", loop.sensors, _SENSORS)]
     parts += [("[run]", loop.drive, _DRIVE), ("[run]", loop.disturbances, _DISTURBANCES)]
     parts += [("[run]", loop.mechanics, _MECHANICS), ("[supervisor]", loop.supervisor, _SUPERVISOR)]

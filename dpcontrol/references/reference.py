@@ -488,12 +488,13 @@ class StopNote(TypedDict):
 class SectionNote(TypedDict):
     """Section of a connection.
 
-    Normal · state = value, at these angles, rad.
+    Normal · state = value, at these angles, rad. Its short name is null for the default one between its saddles.
     """
 
     normal: list[float]
     value: float
     angles: list[float]
+    name: str | None
 
 
 class SymbolNote(TypedDict):
@@ -503,6 +504,7 @@ class SymbolNote(TypedDict):
 
     Attributes:
         time: of the section's crossing, or the middle of a transfer, s.
+        hits: crossing numbers of the unstable and the stable tube, null for a transfer.
         time_out, time_in: from the orbit to the section and on to the next orbit, s, null for a transfer.
     """
 
@@ -514,6 +516,7 @@ class SymbolNote(TypedDict):
     sense: int
     time: float
     section: SectionNote | None
+    hits: list[int] | None
     time_out: float
     time_in: float
     phase_out: float

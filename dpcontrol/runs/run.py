@@ -37,7 +37,7 @@ from dpcontrol.foundation.cache import commit
 from dpcontrol.foundation.checked import Count, Workers, checked
 from dpcontrol.foundation.config import log_folder
 from dpcontrol.foundation.document import picked
-from dpcontrol.foundation.errors import GoalMissed, InputError, mistakes_of, remark
+from dpcontrol.foundation.errors import GoalMissed, InputError, remark
 from dpcontrol.foundation.files import (
     checked_other_file,
     content_hash,
@@ -614,7 +614,7 @@ def _with_settings(itinerary: Itinerary, log: RunLog, *, cannot: str) -> Itinera
         raise InputError(
             f"{log.path} cannot {cannot}: its run settings are of another version; use the one that wrote it "
             f"({log.metadata.get('version', '?')}, commit {log.metadata.get('commit') or 'unknown'}): "
-            f"{mistakes_of(error)[0]}"
+            f"{error.errors[0]}"
         ) from error
 
 

@@ -25,11 +25,13 @@ from dpcontrol.dynamics.propagator import Exact, Extended, ExtendedPropagator, d
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arguments import shortened
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.causes import RefinementCause
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.shown import Brief
 from dpcontrol.orbits.lyapunov import LyapunovOrbit
 from dpcontrol.orbits.manifold import local_manifold
 from dpcontrol.shooting.newton import Guess, ManifoldEnd, ShootingEquations, Unknowns
+from dpcontrol.words.searches import Concluded
 
 
 @dataclass(frozen=True)
@@ -52,7 +54,7 @@ class RefinementSettings:
 
 
 @dataclass(frozen=True, eq=False)
-class ExtendedOrbit(Brief):
+class ExtendedOrbit(Brief, Concluded):
     """An orbit in extended precision: periodic, or between two periodic orbits.
 
     Attributes:
@@ -72,9 +74,13 @@ class ExtendedOrbit(Brief):
     residual: Any
     correction: float
     iterations: int
-    converged: bool
-    status: str
+    cause: RefinementCause
     ends: tuple["ExtendedOrbit", ...] = ()
+
+    @property
+    def converged(self) -> bool:
+        """True if the residual is within the tolerance."""
+        return self.cause is RefinementCause.REFINED
 
     @property
     def state(self) -> Extended:
@@ -253,7 +259,7 @@ def _newton(
     amplitudes = extended(np.array([end.amplitude for end in guess.ends or ()]))
     now = equations.placed(Unknowns(extended(guess.states), extended(guess.durations), amplitudes, extended(0.0)[()]))
     best: tuple[Any, Unknowns] = (np.inf, now)
-    iteration, failure = 0, ""
+    iteration = 0
     for iteration in range(settings.iterations + 1):
         try:
             flights = zip(now.states[:-1], now.durations, strict=True)
@@ -261,8 +267,7 @@ def _newton(
             residual = equations.largest(now, arrived, right)
             doubles, segments = now.states.astype(float), now.durations.astype(float)
             flown, stms = system.propagator.flows_with_stm(doubles[:-1], segments)
-        except ArithmeticError as error:
-            failure = f" ({error})"
+        except ArithmeticError:
             break
         previous = best[0]
         if residual < previous:
@@ -275,20 +280,12 @@ def _newton(
         now = equations.moved(now, extended(splu(matrix).solve(-scaled) * equations.columns) * residual)
     residual, now = best
     correction = float(np.abs(now.states[kept] - extended(guess.states[kept])).max())
-    converged = bool(residual <= settings.tolerance)
-    status = f"refined in {iteration} iterations to a gap of {float(residual):.1e}; the double nodes were off by "
-    status += f"{correction:.1e}"
-    if not converged:
-        status = (
-            f"not refined: the gap stays at {float(residual):.1e} after {iteration} iterations{failure}; use more "
-            "nodes, or use double precision"
-        )
+    cause = RefinementCause.REFINED if residual <= settings.tolerance else RefinementCause.STALLED
     marked = np.array(sorted(guess.markers))
     times = np.concatenate([extended(np.zeros(1)), np.cumsum(now.durations)])
     return ExtendedOrbit(
-        guess, propagator, times - times[marked[0]], now.states, marked, residual, correction, iteration, converged,
-        status, ends,
-    )  # fmt: skip
+        guess, propagator, times - times[marked[0]], now.states, marked, residual, correction, iteration, cause, ends
+    )
 
 
 class _ExactEquations(ShootingEquations):

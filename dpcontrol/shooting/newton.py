@@ -41,9 +41,11 @@ from scipy.sparse.linalg import splu
 
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.causes import ShootingCause
 from dpcontrol.foundation.shown import Brief
 from dpcontrol.orbits.lyapunov import LyapunovOrbit
 from dpcontrol.orbits.manifold import OrbitCurve, UnstableManifold
+from dpcontrol.words.searches import Concluded
 
 
 @dataclass(frozen=True)
@@ -115,7 +117,7 @@ class ManifoldEnd(Brief):
 
 
 @dataclass(frozen=True)
-class ShootingOrbit(Brief):
+class ShootingOrbit(Brief, Concluded):
     """An orbit as nodes that are connected by the flow.
 
     Attributes:
@@ -133,8 +135,12 @@ class ShootingOrbit(Brief):
     turn: Array | None
     residual: float
     iterations: int
-    converged: bool
-    status: str
+    cause: ShootingCause
+
+    @property
+    def converged(self) -> bool:
+        """True if the largest gap is within the tolerance and the orbit has the ends of its guess."""
+        return self.cause is ShootingCause.CONVERGED
 
     @property
     def closed(self) -> bool:
@@ -402,12 +408,6 @@ class ShootingEquations:
         return out
 
 
-_NO_STEP = (
-    "no step reduces the error, however short: near a tangency of two tubes there may be no orbit; "
-    "use more wraps beside this symbol"
-)
-
-
 @dataclass(frozen=True)
 class NewtonSettings:
     """Tolerance, damping and stopping rules of Newton's method.
@@ -488,7 +488,7 @@ class _Step:
 
 
 class _Lost(Exception):
-    """Newton's method stopped; the message has the reason."""
+    """Newton's method stopped; the argument is the cause."""
 
 
 def solve_shooting(guess: Guess, settings: NewtonSettings | None = None) -> Shot:
@@ -507,7 +507,7 @@ def solve_shooting(guess: Guess, settings: NewtonSettings | None = None) -> Shot
     linear: _Linear | None = None
     taken: _Step | None = None
     lipschitz: float | None = None
-    iteration, failure, lowest, fault, stalled = 0, "", np.inf, 0, 0
+    iteration, cause, lowest, fault, stalled = 0, ShootingCause.CONVERGED, np.inf, 0, 0
     try:
         for iteration in range(settings.iterations + 1):
             before = linear
@@ -533,22 +533,18 @@ def solve_shooting(guess: Guess, settings: NewtonSettings | None = None) -> Shot
             # The first steps are far from the solution, and ω is needed near it.
             lipschitz = lipschitz if taken.lipschitz is None else taken.lipschitz
             now = taken.unknowns
-    except (_Lost, ArithmeticError) as error:
-        failure = str(error)
+    except _Lost as error:
+        (cause,) = error.args
+    except ArithmeticError:
+        cause = ShootingCause.DIVERGED
     residual = np.inf if linear is None else linear.residual
     # During the iteration an amplitude may change its sign: it is so small that an error of the guess changes it, and
     # the next step changes it back.
     crossed = (float(a) * end.amplitude <= 0 for a, end in zip(now.amplitudes, guess.ends or (), strict=True))
-    if not failure and any(crossed):
-        failure = "the orbit leaves its first or joins its last periodic orbit on the other side of the tube"
-    converged = residual <= settings.tolerance and not failure
-    if converged:
-        status = f"converged in {iteration} iterations to a gap of {residual:.1e}"
-    else:
-        if not failure and residual < 1e-6:
-            failure = "rounding errors grow too much over a segment: use more nodes"
-        failure = failure or "all iterations are used: use more wraps or more nodes"
-        status = f"not converged: gap {residual:.1e} after {iteration} iterations ({failure})"
+    if cause is ShootingCause.CONVERGED and any(crossed):
+        cause = ShootingCause.OTHER_SIDE
+    elif cause is ShootingCause.CONVERGED and not residual <= settings.tolerance:
+        cause = ShootingCause.ROUNDING if residual < 1e-6 else ShootingCause.ITERATIONS
     ends = None
     if guess.ends is not None:
         first, last = (replace(e, amplitude=float(a)) for e, a in zip(guess.ends, now.amplitudes, strict=True))
@@ -557,10 +553,10 @@ def solve_shooting(guess: Guess, settings: NewtonSettings | None = None) -> Shot
     times -= times[min(guess.markers, default=0)]
     return Shot(
         guess=guess,
-        orbit=ShootingOrbit(guess.system, times, now.states, ends, guess.turn, residual, iteration, converged, status),
+        orbit=ShootingOrbit(guess.system, times, now.states, ends, guess.turn, residual, iteration, cause),
         correction=np.inf if linear is None else linear.length,
         lipschitz=lipschitz,
-        condition=_condition(linear) if converged and linear is not None else np.inf,
+        condition=_condition(linear) if cause is ShootingCause.CONVERGED and linear is not None else np.inf,
         stms=np.empty((0, 0, 0)) if linear is None else linear.stms,
         fault=fault,
     )
@@ -574,7 +570,7 @@ def _linearised(equations: ShootingEquations, now: Unknowns) -> _Linear:
     try:
         factors = splu(matrix)
     except RuntimeError:
-        raise _Lost("the linear system is singular: two tubes are tangent here; choose another energy") from None
+        raise _Lost(ShootingCause.SINGULAR) from None
     step = factors.solve(-right)
     sizes = equations.sizes(step)
     residual = float(np.abs(arrived - now.states[1:]).max())
@@ -597,20 +593,20 @@ def _step(
     equations: ShootingEquations, now: Unknowns, linear: _Linear, damping: float, settings: NewtonSettings
 ) -> _Step:
     """Return the longest damped step that passes the natural monotonicity test."""
-    reason = _NO_STEP
+    cause = ShootingCause.NO_STEP
     while damping >= settings.smallest_damping:
         trial = equations.moved(now, damping * linear.step * equations.columns)
         ratios = trial.durations / equations.guess.durations
         if ratios.min() < 1 / settings.stretched or ratios.max() > settings.stretched:
-            reason = "a segment is too far from its guessed length: use more wraps or more nodes"
+            cause = ShootingCause.STRETCHED
             damping /= 4
             continue
         try:
             landed = equations.system.propagator.flows(trial.states[:-1], trial.durations)
-        except ArithmeticError as error:
-            reason, damping = str(error), damping / 4
+        except ArithmeticError:
+            cause, damping = ShootingCause.DIVERGED, damping / 4
             continue
-        reason = _NO_STEP
+        cause = ShootingCause.NO_STEP
         simplified = linear.factors.solve(-(equations.residuals(trial, landed) * equations.rows))
         after, bent = (float(equations.sizes(x).max()) for x in (simplified, simplified - (1 - damping) * linear.step))
         length = damping * linear.length
@@ -619,7 +615,7 @@ def _step(
             # Below 1e-7 rounding errors hide the curvature of the equations.
             return _Step(trial, damping, simplified, 2 * bent / length**2 if length > 1e-7 else None)
         damping = min(damping / 2, damping * length / (2 * bent))
-    raise _Lost(reason)
+    raise _Lost(cause)
 
 
 def _condition(linear: _Linear, columns: int = 4, rounds: int = 5) -> float:

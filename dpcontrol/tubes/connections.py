@@ -15,8 +15,6 @@ Sources: Kaheman et al. (2023), section 3; Koon, Lo, Marsden, Ross, Heteroclinic
 resonance transitions in celestial mechanics (2000), section 4.
 """
 
-import difflib
-import re
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
@@ -28,16 +26,19 @@ from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arguments import whole
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.budget import Budget
+from dpcontrol.foundation.causes import SearchCause
 from dpcontrol.foundation.checked import checked
-from dpcontrol.foundation.document import Documented, counted
+from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
+from dpcontrol.foundation.settings import suggest
 from dpcontrol.foundation.shown import Brief, Shown, Timed, checked_times
-from dpcontrol.orbits.cut import Cut, OpenEnd, longest_flight, section_points, tube_cut
+from dpcontrol.orbits.cut import Cut, OpenEnd, section_points, tube_cut
 from dpcontrol.orbits.lyapunov import LyapunovOrbit, lyapunov_orbit
 from dpcontrol.orbits.manifold import OrbitCurve, local_manifold
 from dpcontrol.shooting.newton import Guess, ManifoldEnd, ShootingOrbit, solve_shooting
 from dpcontrol.tubes.intersections import ConnectionSettings, Intersection, balanced, intersect_cuts
+from dpcontrol.words.searches import Concluded
 
 _ROUNDING = 1e-13
 """Scaled rounding error of the gap between two tubes. Divided by their angle, it is the shift of the intersection."""
@@ -108,6 +109,14 @@ class Connection(ConnectionRecord, Timed):
     def columns(self) -> tuple[str, ...]:
         """Names of the N entries of a state."""
         return self.source.system.columns
+
+    @property
+    def section_key(self) -> str | None:
+        """Short name of the section, None for the default one between the saddles."""
+        system = self.source.system
+        if system.sections.get((self.source.saddle, self.target.saddle)) == self.section:
+            return None
+        return next((key for key, section in system.named_sections.items() if section == self.section), "other")
 
     @property
     def place(self) -> Array:
@@ -390,40 +399,27 @@ def named(connection: Connection) -> Connection:
     # Adding zero turns -0.0 into 0.0.
     place = ",".join(f"{round(float(v), 4) + 0.0:.4f}" for v in (position, state[coordinate + len(state) // 2]))
     turns, (out, back) = ",".join(str(k) for k in connection.winding), connection.hits
-    own = system.sections.get(saddles) == section
-    on = "" if own else f":{next((key for key, one in system.named_sections.items() if one == section), 'other')}"
+    on = "" if connection.section_key is None else f":{connection.section_key}"
     return replace(connection, name=f"{saddles[0]}>{saddles[1]}[{turns}]h{out}.{back}{on}@{place}{section.mark(state)}")
-
-
-def searched_at(name: str) -> tuple[tuple[int, int], str | None] | None:
-    """Return the hits and section of a connection, or None.
-
-    The section is None for the default one.
-
-    Args:
-        name: name of the connection.
-    """
-    match = re.search(r"\]h([1-9])\.([1-9])(?::([\w-]+))?@", name)
-    return None if match is None else ((int(match[1]), int(match[2])), match[3])
 
 
 _TANGENT = 1e-5  # scaled; a larger rounding error of an intersection may hide others near a bifurcation
 
 
 @dataclass(frozen=True)
-class ConnectionSearch(Shown, Documented):
+class ConnectionSearch(Shown, Documented, Concluded):
     """All connections found between two orbits on one section.
-
-    A search is complete if no intersection failed and the cuts are resolved and hide nothing. Also, closed cuts must
-    cross equally often in both directions, and none may be tangent to rounding.
 
     Attributes:
         failed: number of intersections that did not converge.
-        partial: True if the time limit ended the search early.
+        left: number of intersections for which no time was left.
+        even: True if closed cuts cross equally often in both directions.
+        seconds: limit of the processor time, s.
+        first: first crossing that was tried on the laps of a tube.
     """
 
     KEYS: ClassVar[str] = (
-        "count=#connections connections open_cuts:branch,phase_interval,reason complete partial status "
+        "count=#connections connections open_cuts:branch,phase_interval,reason complete partial cause status "
         "energy=source.energy from=source.saddle to=target.saddle hits=cuts.hit section=cuts.0.section.name"
     )
 
@@ -432,9 +428,32 @@ class ConnectionSearch(Shown, Documented):
     connections: tuple[Connection, ...]
     cuts: tuple[Cut, Cut]
     failed: int
-    complete: bool
-    status: str
-    partial: bool = False
+    left: int
+    even: bool
+    settings: ConnectionSettings
+    seconds: float
+    cause: SearchCause = SearchCause.TUBES
+    first: int = 1
+
+    @property
+    def partial(self) -> bool:
+        """True if the time limit ended the search early."""
+        return self.left > 0 or any(cut.spent for cut in self.cuts)
+
+    @property
+    def tangent(self) -> int:
+        """Number of connections whose tubes are tangent to rounding."""
+        return sum(uncertainty(c.transversality_angle, self.settings.same) > _TANGENT for c in self.connections)
+
+    @property
+    def complete(self) -> bool:
+        """True if no intersection failed or is tangent to rounding, and the cuts are resolved, even and hide nothing.
+
+        On the laps of a tube, a search is never complete.
+        """
+        missed = self.failed or self.left or self.tangent or any(end.hides or end.later for _, end in self.open_ends)
+        resolved = self.even and all(cut.resolved for cut in self.cuts)
+        return self.cause is not SearchCause.LAPS and resolved and not missed
 
     def __repr__(self) -> str:
         return f"<connections {self.source.saddle} → {self.target.saddle}: {self.status}>"
@@ -442,7 +461,7 @@ class ConnectionSearch(Shown, Documented):
     @property
     def open_cuts(self) -> list[tuple[str, tuple[float, float], str]]:
         """Branch, phase interval and reason of each open end."""
-        return [(f"{tube} {end.branch:+d}", end.phase_interval, end.reason) for tube, end in self.open_ends]
+        return [(f"{tube} {end.branch:+d}", end.phase_interval, end.status) for tube, end in self.open_ends]
 
     @checked
     def named(self, name: str) -> Connection:
@@ -454,14 +473,11 @@ class ConnectionSearch(Shown, Documented):
         Raises:
             InputError: no such connection; the message suggests the most similar name.
         """
-        names = [c.name for c in self.connections]
-        if name in names:
-            return self.connections[names.index(name)]
-        if not names:
-            raise InputError(f"no connection {name!r}: the search found none ({self.status})")
-        close = difflib.get_close_matches(name, names, n=1, cutoff=0.3)
-        hint = f"did you mean {close[0]!r}?" if close else f"names look like {names[0]!r}"
-        raise InputError(f"no connection {name!r} among the {len(names)} found; {hint} (quote it in a shell)")
+        for connection in self.connections:
+            if connection.name == name:
+                return connection
+        names = suggest(name, [connection.name for connection in self.connections])
+        raise InputError(f"no connection {name!r}, {names} ({self.status}); quote it in a shell")
 
     @property
     def open_ends(self) -> tuple[tuple[str, OpenEnd], ...]:
@@ -523,11 +539,8 @@ def find_connections(
     budget = budget or Budget(settings.seconds)
     section = section or system.section_between(source.saddle, target.saddle)
     if source.energy != target.energy:
-        raise InputError(
-            system.worded(
-                f"orbits at {source.energy:g} J and {target.energy:g} J cannot be connected: the flow conserves energy"
-            )
-        )
+        energies = " and ".join(f"{orbit.energy:g}{system.unit('J')}" for orbit in (source, target))
+        raise InputError(f"orbits at {energies} cannot be connected: the flow conserves energy")
     if not section.kept_by(target.reverser, target.centre):
         raise InputError(
             f"section {section.name}: not preserved by the reverser about {target.saddle}, which maps the unstable "
@@ -602,45 +615,10 @@ def find_connections(
             if not _known(system, image, found, settings.same):
                 found.append(image)
     _sort(found)
-    resolved = all(cut.resolved for cut in (unstable, backward))
-    hidden = any(end.hides for cut in (unstable, backward) for end in cut.open_ends)
-    jumping = any(end.hides and not end.later for cut in (unstable, backward) for end in cut.open_ends)
-    tangent = sum(uncertainty(c.transversality_angle, settings.same) > _TANGENT for c in found)
-    later = any(end.later for cut in (unstable, backward) for end in cut.open_ends)
-    complete = even and resolved and not (failed or left or hidden or tangent or later)
-    # "at least 0" says nothing.
-    least, ending = ("at least ", "") if found and not complete else ("", "" if complete else " found")
-    count = f"{least}{counted(len(found), 'connection')}{ending}"
-    status = f"{count}: unstable tube {unstable.status}; stable tube {backward.status}"
-    if not even:
-        status += "; closed cuts cross more often in one direction than in the other, so crossings were missed"
-        status += ": try another energy" if settings.thorough else ": search thoroughly"
-    if failed:
-        remedy = "try another energy" if settings.thorough else "search thoroughly, or at another energy"
-        status += f"; {failed} crossings of the cuts did not converge: {remedy}"
-    partial = bool(left) or any(cut.spent for cut in (unstable, backward))
-    if partial:
-        status += (
-            f"; partial: the search reached its limit of {budget.seconds:.3g} s of processor time"
-            f"{f' with {left} places left' if left else ''}: allow more seconds, or use an energy nearer to the "
-            "saddles', where tubes cross less often"
-        )
-    if tangent:
-        status += f"; the tubes are tangent to rounding at {tangent}, each of which may be several near a bifurcation"
-    if jumping:
-        status += "; the cuts are open (see open_cuts) and may hide connections"
-        if not partial:
-            status += ": try another energy" if settings.thorough else ": search thoroughly"
-    if later:
-        exist = "may exist" if settings.cut.longest is None else "exist"
-        status += f"; longer flights {exist} beyond --longest (longest in Python) and may include connections"
-        # Longer tubes scatter even more.
-        if resolved:
-            status += f": raise it above {longest_flight(manifolds[0], settings.cut):g} periods of the orbit"
-    elif not jumping and any(not end.escapes for cut in (unstable, backward) for end in cut.open_ends):
-        status += "; the cuts are open (see open_cuts), so crossings beyond their ends belong to other hits"
     progress("connections", 1.0)
-    return ConnectionSearch(source, target, tuple(found), (unstable, backward), failed, complete, status, partial)
+    return ConnectionSearch(
+        source, target, tuple(found), (unstable, backward), failed, left, even, settings, budget.seconds
+    )
 
 
 def _sort(found: list[Connection]) -> list[Connection]:
@@ -719,19 +697,13 @@ def reversed_search(search: ConnectionSearch) -> ConnectionSearch:
     system = search.source.system
     if not can_be_reversed(system, search.source.saddle, search.target.saddle, section=search.cuts[0].section):
         raise ValueError(f"time reversal does not preserve the section from {search.source.saddle}")
-    found = _sort([reversed_in_time(connection) for connection in search.connections])
-    unstable, stable = search.cuts[1], search.cuts[0]
-    status = (
-        f"{counted(len(found), 'connection')} by time reversal of {search.source.saddle} to {search.target.saddle}: "
-        f"unstable tube {unstable.status}; stable tube {stable.status}"
-    )
     return replace(
         search,
         source=search.target,
         target=search.source,
-        connections=tuple(found),
-        cuts=(unstable, stable),
-        status=status,
+        connections=tuple(_sort([reversed_in_time(connection) for connection in search.connections])),
+        cuts=(search.cuts[1], search.cuts[0]),
+        cause=SearchCause.REVERSED,
     )
 
 
@@ -790,18 +762,7 @@ def find_lap_connections(
         same = (float(source.system.scaled_distance(canonical.state, c.state)) < settings.same for c in found)
         if not any(same):
             found.append(canonical)
-    _sort(found)
-    status = (
-        f"{counted(len(found), 'connection')} at crossing {crossing} of {section.name} by the tube of "
-        f"{lapping[0].saddle}; other crossings may have more"
-    )
-    if search.failed:
-        status += f"; {search.failed} crossings of the cuts did not converge: try another energy"
-    if search.partial:
-        status += f"; partial: the search reached its limit of {budget.seconds:.3g} s of processor time"
-    elif not cuts[0 if lapping[0] is source else 1].resolved:
-        status += "; not every cut is resolved: take an earlier crossing"
-    return replace(search, connections=tuple(found), complete=False, status=status)
+    return replace(search, connections=tuple(_sort(found)), cause=SearchCause.LAPS, first=crossing)
 
 
 def grown_crossing(orbit: LyapunovOrbit, section: Section) -> int:

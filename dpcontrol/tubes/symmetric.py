@@ -30,19 +30,18 @@ from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.budget import SECONDS, Budget
+from dpcontrol.foundation.causes import GridCause, OrbitCause, ShootingCause
 from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.shown import Shown
 from dpcontrol.orbits.cut import arrivals
-from dpcontrol.orbits.lyapunov import LyapunovOrbit, SymmetricShooting, described_orbit, lyapunov_orbit
+from dpcontrol.orbits.lyapunov import LyapunovOrbit, OrbitOutcome, SymmetricShooting, described_orbit, lyapunov_orbit
 from dpcontrol.orbits.lyapunov import symmetric_shooting as shooting_problem
 from dpcontrol.orbits.manifold import OrbitCurve, local_manifold
 from dpcontrol.shooting.newton import ManifoldEnd, ShootingOrbit
 from dpcontrol.tubes.connections import Connection, approach, mirrored
-
-_HYPERBOLIC = 1e-4
-"""A multiplier counts as unstable if its modulus exceeds one by more than this."""
+from dpcontrol.words.searches import Concluded
 
 
 @dataclass(frozen=True)
@@ -74,18 +73,21 @@ class SymmetricSettings:
 
 
 @dataclass(frozen=True)
-class SymmetricSearch(Shown, Documented):
+class SymmetricSearch(Shown, Documented, Concluded):
     """Symmetric homoclinic connections of one family between two energies.
 
     Attributes:
         searched: covered energy range, J.
         failed: number of zeros whose refinement did not converge.
-        partial: True if the time limit ended the search early.
+        left: number of zeros for which no time was left.
+        cause: why the grid of energies ended.
+        beyond: first orbit that was not searched, if any.
+        seconds: limit of the processor time, s.
     """
 
     KEYS: ClassVar[str] = (
         "count=#connections connections:energy=source.energy,floquet_multipliers=source.floquet_multipliers,** "
-        "from=saddle to=saddle hits complete family searched failed partial status"
+        "from=saddle to=saddle hits complete family searched failed partial cause status"
     )
 
     saddle: str
@@ -94,8 +96,15 @@ class SymmetricSearch(Shown, Documented):
     searched: tuple[float, float]
     connections: tuple[Connection, ...]
     failed: int
-    status: str
-    partial: bool = False
+    left: int
+    cause: GridCause
+    beyond: LyapunovOrbit | None
+    seconds: float
+
+    @property
+    def partial(self) -> bool:
+        """True if the time limit ended the search early."""
+        return self.left > 0 or self.cause is GridCause.TIME
 
     def __repr__(self) -> str:
         return f"<symmetric connections of {self.saddle}: {self.status}>"
@@ -150,7 +159,7 @@ def find_symmetric_connections(
         raise InputError(f"energies = {low:g} {high:g}: must be in ascending order, in J")
     search = _FamilySearch(system, saddle, family, hit, settings)
     rows: list[_Row] = []
-    ended = ""
+    cause, orbit = GridCause.REACHED, None
     for k, energy in enumerate(np.linspace(low, high, settings.energies).tolist()):
         progress(f"tubes of {saddle} at {energy:.4g} J", 0.8 * k / settings.energies)
         # The first orbit is found from its saddle, each other one from the previous orbit.
@@ -159,11 +168,10 @@ def find_symmetric_connections(
             if rows
             else lyapunov_orbit(system, saddle, energy=energy, family=family)
         )
-        ended = _unfit(orbit)
-        if ended:
-            break
-        if budget.share > _GRID:
-            ended = f"{_OVER} before {energy:g} J"
+        cause = _fitness(orbit)
+        if cause is GridCause.REACHED and budget.share > _GRID:
+            cause = GridCause.TIME
+        if cause is not GridCause.REACHED:
             break
         rows.append(search.flown(orbit))
     found: list[Connection] = []
@@ -182,23 +190,11 @@ def find_symmetric_connections(
     found.sort(key=lambda c: c.source.energy)
     progress("connections", 1.0)
     reached = (low, rows[-1].orbit.energy) if rows else (low, low)
-    status = (
-        f"at least {len(found)} between {reached[0]:g} and {reached[1]:g} J, each at a different energy and with a "
-        "mirror image that turns the other way"
+    return SymmetricSearch(
+        saddle, family, hit, reached, tuple(found), failed, left, cause, orbit, seconds=budget.seconds
     )
-    if failed:
-        status += f"; {failed} candidates did not converge: search a narrower range"
-    if ended:
-        status += f"; not searched beyond: {ended}"
-    if left:
-        status += f"; {left} candidates were not refined: {_OVER}"
-    partial = bool(left) or ended.startswith(_OVER)
-    if partial:
-        status += f"; partial: give the search more than {budget.seconds:.3g} s, or a narrower range"
-    return SymmetricSearch(saddle, family, hit, reached, tuple(found), failed, status, partial)
 
 
-_OVER = "the time limit was reached"
 _GRID = 0.7
 """Share of the time limit for the grid of energies; the rest is for the candidates."""
 
@@ -215,12 +211,11 @@ def mirror_image(connection: Connection) -> Connection:
     return replace(image, name=_name(image))
 
 
-def _unfit(orbit: LyapunovOrbit) -> str:
-    """Return the reason why an orbit's tube cannot be searched, or ""."""
+def _fitness(orbit: LyapunovOrbit) -> GridCause:
+    """Return REACHED if an orbit's tube can be searched, or the cause why not."""
     if not orbit.converged:
-        return orbit.status
-    unstable = int(np.sum(np.abs(orbit.floquet_multipliers) > 1 + _HYPERBOLIC))
-    return "" if unstable == 1 else f"at {orbit.energy:g} J the orbit has {unstable} unstable directions"
+        return GridCause.ORBIT
+    return GridCause.REACHED if orbit.unstable_directions == 1 else GridCause.UNSTABLE_DIRECTIONS
 
 
 @dataclass(frozen=True)
@@ -271,9 +266,9 @@ class _FamilySearch:
             saddle=self.saddle,
             family=self.family,
             energy=energy,
-            newton_residual=found.residual,
-            converged=converged,
-            status="converged" if converged else f"the family could be followed only to {near.energy:.6g} J",
+            outcome=OrbitOutcome(
+                OrbitCause.NEARBY if converged else OrbitCause.LOST, found.residual, reached=near.energy
+            ),
         )
 
     def flown(self, orbit: LyapunovOrbit) -> _Row:
@@ -438,8 +433,7 @@ class _FamilySearch:
             turn=None,
             residual=residual,
             iterations=0,
-            converged=True,
-            status="converged",
+            cause=ShootingCause.CONVERGED,
         )
         time_out, phase_out = approach(whole, OrbitCurve(orbit), -1, self.settings.near)
         time_in, phase_in = approach(whole, OrbitCurve(orbit), +1, self.settings.near)

@@ -93,6 +93,7 @@ class AtlasPoint(Brief):
 class AtlasOrbit(OrbitRecord):
     """A Lyapunov orbit with samples (M, N) at equally spaced phases."""
 
+    status: str
     samples: Array
 
 
@@ -103,6 +104,7 @@ class AtlasRotatingOrbit(RotatingRecord):
     Its reflection, which rotates backward, is not stored.
     """
 
+    status: str
     samples: Array
 
 

@@ -8,7 +8,6 @@ its tube. At a rotating orbit, one wrap is one turn.
 Source: Kaheman et al. (2023), section 4.
 """
 
-import re
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -42,9 +41,8 @@ from dpcontrol.tubes.connections import (
 )
 from dpcontrol.tubes.intersections import ConnectionSettings
 from dpcontrol.walks.atlas import connection_graph
-from dpcontrol.walks.symbols import Symbol
+from dpcontrol.walks.symbols import ROTATING, Symbol
 
-_ROTATING = re.compile(r"^(?P<arm>inner|outer)-rotating(?P<back>-back)?(?:-(?P<number>[2-9]))?$")
 _LONGER = 3
 """Crossings tried after the first; each one stretches the cut by |λ| and slows the search."""
 _ARMS = {"inner": 1, "outer": 2}
@@ -52,12 +50,7 @@ _ARMS = {"inner": 1, "outer": 2}
 
 def rotating_names(system: System) -> list[str]:
     """Return the names of a system's fastest rotating orbits."""
-    return [f"{arm}-rotating{back}" for arm in ("outer", "inner") for back in ("", "-back")] * can_rotate(system)
-
-
-def is_rotating(name: str) -> bool:
-    """Return True if `name` denotes a rotating orbit."""
-    return _ROTATING.match(name) is not None
+    return [text for text, name in ROTATING.items() if name.rank == 1] * can_rotate(system)
 
 
 def rotating_named(system: System, name: str, energy: float) -> HyperbolicOrbit:
@@ -71,19 +64,18 @@ def rotating_named(system: System, name: str, energy: float) -> HyperbolicOrbit:
     Raises:
         InputError: the orbit was not found, or the system does not have two arms.
     """
-    match = _ROTATING.match(name)
-    if match is None:
+    if name not in ROTATING:
         raise InputError(f"{name!r} is not a rotating orbit; choose from {', '.join(rotating_names(system))}")
-    arm, number = match["arm"], int(match["number"] or 1)
-    orbits = rotating_orbits(system, _ARMS[arm], energy, sense=-1 if match["back"] else 1)
-    hyperbolic = [orbit for orbit in reversed(orbits) if "hyperbolic" in orbit.kind]
-    if number > len(hyperbolic):
+    meant = ROTATING[name]
+    orbits = rotating_orbits(system, _ARMS[meant.arm], energy, sense=meant.sense)
+    hyperbolic = [orbit for orbit in reversed(orbits) if orbit.hyperbolic]
+    if meant.rank > len(hyperbolic):
         raise InputError(
-            f"no {name!r} at {energy:g} J: {len(orbits)} orbits were found that rotate the {arm} arm in this "
-            f"direction, {len(hyperbolic)} of them hyperbolic; try another energy (`dpcontrol orbit --rotating {arm}` "
-            "lists them)"
+            f"no {name!r} at {energy:g} J: {len(orbits)} orbits were found that rotate the {meant.arm} arm in this "
+            f"direction, {len(hyperbolic)} of them hyperbolic; try another energy (`dpcontrol orbit --rotating "
+            f"{meant.arm}` lists them)"
         )
-    return rotating_vertex(hyperbolic[number - 1], name=name)
+    return rotating_vertex(hyperbolic[meant.rank - 1], name=name)
 
 
 def rotating_connections(
@@ -116,10 +108,7 @@ def rotating_connections(
     while not found.connections and crossing < first + _LONGER:
         crossing += 1
         found = find_lap_connections(source, target, section=searched, crossing=crossing)
-    if found.connections:
-        return found
-    never = f"none at crossings {first} to {crossing} of {searched.name} by the tube of {lapping[0].saddle}"
-    return replace(found, status=f"{never}; later crossings may have some")
+    return replace(found, first=first)
 
 
 def _section(lapping: LyapunovOrbit, home: LyapunovOrbit, name: str | None) -> Section:
@@ -127,8 +116,7 @@ def _section(lapping: LyapunovOrbit, home: LyapunovOrbit, name: str | None) -> S
     if name is not None:
         candidates = [system.section_between(home.saddle, home.saddle, name)]
     else:
-        match = _ROTATING.match(lapping.saddle)
-        arm = "outer" if match is None else match["arm"]
+        arm = ROTATING[lapping.saddle].arm if lapping.saddle in ROTATING else "outer"
         candidates = [system.named_sections[key] for key in (f"{arm}-down", "aligned")]
     for section in candidates:
         if own_crossings(OrbitCurve(lapping), section) and not own_crossings(OrbitCurve(home), section):
@@ -147,7 +135,7 @@ class Edges(Shown, Documented):
         energy: J.
         absent: (saddle, reason) for missing orbits.
         searched: pairs of saddles searched.
-        notes: sentences on incomplete searches.
+        incomplete: searches that may have missed connections.
         named: connections on other sections or at other hits, outside the graph.
     """
 
@@ -162,13 +150,22 @@ class Edges(Shown, Documented):
     absent: tuple[tuple[str, str], ...]
     searched: tuple[tuple[str, str], ...]
     connections: tuple[Connection, ...]
-    notes: tuple[str, ...]
+    incomplete: tuple[ConnectionSearch, ...]
     named: tuple[Connection, ...] = ()
 
     def __repr__(self) -> str:
         return (
             f"<graph at {self.energy:g}: {counted(len(self.orbits), 'orbit')}, "
             f"{counted(len(self.connections), 'connection')}>"
+        )
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Sentences on incomplete searches."""
+        return tuple(
+            f"{search.source.saddle} → {search.target.saddle}, hits {'.'.join(str(cut.hit) for cut in search.cuts)}: "
+            f"{search.status}"
+            for search in self.incomplete
         )
 
     @property
@@ -376,14 +373,6 @@ def search_pairs(
     return found
 
 
-def _incomplete(search: ConnectionSearch) -> list[str]:
-    """Return a note on the search if it was incomplete."""
-    if search.complete:
-        return []
-    hits = ".".join(str(cut.hit) for cut in search.cuts)
-    return [f"{search.source.saddle} → {search.target.saddle}, hits {hits}: {search.status}"]
-
-
 def find_edges(
     system: System,
     energy: float,
@@ -418,23 +407,23 @@ def find_edges(
     numbers = sorted(set(hits))
     searches = search_pairs(TubeCuts(system), orbits, kinds, numbers, yes=yes, progress=progress)
     progress("connections", 1.0)
-    notes = tuple(note for one in searches if not one.by_reversal for note in _incomplete(one.search))
+    incomplete = tuple(one.search for one in searches if not one.by_reversal and not one.search.complete)
     connections = tuple(c for one in searches for c in one.search.connections)
-    edges = Edges(system, energy, orbits, tuple(absent), tuple(kinds), connections, notes)
+    edges = Edges(system, energy, orbits, tuple(absent), tuple(kinds), connections, incomplete)
     simple = [s for symbol in symbols for s in symbol.simple]
     return _with_named(_with_rotating(edges, simple, progress), simple, numbers, progress)
 
 
 def _with_rotating(edges: Edges, symbols: Sequence[Symbol], progress: Progress) -> Edges:
     """Add the rotating orbits that symbols name, and their connections."""
-    orbits, searched, connections, notes = dict(edges.orbits), list(edges.searched), list(edges.connections), []
+    orbits, searched, connections, incomplete = dict(edges.orbits), list(edges.searched), list(edges.connections), []
     done: set[tuple[tuple[str, str], str | None]] = set()
     for symbol in symbols:
         pair = (symbol.source, symbol.target)
-        if not any(is_rotating(name) for name in pair):
+        if not any(name in ROTATING for name in pair):
             continue
         for name in pair:
-            if is_rotating(name) and name not in orbits:
+            if name in ROTATING and name not in orbits:
                 orbits[name] = rotating_named(edges.system, name, edges.energy)
         # A missing saddle orbit is reported when the symbol is resolved.
         if all(name in orbits for name in pair) and (pair, symbol.section) not in done:
@@ -445,9 +434,10 @@ def _with_rotating(edges: Edges, symbols: Sequence[Symbol], progress: Progress) 
             searched += [pair] * (pair not in searched)
             done.add((pair, symbol.section))
             # The tube of a rotating orbit crosses the section without end, so the search is never complete.
-            notes.append(f"{pair[0]} → {pair[1]}: {search.status}")
+            incomplete.append(search)
+    incomplete = (*edges.incomplete, *incomplete)
     return replace(
-        edges, orbits=orbits, searched=tuple(searched), connections=tuple(connections), notes=(*edges.notes, *notes)
+        edges, orbits=orbits, searched=tuple(searched), connections=tuple(connections), incomplete=incomplete
     )
 
 
@@ -456,11 +446,11 @@ def _with_named(
 ) -> Edges:
     """Search for connections that symbols name but the graph does not contain."""
     found: list[Connection] = []
-    notes: list[str] = []
+    incomplete: list[ConnectionSearch] = []
     searches = [(s.source, s.target, s.hits, s.section) for s in symbols if s.hits is not None]
     for source, target, hit, section in dict.fromkeys(searches):
         in_graph = section is None and hit in numbers and (source, target) in edges.searched
-        if in_graph or not {source, target} <= set(edges.orbits) or is_rotating(source) or is_rotating(target):
+        if in_graph or not {source, target} <= set(edges.orbits) or {source, target} & ROTATING.keys():
             continue
         progress(f"connections {source} > {target}", 0.0)
         search = find_connections(
@@ -471,5 +461,5 @@ def _with_named(
             progress=progress,
         )
         found += search.connections
-        notes += _incomplete(search)
-    return replace(edges, named=tuple(found), notes=(*edges.notes, *notes))
+        incomplete += [] if search.complete else [search]
+    return replace(edges, named=tuple(found), incomplete=(*edges.incomplete, *incomplete))

@@ -110,7 +110,9 @@ class SymbolBranches:
             energy: the other energy, J.
         """
         begin = connection.source.energy
-        for image in _images(connection):
+        # Sweeps find only one of two mirror images.
+        half_turn = connection.orbit.start.manifold.half_turn
+        for image in (connection,) if half_turn is None else (connection, mirrored(connection)):
             point = self._point(image, begin)
             if point is None:
                 continue
@@ -152,7 +154,7 @@ class SymbolBranches:
         for k, energy in enumerate(grid):
             progress(f"{self.symbol.text} at {energy:.4g} J", 0.5 * k / len(grid))
             if self.chosen(energy) is None:
-                absent.append(self.system.worded(f"{energy:.6g} J"))
+                absent.append(f"{energy:.6g}{self.system.unit('J')}")
         if absent:
             remark(
                 f'"{self.symbol.text}" selects no connection at {", ".join(absent)}: changes beside these energies are '
@@ -200,12 +202,6 @@ def bisected(low: float, high: float, holds: Callable[[float], bool]) -> tuple[f
         middle = (low + high) / 2
         low, high = (middle, high) if holds(middle) else (low, middle)
     return low, high
-
-
-def _images(connection: Connection) -> tuple[Connection, ...]:
-    """Return a connection and its mirror image; sweeps find only one."""
-    own = connection.orbit.start.manifold.half_turn is not None
-    return (connection, mirrored(connection)) if own else (connection,)
 
 
 def symbol_changes(

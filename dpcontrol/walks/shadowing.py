@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.causes import WalkCause, WrapsCause
 from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.shown import Timed, checked_times
@@ -38,6 +39,7 @@ from dpcontrol.shooting.newton import (
     solve_shooting,
 )
 from dpcontrol.tubes.connections import Connection
+from dpcontrol.words.searches import Concluded
 
 
 @dataclass(frozen=True)
@@ -246,7 +248,7 @@ def _level(connection: Connection, shift: Array) -> tuple[Array, float]:
 
 
 @dataclass(frozen=True)
-class ShadowingOrbit(Timed, Documented):
+class ShadowingOrbit(Timed, Documented, Concluded):
     """An orbit that realises a walk from time 0 to `duration` s.
 
     A walk of k symbols has k - 1 stops, or k if periodic. The last stop then leads back to the first symbol.
@@ -257,11 +259,12 @@ class ShadowingOrbit(Timed, Documented):
         wraps_realised: counted on the result.
         offsets (k + 1, N): whole turns of each symbol and the final orbit.
         fault: index of the failed symbol, or None.
+        rival: name of the connection that the orbit follows instead of the failed symbol.
     """
 
     KEYS: ClassVar[str] = (
-        "walk wraps wraps_realised lead_in lead_out periodic duration residual symbol_times converged status fault "
-        "energy=connections.0.source.energy connections=connections.name"
+        "walk wraps wraps_realised lead_in lead_out periodic duration residual symbol_times converged cause status "
+        "fault energy=connections.0.source.energy connections=connections.name"
     )
 
     walk: tuple[str, ...]
@@ -276,7 +279,9 @@ class ShadowingOrbit(Timed, Documented):
     orbit: ShootingOrbit
     shot: Shot = field(repr=False)
     estimate: ErrorEstimate | None
-    fault: int | None
+    cause: WalkCause
+    fault: int | None = None
+    rival: str = ""
 
     def __repr__(self) -> str:
         return f"<walk {', '.join(self.walk)}: {self.status}>"
@@ -294,12 +299,7 @@ class ShadowingOrbit(Timed, Documented):
     @property
     def converged(self) -> bool:
         """True if Newton's method converged to the requested walk."""
-        return self.orbit.converged
-
-    @property
-    def status(self) -> str:
-        """A sentence describing the outcome of the search."""
-        return self.orbit.status
+        return self.fault is None
 
     @property
     def system(self) -> System:
@@ -395,11 +395,7 @@ def walk_of_one(connection: Connection, text: str, *, lead_in: int = 2, lead_out
     begin = connection.time_out + lead_in * connection.source.period
     ends = np.zeros((2, len(connection.state)))
     ends[1, : len(connection.winding)] = connection.winding
-    orbit = replace(
-        connection.orbit,
-        times=connection.orbit.times + begin,
-        status=f"converged: the connection itself, at {connection.source.energy:.12g} J",
-    )
+    orbit = replace(connection.orbit, times=connection.orbit.times + begin)
     return ShadowingOrbit(
         walk=(text,),
         connections=(connection,),
@@ -413,7 +409,7 @@ def walk_of_one(connection: Connection, text: str, *, lead_in: int = 2, lead_out
         orbit=orbit,
         shot=Shot(connection.solution, orbit, 0.0, None, np.nan, np.empty((0, 0, 0)), 0),
         estimate=None,
-        fault=None,
+        cause=WalkCause.CONNECTION,
     )
 
 
@@ -449,17 +445,7 @@ def described(
         duration = float(times[nodes[-1]]) + last.time_in + lead_out * last.target.period
     realised = realised_wraps(chain, stays)
     offsets = lattice_offsets(chain, wraps)
-    converged, status, fault, estimate = orbit.converged, orbit.status, shot.fault, None
-    if converged:
-        strays = _strays(shot, chain, nodes, offsets, rivals, realised, tuple(wraps))
-        estimate = estimate_error(shot, [connection.target for connection in chain[: len(stays)]])
-        if strays is None:
-            fault = None
-        else:
-            converged, (fault, status) = False, strays
-    else:
-        status = f"symbol {fault + 1} of {len(chain)} ({chain[fault].name}): {status}"
-    return ShadowingOrbit(
+    whole = ShadowingOrbit(
         walk=tuple(c.name for c in chain),
         connections=chain,
         wraps=tuple(int(w) for w in wraps),
@@ -469,26 +455,22 @@ def described(
         symbol_times=times[nodes],
         offsets=offsets,
         duration=duration,
-        orbit=replace(orbit, times=times, converged=converged, status=status),
+        orbit=replace(orbit, times=times),
         shot=shot,
-        estimate=estimate,
-        fault=fault,
+        estimate=None,
+        cause=WalkCause.CONVERGED,
     )
+    if not orbit.converged:
+        return replace(whole, cause=WalkCause.SHOOTING, fault=shot.fault)
+    estimate = estimate_error(shot, [connection.target for connection in chain[: len(stays)]])
+    return _on_its_walk(replace(whole, estimate=estimate), nodes, rivals)
 
 
-def _strays(
-    shot: Shot,
-    chain: tuple[Connection, ...],
-    nodes: NDArray[np.intp],
-    offsets: Array,
-    rivals: Sequence[Connection],
-    realised: tuple[int, ...],
-    wraps: tuple[int, ...],
-) -> tuple[int, str] | None:
-    """Return (symbol index, reason) if the orbit follows another walk."""
-    system = shot.guess.system
-    for k, (connection, node) in enumerate(zip(chain, nodes, strict=True)):
-        state = shot.orbit.states[node] - offsets[k] * system.turn_lengths
+def _on_its_walk(orbit: ShadowingOrbit, nodes: NDArray[np.intp], rivals: Sequence[Connection]) -> ShadowingOrbit:
+    """Return the orbit, with a fault if it follows another walk."""
+    system = orbit.system
+    for k, (connection, node) in enumerate(zip(orbit.connections, nodes, strict=True)):
+        state = orbit.orbit.states[node] - orbit.offsets[k] * system.turn_lengths
         own = _apart(system, state, connection.state)
         for rival in rivals:
             same_kind = (rival.source.saddle, rival.target.saddle, rival.winding, rival.section) == (
@@ -499,17 +481,11 @@ def _strays(
             )
             # The rivals include the walk's own connection, so equal distances are allowed.
             if same_kind and _apart(system, state, rival.state) < own:
-                return k, (
-                    f"symbol {k + 1} of {len(chain)}: converged, but the orbit follows {rival.name} instead of "
-                    f"{connection.name}: use more wraps next to it"
-                )
-    for k, (count, requested) in enumerate(zip(realised, wraps, strict=True)):
+                return replace(orbit, cause=WalkCause.RIVAL, fault=k, rival=rival.name)
+    for k, (count, requested) in enumerate(zip(orbit.wraps_realised, orbit.wraps, strict=True)):
         if count != requested:
-            return k, (
-                f"symbol {k + 1} of {len(chain)}: converged, but with wraps {list(realised)} instead of {list(wraps)}: "
-                "use more wraps"
-            )
-    return None
+            return replace(orbit, cause=WalkCause.OTHER_WRAPS, fault=k)
+    return orbit
 
 
 def _apart(system: System, first: Array, second: Array) -> float:
@@ -550,19 +526,44 @@ def _check(chain: tuple[Connection, ...], wraps: Sequence[int], lead_in: int, le
     check_stops(chain, wraps, periodic=periodic)
     for name, values in (("wraps", wraps), ("lead_in", (lead_in,)), ("lead_out", (lead_out,))):
         for value in values:
-            number = isinstance(value, int | float | np.number) and not isinstance(value, bool) and np.isfinite(value)
-            if not number or int(value) != value or value < 0:
-                raise InputError(f"{name} = {value!r}: must be a whole number, zero or more")
-            if value > MOST_WRAPS:
-                raise InputError(f"{name} = {value}: must be at most {MOST_WRAPS:,}")
+            if not 0 <= value <= MOST_WRAPS:
+                raise InputError(f"{name} = {value}: must be 0 to {MOST_WRAPS:,}")
     energies = {c.source.energy for c in chain}
     if len(energies) > 1:
-        text = f"the walk mixes energies {sorted(energies)} J: an orbit has constant energy; "
-        raise InputError(chain[0].source.system.worded(f"{text}join references of different energies instead"))
+        unit = chain[0].source.system.unit("J")
+        raise InputError(
+            f"the walk mixes energies {sorted(energies)}{unit}: an orbit has constant energy; join references of "
+            "different energies instead"
+        )
 
 
 MOST = 12
 """Largest number of wraps tried at a stop; λ^-12 is below rounding for λ > 20."""
+
+
+@dataclass(frozen=True)
+class FewestWraps(Concluded):
+    """Result of a search for the fewest wraps of a walk.
+
+    Attributes:
+        wraps: counts at each stop of the last attempt.
+        failed: its orbit if no number of wraps suffices, else None.
+        tried: counts for which advice is wanted.
+        most: largest count tried at a stop.
+    """
+
+    wraps: tuple[int, ...]
+    failed: ShadowingOrbit | None
+    tried: tuple[int, ...] = ()
+    most: int = MOST
+
+    @property
+    def cause(self) -> WrapsCause:
+        """How the search ended."""
+        if self.failed is not None:
+            return WrapsCause.NONE_SUFFICE
+        fewer = any(count < enough for count, enough in zip(self.tried, self.wraps, strict=False))
+        return WrapsCause.TOO_FEW if fewer else WrapsCause.OTHERS_WORK
 
 
 @dataclass
@@ -614,8 +615,9 @@ class WalkSolver:
             strands=self._strands,
             rivals=self.rivals,
         )
-        if orbit.converged:
-            self._store_wraps(orbit)
+        for k, count in enumerate(orbit.wraps if orbit.converged else ()):
+            pair = (chain[k].name, chain[(k + 1) % len(chain)].name)
+            self.least_seen[pair] = min(count, self.least_seen.get(pair, count))
         return orbit
 
     def least(self, chain: Sequence[Connection], *, periodic: bool = False) -> tuple[int, ...]:
@@ -628,7 +630,19 @@ class WalkSolver:
             periodic: True for a closed walk.
 
         Raises:
-            GoalMissed: up to MOST wraps do not suffice; the message names the failed symbol.
+            GoalMissed: up to MOST wraps do not suffice; names the failed symbol.
+        """
+        fewest = self.fewest(chain, periodic=periodic)
+        if fewest.failed is not None:
+            raise GoalMissed(fewest.status, symbol=fewest.failed.fault)
+        return fewest.wraps
+
+    def fewest(self, chain: Sequence[Connection], *, periodic: bool = False) -> FewestWraps:
+        """Search for the fewest wraps at each stop that give an orbit.
+
+        Args:
+            chain: connections of the walk.
+            periodic: True for a closed walk.
         """
         count = len(chain) if periodic else len(chain) - 1
         wraps, failed = [0] * count, self.solve(chain, [0] * count, periodic=periodic)
@@ -636,7 +650,7 @@ class WalkSolver:
         while not failed.converged:
             beside = _stops_beside(failed, count, periodic)
             if not beside or max(wraps[k] for k in beside) >= MOST:
-                raise GoalMissed(f"no wraps up to {MOST} suffice: {failed.status}")
+                return FewestWraps(tuple(wraps), failed)
             for k in beside:
                 wraps[k] += 1
             raised.update(beside)
@@ -647,27 +661,27 @@ class WalkSolver:
                 if not self.solve(chain, fewer, periodic=periodic).converged:
                     break
                 wraps = fewer
-        return tuple(wraps)
+        return FewestWraps(tuple(wraps), None)
 
-    def advice(self, orbit: ShadowingOrbit) -> str:
-        """Return a sentence on the fewest wraps of a failed walk.
+    def advice(self, orbit: ShadowingOrbit) -> FewestWraps:
+        """Return the fewest wraps of a failed walk.
 
         Args:
             orbit: result that has not converged.
         """
-        try:
-            least = self.least(orbit.connections, periodic=orbit.periodic)
-        except GoalMissed as error:
-            return str(error)
-        if any(given < enough for given, enough in zip(orbit.wraps, least, strict=True)):
-            return f"wraps {list(orbit.wraps)} are too few: must be at least {list(least)}"
-        return f"wraps {list(least)} work where {list(orbit.wraps)} do not"
+        return replace(self.fewest(orbit.connections, periodic=orbit.periodic), tried=orbit.wraps)
 
-    def _store_wraps(self, orbit: ShadowingOrbit) -> None:
-        chain = orbit.connections
-        for k, count in enumerate(orbit.wraps):
-            pair = (chain[k].name, chain[(k + 1) % len(chain)].name)
-            self.least_seen[pair] = min(count, self.least_seen.get(pair, count))
+    def missed(self, orbit: ShadowingOrbit, what: str = "", *, first: int = 0) -> GoalMissed:
+        """Return the error of a failed walk, with its symbol and the wraps that work.
+
+        Args:
+            orbit: result that has not converged.
+            what: beginning of the message.
+            first: index of the orbit's first symbol in the whole walk.
+        """
+        advice = self.advice(orbit)
+        wraps = advice.wraps if advice.failed is None else None
+        return GoalMissed(f"{what}{orbit.status}; {advice.status}", symbol=first + (orbit.fault or 0), wraps=wraps)
 
 
 def _stops_beside(orbit: ShadowingOrbit, count: int, periodic: bool) -> set[int]:

@@ -14,20 +14,14 @@ winding and hits: "down-up>down-up[0,0]h1.2@(A)·2·(B)".
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING
-
-import numpy as np
 
 from dpcontrol.foundation.errors import InputError
 
 if TYPE_CHECKING:
     from dpcontrol.tubes.connections import Connection
-
-_PREFIX = re.compile(r"^(?:(?P<source>[\w-]+)>(?P<target>[\w-]+)\[[-\d,]+\]h\d+\.\d+(?::[\w-]+)?@)?(?=\()")
-# The dots are optional, because few keyboards have them.
-_WRAPS = re.compile(r"^(?:\s*·\s*|\s+)(\d+)(?:\s*·\s*|\s+)(?=\()")
 
 
 def composed(walk: Sequence[str], wraps: Sequence[int]) -> str:
@@ -43,52 +37,27 @@ def composed(walk: Sequence[str], wraps: Sequence[int]) -> str:
     return "".join(parts)
 
 
-def components(name: str) -> tuple[tuple[str, ...], tuple[int, ...]] | None:
-    """Return the names and wraps of a composite edge, or None.
-
-    Args:
-        name: text of the edge, with or without source, target, winding and hits.
-    """
-    prefix = _PREFIX.match(name)
-    if prefix is None:
-        return None
-    rest = name[prefix.end() :]
-    names: list[str] = []
-    wraps: list[int] = []
-    while rest.startswith("("):
-        depth = np.cumsum([(c == "(") - (c == ")") for c in rest])
-        closed = np.flatnonzero(depth == 0)
-        if not closed.size:
-            return None
-        end = int(closed[0])
-        names.append(rest[1:end])
-        rest = rest[end + 1 :]
-        if not rest:
-            return tuple(names), tuple(wraps)
-        count = _WRAPS.match(rest)
-        if count is None:
-            return None
-        wraps.append(int(count[1]))
-        rest = rest[count.end() :]
-    return None
-
-
-def ends(name: str) -> tuple[str, str] | None:
-    """Return (source, target) of a composite edge's full name, or None.
-
-    Args:
-        name: name of a composite edge.
-    """
-    prefix = _PREFIX.match(name)
-    return None if prefix is None or prefix["source"] is None else (prefix["source"], prefix["target"])
-
-
-_HOMOCLINIC = re.compile(r"^(?P<source>[\w-]*\w)\s+(?P<sense>[+-])$")
-_HETEROCLINIC = re.compile(r"^(?P<source>[\w-]*\w)\s*>\s*(?P<target>[\w-]*\w)(?:\s+(?P<sense>[+-]))?$")
-_NAME = re.compile(
-    r"^(?P<source>[\w-]+)>(?P<target>[\w-]+)\[[-\d,]+\]h(?P<out>\d+)\.(?P<in>\d+)(?::(?P<section>[\w-]+))?@\S+$"
+_FULL = re.compile(
+    r"(?P<source>[\w-]+)>(?P<target>[\w-]+)\[[-\d,]+\]h(?P<out>\d+)\.(?P<back>\d+)(?::(?P<section>[\w-]+))?@(?P<place>.+)"
 )
-_NUMBERED = re.compile(r"(?<=-rotating)(-back)?-[2-9]$")
+_SHORT = re.compile(r"(?P<source>[\w-]*\w)(?:\s*>\s*(?P<target>[\w-]*\w))?(?:\s+(?P<sense>[+-]))?")
+
+
+@dataclass(frozen=True)
+class RotatingName:
+    """Arm, sense and rank of a rotating orbit among the hyperbolic ones, fastest first."""
+
+    arm: str
+    sense: int
+    rank: int
+
+    def __str__(self) -> str:
+        return f"{self.arm}-rotating{'' if self.sense > 0 else '-back'}{f'-{self.rank}' if self.rank > 1 else ''}"
+
+
+_ROTATING = [RotatingName(arm, sense, rank) for arm in ("outer", "inner") for sense in (1, -1) for rank in range(1, 10)]
+ROTATING = {str(name): name for name in _ROTATING}
+"""Names of rotating orbits as users type them."""
 
 
 @dataclass(frozen=True)
@@ -133,26 +102,23 @@ def parse_symbol(text: str, saddles: Sequence[str]) -> Symbol:
     Raises:
         InputError: the text is not a symbol, or an orbit is not in `saddles`.
     """
-    if not isinstance(text, str):
-        raise InputError(f"a symbol must be text such as 'down-up +', not {type(text).__name__}")
     text = text.strip()
-    if "(" in text and np.cumsum([(c == "(") - (c == ")") for c in text]).max() > MOST_NESTED:
-        raise InputError(f"{text[:60]!r}…: brackets may be nested at most {MOST_NESTED} deep")
-    if (made_of := components(text)) is not None:
-        return _grown(text, made_of, saddles)
-    named = _NAME.match(text)
-    match = named or _HOMOCLINIC.match(text) or _HETEROCLINIC.match(text)
-    if match is None:
+    full = _FULL.fullmatch(text)
+    if (pieces := _pieces(full["place"] if full else text)) is not None:
+        return _grown(text, pieces, full, saddles)
+    match = full or _SHORT.fullmatch(text)
+    parts = {} if match is None else {"sense": None, **match.groupdict()}
+    if match is None or not (parts["target"] or parts["sense"]):
         other = saddles[min(1, len(saddles) - 1)]
         raise InputError(
             f'{text!r} is not a symbol; write "{saddles[0]} +", "{saddles[0]} > {other}" or a connection\'s name '
             "from `dpcontrol connect`"
         )
-    parts = match.groupdict()
     source = parts["source"]
-    target = parts.get("target") or source
-    unknown = [one for one in (source, target) if _NUMBERED.sub(r"\1", one) not in saddles]
-    spelt, meant = {one.casefold(): one for one in saddles}, text
+    target = parts["target"] or source
+    rotating = [str(name) for name in _ROTATING if str(replace(name, rank=1)) in saddles]
+    unknown = [name for name in (source, target) if name not in (*saddles, *rotating)]
+    spelt, meant = {name.casefold(): name for name in saddles}, text
     for saddle in unknown:
         if saddle.casefold() not in spelt:
             raise InputError(f"{text!r}: {saddle!r} has no tubes; choose from {', '.join(saddles)}")
@@ -160,22 +126,44 @@ def parse_symbol(text: str, saddles: Sequence[str]) -> Symbol:
     if unknown:
         raise InputError(f"{text!r}: the case of letters matters; write {meant!r}")
     sense = {"+": 1, "-": -1, None: None}[parts.get("sense")]
-    if not named and source == target and sense is None:
+    if full is None and source == target and sense is None:
         raise InputError(f'{text!r} has no direction of rotation; write "{source} +" or "{source} -"')
-    hits = (int(parts["out"]), int(parts["in"])) if named else None
-    return Symbol(text, source, target, sense, text if named else None, hits, parts.get("section"))
+    hits = (int(full["out"]), int(full["back"])) if full else None
+    return Symbol(text, source, target, sense, text if full else None, hits, parts.get("section"))
 
 
-def _grown(text: str, made_of: tuple[tuple[str, ...], tuple[int, ...]], saddles: Sequence[str]) -> Symbol:
-    """Return the symbol of a composite edge from its names and wraps."""
+def _pieces(text: str) -> list[str] | None:
+    """Return the texts outside and inside the outermost brackets in turn, or None without brackets.
+
+    Raises:
+        InputError: the brackets are nested too deeply.
+    """
+    pieces, depth = [""], 0
+    for character in text:
+        depth -= character == ")"
+        if character in "()" and depth == 0:
+            pieces.append("")
+        else:
+            pieces[-1] += character
+        depth += character == "("
+        if depth > MOST_NESTED:
+            raise InputError(f"{text[:60]!r}…: brackets may be nested at most {MOST_NESTED} deep")
+    # The dots are optional, because few keyboards have them.
+    between = [piece.strip(" ·") for piece in pieces[::2]]
+    composite = len(pieces) > 2 and depth == 0 and not (between[0] or between[-1])
+    return pieces if composite and all(count.isdecimal() for count in between[1:-1]) else None
+
+
+def _grown(text: str, pieces: list[str], full: re.Match[str] | None, saddles: Sequence[str]) -> Symbol:
+    """Return the symbol of a composite edge from its pieces and its full name, if any."""
     try:
-        parts = parse_walk(made_of[0], saddles)
+        parts = parse_walk(pieces[1::2], saddles)
     except InputError as error:
         raise InputError(f"{text!r}: {error}") from error
-    own, stated = (parts[0].source, parts[-1].target), ends(text)
-    if stated not in (None, own):
-        raise InputError(f"{text!r}: the symbols in brackets lead from {own[0]} to {own[1]}")
-    return Symbol(text, *own, None, None if stated is None else text, parts=parts, wraps=made_of[1])
+    ends, wraps = (parts[0].source, parts[-1].target), tuple(int(count.strip(" ·")) for count in pieces[2:-1:2])
+    if full is not None and full.group("source", "target") != ends:
+        raise InputError(f"{text!r}: the symbols in brackets lead from {ends[0]} to {ends[1]}")
+    return Symbol(text, *ends, None, None if full is None else text, parts=parts, wraps=wraps)
 
 
 def parse_walk(texts: Sequence[str], saddles: Sequence[str]) -> tuple[Symbol, ...]:

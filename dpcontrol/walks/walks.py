@@ -38,9 +38,9 @@ from dpcontrol.tubes.connections import Connection, angle_between, approach, con
 from dpcontrol.tubes.intersections import ConnectionSettings
 from dpcontrol.tubes.symmetric import SymmetricSearch, mirror_image
 from dpcontrol.walks.atlas import walks
-from dpcontrol.walks.edges import Edges, is_rotating, rotating_names
-from dpcontrol.walks.shadowing import MOST_WRAPS, ShadowingOrbit, WalkSolver, check_stops, walk_of_one
-from dpcontrol.walks.symbols import Symbol, choose, composed, parse_walk
+from dpcontrol.walks.edges import Edges, rotating_names
+from dpcontrol.walks.shadowing import MOST_WRAPS, FewestWraps, ShadowingOrbit, WalkSolver, check_stops, walk_of_one
+from dpcontrol.walks.symbols import ROTATING, Symbol, choose, composed, parse_walk
 
 _FAR = 0.05  # scaled distance; exceeded between two stops, but not after the arrival at the last orbit
 _MIRRORED = 1e-7  # scaled distance; above the error of states (1e-11), below the distance of near mirror images
@@ -230,15 +230,16 @@ def resolve(texts: Sequence[str], edges: Edges) -> Walk:
             "use one in an itinerary, such as third-turn"
         )
     chain: list[Connection] = []
-    for k, symbol in enumerate(symbols, start=1):
+    for k, symbol in enumerate(symbols):
         try:
             chain.append(_connection(symbol, edges))
         except GoalMissed as error:
-            raise GoalMissed(f"symbol {k} of {len(symbols)} ({symbol.text}): {error}") from error
+            raise GoalMissed(f"symbol {k + 1} of {len(symbols)} ({symbol.text}): {error}", symbol=k) from error
         except InputError as error:
             reasons = [why for saddle, why in edges.absent if saddle in (symbol.source, symbol.target)]
             why = f" ({'; '.join(reasons)})" if reasons else ""
-            raise InputError(f"symbol {k} of {len(symbols)}: {error}{why}{_nearest(symbols, edges)}") from error
+            sentence = f"symbol {k + 1} of {len(symbols)}: {error}{why}{_nearest(symbols, edges)}"
+            raise InputError(sentence, symbol=k) from error
     return tuple(chain)
 
 
@@ -258,7 +259,7 @@ def _connection(symbol: Symbol, edges: Edges) -> Connection:
         solver = WalkSolver(edges.known)
         orbit = solver.solve([_connection(part, edges) for part in symbol.parts], symbol.wraps)
         if not orbit.converged:
-            raise GoalMissed(f"{orbit.status}; {solver.advice(orbit)}")
+            raise solver.missed(orbit)
         edge = as_connection(orbit)
         if symbol.name not in (None, edge.name):
             raise InputError(f"no edge is named {symbol.name!r}: its symbols give {edge.name!r}")
@@ -267,14 +268,11 @@ def _connection(symbol: Symbol, edges: Edges) -> Connection:
     candidates = edges.between(*pair)
     if symbol.name is not None:
         candidates += tuple(c for c in edges.named if (c.source.saddle, c.target.saddle) == pair)
-    elif not candidates and any(is_rotating(name) for name in pair):
-        notes = [note for note in edges.notes if note.startswith(f"{pair[0]} → {pair[1]}: ")]
-        why = f" ({notes[0]})" if notes else ""
-        raise InputError(
-            edges.system.worded(
-                f"{symbol.text!r}: no such connection was found at {edges.energy:g} J{why}; try another energy"
-            )
-        )
+    elif not candidates and any(name in ROTATING for name in pair):
+        searches = [one for one in edges.incomplete if (one.source.saddle, one.target.saddle) == pair]
+        why = f" ({searches[0].status})" if searches else ""
+        place = f"{edges.energy:g}{edges.system.unit('J')}"
+        raise InputError(f"{symbol.text!r}: no such connection was found at {place}{why}; try another energy")
     return choose(symbol, candidates)
 
 
@@ -318,16 +316,16 @@ def through(stops: Sequence[str], edges: Edges) -> Walk:
     chain: list[Connection] = []
     for stop in stops:
         if stop not in graph:
-            text = f"{stop!r} has no orbit at {edges.energy:g} J: {suggest(stop, edges.orbits)}"
-            raise InputError(edges.system.worded(text))
+            place = f"{edges.energy:g}{edges.system.unit('J')}"
+            raise InputError(f"{stop!r} has no orbit at {place}: {suggest(stop, edges.orbits)}")
     for here, there in pairwise(stops):
         if here == there:
             path = [here, there] if graph.has_edge(here, there) else []
         else:
             path = nx.shortest_path(graph, here, there) if nx.has_path(graph, here, there) else []
         if not path:
-            text = f"no walk at {edges.energy:g} J leads from {here} to {there}; try a higher energy"
-            raise InputError(edges.system.worded(text))
+            place = f"{edges.energy:g}{edges.system.unit('J')}"
+            raise InputError(f"no walk at {place} leads from {here} to {there}; try a higher energy")
         chain += [choose(way, edges.between(way.source, way.target)) for way in ways(path)]
     return tuple(chain)
 
@@ -410,8 +408,8 @@ def random_walk(edges: Edges, length: int, generator: np.random.Generator, *, pe
     onward = np.ones(len(names), dtype=object)
     first = np.array([powers[length][k, k] if periodic else (powers[length] @ onward)[k] for k in range(len(names))])
     if not first.sum():
-        text = f"no {'closed ' if periodic else ''}walk of {length} symbols exists at {edges.energy:g} J"
-        raise InputError(edges.system.worded(text))
+        what = f"no {'closed ' if periodic else ''}walk of {length} symbols"
+        raise InputError(f"{what} exists at {edges.energy:g}{edges.system.unit('J')}")
     at = start = _drawn(first, generator)
     chain: list[Connection] = []
     for left in range(length - 1, -1, -1):
@@ -483,6 +481,7 @@ class WalkAnswer:
         least: fewest sufficient wraps.
         orbit: None if no number of wraps suffices.
         seconds: solution time, s, without the search for the fewest wraps.
+        advice: wraps that suffice, or none, if the orbit was not found.
         refined: orbit in extended precision, if requested.
     """
 
@@ -490,8 +489,14 @@ class WalkAnswer:
     least: tuple[int, ...] | None
     orbit: ShadowingOrbit | None
     seconds: float
-    status: str
+    advice: FewestWraps | None = None
     refined: ExtendedOrbit | None = None
+
+    @property
+    def status(self) -> str:
+        """The outcome in words."""
+        parts = (self.orbit, self.advice) if self.refined is None else (self.refined,)
+        return "; ".join(part.status for part in parts if part is not None)
 
     @property
     def converged(self) -> bool:
@@ -634,18 +639,17 @@ def _solve_request(request: WalkRequest, solver: WalkSolver) -> WalkAnswer:
     least: tuple[int, ...] | None = None
     wraps = request.wraps
     if wraps is None:
-        try:
-            least = solver.least(request.chain, periodic=request.periodic)
-        except GoalMissed as error:
-            return WalkAnswer(request, None, None, 0.0, str(error))
+        fewest = solver.fewest(request.chain, periodic=request.periodic)
+        if fewest.failed is not None:
+            return WalkAnswer(request, None, None, 0.0, fewest)
+        least = fewest.wraps
         wraps = tuple(n + more for n, more in zip(least, request.extra, strict=True))
     began = time.perf_counter()
     orbit = solver.solve(
         request.chain, wraps, periodic=request.periodic, lead_in=request.lead_in, lead_out=request.lead_out
     )
     seconds = time.perf_counter() - began
-    status = orbit.status if orbit.converged else f"{orbit.status}; {solver.advice(orbit)}"
-    return WalkAnswer(request, least, orbit, seconds, status)
+    return WalkAnswer(request, least, orbit, seconds, None if orbit.converged else solver.advice(orbit))
 
 
 def refined_answer(answer: WalkAnswer, *, energy: Exact, parameters: Sequence[Exact]) -> WalkAnswer:
@@ -664,7 +668,7 @@ def refined_answer(answer: WalkAnswer, *, energy: Exact, parameters: Sequence[Ex
     if answer.orbit is None or not answer.converged:
         return answer
     refined = refine(answer.orbit.shot.solution, energy=energy, parameters=parameters)
-    return replace(answer, refined=refined, status=refined.status)
+    return replace(answer, refined=refined)
 
 
 def _estimate(orbit: ShadowingOrbit) -> dict[str, Any] | None:

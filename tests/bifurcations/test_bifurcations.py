@@ -10,6 +10,7 @@ from scipy.integrate import solve_ivp
 
 from dpcontrol.bifurcations.bifurcations import Sweep, SweepSettings, find_bifurcations
 from dpcontrol.bifurcations.links import LinkProblem, carry, follow
+from dpcontrol.foundation.causes import BranchCause
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.orbits.cut import CutSettings, section_points
 from dpcontrol.orbits.manifold import UnstableManifold
@@ -175,7 +176,7 @@ def test_every_change_in_a_small_sweep_is_explained(system):
         ("pitchfork", 4, 8),
     ]
     assert [c.count for c in found.counts] == [0, 4, 4, 8]
-    assert "2 events; every change of the count over 4 energies is explained" in found.status
+    assert found.unexplained == ()
 
 
 @pytest.mark.parametrize("name", [SADDLE_NODE, PITCHFORK], ids=["saddle-node", "pitchfork"])
@@ -288,7 +289,7 @@ def test_connections_of_a_strongly_unstable_orbit_are_followed_to_their_fold():
 
 @pytest.mark.slow
 def test_scattering_cuts_give_lower_bounds_and_explained_changes(system, monkeypatch):
-    """Trajectories separate near the other orbit, so connections accumulate, which the status reports.
+    """Trajectories separate near the other orbit, so connections accumulate.
 
     The fold is sharp, with a change of σ from -0.78 to +0.81 between neighbouring points.
     """
@@ -299,8 +300,8 @@ def test_scattering_cuts_give_lower_bounds_and_explained_changes(system, monkeyp
     assert not found.complete
     assert found.scatters_from == 0.2370
     assert [c.complete for c in found.counts] == [True, False]
-    assert "counts are lower bounds (at least)" in found.status
-    assert "scatters before crossing 1" in found.status
+    causes = {branch.cause for cut in found.counts[-1].unresolved for branch in cut.unresolved}
+    assert causes == {BranchCause.SCATTERS}
     assert [(e.kind, e.count_below, e.count_above, e.at_least) for e in found.events] == [("saddle-node", 20, 24, True)]
     assert found.events[0].residual < RESIDUAL
 

@@ -9,6 +9,7 @@ from scipy.special import mathieu_a
 
 from dpcontrol.dynamics.equations import Equations
 from dpcontrol.dynamics.system import System
+from dpcontrol.foundation.causes import FamilyEndCause
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.orbits.family import FamilySettings, lyapunov_family
 from dpcontrol.orbits.lyapunov import equilibrium, lyapunov_orbit
@@ -37,11 +38,9 @@ def families(system):
 def test_both_families_end_in_homoclinics_of_up_up(families, system, saddle):
     family = families[saddle]
     assert family.converged
-    assert [e.kind for e in family.ends] == ["saddle", "homoclinics"]
-    assert "ends in the homoclinics of up-up" in family.ends[1].reason
-    assert float(family.ends[1].reason.split("energy tends to ")[1].split(" J")[0]) == pytest.approx(
-        equilibrium(system, "up-up").energy, abs=LIMIT
-    )
+    assert [end.cause for end in family.ends] == [FamilyEndCause.SADDLE, FamilyEndCause.HOMOCLINICS]
+    assert family.ends[1].equilibrium == "up-up"
+    assert family.ends[1].limit == pytest.approx(equilibrium(system, "up-up").energy, abs=LIMIT)
 
 
 @pytest.mark.slow
@@ -76,7 +75,7 @@ def test_members_agree_with_continuation_in_energy(families, system):
 
 def test_the_member_at_a_bound_is_the_reference_orbit(system):
     family = lyapunov_family(system, "down-up", energies=(-0.07, 0.2))
-    assert [e.kind for e in family.ends] == ["energy bound", "energy bound"]
+    assert [end.cause for end in family.ends] == [FamilyEndCause.ENERGY_BOUND] * 2
     for member, energy in ((family.members[0], -0.07), (family.members[-1], 0.2)):
         state, period, multiplier, _ = LYAPUNOV_ORBITS["lab", "down-up", energy]
         assert member.energy == energy
@@ -117,16 +116,16 @@ def test_hyperbolicity_is_lost_at_a_periodic_solution_of_mathieus_equation(growt
     """x = √(2E) cos t makes ÿ + (bE - a + bE cos 2t) y = 0, periodic at the characteristic value a₀(bE/2)."""
     expected = brentq(lambda e: coupling * e - growth - mathieu_a(0, coupling * e / 2), 0.01, 3.0, xtol=1e-14)
     family = lyapunov_family(hill_system(growth, coupling), "origin", energies=(0.0, 5.0))
-    assert family.ends[1].kind == "hyperbolicity lost"
-    assert "a multiplier crosses +1" in family.ends[1].reason
+    assert family.ends[1].cause is FamilyEndCause.HYPERBOLICITY_LOST
+    assert family.ends[1].multiplier == 1
     assert family.ends[1].energy == pytest.approx(expected, abs=CROSSING)
     assert np.all(np.abs(family.floquet_multipliers[:-1, 0]) > 1)
 
 
-def test_a_limit_on_members_is_reported_with_the_status(system):
+def test_a_limit_on_members_is_reported(system):
     family = lyapunov_family(system, "down-up", energies=(-1.0, 1.0), settings=FamilySettings(most_members=5))
     assert not family.converged
-    assert "allow more" in family.status
+    assert family.ends[1].cause is FamilyEndCause.MANY_MEMBERS
 
 
 @pytest.mark.parametrize(

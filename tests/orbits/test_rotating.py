@@ -7,6 +7,7 @@ from command_line import dpcontrol
 from quick_rate import quick_rate
 from scipy.integrate import solve_ivp
 
+from dpcontrol.foundation.causes import FamilyEndCause
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.orbits.rotating import (
     RotatingFamilySettings,
@@ -132,7 +133,7 @@ def test_a_family_stays_on_one_curve_and_reports_its_ends(family):
     states = np.array([m.state for m in family.members])
     assert np.abs(np.diff(states, axis=0)).max() < 2.0
     assert max(m.residual for m in family.members) < 1e-10
-    assert "reached the bound of 0.42 J" in family.ends[1]
+    assert (family.ends[1].cause, family.ends[1].energy) == (FamilyEndCause.ENERGY_BOUND, 0.42)
 
 
 @pytest.mark.slow

@@ -5,7 +5,7 @@ import tomllib
 import pytest
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.planner.draft import enough_wraps, fault_of, first_text, read_draft
+from dpcontrol.planner.draft import first_text, read_draft
 
 FIRST = first_text("lab")
 WALK = ["down-up > up-down", "up-down > down-up"]
@@ -58,11 +58,3 @@ def test_a_text_with_several_parts_can_be_edited_only_as_text() -> None:
     assert draft.itinerary is not None
     with pytest.raises(InputError, match="edit it as text"):
         draft.changed("", {"walk": WALK})
-
-
-def test_a_failed_plan_names_its_symbol_and_sufficient_wraps() -> None:
-    sentence = "the shadowing orbit: symbol 2 of 3 (a>b): no; wraps [0, 1] are too few: must be at least [1, 1]"
-    assert fault_of(sentence, ["x", "y", "z"]) == 1
-    assert enough_wraps(sentence) == [1, 1]
-    assert fault_of("'up-down +': no such connection at this energy", ["down-up +", "up-down +"]) == 1
-    assert (fault_of("out of memory", ["x"]), enough_wraps("out of memory")) == (None, None)

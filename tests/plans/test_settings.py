@@ -11,7 +11,7 @@ from command_line import dpcontrol
 from jsonschema import Draft202012Validator
 
 import dpcontrol as dp
-from dpcontrol.foundation.errors import InputError, mistakes_of
+from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.shipped import folders
 from dpcontrol.logs import compare_messages
 from dpcontrol.plans.itinerary import itinerary_from, load_itinerary, setting_of
@@ -197,7 +197,7 @@ MISTAKES: list[tuple[str, str, str]] = [
 def test_each_kind_of_mistake_is_named(what: str, text: str, told: str) -> None:
     with pytest.raises(InputError) as refused:
         itinerary_from(text, "scene", load_model("lab"))
-    (sentence,) = mistakes_of(refused.value)
+    (sentence,) = map(str, refused.value.errors)
     assert told in sentence
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from dpcontrol.dynamics.system import momentum_scale
+from dpcontrol.foundation.causes import OpenEndCause
 from dpcontrol.orbits.cut import tube_cut
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.orbits.manifold import OrbitCurve, UnstableManifold
@@ -61,7 +62,7 @@ def test_at_a_grazing_phase_the_trajectory_touches_the_section(lab):
     section, orbit = system.sections["down-up", "down-up"], lyapunov_orbit(system, "down-up", energy=0.2)
     manifold = UnstableManifold(orbit, 1e-4)
     cut = tube_cut(manifold, section)
-    grazing = [end for end in cut.open_ends if "grazes" in end.reason]
+    grazing = [end for end in cut.open_ends if end.cause is OpenEndCause.GRAZES]
     assert grazing
     normal = np.asarray(section.normal)
     for end in grazing:

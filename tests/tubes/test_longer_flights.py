@@ -6,6 +6,7 @@ from command_line import dpcontrol
 
 import dpcontrol as dp
 from dpcontrol.dynamics.system import System
+from dpcontrol.foundation.causes import OpenEndCause
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.tubes.connections import find_connections
 
@@ -36,7 +37,7 @@ def test_an_escaping_branch_is_reported_and_keeps_the_search_complete() -> None:
     orbit = lyapunov_orbit(system, "top", energy=0.17)
     search = find_connections(orbit, orbit)
     assert search.complete, search.status
-    escaping = [end for _, end in search.open_ends if end.escapes]
+    escaping = [end for _, end in search.open_ends if end.cause is OpenEndCause.ESCAPES]
     assert {end.branch for end in escaping} == {1}
 
 
@@ -58,7 +59,8 @@ def test_branches_that_leave_at_a_constant_speed_escape() -> None:
     search = dp.connections(orbit)
     assert search.complete, search.status
     assert search.connections == ()
-    assert {(end.branch, end.escapes) for _, end in search.open_ends} == {(1, True), (-1, True)}
+    causes = {(end.branch, end.cause) for _, end in search.open_ends}
+    assert causes == {(1, OpenEndCause.ESCAPES), (-1, OpenEndCause.ESCAPES)}
 
 
 @pytest.mark.slow
@@ -67,9 +69,9 @@ def test_the_advice_for_branches_that_return_late_is_longer_flights() -> None:
     orbit = barrier(lambda x, y: gaussian(x, y) + (x / 130) ** 40)
     search = dp.connections(orbit)
     assert not search.complete
-    assert not any(end.escapes for _, end in search.open_ends)
-    assert "raise it above 12 periods" in search.status
+    assert all(end.cause is OpenEndCause.NEVER_ARRIVES and end.later for _, end in search.open_ends)
+    assert search.cuts[0].longest == 12
     longer = dp.connections(orbit, longest=20)
-    assert "beyond --longest" not in longer.status
+    assert not any(end.later for _, end in longer.open_ends)
     assert len(longer.cuts[0].pieces) == 2
     assert len(orbit.manifold().cut(longest=20).pieces) == 2

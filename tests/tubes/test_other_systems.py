@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import dpcontrol as dp
+from dpcontrol.foundation.causes import BranchCause
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.orbits.cut import CutSettings, tube_cut
 from dpcontrol.orbits.lyapunov import equilibria, lyapunov_orbit
@@ -82,7 +83,7 @@ def test_a_chaotically_scattering_branch_is_stopped_and_reported(three_body):
     settings = CutSettings(longest=8.0, most_jumps=15)
     cut = tube_cut(manifold, three_body.sections["L1", "L1"], settings=settings)
     assert not cut.resolved
-    assert "scatters before crossing 1" in cut.status
+    assert {branch.cause for branch in cut.unresolved} == {BranchCause.SCATTERS}
 
 
 def test_energy_uses_the_constant_of_the_paper(three_body):

@@ -5,6 +5,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import dpcontrol as dp
+from dpcontrol.foundation.causes import GridCause
 from dpcontrol.orbits.manifold import OrbitCurve
 from dpcontrol.tubes.connections import Connection
 from dpcontrol.tubes.symmetric import SymmetricSearch, SymmetricSettings, find_symmetric_connections
@@ -62,17 +63,18 @@ def test_a_symmetric_connection_exists_at_one_energy_only(turn: Connection) -> N
         for energies in ((-1.02, turn.source.energy - 1e-4), (turn.source.energy + 1e-4, -0.99))
     ]
     assert [search.connections for search in searches] == [(), ()]
-    assert all(search.status.startswith("at least 0 between") for search in searches)
 
 
 def test_a_search_stops_at_a_second_unstable_direction() -> None:
     search = find_symmetric_connections(SYSTEM, "down-down-up", energies=(-0.85, -0.7), family=1, settings=COARSE)
     assert search.searched[1] < -0.7
-    assert "2 unstable directions" in search.status
+    assert search.cause is GridCause.UNSTABLE_DIRECTIONS
+    assert search.beyond is not None
+    assert search.beyond.unstable_directions == 2
 
 
 def test_calls_without_a_sense_for_isolated_energies_are_refused(turn: Connection) -> None:
-    search = SymmetricSearch("down-down-up", 0, 1, (-1.02, -0.99), (turn,), 0, "at least 1")
+    search = SymmetricSearch("down-down-up", 0, 1, (-1.02, -0.99), (turn,), 0, 0, GridCause.REACHED, None, 60.0)
     assert dp.shadow(search, [turn.name]).connections == (turn,)
     assert dp.shadow(search, ["down-down-up -"]).connections[0].winding == (0, 0, -1)
     triple, lab = (

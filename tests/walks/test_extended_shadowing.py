@@ -51,7 +51,6 @@ def test_an_open_walk_of_four_symbols_is_refined(lab, turns):
     assert refined.converged
     assert refined.residual < RESIDUAL
     assert refined.correction < AGREES
-    assert "refined in" in refined.status
     # The digits equal the arrays, and lie on the section θ₂ = 2π to 30 digits.
     state = refined.states[refined.marked[0]]
     assert refined.digits == digits(state)

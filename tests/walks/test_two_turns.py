@@ -63,7 +63,7 @@ def spiral(turn, manifold, section):
             # On the other side of the turn's phase, the trajectory returns without a turn.
             if len(run) > 3 and direction == cut_direction(turn):
                 pieces.append(Piece(branch, run.phases, run.points, run.states, run.times, direction, closed=False))
-    return Cut(section, 2, tuple(pieces), (), 2 * count, True, "beside one turn")
+    return Cut(section, 2, tuple(pieces), (), 2 * count, SETTINGS.cut.chord, np.inf)
 
 
 @pytest.mark.slow

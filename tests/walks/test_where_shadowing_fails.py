@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from walk_classifier import WalkClassifier
 
+from dpcontrol.foundation.causes import ShootingCause, WalkCause, WrapsCause
 from dpcontrol.plans.model import load_model
 from dpcontrol.shooting.newton import solve_shooting
 from dpcontrol.walks.edges import find_edges
@@ -44,9 +45,11 @@ def test_zero_wraps_are_too_few_just_above_the_saddle_node(system, tangent):
         failed = solver.solve(walk, [0])
         assert not failed.converged
         assert failed.fault in (0, 1)
-        assert failed.status.startswith(f"symbol {failed.fault + 1} of 2 ({walk[failed.fault].name})")
-        assert "use more wraps beside this symbol" in failed.status
-        assert "must be at least [1]" in solver.advice(failed)
+        assert failed.orbit.cause is ShootingCause.NO_STEP
+        advice = solver.advice(failed)
+        assert (advice.cause, advice.wraps) == (WrapsCause.TOO_FEW, (1,))
+        missed = solver.missed(failed)
+        assert (missed.symbol, missed.wraps) == (failed.fault, (1,))
         assert solver.least(walk) == (1,)
         assert classifier.complaints(solver.solve(walk, [1])) == []
 
@@ -75,7 +78,6 @@ def test_the_nearly_tangent_symbol_is_reported_as_the_cause(system, crossing):
                 continue
             blamed += 1
             assert failed.fault == 2
-            assert failed.status.startswith(f"symbol 3 of 3 ({edge.name})")
             least = solver.least([turn, turn, edge])
             assert least == (0, 1)
             assert classifier.complaints(solver.solve([turn, turn, edge], least)) == []
@@ -92,8 +94,7 @@ def test_an_orbit_that_follows_the_twin_is_reported(tangent):
     wrong = described(shot, (first, first, first), [2, 2], rivals=tangent.connections)
     assert not wrong.converged
     assert wrong.fault == 1
-    assert f"symbol 2 of 3: converged, but the orbit follows {twin.name} instead of {first.name}" in wrong.status
-    assert "more wraps" in wrong.status
+    assert (wrong.cause, wrong.rival) == (WalkCause.RIVAL, twin.name)
 
 
 def test_wraps_other_than_requested_are_reported(tangent):
@@ -102,4 +103,4 @@ def test_wraps_other_than_requested_are_reported(tangent):
     wrong = described(shot, (turn, turn), [3], rivals=tangent.connections)
     assert not wrong.converged
     assert wrong.fault == 0
-    assert "wraps [2] instead of [3]" in wrong.status
+    assert (wrong.cause, wrong.wraps_realised, wrong.wraps) == (WalkCause.OTHER_WRAPS, (2,), (3,))

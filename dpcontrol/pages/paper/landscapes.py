@@ -44,11 +44,11 @@ def landscape_page(gallery: Gallery) -> PaperFigure:
         field = first, second, potential
         regions = [
             partial(_hill, field=field, energy=energy, points=points, angular=angular,
-                    title=_opened(points, energy, system.worded(f"{energy:g} J")))
+                    title=_opened(points, energy, f"{energy:g}{system.unit('J')}"))
             for energy in energies
         ]  # fmt: skip
         page.row(Panel(partial(_relief, field=field, angular=angular), 1.35, space=True), *regions, height=3.0)
-        listed = ", ".join(system.worded(f"{n} {p[1]:+.4f} J") for n, p in points.items())
+        listed = ", ".join(f"{n} {p[1]:+.4f}{system.unit('J')}" for n, p in points.items())
         words.append(f"{'Pendulum' if angular else 'Three bodies'}: {listed}.")
     return PaperFigure(
         page.figure(),

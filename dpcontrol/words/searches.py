@@ -1,0 +1,334 @@
+"""Sentences on orbits, tubes, connections and walks."""
+
+import math
+from collections.abc import Callable, Mapping
+from enum import StrEnum
+from typing import Any
+
+from dpcontrol.foundation.causes import (
+    BranchCause,
+    CutCause,
+    FamilyEndCause,
+    GridCause,
+    OpenEndCause,
+    OrbitCause,
+    RefinementCause,
+    SearchCause,
+    ShootingCause,
+    WalkCause,
+    WrapsCause,
+)
+from dpcontrol.foundation.document import counted
+
+
+class Concluded:
+    """Base of results that end with a member of an enumeration, `cause`."""
+
+    cause: Any
+
+    @property
+    def status(self) -> str:
+        """The cause as a sentence."""
+        return SENTENCES[type(self.cause)][self.cause](self)
+
+
+def _failed(why: str) -> Callable[[Any], str]:
+    return lambda r: f"not converged: gap {r.residual:.1e} after {r.iterations} iterations ({why})"
+
+
+def _joule(r: Any, energy: float, digits: int = 6) -> str:
+    return f"{energy:.{digits}g}{r.system.unit('J')}"
+
+
+def _joined(*clauses: tuple[object, str]) -> str:
+    return "; ".join(text for holds, text in clauses if holds)
+
+
+def _cut(r: Any, *clauses: str) -> str:
+    spent = f"partial: the cut reached its limit of {r.seconds:g} s of processor time: allow more seconds"
+    return _joined(*((True, clause) for clause in clauses), (r.spent and math.isfinite(r.seconds), spent))
+
+
+def _tubes(r: Any) -> str:
+    return f"unstable tube {r.cuts[0].status}; stable tube {r.cuts[1].status}"
+
+
+def _searched(r: Any) -> str:
+    remedy = "try another energy" if r.settings.thorough else "search thoroughly"
+    elsewhere = "" if r.settings.thorough else ", or at another energy"
+    ends = [end for cut in r.cuts for end in cut.open_ends]
+    jumping, later = any(end.hides and not end.later for end in ends), any(end.later for end in ends)
+    # "at least 0" says nothing.
+    least = "at least " if r.connections and not r.complete else ""
+    ending = "" if r.connections or r.complete else " found"
+    return _joined(
+        (True, f"{least}{counted(len(r.connections), 'connection')}{ending}: {_tubes(r)}"),
+        (
+            not r.even,
+            "closed cuts cross more often in one direction than in the other, so crossings were missed: " + remedy,
+        ),
+        (r.failed, f"{r.failed} crossings of the cuts did not converge: {remedy}{elsewhere}"),
+        (
+            r.partial,
+            f"partial: the search reached its limit of {r.seconds:.3g} s of processor time"
+            f"{f' with {r.left} places left' if r.left else ''}: allow more seconds, or use an energy nearer to the "
+            "saddles', where tubes cross less often",
+        ),
+        (
+            r.tangent,
+            f"the tubes are tangent to rounding at {r.tangent}, each of which may be several near a bifurcation",
+        ),
+        (
+            jumping,
+            f"the cuts are open (see open_cuts) and may hide connections{'' if r.partial else f': {remedy}'}",
+        ),
+        (
+            later,
+            f"longer flights {'may exist' if r.settings.cut.longest is None else 'exist'} beyond --longest (longest in "
+            "Python) and may include connections"
+            # Longer tubes scatter even more.
+            + (f": raise it above {r.cuts[0].longest:g} periods of the orbit" * all(cut.resolved for cut in r.cuts)),
+        ),
+        (
+            not (later or jumping) and any(end.cause is not OpenEndCause.ESCAPES for end in ends),
+            "the cuts are open (see open_cuts), so crossings beyond their ends belong to other hits",
+        ),
+    )
+
+
+def _on_laps(r: Any) -> str:
+    cut, orbit = next((cut, orbit) for cut, orbit in zip(r.cuts, (r.source, r.target), strict=True) if orbit.laps)
+    if not r.connections:
+        crossings = f"none at crossings {r.first} to {cut.hit} of {cut.section.name}"
+        return f"{crossings} by the tube of {orbit.saddle}; later crossings may have some"
+    return _joined(
+        (
+            True,
+            f"{counted(len(r.connections), 'connection')} at crossing {cut.hit} of {cut.section.name} by the tube of "
+            f"{orbit.saddle}; other crossings may have more",
+        ),
+        (r.failed, f"{r.failed} crossings of the cuts did not converge: try another energy"),
+        (r.partial, f"partial: the search reached its limit of {r.seconds:.3g} s of processor time"),
+        (not (r.partial or cut.resolved), "not every cut is resolved: take an earlier crossing"),
+    )
+
+
+def _on_grid(beyond: Callable[[Any], str]) -> Callable[[Any], str]:
+    return lambda r: _joined(
+        (
+            True,
+            f"at least {len(r.connections)} between {r.searched[0]:g} and {r.searched[1]:g} J, each at a different "
+            "energy and with a mirror image that turns the other way",
+        ),
+        (r.failed, f"{r.failed} candidates did not converge: search a narrower range"),
+        (beyond(r), f"not searched beyond: {beyond(r)}"),
+        (r.left, f"{r.left} candidates were not refined: the time limit was reached"),
+        (r.partial, f"partial: give the search more than {r.seconds:.3g} s, or a narrower range"),
+    )
+
+
+def family_sentence(r: Any) -> str:
+    """Return the range and the end of a family of orbits."""
+    ends = f"{r.members[0].energy:.9g} to {r.members[-1].energy:.9g}{r.ends[1].system.unit('J')}"
+    return f"{len(r.members)} orbits from {ends}; {r.ends[1].status}"
+
+
+def rotating_family_sentence(r: Any) -> str:
+    """Return the range and the changes of a family of rotating orbits."""
+    return _joined(
+        (
+            True,
+            f"{len(r.members)} orbits from {r.members[0].energy:.9g} to {r.members[-1].energy:.9g} J, "
+            f"{len(r.changes)} changes of stability, {len(r.folds)} folds in energy",
+        ),
+        *((end.cause is FamilyEndCause.STUCK, end.status) for end in r.ends),
+    )
+
+
+def caveat_sentence(r: Any) -> str:
+    """Return why a search at one energy is not complete, or ""."""
+    if r.unresolved:
+        return f"{r.unresolved[-1].hit}. crossing: {r.unresolved[-1].status}"
+    if r.failed:
+        return f"{r.failed} crossings of the cuts did not converge"
+    if r.unmatched:
+        return f"{r.unmatched} crossings of the cuts are not connections"
+    return "" if r.tubes else "an orbit or its tube does not exist"
+
+
+def bifurcations_sentence(r: Any) -> str:
+    """Return the outcome of a search for bifurcations."""
+    found, unit = counted(len(r.events), "event"), r.system.unit("J")
+    gaps = "; ".join(f"{low:.6g} to {high:.6g}{unit}, {why}" for low, high, why in r.unexplained[:5])
+    single = [c for c in r.counts if not c.complete and (r.scatters_from is None or c.energy < r.scatters_from)]
+    single_at = "; ".join(f"at {c.energy:.6g}{unit} {c.caveat}" for c in single[:3])
+    begin = f"{r.counts[0].energy:.6g}{unit}, just above the higher saddle's energy of {r.born or 0:.6g}{unit}"
+    return _joined(
+        (not gaps, f"{found}; every change of the count over {len(r.counts)} energies is explained"),
+        (
+            gaps,
+            f"{found} located, but not the cause of {counted(len(r.unexplained), 'change')} of the count: {gaps}",
+        ),
+        (r.born is not None, f"swept from {begin}: {counted(r.counts[0].count, 'connection')} there"),
+        (
+            r.scatters_from is not None,
+            f"above {r.scatters_from or 0:.6g}{unit} counts are lower bounds (at least), of connections found and "
+            f"followed: {r.counts[-1].caveat}",
+        ),
+        (
+            single,
+            f"{len(single)} searches{'' if r.scatters_from is None else ' below'} are not complete: {single_at}",
+        ),
+    )
+
+
+SENTENCES: Mapping[type[StrEnum], Mapping[Any, Callable[[Any], str]]] = {
+    ShootingCause: {
+        ShootingCause.CONVERGED: lambda r: f"converged in {r.iterations} iterations to a gap of {r.residual:.1e}",
+        ShootingCause.ITERATIONS: _failed("all iterations are used: use more wraps or more nodes"),
+        ShootingCause.ROUNDING: _failed("rounding errors grow too much over a segment: use more nodes"),
+        ShootingCause.OTHER_SIDE: _failed(
+            "the orbit leaves its first or joins its last periodic orbit on the other side of the tube"
+        ),
+        ShootingCause.SINGULAR: _failed(
+            "the linear system is singular: two tubes are tangent here; choose another energy"
+        ),
+        ShootingCause.STRETCHED: _failed("a segment is too far from its guessed length: use more wraps or more nodes"),
+        ShootingCause.NO_STEP: _failed(
+            "no step reduces the error, however short: near a tangency of two tubes there may be no orbit; use more "
+            "wraps beside this symbol"
+        ),
+        ShootingCause.DIVERGED: _failed("a segment could not be propagated: use more wraps or more nodes"),
+    },
+    RefinementCause: {
+        RefinementCause.REFINED: lambda r: (
+            f"refined in {r.iterations} iterations to a gap of {float(r.residual):.1e}; the double nodes were off by "
+            f"{r.correction:.1e}"
+        ),
+        RefinementCause.STALLED: lambda r: (
+            f"not refined: the gap stays at {float(r.residual):.1e} after {r.iterations} iterations; use more nodes, "
+            "or use double precision"
+        ),
+    },
+    WalkCause: {
+        WalkCause.CONVERGED: lambda r: r.orbit.status,
+        WalkCause.CONNECTION: lambda r: f"converged: the connection itself, at {r.connections[0].source.energy:.12g} J",
+        WalkCause.SHOOTING: lambda r: f"symbol {r.fault + 1} of {len(r.walk)} ({r.walk[r.fault]}): {r.orbit.status}",
+        WalkCause.RIVAL: lambda r: (
+            f"symbol {r.fault + 1} of {len(r.walk)}: converged, but the orbit follows {r.rival} instead of "
+            f"{r.walk[r.fault]}: use more wraps next to it"
+        ),
+        WalkCause.OTHER_WRAPS: lambda r: (
+            f"symbol {r.fault + 1} of {len(r.walk)}: converged, but with wraps {list(r.wraps_realised)} instead of "
+            f"{list(r.wraps)}: use more wraps"
+        ),
+    },
+    WrapsCause: {
+        WrapsCause.TOO_FEW: lambda r: f"wraps {list(r.tried)} are too few: must be at least {list(r.wraps)}",
+        WrapsCause.OTHERS_WORK: lambda r: f"wraps {list(r.wraps)} work where {list(r.tried)} do not",
+        WrapsCause.NONE_SUFFICE: lambda r: f"no wraps up to {r.most} suffice: {r.failed.status}",
+    },
+    OrbitCause: {
+        OrbitCause.CONTINUED: lambda r: f"converged in {r.outcome.steps} continuation steps",
+        OrbitCause.MEMBER: lambda r: (
+            f"converged to a residual of {r.outcome.newton_residual:.1e}, as a member of its family"
+        ),
+        OrbitCause.NEARBY: lambda r: f"converged from the orbit at {_joule(r, r.outcome.reached, 9)}",
+        OrbitCause.ROTATING: lambda r: (
+            f"converged to a residual of {r.outcome.newton_residual:.1e}; closed to {r.residual:.1e}"
+        ),
+        OrbitCause.LOST: lambda r: (
+            f"not converged: the family could be followed only to {_joule(r, r.outcome.reached, 6)} (residual "
+            f"{r.outcome.newton_residual:.1e} beyond); use an energy nearer to the saddle's"
+        ),
+    },
+    FamilyEndCause: {
+        FamilyEndCause.SADDLE: lambda r: (
+            f"the orbits shrink to {r.equilibrium} itself at its energy of {_joule(r, r.energy, 9)}"
+        ),
+        FamilyEndCause.ENERGY_BOUND: lambda r: f"reached the bound of {_joule(r, r.energy)}; the family continues",
+        FamilyEndCause.HYPERBOLICITY_LOST: lambda r: (
+            f"hyperbolicity is lost at {_joule(r, r.energy, 12)}: a multiplier crosses {r.multiplier:+.0f} and "
+            f"{'the family branches or folds' if r.multiplier > 0 else 'the period doubles'}"
+        ),
+        FamilyEndCause.HOMOCLINICS: lambda r: (
+            f"ends in the homoclinics of {r.equilibrium}: the period grows without bound (followed to {r.period:.3g} "
+            f"s, multiplier {r.multiplier:.1e}) as the energy tends to {_joule(r, r.limit, 6)}, extrapolated; "
+            f"{r.equilibrium} has {_joule(r, r.height, 6)}"
+        ),
+        FamilyEndCause.PASSES_EQUILIBRIUM: lambda r: (
+            f"ends in the homoclinics of {r.equilibrium}: at {r.energy:.9g} J the period has grown to {r.period:.3g} s "
+            f"and the orbit passes {r.equilibrium} ({r.height:.9g} J) at a scaled distance of {r.distance:.1g}"
+        ),
+        FamilyEndCause.LONG_PERIOD: lambda r: f"stopped at {r.energy:.9g} J: the period has grown to {r.period:.3g} s",
+        FamilyEndCause.LARGE_MULTIPLIER: lambda r: (
+            f"stopped at {_joule(r, r.energy, 9)}: multipliers above {r.limit:g} exceed double precision"
+        ),
+        FamilyEndCause.MANY_MEMBERS: lambda r: (
+            f"stopped after {r.limit} members at {_joule(r, r.energy, 9)}; allow more"
+        ),
+        FamilyEndCause.STUCK: lambda r: (
+            f"could not be followed beyond {_joule(r, r.energy, 9)} (residual {r.residual:.1e})"
+        ),
+    },
+    CutCause: {
+        CutCause.RESOLVED: lambda r: _cut(r, f"resolved to chords of {r.chord:g} by {r.trajectories} trajectories"),
+        CutCause.UNRESOLVED: lambda r: _cut(
+            r, f"not resolved by {r.trajectories} trajectories", *(branch.status for branch in r.unresolved)
+        ),
+        CutCause.ESCAPES: lambda r: _cut(r, f"escapes: no trajectory returns to {r.section.name}"),
+        CutCause.NEVER_ARRIVES: lambda r: _cut(
+            r,
+            f"no trajectory of the tube reaches crossing {r.hit} of {r.section.name} within {r.longest:g} periods",
+            *["allow longer flights, or use another energy"] * any(end.later for end in r.open_ends),
+        ),
+    },
+    BranchCause: {
+        BranchCause.SCATTERS: lambda r: (
+            f"branch {r.sampler.branch:+d} scatters before crossing {r.sampler.hit}: more than "
+            f"{r.sampler.settings.most_jumps} jumps between phases {r.sampler.settings.fine_phase_step:g} apart; "
+            "shorten --longest (longest in Python)"
+        ),
+        BranchCause.POINTS: lambda r: (
+            f"branch {r.sampler.branch:+d}: {r.points} points leave wide chords; shorten --longest (longest in Python)"
+        ),
+        BranchCause.TIME: lambda r: (
+            f"branch {r.sampler.branch:+d}: {r.points} points leave wide chords after its share of the processor time"
+        ),
+    },
+    OpenEndCause: {
+        OpenEndCause.NEVER_ARRIVES: lambda r: (
+            f"never arrives: {len(r.samples)} phases do not reach crossing {r.sampler.hit} of {r.sampler.section.name} "
+            f"within {r.sampler.longest:g} periods"
+        ),
+        OpenEndCause.ESCAPES: lambda r: (
+            f"escapes: {len(r.samples)} phases leave for ever and never reach {r.sampler.section.name}"
+        ),
+        OpenEndCause.JUMPS: lambda r: (
+            f"jumps: neighbouring trajectories separate before crossing {r.sampler.hit} (normal rates "
+            f"{r.samples.rates[0]:.3g} and {r.samples.rates[1]:.3g}); they pass near another orbit or were not refined "
+            "further"
+        ),
+        OpenEndCause.GRAZES: lambda r: (
+            f"grazes the section: crossing {r.sampler.hit} jumps where the normal rate falls to "
+            f"{min(abs(r.samples.rates)):.1e}{r.sampler.manifold.orbit.system.unit('rad/s')}"
+        ),
+    },
+    SearchCause: {
+        SearchCause.TUBES: _searched,
+        SearchCause.REVERSED: lambda r: (
+            f"{counted(len(r.connections), 'connection')} by time reversal of {r.target.saddle} to {r.source.saddle}: "
+            f"{_tubes(r)}"
+        ),
+        SearchCause.LAPS: _on_laps,
+    },
+    GridCause: {
+        GridCause.REACHED: _on_grid(lambda r: ""),
+        GridCause.TIME: _on_grid(lambda r: f"the time limit was reached before {r.beyond.energy:g} J"),
+        GridCause.ORBIT: _on_grid(lambda r: r.beyond.status),
+        GridCause.UNSTABLE_DIRECTIONS: _on_grid(
+            lambda r: f"at {r.beyond.energy:g} J the orbit has {r.beyond.unstable_directions} unstable directions"
+        ),
+    },
+}
+"""The sentence of each cause, made of a result with that cause."""
