@@ -29,7 +29,7 @@ def flown(plan: Plan, options: Mapping[str, Any], seeds: Sequence[int]) -> list[
 
 def completed(plan: Plan, options: Mapping[str, Any], seeds: Sequence[int]) -> tuple[float, list[str]]:
     """Return the share of completed runs, and the reasons of failures."""
-    problems = [flight.verdict.problem for flight in flown(plan, options, seeds) if flight.verdict.problem]
+    problems = [flight.verdict.reason for flight in flown(plan, options, seeds) if not flight.verdict.completed]
     return 1 - len(problems) / len(seeds), problems
 
 

@@ -27,6 +27,7 @@ from unittest import mock
 import numpy as np
 
 import dpcontrol.loop.lockstep as lockstep
+from dpcontrol.foundation.causes import Cause, Fault
 from dpcontrol.judge.score import Flown, Verdict, verdict_on
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.loop import LoopSettings
@@ -98,8 +99,8 @@ def flights(itinerary: Itinerary, reference: Reference, seeds: Sequence[int]) ->
     due = tuple(symbol["time"] for symbol in reference.notes["symbols"])
     out = []
     for seed, run, estimate in zip(seeds, runs, estimates, strict=True):
-        ended = "" if run.ending is Ending.FINISHED else run.reason
-        flown = Flown(run.times, run.truth, run.references, run.applied, loop.rate, bounds, ended)
+        end = None if run.ending is Ending.FINISHED else run.end
+        flown = Flown(run.times, run.truth, run.references, run.applied, loop.rate, bounds, end)
         verdict = verdict_on(flown, reference)
         out.append(Flight(itinerary.name, seed, loop, run, estimate, verdict, bounds, due))
     return out
@@ -256,19 +257,18 @@ def troubled(random: np.random.Generator, *, controller: str, troubles: int, fau
 
 def class_of(flight: Flight) -> str:
     """Return the class of an ending, with separate classes for faults and hard stops."""
-    for name in ("is stuck", "no measurement", "hard stop", "limit switch"):
-        if name in flight.run.reason:
-            return name
-    return flight.run.ending.value
+    cause = flight.run.end.cause
+    special = cause in (Cause.STUCK, Cause.SILENT, Cause.HARD_STOP, Cause.SWITCH)
+    return cause if special else flight.run.ending.value
 
 
 def untrue_score(flight: Flight) -> str:
     """Return the first false claim of a run's score, or an empty string."""
-    symbols, problem = flight.verdict.symbols, flight.verdict.problem
+    symbols = flight.verdict.symbols
     far = np.flatnonzero(flight.away > LOST)
-    if not problem:
+    if flight.verdict.completed:
         return f"completed, although {flight.away.max():.1f} rad off" if far.size else ""
-    if "did not start on" in problem and flight.away[: round(0.05 * flight.settings.rate)].max() < 0.5:
+    if flight.verdict.fault is Fault.NOT_BEGUN and flight.away[: round(0.05 * flight.settings.rate)].max() < 0.5:
         return "it did start there"
     if not far.size or not symbols:
         return ""

@@ -391,47 +391,50 @@ class Ticker:
             self(0, reading)
             self.program.memory[:] = begun
 
-    def flag_estimate(self) -> str:
-        """Return a sentence on the parameter that left its range.
-
-        The law does not trust values outside this range.
-        """
+    def untrusted(self) -> Mapping[str, Any]:
+        """Return name and share of the parameter that left the range in which the law trusts its estimate."""
         schedule, report = self._schedule, self.program.report
         assert schedule is not None
         which = int(report[self.at["untrusted"], 0]) - 1
-        share = report[self._extra, 0][which]
-        return (
-            f"model error: {schedule.names[which]} is estimated to be off by {share:+.0%}, beyond the "
-            f"first-order range (trust {schedule.trust:g}); identify the arms, or tracking may be lost"
-        )
+        return {
+            "parameter": schedule.names[which],
+            "share": report[self._extra, 0].item(which),
+            "trust": float(schedule.trust),
+        }
 
     def figures(self, k: int, lane: int = 0) -> Mapping[str, float]:
         """Return the numbers of the last tick that explain an outcome.
 
+        time        s, of the tick
         distance    rad, of the angle farthest from the reference, as measured if possible
         apart       rad, of the estimated angle farthest from its reading
         position    m, of the cart
         velocity    m/s, of the cart; NaN if its scale contradicts it
+        sensor      number of the sensor with a constant reading, 0 for the cart's scale
+        repeated    s, for which that sensor has given this reading
 
         Args:
             k: the last tick.
             lane: number of the run, default 0.
         """
         column, references, arms = self.program.report[:, lane], self.references[k - self.began], self._arms
-        names = ("mean_nis", "error", "silent", "sensor", "repeats", "wish", "command", "untrusted", "newly_cut")
+        names = ("mean_nis", "error", "silent", "wish", "command", "untrusted", "newly_cut")
         angles = column[:arms]
         wanted = references[:arms] if references.ndim == 1 else references[:, lane]
         measured, present = (self.program.reading[self._reading[name]] for name in ("measured", "present"))
         apart = measured[:arms, lane] - angles
         read = measured[:arms, lane] - 2 * np.pi * np.rint(apart / (2 * np.pi))
         seen = present[:arms, lane] > 0
+        sensor, period = int(column.item(self.at["sensor"])), self.program.period
         velocity, span = column.item(self._n - 1), len(self._carts)
         moved = self._carts[k % span, lane] - self._carts[(k + 1) % span, lane]
-        by_scale = moved / ((span - 1) * self.program.period)
+        by_scale = moved / ((span - 1) * period)
         agree = abs(velocity - by_scale) <= _VELOCITY + _VELOCITY_SHARE * abs(by_scale)
         return {
             **{name: column.item(self.at[name]) for name in names},
             "distance": float(np.abs(np.where(seen, read, angles) - wanted).max()),
             "apart": float(np.abs(apart[seen]).max(initial=0.0)),
             "position": column.item(self._n - 2), "velocity": velocity if agree else math.nan,
+            "sensor": sensor if sensor <= arms else 0, "repeated": column.item(self.at["repeats"]) * period,
+            "time": k * period,
         }  # fmt: skip

@@ -45,7 +45,7 @@ def test_ninety_nine_percent_of_ten_thousand_endings_are_true_and_no_working_sen
         for flight in flights(scene, plan.reference, range(first, first + count)):
             if not faulty and "stuck" in flight.run.reason:
                 stuck.append(f"bench {number}, seed {flight.seed}: {flight.run.reason}")
-            if flight.verdict.problem:
+            if not flight.verdict.completed:
                 seen[class_of(flight)] += 1
                 if fault := untrue(flight) or untrue_score(flight):
                     false.append(f"bench {number}, seed {flight.seed}: {flight.run.reason} -> {fault}")
