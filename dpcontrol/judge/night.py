@@ -316,35 +316,29 @@ def _firsts(falls: Sequence[Fall], spans: Sequence[NightSpan]) -> list[Fall]:
 
 
 def _followed(digests: Sequence[Digest]) -> tuple[list[NightSpan], list[Fall], list[Event]]:
-    spans: list[NightSpan] = []
     falls: list[Fall] = []
     endings: list[Event] = []
-    kind, cause, since, left = STOPPED, "", digests[0].first, None
-    end = digests[0].first
+    end, left = digests[0].first, None
+    turns = [(end, STOPPED, "")]
 
-    def turn(time: float, following: str, why: str) -> None:
-        nonlocal kind, cause, since
-        if time > since:
-            if spans and (spans[-1].kind, spans[-1].cause, spans[-1].end) == (kind, cause, since):
-                spans[-1] = replace(spans[-1], end=time)
-            else:
-                spans.append(NightSpan(since, time, kind, cause))
-        kind, cause, since = following, why, time
+    def turn(time: float, kind: str, cause: str = "") -> None:
+        if turns[-1][1:] != (kind, cause):
+            turns.append((time, kind, cause))
 
     for digest in digests:
         if digest.first > end + _GAP:
-            turn(end, UNKNOWN, "")
-            turn(digest.first, ITINERARY if digest.on else STOPPED, "")
+            turn(end, UNKNOWN)
+            turn(digest.first, ITINERARY if digest.on else STOPPED)
             left = None
         for event in digest.events:
-            time, name = event.time, event.name
+            (_, kind, cause), time, name = turns[-1], event.time, event.name
             if name in (RESUME, LAP):
                 if left is not None:
                     falls[left] = replace(falls[left], back=time - falls[left].time)
                     left = None
-                turn(time, ITINERARY, "")
+                turn(time, ITINERARY)
             elif name == RETURN and event.level == "info":
-                turn(time, BETWEEN, "")
+                turn(time, BETWEEN)
             elif name == RETURN:
                 left = len(falls) if left is None else left
                 falls.append(Fall(time, event.cause or UNKNOWN_CAUSE, event.text))
@@ -354,9 +348,10 @@ def _followed(digests: Sequence[Digest]) -> tuple[list[NightSpan], list[Fall], l
             elif name not in (REST, START):
                 if name != "finished":
                     endings.append(event)
-                turn(time, STOPPED, "")
+                turn(time, STOPPED)
         end = digest.end
-    turn(end, STOPPED, "")
+    ends = [*(time for time, _, _ in turns[1:]), end]
+    spans = [NightSpan(turn[0], then, *turn[1:]) for turn, then in zip(turns, ends, strict=True) if then > turn[0]]
     return spans, falls, endings
 
 
