@@ -46,6 +46,7 @@ def judged(plan: Plan, folder: Path) -> dict[str, Any]:
     }
 
 
+@pytest.mark.slow
 def test_other_sentences_change_no_verdict(plan: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "before").mkdir()
     (tmp_path / "after").mkdir()
