@@ -19,6 +19,7 @@ Source: OMG DDS-RTPS 2.3, section 10 (CDR, representation identifier CDR_LE).
 """
 
 import json
+import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -106,6 +107,46 @@ class Message:
         seconds, rest = divmod(time_ns, 1_000_000_000)
         self.number("<i4", seconds, name=f"{name}.sec")
         self.number("<u4", rest, name=f"{name}.nanosec")
+
+
+class MessageReader:
+    """Reads the values of a CDR message in sequence.
+
+    Args:
+        data: the message.
+    """
+
+    def __init__(self, data: bytes) -> None:
+        self._data, self._place = data, len(ENCAPSULATION)
+        self._order = "<" if data[1:2] == b"\x01" else ">"
+
+    def take(self, form: str, size: int, count: int = 1) -> tuple[Any, ...]:
+        """Return numbers, starting at the next aligned offset.
+
+        Args:
+            form: format of a number, as in `struct`.
+            size: bytes of a number.
+            count: how many, default 1.
+
+        Raises:
+            ValueError: the message ends before.
+        """
+        self._place += -(self._place - len(ENCAPSULATION)) % size
+        if self._place + size * count > len(self._data):
+            raise ValueError(f"it ends after {len(self._data)} bytes")
+        values = struct.unpack_from(f"{self._order}{count}{form}", self._data, self._place)
+        self._place += size * count
+        return values
+
+    def text(self) -> str:
+        """Return a string."""
+        (content,) = self.take("s", 1, *self.take("I", 4))
+        return content.rstrip(b"\0").decode()
+
+    def doubles(self) -> tuple[float, ...]:
+        """Return a sequence of float64."""
+        (count,) = self.take("I", 4)
+        return self.take("d", 8, count) if count else ()
 
 
 def joint_state(names: Sequence[str], *, velocities: bool) -> Message:
@@ -214,20 +255,10 @@ def logged_event(time: float, data: bytes) -> Event:
     Raises:
         ValueError: the message has a different layout.
     """
-    offset = len(ENCAPSULATION) + 9
-    if len(data) < offset:
-        raise ValueError("message too short")
-    texts = []
-    for _ in range(4):
-        offset += -(offset - len(ENCAPSULATION)) % 4
-        size = int.from_bytes(data[offset : offset + 4], "little")
-        content = data[offset + 4 : offset + 4 + size]
-        if len(content) != size or not content.endswith(b"\0"):
-            raise ValueError("string runs over the message's end")
-        texts.append(content[:-1].decode())
-        offset += 4 + size
-    name, words, figures, cause = texts
-    level = _LEVEL_NAMES.get(data[len(ENCAPSULATION) + 8], "info")
+    message = MessageReader(data)
+    message.take("I", 4, 2)
+    level = _LEVEL_NAMES.get(message.take("B", 1)[0], "info")
+    name, words, figures, cause = (message.text() for _ in range(4))
     # Other programs log their functions and files there.
     if cause not in _CAUSES or not words:
         return Event(time, level, name, words=words)
