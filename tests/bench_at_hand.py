@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from dpcontrol.logs import Event
 from dpcontrol.loop.protocols import Reading
 from dpcontrol.rig import packets as packets
 from dpcontrol.rig.bench import BenchServerSettings, UdpBench
@@ -26,7 +27,7 @@ class Toy:
     """A rig whose positions are its tick, and which records its commands."""
 
     period: float = 0.002
-    fault: str = ""
+    fault: Event | None = None
     tick: int = -1
     commands: list[tuple[int, float]] = field(default_factory=list)
     stopped_at: int | None = None

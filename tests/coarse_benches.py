@@ -1,13 +1,13 @@
 """Runs on benches with coarse encoders: completion and delay of detecting stuck scales."""
 
 import math
-import re
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from ending_truth import Flight, flights
 
+from dpcontrol.foundation.causes import Cause
 from dpcontrol.plans.plan import Plan
 
 BENCH = {
@@ -29,7 +29,7 @@ def flown(plan: Plan, options: Mapping[str, Any], seeds: Sequence[int]) -> list[
 
 def completed(plan: Plan, options: Mapping[str, Any], seeds: Sequence[int]) -> tuple[float, list[str]]:
     """Return the share of completed runs, and the reasons of failures."""
-    problems = [flight.verdict.problem for flight in flown(plan, options, seeds) if flight.verdict.problem]
+    problems = [flight.verdict.reason for flight in flown(plan, options, seeds) if not flight.verdict.completed]
     return 1 - len(problems) / len(seeds), problems
 
 
@@ -54,9 +54,10 @@ def stuck_scales(plan: Plan, options: Mapping[str, Any], seeds: Sequence[int]) -
         first = min(math.ceil(at * rate), len(cart) - 1)
         moved = np.flatnonzero(np.abs(cart[first:] - cart[first]) >= MOVED)
         moving = int(moved[0]) / rate if len(moved) else math.inf
-        told = re.search(r"t = ([0-9.]+) s: the cart's scale is stuck", flight.run.reason)
-        delay = max(float(told[1]) - first / rate - moving, 0.0) if told else math.inf
+        end = flight.run.end
+        named = end.cause == Cause.STUCK and end.figures["sensor"] == 0
+        delay = max(end.figures["time"] - first / rate - moving, 0.0) if named else math.inf
         # A scale is never reported before it sticks.
-        assert not told or float(told[1]) >= at, (seed, flight.run.reason)
+        assert not named or end.figures["time"] >= at, (seed, flight.run.reason)
         found.append(StuckScale(delay, moving))
     return found

@@ -18,7 +18,6 @@ Distances have a tolerance of 0.2 rad and a tenth, which is too small to confuse
 A run that reached the reference's end is judged by its score, see `untrue_score`.
 """
 
-import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -27,6 +26,7 @@ from unittest import mock
 import numpy as np
 
 import dpcontrol.loop.lockstep as lockstep
+from dpcontrol.foundation.causes import Cause, Fault
 from dpcontrol.judge.score import Flown, Verdict, verdict_on
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.loop import LoopSettings
@@ -98,20 +98,11 @@ def flights(itinerary: Itinerary, reference: Reference, seeds: Sequence[int]) ->
     due = tuple(symbol["time"] for symbol in reference.notes["symbols"])
     out = []
     for seed, run, estimate in zip(seeds, runs, estimates, strict=True):
-        ended = "" if run.ending is Ending.FINISHED else run.reason
-        flown = Flown(run.times, run.truth, run.references, run.applied, loop.rate, bounds, ended)
+        end = None if run.ending is Ending.FINISHED else run.end
+        flown = Flown(run.times, run.truth, run.references, run.applied, loop.rate, bounds, end)
         verdict = verdict_on(flown, reference)
         out.append(Flight(itinerary.name, seed, loop, run, estimate, verdict, bounds, due))
     return out
-
-
-_NUMBER = r"(-?[0-9.]+(?:e[+-]?[0-9]+)?|nan|inf)"
-
-
-def _read(pattern: str, text: str) -> tuple[float, ...]:
-    """Return the numbers of a sentence at each # of a pattern."""
-    found = re.search(re.escape(pattern).replace(r"\#", _NUMBER).replace(r"\ ", " "), text)
-    return tuple(map(float, found.groups())) if found else ()
 
 
 LOST = 1.5
@@ -122,55 +113,50 @@ WRONG = 0.05
 
 def untrue(flight: Flight) -> str:
     """Return the first false claim about a run's ending, or an empty string."""
-    run, text = flight.run, flight.run.reason
+    run, end = flight.run, flight.run.end
     if run.ending is Ending.FINISHED:
         return ""
-    (now,) = _read("at t = # s", text) or (float(run.times[-1]),)
+    told, now = end.figures, end.figures.get("time", float(run.times[-1]))
     k = min(round(now * flight.settings.rate), len(run.times) - 1)
     before = slice(max(0, k - round(0.3 * flight.settings.rate)), k + 1)
-    sensors = flight.settings.sensors
-    if "is stuck" in text:
-        names = ["the encoder of joint 1", "the encoder of joint 2", "the cart's scale"]
-        named = next(i for i, name in enumerate(names) if name in text)
+    sensors, apart = flight.settings.sensors, told.get("apart", 0.0)
+    if end.cause == Cause.STUCK:
+        named = (told["sensor"] or 3) - 1
         really = sensors.stuck_at <= now and named == sensors.stuck_sensor
         return "" if really else f"sensor {named} is not stuck"
-    if "no measurement for" in text:
+    if end.cause == Cause.SILENT:
         return "" if sensors.dropout else "readings came"
-    if "mean NIS" in text or "no longer finite" in text:
+    if end.cause == Cause.ESTIMATE_LOST and not apart > 1.0:
         worst = np.nanmax(flight.wrong[before]) if np.isfinite(flight.wrong[before]).any() else np.inf
         cart = np.nanmax(np.abs(run.truth[before, -2] - flight.estimates[before, -2]))
         broken = sensors.stuck_at <= now or sensors.missed_counts > 0
         return "" if broken or worst > WRONG or cart > 0.02 else f"the estimate was right to {worst:.3f} rad"
-    if "rad from the encoders" in text:
-        (said,) = _read("it is # rad from the encoders", text)
+    if end.cause == Cause.ESTIMATE_LOST:
         worst = flight.wrong[before].max()
-        return "" if worst > WRONG else f"the estimate was right to {worst:.3f} rad, and not wrong by {said}"
-    if "limit switch" in text:
+        return "" if worst > WRONG else f"the estimate was right to {worst:.3f} rad, and not wrong by {apart}"
+    if end.cause == Cause.SWITCH:
         own = drive_end(flight)
         return "" if abs(run.truth[k, -2]) > own - 1e-6 else f"the cart was at {run.truth[k, -2]:.3f} m"
-    if "hard stop" in text:
-        x, _ = _read("x = # m at # m/s", text)
-        return "" if abs(abs(x) - drive_end(flight)) < 1e-3 else "the cart was not at its hard stop"
-    if run.ending is Ending.TRACKING_LOST and (said := _read("an angle has stayed # rad", text)):
-        # The sentence refers to a mean over a second.
+    if end.cause == Cause.HARD_STOP:
+        return "" if abs(abs(told["position"]) - drive_end(flight)) < 1e-3 else "the cart was not at its hard stop"
+    if end.cause == Cause.TRACKING_LOST:
+        # The figure is a mean over a second.
         mean, share = 0.0, 1 / flight.settings.rate
         for value in flight.away[: k + 1]:
             mean += (value - mean) * share
-        return "" if _near(said[0], mean) else f"the true angle stayed {mean:.2f} rad away"
+        return "" if _near(told["error"], mean) else f"the true angle stayed {mean:.2f} rad away"
     if run.ending in (Ending.TRACKING_LOST, Ending.CART_STOP):
-        (said,) = _read("an angle is # rad" if run.ending is Ending.TRACKING_LOST else "an angle # rad", text)
-        (x,), speed = _read("at # m", text.partition(" s: ")[2]), _read("m with # m/s", text)
         there, quick = run.truth[k, -2:]
-        if abs(there - x) > 0.01 or any(abs(quick - v) > 0.1 + 0.1 * abs(quick) for v in speed):
+        if abs(there - told["position"]) > 0.01 or abs(quick - told["velocity"]) > 0.1 + 0.1 * abs(quick):
             return f"the cart was at {there:.3f} m with {quick:.2f} m/s"
-        if not _near(said, flight.away[k]):
+        if not _near(told["distance"], flight.away[k]):
             return f"the true angle was {flight.away[k]:.2f} rad away"
         if flight.away[k] > LOST + SLACK and run.ending is Ending.CART_STOP:
             return f"the arms were already {flight.away[k]:.1f} rad from the reference"
         reached = _stop(flight, k)
         room = ROOM + abs(quick) / flight.settings.rate
         return "" if reached > flight.limits[0] - room else f"the cart had room to stop, at {reached:.3f} m"
-    return "" if run.ending is Ending.PLANT_FAILED else f"no such ending: {text}"
+    return "" if run.ending is Ending.PLANT_FAILED else f"no such ending: {end.cause}"
 
 
 def drive_end(flight: Flight) -> float:
@@ -256,19 +242,18 @@ def troubled(random: np.random.Generator, *, controller: str, troubles: int, fau
 
 def class_of(flight: Flight) -> str:
     """Return the class of an ending, with separate classes for faults and hard stops."""
-    for name in ("is stuck", "no measurement", "hard stop", "limit switch"):
-        if name in flight.run.reason:
-            return name
-    return flight.run.ending.value
+    cause = flight.run.end.cause
+    special = cause in (Cause.STUCK, Cause.SILENT, Cause.HARD_STOP, Cause.SWITCH)
+    return cause if special else flight.run.ending.value
 
 
 def untrue_score(flight: Flight) -> str:
     """Return the first false claim of a run's score, or an empty string."""
-    symbols, problem = flight.verdict.symbols, flight.verdict.problem
+    symbols = flight.verdict.symbols
     far = np.flatnonzero(flight.away > LOST)
-    if not problem:
+    if flight.verdict.completed:
         return f"completed, although {flight.away.max():.1f} rad off" if far.size else ""
-    if "did not start on" in problem and flight.away[: round(0.05 * flight.settings.rate)].max() < 0.5:
+    if flight.verdict.fault is Fault.NOT_BEGUN and flight.away[: round(0.05 * flight.settings.rate)].max() < 0.5:
         return "it did start there"
     if not far.size or not symbols:
         return ""

@@ -60,10 +60,10 @@ def runs(itinerary: Itinerary, reference: Reference, options: Mapping[str, Any],
     flights = assembly.batch(seeds) if lockstep else [BatchRun.of(assembly.simulate(draw=draw)) for draw in draws]
     bounds = (limits.position, limits.velocity, limits.acceleration)
     for seed, run in zip(seeds, flights, strict=True):
-        ended = "" if run.ending is Ending.FINISHED else run.reason
+        end = None if run.ending is Ending.FINISHED else run.end
         flown = Flown(
             time=run.times, states=run.truth, reference_angles=run.references, applied=run.applied, rate_hz=loop.rate,
-            limits=bounds, ended=ended, flights=run.flights,
+            limits=bounds, end=end, flights=run.flights,
         )  # fmt: skip
         yield Case(f"seed {seed}, {options}", flown, None)
 
@@ -97,11 +97,11 @@ def disagreement(case: Case, reference: Reference, plan: Plan) -> str:
             for at, name, bound in ((-2, "position", plan.limits[0]), (-1, "velocity", plan.limits[1]))
             if np.abs(case.flown.states[:, at]).max() > bound + 1e-9
         ]
-    if bool(verdict.problem) == bool(found):
+    if verdict.completed != bool(found):
         return ""
     if np.isfinite(states).all() and abs(last_gap(plan, states) - LAST) < UNSURE:
         return ""
-    return f"{case.text}: the score says {verdict.problem or 'completed'!r}, the other decoder {found or 'completed'}"
+    return f"{case.text}: the score says {verdict.reason!r}, the other decoder {found or 'completed'}"
 
 
 @cache
@@ -176,7 +176,7 @@ class Comparison:
             self.runs += 1
             if text := disagreement(case, reference, read):
                 self.false.append(f"{plan.itinerary.name}, {text}")
-            if verdict_on(case.flown, reference).problem:
+            if not verdict_on(case.flown, reference).completed:
                 continue
             self.completed += 1
             if made or case.flown.flights:
@@ -184,7 +184,7 @@ class Comparison:
             made = True
             for mutant in mutants(case, read, random):
                 self.wrong += 1
-                if not verdict_on(mutant.flown, reference).problem:
+                if verdict_on(mutant.flown, reference).completed:
                     self.false.append(f"{plan.itinerary.name}, {mutant.text}: completed by the score")
                 if not faults(read, mutant.flown.states, None):
                     self.false.append(f"{plan.itinerary.name}, {mutant.text}: completed by the other decoder")

@@ -217,9 +217,9 @@ def _completed(reference: Reference) -> Judge:
         flown = Flown(
             time=run.times, states=run.truth, reference_angles=run.references[:, :2], applied=run.applied,
             rate_hz=RATE, limits=(limits.position, limits.velocity, limits.acceleration),
-            ended="" if run.ending == "finished" else run.reason,
+            end=None if run.ending is Ending.FINISHED else run.end,
         )  # fmt: skip
-        return not verdict_on(flown, reference).problem
+        return verdict_on(flown, reference).completed
 
     return judge
 

@@ -54,7 +54,7 @@ def score_command(
     runs = [read_log(path) for path in logs]
     verdicts = [score(run) for run in runs]
     documents = [verdict.document() for verdict in verdicts]
-    lines = [[*score_text(verdict)] for verdict in verdicts]
+    lines = [[*score_text(verdict, hint=not why)] for verdict in verdicts]
     if why:
         # Loops and plants, which a score needs nothing of.
         from dpcontrol.runs.run import Run
@@ -62,9 +62,7 @@ def score_command(
         for run, document, text in zip(runs, documents, lines, strict=True):
             found = Run(run).why(yes=yes, progress=True)
             document["why"] = found.document()
-            text[:] = [line for line in text if not line.startswith(_WHY)]
-            text.append(f"{_WHY}{found.sentence}")
-            text += [f"{' ' * len(_WHY)}{line}" for line in found.lines()]
+            text += [f"{_WHY}{found.sentence}", *(f"{' ' * len(_WHY)}{line}" for line in found.lines())]
     failed = [verdict for verdict in verdicts if shortfall(verdict)]
     known = all(verdict.completed is False for verdict in failed)
     return Answer(
@@ -92,11 +90,12 @@ def _nights(folders: list[Path], others: list[Path], *, why: bool) -> Answer:
 _WHY = "  why      "
 
 
-def score_text(verdict: "Score") -> Iterator[str]:
+def score_text(verdict: "Score", *, hint: bool = True) -> Iterator[str]:
     """Yield the lines of a score.
 
     Args:
         verdict: score of one log.
+        hint: True to tell what a failed run can be asked.
     """
     pace = "" if verdict.real_time_factor is None else f", {verdict.real_time_factor:.1f} × real time"
     yield verdict.log
@@ -108,7 +107,7 @@ def score_text(verdict: "Score") -> Iterator[str]:
     )
     if verdict.nis_means is not None:
         yield f"  NIS      {verdict.nis_means.sentence}"
-    if verdict.completed is False:
+    if hint and verdict.completed is False:
         yield f"{_WHY}`dpcontrol score LOG --why` searches for options that complete a simulated run of built-in parts"
     if verdict.thinking is not None:
         median, most = 1e6 * verdict.thinking.median, 1e6 * verdict.thinking.within_99

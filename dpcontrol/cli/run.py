@@ -711,8 +711,8 @@ def _preflight_text(found: "Preflight") -> Iterator[str | TextTable]:
     if found.endings:
         runs = found.share.runs
         yield table("", found.endings[:SHOWN], {
-            "what ends it otherwise": "{.words}", "of all runs": lambda e: f"{e.runs / runs:.1%}",
-            "in the words of the loop": "{.reason}", "seed": "{.seed}",
+            "what ends it otherwise": "{.cause}", "of all runs": lambda e: f"{e.runs / runs:.1%}",
+            "for example": "{.example}", "seed": "{.seed}",
         })  # fmt: skip
     if found.borders:
         yield table("", found.borders, {

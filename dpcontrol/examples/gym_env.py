@@ -89,7 +89,7 @@ class BenchEnv(gymnasium.Env[Array, Array]):
             self.measured = self.rig.read().positions
             self.tick += 1
             distance = float(np.abs(self.rig.truth[: self.arms] - self.states[self.tick, : self.arms]).max())
-            reason = self.rig.fault or ("tracking lost" if distance > LOST else "")
+            reason = self.rig.fault.text if self.rig.fault else "tracking lost" if distance > LOST else ""
             if reason or self.tick == last:
                 break
         over = self.tick == last and not reason
@@ -105,7 +105,7 @@ class BenchEnv(gymnasium.Env[Array, Array]):
             self.rig.period * np.arange(count, dtype=float), np.array(self.truth), self.states[:count, : self.arms],
             np.array(self.commands), 1 / self.rig.period, (limits.position, limits.velocity, limits.acceleration),
         )  # fmt: skip
-        return not verdict_on(flown, self.assembly.reference).problem
+        return verdict_on(flown, self.assembly.reference).completed
 
 
 # %%

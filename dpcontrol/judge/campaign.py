@@ -1,13 +1,12 @@
 """A campaign's table as numbers: shares of success, failures, spreads.
 
 Each row is one run. Shares come with Wilson's 95 % interval (`foundation.statistics`). Only the column `completed` is
-required. Optional columns are itinerary, controller, estimator, mismatch, symbols_completed, symbols_total, reason,
+required. Optional columns are itinerary, controller, estimator, mismatch, symbols_completed, symbols_total, cause,
 ending, rms_tracking_error (rad), max_cart_position (m). A table with kind and level comes from the standard score: its
 groups are formed by kind of trouble, its levels over all kinds together. Cases with equal values in these columns are
 distinguished by `case`. Other columns are ignored.
 """
 
-import re
 from collections import Counter
 from dataclasses import dataclass
 from io import BytesIO
@@ -29,11 +28,8 @@ SPREADS = ("max_cart_position", "rms_tracking_error")
 """Columns with a spread over the runs, in m and rad."""
 _WHAT = ("itinerary", "controller", "estimator")
 _KIND, _LEVEL, _CASE = "kind", "level", "case"
-_EARLY = re.compile(r"; the run ended [^:;]* early: ")
 _APART, _BINS = 21, 6
 """Most values shown individually, and the number of bins for more."""
-_NUMBER = re.compile(r"[-+]?\d[\d.,]*(?:e[-+]?\d+)?")
-_MOST_LETTERS = 90
 
 
 @dataclass(frozen=True)
@@ -78,7 +74,7 @@ class CampaignSummary(Shown):
         axis: "mismatch", or "level" of the standard score.
         levels: by family and mismatch or level; empty if it does not vary.
         failed_symbols: (family, symbol from 1, number of runs that failed at it), symbol 0 if unknown.
-        reasons: number of failed runs by reason without its numbers, the most frequent first.
+        reasons: number of failed runs by cause, the most frequent first.
         spreads: by column and family, values of runs that completed and of those that did not.
     """
 
@@ -271,19 +267,9 @@ def _symbols(
 
 
 def _reasons(table: dict[str, list[Any]], done: Rows) -> tuple[tuple[str, int], ...]:
-    texts = table.get("reason") or table.get("ending") or [""] * len(done)
-    counts = Counter(plain_reason(str(texts[k] or "not named")) for k in np.flatnonzero(~done))
+    causes = table.get("cause") or table.get("ending") or [""] * len(done)
+    counts = Counter(str(causes[k] or "not named") for k in np.flatnonzero(~done))
     return tuple(counts.most_common())
-
-
-def plain_reason(reason: str) -> str:
-    """Return the reason for a run's failure, without numbers and remedy.
-
-    Args:
-        reason: reason with numbers and remedy, as in a log.
-    """
-    text = _NUMBER.sub("…", _EARLY.split(reason)[-1].split(";")[0].strip())
-    return text if len(text) <= _MOST_LETTERS else text[: _MOST_LETTERS - 1] + "…"
 
 
 def _spreads(

@@ -20,13 +20,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.causes import Cause
 from dpcontrol.foundation.checked import checked
 from dpcontrol.foundation.document import picked
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.settings import check_names
 from dpcontrol.foundation.shown import Shown, pandas_classes
 from dpcontrol.logs.container import partials_of
-from dpcontrol.logs.layout import CATCH, LAP, REST, RESUME, RETURN, START
+from dpcontrol.logs.layout import CATCH, LAP, REST, RESUME, RETURN, START, Event
 from dpcontrol.logs.reader import read_log
 from dpcontrol.logs.rolling import Digest, digest_of_log
 
@@ -37,6 +38,8 @@ ITINERARY, CALMING, STARTING = "on the itinerary", "arms calmed", "rising"
 BETWEEN, UNKNOWN = "between repetitions", "no log"
 """Kinds of spans, as displayed."""
 STOPPED = "ended"
+UNKNOWN_CAUSE = "unknown"
+"""Cause of a fall in a log that has only its text."""
 _SHORT = 0.05
 """Share of the longest file's time below which a mean does not count: estimates drift while the cart is at rest."""
 _GAP = 0.5
@@ -84,23 +87,6 @@ class Drift:
     per_hour: float
 
 
-def cause_of(text: str) -> str:
-    """Return the reason for giving up the itinerary, in a few words.
-
-    Args:
-        text: text of the logged event.
-    """
-    # A braking cart has not hit its stop.
-    for mark, words in (("is stuck", "sensor stuck"), ("no measurement", "no measurement"),
-                        ("limit switch", "limit switch"), ("cart at its stop", "cart near its stop")):  # fmt: skip
-        if mark in text:
-            return words
-    for words in ("tracking lost", "estimate lost", "drive failed", "plant failed"):
-        if text.startswith(words):
-            return words
-    return "other"
-
-
 @dataclass(frozen=True, eq=False)
 class Night(Shown):
     """A long run, represented by its digests in order."""
@@ -110,13 +96,13 @@ class Night(Shown):
     partials: tuple[Path, ...]
     spans: Sequence[NightSpan]
     falls: Sequence[Fall]
-    endings: Sequence[tuple[float, str]]
-    """Times and texts of endings, except by the planned time."""
+    endings: Sequence[Event]
+    """Events of endings, except by the planned time."""
 
     @property
     def failure(self) -> str:
         """Reason why the night ended before its planned time, or ""."""
-        last = [text for time, text in self.endings if time >= self.digests[-1].first]
+        last = [end.text for end in self.endings if end.time >= self.digests[-1].first]
         return last[-1] if last else ""
 
     def _time(self, *kinds: str) -> float:
@@ -171,7 +157,7 @@ class Night(Shown):
     @property
     def stop_hits(self) -> int:
         """Number of times the cart hit an end stop of its track."""
-        return sum("hit its hard stop" in text for _, text in self.endings)
+        return sum(end.cause == Cause.HARD_STOP for end in self.endings)
 
     @property
     def estimated(self) -> tuple[str, ...]:
@@ -258,7 +244,7 @@ class Night(Shown):
             "not_back": sum(fall.back is None for fall in _firsts(self.falls, self.spans)),
             "stop_hits": self.stop_hits, "max_cart_position": self.cart, "rms_tracking_error": self.tracking,
             "seconds": {kind: self._time(kind) for kind in (ITINERARY, CALMING, STARTING, BETWEEN)},
-            "not_logged": lost, "endings": [{"time": time, "text": text} for time, text in self.endings],
+            "not_logged": lost, "endings": [picked(end, "time", "text", "cause") for end in self.endings],
             "drift": [asdict(drift) for drift in self.drifts],
             "memory_growth": self.memory_growth, "deadlines": self.deadlines, "partials": list(self.partials),
         }  # fmt: skip
@@ -311,8 +297,8 @@ class Night(Shown):
         for span in self.spans:
             if span.kind == UNKNOWN:
                 yield f"  no log from {span.first / 60:.2f} to {span.end / 60:.2f} minutes"
-        for time, text in self.endings:
-            yield f"  ended at {time / 60:.2f} minutes: {text}"
+        for end in self.endings:
+            yield f"  ended at {end.time / 60:.2f} minutes: {end.text}"
         for file in self.partials:
             yield f"  beside it: {file}, of a night that was interrupted or is under way"
 
@@ -323,52 +309,48 @@ def _firsts(falls: Sequence[Fall], spans: Sequence[NightSpan]) -> list[Fall]:
     return [fall for fall in falls if any(abs(fall.time - end) < 1e-6 for end in ends)]
 
 
-def followed(digests: Sequence[Digest]) -> tuple[list[NightSpan], list[Fall], list[tuple[float, str]]]:
-    """Return the spans and falls of digests in order, and the times and texts of endings but by the planned time.
+def followed(digests: Sequence[Digest]) -> tuple[list[NightSpan], list[Fall], list[Event]]:
+    """Return the spans and falls of digests in order, and the events of endings but by the planned time.
 
     Args:
         digests: digests in order.
     """
-    spans: list[NightSpan] = []
     falls: list[Fall] = []
-    endings: list[tuple[float, str]] = []
-    kind, cause, since, left = STOPPED, "", digests[0].first, None
-    end = digests[0].first
+    endings: list[Event] = []
+    end, left = digests[0].first, None
+    turns = [(end, STOPPED, "")]
 
-    def turn(time: float, following: str, why: str) -> None:
-        nonlocal kind, cause, since
-        if time > since:
-            if spans and (spans[-1].kind, spans[-1].cause, spans[-1].end) == (kind, cause, since):
-                spans[-1] = replace(spans[-1], end=time)
-            else:
-                spans.append(NightSpan(since, time, kind, cause))
-        kind, cause, since = following, why, time
+    def turn(time: float, kind: str, cause: str = "") -> None:
+        if turns[-1][1:] != (kind, cause):
+            turns.append((time, kind, cause))
 
     for digest in digests:
         if digest.first > end + _GAP:
-            turn(end, UNKNOWN, "")
-            turn(digest.first, ITINERARY if digest.on else STOPPED, "")
+            turn(end, UNKNOWN)
+            turn(digest.first, ITINERARY if digest.on else STOPPED)
             left = None
-        for time, level, name, text in digest.events:
+        for event in digest.events:
+            (_, kind, cause), time, name = turns[-1], event.time, event.name
             if name in (RESUME, LAP):
                 if left is not None:
                     falls[left] = replace(falls[left], back=time - falls[left].time)
                     left = None
-                turn(time, ITINERARY, "")
-            elif name == RETURN and level == "info":
-                turn(time, BETWEEN, "")
+                turn(time, ITINERARY)
+            elif name == RETURN and event.level == "info":
+                turn(time, BETWEEN)
             elif name == RETURN:
                 left = len(falls) if left is None else left
-                falls.append(Fall(time, cause_of(text), text))
+                falls.append(Fall(time, event.cause or UNKNOWN_CAUSE, event.text))
                 turn(time, CALMING, falls[left].cause)
             elif name == START and kind not in (STOPPED, ITINERARY):
                 turn(time, BETWEEN if kind == BETWEEN else STARTING, cause)
             elif name not in (REST, START):
                 if name != "finished":
-                    endings.append((time, text))
-                turn(time, STOPPED, "")
+                    endings.append(event)
+                turn(time, STOPPED)
         end = digest.end
-    turn(end, STOPPED, "")
+    ends = [*(time for time, _, _ in turns[1:]), end]
+    spans = [NightSpan(turn[0], then, *turn[1:]) for turn, then in zip(turns, ends, strict=True) if then > turn[0]]
     return spans, falls, endings
 
 

@@ -34,7 +34,6 @@ from dpcontrol.judge.score import (
     flights_of,
     lacking,
     plan_of,
-    recovered_note,
     score,
     spliced,
 )
@@ -54,6 +53,7 @@ from dpcontrol.references.reference import (
     summarised,
 )
 from dpcontrol.references.sustained import SustainedOrbit
+from dpcontrol.words.runs import lost
 
 STRANDS = 24
 INSTANTS = 160
@@ -288,7 +288,7 @@ def _without_plan(log: RunLog) -> str:
         f"{len(log.time):,} samples at {log.rate_hz:g} Hz, {seconds:.4g} s; the log has no "
         f"{', '.join(lacking(log))}, so the motion is not judged"
     )
-    return f"{sentence}; {recovered_note(log)}" if log.recovered else sentence
+    return f"{sentence}; {lost(log.recovered)}" if log.recovered else sentence
 
 
 def _arms(log: RunLog, name: str) -> ArmChainParameters | None:

@@ -35,24 +35,12 @@ class Assumption:
 
 @dataclass(frozen=True)
 class EndingShare:
-    """Number of runs with an ending.
+    """Number of failed runs with one cause, and a seed with its reason."""
 
-    It has the reason without numbers, and a seed with its full reason.
-    """
-
-    ending: str
-    reason: str
+    cause: str
     runs: int
     seed: int
     example: str
-
-    @property
-    def words(self) -> str:
-        """Short text of the ending.
-
-        Finished runs off their target have "at the end, but off target".
-        """
-        return "at the end, but off target" if self.ending == "finished" else self.ending
 
 
 @dataclass(frozen=True)

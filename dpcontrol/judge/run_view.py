@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.shown import Brief
-from dpcontrol.logs import Extras, Mode, RunLog
-from dpcontrol.logs.reader import Event
+from dpcontrol.logs import Event, Extras, Mode, RunLog
 from dpcontrol.recordings.recording import REPLAYED
 from dpcontrol.references.reference import ReferenceSummary
 
@@ -253,7 +252,7 @@ class RunView(Brief):
         Args:
             seconds: delay, s.
         """
-        events = tuple(event._replace(time=event.time + seconds) for event in self.events)
+        events = tuple(replace(event, time=event.time + seconds) for event in self.events)
         return replace(
             self,
             time=self.time + seconds,

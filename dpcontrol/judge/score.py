@@ -10,26 +10,30 @@ Symbols and wraps are decoded from the angles, see `dpcontrol.judge.decoding`.
 """
 
 import io
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from typing import TypeVar
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.control.estimator_settings import NisMeans, nis_means
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.causes import Cause, Fault
 from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.shown import Brief
 from dpcontrol.judge.decoding import FOLLOWS, NEAR_LAST_ORBIT, Decoded, decode_run, last_gap
-from dpcontrol.logs import CATCH, LAP, RESUME, RETURN, Flight, RunLog, joined_at
+from dpcontrol.logs import CATCH, LAP, RESUME, RETURN, Event, Flight, RunLog
 from dpcontrol.logs.layout import CONTROL, ESTIMATE, REFERENCE
 from dpcontrol.logs.rolling import NIGHT_METADATA
 from dpcontrol.loop.result import Ending, inside_95
-from dpcontrol.references.reference import PlanNotes, Reference, holds_plan, load_reference, plan_notes
+from dpcontrol.references.reference import Reference, SymbolNote, holds_plan, load_reference, plan_notes
+from dpcontrol.words import runs as words
 
 Number = TypeVar("Number", int, float)
+Found = tuple[Fault, Mapping[str, Any]]
+"""A fault and its figures."""
 
 REFERENCE_ATTACHMENT = "reference.npz"
 MODEL_METADATA = "model_parameters"
@@ -53,6 +57,46 @@ class Thinking:
     within_99: float
 
 
+_BY_END = frozenset((Fault.AT_ONCE, Fault.FIRST_LEFT, Fault.NOT_BEGUN, Fault.SYMBOL, Fault.LAST_LEFT, Fault.LAST_ENDED))
+"""Faults that a run's end may explain."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Verdict on a plan.
+
+    Attributes:
+        symbols: number of symbols done.
+        wraps: at the stops reached.
+        fault: what the run lacks.
+        figures: numbers and names that belong to the fault; `short` is the time by which the run ended early, s.
+        end: event that ended the run early or let it fall back, or None.
+    """
+
+    symbols: int
+    wraps: tuple[int | None, ...]
+    fault: Fault
+    figures: Mapping[str, Any] = field(default_factory=dict)
+    end: Event | None = None
+
+    @property
+    def completed(self) -> bool:
+        """True if the run completed its plan."""
+        return self.fault is Fault.NONE
+
+    @property
+    def cause(self) -> str:
+        """Cause of a failure: that of an early end, otherwise what the run lacks."""
+        early = self.end if "short" in self.figures else None
+        return (early and early.cause) or self.fault
+
+    @property
+    def reason(self) -> str:
+        """Reason of the verdict, a sentence."""
+        ended = self.end.text if self.end is not None and self.fault in _BY_END else ""
+        return words.verdict(self.fault, self.figures, ended)
+
+
 @dataclass(frozen=True)
 class Score(Documented):
     """Completion, tracking error, consistency and cart use of a run.
@@ -67,14 +111,17 @@ class Score(Documented):
         nis_means: share of means, None for a run too short for one.
         real_time_factor: None if the log lacks it.
         thinking: duration of a tick, None if the log lacks it.
-        reason: a sentence.
+        verdict: on the plan.
         falls: number of falls, with or without return.
         attempts: of each symbol, if returns were possible; 0 for symbols not started.
         catches: number of times the run continued from an earlier place before it fell.
         transfers: number of transfers, most of which are counted with the symbols.
         judged_by: "truth" (plant states and drive acceleration, in simulation) or "estimate" (the loop's, on a rig).
         whole: False if the log covers only a part of the run.
+        recovered: losses of a recovered log in words, or "".
     """
+
+    KEYS: ClassVar[str] = "* reason cause"
 
     log: str
     seed: int | None
@@ -87,7 +134,7 @@ class Score(Documented):
     rms_cart_acceleration: float
     nis_inside_95: float
     real_time_factor: float | None
-    reason: str
+    verdict: Verdict
     nis_means: NisMeans | None = None
     thinking: Thinking | None = None
     falls: int = 0
@@ -96,13 +143,24 @@ class Score(Documented):
     transfers: int = 0
     judged_by: str = "truth"
     whole: bool = True
+    recovered: str = ""
+
+    @property
+    def cause(self) -> str:
+        """Cause of a failure, see `Verdict`."""
+        return self.verdict.cause
+
+    @property
+    def reason(self) -> str:
+        """Reason of the verdict and of its limits, a sentence."""
+        return words.reason(self.verdict.reason, judged_by=self.judged_by, whole=self.whole, recovered=self.recovered)
 
     @property
     def sentence(self) -> str:
         """Verdict in one line."""
         done = {True: "completed", False: "NOT completed", None: "completion unknown"}[self.completed]
         symbols = (
-            f"{self.symbols_completed} of {self.symbols_total} {_motions(self.symbols_total, self.transfers)}; "
+            f"{self.symbols_completed} of {self.symbols_total} {words.motions(self.symbols_total, self.transfers)}; "
             if self.symbols_total
             else ""
         )
@@ -159,7 +217,7 @@ class Flown(Brief):
         states: (K, 2n+2), true ones if known.
         reference_angles: (K, n) rad.
         applied: (K,) acceleration of the cart, m/s².
-        ended: reason for a run's end before that of its reference.
+        end: event of a run's end before that of its reference, or None.
         limits: of the cart in this run: position m, velocity m/s, acceleration m/s². None without a cart.
         flights: periods on the itinerary. Empty for a run that could not recover and was on it throughout.
         hardest: greatest acceleration applied by a simulated drive, m/s². None if only `applied` is known.
@@ -171,7 +229,7 @@ class Flown(Brief):
     applied: Array
     rate_hz: float
     limits: tuple[float, float, float] | None
-    ended: str = ""
+    end: Event | None = None
     flights: tuple[Flight, ...] = ()
     hardest: float | None = None
 
@@ -179,18 +237,6 @@ class Flown(Brief):
     def angles(self) -> Array:
         """The arms' angles (K, n), rad."""
         return self.states[:, : self.reference_angles.shape[1]]
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """Verdict on a plan.
-
-    It holds completion, symbols done, wraps at the stops reached, and a sentence on the fault, or "".
-    """
-
-    symbols: int
-    wraps: tuple[int | None, ...]
-    problem: str
 
 
 def counted(flights: Sequence[Flight], *, rate_hz: float) -> list[tuple[NDArray[np.intp], Array]]:
@@ -247,9 +293,11 @@ def verdict_on(flown: Flown, plan: Reference) -> Verdict:
     """
     if flown.flights:
         verdict = verdict_on(spliced(flown, plan), plan)
-        return verdict if verdict.problem else replace(verdict, problem=_limits(flown))
+        beyond = _limits(flown) if verdict.completed else None
+        return verdict if beyond is None else replace(verdict, fault=beyond[0], figures=beyond[1])
     decoded = decode_run(flown.time, flown.angles, plan)
-    return Verdict(max(0, decoded.matched - 1), decoded.wraps, _problem(flown, plan, decoded))
+    fault, figures = _unobserved(flown) or _fault(flown, plan, decoded)
+    return Verdict(max(0, decoded.matched - 1), decoded.wraps, fault, figures, flown.end)
 
 
 def score(log: RunLog) -> Score:
@@ -271,7 +319,7 @@ def score(log: RunLog) -> Score:
         applied=log.control["applied"],
         rate_hz=log.rate_hz,
         limits=log.limits if log.has_cart else None,
-        ended=bad[-1].text if bad else "",
+        end=bad[-1] if bad else None,
         flights=flights_of(log),
         hardest=_hardest(log),
     )
@@ -280,17 +328,14 @@ def score(log: RunLog) -> Score:
     away = judged.angles - judged.reference_angles
     falls = sum(event.name == RETURN and event.level == "warn" for event in log.events)
     factor, seed = _noted(log, "real_time_factor", float), _noted(log, "seed", int)
-    reason = verdict.problem or _done(verdict.wraps, plan_notes(plan))
-    if not known:
-        reason = f"the true state is not known, so completion cannot be judged; by the estimate: {reason}"
-    if part := _part(log, flown, plan):
-        known, reason = False, part
-    if log.recovered:
-        reason += f"; {recovered_note(log)}"
+    part = _part(log, flown, plan)
+    completed = verdict.completed if known and part is None else None
+    if part is not None:
+        verdict = replace(verdict, fault=part[0], figures=part[1])
     return Score(
         log=str(log.path),
         seed=seed,
-        completed=(not verdict.problem) if known else None,
+        completed=completed,
         symbols_completed=verdict.symbols,
         symbols_total=len(plan_notes(plan)["stops"]) - 1,
         transfers=len(plan_notes(plan)["transfers"]),
@@ -300,41 +345,40 @@ def score(log: RunLog) -> Score:
         rms_cart_acceleration=float(np.sqrt(np.mean(flown.applied**2))),
         nis_inside_95=inside_95(log.control["nis"], log.measured.shape[1]),
         real_time_factor=factor,
-        reason=reason,
+        verdict=verdict,
         nis_means=nis_means(log.control["nis"], log.measured.shape[1]),
         thinking=_thinking(log),
         falls=falls,
         attempts=_attempts(log, verdict.symbols, len(plan_notes(plan)["symbols"])) if flown.flights else (),
         catches=sum(event.name == CATCH for event in log.events),
         judged_by="estimate" if log.truth is None else "truth",
-        whole=not part,
+        whole=part is None,
+        recovered=log.recovered or "",
     )
 
 
 _ENDINGS = frozenset(ending.value for ending in Ending)
 
 
-def _part(log: RunLog, flown: Flown, plan: Reference) -> str:
-    """Return a note on the part that a log covers.
+def _part(log: RunLog, flown: Flown, plan: Reference) -> Found | None:
+    """Return the fault of a log that covers only a part of its run, None for a whole log.
 
-    The result is "" for a log of the whole run. On a rig, stamps that jump belong to the run itself.
+    On a rig, stamps that jump belong to the run itself.
     """
     if NIGHT_METADATA in log.metadata:
-        return ""
+        return None
     if (log.rewritten or log.truth is not None) and (unknown := _unobserved(flown)):
-        return f"{unknown}, so completion cannot be judged"
+        return unknown
     if not log.rewritten:
-        return ""
+        return None
     first, last, slack = float(log.time[0]), float(log.time[-1]), 1.5 / log.rate_hz
     noted = plan.duration if log.end_s is None else log.end_s
     # A rig's clock differs from the nominal one, so the event counts first.
     end = max((event.time for event in log.events if event.name in _ENDINGS), default=noted)
     if first <= slack and last >= end - slack:
-        return ""
-    covers = f"the log covers only {first:.3f} to {last:.3f} s of the run's {max(end, last):.3f} s"
-    if first > noted:
-        covers = f"the log's times, {first:.3f} to {last:.3f} s, are not those of the run, which lasted {noted:.3f} s"
-    return f"{covers}, so completion cannot be judged"
+        return None
+    covers = {"first": first, "last": last, "lasted": noted if first > noted else max(end, last)}
+    return Fault.OTHER_TIMES if first > noted else Fault.PART, covers
 
 
 def _hardest(log: RunLog) -> float | None:
@@ -364,12 +408,14 @@ def flights_of(log: RunLog) -> tuple[Flight, ...]:
     under_way: Flight | None = None
     for event in log.events:
         tick = round((event.time - float(log.time[0])) * log.rate_hz) if len(log.time) else 0
-        if event.name in (RESUME, LAP, CATCH) and (joined := joined_at(event.text)) is not None:
+        if event.name in (RESUME, LAP, CATCH):
+            if event.cause != Cause.JOINED:
+                raise InputError(f"{log.path} does not tell where its run joined the itinerary; run it again")
             if event.name == LAP:
                 flights.clear()
             elif under_way is not None:
                 flights.append(under_way._replace(end=tick))
-            under_way = Flight(tick, len(log.time), joined[0])
+            under_way = Flight(tick, len(log.time), float(event.figures["at"]))
         elif event.name == RETURN and under_way is not None:
             flights.append(under_way._replace(end=min(tick + 1, len(log.time))))
             under_way = None
@@ -383,9 +429,9 @@ def _attempts(log: RunLog, done: int, symbols: int) -> tuple[int, ...]:
     """
     out = [0] * symbols
     for event in log.events:
-        joined = joined_at(event.text) if event.name in (RESUME, CATCH) else None
-        if joined is not None and 0 < joined[1] <= symbols:
-            out[joined[1] - 1] = max(out[joined[1] - 1], joined[2])
+        symbol = event.figures.get("symbol", 0) if event.name in (RESUME, CATCH) else 0
+        if 0 < symbol <= symbols:
+            out[symbol - 1] = max(out[symbol - 1], event.figures["attempt"])
     # A symbol flown directly after the previous one took one attempt.
     return tuple(count or int(k < done) for k, count in enumerate(out))
 
@@ -409,65 +455,50 @@ def _noted(log: RunLog, name: str, kind: Callable[[str], Number]) -> Number | No
         raise InputError(f"{log.path}: its {name} = {text!r:.80} is not a number; make the log again") from error
 
 
-def recovered_note(log: RunLog) -> str:
-    """Return a note on the losses of a recovered log.
-
-    Args:
-        log: recovered log.
-    """
-    return f"the log was recovered and lacks {log.recovered}"
-
-
-def _motions(total: int, transfers: int) -> str:
-    """Return the noun for all motions between stops, some of which are transfers."""
-    return "symbols" if not transfers else "symbols and transfers" if transfers < total else "transfers"
-
-
-def _done(wraps: tuple[int | None, ...], notes: PlanNotes) -> str:
-    total, name = len(notes["stops"]) - 1, notes["stops"][-1]["saddle"]
-    if not total and "stay" in notes:
-        kind = "at" if notes["stay"]["kind"] == "hold" else "on the orbit about"
-        return f"stayed {kind} {name} to the end"
-    lowest = min(notes["saddles"].values(), key=lambda saddle: saddle["energy"])
-    end = "at rest" if notes["saddles"].get(name) == lowest else "on the last orbit"
-    motions = _motions(total, len(notes["transfers"]))
-    symbols = f"the {motions[:-1]} done" if total == 1 else f"all {total} {motions} done in order"
-    counted = [count for count in wraps if count is not None]
-    required = f", wraps {counted} as asked" if counted else ""
-    return f"{symbols}{required}, and {end} to the end"
-
-
-def _problem(flown: Flown, plan: Reference, decoded: Decoded) -> str:
-    """Return the reason why the run is not completed.
-
-    It names the symbol. It is an empty string if the run is completed.
-    """
-    if unknown := _unobserved(flown):
-        return unknown
+def _fault(flown: Flown, plan: Reference, decoded: Decoded) -> Found:
+    """Return what a run lacks to complete its plan."""
     notes, matched, lost = plan_notes(plan), decoded.matched, decoded.lost
     stops, symbols = notes["stops"], notes["symbols"]
     short = plan.duration - float(flown.time[-1])
-    why = f": {flown.ended}" if flown.ended else ""
-    early = f"; the run ended {short:.2f} s early{why}" if short > 1.5 / flown.rate_hz else ""
-    # A run that switched to a fallback continues to its end.
-    ended = early or (f"; {flown.ended}" if flown.ended else "")
-    far = f"from t = {flown.time[lost or 0]:.2f} s an angle was more than {FOLLOWS:g} rad from the reference"
+    early = {"short": short} if short > 1.5 / flown.rate_hz else {}
+    far = {} if lost is None else {"far": float(flown.time[lost]), "follows": FOLLOWS}
+    first = {"saddle": stops[0]["saddle"], **early}
     if matched == 0 and lost is None:
-        return f"ended within the first half period about {stops[0]['saddle']}{ended}"
+        return Fault.AT_ONCE, first
     if matched == 0 and np.abs(flown.angles[0] - plan.state(plan.mesh[0])[: flown.angles.shape[1]]).max() < _BEGUN:
-        return f"left the orbit about {stops[0]['saddle']} within its first half period: {far}{ended}"
+        return Fault.FIRST_LEFT, {**first, **far}
     if matched == 0:
-        return f"did not start on the orbit about {stops[0]['saddle']}{ended}"
+        return Fault.NOT_BEGUN, first
     if matched < len(stops):
-        undone = f"symbol {matched} of {len(symbols)} ({symbols[matched - 1]['text']!r}) was not done"
-        return f"{undone}: {far}{ended}" if lost is not None else f"{undone}{ended}"
-    last = f"after symbol {len(symbols)} of {len(symbols)} ({symbols[-1]['text']!r})" if symbols else "to be kept"
+        return Fault.SYMBOL, {**_named(symbols, matched), **far, **early}
+    last = _named(symbols, len(symbols))
     if lost is not None:
-        return f"left the last orbit {last}: {far}{ended}"
+        return Fault.LAST_LEFT, {**last, **far, **early}
     for k, (required, done) in enumerate(zip(notes["wraps"], decoded.wraps, strict=False)):
         if required is not None and required != done:
-            return f"wraps at stop {k + 1} are {done} instead of {required}, before symbol {k + 2}"
-    return _limits(flown) or _last_orbit(flown, plan, last=last, ended=early)
+            return Fault.WRAPS, {"stop": k + 1, "wraps": done, "wanted": required, "before": k + 2}
+    if (beyond := _limits(flown)) is not None:
+        return beyond
+    if early:
+        return Fault.LAST_ENDED, {**last, **early}
+    if gap := last_gap(flown.time, flown.angles, plan, rate_hz=flown.rate_hz):
+        saddle = {"saddle": stops[-1]["saddle"], "allowed": NEAR_LAST_ORBIT}
+        return Fault.LAST_FAR, {**last, **saddle, "gap": gap}
+    lowest = min(notes["saddles"].values(), key=lambda saddle: saddle["energy"])
+    done = {
+        "motions": len(stops) - 1,
+        "transfers": len(notes["transfers"]),
+        "wraps": [count for count in decoded.wraps if count is not None],
+        "stay": notes["stay"]["kind"] if "stay" in notes else "",
+        "saddle": stops[-1]["saddle"],
+        "lowest": notes["saddles"].get(stops[-1]["saddle"]) == lowest,
+    }
+    return Fault.NONE, done
+
+
+def _named(symbols: Sequence[SymbolNote], number: int) -> Mapping[str, Any]:
+    """Return number and text of a symbol, from 1, for the figures of a fault."""
+    return {"symbol": number, "symbols": len(symbols), "name": symbols[number - 1]["text"]} if symbols else {}
 
 
 _BEGUN = 0.5
@@ -476,32 +507,24 @@ _UNSEEN = 0.05
 """Longest time without a possible half turn of an arm, s."""
 
 
-def _unobserved(flown: Flown) -> str:
-    """Return a note on gaps in the time stamps, or "".
-
-    Such gaps hide the arms' motion.
-    """
+def _unobserved(flown: Flown) -> Found | None:
+    """Return the fault of time stamps with gaps, which hide the arms' motion."""
     steps = np.diff(flown.time)
-    if not len(steps):
-        return ""
-    for index, fault in ((int(np.argmin(steps)), "go back by"), (int(np.argmax(steps)), "jump by")):
-        step = float(steps[index])
-        if (step < 0) if fault == "go back by" else (step > max(_UNSEEN, 1.5 / flown.rate_hz)):
-            return (
-                f"its stamps {fault} {abs(step):.3g} s at t = {flown.time[index]:.2f} s, where its period is "
-                f"{1 / flown.rate_hz:g} s: the arms' motion between them is unknown"
-            )
-    return ""
+    jumps = np.flatnonzero((steps < 0) | (steps > max(_UNSEEN, 1.5 / flown.rate_hz)))
+    if not jumps.size:
+        return None
+    row = int(jumps[0])
+    return Fault.STAMPS, {"step": float(steps[row]), "time": float(flown.time[row]), "period": 1 / flown.rate_hz}
 
 
-def _limits(flown: Flown) -> str:
-    """Return the cart limit that was exceeded, or an empty string."""
+def _limits(flown: Flown) -> Found | None:
+    """Return the fault of a cart limit that was exceeded, or None."""
     states, n = flown.states, flown.angles.shape[1]
     if flown.limits is None:
-        return ""
+        return None
     position, velocity, acceleration = flown.limits
     if flown.hardest is not None and flown.hardest > acceleration + 1e-9:
-        return f"the drive's acceleration of {flown.hardest:.3f} passed the limit of {acceleration:g}"
+        return Fault.DRIVE_LIMIT, {"value": flown.hardest, "limit": acceleration}
     for name, values, bound in (
         ("position", states[:, 2 * n], position),
         ("velocity", states[:, 2 * n + 1], velocity),
@@ -509,23 +532,6 @@ def _limits(flown: Flown) -> str:
     ):
         worst = int(np.argmax(np.abs(values)))
         if abs(values[worst]) > bound + 1e-9:
-            return f"cart {name} {values[worst]:.3f} passed its limit of {bound:g} at t = {flown.time[worst]:.2f} s"
-    return ""
-
-
-def _last_orbit(flown: Flown, plan: Reference, *, last: str, ended: str) -> str:
-    """Return a note on a too distant last period, or "".
-
-    The distance is that of the last full period from the last orbit.
-    """
-    notes = plan_notes(plan)
-    stop = notes["stops"][-1]
-    if ended:
-        return f"the last orbit was not held to the end {last}{ended}"
-    gap = last_gap(flown.time, flown.angles, plan, rate_hz=flown.rate_hz)
-    if gap:
-        return (
-            f"over the last period the arms were up to {gap:.2f} rad from the orbit about {stop['saddle']} "
-            f"{last} (allowed: {NEAR_LAST_ORBIT:g})"
-        )
-    return ""
+            place = {"value": float(values[worst]), "limit": bound, "time": float(flown.time[worst])}
+            return Fault.LIMIT, {"quantity": name, **place}
+    return None

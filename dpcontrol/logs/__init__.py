@@ -10,15 +10,13 @@ from dpcontrol.logs.layout import (
     RESUME,
     RETURN,
     START,
+    Event,
     Flight,
     control_fields,
-    joined_at,
-    joined_text,
     joint_names,
 )
 from dpcontrol.logs.reader import (
     Comparison,
-    Event,
     Extras,
     LogSummary,
     RunLog,

@@ -18,14 +18,19 @@ Numbers are little-endian and aligned to their own size, counted from the end of
 Source: OMG DDS-RTPS 2.3, section 10 (CDR, representation identifier CDR_LE).
 """
 
-import re
-from collections.abc import Sequence
+import json
+import struct
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import accumulate
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+
+from dpcontrol.foundation.causes import Cause
+from dpcontrol.foundation.document import plain
+from dpcontrol.words.runs import told
 
 ENCAPSULATION = b"\x00\x01\x00\x00"
 """The first four bytes of every message."""
@@ -104,6 +109,46 @@ class Message:
         self.number("<u4", rest, name=f"{name}.nanosec")
 
 
+class MessageReader:
+    """Reads the values of a CDR message in sequence.
+
+    Args:
+        data: the message.
+    """
+
+    def __init__(self, data: bytes) -> None:
+        self._data, self._place = data, len(ENCAPSULATION)
+        self._order = "<" if data[1:2] == b"\x01" else ">"
+
+    def take(self, form: str, size: int, count: int = 1) -> tuple[Any, ...]:
+        """Return numbers, starting at the next aligned offset.
+
+        Args:
+            form: format of a number, as in `struct`.
+            size: bytes of a number.
+            count: how many, default 1.
+
+        Raises:
+            ValueError: the message ends before.
+        """
+        self._place += -(self._place - len(ENCAPSULATION)) % size
+        if self._place + size * count > len(self._data):
+            raise ValueError(f"it ends after {len(self._data)} bytes")
+        values = struct.unpack_from(f"{self._order}{count}{form}", self._data, self._place)
+        self._place += size * count
+        return values
+
+    def text(self) -> str:
+        """Return a string."""
+        (content,) = self.take("s", 1, *self.take("I", 4))
+        return content.rstrip(b"\0").decode()
+
+    def doubles(self) -> tuple[float, ...]:
+        """Return a sequence of float64."""
+        (count,) = self.take("I", 4)
+        return self.take("d", 8, count) if count else ()
+
+
 def joint_state(names: Sequence[str], *, velocities: bool) -> Message:
     """Return sensor_msgs/JointState.
 
@@ -154,48 +199,70 @@ def string(text: str) -> bytes:
     return bytes(message.data)
 
 
-def log(time_ns: int, level: int, *, name: str, text: str) -> bytes:
-    """Return rcl_interfaces/Log.
+@dataclass(frozen=True)
+class Event:
+    """An event of a run.
 
-    File, function and line are left empty.
+    Attributes:
+        time: s.
+        level: a key of `LEVELS`.
+        name: originating part.
+        cause: value of a `Cause`, or "" if the event has only words.
+        figures: numbers and names that belong to the cause.
+        words: the logged sentence, or that of an event without a cause.
+    """
+
+    time: float
+    level: str
+    name: str
+    cause: str = ""
+    figures: Mapping[str, Any] = field(default_factory=dict)
+    words: str = ""
+
+    @property
+    def text(self) -> str:
+        """The event as a sentence."""
+        return self.words or told(self.cause, self.figures)
+
+
+_CAUSES = frozenset(Cause)
+
+
+def log(event: Event) -> bytes:
+    """Return an event as rcl_interfaces/Log.
+
+    The cause is in `function`, and its figures, as JSON, in `file`, which survive all tools that copy messages.
 
     Args:
-        time_ns: time, ns.
-        level: number of the level, see `LEVELS`.
-        name: originating part.
-        text: a sentence.
+        event: the event.
     """
     message = Message()
-    message.stamp("stamp", time_ns)
-    message.number("u1", level)
-    for part in (name, text, "", ""):
+    message.stamp("stamp", round(event.time * 1e9))
+    message.number("u1", LEVELS[event.level])
+    for part in (event.name, event.text, json.dumps(plain(event.figures)) if event.cause else "", event.cause):
         message.string(part)
     message.number("<u4")
     return bytes(message.data)
 
 
-def read_log_message(data: bytes) -> tuple[int, str, str]:
-    """Return level, name and text of an rcl_interfaces/Log message.
+def logged_event(time: float, data: bytes) -> Event:
+    """Return the event in an rcl_interfaces/Log message.
 
     Args:
+        time: s.
         data: message in CDR.
 
     Raises:
         ValueError: the message has a different layout.
     """
-    offset = len(ENCAPSULATION) + 9
-    if len(data) < offset:
-        raise ValueError("message too short")
-    texts = []
-    for _ in range(2):
-        offset += -(offset - len(ENCAPSULATION)) % 4
-        size = int.from_bytes(data[offset : offset + 4], "little")
-        content = data[offset + 4 : offset + 4 + size]
-        if len(content) != size or not content.endswith(b"\0"):
-            raise ValueError("string runs over the message's end")
-        texts.append(content[:-1].decode())
-        offset += 4 + size
-    return data[len(ENCAPSULATION) + 8], texts[0], texts[1]
+    message = MessageReader(data)
+    message.take("I", 4, 2)
+    level = _LEVEL_NAMES.get(message.take("B", 1)[0], "info")
+    name, words, figures, cause = (message.text() for _ in range(4))
+    # Other programs log their functions and files there.
+    if cause not in _CAUSES or not words:
+        return Event(time, level, name, words=words)
+    return Event(time, level, name, cause, json.loads(figures), words)
 
 
 _PARTS = {
@@ -269,6 +336,7 @@ UNITS = {
 
 LEVELS = {"debug": 10, "info": 20, "warn": 30, "error": 40, "fatal": 50}
 """Levels of an event, with their numbers in rcl_interfaces/Log."""
+_LEVEL_NAMES = {number: name for name, number in LEVELS.items()}
 
 FORMAT = "2"
 """Version of the layout: increased when topics, messages or metadata change their meaning."""
@@ -495,31 +563,3 @@ class Flight(NamedTuple):
     first: int
     end: int
     at: float
-
-
-_JOINED = "on the itinerary from t = {:.4f} s of the reference: {}"
-_JOINS = re.compile(r"on the itinerary from t = (\d+\.\d+) s of the reference: (?:symbol (\d+) of .*attempt (\d+))?")
-
-
-def joined_text(at: float, what: str) -> str:
-    """Return the log text for joining the itinerary.
-
-    Args:
-        at: time on the reference, s.
-        what: symbol and attempt, as text.
-    """
-    return _JOINED.format(at, what)
-
-
-def joined_at(text: str) -> tuple[float, int, int] | None:
-    """Return reference time s, symbol and attempt in a joining event's text.
-
-    The result is None for other texts.
-
-    Symbol and attempt count from 1, and are 0 if the text lacks them.
-
-    Args:
-        text: text of an event.
-    """
-    found = _JOINS.match(text)
-    return None if found is None else (float(found[1]), int(found[2] or 0), int(found[3] or 0))

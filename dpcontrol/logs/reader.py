@@ -11,7 +11,6 @@ metadata gives their lengths. One look per tick finds them all, and one copy ext
 Source: the MCAP format specification, version 0.
 """
 
-import re
 import struct
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -19,9 +18,8 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from io import BytesIO
-from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn, TypeVar
+from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
 import numpy as np
 import zstandard
@@ -39,7 +37,7 @@ from dpcontrol.foundation.files import checked_size, checked_source, in_the_way
 from dpcontrol.foundation.shown import Brief, Shown, pandas_classes
 from dpcontrol.logs import layout
 from dpcontrol.logs.container import CHUNK_HEAD, MAGIC, ZSTD, partials_of, unsealed
-from dpcontrol.logs.layout import TickLayout
+from dpcontrol.logs.layout import Event, TickLayout, logged_event
 from dpcontrol.logs.rewritten import Rewritten, by_topic, found_in, mixed
 
 if TYPE_CHECKING:
@@ -52,9 +50,6 @@ _RECORD = struct.Struct("<BQH")
 _BATCH_BYTES = 4_000_000
 LARGEST_CHUNK, LARGEST_LOG = 1 << 28, 1 << 33
 """Greatest unpacked size of a chunk and of a log, bytes: five hours at 1 kHz."""
-_FOREIGN_CHUNKS = 20
-"""Chunks of a foreign file that are searched for topics."""
-_SHOWN_TOPICS = 5
 _LONGEST_HEADER = 10_000
 _OWN = "dpcontrol "
 """Beginning of the library's name in the header of this program's files."""
@@ -149,17 +144,11 @@ class VerifiedFile:
     def tick(self) -> TickLayout:
         """Tick layout from the log's own description."""
         described = self.metadata.get(layout.LAYOUT_RECORD)
-        if described is None and (missing := self._no_measurements()):
-            raise InputError(
-                f"{self.path}{self.writer} is not a log of `dpcontrol run`: it lacks the metadata record "
-                f"{layout.LAYOUT_RECORD}{missing}; give a log of `dpcontrol run`, or import a bench recording with "
-                "`dpcontrol import`"
-            )
         if described is None:
             raise InputError(
-                f"{self.path}{self.writer} cannot be read as a run: it lacks the metadata record "
-                f"{layout.LAYOUT_RECORD}, as after cutting a log in time; keep metadata, attachments and the first "
-                "message of each topic, or make a recording of it with `dpcontrol import`"
+                f"{self.path}{self.writer} is not a log of `dpcontrol run`: it lacks the metadata record "
+                f"{layout.LAYOUT_RECORD}, as after cutting a log in time; {_AS_WRITTEN}, or make a recording of it "
+                "with `dpcontrol import`"
             )
         if unsealed(layout.LAYOUT_RECORD, described) is None and described.get("format") == layout.FORMAT:
             raise ValueError(f"the checksum of {layout.LAYOUT_RECORD} differs")
@@ -234,24 +223,6 @@ class VerifiedFile:
     @property
     def writer(self) -> str:
         return f" (written by {self.library})" if self.library else ""
-
-    def _no_measurements(self) -> str:
-        """Return the reason why a foreign file's /joint_states is unusable.
-
-        The result is "" if it is usable.
-        """
-        decompressor = zstandard.ZstdDecompressor()
-        # A foreign file can hold anything; unreadable chunks count as having no channels.
-        with suppress(*MALFORMED):
-            for chunk in self.chunks[:_FOREIGN_CHUNKS]:
-                self._declare(Batch(unpacked(chunk, decompressor)))
-        kind, definition = layout.JOINT_STATE
-        channel = next((c for c in self.channels.values() if c.topic == layout.MEASURED), None)
-        if channel is None:
-            there = ", ".join(sorted({c.topic for c in self.channels.values()})[:_SHOWN_TOPICS])
-            return f" and the topic {layout.MEASURED} ({kind} in cdr); it has {there or 'no topics'}"
-        found = _other_messages(channel, self.schemas, kind, definition)
-        return f", and {layout.MEASURED} holds {found}, not {kind} in cdr" if found else ""
 
 
 _MESSAGE = struct.Struct("<HIQQ")
@@ -639,21 +610,6 @@ def described_layout(path: Path, described: Mapping[str, str]) -> TickLayout:
     return TickLayout(len(described["arm_lengths"].split()), described["has_cart"] == "1", parts, extras)
 
 
-_LEVEL_NAMES = {number: name for name, number in layout.LEVELS.items()}
-
-
-class Event(NamedTuple):
-    """An event of a run.
-
-    It has a time in s, a level (a key of `LEVELS`), an originating part and a sentence.
-    """
-
-    time: float
-    level: str
-    name: str
-    text: str
-
-
 @dataclass(frozen=True, eq=False)
 class Extras(Brief):
     """Parameters estimated in addition to the state.
@@ -829,8 +785,12 @@ def segments_in(text: str, rows: int) -> tuple[tuple[int, int], ...]:
         text: pairs as `write_recording` writes them, "0:300 300:600".
         rows: number of samples.
     """
-    found = tuple((int(first), int(end)) for first, end in re.findall(r"(\d{1,12}):(\d{1,12})", text))
-    return found if all(0 <= first < end <= rows for first, end in found) else ()
+    try:
+        numbers = [int(number) for number in text.replace(":", " ").split()]
+    except ValueError:
+        return ()
+    segments = tuple(zip(numbers[::2], numbers[1::2], strict=False))
+    return segments if all(0 <= first < end <= rows for first, end in segments) else ()
 
 
 def segment_numbers(segments: Sequence[tuple[int, int]], rows: int) -> NDArray[np.intp]:
@@ -985,7 +945,7 @@ def _decode(file: VerifiedFile) -> RunLog:
 
 def _decode_rewritten(file: VerifiedFile, found: Rewritten) -> RunLog:
     with file.decoding():
-        events = [_event_of(time, body) for time, body in found.events]
+        events = [logged_event(time / 1e9, body) for time, body in found.events]
         extras = _extras(found.tick.extras, found.extras)
         whole = {name: _frozen(values) for name, values in found.rows.items()}
         log = _run_log(file, found.tick, found.described, rows=whole, events=events, extras=extras)
@@ -1006,12 +966,7 @@ def _extras(names: tuple[str, ...], rows: list[Array]) -> Extras | None:
 def _event(data: bytes, offset: int) -> Event:
     head = np.frombuffer(data, layout.RECORD_HEADER, count=1, offset=offset)[0]
     end = offset + layout.LENGTH_FROM + int(head["length"])
-    return _event_of(int(head["log_time"]), data[offset + layout.RECORD_HEADER.itemsize : end])
-
-
-def _event_of(time: int, body: bytes) -> Event:
-    level, name, text = layout.read_log_message(body)
-    return Event(time / 1e9, _LEVEL_NAMES.get(level, "info"), name, text)
+    return logged_event(int(head["log_time"]) / 1e9, data[offset + layout.RECORD_HEADER.itemsize : end])
 
 
 _LATEST = float(np.iinfo(np.int64).max) / 1e9
@@ -1206,12 +1161,10 @@ class Comparison:
 
 
 def compare_messages(one: Path | str, other: Path | str) -> Comparison:
-    """Compare two logs message by message.
+    """Compare two logs topic by topic.
 
-    Topics, order, times and every byte count; metadata may differ.
-
-    If `one` was recovered or ends early, the messages it lacks are skipped in `other`. Logs that another program has
-    rewritten are compared topic by topic, and the messages that `one` lacks are skipped too.
+    Times and every byte of each message count; metadata may differ. If `one` was recovered or another program has
+    rewritten one of them, the messages that `one` lacks are skipped.
 
     Args:
         one: a log.
@@ -1221,79 +1174,18 @@ def compare_messages(one: Path | str, other: Path | str) -> Comparison:
         InputError: a log is missing, damaged or not of this program.
     """
     sides = [open_verified(Path(path)) for path in (one, other)]
-    tick = sides[0].tick
-    if tick != sides[1].tick:
+    if sides[0].tick != sides[1].tick:
         return Comparison(0, f"{one} and {other} do not have the same topics")
-    with suppress(OtherChannels):
-        if all(side.is_native for side in sides):
-            return _compare_ticks(sides)
-    return _compare_topics(sides)
-
-
-def _compare_topics(sides: list[VerifiedFile]) -> Comparison:
-    """Compare the messages that the first log has in each topic."""
-    found = []
+    whole = all(side.is_native and not side.values(layout.RECOVERY_RECORD).get(layout.LOST) for side in sides)
+    logs = []
     for side in sides:
         with side.decoding():
             topics = by_topic(side.messages(), side.channels, side.schemas)
-        found.append({name: set(zip(topic.times, topic.bodies, strict=True)) for name, topic in topics.items()})
+        logs.append({name: set(zip(topic.times, topic.bodies, strict=True)) for name, topic in topics.items()})
     same = 0
     for name in sides[0].tick.schemas:
-        mine, there = (topics.get(name, set()) for topics in found)
-        same += len(mine & there)
-        if differing := mine - there:
+        messages, others = (topics.get(name, set()) for topics in logs)
+        same += len(messages & others)
+        if differing := messages ^ others if whole else messages - others:
             return Comparison(same, f"the message of {name} at {min(differing)[0] / 1e9:.3f} s differs")
     return Comparison(same, None)
-
-
-def _compare_ticks(sides: list[VerifiedFile]) -> Comparison:
-    """Compare two logs of this program piece by piece."""
-    one, other = (side.path for side in sides)
-    tick = sides[0].tick
-    partial = bool(sides[0].metadata.get(layout.RECOVERY_RECORD, {}).get(layout.LOST))
-    first, second = (_pieces(side) for side in sides)
-    same = 0
-    for piece in first:
-        for against in second:
-            if piece == against:
-                same += _count(piece, tick)
-                break
-            if not partial or _begins(piece) == _begins(against):
-                return Comparison(same, _differs(piece, against, tick))
-        else:
-            return Comparison(same, f"{other} ends after {same} messages, {one} continues")
-    if not partial and next(second, None) is not None:
-        return Comparison(same, f"{one} ends after {same} messages, {other} continues")
-    return Comparison(same, None)
-
-
-def _pieces(side: VerifiedFile) -> Iterator[bytes]:
-    """Yield the bytes of each tick and other message, in order."""
-    with side.decoding():
-        for batch in side.batches():
-            places = [(place, len(side.tick.block_template)) for place in batch.ticks]
-            others = (place for offsets in batch.others.values() for place in offsets)
-            places += [(place, 9 + int.from_bytes(batch.data[place + 1 : place + 9], "little")) for place in others]
-            for place, length in sorted(places):
-                yield batch.data[place : place + length]
-
-
-def _count(piece: bytes, tick: TickLayout) -> int:
-    return len(tick.messages) if piece[:11] == tick.block_template[:11] else 1
-
-
-def _begins(piece: bytes) -> tuple[int, int]:
-    """Return channel and sequence number of a piece's first message."""
-    head = np.frombuffer(piece, layout.RECORD_HEADER, count=1)[0]
-    return int(head["channel"]), int(head["sequence"])
-
-
-def _differs(piece: bytes, against: bytes, tick: TickLayout) -> str:
-    starts = list(tick.block_offsets.values()) if _count(piece, tick) > 1 else [0]
-    at = next(a for a, b in pairwise([*starts, len(piece)]) if piece[a:b] != against[a:b])
-    head = np.frombuffer(piece, layout.RECORD_HEADER, count=1, offset=at)[0]
-    channel, sequence, time = int(head["channel"]), int(head["sequence"]), int(head["log_time"]) / 1e9
-    topic = next((name for name, number in tick.channels.items() if number == channel), f"channel {channel}")
-    if _begins(piece) != _begins(against):
-        return f"at {time:.3f} s a different message replaces message {sequence} of {topic}"
-    return f"message {sequence} of {topic} at {time:.3f} s differs"

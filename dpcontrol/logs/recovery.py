@@ -204,8 +204,6 @@ class Recovery:
         gaps: (from, to) of each, s.
         end_known: True if the file records how the run ended.
         chunks_dropped: chunks that are damaged or cut.
-        chunks_repeated: duplicates that were dropped.
-        chunks_moved: True if chunks were out of order.
         attachments: names of those recovered.
         attachments_lost: names of those missing.
         lost: sentence that lists everything missing; empty if the log is complete.
@@ -220,8 +218,6 @@ class Recovery:
     gaps: tuple[tuple[float, float], ...]
     end_known: bool
     chunks_dropped: int
-    chunks_repeated: int
-    chunks_moved: bool
     attachments: tuple[str, ...]
     attachments_lost: tuple[str, ...]
     lost: str
@@ -251,7 +247,7 @@ def recover(
         log = read_log(path)
         return Recovery(
             path, path, ticks=len(log.time), end_s=float(log.time[-1]), ticks_lost=0, milliseconds_lost=0.0, gaps=(),
-            end_known=log.end_s is not None, chunks_dropped=0, chunks_repeated=0, chunks_moved=False,
+            end_known=log.end_s is not None, chunks_dropped=0,
             attachments=tuple(log.attachments), attachments_lost=(), lost="",
         )  # fmt: skip
     found = salvage(data, progress=part_of(progress, 0.0, 0.6))
@@ -265,7 +261,7 @@ def recover(
         tick = described_layout(path, described)
         _check_declared(path, tick, found.chunks)
         chunks = _in_order(path, found.chunks)
-        done = _account(path, found, chunks, described=described, tick=tick)
+        done = _account(path, found, chunks, described=described)
     except MALFORMED as error:
         raise InputError(f"{path} cannot be recovered: its valid records contradict each other: {error}") from error
     done = replace(done, log=_free_name(path) if out is None else Path(out))
@@ -340,9 +336,7 @@ def _in_order(path: Path, chunks: Sequence[SoundChunk]) -> list[SoundChunk]:
     return ordered
 
 
-def _account(
-    path: Path, found: Salvage, chunks: Sequence[SoundChunk], *, described: dict[str, str], tick: TickLayout
-) -> Recovery:
+def _account(path: Path, found: Salvage, chunks: Sequence[SoundChunk], *, described: dict[str, str]) -> Recovery:
     """List the recovered and the missing parts of the log."""
     ticked = [(*c.sequences[layout.MEASURED_CHANNEL], *c.times) for c in chunks if c.times is not None]
     period = 1 / float(described["rate_hz"])
@@ -364,19 +358,10 @@ def _account(
     lost = [before[layout.LOST]] if before.get(layout.LOST) else []
     if missing:
         shown = ", ".join(f"{a:.3f} to {b:.3f} s" for a, b in gaps[:_SHOWN_GAPS])
-        more = f" and {len(gaps) - _SHOWN_GAPS} more" if len(gaps) > _SHOWN_GAPS else ""
-        lost.append(f"{missing} ticks ({1e3 * missing * period:.0f} ms): {shown}{more}")
+        lost.append(f"{missing} ticks ({1e3 * missing * period:.0f} ms): {shown}{', …' * (len(gaps) > _SHOWN_GAPS)}")
     if result is None:
         most = 1e3 * max(CHUNK_SECONDS, period)
         lost.append(f"everything after {end_s:.3f} s (at most {most:.0f} ms if the run was killed)")
-    events, robots = (
-        sorted(c.sequences[channel] for c in chunks if channel in c.sequences)
-        for channel in (tick.channels[layout.EVENTS], tick.channels[layout.ROBOT])
-    )
-    if gone := sum(b[0] - a[1] - 1 for a, b in pairwise([(-1, -1), *events])):
-        lost.append(f"{gone} events")
-    if not robots:
-        lost.append("the arms' description for viewers")
     if attachments_lost:
         lost.append(f"the attachment{'s'[: len(attachments_lost) > 1]} {', '.join(attachments_lost)}")
     if layout.RUN_RECORD not in found.metadata:
@@ -391,8 +376,6 @@ def _account(
         gaps=tuple(gaps),
         end_known=result is not None,
         chunks_dropped=found.dropped,
-        chunks_repeated=len(found.chunks) - len(chunks),
-        chunks_moved=list(dict.fromkeys(c.identity for c in found.chunks)) != [c.identity for c in chunks],
         attachments=tuple(name for name in found.attachments if name in names),
         attachments_lost=attachments_lost,
         lost="; ".join(lost),

@@ -9,7 +9,6 @@ Sources: OMG DDS-RTPS 2.3, section 10 (CDR); sensor_msgs/JointState, std_msgs/St
 """
 
 import re
-import struct
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -22,7 +21,7 @@ from mcap.records import Channel, Schema
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.shown import Brief
 from dpcontrol.logs import layout
-from dpcontrol.logs.layout import TickLayout
+from dpcontrol.logs.layout import MessageReader, TickLayout
 
 T = TypeVar("T")
 _LENGTH = re.compile(r'xyz="0 [-\d.e]+ (-[\d.e-]+)"')
@@ -102,7 +101,7 @@ def _clock(measured: Topic | None) -> int:
 
 
 def _stamp(body: bytes) -> int:
-    seconds, nanoseconds = _Cursor(body).take("I", 4, 2)
+    seconds, nanoseconds = MessageReader(body).take("I", 4, 2)
     return seconds * 10**9 + nanoseconds
 
 
@@ -125,35 +124,9 @@ _TICKED = (layout.MEASURED, *layout.STATE_TOPICS.values(), layout.CONTROL)
 """Topics that have one message in every tick."""
 
 
-class _Cursor:
-    """Reads the values of a CDR message in sequence."""
-
-    def __init__(self, data: bytes) -> None:
-        self.data, self.place = data, len(layout.ENCAPSULATION)
-        self._order = "<" if data[1:2] == b"\x01" else ">"
-
-    def take(self, form: str, size: int, count: int = 1) -> tuple[Any, ...]:
-        """Return `count` numbers of `size` bytes, starting at the next aligned offset."""
-        self.place += -(self.place - len(layout.ENCAPSULATION)) % size
-        if self.place + size * count > len(self.data):
-            raise ValueError(f"it ends after {len(self.data)} bytes")
-        values = struct.unpack_from(f"{self._order}{count}{form}", self.data, self.place)
-        self.place += size * count
-        return values
-
-    def text(self) -> str:
-        (size,) = self.take("I", 4)
-        start, self.place = self.place, self.place + size
-        return self.data[start : self.place].rstrip(b"\0").decode()
-
-    def doubles(self) -> tuple[float, ...]:
-        (count,) = self.take("I", 4)
-        return self.take("d", 8, count) if count else ()
-
-
 def _joints(body: bytes) -> tuple[tuple[str, ...], tuple[float, ...], tuple[float, ...]]:
     """Return names, positions and velocities of sensor_msgs/JointState."""
-    cursor = _Cursor(body)
+    cursor = MessageReader(body)
     cursor.take("I", 4, 2)
     cursor.text()
     (count,) = cursor.take("I", 4)
@@ -241,7 +214,7 @@ def _states(topic: Topic, arms: int) -> dict[int, list[float]]:
 
 
 def _rows(topic: Topic, width: int) -> dict[int, tuple[float, ...]]:
-    return topic.decoded(lambda body: _Cursor(body).take("d", 8, width))
+    return topic.decoded(lambda body: MessageReader(body).take("d", 8, width))
 
 
 def _with_times(rows: Mapping[int, tuple[float, ...]]) -> Array:
@@ -256,6 +229,6 @@ def _drawn_lengths(topics: Mapping[str, Topic]) -> list[float]:
     robot = topics.get(layout.ROBOT)
     if robot is None or robot.schema != layout.STRING[0]:
         return []
-    links = dict(_LINK.findall(_Cursor(robot.bodies[0]).text()))
+    links = dict(_LINK.findall(MessageReader(robot.bodies[0]).text()))
     ends = [_LENGTH.findall(links[number]) for number in sorted(links, key=int)]
     return [-float(found[-1]) for found in ends if found]

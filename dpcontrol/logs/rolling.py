@@ -18,7 +18,7 @@ import math
 import os
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +27,7 @@ import numpy as np
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError, remark
 from dpcontrol.foundation.files import write_whole
-from dpcontrol.logs.layout import LAP, LEVELS, REST, RESUME, RETURN, START
+from dpcontrol.logs.layout import LAP, LEVELS, REST, RESUME, RETURN, START, Event
 from dpcontrol.logs.reader import RunLog
 from dpcontrol.logs.writer import LogWriter
 
@@ -51,7 +51,7 @@ class Digest:
         end: end of the period after the last tick, s since the start of the night.
         ticks: number of ticks.
         on: True if the run was on its itinerary at `first`.
-        events: (time s, level, name, text) of the run's decisions and its end.
+        events: the run's decisions and its end.
         others: number of other events by name.
         repetitions: completed repetitions of the itinerary.
         cart: greatest distance of the cart from the centre, m.
@@ -71,7 +71,7 @@ class Digest:
     end: float = math.nan
     ticks: int = 0
     on: bool = False
-    events: list[tuple[float, str, str, str]] = field(default_factory=list)
+    events: list[Event] = field(default_factory=list)
     others: dict[str, int] = field(default_factory=dict)
     repetitions: int = 0
     cart: float = 0.0
@@ -105,7 +105,7 @@ class Digest:
             ValueError, TypeError, KeyError: the text is not a digest.
         """
         values = json.loads(text)
-        values["events"] = [(float(t), str(level), str(name), str(what)) for t, level, name, what in values["events"]]
+        values["events"] = [Event(**event) for event in values["events"]]
         values["extras"] = {str(k): (float(v), float(s)) for k, (v, s) in values["extras"].items()}
         return cls(**values)
 
@@ -117,25 +117,20 @@ class Digest:
         """
         return Digest(number, self.session, on=self._now_on, limit=self.limit)
 
-    def add_event(self, time: float, level: str, name: str, text: str) -> None:
+    def add_event(self, event: Event) -> None:
         """Add an event; all earlier ticks must have been added.
 
         Args:
-            time: time, s.
-            level: a key of `LEVELS`.
-            name: originating part.
-            text: a sentence.
+            event: the event.
         """
-        if name in _RECORDED or LEVELS[level] >= _LEAST_LEVEL or name == "finished":
-            self.events.append((time, level, name, text))
+        name, ends = event.name, LEVELS[event.level] >= _LEAST_LEVEL or event.name == "finished"
+        if name in _RECORDED or ends:
+            self.events.append(event)
         else:
             self.others[name] = self.others.get(name, 0) + 1
         # A lap that joins the next is reported at once, any other repetition when the itinerary is left.
-        self.repetitions += self._now_on if name == LAP else name == RETURN and level == "info"
-        if name in (RESUME, LAP):
-            self._now_on = True
-        elif name == RETURN or LEVELS[level] >= _LEAST_LEVEL or name == "finished":
-            self._now_on = False
+        self.repetitions += self._now_on if name == LAP else name == RETURN and event.level == "info"
+        self._now_on = name in (RESUME, LAP) or (self._now_on and name != RETURN and not ends)
 
     def add_ticks(self, times: Array, period: float, state: Array, reference: Array, extras: Array | None) -> None:
         """Count the next rows of the loop.
@@ -231,7 +226,7 @@ def digest_of_log(log: RunLog, *, size: int) -> Digest:
     for event in log.events:
         until = int(np.searchsorted(log.time, event.time - _SOON))
         take(done, until)
-        digest.add_event(*event)
+        digest.add_event(event)
         done = max(done, until)
     take(done, len(log.time))
     digest.close(() if log.extras is None else log.extras.names)
@@ -324,20 +319,17 @@ class RollingLog:
             self._try(lambda writer, span=slice(done, until), own=rows: writer.ticks(times[span], **own))
             done = until
 
-    def event(self, time_s: float, level: str, name: str, text: str) -> None:
+    def event(self, event: Event) -> None:
         """Log an event; see `LogWriter.event`.
 
         Args:
-            time_s: time since the start of this session, s.
-            level: a key of `LEVELS`.
-            name: originating part.
-            text: a sentence.
+            event: the event, with its time since the start of this session.
         """
-        time = time_s + self._begin
-        if time >= self._until - _SOON:
-            self._roll(time)
-        self._digest.add_event(time, level, name, text)
-        self._try(lambda writer: writer.event(time, level, name, text))
+        event = replace(event, time=event.time + self._begin)
+        if event.time >= self._until - _SOON:
+            self._roll(event.time)
+        self._digest.add_event(event)
+        self._try(lambda writer: writer.event(event))
 
     def result(self, **values: str) -> None:
         """Record the results of the run in the last file.

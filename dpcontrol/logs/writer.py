@@ -40,7 +40,7 @@ from dpcontrol.foundation.files import checked_target, missing_folders, remove_e
 from dpcontrol.foundation.version import PROGRAM
 from dpcontrol.logs import layout
 from dpcontrol.logs.container import ChunkMessages, McapFile, moved_away, open_partial, sealed, sync_folder
-from dpcontrol.logs.layout import TickLayout
+from dpcontrol.logs.layout import Event, TickLayout
 
 WORLD = "world"
 _THICKNESS = 0.012
@@ -619,20 +619,15 @@ class LogWriter:
         """
         self._result.update(values)
 
-    def event(self, time_s: float, level: str, name: str, text: str) -> None:
+    def event(self, event: Event) -> None:
         """Log an event.
 
         Args:
-            time_s: time, s.
-            level: debug, info, warn, error or fatal.
-            name: originating part.
-            text: a sentence.
+            event: the event.
         """
-        if level not in layout.LEVELS:
-            raise ValueError(f"event level {level!r}: must be one of {', '.join(layout.LEVELS)}")
-        time_ns = round(time_s * 1e9)
-        message = layout.log(time_ns, layout.LEVELS[level], name=name, text=text)
-        self._notes.append(Note(self._buffer.filled, layout.EVENTS, time_ns, message))
+        if event.level not in layout.LEVELS:
+            raise ValueError(f"event level {event.level!r}: must be one of {', '.join(layout.LEVELS)}")
+        self._notes.append(Note(self._buffer.filled, layout.EVENTS, round(event.time * 1e9), layout.log(event)))
 
     def _prepare(self, file: McapFile) -> ChunkEncoder:
         # This waits for the first chunk, because the contents of a tick are unknown before.

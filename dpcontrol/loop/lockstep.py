@@ -11,9 +11,11 @@ import numpy as np
 
 from dpcontrol.control.tick import Outcome, Report
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.causes import Cause
+from dpcontrol.logs import Event
 from dpcontrol.loop.bench import BenchDraw
 from dpcontrol.loop.own import LARGEST, wrong_command
-from dpcontrol.loop.result import BatchRun, Ending, JudgedTicks, ending, explained
+from dpcontrol.loop.result import BatchRun, JudgedTicks, ended
 from dpcontrol.loop.simulated import BatchBench
 from dpcontrol.loop.ticker import Ticker
 
@@ -28,8 +30,7 @@ class Lockstep:
         self._rate_noise = np.stack(noise, axis=2) if noise else None
         self._alive, self._over = np.ones(self._runs, dtype=bool), False
         self._counts, self._stopped_at = [ticker.count] * self._runs, [ticker.count] * self._runs
-        self._endings = [Ending.FINISHED] * self._runs
-        self._reasons = ["came to the reference's end"] * self._runs
+        self._ends = [ended(Cause.FINISHED)] * self._runs
 
     def run(self) -> list[BatchRun]:
         """Run to the last tick, or until every run has ended."""
@@ -42,17 +43,16 @@ class Lockstep:
                 bench.command(report.command[0])
                 rows.take(k, report, bench.truth)
                 if (failed := bench.failed) is not None:
-                    why = f"plant failed at t = {k * self._period:.3f} s: its state is no longer finite"
-                    self._end(failed, k, Ending.PLANT_FAILED, why)
+                    self._end(failed, k, ended(Cause.PLANT_FAILED, {"time": k * self._period}))
                 for commands in report.own:
                     self._check(k, commands)
                 if np.add.reduce(report.notable[0]):
                     self._handle_outcomes(k, report, rows)
                     for lane in np.flatnonzero(report.done[0] * self._alive).tolist():
-                        self._end([lane], k + 1, self._endings[lane], self._reasons[lane])
+                        self._end([lane], k + 1, self._ends[lane])
                 for lane, fault in bench.faults.items():
-                    if self._endings[lane] is not Ending.CART_STOP:
-                        self._end([lane], k + 1, Ending.CART_STOP, fault)
+                    if self._ends[lane].name != fault.name:
+                        self._end([lane], k + 1, fault)
                 if self._over:
                     break
         references = ticker.references
@@ -60,7 +60,7 @@ class Lockstep:
         runs = [
             rows.run(
                 lane, self._counts[lane], angles[:, :, lane % angles.shape[2]], still_from=self._stopped_at[lane],
-                period=self._period, ending=self._endings[lane], reason=self._reasons[lane],
+                period=self._period, end=self._ends[lane],
             )
             for lane in range(self._runs)
         ]  # fmt: skip
@@ -69,8 +69,8 @@ class Lockstep:
     def _check(self, k: int, commands: Array) -> None:
         """End runs whose symbolic law returned an invalid command, m/s²."""
         for lane in np.flatnonzero(~(np.abs(commands) <= LARGEST)).tolist():
-            why = f"{wrong_command(self._ticker.kind, commands.item(lane))}, at t = {k * self._period:.3f} s"
-            self._end([lane], k + 1, Ending.OBJECT_FAILED, why)
+            words = f"{wrong_command(self._ticker.kind, commands.item(lane))}, at t = {k * self._period:.3f} s"
+            self._end([lane], k + 1, ended(Cause.OBJECT_FAILED, words=words))
 
     def _handle_outcomes(self, k: int, report: Report, rows: JudgedTicks) -> None:
         """Stop the carts of runs whose outcome at tick k ends them."""
@@ -80,14 +80,13 @@ class Lockstep:
             if outcome is Outcome.RESTART:
                 rows.without_nis(k, lane)
                 continue
-            figures = self._ticker.figures(k, lane)
-            why = explained(outcome, k * self._period, figures, arms=self._arms, period=self._period)
-            self._endings[lane], self._reasons[lane], self._stopped_at[lane] = ending(outcome), why, k
+            self._ends[lane] = ended(Cause[outcome.name], self._ticker.figures(k, lane))
+            self._stopped_at[lane] = k
             self._bench.stop([lane])
 
-    def _end(self, lanes: Any, count: int, ending: Ending, reason: str) -> None:
+    def _end(self, lanes: Any, count: int, end: Event) -> None:
         for lane in np.arange(self._runs)[lanes].tolist():
             if self._alive[lane]:
-                self._endings[lane], self._reasons[lane], self._counts[lane] = ending, reason, count
+                self._ends[lane], self._counts[lane] = end, count
                 self._alive[lane] = False
         self._over = not self._alive.any()

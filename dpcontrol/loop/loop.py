@@ -14,8 +14,9 @@ import itertools
 import logging
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -25,9 +26,11 @@ from dpcontrol.control.interface import SampledModel
 from dpcontrol.control.tick import KnownMechanics, Outcome
 from dpcontrol.control.tracking import TvlqrSettings
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, Uncertainty, arm_chain_equations
+from dpcontrol.foundation.causes import Cause
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.settings import Settings, setting
+from dpcontrol.logs import Event
 from dpcontrol.loop.bench import (
     BenchDraw,
     BenchSettings,
@@ -41,17 +44,14 @@ from dpcontrol.loop.bench import (
 )
 from dpcontrol.loop.controllers import KEEPERS, ControllerSettings
 from dpcontrol.loop.own import OwnEstimator, OwnFailure, OwnLaw, OwnObject, OwnPlant
-from dpcontrol.loop.recovery import Choice, FallRecovery
+from dpcontrol.loop.recovery import FallRecovery
 from dpcontrol.loop.result import (
-    EVENTS,
-    Ending,
     LoopResult,
     LoopSink,
     Rig,
     SupervisorSettings,
     Ticks,
-    ending,
-    explained,
+    ended,
 )
 from dpcontrol.loop.ticker import Ticker
 from dpcontrol.references.problem import Limits
@@ -60,6 +60,8 @@ _LOG = logging.getLogger(__name__)
 _FLUSH_SECONDS = 0.02
 """Ticks between two transfers of rows to the sink, equal to a chunk of a log."""
 _PROGRESS_EVERY = 500
+EVENTS = {Cause.RESTART: "restart the estimator", Cause.RESYNCHRONISE: "re-synchronise", Cause.HOLD: "hold"}
+"""Names of events in a log by the cause that does not stop the cart; all others are "stop"."""
 _THOUGHTS = 1_000_000
 """Last ticks whose computing time is stored."""
 _REPORT_INTERVAL = 1.0
@@ -97,11 +99,11 @@ class ControlLoop:
         self._rate_noise, self._recovery, self._keep = rate_noise, recovery, keep
         self._until = 0 if recovery is None else recovery.until
         self.count = ticker.count
-        self.ending, self.reason, self._stopped = Ending.FINISHED, "came to the reference's end", False
+        self.end, self._stopped = ended(Cause.FINISHED), False
         self._period, self._arms = ticker.program.period, ticker.program.model.arms
         self._rows = Ticks.empty(0, self._arms, has_truth=False, period=self._period)
         self._full: list[Ticks] = []
-        self._fall: tuple[Outcome, str] | None = None
+        self._fall: tuple[Cause, Mapping[str, Any]] | None = None
         self._flush_every = max(1, round(_FLUSH_SECONDS / self._period))
         self._done = self._flushed = self._first = 0
         if fallback is not None:
@@ -139,8 +141,8 @@ class ControlLoop:
         self._rows = rows = Ticks.empty(
             block, self._arms, has_truth=rig.truth is not None, period=period, extras=len(ticker.extra_names)
         )
-        ticks = f"{self.count - 1} ticks at {1 / period:g} Hz"
-        self._event(0.0, "info", "start", f"{ticker.kind}, {ticker.estimator_kind}, {ticks}")
+        begun = {"law": ticker.kind, "estimator": ticker.estimator_kind, "ticks": self.count - 1, "rate": 1 / period}
+        self._event(0.0, "info", "start", Cause.BEGUN, begun)
         if recovery is not None:
             self._emit_choices(0, [recovery.begin(ticker)])
         late, quiet_until = 0, 0.0
@@ -178,21 +180,22 @@ class ControlLoop:
                 late, now = late + 1, k * period
                 if now >= quiet_until:
                     quiet_until = now + _REPORT_INTERVAL
-                    text = f"a tick's command comes {1e3 * reading.late:.3g} ms too late; {late} such ticks so far"
-                    self._event(now, "warn", "deadline missed", text)
+                    self._event(
+                        now, "warn", "deadline missed", Cause.LATE, {"late_ms": 1e3 * reading.late, "count": late}
+                    )
             if ticker.event:
-                self._event(k * period, "info", "controller", ticker.event)
-            if rig.fault and self.ending is not Ending.CART_STOP:
-                self.ending, self.reason = Ending.CART_STOP, rig.fault
+                self._event(k * period, "info", "controller", words=ticker.event)
+            if (fault := rig.fault) is not None and self.end.name != fault.name:
+                self.end = fault
                 break
             if report.news.item(0):
                 self._emit_news(k)
             if recovery is not None:
                 if self._fall is not None:
                     self._recover(k, *self._fall, recovery, rig)
-                elif not self._stopped and (why := recovery.runs_off(k, report, ticker)):
+                elif not self._stopped and (speeds := recovery.runs_off(k, report, ticker)):
                     ticker.brake(k)
-                    self._recover(k, Outcome.TRACKING_LOST, why, recovery, rig)
+                    self._recover(k, Cause.TOO_FAST, speeds, recovery, rig)
                 elif not self._stopped:
                     self._emit_choices(done, recovery.follow_up(k, report, ticker, period))
                 if done == ticker.began + ticker.count:
@@ -203,7 +206,7 @@ class ControlLoop:
                 if self._stopped and report.done.item(0):
                     break
                 if done == self._until and not self._stopped:
-                    self.reason, self._stopped = "the requested time is over", True
+                    self.end, self._stopped = ended(Cause.TIME_OVER), True
                     ticker.brake(k)
             elif done == self.count or report.done.item(0):
                 break
@@ -214,11 +217,11 @@ class ControlLoop:
         elapsed, done = clock() - began, self._done
         rig.stop()
         self._flush(done)
-        fine = self.ending is Ending.FINISHED
-        self._event(max(done - 1, 0) * period, "info" if fine else "error", self.ending.value, self.reason)
+        self.end = replace(self.end, time=max(done - 1, 0) * period)
+        self.sink.event(self.end)
         self.progress("run", 1.0)
         kept = Ticks.joined([*self._full, self._rows.between(0, done - self._first)])
-        result = LoopResult(kept, self.ending, self.reason, late, elapsed, np.array(thinking))
+        result = LoopResult(self.end, kept, late, elapsed, np.array(thinking))
         return result if recovery is None else replace(result, falls=recovery.falls, flights=recovery.flights(done))
 
     def _fail(self, k: int, failure: ArithmeticError) -> None:
@@ -227,9 +230,9 @@ class ControlLoop:
         The plant or a user's object failed.
         """
         own = isinstance(failure, OwnFailure)
-        self.ending = Ending.OBJECT_FAILED if own else Ending.PLANT_FAILED
-        self.reason = f"{failure}, at t = {k * self._period:.3f} s" if own else str(failure)
-        _LOG.debug("%s", self.reason, exc_info=failure)
+        words = f"{failure}, at t = {k * self._period:.3f} s" if own else str(failure)
+        self.end = ended(Cause.OBJECT_FAILED if own else Cause.PLANT_FAILED, words=words)
+        _LOG.debug("%s", words, exc_info=failure)
 
     def _next_block(self, k: int) -> tuple[Ticks, Callable[..., None]]:
         """Allocate rows from tick k on."""
@@ -248,66 +251,71 @@ class ControlLoop:
         ticker, now = self.ticker, k * self._period
         outcome = Outcome(int(ticker.report.outcome.item(0)))
         if outcome is not Outcome.GO_ON:
-            why = explained(outcome, now, ticker.figures(k), arms=self._arms, period=self._period)
+            cause, figures = Cause[outcome.name], ticker.figures(k)
             if self._recovery is not None and outcome >= Outcome.ESTIMATE_LOST:
                 # The rest of this tick still belongs to the former reference.
-                self._fall = outcome, why
+                self._fall = cause, figures
                 return
-            self._event(now, "warn", EVENTS.get(outcome, "stop"), why)
+            self._event(now, "warn", EVENTS.get(cause, "stop"), cause, figures)
             if outcome is Outcome.RESTART:
                 self._rows.without_nis(k - self._first)
             elif outcome is Outcome.RESYNCHRONISE:
                 moved = ticker.resynchronise(k)
-                self._event(now, "info", "re-synchronise", moved or "the controller has no clock to move")
+                self._event(now, "info", "re-synchronise", "" if moved else Cause.CLOCKLESS, words=moved)
             elif outcome is Outcome.HOLD:
                 assert self.fallback is not None
                 held = ticker.hold(k, self.fallback)
-                self._event(now, "warn", "fallback", held)
-                self.ending, self.reason = Ending.FELL_BACK, f"{why}; {held}"
+                self._event(now, "warn", "fallback", words=held)
+                self.end = ended(cause, {**figures, "held": held})
             else:
-                self.ending, self.reason, self._stopped = ending(outcome), why, True
+                self.end, self._stopped = ended(cause, figures), True
                 # From here on the reference is constant.
                 ticker.freeze_reference(k)
         if ticker.report.stop.item(0) and (self._stopped or self._recovery is None):
             # The drive brakes without commands; the loop sends its prediction of the braking meanwhile.
             rig.stop()
 
-    def _recover(self, k: int, outcome: Outcome, why: str, recovery: FallRecovery, rig: Rig) -> None:
+    def _recover(self, k: int, cause: Cause, figures: Mapping[str, Any], recovery: FallRecovery, rig: Rig) -> None:
         """Return from a fall at tick k, or end the run.
 
         The run ends if no attempt is left.
         """
         self._fall = None
-        choices = recovery.fell(k, outcome, why, self.ticker, self._period)
+        choices = recovery.fell(k, cause, figures, self.ticker, self._period)
         if choices is not None:
             self._emit_choices(k, choices)
             return
-        why += f"; given up after {recovery.falls} fall{'s' * (recovery.falls > 1)}"
-        self._event(k * self._period, "warn", "stop", why)
-        self.ending, self.reason, self._stopped = ending(outcome), why, True
+        figures = {**figures, "falls": recovery.falls}
+        self._event(k * self._period, "warn", "stop", cause, figures)
+        self.end, self._stopped = ended(cause, figures), True
         self.ticker.freeze_reference(k)
         rig.stop()
 
-    def _emit_choices(self, k: int, choices: Sequence[Choice]) -> None:
-        """Emit the choices of tick k as events."""
-        for one in choices:
-            self._event(k * self._period, one.level, one.name, one.text)
+    def _emit_choices(self, k: int, choices: Sequence[Event]) -> None:
+        """Emit the recovery's choices of tick k as events."""
+        for choice in choices:
+            self._event(k * self._period, choice.level, choice.name, choice.cause, choice.figures)
 
     def _emit_news(self, k: int) -> None:
         """Emit events of tick k that change no state."""
         now, figures = k * self._period, self.ticker.figures(k)
         if figures["newly_cut"]:
-            wish, fastest = figures["wish"], self.limits.velocity
-            over = f"command {wish:.3g} m/s², cut to {figures['command']:.3g} m/s²"
-            text = over if abs(wish) > self.limits.acceleration else f"cart at {fastest:g} m/s"
-            self._event(now, "warn", "saturated", text)
+            self._event(now, "warn", "saturated", Cause.CUT, figures)
         if figures["untrusted"]:
-            self._event(now, "info", "controller", self.ticker.flag_estimate())
+            self._event(now, "info", "controller", Cause.UNTRUSTED, self.ticker.untrusted())
 
-    def _event(self, time_s: float, level: str, name: str, text: str) -> None:
+    def _event(
+        self,
+        time_s: float,
+        level: str,
+        name: str,
+        cause: str = "",
+        figures: Mapping[str, Any] | None = None,
+        words: str = "",
+    ) -> None:
         # Events follow the ticks that they belong to.
         self._flush(round(time_s / self._period))
-        self.sink.event(time_s, level, name, text)
+        self.sink.event(Event(time_s, level, name, cause, figures or {}, words))
 
     def _flush(self, until: int) -> None:
         first = self._flushed

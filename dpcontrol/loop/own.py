@@ -31,10 +31,13 @@ from dpcontrol.control.tracking import ReferenceController
 from dpcontrol.dynamics.components import SymbolicPlant
 from dpcontrol.dynamics.plant import PlantParameters, after_blow
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.causes import Cause
 from dpcontrol.foundation.errors import InputError, remark
 from dpcontrol.foundation.files import content_hash
+from dpcontrol.logs import Event
 from dpcontrol.loop.bench import Blow
 from dpcontrol.loop.protocols import Reading
+from dpcontrol.loop.result import ended
 
 NEEDED = {
     "controller": ("control(time, state, reference)",),
@@ -494,7 +497,7 @@ class OwnArms:
     def __init__(self, own: OwnObject, parameters: PlantParameters, state: Array, *, track: float) -> None:
         self._own, self._parameters, self._track, self._begun = own, parameters, track, False
         self._cart = 2 * parameters.arms.count
-        self.faults: dict[int, str] = {}
+        self.faults: dict[int, Event] = {}
         self.state: Array = state.copy()
         """The present state; `move` overwrites it."""
         self.values: list[Any] = state.tolist()
@@ -523,9 +526,8 @@ class OwnArms:
         state, cart = self._own.numbers("step", value, len(self.state)), self._cart
         if abs(state[cart]) > self._track:
             side, speed = math.copysign(self._track, state[cart]), state[cart + 1]
-            self.faults.setdefault(
-                0, f"cart hit its hard stop at t = {time + duration:.3f} s: x = {side:.3f} m at {speed:.3g} m/s"
-            )
+            place = {"time": time + duration, "position": side, "velocity": speed}
+            self.faults.setdefault(0, ended(Cause.HARD_STOP, place))
             state[cart], state[cart + 1] = side, 0.0
         self._set_state(state)
 
@@ -557,7 +559,7 @@ class OwnRig:
     """
 
     def __init__(self, own: OwnObject, *, arms: int, period: float) -> None:
-        self.own, self.period, self.fault = own, period, ""
+        self.own, self.period, self.fault = own, period, None
         self._arms, self._count, self._stopped = arms, 0, False
         self.truth: Array | None = None if getattr(own.thing, "truth", None) is None else np.zeros(2 * arms + 2)
         """The true state (2n+2,) at the last reading, if the object provides it."""

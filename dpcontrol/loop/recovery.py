@@ -24,15 +24,18 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from functools import partial
+from typing import Any
 
 import numpy as np
 
 from dpcontrol.control.calming import CalmingController
 from dpcontrol.control.interface import Controller, GainSchedule, whole_turns
-from dpcontrol.control.tick import BRAKING, Outcome, Report
+from dpcontrol.control.tick import BRAKING, Report
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.causes import Cause
 from dpcontrol.foundation.shown import Brief
-from dpcontrol.logs import CATCH, LAP, REST, RESUME, RETURN, START, Flight, joined_text
+from dpcontrol.logs import CATCH, LAP, REST, RESUME, RETURN, START, Event, Flight
 from dpcontrol.loop.ticker import Ticker
 from dpcontrol.references.problem import Limits
 
@@ -228,13 +231,8 @@ class RecoveryPlan(Brief):
     """Called when the arms hang at rest; False if no start is available yet."""
 
 
-@dataclass(frozen=True)
-class Choice:
-    """Log event of a choice: level, name, text."""
-
-    level: str
-    name: str
-    text: str
+_event = partial(Event, 0.0)
+"""An event whose time the loop sets: level, name, cause and figures."""
 
 
 class FallRecovery:
@@ -256,7 +254,7 @@ class FallRecovery:
         self._at, self._joins = 0.0, 0
         self._followed, self._rested, self._lost_at = 0, 0, 0
         self._calms, self._fresh, self._began, self._bounds = False, False, 0, dict[str, float]()
-        self._why, self._sensor = Outcome.GO_ON, 0
+        self._why, self._sensor = Cause.FINISHED, 0
         self._flown: list[Flight] = []
         self._quiet, self._quiet_ticks = 0, round(REST_SECONDS / plan.calming.period)
         self._meets: int | None = None
@@ -273,7 +271,7 @@ class FallRecovery:
         under_way = [Flight(self._joins, end, self._at)] if self.motion is Motion.ITINERARY else []
         return (*self._flown, *under_way)
 
-    def begin(self, ticker: Ticker) -> Choice:
+    def begin(self, ticker: Ticker) -> Event:
         """Store the flights' bounds and return the first motion's event.
 
         Args:
@@ -287,19 +285,20 @@ class FallRecovery:
             self._meets = meeting_tick(ticker.references, round(LAST_SECONDS / ticker.program.period))
         return self._resumed()
 
-    def _progress(self) -> str:
+    def _progress(self) -> Mapping[str, Any]:
+        """Return the next symbol, 0 at the last stop, and the number of this attempt."""
         symbols, place = self._plan.symbols, self._stop
-        last = place == len(symbols)
-        what = "the last stop" if last else f"symbol {place + 1} of {len(symbols)} ({symbols[place]!r})"
-        return f"{what}, attempt {self._attempts.get(self._stop, 0) + 1}"
+        attempt = {"at": self._at, "symbols": len(symbols), "attempt": self._attempts.get(self._stop, 0) + 1}
+        return attempt if place == len(symbols) else {**attempt, "symbol": place + 1, "name": symbols[place]}
 
-    def _resumed(self) -> Choice:
-        name, what = (LAP, f"lap {self._lap}") if self._begins else (RESUME, self._progress())
-        self._begins = False
-        return Choice("info", name, joined_text(self._at, what))
+    def _resumed(self) -> Event:
+        begins, self._begins = self._begins, False
+        if begins:
+            return _event("info", LAP, Cause.JOINED, {"at": self._at, "lap": self._lap})
+        return _event("info", RESUME, Cause.JOINED, self._progress())
 
-    def runs_off(self, k: int, report: Report, ticker: Ticker) -> str:
-        """Return a fall's sentence if the cart runs away, or "".
+    def runs_off(self, k: int, report: Report, ticker: Ticker) -> Mapping[str, float]:
+        """Return the figures of a fall if the cart runs away, otherwise none.
 
         A cart runs away near its maximum speed, if the reference is slower.
 
@@ -311,20 +310,21 @@ class FallRecovery:
         fastest, place = self._plan.limits.velocity, 2 * self._arms + 1
         speed = abs(report.state.item(place, 0))
         if speed < _FAST * fastest or self.motion is Motion.RETURN:
-            return ""
+            return {}
         planned = abs(float(ticker.references[k - ticker.began, place]))
         if speed < planned + (1 - _FAST) * fastest:
-            return ""
-        when = f"tracking lost at t = {k * ticker.program.period:.3f} s"
-        return f"{when}: the cart moves at {speed:.3g} m/s, the reference at {planned:.3g} m/s"
+            return {}
+        return {"time": k * ticker.program.period, "fast": speed, "planned": planned}
 
-    def fell(self, k: int, outcome: Outcome, why: str, ticker: Ticker, period: float) -> Sequence[Choice] | None:
+    def fell(
+        self, k: int, cause: Cause, figures: Mapping[str, Any], ticker: Ticker, period: float
+    ) -> Sequence[Event] | None:
         """Begin a return after a fall at tick k.
 
         Args:
             k: tick.
-            outcome: decision of the tick.
-            why: reason of the fall, a sentence.
+            cause: cause of the fall.
+            figures: its numbers.
             ticker: ticker of the run.
             period: time between ticks, s.
 
@@ -345,23 +345,18 @@ class FallRecovery:
                 self.motion = Motion.RETURN
                 return None
         logged = self.motion is not Motion.RETURN or k * period - self._began * period > 1.0
-        self.motion, self._why, self._began = Motion.RETURN, outcome, k
+        self.motion, self._why, self._began = Motion.RETURN, cause, k
         self._sensor = int(ticker.report.sensor.item(0))
         self._rested, self._lost_at = k, k
         # After a fall, the parameter estimates may be wrong.
         ticker.lose()
-        if outcome in (Outcome.ESTIMATE_LOST, Outcome.SILENT, Outcome.STUCK):
+        if cause in (Cause.ESTIMATE_LOST, Cause.SILENT, Cause.STUCK):
             # The cart stays still until the estimate is reliable again.
             self._calm(k, ticker, still=True)
         else:
             self._calm(k, ticker)
-        return [Choice("warn", RETURN, f"{why}; {self._progress_lost()}")] if logged else []
-
-    def _progress_lost(self) -> str:
-        total, number = len(self._plan.symbols), self._stop + 1
-        if self._plan.restarts:
-            return "the itinerary restarts from rest"
-        return f"symbol {number} of {total} is repeated" if number <= total else "the run returns to the last stop"
+        next_symbol = {"again": 0 if plan.restarts else self._stop + 1, "symbols": len(plan.symbols)}
+        return [_event("warn", RETURN, cause, {**figures, **next_symbol})] if logged else []
 
     def _calm(self, k: int, ticker: Ticker, *, still: bool = False) -> None:
         """Calm the arms from the tick after k onward.
@@ -376,7 +371,7 @@ class FallRecovery:
         if still:
             ticker.brake(k + 1)
 
-    def follow_up(self, k: int, report: Report, ticker: Ticker, period: float) -> Sequence[Choice]:
+    def follow_up(self, k: int, report: Report, ticker: Ticker, period: float) -> Sequence[Event]:
         """Handle the completed tick k and return events.
 
         Events occur only if the motion changes.
@@ -419,10 +414,10 @@ class FallRecovery:
             if over:
                 self._calm(k, ticker)
             return ()
-        rested = Choice("info", REST, f"after {(k - self._began) * period:.2f} s")
+        rested = _event("info", REST, Cause.RESTED, {"seconds": (k - self._began) * period})
         return [rested, *self._start(k, report, ticker)]
 
-    def _caught(self, k: int, report: Report, ticker: Ticker, period: float) -> Sequence[Choice]:
+    def _caught(self, k: int, report: Report, ticker: Ticker, period: float) -> Sequence[Event]:
         """Resume from an earlier place if the state is near it.
 
         The state must be far from the present place of the reference.
@@ -451,8 +446,8 @@ class FallRecovery:
         turns = whole_turns(state[:n] - reach.states[place, :n])
         rest = replace(plan.gains, rows=plan.gains.rows[tick:], references=plan.gains.references[tick:])
         ticker.follow(k + 1, StartController(stop, self._at, 0, turns, rest), lift=turns, bounds=self._bounds)
-        what = f"{self._progress()}; caught, {back:.2f} s back: cost-to-go {least:.3g} instead of {own:.3g}"
-        return [Choice("warn", CATCH, joined_text(self._at, what))]
+        figures = {**self._progress(), "back": back, "least": least, "here": own}
+        return [_event("warn", CATCH, Cause.JOINED, figures)]
 
     def _hold_still(self, k: int, report: Report, ticker: Ticker, period: float) -> None:
         """Brake a stopped cart that drifts.
@@ -477,7 +472,7 @@ class FallRecovery:
         # Arms at rest give constant readings, like a stuck sensor. After a time limit, the sensor is used again.
         since = k - self._began
         stuck = (
-            self._why is Outcome.STUCK
+            self._why is Cause.STUCK
             and since * period < _STUCK
             and ticker.program.memory.same[self._sensor - 1, 0] >= since
         )
@@ -510,7 +505,7 @@ class FallRecovery:
             self._rested = k
         return k - self._rested
 
-    def _start(self, k: int, report: Report, ticker: Ticker) -> list[Choice]:
+    def _start(self, k: int, report: Report, ticker: Ticker) -> list[Event]:
         plan = self._plan
         start = max((one for one in plan.starts if one.stop <= self._stop), key=lambda one: one.stop)
         self._stop = start.stop
@@ -518,14 +513,14 @@ class FallRecovery:
         ticker.follow(k + 1, start, lift=whole_turns(report.state[:n, 0]), bounds=self._bounds)
         self._at, self._joins = start.at, k + 1 + start.lead_in
         self.motion = Motion.START
-        text = f"from rest to stop {start.stop + 1} ({plan.names[start.stop]}): {self._progress()}"
-        logged = [Choice("info", START, text)]
+        goal = {"stop": start.stop + 1, "stop_name": plan.names[start.stop]}
+        logged = [_event("info", START, Cause.STARTED, {**self._progress(), **goal})]
         if start.lead_in == 0:
             self.motion, self._followed = Motion.ITINERARY, k
             logged.append(self._resumed())
         return logged
 
-    def _held(self, k: int, ticker: Ticker) -> Sequence[Choice]:
+    def _held(self, k: int, ticker: Ticker) -> Sequence[Event]:
         """Begin a return if the last stop was not held.
 
         It must be held until the reference ends.
@@ -535,10 +530,9 @@ class FallRecovery:
         away = float(np.abs(seen[:, None] - path).max(axis=2).min(axis=1).max())
         if away <= _HELD:
             return ()
-        why = f"the last stop was not held: over the last period the arms were up to {away:.2g} rad from its orbit"
-        return self.fell(k, Outcome.TRACKING_LOST, why, ticker, ticker.program.period) or ()
+        return self.fell(k, Cause.NOT_HELD, {"away": away}, ticker, ticker.program.period) or ()
 
-    def ended(self, k: int, ticker: Ticker) -> Sequence[Choice]:
+    def ended(self, k: int, ticker: Ticker) -> Sequence[Event]:
         """Continue after the reference ends with tick k.
 
         Args:
@@ -554,7 +548,7 @@ class FallRecovery:
             return self._held(k, ticker)
         return self._lapped(k, ticker.references[-1], ticker)
 
-    def _lapped(self, k: int, state: Array, ticker: Ticker) -> Sequence[Choice]:
+    def _lapped(self, k: int, state: Array, ticker: Ticker) -> Sequence[Event]:
         """Begin another lap after tick k, with the reference at `state` (N,)."""
         self._lap, self._begins = self._lap + 1, True
         # A run is judged by its last lap.
@@ -571,7 +565,7 @@ class FallRecovery:
             return [self._resumed()]
         self.motion, self._began = Motion.RETURN, k
         self._calm(k, ticker)
-        return [Choice("info", RETURN, f"lap {self._lap - 1} is done; the next one begins from rest")]
+        return [_event("info", RETURN, Cause.LAP_DONE, {"lap": self._lap - 1})]
 
 
 def meeting_tick(references: Array, ticks: int) -> int | None:

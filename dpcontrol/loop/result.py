@@ -2,7 +2,7 @@
 
 The supervisor has these outcomes: continue, restart the estimator, resynchronise the reference's clock, hold the
 nearest orbit, or stop the cart in time. The tick itself decides (`dpcontrol.control.tick`). This module has its
-settings and texts. A run that cannot be saved ends with the cart at rest inside its limits.
+settings and endings. A run that cannot be saved ends with the cart at rest inside its limits.
 """
 
 import math
@@ -11,18 +11,19 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
 from dpcontrol.control.estimator_settings import share_inside
-from dpcontrol.control.tick import Outcome, Report
+from dpcontrol.control.tick import Report
 from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.causes import Cause
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.foundation.shown import Brief
-from dpcontrol.logs import Flight, LogWriter
+from dpcontrol.logs import Event, Flight, LogWriter
 from dpcontrol.logs.rolling import RollingLog
 from dpcontrol.loop.protocols import Reading, UserRig
 
@@ -56,8 +57,8 @@ class Rig(UserRig, Protocol):
         ...
 
     @property
-    def fault(self) -> str:
-        """Return the cause of a bench's failure, or "".
+    def fault(self) -> Event | None:
+        """Return the event of a bench's failure, or None.
 
         An example is the end of its track.
         """
@@ -133,97 +134,51 @@ class SupervisorSettings(Settings, table="supervisor"):
     )
 
 
-EVENTS = {
-    Outcome.RESTART: "restart the estimator",
-    Outcome.RESYNCHRONISE: "re-synchronise",
-    Outcome.HOLD: "hold",
+ENDINGS = {
+    Cause.FINISHED: Ending.FINISHED,
+    Cause.TIME_OVER: Ending.FINISHED,
+    Cause.HOLD: Ending.FELL_BACK,
+    **dict.fromkeys((Cause.CART, Cause.SWITCH, Cause.HARD_STOP, Cause.RIG_FAULT), Ending.CART_STOP),
+    **dict.fromkeys((Cause.ESTIMATE_LOST, Cause.SILENT, Cause.STUCK), Ending.ESTIMATE_LOST),
+    **dict.fromkeys((Cause.TRACKING_LOST, Cause.FALLEN, Cause.TOO_FAST, Cause.NOT_HELD), Ending.TRACKING_LOST),
+    **dict.fromkeys((Cause.DRIVE_OFF, Cause.DRIVE_REVERSED), Ending.DRIVE_FAILED),
+    Cause.PLANT_FAILED: Ending.PLANT_FAILED,
+    Cause.OBJECT_FAILED: Ending.OBJECT_FAILED,
 }
-"""Names of outcomes in a log; all others are "stop"."""
+"""Kind of ending by its cause."""
 
 
-def explained(outcome: Outcome, now: float, figures: Mapping[str, float], *, arms: int, period: float) -> str:
-    """Return the reason for a tick's decision in one sentence.
-
-    Args:
-        outcome: decision of the tick.
-        now: time of the tick, s.
-        figures: numbers of the tick, see `Ticker.figures`.
-        arms: number of arms.
-        period: time between ticks, s.
-    """
-    error, distance = figures["error"], figures["distance"]
-    away = f"an angle has stayed {error:.2g} rad from the reference"
-    lost, shown = f"estimate lost at t = {now:.3f} s:", _lost(figures)
-    failed = f"drive failed at t = {now:.3f} s:"
-    speed = f" with {velocity:.2f} m/s" if math.isfinite(velocity := figures["velocity"]) else ""
-    cart = f"at {figures['position']:.3f} m{speed} it must brake now to stay on the track"
-    match outcome:
-        case Outcome.RESTART:
-            return f"{shown}: the estimator restarts from the encoders"
-        case Outcome.RESYNCHRONISE:
-            return f"an angle is {error:.2g} rad from the reference"
-        case Outcome.HOLD | Outcome.TRACKING_LOST:
-            return f"tracking lost at t = {now:.3f} s: {away}"
-        case Outcome.ESTIMATE_LOST:
-            return f"{lost} {shown}; check the encoders and the model's parameters"
-        case Outcome.SILENT:
-            return f"{lost} no measurement for {figures['silent']:.3f} s; check the encoders' cables"
-        case Outcome.FALLEN:
-            far = f"an angle is {distance:.2g} rad from the reference"
-            return f"tracking lost at t = {now:.3f} s: {far}, and the cart runs away after it: {cart}"
-        case Outcome.CART:
-            # No remedy is given: a longer track saves a third of such runs, and half of those near their reference.
-            return f"cart at its stop at t = {now:.3f} s: {cart}, with an angle {distance:.2g} rad from the reference"
-        case Outcome.STUCK:
-            which = int(figures["sensor"])
-            name = "the cart's scale" if which > arms else f"the encoder of joint {which}"
-            same = f"it has given the same reading for {figures['repeats'] * period:.3g} s"
-            return f"{lost} {name} is stuck: {same}; check its cable and its head"
-        case Outcome.DRIVE_OFF:
-            check = "is the drive on? Check its power, its enabling and its cable, and the cart's scale"
-            return f"{failed} the cart does not follow the commands: {check}"
-        case Outcome.DRIVE_REVERSED:
-            check = "check the signs of the drive and of the cart's scale, and that the drive is on"
-            return f"{failed} the cart moves against the commands: {check}"
-        case Outcome.SWITCH:
-            return (
-                f"cart at its stop at t = {now:.3f} s: a limit switch was touched, with an angle {distance:.2g} rad "
-                f"from "
-                "the reference"
-            )
-        case Outcome.GO_ON:
-            return ""
-
-
-_ASTRAY = 1.0
-"""Distance from the encoders at which an estimate has slipped at any NIS, rad."""
-_LEAST_LOST = 5.0
-"""Mean NIS above which an estimate can count as lost; see `SupervisorSettings`."""
-
-
-def _lost(figures: Mapping[str, float]) -> str:
-    """Return the defect of the estimate."""
-    nis, apart = figures["mean_nis"], figures["apart"]
-    if not math.isfinite(nis + apart):
-        return "it is no longer finite"
-    if apart > _ASTRAY:
-        return f"it is {apart:.3g} rad from the encoders"
-    if nis < _LEAST_LOST:
-        return "its rates have run away"
-    return f"mean NIS {nis:.3g} for each position, about 1 is expected"
-
-
-def ending(outcome: Outcome) -> Ending:
-    """Return the ending of a run that is stopped by this outcome.
+def ended(cause: Cause, figures: Mapping[str, Any] | None = None, words: str = "") -> Event:
+    """Return the event that ends a run, whose time the loop sets.
 
     Args:
-        outcome: outcome that stopped the run.
+        cause: cause of the end.
+        figures: its numbers and names.
+        words: sentence of an end that comes from outside, such as the message of a user's object.
     """
-    if outcome in (Outcome.CART, Outcome.SWITCH):
-        return Ending.CART_STOP
-    if outcome in (Outcome.DRIVE_OFF, Outcome.DRIVE_REVERSED):
-        return Ending.DRIVE_FAILED
-    return Ending.TRACKING_LOST if outcome in (Outcome.TRACKING_LOST, Outcome.FALLEN) else Ending.ESTIMATE_LOST
+    ending = ENDINGS[cause]
+    return Event(0.0, "info" if ending is Ending.FINISHED else "error", ending.value, cause, figures or {}, words)
+
+
+@dataclass(frozen=True, eq=False)
+class Ended(Brief):
+    """A run that has ended.
+
+    Attributes:
+        end: event of its end.
+    """
+
+    end: Event
+
+    @property
+    def ending(self) -> Ending:
+        """Kind of ending."""
+        return Ending(self.end.name)
+
+    @property
+    def reason(self) -> str:
+        """Reason of the ending, a sentence."""
+        return self.end.text
 
 
 @dataclass(frozen=True, eq=False)
@@ -348,14 +303,11 @@ class LoopSink:
             rows: next ticks, which are final.
         """
 
-    def event(self, time_s: float, level: str, name: str, text: str) -> None:
+    def event(self, event: Event) -> None:
         """Receive one event.
 
         Args:
-            time_s: time, s.
-            level: "info", "warn" or "error".
-            name: name of the event.
-            text: a sentence.
+            event: the event.
         """
 
 
@@ -374,27 +326,22 @@ class Sinks(LoopSink):
         for sink in self._sinks:
             sink.ticks(rows)
 
-    def event(self, time_s: float, level: str, name: str, text: str) -> None:
+    def event(self, event: Event) -> None:
         """Pass on one event.
 
         Args:
-            time_s: time, s.
-            level: "info", "warn" or "error".
-            name: name of the event.
-            text: a sentence.
+            event: the event.
         """
         for sink in self._sinks:
-            sink.event(time_s, level, name, text)
+            sink.event(event)
 
 
 @dataclass(frozen=True, eq=False)
-class LoopResult(Brief):
+class LoopResult(Ended):
     """A run of K ticks, n arms.
 
     Attributes:
         ticks: its rows.
-        ending: kind of ending.
-        reason: a sentence.
         late: number of ticks that began too late.
         elapsed: duration of the computation, s.
         thinking: computing time (K,) of controller and estimator, s.
@@ -405,8 +352,6 @@ class LoopResult(Brief):
     """
 
     ticks: Ticks
-    ending: Ending
-    reason: str
     late: int
     elapsed: float
     thinking: Array
@@ -462,21 +407,18 @@ def rms(values: Array) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class BatchRun(Brief):
+class BatchRun(Ended):
     """One run of K ticks and the data that judge it.
 
     Units are SI.
 
-    times (K,). truth (K, 2n+2). references (K, n): angles. applied (K,). ending, reason, falls, flights and hardest:
-    see `LoopResult`.
+    times (K,). truth (K, 2n+2). references (K, n): angles. applied (K,). falls, flights and hardest: see `LoopResult`.
     """
 
     times: Array
     truth: Array
     references: Array
     applied: Array
-    ending: Ending
-    reason: str
     nis_inside_95: float
     rms_feedback: float
     falls: int = 0
@@ -498,8 +440,8 @@ class BatchRun(Brief):
             raise InputError("the true states are not known, so the run cannot be judged; run it in simulation")
         angles = ticks.references[:, : ticks.measured.shape[1] - 1]
         return cls(
-            ticks.times, ticks.truth, angles, ticks.control[:, 3], result.ending, result.reason,
-            result.nis_inside_95, result.rms_feedback, result.falls, result.flights, result.hardest,
+            result.end, ticks.times, ticks.truth, angles, ticks.control[:, 3], result.nis_inside_95,
+            result.rms_feedback, result.falls, result.flights, result.hardest,
         )  # fmt: skip
 
 
@@ -553,8 +495,7 @@ class JudgedTicks:
         *,
         still_from: int,
         period: float,
-        ending: Ending,
-        reason: str,
+        end: Event,
     ) -> BatchRun:
         """Return the stored ticks of one run, with its figures.
 
@@ -564,8 +505,7 @@ class JudgedTicks:
             references: reference angles (K, n), rad.
             still_from: tick of a stop, from which the references are constant.
             period: time between ticks, s.
-            ending: kind of ending.
-            reason: reason of the ending, a sentence.
+            end: event of its end.
         """
         rest, count = self._done % _TURN, min(count, self._done)
         self._truth[lane, self._done - rest : self._done] = self._latest[:rest, :, lane]
@@ -574,7 +514,7 @@ class JudgedTicks:
             wanted[still_from:] = wanted[still_from]
         times = np.asarray(np.arange(count) * period, dtype=np.float64)
         return BatchRun(
-            times, self._truth[lane, :count], wanted, self._applied[:count, lane].copy(), ending, reason,
+            end, times, self._truth[lane, :count], wanted, self._applied[:count, lane].copy(),
             inside_95(self._nis[:count, lane], self._freedom), rms(self._feedback[:count, lane]),
         )  # fmt: skip
 
@@ -596,16 +536,13 @@ class LogSink(LoopSink):
             truth=rows.truth, control=rows.control, extras=rows.extras if self._writer.extras else None,
         )  # fmt: skip
 
-    def event(self, time_s: float, level: str, name: str, text: str) -> None:
+    def event(self, event: Event) -> None:
         """Write one event.
 
         Args:
-            time_s: time, s.
-            level: "info", "warn" or "error".
-            name: name of the event.
-            text: a sentence.
+            event: the event.
         """
-        self._writer.event(time_s, level, name, text)
+        self._writer.event(event)
 
 
 class SinkBeside(LoopSink):
@@ -639,17 +576,14 @@ class SinkBeside(LoopSink):
         self._look()
         self._under_way.append(self._thread.submit(self._sink.ticks, rows))
 
-    def event(self, time_s: float, level: str, name: str, text: str) -> None:
+    def event(self, event: Event) -> None:
         """Write one event.
 
         Args:
-            time_s: time, s.
-            level: "info", "warn" or "error".
-            name: name of the event.
-            text: a sentence.
+            event: the event.
         """
         self._look()
-        self._under_way.append(self._thread.submit(self._sink.event, time_s, level, name, text))
+        self._under_way.append(self._thread.submit(self._sink.event, event))
 
     def _look(self) -> None:
         while self._under_way and self._under_way[0].done():

@@ -22,10 +22,13 @@ from dpcontrol.control.interface import MANY, ONE, Lanes
 from dpcontrol.dynamics.compiled import VECTOR, Compiled
 from dpcontrol.dynamics.plant import PlantParameters, after_blow, longest_step, plant_modes, plant_step
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.causes import Cause
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.logs import Event
 from dpcontrol.loop.bench import BenchDraw, BenchSettings, Blow, SensorSettings
 from dpcontrol.loop.own import OwnArms
 from dpcontrol.loop.protocols import Reading
+from dpcontrol.loop.result import ended
 from dpcontrol.references.problem import Limits
 
 
@@ -180,7 +183,7 @@ class SimulatedPlant:
     def __init__(self, plants: Sequence[PlantParameters], state: Array, *, track: float) -> None:
         first = plants[0]
         self.plants, self.track = plants, track
-        self.faults: dict[int, str] = {}
+        self.faults: dict[int, Event] = {}
         """Faults at the end of the track, by run number."""
         self._many = many = state.ndim > 1
         kind = {"friction": first.arms.friction, "components": first.kinds}
@@ -293,10 +296,8 @@ class SimulatedPlant:
                 free = middle
         self._set_state(self._flow(acceleration, free))
         side, speed = math.copysign(1.0, self.values[cart]), self.values[cart + 1]
-        self.faults.setdefault(
-            0,
-            f"cart hit its hard stop at t = {time + free:.3f} s: x = {side * track:.3f} m at {speed:.3g} m/s",
-        )
+        place = {"time": time + free, "position": side * track, "velocity": speed}
+        self.faults.setdefault(0, ended(Cause.HARD_STOP, place))
         self._hold(side)
         # The drive does not push on against the stop.
         self._set_state(self._flow(0.0, duration - free))
@@ -520,9 +521,9 @@ class SimulatedRig(SimulatedBench):
         return self._plant.state
 
     @property
-    def fault(self) -> str:
-        """The fault at the end of the track, or ""."""
-        return self._plant.faults.get(0, "")
+    def fault(self) -> Event | None:
+        """The fault at the end of the track, or None."""
+        return self._plant.faults.get(0)
 
     def read(self) -> Reading:
         """Advance one period, except in the first call, and return the readings.
@@ -584,7 +585,7 @@ class BatchBench(SimulatedBench):
         return failed if failed.any() else None
 
     @property
-    def faults(self) -> Mapping[int, str]:
+    def faults(self) -> Mapping[int, Event]:
         """Causes of failed runs, by run number."""
         return self._plant.faults
 

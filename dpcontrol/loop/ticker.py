@@ -360,26 +360,23 @@ class Ticker:
             self(0, reading)
             self.program.stored[:] = begun
 
-    def flag_estimate(self) -> str:
-        """Return a sentence on the parameter that left its range.
-
-        The law does not trust values outside this range.
-        """
+    def untrusted(self) -> Mapping[str, Any]:
+        """Return name and share of the parameter that left the range in which the law trusts its estimate."""
         schedule, which = self._schedule, int(self.report.untrusted.item(0)) - 1
         assert schedule is not None
-        share = self.report.extra[which, 0]
-        return (
-            f"model error: {schedule.names[which]} is estimated to be off by {share:+.0%}, beyond the "
-            f"first-order range (trust {schedule.trust:g}); identify the arms, or tracking may be lost"
-        )
+        share = self.report.extra.item(which, 0)
+        return {"parameter": schedule.names[which], "share": share, "trust": float(schedule.trust)}
 
     def figures(self, k: int, lane: int = 0) -> Mapping[str, float]:
         """Return the numbers of the last tick that explain an outcome.
 
+        time        s, of the tick
         distance    rad, of the angle farthest from the reference, as measured if possible
         apart       rad, of the estimated angle farthest from its reading
         position    m, of the cart
         velocity    m/s, of the cart; NaN if its scale contradicts it
+        sensor      number of the sensor with a constant reading, 0 for the cart's scale
+        repeated    s, for which that sensor has given this reading
 
         Args:
             k: the last tick.
@@ -393,14 +390,17 @@ class Ticker:
         apart = measured - angles
         read = measured - 2 * np.pi * np.rint(apart / (2 * np.pi))
         seen = self.program.reading.present[:arms, lane] > 0
+        sensor, period = int(report.sensor.item(lane)), self.program.period
         velocity, span = state.item(self._n - 1), len(self._carts)
         moved = self._carts[k % span, lane] - self._carts[(k + 1) % span, lane]
-        by_scale = moved / ((span - 1) * self.program.period)
+        by_scale = moved / ((span - 1) * period)
         agree = abs(velocity - by_scale) <= _VELOCITY + _VELOCITY_SHARE * abs(by_scale)
-        names = ("mean_nis", "error", "silent", "sensor", "repeats", "wish", "command", "untrusted", "newly_cut")
+        names = ("mean_nis", "error", "silent", "wish", "command", "untrusted", "newly_cut")
         return {
             **{name: getattr(report, name).item(lane) for name in names},
             "distance": float(np.abs(np.where(seen, read, angles) - wanted).max()),
             "apart": float(np.abs(apart[seen]).max(initial=0.0)),
             "position": state.item(self._n - 2), "velocity": velocity if agree else math.nan,
+            "sensor": sensor if sensor <= arms else 0, "repeated": report.repeats.item(lane) * period,
+            "time": k * period,
         }  # fmt: skip

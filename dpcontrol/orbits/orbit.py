@@ -13,7 +13,6 @@ from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.shown import Brief, Timed
 from dpcontrol.words.searches import Concluded
 
-
 _HYPERBOLIC = 1e-4
 """A multiplier counts as unstable if its modulus exceeds one by more than this."""
 

@@ -113,7 +113,7 @@ def _draw_symbols(axes: Axes, summary: CampaignSummary) -> None:
 
 
 def _draw_reasons(axes: Axes, summary: CampaignSummary) -> None:
-    quiet(axes, "Failed runs by reason, numbers left out")
+    quiet(axes, "Failed runs by cause")
     shown = list(summary.reasons[:6])
     rest = sum(count for _, count in summary.reasons[6:])
     shown += [("other reasons", rest)] if rest else []

@@ -20,7 +20,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -115,16 +115,13 @@ class LiveView(LoopSink):
             self._send(_ROW, np.concatenate(parts).tobytes())
         self._left = -(count - self._left) % self._every
 
-    def event(self, time_s: float, level: str, name: str, text: str) -> None:
+    def event(self, event: Event) -> None:
         """Show one event.
 
         Args:
-            time_s: time, s.
-            level: debug, info, warn, error or fatal.
-            name: originating part.
-            text: a sentence.
+            event: the event.
         """
-        self._send(_EVENT, json.dumps([time_s, level, name, text], ensure_ascii=False).encode())
+        self._send(_EVENT, json.dumps(asdict(event), ensure_ascii=False).encode())
 
     def _send(self, kind: bytes, content: bytes) -> None:
         if self._pipe < 0:
@@ -249,7 +246,7 @@ def messages(pipe: int, viewer: "subprocess.Popen[Any] | None") -> Iterator[tupl
             if kind == _ROW:
                 rows.append(np.frombuffer(body))
             else:
-                events.append(Event(*json.loads(body)))
+                events.append(Event(**json.loads(body)))
         if rows or events:
             yield np.array(rows).reshape(len(rows), -1), tuple(events)
         # Rows that arrived in the meantime are shown together.

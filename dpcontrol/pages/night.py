@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from dpcontrol.foundation.causes import Cause
 from dpcontrol.foundation.units import prefixed
 from dpcontrol.judge.night import BETWEEN, CALMING, ITINERARY, STARTING, STOPPED, UNKNOWN, Night
 from dpcontrol.pages import style
@@ -48,10 +49,17 @@ def draw_night(night: Night) -> Figure:
     ).figure()  # fmt: skip
 
 
-_FALLS = {
-    "tracking lost": style.LIMIT, "estimate lost": style.ESTIMATE, "cart near its stop": style.SERIES[5],
-    "limit switch": style.SERIES[5], "sensor stuck": style.SERIES[0], "no measurement": style.SERIES[2],
-}  # fmt: skip
+_FALLS: dict[str, str] = {
+    Cause.TRACKING_LOST: style.LIMIT,
+    Cause.FALLEN: style.LIMIT,
+    Cause.TOO_FAST: style.LIMIT,
+    Cause.NOT_HELD: style.LIMIT,
+    Cause.ESTIMATE_LOST: style.ESTIMATE,
+    Cause.CART: style.SERIES[5],
+    Cause.SWITCH: style.SERIES[5],
+    Cause.STUCK: style.SERIES[0],
+    Cause.SILENT: style.SERIES[2],
+}
 
 
 def _draw_strip(axes: Axes, night: Night, row: float, rows: int) -> None:

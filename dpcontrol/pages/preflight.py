@@ -31,7 +31,7 @@ def draw_preflight(found: Preflight) -> Figure:
     endings = [
         (
             f"{one.runs / found.share.runs:.1%}",
-            cropped(one.words, style.TEXT, 1.6),
+            cropped(one.cause, style.TEXT, 1.6),
             cropped(one.example, style.TEXT, 5.0),
         )
         for one in found.endings[:_REASONS]

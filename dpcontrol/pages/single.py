@@ -346,7 +346,7 @@ def whole_preflight(axes: Axes, found: Preflight) -> None:
         axes: panel to draw on.
         found: preflight to draw.
     """
-    names = ["completed", *(one.words for one in found.endings)]
+    names = ["completed", *(one.cause for one in found.endings)]
     counts = np.array([found.share.successes, *(one.runs for one in found.endings)])
     colours = [style.GOOD, *[style.LIMIT] * len(found.endings)]
     axes.barh(names, counts / found.share.runs, color=colours, height=0.6)

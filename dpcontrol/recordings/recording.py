@@ -37,7 +37,7 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import content_hash
 from dpcontrol.foundation.progress import Cost
 from dpcontrol.foundation.shown import Brief, Timed, checked_times, pandas_classes
-from dpcontrol.logs import LogWriter, Mode, RunLog, check_replaced, control_fields, read_log
+from dpcontrol.logs import Event, LogWriter, Mode, RunLog, check_replaced, control_fields, read_log
 from dpcontrol.logs.reader import segment_numbers
 
 if TYPE_CHECKING:
@@ -275,7 +275,7 @@ def write_samples(
         attachments=attachments,
     ) as log:  # fmt: skip
         for first, end, level, text in pieces:
-            log.event(float(recording.time[first]), level, verb, text)
+            log.event(Event(float(recording.time[first]), level, verb, words=text))
             log.ticks(
                 recording.time[first:end],
                 measured=measured[first:end],

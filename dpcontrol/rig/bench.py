@@ -39,10 +39,12 @@ import numpy as np
 from dpcontrol.control.tick import TickProgram
 from dpcontrol.dynamics.chain import ArmChainParameters, Uncertainty
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.causes import Cause
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.processes import end_with_parent
 from dpcontrol.foundation.settings import Settings, check_names, setting
 from dpcontrol.foundation.shown import Brief
+from dpcontrol.logs import Event
 from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.loop.protocols import Reading
 from dpcontrol.loop.result import Rig
@@ -114,12 +116,14 @@ class BenchRecord:
         ended: cause of the end.
     """
 
+    fault: Event | None
+
     def __init__(self, ticks: int, arms: int, period: float) -> None:
         self.period, self.ticks, self.last = period, 0, -1
         self.positions, self.truth = np.full((ticks, arms + 1), np.nan), np.full((ticks, 2 * arms + 2), np.nan)
         self.sent, self.switch = np.zeros(ticks, dtype=bool), np.zeros(ticks, dtype=np.int8)
         self.commands, self.ages = np.full(ticks, np.nan), np.full(ticks, np.nan)
-        self.fault, self.fault_at, self.ended = "", ticks, ""
+        self.fault, self.fault_at, self.ended = None, ticks, ""
 
     def read(self, k: int, reading: Reading, truth: Array | None, *, sent: bool) -> None:
         """Store the reading of tick k.
@@ -187,9 +191,9 @@ class RecordedRig:
         return self._record.truth[max(self._tick, 0)]
 
     @property
-    def fault(self) -> str:
-        """The bench's fault up to now, or ""."""
-        return self._record.fault if self._tick >= self._record.fault_at else ""
+    def fault(self) -> Event | None:
+        """The bench's fault up to now, or None."""
+        return self._record.fault if self._tick >= self._record.fault_at else None
 
     def read(self) -> Reading:
         """Return the reading of the next tick.
@@ -477,9 +481,11 @@ class _BenchRun:
             except ArithmeticError as failure:
                 self._send(packets.bye(str(failure)))
                 return str(failure)
-            if self._rig.fault and self._condition is Condition.WELL:
-                self._condition, self._text = Condition.FAULT, self._rig.fault
-                self._record.fault, self._record.fault_at = self._text, k
+            fault = self._rig.fault
+            if fault is not None and self._condition is Condition.WELL:
+                hit = fault.cause == Cause.HARD_STOP
+                self._condition, self._text = Condition.HARD_STOP if hit else Condition.FAULT, fault.text
+                self._record.fault, self._record.fault_at = fault, k
             self._tick = k
             self._sent_at[k % _REMEMBERED] = clock()
             # A tick without any reading sends none, so the loop counts it as lost.
@@ -621,8 +627,8 @@ class FaultyRig:
         self._zeros: Sequence[float] = _PRACTICE_ZEROS if "zeros-off" in faults else zeros
 
     @property
-    def fault(self) -> str:
-        """Return the bench's fault, or ""."""
+    def fault(self) -> Event | None:
+        """Return the bench's fault, or None."""
         return self._rig.fault
 
     def read(self) -> Reading:

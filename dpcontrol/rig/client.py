@@ -22,9 +22,12 @@ from urllib.parse import urlsplit
 
 import numpy as np
 
+from dpcontrol.foundation.causes import Cause
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.settings import Settings, setting
+from dpcontrol.logs import Event
 from dpcontrol.loop.protocols import Reading
+from dpcontrol.loop.result import ended
 from dpcontrol.rig import packets as packets
 from dpcontrol.rig.packets import (
     LARGEST,
@@ -39,6 +42,8 @@ from dpcontrol.rig.packets import (
     check_access,
     resolved,
 )
+
+_FAULTS = {Condition.FAULT: Cause.RIG_FAULT, Condition.HARD_STOP: Cause.HARD_STOP}
 
 
 @contextmanager
@@ -211,7 +216,7 @@ class UdpRig(AbstractContextManager["UdpRig"]):
         insecure: bool = False,
     ) -> None:
         self._settings, self._queued = settings or LinkSettings(), queued
-        self.fault = ""
+        self.fault: Event | None = None
         self.address = f"{SCHEME}://{address[0]}:{address[1]}"
         family, where = resolved(*address, name=f"rig {self.address}")
         check_access(where, name=f"rig {self.address}", key=key, insecure=insecure)
@@ -299,8 +304,8 @@ class UdpRig(AbstractContextManager["UdpRig"]):
         self._held, self._ignored = packet.held, packet.ignored
         if packet.condition is Condition.SILENCE and not self._stopped:
             raise ArithmeticError(f"the bench stopped the cart: {packet.text}")
-        if packet.condition is Condition.FAULT:
-            self.fault = packet.text
+        if packet.condition in _FAULTS:
+            self.fault = ended(_FAULTS[packet.condition], words=packet.text)
         positions = np.array(packet.positions) - self._zeros
         finite = np.isfinite(positions)
         # A NaN counts as a missing reading.

@@ -224,10 +224,10 @@ class _Session:
         self.commands.append(command)
         reading = self.read()
         self._gap = 0 if self.present[-1] else self._gap + 1
-        if self.rig.fault:
+        if self.rig.fault is not None:
             creeping = self.step == "switches"
             remedy = "give --switches less than the distance to the hard stop" if creeping else _COMPLAINS
-            raise self.halted(self.rig.fault, remedy)
+            raise self.halted(self.rig.fault.text, remedy)
         if self._gap * self.period > _LONGEST_GAP:
             absent = [k for k, there in enumerate([] if reading.present is None else reading.present) if not there]
             if len(absent) > self.arms:

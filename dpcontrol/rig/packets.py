@@ -81,6 +81,8 @@ class Condition(IntEnum):
     """The bench has failed, as the sentence describes."""
     SILENCE = 2
     """The bench received nothing from the loop for too long and has stopped the cart."""
+    HARD_STOP = 3
+    """The cart hit the end of its track."""
 
 
 class Role(Enum):

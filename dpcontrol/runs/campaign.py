@@ -109,6 +109,7 @@ COLUMNS: dict[str, str] = {
     "symbols_total": "int32",
     "symbol": "string",
     "ending": "string",
+    "cause": "string",
     "reason": "string",
     "simulated_seconds": "double",
     "rms_tracking_error": "double",
@@ -121,6 +122,7 @@ COLUMNS: dict[str, str] = {
 }
 """Columns of a row with their Arrow types, in SI units.
 
+cause: value of a `Cause` for a run that ended early, otherwise of a `Fault`.
 symbol: first symbol that was not completed, or empty.
 case: varied settings, as name=value.
 replays: True if the loop fails tick by tick too; only tried for the first failures of a job, else null.
@@ -226,7 +228,6 @@ def _rows(job: Job) -> list[Row]:
 
 
 def _row(job: Job, reference: Reference, seed: int, run: BatchRun, *, path: str) -> Row:
-    ended = "" if run.ending is Ending.FINISHED else run.reason
     n = reference.states.shape[-1] // 2 - 1
     loop = job.case.loop
     limits = loop.limits(reference.limits)
@@ -237,7 +238,7 @@ def _row(job: Job, reference: Reference, seed: int, run: BatchRun, *, path: str)
         applied=run.applied,
         rate_hz=loop.rate,
         limits=(limits.position, limits.velocity, limits.acceleration),
-        ended=ended,
+        end=None if run.ending is Ending.FINISHED else run.end,
         flights=run.flights,
         hardest=run.hardest,
     )
@@ -252,12 +253,13 @@ def _row(job: Job, reference: Reference, seed: int, run: BatchRun, *, path: str)
         "estimator": loop.estimator.kind,
         "seed": seed,
         "mismatch": loop.mismatch,
-        "completed": not verdict.problem,
+        "completed": verdict.completed,
         "symbols_completed": verdict.symbols,
         "symbols_total": len(symbols),
         "symbol": undone,
         "ending": run.ending.value,
-        "reason": verdict.problem,
+        "cause": verdict.cause,
+        "reason": "" if verdict.completed else verdict.reason,
         "simulated_seconds": float(run.times[-1]),
         "rms_tracking_error": math.sqrt(float(np.mean(away**2))),
         "max_cart_position": float(np.abs(run.truth[:, 2 * n]).max()),
@@ -496,7 +498,7 @@ class Campaign(Shown):
 
     def document(self) -> dict[str, Any]:
         """Return the JSON output of `dpcontrol campaign`."""
-        kept = [*(["itinerary"] if self.transitions else []), "seed", "symbol", "reason", "ending", "replays"]
+        kept = [*(["itinerary"] if self.transitions else []), "seed", "symbol", "cause", "reason", "ending", "replays"]
         cases = [
             {
                 "case": r.case.label,

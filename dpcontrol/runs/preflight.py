@@ -38,7 +38,6 @@ from dpcontrol.foundation.processes import in_processes, processors
 from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress, part_of
 from dpcontrol.foundation.settings import Settings, bounds_of, setting
 from dpcontrol.foundation.statistics import paired, wilson
-from dpcontrol.judge.campaign import plain_reason
 from dpcontrol.judge.preflight import Assumption, EndingShare, HazardBorder, Improvement, Preflight, ShareAt
 from dpcontrol.loop.bench import MechanicsSettings
 from dpcontrol.loop.loop import LoopSettings
@@ -48,7 +47,7 @@ from dpcontrol.plans.overrides import canonical
 from dpcontrol.plans.plan import Plan
 from dpcontrol.runs.campaign import MOST_TICKS, Case, Job, run_job
 
-RUNNING = 1
+RUNNING = 2
 """Version of runs, part of the cache keys: raise it whenever a seed of a campaign ends in another way."""
 
 
@@ -206,7 +205,7 @@ class RunEnd(NamedTuple):
 
     seed: int
     completed: bool
-    ending: str
+    cause: str
     reason: str
 
 
@@ -315,7 +314,7 @@ def outcomes(job: Job, most: int) -> tuple[RunEnd, ...]:
     file = cache_file("preflights", job.itinerary, content_hash(job.key, f"running {RUNNING}"))
     if (content := kept(file)) is not None:
         return tuple(RunEnd(*row) for row in json.loads(content))
-    rows = tuple(RunEnd(r["seed"], r["completed"], r["ending"], r["reason"]) for r in run_job(job))
+    rows = tuple(RunEnd(r["seed"], r["completed"], r["cause"], r["reason"]) for r in run_job(job))
     keep(file, json.dumps(rows).encode())
     return rows
 
@@ -585,17 +584,15 @@ def _all(pieces: Any, count: int, what: str, progress: Progress) -> Any:
 def endings(ends: Sequence[RunEnd]) -> tuple[EndingShare, ...]:
     """Return the causes of failed runs, the most frequent first.
 
-    The causes are in the loop's terms.
-
     Args:
         ends: endings of all runs.
     """
-    groups: dict[tuple[str, str], list[RunEnd]] = {}
+    groups: dict[str, list[RunEnd]] = {}
     for row in ends:
         if not row.completed:
-            groups.setdefault((row.ending, plain_reason(row.reason)), []).append(row)
+            groups.setdefault(row.cause, []).append(row)
     ordered = sorted(groups.items(), key=lambda item: -len(item[1]))
-    return tuple(EndingShare(*words, len(rows), rows[0].seed, rows[0].reason) for words, rows in ordered)
+    return tuple(EndingShare(cause, len(rows), rows[0].seed, rows[0].reason) for cause, rows in ordered)
 
 
 def with_known_errors(scene: Itinerary, options: Mapping[str, Any]) -> tuple[Itinerary, list[Assumption]]:

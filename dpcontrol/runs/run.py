@@ -405,9 +405,9 @@ class _Events(LoopSink):
     def __init__(self) -> None:
         self.kept: list[Event] = []
 
-    def event(self, time_s: float, level: str, name: str, text: str) -> None:
+    def event(self, event: Event) -> None:
         """Append one event."""
-        self.kept.append(Event(time_s, level, name, text))
+        self.kept.append(event)
 
 
 def _log_in_memory(plan: Plan, ticks: Ticks, events: Sequence[Event], **more: str) -> RunLog:
@@ -1042,7 +1042,7 @@ def run_on_rig(plan: Plan, out: Path, link: RigLink, *, force: bool = False, liv
             raise GoalMissed(result.reason)
         deadlines = rig.deadlines
         if deadlines.strangers:
-            writer.event(float(result.ticks.times[-1]), "warn", "rig", deadlines.strangers)
+            writer.event(Event(float(result.ticks.times[-1]), "warn", "rig", words=deadlines.strangers))
         writer.result(**outcome(result), rig=rig.address, **deadlines.record())
     return RigRun(score(read_log(out)), result, deadlines, tuple(process.messages if process else ()))
 

@@ -40,9 +40,10 @@ class Planned:
 
 @dataclass(frozen=True)
 class Flight:
-    """One run: why it was not completed, or empty; disagreement: between the score and the independent decoder."""
+    """One run with the cause of its failure, and the disagreement between the score and the independent decoder."""
 
-    problem: str
+    completed: bool
+    cause: str
     disagreement: str
 
 
@@ -57,7 +58,7 @@ class Flown:
     @property
     def completed(self) -> int:
         """The number of completed runs."""
-        return sum(not run.problem for run in self.runs)
+        return sum(run.completed for run in self.runs)
 
 
 def _limit_time(seconds: float) -> None:
@@ -86,8 +87,9 @@ def flown_scene(scene: Scene, folder: Path, *, seeds: Sequence[int], planned: Pl
     limits = loop.limits(reference.limits)
     plan = plan_of(reference, loop.rate, (limits.position, limits.velocity, limits.acceleration))
     flights = [
-        Flight(verdict_on(case.flown, reference).problem, disagreement(case, reference, plan))
+        Flight(verdict.completed, verdict.cause, disagreement(case, reference, plan))
         for case in runs(itinerary, reference, {}, list(seeds))
+        for verdict in (verdict_on(case.flown, reference),)
     ]
     return Flown(scene, planned, tuple(flights))
 
@@ -148,7 +150,7 @@ def failures(flights: Iterable[Flown], folder: Path, *, searches: bool = True) -
             missing = missing_connections(file) + unkept_orbits(file) + missing_transfers(file, attempts=ATTEMPTS)
             lines.append(f"    independent searches do not find: {', '.join(missing) or 'nothing amiss'}")
         elif one.completed < len(one.runs):
-            reasons = Counter(run.problem for run in one.runs if run.problem)
+            reasons = Counter(run.cause for run in one.runs if not run.completed)
             listed = "; ".join(f"{n} times {reason}" for reason, n in reasons.most_common(3))
             lines.append(f"{head}: {one.completed} of {len(one.runs)} completed: {listed}")
         lines += [f"{head}: false verdict: {run.disagreement}" for run in one.runs if run.disagreement]

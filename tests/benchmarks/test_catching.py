@@ -35,9 +35,9 @@ class Told(LoopSink):
     def __init__(self) -> None:
         self.events: list[tuple[float, str]] = []
 
-    def event(self, time_s, level, name, text) -> None:
-        if name in (CATCH, RESUME) or (name == RETURN and level == "warn"):
-            self.events.append((time_s, name))
+    def event(self, event) -> None:
+        if event.name in (CATCH, RESUME) or (event.name == RETURN and event.level == "warn"):
+            self.events.append((event.time, event.name))
 
     def times(self, which: str) -> list[float]:
         return [time for time, name in self.events if name == which]
@@ -58,9 +58,9 @@ def test_two_blows_are_recovered_from(name: str, impulse: float) -> None:
         flown = Flown(
             time=run.times, states=run.truth, reference_angles=run.references, applied=run.applied,
             rate_hz=settings.rate, limits=(limits.position, limits.velocity, limits.acceleration),
-            ended="" if result.ending is Ending.FINISHED else result.reason, flights=result.flights,
+            end=None if result.ending is Ending.FINISHED else result.end, flights=result.flights,
         )  # fmt: skip
-        done += not verdict_on(flown, plan.reference).problem
+        done += verdict_on(flown, plan.reference).completed
         falls, catches = falls + result.falls, catches + len(told.times(CATCH))
         resumed = np.array(told.times(RESUME))
         back += [float(resumed[resumed > time].min(initial=math.inf)) - time for time in told.times(RETURN)]

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from ending_truth import MOVING, class_of, flights, troubled, untrue, untrue_score
 
+from dpcontrol.foundation.causes import Cause
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import Plan, make_plan
 
@@ -43,9 +44,9 @@ def test_ninety_nine_percent_of_ten_thousand_endings_are_true_and_no_working_sen
         count = FAULTY if faulty else 2 * TOGETHER if mild else TOGETHER
         first = 20_000 + 2 * number * TOGETHER % 30_000
         for flight in flights(scene, plan.reference, range(first, first + count)):
-            if not faulty and "stuck" in flight.run.reason:
+            if not faulty and flight.run.end.cause == Cause.STUCK:
                 stuck.append(f"bench {number}, seed {flight.seed}: {flight.run.reason}")
-            if flight.verdict.problem:
+            if not flight.verdict.completed:
                 seen[class_of(flight)] += 1
                 if fault := untrue(flight) or untrue_score(flight):
                     false.append(f"bench {number}, seed {flight.seed}: {flight.run.reason} -> {fault}")

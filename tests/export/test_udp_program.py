@@ -216,7 +216,7 @@ def controlled(turn: tuple[StandIn, Reference], ticks: int) -> tuple[ControlLoop
 class Recorded:
     """A simulated bench that is recorded, while its controller computes a little else than the loop, and knows it."""
 
-    fault = ""
+    fault = None
 
     def __init__(self, rig: SimulatedRig, ticks: int, loop: ControlLoop, other: float = 0.0) -> None:
         self.rig, self.other, self.k, self.period, self.program = rig, other, -1, rig.period, loop.ticker.program

@@ -10,7 +10,7 @@ import struct
 import tempfile
 import zipfile
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -339,7 +339,7 @@ def _written_again(draw: st.DrawFn, content: bytes) -> bytes:
             ) as writer:  # fmt: skip
                 writer.ticks(time, **rows)
                 for event in log.events:
-                    writer.event(event.time, event.level, event.name, draw(st.sampled_from((event.text, *TEXTS[:20]))))
+                    writer.event(replace(event, words=draw(st.sampled_from((event.text, *TEXTS[:20])))))
         except (ValueError, InputError, struct.error, ArithmeticError):
             # The writer itself refuses it.
             return damaged(draw, content)

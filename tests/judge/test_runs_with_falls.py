@@ -5,8 +5,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from dpcontrol.foundation.causes import Cause
+from dpcontrol.foundation.errors import InputError
 from dpcontrol.judge.score import counted, flights_of
-from dpcontrol.logs import Event, Flight, joined_at, joined_text
+from dpcontrol.logs import Event, Flight
 
 
 def test_ticks_that_are_flown_again_do_not_count() -> None:
@@ -19,15 +21,19 @@ def test_ticks_that_are_flown_again_do_not_count() -> None:
 
 
 def test_flights_are_decoded_from_the_log() -> None:
-    told = joined_text(2.5, "symbol 2 of 3 ('down-up -'), attempt 4")
-    assert joined_at(told) == (2.5, 2, 4)
-    assert joined_at(joined_text(0.0, "lap 7")) == (0.0, 0, 0)
-    assert joined_at("adaptive, ekf, 4876 ticks at 1000 Hz") is None
+    symbol = {"symbol": 2, "symbols": 3, "name": "down-up -", "attempt": 4}
     events = [
-        Event(0.0, "info", "resume", joined_text(0.0, "symbol 1 of 3 ('x'), attempt 1")),
-        Event(3.0, "warn", "return", "tracking lost"),
-        Event(9.0, "info", "resume", told),
-        Event(10.0, "warn", "catch", joined_text(2.7, "symbol 2 of 3 ('down-up -'), attempt 4; caught, 0.8 s back")),
+        Event(0.0, "info", "resume", Cause.JOINED, {**symbol, "at": 0.0, "symbol": 1}),
+        Event(3.0, "warn", "return", Cause.TRACKING_LOST),
+        Event(9.0, "info", "resume", Cause.JOINED, {**symbol, "at": 2.5}),
+        Event(10.0, "warn", "catch", Cause.JOINED, {**symbol, "at": 2.7, "back": 0.8}),
     ]
     log = SimpleNamespace(events=events, time=np.arange(12_000) / 1000, rate_hz=1000.0)
     assert flights_of(log) == (Flight(0, 3001, 0.0), Flight(9000, 10_000, 2.5), Flight(10_000, 12_000, 2.7))
+
+
+def test_a_log_whose_events_have_no_causes_is_refused() -> None:
+    told = Event(9.0, "info", "resume", words="on the itinerary from t = 2.5 s of the reference: symbol 2 of 3")
+    log = SimpleNamespace(path="old.mcap", events=[told], time=np.arange(12_000) / 1000, rate_hz=1000.0)
+    with pytest.raises(InputError, match="run it again"):
+        flights_of(log)

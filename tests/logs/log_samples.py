@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dpcontrol.logs import LogWriter, control_fields
+from dpcontrol.logs import Event, LogWriter, control_fields
 
 RATE = 1000.0
 METADATA = {"seed": "7", "commit": "unknown", "scene": "séance"}
@@ -77,9 +77,9 @@ def log_tick(log: LogWriter, run: Sample, k: int) -> None:
 def write_sample(path: Path, run: Sample) -> Path:
     """Write `run` with an event at its start, one in its middle (0.1 s) and one at its end."""
     with open_writer(path, run) as log:
-        log.event(0.0, "info", "loop", "started")
+        log.event(Event(0.0, "info", "loop", words="started"))
         tick_all(log, run, upto=100)
-        log.event(0.1, "warn", "drive", "command cut at 5 m/s²")
+        log.event(Event(0.1, "warn", "drive", words="command cut at 5 m/s²"))
         rest = slice(100, None)
         log.ticks(
             run.time[rest],
@@ -90,5 +90,5 @@ def write_sample(path: Path, run: Sample) -> Path:
             control=run.control[rest],
             extras=run.extras[rest],
         )
-        log.event(run.time[-1], "error", "supervisor", "ended")
+        log.event(Event(run.time[-1], "error", "supervisor", words="ended"))
     return path

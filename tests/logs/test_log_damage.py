@@ -12,7 +12,7 @@ from mcap.opcode import Opcode
 from mcap.writer import Writer
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.logs import read_log, recover
+from dpcontrol.logs import Event, read_log, recover
 
 FLIPS = 200
 SEED = 20
@@ -101,6 +101,6 @@ def test_a_missing_log_and_a_folder_are_rejected(whole: Path, tmp_path: Path) ->
 def test_a_log_without_ticks_is_rejected(tmp_path: Path) -> None:
     path = tmp_path / "eventful.mcap"
     with open_writer(path, sample()) as log:
-        log.event(0.0, "fatal", "loop", "could not start")
+        log.event(Event(0.0, "fatal", "loop", words="could not start"))
     with pytest.raises(InputError, match="no ticks"):
         read_log(path)

@@ -15,7 +15,7 @@ from mcap_ros2.reader import read_ros2_messages
 from scipy.spatial.transform import Rotation
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.logs import control_fields, read_log
+from dpcontrol.logs import Event, control_fields, read_log
 
 NANOSECOND = 1e-9
 POSE_TOLERANCE = 1e-12
@@ -47,11 +47,11 @@ def test_every_array_is_read_back_bit_for_bit(tmp_path: Path, arms: int, has_car
 
 def test_events_metadata_and_attachments_are_read_back(tmp_path: Path) -> None:
     log = read_log(write_sample(tmp_path / "run.mcap", sample()))
-    assert [tuple(event) for event in log.events] == [
-        (0.0, "info", "loop", "started"),
-        (0.1, "warn", "drive", "command cut at 5 m/s²"),
-        (0.249, "error", "supervisor", "ended"),
-    ]
+    assert log.events == (
+        Event(0.0, "info", "loop", words="started"),
+        Event(0.1, "warn", "drive", words="command cut at 5 m/s²"),
+        Event(0.249, "error", "supervisor", words="ended"),
+    )
     assert METADATA.items() <= log.metadata.items()
     assert log.attachments == ATTACHMENTS
 

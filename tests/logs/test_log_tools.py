@@ -94,7 +94,7 @@ def test_equal_runs_compare_equal_and_one_changed_bit_is_named(tmp_path: Path) -
     (bits,) = struct.unpack("<Q", struct.pack("<d", other.truth[123, 2]))
     (other.truth[123, 2],) = struct.unpack("<d", struct.pack("<Q", bits ^ 1))
     changed = compare_messages(one, write_sample(tmp_path / "other.mcap", other))
-    assert changed.difference == "message 123 of /truth/joint_states at 0.123 s differs"
+    assert changed.difference == "the message of /truth/joint_states at 0.123 s differs"
     longer, bare = (tmp_path / name for name in ("longer.mcap", "bare.mcap"))
     write_sample(longer, sample(260))
     write_sample(bare, sample(250, has_truth=False))

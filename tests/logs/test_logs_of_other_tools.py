@@ -194,7 +194,7 @@ def test_a_repetition_names_the_first_message_that_another_program_changed(tmp_p
 def test_a_run_that_ended_early_has_failed_in_a_rewritten_log_too(tmp_path: Path, completed_run: Path) -> None:
     with unchecked():
         log = read_log(rewritten(completed_run, tmp_path / "part.mcap", only=(0.0, 2.4)))
-    event = log.events[0]._replace(time=2.4, level="error", name="tracking lost", text="the arm fell")
+    event = replace(log.events[0], time=2.4, level="error", name="tracking lost", words="the arm fell")
     found = score(replace(log, events=(*log.events, event), end_s=2.4))
     assert found.completed is False
     assert "the run ended 2.48 s early: the arm fell" in found.reason

@@ -23,7 +23,7 @@ from mcap_ros2.reader import read_ros2_messages
 from rosbags.highlevel import AnyReader
 from scipy.spatial.transform import Rotation
 
-from dpcontrol.logs import control_fields, joint_names
+from dpcontrol.logs import Event, control_fields, joint_names
 from dpcontrol.logs.writer import link_frames, link_poses, robot_description
 
 TICKS = 120
@@ -49,7 +49,7 @@ def written(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
     with open_writer(path, run) as log:
         tick_all(log, run)
         for k, level in enumerate(SEVERITIES):
-            log.event(0.02 * k, level, f"part {k}", f"{level}: 5 m/s², ünd mehr")
+            log.event(Event(0.02 * k, level, f"part {k}", words=f"{level}: 5 m/s², ünd mehr"))
     return path, expected(run, arms=arms, has_cart=has_cart)
 
 

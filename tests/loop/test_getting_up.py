@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dpcontrol.logs import joined_at
+from dpcontrol.foundation.causes import Cause
+from dpcontrol.logs import Event
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.bench import Push
 from dpcontrol.loop.loop import LoopSettings
@@ -32,15 +33,18 @@ FALLS = (Push(1.7, 0, 0.02), Push(3.0, 1, 0.02))
 
 class Told(LoopSink):
     def __init__(self) -> None:
-        self.events: list[tuple[float, str, str]] = []
+        self.events: list[Event] = []
 
-    def event(self, time_s, level, name, text) -> None:
-        self.events.append((time_s, name, text))
+    def event(self, event) -> None:
+        self.events.append(event)
+
+    def of(self, name: str) -> list[Event]:
+        return [event for event in self.events if event.name == name]
 
     @property
     def names(self) -> list[str]:
         kinds = ("return", "at rest", "start", "resume", "stop", "lap")
-        return [name for time, name, _ in self.events if name in kinds and (time, name) != (0.0, "start")]
+        return [e.name for e in self.events if e.name in kinds and (e.time, e.name) != (0.0, "start")]
 
 
 @pytest.fixture(scope="module")
@@ -88,16 +92,15 @@ def test_a_run_that_does_not_fall_is_the_one_that_could_not_recover(ready) -> No
 def test_a_restarting_run_repeats_its_itinerary_from_the_start(ready) -> None:
     result, told = ready(Push(4.2, 0, 0.03), Push(4.3, 1, 0.03), restarts=True)
     assert result.ending is Ending.FINISHED
-    assert "restarts from rest" in next(text for _, name, text in told.events if name == "return")
+    assert told.of("return")[0].figures["again"] == 0
     # To the first stop, although the second had been reached.
-    *_, resumed = (text for _, name, text in told.events if name == "resume")
-    assert joined_at(resumed)[0] < 0.1
+    assert told.of("resume")[-1].figures["at"] < 0.1
 
 
 def test_a_symbol_is_tried_as_often_as_is_allowed(ready) -> None:
     result, told = ready(*FALLS, attempts=1)
     assert result.ending is not Ending.FINISHED
-    assert "given up after 1 fall" in result.reason
+    assert result.end.figures["falls"] == 1
     assert told.names == ["resume", "stop"]
 
 
@@ -105,7 +108,7 @@ def test_a_blow_that_sends_the_cart_to_its_limit_is_returned_from(ready) -> None
     result, told = ready(Push(1.5, knock=-7.0))
     assert result.ending is Ending.FINISHED
     # A cart this fast is sent back for its speed, before it must brake for the track.
-    assert any(name == "return" for _, name, _ in told.events), told.events
+    assert told.of("return"), told.events
     assert np.abs(result.ticks.truth[:, 4]).max() < 0.8
 
 
@@ -113,13 +116,13 @@ def test_a_cart_that_meets_its_hard_stop_ends_the_run_all_the_same(ready) -> Non
     # The bench itself has failed: someone has to look at it. A drive without a lag does not brake what a knock throws.
     result, _ = ready(Push(1.5, knock=20.0), drive={"lag": 0.0})
     assert result.ending is Ending.CART_STOP
-    assert "hard stop" in result.reason
+    assert result.end.cause == Cause.HARD_STOP
 
 
 def test_a_return_begins_with_the_cart_at_rest_where_the_estimate_is_lost(ready) -> None:
     result, told = ready(sensors={"stuck_at": 1.0, "stuck_sensor": 1, "stuck_for": 2.0})
     assert result.ending is Ending.FINISHED
-    (fell,) = [time for time, name, _ in told.events if name == "return"]
+    (fell,) = (event.time for event in told.of("return"))
     stands = slice(round((fell + 0.5) * 1000), 3000)
     assert np.abs(result.ticks.truth[stands, 5]).max() < 0.05
     away = result.ticks.truth[-1] - result.ticks.references[-1]
@@ -130,7 +133,7 @@ def test_the_next_lap_begins_at_the_phase_of_the_first_orbit(ready) -> None:
     # The turn ends half a wobble from where it begins.
     result, told = ready(until=10_000, keep=False)
     assert result.falls == 0
-    laps = [time for time, name, _ in told.events if name == "lap"]
+    laps = [event.time for event in told.of("lap")]
     assert len(laps) == 2
     assert np.diff(laps)[0] == pytest.approx(laps[0])
     assert laps[0] < 4.5
@@ -152,8 +155,8 @@ def test_a_run_that_errs_is_caught_where_an_earlier_place_is_nearer(ready) -> No
     result, told = ready(Push(1.6, 0, -0.007))
     assert result.ending is Ending.FINISHED
     assert result.falls == 0
-    (caught,) = (text for _, name, text in told.events if name == "catch")
-    assert "symbol 1 of 1" in caught
+    (caught,) = told.of("catch")
+    assert (caught.figures["symbol"], caught.figures["symbols"]) == (1, 1)
     before, after = result.flights
     assert after.first == before.end
     # An orbit's period before, or nearly so.

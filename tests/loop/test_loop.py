@@ -8,6 +8,7 @@ from shadowing_stand_in import DOWN_UP_LOW, LAB, UP_DOWN_HIGH, StandIn
 from dpcontrol.control.estimator_settings import EkfSettings
 from dpcontrol.control.tracking import TrackingController, tracking_controller
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.logs import Event
 from dpcontrol.logs.layout import control_fields
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.loop import LoopSettings, sampled_model
@@ -26,7 +27,7 @@ class Kept:
     """A sink that keeps what it is given."""
 
     blocks: list[Ticks] = field(default_factory=list)
-    events: list[tuple[float, str, str, str]] = field(default_factory=list)
+    events: list[Event] = field(default_factory=list)
 
     def ticks(self, rows: Ticks) -> None:
         self.blocks.append(deepcopy(rows))
@@ -34,8 +35,8 @@ class Kept:
     def whole(self, name: str) -> np.ndarray:
         return np.concatenate([getattr(block, name) for block in self.blocks])
 
-    def event(self, time_s: float, level: str, name: str, text: str) -> None:
-        self.events.append((time_s, level, name, text))
+    def event(self, event: Event) -> None:
+        self.events.append(event)
 
 
 @pytest.fixture(scope="module")
@@ -105,8 +106,8 @@ def test_the_sink_sees_every_tick_and_the_ending(
         assert (kept.whole(name) == getattr(result.ticks, name)).all()
     assert max(len(block.times) for block in kept.blocks) <= 20
     assert kept.whole("times")[-1] == pytest.approx(turn[1].duration, abs=1e-3)
-    assert kept.events[0][2] == "start"
-    assert kept.events[-1][1:] == ("info", "finished", result.reason)
+    assert kept.events[0].name == "start"
+    assert kept.events[-1] == result.end
     assert heard[-1] == ("run", 1.0)
     assert all(0 <= done <= 1 for _, done in heard)
     assert np.isfinite(result.ticks.control).all()
@@ -127,7 +128,7 @@ def test_a_sink_beside_the_loop_sees_the_same_and_what_fails_there_ends_the_run(
     assert here.events == there.events
 
     class Fails(Kept):
-        def event(self, time_s: float, level: str, name: str, text: str) -> None:
+        def event(self, event: Event) -> None:
             raise InputError("the disk is full")
 
     with pytest.raises(InputError, match="the disk is full"), SinkBeside(Fails()) as beside:
@@ -140,4 +141,4 @@ def test_a_weak_drive_is_reported_as_saturated(turn: tuple[StandIn, Reference], 
     result = Assembly(weak, LAB, REAL, law=controller).simulate(sink=kept)
     assert np.abs(result.ticks.control[:, FIELDS["applied"]]).max() <= 0.3
     assert result.ticks.control[:, FIELDS["saturated"]].any()
-    assert "saturated" in [e[2] for e in kept.events]
+    assert "saturated" in [event.name for event in kept.events]

@@ -97,7 +97,9 @@ def test_the_cart_stops_at_the_end_of_its_track_and_the_bench_reports_it() -> No
     assert 0.35 <= min(touched) < 0.36
     # 0.3 + 1.5 t + 2.5 t² = 0.4.
     speed = math.sqrt(1.5**2 + 4 * 2.5 * 0.1)
-    assert f"hard stop at t = {(speed - 1.5) / 5:.3f} s: x = 0.400 m at {speed:.3g} m/s" in rig.fault
+    assert rig.fault is not None
+    place = {"time": (speed - 1.5) / 5, "position": 0.4, "velocity": speed}
+    assert rig.fault.figures == pytest.approx(place, rel=1e-9)
     assert rig.truth[4:] == pytest.approx([0.4, 0.0], abs=1e-12)
     assert rig.read().switch == 1
     # It is not glued there, and the switch is released on the way back.
@@ -129,7 +131,8 @@ def test_drives_that_lag_stay_at_the_stop_while_they_push(drive: DriveSettings) 
         rig.read()
         rig.command(-20.0)
         assert abs(rig.truth[4]) <= 0.4 + 1e-12
-    assert "x = -0.400 m" in rig.fault
+    assert rig.fault is not None
+    assert rig.fault.figures["position"] == -0.4
     for _ in range(60):
         rig.command(20.0)
         rig.read()

@@ -32,9 +32,9 @@ def flown(plan: Plan, *, seed: int = 0, **options: Any) -> Flight:
     [
         ({"travel": 0.05, "mismatch": 0.1}, "cart at its stop"),
         ({"pushes": 3, "push_impulse": 0.03, "travel": 2.0, "seed": 3}, "tracking lost"),
-        ({"stuck_at": 1.0, "stuck_sensor": 0}, "is stuck"),
-        ({"stuck_at": 1.0, "stuck_sensor": 1}, "is stuck"),
-        ({"stuck_at": 1.0, "stuck_sensor": 2}, "is stuck"),
+        ({"stuck_at": 1.0, "stuck_sensor": 0}, "sensor stuck"),
+        ({"stuck_at": 1.0, "stuck_sensor": 1}, "sensor stuck"),
+        ({"stuck_at": 1.0, "stuck_sensor": 2}, "sensor stuck"),
         ({"dropout": 0.99}, "no measurement"),
     ],
 )

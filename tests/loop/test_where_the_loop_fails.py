@@ -13,6 +13,7 @@ from shadowing_stand_in import LAB, StandIn
 
 from dpcontrol.control.interface import Mode
 from dpcontrol.control.tracking import TrackingController, tracking_controller
+from dpcontrol.logs import Event
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.bench import DisturbanceSettings, DriveSettings, Push, SensorSettings, Unlike, draw_bench
 from dpcontrol.loop.loop import LoopSettings, sampled_model
@@ -31,17 +32,17 @@ class Kept:
     """A sink that keeps what it is given."""
 
     times: list[float] = field(default_factory=list)
-    events: list[tuple[float, str, str, str]] = field(default_factory=list)
+    events: list[Event] = field(default_factory=list)
 
     def ticks(self, rows: Ticks) -> None:
         self.times += deepcopy(rows.times).tolist()
 
-    def event(self, time_s: float, level: str, name: str, text: str) -> None:
-        self.events.append((time_s, level, name, text))
+    def event(self, event: Event) -> None:
+        self.events.append(event)
 
     @property
     def names(self) -> list[str]:
-        return [event[2] for event in self.events]
+        return [event.name for event in self.events]
 
 
 @dataclass
@@ -97,9 +98,9 @@ def check(run: Ended, ending: Ending, reason: str, *, limit: float = 0.4) -> Non
     assert log.times == record.ticks.times.tolist() == sorted(set(log.times))
     assert np.isfinite(record.ticks.estimates).all()
     assert log.names[0] == "start"
-    assert log.events[-1][1:] == ("error", ending.value, record.reason)
-    assert log.events[-1][0] == pytest.approx(log.times[-1])
-    times = [event[0] for event in log.events]
+    assert (log.events[-1].level, log.events[-1].name) == ("error", ending.value)
+    assert log.events[-1].time == pytest.approx(log.times[-1])
+    times = [event.time for event in log.events]
     assert times == sorted(times)
     assert "stop" in log.names
     assert record.ticks.control[-1, 6] == Mode.ABORTED

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from dpcontrol.judge.run_view import PlacedOrbit, PlanView, RunView, series_of
-from dpcontrol.logs import LogWriter, Mode, read_log
+from dpcontrol.logs import Event, LogWriter, Mode, read_log
 
 ARM_LENGTHS = (0.1738, 0.2490)
 LIMITS = (0.9, 3.0, 30.0)
@@ -72,7 +72,7 @@ def write_log(path: Path, run: SyntheticRun, *, with_truth: bool = True) -> Path
         metadata={"seed": "1", "scene": "synthetic"},
         attachments={"scene.toml": b'title = "synthetic"\n'},
     ) as log:
-        log.event(run.time[0], "info", "loop", "started")
+        log.event(Event(run.time[0], "info", "loop", words="started"))
         log.ticks(
             run.time,
             measured=run.measured,
@@ -81,7 +81,7 @@ def write_log(path: Path, run: SyntheticRun, *, with_truth: bool = True) -> Path
             truth=run.truth if with_truth else None,
             control=run.control,
         )
-        log.event(run.time[-1], "info", "supervisor", "symbol 1 of 1 completed")
+        log.event(Event(run.time[-1], "info", "supervisor", words="symbol 1 of 1 completed"))
     return path
 
 

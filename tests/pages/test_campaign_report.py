@@ -29,7 +29,8 @@ def rows() -> list[dict[str, Any]]:
                     "completed": done,
                     "symbols_completed": 1 if done else seed % 2,
                     "symbols_total": 1,
-                    "reason": "done" if done else f"symbol 1 not done; the run ended 1 s early: lost at t = {seed}.5 s",
+                    "cause": "completed" if done else "tracking lost",
+                    "reason": "done" if done else f"symbol 1 not done; lost at t = {seed}.5 s",
                     "ending": "completed" if done else "lost",
                     "max_cart_position": 0.05 + 0.01 * seed,
                     "a_column_of_tomorrow": "x",
@@ -61,9 +62,9 @@ def test_shares_by_group_have_wilsons_interval(tmp_path: Path) -> None:
     assert summary.status.startswith("8 of 20 runs completed: 40.0%")
 
 
-def test_failures_are_counted_by_symbol_and_by_reason_without_its_numbers(tmp_path: Path) -> None:
+def test_failures_are_counted_by_symbol_and_by_cause(tmp_path: Path) -> None:
     summary = campaign_summary(table(tmp_path / "runs.parquet", rows()))
-    assert summary.reasons == (("lost at t = … s", 12),)
+    assert summary.reasons == (("tracking lost", 12),)
     # Symbol 2 of 1: all symbols done, but not held to the end.
     assert {(label, symbol): count for label, symbol, count in summary.failed_symbols} == {
         ("feedforward", 1): 5,

@@ -85,7 +85,7 @@ def preflight(_: Path) -> Figure:
     )
     change = Improvement("identify the arms: half the mismatch", {}, 12, 20, 0, 20, 0.8)
     known = tuple(Assumption(name, "a value with its unit", "[run] or the model's file") for name in units)
-    ending = EndingShare("tracking lost", "lost", 31, 12, "tracking lost at t = 2.31 s: the arms were 1.52 rad off")
+    ending = EndingShare("tracking lost", 31, 12, "tracking lost at t = 2.31 s: the arms were 1.52 rad off")
     share = wilson(158, 200, confidence=0.99)
     title = "Turn the outer arm once"
     return draw_preflight(

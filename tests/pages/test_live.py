@@ -14,6 +14,7 @@ import rerun as rr
 
 from dpcontrol.foundation.errors import Remark
 from dpcontrol.foundation.rendering import live_view
+from dpcontrol.logs import Event
 from dpcontrol.pages import live
 from dpcontrol.pages.live import LiveView, ShownState, messages
 from dpcontrol.pages.picture import viewer_program
@@ -66,7 +67,7 @@ def test_sent_data_arrive_as_rows_at_fifty_hertz_and_are_drawn(plan, tmp_path: P
     )
     for first in range(0, 2000, 7):
         sink.view.ticks(rows.between(first, first + 7))
-        sink.view.event(log.time[first], "info", "test", "an event")
+        sink.view.event(Event(log.time[first], "info", "test", words="an event"))
     os.close(sink.view._pipe)
     recording = rr.RecordingStream("test")
     kept = recording.memory_recording()

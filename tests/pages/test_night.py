@@ -4,19 +4,21 @@ from pathlib import Path
 
 import pytest
 
+from dpcontrol.foundation.causes import Cause
 from dpcontrol.judge.night import BETWEEN, CALMING, ITINERARY, STARTING, UNKNOWN, Night, followed
+from dpcontrol.logs import Event
 from dpcontrol.logs.rolling import Digest
 
-ON = "on the itinerary from t = 0.0000 s of the reference: "
-FALL = "tracking lost at t = 100.000 s: an angle has stayed 2 rad from the reference; symbol 1 of 1 is repeated"
-STUCK = "estimate lost at t = 1210.000 s: the encoder of joint 1 is stuck: it has given the same reading for 2 s"
-Events = list[tuple[float, str, str, str]]
+Events = list[tuple[float, str, str, Cause]]
+FIGURES = dict.fromkeys(
+    ("at", "symbol", "symbols", "attempt", "lap", "time", "error", "repeated", "seconds", "stop", "stop_name"), 1
+)
 
 
 def digest(number: int, first: float, events: Events, *, on: bool = True, zero: float = 0.0, **more: float) -> Digest:
     one = Digest(number, first=first, end=first + 600, ticks=600_000, on=on, limit=0.4, cart=0.3, **more)  # type: ignore[arg-type]
     for event in events:
-        one.add_event(*event)
+        one.add_event(Event(*event, FIGURES))
     one.extras, one.size = {"zero_1": (zero, 1e-3)}, 1
     one.squares, one.followed, one.memory = 600_000 * 2 * 0.01**2, 600_000, 4e8 + number * 1e6
     return one
@@ -24,21 +26,21 @@ def digest(number: int, first: float, events: Events, *, on: bool = True, zero: 
 
 def night(folder: Path = Path("turn-0")) -> Night:
     """Two files, one missing, a fourth; two falls before one way back, a sensor that sticks, laps of both kinds."""
+    rest = ("info", "at rest", Cause.RESTED)
+    start = ("info", "start", Cause.STARTED)
     first: Events = [
-        (0.0, "info", "start", "adaptive, ekf"), (0.0, "info", "resume", f"{ON}symbol 1 of 1"),
-        (50.0, "info", "lap", f"{ON}lap 2"), (100.0, "warn", "return", FALL), (107.0, "info", "at rest", "after 7 s"),
-        (107.0, "info", "start", "from rest to stop 1"), (108.0, "warn", "return", FALL),
-        (116.0, "info", "at rest", "after 8 s"), (116.0, "info", "start", "from rest to stop 1"),
-        (120.0, "info", "resume", f"{ON}symbol 1 of 1, attempt 2"),
+        (0.0, "info", "start", Cause.BEGUN), (0.0, "info", "resume", Cause.JOINED), (50.0, "info", "lap", Cause.JOINED),
+        (100.0, "warn", "return", Cause.TRACKING_LOST), (107.0, *rest), (107.0, *start),
+        (108.0, "warn", "return", Cause.TRACKING_LOST), (116.0, *rest), (116.0, *start),
+        (120.0, "info", "resume", Cause.JOINED),
     ]  # fmt: skip
     second: Events = [
-        (700.0, "info", "return", "lap 2 is done"), (706.0, "info", "at rest", "after 6 s"),
-        (706.0, "info", "start", "from rest to stop 1"), (710.0, "info", "lap", f"{ON}lap 3"),
-        (1195.0, "warn", "return", STUCK),
+        (700.0, "info", "return", Cause.LAP_DONE), (706.0, *rest), (706.0, *start),
+        (710.0, "info", "lap", Cause.JOINED), (1195.0, "warn", "return", Cause.STUCK),
     ]  # fmt: skip
     third: Events = [
-        (1800.0, "info", "start", "adaptive, ekf"), (1800.0, "info", "resume", f"{ON}symbol 1 of 1"),
-        (2399.999, "info", "finished", "its time is over"),
+        (1800.0, "info", "start", Cause.BEGUN), (1800.0, "info", "resume", Cause.JOINED),
+        (2399.999, "info", "finished", Cause.TIME_OVER),
     ]  # fmt: skip
     digests = (
         digest(1, 0.0, first, on=False), digest(2, 600.0, second, zero=0.001),

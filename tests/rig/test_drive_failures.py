@@ -39,7 +39,7 @@ class Still:
     period: float = 1e-3
     tick: int = -1
     queued: tuple[float, ...] = ()
-    fault: str = ""
+    fault: None = None
     truth: None = None
 
     def read(self) -> Reading:

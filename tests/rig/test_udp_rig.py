@@ -13,7 +13,9 @@ from contextlib import closing
 import pytest
 from bench_at_hand import KEY, LONG, Toy, next_reading, raw, relayed, served, welcomed
 
+from dpcontrol.foundation.causes import Cause
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.loop.result import ended
 from dpcontrol.rig import packets as packets
 from dpcontrol.rig.bench import BenchServerSettings, UdpBench
 from dpcontrol.rig.client import LinkSettings, UdpRig, parse_address
@@ -177,10 +179,11 @@ def test_the_benchs_grief_becomes_the_rigs_fault() -> None:
     toy = Toy()
     with served(toy) as bench, UdpRig(bench.address, settings=LONG) as rig:
         rig.read()
-        toy.fault = "cart hit its hard stop"
+        toy.fault = ended(Cause.HARD_STOP, {"time": 1.0, "position": 0.4, "velocity": 2.0})
         for _ in range(10):
             rig.read()
-        assert rig.fault == "cart hit its hard stop"
+        assert rig.fault is not None
+        assert (rig.fault.cause, rig.fault.text) == (Cause.HARD_STOP, toy.fault.text)
 
 
 def test_a_bench_that_is_gone_ends_the_run_by_name() -> None:

@@ -47,8 +47,8 @@ def made_up(monkeypatch: pytest.MonkeyPatch, threshold: Any) -> list[Job]:
         rows = []
         for seed in job.seeds:
             done = threshold(job.case.loop, np.random.default_rng(seed))
-            ending, reason = ("finished", "") if done else ("tracking lost", f"tracking lost at t = {seed} s; try")
-            rows.append({"seed": seed, "completed": done, "ending": ending, "reason": reason})
+            cause, reason = ("completed", "") if done else ("tracking lost", f"tracking lost at t = {seed} s; try")
+            rows.append({"seed": seed, "completed": done, "cause": cause, "reason": reason})
         return rows
 
     monkeypatch.setattr(module, "run_job", run_job)
@@ -107,7 +107,7 @@ def test_a_change_is_worth_what_it_rescues_less_what_it_loses(turn: Plan, monkey
     assert worst.gain == pytest.approx(-found.share.rate, abs=ROUNDING)
     assert [c.gain for c in found.changes[1:-1]] == [0.0] * (len(found.changes) - 2)
     assert best.text in found.advice
-    assert {e.ending for e in found.endings} == {"tracking lost"}
+    assert {e.cause for e in found.endings} == {"tracking lost"}
     assert sum(e.runs for e in found.endings) == found.share.runs - found.share.successes
 
 

@@ -8,6 +8,7 @@ import pytest
 from generated_itineraries import write_itinerary
 from verdict_runs import Comparison, drawn_options, for_plan
 
+from dpcontrol.foundation.causes import Fault
 from dpcontrol.judge.decoding import shortfall
 from dpcontrol.judge.score import Flown, verdict_on
 from dpcontrol.plans.itinerary import load_itinerary
@@ -59,7 +60,7 @@ def outer_turn() -> Plan:
 @pytest.mark.slow
 def test_a_wide_orbit_between_a_transfer_and_a_hold_is_a_stop(tmp_path: Path) -> None:
     plan, random, found = planned(tmp_path, CROSS_AND_HOLD.format(seconds=1.5)), np.random.default_rng(1), Comparison()
-    assert verdict_on(exact(plan), plan.reference).problem == ""
+    assert verdict_on(exact(plan), plan.reference).completed
     found.add(plan, {"mismatch": 0.0}, list(range(8)), random)
     assert found.completed == 8
     found.add(plan, {"mismatch": 0.3}, list(range(8)), random)
@@ -80,7 +81,7 @@ def test_drawn_itineraries_are_judged_as_a_second_decoder_judges_them(seed: int,
         file.write_text(file.read_text().replace("lead_out = 0", "lead_out = 1"))
         plan = make_plan(load_itinerary(str(file)))
     assert plan.converged
-    assert verdict_on(exact(plan), plan.reference).problem == ""
+    assert verdict_on(exact(plan), plan.reference).completed
     found.add(plan, for_plan(drawn_options(random), plan), list(range(2 if seed == 11 else 16)), random)
     found.add(plan, {"mismatch": 0.0}, [0], random)
     assert found.completed > 0
@@ -107,7 +108,7 @@ def test_a_run_from_rest_is_judged_from_its_first_transfer_on() -> None:
         states = flown.states.copy()
         states[:, 1] += np.pi * (flown.time < begin - _SETTLES + late)
         other = replace(flown, states=states)
-        assert (verdict_on(other, plan.reference).problem == "") is completed, late
+        assert verdict_on(other, plan.reference).completed is completed, late
     found.add(plan, {"initial_error": np.pi, "initial_rate": 10.0, "travel": 0.8}, list(range(16)), random)
     assert 0 < found.completed < found.runs
     assert not found.false
@@ -117,19 +118,19 @@ def test_an_itinerary_on_an_orbit_asks_for_its_start(outer_turn: Plan) -> None:
     flown = exact(outer_turn)
     states = flown.states.copy()
     states[:, 0] += np.pi * (flown.time < 0.05)
-    assert "did not start" in verdict_on(replace(flown, states=states), outer_turn.reference).problem
+    assert verdict_on(replace(flown, states=states), outer_turn.reference).fault is Fault.NOT_BEGUN
 
 
 def test_a_run_of_another_plan_is_not_completed(outer_turn: Plan) -> None:
     """The same turn the other way round, and the arms exchanged."""
     flown = exact(outer_turn)
-    assert verdict_on(flown, outer_turn.reference).problem == ""
+    assert verdict_on(flown, outer_turn.reference).completed
     mirrored = flown.states.copy()
     mirrored[:, 1] = 2 * np.pi - mirrored[:, 1]
     mirrored[:, 0] *= -1
     for states in (mirrored, flown.states[:, [1, 0, 3, 2, 4, 5]]):
         other = replace(flown, states=states, reference_angles=states[:, :2])
-        assert verdict_on(other, outer_turn.reference).problem
+        assert not verdict_on(other, outer_turn.reference).completed
 
 
 def test_a_reference_that_does_not_do_its_itinerary_is_refused_with_what_to_change(outer_turn: Plan) -> None:

@@ -43,7 +43,7 @@
 #define MOST_REFUSED 256 /* packets that are refused in a row before the clock is looked at again */
 
 enum { HELLO = 1, WELCOME, READING, COMMAND, STOP, BYE, START };
-enum { FAULT = 1, SILENT = 2 };
+enum { FAULT = 1, SILENT = 2, HARD_STOP = 3 };
 enum { HEAD = 20, SEAL = 16, READING_HEAD = 28, LARGEST = 4096, LONGEST_KEY = 4096, SHORTEST_KEY = 16, TEXT = 512 };
 
 typedef struct {
@@ -587,7 +587,7 @@ static int run(void)
             send_message(STOP, 0, (const unsigned char *)"", 0);
         else
             say_command(k, (double)report.command);
-        if (came && rig.reading.condition == FAULT)
+        if (came && (rig.reading.condition == FAULT || rig.reading.condition == HARD_STOP))
             return complain(1, "at t = %.3f s the bench failed: %s", (double)k * DPC_PERIOD, rig.text);
         if (report.stopped_by && !stopped_by) {
             stopped_by = report.stopped_by;

@@ -1,0 +1,184 @@
+"""Sentences of runs: their events, falls, ends and verdicts.
+
+`SENTENCES` has one for each cause, with its numbers by name. `PHRASES` has parts of them that depend on numbers.
+"""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from dpcontrol.foundation.causes import Cause, Fault
+
+_LOST = "estimate lost at t = {time:.3f} s:"
+_FAILED = "drive failed at t = {time:.3f} s:"
+_BRAKE = "at {position:.3f} m{speed} it must brake now to stay on the track"
+_STOP = "cart at its stop at t = {time:.3f} s:"
+_TRACKING = "tracking lost at t = {time:.3f} s:"
+
+SENTENCES: dict[str, str] = {
+    Cause.RESTART: "{defect}: the estimator restarts from the encoders",
+    Cause.RESYNCHRONISE: "an angle is {error:.2g} rad from the reference",
+    Cause.HOLD: _TRACKING + " an angle has stayed {error:.2g} rad from the reference",
+    Cause.ESTIMATE_LOST: _LOST + " {defect}; check the encoders and the model's parameters",
+    Cause.SILENT: _LOST + " no measurement for {silent:.3f} s; check the encoders' cables",
+    # No remedy is given: a longer track saves a third of such runs, and half of those near their reference.
+    Cause.CART: f"{_STOP} {_BRAKE}, with an angle {{distance:.2g}} rad from the reference",
+    Cause.TRACKING_LOST: _TRACKING + " an angle has stayed {error:.2g} rad from the reference",
+    Cause.STUCK: _LOST + " {sensor_name} is stuck: it has given the same reading for {repeated:.3g} s; check its cable "
+    "and its head",
+    Cause.SWITCH: _STOP + " a limit switch was touched, with an angle {distance:.2g} rad from the reference",
+    Cause.FALLEN: f"{_TRACKING} an angle is {{distance:.2g}} rad from the reference, and the cart runs away after it: "
+    f"{_BRAKE}",
+    Cause.DRIVE_OFF: _FAILED + " the cart does not follow the commands: is the drive on? Check its power, its enabling "
+    "and its cable, and the cart's scale",
+    Cause.DRIVE_REVERSED: _FAILED + " the cart moves against the commands: check the signs of the drive and of the "
+    "cart's scale, and that the drive is on",
+    Cause.TOO_FAST: _TRACKING + " the cart moves at {fast:.3g} m/s, the reference at {planned:.3g} m/s",
+    Cause.NOT_HELD: "the last stop was not held: over the last period the arms were up to {away:.2g} rad from its "
+    "orbit",
+    Cause.HARD_STOP: "cart hit its hard stop at t = {time:.3f} s: x = {position:.3f} m at {velocity:.3g} m/s",
+    Cause.PLANT_FAILED: "plant failed at t = {time:.3f} s: its state is no longer finite",
+    Cause.FINISHED: "came to the reference's end",
+    Cause.TIME_OVER: "the requested time is over",
+    Cause.BEGUN: "{law}, {estimator}, {ticks} ticks at {rate:g} Hz",
+    Cause.JOINED: "on the itinerary from t = {at:.4f} s of the reference: {progress}",
+    Cause.LAP_DONE: "lap {lap} is done; the next one begins from rest",
+    Cause.RESTED: "after {seconds:.2f} s",
+    Cause.STARTED: "from rest to stop {stop} ({stop_name}): {progress}",
+    Cause.CLOCKLESS: "the controller has no clock to move",
+    Cause.LATE: "a tick's command comes {late_ms:.3g} ms too late; {count} such ticks so far",
+    Cause.CUT: "command {wish:.3g} m/s², cut to {command:.3g} m/s²",
+    Cause.UNTRUSTED: "model error: {parameter} is estimated to be off by {share:+.0%}, beyond the first-order range "
+    "(trust {trust:g}); identify the arms, or tracking may be lost",
+    Fault.NONE: "{done} to the end",
+    Fault.STAMPS: "its stamps jump by {step:+.3g} s at t = {time:.2f} s, where its period is {period:g} s: the arms' "
+    "motion between them is unknown",
+    Fault.PART: "the log covers only {first:.3f} to {last:.3f} s of the run's {lasted:.3f} s",
+    Fault.OTHER_TIMES: "the log's times, {first:.3f} to {last:.3f} s, are not those of the run, which lasted "
+    "{lasted:.3f} s",
+    Fault.AT_ONCE: "ended within the first half period about {saddle}",
+    Fault.NOT_BEGUN: "did not start on the orbit about {saddle}",
+    Fault.FIRST_LEFT: "left the orbit about {saddle} within its first half period",
+    Fault.SYMBOL: "{symbol_name} was not done",
+    Fault.LAST_LEFT: "left the last orbit {last_symbol}",
+    Fault.WRAPS: "wraps at stop {stop} are {wraps} instead of {wanted}, before symbol {before}",
+    Fault.DRIVE_LIMIT: "the drive's acceleration of {value:.3f} passed the limit of {limit:g}",
+    Fault.LIMIT: "cart {quantity} {value:.3f} passed its limit of {limit:g} at t = {time:.2f} s",
+    Fault.LAST_ENDED: "the last orbit was not held to the end {last_symbol}",
+    Fault.LAST_FAR: "over the last period the arms were up to {gap:.2f} rad from the orbit about {saddle} "
+    "{last_symbol} (allowed: {allowed:g})",
+}
+
+ADDITIONS = {
+    "far": ": from t = {far:.2f} s an angle was more than {follows:g} rad from the reference",
+    "back": "; caught, {back:.2f} s back: cost-to-go {least:.3g} instead of {here:.3g}",
+    "held": "; {held}",
+    "falls": "; given up after {falls_counted}",
+    "again": "; {next_motion}",
+    "short": "; the run ended {short:.2f} s early",
+}
+"""Additions to a sentence if the number of that name belongs to its cause."""
+
+_ASTRAY = 1.0
+"""Distance from the encoders at which an estimate has slipped at any NIS, rad."""
+_LEAST_LOST = 5.0
+"""Mean NIS above which an estimate can count as lost; see `SupervisorSettings`."""
+
+
+def told(cause: str, figures: Mapping[str, Any]) -> str:
+    """Return the sentence of a cause.
+
+    Args:
+        cause: value of a `Cause` or a `Fault`.
+        figures: its numbers and names.
+    """
+    added = (text for name, text in ADDITIONS.items() if name in figures)
+    return "".join([SENTENCES.get(cause, ""), *added]).format_map({**figures, **_phrases(figures)})
+
+
+def _phrases(figures: Mapping[str, Any]) -> dict[str, str]:
+    """Return the parts of sentences that depend on several numbers or have two forms."""
+    symbols, symbol = figures.get("symbols", 0), figures.get("symbol", 0)
+    again, velocity, sensor = (figures.get(name, 0) for name in ("again", "velocity", "sensor"))
+    named = f"symbol {symbol} of {symbols} ({figures.get('name', '')!r})"
+    attempt = f"{named if symbol else 'the last stop'}, attempt {figures.get('attempt', 0)}"
+    repeated = f"symbol {again} of {symbols} is repeated" if again <= symbols else "the run returns to the last stop"
+    return {
+        "speed": f" with {velocity:.2f} m/s" if math.isfinite(velocity) else "",
+        "defect": _defect(figures.get("mean_nis", 0.0), figures.get("apart", 0.0)),
+        "sensor_name": f"the encoder of joint {sensor}" if sensor else "the cart's scale",
+        "symbol_name": named,
+        "progress": f"lap {figures['lap']}" if "lap" in figures else attempt,
+        "last_symbol": f"after {named}" if symbols else "to be kept",
+        "next_motion": repeated if again else "the itinerary restarts from rest",
+        "falls_counted": f"{(falls := figures.get('falls', 0))} fall{'s' * (falls > 1)}",
+        "done": _done(figures) if "lowest" in figures else "",
+    }
+
+
+def _defect(nis: float, apart: float) -> str:
+    """Return the defect of an estimate."""
+    if not math.isfinite(nis + apart):
+        return "it is no longer finite"
+    if apart > _ASTRAY:
+        return f"it is {apart:.3g} rad from the encoders"
+    if nis < _LEAST_LOST:
+        return "its rates have run away"
+    return f"mean NIS {nis:.3g} for each position, about 1 is expected"
+
+
+def motions(total: int, transfers: int) -> str:
+    """Return the noun for all motions between stops, some of which are transfers.
+
+    Args:
+        total: number of motions.
+        transfers: number of transfers among them.
+    """
+    return "symbols" if not transfers else "symbols and transfers" if transfers < total else "transfers"
+
+
+def _done(figures: Mapping[str, Any]) -> str:
+    total, saddle = figures["motions"], figures["saddle"]
+    if not total and figures["stay"]:
+        return f"stayed {'at' if figures['stay'] == 'hold' else 'on the orbit about'} {saddle}"
+    noun = motions(total, figures["transfers"])
+    all_of_them = f"the {noun[:-1]} done" if total == 1 else f"all {total} {noun} done in order"
+    asked = f", wraps {figures['wraps']} as asked" if figures["wraps"] else ""
+    return f"{all_of_them}{asked}, and {'at rest' if figures['lowest'] else 'on the last orbit'}"
+
+
+def verdict(fault: str, figures: Mapping[str, Any], end: str) -> str:
+    """Return the reason why a run is completed or not.
+
+    Args:
+        fault: value of a `Fault`.
+        figures: its numbers and names.
+        end: sentence of the event that ended the run early or let it fall back, or "".
+    """
+    joint = ": " if "short" in figures else "; "
+    return told(fault, figures) + (f"{joint}{end}" if end else "")
+
+
+def reason(text: str, *, judged_by: str, whole: bool, recovered: str) -> str:
+    """Return the reason of a score.
+
+    Args:
+        text: reason of the verdict.
+        judged_by: "truth" or "estimate".
+        whole: False if the log covers only a part of the run.
+        recovered: losses of a recovered log, or "".
+    """
+    if not whole:
+        text = f"{text}, so completion cannot be judged"
+    elif judged_by == "estimate":
+        text = f"the true state is not known, so completion cannot be judged; by the estimate: {text}"
+    return f"{text}; {lost(recovered)}" if recovered else text
+
+
+def lost(losses: str) -> str:
+    """Return the note on a recovered log.
+
+    Args:
+        losses: the losses in words.
+    """
+    return f"the log was recovered and lacks {losses}"
