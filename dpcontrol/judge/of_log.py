@@ -2,16 +2,15 @@
 
 They are read from their files. An orbit is a sustained one.
 
-A plan's tubes lead from a stop's orbit to the section of the next symbol, and on to the next stop. Its notes hold each
-connection's name, with the hits and the section, and the section's lifted height. The unstable tube of the stop's orbit
-is cut there (`tubes.cut`). The stable tube of the next stop is such a tube reversed in time. Of each tube only the
-branch that meets the section at the plan's height is kept. Source: Kaheman et al. (2023), section 3.
+A plan's tubes lead from a stop's orbit to the section of the next symbol, and on to the next stop. The plan stores the
+orbit's state, the section with its lifted height, and the hits. The unstable tube of the stop's orbit is cut there
+(`orbits.cut`). The stable tube of the next stop is such a tube reversed in time. Of each tube only the branch that
+meets the section at the plan's height is drawn. Source: Kaheman et al. (2023), section 3.
 """
 
 import json
 import math
-import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -23,8 +22,9 @@ from dpcontrol.dynamics.chain import ArmChainParameters, pendulum_system
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
-from dpcontrol.foundation.errors import InputError, PartMissing, remark
-from dpcontrol.judge.decoding import Decoded, decode_run, orbit_index
+from dpcontrol.foundation.errors import InputError, remark
+from dpcontrol.foundation.parts import installed
+from dpcontrol.judge.decoding import Decoded, decode_run
 from dpcontrol.judge.run_view import ACTUAL, PlacedOrbit, PlanView, RunView, Stay, TubeCurve, series_of
 from dpcontrol.judge.score import (
     DRAWN_METADATA,
@@ -42,18 +42,11 @@ from dpcontrol.judge.score import (
 from dpcontrol.logs import RunLog
 from dpcontrol.logs.layout import SLOW_RATE
 from dpcontrol.orbits.cut import CutSettings, tube_cut
-from dpcontrol.orbits.lyapunov import lyapunov_orbit
+from dpcontrol.orbits.lyapunov import LyapunovOrbit, floquet_multipliers
 from dpcontrol.orbits.manifold import UnstableManifold
 from dpcontrol.recordings.recording import SUMMARY
-from dpcontrol.references.reference import (
-    OrbitNote,
-    PlanNotes,
-    Reference,
-    ReferenceSummary,
-    load_reference,
-    plan_notes,
-    summarised,
-)
+from dpcontrol.references.content import PlanContent, PlanOrbit
+from dpcontrol.references.reference import Reference, ReferenceSummary, load_reference
 from dpcontrol.references.sustained import SustainedOrbit
 
 STRANDS = 24
@@ -61,52 +54,63 @@ INSTANTS = 160
 _HEIGHT = 1e-6
 _CUT = CutSettings(smallest_phase_step=3e-4)
 """Least visible distance; if doubling the phases brings neighbours no nearer, a cut is drawn open."""
-_NAME = re.compile(r"h(?P<unstable>\d+)\.(?P<stable>\d+)(?::(?P<section>[\w-]+))?@")
 
 
-def tubes_of(notes: PlanNotes, system: System) -> tuple[TubeCurve, ...]:
-    """Return the tubes in a plan's notes, each once.
+def tubes_of(content: PlanContent, system: System) -> tuple[TubeCurve, ...]:
+    """Return the tubes of a plan, each once.
 
-    Symbols whose tubes cannot be computed are skipped.
+    Tubes of three arms have no sections, and older plans do not store their orbits.
 
     Args:
-        notes: notes of the plan.
+        content: content of the plan.
         system: conservative pendulum of the plan.
     """
-    made: dict[tuple[Any, ...], TubeCurve] = {}
+    if not installed("heyoka"):
+        remark("the tubes along the way are not shown: heyoka is not installed")
+        return ()
+    sections = {s.name: s for s in (*system.sections.values(), *system.named_sections.values())}
+    tubes: dict[tuple[Any, ...], TubeCurve] = {}
     flown: dict[tuple[Any, ...], list[TubeCurve]] = {}
-    for k, symbol in enumerate(notes["symbols"]):
-        name = _NAME.search(str(symbol["name"] or ""))
-        # Tubes of three arms have no sections.
-        if name is None or symbol["section"] is None or not system.sections:
+    for symbol, *stops in zip(content.symbols, content.stops, content.stops[1:], strict=False):
+        if symbol.section is None or symbol.section.name not in sections:
             continue
-        section = system.section_between(symbol["source"], symbol["target"], name["section"])
-        height = float(symbol["section"]["value"])
-        for stable, stop, hit in (
-            (False, notes["stops"][k], int(name["unstable"])),
-            (True, notes["stops"][k + 1], int(name["stable"])),
-        ):
-            index = stop.get("arrived_on", stop["orbit"]) if stable else stop["orbit"]
-            entry = notes["orbits"][index]
-            tube = (entry["saddle"], entry["energy"], section.name, hit, stable)
+        section, height = sections[symbol.section.name], symbol.section.value
+        for stable, stop, hit in zip((False, True), stops, symbol.section.hits, strict=True):
+            index = stop.orbits[0] if stable else stop.orbit
+            tube = (index, section.name, hit, stable)
             if tube not in flown:
-                flown[tube] = list(_flown(system, entry, section=section, hit=hit, stable=stable))
-            lift = np.asarray(stop["angles"]) - np.asarray(notes["saddles"][stop["saddle"]]["angles"])
+                flown[tube] = list(_flown(system, content.orbits[index], section=section, hit=hit, stable=stable))
+            lift = content.lift(stop)
             key = (*tube, *np.rint(lift).tolist(), round(height, 6))
-            if key not in made:
-                made |= {(*key, b): c for b, c in enumerate(_at(flown[tube], section, lift=lift, height=height))}
-    return tuple(made.values())
+            if key not in tubes:
+                tubes |= {(*key, b): c for b, c in enumerate(_at(flown[tube], section, lift=lift, height=height))}
+    return tuple(tubes.values())
 
 
-def _flown(system: System, orbit_note: OrbitNote, *, section: Section, hit: int, stable: bool) -> Iterator[TubeCurve]:
+def _lyapunov(system: System, place: PlanOrbit) -> LyapunovOrbit:
+    """Return the Lyapunov orbit whose state and period a plan stores."""
+    assert place.lyapunov is not None
+    state, period = np.array(place.lyapunov.state), place.lyapunov.period
+    end, monodromy = system.propagator.flow_with_stm(state, period)
+    return LyapunovOrbit(
+        saddle=place.saddle,
+        energy=place.energy,
+        family=0,
+        state=state,
+        period=period,
+        system=system,
+        monodromy=monodromy,
+        floquet_multipliers=floquet_multipliers(system, state, period, monodromy),
+        residual=float(np.abs(end - state).max()),
+        newton_residual=0.0,
+        converged=True,
+        status="stored with the plan",
+    )
+
+
+def _flown(system: System, place: PlanOrbit, *, section: Section, hit: int, stable: bool) -> Iterator[TubeCurve]:
     """Yield both branches of an orbit's tube at the untranslated orbit."""
-    try:
-        orbit = lyapunov_orbit(system, orbit_note["saddle"], energy=float(orbit_note["energy"]))
-    except InputError:
-        return
-    except PartMissing as missing:
-        remark(f"the tubes along the way are not shown: {missing}")
-        return
+    orbit = _lyapunov(system, place)
     manifold = UnstableManifold(orbit)
     cut = tube_cut(manifold, section, hit=hit, settings=_CUT)
     gap = np.full((1, system.dimension), np.nan)
@@ -161,7 +165,6 @@ def run_view(log: RunLog) -> RunView:
     if states is None or lacking(log):
         return replace(view, verdict=_without_plan(log))
     plan = plan_of(log)
-    notes = plan_notes(plan)
     verdict = score(log)
     planned = plan_view(plan, system=system)
     if verdict.falls or verdict.catches:
@@ -171,12 +174,12 @@ def run_view(log: RunLog) -> RunView:
     seed = "" if verdict.seed is None else f", seed {verdict.seed}"
     return replace(
         view,
-        title=f"{notes['title']} — {notes['itinerary']}{seed}",
+        title=f"{plan.content.title} — {plan.content.itinerary}{seed}",
         limits=log.limits or limits_of(plan),
         verdict=verdict.sentence,
         good=verdict.completed,
         plan=planned,
-        done=_done(decoded, notes, log.time),
+        done=_done(decoded, plan.content, log.time),
         crossings=decoded.crossings,
     )
 
@@ -226,33 +229,26 @@ def plan_view(plan: Reference, *, system: System | None) -> PlanView:
     Tubes are included if the pendulum is known.
 
     Args:
-        plan: reference with the plan's notes.
+        plan: reference, with or without a plan.
         system: conservative pendulum of the plan; None if it is unknown.
-
-    Raises:
-        InputError: the notes are not those of a plan.
     """
-    notes = plan_notes(plan)
-    try:
-        symbols = tuple((float(s["time"]), str(s["text"])) for s in notes.get("symbols") or [])
-        stops = [str(stop["saddle"]) for stop in notes.get("stops") or []]
-        edges = [float(plan.mesh[0]), *(at for at, _ in symbols), float(plan.mesh[-1])]
-        transfers = tuple((float(a), float(b)) for a, b in notes.get("transfers") or [])
-        return PlanView(
-            orbits=_placed_orbits(plan, notes),
-            saddle_energies={str(name): float(s["energy"]) for name, s in (notes.get("saddles") or {}).items()},
-            symbols=symbols,
-            tubes=tubes_of(notes, system) if system is not None and symbols else (),
-            planned=tuple(
-                Stay(a, b, name, name)
-                for (first, last), name in zip(pairwise(edges), stops, strict=False)
-                for a, b in _outside(transfers, first, last)
-            ),
-            transfers=transfers,
-            duration=plan.duration,
-        )
-    except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
-        raise InputError(f"the reference's notes are not those of a plan ({error}); plan again") from error
+    content = plan.plan
+    if content is None:
+        return PlanView(duration=plan.duration)
+    edges = [float(plan.mesh[0]), *(symbol.time for symbol in content.symbols), float(plan.mesh[-1])]
+    return PlanView(
+        orbits=_placed_orbits(content),
+        saddle_energies={name: saddle.energy for name, saddle in content.saddles.items()},
+        symbols=tuple((symbol.time, symbol.text) for symbol in content.symbols),
+        tubes=() if system is None else tubes_of(content, system),
+        planned=tuple(
+            Stay(a, b, stop.saddle, stop.saddle)
+            for (first, last), stop in zip(pairwise(edges), content.stops, strict=True)
+            for a, b in _outside(content.transfers, first, last)
+        ),
+        transfers=content.transfers,
+        duration=plan.duration,
+    )
 
 
 def _outside(transfers: tuple[tuple[float, float], ...], first: float, last: float) -> Iterator[tuple[float, float]]:
@@ -266,20 +262,16 @@ def _outside(transfers: tuple[tuple[float, float], ...], first: float, last: flo
         yield first, last
 
 
-def _placed_orbits(plan: Reference, notes: PlanNotes) -> tuple[PlacedOrbit, ...]:
+def _placed_orbits(content: PlanContent) -> tuple[PlacedOrbit, ...]:
     """Return the orbits of a plan at each of its stops."""
     placed: dict[tuple[Any, ...], PlacedOrbit] = {}
-    for stop in notes.get("stops") or []:
-        for k in {orbit_index(notes, stop), stop.get("arrived_on", orbit_index(notes, stop))}:
-            note = notes["orbits"][k]
-            home = np.asarray(notes["saddles"][stop["saddle"]]["angles"])
-            lift = np.asarray(stop["angles"]) - home
-            orbit = np.asarray(plan.extra[f"orbit_{k}"])
-            if orbit.ndim != 2 or orbit.shape[1] != 2 * len(lift) or orbit.dtype.kind != "f":
-                raise ValueError(f"orbit_{k} is no list of states of {len(lift)} arms")
-            states = orbit + np.concatenate([lift, np.zeros_like(lift)])
-            name = f"{note['saddle']} at {note['energy']:.4g} J"
-            placed[(k, *np.rint(lift).tolist())] = PlacedOrbit(name, states, note["saddle"])
+    for stop in content.stops:
+        lift = content.lift(stop)
+        for k in stop.orbits:
+            orbit = content.orbits[k]
+            name = f"{orbit.saddle} at {orbit.energy:.4g} J"
+            states = orbit.curve + np.concatenate([lift, np.zeros_like(lift)])
+            placed[(k, *np.rint(lift).tolist())] = PlacedOrbit(name, states, orbit.saddle)
     return tuple(placed.values())
 
 
@@ -369,12 +361,11 @@ def _relative_errors(model: ArmChainParameters, plant: ArmChainParameters) -> di
     }
 
 
-def _done(decoded: Decoded, notes: PlanNotes, time: Array) -> tuple[Stay, ...]:
+def _done(decoded: Decoded, content: PlanContent, time: Array) -> tuple[Stay, ...]:
     """Return the stops reached as stays."""
-    names = (stop["saddle"] for stop in notes["stops"])
     return tuple(
-        Stay(float(time[visit.first]), float(time[visit.last]), name, name, True)
-        for visit, name in zip(decoded.visits, names, strict=False)
+        Stay(float(time[visit.first]), float(time[visit.last]), stop.saddle, stop.saddle)
+        for visit, stop in zip(decoded.visits, content.stops, strict=False)
     )
 
 
@@ -392,13 +383,9 @@ def read_reference_view(file: Path) -> RunView:
         file: file of a reference (.npz).
 
     Raises:
-        InputError: the file is not a reference, or its notes are not those of a plan.
+        InputError: the file is not a reference.
     """
-    reference = load_reference(file)
-    try:
-        return reference_view(summarised(reference), Path(file))
-    except InputError as error:
-        raise InputError(f"{file}: {error}") from error
+    return reference_view(ReferenceSummary(load_reference(file)), Path(file))
 
 
 def reference_view(summary: ReferenceSummary, path: Path) -> RunView:
@@ -409,22 +396,17 @@ def reference_view(summary: ReferenceSummary, path: Path) -> RunView:
     Args:
         summary: reference with its figures.
         path: its file.
-
-    Raises:
-        InputError: its notes are not those of a plan.
     """
-    reference = summary.reference
-    notes: Mapping[str, Any] = reference.notes
+    reference, content = summary.reference, summary.reference.plan
     system = None if summary.arms is None else pendulum_system("model", summary.arms)
     plan = plan_view(reference, system=system)
     time = np.arange(reference.mesh[0], reference.mesh[-1], 1 / _RATE)
     states = reference.state(time)
     state = "" if reference.converged else "NOT CONVERGED: "
     effort = f"{reference.duration:.4g} s, {reference.rms_cart_acceleration:.3g} m/s² rms"
-    made_from = notes.get("made_from") or {}
     return RunView(
         path=path,
-        title=str(notes.get("title") or notes.get("itinerary") or "A reference"),
+        title="A reference" if content is None else content.title,
         time=time,
         state=states,
         what="reference",
@@ -434,7 +416,7 @@ def reference_view(summary: ReferenceSummary, path: Path) -> RunView:
         control={"feedforward": reference.input(time)[:, 0]},
         energy=summary.energies(states),
         limits=limits_of(reference),
-        metadata={"program": str(made_from.get("program", ""))},
+        metadata={} if content is None else {"program": content.origin.program},
         verdict=f"{state}{reference.status}; {effort}",
         good=None if reference.converged else False,
         plan=plan,

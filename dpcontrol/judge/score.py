@@ -27,7 +27,8 @@ from dpcontrol.logs import CATCH, LAP, RESUME, RETURN, Flight, RunLog, joined_at
 from dpcontrol.logs.layout import CONTROL, ESTIMATE, REFERENCE
 from dpcontrol.logs.rolling import NIGHT_METADATA
 from dpcontrol.loop.result import Ending, inside_95
-from dpcontrol.references.reference import PlanNotes, Reference, holds_plan, load_reference, plan_notes
+from dpcontrol.references.content import PlanContent
+from dpcontrol.references.reference import Reference, load_reference
 
 Number = TypeVar("Number", int, float)
 
@@ -115,7 +116,7 @@ class Score(Documented):
 
 
 def plan_of(log: RunLog) -> Reference:
-    """Return the reference in the log, with the plan's notes.
+    """Return the reference in the log, with its plan.
 
     Args:
         log: log of a run.
@@ -133,7 +134,7 @@ def plan_of(log: RunLog) -> Reference:
     except InputError as error:
         raise InputError(f"{place} is damaged; run the itinerary again") from error
     fits = reference.states.shape[-1] == 2 * len(log.arm_lengths) + 2
-    if not (reference.converged and fits and holds_plan(reference)):
+    if not (reference.converged and fits and reference.plan is not None):
         raise InputError(f"{place} holds no plan; run the itinerary again")
     return reference
 
@@ -223,7 +224,7 @@ def spliced(flown: Flown, plan: Reference) -> Flown:
 
     Args:
         flown: run with flights.
-        plan: reference with the plan's notes.
+        plan: reference of the plan.
     """
     n, pieces = flown.reference_angles.shape[1], []
     for rows, times in counted(flown.flights, rate_hz=flown.rate_hz):
@@ -243,7 +244,7 @@ def verdict_on(flown: Flown, plan: Reference) -> Verdict:
 
     Args:
         flown: basis of the verdict.
-        plan: reference with the plan's notes.
+        plan: reference of the plan.
     """
     if flown.flights:
         verdict = verdict_on(spliced(flown, plan), plan)
@@ -280,7 +281,7 @@ def score(log: RunLog) -> Score:
     away = judged.angles - judged.reference_angles
     falls = sum(event.name == RETURN and event.level == "warn" for event in log.events)
     factor, seed = _noted(log, "real_time_factor", float), _noted(log, "seed", int)
-    reason = verdict.problem or _done(verdict.wraps, plan_notes(plan))
+    reason = verdict.problem or _done(verdict.wraps, plan.content)
     if not known:
         reason = f"the true state is not known, so completion cannot be judged; by the estimate: {reason}"
     if part := _part(log, flown, plan):
@@ -292,8 +293,8 @@ def score(log: RunLog) -> Score:
         seed=seed,
         completed=(not verdict.problem) if known else None,
         symbols_completed=verdict.symbols,
-        symbols_total=len(plan_notes(plan)["stops"]) - 1,
-        transfers=len(plan_notes(plan)["transfers"]),
+        symbols_total=len(plan.content.stops) - 1,
+        transfers=len(plan.content.transfers),
         wraps=verdict.wraps,
         rms_tracking_error=float(np.sqrt(np.mean(away**2))),
         max_cart_position=float(np.abs(flown.states[:, 2 * flown.angles.shape[1]]).max()) if log.has_cart else 0.0,
@@ -304,7 +305,7 @@ def score(log: RunLog) -> Score:
         nis_means=nis_means(log.control["nis"], log.measured.shape[1]),
         thinking=_thinking(log),
         falls=falls,
-        attempts=_attempts(log, verdict.symbols, len(plan_notes(plan)["symbols"])) if flown.flights else (),
+        attempts=_attempts(log, verdict.symbols, len(plan.content.symbols)) if flown.flights else (),
         catches=sum(event.name == CATCH for event in log.events),
         judged_by="estimate" if log.truth is None else "truth",
         whole=not part,
@@ -423,14 +424,12 @@ def _motions(total: int, transfers: int) -> str:
     return "symbols" if not transfers else "symbols and transfers" if transfers < total else "transfers"
 
 
-def _done(wraps: tuple[int | None, ...], notes: PlanNotes) -> str:
-    total, name = len(notes["stops"]) - 1, notes["stops"][-1]["saddle"]
-    if not total and "stay" in notes:
-        kind = "at" if notes["stay"]["kind"] == "hold" else "on the orbit about"
-        return f"stayed {kind} {name} to the end"
-    lowest = min(notes["saddles"].values(), key=lambda saddle: saddle["energy"])
-    end = "at rest" if notes["saddles"].get(name) == lowest else "on the last orbit"
-    motions = _motions(total, len(notes["transfers"]))
+def _done(wraps: tuple[int | None, ...], content: PlanContent) -> str:
+    total, name = len(content.symbols), content.stops[-1].saddle
+    if not total:
+        return f"stayed {'on the orbit about' if content.segments else 'at'} {name} to the end"
+    end = "at rest" if name == content.rest else "on the last orbit"
+    motions = _motions(total, len(content.transfers))
     symbols = f"the {motions[:-1]} done" if total == 1 else f"all {total} {motions} done in order"
     counted = [count for count in wraps if count is not None]
     required = f", wraps {counted} as asked" if counted else ""
@@ -444,8 +443,8 @@ def _problem(flown: Flown, plan: Reference, decoded: Decoded) -> str:
     """
     if unknown := _unobserved(flown):
         return unknown
-    notes, matched, lost = plan_notes(plan), decoded.matched, decoded.lost
-    stops, symbols = notes["stops"], notes["symbols"]
+    matched, lost = decoded.matched, decoded.lost
+    stops, symbols = plan.content.stops, plan.content.symbols
     short = plan.duration - float(flown.time[-1])
     why = f": {flown.ended}" if flown.ended else ""
     early = f"; the run ended {short:.2f} s early{why}" if short > 1.5 / flown.rate_hz else ""
@@ -453,18 +452,18 @@ def _problem(flown: Flown, plan: Reference, decoded: Decoded) -> str:
     ended = early or (f"; {flown.ended}" if flown.ended else "")
     far = f"from t = {flown.time[lost or 0]:.2f} s an angle was more than {FOLLOWS:g} rad from the reference"
     if matched == 0 and lost is None:
-        return f"ended within the first half period about {stops[0]['saddle']}{ended}"
+        return f"ended within the first half period about {stops[0].saddle}{ended}"
     if matched == 0 and np.abs(flown.angles[0] - plan.state(plan.mesh[0])[: flown.angles.shape[1]]).max() < _BEGUN:
-        return f"left the orbit about {stops[0]['saddle']} within its first half period: {far}{ended}"
+        return f"left the orbit about {stops[0].saddle} within its first half period: {far}{ended}"
     if matched == 0:
-        return f"did not start on the orbit about {stops[0]['saddle']}{ended}"
+        return f"did not start on the orbit about {stops[0].saddle}{ended}"
     if matched < len(stops):
-        undone = f"symbol {matched} of {len(symbols)} ({symbols[matched - 1]['text']!r}) was not done"
+        undone = f"symbol {matched} of {len(symbols)} ({symbols[matched - 1].text!r}) was not done"
         return f"{undone}: {far}{ended}" if lost is not None else f"{undone}{ended}"
-    last = f"after symbol {len(symbols)} of {len(symbols)} ({symbols[-1]['text']!r})" if symbols else "to be kept"
+    last = f"after symbol {len(symbols)} of {len(symbols)} ({symbols[-1].text!r})" if symbols else "to be kept"
     if lost is not None:
         return f"left the last orbit {last}: {far}{ended}"
-    for k, (required, done) in enumerate(zip(notes["wraps"], decoded.wraps, strict=False)):
+    for k, (required, done) in enumerate(zip(plan.content.wraps, decoded.wraps, strict=False)):
         if required is not None and required != done:
             return f"wraps at stop {k + 1} are {done} instead of {required}, before symbol {k + 2}"
     return _limits(flown) or _last_orbit(flown, plan, last=last, ended=early)
@@ -518,14 +517,13 @@ def _last_orbit(flown: Flown, plan: Reference, *, last: str, ended: str) -> str:
 
     The distance is that of the last full period from the last orbit.
     """
-    notes = plan_notes(plan)
-    stop = notes["stops"][-1]
     if ended:
         return f"the last orbit was not held to the end {last}{ended}"
     gap = last_gap(flown.time, flown.angles, plan, rate_hz=flown.rate_hz)
     if gap:
         return (
-            f"over the last period the arms were up to {gap:.2f} rad from the orbit about {stop['saddle']} "
+            f"over the last period the arms were up to {gap:.2f} rad from the orbit about "
+            f"{plan.content.stops[-1].saddle} "
             f"{last} (allowed: {NEAR_LAST_ORBIT:g})"
         )
     return ""

@@ -171,9 +171,9 @@ class ShownState:
         """
         from dpcontrol.judge.of_log import reference_view
         from dpcontrol.judge.score import plan_of
-        from dpcontrol.references.reference import summarised
+        from dpcontrol.references.reference import ReferenceSummary
 
-        planned = reference_view(summarised(plan_of(start)), start.path)
+        planned = reference_view(ReferenceSummary(plan_of(start)), start.path)
         return cls(recording, replace(start, rate_hz=RATE, extras=None), planned)
 
     def add(self, rows: Array, events: tuple[Event, ...]) -> None:

@@ -5,12 +5,11 @@ Pieces are walks, holds and rests, with transfers between them.
 Each piece is solved separately, between two known states, and the pieces are joined. So the cost grows with the sum of
 their lengths, and an infeasible piece is reported by name.
 
-The pieces also give the notes of the plan for score, pages and controllers, in the types of `references.reference`.
+The pieces also give the content of the plan for score, pages and controllers.
 """
 
-import json
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from itertools import pairwise, product
 
 import numpy as np
@@ -26,10 +25,21 @@ from dpcontrol.orbits.lyapunov import LyapunovOrbit, equilibria, resting_place
 from dpcontrol.orbits.manifold import OrbitCurve
 from dpcontrol.plans.itinerary import Itinerary
 from dpcontrol.plans.transfers import Transfer, find_transfers, turned
+from dpcontrol.references.content import (
+    LyapunovStart,
+    Origin,
+    PlanContent,
+    PlanOrbit,
+    PlanSaddle,
+    PlanSection,
+    PlanStop,
+    PlanSymbol,
+    Shadowing,
+)
 from dpcontrol.references.find import find_reference, shadowed
 from dpcontrol.references.method import method_named
-from dpcontrol.references.problem import EndConditions, Guess, ReferenceProblem
-from dpcontrol.references.reference import OrbitNote, PlanNotes, Reference, StopNote, SymbolNote, still
+from dpcontrol.references.problem import PLANNING, EndConditions, Guess, ReferenceProblem
+from dpcontrol.references.reference import Reference, still
 from dpcontrol.tubes.connections import Connection
 from dpcontrol.walks.shadowing import ShadowingOrbit
 
@@ -406,12 +416,11 @@ class _Story:
 
     def __init__(self, itinerary: Itinerary) -> None:
         self.system = itinerary.model.system
-        self.stops: list[StopNote] = []
-        self.symbols: list[SymbolNote] = []
+        self.stops: list[PlanStop] = []
+        self.symbols: list[PlanSymbol] = []
         self.wraps: list[int | None] = []
-        self.transfers: list[list[float]] = []
-        self.orbits: list[OrbitNote] = []
-        self.samples: list[Array] = []
+        self.transfers: list[tuple[float, float]] = []
+        self.orbits: list[PlanOrbit] = []
 
     def enter(self, goal: Goal, angles: Array, text: str) -> None:
         """Add the first stop of a piece.
@@ -420,17 +429,15 @@ class _Story:
         """
         name = goal.where[0]
         here = self._at_rest(name) if goal.shadowing is None else self._on(goal.orbits[0])
-        if not text or (self.stops and np.allclose(self.stops[-1]["angles"], angles)):
+        if not text or (self.stops and np.allclose(self.stops[-1].angles, angles)):
             self._arrive(name, angles, here, None, None)
             return
         before = self.stops[-1]
-        winding = np.rint((angles - np.asarray(before["angles"])) / (2 * np.pi))
-        symbol = {
-            "text": text, "time": sum(self.transfers[-1]) / 2, "name": None, "source": before["saddle"],
-            "target": name, "winding": [int(turns) for turns in winding], "sense": 0, "section": None,
-            "time_out": None, "time_in": None, "phase_out": None, "phase_in": None,
-        }  # fmt: skip
-        self._arrive(name, angles, here, symbol, None)  # type: ignore[arg-type]
+        winding = np.rint((angles - np.asarray(before.angles)) / (2 * np.pi))
+        turns = tuple(int(turn) for turn in winding)
+        time = sum(self.transfers[-1]) / 2
+        symbol = PlanSymbol(text=text, time=time, source=before.saddle, target=name, winding=turns)
+        self._arrive(name, angles, here, symbol, None)
 
     def follow(self, piece: SolvedPiece, begin: float) -> None:
         """Add the stops and symbols of a walk.
@@ -447,18 +454,18 @@ class _Story:
             target = connection.target.saddle
             home = self.system.equilibrium(target) + orbit.offsets[k + 1] * self.system.turn_lengths
             crossing = orbit.states(np.array([time]))[0] + lift
-            symbol = _connection_note(text, connection, crossing, begin + float(time) - piece.goal.begin)
+            symbol = _connection_symbol(text, connection, crossing, begin + float(time) - piece.goal.begin)
             wraps = orbit.wraps[k - 1] if k > 0 else piece.goal.wraps
             self._arrive(target, home[:n] + piece.lift, self._on(connection.target), symbol, wraps)
 
-    def _arrive(self, name: str, angles: Array, orbit: int, symbol: SymbolNote | None, wraps: int | None) -> None:
+    def _arrive(self, name: str, angles: Array, orbit: int, symbol: PlanSymbol | None, wraps: int | None) -> None:
         """Add a stop with its symbol.
 
         If it is the previous stop, only its orbit is added.
         """
-        stop: StopNote = {"saddle": name, "angles": [float(angle) for angle in angles], "orbit": orbit}
+        stop = PlanStop(name, tuple(angles.tolist()), orbit)
         if symbol is None and self.stops:
-            self.stops[-1] = {**stop, "arrived_on": self.stops[-1]["orbit"]}
+            self.stops[-1] = replace(stop, arrived_on=self.stops[-1].orbit)
             return
         if symbol is not None:
             if self.symbols:
@@ -467,27 +474,28 @@ class _Story:
         self.stops.append(stop)
 
     def _on(self, orbit: LyapunovOrbit) -> int:
-        values = orbit.energy, orbit.period, orbit.unstable_multiplier
-        return self._index(orbit.saddle, *values, lambda: OrbitCurve(orbit).samples)
+        def made() -> PlanOrbit:
+            start = LyapunovStart(tuple(orbit.state.tolist()), orbit.period)
+            values = orbit.saddle, orbit.energy, orbit.period, orbit.unstable_multiplier
+            return PlanOrbit(*values, OrbitCurve(orbit).samples, start)
+
+        return self._index(orbit.saddle, orbit.energy, made)
 
     def _at_rest(self, name: str) -> int:
         state = self.system.equilibrium(name)
         energy = float(self.system.numeric.hamiltonian(state))
-        return self._index(name, energy, STILL, 1.0, lambda: np.vstack([state, state]))
+        return self._index(name, energy, lambda: PlanOrbit(name, energy, STILL, 1.0, np.vstack([state, state])))
 
-    def _index(self, saddle: str, energy: float, period: float, multiplier: float, samples: Callable[[], Array]) -> int:
-        known = [(one["saddle"], one["energy"]) for one in self.orbits]
-        if (saddle, energy) not in known:
-            self.orbits.append({"saddle": saddle, "energy": energy, "period": period, "multiplier": multiplier})
-            self.samples.append(samples())
-            return len(known)
-        return known.index((saddle, energy))
+    def _index(self, saddle: str, energy: float, made: Callable[[], PlanOrbit]) -> int:
+        places = [(orbit.saddle, orbit.energy) for orbit in self.orbits]
+        if (saddle, energy) not in places:
+            self.orbits.append(made())
+            return len(places)
+        return places.index((saddle, energy))
 
 
-def notes_of_pieces(
-    itinerary: Itinerary, pieces: Sequence[SolvedPiece], begins: Array
-) -> tuple[PlanNotes, dict[str, Array]]:
-    """Return the notes of solved pieces, and their arrays.
+def content_of_pieces(itinerary: Itinerary, pieces: Sequence[SolvedPiece], begins: Array) -> PlanContent:
+    """Return the content of a plan of solved pieces.
 
     Args:
         itinerary: itinerary of the pieces.
@@ -498,7 +506,7 @@ def notes_of_pieces(
     for piece, begin, end in zip(pieces, begins[:-1], begins[1:], strict=True):
         goal = piece.goal
         if goal is None:
-            story.transfers.append([float(begin), float(end)])
+            story.transfers.append((float(begin), float(end)))
             way = piece.text
             continue
         if goal.wraps is None:
@@ -508,49 +516,46 @@ def notes_of_pieces(
     walks = [piece.goal.shadowing for piece in pieces if piece.goal is not None and piece.goal.shadowing is not None]
     model = itinerary.model
     n = model.system.dimension // 2
-    notes: PlanNotes = {
-        "itinerary": itinerary.name,
-        "title": itinerary.title,
-        "model": model.name,
-        "energy": walks[0].connections[0].source.energy if walks else None,
-        "walk": [s["name"] or s["text"] for s in story.symbols],
-        "wraps": story.wraps,
-        "lead_in": walks[0].lead_in if walks else None,
-        "lead_out": walks[-1].lead_out if walks else None,
-        "shadowing": {
-            "residual": max((orbit.residual for orbit in walks), default=None),
-            "duration": sum(orbit.duration for orbit in walks),
-            "status": "; ".join(orbit.status for orbit in walks) or "no walk to shadow",
-            "wraps_realised": [count for orbit in walks for count in orbit.wraps_realised],
+    return PlanContent(
+        itinerary=itinerary.name,
+        title=itinerary.title,
+        model=model.name,
+        wraps=tuple(story.wraps),
+        lead_in=walks[0].lead_in if walks else 0,
+        lead_out=walks[-1].lead_out if walks else 0,
+        shadowing=Shadowing(
+            residual=max((orbit.residual for orbit in walks), default=None),
+            duration=sum(orbit.duration for orbit in walks),
+            status="; ".join(orbit.status for orbit in walks) or "no walk to shadow",
+            wraps_realised=tuple(count for orbit in walks for count in orbit.wraps_realised),
+        ),
+        stops=tuple(story.stops),
+        symbols=tuple(story.symbols),
+        transfers=tuple(story.transfers),
+        orbits=tuple(story.orbits),
+        saddles={
+            name: PlanSaddle(tuple(e.state[:n].tolist()), e.energy) for name, e in equilibria(model.system).items()
         },
-        "stops": story.stops,
-        "symbols": story.symbols,
-        "transfers": story.transfers,
-        "orbits": story.orbits,
-        "saddles": {
-            name: {"angles": e.state[:n].tolist(), "energy": e.energy} for name, e in equilibria(model.system).items()
-        },
-        "made_from": {
-            "program": f"dpcontrol {dpcontrol.__version__}",
-            "scene": itinerary.text,
-            "scene_hash": content_hash(itinerary.text),
-            "model": model.text,
-            "model_hash": content_hash(model.text),
-            "plant": itinerary.plant,
-            "parameters": json.loads(json.dumps(asdict(model.arms))),
-        },
-    }
-    return notes, {f"orbit_{k}": samples for k, samples in enumerate(story.samples)}
+        origin=Origin(
+            program=f"dpcontrol {dpcontrol.__version__}",
+            code=f"planning {PLANNING}",
+            scene=itinerary.text,
+            scene_hash=content_hash(itinerary.text),
+            model=model.text,
+            model_hash=content_hash(model.text),
+            plant=itinerary.plant,
+            parameters=model.arms,
+        ),
+    )
 
 
-def _connection_note(text: str, connection: Connection, crossing: Array, time: float) -> SymbolNote:
-    normal = connection.section.normal
-    return SymbolNote(
+def _connection_symbol(text: str, connection: Connection, crossing: Array, time: float) -> PlanSymbol:
+    section = connection.section
+    return PlanSymbol(
         text=text, source=connection.source.saddle, target=connection.target.saddle, time=time,
-        winding=list(connection.winding),
-        section={
-            "normal": list(normal), "value": float(np.dot(normal, crossing)),
-            "angles": crossing[: len(crossing) // 2].tolist(),
-        },
-        **picked(connection, "name", "sense", "time_out", "time_in", "phase_out", "phase_in"),
+        section=PlanSection(
+            section.normal, float(np.dot(section.normal, crossing)), tuple(crossing[: len(crossing) // 2].tolist()),
+            section.name, connection.hits,
+        ),
+        **picked(connection, "name", "winding", "sense", "time_out", "time_in", "phase_out", "phase_in"),
     )  # fmt: skip

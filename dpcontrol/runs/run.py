@@ -570,9 +570,7 @@ def _plan(log: RunLog, folder: Path, *, repeats: bool = True) -> Plan:
         raise InputError(f"{log.path} cannot {cannot}: its model or itinerary is damaged ({error})") from error
     model = model_from(model_text, log.metadata["model"])
     reference = plan_of(log)
-    itinerary = itinerary_from(
-        scene_text, log.metadata["itinerary"], model, plant=reference.notes.get("made_from", {}).get("plant", "")
-    )
+    itinerary = itinerary_from(scene_text, log.metadata["itinerary"], model, plant=reference.content.origin.plant)
     file = folder / REFERENCE_ATTACHMENT
     file.write_bytes(log.attachments[REFERENCE_ATTACHMENT])
     return Plan(_with_settings(itinerary, log, cannot=cannot), reference, file, cached=True)
@@ -596,10 +594,9 @@ def _with_options(plan: Plan, scene: Itinerary, change: Mapping[str, Any]) -> Pl
     accounted = scene.with_run(own, seed=then.loop.seed).loop == then.loop
     chosen = scene.with_run({**own, **canonical(change)}, seed=then.loop.seed) if accounted else then.with_run(change)
     reference = plan.reference
-    if chosen.loop.travel != then.loop.travel and "starts" in reference.notes:
+    if chosen.loop.travel != then.loop.travel:
         # Starts are planned for the travel.
-        notes = {name: note for name, note in reference.notes.items() if name != "starts"}
-        reference = replace(reference, notes=notes)
+        reference = replace(reference, plan=replace(reference.content, starts=()))
     return replace(plan, itinerary=chosen, reference=reference)
 
 
