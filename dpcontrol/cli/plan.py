@@ -154,23 +154,22 @@ def reference_command(
     FILE is a .npz from `dpcontrol plan --out`. numpy can read it; dpcontrol.references.reference documents its layout.
     The error between nodes is measured again.
     """
-    from dpcontrol.references.reference import ReferenceSummary, load_reference
+    from dpcontrol.references.reference import load_reference
 
     if picture is not None and transitions is not None and picture.resolve() == transitions.resolve():
         raise InputError(f"--picture and --transitions both name {picture}: give two names")
     reference = load_reference(file)
-    summary = ReferenceSummary(reference)
-    document = summary.document()
+    document = reference.document()
     square = None
     if transitions is not None:
         from dpcontrol.pages.transitions import draw_transitions
 
         # It can be refused, and must be before another picture is written.
-        square = draw_transitions(summary)
+        square = draw_transitions(reference)
     if picture is not None:
         from dpcontrol.judge.of_log import reference_view
 
-        draw_result(reference_view(summary, file), picture)
+        draw_result(reference_view(reference, file), picture)
     if square is not None and transitions is not None:
         from dpcontrol.pages.layout import save_figure
 

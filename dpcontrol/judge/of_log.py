@@ -25,7 +25,7 @@ from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError, remark
 from dpcontrol.foundation.parts import installed
 from dpcontrol.judge.decoding import Decoded, decode_run
-from dpcontrol.judge.run_view import ACTUAL, PlacedOrbit, PlanView, RunView, Stay, TubeCurve, series_of
+from dpcontrol.judge.run_view import ACTUAL, PlanView, RunView, Stay, TubeCurve, series_of
 from dpcontrol.judge.score import (
     DRAWN_METADATA,
     MODEL_METADATA,
@@ -46,7 +46,7 @@ from dpcontrol.orbits.lyapunov import LyapunovOrbit, floquet_multipliers
 from dpcontrol.orbits.manifold import UnstableManifold
 from dpcontrol.recordings.recording import SUMMARY
 from dpcontrol.references.content import PlanContent, PlanOrbit
-from dpcontrol.references.reference import Reference, ReferenceSummary, load_reference
+from dpcontrol.references.reference import Reference
 from dpcontrol.references.sustained import SustainedOrbit
 
 STRANDS = 24
@@ -65,7 +65,7 @@ def tubes_of(content: PlanContent, system: System) -> tuple[TubeCurve, ...]:
         content: content of the plan.
         system: conservative pendulum of the plan.
     """
-    if not installed("heyoka"):
+    if any(symbol.section for symbol in content.symbols) and not installed("heyoka"):
         remark("the tubes along the way are not shown: heyoka is not installed")
         return ()
     sections = {s.name: s for s in (*system.sections.values(), *system.named_sections.values())}
@@ -89,8 +89,7 @@ def tubes_of(content: PlanContent, system: System) -> tuple[TubeCurve, ...]:
 
 def _lyapunov(system: System, place: PlanOrbit) -> LyapunovOrbit:
     """Return the Lyapunov orbit whose state and period a plan stores."""
-    assert place.lyapunov is not None
-    state, period = np.array(place.lyapunov.state), place.lyapunov.period
+    state, period = np.array(place.state), place.free_period
     end, monodromy = system.propagator.flow_with_stm(state, period)
     return LyapunovOrbit(
         saddle=place.saddle,
@@ -179,7 +178,10 @@ def run_view(log: RunLog) -> RunView:
         verdict=verdict.sentence,
         good=verdict.completed,
         plan=planned,
-        done=_done(decoded, plan.content, log.time),
+        done=tuple(
+            Stay(float(log.time[visit.first]), float(log.time[visit.last]), stop.saddle, stop.saddle)
+            for visit, stop in zip(decoded.visits, plan.content.stops, strict=False)
+        ),
         crossings=decoded.crossings,
     )
 
@@ -202,13 +204,7 @@ def _with_falls(log: RunLog, states: Array, plan: Reference, planned: PlanView) 
 
     visits = (replace(v, first=int(rows[v.first]), last=int(rows[v.last])) for v in decoded.visits)
     crossings = tuple(None if at is None else clock(at) for at in decoded.crossings)
-    by_clock = replace(
-        planned,
-        symbols=tuple((clock(at), text) for at, text in planned.symbols),
-        planned=tuple(replace(stay, first=clock(stay.first), last=clock(stay.last)) for stay in planned.planned),
-        transfers=tuple((clock(a), clock(b)) for a, b in planned.transfers),
-        duration=float(log.time[-1]),
-    )
+    by_clock = replace(planned.timed(clock), duration=float(log.time[-1]))
     return by_clock, replace(decoded, visits=tuple(visits), crossings=crossings)
 
 
@@ -262,16 +258,14 @@ def _outside(transfers: tuple[tuple[float, float], ...], first: float, last: flo
         yield first, last
 
 
-def _placed_orbits(content: PlanContent) -> tuple[PlacedOrbit, ...]:
-    """Return the orbits of a plan at each of its stops."""
-    placed: dict[tuple[Any, ...], PlacedOrbit] = {}
+def _placed_orbits(content: PlanContent) -> tuple[PlanOrbit, ...]:
+    """Return the orbits of a plan on the turns of each of its stops."""
+    placed: dict[tuple[Any, ...], PlanOrbit] = {}
     for stop in content.stops:
         lift = content.lift(stop)
         for k in stop.orbits:
-            orbit = content.orbits[k]
-            name = f"{orbit.saddle} at {orbit.energy:.4g} J"
-            states = orbit.curve + np.concatenate([lift, np.zeros_like(lift)])
-            placed[(k, *np.rint(lift).tolist())] = PlacedOrbit(name, states, orbit.saddle)
+            curve = content.orbits[k].curve + np.concatenate([lift, np.zeros_like(lift)])
+            placed[(k, *np.rint(lift).tolist())] = replace(content.orbits[k], curve=curve)
     return tuple(placed.values())
 
 
@@ -361,44 +355,22 @@ def _relative_errors(model: ArmChainParameters, plant: ArmChainParameters) -> di
     }
 
 
-def _done(decoded: Decoded, content: PlanContent, time: Array) -> tuple[Stay, ...]:
-    """Return the stops reached as stays."""
-    return tuple(
-        Stay(float(time[visit.first]), float(time[visit.last]), stop.saddle, stop.saddle)
-        for visit, stop in zip(decoded.visits, content.stops, strict=False)
-    )
-
-
 _RATE = 500.0  # Hz
 _POINTS = 600  # of an orbit
 _ARM = 0.2  # m: arm length drawn for a reference without arms
 
 
-def read_reference_view(file: Path) -> RunView:
-    """Return the data to draw of a reference's file.
-
-    Its error between nodes is measured again.
-
-    Args:
-        file: file of a reference (.npz).
-
-    Raises:
-        InputError: the file is not a reference.
-    """
-    return reference_view(ReferenceSummary(load_reference(file)), Path(file))
-
-
-def reference_view(summary: ReferenceSummary, path: Path) -> RunView:
+def reference_view(reference: Reference, path: Path) -> RunView:
     """Return the data to draw of a reference.
 
     Its input is the command.
 
     Args:
-        summary: reference with its figures.
+        reference: reference, with or without a plan.
         path: its file.
     """
-    reference, content = summary.reference, summary.reference.plan
-    system = None if summary.arms is None else pendulum_system("model", summary.arms)
+    content, arms = reference.plan, reference.arms
+    system = None if arms is None else pendulum_system("model", arms)
     plan = plan_view(reference, system=system)
     time = np.arange(reference.mesh[0], reference.mesh[-1], 1 / _RATE)
     states = reference.state(time)
@@ -410,17 +382,17 @@ def reference_view(summary: ReferenceSummary, path: Path) -> RunView:
         time=time,
         state=states,
         what="reference",
-        arm_lengths=(_ARM,) * (states.shape[1] // 2 - 1) if summary.arms is None else summary.arms.length,
+        arm_lengths=(_ARM,) * (states.shape[1] // 2 - 1) if arms is None else arms.length,
         has_cart=True,
         rate_hz=_RATE,
         control={"feedforward": reference.input(time)[:, 0]},
-        energy=summary.energies(states),
+        energy=reference.energies(states),
         limits=limits_of(reference),
         metadata={} if content is None else {"program": content.origin.program},
         verdict=f"{state}{reference.status}; {effort}",
         good=None if reference.converged else False,
         plan=plan,
-        summary=summary,
+        source=reference,
     )
 
 
@@ -451,5 +423,7 @@ def sustained_view(orbit: SustainedOrbit, arm_lengths: tuple[float, ...]) -> Run
         energy=lyapunov.system.numeric.hamiltonian(states[:, :-2]),
         limits=limits_of(orbit.reference),
         verdict=f"period {orbit.period:.5g} s, {effort}, within {orbit.departure:.2g} of the Lyapunov orbit (scaled)",
-        plan=PlanView(orbits=(PlacedOrbit("Lyapunov orbit", free, lyapunov.saddle),)),
+        plan=PlanView(
+            orbits=(PlanOrbit(lyapunov.saddle, orbit.energy, lyapunov.period, lyapunov.unstable_multiplier, free),)
+        ),
     )

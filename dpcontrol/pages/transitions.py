@@ -17,7 +17,7 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.pages import style
 from dpcontrol.pages.layout import Page
 from dpcontrol.pages.planes import arm_points
-from dpcontrol.references.reference import ReferenceSummary
+from dpcontrol.references.reference import Reference
 
 Point = tuple[float, float]
 _NAMES = 0.65
@@ -27,7 +27,7 @@ _POSES, _TRACE = 9, 240
 _FAINTEST = 0.12
 
 
-def draw_transitions(summary: ReferenceSummary) -> Figure:
+def draw_transitions(reference: Reference) -> Figure:
     """Draw each transfer in the cell of its two equilibria.
 
     Repeated ones are drawn once.
@@ -35,7 +35,7 @@ def draw_transitions(summary: ReferenceSummary) -> Figure:
     Raises:
         InputError: the reference has no plan, or no transfers between equilibria.
     """
-    reference, content = summary.reference, summary.reference.content
+    content = reference.content
     arm_lengths = content.origin.parameters.length
     n = len(arm_lengths)
     motions: dict[tuple[str, str], tuple[float, Array]] = {}

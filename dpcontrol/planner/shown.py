@@ -17,7 +17,6 @@ from dpcontrol.orbits.lyapunov import equilibria
 from dpcontrol.pages.atlas_parts import connections_of, section_curves, section_place
 from dpcontrol.plans.model import Model, load_model
 from dpcontrol.plans.plan import Plan
-from dpcontrol.references.reference import ReferenceSummary
 from dpcontrol.walks.atlas import Atlas, AtlasConnection, section_axes
 from dpcontrol.walks.symbols import Symbol, choose
 
@@ -204,17 +203,16 @@ def figures_of(plan: Plan) -> dict[str, Any]:
     Args:
         plan: converged plan.
     """
-    summary = ReferenceSummary(plan.reference)
     return {
         "duration": plan.reference.duration,
-        "effort": summary.effort,
+        "effort": plan.reference.effort,
         "error": plan.reference.max_error_between_nodes,
         "uses": [
             {
                 "name": {"position": "travel", "velocity": "speed"}.get(use.name, use.name),
                 **picked(use, "unit", "bound", "largest", "time"),
             }
-            for use in summary.uses
+            for use in plan.reference.uses
         ],
     }
 

@@ -33,6 +33,7 @@ from dpcontrol.plans.layout import BENCH, Header, HoldPart, OrbitPart, Part, Run
 from dpcontrol.plans.model import Model, load_model, model_from, quoted
 from dpcontrol.plans.overrides import OBJECTS, canonical, resolved
 from dpcontrol.plans.plausible import rig_oddities
+from dpcontrol.references.content import PlanContent
 from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import Limits, ReferenceSettings
 from dpcontrol.references.reference import Reference, load_reference
@@ -472,10 +473,17 @@ def stored_itinerary(file: Path, reference: Reference) -> Itinerary:
     """
     if reference.plan is None:
         raise InputError(f"{file} is a reference without a plan; plan an itinerary with --out")
-    origin = reference.plan.origin
-    model = model_from(origin.model, reference.plan.model)
-    scene = itinerary_from(origin.scene, reference.plan.itinerary, model, plant=origin.plant)
-    return replace(scene, path=file, stored=file)
+    return replace(planned_itinerary(reference.plan), path=file, stored=file)
+
+
+def planned_itinerary(content: PlanContent) -> Itinerary:
+    """Return the itinerary from whose texts a plan was made.
+
+    Args:
+        content: content of the plan.
+    """
+    origin = content.origin
+    return itinerary_from(origin.scene, content.itinerary, model_from(origin.model, content.model), plant=origin.plant)
 
 
 def itinerary_of(

@@ -8,7 +8,7 @@ their lengths, and an infeasible piece is reported by name.
 The pieces also give the content of the plan for score, pages and controllers.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise, product
 
@@ -26,7 +26,6 @@ from dpcontrol.orbits.manifold import OrbitCurve
 from dpcontrol.plans.itinerary import Itinerary
 from dpcontrol.plans.transfers import Transfer, find_transfers, turned
 from dpcontrol.references.content import (
-    LyapunovStart,
     Origin,
     PlanContent,
     PlanOrbit,
@@ -71,10 +70,15 @@ class Goal(Brief):
     wraps: int | None = None
 
     @property
+    def walk(self) -> ShadowingOrbit:
+        """Shadowing orbit of a walk."""
+        assert self.shadowing is not None
+        return self.shadowing
+
+    @property
     def orbits(self) -> tuple[LyapunovOrbit, LyapunovOrbit]:
         """First and last orbit of a walk."""
-        assert self.shadowing is not None
-        return self.shadowing.connections[0].source, self.shadowing.connections[-1].target
+        return self.walk.connections[0].source, self.walk.connections[-1].target
 
 
 @dataclass(frozen=True)
@@ -172,7 +176,7 @@ def solve_pieces(
         if k > 0:
             way, before = ways[k - 1], pieces[-1].lift
             if way is None:
-                moved = _blended(itinerary, goals[k - 1], before, goal, part_of(progress, begun, begun + share / 2))
+                moved = _blend(itinerary, goals[k - 1], before, goal, part_of(progress, begun, begun + share / 2))
             else:
                 moved = way.taken(transfers[way.transfer.key], before)
             pieces.append(moved)
@@ -226,8 +230,7 @@ def lifted_guess(goal: Goal, lift: Array) -> Guess:
         goal: goal of a walk.
         lift: angles (n,) added to those of the orbit, rad.
     """
-    assert goal.shadowing is not None
-    sample, turned = goal.shadowing.states, np.concatenate([lift, np.zeros(len(lift))])
+    sample, turned = goal.walk.states, np.concatenate([lift, np.zeros(len(lift))])
     return lambda times: sample(times + goal.begin) + turned
 
 
@@ -335,16 +338,6 @@ def _way(itinerary: Itinerary, before: Goal, after: Goal) -> _Way | None:
     return _Way(Transfer.of(itinerary, text, lifted(before.end, np.zeros(len(apart))), ends), turns)
 
 
-def _blended(itinerary: Itinerary, before: Goal, lift: Array, after: Goal, progress: Progress) -> SolvedPiece:
-    """Return the piece between two walks about the same saddle.
-
-    It leads from the last orbit of one to the first of the next.
-    """
-    onward = np.rint((before.last - after.first) / (2 * np.pi)) * 2 * np.pi + lift
-    found = _blend(itinerary, before, lift, after, onward, progress)
-    return SolvedPiece(f"change of energy at {after.where[0]}", None, onward, found)
-
-
 def ways_round(apart: Array) -> list[Array]:
     """Return the whole turns (n,) that bring arms together.
 
@@ -357,16 +350,13 @@ def ways_round(apart: Array) -> list[Array]:
     return [np.array(ways) for ways in product(*choices)]
 
 
-def _blend(
-    itinerary: Itinerary, leaving: Goal, lift: Array, joining: Goal, onward: Array, progress: Progress
-) -> Reference:
-    """Return the reference between two walks about one saddle.
+def _blend(itinerary: Itinerary, leaving: Goal, lift: Array, joining: Goal, progress: Progress) -> SolvedPiece:
+    """Return the piece between two walks about one saddle.
 
     It leads from the last orbit of one to the first of the next.
     """
-    before, after = leaving.shadowing, joining.shadowing
-    assert before is not None
-    assert after is not None
+    before, after = leaving.walk, joining.walk
+    onward = np.rint((leaving.last - joining.first) / (2 * np.pi)) * 2 * np.pi + lift
     first, last = leaving.orbits[1], joining.orbits[0]
     departure, arrival = _phase_at_end(before, first), _phase_at_start(after, last)
     turns = WOBBLES + (arrival - departure) % 1.0
@@ -388,10 +378,10 @@ def _blend(
     start, end = before.states(np.array([before.duration]))[0], after.states(np.array([0.0]))[0]
     ends = EndConditions(start=lifted(start, lift), end=lifted(end, onward))
     found = find_reference(cart_problem(itinerary, guess, duration, ends), itinerary.reference, progress=progress)
-    if found.converged:
-        return found
-    text = f"from {first.energy:g} J to {last.energy:g} J at {first.saddle}"
-    return replace(found, status=f"no change of energy {text}: {found.status}")
+    if not found.converged:
+        text = f"from {first.energy:g} J to {last.energy:g} J at {first.saddle}"
+        found = replace(found, status=f"no change of energy {text}: {found.status}")
+    return SolvedPiece(f"change of energy at {first.saddle}", None, onward, found)
 
 
 def _phase_at_end(orbit: ShadowingOrbit, last: LyapunovOrbit) -> float:
@@ -420,7 +410,7 @@ class _Story:
         self.symbols: list[PlanSymbol] = []
         self.wraps: list[int | None] = []
         self.transfers: list[tuple[float, float]] = []
-        self.orbits: list[PlanOrbit] = []
+        self.orbits: dict[tuple[str, float], PlanOrbit] = {}
 
     def enter(self, goal: Goal, angles: Array, text: str) -> None:
         """Add the first stop of a piece.
@@ -439,24 +429,20 @@ class _Story:
         symbol = PlanSymbol(text=text, time=time, source=before.saddle, target=name, winding=turns)
         self._arrive(name, angles, here, symbol, None)
 
-    def follow(self, piece: SolvedPiece, begin: float) -> None:
+    def follow(self, goal: Goal, lift: Array, begin: float) -> None:
         """Add the stops and symbols of a walk.
 
-        The walk begins at the given time, s.
+        The walk begins at the given time, s, and its angles are lifted.
         """
-        assert piece.goal is not None
-        orbit = piece.goal.shadowing
-        assert orbit is not None
-        n = len(piece.lift)
-        lift = np.concatenate([piece.lift, np.zeros(n)])
-        rows = zip(piece.goal.symbols, orbit.connections, orbit.symbol_times, strict=True)
+        orbit, n = goal.walk, len(lift)
+        rows = zip(goal.symbols, orbit.connections, orbit.symbol_times, strict=True)
         for k, (text, connection, time) in enumerate(rows):
             target = connection.target.saddle
             home = self.system.equilibrium(target) + orbit.offsets[k + 1] * self.system.turn_lengths
-            crossing = orbit.states(np.array([time]))[0] + lift
-            symbol = _connection_symbol(text, connection, crossing, begin + float(time) - piece.goal.begin)
-            wraps = orbit.wraps[k - 1] if k > 0 else piece.goal.wraps
-            self._arrive(target, home[:n] + piece.lift, self._on(connection.target), symbol, wraps)
+            crossing = orbit.states(np.array([time]))[0] + np.concatenate([lift, np.zeros(n)])
+            symbol = _connection_symbol(text, connection, crossing, begin + float(time) - goal.begin)
+            wraps = orbit.wraps[k - 1] if k > 0 else goal.wraps
+            self._arrive(target, home[:n] + lift, self._on(connection.target), symbol, wraps)
 
     def _arrive(self, name: str, angles: Array, orbit: int, symbol: PlanSymbol | None, wraps: int | None) -> None:
         """Add a stop with its symbol.
@@ -474,24 +460,22 @@ class _Story:
         self.stops.append(stop)
 
     def _on(self, orbit: LyapunovOrbit) -> int:
-        def made() -> PlanOrbit:
-            start = LyapunovStart(tuple(orbit.state.tolist()), orbit.period)
-            values = orbit.saddle, orbit.energy, orbit.period, orbit.unstable_multiplier
-            return PlanOrbit(*values, OrbitCurve(orbit).samples, start)
-
-        return self._index(orbit.saddle, orbit.energy, made)
+        if (key := (orbit.saddle, orbit.energy)) not in self.orbits:
+            self.orbits[key] = PlanOrbit(
+                *key,
+                orbit.period,
+                orbit.unstable_multiplier,
+                OrbitCurve(orbit).samples,
+                tuple(orbit.state.tolist()),
+                orbit.period,
+            )
+        return list(self.orbits).index(key)
 
     def _at_rest(self, name: str) -> int:
         state = self.system.equilibrium(name)
-        energy = float(self.system.numeric.hamiltonian(state))
-        return self._index(name, energy, lambda: PlanOrbit(name, energy, STILL, 1.0, np.vstack([state, state])))
-
-    def _index(self, saddle: str, energy: float, made: Callable[[], PlanOrbit]) -> int:
-        places = [(orbit.saddle, orbit.energy) for orbit in self.orbits]
-        if (saddle, energy) not in places:
-            self.orbits.append(made())
-            return len(places)
-        return places.index((saddle, energy))
+        if (key := (name, float(self.system.numeric.hamiltonian(state)))) not in self.orbits:
+            self.orbits[key] = PlanOrbit(*key, STILL, 1.0, np.vstack([state, state]))
+        return list(self.orbits).index(key)
 
 
 def content_of_pieces(itinerary: Itinerary, pieces: Sequence[SolvedPiece], begins: Array) -> PlanContent:
@@ -512,7 +496,7 @@ def content_of_pieces(itinerary: Itinerary, pieces: Sequence[SolvedPiece], begin
         if goal.wraps is None:
             story.enter(goal, goal.first + piece.lift, way)
         if goal.shadowing is not None:
-            story.follow(piece, float(begin))
+            story.follow(goal, piece.lift, float(begin))
     walks = [piece.goal.shadowing for piece in pieces if piece.goal is not None and piece.goal.shadowing is not None]
     model = itinerary.model
     n = model.system.dimension // 2
@@ -532,7 +516,7 @@ def content_of_pieces(itinerary: Itinerary, pieces: Sequence[SolvedPiece], begin
         stops=tuple(story.stops),
         symbols=tuple(story.symbols),
         transfers=tuple(story.transfers),
-        orbits=tuple(story.orbits),
+        orbits=tuple(story.orbits.values()),
         saddles={
             name: PlanSaddle(tuple(e.state[:n].tolist()), e.energy) for name, e in equilibria(model.system).items()
         },

@@ -256,9 +256,8 @@ def _early(flight: Goal) -> float:
 
     They count from the flight's start.
     """
-    assert flight.shadowing is not None
-    first = flight.shadowing.connections[0]
-    return (float(flight.shadowing.symbol_times[0]) - flight.begin - first.time_out) / first.source.period
+    first = flight.walk.connections[0]
+    return (float(flight.walk.symbol_times[0]) - flight.begin - first.time_out) / first.source.period
 
 
 def _late(flight: Goal) -> float:
@@ -266,9 +265,8 @@ def _late(flight: Goal) -> float:
 
     They count to the flight's end.
     """
-    assert flight.shadowing is not None
-    last, end = flight.shadowing.connections[-1], flight.begin + flight.seconds
-    return (end - float(flight.shadowing.symbol_times[-1]) - last.time_in) / last.target.period
+    last, end = flight.walk.connections[-1], flight.begin + flight.seconds
+    return (end - float(flight.walk.symbol_times[-1]) - last.time_in) / last.target.period
 
 
 def _sustained(itinerary: Itinerary, chain: Sequence[Connection]) -> dict[str, SustainedOrbit]:
@@ -314,10 +312,8 @@ def _periods(before: Goal, after: Goal) -> int:
 
     They serve the stop's wraps, and are negative if the stop is too short.
     """
-    assert before.shadowing is not None
-    assert after.shadowing is not None
     assert after.wraps is not None
-    gap = phase_gap(before.shadowing.connections[-1], after.shadowing.connections[0])
+    gap = phase_gap(before.walk.connections[-1], after.walk.connections[0])
     return round(after.wraps + gap - _late(before) - _early(after))
 
 
@@ -347,16 +343,6 @@ def on_turns(orbit: SustainedOrbit, angles: Array) -> Array:
     return start
 
 
-def period_at(orbit: SustainedOrbit, state: Array) -> Reference:
-    """Return one period of the orbit, with a state's whole turns.
-
-    Args:
-        orbit: the sustained orbit.
-        state: state (2n+2,) at phase 0, whose whole turns the period takes.
-    """
-    return replace(orbit.reference, states=orbit.reference.states + whole_turns(state - orbit.state(0.0)))
-
-
 def _assembled(
     itinerary: Itinerary,
     part: WalkPart,
@@ -375,14 +361,15 @@ def _assembled(
     begins: list[float] = []
     for k, (count, place, state) in enumerate(zip(counts, places, states, strict=True)):
         orbit = orbits[place.saddle]
-        one = period_at(orbit, state)
+        turns = whole_turns(state - orbit.state(0.0))
+        one = replace(orbit.reference, states=orbit.reference.states + turns)
         segments.append(
             StaySegment(
                 place.saddle,
                 place.energy,
                 place.family,
                 place.period,
-                tuple(whole_turns(state - orbit.state(0.0)).tolist()),
+                tuple(turns.tolist()),
                 count,
                 _rows(parts, one),
             )

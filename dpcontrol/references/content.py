@@ -80,14 +80,6 @@ class PlanSymbol:
     phase_in: float = 0.0
 
 
-@dataclass(frozen=True)
-class LyapunovStart:
-    """State (2n,) of a Lyapunov orbit at phase zero, and its period, s."""
-
-    state: tuple[float, ...]
-    period: float
-
-
 @dataclass(frozen=True, eq=False)
 class PlanOrbit:
     """A periodic orbit, or an equilibrium.
@@ -97,7 +89,7 @@ class PlanOrbit:
         period: s; of an equilibrium the observation time of its ends.
         multiplier: unstable Floquet multiplier, 1 for an equilibrium.
         curve: states (M, 2n) over a period.
-        lyapunov: of an orbit between connections, from which its tubes are drawn.
+        state, free_period: state (2n,) and period, s, of the Lyapunov orbit, from which tubes are drawn.
     """
 
     saddle: str
@@ -105,7 +97,8 @@ class PlanOrbit:
     period: float
     multiplier: float
     curve: Array
-    lyapunov: LyapunovStart | None = None
+    state: tuple[float, ...] = ()
+    free_period: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -39,6 +39,36 @@ from dpcontrol.references.problem import LIMIT_UNITS, Limits, ReferenceProblem, 
 from dpcontrol.references.trajectory import Trajectory, error_between_nodes, largest_values, where_largest
 
 
+@dataclass(frozen=True)
+class LimitUse:
+    """Use of one of the cart's limits.
+
+    Bound and largest size in `unit`, and the time of the latter, s.
+    """
+
+    name: str
+    unit: str
+    bound: float
+    largest: float
+    time: float
+
+    @property
+    def share(self) -> float:
+        """Largest size divided by the bound."""
+        return self.largest / self.bound
+
+    @property
+    def sentence(self) -> str:
+        """Largest size, bound and time in words."""
+        return f"{self.largest:.3g} of {self.bound:.4g} {self.unit} at {self.time:.2f} s"
+
+
+_PLAN = (
+    "title itinerary model energy plan=key made_from=origin symbols:time,text,name,arrives_at=target wraps transfers "
+    "starts_at=stops.0.saddle"
+)
+
+
 @dataclass(frozen=True, eq=False)
 class Reference(Trajectory):
     """A trajectory of pendulum and cart, with its input, for tracking.
@@ -139,6 +169,68 @@ class Reference(Trajectory):
         lengths = np.diff(self.mesh)
         square = (self.inputs[..., 0] ** 2) @ self.method.weights
         return float(np.sqrt(square @ lengths / lengths.sum()))
+
+    @property
+    def arms(self) -> ArmChainParameters | None:
+        """Parameters of its arms, or None without a plan."""
+        return None if self.plan is None else self.plan.origin.parameters
+
+    @cached_property
+    def uses(self) -> tuple[LimitUse, ...]:
+        """Each limit's bound, with the largest value and its time."""
+        return tuple(
+            LimitUse(name, LIMIT_UNITS[name], bound, self.largest[name], where_largest(self, name))
+            for name, bound in self.limits.named().items()
+        )
+
+    @cached_property
+    def errors(self) -> Array | None:
+        """Errors between nodes (N,), scaled, measured again on each interval.
+
+        They are None if the arms are unknown or heyoka is not installed.
+        """
+        if self.arms is None or not installed("heyoka"):
+            return None
+        nothing = np.zeros(self.states.shape[-1] - 2)
+        problem = ReferenceProblem(
+            equations=equations_of(self.arms, Level.CART),
+            parameters=self.arms.planned().base(),
+            guess=lambda times: np.broadcast_to(nothing, (len(times), len(nothing))),
+            duration=self.duration,
+            limits=self.limits,
+        )
+        return error_between_nodes(problem, self)
+
+    def energies(self, states: Array) -> Array | None:
+        """Return the pendulum's energies (K,), J.
+
+        The result is None if the arms are unknown.
+
+        Args:
+            states: states (K, N).
+        """
+        if self.arms is None:
+            return None
+        pendulum = equations_of(self.arms, Level.CONSERVATIVE)
+        return NumericEquations(pendulum, self.arms.base()).hamiltonian(states[:, :-2])
+
+    def document(self) -> dict[str, Any]:
+        """Return the JSON output of `dpcontrol reference`, without the file's name."""
+        lengths = np.diff(self.mesh)
+        return {
+            **({} if self.plan is None else document_of(self.plan, _PLAN)),
+            "duration": self.duration,
+            "intervals": len(lengths),
+            "shortest_interval": float(lengths.min()),
+            "longest_interval": float(lengths.max()),
+            "method": self.method.name,
+            "limits": {use.name: picked(use, "unit", "bound", "largest", "share", "time") for use in self.uses},
+            "effort": self.effort,
+            "measured_error_between_nodes": None if self.errors is None else float(self.errors.max()),
+            **picked(self, "rms_cart_acceleration", "max_error_between_nodes", "constraint_violation"),
+            **picked(self, "iterations", "solve_seconds", "converged", "status"),
+            "arrays": {"states": self.states.shape, "inputs": self.inputs.shape},
+        }
 
 
 class ByReference:
@@ -287,19 +379,16 @@ def _checked(header: Any, arrays: dict[str, Array]) -> Reference:
     # Not a number fails too.
     if not all(np.abs(values).max(initial=0.0) <= _LARGEST for values in (mesh, states, inputs)):
         raise ValueError("its mesh, states or inputs are not finite, or too large")
-    found: dict[str, Any] = {}
-    for k in _FOUND:
-        found[k] = value = np.inf if header["numbers"][k] is None else header["numbers"][k]
-        # JSON has integers of any length.
-        if not isinstance(value, int | float) or not (abs(value) <= 1e300 or value == np.inf):
-            raise ValueError(f"its {k} is not a number")
-    if not all(isinstance(bound, int | float) for bound in header["limits"].values()):
-        raise ValueError("its limits are not numbers")
+    numbers, limits = header["numbers"], Limits(**header["limits"])
+    found = {name: np.inf if numbers[name] is None else float(numbers[name]) for name in _FOUND}
+    if np.isnan([*found.values(), *limits.named().values()]).any():
+        raise ValueError("its numbers or limits are not numbers")
     extra = {k[len(_EXTRA) :]: v for k, v in arrays.items() if k.startswith(_EXTRA)}
     notes = header["notes"]
     return Reference(
-        method, mesh, states, inputs, Limits(**header["limits"]),
-        status=str(header["status"]), converged=bool(header["converged"]), **found,
+        method, mesh, states, inputs, limits,
+        status=str(header["status"]), converged=bool(header["converged"]),
+        iterations=int(found.pop("iterations")), **found,
         plan=restored(notes, extra, arms=states.shape[-1] // 2 - 1) if notes else None,
     )  # fmt: skip
 
@@ -316,108 +405,3 @@ def load_reference(path: Path | IO[bytes]) -> Reference:
     making = {"make": "plan the itinerary first", "again": "plan again"}
     with archive(path, what="a reference", **making, format=FORMAT, versions=(VERSION,)) as (header, arrays):
         return _checked(header, arrays)
-
-
-@dataclass(frozen=True)
-class LimitUse:
-    """Use of one of the cart's limits.
-
-    Bound and largest size in `unit`, and the time of the latter, s.
-    """
-
-    name: str
-    unit: str
-    bound: float
-    largest: float
-    time: float
-
-    @property
-    def share(self) -> float:
-        """Largest size divided by the bound."""
-        return self.largest / self.bound
-
-
-_PLAN = (
-    "title itinerary model energy plan=key made_from=origin symbols:time,text,name,arrives_at=target wraps transfers "
-    "starts_at=stops.0.saddle"
-)
-
-
-@dataclass(frozen=True, eq=False)
-class ReferenceSummary:
-    """Effort, use of limits and other figures of a reference.
-
-    Attributes:
-        reference: the reference.
-    """
-
-    reference: Reference
-
-    @property
-    def arms(self) -> ArmChainParameters | None:
-        """Parameters of its arms, or None without a plan."""
-        return None if self.reference.plan is None else self.reference.plan.origin.parameters
-
-    @cached_property
-    def uses(self) -> tuple[LimitUse, ...]:
-        """Each limit's bound, with the largest value and its time."""
-        reference = self.reference
-        return tuple(
-            LimitUse(name, LIMIT_UNITS[name], bound, reference.largest[name], where_largest(reference, name))
-            for name, bound in reference.limits.named().items()
-        )
-
-    @property
-    def effort(self) -> float:
-        """∫u² dt in m²/s³."""
-        return self.reference.rms_cart_acceleration**2 * self.reference.duration
-
-    @cached_property
-    def errors(self) -> Array | None:
-        """Errors between nodes (N,), scaled, measured again on each interval.
-
-        They are None if the arms are unknown or heyoka is not installed.
-        """
-        if self.arms is None or not installed("heyoka"):
-            return None
-        nothing = np.zeros(self.reference.states.shape[-1] - 2)
-        problem = ReferenceProblem(
-            equations=equations_of(self.arms, Level.CART),
-            parameters=self.arms.planned().base(),
-            guess=lambda times: np.broadcast_to(nothing, (len(times), len(nothing))),
-            duration=self.reference.duration,
-            limits=self.reference.limits,
-        )
-        return error_between_nodes(problem, self.reference)
-
-    def energies(self, states: Array) -> Array | None:
-        """Return the pendulum's energies (K,), J.
-
-        The result is None if the arms are unknown.
-
-        Args:
-            states: states (K, N).
-        """
-        if self.arms is None:
-            return None
-        pendulum = equations_of(self.arms, Level.CONSERVATIVE)
-        return NumericEquations(pendulum, self.arms.base()).hamiltonian(states[:, :-2])
-
-    def document(self) -> dict[str, Any]:
-        """Return the JSON output of `dpcontrol reference`, without the file's name."""
-        reference = self.reference
-        lengths = np.diff(reference.mesh)
-        return {
-            **({} if reference.plan is None else document_of(reference.plan, _PLAN)),
-            "duration": reference.duration,
-            "intervals": len(lengths),
-            "shortest_interval": float(lengths.min()),
-            "longest_interval": float(lengths.max()),
-            "method": reference.method.name,
-            "limits": {use.name: picked(use, "unit", "bound", "largest", "share", "time") for use in self.uses},
-            "effort": self.effort,
-            "measured_error_between_nodes": None if self.errors is None else float(self.errors.max()),
-            **picked(reference, "rms_cart_acceleration", "max_error_between_nodes", "constraint_violation"),
-            **picked(reference, "iterations", "solve_seconds", "converged", "status"),
-            "arrays": {"states": reference.states.shape, "inputs": reference.inputs.shape},
-        }
