@@ -10,8 +10,9 @@ meets the section at the plan's height is drawn. Source: Kaheman et al. (2023), 
 
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -69,21 +70,17 @@ def tubes_of(content: PlanContent, system: System) -> tuple[TubeCurve, ...]:
         remark("the tubes along the way are not shown: heyoka is not installed")
         return ()
     sections = {s.name: s for s in (*system.sections.values(), *system.named_sections.values())}
+    flown = cache(lambda index, name, **tube: tuple(_flown(system, content.orbits[index], sections[name], **tube)))
     tubes: dict[tuple[Any, ...], TubeCurve] = {}
-    flown: dict[tuple[Any, ...], list[TubeCurve]] = {}
     for symbol, *stops in zip(content.symbols, content.stops, content.stops[1:], strict=False):
         if symbol.section is None or symbol.section.name not in sections:
             continue
-        section, height = sections[symbol.section.name], symbol.section.value
+        name, height = symbol.section.name, symbol.section.value
         for stable, stop, hit in zip((False, True), stops, symbol.section.hits, strict=True):
-            index = stop.orbits[0] if stable else stop.orbit
-            tube = (index, section.name, hit, stable)
-            if tube not in flown:
-                flown[tube] = list(_flown(system, content.orbits[index], section=section, hit=hit, stable=stable))
-            lift = content.lift(stop)
-            key = (*tube, *np.rint(lift).tolist(), round(height, 6))
-            if key not in tubes:
-                tubes |= {(*key, b): c for b, c in enumerate(_at(flown[tube], section, lift=lift, height=height))}
+            index, lift = stop.orbits[0 if stable else 1], content.lift(stop)
+            curves = _at(flown(index, name, hit=hit, stable=stable), sections[name], lift=lift, height=height)
+            place = (index, name, hit, stable, *np.rint(lift).tolist(), round(height, 6))
+            tubes |= {(*place, branch): curve for branch, curve in enumerate(curves)}
     return tuple(tubes.values())
 
 
@@ -107,7 +104,7 @@ def _lyapunov(system: System, place: PlanOrbit) -> LyapunovOrbit:
     )
 
 
-def _flown(system: System, place: PlanOrbit, *, section: Section, hit: int, stable: bool) -> Iterator[TubeCurve]:
+def _flown(system: System, place: PlanOrbit, section: Section, *, hit: int, stable: bool) -> Iterator[TubeCurve]:
     """Yield both branches of an orbit's tube at the untranslated orbit."""
     orbit = _lyapunov(system, place)
     manifold = UnstableManifold(orbit)
@@ -129,7 +126,7 @@ def _flown(system: System, place: PlanOrbit, *, section: Section, hit: int, stab
         yield TubeCurve(stable, strands, ends)
 
 
-def _at(curves: list[TubeCurve], section: Section, *, lift: Array, height: float) -> Iterator[TubeCurve]:
+def _at(curves: Iterable[TubeCurve], section: Section, *, lift: Array, height: float) -> Iterator[TubeCurve]:
     """Yield the parts of the tubes at a lifted section height.
 
     They are moved by whole turns (n,).

@@ -366,16 +366,13 @@ def _checked(header: Any, arrays: dict[str, Array]) -> Reference:
     method = method_named(header["method"])
     mesh, states, inputs = (np.asarray(arrays[k], dtype=float) for k in ("mesh", "states", "inputs"))
     intervals, count = len(mesh) - 1, len(method.points)
-    if not np.allclose(arrays["points"], method.points, rtol=0, atol=1e-12):
-        raise ValueError(f"its points are not those of {method.name}")
-    if "support" in arrays and not np.allclose(arrays["support"], method.support, rtol=0, atol=1e-12):
-        raise ValueError(f"its states are not given where {method.name} has them")
+    places = zip((arrays["points"], arrays["support"]), (method.points, method.support), strict=True)
+    if not all(np.allclose(*pair, rtol=0, atol=1e-12) for pair in places):
+        raise ValueError(f"its points or support are not those of {method.name}")
     if intervals < 1 or not (mesh[1:] > mesh[:-1]).all():
         raise ValueError("its mesh does not rise")
-    if states.shape[:2] != (intervals, count + 1) or inputs.shape[:2] != (intervals, count):
+    if (*states.shape[:-1], *inputs.shape[:-1]) != (intervals, count + 1, intervals, count):
         raise ValueError(f"states {states.shape} and inputs {inputs.shape} do not fit its mesh")
-    if states.ndim != 3 or inputs.ndim != 3:
-        raise ValueError(f"states {states.shape} and inputs {inputs.shape} must have three dimensions")
     # Not a number fails too.
     if not all(np.abs(values).max(initial=0.0) <= _LARGEST for values in (mesh, states, inputs)):
         raise ValueError("its mesh, states or inputs are not finite, or too large")
@@ -383,7 +380,7 @@ def _checked(header: Any, arrays: dict[str, Array]) -> Reference:
     found = {name: np.inf if numbers[name] is None else float(numbers[name]) for name in _FOUND}
     if np.isnan([*found.values(), *limits.named().values()]).any():
         raise ValueError("its numbers or limits are not numbers")
-    extra = {k[len(_EXTRA) :]: v for k, v in arrays.items() if k.startswith(_EXTRA)}
+    extra = {name.removeprefix(_EXTRA): array for name, array in arrays.items()}
     notes = header["notes"]
     return Reference(
         method, mesh, states, inputs, limits,
