@@ -23,7 +23,7 @@ from dpcontrol.dynamics.chain import ArmChainParameters, pendulum_system
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
-from dpcontrol.foundation.errors import InputError, remark
+from dpcontrol.foundation.errors import remark
 from dpcontrol.foundation.parts import installed
 from dpcontrol.judge.decoding import Decoded, decode_run
 from dpcontrol.judge.run_view import ACTUAL, PlanView, RunView, Stay, TubeCurve, series_of
@@ -32,6 +32,7 @@ from dpcontrol.judge.score import (
     MODEL_METADATA,
     PLANT_METADATA,
     Flown,
+    arms_in,
     counted,
     flights_of,
     lacking,
@@ -152,7 +153,8 @@ def run_view(log: RunLog) -> RunView:
     Raises:
         InputError: the plan in the log is damaged.
     """
-    view, system = series_of(log), _system(log)
+    view, arms = series_of(log), arms_in(log, MODEL_METADATA)
+    system = None if arms is None else pendulum_system("model", arms)
     n = len(log.arm_lengths)
     states = log.states.get("truth", log.states.get("estimate"))
     view = replace(view, extra_truth=true_extras(log, view))
@@ -276,28 +278,6 @@ def _without_plan(log: RunLog) -> str:
     return f"{sentence}; {recovered_note(log)}" if log.recovered else sentence
 
 
-def _arms(log: RunLog, name: str) -> ArmChainParameters | None:
-    """Return the arm parameters under a name, or None.
-
-    The arm parameters are in a log's metadata.
-    """
-    try:
-        values: dict[str, Any] = json.loads(log.metadata[name])
-        plain: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
-        return ArmChainParameters(**plain)
-    except (KeyError, TypeError, ValueError, AttributeError, RecursionError, InputError):
-        return None
-
-
-def _system(log: RunLog) -> System | None:
-    """Return the conservative pendulum of the log's model, or None.
-
-    The result is None if the log names no model.
-    """
-    arms = _arms(log, MODEL_METADATA)
-    return None if arms is None else pendulum_system(log.metadata.get("model", "model"), arms)
-
-
 def true_extras(log: RunLog, view: RunView) -> dict[str, Array | float]:
     """Return the known true values of the estimated parameters.
 
@@ -318,7 +298,7 @@ def true_extras(log: RunLog, view: RunView) -> dict[str, Array | float]:
     except (KeyError, TypeError, ValueError, RecursionError):
         zeros = np.zeros(0)
     found |= {f"zero_{i}": float(zero) for i, zero in enumerate(zeros, start=1)}
-    model, plant = _arms(log, MODEL_METADATA), _arms(log, PLANT_METADATA)
+    model, plant = arms_in(log, MODEL_METADATA), arms_in(log, PLANT_METADATA)
     if model is not None and plant is not None and model.count == plant.count:
         found |= _relative_errors(model, plant)
     if view.control is not None and {ACTUAL, "applied"} <= view.control.keys() and len(log.time):

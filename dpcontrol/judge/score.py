@@ -10,6 +10,7 @@ Symbols and wraps are decoded from the angles, see `dpcontrol.judge.decoding`.
 """
 
 import io
+import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
@@ -18,9 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.control.estimator_settings import NisMeans, nis_means
+from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.settings import frozen
 from dpcontrol.foundation.shown import Brief
 from dpcontrol.judge.decoding import FOLLOWS, NEAR_LAST_ORBIT, Decoded, decode_run, last_gap
 from dpcontrol.logs import CATCH, LAP, RESUME, RETURN, Flight, RunLog, joined_at
@@ -137,6 +140,23 @@ def plan_of(log: RunLog) -> Reference:
     if not (reference.converged and fits and reference.plan is not None):
         raise InputError(f"{place} holds no plan; run the itinerary again")
     return reference
+
+
+def arms_in(log: RunLog, name: str) -> ArmChainParameters | None:
+    """Return the arms' parameters in a log's metadata, or None without them.
+
+    Args:
+        log: log of a run.
+        name: `MODEL_METADATA` or `PLANT_METADATA`.
+
+    Raises:
+        InputError: this part of the log is damaged.
+    """
+    text = log.metadata.get(name)
+    try:
+        return None if text is None else ArmChainParameters(**frozen(json.loads(text)))
+    except (TypeError, ValueError, AttributeError, RecursionError) as error:
+        raise InputError(f"{log.path}: its {name} do not read: {error}; run it again") from error
 
 
 def lacking(log: RunLog) -> tuple[str, ...]:

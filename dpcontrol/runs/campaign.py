@@ -697,16 +697,11 @@ def run_campaign(
         _write(file, table)
         shutil.rmtree(parts, ignore_errors=True)
     found = _summary(itinerary.name, cases, table, seconds=time.perf_counter() - began, file=file)
-    return replace(found, alone={one.itinerary.name: _ends(one) for one in plans}) if transitions else found
-
-
-def _ends(plan: Plan) -> tuple[str, str, float]:
-    """Return start, end and duration of a plan of one transition.
-
-    The duration is in s.
-    """
-    (symbol,), ((begin, end),) = plan.content.symbols, plan.content.transfers
-    return symbol.source, symbol.target, end - begin
+    alone = {
+        content.itinerary: (content.symbols[0].source, content.symbols[0].target, float(np.ptp(content.transfers[0])))
+        for content in (one.content for one in plans if transitions)
+    }
+    return replace(found, alone=alone)
 
 
 def check_table(file: Path, record: Mapping[str, Any]) -> None:

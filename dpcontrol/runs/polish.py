@@ -323,13 +323,11 @@ class _Crossed:
 
     Attributes:
         times: times of the symbols, s.
-        states: states there (S, N).
         events: events of each walk.
         halves: half wobbles at each interior stop, or None if it has no count.
     """
 
     times: list[float]
-    states: Array
     events: list[list[tuple[int, int, int]]]
     halves: list[int | None]
 
@@ -389,7 +387,7 @@ def _crossed(robust: Reference, motion: Reference) -> _Crossed:
         arm = int(np.argmax(np.ptp(content.orbit(stop).curve[:, :n], axis=0)))
         above = angles[(grid >= arrived) & (grid <= left), arm] > stop.angles[arm]
         halves.append(int(np.count_nonzero(above[1:] != above[:-1])))
-    return _Crossed(times, motion.state(motion.mesh[0] + np.array(times)), events, halves)
+    return _Crossed(times, events, halves)
 
 
 def _events(walk: list[PlanSymbol], angles: Array) -> list[tuple[int, int, int]]:
@@ -413,12 +411,13 @@ def _events(walk: list[PlanSymbol], angles: Array) -> list[tuple[int, int, int]]
 def _noted(plan: Plan, motion: Reference) -> Reference:
     """Return a polished motion with the content of its plan, at its times of crossings and with its transfers."""
     content, n = plan.content, plan.itinerary.model.arms.count
-    crossed = _crossed(plan.reference, motion)
+    times = _crossed(plan.reference, motion).times
+    angles = motion.state(motion.mesh[0] + np.array(times))[:, :n].tolist()
     symbols = tuple(
         symbol
         if symbol.section is None
-        else replace(symbol, time=time, section=replace(symbol.section, angles=tuple(state[:n].tolist())))
-        for symbol, time, state in zip(content.symbols, crossed.times, crossed.states, strict=True)
+        else replace(symbol, time=time, section=replace(symbol.section, angles=tuple(place)))
+        for symbol, time, place in zip(content.symbols, times, angles, strict=True)
     )
     ways = [
         (cost.text, begin, tail(motion, begin, seconds=end - begin, turns=np.zeros(n)))

@@ -57,6 +57,7 @@ from dpcontrol.judge.score import (
     REFERENCE_ATTACHMENT,
     THINKING_METADATA,
     Score,
+    arms_in,
     lacking,
     plan_of,
     score,
@@ -210,11 +211,7 @@ class Run(Timed):
         Raises:
             InputError: this part of the log is damaged.
         """
-        text = self.log.metadata.get(PLANT_METADATA)
-        try:
-            return None if text is None else ArmChainParameters(**frozen(json.loads(text)))
-        except (TypeError, ValueError, AttributeError, RecursionError) as error:
-            raise InputError(f"{self.log.path}: its {PLANT_METADATA} do not read: {error}; run it again") from error
+        return arms_in(self.log, PLANT_METADATA)
 
     @property
     def time_range(self) -> tuple[float, float]:
