@@ -122,7 +122,7 @@ def at_energy(itinerary: Itinerary, walk: WalkPart, runs: int) -> dict[str, floa
         walk: walk at another energy.
         runs: number of runs at ±5 %.
     """
-    # The plan is not cached: its notes quote the itinerary's text, which has another energy.
+    # The plan is not cached: its content quotes the itinerary's text, which has another energy.
     reference = planned(replace(itinerary, parts=(walk,)))
     if not reference.converged:
         raise GoalMissed(reference.status)

@@ -19,7 +19,7 @@ from dpcontrol.plans import transfers
 from dpcontrol.plans.itinerary import HoldPart, load_itinerary
 from dpcontrol.plans.model import load_model
 from dpcontrol.plans.plan import Plan, make_plan
-from dpcontrol.plans.transfers import sensitivity, transfer_notes
+from dpcontrol.plans.transfers import sensitivity, transfer_costs
 from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import Limits
 from dpcontrol.references.reference import Reference
@@ -99,19 +99,19 @@ def test_the_closest_approach_is_to_the_nearest_of_all_orbits_of_a_family() -> N
         lambda _, x: SYSTEM.numeric.rate(x), (0, orbit.period), orbit.state, t_eval=np.linspace(0, orbit.period, 400),
         rtol=1e-10, atol=1e-10,
     ).y.T  # fmt: skip
-    (on,) = transfer_notes(SYSTEM, [("on it", 0.0, standing(flown))])
-    (near,) = [one for one in on["closest"] if one["orbit"] == "down-up"]
-    assert near["distance"] < BETWEEN_ORBITS
-    assert near["energy"] == pytest.approx(0.1, abs=0.05)
+    (on,) = transfer_costs(SYSTEM, [("on it", 0.0, standing(flown))])
+    (near,) = [one for one in on.closest if one.orbit == "down-up"]
+    assert near.distance < BETWEEN_ORBITS
+    assert near.energy == pytest.approx(0.1, abs=0.05)
     place = flown[120] + np.array([0.0, 0.0, 3.0, 0.0])
-    (beside,) = transfer_notes(SYSTEM, [("beside it", 0.0, standing(np.array([place, place])))])
+    (beside,) = transfer_costs(SYSTEM, [("beside it", 0.0, standing(np.array([place, place])))])
     nearest = np.inf
     for energy in np.linspace(-0.17, 0.48, 60):
         other = lyapunov_orbit(SYSTEM, "down-up", energy=energy)
         times = np.linspace(0, other.period, 400)
         nearest = min(nearest, SYSTEM.scaled_distance(SYSTEM.propagator.sample(other.state, times), place).min())
-    (near,) = [one for one in beside["closest"] if one["orbit"] == "down-up"]
-    assert near["distance"] == pytest.approx(nearest, abs=BETWEEN_ORBITS)
+    (near,) = [one for one in beside.closest if one.orbit == "down-up"]
+    assert near.distance == pytest.approx(nearest, abs=BETWEEN_ORBITS)
 
 
 @pytest.mark.slow
