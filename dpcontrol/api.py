@@ -1036,7 +1036,6 @@ def picture(
     from dpcontrol.pages.walk_story import WalkStory
     from dpcontrol.pages.walks import draw_walk
     from dpcontrol.plans.plan import Plan
-    from dpcontrol.references.reference import summarised
     from dpcontrol.runs.run import Run
     from dpcontrol.walks.atlas import Atlas
     from dpcontrol.walks.shadowing import ShadowingOrbit
@@ -1048,7 +1047,7 @@ def picture(
     view = None
     if isinstance(result, Run | Plan):
         plan = isinstance(result, Plan)
-        view = reference_view(summarised(result.reference), result.file) if plan else run_view(result.log)
+        view = reference_view(result.reference, result.file) if plan else run_view(result.log)
         figure = draw(view)
     elif isinstance(result, ShadowingOrbit):
         system = result.connections[0].source.system
@@ -1061,7 +1060,7 @@ def picture(
     if transitions and isinstance(result, Plan):
         from dpcontrol.pages.transitions import draw_transitions
 
-        figure = draw_transitions(summarised(result.reference))
+        figure = draw_transitions(result.reference)
     if film is not None and view is not None:
         from dpcontrol.pages.film import write_film
 

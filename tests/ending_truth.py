@@ -95,7 +95,7 @@ def flights(itinerary: Itinerary, reference: Reference, seeds: Sequence[int]) ->
         results = [assembly.simulate(draw=assembly.draw(seed=seed)) for seed in seeds]
         runs, estimates = [BatchRun.of(result) for result in results], [result.ticks.estimates for result in results]
     bounds = (limits.position, limits.velocity, limits.acceleration)
-    due = tuple(symbol["time"] for symbol in reference.notes["symbols"])
+    due = tuple(symbol.time for symbol in reference.content.symbols)
     out = []
     for seed, run, estimate in zip(seeds, runs, estimates, strict=True):
         end = None if run.ending is Ending.FINISHED else run.end

@@ -19,6 +19,8 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial import cKDTree
 
+from dpcontrol.references.content import stored
+
 Array = np.ndarray
 Label = tuple[str, tuple[int, ...]]
 
@@ -78,9 +80,10 @@ class Plan:
 
 def plan_of(reference, rate: float, limits: tuple[float, float, float]) -> Plan:
     times = np.arange(0.0, reference.duration, 1 / rate)
-    count = len(reference.notes["orbits"])
-    curves = [np.asarray(reference.extra[f"orbit_{k}"]) for k in range(count)]
-    return Plan(dict(reference.notes), curves, reference.state(times), rate, limits)
+    notes, arrays = stored(reference.content)
+    return Plan(
+        notes, [arrays[f"orbit_{k}"] for k in range(len(notes["orbits"]))], reference.state(times), rate, limits
+    )
 
 
 def labels(plan: Plan, states: Array, near: float = NEAR) -> list[tuple[Label, int, int]]:
@@ -180,7 +183,7 @@ def faults(plan: Plan, states: Array, accelerations: Array | None) -> list[str]:
     n, stops = plan.arms, plan.stops
     if not np.isfinite(states).all():
         return ["not finite"]
-    if len(states) < len(plan.states) - 1 and "program" not in plan.notes:
+    if len(states) < len(plan.states) - 1 and len(plan.notes["program"]) < 2:
         out.append(f"ended {(len(plan.states) - len(states)) / plan.rate:.3f} s early")
     begin = plan.waits
     if begin and np.abs(states[min(begin, len(states) - 1), :n]).max() > HANGS:

@@ -193,6 +193,6 @@ class Comparison:
 def for_plan(options: Mapping[str, Any], plan: Any) -> dict[str, Any]:
     """Return suitable options for a plan; kept stops require a special law."""
     values = options
-    if "program" in plan.reference.notes:
+    if len(plan.content.segments) > 1:
         values.pop("controller", None)
     return {**values}

@@ -122,11 +122,11 @@ def at_energy(itinerary: Itinerary, walk: WalkPart, runs: int) -> dict[str, floa
         walk: walk at another energy.
         runs: number of runs at ±5 %.
     """
-    # The plan is not cached: its notes quote the itinerary's text, which has another energy.
-    reference, notes, arrays = planned(replace(itinerary, parts=(walk,)))
+    # The plan is not cached: its content quotes the itinerary's text, which has another energy.
+    reference = planned(replace(itinerary, parts=(walk,)))
     if not reference.converged:
         raise GoalMissed(reference.status)
-    plan = Plan(itinerary, replace(reference, notes=notes, extra=arrays), Path(), cached=False)
+    plan = Plan(itinerary, reference, Path(), cached=False)
     loop = replace(itinerary.loop, mismatch=MISMATCH)
     job = Job(itinerary.name, plan.archive, itinerary.model.arms, Case("", (), loop), tuple(range(runs)), "compiled",
               replayed=0)  # fmt: skip

@@ -93,29 +93,34 @@ def plan_command(
 
 
 def _plan_text(plan: "Plan", file: Path | None) -> Iterator[str | TextTable]:
-    reference, notes = plan.reference, plan.notes
+    reference, content = plan.reference, plan.content
     yield plan.itinerary.title
-    for symbol in notes["symbols"]:
-        text, name = symbol["text"], symbol["name"]
-        yield f"  {text!r} is {name}" if name else f"  {text}, a transfer at {symbol['time']:.2f} s"
-    shadowing = notes["shadowing"]
-    if shadowing["residual"] is not None:
-        yield f"  shadowing orbit  {shadowing['duration']:.3f} s, residual {shadowing['residual']:.1e}"
+    for symbol in content.symbols:
+        yield (
+            f"  {symbol.text!r} is {symbol.name}"
+            if symbol.name
+            else (f"  {symbol.text}, a transfer at {symbol.time:.2f} s")
+        )
+    if (residual := content.shadowing.residual) is not None:
+        yield f"  shadowing orbit  {content.shadowing.duration:.3f} s, residual {residual:.1e}"
     yield f"  reference        {reference.status}"
     yield (
         f"  cart             {reference.max_cart_position * 1e3:.1f} mm at most, "
         f"{reference.rms_cart_acceleration:.3f} m/s² rms, {reference.max_cart_acceleration:.3f} m/s² at most"
     )
     yield f"  file             {file or 'none: the cache cannot be written'}{' (cached)' if plan.cached else ''}"
-    if taken := notes.get("taken"):
+    if costs := content.costs:
         columns: dict[str, Any] = {
-            "transfer": "{0[text]}", "duration (s)": "{0[duration]:.3g}", "∫u² (m²/s³)": "{0[effort]:.3g}",
-            "stroke (m)": "{0[stroke]:.3g}",
-        }  # fmt: skip
-        for k, family in enumerate(taken[0]["closest"]):
-            near = f"{{0[closest][{k}][distance]:.2f}} at {{0[closest][{k}][energy]:.3g}} J"
-            columns[f"closest to {family['orbit']}"] = near
-        yield table("", taken, columns)
+            "transfer": "{0.text}",
+            "duration (s)": "{0.duration:.3g}",
+            "∫u² (m²/s³)": "{0.effort:.3g}",
+            "stroke (m)": "{0.stroke:.3g}",
+        }
+        for k, family in enumerate(costs[0].closest):
+            columns[f"closest to {family.orbit}"] = (
+                f"{{0.closest[{k}].distance:.2f}} at {{0.closest[{k}].energy:.3g}} J"
+            )
+        yield table("", costs, columns)
 
 
 def _polish_text(found: "Polished", file: Path | None) -> Iterator[str | TextTable]:
@@ -149,39 +154,33 @@ def reference_command(
     FILE is a .npz from `dpcontrol plan --out`. numpy can read it; dpcontrol.references.reference documents its layout.
     The error between nodes is measured again.
     """
-    from dpcontrol.references.reference import load_reference, summarised
+    from dpcontrol.references.reference import load_reference
 
     if picture is not None and transitions is not None and picture.resolve() == transitions.resolve():
         raise InputError(f"--picture and --transitions both name {picture}: give two names")
     reference = load_reference(file)
-    try:
-        summary = summarised(reference)
-        document = summary.document()
-        square = None
-        if transitions is not None:
-            from dpcontrol.pages.transitions import draw_transitions
+    document = reference.document()
+    square = None
+    if transitions is not None:
+        from dpcontrol.pages.transitions import draw_transitions
 
-            # It can be refused, and must be before another picture is written.
-            square = draw_transitions(summary)
-        if picture is not None:
-            from dpcontrol.judge.of_log import reference_view
+        # It can be refused, and must be before another picture is written.
+        square = draw_transitions(reference)
+    if picture is not None:
+        from dpcontrol.judge.of_log import reference_view
 
-            draw_result(reference_view(summary, file), picture)
-        if square is not None and transitions is not None:
-            from dpcontrol.pages.layout import save_figure
+        draw_result(reference_view(reference, file), picture)
+    if square is not None and transitions is not None:
+        from dpcontrol.pages.layout import save_figure
 
-            save_figure(square, transitions)
-    except InputError as error:
-        raise InputError(f"{file}: {error}") from error
-    except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
-        raise InputError(f"{file} is a reference, but its notes are not those of a plan: {error}") from error
+        save_figure(square, transitions)
     document = {"file": file, **document, "picture": picture, "transitions": transitions}
     return Answer(document, [*_reference_text(document), *drawn_to(picture), *drawn_to(transitions)])
 
 
 def _reference_text(document: Mapping[str, Any]) -> Iterator[str | TextTable]:
-    yield f"{document['file']}: {document['title'] or 'a reference'}"
-    if document["itinerary"]:
+    yield f"{document['file']}: {document.get('title', 'a reference')}"
+    if "itinerary" in document:
         yield f"  itinerary    {document['itinerary']}, model {document['model']}, plan {document['plan']}"
     yield f"  status       {document['status']}"
     yield (
@@ -190,17 +189,17 @@ def _reference_text(document: Mapping[str, Any]) -> Iterator[str | TextTable]:
     )
     measured = document["measured_error_between_nodes"]
     anew = f"{measured:.1e} measured again" if measured is not None else "not measured again: the file names no arms"
-    if measured is None and "parameters" in document["made_from"]:
+    if measured is None and "made_from" in document:
         anew = "not measured again: this needs heyoka, which is not installed"
     yield f"  error        {document['max_error_between_nodes']:.1e} between nodes as stored, {anew}"
     yield f"  effort       {document['rms_cart_acceleration']:.4g} m/s² rms, ∫u² {document['effort']:.4g} m²/s³"
-    if origin := document["made_from"]:
+    if origin := document.get("made_from"):
         yield "  made from    " + ", ".join(f"{key} {origin.get(key)}" for key in _ORIGIN)
     yield table("", document["limits"].items(), {
         "limit": "cart {0[0]}", "allowed": "±{0[1][bound]:g} {0[1][unit]}", "largest": "{0[1][largest]:.4g}",
         "used": "{0[1][share]:.1%}", "at (s)": "{0[1][time]:.3f}",
     })  # fmt: skip
-    if document["symbols"]:
+    if document.get("symbols"):
         yield table("", enumerate(document["symbols"], start=1), {
             "symbol": "{0[0]}", "time (s)": "{0[1][time]:.3f}", "text": "{0[1][text]}",
             "arrives at": "{0[1][arrives_at]}", "connection": lambda row: row[1]["name"] or "a transfer",

@@ -77,7 +77,7 @@ def demo_command(
         "seconds": seconds,
     }
     lines = [
-        f"{scene.title}: {' '.join(repr(symbol['text']) for symbol in plan.notes['symbols'])}",
+        f"{scene.title}: {' '.join(repr(symbol.text) for symbol in plan.content.symbols)}",
         f"  planned: {plan.status}",
         *score_text(verdict),
         f"log        {log}",

@@ -29,7 +29,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.foundation.arrays import Array
-from dpcontrol.references.reference import REST_BEFORE, PlanNotes, Reference, StopNote, SymbolNote, plan_notes
+from dpcontrol.references.content import REST_BEFORE, PlanContent, PlanStop, PlanSymbol
+from dpcontrol.references.reference import Reference
 
 FOLLOWS = 1.5
 """Greatest distance of a run from its plan, rad; half of the way to another saddle is π/2."""
@@ -73,41 +74,26 @@ class Decoded:
         return len(self.visits)
 
 
-def orbit_index(notes: PlanNotes, stop: StopNote) -> int:
-    """Return the index of a stop's orbit among the plan's.
-
-    Args:
-        notes: notes of the plan.
-        stop: one of its stops.
-    """
-    if "orbit" in stop:
-        return int(stop["orbit"])
-    return [o["saddle"] for o in notes["orbits"]].index(stop["saddle"])
-
-
-def judged_from(notes: PlanNotes) -> float:
+def judged_from(content: PlanContent) -> float:
     """Return the plan's time from which a run must follow it, s.
 
     The planner adds a wait at rest before the first transfer. The itinerary does not ask for it, so the arms may be
     anywhere until the transfer begins.
 
     Args:
-        notes: notes of the plan.
+        content: content of the plan.
     """
-    begin = min((begin for begin, _ in notes["transfers"]), default=np.inf)
-    if begin > REST_BEFORE + _GRID:
-        return 0.0
-    lowest = min(notes["saddles"].values(), key=lambda saddle: saddle["energy"])
-    return begin if notes["saddles"][notes["stops"][0]["saddle"]] == lowest else 0.0
+    begin = min((begin for begin, _ in content.transfers), default=np.inf)
+    return begin if begin <= REST_BEFORE + _GRID and content.stops[0].saddle == content.rest else 0.0
 
 
-def shortest_period(notes: PlanNotes) -> float:
+def shortest_period(content: PlanContent) -> float:
     """Return the shortest period of a plan's orbits, s.
 
     Args:
-        notes: notes of the plan.
+        content: content of the plan.
     """
-    return min(orbit["period"] for orbit in notes["orbits"])
+    return min(orbit.period for orbit in content.orbits)
 
 
 def decode_run(time: Array, angles: Array, plan: Reference) -> Decoded:
@@ -116,17 +102,17 @@ def decode_run(time: Array, angles: Array, plan: Reference) -> Decoded:
     Args:
         time: times (K,), s; the first one is on the plan's clock.
         angles: angles (K, n), rad, not wrapped.
-        plan: reference with the plan's notes.
+        plan: reference of the plan.
     """
-    notes = plan_notes(plan)
+    content = plan.content
     due = _due(plan, angles.shape[1])
     crossings = _crossings(time, angles, plan, due, carries=True)
     clock = _plan_time(time, due, crossings)
     lost = _lost(angles, clock, plan)
-    spans, arrivals = _spans(notes, due, plan.duration)
-    half = shortest_period(notes) / 2
+    spans, arrivals = _spans(content, due, plan.duration)
+    half = shortest_period(content) / 2
     visits: list[Visit] = []
-    for stop, (begin, end), arrival in zip(notes["stops"], spans, arrivals, strict=True):
+    for stop, (begin, end), arrival in zip(content.stops, spans, arrivals, strict=True):
         reached = int(np.searchsorted(clock, min(arrival + half, (begin + end) / 2)))
         if reached >= len(clock) or (lost is not None and reached > lost):
             break
@@ -134,9 +120,9 @@ def decode_run(time: Array, angles: Array, plan: Reference) -> Decoded:
         if not inside.size:
             # Crossings far from their due times can move the clock past a whole stop.
             break
-        visits.append(_visit(angles, inside, stop, notes))
+        visits.append(_visit(angles, inside, stop, content))
     crossings = crossings[: max(0, len(visits) - 1)]
-    return Decoded(tuple(visits), crossings, _wraps(crossings, due, notes), lost)
+    return Decoded(tuple(visits), crossings, _wraps(crossings, due, content), lost)
 
 
 def _due(plan: Reference, arms: int) -> list[float]:
@@ -147,7 +133,7 @@ def _due(plan: Reference, arms: int) -> list[float]:
     The time stored with a symbol is that of the shadowed orbit, not of the reference.
     """
     times = np.arange(0.0, plan.duration, _GRID)
-    planned = [symbol["time"] for symbol in plan_notes(plan)["symbols"]]
+    planned = [symbol.time for symbol in plan.content.symbols]
     found = _crossings(times, plan.state(plan.mesh[0] + times)[:, :arms], plan, planned, carries=False)
     return [at if at is not None else time for at, time in zip(found, planned, strict=True)]
 
@@ -165,34 +151,40 @@ def _crossings(
     """
     crossings: list[float | None] = []
     after, late = float(time[0]), 0.0
-    for symbol, at in zip(plan_notes(plan)["symbols"], planned, strict=True):
+    for symbol, at in zip(plan.content.symbols, planned, strict=True):
         due = at + late
-        if symbol["section"] is None:
+        if symbol.section is None:
             crossings.append(None)
             continue
-        found = _crossing(time, angles, symbol, plan, between=(after, due))
-        crossings.append(found)
-        after, late = found, (found - at if carries else 0.0)
+        seen = crossing(time, angles, symbol, plan, between=(after, due))
+        after = max(due, after) if seen is None else seen
+        crossings.append(after)
+        late = after - at if carries else 0.0
     return tuple(crossings)
 
 
-def _crossing(
-    time: Array, angles: Array, symbol: SymbolNote, plan: Reference, *, between: tuple[float, float]
-) -> float:
-    """Return the time of the crossing nearest to its due time.
+def crossing(
+    time: Array, angles: Array, symbol: PlanSymbol, plan: Reference, *, between: tuple[float, float]
+) -> float | None:
+    """Return the time at which a symbol crosses its section with the plan's direction and angles, or None, s.
 
-    Direction and angles must match the plan.
+    Args:
+        time: times (K,), s.
+        angles: angles (K, n), rad.
+        symbol: a connection of the plan.
+        plan: reference of the plan.
+        between: earliest and due time of the crossing; that nearest to the due time is returned, s.
     """
-    section, n = symbol["section"], angles.shape[1]
+    section, n = symbol.section, angles.shape[1]
     assert section is not None
     after, due = between
-    normal = np.asarray(section["normal"][:n])
-    ahead, behind = (plan.state(plan.mesh[0] + symbol["time"] + side)[:n] for side in (_BESIDE, -_BESIDE))
-    height = (angles @ normal - section["value"]) * (1.0 if (ahead - behind) @ normal > 0 else -1.0)
+    normal = np.asarray(section.normal[:n])
+    ahead, behind = (plan.state(plan.mesh[0] + symbol.time + side)[:n] for side in (_BESIDE, -_BESIDE))
+    height = (angles @ normal - section.value) * (1.0 if (ahead - behind) @ normal > 0 else -1.0)
     rows = np.flatnonzero((height[:-1] <= 0) & (height[1:] > 0) & (time[:-1] >= after))
-    rows = rows[np.abs(angles[rows] - section["angles"]).max(axis=1) <= FOLLOWS]
+    rows = rows[np.abs(angles[rows] - section.angles).max(axis=1) <= FOLLOWS]
     if not rows.size:
-        return max(due, after)
+        return None
     row = rows[np.argmin(np.abs(time[rows] - due))]
     share = height[row] / (height[row] - height[row + 1])
     return float(time[row] + share * (time[row + 1] - time[row]))
@@ -217,14 +209,14 @@ def _lost(angles: Array, clock: Array, plan: Reference) -> int | None:
 
     The angles differ from the plan near its time by more than `FOLLOWS`.
     """
-    notes, n = plan_notes(plan), angles.shape[1]
+    content, n = plan.content, angles.shape[1]
     way = plan.state(plan.mesh[0] + np.arange(0.0, plan.duration + _GRID, _GRID).clip(max=plan.duration))[:, :n]
     # A sustained orbit has the plant's period, so any phase of it may match.
-    kept = "program" in notes or "stay" in notes
-    window = max(orbit["period"] for orbit in notes["orbits"]) / 2 if kept else shortest_period(notes) / 4
+    kept = content.segments or not content.symbols
+    window = max(orbit.period for orbit in content.orbits) / 2 if kept else shortest_period(content) / 4
     reach = int(np.ceil(window / _GRID))
     # After the plan's end a run may continue around the last orbit, period by period.
-    last = _period(notes, -1)
+    last = _period(content, -1)
     way = np.concatenate([way, way[-round(last / _GRID) :]])
     clock = clock - np.ceil((clock - plan.duration).clip(min=0.0) / last) * last
     places = np.rint(clock / _GRID).astype(np.intp)
@@ -233,7 +225,7 @@ def _lost(angles: Array, clock: Array, plan: Reference) -> int | None:
         return np.asarray(np.abs(angles[rows] - way[(places[rows] + offset).clip(0, len(way) - 1)]).max(axis=1))
 
     # Not-a-number counts as far.
-    rows = np.flatnonzero(clock >= judged_from(notes))
+    rows = np.flatnonzero(clock >= judged_from(content))
     for offset in sorted(range(-reach, reach + 1), key=abs):
         rows = rows[~(gaps(rows, offset) <= FOLLOWS)]
         if not rows.size:
@@ -241,35 +233,37 @@ def _lost(angles: Array, clock: Array, plan: Reference) -> int | None:
     return int(rows[0])
 
 
-def _spans(notes: PlanNotes, due: Sequence[float], duration: float) -> tuple[list[tuple[float, float]], list[float]]:
+def _spans(
+    content: PlanContent, due: Sequence[float], duration: float
+) -> tuple[list[tuple[float, float]], list[float]]:
     """Return the plan's time range and arrival at each stop, s.
 
     Ranges extend from crossing to crossing, excluding adjacent transfers.
     """
     begins, ends, arrivals = [0.0], [], [0.0]
-    for symbol, at in zip(notes["symbols"], due, strict=True):
-        if symbol["section"] is None:
-            way = next(((a, b) for a, b in notes["transfers"] if a <= at <= b), (at, at))
+    for symbol, at in zip(content.symbols, due, strict=True):
+        if symbol.section is None:
+            way = next(((a, b) for a, b in content.transfers if a <= at <= b), (at, at))
             ends.append(way[0])
             begins.append(way[1])
             arrivals.append(way[1])
         else:
             ends.append(at)
             begins.append(at)
-            arrivals.append(at + symbol["time_in"])
+            arrivals.append(at + symbol.time_in)
     return list(zip(begins, [*ends, duration], strict=True)), arrivals
 
 
-def _visit(angles: Array, inside: NDArray[np.intp], stop: StopNote, notes: PlanNotes) -> Visit:
+def _visit(angles: Array, inside: NDArray[np.intp], stop: PlanStop, content: PlanContent) -> Visit:
     """Return the stay at a stop, from first to last near tick.
 
     Ticks are near if this saddle is the nearest.
 
     Without such a tick, the stay is the tick closest to the saddle.
     """
-    seen, place = angles[inside], tuple(float(angle) for angle in stop["angles"])
+    seen, place = angles[inside], stop.angles
     away = np.square(seen - place).sum(axis=1)
-    others = [np.asarray(notes["saddles"][name]["angles"]) for name in {s["saddle"] for s in notes["stops"]}]
+    others = [np.asarray(content.saddles[name].angles) for name in {s.saddle for s in content.stops}]
     nearest = np.min([np.square((seen - o + np.pi) % (2 * np.pi) - np.pi).sum(axis=1) for o in others], axis=0)
     near = inside[away <= nearest + 1e-6]
     if not near.size:
@@ -277,47 +271,47 @@ def _visit(angles: Array, inside: NDArray[np.intp], stop: StopNote, notes: PlanN
     return Visit(place, int(near[0]), int(near[-1]))
 
 
-def _wraps(crossings: tuple[float | None, ...], due: Sequence[float], notes: PlanNotes) -> tuple[int | None, ...]:
+def _wraps(crossings: tuple[float | None, ...], due: Sequence[float], content: PlanContent) -> tuple[int | None, ...]:
     """Return the wraps at each interior stop reached.
 
     None beside a transfer, and at stops that change the orbit.
     """
     counts: list[int | None] = []
     for k, (arrived, left) in enumerate(pairwise(crossings)):
-        planned = planned_wraps(notes, k)
+        planned = planned_wraps(content, k)
         if arrived is None or left is None or planned is None:
             counts.append(None)
             continue
         longer = (left - arrived) - (due[k + 1] - due[k])
-        counts.append(round(planned) + round(longer / _period(notes, k + 1)))
+        counts.append(round(planned) + round(longer / _period(content, k + 1)))
     return tuple(counts)
 
 
-def _period(notes: PlanNotes, stop: int) -> float:
-    return notes["orbits"][orbit_index(notes, notes["stops"][stop])]["period"]
+def _period(content: PlanContent, stop: int) -> float:
+    return content.orbit(content.stops[stop]).period
 
 
-def planned_wraps(notes: PlanNotes, stop: int) -> float | None:
+def planned_wraps(content: PlanContent, stop: int) -> float | None:
     """Return the unrounded wraps at an interior stop.
 
     The unrounded wraps are counted from 0 and result from the plan's times.
 
     Args:
-        notes: notes of the plan.
+        content: content of the plan.
         stop: number of the interior stop, counted from 0.
 
     Returns:
         The wraps; None beside a transfer, and at stops that change the orbit.
     """
-    arriving, leaving = notes["symbols"][stop], notes["symbols"][stop + 1]
-    if arriving["section"] is None or leaving["section"] is None or "arrived_on" in notes["stops"][stop + 1]:
+    arriving, leaving = content.symbols[stop : stop + 2]
+    if arriving.section is None or leaving.section is None or content.stops[stop + 1].arrived_on is not None:
         return None
-    if "polished" in notes:
+    if content.polished:
         # A plan's crossings already count its wobbles, which need not last the orbit's period.
-        return None if (required := notes["wraps"][stop]) is None else float(required)
-    gap = (leaving["phase_out"] - arriving["phase_in"]) % 1.0
-    spare = leaving["time"] - arriving["time"] - arriving["time_in"] - leaving["time_out"]
-    return spare / _period(notes, stop + 1) - gap
+        return None if (required := content.wraps[stop]) is None else float(required)
+    gap = (leaving.phase_out - arriving.phase_in) % 1.0
+    spare = leaving.time - arriving.time - arriving.time_in - leaving.time_out
+    return spare / _period(content, stop + 1) - gap
 
 
 NEAR_LAST_ORBIT = 0.1  # rad
@@ -356,20 +350,18 @@ def last_gap(time: Array, angles: Array, plan: Reference, *, rate_hz: float) -> 
     Args:
         time: times (K,), s.
         angles: angles (K, n), rad.
-        plan: reference with the plan's notes.
+        plan: reference of the plan.
         rate_hz: rate of the ticks, Hz.
 
     Returns:
         The distance, or 0 if it is small enough.
     """
-    notes, n = plan_notes(plan), angles.shape[1]
-    stop = notes["stops"][-1]
-    k = orbit_index(notes, stop)
-    period = notes["orbits"][k]["period"]
-    begin = max([time[-1] - period, *(end for _, end in notes["transfers"] if end < time[-1])])
-    home = np.asarray(notes["saddles"][stop["saddle"]]["angles"])
-    late = angles[time >= begin] - (np.asarray(stop["angles"]) - home)
-    return _leaves(plan.extra[f"orbit_{k}"][:, :n], late, ticks=period * rate_hz)
+    content, n = plan.content, angles.shape[1]
+    stop = content.stops[-1]
+    orbit = content.orbit(stop)
+    begin = max([time[-1] - orbit.period, *(end for _, end in content.transfers if end < time[-1])])
+    late = angles[time >= begin] - content.lift(stop)
+    return _leaves(orbit.curve[:, :n], late, ticks=orbit.period * rate_hz)
 
 
 _REACHES = 0.3
@@ -389,57 +381,56 @@ def shortfall(plan: Reference) -> str:
     The text includes a remedy; it is "" if the run succeeds.
 
     Args:
-        plan: reference with the plan's notes.
+        plan: reference of the plan.
     """
-    notes = plan_notes(plan)
-    stops, symbols = notes["stops"], notes["symbols"]
+    content = plan.content
+    stops, symbols = content.stops, content.symbols
     times = np.arange(0.0, plan.duration, _GRID / 10)
     states = plan.state(plan.mesh[0] + times)
-    angles = states[:, : len(stops[0]["angles"])]
-    spans, _ = _spans(notes, _due(plan, angles.shape[1]), plan.duration)
+    angles = states[:, : len(stops[0].angles)]
+    spans, _ = _spans(content, _due(plan, angles.shape[1]), plan.duration)
     # A polished plan need not approach the orbits.
-    near_orbits = () if "polished" in notes else enumerate(zip(stops, spans, strict=True))
+    near_orbits = () if content.polished else enumerate(zip(stops, spans, strict=True))
     for k, (stop, (begin, end)) in near_orbits:
         away = orbit_distance(states[(times >= begin) & (times <= end)][::10], stop, plan)
         if away <= _REACHES:
             continue
-        near = f"no nearer than {away:.2f} rad to the orbit about {stop['saddle']}"
+        near = f"no nearer than {away:.2f} rad to the orbit about {stop.saddle}"
         if not k:
-            return f"it starts {near}; raise lead_in to {(notes['lead_in'] or 0) + 1}"
-        text = f"symbol {k} of {len(symbols)} ({symbols[k - 1]['text']!r}) comes {near}"
-        return f"{text}; raise " + ("the wraps there by 1" if k < len(symbols) else _longer(notes))
-    for k, required in enumerate(notes["wraps"]):
-        made = planned_wraps(notes, k)
+            return f"it starts {near}; raise lead_in to {content.lead_in + 1}"
+        text = f"symbol {k} of {len(symbols)} ({symbols[k - 1].text!r}) comes {near}"
+        return f"{text}; raise " + ("the wraps there by 1" if k < len(symbols) else _longer(content))
+    for k, required in enumerate(content.wraps):
+        made = planned_wraps(content, k)
         if made is not None and required is not None and abs(made - required) > _COUNTED:
             return f"wraps at stop {k + 1} are {made:.1f} instead of {required}; ask for {round(made)} wraps there"
     if gap := last_gap(times, angles, plan, rate_hz=10 / _GRID):
         return (
-            f"over the last period it is up to {gap:.2f} rad from the orbit about {stops[-1]['saddle']} "
+            f"over the last period it is up to {gap:.2f} rad from the orbit about {stops[-1].saddle} "
             f"(allowed: {NEAR_LAST_ORBIT:g}); "
-            + (f"raise {_longer(notes)}" if (notes["lead_out"] or 0) < _SETTLED else _REST)
+            + (f"raise {_longer(content)}" if content.lead_out < _SETTLED else _REST)
         )
     found = decode_run(times, angles, plan)
     if found.matched < len(stops):
-        undone = f"symbol {found.matched} of {len(symbols)} ({symbols[found.matched - 1]['text']!r})"
-        return f"{undone if found.matched else 'the first stop'} does not show in its angles; raise {_longer(notes)}"
+        undone = f"symbol {found.matched} of {len(symbols)} ({symbols[found.matched - 1].text!r})"
+        return f"{undone if found.matched else 'the first stop'} does not show in its angles; raise {_longer(content)}"
     return ""
 
 
-def _longer(notes: PlanNotes) -> str:
-    return f"lead_out to {(notes['lead_out'] or 0) + 1}"
+def _longer(content: PlanContent) -> str:
+    return f"lead_out to {content.lead_out + 1}"
 
 
-def orbit_distance(states: Array, stop: StopNote, plan: Reference) -> float:
+def orbit_distance(states: Array, stop: PlanStop, plan: Reference) -> float:
     """Return the least scaled distance between states and a stop's orbit.
 
     Args:
         states: states (K, 2n+2).
         stop: a stop of the plan, on whose turns the orbit is taken.
-        plan: reference with the plan's notes.
+        plan: reference of the plan.
     """
-    notes, n = plan_notes(plan), len(stop["angles"])
-    curve = plan.extra[f"orbit_{orbit_index(notes, stop)}"][:, : 2 * n] / np.repeat([1.0, _RATE_UNIT], n)
-    home = np.asarray(notes["saddles"][stop["saddle"]]["angles"])
-    seen = states[:, : 2 * n] - np.pad(np.asarray(stop["angles"]) - home, (0, n))
+    n = len(stop.angles)
+    curve = plan.content.orbit(stop).curve[:, : 2 * n] / np.repeat([1.0, _RATE_UNIT], n)
+    seen = states[:, : 2 * n] - np.pad(plan.content.lift(stop), (0, n))
     seen /= np.repeat([1.0, _RATE_UNIT], n)
     return min((float(np.abs(curve - one).max(axis=1).min()) for one in seen), default=np.inf)

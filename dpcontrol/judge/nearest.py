@@ -3,8 +3,6 @@
 The largest values are compared with their limits. The closest of them is reported, and the state of the filter.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dpcontrol.control.estimator_settings import mean_band, means_of
@@ -12,38 +10,10 @@ from dpcontrol.foundation.arrays import Array
 from dpcontrol.judge.decoding import FOLLOWS
 from dpcontrol.judge.run_view import RunView
 from dpcontrol.logs import Mode
+from dpcontrol.references.reference import LimitUse
 
 
-@dataclass(frozen=True)
-class NearestLimit:
-    """The largest value of a quantity, and its limit.
-
-    Attributes:
-        name: of the quantity.
-        value: in `unit`.
-        limit: in `unit`.
-        unit: of both.
-        time: of the largest value, s.
-    """
-
-    name: str
-    value: float
-    limit: float
-    unit: str
-    time: float
-
-    @property
-    def share(self) -> float:
-        """The largest value as a share of its limit."""
-        return self.value / self.limit
-
-    @property
-    def sentence(self) -> str:
-        """Value, limit and time in words."""
-        return f"{self.value:.3g} of {self.limit:.4g} {self.unit} at {self.time:.2f} s"
-
-
-def limit_uses(view: RunView) -> tuple[NearestLimit, ...]:
+def limit_uses(view: RunView) -> tuple[LimitUse, ...]:
     """Return the use of each limit, the nearest to its limit first.
 
     The limits are those that the view has.
@@ -54,7 +24,7 @@ def limit_uses(view: RunView) -> tuple[NearestLimit, ...]:
     Args:
         view: data of the run.
     """
-    found: list[NearestLimit] = []
+    found: list[LimitUse] = []
     counts = np.ones(len(view.time), dtype=bool)
     if view.control is not None and "mode" in view.control:
         counts = ~np.isin(view.control["mode"], (Mode.STOPPED, Mode.ABORTED))
@@ -63,7 +33,7 @@ def limit_uses(view: RunView) -> tuple[NearestLimit, ...]:
         sizes = np.where(counts, np.abs(values), np.nan)
         if np.isfinite(sizes).any() and limit > 0 and np.isfinite(limit):
             row = int(np.nanargmax(sizes))
-            found.append(NearestLimit(name, scale * float(sizes[row]), scale * limit, unit, float(view.time[row])))
+            found.append(LimitUse(name, unit, scale * limit, scale * float(sizes[row]), float(view.time[row])))
 
     n = view.arms
     if view.limits is not None and view.has_cart:

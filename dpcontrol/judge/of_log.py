@@ -2,16 +2,17 @@
 
 They are read from their files. An orbit is a sustained one.
 
-A plan's tubes lead from a stop's orbit to the section of the next symbol, and on to the next stop. Its notes hold each
-connection's hits and section, and the section's lifted height. The unstable tube of the stop's orbit
-is cut there (`tubes.cut`). The stable tube of the next stop is such a tube reversed in time. Of each tube only the
-branch that meets the section at the plan's height is kept. Source: Kaheman et al. (2023), section 3.
+A plan's tubes lead from a stop's orbit to the section of the next symbol, and on to the next stop. The plan stores the
+orbit's state, the section with its lifted height, and the hits. The unstable tube of the stop's orbit is cut there
+(`orbits.cut`). The stable tube of the next stop is such a tube reversed in time. Of each tube only the branch that
+meets the section at the plan's height is drawn. Source: Kaheman et al. (2023), section 3.
 """
 
 import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -22,14 +23,17 @@ from dpcontrol.dynamics.chain import ArmChainParameters, pendulum_system
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
-from dpcontrol.foundation.errors import InputError, PartMissing, remark
-from dpcontrol.judge.decoding import Decoded, decode_run, orbit_index
-from dpcontrol.judge.run_view import ACTUAL, PlacedOrbit, PlanView, RunView, Stay, TubeCurve, series_of
+from dpcontrol.foundation.causes import OrbitCause
+from dpcontrol.foundation.errors import remark
+from dpcontrol.foundation.parts import installed
+from dpcontrol.judge.decoding import Decoded, decode_run
+from dpcontrol.judge.run_view import ACTUAL, PlanView, RunView, Stay, TubeCurve, series_of
 from dpcontrol.judge.score import (
     DRAWN_METADATA,
     MODEL_METADATA,
     PLANT_METADATA,
     Flown,
+    arms_in,
     counted,
     flights_of,
     lacking,
@@ -40,18 +44,12 @@ from dpcontrol.judge.score import (
 from dpcontrol.logs import RunLog
 from dpcontrol.logs.layout import SLOW_RATE
 from dpcontrol.orbits.cut import CutSettings, tube_cut
-from dpcontrol.orbits.lyapunov import lyapunov_orbit
+from dpcontrol.orbits.lyapunov import LyapunovOrbit, floquet_multipliers
 from dpcontrol.orbits.manifold import UnstableManifold
+from dpcontrol.orbits.orbit import OrbitOutcome
 from dpcontrol.recordings.recording import SUMMARY
-from dpcontrol.references.reference import (
-    OrbitNote,
-    PlanNotes,
-    Reference,
-    ReferenceSummary,
-    load_reference,
-    plan_notes,
-    summarised,
-)
+from dpcontrol.references.content import PlanContent, PlanOrbit
+from dpcontrol.references.reference import Reference
 from dpcontrol.references.sustained import SustainedOrbit
 from dpcontrol.words.runs import lost
 
@@ -62,49 +60,54 @@ _CUT = CutSettings(smallest_phase_step=3e-4)
 """Least visible distance; if doubling the phases brings neighbours no nearer, a cut is drawn open."""
 
 
-def tubes_of(notes: PlanNotes, system: System) -> tuple[TubeCurve, ...]:
-    """Return the tubes in a plan's notes, each once.
+def tubes_of(content: PlanContent, system: System) -> tuple[TubeCurve, ...]:
+    """Return the tubes of a plan, each once.
 
-    Symbols whose tubes cannot be computed are skipped.
+    Tubes of three arms have no sections, and older plans do not store their orbits.
 
     Args:
-        notes: notes of the plan.
+        content: content of the plan.
         system: conservative pendulum of the plan.
     """
-    made: dict[tuple[Any, ...], TubeCurve] = {}
-    flown: dict[tuple[Any, ...], list[TubeCurve]] = {}
-    for k, symbol in enumerate(notes["symbols"]):
-        # Tubes of three arms have no sections, and plans of earlier versions do not name them.
-        hits = symbol.get("hits")
-        if symbol["section"] is None or hits is None or not system.sections:
+    if any(symbol.section for symbol in content.symbols) and not installed("heyoka"):
+        remark("the tubes along the way are not shown: heyoka is not installed")
+        return ()
+    sections = {s.name: s for s in (*system.sections.values(), *system.named_sections.values())}
+    flown = cache(lambda index, name, **tube: tuple(_flown(system, content.orbits[index], sections[name], **tube)))
+    tubes: dict[tuple[Any, ...], TubeCurve] = {}
+    for symbol, *stops in zip(content.symbols, content.stops, content.stops[1:], strict=False):
+        if symbol.section is None or symbol.section.name not in sections:
             continue
-        section = system.section_between(symbol["source"], symbol["target"], symbol["section"]["name"])
-        height = float(symbol["section"]["value"])
-        for stable, stop, hit in (
-            (False, notes["stops"][k], hits[0]),
-            (True, notes["stops"][k + 1], hits[1]),
-        ):
-            index = stop.get("arrived_on", stop["orbit"]) if stable else stop["orbit"]
-            entry = notes["orbits"][index]
-            tube = (entry["saddle"], entry["energy"], section.name, hit, stable)
-            if tube not in flown:
-                flown[tube] = list(_flown(system, entry, section=section, hit=hit, stable=stable))
-            lift = np.asarray(stop["angles"]) - np.asarray(notes["saddles"][stop["saddle"]]["angles"])
-            key = (*tube, *np.rint(lift).tolist(), round(height, 6))
-            if key not in made:
-                made |= {(*key, b): c for b, c in enumerate(_at(flown[tube], section, lift=lift, height=height))}
-    return tuple(made.values())
+        name, height = symbol.section.name, symbol.section.value
+        for stable, stop, hit in zip((False, True), stops, symbol.section.hits, strict=True):
+            index, lift = stop.orbits[0 if stable else 1], content.lift(stop)
+            curves = _at(flown(index, name, hit=hit, stable=stable), sections[name], lift=lift, height=height)
+            place = (index, name, hit, stable, *np.rint(lift).tolist(), round(height, 6))
+            tubes |= {(*place, branch): curve for branch, curve in enumerate(curves)}
+    return tuple(tubes.values())
 
 
-def _flown(system: System, orbit_note: OrbitNote, *, section: Section, hit: int, stable: bool) -> Iterator[TubeCurve]:
+def _lyapunov(system: System, place: PlanOrbit) -> LyapunovOrbit:
+    """Return the Lyapunov orbit whose state and period a plan stores."""
+    state, period = np.array(place.state), place.free_period
+    end, monodromy = system.propagator.flow_with_stm(state, period)
+    return LyapunovOrbit(
+        saddle=place.saddle,
+        energy=place.energy,
+        family=0,
+        state=state,
+        period=period,
+        system=system,
+        monodromy=monodromy,
+        floquet_multipliers=floquet_multipliers(system, state, period, monodromy),
+        residual=float(np.abs(end - state).max()),
+        outcome=OrbitOutcome(OrbitCause.MEMBER, 0.0),
+    )
+
+
+def _flown(system: System, place: PlanOrbit, section: Section, *, hit: int, stable: bool) -> Iterator[TubeCurve]:
     """Yield both branches of an orbit's tube at the untranslated orbit."""
-    try:
-        orbit = lyapunov_orbit(system, orbit_note["saddle"], energy=float(orbit_note["energy"]))
-    except InputError:
-        return
-    except PartMissing as missing:
-        remark(f"the tubes along the way are not shown: {missing}")
-        return
+    orbit = _lyapunov(system, place)
     manifold = UnstableManifold(orbit)
     cut = tube_cut(manifold, section, hit=hit, settings=_CUT)
     gap = np.full((1, system.dimension), np.nan)
@@ -124,7 +127,7 @@ def _flown(system: System, orbit_note: OrbitNote, *, section: Section, hit: int,
         yield TubeCurve(stable, strands, ends)
 
 
-def _at(curves: list[TubeCurve], section: Section, *, lift: Array, height: float) -> Iterator[TubeCurve]:
+def _at(curves: Iterable[TubeCurve], section: Section, *, lift: Array, height: float) -> Iterator[TubeCurve]:
     """Yield the parts of the tubes at a lifted section height.
 
     They are moved by whole turns (n,).
@@ -150,7 +153,8 @@ def run_view(log: RunLog) -> RunView:
     Raises:
         InputError: the plan in the log is damaged.
     """
-    view, system = series_of(log), _system(log)
+    view, arms = series_of(log), arms_in(log, MODEL_METADATA)
+    system = None if arms is None else pendulum_system("model", arms)
     n = len(log.arm_lengths)
     states = log.states.get("truth", log.states.get("estimate"))
     view = replace(view, extra_truth=true_extras(log, view))
@@ -159,7 +163,6 @@ def run_view(log: RunLog) -> RunView:
     if states is None or lacking(log):
         return replace(view, verdict=_without_plan(log))
     plan = plan_of(log)
-    notes = plan_notes(plan)
     verdict = score(log)
     planned = plan_view(plan, system=system)
     if verdict.falls or verdict.catches:
@@ -169,12 +172,15 @@ def run_view(log: RunLog) -> RunView:
     seed = "" if verdict.seed is None else f", seed {verdict.seed}"
     return replace(
         view,
-        title=f"{notes['title']} — {notes['itinerary']}{seed}",
+        title=f"{plan.content.title} — {plan.content.itinerary}{seed}",
         limits=log.limits or limits_of(plan),
         verdict=verdict.sentence,
         good=verdict.completed,
         plan=planned,
-        done=_done(decoded, notes, log.time),
+        done=tuple(
+            Stay(float(log.time[visit.first]), float(log.time[visit.last]), stop.saddle, stop.saddle)
+            for visit, stop in zip(decoded.visits, plan.content.stops, strict=False)
+        ),
         crossings=decoded.crossings,
     )
 
@@ -197,13 +203,7 @@ def _with_falls(log: RunLog, states: Array, plan: Reference, planned: PlanView) 
 
     visits = (replace(v, first=int(rows[v.first]), last=int(rows[v.last])) for v in decoded.visits)
     crossings = tuple(None if at is None else clock(at) for at in decoded.crossings)
-    by_clock = replace(
-        planned,
-        symbols=tuple((clock(at), text) for at, text in planned.symbols),
-        planned=tuple(replace(stay, first=clock(stay.first), last=clock(stay.last)) for stay in planned.planned),
-        transfers=tuple((clock(a), clock(b)) for a, b in planned.transfers),
-        duration=float(log.time[-1]),
-    )
+    by_clock = replace(planned.timed(clock), duration=float(log.time[-1]))
     return by_clock, replace(decoded, visits=tuple(visits), crossings=crossings)
 
 
@@ -224,33 +224,26 @@ def plan_view(plan: Reference, *, system: System | None) -> PlanView:
     Tubes are included if the pendulum is known.
 
     Args:
-        plan: reference with the plan's notes.
+        plan: reference, with or without a plan.
         system: conservative pendulum of the plan; None if it is unknown.
-
-    Raises:
-        InputError: the notes are not those of a plan.
     """
-    notes = plan_notes(plan)
-    try:
-        symbols = tuple((float(s["time"]), str(s["text"])) for s in notes.get("symbols") or [])
-        stops = [str(stop["saddle"]) for stop in notes.get("stops") or []]
-        edges = [float(plan.mesh[0]), *(at for at, _ in symbols), float(plan.mesh[-1])]
-        transfers = tuple((float(a), float(b)) for a, b in notes.get("transfers") or [])
-        return PlanView(
-            orbits=_placed_orbits(plan, notes),
-            saddle_energies={str(name): float(s["energy"]) for name, s in (notes.get("saddles") or {}).items()},
-            symbols=symbols,
-            tubes=tubes_of(notes, system) if system is not None and symbols else (),
-            planned=tuple(
-                Stay(a, b, name, name)
-                for (first, last), name in zip(pairwise(edges), stops, strict=False)
-                for a, b in _outside(transfers, first, last)
-            ),
-            transfers=transfers,
-            duration=plan.duration,
-        )
-    except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
-        raise InputError(f"the reference's notes are not those of a plan ({error}); plan again") from error
+    content = plan.plan
+    if content is None:
+        return PlanView(duration=plan.duration)
+    edges = [float(plan.mesh[0]), *(symbol.time for symbol in content.symbols), float(plan.mesh[-1])]
+    return PlanView(
+        orbits=_placed_orbits(content),
+        saddle_energies={name: saddle.energy for name, saddle in content.saddles.items()},
+        symbols=tuple((symbol.time, symbol.text) for symbol in content.symbols),
+        tubes=() if system is None else tubes_of(content, system),
+        planned=tuple(
+            Stay(a, b, stop.saddle, stop.saddle)
+            for (first, last), stop in zip(pairwise(edges), content.stops, strict=True)
+            for a, b in _outside(content.transfers, first, last)
+        ),
+        transfers=content.transfers,
+        duration=plan.duration,
+    )
 
 
 def _outside(transfers: tuple[tuple[float, float], ...], first: float, last: float) -> Iterator[tuple[float, float]]:
@@ -264,20 +257,14 @@ def _outside(transfers: tuple[tuple[float, float], ...], first: float, last: flo
         yield first, last
 
 
-def _placed_orbits(plan: Reference, notes: PlanNotes) -> tuple[PlacedOrbit, ...]:
-    """Return the orbits of a plan at each of its stops."""
-    placed: dict[tuple[Any, ...], PlacedOrbit] = {}
-    for stop in notes.get("stops") or []:
-        for k in {orbit_index(notes, stop), stop.get("arrived_on", orbit_index(notes, stop))}:
-            note = notes["orbits"][k]
-            home = np.asarray(notes["saddles"][stop["saddle"]]["angles"])
-            lift = np.asarray(stop["angles"]) - home
-            orbit = np.asarray(plan.extra[f"orbit_{k}"])
-            if orbit.ndim != 2 or orbit.shape[1] != 2 * len(lift) or orbit.dtype.kind != "f":
-                raise ValueError(f"orbit_{k} is no list of states of {len(lift)} arms")
-            states = orbit + np.concatenate([lift, np.zeros_like(lift)])
-            name = f"{note['saddle']} at {note['energy']:.4g} J"
-            placed[(k, *np.rint(lift).tolist())] = PlacedOrbit(name, states, note["saddle"])
+def _placed_orbits(content: PlanContent) -> tuple[PlanOrbit, ...]:
+    """Return the orbits of a plan on the turns of each of its stops."""
+    placed: dict[tuple[Any, ...], PlanOrbit] = {}
+    for stop in content.stops:
+        lift = content.lift(stop)
+        for k in stop.orbits:
+            curve = content.orbits[k].curve + np.concatenate([lift, np.zeros_like(lift)])
+            placed[(k, *np.rint(lift).tolist())] = replace(content.orbits[k], curve=curve)
     return tuple(placed.values())
 
 
@@ -289,28 +276,6 @@ def _without_plan(log: RunLog) -> str:
         f"{', '.join(lacking(log))}, so the motion is not judged"
     )
     return f"{sentence}; {lost(log.recovered)}" if log.recovered else sentence
-
-
-def _arms(log: RunLog, name: str) -> ArmChainParameters | None:
-    """Return the arm parameters under a name, or None.
-
-    The arm parameters are in a log's metadata.
-    """
-    try:
-        values: dict[str, Any] = json.loads(log.metadata[name])
-        plain: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
-        return ArmChainParameters(**plain)
-    except (KeyError, TypeError, ValueError, AttributeError, RecursionError, InputError):
-        return None
-
-
-def _system(log: RunLog) -> System | None:
-    """Return the conservative pendulum of the log's model, or None.
-
-    The result is None if the log names no model.
-    """
-    arms = _arms(log, MODEL_METADATA)
-    return None if arms is None else pendulum_system(log.metadata.get("model", "model"), arms)
 
 
 def true_extras(log: RunLog, view: RunView) -> dict[str, Array | float]:
@@ -333,7 +298,7 @@ def true_extras(log: RunLog, view: RunView) -> dict[str, Array | float]:
     except (KeyError, TypeError, ValueError, RecursionError):
         zeros = np.zeros(0)
     found |= {f"zero_{i}": float(zero) for i, zero in enumerate(zeros, start=1)}
-    model, plant = _arms(log, MODEL_METADATA), _arms(log, PLANT_METADATA)
+    model, plant = arms_in(log, MODEL_METADATA), arms_in(log, PLANT_METADATA)
     if model is not None and plant is not None and model.count == plant.count:
         found |= _relative_errors(model, plant)
     if view.control is not None and {ACTUAL, "applied"} <= view.control.keys() and len(log.time):
@@ -367,76 +332,44 @@ def _relative_errors(model: ArmChainParameters, plant: ArmChainParameters) -> di
     }
 
 
-def _done(decoded: Decoded, notes: PlanNotes, time: Array) -> tuple[Stay, ...]:
-    """Return the stops reached as stays."""
-    names = (stop["saddle"] for stop in notes["stops"])
-    return tuple(
-        Stay(float(time[visit.first]), float(time[visit.last]), name, name, True)
-        for visit, name in zip(decoded.visits, names, strict=False)
-    )
-
-
 _RATE = 500.0  # Hz
 _POINTS = 600  # of an orbit
 _ARM = 0.2  # m: arm length drawn for a reference without arms
 
 
-def read_reference_view(file: Path) -> RunView:
-    """Return the data to draw of a reference's file.
-
-    Its error between nodes is measured again.
-
-    Args:
-        file: file of a reference (.npz).
-
-    Raises:
-        InputError: the file is not a reference, or its notes are not those of a plan.
-    """
-    reference = load_reference(file)
-    try:
-        return reference_view(summarised(reference), Path(file))
-    except InputError as error:
-        raise InputError(f"{file}: {error}") from error
-
-
-def reference_view(summary: ReferenceSummary, path: Path) -> RunView:
+def reference_view(reference: Reference, path: Path) -> RunView:
     """Return the data to draw of a reference.
 
     Its input is the command.
 
     Args:
-        summary: reference with its figures.
+        reference: reference, with or without a plan.
         path: its file.
-
-    Raises:
-        InputError: its notes are not those of a plan.
     """
-    reference = summary.reference
-    notes: Mapping[str, Any] = reference.notes
-    system = None if summary.arms is None else pendulum_system("model", summary.arms)
+    content, arms = reference.plan, reference.arms
+    system = None if arms is None else pendulum_system("model", arms)
     plan = plan_view(reference, system=system)
     time = np.arange(reference.mesh[0], reference.mesh[-1], 1 / _RATE)
     states = reference.state(time)
     state = "" if reference.converged else "NOT CONVERGED: "
     effort = f"{reference.duration:.4g} s, {reference.rms_cart_acceleration:.3g} m/s² rms"
-    made_from = notes.get("made_from") or {}
     return RunView(
         path=path,
-        title=str(notes.get("title") or notes.get("itinerary") or "A reference"),
+        title="A reference" if content is None else content.title,
         time=time,
         state=states,
         what="reference",
-        arm_lengths=(_ARM,) * (states.shape[1] // 2 - 1) if summary.arms is None else summary.arms.length,
+        arm_lengths=(_ARM,) * (states.shape[1] // 2 - 1) if arms is None else arms.length,
         has_cart=True,
         rate_hz=_RATE,
         control={"feedforward": reference.input(time)[:, 0]},
-        energy=summary.energies(states),
+        energy=reference.energies(states),
         limits=limits_of(reference),
-        metadata={"program": str(made_from.get("program", ""))},
+        metadata={} if content is None else {"program": content.origin.program},
         verdict=f"{state}{reference.status}; {effort}",
         good=None if reference.converged else False,
         plan=plan,
-        summary=summary,
+        source=reference,
     )
 
 
@@ -467,5 +400,7 @@ def sustained_view(orbit: SustainedOrbit, arm_lengths: tuple[float, ...]) -> Run
         energy=lyapunov.system.numeric.hamiltonian(states[:, :-2]),
         limits=limits_of(orbit.reference),
         verdict=f"period {orbit.period:.5g} s, {effort}, within {orbit.departure:.2g} of the Lyapunov orbit (scaled)",
-        plan=PlanView(orbits=(PlacedOrbit("Lyapunov orbit", free, lyapunov.saddle),)),
+        plan=PlanView(
+            orbits=(PlanOrbit(lyapunov.saddle, orbit.energy, lyapunov.period, lyapunov.unstable_multiplier, free),)
+        ),
     )

@@ -6,7 +6,7 @@ A simulated run has truth, estimate, reference and command. A recording from the
 segments. A plan has stays and symbols over time, and orbits and tubes in phase space.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
@@ -18,22 +18,8 @@ from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.shown import Brief
 from dpcontrol.logs import Event, Extras, Mode, RunLog
 from dpcontrol.recordings.recording import REPLAYED
-from dpcontrol.references.reference import ReferenceSummary
-
-
-@dataclass(frozen=True)
-class PlacedOrbit(Brief):
-    """A periodic orbit or an equilibrium at a stop of a plan.
-
-    Attributes:
-        name: displayed name, such as "down-up at -0.07 J".
-        states: (M, 2n) along one period, angles then rates; rad, rad/s.
-        saddle: saddle at its centre.
-    """
-
-    name: str
-    states: Array
-    saddle: str = ""
+from dpcontrol.references.content import PlanOrbit
+from dpcontrol.references.reference import Reference
 
 
 @dataclass(frozen=True)
@@ -71,21 +57,13 @@ class Stay:
     text: str
     wanted: bool = True
 
-    def delayed(self, seconds: float) -> "Stay":
-        """Return the stay at a later time.
-
-        Args:
-            seconds: delay, s.
-        """
-        return replace(self, first=self.first + seconds, last=self.last + seconds)
-
 
 @dataclass(frozen=True)
 class PlanView:
     """The requirements of a plan.
 
     Attributes:
-        orbits: the itinerary's orbits, at each of its stops.
+        orbits: the itinerary's orbits, on the turns of its stops.
         saddle_energies: energy of each saddle in J, by name.
         symbols: planned time of its section crossing in s, and name, for each symbol of the itinerary.
         tubes: parts of tubes that the plan uses.
@@ -94,7 +72,7 @@ class PlanView:
         duration: in s, or None.
     """
 
-    orbits: tuple[PlacedOrbit, ...] = ()
+    orbits: tuple[PlanOrbit, ...] = ()
     saddle_energies: dict[str, float] = field(default_factory=dict)
     symbols: tuple[tuple[float, str], ...] = ()
     tubes: tuple[TubeCurve, ...] = ()
@@ -102,19 +80,29 @@ class PlanView:
     transfers: tuple[tuple[float, float], ...] = ()
     duration: float | None = None
 
-    def delayed(self, seconds: float) -> "PlanView":
-        """Return the plan at a later time.
+    def timed(self, clock: Callable[[float], float]) -> "PlanView":
+        """Return the plan on another clock.
 
         Args:
-            seconds: delay, s.
+            clock: function of a time of the plan, s, that returns that of the clock.
         """
         return replace(
             self,
-            symbols=tuple((at + seconds, name) for at, name in self.symbols),
-            planned=tuple(stay.delayed(seconds) for stay in self.planned),
-            transfers=tuple((a + seconds, b + seconds) for a, b in self.transfers),
-            duration=None if self.duration is None else self.duration + seconds,
+            symbols=tuple((clock(at), name) for at, name in self.symbols),
+            planned=timed(self.planned, clock),
+            transfers=tuple((clock(a), clock(b)) for a, b in self.transfers),
+            duration=None if self.duration is None else clock(self.duration),
         )
+
+
+def timed(stays: Iterable[Stay], clock: Callable[[float], float]) -> tuple[Stay, ...]:
+    """Return stays on another clock.
+
+    Args:
+        stays: the stays.
+        clock: function of their times, s, that returns that of the clock.
+    """
+    return tuple(replace(stay, first=clock(stay.first), last=clock(stay.last)) for stay in stays)
 
 
 LARGEST = 1e6
@@ -161,7 +149,7 @@ class RunView(Brief):
         plan: requirements of the plan; empty without one.
         done: the itinerary decoded from the angles.
         crossings: crossing time of each completed symbol, s; None for a transfer.
-        summary: of a reference, otherwise None.
+        source: the reference drawn, otherwise None.
         extras: estimated parameters, or None.
         extra_truth: known true values of the parameters by name, a number or (M,) at the extras' times.
         rewritten: True for a log that another program has rewritten.
@@ -194,7 +182,7 @@ class RunView(Brief):
     plan: PlanView = field(default_factory=PlanView)
     done: tuple[Stay, ...] = ()
     crossings: tuple[float | None, ...] = ()
-    summary: ReferenceSummary | None = None
+    source: Reference | None = None
     extras: Extras | None = None
     extra_truth: Mapping[str, Array | float] = field(default_factory=dict)
     rewritten: bool = False
@@ -252,14 +240,17 @@ class RunView(Brief):
         Args:
             seconds: delay, s.
         """
-        events = tuple(replace(event, time=event.time + seconds) for event in self.events)
+
+        def clock(time: float) -> float:
+            return time + seconds
+
         return replace(
             self,
             time=self.time + seconds,
             extras=None if self.extras is None else replace(self.extras, time=self.extras.time + seconds),
-            events=events,
-            plan=self.plan.delayed(seconds),
-            done=tuple(stay.delayed(seconds) for stay in self.done),
+            events=tuple(replace(event, time=clock(event.time)) for event in self.events),
+            plan=self.plan.timed(clock),
+            done=timed(self.done, clock),
             crossings=tuple(None if at is None else at + seconds for at in self.crossings),
         )
 

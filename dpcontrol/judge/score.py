@@ -10,6 +10,7 @@ Symbols and wraps are decoded from the angles, see `dpcontrol.judge.decoding`.
 """
 
 import io
+import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, TypeVar
@@ -18,17 +19,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.control.estimator_settings import NisMeans, nis_means
+from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.causes import Cause, Fault
 from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.settings import frozen
 from dpcontrol.foundation.shown import Brief
 from dpcontrol.judge.decoding import FOLLOWS, NEAR_LAST_ORBIT, Decoded, decode_run, last_gap
 from dpcontrol.logs import CATCH, LAP, RESUME, RETURN, Event, Flight, RunLog
 from dpcontrol.logs.layout import CONTROL, ESTIMATE, REFERENCE
 from dpcontrol.logs.rolling import NIGHT_METADATA
 from dpcontrol.loop.result import Ending, inside_95
-from dpcontrol.references.reference import Reference, SymbolNote, holds_plan, load_reference, plan_notes
+from dpcontrol.references.content import PlanSymbol
+from dpcontrol.references.reference import Reference, load_reference
 from dpcontrol.words import runs as words
 
 Number = TypeVar("Number", int, float)
@@ -173,7 +177,7 @@ class Score(Documented):
 
 
 def plan_of(log: RunLog) -> Reference:
-    """Return the reference in the log, with the plan's notes.
+    """Return the reference in the log, with its plan.
 
     Args:
         log: log of a run.
@@ -191,9 +195,26 @@ def plan_of(log: RunLog) -> Reference:
     except InputError as error:
         raise InputError(f"{place} is damaged; run the itinerary again") from error
     fits = reference.states.shape[-1] == 2 * len(log.arm_lengths) + 2
-    if not (reference.converged and fits and holds_plan(reference)):
+    if not (reference.converged and fits and reference.plan is not None):
         raise InputError(f"{place} holds no plan; run the itinerary again")
     return reference
+
+
+def arms_in(log: RunLog, name: str) -> ArmChainParameters | None:
+    """Return the arms' parameters in a log's metadata, or None without them.
+
+    Args:
+        log: log of a run.
+        name: `MODEL_METADATA` or `PLANT_METADATA`.
+
+    Raises:
+        InputError: this part of the log is damaged.
+    """
+    text = log.metadata.get(name)
+    try:
+        return None if text is None else ArmChainParameters(**frozen(json.loads(text)))
+    except (TypeError, ValueError, AttributeError, RecursionError) as error:
+        raise InputError(f"{log.path}: its {name} do not read: {error}; run it again") from error
 
 
 def lacking(log: RunLog) -> tuple[str, ...]:
@@ -269,7 +290,7 @@ def spliced(flown: Flown, plan: Reference) -> Flown:
 
     Args:
         flown: run with flights.
-        plan: reference with the plan's notes.
+        plan: reference of the plan.
     """
     n, pieces = flown.reference_angles.shape[1], []
     for rows, times in counted(flown.flights, rate_hz=flown.rate_hz):
@@ -289,7 +310,7 @@ def verdict_on(flown: Flown, plan: Reference) -> Verdict:
 
     Args:
         flown: basis of the verdict.
-        plan: reference with the plan's notes.
+        plan: reference of the plan.
     """
     if flown.flights:
         verdict = verdict_on(spliced(flown, plan), plan)
@@ -337,8 +358,8 @@ def score(log: RunLog) -> Score:
         seed=seed,
         completed=completed,
         symbols_completed=verdict.symbols,
-        symbols_total=len(plan_notes(plan)["stops"]) - 1,
-        transfers=len(plan_notes(plan)["transfers"]),
+        symbols_total=len(plan.content.stops) - 1,
+        transfers=len(plan.content.transfers),
         wraps=verdict.wraps,
         rms_tracking_error=float(np.sqrt(np.mean(away**2))),
         max_cart_position=float(np.abs(flown.states[:, 2 * flown.angles.shape[1]]).max()) if log.has_cart else 0.0,
@@ -349,7 +370,7 @@ def score(log: RunLog) -> Score:
         nis_means=nis_means(log.control["nis"], log.measured.shape[1]),
         thinking=_thinking(log),
         falls=falls,
-        attempts=_attempts(log, verdict.symbols, len(plan_notes(plan)["symbols"])) if flown.flights else (),
+        attempts=_attempts(log, verdict.symbols, len(plan.content.symbols)) if flown.flights else (),
         catches=sum(event.name == CATCH for event in log.events),
         judged_by="estimate" if log.truth is None else "truth",
         whole=part is None,
@@ -457,12 +478,12 @@ def _noted(log: RunLog, name: str, kind: Callable[[str], Number]) -> Number | No
 
 def _fault(flown: Flown, plan: Reference, decoded: Decoded) -> Found:
     """Return what a run lacks to complete its plan."""
-    notes, matched, lost = plan_notes(plan), decoded.matched, decoded.lost
-    stops, symbols = notes["stops"], notes["symbols"]
+    content, matched, lost = plan.content, decoded.matched, decoded.lost
+    stops, symbols = content.stops, content.symbols
     short = plan.duration - float(flown.time[-1])
     early = {"short": short} if short > 1.5 / flown.rate_hz else {}
     far = {} if lost is None else {"far": float(flown.time[lost]), "follows": FOLLOWS}
-    first = {"saddle": stops[0]["saddle"], **early}
+    first = {"saddle": stops[0].saddle, **early}
     if matched == 0 and lost is None:
         return Fault.AT_ONCE, first
     if matched == 0 and np.abs(flown.angles[0] - plan.state(plan.mesh[0])[: flown.angles.shape[1]]).max() < _BEGUN:
@@ -474,7 +495,7 @@ def _fault(flown: Flown, plan: Reference, decoded: Decoded) -> Found:
     last = _named(symbols, len(symbols))
     if lost is not None:
         return Fault.LAST_LEFT, {**last, **far, **early}
-    for k, (required, done) in enumerate(zip(notes["wraps"], decoded.wraps, strict=False)):
+    for k, (required, done) in enumerate(zip(content.wraps, decoded.wraps, strict=False)):
         if required is not None and required != done:
             return Fault.WRAPS, {"stop": k + 1, "wraps": done, "wanted": required, "before": k + 2}
     if (beyond := _limits(flown)) is not None:
@@ -482,23 +503,22 @@ def _fault(flown: Flown, plan: Reference, decoded: Decoded) -> Found:
     if early:
         return Fault.LAST_ENDED, {**last, **early}
     if gap := last_gap(flown.time, flown.angles, plan, rate_hz=flown.rate_hz):
-        saddle = {"saddle": stops[-1]["saddle"], "allowed": NEAR_LAST_ORBIT}
+        saddle = {"saddle": stops[-1].saddle, "allowed": NEAR_LAST_ORBIT}
         return Fault.LAST_FAR, {**last, **saddle, "gap": gap}
-    lowest = min(notes["saddles"].values(), key=lambda saddle: saddle["energy"])
     done = {
         "motions": len(stops) - 1,
-        "transfers": len(notes["transfers"]),
+        "transfers": len(content.transfers),
         "wraps": [count for count in decoded.wraps if count is not None],
-        "stay": notes["stay"]["kind"] if "stay" in notes else "",
-        "saddle": stops[-1]["saddle"],
-        "lowest": notes["saddles"].get(stops[-1]["saddle"]) == lowest,
+        "stay": "" if symbols else "orbit" if content.segments else "hold",
+        "saddle": stops[-1].saddle,
+        "lowest": stops[-1].saddle == content.rest,
     }
     return Fault.NONE, done
 
 
-def _named(symbols: Sequence[SymbolNote], number: int) -> Mapping[str, Any]:
+def _named(symbols: Sequence[PlanSymbol], number: int) -> Mapping[str, Any]:
     """Return number and text of a symbol, from 1, for the figures of a fault."""
-    return {"symbol": number, "symbols": len(symbols), "name": symbols[number - 1]["text"]} if symbols else {}
+    return {"symbol": number, "symbols": len(symbols), "name": symbols[number - 1].text} if symbols else {}
 
 
 _BEGUN = 0.5

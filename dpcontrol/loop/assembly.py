@@ -33,8 +33,9 @@ from dpcontrol.loop.recovery import RETURN_SECONDS, FallRecovery, Reach, Recover
 from dpcontrol.loop.result import BatchRun, LoopResult, LoopSink
 from dpcontrol.loop.simulated import BatchBench, Encoders, SimulatedRig
 from dpcontrol.loop.ticker import Ticker
+from dpcontrol.references.content import PlanStart
 from dpcontrol.references.problem import Limits
-from dpcontrol.references.reference import Reference, StartNote, joined, plan_notes, start_reference
+from dpcontrol.references.reference import Reference, joined
 
 _PLACES = 100.0
 """Sampling rate of the reference for catching a run, Hz."""
@@ -154,33 +155,31 @@ class Assembly:
                 f'supervisor: on_fall = "{s.on_fall}": {self.controller.kind} as set here has no gains '
                 'by time, so it cannot resume at a start; use "adaptive", "lqr" or "tvlqr" by time, without keep'
             )
-        notes = plan_notes(reference)
-        starts: Sequence[StartNote] = notes.get("starts", ())
-        if not starts and not later:
+        content = reference.content
+        if not content.starts and not later:
             raise InputError(
                 f'supervisor: on_fall = "{s.on_fall}": the reference was planned without ways from rest to its stops; '
                 "plan the itinerary again with that setting"
             )
-        ways = [self.start(note, start_reference(reference, k), main) for k, note in enumerate(starts)]
+        ways = [self.start(start, main) for start in content.starts]
         model, limits = self.model, self.limits
         reaction = (settings.drive.delay + 1) / settings.rate + settings.known_lag
         calming = calming_controller(model, limits, CalmingSettings(), reaction=reaction, seconds=RETURN_SECONDS)
-        last = notes["stops"][-1]["orbit"]
+        last = content.orbit(content.stops[-1])
         every = max(1, round(settings.rate / _PLACES))
         reach = costs_to_go(reference, sampled_model(self.arms, settings.rate / every), TvlqrSettings())
         return RecoveryPlan(
-            calming, ways, tuple(stop["saddle"] for stop in notes["stops"]),
-            tuple(symbol["text"] for symbol in notes["symbols"]), limits,
-            reference.extra[f"orbit_{last}"][:, : model.arms], notes["orbits"][last]["period"], main,
+            calming, ways, tuple(stop.saddle for stop in content.stops),
+            tuple(symbol.text for symbol in content.symbols), limits,
+            last.curve[:, : model.arms], last.period, main,
             Reach(every, *reach), s.on_fall == "restart", s.attempts,
         )  # fmt: skip
 
-    def start(self, note: StartNote, lead_in: Reference | None, main: GainSchedule) -> StartController:
+    def start(self, start: PlanStart, main: GainSchedule) -> StartController:
         """Return a controller from rest to a stop and along the reference.
 
         Args:
-            note: stop and place at which the start joins the reference.
-            lead_in: transfer from rest to the stop; None for a stop at rest.
+            start: transfer from rest to a stop, and the place at which it joins the reference.
             main: gains of the whole reference.
 
         Raises:
@@ -190,11 +189,12 @@ class Assembly:
         from dpcontrol.references.find import tail
 
         settings = self.settings
-        turns = 2 * np.pi * np.array(note["turns"], dtype=float)
+        turns = 2 * np.pi * np.array(start.turns, dtype=float)
         gains, ticks = main, 0
+        lead_in = self.reference.lead_in(start)
         if lead_in is not None:
             ticks = round(lead_in.duration * settings.rate)
-            onward = tail(self.reference, note["at"], seconds=_ONWARD, turns=turns)
+            onward = tail(self.reference, start.at, seconds=_ONWARD, turns=turns)
             law = TvlqrSettings() if isinstance(settings.controller, HoldSettings) else settings.controller
             flown = make_controller(
                 joined([lead_in, onward])[0], self.arms, self.model, settings=law, estimator=settings.estimator
@@ -202,8 +202,8 @@ class Assembly:
             before = schedule_of(flown, whole_periods(settings.drive.delay)[1])
             assert before is not None
             gains = before
-        whole = started(gains, main, lead_in=ticks, place=round(note["at"] * settings.rate), turns=turns)
-        return StartController(note["stop"], note["at"], ticks, turns, whole)
+        whole = started(gains, main, lead_in=ticks, place=round(start.at * settings.rate), turns=turns)
+        return StartController(start.stop, start.at, ticks, turns, whole)
 
     def ticker(self, *, runs: int = 1) -> Ticker:
         """Return controller, estimator and supervisor for one or more runs.

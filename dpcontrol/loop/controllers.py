@@ -7,7 +7,7 @@ If stops are kept, the notes list the intervals of stays and flights (`program`)
 computed again. This search is deterministic.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -45,7 +45,8 @@ from dpcontrol.foundation.document import fields_of
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.loop.own import OwnController, OwnEstimates, OwnEstimator, OwnExpressions, OwnLaw
 from dpcontrol.orbits.lyapunov import equilibria, lyapunov_orbit
-from dpcontrol.references.reference import Reference, plan_notes
+from dpcontrol.references.content import FlightSegment, StaySegment
+from dpcontrol.references.reference import Reference
 
 if TYPE_CHECKING:
     from dpcontrol.references.sustained import SustainedOrbit
@@ -135,8 +136,7 @@ def keeping_controller(
         InputError: the reference was planned without stays, or is of other arms.
         GoalMissed: a controller cannot be made, or stays and flights do not meet.
     """
-    entries: list[dict[str, Any]] = list(reference.notes.get("program", []))
-    if not entries:
+    if not any(isinstance(segment, FlightSegment) for segment in reference.content.segments):
         raise InputError(
             f'controller: keep = "{keep}": the reference was planned without stays; write keep = "{keep}" under '
             "[controller] of an itinerary that is a walk"
@@ -145,15 +145,14 @@ def keeping_controller(
     open_ended = replace(flies, closing=1.0)
     keepers: dict[str, OgyController | OrbitController] = {}
     segments: list[Segment] = []
-    for k, entry in enumerate(entries):
-        if "fly" in entry:
-            flown = _part(reference, entry)
-            segments.append(Fly(entry["fly"], tracking_controller(flown, model, open_ended)))
+    for k, entry in enumerate(reference.content.segments):
+        if isinstance(entry, FlightSegment):
+            segments.append(Fly(entry.fly, tracking_controller(_part(reference, entry.rows), model, open_ended)))
             continue
-        name = _orbit_name(entry["keep"], entry["energy"])
+        name = _orbit_name(entry.keep, entry.energy)
         if name not in keepers:
             keepers[name] = _keeper(kept_orbit(reference, entry, parameters), model, keep=keep, flies=flies)
-        segments.append(Keep(f"stay {k // 2 + 1}, {name}", keepers[name], wraps=entry["periods"]))
+        segments.append(Keep(f"stay {k // 2 + 1}, {name}", keepers[name], wraps=entry.periods))
     kind = f"{flies.kind}, stays by {keep}"
     return program(segments, period=model.period, kind=kind)
 
@@ -171,20 +170,18 @@ def _orbit_name(saddle: str, energy: float) -> str:
     return f"the orbit about {saddle} at {energy:g} J"
 
 
-def _part(reference: Reference, entry: Mapping[str, Any]) -> Reference:
-    """Return the part of a reference in one entry of its program."""
-    first, last = entry["rows"]
+def _part(reference: Reference, rows: tuple[int, int]) -> Reference:
+    first, last = rows
     mesh = reference.mesh[first : last + 1] - reference.mesh[first]
     return replace(reference, mesh=mesh, states=reference.states[first:last], inputs=reference.inputs[first:last])
 
 
-def kept_orbit(reference: Reference, entry: Mapping[str, Any], parameters: ArmChainParameters) -> "SustainedOrbit":
-    """Return the sustained orbit of an entry.
+def kept_orbit(reference: Reference, stay: StaySegment, parameters: ArmChainParameters) -> "SustainedOrbit":
+    """Return the sustained orbit of a stay.
 
     Args:
         reference: reference that contains the orbit.
-        entry: entry of the program, with keep (the saddle), energy (J), family, lyapunov_period (s), rows and turns
-            (rad).
+        stay: periods on the orbit.
         parameters: parameters of the model's arms.
 
     Raises:
@@ -193,33 +190,13 @@ def kept_orbit(reference: Reference, entry: Mapping[str, Any], parameters: ArmCh
     # Runs that keep no orbit do not import the search for sustained ones.
     from dpcontrol.references.sustained import SustainedOrbit
 
-    part = _part(reference, entry)
-    period = replace(part, states=part.states - np.asarray(entry["turns"]))
-    saddle = entry["keep"]
-    system = pendulum_system(saddle, parameters)
-    lyapunov = lyapunov_orbit(system, saddle, energy=entry["energy"], family=entry["family"])
-    if not lyapunov.converged or not np.isclose(lyapunov.period, entry["lyapunov_period"], rtol=1e-9):
-        raise InputError(f"the reference stays on an orbit about {saddle} of other arms; plan it again")
+    part = _part(reference, stay.rows)
+    period = replace(part, states=part.states - np.asarray(stay.turns))
+    system = pendulum_system(stay.keep, parameters)
+    lyapunov = lyapunov_orbit(system, stay.keep, energy=stay.energy, family=stay.family)
+    if not lyapunov.converged or not np.isclose(lyapunov.period, stay.lyapunov_period, rtol=1e-9):
+        raise InputError(f"the reference stays on an orbit about {stay.keep} of other arms; plan it again")
     return SustainedOrbit(lyapunov, parameters, period)
-
-
-def stay_orbit(reference: Reference, parameters: ArmChainParameters) -> "SustainedOrbit":
-    """Return the sustained orbit on which a reference stays (notes, `stay`).
-
-    Args:
-        reference: reference whose notes have the entry `stay`.
-        parameters: parameters of the model's arms.
-
-    Raises:
-        InputError: it is of other arms.
-    """
-    return kept_orbit(reference, _stay_entry(reference), parameters)
-
-
-def _stay_entry(reference: Reference) -> dict[str, Any]:
-    stay: dict[str, Any] = dict(reference.notes["stay"])
-    turns = [0.0] * reference.states.shape[-1]
-    return {**stay, "keep": stay["orbit"], "rows": [0, stay["intervals"]], "turns": turns}
 
 
 def nearest_keeper(
@@ -232,7 +209,7 @@ def nearest_keeper(
     Orbits are held by feedback at every tick, at the nearest phase. No other law holds them from a larger distance.
 
     Args:
-        reference: planned reference, with orbits in its notes.
+        reference: planned reference, with the orbits of its plan.
         parameters: parameters of the model's arms.
         model: model of arms and drive from tick to tick.
         flies: settings of the feedback.
@@ -241,22 +218,20 @@ def nearest_keeper(
         InputError: the reference is of other arms.
         GoalMissed: an orbit was not found, or cannot be held.
     """
-    notes = plan_notes(reference)
-    entries: list[Any] = [e for e in notes.get("program", []) if "keep" in e]
-    if notes.get("stay", {}).get("kind") == "orbit":
-        entries = [_stay_entry(reference)]
-    found = {_orbit_name(e["keep"], e["energy"]): e for e in entries}
+    content = reference.content
+    stays = {_orbit_name(stay.keep, stay.energy): stay for stay in content.stays}
     keepers: dict[str, Keeper] = {}
     names = ["-".join(["down"] * parameters.count)]
-    for orbit in notes["orbits"]:
-        saddle, energy = orbit["saddle"], orbit["energy"]
-        name = _orbit_name(saddle, energy)
-        if np.isclose(energy, notes["saddles"][saddle]["energy"], rtol=0, atol=1e-9):
-            names.append(saddle)
+    for orbit in content.orbits:
+        name = _orbit_name(orbit.saddle, orbit.energy)
+        if np.isclose(orbit.energy, content.saddles[orbit.saddle].energy, rtol=0, atol=1e-9):
+            names.append(orbit.saddle)
         elif name not in keepers:
-            kept = kept_orbit(reference, found[name], parameters) if name in found else _sought(
-                saddle, energy, reference, parameters
-            )  # fmt: skip
+            kept = (
+                kept_orbit(reference, stays[name], parameters)
+                if name in stays
+                else _sought(orbit.saddle, orbit.energy, reference, parameters)
+            )
             keepers[name] = _keeper(kept, model, keep="tvlqr", flies=flies)
     points = equilibria(pendulum_system("pendulum", parameters))
     for name in dict.fromkeys(names):
@@ -309,9 +284,10 @@ class LawInputs:
     keep: str
 
     @property
-    def stay(self) -> dict[str, Any]:
-        """The reference's `stay`, if it has one."""
-        return dict(self.reference.notes.get("stay", {}))
+    def stay(self) -> StaySegment | None:
+        """The only orbit that the reference keeps, or None."""
+        plan = self.reference.plan
+        return plan.stays[0] if plan is not None and len(plan.segments) == 1 else None
 
 
 def _own(made: LawInputs) -> Controller:
@@ -321,17 +297,18 @@ def _own(made: LawInputs) -> Controller:
 
 
 def _ogy(made: LawInputs) -> Controller:
-    if made.stay.get("kind") != "orbit":
+    if made.stay is None:
         raise InputError(
             f'controller: kind = "{made.settings.kind}" keeps an orbit; give the itinerary orbit = "down-up"'
         )
-    orbit = stay_orbit(made.reference, made.parameters)
+    orbit = kept_orbit(made.reference, made.stay, made.parameters)
     return ogy_controller(orbit, made.model, made.settings, seconds=made.reference.duration)
 
 
 def _hold(made: LawInputs) -> Controller:
     settings, model, estimator, parameters = made.settings, made.model, made.estimator, made.parameters
-    if made.stay.get("kind") != "hold":
+    plan = made.reference.plan
+    if plan is None or plan.symbols or plan.segments:
         raise InputError(
             f'controller: kind = "{settings.kind}" holds an equilibrium; give the itinerary hold = "up-up"'
         )
@@ -348,8 +325,8 @@ def _tvlqr(made: LawInputs) -> Controller:
     reference, parameters, model, settings = made.reference, made.parameters, made.model, made.settings
     if made.keep != "none":
         return keeping_controller(reference, parameters, model, flies=settings, keep=made.keep)
-    if made.stay.get("kind") == "orbit":
-        orbit = stay_orbit(reference, parameters)
+    if made.stay is not None:
+        orbit = kept_orbit(reference, made.stay, parameters)
         return orbit_controller(orbit, model, settings, seconds=reference.duration)
     return tracking_controller(reference, model, settings)
 

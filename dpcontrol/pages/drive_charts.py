@@ -28,7 +28,7 @@ def use_of(view: RunView, which: int) -> dict[str, Any]:
         view: run or reference.
         which: 0 for position, 1 for velocity, 2 for acceleration.
     """
-    used = None if view.summary is None else view.summary.uses[which].largest
+    used = None if view.source is None else view.source.uses[which].largest
     return {"bound": None if view.limits is None else view.limits[which], "used": used}
 
 
@@ -75,7 +75,7 @@ def velocity_chart(view: RunView) -> Chart | None:
 
     For a run the position is enough.
     """
-    if view.summary is None:
+    if view.source is None:
         return None
     values = view.state[:, -1]
     line = Line("cart", "cart", "", view.time, values, style.PLANT)

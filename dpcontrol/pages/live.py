@@ -168,9 +168,8 @@ class ShownState:
         """
         from dpcontrol.judge.of_log import reference_view
         from dpcontrol.judge.score import plan_of
-        from dpcontrol.references.reference import summarised
 
-        planned = reference_view(summarised(plan_of(start)), start.path)
+        planned = reference_view(plan_of(start), start.path)
         return cls(recording, replace(start, rate_hz=RATE, extras=None), planned)
 
     def add(self, rows: Array, events: tuple[Event, ...]) -> None:
@@ -212,11 +211,11 @@ class ShownState:
             start, time=times[:, 0], measured=measured, states=states, events=events,
             controls=dict(zip(start.controls, control.T, strict=True)),
         )  # fmt: skip
-        view, summary = series_of(log), self.planned.summary
+        view, planned = series_of(log), self.planned.source
         # Means of the NIS need more rows than arrive at once.
         return replace(
             view, limits=start.limits, plan=self.planned.plan, title=f"{self.planned.title}, live", nis=None,
-            energy=None if summary is None else summary.energies(view.state),
+            energy=None if planned is None else planned.energies(view.state),
         )  # fmt: skip
 
 

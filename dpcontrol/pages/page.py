@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
-from dpcontrol.judge.nearest import NearestLimit, closest_approach, limit_uses, nis_reading
+from dpcontrol.judge.nearest import closest_approach, limit_uses, nis_reading
 from dpcontrol.judge.of_log import run_view
 from dpcontrol.judge.run_view import RunView
 from dpcontrol.logs import RunLog
@@ -29,6 +29,7 @@ from dpcontrol.pages.panels import quiet
 from dpcontrol.pages.planes import plane
 from dpcontrol.pages.series import extra_charts
 from dpcontrol.pages.story import story, story_height
+from dpcontrol.references.reference import LimitUse
 
 _FRAMES = 8
 _TALL = 1.5
@@ -74,7 +75,7 @@ def draw(view: RunView) -> Figure:
     return page.row(*columns, height=height).figure()
 
 
-def _uses(axes: Axes, uses: Sequence[NearestLimit]) -> None:
+def _uses(axes: Axes, uses: Sequence[LimitUse]) -> None:
     """Draw the largest values as shares of their limits.
 
     The largest share is at the top.

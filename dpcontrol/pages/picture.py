@@ -18,11 +18,11 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import archive_format, is_archive
 from dpcontrol.foundation.parts import installed, part
 from dpcontrol.foundation.rendering import render
-from dpcontrol.judge.of_log import read_reference_view, run_view
+from dpcontrol.judge.of_log import reference_view, run_view
 from dpcontrol.judge.run_view import RunView
 from dpcontrol.logs import read_log
 from dpcontrol.pages.renderers import record
-from dpcontrol.references.reference import FORMAT as REFERENCE
+from dpcontrol.references.reference import FORMAT, load_reference
 
 if TYPE_CHECKING:
     from dpcontrol.judge.comparison import RunComparison
@@ -175,8 +175,8 @@ def opened(files: Sequence[Path], *, symbol: int = 1) -> Shown:
                 f"{other} is not a log: several files can be compared only if all are logs; review it alone"
             )
         return compare([run_view(read_log(file)) for file in files], symbol=symbol)
-    if archive_format(first) == REFERENCE:
-        return read_reference_view(first)
+    if archive_format(first) == FORMAT:
+        return reference_view(load_reference(first), first)
     if is_archive(first):
         from dpcontrol.plans.atlas import load_atlas
 

@@ -53,7 +53,7 @@ def plane(view: RunView, arm: int) -> Plane:
         strands={stable: [s[:, columns] for tube in some for s in tube.strands] for stable, some in tubes.items()},
         cuts={stable: [run for tube in some for run in _known(tube.cut[:, columns])] for stable, some in tubes.items()},
         orbits=[
-            (style.saddle_colour(orbit.saddle), np.vstack([orbit.states, orbit.states[:1]])[:, columns])
+            (style.saddle_colour(orbit.saddle), np.vstack([orbit.curve, orbit.curve[:1]])[:, columns])
             for orbit in view.plan.orbits
         ],
         run=[run for a, b in pairwise(edges) for run in _known(walked[a:b][::step])],

@@ -40,7 +40,6 @@ from dpcontrol.pages.walks import plane as walk_plane
 from dpcontrol.plans.model import ModelSystem
 from dpcontrol.plans.plan import Plan
 from dpcontrol.recordings.recording import Recording
-from dpcontrol.references.reference import summarised
 from dpcontrol.references.sustained import SustainedOrbit
 from dpcontrol.runs.polish import Polished
 from dpcontrol.tubes.connections import Connection, ConnectionSearch
@@ -298,7 +297,7 @@ def _angles(axes: Axes, view: RunView) -> None:
 
 def plan_view(found: Plan) -> RunView:
     """Return the data to draw of a plan."""
-    return reference_view(summarised(found.reference), found.file)
+    return reference_view(found.reference, found.file)
 
 
 def plan(axes: Axes, found: Plan) -> None:

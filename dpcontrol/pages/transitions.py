@@ -17,7 +17,7 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.pages import style
 from dpcontrol.pages.layout import Page
 from dpcontrol.pages.planes import arm_points
-from dpcontrol.references.reference import ReferenceSummary, plan_notes, transitions_in
+from dpcontrol.references.reference import Reference
 
 Point = tuple[float, float]
 _NAMES = 0.65
@@ -27,39 +27,37 @@ _POSES, _TRACE = 9, 240
 _FAINTEST = 0.12
 
 
-def draw_transitions(summary: ReferenceSummary) -> Figure:
+def draw_transitions(reference: Reference) -> Figure:
     """Draw each transfer in the cell of its two equilibria.
 
     Repeated ones are drawn once.
 
     Raises:
-        InputError: the reference has no transfers between equilibria, or does not name its arms.
+        InputError: the reference has no plan, or no transfers between equilibria.
     """
-    reference = summary.reference
-    if summary.arms is None:
-        raise InputError("the reference does not name the arms that it was made for: plan the itinerary again")
-    notes, arm_lengths = plan_notes(reference), summary.arms.length
+    content = reference.content
+    arm_lengths = content.origin.parameters.length
     n = len(arm_lengths)
     motions: dict[tuple[str, str], tuple[float, Array]] = {}
-    for k, way in transitions_in(notes):
-        symbol, (begin, end) = notes["symbols"][k], notes["transfers"][way]
+    for k, way in content.transitions():
+        symbol, (begin, end) = content.symbols[k], content.transfers[way]
         states = reference.state(np.linspace(begin, end, _TRACE))
         # The cart's starting position is the middle of its picture.
         moved = np.column_stack([states[:, :n], states[:, 2 * n] - states[0, 2 * n]])
-        motions[symbol["source"], symbol["target"]] = end - begin, moved
+        motions[symbol.source, symbol.target] = end - begin, moved
     if not motions:
         raise InputError(
-            f"{notes.get('itinerary') or 'this reference'} has no transfers from one equilibrium to another to draw; "
+            f"{content.itinerary} has no transfers from one equilibrium to another to draw; "
             "plan an itinerary of holds, such as twelve"
         )
-    names = [name for name in sorted(notes["saddles"]) if any(name in pair for pair in motions)]
+    names = [name for name in sorted(content.saddles) if any(name in pair for pair in motions)]
     for name in names:
-        motions[name, name] = 0.0, np.append(notes["saddles"][name]["angles"], 0.0)[None]
+        motions[name, name] = 0.0, np.append(content.saddles[name].angles, 0.0)[None]
     places = np.concatenate([_points(motion, arm_lengths).reshape(-1, 2) for _, motion in motions.values()])
     half, high = np.abs(places).max(axis=0) + 0.06 * sum(arm_lengths)
     cell = (style.WIDTH - _NAMES) / len(names)
     page = Page(
-        notes["title"] or notes["itinerary"],
+        content.title,
         "From each row's equilibrium to each column's: the arms at equal times, later ones darker, with the tip's "
         "path. Below each picture: duration, and the cart's greatest distance from its start in the middle.",
     )

@@ -17,7 +17,6 @@ from dpcontrol.orbits.lyapunov import equilibria
 from dpcontrol.pages.atlas_parts import connections_of, section_curves, section_place
 from dpcontrol.plans.model import Model, load_model
 from dpcontrol.plans.plan import Plan
-from dpcontrol.references.reference import summarised
 from dpcontrol.walks.atlas import Atlas, AtlasConnection, section_axes
 from dpcontrol.walks.symbols import Symbol, choose
 
@@ -183,7 +182,7 @@ def shown_plan(plan: Plan) -> dict[str, Any]:
     Args:
         plan: converged plan.
     """
-    reference, notes = plan.reference, plan.notes
+    reference = plan.reference
     times = np.arange(0.0, reference.duration, 1 / RATE)
     states = np.asarray(reference.state(times))
     n = plan.itinerary.model.arms.count
@@ -194,7 +193,7 @@ def shown_plan(plan: Plan) -> dict[str, Any]:
         "series": {
             "position": np.round(states[:, 2 * n], 5).tolist(),
         },
-        "symbols": [{"text": symbol["text"], "time": symbol["time"]} for symbol in notes["symbols"]],
+        "symbols": [picked(symbol, "text", "time") for symbol in plan.content.symbols],
     }
 
 
@@ -204,17 +203,16 @@ def figures_of(plan: Plan) -> dict[str, Any]:
     Args:
         plan: converged plan.
     """
-    summary = summarised(plan.reference)
     return {
         "duration": plan.reference.duration,
-        "effort": summary.effort,
+        "effort": plan.reference.effort,
         "error": plan.reference.max_error_between_nodes,
         "uses": [
             {
                 "name": {"position": "travel", "velocity": "speed"}.get(use.name, use.name),
                 **picked(use, "unit", "bound", "largest", "time"),
             }
-            for use in summary.uses
+            for use in plan.reference.uses
         ],
     }
 

@@ -33,9 +33,10 @@ from dpcontrol.plans.layout import BENCH, Header, HoldPart, OrbitPart, Part, Run
 from dpcontrol.plans.model import Model, load_model, model_from, quoted
 from dpcontrol.plans.overrides import OBJECTS, canonical, resolved
 from dpcontrol.plans.plausible import rig_oddities
+from dpcontrol.references.content import PlanContent
 from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import Limits, ReferenceSettings
-from dpcontrol.references.reference import Reference, holds_plan, load_reference
+from dpcontrol.references.reference import Reference, load_reference
 from dpcontrol.walks.symbols import expanded, parse_walk
 
 
@@ -464,19 +465,21 @@ def stored_itinerary(file: Path, reference: Reference) -> Itinerary:
         reference: reference in that file.
 
     Raises:
-        InputError: it is a reference without a plan, or with a damaged one.
+        InputError: it is a reference without a plan.
     """
-    notes = reference.notes
-    try:
-        model = model_from(notes["made_from"]["model"], notes["model"])
-        scene = itinerary_from(
-            notes["made_from"]["scene"], notes["itinerary"], model, plant=notes["made_from"].get("plant", "")
-        )
-    except (KeyError, TypeError) as error:
-        raise InputError(f"{file} is a reference, but its notes are not those of a plan: {error}") from error
-    if reference.converged and not holds_plan(reference):
-        raise InputError(f"{file}: the notes of its plan are damaged; plan the itinerary again")
-    return replace(scene, path=file, stored=file)
+    if reference.plan is None:
+        raise InputError(f"{file} is a reference without a plan; plan an itinerary with --out")
+    return replace(planned_itinerary(reference.plan), path=file, stored=file)
+
+
+def planned_itinerary(content: PlanContent) -> Itinerary:
+    """Return the itinerary from whose texts a plan was made.
+
+    Args:
+        content: content of the plan.
+    """
+    origin = content.origin
+    return itinerary_from(origin.scene, content.itinerary, model_from(origin.model, content.model), plant=origin.plant)
 
 
 def itinerary_of(

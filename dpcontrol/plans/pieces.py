@@ -5,12 +5,11 @@ Pieces are walks, holds and rests, with transfers between them.
 Each piece is solved separately, between two known states, and the pieces are joined. So the cost grows with the sum of
 their lengths, and an infeasible piece is reported by name.
 
-The pieces also give the notes of the plan for score, pages and controllers, in the types of `references.reference`.
+The pieces also give the content of the plan for score, pages and controllers.
 """
 
-import json
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from itertools import pairwise, product
 
 import numpy as np
@@ -26,10 +25,20 @@ from dpcontrol.orbits.lyapunov import LyapunovOrbit, equilibria, resting_place
 from dpcontrol.orbits.manifold import OrbitCurve
 from dpcontrol.plans.itinerary import Itinerary
 from dpcontrol.plans.transfers import Transfer, find_transfers, turned
+from dpcontrol.references.content import (
+    Origin,
+    PlanContent,
+    PlanOrbit,
+    PlanSaddle,
+    PlanSection,
+    PlanStop,
+    PlanSymbol,
+    Shadowing,
+)
 from dpcontrol.references.find import find_reference, shadowed
 from dpcontrol.references.method import method_named
-from dpcontrol.references.problem import EndConditions, Guess, ReferenceProblem
-from dpcontrol.references.reference import OrbitNote, PlanNotes, Reference, StopNote, SymbolNote, still
+from dpcontrol.references.problem import PLANNING, EndConditions, Guess, ReferenceProblem
+from dpcontrol.references.reference import Reference, still
 from dpcontrol.tubes.connections import Connection
 from dpcontrol.walks.shadowing import ShadowingOrbit
 
@@ -61,10 +70,15 @@ class Goal(Brief):
     wraps: int | None = None
 
     @property
+    def walk(self) -> ShadowingOrbit:
+        """Shadowing orbit of a walk."""
+        assert self.shadowing is not None
+        return self.shadowing
+
+    @property
     def orbits(self) -> tuple[LyapunovOrbit, LyapunovOrbit]:
         """First and last orbit of a walk."""
-        assert self.shadowing is not None
-        return self.shadowing.connections[0].source, self.shadowing.connections[-1].target
+        return self.walk.connections[0].source, self.walk.connections[-1].target
 
 
 @dataclass(frozen=True)
@@ -162,7 +176,7 @@ def solve_pieces(
         if k > 0:
             way, before = ways[k - 1], pieces[-1].lift
             if way is None:
-                moved = _blended(itinerary, goals[k - 1], before, goal, part_of(progress, begun, begun + share / 2))
+                moved = _blend(itinerary, goals[k - 1], before, goal, part_of(progress, begun, begun + share / 2))
             else:
                 moved = way.taken(transfers[way.transfer.key], before)
             pieces.append(moved)
@@ -216,8 +230,7 @@ def lifted_guess(goal: Goal, lift: Array) -> Guess:
         goal: goal of a walk.
         lift: angles (n,) added to those of the orbit, rad.
     """
-    assert goal.shadowing is not None
-    sample, turned = goal.shadowing.states, np.concatenate([lift, np.zeros(len(lift))])
+    sample, turned = goal.walk.states, np.concatenate([lift, np.zeros(len(lift))])
     return lambda times: sample(times + goal.begin) + turned
 
 
@@ -325,16 +338,6 @@ def _way(itinerary: Itinerary, before: Goal, after: Goal) -> _Way | None:
     return _Way(Transfer.of(itinerary, text, lifted(before.end, np.zeros(len(apart))), ends), turns)
 
 
-def _blended(itinerary: Itinerary, before: Goal, lift: Array, after: Goal, progress: Progress) -> SolvedPiece:
-    """Return the piece between two walks about the same saddle.
-
-    It leads from the last orbit of one to the first of the next.
-    """
-    onward = np.rint((before.last - after.first) / (2 * np.pi)) * 2 * np.pi + lift
-    found = _blend(itinerary, before, lift, after, onward, progress)
-    return SolvedPiece(f"change of energy at {after.where[0]}", None, onward, found)
-
-
 def ways_round(apart: Array) -> list[Array]:
     """Return the whole turns (n,) that bring arms together.
 
@@ -347,16 +350,13 @@ def ways_round(apart: Array) -> list[Array]:
     return [np.array(ways) for ways in product(*choices)]
 
 
-def _blend(
-    itinerary: Itinerary, leaving: Goal, lift: Array, joining: Goal, onward: Array, progress: Progress
-) -> Reference:
-    """Return the reference between two walks about one saddle.
+def _blend(itinerary: Itinerary, leaving: Goal, lift: Array, joining: Goal, progress: Progress) -> SolvedPiece:
+    """Return the piece between two walks about one saddle.
 
     It leads from the last orbit of one to the first of the next.
     """
-    before, after = leaving.shadowing, joining.shadowing
-    assert before is not None
-    assert after is not None
+    before, after = leaving.walk, joining.walk
+    onward = np.rint((leaving.last - joining.first) / (2 * np.pi)) * 2 * np.pi + lift
     first, last = leaving.orbits[1], joining.orbits[0]
     departure, arrival = _phase_at_end(before, first), _phase_at_start(after, last)
     turns = WOBBLES + (arrival - departure) % 1.0
@@ -378,10 +378,10 @@ def _blend(
     start, end = before.states(np.array([before.duration]))[0], after.states(np.array([0.0]))[0]
     ends = EndConditions(start=lifted(start, lift), end=lifted(end, onward))
     found = find_reference(cart_problem(itinerary, guess, duration, ends), itinerary.reference, progress=progress)
-    if found.converged:
-        return found
-    text = f"from {first.energy:g} J to {last.energy:g} J at {first.saddle}"
-    return replace(found, status=f"no change of energy {text}: {found.status}")
+    if not found.converged:
+        text = f"from {first.energy:g} J to {last.energy:g} J at {first.saddle}"
+        found = replace(found, status=f"no change of energy {text}: {found.status}")
+    return SolvedPiece(f"change of energy at {first.saddle}", None, onward, found)
 
 
 def _phase_at_end(orbit: ShadowingOrbit, last: LyapunovOrbit) -> float:
@@ -406,12 +406,11 @@ class _Story:
 
     def __init__(self, itinerary: Itinerary) -> None:
         self.system = itinerary.model.system
-        self.stops: list[StopNote] = []
-        self.symbols: list[SymbolNote] = []
+        self.stops: list[PlanStop] = []
+        self.symbols: list[PlanSymbol] = []
         self.wraps: list[int | None] = []
-        self.transfers: list[list[float]] = []
-        self.orbits: list[OrbitNote] = []
-        self.samples: list[Array] = []
+        self.transfers: list[tuple[float, float]] = []
+        self.orbits: dict[tuple[str, float], PlanOrbit] = {}
 
     def enter(self, goal: Goal, angles: Array, text: str) -> None:
         """Add the first stop of a piece.
@@ -420,45 +419,39 @@ class _Story:
         """
         name = goal.where[0]
         here = self._at_rest(name) if goal.shadowing is None else self._on(goal.orbits[0])
-        if not text or (self.stops and np.allclose(self.stops[-1]["angles"], angles)):
+        if not text or (self.stops and np.allclose(self.stops[-1].angles, angles)):
             self._arrive(name, angles, here, None, None)
             return
         before = self.stops[-1]
-        winding = np.rint((angles - np.asarray(before["angles"])) / (2 * np.pi))
-        symbol = {
-            "text": text, "time": sum(self.transfers[-1]) / 2, "name": None, "source": before["saddle"],
-            "target": name, "winding": [int(turns) for turns in winding], "sense": 0, "section": None, "hits": None,
-            "time_out": None, "time_in": None, "phase_out": None, "phase_in": None,
-        }  # fmt: skip
-        self._arrive(name, angles, here, symbol, None)  # type: ignore[arg-type]
+        winding = np.rint((angles - np.asarray(before.angles)) / (2 * np.pi))
+        turns = tuple(int(turn) for turn in winding)
+        time = sum(self.transfers[-1]) / 2
+        symbol = PlanSymbol(text=text, time=time, source=before.saddle, target=name, winding=turns)
+        self._arrive(name, angles, here, symbol, None)
 
-    def follow(self, piece: SolvedPiece, begin: float) -> None:
+    def follow(self, goal: Goal, lift: Array, begin: float) -> None:
         """Add the stops and symbols of a walk.
 
-        The walk begins at the given time, s.
+        The walk begins at the given time, s, and its angles are lifted.
         """
-        assert piece.goal is not None
-        orbit = piece.goal.shadowing
-        assert orbit is not None
-        n = len(piece.lift)
-        lift = np.concatenate([piece.lift, np.zeros(n)])
-        rows = zip(piece.goal.symbols, orbit.connections, orbit.symbol_times, strict=True)
+        orbit, n = goal.walk, len(lift)
+        rows = zip(goal.symbols, orbit.connections, orbit.symbol_times, strict=True)
         for k, (text, connection, time) in enumerate(rows):
             target = connection.target.saddle
             home = self.system.equilibrium(target) + orbit.offsets[k + 1] * self.system.turn_lengths
-            crossing = orbit.states(np.array([time]))[0] + lift
-            symbol = _connection_note(text, connection, crossing, begin + float(time) - piece.goal.begin)
-            wraps = orbit.wraps[k - 1] if k > 0 else piece.goal.wraps
-            self._arrive(target, home[:n] + piece.lift, self._on(connection.target), symbol, wraps)
+            crossing = orbit.states(np.array([time]))[0] + np.concatenate([lift, np.zeros(n)])
+            symbol = _connection_symbol(text, connection, crossing, begin + float(time) - goal.begin)
+            wraps = orbit.wraps[k - 1] if k > 0 else goal.wraps
+            self._arrive(target, home[:n] + lift, self._on(connection.target), symbol, wraps)
 
-    def _arrive(self, name: str, angles: Array, orbit: int, symbol: SymbolNote | None, wraps: int | None) -> None:
+    def _arrive(self, name: str, angles: Array, orbit: int, symbol: PlanSymbol | None, wraps: int | None) -> None:
         """Add a stop with its symbol.
 
         If it is the previous stop, only its orbit is added.
         """
-        stop: StopNote = {"saddle": name, "angles": [float(angle) for angle in angles], "orbit": orbit}
+        stop = PlanStop(name, tuple(angles.tolist()), orbit)
         if symbol is None and self.stops:
-            self.stops[-1] = {**stop, "arrived_on": self.stops[-1]["orbit"]}
+            self.stops[-1] = replace(stop, arrived_on=self.stops[-1].orbit)
             return
         if symbol is not None:
             if self.symbols:
@@ -467,27 +460,26 @@ class _Story:
         self.stops.append(stop)
 
     def _on(self, orbit: LyapunovOrbit) -> int:
-        values = orbit.energy, orbit.period, orbit.unstable_multiplier
-        return self._index(orbit.saddle, *values, lambda: OrbitCurve(orbit).samples)
+        if (key := (orbit.saddle, orbit.energy)) not in self.orbits:
+            self.orbits[key] = PlanOrbit(
+                *key,
+                orbit.period,
+                orbit.unstable_multiplier,
+                OrbitCurve(orbit).samples,
+                tuple(orbit.state.tolist()),
+                orbit.period,
+            )
+        return list(self.orbits).index(key)
 
     def _at_rest(self, name: str) -> int:
         state = self.system.equilibrium(name)
-        energy = float(self.system.numeric.hamiltonian(state))
-        return self._index(name, energy, STILL, 1.0, lambda: np.vstack([state, state]))
-
-    def _index(self, saddle: str, energy: float, period: float, multiplier: float, samples: Callable[[], Array]) -> int:
-        known = [(one["saddle"], one["energy"]) for one in self.orbits]
-        if (saddle, energy) not in known:
-            self.orbits.append({"saddle": saddle, "energy": energy, "period": period, "multiplier": multiplier})
-            self.samples.append(samples())
-            return len(known)
-        return known.index((saddle, energy))
+        if (key := (name, float(self.system.numeric.hamiltonian(state)))) not in self.orbits:
+            self.orbits[key] = PlanOrbit(*key, STILL, 1.0, np.vstack([state, state]))
+        return list(self.orbits).index(key)
 
 
-def notes_of_pieces(
-    itinerary: Itinerary, pieces: Sequence[SolvedPiece], begins: Array
-) -> tuple[PlanNotes, dict[str, Array]]:
-    """Return the notes of solved pieces, and their arrays.
+def content_of_pieces(itinerary: Itinerary, pieces: Sequence[SolvedPiece], begins: Array) -> PlanContent:
+    """Return the content of a plan of solved pieces.
 
     Args:
         itinerary: itinerary of the pieces.
@@ -498,60 +490,56 @@ def notes_of_pieces(
     for piece, begin, end in zip(pieces, begins[:-1], begins[1:], strict=True):
         goal = piece.goal
         if goal is None:
-            story.transfers.append([float(begin), float(end)])
+            story.transfers.append((float(begin), float(end)))
             way = piece.text
             continue
         if goal.wraps is None:
             story.enter(goal, goal.first + piece.lift, way)
         if goal.shadowing is not None:
-            story.follow(piece, float(begin))
+            story.follow(goal, piece.lift, float(begin))
     walks = [piece.goal.shadowing for piece in pieces if piece.goal is not None and piece.goal.shadowing is not None]
     model = itinerary.model
     n = model.system.dimension // 2
-    notes: PlanNotes = {
-        "itinerary": itinerary.name,
-        "title": itinerary.title,
-        "model": model.name,
-        "energy": walks[0].connections[0].source.energy if walks else None,
-        "walk": [s["name"] or s["text"] for s in story.symbols],
-        "wraps": story.wraps,
-        "lead_in": walks[0].lead_in if walks else None,
-        "lead_out": walks[-1].lead_out if walks else None,
-        "shadowing": {
-            "residual": max((orbit.residual for orbit in walks), default=None),
-            "duration": sum(orbit.duration for orbit in walks),
-            "status": "; ".join(orbit.status for orbit in walks) or "no walk to shadow",
-            "wraps_realised": [count for orbit in walks for count in orbit.wraps_realised],
+    return PlanContent(
+        itinerary=itinerary.name,
+        title=itinerary.title,
+        model=model.name,
+        wraps=tuple(story.wraps),
+        lead_in=walks[0].lead_in if walks else 0,
+        lead_out=walks[-1].lead_out if walks else 0,
+        shadowing=Shadowing(
+            residual=max((orbit.residual for orbit in walks), default=None),
+            duration=sum(orbit.duration for orbit in walks),
+            status="; ".join(orbit.status for orbit in walks) or "no walk to shadow",
+            wraps_realised=tuple(count for orbit in walks for count in orbit.wraps_realised),
+        ),
+        stops=tuple(story.stops),
+        symbols=tuple(story.symbols),
+        transfers=tuple(story.transfers),
+        orbits=tuple(story.orbits.values()),
+        saddles={
+            name: PlanSaddle(tuple(e.state[:n].tolist()), e.energy) for name, e in equilibria(model.system).items()
         },
-        "stops": story.stops,
-        "symbols": story.symbols,
-        "transfers": story.transfers,
-        "orbits": story.orbits,
-        "saddles": {
-            name: {"angles": e.state[:n].tolist(), "energy": e.energy} for name, e in equilibria(model.system).items()
-        },
-        "made_from": {
-            "program": PROGRAM,
-            "scene": itinerary.text,
-            "scene_hash": content_hash(itinerary.text),
-            "model": model.text,
-            "model_hash": content_hash(model.text),
-            "plant": itinerary.plant,
-            "parameters": json.loads(json.dumps(asdict(model.arms))),
-        },
-    }
-    return notes, {f"orbit_{k}": samples for k, samples in enumerate(story.samples)}
+        origin=Origin(
+            program=PROGRAM,
+            code=f"planning {PLANNING}",
+            scene=itinerary.text,
+            scene_hash=content_hash(itinerary.text),
+            model=model.text,
+            model_hash=content_hash(model.text),
+            plant=itinerary.plant,
+            parameters=model.arms,
+        ),
+    )
 
 
-def _connection_note(text: str, connection: Connection, crossing: Array, time: float) -> SymbolNote:
-    normal = connection.section.normal
-    return SymbolNote(
+def _connection_symbol(text: str, connection: Connection, crossing: Array, time: float) -> PlanSymbol:
+    section = connection.section
+    return PlanSymbol(
         text=text, source=connection.source.saddle, target=connection.target.saddle, time=time,
-        winding=list(connection.winding),
-        section={
-            "normal": list(normal), "value": float(np.dot(normal, crossing)),
-            "angles": crossing[: len(crossing) // 2].tolist(), "name": connection.section_key,
-        },
-        hits=list(connection.hits),
-        **picked(connection, "name", "sense", "time_out", "time_in", "phase_out", "phase_in"),
+        section=PlanSection(
+            section.normal, float(np.dot(section.normal, crossing)), tuple(crossing[: len(crossing) // 2].tolist()),
+            section.name, connection.hits,
+        ),
+        **picked(connection, "name", "winding", "sense", "time_out", "time_in", "phase_out", "phase_in"),
     )  # fmt: skip

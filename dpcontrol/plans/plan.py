@@ -2,8 +2,8 @@
 
 The steps are connections, shadowing orbit and collocation.
 
-Symbols, stops and orbits are stored with the reference as notes and arrays. So a log that contains the reference can be
-scored and reviewed without other files.
+Symbols, stops and orbits are stored with the reference (`dpcontrol.references.content`). So a log that contains the
+reference can be scored and reviewed without other files.
 """
 
 import json
@@ -25,27 +25,20 @@ from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress,
 from dpcontrol.foundation.shown import Timed, checked_times
 from dpcontrol.logs.layout import state_names
 from dpcontrol.plans.itinerary import HoldPart, Itinerary, WalkPart, stored_itinerary
+from dpcontrol.references.content import PlanContent, PlanStart
 from dpcontrol.references.problem import PLANNING
-from dpcontrol.references.reference import (
-    ByReference,
-    PlanNotes,
-    Reference,
-    StartNote,
-    load_reference,
-    plan_notes,
-    save_reference,
-)
+from dpcontrol.references.reference import ByReference, Reference, load_reference, save_reference
 
 if TYPE_CHECKING:
     from dpcontrol.walks.shadowing import ShadowingOrbit
 
-FORMAT = 2
-"""Version of the notes, raised whenever their meaning changes."""
+FORMAT = 3
+"""Version of the content, raised whenever its meaning changes."""
 
 
 @dataclass(frozen=True)
 class Plan(ByReference, Timed, Documented):
-    """An itinerary's reference with its notes.
+    """An itinerary's reference with its content.
 
     There is no file if the reference did not converge, or the cache is not writable.
 
@@ -55,8 +48,8 @@ class Plan(ByReference, Timed, Documented):
     """
 
     KEYS: ClassVar[str] = (
-        "walk=notes.walk wraps=notes.wraps shadowing=notes.shadowing transfers reference:intervals,duration,"
-        "max_error_between_nodes,constraint_violation,max_cart_position,max_cart_velocity,max_cart_acceleration,"
+        "walk=content.walk wraps=content.wraps shadowing=content.shadowing transfers=content.costs "
+        "reference:intervals,duration,max_error_between_nodes,constraint_violation,max_cart_position,max_cart_velocity,max_cart_acceleration,"
         "rms_cart_acceleration,iterations,solve_seconds,status file=written cached status"
     )
 
@@ -94,9 +87,9 @@ class Plan(ByReference, Timed, Documented):
         return self.sample() if times is None else self.reference.state(checked_times(times))
 
     @property
-    def notes(self) -> PlanNotes:
+    def content(self) -> PlanContent:
         """Symbols, stops and orbits of the plan."""
-        return plan_notes(self.reference)
+        return self.reference.content
 
     @cached_property
     def archive(self) -> bytes:
@@ -114,11 +107,6 @@ class Plan(ByReference, Timed, Documented):
         if not self.converged:
             raise GoalMissed(f"{self.itinerary.name} has no reference to follow: {self.status}")
         return self
-
-    @property
-    def transfers(self) -> list[Any]:
-        """Notes on the transfers."""
-        return list(self.notes.get("taken", []))
 
     @property
     def written(self) -> Path | None:
@@ -255,9 +243,8 @@ def make_plan(
     from dpcontrol.judge.decoding import shortfall
     from dpcontrol.plans.planning import planned
 
-    reference, notes, arrays = planned(itinerary, orbits, fresh=fresh, workers=workers, progress=progress)
-    notes["plan"], notes["made_from"]["code"] = plan_key(itinerary), f"planning {PLANNING}"
-    reference = replace(reference, notes={**reference.notes, **notes}, extra={**reference.extra, **arrays})
+    reference = planned(itinerary, orbits, fresh=fresh, workers=workers, progress=progress)
+    reference = replace(reference, plan=replace(reference.content, key=plan_key(itinerary)))
     if reference.converged and (problem := shortfall(reference)):
         status = f"the reference converged, but a run that follows it would not be completed: {problem}"
         reference = replace(reference, converged=False, status=status)
@@ -273,13 +260,9 @@ def _cached(itinerary: Itinerary, content: bytes, file: Path) -> Plan:
     The cache's key has the inputs of planning alone, so settings of runs and the plant may have changed.
     """
     reference = load_reference(BytesIO(content))
-    made_from = {
-        **reference.notes["made_from"],
-        "scene": itinerary.text,
-        "scene_hash": content_hash(itinerary.text),
-        "plant": itinerary.plant,
-    }
-    return Plan(itinerary, replace(reference, notes={**reference.notes, "made_from": made_from}), file, cached=True)
+    plan = reference.content
+    origin = replace(plan.origin, scene=itinerary.text, scene_hash=content_hash(itinerary.text), plant=itinerary.plant)
+    return Plan(itinerary, replace(reference, plan=replace(plan, origin=origin)), file, cached=True)
 
 
 def with_kept_starts(plan: Plan) -> Plan:
@@ -291,7 +274,7 @@ def with_kept_starts(plan: Plan) -> Plan:
         plan: plan of an itinerary.
     """
     scene = plan.itinerary
-    if scene.loop.supervisor.on_fall == "stop" or "starts" in plan.notes or not plan.converged:
+    if scene.loop.supervisor.on_fall == "stop" or plan.content.starts or not plan.converged:
         return plan
     file = _starts_file(plan)
     content = kept(file)
@@ -301,7 +284,7 @@ def with_kept_starts(plan: Plan) -> Plan:
 def _starts_file(plan: Plan) -> Path:
     scene = plan.itinerary
     content = [plan_key(scene), scene.loop.travel, PLANNING]
-    if "polished" in plan.notes:
+    if plan.content.polished:
         content.append(content_hash(plan.archive))
     return cache_file("plans", f"{scene.name}-starts", content_hash(json.dumps(content)))
 
@@ -310,7 +293,7 @@ def recoverable(
     plan: Plan,
     *,
     fresh: bool = False,
-    found: "Callable[[StartNote, Reference | None], None] | None" = None,
+    found: Callable[[PlanStart], None] | None = None,
     progress: Progress = no_progress,
 ) -> Plan:
     """Return a plan with transfers from rest to its stops.
@@ -327,19 +310,15 @@ def recoverable(
         GoalMissed: the first stop cannot be reached from rest.
     """
     scene = plan.itinerary
-    if scene.loop.supervisor.on_fall == "stop" or "starts" in plan.notes or not plan.converged:
+    if scene.loop.supervisor.on_fall == "stop" or plan.content.starts or not plan.converged:
         return plan
-    if not fresh and "starts" in (known := with_kept_starts(plan)).notes:
-        return known
+    if not fresh and (cached := with_kept_starts(plan)).content.starts:
+        return cached
     # A plan without starts does not need their search.
-    from dpcontrol.plans.starts import no_listener, planned_starts
+    from dpcontrol.plans.starts import planned_starts
 
-    starts, arrays = planned_starts(scene, plan.reference, found=found or no_listener, progress=progress)
-    reference = replace(
-        plan.reference,
-        notes={**plan.reference.notes, "starts": starts},
-        extra={**plan.reference.extra, **arrays},
-    )
+    starts = planned_starts(scene, plan.reference, found=found, progress=progress)
+    reference = replace(plan.reference, plan=replace(plan.content, starts=starts))
     plan = Plan(scene, reference, _starts_file(plan), cached=False)
     keep(plan.file, plan.archive)
     return plan

@@ -1,4 +1,4 @@
-"""Planner: the reference of an itinerary, with its notes and arrays.
+"""Planner: the reference of an itinerary, with the content of its plan.
 
 A walk with kept stops has flights along connections between sustained orbits, and whole periods of these orbits.
 
@@ -6,7 +6,7 @@ A walk with kept stops has flights along connections between sustained orbits, a
 
 Every flight is solved separately, cart included, from phase 0 of one sustained orbit to phase 0 of the next. So the
 length of a stay adds no cost. If a stop has too few wraps for a whole period between two flights, its symbols share one
-flight. The notes list the intervals of stays and flights (`program`) for the controllers that alternate.
+flight. The content lists the intervals of stays and flights (`segments`) for the controllers that alternate.
 
 Itineraries without transfers hold one equilibrium or keep one periodic orbit for a given time. This orbit is the
 sustained one (`references.sustained`), repeated for whole periods.
@@ -29,16 +29,24 @@ from dpcontrol.plans.pieces import (
     Goal,
     SolvedPiece,
     cart_problem,
+    content_of_pieces,
     lifted_guess,
-    notes_of_pieces,
     solve_pieces,
     stay_goal,
     walk_goal,
 )
-from dpcontrol.plans.transfers import transfer_notes
+from dpcontrol.plans.transfers import transfer_costs
+from dpcontrol.references.content import (
+    REST_AFTER,
+    REST_BEFORE,
+    FlightSegment,
+    PlanOrbit,
+    PlanStop,
+    StaySegment,
+)
 from dpcontrol.references.find import find_reference
 from dpcontrol.references.problem import EndConditions
-from dpcontrol.references.reference import REST_AFTER, REST_BEFORE, PlanNotes, Reference, SegmentNote, joined
+from dpcontrol.references.reference import Reference, joined
 from dpcontrol.references.sustained import SustainedOrbit, sustained_orbit
 from dpcontrol.tubes.connections import Connection
 from dpcontrol.tubes.symmetric import SymmetricSettings, find_symmetric_connections
@@ -55,8 +63,8 @@ def planned(
     fresh: bool = False,
     workers: int = 1,
     progress: Progress = no_progress,
-) -> tuple[Reference, PlanNotes, dict[str, Array]]:
-    """Return the reference of an itinerary, its notes and arrays.
+) -> Reference:
+    """Return the reference of an itinerary.
 
     Args:
         itinerary: itinerary to plan.
@@ -79,14 +87,12 @@ def planned(
     goals = _goals(itinerary, list(orbits), part_of(progress, 0.0, ready))
     pieces = solve_pieces(itinerary, goals, fresh=fresh, workers=workers, progress=part_of(progress, ready, 0.9))
     reference, begins = joined([piece.reference for piece in pieces])
-    notes, arrays = notes_of_pieces(itinerary, pieces, begins)
+    content = content_of_pieces(itinerary, pieces, begins)
     ways = [(p.text, float(begin), p.reference) for p, begin in zip(pieces, begins, strict=False) if p.goal is None]
     if ways and reference.converged:
-        notes["taken"] = transfer_notes(itinerary.model.system, ways, progress=part_of(progress, 0.9, 1.0))
-    if isinstance(itinerary.stay, HoldPart):
-        notes["stay"] = {"kind": "hold", "hold": itinerary.stay.hold}
-        notes["energy"] = notes["orbits"][0]["energy"]
-    return reference, notes, arrays
+        costs = transfer_costs(itinerary.model.system, ways, progress=part_of(progress, 0.9, 1.0))
+        content = replace(content, costs=costs)
+    return replace(reference, plan=content)
 
 
 def _goals(itinerary: Itinerary, orbits: list[ShadowingOrbit], progress: Progress) -> list[Goal]:
@@ -234,10 +240,8 @@ _SAMPLES = 401
 
 def _kept_walk(
     itinerary: Itinerary, part: WalkPart, chain: Sequence[Connection], solver: WalkSolver, progress: Progress
-) -> tuple[Reference, PlanNotes, dict[str, Array]]:
+) -> Reference:
     """Return the reference of a walk with kept stops.
-
-    Its notes and arrays follow.
 
     Raises:
         GoalMissed: a sustained orbit, or a flight's shadowing orbit or reference, was not found.
@@ -259,9 +263,8 @@ def _early(flight: Goal) -> float:
 
     They count from the flight's start.
     """
-    assert flight.shadowing is not None
-    first = flight.shadowing.connections[0]
-    return (float(flight.shadowing.symbol_times[0]) - flight.begin - first.time_out) / first.source.period
+    first = flight.walk.connections[0]
+    return (float(flight.walk.symbol_times[0]) - flight.begin - first.time_out) / first.source.period
 
 
 def _late(flight: Goal) -> float:
@@ -269,9 +272,8 @@ def _late(flight: Goal) -> float:
 
     They count to the flight's end.
     """
-    assert flight.shadowing is not None
-    last, end = flight.shadowing.connections[-1], flight.begin + flight.seconds
-    return (end - float(flight.shadowing.symbol_times[-1]) - last.time_in) / last.target.period
+    last, end = flight.walk.connections[-1], flight.begin + flight.seconds
+    return (end - float(flight.walk.symbol_times[-1]) - last.time_in) / last.target.period
 
 
 def _sustained(itinerary: Itinerary, chain: Sequence[Connection]) -> dict[str, SustainedOrbit]:
@@ -317,10 +319,8 @@ def _periods(before: Goal, after: Goal) -> int:
 
     They serve the stop's wraps, and are negative if the stop is too short.
     """
-    assert before.shadowing is not None
-    assert after.shadowing is not None
     assert after.wraps is not None
-    gap = phase_gap(before.shadowing.connections[-1], after.shadowing.connections[0])
+    gap = phase_gap(before.walk.connections[-1], after.walk.connections[0])
     return round(after.wraps + gap - _late(before) - _early(after))
 
 
@@ -350,52 +350,50 @@ def on_turns(orbit: SustainedOrbit, angles: Array) -> Array:
     return start
 
 
-def period_at(orbit: SustainedOrbit, state: Array) -> Reference:
-    """Return one period of the orbit, with a state's whole turns.
-
-    Args:
-        orbit: the sustained orbit.
-        state: state (2n+2,) at phase 0, whose whole turns the period takes.
-    """
-    return replace(orbit.reference, states=orbit.reference.states + whole_turns(state - orbit.state(0.0)))
-
-
 def _assembled(
     itinerary: Itinerary,
     part: WalkPart,
     flights: list[Goal],
     pieces: list[SolvedPiece],
     orbits: dict[str, SustainedOrbit],
-) -> tuple[Reference, PlanNotes, dict[str, Array]]:
-    """Join stays and flights, with the notes and arrays of the whole."""
+) -> Reference:
+    """Join stays and flights."""
     # Runs are caught on the first orbit and judged on the last one, so each lasts at least one period.
     leads = (max(round(part.lead_in - _early(flights[0])), 1), max(round(part.lead_out - _late(flights[-1])), 1))
     counts = [leads[0], *(_periods(a, b) for a, b in pairwise(flights)), leads[1]]
     places = [flights[0].orbits[0], *(flight.orbits[1] for flight in flights)]
     states = [pieces[0].reference.state(0.0), *(p.reference.state(p.reference.duration) for p in pieces)]
     parts: list[Reference] = []
-    segments: list[SegmentNote] = []
+    segments: list[FlightSegment | StaySegment] = []
     begins: list[float] = []
     for k, (count, place, state) in enumerate(zip(counts, places, states, strict=True)):
         orbit = orbits[place.saddle]
-        one = period_at(orbit, state)
-        segments.append({
-            "keep": place.saddle, "energy": place.energy, "family": place.family, "lyapunov_period": place.period,
-            "turns": whole_turns(state - orbit.state(0.0)).tolist(), "periods": count, "rows": _rows(parts, one),
-        })  # fmt: skip
+        turns = whole_turns(state - orbit.state(0.0))
+        one = replace(orbit.reference, states=orbit.reference.states + turns)
+        segments.append(
+            StaySegment(
+                place.saddle,
+                place.energy,
+                place.family,
+                place.period,
+                tuple(turns.tolist()),
+                count,
+                _rows(parts, one),
+            )
+        )
         parts += [one] * count
         if k < len(pieces):
-            segments.append({"fly": pieces[k].text, "rows": _rows(parts, pieces[k].reference)})
+            segments.append(FlightSegment(pieces[k].text, _rows(parts, pieces[k].reference)))
             begins.append(sum(one.duration for one in parts))
             parts.append(pieces[k].reference)
     reference = _counted_once(joined(parts)[0], [piece.reference for piece in pieces], orbits)
-    notes, arrays = notes_of_pieces(itinerary, pieces, np.array([*begins, reference.duration]))
-    notes["program"], notes["lead_in"], notes["lead_out"] = segments, part.lead_in, part.lead_out
-    for k, entry in enumerate(notes["orbits"]):
-        orbit = orbits[entry["saddle"]]
-        entry["period"] = orbit.period
-        arrays[f"orbit_{k}"] = _sampled(orbit)
-    return reference, notes, arrays
+    content = content_of_pieces(itinerary, pieces, np.array([*begins, reference.duration]))
+    kept = tuple(
+        replace(place, period=orbits[place.saddle].period, curve=_sampled(orbits[place.saddle]))
+        for place in content.orbits
+    )
+    content = replace(content, segments=tuple(segments), lead_in=part.lead_in, lead_out=part.lead_out, orbits=kept)
+    return replace(reference, plan=content)
 
 
 def _sampled(orbit: SustainedOrbit) -> Array:
@@ -420,19 +418,17 @@ def _counted_once(whole: Reference, flights: list[Reference], orbits: dict[str, 
     return replace(whole, iterations=iterations, solve_seconds=seconds, status=status)
 
 
-def _rows(before: list[Reference], part: Reference) -> list[int]:
+def _rows(before: list[Reference], part: Reference) -> tuple[int, int]:
     """Return a part's first interval and that after it.
 
     They count in the whole.
     """
     first = sum(len(one.mesh) - 1 for one in before)
-    return [first, first + len(part.mesh) - 1]
+    return first, first + len(part.mesh) - 1
 
 
-def _kept_orbit(
-    itinerary: Itinerary, part: OrbitPart, progress: Progress
-) -> tuple[Reference, PlanNotes, dict[str, Array]]:
-    """Return the reference that stays on an orbit, its notes and arrays.
+def _kept_orbit(itinerary: Itinerary, part: OrbitPart, progress: Progress) -> Reference:
+    """Return the reference that stays on an orbit.
 
     Raises:
         GoalMissed: the orbit was not found.
@@ -445,17 +441,19 @@ def _kept_orbit(
     if not found.converged:
         raise GoalMissed(f"the sustained orbit {place}: {found.status}")
     one = found.reference
-    reference, _ = joined([one] * max(1, round(part.seconds / found.period)))
+    periods = max(1, round(part.seconds / found.period))
+    reference, _ = joined([one] * periods)
     reference = replace(reference, status=one.status, iterations=one.iterations, solve_seconds=one.solve_seconds)
-    notes, _ = notes_of_pieces(itinerary, [], np.zeros(1))
-    angles = system.equilibrium(part.orbit)[: system.dimension // 2].tolist()
-    notes["energy"], notes["stops"] = part.energy, [{"saddle": part.orbit, "angles": angles, "orbit": 0}]
-    notes["orbits"] = [{
-        "saddle": part.orbit, "energy": part.energy, "period": found.period,
-        "multiplier": lyapunov.unstable_multiplier,
-    }]  # fmt: skip
-    notes["stay"] = {
-        "kind": "orbit", "orbit": part.orbit, "energy": part.energy, "family": part.family,
-        "intervals": len(one.mesh) - 1, "lyapunov_period": lyapunov.period,
-    }  # fmt: skip
-    return reference, notes, {"orbit_0": _sampled(found)}
+    state = system.equilibrium(part.orbit)
+    n = len(state) // 2
+    stay = StaySegment(
+        part.orbit, part.energy, part.family, lyapunov.period, (0.0,) * (2 * n + 2), periods, (0, len(one.mesh) - 1)
+    )
+    orbit = PlanOrbit(part.orbit, part.energy, found.period, lyapunov.unstable_multiplier, _sampled(found))
+    content = replace(
+        content_of_pieces(itinerary, [], np.zeros(1)),
+        stops=(PlanStop(part.orbit, tuple(state[:n].tolist()), 0),),
+        orbits=(orbit,),
+        segments=(stay,),
+    )
+    return replace(reference, plan=content)

@@ -13,13 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.document import picked
 from dpcontrol.foundation.errors import GoalMissed, remark
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
-from dpcontrol.judge.decoding import decode_run
+from dpcontrol.judge.decoding import Visit, decode_run
 from dpcontrol.plans.itinerary import Itinerary
 from dpcontrol.plans.pieces import ways_round
 from dpcontrol.plans.transfers import kept_transfer
-from dpcontrol.references.reference import Reference, StartNote, plan_notes, start_arrays
+from dpcontrol.references.content import PlanStart
+from dpcontrol.references.reference import Reference
 
 _RATE = 100.0
 """Sampling rate of a stop's places, Hz: joints are whole ticks at usual rates."""
@@ -29,68 +31,60 @@ _STILL = 1e-6
 """Tolerance of a state at rest: rad, rad/s, m and m/s."""
 
 
-def no_listener(note: StartNote, lead_in: Reference | None) -> None:
-    """Ignore a start.
-
-    Args:
-        note: ignored.
-        lead_in: ignored.
-    """
-
-
 def planned_starts(
     itinerary: Itinerary,
     reference: Reference,
     *,
-    found: Callable[[StartNote, Reference | None], None] = no_listener,
+    found: Callable[[PlanStart], None] | None = None,
     progress: Progress = no_progress,
-) -> tuple[list[StartNote], dict[str, Array]]:
-    """Return the notes of the possible starts, and their arrays.
-
-    The starts lead to an itinerary's stops, in order.
+) -> tuple[PlanStart, ...]:
+    """Return the possible starts, which lead to an itinerary's stops in order.
 
     A stop that cannot be reached from rest is skipped with a remark, and the one before it is used.
 
     Args:
         itinerary: arms, limits and settings.
         reference: reference of the plan.
-        found: called with each planned start and its transfer, or None for a stop at rest.
+        found: called with each planned start.
         progress: receiver of progress reports.
 
     Raises:
         GoalMissed: the first stop cannot be reached.
     """
-    notes = plan_notes(reference)
-    n = itinerary.model.arms.count
+    stops, n = reference.content.stops, itinerary.model.arms.count
     times = np.arange(0.0, reference.duration, 1 / _RATE)
     states = reference.state(times)
-    decoded = decode_run(times, states[:, :n], reference)
-    starts: list[StartNote] = []
-    arrays: dict[str, Array] = {}
-    stays = decoded.visits
-    for stop, stay in enumerate(stays):
-        here = part_of(progress, stop / len(stays), (stop + 1) / len(stays))
-        angles = np.array(notes["stops"][stop]["angles"])
-        places = _places(states[stay.first : stay.last + 1], angles) + stay.first
-        first = states[places[0]]
-        turns = np.rint(first[:n] / (2 * np.pi))
-        if np.abs(first - np.pad(2 * np.pi * turns, (0, n + 2))).max() <= _STILL:
-            at = float(times[places[0]])
-            starts.append(StartNote(stop=stop, at=at, turns=[int(turn) for turn in turns], status="at rest"))
-            found(starts[-1], None)
-            continue
+    starts: list[PlanStart] = []
+    stays = decode_run(times, states[:, :n], reference).visits
+    for number, stay in enumerate(stays):
+        here = part_of(progress, number / len(stays), (number + 1) / len(stays))
         try:
-            lead_in, place, short = _transfer(itinerary, states, places, here)
+            start = _start(itinerary, number, states[stay.first : stay.last + 1], stay, here)
         except GoalMissed as error:
-            text = f"from rest to stop {stop + 1} ({notes['stops'][stop]['saddle']}): {error}"
+            text = f"from rest to stop {number + 1} ({stops[number].saddle}): {error}"
             if not starts:
                 raise GoalMissed(f"{itinerary.path}: on_fall: {text}") from error
             remark(f"{itinerary.path}: on_fall: {text}; after a fall, the run returns to the stop before it")
             continue
-        arrays |= start_arrays(len(starts), lead_in)
-        starts.append(StartNote(stop=stop, at=float(times[place]), turns=short, status=lead_in.status))
-        found(starts[-1], lead_in)
-    return starts, arrays
+        starts.append(start)
+        if found is not None:
+            found(start)
+    return tuple(starts)
+
+
+def _start(itinerary: Itinerary, number: int, states: Array, stay: Visit, progress: Progress) -> PlanStart:
+    """Return the start to a stop with states (K, N) of its stay."""
+    n = itinerary.model.arms.count
+    places = _places(states, np.array(stay.angles))
+    first = states[places[0]]
+    turns = np.rint(first[:n] / (2 * np.pi))
+    if np.abs(first - np.pad(2 * np.pi * turns, (0, n + 2))).max() <= _STILL:
+        at = (stay.first + int(places[0])) * (1 / _RATE)
+        return PlanStart(number, at, tuple(turns.astype(int).tolist()), "at rest")
+    lead_in, place, short = _transfer(itinerary, states, places, progress)
+    return PlanStart(
+        number, (stay.first + place) * (1 / _RATE), short, **picked(lead_in, "status", "mesh", "states", "inputs")
+    )
 
 
 def _places(states: Array, angles: Array) -> NDArray[np.intp]:
@@ -115,18 +109,18 @@ def _places(states: Array, angles: Array) -> NDArray[np.intp]:
 
 def _transfer(
     itinerary: Itinerary, states: Array, places: Sequence[int] | NDArray[np.intp], progress: Progress
-) -> tuple[Reference, int, list[int]]:
+) -> tuple[Reference, int, tuple[int, ...]]:
     """Return a transfer from rest to one of several places.
 
     The places are those of states (K, N). The place and the missing turns follow.
     """
     n = itinerary.model.arms.count
-    candidates: list[tuple[int, list[int], Array]] = []
+    candidates: list[tuple[int, tuple[int, ...], Array]] = []
     for place in places:
         for turns in ways_round(-states[place, :n] / (2 * np.pi)):
             end = states[place].copy()
             end[:n] += 2 * np.pi * turns
-            candidates.append((int(place), [-int(turn) for turn in turns], end))
+            candidates.append((int(place), tuple(-int(turn) for turn in turns), end))
     limits = itinerary.limits
     if itinerary.loop.travel:
         limits = replace(limits, position=min(limits.position, itinerary.loop.travel))

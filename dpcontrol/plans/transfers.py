@@ -43,15 +43,10 @@ from dpcontrol.orbits.family import lyapunov_family
 from dpcontrol.orbits.lyapunov import LyapunovOrbit, equilibrium
 from dpcontrol.orbits.manifold import OrbitCurve
 from dpcontrol.plans.itinerary import Itinerary
+from dpcontrol.references.content import Approach, TransferCost
 from dpcontrol.references.find import find_transfer
 from dpcontrol.references.problem import PLANNING, Limits, ReferenceSettings
-from dpcontrol.references.reference import (
-    ApproachNote,
-    Reference,
-    TransferNote,
-    load_reference,
-    save_reference,
-)
+from dpcontrol.references.reference import Reference, load_reference, save_reference
 from dpcontrol.references.trajectory import Trajectory
 
 _SAMPLING = 2e-3
@@ -285,12 +280,12 @@ def turned(reference: Reference, angles: Array) -> Reference:
     return replace(reference, states=reference.states + turns)
 
 
-def transfer_notes(
+def transfer_costs(
     system: System,
     transfers: Sequence[tuple[str, float, Reference]],
     *,
     progress: Progress = no_progress,
-) -> list[TransferNote]:
+) -> tuple[TransferCost, ...]:
     """Return costs and approaches of transfers.
 
     Args:
@@ -298,26 +293,27 @@ def transfer_notes(
         transfers: text, begin in s and motion of each transfer.
         progress: receiver of progress reports.
     """
-    times = [np.linspace(0.0, one.duration, round(one.duration / _SAMPLING) + 1) for _, _, one in transfers]
-    states = [one.state(at) for (_, _, one), at in zip(transfers, times, strict=True)]
-    notes: list[TransferNote] = [
-        {
-            "text": text, "begin": begin, "duration": one.duration,
-            "effort": one.rms_cart_acceleration**2 * one.duration, "stroke": float(np.ptp(rows[:, -2])),
-            "closest": [],
-        }
-        for (text, begin, one), rows in zip(transfers, states, strict=True)
-    ]  # fmt: skip
+    times = [np.linspace(0.0, motion.duration, round(motion.duration / _SAMPLING) + 1) for _, _, motion in transfers]
+    states = [motion.state(at) for (_, _, motion), at in zip(transfers, times, strict=True)]
     pendulum = [rows[:, :-2] for rows in states]
     energies = [system.numeric.hamiltonian(rows) for rows in pendulum]
     span = min(float(e.min()) for e in energies), max(float(e.max()) for e in energies)
+    families: list[Sequence[LyapunovOrbit]] = []
     for k, saddle in enumerate(system.saddles):
         progress(f"closest approach to the orbits about {saddle}", k / len(system.saddles))
         here = part_of(progress, k / len(system.saddles), (k + 1) / len(system.saddles))
-        for orbits in _families(system, saddle, span, here):
-            for note, at, rows in zip(notes, times, pendulum, strict=True):
-                note["closest"].append(_closest(orbits, at, rows))
-    return notes
+        families += _families(system, saddle, span, here)
+    return tuple(
+        TransferCost(
+            text,
+            begin,
+            motion.duration,
+            motion.rms_cart_acceleration**2 * motion.duration,
+            float(np.ptp(states[k][:, -2])),
+            tuple(_closest(orbits, times[k], pendulum[k]) for orbits in families),
+        )
+        for k, (text, begin, motion) in enumerate(transfers)
+    )
 
 
 def _families(
@@ -338,7 +334,7 @@ def _families(
     return found
 
 
-def _closest(orbits: Sequence[LyapunovOrbit], times: Array, states: Array) -> ApproachNote:
+def _closest(orbits: Sequence[LyapunovOrbit], times: Array, states: Array) -> Approach:
     """Return the closest approach to a family's orbits or saddle.
 
     The states (K, 2n) are at `times` (K,).
@@ -348,11 +344,10 @@ def _closest(orbits: Sequence[LyapunovOrbit], times: Array, states: Array) -> Ap
     if away.min() < _MET:
         end = int(np.argmin(away))
         energy = equilibrium(first.system, first.saddle).energy
-        return {"orbit": first.name, "distance": 0.0, "energy": energy, "time": float(times[-end])}
+        return Approach(first.name, 0.0, energy, float(times[-end]))
     found: list[tuple[float, float, float]] = []
     for orbit in orbits:
         distances = OrbitCurve(orbit).distances(states)[1]
         k = int(np.argmin(distances))
         found.append((float(distances[k]), orbit.energy, float(times[k])))
-    distance, energy, time = min(found)
-    return {"orbit": first.name, "distance": distance, "energy": energy, "time": time}
+    return Approach(first.name, *min(found))

@@ -86,7 +86,7 @@ from dpcontrol.loop.result import BatchRun, Ending
 from dpcontrol.plans.itinerary import Itinerary
 from dpcontrol.plans.overrides import canonical
 from dpcontrol.plans.plan import Plan, recoverable
-from dpcontrol.references.reference import PlanNotes, Reference, load_reference, transitions_in
+from dpcontrol.references.reference import Reference, load_reference
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -243,8 +243,8 @@ def _row(job: Job, reference: Reference, seed: int, run: BatchRun, *, path: str)
         hardest=run.hardest,
     )
     verdict = verdict_on(flown, reference)
-    symbols = reference.notes["symbols"]
-    undone = symbols[verdict.symbols]["text"] if verdict.symbols < len(symbols) else ""
+    symbols = reference.content.symbols
+    undone = symbols[verdict.symbols].text if verdict.symbols < len(symbols) else ""
     away = flown.angles - flown.reference_angles
     return {
         "itinerary": job.itinerary,
@@ -596,28 +596,30 @@ def transitions_of(plan: Plan) -> tuple[Plan, ...]:
     Raises:
         InputError: there is none.
     """
-    scene, reference, notes = plan.itinerary, plan.reference, plan.notes
-    ends = [0.0, *(time for way in notes["transfers"] for time in way), float(reference.mesh[-1])]
+    scene, reference, content = plan.itinerary, plan.reference, plan.content
+    ends = [0.0, *(time for way in content.transfers for time in way), float(reference.mesh[-1])]
     found: list[Plan] = []
-    for k, way in transitions_in(notes):
-        symbol = notes["symbols"][k]
-        name = f"{symbol['source']} to {symbol['target']}"
+    for k, way in content.transitions():
+        symbol = content.symbols[k]
+        name = f"{symbol.source} to {symbol.target}"
         begin, end = ends[2 * way], ends[2 * way + 3]
         first, last = np.searchsorted(reference.mesh, (begin - 1e-9, end - 1e-9))
-        part: PlanNotes = {
-            **notes,
-            "itinerary": name,
-            "title": name,
-            "walk": [notes["walk"][k]],
-            "wraps": [],
-            "stops": notes["stops"][k : k + 2],
-            "symbols": [{**symbol, "time": symbol["time"] - begin}],
-            "transfers": [[time - begin for time in notes["transfers"][way]]],
-        }
+        part = replace(
+            content,
+            itinerary=name,
+            title=name,
+            wraps=(),
+            stops=content.stops[k : k + 2],
+            symbols=(replace(symbol, time=symbol.time - begin),),
+            transfers=((ends[2 * way + 1] - begin, ends[2 * way + 2] - begin),),
+        )
         alone = replace(
-            reference, mesh=reference.mesh[first : last + 1] - begin, states=reference.states[first:last],
-            inputs=reference.inputs[first:last], notes={**part},
-        )  # fmt: skip
+            reference,
+            mesh=reference.mesh[first : last + 1] - begin,
+            states=reference.states[first:last],
+            inputs=reference.inputs[first:last],
+            plan=part,
+        )
         found.append(Plan(replace(scene, name=name, title=name), alone, plan.file, cached=True))
     if not found:
         raise InputError(f"{scene.name} has no transitions: they lead from one equilibrium to another; see twelve")
@@ -697,16 +699,11 @@ def run_campaign(
         _write(file, table)
         shutil.rmtree(parts, ignore_errors=True)
     found = _summary(itinerary.name, cases, table, seconds=time.perf_counter() - began, file=file)
-    return replace(found, alone={one.itinerary.name: _ends(one) for one in plans}) if transitions else found
-
-
-def _ends(plan: Plan) -> tuple[str, str, float]:
-    """Return start, end and duration of a plan of one transition.
-
-    The duration is in s.
-    """
-    (symbol,), ((begin, end),) = plan.notes["symbols"], plan.notes["transfers"]
-    return symbol["source"], symbol["target"], end - begin
+    alone = {
+        content.itinerary: (content.symbols[0].source, content.symbols[0].target, float(np.ptp(content.transfers[0])))
+        for content in (one.content for one in plans if transitions)
+    }
+    return replace(found, alone=alone)
 
 
 def check_table(file: Path, record: Mapping[str, Any]) -> None:

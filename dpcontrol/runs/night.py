@@ -47,7 +47,8 @@ from dpcontrol.loop.result import LogSink, SinkBeside
 from dpcontrol.plans.itinerary import Itinerary, stored_itinerary
 from dpcontrol.plans.overrides import canonical
 from dpcontrol.plans.plan import Plan, expected_seconds, make_plan, recoverable, with_kept_starts
-from dpcontrol.references.reference import Reference, StartNote, load_reference, plan_notes, start_reference
+from dpcontrol.references.content import PlanStart
+from dpcontrol.references.reference import load_reference
 from dpcontrol.runs.run import (
     LiveSink,
     RigLink,
@@ -275,9 +276,9 @@ def _plan_starts(
     itinerary = replace(stored_itinerary(path, reference), loop=loop)
     assembly, sent = Assembly(reference, itinerary.model.arms, loop), list[int]()
 
-    def found(note: StartNote, lead_in: Reference | None) -> None:
-        pipe.send(assembly.start(note, lead_in, main))
-        sent.append(note["stop"])
+    def found(start: PlanStart) -> None:
+        pipe.send(assembly.start(start, main))
+        sent.append(start.stop)
 
     warnings.showwarning = lambda message, *_, **__: pipe.send(str(message))
     try:
@@ -285,9 +286,9 @@ def _plan_starts(
     except GoalMissed as missed:
         pipe.send(missed)
         return
-    for k, note in enumerate([] if sent else plan_notes(known).get("starts", ())):
+    for start in () if sent else known.content.starts:
         # Another process may have cached them by now.
-        found(note, start_reference(known, k))
+        found(start)
 
 
 def _gigabytes(size: float) -> str:

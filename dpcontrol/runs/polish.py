@@ -21,8 +21,8 @@ import json
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from io import BytesIO
-from itertools import pairwise
-from typing import Any, ClassVar
+from itertools import groupby, pairwise
+from typing import ClassVar
 
 import numpy as np
 
@@ -36,15 +36,16 @@ from dpcontrol.foundation.processes import in_processes, processors
 from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress, part_of
 from dpcontrol.foundation.shown import Shown
 from dpcontrol.foundation.statistics import Share, wilson
-from dpcontrol.judge.decoding import FOLLOWS, orbit_distance, orbit_index, shortfall
+from dpcontrol.judge.decoding import crossing, orbit_distance, shortfall
 from dpcontrol.orbits.lyapunov import resting_place
 from dpcontrol.plans.pieces import STILL
 from dpcontrol.plans.plan import Plan
-from dpcontrol.plans.transfers import transfer_notes
+from dpcontrol.plans.transfers import transfer_costs
+from dpcontrol.references.content import PlanSymbol
 from dpcontrol.references.find import find_reference, on_mesh, tail
 from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import PLANNING, EndConditions, Guess, Limits, ReferenceProblem, ReferenceSettings
-from dpcontrol.references.reference import PlanNotes, Reference, SymbolNote, joined, load_reference, plan_notes
+from dpcontrol.references.reference import Reference, joined, load_reference
 from dpcontrol.references.trajectory import Trajectory, even_mesh
 from dpcontrol.references.transcription import solve
 from dpcontrol.runs.campaign import Case, Job
@@ -187,12 +188,12 @@ def check_polishable(plan: Plan) -> None:
     Raises:
         InputError: one of the two fails.
     """
-    notes, scene = plan.notes, plan.itinerary
+    content, scene = plan.content, plan.itinerary
     rest = resting_place(scene.model.system)
-    ends = [notes["stops"][k]["saddle"] for k in (0, -1)]
-    if "polished" in notes:
+    ends = [content.stops[k].saddle for k in (0, -1)]
+    if content.polished:
         raise InputError(f"{scene.path} is polished already; polish the itinerary that it was made from")
-    if not notes["symbols"] or ends != [rest, rest] or scene.start == "orbit" or "program" in notes:
+    if not content.symbols or ends != [rest, rest] or scene.start == "orbit" or content.segments:
         raise InputError(
             f"{scene.path}: --polish needs a motion from rest to rest, and this one leads from {ends[0]} to {ends[1]}; "
             'set start = "rest" and finish = "rest", or omit --polish'
@@ -210,7 +211,7 @@ def _key(plan: Plan) -> str:
 def _polished(plan: Plan, progress: Progress) -> Reference:
     """Return the polished reference, or the robust one.
 
-    A polished one has notes, a robust one the reason in its status.
+    The robust one has the reason in its status.
     """
     robust, none = plan.reference, np.zeros(plan.itinerary.model.arms.count)
     spans = list(stretches(robust))
@@ -302,12 +303,12 @@ def stretches(robust: Reference) -> Iterator[tuple[float, float, bool]]:
     Args:
         robust: reference of the robust plan.
     """
-    notes, after = plan_notes(robust), 0.0
-    ways = notes["transfers"]
-    for stop, symbol in zip(notes["stops"][1:-1], notes["symbols"], strict=False):
-        if notes["orbits"][orbit_index(notes, stop)]["multiplier"] != 1.0:
+    content, after = robust.content, 0.0
+    ways = content.transfers
+    for stop, symbol in zip(content.stops[1:-1], content.symbols, strict=False):
+        if content.orbit(stop).multiplier != 1.0:
             continue
-        k = next(k for k, (begin, end) in enumerate(ways) if begin <= symbol["time"] <= end)
+        k = next(k for k, (begin, end) in enumerate(ways) if begin <= symbol.time <= end)
         yield after, ways[k][1], True
         yield ways[k][1], ways[k + 1][0], False
         after = ways[k + 1][0]
@@ -322,13 +323,11 @@ class _Crossed:
 
     Attributes:
         times: times of the symbols, s.
-        states: states there (S, N).
         events: events of each walk.
         halves: half wobbles at each interior stop, or None if it has no count.
     """
 
     times: list[float]
-    states: Array
     events: list[list[tuple[int, int, int]]]
     halves: list[int | None]
 
@@ -359,104 +358,78 @@ def _crossed(robust: Reference, motion: Reference) -> _Crossed:
     Raises:
         LookupError: a symbol does not cross its section on its turns.
     """
-    notes = plan_notes(robust)
-    n = len(notes["stops"][0]["angles"])
+    content = robust.content
+    n = len(content.stops[0].angles)
     grid = np.arange(0.0, motion.duration, _LOOK)
     angles = motion.state(motion.mesh[0] + grid)[:, :n]
     times, after = list[float](), 0.0
-    for symbol in notes["symbols"]:
-        if symbol["section"] is not None:
-            after = _crossing(robust, grid, angles, symbol, after)
-        times.append(after if symbol["section"] is not None else symbol["time"])
-    walks, events = list[list[int]](), list[list[tuple[int, int, int]]]()
-    for k, symbol in enumerate(notes["symbols"]):
-        if symbol["section"] is not None:
-            if k and notes["symbols"][k - 1]["section"] is not None:
-                walks[-1].append(k)
-            else:
-                walks.append([k])
-    for walk in walks:
-        inside = (grid >= times[walk[0]] - _LOOK) & (grid <= times[walk[-1]] + _LOOK)
-        events.append(_events([notes["symbols"][k] for k in walk], angles[inside]))
+    for symbol in content.symbols:
+        if symbol.section is None:
+            times.append(symbol.time)
+            continue
+        seen = crossing(grid, angles, symbol, robust, between=(after, symbol.time))
+        if seen is None:
+            raise LookupError(f"symbol {symbol.text!r} does not cross its section")
+        times.append(after := seen)
+    events = list[list[tuple[int, int, int]]]()
+    for transfer, group in groupby(zip(content.symbols, times, strict=True), lambda pair: pair[0].section is None):
+        if not transfer:
+            walk = list(group)
+            inside = (grid >= walk[0][1] - _LOOK) & (grid <= walk[-1][1] + _LOOK)
+            events.append(_events([symbol for symbol, _ in walk], angles[inside]))
     halves: list[int | None] = []
     for k, (arrived, left) in enumerate(pairwise(times)):
-        if notes["wraps"][k] is None:
+        if content.wraps[k] is None:
             halves.append(None)
             continue
-        stop = notes["stops"][k + 1]
+        stop = content.stops[k + 1]
         # The arm that swings farther on the stop's orbit counts its wobbles.
-        arm = int(np.argmax(np.ptp(robust.extra[f"orbit_{orbit_index(notes, stop)}"][:, :n], axis=0)))
-        above = angles[(grid >= arrived) & (grid <= left), arm] > stop["angles"][arm]
+        arm = int(np.argmax(np.ptp(content.orbit(stop).curve[:, :n], axis=0)))
+        above = angles[(grid >= arrived) & (grid <= left), arm] > stop.angles[arm]
         halves.append(int(np.count_nonzero(above[1:] != above[:-1])))
-    return _Crossed(times, motion.state(motion.mesh[0] + np.array(times)), events, halves)
+    return _Crossed(times, events, halves)
 
 
-def _crossing(robust: Reference, grid: Array, angles: Array, symbol: SymbolNote, after: float) -> float:
-    """Return the time at which a symbol crosses its section, s.
-
-    The crossing has the symbol's direction and turns, and is nearest to its due time.
-    """
-    section, n = symbol["section"], angles.shape[1]
-    assert section is not None
-    normal = np.asarray(section["normal"][:n])
-    rate = float(robust.state(robust.mesh[0] + symbol["time"])[n : 2 * n] @ normal)
-    height = (angles @ normal - section["value"]) * np.sign(rate)
-    rows = np.flatnonzero((height[:-1] <= 0) & (height[1:] > 0) & (grid[:-1] >= after))
-    rows = rows[np.abs(angles[rows] - section["angles"]).max(axis=1) <= FOLLOWS]
-    if not rows.size:
-        raise LookupError(f"symbol {symbol['text']!r} does not cross its section")
-    row = rows[np.argmin(np.abs(grid[rows] - symbol["time"]))]
-    return float(grid[row] + _LOOK * height[row] / (height[row] - height[row + 1]))
-
-
-def _events(walk: list[SymbolNote], angles: Array) -> list[tuple[int, int, int]]:
+def _events(walk: list[PlanSymbol], angles: Array) -> list[tuple[int, int, int]]:
     """Return the crossings of a walk's sections in order.
 
     Each is section, turn and direction. The angles are (K, n).
     """
-    found, known = list[tuple[int, int, int, int]](), list[Any]()
+    events = list[tuple[int, int, int, int]]()
+    values: dict[tuple[float, ...], float] = {}
     for symbol in walk:
-        section = symbol["section"]
-        assert section is not None
-        if section["normal"] in known:
-            continue
-        known.append(section["normal"])
-        height = angles @ np.asarray(section["normal"][: angles.shape[1]]) - section["value"]
-        turn = np.floor(height / (2 * np.pi)).astype(int)
+        if symbol.section is not None:
+            values.setdefault(symbol.section.normal, symbol.section.value)
+    for number, (normal, value) in enumerate(values.items(), start=1):
+        turn = np.floor((angles @ np.asarray(normal[: angles.shape[1]]) - value) / (2 * np.pi)).astype(int)
         for row in np.flatnonzero(np.diff(turn)):
             step = int(np.sign(turn[row + 1] - turn[row]))
-            found.append((int(row), len(known), int(max(turn[row], turn[row + 1])), step))
-    return [event for _, *event in sorted(found)]  # type: ignore[misc]
+            events.append((int(row), number, int(max(turn[row], turn[row + 1])), step))
+    return [(number, turn, step) for _, number, turn, step in sorted(events)]
 
 
 def _noted(plan: Plan, motion: Reference) -> Reference:
-    """Return a polished motion with the notes of its plan.
-
-    Crossings of symbols and present transfers.
-    """
-    robust = plan.reference
-    crossed, notes = _crossed(robust, motion), {**robust.notes}
-    n = plan.itinerary.model.arms.count
-    notes["symbols"] = [
-        symbol if symbol["section"] is None
-        else {**symbol, "time": time, "section": {**symbol["section"], "angles": state[:n].tolist()}}
-        for symbol, time, state in zip(notes["symbols"], crossed.times, crossed.states, strict=True)
-    ]  # fmt: skip
-    none = np.zeros(n)
+    """Return a polished motion with the content of its plan, at its times of crossings and with its transfers."""
+    content, n = plan.content, plan.itinerary.model.arms.count
+    times = _crossed(plan.reference, motion).times
+    angles = motion.state(motion.mesh[0] + np.array(times))[:, :n].tolist()
+    symbols = tuple(
+        symbol
+        if symbol.section is None
+        else replace(symbol, time=time, section=replace(symbol.section, angles=tuple(place)))
+        for symbol, time, place in zip(content.symbols, times, angles, strict=True)
+    )
     ways = [
-        (note["text"], begin, tail(motion, begin, seconds=end - begin, turns=none))
-        for note, (begin, end) in zip(notes["taken"], notes["transfers"], strict=True)
+        (cost.text, begin, tail(motion, begin, seconds=end - begin, turns=np.zeros(n)))
+        for cost, (begin, end) in zip(content.costs, content.transfers, strict=True)
     ]
-    notes["taken"] = transfer_notes(plan.itinerary.model.system, ways)
-    notes.pop("starts", None)
-    notes["plan"] = _key(plan)
-    extra = {name: array for name, array in robust.extra.items() if name.startswith("orbit_")}
-    motion = replace(motion, notes=notes, extra=extra)
-    notes["polished"] = nearness(motion)
-    return replace(motion, notes=notes)
+    costs = transfer_costs(plan.itinerary.model.system, ways)
+    content = replace(content, symbols=symbols, costs=costs, starts=(), key=_key(plan))
+    distances = nearness(replace(motion, plan=content))
+    return replace(motion, plan=replace(content, polished=distances))
 
 
-def nearness(plan: Reference) -> list[float]:
+def nearness(plan: Reference) -> tuple[float, ...]:
     """Return the least scaled distance to each stop's orbit.
 
     The distance is that of the plan's reference, from stop to stop.
@@ -464,12 +437,11 @@ def nearness(plan: Reference) -> list[float]:
     Args:
         plan: reference of a plan.
     """
-    notes: PlanNotes = plan_notes(plan)
-    times = [0.0, *(symbol["time"] for symbol in notes["symbols"]), plan.duration]
-    return [
+    times = [0.0, *(symbol.time for symbol in plan.content.symbols), plan.duration]
+    return tuple(
         orbit_distance(plan.state(plan.mesh[0] + np.linspace(begin, end, 400)), stop, plan)
-        for stop, (begin, end) in zip(notes["stops"], pairwise(times), strict=True)
-    ]
+        for stop, (begin, end) in zip(plan.content.stops, pairwise(times), strict=True)
+    )
 
 
 def _sides(plans: list[tuple[str, Plan]], runs: int, workers: int, progress: Progress) -> Iterator[Side]:

@@ -14,7 +14,6 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
@@ -58,6 +57,7 @@ from dpcontrol.judge.score import (
     REFERENCE_ATTACHMENT,
     THINKING_METADATA,
     Score,
+    arms_in,
     lacking,
     plan_of,
     score,
@@ -81,9 +81,8 @@ from dpcontrol.loop.controllers import CONTROLLERS, estimators_of, filter_of, la
 from dpcontrol.loop.loop import ControlLoop, LoopSettings
 from dpcontrol.loop.own import OwnLaw, OwnObject, OwnRig
 from dpcontrol.loop.result import Ending, LogSink, LoopResult, LoopSink, Sinks, SupervisorSettings, Ticks
-from dpcontrol.plans.itinerary import Itinerary, itinerary_from, setting_of
+from dpcontrol.plans.itinerary import Itinerary, planned_itinerary, setting_of
 from dpcontrol.plans.layout import BENCH
-from dpcontrol.plans.model import model_from
 from dpcontrol.plans.overrides import canonical, paths
 from dpcontrol.plans.plan import Plan, plan_key, recoverable
 from dpcontrol.rig.bench import BenchProcess, BenchRecipe, BenchServerSettings, RecordedRig, checked_faults
@@ -170,14 +169,17 @@ class Run(Timed):
         """
         from dpcontrol.runs.remedies import why
 
-        with TemporaryDirectory() as folder:
-            plan = _plan(self.log, Path(folder))
-            scene = itinerary_from(
-                plan.itinerary.text, plan.itinerary.name, plan.itinerary.model, plant=plan.itinerary.plant
+        plan = _plan(self.log)
+        typed = partial(_with_options, plan, planned_itinerary(plan.content))
+        with reporting(progress, "why") as report:
+            return why(
+                self.score(),
+                typed,
+                lambda one: run_plan(recoverable(one)).score(),
+                workers=workers,
+                yes=yes,
+                progress=report,
             )
-            typed, flown = partial(_with_options, plan, scene), lambda one: run_plan(recoverable(one)).score()
-            with reporting(progress, "why") as report:
-                return why(self.score(), typed, flown, workers=workers, yes=yes, progress=report)
 
     def margins(self) -> Margins:
         """Return the margins of gain, delay and lag.
@@ -186,8 +188,7 @@ class Run(Timed):
             InputError: the log lacks the plan, or its law has no margins.
             GoalMissed: no controller can be made for its reference.
         """
-        with TemporaryDirectory() as folder:
-            return assembled(_plan(self.log, Path(folder), repeats=False)).margins()
+        return assembled(_plan(self.log, repeats=False)).margins()
 
     @cached_property
     def _judged(self) -> Score | None:
@@ -210,11 +211,7 @@ class Run(Timed):
         Raises:
             InputError: this part of the log is damaged.
         """
-        text = self.log.metadata.get(PLANT_METADATA)
-        try:
-            return None if text is None else ArmChainParameters(**frozen(json.loads(text)))
-        except (TypeError, ValueError, AttributeError, RecursionError) as error:
-            raise InputError(f"{self.log.path}: its {PLANT_METADATA} do not read: {error}; run it again") from error
+        return arms_in(self.log, PLANT_METADATA)
 
     @property
     def time_range(self) -> tuple[float, float]:
@@ -540,42 +537,27 @@ def repeat_run(source: Path, out: Path, *, force: bool = False, progress: Progre
     checked_other_file(out, source, what="the log to repeat")
     # A log whose messages do not decode is refused before the run begins.
     compare_messages(source, source)
-    with TemporaryDirectory() as folder:
-        verdict = run_plan(_plan(log, Path(folder)), out, force=force, progress=progress).score()
+    verdict = run_plan(_plan(log), out, force=force, progress=progress).score()
     then, now = log.metadata.get("version", "?"), VERSION
     versions = None if then == now else f"the log was written by version {then}, this is {now}"
     return Repeat(verdict, compare_messages(source, out), versions)
 
 
-def _plan(log: RunLog, folder: Path, *, repeats: bool = True) -> Plan:
-    """Return the plan of a logged run, its file in `folder`.
+def _plan(log: RunLog, *, repeats: bool = True) -> Plan:
+    """Return the plan of a logged run.
 
     It serves a repetition, or else the margins.
     """
     cannot = "be repeated" if repeats else "have margins"
-    needed = (_SCENE, _MODEL, REFERENCE_ATTACHMENT)
-    missing = [name for name in needed if name not in log.attachments]
-    missing += [key for key in ("itinerary", "model", "run_settings") if key not in log.metadata]
-    if missing:
-        raise InputError(f"{log.path} cannot {cannot}: it lacks {', '.join(missing)}; give a log of `dpcontrol run`")
     if repeats and (log.truth is None or "rig" in log.metadata):
         where = f"the rig at {log.metadata['rig']}" if "rig" in log.metadata else "a rig"
         raise InputError(
             f"{log.path} cannot be repeated: it was made on {where}, and only simulated runs are repeatable; "
             f"`dpcontrol replay` compares it with a model"
         )
-    try:
-        model_text, scene_text = (log.attachments[name].decode() for name in (_MODEL, _SCENE))
-    except UnicodeDecodeError as error:
-        raise InputError(f"{log.path} cannot {cannot}: its model or itinerary is damaged ({error})") from error
-    model = model_from(model_text, log.metadata["model"])
     reference = plan_of(log)
-    itinerary = itinerary_from(
-        scene_text, log.metadata["itinerary"], model, plant=reference.notes.get("made_from", {}).get("plant", "")
-    )
-    file = folder / REFERENCE_ATTACHMENT
-    file.write_bytes(log.attachments[REFERENCE_ATTACHMENT])
-    return Plan(_with_settings(itinerary, log, cannot=cannot), reference, file, cached=True)
+    itinerary = _with_settings(planned_itinerary(reference.content), log, cannot=cannot)
+    return Plan(itinerary, reference, Path(), cached=True)
 
 
 def _with_options(plan: Plan, scene: Itinerary, change: Mapping[str, Any]) -> Plan:
@@ -596,18 +578,17 @@ def _with_options(plan: Plan, scene: Itinerary, change: Mapping[str, Any]) -> Pl
     accounted = scene.with_run(own, seed=then.loop.seed).loop == then.loop
     chosen = scene.with_run({**own, **canonical(change)}, seed=then.loop.seed) if accounted else then.with_run(change)
     reference = plan.reference
-    if chosen.loop.travel != then.loop.travel and "starts" in reference.notes:
+    if chosen.loop.travel != then.loop.travel:
         # Starts are planned for the travel.
-        notes = {name: note for name, note in reference.notes.items() if name != "starts"}
-        reference = replace(reference, notes=notes)
+        reference = replace(reference, plan=replace(reference.content, starts=()))
     return replace(plan, itinerary=chosen, reference=reference)
 
 
 def _with_settings(itinerary: Itinerary, log: RunLog, *, cannot: str) -> Itinerary:
     """Return the itinerary with the run's recorded settings, overrides included."""
-    text = log.metadata["run_settings"]
     try:
-        return replace(itinerary, loop=stored_settings(json.loads(text), str(log.path)))
+        settings = json.loads(log.metadata["run_settings"])
+        return replace(itinerary, loop=stored_settings(settings, str(log.path)))
     except (TypeError, ValueError, LookupError, RecursionError) as error:
         raise InputError(f"{log.path} cannot {cannot}: its run settings are not readable: {error}") from error
     except InputError as error:

@@ -1,11 +1,24 @@
 """Stops, symbols and wraps decoded from angles, on plans written by hand with known motions."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from dpcontrol.judge.decoding import decode_run
+from dpcontrol.plans.model import load_model
+from dpcontrol.references.content import (
+    FlightSegment,
+    Origin,
+    PlanContent,
+    PlanOrbit,
+    PlanSaddle,
+    PlanSection,
+    PlanStop,
+    PlanSymbol,
+    Shadowing,
+)
 
 PERIOD = 0.8
 WRAPS = 4
@@ -30,31 +43,40 @@ def motion(times: np.ndarray, first: float, second: float, directions: tuple[flo
 
 
 FIRST, SECOND, END = 2.0, 5.4, 8.0
+ORBIT = PlanOrbit("down-up", 0.0, PERIOD, 1e3, np.zeros((2, 4)))
 
 
-def plan(*, directions: tuple[float, float] = (1.0, 1.0), wraps: int = WRAPS, **more):
+def plan(*, directions: tuple[float, float] = (1.0, 1.0), **more):
     """A plan of two turns of the outer arm, `FIRST` and `SECOND` s after its start."""
     lifts = np.cumsum([0.0, *directions]) * TURN
-    gap = (SECOND - FIRST) / PERIOD - wraps
-    symbol = {"time_in": 0.0, "time_out": 0.0, "phase_in": 0.0, "phase_out": gap % 1.0, "text": "down-up"}
+    gap = (SECOND - FIRST) / PERIOD - WRAPS
     assert 0 <= gap < 1
-    symbols = [
-        {
-            **symbol, "time": at,
-            "section": {
-                "normal": [0.0, 1.0, 0.0, 0.0], "value": middle,
-                "angles": [float(wobble(np.array(at))), middle],
-            },
-        }
+    symbols = tuple(
+        PlanSymbol(
+            text="down-up",
+            source="down-up",
+            target="down-up",
+            winding=(0, 1),
+            time=at,
+            section=PlanSection((0.0, 1.0, 0.0, 0.0), middle, (float(wobble(np.array(at))), middle)),
+            phase_out=gap % 1.0,
+        )
         for at, middle in zip((FIRST, SECOND), np.pi + (lifts[:-1] + lifts[1:]) / 2, strict=True)
-    ]  # fmt: skip
-    notes = {
-        "stops": [{"saddle": "down-up", "angles": [0.0, np.pi + lift], "orbit": 0} for lift in lifts],
-        "symbols": symbols, "wraps": [wraps], "transfers": [], "orbits": [{"saddle": "down-up", "period": PERIOD}],
-        "saddles": {"down-up": {"angles": [0.0, np.pi]}, "up-down": {"angles": [np.pi, 0.0]}}, **more,
-    }  # fmt: skip
+    )
+    content = PlanContent(
+        itinerary="turns",
+        title="Two turns",
+        model="lab",
+        shadowing=Shadowing(),
+        origin=Origin("", "", "", "", "", load_model("lab").arms),
+        stops=tuple(PlanStop("down-up", (0.0, np.pi + lift), 0) for lift in lifts),
+        symbols=symbols,
+        wraps=(WRAPS,),
+        orbits=(ORBIT,),
+        saddles={"down-up": PlanSaddle((0.0, np.pi), 0.0), "up-down": PlanSaddle((np.pi, 0.0), 1.0)},
+    )
     return SimpleNamespace(
-        notes=notes, duration=END, mesh=np.array([0.0, END]),
+        content=replace(content, **more), duration=END, mesh=np.array([0.0, END]),
         state=lambda t: np.moveaxis(motion(np.asarray(t, dtype=float), FIRST, SECOND, directions).T, 0, -1),
     )  # fmt: skip
 
@@ -129,14 +151,15 @@ def test_a_run_can_wobble_after_the_plans_end() -> None:
 
 def test_a_run_whose_clock_skips_a_short_stop_ends_before_it() -> None:
     """The second turn comes a period early, so the plan's time jumps from 3.3 to 4.1 s, over the hold at 3.6 s."""
-    held = plan()
-    first, second = held.notes["symbols"]
-    between = {**first, "section": None}
-    held.notes["symbols"] = [first, {**between, "time": 3.3}, {**between, "time": 3.9}, second]
-    held.notes["transfers"] = [(3.0, 3.6), (3.7, 4.2)]
-    before, *_, after = held.notes["stops"]
-    held.notes["stops"] = [before, *[{**before, "angles": [0.0, np.pi + TURN]}] * 3, after]
-    held.notes["wraps"] = [None] * 3
+    turns = plan().content
+    first, second = turns.symbols
+    before, _, after = turns.stops
+    held = plan(
+        symbols=(first, replace(first, section=None, time=3.3), replace(first, section=None, time=3.9), second),
+        transfers=((3.0, 3.6), (3.7, 4.2)),
+        stops=(before, *[replace(before, angles=(0.0, np.pi + TURN))] * 3, after),
+        wraps=(None,) * 3,
+    )  # fmt: skip
     times = np.arange(0.0, END, 0.005)
     decoded = decode_run(times, motion(times, FIRST, SECOND - PERIOD), held)
     assert decoded.matched == 2
@@ -144,9 +167,8 @@ def test_a_run_whose_clock_skips_a_short_stop_ends_before_it() -> None:
 
 def test_a_kept_stop_may_have_any_phase_of_its_own_orbit() -> None:
     """The other orbit of the plan is faster, and half its period is no bound for the phase at this stop."""
-    kept = plan(program=[])
-    kept.notes["orbits"].append({"saddle": "up-down", "period": PERIOD / 8})
-    kept.notes["wraps"] = [None]
+    faster = PlanOrbit("up-down", 1.0, PERIOD / 8, 1e3, np.zeros((2, 4)))
+    kept = plan(segments=(FlightSegment("down-up", (0, 1)),), orbits=(ORBIT, faster), wraps=(None,))
     times = np.arange(0.0, END, 0.005)
     angles = motion(times, FIRST, SECOND)
     angles[:, 0] = wobble(times + PERIOD / 2 * np.clip((times - 6.2) / PERIOD, 0, 1))

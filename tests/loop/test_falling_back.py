@@ -52,9 +52,9 @@ def test_the_nearest_orbit_is_held_to_the_end_of_the_run(tmp_path: Path) -> None
     assert log.truth is not None
     assert log.time[-1] >= plan.duration - 1e-3
     assert np.abs(log.truth[:, 4]).max() < TRAVEL
-    angles = log.truth[log.time > log.time[-1] - plan.notes["orbits"][0]["period"], :2]
+    angles = log.truth[log.time > log.time[-1] - plan.content.orbits[0].period, :2]
     turned = angles - 2 * np.pi * np.rint((angles.mean(0) - [0, np.pi]) / (2 * np.pi))
-    gaps = np.abs(turned[:, None] - plan.extra["orbit_0"][None, :, :2]).max(-1).min(1)
+    gaps = np.abs(turned[:, None] - plan.content.orbits[0].curve[None, :, :2]).max(-1).min(1)
     assert gaps.max() < NEAR_ORBIT
 
 

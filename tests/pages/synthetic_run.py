@@ -5,8 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
-from dpcontrol.judge.run_view import PlacedOrbit, PlanView, RunView, series_of
+from dpcontrol.judge.run_view import PlanView, RunView, series_of
 from dpcontrol.logs import Event, LogWriter, Mode, read_log
+from dpcontrol.references.content import PlanOrbit
 
 ARM_LENGTHS = (0.1738, 0.2490)
 LIMITS = (0.9, 3.0, 30.0)
@@ -93,7 +94,7 @@ def view_of(path: Path, run: SyntheticRun) -> RunView:
         [0.25 * np.sin(phase), np.pi + 0.4 * np.sin(phase), 0.25 * rate * np.cos(phase), 0.4 * rate * np.cos(phase)]
     )
     plan = PlanView(
-        orbits=(PlacedOrbit("down-up at -0.07 J", states, "down-up"),),
+        orbits=(PlanOrbit("down-up", -0.07, 0.7, 1e3, states),),
         saddle_energies={"down-down": -0.4906, "down-up": -0.1754, "up-down": 0.1754, "up-up": 0.4906},
         symbols=((float(run.time[-1]) / 2, "down-up +"),),
     )

@@ -42,7 +42,6 @@ from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.model import load_model
 from dpcontrol.plans.plan import make_plan
 from dpcontrol.recordings.recording import simulated_recording
-from dpcontrol.references.reference import summarised
 
 LAB = load_model("lab")
 FEW_GUESSES = '[reference]\nmethod = "radau-5"\ninterval = 0.1\ntolerance = 1e-3\n'
@@ -60,7 +59,7 @@ def run_of_many_symbols(folder: Path) -> Figure:
 
 def reference(_: Path) -> Figure:
     plan = make_plan(load_itinerary("outer-turn"))
-    return draw(reference_view(summarised(plan.reference), plan.file))
+    return draw(reference_view(plan.reference, plan.file))
 
 
 def comparison(folder: Path) -> Figure:
@@ -123,7 +122,7 @@ def transitions(folder: Path) -> Figure:
     file = folder / "tour.toml"
     file.write_text(f'model = "lab"\nstart = "rest"\nfinish = "rest"\n{parts}{FEW_GUESSES}')
     plan = make_plan(load_itinerary(str(file)))
-    return draw_transitions(summarised(plan.reference))
+    return draw_transitions(plan.reference)
 
 
 QUICK = (run, campaign)

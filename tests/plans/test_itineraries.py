@@ -66,7 +66,7 @@ def test_a_repeated_walk_is_done_so_often_with_the_last_wrap_between_rounds(tmp_
 def test_a_repeated_walk_is_planned_run_and_scored_as_all_its_rounds(tmp_path: Path) -> None:
     plan = make_plan(load_itinerary(str(scene(tmp_path, wraps="[0, 0]", repeat="2", lead_in="1", lead_out="1"))))
     assert plan.reference.converged
-    assert plan.notes["wraps"] == [0, 0, 0]
-    assert [s["text"] for s in plan.notes["symbols"]] == ["down-up +", "down-up -"] * 2
+    assert plan.content.wraps == (0, 0, 0)
+    assert [s.text for s in plan.content.symbols] == ["down-up +", "down-up -"] * 2
     done = run_plan(plan).score()
     assert (done.completed, done.symbols_completed, done.wraps) == (True, 4, (0, 0, 0))

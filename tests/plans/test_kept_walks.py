@@ -14,6 +14,7 @@ from dpcontrol.judge.decoding import decode_run
 from dpcontrol.judge.score import score
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import Plan, make_plan
+from dpcontrol.references.content import FlightSegment
 from dpcontrol.runs.run import run_plan
 from tests.references.flown_again import gaps
 
@@ -49,7 +50,7 @@ def linger() -> Plan:
 
 def stays(plan: Plan) -> list[int]:
     """The whole periods of each stay."""
-    return [entry["periods"] for entry in plan.notes["program"] if "keep" in entry]
+    return [stay.periods for stay in plan.content.stays]
 
 
 def planned_wraps(plan: Plan) -> tuple[int | None, ...]:
@@ -57,7 +58,7 @@ def planned_wraps(plan: Plan) -> tuple[int | None, ...]:
     times = np.arange(0.0, plan.reference.duration, 1e-3)
     angles = plan.reference.state(times)[:, :2]
     decoded = decode_run(times, angles, plan.reference)
-    assert decoded.matched == len(plan.notes["stops"])
+    assert decoded.matched == len(plan.content.stops)
     return decoded.wraps
 
 
@@ -79,10 +80,10 @@ def test_flights_and_stays_are_one_motion(linger: Plan) -> None:
 
 @pytest.mark.slow
 def test_a_stay_repeats_one_period_of_its_orbit(linger: Plan) -> None:
-    entry = linger.notes["program"][2]
-    first, last = entry["rows"]
+    entry = linger.content.segments[2]
+    first, last = entry.rows
     states, rows = linger.reference.states, last - first
-    for k in range(entry["periods"]):
+    for k in range(entry.periods):
         begin = first + k * rows
         assert np.array_equal(states[begin : begin + rows], states[first:last])
 
@@ -99,7 +100,7 @@ def test_a_long_stay_costs_no_more_than_a_short_one(scene: Writer) -> None:
 @pytest.mark.slow
 def test_a_stop_without_room_for_a_period_is_flown_through(scene: Writer) -> None:
     plan = make_plan(load_itinerary(str(scene(wraps="[0]"))))
-    flights = [entry["fly"] for entry in plan.notes["program"] if "fly" in entry]
+    flights = [part.fly for part in plan.content.segments if isinstance(part, FlightSegment)]
     assert flights == ["down-up +, down-up -"]
     assert planned_wraps(plan) == (0,)
 
@@ -116,9 +117,9 @@ def test_ogy_hands_over_to_tvlqr_and_back_with_a_plant_five_per_cent_off(linger:
     assert log.truth is not None
     assert np.abs(log.truth[:, 4]).max() < TRAVEL
     # The orbit that it began on, whole turns apart: the last period is on it by the true state.
-    orbit = linger.reference.extra["orbit_0"]
-    period = linger.notes["orbits"][0]["period"]
-    angles = log.truth[log.time > log.time[-1] - period, :2] - linger.notes["stops"][-1]["angles"] + [0, np.pi]
+    orbit = linger.content.orbits[0].curve
+    period = linger.content.orbits[0].period
+    angles = log.truth[log.time > log.time[-1] - period, :2] - linger.content.stops[-1].angles + [0, np.pi]
     gaps = np.abs(angles[:, None] - orbit[None, :, :2]).max(-1).min(1)
     assert gaps.max() < NEAR_ORBIT
     judged = score(log)

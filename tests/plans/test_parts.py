@@ -39,9 +39,9 @@ def test_a_change_of_energy_is_one_motion_from_rest_to_rest(two_energies):
 @pytest.mark.slow
 def test_both_energies_are_there_while_their_walks_last(two_energies):
     """With friction and cart the pendulum's own energy stays near that of the walk that it follows."""
-    reference, notes = two_energies.reference, two_energies.notes
+    reference, content = two_energies.reference, two_energies.content
     numeric = two_energies.itinerary.model.system.numeric
-    times = {s["text"]: s["time"] for s in notes["symbols"]}
+    times = {s.text: s.time for s in content.symbols}
     for text, energy in (("down-up +", -0.07), ("down-up > up-down", 0.2)):
         near = reference.state(times[text] + np.linspace(-0.5, 0.5, 50))[:, :4]
         assert np.abs(numeric.hamiltonian(near) - energy).max() < 0.02
@@ -49,14 +49,14 @@ def test_both_energies_are_there_while_their_walks_last(two_energies):
 
 @pytest.mark.slow
 def test_stops_and_symbols_describe_the_whole_motion(two_energies):
-    notes = two_energies.notes
-    saddles = [stop["saddle"] for stop in notes["stops"]]
+    content = two_energies.content
+    saddles = [stop.saddle for stop in content.stops]
     assert saddles == ["down-down", "down-up", "down-up", "up-down", "up-up", "down-down"]
-    assert [s["name"] is None for s in notes["symbols"]] == [True, False, False, True, True]
-    assert notes["wraps"] == [None, None, None, None]
-    assert len(notes["transfers"]) == 4
-    for symbol, before, after in zip(notes["symbols"], notes["stops"][:-1], notes["stops"][1:], strict=True):
-        assert (symbol["source"], symbol["target"]) == (before["saddle"], after["saddle"])
+    assert [s.name is None for s in content.symbols] == [True, False, False, True, True]
+    assert content.wraps == (None, None, None, None)
+    assert len(content.transfers) == 4
+    for symbol, before, after in zip(content.symbols, content.stops[:-1], content.stops[1:], strict=True):
+        assert (symbol.source, symbol.target) == (before.saddle, after.saddle)
 
 
 @pytest.mark.slow

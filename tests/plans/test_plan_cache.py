@@ -4,7 +4,6 @@ import io
 import shutil
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +14,7 @@ from dpcontrol.judge.score import score
 from dpcontrol.logs import RunLog
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import make_plan, plan_key
-from dpcontrol.references.reference import Reference, load_reference, save_reference
+from dpcontrol.references.reference import load_reference, save_reference
 from dpcontrol.runs.run import run_plan
 
 
@@ -36,7 +35,7 @@ def test_a_plan_under_another_plans_name_is_computed_again(cache: Path) -> None:
     shutil.copyfile(made.file, stolen)
     plan = make_plan(turn)
     assert not plan.cached
-    assert plan.notes["itinerary"] == "outer-turn"
+    assert plan.content.itinerary == "outer-turn"
 
 
 @pytest.fixture(scope="module")
@@ -49,12 +48,8 @@ def test_a_kept_plan_whose_states_were_changed_is_never_served(
     cache: Path, turn_plan: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     turn = load_itinerary("outer-turn")
-    monkeypatch.setattr("dpcontrol.plans.planning.planned", lambda *_, **__: made_anew())
     sound = load_reference(io.BytesIO(turn_plan))
-
-    def made_anew() -> tuple[Reference, dict[str, Any], dict[str, Any]]:
-        return replace(sound, notes={}, extra={}), dict(sound.notes), dict(sound.extra)
-
+    monkeypatch.setattr("dpcontrol.plans.planning.planned", lambda *_, **__: sound)
     file = make_plan(turn).file
     assert make_plan(turn).cached
     with np.load(file) as archive:
@@ -74,8 +69,7 @@ def test_a_plan_is_made_and_run_where_the_cache_cannot_be_written(
     (tmp_path / "a file").touch()
     monkeypatch.setenv("DPCONTROL_CACHE", str(tmp_path / "a file"))
     sound = load_reference(io.BytesIO(turn_plan))
-    found = replace(sound, notes={}, extra={}), dict(sound.notes), dict(sound.extra)
-    monkeypatch.setattr("dpcontrol.plans.planning.planned", lambda *_, **__: found)
+    monkeypatch.setattr("dpcontrol.plans.planning.planned", lambda *_, **__: sound)
     ended = call("run", "outer-turn", "--out", tmp_path / "turn.mcap")
     assert ended.code == 0, ended.stderr
     assert call("plan", "outer-turn", "--json").document["file"] is None
@@ -98,17 +92,16 @@ def flown() -> RunLog:
 
 def test_a_log_whose_plan_lacks_a_part_is_refused_whole(flown: RunLog, tmp_path: Path) -> None:
     reference = load_reference(io.BytesIO(flown.attachments["reference.npz"]))
-    notes = {key: value for key, value in reference.notes.items() if key != "stops"}
-    save_reference(tmp_path / "other.npz", replace(reference, notes=notes))
+    save_reference(tmp_path / "other.npz", replace(reference, plan=replace(reference.content, stops=())))
     attachments = {**flown.attachments, "reference.npz": (tmp_path / "other.npz").read_bytes()}
-    with pytest.raises(InputError, match="holds no plan"):
+    with pytest.raises(InputError, match="is damaged"):
         score(replace(flown, attachments=attachments))
 
 
 def test_a_plan_with_damaged_notes_is_refused_when_it_is_read(flown: RunLog, tmp_path: Path) -> None:
     reference = load_reference(io.BytesIO(flown.attachments["reference.npz"]))
-    save_reference(file := tmp_path / "plan.npz", replace(reference, notes={**reference.notes, "stops": None}))
-    with pytest.raises(InputError, match="notes of its plan are damaged"):
+    save_reference(file := tmp_path / "plan.npz", replace(reference, plan=replace(reference.content, stops=())))
+    with pytest.raises(InputError, match="contradict each other"):
         load_itinerary(str(file))
     save_reference(file, reference)
     assert load_itinerary(str(file)).name == "outer-turn"

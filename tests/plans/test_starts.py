@@ -9,7 +9,6 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.loop.bench import Push
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import make_plan
-from dpcontrol.references.reference import plan_notes, start_reference
 from dpcontrol.runs.run import check_exportable, repeat_run, run_plan
 
 RESUME = {"on_fall": "resume", "lag": 0.005, "mismatch": 0.05, "travel": 0.8}
@@ -25,14 +24,14 @@ def plan():
 
 @pytest.mark.slow
 def test_each_stop_has_a_way_from_rest_that_ends_on_the_reference(plan) -> None:
-    starts = plan_notes(plan.reference)["starts"]
-    assert [start["stop"] for start in starts] == [0, 1]
-    for k, start in enumerate(starts):
-        lead_in = start_reference(plan.reference, k)
+    starts = plan.content.starts
+    assert [start.stop for start in starts] == [0, 1]
+    for start in starts:
+        lead_in = plan.reference.lead_in(start)
         assert lead_in is not None
         np.testing.assert_allclose(lead_in.state(0.0), 0.0, atol=1e-9)
-        meets = plan.reference.state(start["at"]) - lead_in.state(lead_in.duration)
-        meets[:2] -= 2 * np.pi * np.array(start["turns"])
+        meets = plan.reference.state(start.at) - lead_in.state(lead_in.duration)
+        meets[:2] -= 2 * np.pi * np.array(start.turns)
         np.testing.assert_allclose(meets, 0.0, atol=1e-6)
 
 
@@ -40,7 +39,7 @@ def test_each_stop_has_a_way_from_rest_that_ends_on_the_reference(plan) -> None:
 def test_a_plan_is_the_same_with_starts_and_without(plan) -> None:
     alone = make_plan(load_itinerary("outer-turn"))
     np.testing.assert_array_equal(alone.reference.states, plan.reference.states)
-    assert "starts" not in alone.notes
+    assert not alone.content.starts
     assert make_plan(plan.itinerary).cached
 
 

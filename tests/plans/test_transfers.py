@@ -19,7 +19,7 @@ from dpcontrol.plans import transfers
 from dpcontrol.plans.itinerary import HoldPart, load_itinerary
 from dpcontrol.plans.model import load_model
 from dpcontrol.plans.plan import Plan, make_plan
-from dpcontrol.plans.transfers import sensitivity, transfer_notes
+from dpcontrol.plans.transfers import sensitivity, transfer_costs
 from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import Limits
 from dpcontrol.references.reference import Reference
@@ -47,22 +47,22 @@ def there_and_back(tmp_path_factory: pytest.TempPathFactory) -> Plan:
 
 def flown_again(plan: Plan, number: int) -> Reference:
     """Return one of a plan's transfers, at the turns of its start's name."""
-    reference, (begin, end) = plan.reference, plan.notes["transfers"][number]
+    reference, (begin, end) = plan.reference, plan.content.transfers[number]
     first, last = np.searchsorted(reference.mesh, (begin - 1e-9, end - 1e-9))
     states = reference.states[first:last]
     lift = np.append(np.rint(states[0, 0, :2] / (2 * np.pi) - [0, 0.25 * number]) * 2 * np.pi, np.zeros(4))
     return replace(
         reference, mesh=reference.mesh[first : last + 1] - begin, states=states - lift,
-        inputs=reference.inputs[first:last], notes={}, extra={},
+        inputs=reference.inputs[first:last], plan=None,
     )  # fmt: skip
 
 
 @pytest.mark.slow
 def test_a_hold_where_arms_rest_is_the_rest_at_an_end(there_and_back: Plan) -> None:
-    notes = there_and_back.notes
-    assert [stop["saddle"] for stop in notes["stops"]] == ["down-down", "down-up", "down-down"]
-    assert [symbol["text"] for symbol in notes["symbols"]] == ["rest to down-up", "down-up to rest"]
-    (begin, _), (_, end) = notes["transfers"]
+    content = there_and_back.content
+    assert [stop.saddle for stop in content.stops] == ["down-down", "down-up", "down-down"]
+    assert [symbol.text for symbol in content.symbols] == ["rest to down-up", "down-up to rest"]
+    (begin, _), (_, end) = content.transfers
     assert begin == pytest.approx(0.5)
     assert there_and_back.reference.duration - end == pytest.approx(0.5)
 
@@ -71,7 +71,7 @@ def test_a_hold_where_arms_rest_is_the_rest_at_an_end(there_and_back: Plan) -> N
 def test_the_cost_of_a_transfer_is_that_of_its_reference(there_and_back: Plan) -> None:
     reference, document = there_and_back.reference, there_and_back.document()
     assert len(document["transfers"]) == 2
-    for note, (begin, end) in zip(document["transfers"], there_and_back.notes["transfers"], strict=True):
+    for note, (begin, end) in zip(document["transfers"], there_and_back.content.transfers, strict=True):
         assert (note["begin"], note["duration"]) == pytest.approx((begin, end - begin))
         times = np.linspace(begin, end, 20_001)
         middle = (times[1:] + times[:-1]) / 2
@@ -99,19 +99,19 @@ def test_the_closest_approach_is_to_the_nearest_of_all_orbits_of_a_family() -> N
         lambda _, x: SYSTEM.numeric.rate(x), (0, orbit.period), orbit.state, t_eval=np.linspace(0, orbit.period, 400),
         rtol=1e-10, atol=1e-10,
     ).y.T  # fmt: skip
-    (on,) = transfer_notes(SYSTEM, [("on it", 0.0, standing(flown))])
-    (near,) = [one for one in on["closest"] if one["orbit"] == "down-up"]
-    assert near["distance"] < BETWEEN_ORBITS
-    assert near["energy"] == pytest.approx(0.1, abs=0.05)
+    (on,) = transfer_costs(SYSTEM, [("on it", 0.0, standing(flown))])
+    (near,) = [one for one in on.closest if one.orbit == "down-up"]
+    assert near.distance < BETWEEN_ORBITS
+    assert near.energy == pytest.approx(0.1, abs=0.05)
     place = flown[120] + np.array([0.0, 0.0, 3.0, 0.0])
-    (beside,) = transfer_notes(SYSTEM, [("beside it", 0.0, standing(np.array([place, place])))])
+    (beside,) = transfer_costs(SYSTEM, [("beside it", 0.0, standing(np.array([place, place])))])
     nearest = np.inf
     for energy in np.linspace(-0.17, 0.48, 60):
         other = lyapunov_orbit(SYSTEM, "down-up", energy=energy)
         times = np.linspace(0, other.period, 400)
         nearest = min(nearest, SYSTEM.scaled_distance(SYSTEM.propagator.sample(other.state, times), place).min())
-    (near,) = [one for one in beside["closest"] if one["orbit"] == "down-up"]
-    assert near["distance"] == pytest.approx(nearest, abs=BETWEEN_ORBITS)
+    (near,) = [one for one in beside.closest if one.orbit == "down-up"]
+    assert near.distance == pytest.approx(nearest, abs=BETWEEN_ORBITS)
 
 
 @pytest.mark.slow
@@ -206,7 +206,7 @@ def test_each_transition_is_flown_alone_from_hold_to_hold(there_and_back: Plan) 
     assert [one.completed.runs for one in found.transitions] == [2] * 4
     assert [result.completed.runs for result in found.results] == [4, 4]
     # Half a second of each hold on either side of the transfer.
-    (begin, end), *_ = there_and_back.notes["transfers"]
+    (begin, end), *_ = there_and_back.content.transfers
     assert found.transitions[0].duration == pytest.approx(end - begin)
     assert found.rows[0]["simulated_seconds"] == pytest.approx(end - begin + 1.0, abs=0.01)
     lost = [one for one in found.transitions if one.completed.successes < 2]

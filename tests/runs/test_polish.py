@@ -9,7 +9,7 @@ from command_line import dpcontrol
 
 from dpcontrol import api
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.judge.decoding import orbit_index, shortfall
+from dpcontrol.judge.decoding import shortfall
 from dpcontrol.plans.plan import Plan, load_plan
 from dpcontrol.references.find import tail
 from dpcontrol.references.reference import Reference, joined
@@ -41,9 +41,9 @@ def test_turns_the_other_way_are_another_walk(turns: Plan) -> None:
 
 
 def test_one_wobble_more_at_a_stop_is_another_walk(turns: Plan) -> None:
-    motion, notes = turns.reference, turns.notes
-    first, second = (symbol["time"] for symbol in notes["symbols"])
-    period = notes["orbits"][orbit_index(notes, notes["stops"][1])]["period"]
+    motion, content = turns.reference, turns.content
+    first, second = (symbol.time for symbol in content.symbols)
+    period = content.orbit(content.stops[1]).period
     middle = (first + second) / 2
     longer, _ = joined([part(motion, 0.0, middle + period / 2), part(motion, middle - period / 2, motion.duration)])
     assert "wobbles at stop 1" in departure(motion, longer)
@@ -51,7 +51,7 @@ def test_one_wobble_more_at_a_stop_is_another_walk(turns: Plan) -> None:
 
 def test_an_arm_that_turns_once_more_between_two_symbols_is_another_walk(turns: Plan) -> None:
     motion = turns.reference
-    first, second = (symbol["time"] for symbol in turns.notes["symbols"])
+    first, second = (symbol.time for symbol in turns.content.symbols)
     times = motion.mesh[:-1, None] + np.diff(motion.mesh)[:, None] * motion.method.support
     states = motion.states.copy()
     inside = (times > first) & (times < second)
@@ -70,12 +70,12 @@ def test_a_polished_plan_costs_less_keeps_its_holds_and_can_be_flown_from_its_fi
     assert polished["effort"] <= robust["effort"] * (1 + 1e-6)
     assert polished["completed"]["0.05"]["rate"] >= 0.9
     plan, better = api.plan(str(scene)), load_plan(file)
-    motion, notes = better.reference, better.notes
+    motion, content = better.reference, better.content
     assert motion.converged
     assert shortfall(motion) == ""
-    assert notes.get("polished") == pytest.approx(nearness(motion))
+    assert content.polished == pytest.approx(nearness(motion))
     assert abs(motion.duration - plan.reference.duration) < STAYS
-    (_, begin), (end, last) = notes["transfers"]
+    (_, begin), (end, last) = content.transfers
     for times in (np.linspace(begin, end, 50), np.linspace(motion.duration - 0.8, motion.duration, 50), [0.0]):
         assert np.abs(motion.state(times) - plan.reference.state(times)).max() < STAYS
     assert last < motion.duration

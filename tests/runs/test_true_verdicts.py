@@ -103,7 +103,7 @@ def test_runs_that_fall_and_go_on_are_judged_as_a_second_decoder_judges_them(on_
 def test_a_run_from_rest_is_judged_from_its_first_transfer_on() -> None:
     """An arm that starts upright hangs when the transfer begins, later, or only once the transfer has ended."""
     plan, random, found = make_plan(load_itinerary("up-up")), np.random.default_rng(0), Comparison()
-    flown, begin = exact(plan), plan.notes["transfers"][0][0]
+    flown, begin = exact(plan), plan.content.transfers[0][0]
     for late, completed in ((0.0, True), (0.2, False), (3.0, False)):
         states = flown.states.copy()
         states[:, 1] += np.pi * (flown.time < begin - _SETTLES + late)
@@ -136,12 +136,12 @@ def test_a_run_of_another_plan_is_not_completed(outer_turn: Plan) -> None:
 def test_a_reference_that_does_not_do_its_itinerary_is_refused_with_what_to_change(outer_turn: Plan) -> None:
     reference = outer_turn.reference
     assert shortfall(reference) == ""
-    notes = dict(reference.notes)
-    stops = [notes["stops"][0], {**notes["stops"][1], "angles": [0.0, 5 * np.pi]}]
-    far = shortfall(replace(reference, notes={**notes, "stops": stops}))
+    content = reference.content
+    stops = content.stops[0], replace(content.stops[1], angles=(0.0, 5 * np.pi))
+    far = shortfall(replace(reference, plan=replace(content, stops=stops)))
     assert far.startswith("symbol 1 of 1 ('down-up +') comes no nearer than")
     assert far.endswith("raise lead_out to 3")
-    short = reference.mesh[-1] - notes["orbits"][0]["period"] * 2.5
+    short = reference.mesh[-1] - content.orbits[0].period * 2.5
     rows = int(np.searchsorted(reference.mesh, short))
     cut = replace(
         reference, mesh=reference.mesh[: rows + 1], states=reference.states[:rows], inputs=reference.inputs[:rows]

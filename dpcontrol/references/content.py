@@ -1,0 +1,373 @@
+"""A plan's content: symbols, stops, orbits and costs beside its reference.
+
+Planning makes it, and a reference's file stores it: the fields without arrays as JSON (`notes` of the header), and the
+arrays under the names `orbit_K`, the K-th orbit's curve, and `start_K_mesh`, `start_K_states` and `start_K_inputs`. So
+a log that holds the reference can be scored and reviewed without other files.
+"""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from dpcontrol.dynamics.chain import ArmChainParameters
+from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.settings import adapter, frozen
+
+REST_BEFORE, REST_AFTER = 0.5, 1.0
+"""Time that the pendulum hangs still at the start and after its return, s."""
+
+
+@dataclass(frozen=True)
+class PlanStop:
+    """A stop: place of wraps or rest.
+
+    Attributes:
+        angles: angles (n,) of its saddle with the turns of the motion, rad.
+        orbit: index of its orbit.
+        arrived_on: index of the arriving orbit, if the stop changes the energy.
+    """
+
+    saddle: str
+    angles: tuple[float, ...]
+    orbit: int
+    arrived_on: int | None = None
+
+    @property
+    def orbits(self) -> tuple[int, int]:
+        """Indices of the arriving and of the leaving orbit."""
+        return self.orbit if self.arrived_on is None else self.arrived_on, self.orbit
+
+
+@dataclass(frozen=True)
+class PlanSection:
+    """Section of a connection: normal · state = value, crossed at these angles, rad.
+
+    Attributes:
+        name: its name in the system; "" in plans without it.
+        hits: crossing numbers of the unstable and the stable tube.
+    """
+
+    normal: tuple[float, ...]
+    value: float
+    angles: tuple[float, ...]
+    name: str = ""
+    hits: tuple[int, int] = (1, 1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlanSymbol:
+    """Motion between two stops: a connection, or a transfer, which has neither name nor section.
+
+    Attributes:
+        time: of the section's crossing, or the middle of a transfer, s.
+        time_out, time_in: from the orbit to the section and on to the next orbit, s.
+        phase_out, phase_in: phases on these orbits.
+    """
+
+    text: str
+    name: str | None = None
+    source: str
+    target: str
+    winding: tuple[int, ...]
+    sense: int = 0
+    time: float
+    section: PlanSection | None = None
+    time_out: float = 0.0
+    time_in: float = 0.0
+    phase_out: float = 0.0
+    phase_in: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class PlanOrbit:
+    """A periodic orbit, or an equilibrium.
+
+    Attributes:
+        energy: J.
+        period: s; of an equilibrium the observation time of its ends.
+        multiplier: unstable Floquet multiplier, 1 for an equilibrium.
+        curve: states (M, 2n) over a period.
+        state, free_period: state (2n,) and period, s, of the Lyapunov orbit, from which tubes are drawn.
+    """
+
+    saddle: str
+    energy: float
+    period: float
+    multiplier: float
+    curve: Array
+    state: tuple[float, ...] = ()
+    free_period: float = 0.0
+
+
+@dataclass(frozen=True)
+class PlanSaddle:
+    """An equilibrium at its named position: rad, J."""
+
+    angles: tuple[float, ...]
+    energy: float
+
+
+@dataclass(frozen=True)
+class Shadowing:
+    """Search for the walks' orbits: largest residual, or None without a walk, and total time, s."""
+
+    residual: float | None = None
+    duration: float = 0.0
+    status: str = ""
+    wraps_realised: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Inputs that reproduce the plan: texts of itinerary, model and plant, arms, versions of program and planner."""
+
+    program: str
+    scene: str
+    scene_hash: str
+    model: str
+    model_hash: str
+    parameters: ArmChainParameters
+    plant: str = ""
+    code: str = ""
+
+
+@dataclass(frozen=True)
+class Approach:
+    """Closest approach of a transfer to a family: scaled distance from the orbit at `energy`, J, at `time`, s."""
+
+    orbit: str
+    distance: float
+    energy: float
+    time: float
+
+
+@dataclass(frozen=True)
+class TransferCost:
+    """Cost of a transfer: s, ∫u² dt in m²/s³, stroke in m, and approaches by family of orbits."""
+
+    text: str
+    begin: float
+    duration: float
+    effort: float
+    stroke: float
+    closest: tuple[Approach, ...]
+
+
+@dataclass(frozen=True)
+class FlightSegment:
+    """A flight between two kept orbits.
+
+    Attributes:
+        fly: its symbols.
+        rows: its first mesh interval and that after it.
+    """
+
+    fly: str
+    rows: tuple[int, int]
+
+
+@dataclass(frozen=True)
+class StaySegment:
+    """Periods on a kept orbit.
+
+    Attributes:
+        keep: saddle of the orbit.
+        energy: J.
+        turns: turns of its states relative to the orbit, rad.
+        rows: first mesh interval of its first period and that after it.
+    """
+
+    keep: str
+    energy: float
+    family: int
+    lyapunov_period: float
+    turns: tuple[float, ...]
+    periods: int
+    rows: tuple[int, int]
+
+
+@dataclass(frozen=True, eq=False)
+class PlanStart:
+    """A transfer from hanging at rest to a stop, which joins the reference at `at` s, `turns` short of it.
+
+    A stop at rest needs no transfer.
+
+    Attributes:
+        status: result of the search.
+        mesh, states, inputs: the transfer's, as in a reference.
+    """
+
+    stop: int
+    at: float
+    turns: tuple[int, ...]
+    status: str
+    mesh: Array | None = None
+    states: Array | None = None
+    inputs: Array | None = None
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PlanContent:
+    """Symbols, stops, orbits and costs of a plan.
+
+    Attributes:
+        wraps: wraps at each interior stop, None beside a transfer.
+        lead_in, lead_out: periods before the first and after the last symbol.
+        transfers: begin and end of each transfer between pieces, s.
+        saddles: equilibria of the model by name.
+        origin: inputs of the plan.
+        costs: cost of each transfer.
+        segments: stays and flights of a walk with kept stops, or the stay on one orbit.
+        starts: transfers from rest, for runs that recover from falls.
+        polished: least scaled distance to each stop's orbit, of a plan re-optimised as a whole. Such a plan keeps
+            crossings, windings and wraps, but can leave the neighbourhood of the orbits.
+        key: hash of the plan's inputs.
+    """
+
+    __pydantic_config__: ClassVar[Any] = {"arbitrary_types_allowed": True, "allow_inf_nan": False}
+
+    itinerary: str
+    title: str
+    model: str
+    wraps: tuple[int | None, ...] = ()
+    lead_in: int = 0
+    lead_out: int = 0
+    shadowing: Shadowing
+    stops: tuple[PlanStop, ...]
+    symbols: tuple[PlanSymbol, ...] = ()
+    transfers: tuple[tuple[float, float], ...] = ()
+    orbits: tuple[PlanOrbit, ...]
+    saddles: dict[str, PlanSaddle]
+    origin: Origin
+    costs: tuple[TransferCost, ...] = ()
+    segments: tuple[FlightSegment | StaySegment, ...] = ()
+    starts: tuple[PlanStart, ...] = ()
+    polished: tuple[float, ...] = ()
+    key: str = ""
+
+    @property
+    def energy(self) -> float | None:
+        """Energy of the first orbit, J, or None if there are only equilibria."""
+        return next((orbit.energy for orbit in self.orbits if orbit.multiplier != 1.0), None)
+
+    @property
+    def walk(self) -> list[str]:
+        """Names of the connections and texts of the transfers, in order."""
+        return [symbol.name or symbol.text for symbol in self.symbols]
+
+    @property
+    def stays(self) -> list[StaySegment]:
+        """The kept orbits, in order."""
+        return [segment for segment in self.segments if isinstance(segment, StaySegment)]
+
+    @property
+    def rest(self) -> str:
+        """Name of the lowest equilibrium, at which the arms hang."""
+        return min(self.saddles, key=lambda name: self.saddles[name].energy)
+
+    def orbit(self, stop: PlanStop) -> PlanOrbit:
+        """Return the orbit of a stop.
+
+        Args:
+            stop: one of the plan's stops.
+        """
+        return self.orbits[stop.orbit]
+
+    def lift(self, stop: PlanStop) -> Array:
+        """Return the turns (n,) of a stop's angles from its saddle's named position, rad.
+
+        Args:
+            stop: one of the plan's stops.
+        """
+        return np.asarray(stop.angles) - np.asarray(self.saddles[stop.saddle].angles)
+
+    def transitions(self) -> list[tuple[int, int]]:
+        """Return numbers of symbol and transfer of each transition between equilibria, the first of each pair."""
+        # A stop at rest has no growth over a period; other stops begin or end a walk.
+        still = [self.orbit(stop).multiplier == 1.0 for stop in self.stops]
+        ways = {round(sum(way) / 2, 6): k for k, way in enumerate(self.transfers)}
+        pairs: dict[tuple[str, str], tuple[int, int]] = {}
+        for k, symbol in enumerate(self.symbols):
+            way = ways.get(round(symbol.time, 6))
+            if way is not None and symbol.name is None and still[k] and still[k + 1]:
+                pairs.setdefault((symbol.source, symbol.target), (k, way))
+        return list(pairs.values())
+
+    def fits(self, arms: int) -> bool:
+        """Return True if the parts agree with each other and with a number of arms.
+
+        Args:
+            arms: number of arms of the reference.
+        """
+        angles = [place.angles for place in (*self.stops, *self.saddles.values())]
+        normals = [symbol.section.normal for symbol in self.symbols if symbol.section is not None]
+        return (
+            len(self.stops) == len(self.symbols) + 1
+            and len(self.wraps) == max(len(self.symbols) - 1, 0)
+            and {stop.saddle for stop in self.stops} <= set(self.saddles) & {orbit.saddle for orbit in self.orbits}
+            and all(0 <= k < len(self.orbits) for stop in self.stops for k in stop.orbits)
+            and all(len(place) == arms for place in angles)
+            and all(len(normal) == 2 * arms for normal in normals)
+            and all(orbit.period > 0 and orbit.curve.shape[1:] == (2 * arms,) for orbit in self.orbits)
+            and self.origin.parameters.count == arms
+        )
+
+
+_KEYS = {"origin": "made_from", "costs": "taken", "segments": "program", "key": "plan"}
+"""Fields with other names in the file."""
+_ARRAYS = ("mesh", "states", "inputs")
+
+
+def stored(content: PlanContent) -> tuple[dict[str, Any], dict[str, Array]]:
+    """Return a plan's content as JSON values, and its arrays by name.
+
+    Args:
+        content: the content.
+    """
+    arrays = {f"orbit_{k}": orbit.curve for k, orbit in enumerate(content.orbits)}
+    for k, start in enumerate(content.starts):
+        parts = {f"start_{k}_{name}": getattr(start, name) for name in _ARRAYS}
+        arrays |= {name: part for name, part in parts.items() if part is not None}
+    values = asdict(content, dict_factory=_plain)
+    return {_KEYS.get(name, name): value for name, value in values.items()}, arrays
+
+
+def _plain(items: list[tuple[str, Any]]) -> dict[str, Any]:
+    return {name: value for name, value in items if value is not None and not isinstance(value, np.ndarray)}
+
+
+def restored(notes: Mapping[str, Any], arrays: Mapping[str, Array], *, arms: int) -> PlanContent:
+    """Return the content that `stored` separated.
+
+    Args:
+        notes: its JSON values.
+        arrays: its arrays by name.
+        arms: number of arms of the reference.
+
+    Raises:
+        ValueError: they are not those of a plan; so do `LookupError` and `InputError`.
+    """
+    values = _without_none(notes)
+    values |= {name: values.pop(key) for name, key in _KEYS.items() if key in values}
+    if (stay := values.get("stay", {})).get("kind") == "orbit":
+        # Plans of format 2.
+        whole = {"keep": stay["orbit"], "turns": [0.0] * (2 * arms + 2), "periods": 1, "rows": [0, stay["intervals"]]}
+        values["segments"] = [{**stay, **whole}]
+    for k, orbit in enumerate(values["orbits"]):
+        orbit["curve"] = arrays[f"orbit_{k}"]
+    for k, start in enumerate(values.get("starts", ())):
+        start |= {name: arrays.get(f"start_{k}_{name}") for name in _ARRAYS}
+    values["origin"]["parameters"] = ArmChainParameters(**frozen(values["origin"]["parameters"]))
+    content: PlanContent = adapter(PlanContent).validate_python(values)
+    if not content.fits(arms):
+        raise ValueError(f"its plan is not one of {arms} arms, or its parts contradict each other")
+    return content
+
+
+def _without_none(value: Any) -> Any:
+    """Return JSON values without the null entries of objects."""
+    if isinstance(value, Mapping):
+        return {name: _without_none(part) for name, part in value.items() if part is not None}
+    return [_without_none(part) for part in value] if isinstance(value, list) else value

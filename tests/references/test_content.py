@@ -1,0 +1,93 @@
+"""A plan's content in the file of its reference: what is written is read, and what contradicts itself is refused."""
+
+from dataclasses import fields, replace
+from io import BytesIO
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.plans.itinerary import load_itinerary
+from dpcontrol.plans.plan import Plan, make_plan
+from dpcontrol.references.content import FlightSegment, PlanContent, PlanStart, StaySegment, restored, stored
+from dpcontrol.references.reference import load_reference, save_reference
+
+
+@pytest.fixture(scope="module")
+def plan() -> Plan:
+    return make_plan(load_itinerary("outer-turn"))
+
+
+def read_again(plan: Plan, content: PlanContent) -> PlanContent:
+    save_reference(file := BytesIO(), replace(plan.reference, plan=content))
+    return load_reference(file).content
+
+
+def values(content: PlanContent) -> dict[str, Any]:
+    """The content's fields as plain values, arrays as lists."""
+    notes, arrays = stored(content)
+    return {**notes, **{name: array.tolist() for name, array in arrays.items()}}
+
+
+def test_what_is_written_is_read(plan: Plan) -> None:
+    turn = plan.reference
+    starts = (
+        PlanStart(0, 0.5, (0, 1), "found", turn.mesh, turn.states, turn.inputs),
+        PlanStart(1, 2.5, (0, 0), "at rest"),
+    )
+    segments = (StaySegment("down-up", -0.07, 0, 0.7, (0.0,) * 6, 2, (0, 8)), FlightSegment("down-up +", (8, 20)))
+    content = replace(plan.content, starts=starts, segments=segments, polished=(0.1, 0.2), wraps=())
+    again = read_again(plan, content)
+    assert values(again) == values(content)
+    for field in fields(content):
+        if field.name not in ("orbits", "starts"):
+            assert getattr(again, field.name) == getattr(content, field.name), field.name
+    lead_in = replace(turn, plan=again).lead_in(again.starts[0])
+    assert lead_in is not None
+    np.testing.assert_array_equal(lead_in.states, turn.states)
+    assert turn.lead_in(again.starts[1]) is None
+
+
+def test_the_orbits_of_a_walk_close_after_their_period(plan: Plan) -> None:
+    system = plan.itinerary.model.system
+    for orbit in plan.content.orbits:
+        end = system.propagator.sample(np.array(orbit.state), np.array([0.0, orbit.free_period]))[-1]
+        assert np.abs(end - orbit.state).max() < 1e-9  # of the search: 1e-12, grown by the multiplier
+
+
+def test_a_stay_of_format_2_is_a_segment(plan: Plan) -> None:
+    notes, arrays = stored(plan.content)
+    stay = {
+        "kind": "orbit", "orbit": "down-up", "energy": -0.07, "family": 0, "intervals": 16, "lyapunov_period": 0.7,
+    }  # fmt: skip
+    former = {name: value for name, value in notes.items() if name != "program"} | {"stay": stay}
+    content = restored(former, arrays, arms=2)
+    assert content.segments == (StaySegment("down-up", -0.07, 0, 0.7, (0.0,) * 6, 1, (0, 16)),)
+    assert restored(former | {"stay": {"kind": "hold", "hold": "up-up"}}, arrays, arms=2).segments == ()
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda c: replace(c, stops=c.stops[:1]),
+        lambda c: replace(c, wraps=(1,)),
+        lambda c: replace(c, stops=(replace(c.stops[0], orbit=7), c.stops[1])),
+        lambda c: replace(c, stops=(replace(c.stops[0], arrived_on=-1), c.stops[1])),
+        lambda c: replace(c, stops=(replace(c.stops[0], saddle="up-up"), c.stops[1])),
+        lambda c: replace(c, stops=(replace(c.stops[0], angles=(0.0,)), c.stops[1])),
+        lambda c: replace(c, orbits=(replace(c.orbits[0], period=0.0),)),
+        lambda c: replace(c, orbits=(replace(c.orbits[0], curve=c.orbits[0].curve[:, :3]),)),
+        lambda c: replace(c, symbols=(replace(c.symbols[0], section=replace(c.symbols[0].section, normal=(1.0,))),)),
+    ],
+)
+def test_a_content_that_contradicts_itself_is_refused(plan: Plan, change: Any) -> None:
+    with pytest.raises(InputError, match="contradict each other"):
+        read_again(plan, change(plan.content))
+
+
+def test_a_content_with_a_number_that_is_none_is_refused(plan: Plan) -> None:
+    notes, arrays = stored(plan.content)
+    for damaged in ({"title": 3}, {"transfers": [["begin", "end"]]}, {"transfers": [[0.0, float("nan")]]}):
+        with pytest.raises(ValueError, match="PlanContent"):
+            restored(notes | damaged, arrays, arms=2)
