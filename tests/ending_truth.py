@@ -26,6 +26,7 @@ from unittest import mock
 import numpy as np
 
 import dpcontrol.loop.lockstep as lockstep
+from dpcontrol.control.tick import Report
 from dpcontrol.foundation.causes import Cause, Fault
 from dpcontrol.judge.score import Flown, Verdict, verdict_on
 from dpcontrol.loop.assembly import Assembly
@@ -78,9 +79,9 @@ class _WithEstimates(JudgedTicks):
         self.estimates = np.empty((count, 2 * arms + 2, runs))
         type(self).made = self
 
-    def take(self, k, report, at, truth) -> None:
-        super().take(k, report, at, truth)
-        self.estimates[k] = report[: self.estimates.shape[1]]
+    def take(self, k: int, report: Report, truth: Array) -> None:
+        super().take(k, report, truth)
+        self.estimates[k] = report.state
 
 
 def flights(itinerary: Itinerary, reference: Reference, seeds: Sequence[int]) -> list[Flight]:

@@ -16,9 +16,10 @@ from dpcontrol.bench.control import (
     swing,
 )
 from dpcontrol.control.estimator_settings import EkfSettings
+from dpcontrol.foundation.causes import Cause
 from dpcontrol.loop.controllers import make_estimator
 from dpcontrol.loop.loop import sampled_model
-from dpcontrol.loop.result import BatchRun, Ending
+from dpcontrol.loop.result import BatchRun, ended
 from dpcontrol.plans.model import load_model
 
 EXACT = 1e-9  # Of slopes of straight lines: rounding of differences of numbers near one.
@@ -82,10 +83,10 @@ def test_wrong_zeros_are_shown_by_nees_and_mended_by_estimating_them():
     assert told.error < blind.error / 2
 
 
-def run_of(angles: np.ndarray, ending: Ending = Ending.FINISHED) -> BatchRun:
+def run_of(angles: np.ndarray, cause: Cause = Cause.FINISHED) -> BatchRun:
     states = np.column_stack([angles, np.zeros((len(angles), 4))])
     times = np.arange(len(angles)) * 1e-3
-    return BatchRun(times, states, states, np.zeros(len(angles)), ending, "", 0.95, 0.1)
+    return BatchRun(ended(cause, {"time": 0.0, "error": 1.0}), times, states, states, np.zeros(len(angles)), 0.95, 0.1)
 
 
 def test_a_run_is_held_if_its_last_period_is_near_the_orbit_up_to_phase_and_turns():
@@ -96,6 +97,6 @@ def test_a_run_is_held_if_its_last_period_is_near_the_orbit_up_to_phase_and_turn
     assert judge(run_of(twice))
     for shift, expected in ((4 * np.pi, True), (0.09, True), (0.9, False)):
         assert judge(run_of(twice + np.array([0.0, shift]))) is expected
-    assert not judge(run_of(twice, Ending.TRACKING_LOST))
+    assert not judge(run_of(twice, Cause.TRACKING_LOST))
     early_only = np.vstack([orbit + 1.0, orbit])
     assert judge(run_of(early_only))
