@@ -9,7 +9,7 @@ pytest.importorskip("flint")
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [10, 22])
+@pytest.mark.parametrize("seed", [10])
 def test_random_walks_are_proved_and_reported(seed: int, tmp_path: Path) -> None:
     """Seed 10 has a rival connection that is nearer than the length of a step."""
     found = proved(seed, tmp_path / "walks.jsonl")

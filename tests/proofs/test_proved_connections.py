@@ -5,8 +5,10 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+from command_line import dpcontrol
 
 import dpcontrol as dp
+from dpcontrol.foundation.version import PACKAGE
 
 pytest.importorskip("flint")
 
@@ -15,6 +17,8 @@ from dpcontrol.proofs.prove import Proof, ProofSettings, prove_connections
 from dpcontrol.tubes.connections import Connection, ConnectionSearch
 
 ENERGY = Fraction("-0.07")
+COMMAND = "dpcontrol prove horseshoe lab --from down-up --energy -0.07"
+PAGE = (PACKAGE / "guide" / "proofs.md").read_text(encoding="utf-8")
 
 
 def most_transversal(search: ConnectionSearch) -> Connection:
@@ -73,16 +77,19 @@ def test_one_connection_given_twice_a_nonexistent_one_and_large_boxes_are_not_pr
 
 
 @pytest.mark.slow
-def test_all_eight_homoclinics_are_proved_and_any_walk_on_them_has_an_orbit(found: ConnectionSearch) -> None:
-    proof = dp.prove(found)
-    assert proof.proved, proof.status
-    angles = sorted(float(flint.arb(one["angle_deg"])) for one in proof.figures["connections"])
+def test_all_eight_homoclinics_are_proved_as_the_guide_shows(found: ConnectionSearch) -> None:
+    """Each walk on them is realised."""
+    ended = dpcontrol(*COMMAND.split()[1:], "--json")
+    assert ended.code == 0, ended.stderr
+    proof = ended.document
+    assert f"$ {COMMAND}\n  {proof['status']}\n" in PAGE
+    angles = sorted(float(flint.arb(one["angle_deg"])) for one in proof["connections"])
     published = sorted(c.transversality_angle for c in found.connections)
     assert np.allclose(angles, published, atol=0.01)
-    least = np.array(proof.figures["least"])
+    least = np.array(proof["least"])
     assert least.shape == (8, 8)
-    assert proof.figures["least_wraps"] == least.max()
-    assert float(flint.arb(proof.figures["entropy_at_least"])) > 0.3
+    assert proof["least_wraps"] == least.max()
+    assert float(flint.arb(proof["entropy_at_least"])) > 0.3
 
 
 @pytest.mark.slow
