@@ -22,7 +22,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from math import inf, isfinite
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -185,8 +185,14 @@ def _inverse(matrix: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
     return back.T @ ca.diag(1 / d) @ back, back, d
 
 
-Timing = namedtuple("Timing", "age variance")
-"""Timing of a reading: its age in s before its tick, and the variance of the unknown part, s²."""
+class Timing(NamedTuple):
+    """Timing of a reading.
+
+    Age in s before its tick, and variance of the unknown part, s².
+    """
+
+    age: ca.SX
+    variance: ca.SX
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,11 +25,10 @@ Sources: Anderson & Moore, Optimal Control: Linear Quadratic Methods, sections 3
 & Wittenmark, Adaptive Control, section 2.2, for the least squares.
 """
 
-from collections import namedtuple
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -345,13 +344,22 @@ class OgyController(Brief):
         return self.table.distance(state)
 
 
-_Course = namedtuple("_Course", "section elapsed pulse foreseen flying lift guess covariance crossings")
-"""The course of one run, or of S runs in arrays.
+class _Course(NamedTuple):
+    """The last crossed section, the time since, s, the active pulse, m/s², and the plant errors of one or S runs."""
 
-The last crossed section, the time since, s, and the active pulse, m/s². foreseen (N,): the model's prediction since
-that section. flying: True if it is valid. lift (N,): whole turns, rad. guess, covariance: the plant's errors.
-crossings: number of crossings in time.
-"""
+    section: Any
+    elapsed: Any
+    pulse: Any
+    foreseen: Any
+    """The model's prediction (N,) since that section."""
+    flying: Any
+    """True if the prediction is valid."""
+    lift: Any
+    """Whole turns (N,), rad."""
+    guess: Any
+    covariance: Any
+    crossings: Any
+    """Number of crossings in time."""
 
 
 class OgySession(ClockedSession):
