@@ -322,33 +322,82 @@ class KnownMechanics(NamedTuple):
         return np.array([(k**2 + own + 1) / below, middle, (k**2 - own + 1) / below, middle, (k**2 - wide + 1) / below])
 
 
-_Known = namedtuple("_Known", "memory reading row numbers")
-"""The parts of a tick's inputs."""
-_Acts = namedtuple("_Acts", "ahead drive back coming")
-"""State (N,) at which the command acts, and the cart's acceleration `drive` then, m/s².
+class _Known(NamedTuple):
+    """The parts of a tick's inputs."""
 
-back m/s²: feedback in addition to the row's. coming m/s²: acceleration in the coming period, None if not yet known.
-"""
-_Law = namedtuple("_Law", "forward feedback finite untrusted by_own own")
-"""Feedforward and feedback, m/s².
+    memory: Memory
+    reading: Measurement
+    row: Row
+    numbers: Numbers
 
-finite: 1 if both are finite. untrusted: see `TickEquations.law`. by_own, own: feedback and memory of a user's law.
-"""
-_Means = namedtuple("_Means", "nis strain silent distance blind error")
-"""Checked means, see `TickEquations.memory`.
 
-distance: of this tick, rad. blind: 1 during a restart.
-"""
-_Verdict = namedtuple("_Verdict", "outcome stopped sensor watch")
-"""The decision of a tick.
+class _Acts(NamedTuple):
+    """State (N,) at which the command acts.
 
-It has the outcome, that which stopped the run or 0, the number of a stuck sensor or 0, and the memory after the watch.
-"""
-_Path = namedtuple("_Path", "forward feedback wish command acting saturated after")
-"""Commands after the law.
+    drive m/s²: the cart's acceleration then.
 
-Parts, wish and command, m/s², the acceleration, 1 if it was cut, and the memory.
-"""
+    back m/s²: feedback in addition to the row's. coming m/s²: acceleration in the coming period, if already known.
+    """
+
+    ahead: ca.SX
+    drive: ca.SX
+    back: ca.SX
+    coming: ca.SX | None
+
+
+class _Law(NamedTuple):
+    """Feedforward and feedback, m/s².
+
+    finite: 1 if both are finite. untrusted: see `TickEquations.law`. by_own, own: feedback and memory of a user's law.
+    """
+
+    forward: ca.SX
+    feedback: ca.SX
+    finite: ca.SX
+    untrusted: ca.SX
+    by_own: ca.SX
+    own: ca.SX
+
+
+class _Means(NamedTuple):
+    """Checked means, see `TickEquations.memory`.
+
+    distance: of this tick, rad. blind: 1 during a restart.
+    """
+
+    nis: ca.SX
+    strain: ca.SX
+    silent: ca.SX
+    distance: ca.SX
+    blind: ca.SX
+    error: ca.SX
+
+
+class _Verdict(NamedTuple):
+    """The decision of a tick.
+
+    It has the outcome, that which stopped the run or 0, the number of a stuck sensor or 0, and the watch's memory.
+    """
+
+    outcome: ca.SX
+    stopped: ca.SX
+    sensor: ca.SX
+    watch: Memory
+
+
+class _Path(NamedTuple):
+    """Commands after the law.
+
+    Parts, wish and command, m/s², the acceleration, 1 if it was cut, and the memory.
+    """
+
+    forward: ca.SX
+    feedback: ca.SX
+    wish: ca.SX
+    command: ca.SX
+    acting: ca.SX
+    saturated: ca.SX
+    after: Memory
 
 
 @dataclass(frozen=True, eq=False)
