@@ -1458,7 +1458,7 @@ def _deadlines(session: _Session) -> Finding:
     sentence = f"of {ticks:,} ticks {session.late} began at least a period late, and {lost} had no reading"
     worst = max(session.late, lost)
     if isinstance(kept, Deadlines):
-        figures |= {"held": kept.held, "trip_median": kept.trip_median, "trip_99": kept.trip_99}
+        figures["held"] = kept.held
         sentence += f"; the bench repeated a command {kept.held} times"
         worst = max(worst, kept.held)
     if worst <= 0.001 * ticks:
