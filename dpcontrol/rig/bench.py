@@ -411,17 +411,16 @@ class _BenchRun:
         self._heard, self._held, self._fresh = -1, 0, True
         self._silent, self._stopped, self._over, self._ignored = 0, False, "", 0
         self._condition, self._text = Condition.WELL, ""
-        self._worst, self._behind = 0.0, 0
+        self._behind = 0
         self.silence = ""
         """Sentence on a cart stopped because of the loop's silence."""
 
     @property
     def sentence(self) -> str:
-        """Summary of timing and ignored packets."""
-        ignored = f"; {self._ignored} foreign or repeated packets were ignored"
+        """Summary of ticks and packets."""
         return (
-            f"{self._tick + 1} ticks, {self._behind} of them at least a period late, the worst {1e3 * self._worst:.3g} "
-            f"ms; a command was repeated {self._held} times{ignored if self._ignored else ''}"
+            f"{self._tick + 1} ticks, {self._behind} of them at least a period late; a command was repeated "
+            f"{self._held} times; {self._ignored} packets were rejected"
         )
 
     def go(self) -> str:
@@ -436,7 +435,6 @@ class _BenchRun:
             if self._over:
                 return self._over
             late = clock() - due
-            self._worst = max(self._worst, late)
             self._behind += late > period
             self._silent += late <= period
             if k and not self._fresh and not self._stopped:
@@ -756,7 +754,7 @@ class BenchProcess(AbstractContextManager["BenchProcess"]):
         The deadlines are those that it reports.
 
         The program is called with the bench's address and the arguments. Its environment contains the key. It may print
-        its deadlines on stdout as a line of JSON. An interrupt stops it.
+        its deadlines on stdout as a line of JSON. An interrupt ends it.
 
         Args:
             program: program to start.
@@ -778,13 +776,11 @@ class BenchProcess(AbstractContextManager["BenchProcess"]):
         try:
             figures, errors = process.communicate()
         finally:
-            if process.poll() is None:
-                # The program stops the cart first; Windows offers no way to request that.
-                if os.name == "posix":
-                    process.send_signal(signal.SIGINT)
-                with suppress(subprocess.TimeoutExpired):
-                    process.communicate(timeout=_END)
-                process.kill()
+            # The program stops the cart first, except on Windows.
+            process.terminate()
+            with suppress(subprocess.TimeoutExpired):
+                process.wait(_END)
+            process.kill()
         if not self.began:
             why = errors.strip().splitlines()[-1:] or ["it printed nothing"]
             raise InputError(f"{name} ended with {process.returncode} before a run began: {why[0]}")

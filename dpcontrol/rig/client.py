@@ -202,10 +202,9 @@ class UdpRig(AbstractContextManager["UdpRig"]):
         self._socket.setblocking(False)
         self._waiting: dict[int, ReadingPacket] = {}
         self._tick, self._begin = -1, math.inf
-        self._stopped, self._link_error = False, ""
+        self._stopped, self._problem = False, ""
         self._worst = 0.0
         self._held = self._missed = self._lost = self._stale = self._ignored = self._refused = 0
-        self._last_error = ""
         # An unpredictable number shows that an answer belongs to this HELLO.
         self._request = secrets.token_bytes(8)
         self._talk, self.welcome = Talk(Role.LOOP, int.from_bytes(self._request, "little"), key=key), _UNKNOWN
@@ -299,22 +298,18 @@ class UdpRig(AbstractContextManager["UdpRig"]):
                 if heard is None:
                     continue
                 if isinstance(heard.content, Welcome):
-                    return self._checked(heard.content)
+                    if 0 < heard.content.period <= _LONGEST_PERIOD:
+                        return heard.content
+                    raise InputError(
+                        f"rig {self.address} announces a period of {heard.content.period:g} s: it must be above 0 and "
+                        f"at most {_LONGEST_PERIOD:g} s; fix the bench"
+                    )
                 if heard.kind is Kind.BYE:
                     raise InputError(f"rig {self.address}: {heard.content}")
-        came = f" ({self._refused} packets were refused: {self._last_error})" if self._refused else ""
         raise InputError(
-            f"rig {self.address}: no bench responded for {self._settings.answer:g} s{came}; start one with "
+            f"rig {self.address}: no bench responded for {self._settings.answer:g} s{self._problem}; start one with "
             "`dpcontrol rig` of this version, and give both the same key, if any"
         )
-
-    def _checked(self, welcome: Welcome) -> Welcome:
-        if not 0 < welcome.period <= _LONGEST_PERIOD:
-            raise InputError(
-                f"rig {self.address} announces a period of {welcome.period:g} s: it must be above 0 and at most "
-                f"{_LONGEST_PERIOD:g} s; fix the bench"
-            )
-        return welcome
 
     def _packet_of(self, k: int) -> ReadingPacket | None:
         """Return the reading of tick k, or None.
@@ -349,9 +344,9 @@ class UdpRig(AbstractContextManager["UdpRig"]):
             elif heard and heard.kind is Kind.BYE:
                 raise ArithmeticError(f"the bench ended the run: {content}")
             elif now - self._last_packet > (settings.silence if k else settings.answer):
-                why = self._link_error or "received nothing from it"
                 raise ArithmeticError(
-                    f"the bench at {self.address} does not respond: {why} for {now - self._last_packet:.3g} s"
+                    f"the bench at {self.address} does not respond: received nothing from it for "
+                    f"{now - self._last_packet:.3g} s{self._problem}"
                 )
             elif k == 0:
                 # The first reading may take longer, and START may have been lost.
@@ -376,7 +371,7 @@ class UdpRig(AbstractContextManager["UdpRig"]):
                 if heard is not None:
                     return heard
         except OSError as error:
-            self._link_error = f"{error.strerror or error}"
+            self._problem = f" ({error.strerror or error})"
             # No program listens there now, but a restarted bench might.
             time.sleep(min(wait, _REQUEST_INTERVAL))
         return None
@@ -392,7 +387,7 @@ class UdpRig(AbstractContextManager["UdpRig"]):
             # A second answer to a repeated HELLO is not foreign.
             if self._tick < 0 or data[8:16] != self._request:
                 self._refused += 1
-                self._last_error = str(error)
+                self._problem = f" ({error})"
             return None
         content, welcome = heard.content, self.welcome
         fits = not isinstance(content, ReadingPacket) or (
@@ -406,4 +401,4 @@ class UdpRig(AbstractContextManager["UdpRig"]):
             self._socket.send(self._talk.pack(message))
         except OSError as error:
             # It counts as lost.
-            self._link_error = f"{error.strerror or error}"
+            self._problem = f" ({error.strerror or error})"
