@@ -202,7 +202,7 @@ def run_command(
         raise click.UsageError("--real-time applies to runs on a rig: add --rig udp")
     if address is None and (key_file or insecure):
         raise click.UsageError("--key-file and --insecure apply to runs on a rig: add --rig")
-    from dpcontrol.loop.own import load_own, names_file
+    from dpcontrol.loop.own import names_file, own_object
 
     own = address if address is not None and names_file(address) else None
     if own is not None and (real_time or key_file or insecure or hours is not None):
@@ -232,7 +232,7 @@ def run_command(
     shown = live_view if live else None
     address = None if own else address
     link = rig_link(address, key_file=key_file, insecure=insecure, real_time=real_time)
-    rig = None if own is None else load_own("rig", own)
+    rig = None if own is None else own_object("rig", own)
     scene = load_itinerary(itinerary).with_run(settings, seed=seed)
     if hours is not None:
         from dpcontrol.runs.night import (

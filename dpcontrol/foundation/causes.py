@@ -166,3 +166,39 @@ class Fault(StrEnum):
     LIMIT = "limit passed"
     LAST_ENDED = "last orbit not held"
     LAST_FAR = "far from the last orbit"
+
+
+class FindingCause(StrEnum):
+    """What a step of commissioning found; the step says of what."""
+
+    RIGHT = auto()
+    DIFFERS = "differs from [run]"
+    DOUBTFUL = auto()
+    UNKNOWN = auto()
+    HIDDEN = "hidden by friction"
+    # Reasons to stop, in any step.
+    FAULT = "fault of the rig"
+    UNREAD = "no reading"
+    LEFT = "range left"
+    # Cart, drive and arms.
+    OFF_CENTRE = "off the centre"
+    TOUCHED = "switch touched"
+    SWINGING = auto()
+    FAR = "far from zero"
+    WANDERS = auto()
+    DEAD = "does not count"
+    STANDS = "stands still"
+    MIRRORED = "one of two mirror images"
+    REVERSED = auto()
+    CART_REVERSED = "cart's scale reversed"
+    CART_SCALE = "cart's scale in other units"
+    SCALE = "another scale"
+    # Encoders, switches and ticks.
+    STUCK = auto()
+    SWAPPED = auto()
+    NOT_SUMMED = "not summed"
+    SUMMED_TWICE = "summed twice"
+    OTHER = "other side"
+    SILENT = auto()
+    WITHIN = "within the limits"
+    LATE = auto()

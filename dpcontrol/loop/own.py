@@ -14,7 +14,7 @@ import inspect
 import math
 import pickle
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -22,7 +22,6 @@ from typing import Any
 from uuid import uuid4
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dpcontrol.control.estimator_settings import FilterSettings
 from dpcontrol.control.interface import Action, Estimate, Estimator, Mode, Present, SampledModel, Session
@@ -48,6 +47,7 @@ NEEDED = {
 """The methods that an object needs in each role."""
 LARGEST = 1e6
 """Upper bound of plausible accelerations and states, SI units."""
+_NUMBERS = f"finite numbers up to {LARGEST:g}, SI"
 _SHOWN = 60
 """Maximum length of a value in an error message, characters."""
 
@@ -91,121 +91,52 @@ class OwnObject:
         return self
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return (load_own, (self.role, self.source)) if self.source else (OwnObject, (self.role, self.thing))
+        return own_object, (self.role, self.source or self.thing)
 
     @cached_property
     def _fingerprint(self) -> str:
-        """Return a hash of code and state.
-
-        Unique if these cannot be read.
-        """
+        """A hash of code and state, unique if these cannot be read."""
         try:
             code = self.thing.function if isinstance(self.thing, SymbolicLaw) else type(self.thing)
             return content_hash(inspect.getsource(code), pickle.dumps(self.thing))
         except Exception:  # noqa: BLE001 - pickling runs the user's code
             return uuid4().hex
 
-    def value(self, name: str) -> Any:
-        """Return an attribute during a run, or None if there is none.
+    def call(self, member: str, *arguments: Any) -> Any:
+        """Call a method and return its value, or return an attribute; None if the object has neither.
 
         Args:
-            name: name of the attribute.
+            member: name of the method or attribute.
+            *arguments: arguments of the method.
 
         Raises:
-            OwnFailure: reading it raised.
+            OwnFailure: it raised.
         """
-        return self._guarded(name, lambda: getattr(self.thing, name, None))
-
-    def reset(self) -> None:
-        """Call the object's `reset` method if it has one."""
-        if callable(getattr(self.thing, "reset", None)):
-            self.call("reset")
-
-    def call(self, method: str, *arguments: Any) -> Any:
-        """Call a method and return its value.
-
-        Args:
-            method: name of the method.
-            *arguments: its arguments.
-
-        Raises:
-            OwnFailure: the method raised.
-        """
-        return self._guarded(method, lambda: getattr(self.thing, method)(*arguments))
-
-    def _guarded(self, name: str, function: Callable[[], Any]) -> Any:
         try:
-            return function()
+            value = getattr(self.thing, member, None)
+            return value(*arguments) if callable(value) else value
         except Exception as error:
-            raise OwnFailure(f"{self.name}.{name} raised {_error_text(error)}") from error
+            raise OwnFailure(f"{self.name}.{member} raised {_error_text(error)}") from error
 
-    def number(self, method: str, *arguments: Any) -> float:
-        """Call a method and return its result, an acceleration in m/s².
-
-        Args:
-            method: name of the method.
-            *arguments: its arguments.
-
-        Raises:
-            OwnFailure: the method failed, or did not return a finite number within bounds.
-        """
-        value = self.call(method, *arguments)
-        number = _number(value)
-        if not abs(number) <= LARGEST:
-            raise self.invalid_value(method, value, f"a number from -{LARGEST:g} to {LARGEST:g} m/s²")
-        return number
-
-    def numbers(self, method: str, value: Any, size: int) -> Array:
-        """Return the array (size,) that a method returned.
+    def numbers(self, member: str, value: Any, *shape: int) -> Array:
+        """Return the numbers that a method returned as an array.
 
         Args:
-            method: name of the method, for the message.
+            member: name of the method, for the message.
             value: the returned value.
-            size: required number of entries.
+            *shape: shape of the array, none for one number.
 
         Raises:
             OwnFailure: the value has another shape, or entries that are not finite or out of bounds.
         """
         try:
-            array = np.empty(0) if np.iscomplexobj(value) else np.array(value, dtype=float)
-        except (TypeError, ValueError):
-            array = np.empty(0)
-        if array.shape != (size,) or not np.abs(array).max() <= LARGEST:
-            raise self.invalid_value(method, value, f"{size} finite numbers up to {LARGEST:g}, SI")
+            array = np.array(value, dtype=float)
+        except (TypeError, ValueError, OverflowError):
+            array = np.full(shape, np.nan)
+        if array.shape != shape or not np.abs(array).max() <= LARGEST:
+            text = " ".join(repr(value).split())[:_SHOWN]
+            raise OwnFailure(f"{self.name}.{member} returned {text}: it must return {math.prod(shape)} {_NUMBERS}")
         return array
-
-    def invalid_value(self, method: str, value: Any, needed: str) -> OwnFailure:
-        """Return the error for an invalid value of a method.
-
-        Args:
-            method: name of the method.
-            value: the returned value.
-            needed: description of valid values.
-        """
-        return OwnFailure(f"{self.name}.{method} returned {_shown(value)}: it must return {needed}")
-
-
-def _shown(value: Any) -> str:
-    text = " ".join(repr(value).split())
-    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}…"
-
-
-def _number(value: Any) -> float:
-    """Return a real number, and NaN for any other value."""
-    try:
-        other = isinstance(value, str | bytes | bool | np.bool_) or np.ndim(value) or np.iscomplexobj(value)
-        return math.nan if other else float(value)
-    except (TypeError, ValueError, OverflowError):
-        return math.nan
-
-
-def _flags(value: Any) -> NDArray[np.bool_]:
-    """Return truth values, none for any other value."""
-    try:
-        array = np.asarray(value)
-    except ValueError:  # rows of unequal length
-        return np.empty(0, dtype=bool)
-    return array.astype(bool) if array.dtype == bool else np.empty(0, dtype=bool)
 
 
 def wrong_command(law: str, value: float) -> OwnFailure | None:
@@ -215,14 +146,11 @@ def wrong_command(law: str, value: float) -> OwnFailure | None:
         law: name of the symbolic law.
         value: its command, m/s².
     """
-    if abs(value) <= LARGEST:
-        return None
-    return OwnFailure(f"{law} returned {value}: it must return a number from -{LARGEST:g} to {LARGEST:g} m/s²")
+    return None if abs(value) <= LARGEST else OwnFailure(f"{law} returned {value}: it must return 1 {_NUMBERS}")
 
 
 def _error_text(error: BaseException) -> str:
-    text = " ".join(str(error).split())
-    return f"{type(error).__name__}: {text}" if text else type(error).__name__
+    return " ".join(f"{type(error).__name__}: {error}".split())
 
 
 def names_file(value: str) -> bool:
@@ -235,36 +163,23 @@ def names_file(value: str) -> bool:
 
 
 def own_object(role: str, value: Any) -> OwnObject:
-    """Return a user's object, loaded from FILE.py:CLASS if necessary.
+    """Return a user's object: the object itself, or the one that FILE.py:CLASS names.
+
+    Classes in files are called without arguments.
 
     Args:
         role: role of the object, "controller", "estimator", "plant" or "rig".
         value: the object, or FILE.py:CLASS.
 
     Raises:
-        InputError: the object cannot be loaded, or lacks a method.
-    """
-    return load_own(role, value) if isinstance(value, str) else OwnObject(role, value)
-
-
-def load_own(role: str, source: str) -> OwnObject:
-    """Load FILE.py:CLASS and return an instance or the named object.
-
-    Instances are made without arguments.
-
-    Args:
-        role: role of the object, "controller", "estimator", "plant" or "rig".
-        source: FILE.py:CLASS.
-
-    Raises:
         InputError: the file or class does not exist, the constructor raised, or a method is missing.
     """
-    path, _, name = source.rpartition(":")
-    if not path.endswith(".py") or not name:
-        raise InputError(f"{role} = {source}: the class is missing; give FILE.py:CLASS")
+    if not isinstance(value, str):
+        return OwnObject(role, value)
+    path, _, name = value.rpartition(":")
+    if not (path.endswith(".py") and name and Path(path).is_file()):
+        raise InputError(f"{role} = {value}: there is no such file and class; give FILE.py:CLASS")
     file = Path(path)
-    if not file.is_file():
-        raise InputError(f"{role} = {source}: there is no file {path}; give FILE.py:CLASS")
     module_name = f"dpcontrol_own_{file.stem}"
     spec = importlib.util.spec_from_file_location(module_name, file)
     assert spec is not None
@@ -276,13 +191,12 @@ def load_own(role: str, source: str) -> OwnObject:
         sys.path.append(folder)
     try:
         spec.loader.exec_module(module)
-        kind = getattr(module, name, None)
-        thing = kind() if isinstance(kind, type) else kind
+        kind = getattr(module, name)
+        return OwnObject(role, kind() if isinstance(kind, type) else kind, value)
+    except InputError:
+        raise
     except Exception as error:
-        raise InputError(f"{role} = {source}: {_error_text(error)}") from error
-    if thing is None:
-        raise InputError(f"{role} = {source}: {path} has no class {name}")
-    return OwnObject(role, thing, source)
+        raise InputError(f"{role} = {value}: {_error_text(error)}") from error
 
 
 @dataclass(frozen=True)
@@ -363,8 +277,9 @@ class OwnSession(Session):
         try:
             if not self._begun:
                 self._begun = True
-                law.own.reset()
-            value = law.own.number("control", tick * law.period, state, Setpoint(wanted.copy(), forward))
+                law.own.call("reset")
+            given = law.own.call("control", tick * law.period, state, Setpoint(wanted.copy(), forward))
+            value = float(law.own.numbers("control", given))
         except OwnFailure as failure:
             self.failure = failure
         return Action(forward, value - forward, wanted, Mode.TRACKING)
@@ -436,9 +351,9 @@ class OwnEstimates(Estimator):
         reading = Reading(self._count * self._model.period, measured.copy(), seen.copy())
         try:
             if not self._count:
-                own.reset()
+                own.call("reset")
             state = own.numbers("update", own.call("update", reading, self._sent), size)
-            given = own.value("sigmas")
+            given = own.call("sigmas")
             sigmas = estimate.sigmas if given is None else own.numbers("sigmas", given, size)
         except OwnFailure as failure:
             self.failure = failure
@@ -521,7 +436,7 @@ class OwnArms:
         """
         if not self._begun:
             self._begun = True
-            self._own.reset()
+            self._own.call("reset")
         value = self._own.call("step", self.state.copy(), float(acceleration), float(duration))
         state, cart = self._own.numbers("step", value, len(self.state)), self._cart
         if abs(state[cart]) > self._track:
@@ -576,19 +491,11 @@ class OwnRig:
         positions, now = own.numbers("read", given, m), self._count * self.period
         self._count += 1
         if self.truth is not None:
-            self.truth = own.numbers("truth", own.value("truth"), 2 * self._arms + 2)
+            self.truth = own.numbers("truth", own.call("truth"), 2 * self._arms + 2)
         if not isinstance(value, Reading):
             return Reading(now, positions)
-        present = None if value.present is None else _flags(value.present)
-        if present is not None and present.shape != (m,):
-            raise own.invalid_value("read", value.present, f"a reading whose `present` has {m} times True or False")
-        for name, needed, valid in (
-            ("switch", "-1, 0 or 1", abs(_number(value.switch)) in (0, 1)),
-            ("late", "seconds", abs(_number(value.late)) <= LARGEST),
-            ("age", "None or seconds of at least 0", value.age is None or 0 <= _number(value.age) <= LARGEST),
-        ):
-            if not valid:
-                raise own.invalid_value("read", getattr(value, name), f"a reading whose `{name}` is {needed}")
+        own.numbers("read", [value.switch, value.late, value.age or 0.0], 3)
+        present = None if value.present is None else own.numbers("read", value.present, m) != 0
         return value._replace(time=now, positions=positions, present=present)
 
     def command(self, acceleration: float) -> None:

@@ -58,14 +58,12 @@ from dpcontrol.rig.packets import (
     CommandPacket,
     Condition,
     Kind,
-    OtherVersion,
     Packet,
     ReadingPacket,
     ReceivedPacket,
     Role,
     Start,
     Talk,
-    Unsealed,
     Welcome,
     checked_host,
 )
@@ -80,8 +78,6 @@ _REFUSE_EVERY = 0.05
 """Minimum interval between refusals, s. It prevents a HELLO with a forged sender from causing a flood."""
 _AT_ONCE, _STRANGERS_AT_ONCE = 64, 16
 """Packets that are read before the clock is checked: the loop's, and others."""
-_REMEMBERED = 1024
-"""Ticks whose sending times are kept to measure round trips."""
 
 
 @dataclass(frozen=True)
@@ -318,17 +314,13 @@ class UdpBench(AbstractContextManager["UdpBench"]):
         """
         try:
             heard = packets.unpacked(data, Role.LOOP, key=self._key)
-        except ValueError as error:
-            if packets.is_hello(data) and (why := self._remedy(error)):
-                self._refuse(packets.refusal(data, why), sender)
+        except ValueError:
             return False
         session = self._session(sender)
         if heard.kind is Kind.HELLO:
             self._answer(heard, packets.welcome(Welcome(self._arms, self._period, self._ticks, session)), sender)
             return False
         if heard.session != session:
-            if heard.kind is Kind.START:
-                self._refuse(self._packed(heard, packets.bye("the bench does not know this run; begin again")), sender)
             return False
         if not isinstance(heard.content, Start):
             # The loop found that the bench is not suitable.
@@ -364,37 +356,20 @@ class UdpBench(AbstractContextManager["UdpBench"]):
         """
         return int.from_bytes(hmac.digest(self._secret, repr(sender).encode(), "sha256")[:8])
 
-    def _remedy(self, error: ValueError) -> str:
-        """Return the refusal for an invalid HELLO, or "" for no answer."""
-        if isinstance(error, OtherVersion):
-            return f"this bench uses version {packets.VERSION} of the protocol; update the loop's dpcontrol"
-        if not isinstance(error, Unsealed):
-            return ""
-        if self._key:
-            return f"this bench requires its shared key: give its file with --key-file, or set {KEY_VARIABLE}"
-        return f"this bench has no key: start it with one, or run without --key-file and {KEY_VARIABLE}"
-
     def _busy(self, data: bytes, sender: Any) -> None:
         """Refuse a loop that requests a run during another."""
+        if time.perf_counter() - self._refused_at < _REFUSE_EVERY:
+            return
+        self._refused_at = time.perf_counter()
         with suppress(ValueError):
             heard = packets.unpacked(data, Role.LOOP, key=self._key)
-            if heard.kind in (Kind.HELLO, Kind.START):
-                busy = packets.bye("the bench is busy with another loop; wait until it has ended")
-                self._refuse(self._packed(heard, busy), sender)
-
-    def _packed(self, heard: ReceivedPacket, message: Packet) -> bytes:
-        return packets.packed(message, Role.BENCH, session=heard.session, sequence=1, key=self._key)
+            if heard.kind is Kind.HELLO:
+                self._answer(heard, packets.bye("the bench is busy with another loop; wait until it has ended"), sender)
 
     def _answer(self, heard: ReceivedPacket, message: Packet, sender: Any) -> None:
+        data = packets.packed(message, Role.BENCH, session=heard.session, sequence=1, key=self._key)
         with suppress(OSError):
-            self._socket.sendto(self._packed(heard, message), sender)
-
-    def _refuse(self, data: bytes, sender: Any) -> None:
-        now = time.perf_counter()
-        if now - self._refused_at >= _REFUSE_EVERY:
-            self._refused_at = now
-            with suppress(OSError):
-                self._socket.sendto(data, sender)
+            self._socket.sendto(data, sender)
 
 
 def _connected_socket(shared: socket.socket, client: Any) -> socket.socket | None:
@@ -422,7 +397,7 @@ class _BenchRun:
 
     Args:
         sockets: sockets with the packets to read before each clock check; the first one also sends.
-        busy: receives packets of other senders, at most once per tick.
+        busy: receives packets of other senders.
         record: filled during the run.
     """
 
@@ -431,23 +406,21 @@ class _BenchRun:
         settings: BenchServerSettings, busy: Callable[[bytes, Any], None], record: BenchRecord,
     ) -> None:  # fmt: skip
         self._sockets, self._client, self._rig, self._talk, self._settings = sockets, client, rig, talk, settings
-        self._busy, self._busy_at, self._record = busy, -1, record
+        self._busy, self._record = busy, record
         self._ticks, self._tick = ticks, -1
-        self._sent_at = [0.0] * _REMEMBERED
-        self._heard, self._held, self._trip, self._fresh = -1, 0, 0.0, True
+        self._heard, self._held, self._fresh = -1, 0, True
         self._silent, self._stopped, self._over, self._ignored = 0, False, "", 0
         self._condition, self._text = Condition.WELL, ""
-        self._worst, self._behind = 0.0, 0
+        self._behind = 0
         self.silence = ""
         """Sentence on a cart stopped because of the loop's silence."""
 
     @property
     def sentence(self) -> str:
-        """Summary of timing and ignored packets."""
-        ignored = f"; {self._ignored} foreign or repeated packets were ignored"
+        """Summary of ticks and packets."""
         return (
-            f"{self._tick + 1} ticks, {self._behind} of them at least a period late, the worst {1e3 * self._worst:.3g} "
-            f"ms; a command was repeated {self._held} times{ignored if self._ignored else ''}"
+            f"{self._tick + 1} ticks, {self._behind} of them at least a period late; a command was repeated "
+            f"{self._held} times; {self._ignored} packets were rejected"
         )
 
     def go(self) -> str:
@@ -462,7 +435,6 @@ class _BenchRun:
             if self._over:
                 return self._over
             late = clock() - due
-            self._worst = max(self._worst, late)
             self._behind += late > period
             self._silent += late <= period
             if k and not self._fresh and not self._stopped:
@@ -487,13 +459,12 @@ class _BenchRun:
                 self._condition, self._text = Condition.HARD_STOP if hit else Condition.FAULT, fault.text
                 self._record.fault, self._record.fault_at = fault, k
             self._tick = k
-            self._sent_at[k % _REMEMBERED] = clock()
             # A tick without any reading sends none, so the loop counts it as lost.
             sends = reading.present is None or bool(reading.present.any())
             self._record.read(k, reading, self._rig.truth, sent=sends)
             if sends:
                 content = ReadingPacket(
-                    k, tuple(reading.positions.tolist()), self._heard, self._held, self._trip, reading.switch,
+                    k, tuple(reading.positions.tolist()), self._heard, self._held, 0.0, reading.switch,
                     self._condition, self._text, self._ignored, reading.age,
                 )  # fmt: skip
                 self._send(packets.reading(content))
@@ -524,17 +495,13 @@ class _BenchRun:
                     self._receive(data)
                     continue
                 self._ignored += 1
-                if self._busy_at != self._tick:
-                    self._busy_at = self._tick
-                    self._busy(data, sender)
+                self._busy(data, sender)
 
     def _receive(self, data: bytes) -> None:
         """Handle a packet from the loop's address."""
         try:
             heard = self._talk.unpack(data)
         except ValueError:
-            heard = None
-        if heard is None or not heard.new:
             self._ignored += 1
             return
         self._silent = 0
@@ -557,8 +524,6 @@ class _BenchRun:
             return
         self._heard, self._fresh = content.tick, True
         self._record.answered(content.tick, content.acceleration)
-        if self._tick - content.tick < _REMEMBERED:
-            self._trip = time.perf_counter() - self._sent_at[content.tick % _REMEMBERED]
         if not math.isfinite(content.acceleration):
             self._stop(Condition.FAULT, f"the command at tick {content.tick} was not finite; the cart was stopped")
         elif not self._stopped:
@@ -789,7 +754,7 @@ class BenchProcess(AbstractContextManager["BenchProcess"]):
         The deadlines are those that it reports.
 
         The program is called with the bench's address and the arguments. Its environment contains the key. It may print
-        its deadlines on stdout as a line of JSON. An interrupt stops it.
+        its deadlines on stdout as a line of JSON. An interrupt ends it.
 
         Args:
             program: program to start.
@@ -811,13 +776,11 @@ class BenchProcess(AbstractContextManager["BenchProcess"]):
         try:
             figures, errors = process.communicate()
         finally:
-            if process.poll() is None:
-                # The program stops the cart first; Windows offers no way to request that.
-                if os.name == "posix":
-                    process.send_signal(signal.SIGINT)
-                with suppress(subprocess.TimeoutExpired):
-                    process.communicate(timeout=_END)
-                process.kill()
+            # The program stops the cart first, except on Windows.
+            process.terminate()
+            with suppress(subprocess.TimeoutExpired):
+                process.wait(_END)
+            process.kill()
         if not self.began:
             why = errors.strip().splitlines()[-1:] or ["it printed nothing"]
             raise InputError(f"{name} ended with {process.returncode} before a run began: {why[0]}")

@@ -4,8 +4,7 @@ The bench has the clock. It sends a reading each period and applies the newest c
 without sensors, so the loop's ticks stay aligned with the bench's. A lost command is replaced by the next. After a
 stall, the waiting readings are handled one by one, each in a fraction of a period. A tick is due one period after the
 last, counted from the earliest arrival of any reading.
-`Deadlines` counts late ticks, lost packets and round-trip times. It also counts packets that do not belong to the run,
-which both ends ignore.
+`Deadlines` counts late ticks, lost and late packets, and those that do not belong to the run, which both ends ignore.
 """
 
 import gc
@@ -39,7 +38,6 @@ from dpcontrol.rig.packets import (
     Role,
     Talk,
     Welcome,
-    check_access,
     resolved,
 )
 
@@ -83,53 +81,30 @@ def real_time_priority() -> Iterator[bool]:
 
 @dataclass(frozen=True)
 class Deadlines:
-    """Timing of a real-time run; times in s.
-
-    Quantiles cover the last million ticks.
-    """
+    """Ticks and packets of a run in real time."""
 
     ticks: int
-    """Ticks of the run."""
+    """Ticks of the run, each with a command that was sent."""
     missed: int
     """Ticks that began at least a period late, so that their commands came too late."""
     worst: float
-    """Largest delay of a tick."""
-    lateness_median: float
-    """Median delay."""
-    lateness_99: float
-    """99 % quantile of the delay."""
+    """Largest delay of a tick, s."""
     lost: int
     """Readings that did not arrive."""
     stale: int
-    """Readings that arrived after their tick, the first time."""
+    """Readings that arrived after their tick."""
     held: int
     """Periods in which the bench repeated an old command."""
-    trip_median: float
-    """Median time from sending a reading to receiving its command at the bench; NaN if none arrived."""
-    trip_99: float
-    """99 % quantile of that time."""
-    trip_worst: float
-    """Largest such time."""
-    ignored: int = 0
-    """Foreign or repeated packets at the bench."""
-    refused: int = 0
-    """Foreign or repeated packets at the loop."""
-
-    @property
-    def strangers(self) -> str:
-        """A sentence on packets that both ends ignored, or ""."""
-        if not (self.ignored or self.refused):
-            return ""
-        return f"foreign or repeated packets were ignored: {self.ignored} by the bench, {self.refused} by the loop"
+    rejected: int
+    """Foreign, repeated and damaged packets at both ends."""
 
     @property
     def sentence(self) -> str:
-        """Summary of the timing."""
+        """Summary of the run's ticks and packets."""
         return (
-            f"{self.missed} of {self.ticks} deadlines missed; ticks began up to {1e3 * self.worst:.3g} ms late (99 %: "
-            f"{1e3 * self.lateness_99:.3g} ms); {self.lost} readings lost, {self.stale} too late; the bench repeated a "
-            f"command {self.held} times; from reading to command {1e3 * self.trip_median:.3g} ms (99 %: "
-            f"{1e3 * self.trip_99:.3g} ms){self.strangers and f'; {self.strangers}'}"
+            f"{self.missed} of {self.ticks} deadlines missed; ticks began up to {1e3 * self.worst:.3g} ms late; "
+            f"{self.lost} readings lost, {self.stale} too late; {self.rejected} packets rejected; the bench repeated a "
+            f"command {self.held} times"
         )
 
     def record(self) -> dict[str, str]:
@@ -144,12 +119,10 @@ _REQUEST_INTERVAL = 0.2
 """Interval between HELLOs, s."""
 _LONGEST_PERIOD = 60.0
 """Upper bound of a bench's period, s."""
-_LATEST = 1_000_000
-"""Number of last ticks whose delays and round trips are kept."""
+_UNKNOWN = Welcome(0, math.nan, 0)
+"""Bench that has not answered, whose readings are all rejected."""
 _OLDEST = 1.0
 """Maximum age of a reading, s; older ones count as of unknown age."""
-_REMEMBERED = 1024
-"""Number of last ticks whose readings are recognised when they are repeated."""
 _MOST_REFUSED = 256
 """Consecutive refused packets before the loop checks its clock."""
 
@@ -218,8 +191,7 @@ class UdpRig(AbstractContextManager["UdpRig"]):
         self._settings, self._queued = settings or LinkSettings(), queued
         self.fault: Event | None = None
         self.address = f"{SCHEME}://{address[0]}:{address[1]}"
-        family, where = resolved(*address, name=f"rig {self.address}")
-        check_access(where, name=f"rig {self.address}", key=key, insecure=insecure)
+        family, where = resolved(*address, name=f"rig {self.address}", key=key, insecure=insecure)
         try:
             self._socket = socket.socket(family, socket.SOCK_DGRAM)
             self._socket.connect(where)
@@ -230,18 +202,12 @@ class UdpRig(AbstractContextManager["UdpRig"]):
         self._socket.setblocking(False)
         self._waiting: dict[int, ReadingPacket] = {}
         self._tick, self._begin = -1, math.inf
-        self._stopped, self._link_error = False, ""
-        # All ticks of a night would fill the memory.
-        self._lateness, self._trips = np.empty(_LATEST), np.empty(_LATEST)
-        self._begun = self._answered = 0
-        self._worst = self._worst_trip = math.nan
-        self._heard, self._held, self._missed, self._lost, self._stale = -1, 0, 0, 0, 0
-        self._ignored = self._refused = 0
-        self._arrived = [-1] * _REMEMBERED
-        self._last_error = ""
+        self._stopped, self._problem = False, ""
+        self._worst = 0.0
+        self._held = self._missed = self._lost = self._stale = self._ignored = self._refused = 0
         # An unpredictable number shows that an answer belongs to this HELLO.
         self._request = secrets.token_bytes(8)
-        self._talk = Talk(Role.LOOP, int.from_bytes(self._request, "little"), key=key)
+        self._talk, self.welcome = Talk(Role.LOOP, int.from_bytes(self._request, "little"), key=key), _UNKNOWN
         try:
             self.welcome = self._introduced()
         except BaseException:
@@ -264,16 +230,8 @@ class UdpRig(AbstractContextManager["UdpRig"]):
     @property
     def deadlines(self) -> Deadlines:
         """Return the statistics so far."""
-        none = np.array([math.nan])
-        late = self._lateness[: self._begun] if self._begun else none
-        trip = self._trips[: self._answered] if self._answered else none
-        return Deadlines(
-            ticks=self._begun, missed=self._missed, worst=self._worst,
-            lateness_median=float(np.median(late)), lateness_99=float(np.percentile(late, 99)),
-            lost=self._lost, stale=self._stale, held=self._held,
-            trip_median=float(np.median(trip)), trip_99=float(np.percentile(trip, 99)), trip_worst=self._worst_trip,
-            ignored=self._ignored, refused=self._refused,
-        )  # fmt: skip
+        rejected = self._ignored + self._refused
+        return Deadlines(self._tick + 1, self._missed, self._worst, self._lost, self._stale, self._held, rejected)
 
     def read(self) -> Reading:
         """Wait for the reading of the next tick.
@@ -285,22 +243,15 @@ class UdpRig(AbstractContextManager["UdpRig"]):
         """
         self._tick = k = self._tick + 1
         packet = self._packet_of(k)
-        now, period = time.perf_counter(), self.period
-        lateness = max(now - (self._begin + k * period), 0.0)
-        self._lateness[self._begun % _LATEST] = lateness
-        self._begun += 1
-        # Before the first reading this is NaN, which is not greater than anything.
-        self._worst = lateness if not self._worst >= lateness else self._worst
+        period = self.period
+        # Before the first reading, the beginning is infinite and no tick is late.
+        lateness = time.perf_counter() - (self._begin + k * period)
+        self._worst = max(self._worst, lateness)
         late = max(lateness - period, 0.0)
         self._missed += late > 0
         if packet is None:
             self._lost += 1
             return Reading(k * period, self._positions, self._nothing, 0, late)
-        if packet.heard > self._heard:
-            self._heard = packet.heard
-            self._trips[self._answered % _LATEST] = packet.trip
-            self._answered += 1
-            self._worst_trip = packet.trip if not self._worst_trip >= packet.trip else self._worst_trip
         self._held, self._ignored = packet.held, packet.ignored
         if packet.condition is Condition.SILENCE and not self._stopped:
             raise ArithmeticError(f"the bench stopped the cart: {packet.text}")
@@ -347,22 +298,18 @@ class UdpRig(AbstractContextManager["UdpRig"]):
                 if heard is None:
                     continue
                 if isinstance(heard.content, Welcome):
-                    return self._checked(heard.content)
+                    if 0 < heard.content.period <= _LONGEST_PERIOD:
+                        return heard.content
+                    raise InputError(
+                        f"rig {self.address} announces a period of {heard.content.period:g} s: it must be above 0 and "
+                        f"at most {_LONGEST_PERIOD:g} s; fix the bench"
+                    )
                 if heard.kind is Kind.BYE:
                     raise InputError(f"rig {self.address}: {heard.content}")
-        came = f" ({self._refused} packets were refused: {self._last_error})" if self._refused else ""
         raise InputError(
-            f"rig {self.address}: no bench responded for {self._settings.answer:g} s{came}; start one with "
+            f"rig {self.address}: no bench responded for {self._settings.answer:g} s{self._problem}; start one with "
             "`dpcontrol rig` of this version, and give both the same key, if any"
         )
-
-    def _checked(self, welcome: Welcome) -> Welcome:
-        if not 0 < welcome.period <= _LONGEST_PERIOD:
-            raise InputError(
-                f"rig {self.address} announces a period of {welcome.period:g} s: it must be above 0 and at most "
-                f"{_LONGEST_PERIOD:g} s; fix the bench"
-            )
-        return welcome
 
     def _packet_of(self, k: int) -> ReadingPacket | None:
         """Return the reading of tick k, or None.
@@ -397,9 +344,9 @@ class UdpRig(AbstractContextManager["UdpRig"]):
             elif heard and heard.kind is Kind.BYE:
                 raise ArithmeticError(f"the bench ended the run: {content}")
             elif now - self._last_packet > (settings.silence if k else settings.answer):
-                why = self._link_error or "received nothing from it"
                 raise ArithmeticError(
-                    f"the bench at {self.address} does not respond: {why} for {now - self._last_packet:.3g} s"
+                    f"the bench at {self.address} does not respond: received nothing from it for "
+                    f"{now - self._last_packet:.3g} s{self._problem}"
                 )
             elif k == 0:
                 # The first reading may take longer, and START may have been lost.
@@ -424,7 +371,7 @@ class UdpRig(AbstractContextManager["UdpRig"]):
                 if heard is not None:
                     return heard
         except OSError as error:
-            self._link_error = f"{error.strerror or error}"
+            self._problem = f" ({error.strerror or error})"
             # No program listens there now, but a restarted bench might.
             time.sleep(min(wait, _REQUEST_INTERVAL))
         return None
@@ -432,7 +379,7 @@ class UdpRig(AbstractContextManager["UdpRig"]):
     def _accepted(self, data: bytes) -> ReceivedPacket | None:
         """Return a valid, new packet of this run's bench, or None.
 
-        Invalid ones are counted.
+        Others are counted.
         """
         try:
             heard = self._talk.unpack(data)
@@ -440,24 +387,18 @@ class UdpRig(AbstractContextManager["UdpRig"]):
             # A second answer to a repeated HELLO is not foreign.
             if self._tick < 0 or data[8:16] != self._request:
                 self._refused += 1
-                self._last_error = str(error)
+                self._problem = f" ({error})"
             return None
-        content = heard.content
-        if isinstance(content, ReadingPacket):
-            place = content.tick % _REMEMBERED
-            foreign = len(content.positions) != self.welcome.arms + 1 or content.tick >= self.welcome.ticks
-            if foreign or self._arrived[place] == content.tick:
-                self._refused += 1
-                return None
-            self._arrived[place] = content.tick
-            if not heard.new:
-                self._stale += 1
-                return None
-        return heard if heard.new else None
+        content, welcome = heard.content, self.welcome
+        fits = not isinstance(content, ReadingPacket) or (
+            len(content.positions) == welcome.arms + 1 and content.tick < welcome.ticks
+        )
+        self._refused += not fits
+        return heard if fits else None
 
     def _send(self, message: Packet) -> None:
         try:
             self._socket.send(self._talk.pack(message))
         except OSError as error:
             # It counts as lost.
-            self._link_error = f"{error.strerror or error}"
+            self._problem = f" ({error.strerror or error})"

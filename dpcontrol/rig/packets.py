@@ -13,7 +13,7 @@ Numbers are little-endian, with one packet per datagram. Each packet begins with
                                                   ready for the first reading
     READING  3   bench   arms                     u32 tick, u32 tick of the newest command received (none: 2³²-1),
                                                   u32 periods with a repeated command, u32 packets ignored,
-                                                  f64 s from that reading to its command, i8 switch, u8 condition,
+                                                  f64 s from that reading to its command or 0, i8 switch, u8 condition,
                                                   u16 bytes of a sentence, f64 positions (arms, then the cart), the
                                                   sentence; then, if the bench knows it, f64 s: age of the positions
     COMMAND  4   loop    0                        u32 tick of the reading that it answers, f64 acceleration m/s²
@@ -42,7 +42,7 @@ from collections.abc import Sequence
 from enum import Enum, IntEnum
 from ipaddress import ip_address
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import checked_source
@@ -95,17 +95,6 @@ class Role(Enum):
     def other(self) -> "Role":
         """The other end."""
         return Role.BENCH if self is Role.LOOP else Role.LOOP
-
-
-class OtherVersion(ValueError):
-    """The packet has another version of the protocol."""
-
-
-class Unsealed(ValueError):
-    """The packet's seal is missing or unexpected.
-
-    It lacks the shared key's seal, or has a seal although no key is shared.
-    """
 
 
 class Packet(NamedTuple):
@@ -168,16 +157,12 @@ Content = Start | Welcome | ReadingPacket | CommandPacket | str | None
 
 
 class ReceivedPacket(NamedTuple):
-    """Head and content of a packet.
-
-    new: True if its sequence number is above all earlier ones.
-    """
+    """Head and content of a packet."""
 
     kind: Kind
     session: int
     sequence: int
     content: Content
-    new: bool = True
 
 
 HELLO = Packet(Kind.HELLO)
@@ -268,9 +253,7 @@ def unpacked(data: bytes, role: Role, *, key: bytes = b"") -> ReceivedPacket:
         key: shared key, default none.
 
     Raises:
-        OtherVersion: the version is different.
-        Unsealed: the seal is missing or wrong, or there is one without a key.
-        ValueError: the packet is invalid or damaged.
+        ValueError: the packet is invalid, damaged or of another version, or its seal is missing, wrong or unexpected.
     """
     if len(data) < _HEAD.size:
         raise ValueError(f"a packet of {len(data)} bytes has no head")
@@ -278,18 +261,16 @@ def unpacked(data: bytes, role: Role, *, key: bytes = b"") -> ReceivedPacket:
     if magic != MAGIC:
         raise ValueError(f"a packet that begins with {magic!r} is not from a bench")
     if version != VERSION:
-        raise OtherVersion(f"the packet's version is {version}, this program uses {VERSION}")
+        raise ValueError(f"the packet's version is {version}, this program uses {VERSION}")
     if key:
         data, seal = data[:-_SEAL], data[-_SEAL:]
         if not hmac.compare_digest(seal, _seal(data, role, key)):
-            raise Unsealed("a packet is not sealed with the shared key")
+            raise ValueError("a packet is not sealed with the shared key")
     try:
         kind = Kind(number)
         content, end = _content(kind, data, count)
-    except (struct.error, UnicodeDecodeError) as error:
+    except struct.error as error:
         raise ValueError(f"a packet of kind {number} is damaged: {error}") from error
-    if len(data) == end + _SEAL and not key:
-        raise Unsealed("a packet is sealed with a key, but no key is given here")
     if len(data) != end:
         raise ValueError(f"a packet of kind {number} is damaged: it has {len(data)} bytes instead of {end}")
     return ReceivedPacket(kind, session, sequence, content)
@@ -306,11 +287,10 @@ def _content(kind: Kind, data: bytes, count: int) -> tuple[Content, int]:
         if abs(switch) > 1:
             raise struct.error(f"a switch of {switch}")
         heard = -1 if heard == NO_TICK else heard
-        text = _text(data, at, size)
+        text = data[at : at + size].decode()
         at += size
         age = None
-        # A seal has 16 bytes, so eight more are an age.
-        if len(data) - at in (_AGE.size, _AGE.size + _SEAL):
+        if len(data) == at + _AGE.size:
             (age,) = _AGE.unpack_from(data, at)
             at += _AGE.size
         return ReadingPacket(tick, positions, heard, held, trip, switch, Condition(condition), text, ignored, age), at
@@ -320,34 +300,7 @@ def _content(kind: Kind, data: bytes, count: int) -> tuple[Content, int]:
         return Start(struct.unpack_from(f"<{count}d", data, at)), at + 8 * count
     if kind is Kind.WELCOME:
         return Welcome(count, *_WELCOME.unpack_from(data, at)), at + _WELCOME.size
-    return (_text(data, at, count), at + count) if kind is Kind.BYE else (None, at)
-
-
-def _text(data: bytes, at: int, size: int) -> str:
-    if len(data) < at + size:
-        raise struct.error(f"{size} bytes of text were announced, {len(data) - at} came")
-    return data[at : at + size].decode()
-
-
-def is_hello(data: bytes) -> bool:
-    """True if these bytes have the head of a HELLO of any version.
-
-    The sender of a HELLO can receive a refusal.
-
-    Args:
-        data: the received bytes.
-    """
-    return len(data) >= _HEAD.size and data[:4] == MAGIC and data[5] == Kind.HELLO
-
-
-def refusal(data: bytes, why: str) -> bytes:
-    """Return an unsealed BYE that refuses a HELLO.
-
-    Args:
-        data: bytes of the HELLO.
-        why: reason of the refusal.
-    """
-    return packed(bye(why), Role.BENCH, session=_HEAD.unpack_from(data)[-2], sequence=1)
+    return (data[at : at + count].decode(), at + count) if kind is Kind.BYE else (None, at)
 
 
 class Talk:
@@ -376,13 +329,14 @@ class Talk:
             data: the received bytes.
 
         Raises:
-            ValueError: the packet belongs to another session, or has an error listed in `unpacked`.
+            ValueError: the packet belongs to another session, its number is not above all earlier ones, or it is
+                invalid as described in `unpacked`.
         """
         heard = unpacked(data, self._role.other, key=self._key)
         if heard.session != self._session:
             raise ValueError("a packet does not belong to this run")
         if heard.sequence <= self._newest:
-            return heard._replace(new=False)
+            raise ValueError("a packet came again or after a newer one")
         self._newest = heard.sequence
         return heard
 
@@ -390,7 +344,6 @@ class Talk:
 KEY_VARIABLE = "DPCONTROL_RIG_KEY"
 SHORTEST_KEY = 16
 """Minimum length of a key, bytes."""
-_LONGEST_KEY = 4096
 
 
 def shared_key(file: Path | None = None) -> bytes:
@@ -408,7 +361,7 @@ def shared_key(file: Path | None = None) -> bytes:
     if file is None and KEY_VARIABLE not in os.environ:
         return b""
     try:
-        key = (_beginning(file) if file else os.fsencode(os.environ[KEY_VARIABLE])).strip()
+        key = (checked_source(file).read_bytes() if file else os.fsencode(os.environ[KEY_VARIABLE])).strip()
     except OSError as error:
         raise InputError(f"{where}: {error.strerror or error}; give a file that contains the key") from error
     if len(key) < SHORTEST_KEY:
@@ -419,55 +372,36 @@ def shared_key(file: Path | None = None) -> bytes:
     return key
 
 
-def _beginning(file: Path) -> bytes:
-    # Not the whole file, which may be large.
-    with checked_source(file).open("rb") as stream:
-        return stream.read(_LONGEST_KEY)
-
-
-def resolved(host: str, port: int, *, name: str, family: int = 0) -> tuple[int, tuple]:
+def resolved(
+    host: str, port: int, *, name: str, key: bytes, insecure: bool, family: int = 0
+) -> tuple[int, tuple[Any, ...]]:
     """Return address family and socket address of a host.
 
     Args:
         host: name or address of the host.
         port: port.
         name: name of the host in messages.
+        key: shared key, b"" for none.
+        insecure: accept other computers without a key.
         family: address family, 0 for any.
 
     Raises:
-        InputError: the host does not exist.
+        InputError: the host does not exist, or other computers can reach it without a key.
     """
     try:
-        found = socket.getaddrinfo(host, port, family=family, type=socket.SOCK_DGRAM)[0]
+        family, *_, address = socket.getaddrinfo(host, port, family=family, type=socket.SOCK_DGRAM)[0]
     except (OSError, ValueError, OverflowError) as error:
         # A name that is too long, or not a valid host name, is a ValueError.
-        why = (error.strerror if isinstance(error, OSError) else None) or error
-        raise InputError(f"{name}: {why}; check the address") from error
-    return found[0], found[4]
-
-
-def check_access(address: tuple, *, name: str, key: bytes, insecure: bool) -> None:
-    """Reject an address that other computers reach without a key.
-
-    It is accepted if `insecure` is True.
-
-    Args:
-        address: socket address.
-        name: name of the address in messages.
-        key: shared key, b"" for none.
-        insecure: accept other computers without a key.
-
-    Raises:
-        InputError: the address is rejected.
-    """
-    if not (key or insecure or ip_address(address[0].partition("%")[0]).is_loopback):
+        raise InputError(f"{name}: {getattr(error, 'strerror', None) or error}; check the address") from error
+    if not (key or insecure or ip_address(str(address[0]).partition("%")[0]).is_loopback):
         raise InputError(
             f"{name} can be reached from other computers, so both ends need a shared key: give its file with "
             f"--key-file or the key in {KEY_VARIABLE}, or --insecure to let any computer there drive the cart"
         )
+    return family, address
 
 
-def checked_host(host: str, port: int, *, key: bytes, insecure: bool) -> tuple:
+def checked_host(host: str, port: int, *, key: bytes, insecure: bool) -> tuple[Any, ...]:
     """Return the socket address for a bench.
 
     Args:
@@ -479,8 +413,5 @@ def checked_host(host: str, port: int, *, key: bytes, insecure: bool) -> tuple:
     Raises:
         InputError: the host is empty or unknown, or other computers can reach it without a key.
     """
-    if not host.strip():
-        raise InputError("rig: --host is empty; give 127.0.0.1 for this computer alone, 0.0.0.0 for all interfaces")
-    _, address = resolved(host, port, name=f"rig: --host {host}", family=socket.AF_INET)
-    check_access(address, name=f"rig: --host {host}", key=key, insecure=insecure)
-    return address
+    name = f"rig: --host {host}"
+    return resolved(host, port, name=name, key=key, insecure=insecure, family=socket.AF_INET)[1]

@@ -1022,8 +1022,6 @@ def run_on_rig(plan: Plan, out: Path, link: RigLink, *, force: bool = False, liv
         if not len(result.ticks.times):
             raise GoalMissed(result.reason)
         deadlines = rig.deadlines
-        if deadlines.strangers:
-            writer.event(Event(float(result.ticks.times[-1]), "warn", "rig", words=deadlines.strangers))
         writer.result(**outcome(result), rig=rig.address, **deadlines.record())
     return RigRun(score(read_log(out)), result, deadlines, tuple(process.messages if process else ()))
 

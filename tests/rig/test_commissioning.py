@@ -10,6 +10,7 @@ import pytest
 from shadowing_stand_in import LAB
 
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
+from dpcontrol.foundation.causes import FindingCause as Cause
 from dpcontrol.loop.bench import MechanicsSettings
 from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.loop.own import OwnObject, OwnRig
@@ -17,14 +18,9 @@ from dpcontrol.loop.protocols import Reading
 from dpcontrol.loop.result import Rig
 from dpcontrol.references.problem import Limits
 from dpcontrol.rig.bench import BenchRecipe
-from dpcontrol.rig.commissioning import (
-    REACH,
-    Commissioning,
-    CommissioningSettings,
-    Grade,
-    commission,
-    modes,
-)
+from dpcontrol.rig.commissioning import Commissioning, Finding, Grade, commission
+from dpcontrol.rig.fits import modes
+from dpcontrol.rig.motions import REACH, CommissioningSettings
 
 QUICK = CommissioningSettings(look=0.2, hold=0.5, sweep=4.0, ring=2.0, wait=3.0)
 LIMITS = Limits(position=0.4)
@@ -86,12 +82,11 @@ def commissioned(
     return commission(rig, arms, said, limits=LIMITS, zeros=zeros, switches=switches, options=QUICK)
 
 
-def only_wrong(found: Commissioning, step: str) -> str:
-    """Return sentence and remedy of the one finding that is wrong, which is of `step`."""
-    (one,) = found.wrong
-    assert one.step == step
-    assert one.remedy
-    return f"{one.sentence} → {one.remedy}"
+def only_wrong(found: Commissioning, step: str, cause: Cause) -> Finding:
+    """Return the one finding that is wrong, which is of this step and has a sentence and a remedy."""
+    assert [(one.step, one.cause) for one in found.wrong] == [(step, cause)]
+    assert all(one.sentence and (one.remedy or one.verdict is not Grade.WRONG) for one in found.findings)
+    return found.wrong[0]
 
 
 def test_a_rig_that_is_right_is_found_right_and_measured() -> None:
@@ -104,13 +99,13 @@ def test_a_rig_that_is_right_is_found_right_and_measured() -> None:
 
 
 WIRED_WRONGLY = {
-    "drive-reversed": ("drive", "the drive is reversed"),
-    "cart-reversed": ("drive", "the cart's scale is reversed"),
-    "encoder-1-reversed": ("encoders", "encoder of arm 1 counts backwards"),
-    "encoder-2-reversed": ("encoders", "encoder of arm 2 counts backwards"),
-    "encoders-swapped": ("encoders", "encoders of arms 1 and 2 are swapped"),
-    "angles-not-summed": ("encoders", "the angle between each arm and the previous one"),
-    "encoder-1-factor-4": ("encoders", "divide its angle by 4 "),
+    "drive-reversed": ("drive", Cause.REVERSED, {}),
+    "cart-reversed": ("drive", Cause.CART_REVERSED, {}),
+    "encoder-1-reversed": ("encoders", Cause.REVERSED, {"arm": 1}),
+    "encoder-2-reversed": ("encoders", Cause.REVERSED, {"arm": 2}),
+    "encoders-swapped": ("encoders", Cause.SWAPPED, {"order": [2, 1]}),
+    "angles-not-summed": ("encoders", Cause.NOT_SUMMED, {}),
+    "encoder-1-factor-4": ("encoders", Cause.SCALE, {"arm": 1, "scale": 4.0}),
 }
 
 
@@ -121,8 +116,8 @@ WIRED_WRONGLY = {
 def test_wrong_wiring_is_detected_and_no_measurement_is_kept(fault: str, stiction: float) -> None:
     rig = bench(fault, seed=4, mechanics={"stiction": stiction})
     found = commissioned(rig)
-    step, told = WIRED_WRONGLY[fault]
-    assert told in only_wrong(found, step)
+    step, cause, figures = WIRED_WRONGLY[fault]
+    assert figures.items() <= only_wrong(found, step, cause).figures.items()
     assert not found.changes
     assert rig.farthest <= REACH + 1e-4
     assert rig.strongest <= LIMITS.acceleration
@@ -133,7 +128,7 @@ def test_zeros_are_measured_though_the_arms_swing_and_then_taken_off() -> None:
     said = LoopSettings(seed=0, rate=RATE)
     rig = bench("zeros-off", bent=0.03)
     found = commissioned(rig)
-    assert "zeros = [" in only_wrong(found, "still")
+    assert "zeros = [" in only_wrong(found, "still", Cause.DIFFERS).remedy
     assert found.changes["zeros"] == pytest.approx([0.03, -0.02], abs=1e-3)
     again = commissioned(bench(zeros=(0.03, -0.02)), zeros=found.changes["zeros"], said=said)
     assert not again.wrong
@@ -142,9 +137,10 @@ def test_zeros_are_measured_though_the_arms_swing_and_then_taken_off() -> None:
 
 @pytest.mark.slow
 def test_a_tilted_track_is_named_beside_zeros_and_half_a_turn_is_no_zero() -> None:
-    assert "level the track" in only_wrong(commissioned(bench(disturbances={"tilt": 0.02})), "still")
+    tilted = commissioned(bench(disturbances={"tilt": 0.02}))
+    assert "level the track" in only_wrong(tilted, "still", Cause.DIFFERS).remedy
     found = commissioned(bench(zeros=(np.pi, np.pi)))
-    assert "angles are measured from hanging" in only_wrong(found, "still")
+    only_wrong(found, "still", Cause.FAR)
     assert not found.changes
 
 
@@ -154,24 +150,24 @@ def test_delay_and_lag_are_measured_and_compared_with_the_scene(delay: float, la
     found = commissioned(bench(drive={"delay": delay, "lag": lag}))
     assert found.changes["delay"] == pytest.approx(delay, abs=0.02)
     assert found.changes["lag"] == pytest.approx(lag, abs=5e-5)
-    assert f"set delay = {found.changes['delay']:g}" in only_wrong(found, "delay")
+    assert f"set delay = {found.changes['delay']:g}" in only_wrong(found, "delay", Cause.DIFFERS).remedy
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("trouble", "step", "told"),
+    ("trouble", "step", "cause"),
     [
-        ({"drive": {"response": 0.0}}, "drive", "the cart does not move"),
-        ({"drive": {"response": 4.0}}, "drive", "multiply commands by 0.25 "),
-        ({"sensors": {"stuck_at": 0.0, "stuck_sensor": 2}}, "drive", "scale does not count"),
-        ({"sensors": {"stuck_at": 0.0, "stuck_sensor": 1}}, "encoders", "encoder of arm 2 does not move"),
-        ({"bent": 0.5}, "still", "the arms still swing"),
+        ({"drive": {"response": 0.0}}, "drive", Cause.STANDS),
+        ({"drive": {"response": 4.0}}, "drive", Cause.SCALE),
+        ({"sensors": {"stuck_at": 0.0, "stuck_sensor": 2}}, "drive", Cause.DEAD),
+        ({"sensors": {"stuck_at": 0.0, "stuck_sensor": 1}}, "encoders", Cause.STUCK),
+        ({"bent": 0.5}, "still", Cause.SWINGING),
     ],
 )
-def test_each_failure_is_found_without_harm(trouble: dict[str, Any], step: str, told: str) -> None:
+def test_each_failure_is_found_without_harm(trouble: dict[str, Any], step: str, cause: Cause) -> None:
     rig = bench(**trouble)
     found = commissioned(rig)
-    assert told in only_wrong(found, step)
+    only_wrong(found, step, cause)
     assert not found.changes
     assert rig.farthest <= REACH
     assert rig.stops == 1
@@ -204,27 +200,27 @@ def noisy_cart(reading: Reading) -> Reading:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("spoil", "step", "told"),
+    ("spoil", "step", "cause"),
     [
-        (times(1, 1, 0.3), "drive", "by 0.3 "),
-        (times(1, 1, 1000), "drive", "in metres"),
-        (times(-1, -1, -1), "drive", "reverse the cart's scale and all"),
-        (noisy_cart, "drive", "whether the drive holds the cart"),
-        (lambda r: r._replace(positions=r.positions + 0.2), "still", "centre"),
-        (lambda r: r._replace(positions=np.degrees(r.positions) * [1, 1, np.pi / 180]), "still", "radians"),
+        (times(1, 1, 0.3), "drive", Cause.CART_SCALE),
+        (times(1, 1, 1000), "drive", Cause.LEFT),
+        (times(-1, -1, -1), "drive", Cause.REVERSED),
+        (noisy_cart, "drive", Cause.WANDERS),
+        (lambda r: r._replace(positions=r.positions + 0.2), "still", Cause.OFF_CENTRE),
+        (lambda r: r._replace(positions=np.degrees(r.positions) * [1, 1, np.pi / 180]), "still", Cause.SWINGING),
     ],
 )
 def test_readings_in_other_units_or_signs_are_found_within_the_reach(
-    spoil: Callable[[Reading], Reading], step: str, told: str
+    spoil: Callable[[Reading], Reading], step: str, cause: Cause
 ) -> None:
     rig = Misread(bench(), spoil)
-    assert told in only_wrong(commissioned(rig), step)
+    only_wrong(commissioned(rig), step, cause)
     assert rig.farthest < REACH
 
 
 def test_a_sensor_that_gives_no_numbers_is_named() -> None:
     rig = Misread(bench(), lambda r: r._replace(present=np.array([True, r.time < 0.6, True])))
-    assert "encoder of arm 2 gave no reading" in commissioned(rig).wrong[0].sentence
+    assert commissioned(rig).wrong[0].figures["sensors"] == ["the encoder of arm 2"]
     assert rig.stops == 1
 
 
@@ -254,8 +250,7 @@ def test_no_healthy_encoder_is_called_wrong_whatever_the_dry_friction(seed: int)
 def test_joints_that_friction_holds_leave_their_encoders_unsure() -> None:
     found = commissioned(bench(mechanics={"stiction": (0.0, 1.0)}, sensors={"counts": 2000}, seed=5))
     (encoders,) = [f for f in found.findings if f.step == "encoders"]
-    assert encoders.verdict is Grade.UNSURE
-    assert "friction hides the scale of the encoder of arm 2" in encoders.sentence
+    assert (encoders.cause, encoders.figures["hidden"]) == (Cause.HIDDEN, [2])
     assert found.changes["counts"] == [2000, LoopSettings(seed=0, rate=RATE).sensors.counts]
 
 
@@ -323,30 +318,29 @@ def test_both_switches_are_found_by_creeping_and_the_cart_comes_back() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("faults", "track", "told"),
+    ("faults", "track", "cause"),
     [
-        (("switch-dead",), 0.5, "no switch responds at the right"),
-        (("switches-swapped",), 0.5, "the switch of the other side responds"),
-        ((), 0.4, "within the ±0.4 m that [limits] allows"),
+        (("switch-dead",), 0.5, Cause.SILENT),
+        (("switches-swapped",), 0.5, Cause.OTHER),
+        ((), 0.4, Cause.WITHIN),
     ],
 )
 def test_a_switch_that_is_dead_exchanged_or_in_the_way_is_found(
-    faults: tuple[str, ...], track: float, told: str
+    faults: tuple[str, ...], track: float, cause: Cause
 ) -> None:
     found = commissioned(with_switches(*faults, track=track), switches=0.48)
-    assert {f.step for f in found.wrong} == {"switches"}
-    assert told in found.wrong[0].sentence
+    assert {(f.step, f.cause) for f in found.wrong} == {("switches", cause)}
     assert not found.changes
 
 
 @pytest.mark.slow
 def test_a_hard_stop_in_the_way_to_a_switch_ends_it_by_name() -> None:
-    assert "hard stop" in only_wrong(commissioned(bench(), switches=0.48), "switches")
+    assert "hard stop" in only_wrong(commissioned(bench(), switches=0.48), "switches", Cause.FAULT).sentence
 
 
 def test_a_switch_that_answers_at_the_centre_is_found_before_anything_moves() -> None:
     rig = bench(drive={"track": 0.5, "switch_margin": 0.5})
-    assert "inverted" in only_wrong(commissioned(rig), "still")
+    only_wrong(commissioned(rig), "still", Cause.TOUCHED)
     assert rig.strongest == 0
 
 
@@ -410,8 +404,7 @@ def test_a_users_rig_that_raises_is_stopped() -> None:
 
 def test_readings_that_stay_out_stop_the_cart() -> None:
     rig = bench(sensors={"dropout": 0.999})
-    told = only_wrong(replace(found := commissioned(rig), findings=found.findings[:-1]), "still")
-    assert "no reading came for 0.1 s" in told
+    only_wrong(replace(found := commissioned(rig), findings=found.findings[:-1]), "still", Cause.UNREAD)
     assert rig.stops == 1
 
 
@@ -431,8 +424,11 @@ def one_arm() -> ArmChainParameters:
 @pytest.mark.parametrize("arms", [pytest.param(one_arm(), id="one"), pytest.param(three_arms(), id="three")])
 def test_other_numbers_of_arms_are_commissioned_as_well(arms: ArmChainParameters) -> None:
     assert not commissioned(bench(arms=arms), arms=arms).wrong
-    told = only_wrong(commissioned(bench("encoder-1-reversed", arms=arms), arms=arms), "encoders")
-    assert "encoder of arm 1 counts backwards" in told or arms.count == 1
+    found = commissioned(bench("encoder-1-reversed", arms=arms), arms=arms)
+    if arms.count == 1:
+        only_wrong(found, "drive", Cause.MIRRORED)
+    else:
+        only_wrong(found, "encoders", Cause.REVERSED)
 
 
 def test_modes_are_those_of_the_equations_linearised() -> None:

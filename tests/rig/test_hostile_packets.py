@@ -109,10 +109,10 @@ def test_the_loop_accepts_its_bench_only_and_counts_other_packets() -> None:
                 send(packets.packed(packets.reading(content), Role.BENCH, session=5, sequence=10**6))
                 send(packets.packed(packets.bye("go home"), Role.BENCH, session=5, sequence=10**6))
                 send(rng.randbytes(50))
-        while spoofs() and rig.deadlines.refused < 60:
+        while spoofs() and rig.deadlines.rejected < 60:
             rig.read()
         assert rig.fault is None
-    assert (rig.deadlines.lost, rig.deadlines.refused) == (0, 60 if spoofs() else 0)
+    assert (rig.deadlines.lost, rig.deadlines.rejected) == (0, 60 if spoofs() else 0)
 
 
 def test_a_run_that_was_recorded_cannot_be_played_again() -> None:
@@ -197,16 +197,16 @@ def test_a_bench_beyond_loopback_requires_a_key_or_insecure() -> None:
 
 
 @pytest.mark.parametrize(
-    ("benchs", "loops", "said"),
+    ("benchs", "loops"),
     [
-        pytest.param(KEY, b"", "--key-file", id="loop has none"),
-        pytest.param(KEY, KEY[::-1], "the same key", id="another"),
-        pytest.param(b"", KEY, "the same key", id="bench has none"),
+        pytest.param(KEY, b"", id="loop has none"),
+        pytest.param(KEY, KEY[::-1], id="another"),
+        pytest.param(b"", KEY, id="bench has none"),
     ],
 )
-def test_ends_without_the_same_key_report_it(benchs: bytes, loops: bytes, said: str) -> None:
+def test_ends_without_the_same_key_report_it(benchs: bytes, loops: bytes) -> None:
     with served(Toy(), key=benchs) as bench:
-        with pytest.raises(InputError, match=said):
+        with pytest.raises(InputError, match="the same key"):
             UdpRig(bench.address, key=loops, settings=LinkSettings(answer=0.3))
         with UdpRig(bench.address, key=benchs, settings=LONG) as rig:
             assert (rig.read().positions == 0).all()
@@ -230,16 +230,6 @@ def test_the_key_comes_from_a_file_or_the_environment(tmp_path: Path, monkeypatc
     with pytest.raises(InputError, match=KEY_VARIABLE):
         shared_key()
     assert dpcontrol("run", "outer-turn", "--insecure").code == 2
-
-
-def test_a_loop_of_another_version_is_rejected_with_the_remedy() -> None:
-    with served(Toy()) as bench, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
-        other.settimeout(30)
-        other.sendto(struct.pack("<4sBBHQI", b"dpcb", 3, Kind.HELLO, 0, 7, 1), bench.address)
-        heard = packets.unpacked(other.recv(4096), Role.BENCH)
-        assert (heard.kind, heard.session) == (Kind.BYE, 7)
-        with UdpRig(bench.address, settings=LONG) as rig:
-            rig.read()
 
 
 @pytest.mark.parametrize("period", [0.0, math.nan, 1e9])
@@ -279,7 +269,7 @@ def test_readings_that_do_not_fit_the_welcome_are_rejected_and_invalid_numbers_a
     assert second.positions.tolist() == [1.0, 5.0, 3.0]
     assert second.present is not None
     assert second.present.tolist() == [False, True, False]
-    assert rig.deadlines.refused == 2
+    assert rig.deadlines.rejected == 2
 
 
 def test_no_bytes_whatever_break_the_parser() -> None:
@@ -297,6 +287,3 @@ def test_no_bytes_whatever_break_the_parser() -> None:
                 data[rng.randrange(len(data))] = rng.randrange(256)
         with suppress(ValueError):
             packets.unpacked(bytes(data), Role.LOOP)
-        assert packets.is_hello(bytes(data)) in (True, False)
-        if packets.is_hello(bytes(data)):
-            packets.refusal(bytes(data), "no")

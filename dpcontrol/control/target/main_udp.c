@@ -68,8 +68,8 @@ static struct {
 } rig;
 
 static struct {
-    float lateness[DPC_TICKS], trips[DPC_TICKS]; /* s */
-    long ticks, answered, missed, lost, stale, held, ignored, refused;
+    double worst; /* delay of a tick, s */
+    long ticks, missed, lost, stale, held, ignored, refused;
 } kept;
 
 static volatile sig_atomic_t interrupted;
@@ -496,52 +496,25 @@ static int next_reading(long k)
 static void account(long k, int came)
 {
     double lateness = now() - (rig.begin + (double)k * DPC_PERIOD);
-    kept.lateness[kept.ticks++] = (float)(lateness > 0 ? lateness : 0);
+    kept.worst = lateness > kept.worst ? lateness : kept.worst;
+    kept.ticks++;
     kept.missed += lateness > DPC_PERIOD;
     kept.lost += !came;
     if (came) {
-        static long heard = -1;
-        long tick = rig.reading.heard == UINT32_MAX ? -1 : (long)rig.reading.heard;
-        if (tick > heard) {
-            heard = tick;
-            kept.trips[kept.answered++] = (float)rig.reading.trip;
-        }
         kept.held = (long)rig.reading.held;
         kept.ignored = (long)rig.reading.ignored;
     }
 }
 
-static int by_size(const void *a, const void *b)
-{
-    float x = *(const float *)a, y = *(const float *)b;
-    return (x > y) - (x < y);
-}
-
-/* Value below which a share of the sorted values lies. */
-static double quantile(const float *sorted, long count, double share)
-{
-    double at = share * (double)(count - 1);
-    long below = (long)at, above = below + 1 < count ? below + 1 : below;
-    return sorted[below] + (at - (double)below) * (sorted[above] - sorted[below]);
-}
-
 static void report_deadlines(void)
 {
-    static const float nothing[1] = {0.0f};
-    const float *late = kept.ticks ? kept.lateness : nothing, *trip = kept.answered ? kept.trips : nothing;
-    long n = kept.ticks ? kept.ticks : 1, m = kept.answered ? kept.answered : 1;
-    qsort(kept.lateness, (size_t)kept.ticks, sizeof kept.lateness[0], by_size);
-    qsort(kept.trips, (size_t)kept.answered, sizeof kept.trips[0], by_size);
-    fprintf(stderr, "%ld of %ld deadlines missed; ticks began up to %.3g ms late (99 %%: %.3g ms); %ld readings lost, "
-            "%ld too late; the bench repeated a command %ld times; from reading to command %.3g ms (99 %%: %.3g ms)\n",
-            kept.missed, kept.ticks, 1e3 * late[n - 1], 1e3 * quantile(late, n, 0.99), kept.lost, kept.stale, kept.held,
-            1e3 * quantile(trip, m, 0.5), 1e3 * quantile(trip, m, 0.99));
-    printf("{\"ticks\": %ld, \"missed\": %ld, \"worst\": %.9g, \"lateness_median\": %.9g, \"lateness_99\": %.9g, "
-           "\"lost\": %ld, \"stale\": %ld, \"held\": %ld, \"trip_median\": %.9g, \"trip_99\": %.9g, "
-           "\"trip_worst\": %.9g, \"ignored\": %ld, \"refused\": %ld}\n",
-           kept.ticks, kept.missed, (double)late[n - 1], quantile(late, n, 0.5), quantile(late, n, 0.99), kept.lost,
-           kept.stale, kept.held, quantile(trip, m, 0.5), quantile(trip, m, 0.99), (double)trip[m - 1], kept.ignored,
-           kept.refused);
+    long rejected = kept.ignored + kept.refused;
+    fprintf(stderr, "%ld of %ld deadlines missed; ticks began up to %.3g ms late; %ld readings lost, %ld too late; "
+            "%ld packets rejected; the bench repeated a command %ld times\n",
+            kept.missed, kept.ticks, 1e3 * kept.worst, kept.lost, kept.stale, rejected, kept.held);
+    printf("{\"ticks\": %ld, \"missed\": %ld, \"worst\": %.9g, \"lost\": %ld, \"stale\": %ld, \"held\": %ld, "
+           "\"rejected\": %ld}\n",
+           kept.ticks, kept.missed, kept.worst, kept.lost, kept.stale, kept.held, rejected);
 }
 
 /* Runs the controller to its end; returns the exit code. */

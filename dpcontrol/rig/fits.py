@@ -1,0 +1,525 @@
+"""Fits to what a rig measures while its arms hang: the drive, the swing of the arms, their wiring and their play.
+
+With commands u_j at ticks j, T apart, a drive of delay d, lag τ and gain γ moves the cart by
+
+    x(t) = x_0 + v_0 t + γ Σ_j (u_j - u_{j-1}) p(t - j T - d),     p(s) = s²/2 - τ s + τ² (1 - e^{-s/τ})  for s > 0
+
+Both sides are high-pass filtered, which removes the accumulated noise of the command. Then d, τ and γ are fitted to the
+cart's readings. Standard errors account for residuals that are correlated over blocks.
+
+Small swings of hanging arms follow the measured position x of the cart, so the drive has no effect. With joint angles φ
+and the rate of each joint ρ
+
+    M φ̈ + K φ + k ρ + c sgn ρ = -s ẍ,     readings = zeros + B L φ,     |torque| ≤ c where ρ = 0
+
+The frequencies of M and K, viscous friction k, dry friction c and the first state are fitted with a free matrix B. The
+readings cannot judge the encoder of a joint that friction holds. Encoders that are wired, scaled or summed wrongly give
+a special B. Let L be the sums of joint angles, D a diagonal of signs and factors, and P an exchange of encoders. Then B
+is L D P L⁻¹ (joint encoders, summed, as it should be), D P L⁻¹ (never summed), D P (absolute encoders) or L D P
+(absolute angles summed again). The nearest form is reported.
+
+Sources: Ljung, System identification (1999), sections 7.4 (output error) and 14.4 (prefilters). Golub & Pereyra,
+Separable nonlinear least squares (2003). Moreau, Numerical aspects of the sweeping process (1999), for dry friction.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from enum import StrEnum
+from functools import lru_cache
+from itertools import permutations
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg, optimize, signal
+
+from dpcontrol.dynamics.chain import ArmChainParameters
+from dpcontrol.foundation.arrays import Array
+
+
+def solved(design: Array, values: Array) -> Array:
+    """Return the least-squares solution.
+
+    `design` is (K, p), and the values are (K,) or (K, n).
+    """
+    return np.asarray(np.linalg.lstsq(design, values, rcond=None)[0], dtype=float)
+
+
+class DriveFit(NamedTuple):
+    """Fitted drive: delay and lag, s, gain, standard errors.
+
+    misfit: unexplained fraction of the motion.
+    """
+
+    delay: float
+    lag: float
+    gain: float
+    errors: tuple[float, float, float]
+    misfit: float
+
+
+def response(commands: Array, period: float, total: float, square: float = 0.0) -> Array:
+    """Return the response of a cart at rest, with slopes (K, 3).
+
+    It responds to commands (K,) m/s², with one row for each tick.
+
+    The columns are the position for unit gain and its derivatives. These are with respect to `total` s, the sum of
+    delay and lag, and `square` s², that of the lag. The two are nearly independent even at zero lag, unlike delay and
+    lag.
+    """
+    lag = math.sqrt(square)
+    after = np.maximum(np.arange(len(commands)) * period - (total - lag), 0.0)
+    ratio = after / lag if lag else np.where(after > 0, np.inf, 0.0)
+    fading = np.exp(-ratio)
+    rising = lag * (1 - fading)
+    position = after**2 / 2 - lag * (after - rising)
+    by_square = (1 - fading - np.where(fading > 0, ratio, 0.0) * fading) / 2
+    kernels = np.stack([position, rising - after, by_square], axis=1)
+    changes = np.diff(commands, prepend=0.0)[:, None]
+    return signal.fftconvolve(changes, kernels, axes=0)[: len(commands)]
+
+
+_HIGH_PASS = 20.0
+"""Corner frequency of the filter, Hz. Below it, positions become accelerations, in which command noise is white."""
+_MARGIN = 0.5
+"""Time before and after the chirp that the fit includes, s."""
+_BLOCKS = 24
+
+
+def fit_drive(carts: Array, commands: Sequence[float], period: float, *, first: int, last: int) -> DriveFit:
+    """Fit delay, lag and gain of the drive.
+
+    Args:
+        carts: readings (K,), m.
+        commands: command after each reading, m/s².
+        period: control period, s.
+        first: tick at which the chirp begins.
+        last: tick at which it ends.
+    """
+    begin, end = max(first - round(_MARGIN / period), 0), min(last + round(_MARGIN / period), len(carts))
+    x, u = carts[begin:end], np.array([*commands, 0.0])[begin:end]
+    cutoff = min(_HIGH_PASS, 0.05 / period)
+    sections = signal.butter(2, cutoff, "highpass", fs=1 / period, output="sos")
+    t = np.linspace(-1, 1, len(x))
+    skip = min(round(0.3 / period), len(x) // 8)
+
+    def high(values: Array) -> Array:
+        return np.asarray(signal.sosfilt(sections, values, axis=0), dtype=float)[skip:]
+
+    base, _ = np.linalg.qr(high(np.vander(t, 3)))
+
+    def seen(values: Array) -> Array:
+        passed = high(values) / size
+        return passed - base @ (base.T @ passed)
+
+    # In units of the motion itself, so that tolerances are relative.
+    size = 1.0
+    size = max(float(np.std(seen(x[:, None]))), 1e-9)
+    y = seen(x[:, None])[:, 0]
+
+    def rough(total: float, lag: float) -> tuple[float, float]:
+        p = seen(response(u, period, total, lag**2)[:, :1])[:, 0]
+        gain = float(p @ y) / max(float(p @ p), 1e-30)
+        return float(np.sum((y - gain * p) ** 2)), gain
+
+    lags = (0.0, 0.004, 0.016)
+    grid = [(0.5 * period + d + lag, lag) for d in (0.0, *(0.001 * 2.0**k for k in range(8))) for lag in lags]
+    total, lag = min(grid, key=lambda point: rough(*point)[0])
+    unit = np.array([1e-3, 1e-6, 1.0])
+    low, most = np.array([-period, 0.0, -np.inf]) / unit, np.array([0.8, 0.09, np.inf]) / unit
+
+    def residual(values: Array) -> Array:
+        total, square, gain = values * unit
+        return gain * seen(response(u, period, total, square)[:, :1])[:, 0] - y
+
+    def slopes(values: Array) -> Array:
+        total, square, gain = values * unit
+        parts = seen(response(u, period, total, square))
+        return np.stack([gain * parts[:, 1], gain * parts[:, 2], parts[:, 0]], axis=1) * unit
+
+    def fitted(values: Array, free: list[int]) -> tuple[Array, Array]:
+        """Return the best values, with `free` ones fitted, and their standard errors."""
+
+        def whole(some: Array) -> Array:
+            out = values.copy()
+            out[free] = some
+            return out
+
+        scale = 1.0
+        # A late command disturbs the cart for a moment; a robust loss reduces its weight.
+        for loss in ("linear", "soft_l1"):
+            found = optimize.least_squares(
+                lambda some: residual(whole(some)),
+                values[free],
+                lambda some: slopes(whole(some))[:, free],  # type: ignore[arg-type]
+                bounds=(low[free], most[free]),
+                method="dogbox",
+                loss=loss,
+                f_scale=scale,
+                x_scale="jac",
+            )
+            values = whole(found.x)
+            left = residual(values)
+            scale = max(1.5 * 1.4826 * float(np.median(np.abs(left))), 1e-9)
+        errors = np.zeros(len(values))
+        errors[free] = _sandwich(slopes(values)[:, free], left, 1 / np.sqrt(1 + (left / scale) ** 2))
+        return values, errors
+
+    # Start inside the bounds, because a search would stay on them.
+    values, errors = fitted(np.array([total, max(lag, 5e-4) ** 2, rough(total, lag)[1]]) / unit, [0, 1, 2])
+    # Error of the square's root, which is non-negative.
+    lag_error = math.sqrt(values[1] * unit[1] + errors[1] * unit[1]) - math.sqrt(values[1] * unit[1])
+    if values[1] < 3 * errors[1] or values[1] * unit[1] < _NO_LAG**2:
+        # The lag is then zero and must not add to the uncertainty of the delay.
+        lag_error = math.sqrt((values[1] + errors[1]) * unit[1])
+        values[1] = 0.0
+        values, errors = fitted(values, [0, 2])
+    total, square, gain = (values * unit).tolist()
+    lag, total_error = math.sqrt(square), float(errors[0] * unit[0])
+    misfit = float(np.sqrt(np.mean(residual(values) ** 2) / max(np.mean(y**2), 1e-24)))
+    delay_error = math.hypot(total_error, lag_error) if lag else total_error
+    return DriveFit(total - lag, lag, gain, (delay_error, lag_error, float(errors[2])), misfit)
+
+
+_NO_LAG = 2e-5
+"""Lag below which it counts as zero, s."""
+
+
+def _sandwich(jacobian: NDArray[Any], residual: Array, weights: Array | None = None) -> Array:
+    """Return standard errors (p,) for correlated residuals.
+
+    The residuals (K,) are correlated over blocks, and have the weights (K,) of soft_l1.
+    """
+    weights = np.ones(len(residual)) if weights is None else weights
+    blocks = max(_BLOCKS, 3 * jacobian.shape[1])
+    edges = np.linspace(0, len(residual), blocks + 1).round().astype(int)[:-1]
+    scores = np.add.reduceat(jacobian * (weights * residual)[:, None], edges)
+    # The derivative of weight times residual is the cube of the weight.
+    inverse = np.linalg.pinv(jacobian.T @ (weights[:, None] ** 3 * jacobian))
+    few = blocks / (blocks - jacobian.shape[1])
+    return np.sqrt(few) * np.linalg.norm(scores @ inverse, axis=0)
+
+
+class Modes(NamedTuple):
+    """Normal modes of hanging arms.
+
+    Frequencies (n,) rad/s, dampings (n,), shapes W_0 (n, n) by column.
+
+    `vectors` (n, n) are the modes of unit mass, by column.
+    """
+
+    frequencies: Array
+    dampings: Array
+    shapes: Array
+    vectors: Array
+
+
+def modes(arms: ArmChainParameters) -> Modes:
+    """Return the normal modes of hanging arms on an accelerated cart.
+
+    Θ = shapes · y.
+
+    Args:
+        arms: parameters of the n arms.
+    """
+    n, base = arms.count, arms.base()
+    weights, coupling = base[n * (n + 1) // 2 :][:n], base[n * (n + 1) // 2 + n :][:n]
+    joints = np.linalg.inv(sums_of(n))
+    drag = joints.T @ np.diag(arms.viscous) @ joints
+    squares, vectors = linalg.eigh(np.diag(weights), arms.mass_in_line)
+    frequencies = np.sqrt(squares)
+    dampings = np.diag(vectors.T @ drag @ vectors) / (2 * frequencies)
+    return Modes(frequencies, dampings, vectors * (vectors.T @ coupling), vectors)
+
+
+def sums_of(n: int) -> Array:
+    """Return the matrix that converts joint angles to absolute angles."""
+    return np.tril(np.ones((n, n)))
+
+
+class CommissioningSwing(NamedTuple):
+    """Swing of n arms in K readings, and the motion of the model that is nearest to it.
+
+    Attributes:
+        readings: readings (K, n), rad.
+        motion: absolute angles (K, n) of the fitted model, rad.
+        slopes: derivatives (K n, p) of the readings with respect to the fitted parameters.
+        ratios: frequencies (n,) of the modes relative to the model.
+        viscous: viscous friction (n,) of the joints, N m s/rad, and its standard errors.
+        dry: dry friction (n,) of the joints, N m, and its standard errors.
+        zeros: readings (n,) of hanging arms, rad, and their standard errors.
+    """
+
+    readings: Array
+    motion: Array
+    slopes: Array
+    ratios: Array
+    viscous: tuple[Array, Array]
+    dry: tuple[Array, Array]
+    zeros: tuple[Array, Array]
+
+
+LEAST_SWING = 1e-3
+"""Swing of a joint that is necessary to judge its encoder, rad rms."""
+_DETUNED = np.linspace(-3, 3, 25)
+"""Logarithms of the ratios of frequencies to try, in units of 0.1."""
+_DRY = np.array([0.0, 0.2, 0.5, 1.0, 2.0, 5.0, 20.0])
+"""Dry friction to try, in percent of gravity's torque on the arms."""
+_ROWS = 100.0
+"""Sampling rate that is sufficient for slow swings, Hz."""
+_SWEEPS = 3
+"""Corrections of the dry torques in each step, which begin with those of the last step."""
+_STEP = 1e-4
+"""Difference of scaled parameters for derivatives."""
+
+
+def simulated_swings(values: Array, carts: Array, period: float, arms: ArmChainParameters) -> Array:
+    """Return the angles (P, K, n) of hanging arms on a moving cart, with viscous and dry friction, rad.
+
+    Rates of joints are found at the middle of each step, at which the dry torque of a joint either holds it or has its
+    full size (Moreau's time stepping). All sets of values are simulated together.
+
+    Args:
+        values: P rows of 5n values: logarithms of the ratios of frequencies, viscous friction, N m s/rad, dry friction,
+            N m, and first angles and rates of the joints.
+        carts: positions (K,) of the cart, m.
+        period: time between positions, s.
+        arms: model of the arms, whose friction is ignored.
+    """
+    n, model = arms.count, modes(arms)
+    sums = sums_of(n)
+    ratios, viscous, dry, place, speed = (part[:, :, None] for part in np.split(values, 5, axis=1))
+    mass = sums.T @ arms.mass_in_line @ sums
+    shapes = sums.T @ arms.mass_in_line @ model.vectors
+    inverse = np.linalg.inv(mass + period * np.eye(n) * viscous)
+    stiffness = shapes @ ((model.frequencies[:, None] * np.exp(ratios)) ** 2 * shapes.T)
+    keeps, pulls = inverse @ mass, period * inverse @ stiffness
+    jumps = np.diff(carts, prepend=carts[0], n=2) / period
+    pushes = jumps[:, None, None] * (np.linalg.inv(sums) @ model.shapes.sum(axis=1))[:, None]
+    limit, held, out = period * dry, np.zeros_like(dry), np.empty((len(carts), *place.shape))
+    columns, sizes = [inverse[:, :, j : j + 1] for j in range(n)], [inverse[:, j : j + 1, j : j + 1] for j in range(n)]
+    out[0] = place
+    for k, push in enumerate(pushes, start=1):
+        speed = keeps @ (speed - push) - pulls @ place - inverse @ held
+        for j in [*range(n)] * _SWEEPS:
+            torque = held[:, j : j + 1] + speed[:, j : j + 1] / sizes[j]
+            torque = np.maximum(np.minimum(torque, limit[:, j : j + 1]), -limit[:, j : j + 1])
+            speed = speed - columns[j] * (torque - held[:, j : j + 1])
+            held[:, j : j + 1] = torque
+        place = place + period * speed
+        out[k] = place
+    return (sums @ out)[..., 0].transpose(1, 0, 2)
+
+
+def _coarse_guess(costs: Callable[[Array], Array], guess: Array, n: int) -> Array:
+    """Return the best of coarse grids of friction and frequencies, one parameter after the other, scaled."""
+    dry = [[2 * n + k] for k in range(n)]
+    # Friction can look like another frequency, so a frequency must improve the fit the more the farther it is away.
+    for places in ([*range(2 * n, 3 * n)], *dry, *([k] for k in range(n)), *dry):
+        tried, penalty = (_DETUNED, 1 + np.abs(_DETUNED)) if places[0] < n else (_DRY, np.ones(len(_DRY)))
+        lanes = np.tile(guess, (len(tried), 1))
+        lanes[:, places] = tried[:, None]
+        guess = lanes[np.argmin(costs(lanes) * penalty)]
+    return guess
+
+
+def fit_swing(angles: Array, carts: Array, period: float, arms: ArmChainParameters) -> CommissioningSwing:
+    """Fit frequencies, friction and first state of the arms to their readings.
+
+    The readings can be any linear combination of the angles.
+
+    Args:
+        angles: readings (K, n) of the arms, rad.
+        carts: readings (K,) of the cart, m.
+        period: time between readings, s.
+        arms: model of the arms.
+    """
+    n, every = arms.count, max(1, round(1 / (_ROWS * period)))
+    rows, x, period = angles[::every], carts[::every] - carts[0], period * every
+    weight = float(arms.base()[n * (n + 1) // 2 :][:n].max())
+    unit = np.repeat([0.1, 1e-3 * weight, 1e-2 * weight, 0.05, 0.3], n)
+
+    def left(values: Array) -> tuple[Array, Array]:
+        """Return angles and a constant (P, K, n+1), and the residuals (P, K, n) of their best combinations."""
+        motions = simulated_swings(values * unit, x, period, arms)
+        designs = np.concatenate([motions, np.ones((len(values), len(rows), 1))], axis=2)
+        return designs, np.array([design @ solved(design, rows) - rows for design in designs])
+
+    start = np.concatenate([np.zeros(n), arms.viscous, np.zeros(3 * n)]) / unit
+    # A fit from the model's frequencies and a friction that nearly holds the arms finds what a coarse search misses.
+    starts = (
+        start + np.repeat([0, 0, 1, 0, 0], n),
+        _coarse_guess(lambda lanes: (left(lanes)[1] ** 2).sum(axis=(1, 2)), start, n),
+    )
+
+    @lru_cache(maxsize=2)
+    def near(values: tuple[float, ...]) -> tuple[Array, Array]:
+        return left(values + _STEP * np.eye(5 * n + 1, 5 * n, k=-1))
+
+    def slopes(lanes: Array) -> Array:
+        return (lanes[1:] - lanes[0]).reshape(5 * n, -1).T / _STEP
+
+    bounds = np.repeat([[-5.0, 0.0, 0.0, -np.inf, -np.inf], [5.0, np.inf, np.inf, np.inf, np.inf]], n, axis=1)
+    fits = [
+        optimize.least_squares(
+            lambda values: near(tuple(values))[1][0].ravel(),
+            guess,
+            lambda values: slopes(near(tuple(values))[1]),  # type: ignore[arg-type]
+            bounds=bounds,
+            ftol=1e-4,
+            xtol=1e-4,
+            max_nfev=25,
+        )
+        for guess in starts
+    ]
+    found = min(fits, key=lambda fit: fit.cost)
+    designs, rest = near(tuple(found.x))
+    weights = solved(designs[0], rows)
+    turned = slopes(designs @ weights)
+    # Each reading has its own combination and zero.
+    errors = _sandwich(np.hstack([turned, np.kron(designs[0], np.eye(n))]), rest[0].ravel())
+    ratios, viscous, dry, *_ = np.split(found.x * unit, 5)
+    own = np.split(errors[: 5 * n] * unit, 5)
+    return CommissioningSwing(
+        rows, designs[0, :, :n], turned, np.exp(ratios), (viscous, own[1]), (dry, own[2]), (weights[-1], errors[-n:])
+    )
+
+
+class Form(StrEnum):
+    """Relation between angles and encoders."""
+
+    SUMMED = "joint encoders, summed"
+    RELATIVE = "joint encoders, not summed"
+    ABSOLUTE = "absolute encoders"
+    TWICE = "absolute encoders, summed"
+
+
+class Wiring(NamedTuple):
+    """Wiring: form, order of the encoders, signs and factors (n,), unexplained fraction of the rms.
+
+    The standard error (n,) of a factor that friction hides is infinite.
+    """
+
+    form: Form
+    order: tuple[int, ...]
+    factors: Array
+    misfit: float
+    errors: Array
+
+    @property
+    def unknown(self) -> NDArray[np.bool_]:
+        """Return which factors (n,) are unknown."""
+        return 3 * self.errors > FACTOR * np.maximum(np.abs(self.factors), 1)
+
+    @property
+    def stuck(self) -> NDArray[np.bool_]:
+        """Which encoders (n,) do not move although their joints do."""
+        return (np.abs(self.factors) < STUCK) & ~self.unknown
+
+
+FACTOR = 0.25
+"""Maximum relative difference to the swing of the model, whose parameters are not exact."""
+STUCK = 0.08
+"""Fraction of the swing below which an encoder does not move."""
+_CLEARLY = 0.6
+"""A fault is reported if it leaves less than this fraction of the correct wiring's residual."""
+
+
+def read_wiring(swing: CommissioningSwing) -> Wiring:
+    """Return the wiring that fits the readings best.
+
+    Args:
+        swing: readings, and the motion of the fitted model.
+    """
+    n = swing.readings.shape[1]
+    sums, rest = sums_of(n), swing.readings - swing.readings.mean(axis=0)
+    joints, one = np.linalg.inv(sums), np.eye(n)
+    forms = {
+        Form.SUMMED: (sums, joints),
+        Form.ABSOLUTE: (one, one),
+        Form.RELATIVE: (one, joints),
+        Form.TWICE: (sums, one),
+    }
+    found: list[tuple[Wiring, Array]] = []
+    for order in permutations(range(n)):
+        for form, (after, before) in forms.items():
+            inner = (swing.motion - swing.motion.mean(axis=0)) @ before[list(order)].T
+            columns = (after * inner[:, None]).reshape(-1, n)
+            factors = solved(columns, rest.ravel())
+            left = float(np.linalg.norm(rest.ravel() - columns @ factors) / max(np.linalg.norm(rest), 1e-12))
+            errors = np.where(inner.std(axis=0) < LEAST_SWING, np.inf, 0.0)
+            found.append((Wiring(form, order, factors, left, errors), columns))
+    least = min(wiring.misfit for wiring, _ in found)
+    nearest, columns = next(pair for pair in found if _CLEARLY * pair[0].misfit <= least + 1e-3)
+    design = np.hstack([columns, swing.slopes, np.kron(np.ones((len(rest), 1)), one)])
+    errors = _sandwich(design, rest.ravel() - columns @ nearest.factors)[:n]
+    return nearest._replace(errors=np.maximum(errors, nearest.errors))
+
+
+_SPAN, _SHORTEST = 0.1, 0.06
+"""Time before and after a reversal that shows the play, and its minimum, s."""
+_DEGREE = 4
+_LIKE = 20
+"""Number of consecutive correlated residuals."""
+
+
+def fit_play(angles: Array, period: float) -> tuple[float, float]:
+    """Return the play of an encoder and its standard error, rad.
+
+    The play is that between a joint and its encoder.
+
+    An encoder stops when its joint reverses, and follows again once the joint has crossed the play. Apart from the
+    play, the readings on both sides of this gap lie on one smooth curve. Friction bends that curve at the reversal.
+
+    Args:
+        angles: angles (K,) of the joint, as its encoder reads them, rad.
+        period: time between readings, s.
+    """
+    noise = float(np.median(np.abs(np.diff(angles)))) / 0.954
+    least, mark = max(0.5 * rounding(angles), 5 * noise, 1e-9), angles[0]
+    ticks, sides = [], []
+    for k, angle in enumerate(angles.tolist()):
+        if abs(angle - mark) > least:
+            ticks.append(k)
+            sides.append(math.copysign(1.0, angle - mark))
+            mark = angle
+    turns = np.flatnonzero(np.diff(sides)) + 1
+    plays, weights = [], []
+    for before, turn, after in zip([0, *turns], turns, [*turns[1:], len(sides)], strict=False):
+        first, last, begin, end = ticks[before], ticks[turn - 1], ticks[turn], ticks[after - 1]
+        if min(last - first, end - begin) * period < _SHORTEST:
+            continue
+        span = round(_SPAN / period)
+        rows = np.concatenate(
+            [np.arange(max(first, last - span), last + 1), np.arange(begin, min(end, begin + span) + 1)]
+        )
+        place, since = np.linspace(-1, 1, rows[-1] - rows[0] + 1)[rows - rows[0]], (rows - last) * period
+        side = np.where(rows <= last, -sides[turn], sides[turn])
+        design = np.column_stack([side / -2, np.where(since > 0, since**2, 0.0), np.vander(place, _DEGREE + 1)])
+        left = angles[rows] - design @ solved(design, angles[rows])
+        variance = _LIKE * float(left @ left) / len(rows) * np.linalg.pinv(design.T @ design)[0, 0]
+        plays.append(solved(design, angles[rows])[0])
+        weights.append(1 / max(variance, 1e-16))
+    if len(plays) < _REVERSALS:
+        return math.nan, math.nan
+    mean = float(np.average(plays, weights=weights))
+    scatter = float(np.average((np.array(plays) - mean) ** 2, weights=weights))
+    return mean, math.sqrt(scatter / len(plays) + 1 / sum(weights))
+
+
+_REVERSALS = 4
+
+
+def rounding(values: Array) -> float:
+    """Return the rounding step of values, or 0 without one."""
+    # Sums and differences of multiples have errors in their last digits.
+    levels = np.unique(np.round(values, 9))
+    gaps = np.diff(levels)
+    gaps = gaps[gaps > 5e-9]
+    if len(gaps) < 5:
+        return 0.0
+    step = float(gaps.min())
+    whole = np.abs(gaps / step - np.round(gaps / step)) < 0.02 + 2e-9 / step
+    if step < 1e-6 or whole.mean() < 0.95:
+        return 0.0
+    return float(np.ptp(levels)) / round(float(np.ptp(levels)) / step)

@@ -1,0 +1,347 @@
+"""Motions of commissioning, within 10 mm of the cart's initial position except towards the limit switches.
+
+The arms hang, so errors in signs, gains or delays are harmless. First, a short shift to and fro shows the direction of
+the drive. Then the cart is held in place and follows a chirp. The low frequencies make the arms swing, and the high
+ones show the delay of the drive. A rig that fails, is not read or leaves its range is stopped.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import signal
+
+from dpcontrol.dynamics.chain import ArmChainParameters
+from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.causes import FindingCause as Cause
+from dpcontrol.foundation.settings import Settings, setting
+from dpcontrol.loop.protocols import Reading
+from dpcontrol.loop.result import Rig
+from dpcontrol.references.problem import Limits
+from dpcontrol.rig.fits import fit_swing, modes, read_wiring, response
+
+Notify = Callable[[str], None]
+
+REACH = 0.010
+"""Maximum distance of the cart from its initial position, except towards the switches, m."""
+SIDES = {1: "right", -1: "left"}
+OFTEN_LATE = 0.01
+"""Fraction of ticks that may be late before a finding is wrong."""
+SAFE_GAIN = 0.2
+"""Error of the gain up to which the switches are tried: with a wrong scale, the cart could reach the hard stop."""
+_FREQUENCY = 2 * np.pi * 0.6
+"""Bandwidth of the loop that holds the cart, rad/s; slow enough for any drive's delay."""
+_DAMPING = 0.8
+_SLOPE = 0.01
+"""Interval over which the cart's velocity is computed from its positions, s."""
+_LONGEST_GAP = 0.1
+"""Time without a cart reading after which the cart is stopped, s."""
+_OFF_CENTRE = 0.02
+"""m."""
+_SHIFTS = {0.0005: 0.1, 0.003: 0.7}
+"""Shifts of the cart, m; the second follows if the first is not clearly visible.
+
+Each has the maximum fraction of the opposite shift's residual: with a drifting cart, a small shift resembles its
+opposite at another time.
+"""
+_SHIFT_SECONDS, _AFTER_SHIFT = 0.16, 0.1
+_SEEN, _CLEARLY_SEEN = 0.0002, 5.0
+"""Minimum visible shift, m, and as a multiple of the cart's drift."""
+_WATCHED = 1.2
+"""Time of hanging still that is observed, s: longer than a period."""
+_ACCELERATE, _STOPPING = 0.3, 1.0
+"""Accelerations towards the switches, and after a response, m/s²."""
+
+
+class Halted(Exception):
+    """Further measurement is not possible, for a cause with its figures."""
+
+
+@dataclass(frozen=True)
+class CommissioningSettings(Settings, table="commissioning"):
+    """Durations and sizes of the motions that measure a rig."""
+
+    wait: float = setting(60.0, least=0, most=3600, unit="s")
+    """Time limit for the arms to hang still, s."""
+    still: float = setting(0.05, above=0, most=0.2, unit="rad")
+    """Swing that counts as still, rad."""
+    look: float = setting(0.3, least=0.1, most=60, unit="s")
+    """Observation time before any motion, s."""
+    hold: float = setting(1.5, least=0.5, most=60, unit="s")
+    """Observation time with the cart held, s."""
+    sweep: float = setting(8.0, least=2, most=120, unit="s")
+    """Duration of the chirp, s, from half the slowest swing's frequency to `highest` Hz."""
+    ring: float = setting(3.0, least=0.5, most=120, unit="s")
+    """Observation time of the free swing after it, s."""
+    highest: float = setting(40.0, least=2, most=500, unit="Hz")
+    amplitude: float = setting(0.004, above=0, most=0.005, unit="m")
+    """Largest displacement in the chirp, m."""
+    push: float = setting(4.0, above=0, most=10, unit="m/s²")
+    """Largest acceleration in the chirp, m/s²."""
+    creep: float = setting(0.05, above=0, most=0.1, unit="m/s")
+    """Speed towards the limit switches, m/s."""
+
+    @property
+    def seconds(self) -> float:
+        """Total duration, s.
+
+        It assumes that the arms hang still and the switches are not tried.
+        """
+        return self.look + self.hold + self.sweep + self.ring + 3.0
+
+
+class Session:
+    """The rig during commissioning; records every tick and limits the cart's travel."""
+
+    def __init__(self, rig: Rig, arms: ArmChainParameters, limits: Limits, zeros: Sequence[float]) -> None:
+        self.rig, self.arms, self.period = rig, arms, rig.period
+        self._zeros, self._most = np.array([*zeros, 0.0]), limits.acceleration
+        self.positions: list[Array] = []
+        self.present: list[bool] = []
+        self.commands: list[float] = []
+        self.switches: list[int] = []
+        self.late = self.held_from = self.chirped_from = self.chirped_to = self.rang_to = 0
+        self.tries: list[tuple[int, int, float]] = []
+        """Side of each try of a limit switch, its response and the cart's position, m."""
+        self.gain = 0.0
+        """Cart reading per command, once known; its sign is the drive's direction."""
+        self.reach, self.step = REACH, "still"
+        self._span = max(1, round(_SLOPE / self.period))
+        self._gap = 0
+        self.read()
+        self.home = self.cart
+
+    @property
+    def cart(self) -> float:
+        """The cart's last reading, m."""
+        return float(self.positions[-1][-1])
+
+    @property
+    def tick(self) -> int:
+        """Number of the last reading."""
+        return len(self.positions) - 1
+
+    def read(self) -> Reading:
+        """Read and store the next reading."""
+        reading = self.rig.read()
+        positions = reading.positions - self._zeros
+        if reading.present is not None and self.positions:
+            positions = np.where(reading.present, positions, self.positions[-1])
+        self.positions.append(positions)
+        self.present.append(reading.present is None or bool(reading.present.all()))
+        self.switches.append(reading.switch)
+        self.late += reading.late > 0
+        return reading
+
+    def advance(self, acceleration: float) -> Reading:
+        """Send a command, m/s², and return the next reading.
+
+        Raises:
+            Halted: the rig has failed, the cart has left its range, or a sensor is not read.
+        """
+        command = min(max(acceleration, -self._most), self._most)
+        self.rig.command(command)
+        self.commands.append(command)
+        reading = self.read()
+        self._gap = 0 if self.present[-1] else self._gap + 1
+        if self.rig.fault is not None:
+            raise Halted(Cause.FAULT, {"text": self.rig.fault.text})
+        if self._gap * self.period > _LONGEST_GAP and reading.present is not None:
+            sensors = [*(f"the encoder of arm {k + 1}" for k in range(self.arms.count)), "the cart's scale"]
+            absent = [sensors[k] for k in np.flatnonzero(~reading.present)]
+            raise Halted(Cause.UNREAD, {"sensors": absent, "seconds": self._gap * self.period})
+        away = self.cart - self.home
+        if abs(away) > self.reach:
+            raise Halted(Cause.LEFT, {"reach": self.reach, "away": away, "late": self.late, "ticks": self.tick})
+        return reading
+
+    def follow(self, path: Array, feedforward: Array) -> None:
+        """Follow a path with feedforward and slow feedback.
+
+        Positions (K,) are in m from home, feedforward accelerations (K,) in m/s².
+        """
+        for wanted, slope, ahead in zip(path, np.gradient(path, self.period), feedforward, strict=True):
+            self.advance(self.steered(wanted, slope, ahead))
+
+    def steered(self, wanted: float, slope: float, ahead: float) -> float:
+        """Return the command for a position and a velocity, m/s².
+
+        The position, m, and the velocity, m/s, are relative to home.
+        """
+        then = self.positions[max(self.tick - self._span, 0)][-1]
+        velocity = (self.cart - float(then)) / (min(self._span, max(self.tick, 1)) * self.period)
+        error = self.home + wanted - self.cart
+        pull = _FREQUENCY**2 * error + 2 * _DAMPING * _FREQUENCY * (slope - velocity)
+        return (ahead + pull) / self.gain
+
+    def hold(self, seconds: float) -> None:
+        """Hold the cart at home."""
+        still = np.zeros(max(2, round(seconds / self.period)))
+        self.follow(still, still)
+
+    def filled(self, first: int = 0) -> Array:
+        """Return the readings (K, n+1) of arms and cart from tick `first`, with gaps interpolated linearly."""
+        rows, present = np.array(self.positions[first:]), np.array(self.present[first:])
+        if not present.all() and present.any():
+            ticks = np.arange(len(rows))
+            rows = np.stack([np.interp(ticks, ticks[present], v[present]) for v in rows.T], axis=1)
+        return rows
+
+
+def perform(
+    session: Session, chirp: tuple[Array, Array], switches: float, *, options: CommissioningSettings, notify: Notify
+) -> None:
+    """Perform all motions of the cart.
+
+    Args:
+        session: the rig.
+        chirp: positions and accelerations of `chirp_of`.
+        switches: distance of the search for limit switches, m; 0 for none.
+        options: durations and sizes of the motions.
+        notify: receives instructions about the next step.
+
+    Raises:
+        Halted: further measurement is not possible.
+    """
+    notify(f"the arms should hang with the cart at the centre; it will move by at most {1e3 * REACH:.0f} mm")
+    _look(session, options)
+    notify("the cart shifts a few millimetres and back: check that it goes to the right first")
+    session.step = "drive"
+    _shift(session)
+    session.step = "still"
+    _wait_until_still(session, options, notify)
+    notify(f"the cart follows a chirp for {options.sweep:g} s, then stays still for {options.ring:g} s; the arms swing")
+    session.step, session.held_from = "delay", session.tick
+    session.hold(options.hold)
+    session.chirped_from = session.tick
+    # A small gain may come from a scale that shows too little, and the cart may then move further than measured.
+    share = min(abs(session.gain), 1.0)
+    session.follow(*(share * part for part in chirp))
+    session.chirped_to = session.tick
+    session.hold(options.ring)
+    session.rang_to = session.tick
+    session.step = "switches"
+    if switches and abs(session.gain - 1) <= SAFE_GAIN:
+        notify(f"the cart creeps to the right, then to the left, by up to {switches:g} m: be ready to cut the power")
+        session.reach = switches + REACH
+        for side in SIDES:
+            session.tries.append((side, *_creep(session, side, switches, options.creep)))
+            _return(session, options)
+
+
+def _look(session: Session, options: CommissioningSettings) -> None:
+    """Take readings before any motion."""
+    if abs(session.home) > _OFF_CENTRE:
+        raise Halted(Cause.OFF_CENTRE, {"position": session.home})
+    for _ in range(max(4, round(options.look / session.period))):
+        session.advance(0.0)
+    if session.switches[-1]:
+        raise Halted(Cause.TOUCHED, {"side": SIDES[session.switches[-1]]})
+
+
+def _shift(session: Session) -> None:
+    """Find the drive's direction and gain, without feedback, which would require them."""
+    quarter = max(1, round(_SHIFT_SECONDS / 4 / session.period))
+    pattern = np.repeat([1.0, -1.0, -1.0, 1.0], quarter) / (quarter * session.period) ** 2
+    after = max(2, round(_AFTER_SHIFT / session.period))
+    wander = float(np.std(signal.detrend(session.filled()[-(len(pattern) + after) :, -1])))
+    seen = 0.0
+    for size, share in _SHIFTS.items():
+        if size < max(_SHIFTS) and _CLEARLY_SEEN * wander > size / 3:
+            continue
+        first = session.tick
+        for value in (*(pattern * size), *np.zeros(after)):
+            session.advance(float(value))
+        carts = session.filled(first)[:, -1]
+        wanted = response(np.array([*session.commands[first:], 0.0]), session.period, 0.0)[:, 0]
+        # The drive's delay is still unknown, so the best-fitting one is used. The whole shift must be visible.
+        delays = range(0, after + 1, max(1, quarter // 8))
+        fits = [_slope(wanted[: len(wanted) - k], carts[k:]) for k in delays]
+        gain, left = min(fits, key=lambda fit: fit[1])
+        opposite = min((other for slope, other in fits if slope * gain <= 0), default=1.0)
+        seen = abs(gain) * size
+        if seen > _SEEN and abs(gain) * np.std(wanted) > _CLEARLY_SEEN * wander and left < share * opposite:
+            session.gain = gain
+            return
+    _raise_for_no_shift(session, seen)
+
+
+def _slope(wanted: Array, seen: Array) -> tuple[float, float]:
+    """Return the slope of `seen` on `wanted` without drifts, and the unexplained fraction of the variance."""
+    wanted, seen = signal.detrend(wanted), signal.detrend(seen)
+    size = float(wanted @ wanted)
+    slope = float(wanted @ seen) / size
+    return slope, 1 - slope**2 * size / max(float(seen @ seen), 1e-30)
+
+
+def _raise_for_no_shift(session: Session, seen: float) -> None:
+    """Raise the cause of an invisible shift; the arms reveal motion of the cart."""
+    wandered = float(np.ptp(session.filled()[:, -1]))
+    if wandered > _SEEN:
+        raise Halted(Cause.WANDERS, {"wander": wandered})
+    for _ in range(round(1.0 / session.period)):
+        session.advance(0.0)
+    commanded = response(np.array([*session.commands, 0.0]), session.period, 0.0)[:, 0]
+    wiring = read_wiring(fit_swing(session.filled()[:, :-1], commanded, session.period, session.arms))
+    raise Halted(Cause.DEAD if float(np.abs(wiring.factors).max()) > 0.3 else Cause.STANDS, {"seen": seen})
+
+
+def _wait_until_still(session: Session, options: CommissioningSettings, notify: Notify) -> None:
+    """Hold the cart until the arms hardly swing."""
+    attempts, swing = math.floor(options.wait / _WATCHED) + 1, 0.0
+    for attempt in range(attempts):
+        if attempt == 1:
+            notify(f"the arms swing by ±{swing:.2g} rad: hold them still; waiting for up to {options.wait:g} s")
+        first = session.tick
+        session.hold(_WATCHED)
+        swing = float(np.ptp(session.filled(first)[:, :-1], axis=0).max()) / 2
+        if swing <= options.still:
+            return
+    raise Halted(Cause.SWINGING, {"swing": swing, "seconds": attempts * _WATCHED})
+
+
+def chirp_of(arms: ArmChainParameters, period: float, options: CommissioningSettings) -> tuple[Array, Array]:
+    """Return the positions (K,) m and accelerations (K,) m/s² of a logarithmic chirp.
+
+    Args:
+        arms: parameters of the arms, whose lowest frequency begins the chirp.
+        period: control period, s.
+        options: duration and sizes.
+    """
+    low = 0.6 * float(modes(arms).frequencies.min()) / (2 * np.pi)
+    high, finer = min(options.highest, 0.1 / period), 8
+    t = np.arange(round(options.sweep / period) * finer + 1) * period / finer
+    frequency = 2 * np.pi * low * (high / low) ** (t / options.sweep)
+    fade = np.clip(np.minimum(t, options.sweep - t) / min(0.5, options.sweep / 8), 0, 1)
+    size = np.minimum(options.amplitude, options.push / frequency**2) * np.sin(np.pi / 2 * fade) ** 2
+    x = size * signal.chirp(t, low, options.sweep, high, method="logarithmic", phi=-90)
+    v = np.gradient(x, t)
+    v[[0, -1]] = 0.0
+    return x[:-1:finer], np.diff(v[::finer]) / period
+
+
+def _creep(session: Session, side: int, most: float, speed: float) -> tuple[int, float]:
+    """Move to a side until a switch responds or the distance is covered; return response and position."""
+    period, wanted, slope = session.period, 0.0, 0.0
+    answer, at, braking = 0, 0.0, False
+    while True:
+        change = max(-_STOPPING, -slope / period) if braking else min(_ACCELERATE, (speed - slope) / period)
+        slope += change * period
+        wanted += slope * period
+        reading = session.advance(session.steered(side * wanted, side * slope, side * change))
+        if not braking:
+            answer, at = reading.switch, session.cart - session.home
+            braking = bool(answer) or abs(at) >= most or wanted > most
+        elif slope < 1e-9:
+            return answer, at
+
+
+def _return(session: Session, options: CommissioningSettings) -> None:
+    """Move the cart back to its home smoothly."""
+    away = session.cart - session.home
+    duration = max(1.875 * abs(away) / (2 * options.creep), 0.5)
+    s = np.linspace(0, 1, max(3, round(duration / session.period)))
+    path = away * (1 - s**3 * (10 - 15 * s + 6 * s**2))
+    session.follow(path, np.gradient(np.gradient(path, session.period), session.period))
+    session.hold(0.3)
