@@ -17,8 +17,6 @@ import hashlib
 import os
 import re
 import subprocess
-from collections.abc import Iterator
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryFile
@@ -127,12 +125,10 @@ def unusable(folder: Path, reason: str) -> None:
         folder: folder of one kind of results.
         reason: cause in a few words, such as "Permission denied".
     """
-    what = f"the cache {cache_root()} cannot be used ({reason})"
-    remedy = f"set {VARIABLE} to a writable folder, or free some space"
-    with suppress(OSError):
-        if folder.is_file():
-            what, remedy = f"{folder} is a file instead of a folder of the cache", "remove it"
-    remark(f"{what}, so slow results may be computed again in each call; {remedy}")
+    remark(
+        f"the cache {cache_root()} cannot be used ({reason}), so slow results may be computed again in each call; set "
+        f"{VARIABLE} to a writable folder, or free some space"
+    )
 
 
 def _seal(file: Path, content: bytes) -> bytes:
@@ -192,32 +188,14 @@ def cache_contents(*, clear: bool = False) -> CacheContents:
     try:
         at_home(root)
         for kind, names in {**dict.fromkeys(KINDS, _OURS), COMPILER: _COMPILER_FILES}.items():
-            files = _files(root / kind, names)
-            sizes = [size for file in files if (size := _size(file, clear=clear)) is not None]
-            kinds[kind] = (len(sizes), sum(sizes))
+            files = [file for file in (root / kind).glob("*") if names.search(file.name) and file.is_file()]
+            kinds[kind] = (len(files), sum(file.stat().st_size for file in files))
+            for file in files if clear else ():
+                file.unlink(missing_ok=True)
     except (OSError, InputError) as error:
-        reason = f"{error.filename}: {error.strerror}" if isinstance(error, OSError) else error
-        what = f"cannot {'empty' if clear else 'read'} the cache: {reason}"
+        what = f"cannot {'empty' if clear else 'read'} the cache: {error}"
         raise InputError(f"{what}; check its permissions, or set {VARIABLE} to another folder") from error
     return CacheContents(root, kinds, clear)
-
-
-def _size(file: Path, *, clear: bool) -> int | None:
-    """Return a file's size in bytes, and delete it on request.
-
-    Returns None if another process has already deleted the file.
-    """
-    with suppress(FileNotFoundError):
-        size = file.stat().st_size
-        if clear:
-            file.unlink()
-        return size
-    return None
-
-
-def _files(folder: Path, names: re.Pattern[str]) -> Iterator[Path]:
-    with suppress(FileNotFoundError, NotADirectoryError):
-        yield from (file for file in sorted(folder.iterdir()) if names.search(file.name) and file.is_file())
 
 
 def commit() -> str:

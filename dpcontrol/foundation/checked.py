@@ -105,18 +105,8 @@ def check(name: str, value: Any, hint: Any) -> None:
         InputError: names the argument, its value and the allowed values.
     """
     options = _alternatives(hint)
-    if any(_fits(value, option) for option in options):
+    if _fits_any(value, hint):
         return
-    # The message on a list concerns the first wrong entry.
-    for option in options:
-        kind, inner = get_origin(option), get_args(option)
-        if kind is Mapping and isinstance(value, Mapping):
-            for key, one in value.items():
-                check(f"{name}: {key}", key, inner[0])
-                check(f"{name}: {key}", one, inner[1])
-        elif kind in (Sequence, Collection, tuple) and is_list(value) and len(value) == _length(option, value):
-            for k, one in enumerate(value):
-                check(name, one, inner[0 if Ellipsis in inner else min(k, len(inner) - 1)])
     if isinstance(value, str | Path) and not _is_line(str(value)):
         raise InputError(f"{name} = {shortened(value)}: must be one short line without control characters")
     texts = [one for option in options if get_origin(option) is Literal for one in get_args(option)]
