@@ -19,13 +19,12 @@ import re
 import subprocess
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryFile
 from typing import ClassVar
 
 from dpcontrol.foundation.config import at_home
 from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError, remark
-from dpcontrol.foundation.files import write_whole
+from dpcontrol.foundation.files import checked_folder, write_whole
 from dpcontrol.foundation.version import PACKAGE
 
 VARIABLE = "DPCONTROL_CACHE"
@@ -39,8 +38,6 @@ COMPILER = "heyoka"
 """Folder of heyoka's database."""
 _COMPILER_FILES = re.compile(r"^cache\.db(-wal|-shm|-journal)?$")
 """Names that heyoka and SQLite give to its files."""
-_MACHINE_CODE = 1 << 20
-"""Space that heyoka's machine code needs at least, bytes."""
 _OURS = re.compile(rf"-[0-9a-f]{{16}}({'|'.join(map(re.escape, sorted(set(KINDS.values()))))})(\..+)?$")
 """Suffixes of the cache's files; partly written files have further characters."""
 _SEAL = b"\nsha256:"
@@ -95,7 +92,7 @@ def keep(file: Path, content: bytes) -> None:
     try:
         write_whole(at_home(file), content + _seal(file, content))
     except InputError as error:
-        unusable(file.parent, getattr(error.__cause__, "strerror", None) or str(error))
+        unusable(error)
 
 
 def compiler_folder() -> Path | None:
@@ -105,26 +102,20 @@ def compiler_folder() -> Path | None:
     """
     folder = cache_root() / COMPILER
     try:
-        there = at_home(folder)
-        while not there.exists():
-            there = there.parent
-        with TemporaryFile(dir=there) as probe:
-            # heyoka does not report a full disk.
-            probe.write(bytes(_MACHINE_CODE))
-            probe.flush()
+        checked_folder(at_home(folder))
         return folder
-    except (OSError, InputError) as error:
-        unusable(folder, getattr(error, "strerror", None) or str(error))
+    except InputError as error:
+        unusable(error)
         return None
 
 
-def unusable(folder: Path, reason: str) -> None:
-    """Issue a remark that results cannot be cached, with the reason.
+def unusable(error: InputError) -> None:
+    """Issue a remark that results cannot be cached.
 
     Args:
-        folder: folder of one kind of results.
-        reason: cause in a few words, such as "Permission denied".
+        error: the error of a folder or file that cannot be written.
     """
+    reason = getattr(error.__cause__, "strerror", None) or str(error)
     remark(
         f"the cache {cache_root()} cannot be used ({reason}), so slow results may be computed again in each call; set "
         f"{VARIABLE} to a writable folder, or free some space"

@@ -356,12 +356,6 @@ class Replay(Brief, Documented):
         if not self.carts:
             return ""
         commanded = sum(cart.commanded for cart in self.carts)
-        if not commanded:
-            return "its recorded position" + (
-                ", which the command does not explain" if self.recording.command is not None else ""
-            )
-        if commanded == len(self.carts):
-            return "the command" + ("" if self.recording.cart is None else ", which explains its position")
         return f"the command in {commanded} of {len(self.carts)} segments, else its recorded position"
 
     @property
