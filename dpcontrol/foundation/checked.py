@@ -46,9 +46,6 @@ Hit = Annotated[int, Between(1, 1000)]
 Index = Annotated[int, Between(0, 1_000_000)]
 Positive = Annotated[float, Between(above=0)]
 
-_MAKERS: dict[str, str] = {}
-"""Public functions by the name of the class that they return first."""
-
 
 def checked(function: Function) -> Function:
     """Return a function that checks its arguments against their annotations.
@@ -59,8 +56,6 @@ def checked(function: Function) -> Function:
         function: annotated function or method.
     """
     signature = inspect.signature(function)
-    if function.__qualname__ == function.__name__:
-        _MAKERS.setdefault(str(signature.return_annotation), function.__name__)
 
     @cache
     def hints() -> dict[str, Any]:
@@ -141,9 +136,8 @@ def numbers(name: str, values: Any, count: int) -> tuple[float, ...]:
     Raises:
         InputError: the count is wrong, or an entry is not a finite number.
     """
-    if isinstance(values, str) or not isinstance(values, Sequence) or len(values) != count:
-        raise InputError(f"{name} = {shortened(values)}: must be {count} finite numbers")
-    return tuple(number(name, value) for value in values)
+    check(name, values, tuple[(float,) * count])
+    return tuple(map(float, values))
 
 
 def _alternatives(hint: Any) -> tuple[Any, ...]:
@@ -254,5 +248,4 @@ def _words(hint: Any) -> str:
     if hint is Path:
         return "the path of a file"
     name = getattr(hint, "__name__", str(hint))
-    maker = _MAKERS.get(name)
-    return f"{'an' if name[0] in 'AEIOU' else 'a'} {name}" + (f" (dp.{maker} returns one)" if maker else "")
+    return f"{'an' if name[0] in 'AEIOU' else 'a'} {name}"

@@ -47,7 +47,7 @@ def at_home(path: Path | str) -> Path:
     """
     expanded = os.path.expanduser(path)
     if expanded.startswith("~"):
-        raise InputError(f"there is no home folder {expanded.partition('/')[0]!r}")
+        raise InputError(f"{path}: there is no home folder {expanded.partition('/')[0]!r}")
     return Path(expanded)
 
 
@@ -129,8 +129,4 @@ def log_folder() -> Path:
     Raises:
         InputError: a mistake in the configuration, or a home folder that does not exist.
     """
-    logs = configuration().logs
-    try:
-        return at_home(logs)
-    except InputError as error:
-        raise InputError(f"logs = {logs!r}: {error}; set {variable('logs')} to another folder") from error
+    return at_home(configuration().logs)

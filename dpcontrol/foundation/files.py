@@ -208,10 +208,7 @@ def checked_other_file(out: Path, source: Path | str, *, what: str, option: str 
     Raises:
         InputError: `out` is the file `source`, perhaps by another name; what: its role, such as "the log to repeat".
     """
-    same = os.path.realpath(out) == os.path.realpath(source)
-    with suppress(OSError):
-        same = same or out.samefile(source)
-    if same:
+    if os.path.exists(out) and os.path.samefile(out, source):
         raise InputError(f"{option} {out}: that is {what}; choose another name")
 
 

@@ -76,8 +76,6 @@ class Segment:
 
 _FEWEST = 10
 """Minimum samples of a piece for a fit."""
-_MOST_TURNED = 1e6
-"""Upper bound of plausible angles, rad."""
 
 
 def cut_into_swings(
@@ -112,11 +110,6 @@ def cut_into_swings(
                     f"in pieces of {most:g} s; a piece needs {_FEWEST}: record faster, or omit the segment"
                 )
             edges = np.linspace(0, len(part.time), pieces + 1).round().astype(int)
-            if np.nanmax(np.abs(part.angles), initial=0.0) > _MOST_TURNED:
-                raise InputError(
-                    f"{part.name}: an angle beyond {_MOST_TURNED:g} rad at {part.time[0]:.6g} s or later is not "
-                    "plausible; import the recording again with the correct unit of angles"
-                )
             for a, b in pairwise(edges):
                 # Turns counted before a segment are irrelevant.
                 angles = part.angles[a:b] - 2 * np.pi * np.rint(filled(part.angles[a:b])[0] / (2 * np.pi))

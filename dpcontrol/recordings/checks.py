@@ -95,8 +95,7 @@ class Samples(Brief):
         Args:
             index: index of the sample, from 0.
         """
-        time = f" (t = {self.time[index]:.6g} s)" if np.isfinite(self.time[index]) else ""
-        return f"{self.where}: row {self.rows[index]}{time}"
+        return f"{self.where}: row {self.rows[index]} (t = {self.time[index]:.6g} s)"
 
     def taken(self, which: NDArray) -> "Samples":
         """Return some of the samples.
@@ -317,7 +316,6 @@ def check_plausible(segments: Sequence[Samples], *, file: str) -> None:
     Raises:
         InputError: reports the contradiction, its size and the likely cause.
     """
-    first = segments[0]
     for segment in segments:
         if (large := np.abs(segment.values) > _LARGEST).any():
             row, column = _first(large)
@@ -333,9 +331,9 @@ def check_plausible(segments: Sequence[Samples], *, file: str) -> None:
             f"{file}: the angles turn at {fastest:.4g} rad/s, and no bench's arm does more than {_FASTEST:g}; "
             "check the unit of angles and time in the mapping (degrees taken for rad? counts? ms?)"
         )
-    if first.of(RATE) is not None:
+    if segments[0].of(RATE) is not None:
         _compare(derivative, np.concatenate([part[1] for part in turned]), file=file)
-    if first.of(CART) is None and first.of(COMMAND) is None:
+    if segments[0].of(CART) is None and segments[0].of(COMMAND) is None:
         # With the cart clamped, gravity alone moves the arms.
         _check_zero(segments, file=file)
 
@@ -434,15 +432,12 @@ def constant_angles(recording: Recording) -> tuple[str, ...]:
         recording: the recording.
     """
     reach = np.ptp(recording.angles, axis=0)
-    most, mover = float(reach.max()), int(np.argmax(reach)) + 1
-    if most == 0:
-        count = len(recording.time)
-        return (f"no angle changes in {count} samples: are the encoders connected, and the columns the right ones?",)
+    most = float(reach.max())
     return tuple(
-        f"angle {arm + 1} is {recording.angles[0, arm]:g} rad in all {len(recording.time)} samples while angle {mover} "
-        f"moves over {most:.3g} rad: is its encoder connected, and its column the right one?"
+        f"angle {arm + 1} is {recording.angles[0, arm]:g} rad in all {len(recording.time)} samples: is its encoder "
+        "connected, and its column the right one?"
         for arm in range(recording.arms)
-        if reach[arm] == 0 and most > _MOVES
+        if reach[arm] == 0 and (most == 0 or most > _MOVES)
     )
 
 

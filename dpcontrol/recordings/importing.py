@@ -98,7 +98,7 @@ def import_recording(
         if given is None or mapping == _JOINT_STATES:
             chosen, columns, covered = _joint_states(path)
         else:
-            _check_columns(path, given, "a bag")
+            _check_columns(path, given)
             chosen, (columns, covered) = given, read_bag(path, given.named)
         stretches, period = _of_columns(path, chosen, columns, chosen.period, covered), chosen.period
     else:
@@ -157,15 +157,10 @@ def _joint_states(path: Path) -> tuple[Mapping, dict[str, Array], NDArray[np.boo
     return chosen, columns, covered
 
 
-def _check_columns(path: Path, mapping: Mapping, what: str) -> None:
-    """Reject a mapping of MATLAB cells or variables.
-
-    `what` has only columns.
-    """
+def _check_columns(path: Path, mapping: Mapping) -> None:
+    """Reject a mapping of MATLAB cells for a file that has only columns."""
     if mapping.cells.states:
         raise InputError(f"{path}: the mapping {mapping.name!r} is for MATLAB cells; give one with columns: --mapping")
-    if mapping.sampling.variable:
-        raise InputError(f"{path}: {what} holds no variable {mapping.sampling.variable!r}; give [sampling] period")
 
 
 def _table(path: Path, given: Mapping | None) -> tuple[Mapping, dict[str, Array]]:
@@ -174,7 +169,7 @@ def _table(path: Path, given: Mapping | None) -> tuple[Mapping, dict[str, Array]
     The shipped mapping loses its rates if the table has none of them. The segments may be missing, too.
     """
     if given is not None:
-        _check_columns(path, given, "a table")
+        _check_columns(path, given)
         return given, read_table(path, given.named)
     mapping = load_mapping("table")
     rates = mapping.rates.columns
@@ -375,15 +370,10 @@ def read_table(path: Path, columns: Sequence[str], *, optional: Collection[str] 
     """
     try:
         table = (_parquet if path.suffix.lower() == ".parquet" else _csv)(path, columns, optional)
-    except OSError as error:
-        # pyarrow reports damage as OSError too, in more than one line.
+    except (OSError, ValueError, csv.Error, MemoryError) as error:
         raise InputError(
-            f"cannot read {path}: {error.strerror or _reason(error)}; check the name, or save the recording again"
+            f"cannot read {path} as a table ({_reason(error)}); check the name, or save the recording again"
         ) from error
-    except (ValueError, csv.Error, MemoryError) as error:
-        raise InputError(f"{path} is not a readable table ({_reason(error)}); save the recording again") from error
-    if not all(map(len, table.values())):
-        raise InputError(f"{path} holds no rows; save the recording again")
     return {name: _numbers(cells, name, path) for name, cells in table.items()}
 
 
@@ -491,22 +481,16 @@ def read_matlab(path: Path) -> dict[str, Any]:
     try:
         with path.open("rb") as stream:
             head = stream.read(600)
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror or error}; check the name") from error
-    hdf5 = b"MATLAB 7.3" in head[:128] or b"\x89HDF\r\n\x1a\n" in head
-    try:
+        hdf5 = b"MATLAB 7.3" in head[:128] or b"\x89HDF\r\n\x1a\n" in head
         checked_size((_hdf5_size if hdf5 else _unpacked_size)(path))
         if head.startswith(_OCTAVE):
             raise InputError(f"{path} is not a MATLAB file but one of Octave; save it in Octave with `save -v7`")
         variables = _with_objects(path) if hdf5 else _plain(path)
     except UNREADABLE as error:
         raise InputError(
-            f"{path} is not a MATLAB file, or is cut off or damaged ({_reason(error)}); save or copy it again"
+            f"cannot read {path} as a MATLAB file ({_reason(error)}); check the name, or save or copy it again"
         ) from error
-    named = {name: value for name, value in variables.items() if isinstance(name, str) and not name.startswith("__")}
-    if not named:
-        raise InputError(f"{path} holds no variables; save the recording again")
-    return named
+    return {name: value for name, value in variables.items() if isinstance(name, str) and not name.startswith("__")}
 
 
 def _plain(path: Path) -> dict[str, Any]:
@@ -552,13 +536,8 @@ def _hdf5_size(path: Path) -> int:
     """
     h5py = package("h5py")
     sizes: list[int] = []
-
-    def visit(name: str, one: Any) -> None:
-        if isinstance(one, h5py.Dataset):
-            sizes.append(one.size * one.dtype.itemsize)
-
     with h5py.File(path) as file:
-        file.visititems(visit)
+        file.visititems(lambda _, item: sizes.append(getattr(item, "nbytes", 0)))
     return sum(sizes)
 
 
