@@ -17,17 +17,14 @@ import hashlib
 import os
 import re
 import subprocess
-from collections.abc import Iterator
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryFile
 from typing import ClassVar
 
 from dpcontrol.foundation.config import at_home
 from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError, remark
-from dpcontrol.foundation.files import write_whole
+from dpcontrol.foundation.files import checked_folder, write_whole
 from dpcontrol.foundation.version import PACKAGE
 
 VARIABLE = "DPCONTROL_CACHE"
@@ -41,8 +38,6 @@ COMPILER = "heyoka"
 """Folder of heyoka's database."""
 _COMPILER_FILES = re.compile(r"^cache\.db(-wal|-shm|-journal)?$")
 """Names that heyoka and SQLite give to its files."""
-_MACHINE_CODE = 1 << 20
-"""Space that heyoka's machine code needs at least, bytes."""
 _OURS = re.compile(rf"-[0-9a-f]{{16}}({'|'.join(map(re.escape, sorted(set(KINDS.values()))))})(\..+)?$")
 """Suffixes of the cache's files; partly written files have further characters."""
 _SEAL = b"\nsha256:"
@@ -97,7 +92,7 @@ def keep(file: Path, content: bytes) -> None:
     try:
         write_whole(at_home(file), content + _seal(file, content))
     except InputError as error:
-        unusable(file.parent, getattr(error.__cause__, "strerror", None) or str(error))
+        unusable(error)
 
 
 def compiler_folder() -> Path | None:
@@ -107,32 +102,24 @@ def compiler_folder() -> Path | None:
     """
     folder = cache_root() / COMPILER
     try:
-        there = at_home(folder)
-        while not there.exists():
-            there = there.parent
-        with TemporaryFile(dir=there) as probe:
-            # heyoka does not report a full disk.
-            probe.write(bytes(_MACHINE_CODE))
-            probe.flush()
+        checked_folder(at_home(folder))
         return folder
-    except (OSError, InputError) as error:
-        unusable(folder, getattr(error, "strerror", None) or str(error))
+    except InputError as error:
+        unusable(error)
         return None
 
 
-def unusable(folder: Path, reason: str) -> None:
-    """Issue a remark that results cannot be cached, with the reason.
+def unusable(error: InputError) -> None:
+    """Issue a remark that results cannot be cached.
 
     Args:
-        folder: folder of one kind of results.
-        reason: cause in a few words, such as "Permission denied".
+        error: the error of a folder or file that cannot be written.
     """
-    what = f"the cache {cache_root()} cannot be used ({reason})"
-    remedy = f"set {VARIABLE} to a writable folder, or free some space"
-    with suppress(OSError):
-        if folder.is_file():
-            what, remedy = f"{folder} is a file instead of a folder of the cache", "remove it"
-    remark(f"{what}, so slow results may be computed again in each call; {remedy}")
+    reason = getattr(error.__cause__, "strerror", None) or str(error)
+    remark(
+        f"the cache {cache_root()} cannot be used ({reason}), so slow results may be computed again in each call; set "
+        f"{VARIABLE} to a writable folder, or free some space"
+    )
 
 
 def _seal(file: Path, content: bytes) -> bytes:
@@ -192,32 +179,14 @@ def cache_contents(*, clear: bool = False) -> CacheContents:
     try:
         at_home(root)
         for kind, names in {**dict.fromkeys(KINDS, _OURS), COMPILER: _COMPILER_FILES}.items():
-            files = _files(root / kind, names)
-            sizes = [size for file in files if (size := _size(file, clear=clear)) is not None]
-            kinds[kind] = (len(sizes), sum(sizes))
+            files = [file for file in (root / kind).glob("*") if names.search(file.name) and file.is_file()]
+            kinds[kind] = (len(files), sum(file.stat().st_size for file in files))
+            for file in files if clear else ():
+                file.unlink(missing_ok=True)
     except (OSError, InputError) as error:
-        reason = f"{error.filename}: {error.strerror}" if isinstance(error, OSError) else error
-        what = f"cannot {'empty' if clear else 'read'} the cache: {reason}"
+        what = f"cannot {'empty' if clear else 'read'} the cache: {error}"
         raise InputError(f"{what}; check its permissions, or set {VARIABLE} to another folder") from error
     return CacheContents(root, kinds, clear)
-
-
-def _size(file: Path, *, clear: bool) -> int | None:
-    """Return a file's size in bytes, and delete it on request.
-
-    Returns None if another process has already deleted the file.
-    """
-    with suppress(FileNotFoundError):
-        size = file.stat().st_size
-        if clear:
-            file.unlink()
-        return size
-    return None
-
-
-def _files(folder: Path, names: re.Pattern[str]) -> Iterator[Path]:
-    with suppress(FileNotFoundError, NotADirectoryError):
-        yield from (file for file in sorted(folder.iterdir()) if names.search(file.name) and file.is_file())
 
 
 def commit() -> str:

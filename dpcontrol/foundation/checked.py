@@ -46,9 +46,6 @@ Hit = Annotated[int, Between(1, 1000)]
 Index = Annotated[int, Between(0, 1_000_000)]
 Positive = Annotated[float, Between(above=0)]
 
-_MAKERS: dict[str, str] = {}
-"""Public functions by the name of the class that they return first."""
-
 
 def checked(function: Function) -> Function:
     """Return a function that checks its arguments against their annotations.
@@ -59,8 +56,6 @@ def checked(function: Function) -> Function:
         function: annotated function or method.
     """
     signature = inspect.signature(function)
-    if function.__qualname__ == function.__name__:
-        _MAKERS.setdefault(str(signature.return_annotation), function.__name__)
 
     @cache
     def hints() -> dict[str, Any]:
@@ -105,18 +100,8 @@ def check(name: str, value: Any, hint: Any) -> None:
         InputError: names the argument, its value and the allowed values.
     """
     options = _alternatives(hint)
-    if any(_fits(value, option) for option in options):
+    if _fits_any(value, hint):
         return
-    # The message on a list concerns the first wrong entry.
-    for option in options:
-        kind, inner = get_origin(option), get_args(option)
-        if kind is Mapping and isinstance(value, Mapping):
-            for key, one in value.items():
-                check(f"{name}: {key}", key, inner[0])
-                check(f"{name}: {key}", one, inner[1])
-        elif kind in (Sequence, Collection, tuple) and is_list(value) and len(value) == _length(option, value):
-            for k, one in enumerate(value):
-                check(name, one, inner[0 if Ellipsis in inner else min(k, len(inner) - 1)])
     if isinstance(value, str | Path) and not _is_line(str(value)):
         raise InputError(f"{name} = {shortened(value)}: must be one short line without control characters")
     texts = [one for option in options if get_origin(option) is Literal for one in get_args(option)]
@@ -151,9 +136,8 @@ def numbers(name: str, values: Any, count: int) -> tuple[float, ...]:
     Raises:
         InputError: the count is wrong, or an entry is not a finite number.
     """
-    if isinstance(values, str) or not isinstance(values, Sequence) or len(values) != count:
-        raise InputError(f"{name} = {shortened(values)}: must be {count} finite numbers")
-    return tuple(number(name, value) for value in values)
+    check(name, values, tuple[(float,) * count])
+    return tuple(map(float, values))
 
 
 def _alternatives(hint: Any) -> tuple[Any, ...]:
@@ -264,5 +248,4 @@ def _words(hint: Any) -> str:
     if hint is Path:
         return "the path of a file"
     name = getattr(hint, "__name__", str(hint))
-    maker = _MAKERS.get(name)
-    return f"{'an' if name[0] in 'AEIOU' else 'a'} {name}" + (f" (dp.{maker} returns one)" if maker else "")
+    return f"{'an' if name[0] in 'AEIOU' else 'a'} {name}"

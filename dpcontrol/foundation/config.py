@@ -13,7 +13,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from dpcontrol.foundation.errors import InputError, remark
+from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.settings import Place, Settings, decode, help_of, read_toml, setting
 
 
@@ -47,7 +47,7 @@ def at_home(path: Path | str) -> Path:
     """
     expanded = os.path.expanduser(path)
     if expanded.startswith("~"):
-        raise InputError(f"there is no home folder {expanded.partition('/')[0]!r}")
+        raise InputError(f"{path}: there is no home folder {expanded.partition('/')[0]!r}")
     return Path(expanded)
 
 
@@ -58,25 +58,12 @@ def config_file() -> Path:
 
 
 def is_there(file: Path) -> bool:
-    """True if the configuration file exists.
-
-    If its folder is not accessible, issue a remark and return False.
+    """True if the configuration file exists and its folder is accessible.
 
     Args:
         file: place of the file, from `config_file`.
     """
-    try:
-        at_home(file).stat()
-    except (FileNotFoundError, NotADirectoryError):
-        return False
-    except (OSError, InputError) as error:
-        reason = getattr(error, "strerror", None) or error
-        remark(
-            f"the configuration file {file} cannot be used ({reason}), so built-in defaults apply; "
-            "set XDG_CONFIG_HOME to another folder"
-        )
-        return False
-    return file.is_file()
+    return os.path.isfile(file)
 
 
 def variable(name: str) -> str:
@@ -142,8 +129,4 @@ def log_folder() -> Path:
     Raises:
         InputError: a mistake in the configuration, or a home folder that does not exist.
     """
-    logs = configuration().logs
-    try:
-        return at_home(logs)
-    except InputError as error:
-        raise InputError(f"logs = {logs!r}: {error}; set {variable('logs')} to another folder") from error
+    return at_home(configuration().logs)

@@ -14,7 +14,6 @@ import hashlib
 import itertools
 import json
 import os
-import stat
 import struct
 import tempfile
 import zipfile
@@ -36,30 +35,21 @@ class InTheWay(InputError):
 
 
 def checked_target(path: Path) -> Path:
-    """Return the place to write.
-
-    `path`, or the file that it links to. A rename would otherwise replace the link. A link to a file of another kind is
-    a mistake, because that file was not named.
+    """Return the place to write: `path`, or the file that it links to, because a rename would replace the link.
 
     Args:
         path: file to write, which may be missing.
 
     Raises:
-        InputError: `path` is not a regular file, is a link to itself or to a file with another suffix, or its folder
-            cannot be made or written to.
+        InputError: `path` is not a regular file, or its folder cannot be made or written to.
     """
+    place = Path(os.path.realpath(path)) if path.is_symlink() else path
     try:
-        place = Path(os.path.realpath(path)) if path.is_symlink() else path
-        if place.is_symlink():
-            raise InputError(f"cannot write {path}: it is a link that leads to itself; choose another file name")
-        if place.suffix.lower() != path.suffix.lower():
-            raise InputError(f"cannot write {path}: it is a link to {place}; choose another file name")
         wrong = place.exists() and not place.is_file()
     except OSError as error:
         raise unwritable(path, error) from error
     if wrong:
-        what = "a folder" if place.is_dir() else "not a regular file"
-        raise InputError(f"cannot write {path}: it is {what}; choose another file name")
+        raise InputError(f"cannot write {path}: it is a folder or no regular file; choose another file name")
     checked_folder(place.parent, path)
     return place
 
@@ -165,22 +155,14 @@ def checked_source(path: Path | str) -> Path:
         path: file to read; links are followed.
 
     Raises:
-        InputError: `path` is a folder, a device, a pipe or a link that leads to itself.
+        InputError: `path` is a folder, a device or a pipe.
     """
     path = Path(path)
-    try:
-        mode = os.stat(path).st_mode
-    except (OSError, ValueError) as error:
-        if getattr(error, "errno", None) == errno.ELOOP:
-            raise InputError(f"cannot read {path}: it is a link that leads to itself; give a regular file") from error
-        # Other errors are reported when the file is opened.
-        return path
-    if not stat.S_ISREG(mode):
-        kinds = {stat.S_IFDIR: "a folder", stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a socket"}
-        what = kinds.get(stat.S_IFMT(mode), "a device")
+    # Files that are missing are reported when they are opened.
+    if os.path.exists(path) and not os.path.isfile(path):
         if is_bag_folder(path):
             raise InputError(f"cannot read {path}: it is a ROS bag; make a log of it with `dpcontrol import {path}`")
-        raise InputError(f"cannot read {path}: it is {what}; give a regular file")
+        raise InputError(f"cannot read {path}: it is a folder, a pipe or a device; give a regular file")
     return path
 
 
@@ -226,10 +208,7 @@ def checked_other_file(out: Path, source: Path | str, *, what: str, option: str 
     Raises:
         InputError: `out` is the file `source`, perhaps by another name; what: its role, such as "the log to repeat".
     """
-    same = os.path.realpath(out) == os.path.realpath(source)
-    with suppress(OSError):
-        same = same or out.samefile(source)
-    if same:
+    if os.path.exists(out) and os.path.samefile(out, source):
         raise InputError(f"{option} {out}: that is {what}; choose another name")
 
 
@@ -331,9 +310,9 @@ def write_whole(path: Path, content: bytes | str) -> None:
 
 
 def write_folder(path: Path, files: Mapping[str, str], *, force: bool = False) -> None:
-    """Write text files to a folder, all of them or nothing.
+    """Write text files to a folder, each whole.
 
-    A folder with identical files is not changed.
+    A folder with some of these files is completed.
 
     Args:
         path: folder to write.
@@ -343,32 +322,15 @@ def write_folder(path: Path, files: Mapping[str, str], *, force: bool = False) -
     Raises:
         InputError: the folder is there and holds something else, or cannot be written.
     """
-    path = Path(os.path.realpath(path)) if Path(path).is_symlink() else Path(path)
     checked_folder(path)
-    made = missing_folders(path.absolute().parent)
-    try:
-        there = path.is_dir() and any(path.iterdir())
-        if there and not force:
-            places = {path / name: text.encode() for name, text in files.items()}
-            if all(file.is_file() and file.read_bytes() == data for file, data in places.items()):
-                return
-            raise in_the_way(path, "holds something else")
-        beside = path if there else path.absolute().parent
-        beside.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(prefix=f".{path.name[:40]}.", dir=beside) as name:
-            whole = Path(name) / "whole"
-            whole.mkdir()
-            for file, text in files.items():
-                (whole / file).write_bytes(text.encode())
-            if there:
-                for file in files:
-                    (whole / file).replace(path / file)
-            else:
-                whole.replace(path)
-    except OSError as error:
-        raise unwritable(path, error) from error
-    finally:
-        remove_empty(made)
+    data = {path / name: text.encode() for name, text in files.items()}
+    before = {file: file.read_bytes() for file in data if file.is_file()}
+    others = path.is_dir() and any(path.iterdir()) and not before
+    if not force and (others or any(content != data[file] for file, content in before.items())):
+        raise in_the_way(path, "holds something else")
+    for file, content in data.items():
+        if content != before.get(file):
+            write_whole(file, content)
 
 
 def content_hash(*parts: str | bytes) -> str:

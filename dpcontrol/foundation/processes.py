@@ -100,14 +100,10 @@ def _check_script() -> None:
     # Programs started by `python -m` are not imported again.
     if frame is None or file is None or main.__spec__ is not None:
         return
-    if not os.path.isfile(file):
+    if not os.path.isfile(file) or "__main__" not in Path(file).read_text(encoding="utf-8", errors="replace"):
         raise InputError(
-            f"{file}: this work starts processes, which import the script: save it in a file, or give workers=1"
-        )
-    if "__main__" not in Path(file).read_text(encoding="utf-8", errors="replace"):
-        raise InputError(
-            f"{file}: this work starts processes, which import the script: put its calls below `if __name__ == "
-            '"__main__":`, or give workers=1'
+            f"{file}: this work starts processes, which import the script: save it in a file with its calls below "
+            '`if __name__ == "__main__":`, or give workers=1'
         )
 
 

@@ -112,8 +112,6 @@ def _write_line(text: str) -> None:
 
 MOST_SECONDS, MOST_BYTES = 3600.0, 4e9
 """Maximum cost of work that starts without confirmation."""
-NEVER_SECONDS, NEVER_BYTES = 1e8, 1e13
-"""Cost beyond which the message does not suggest confirmation."""
 ANNOUNCED_FROM = 60.0
 """Duration beyond which work is announced, s."""
 
@@ -169,8 +167,7 @@ def announce(cost: Cost, *, yes: bool) -> None:
     """
     if not yes and (cost.seconds > MOST_SECONDS or cost.memory > MOST_BYTES):
         allowed = f"{_time(MOST_SECONDS)} and {_size(MOST_BYTES)}"
-        beyond_all = cost.seconds > NEVER_SECONDS or cost.memory > NEVER_BYTES
-        remedy = "reduce the work" if beyond_all else "reduce the work, or add --yes (yes=True in Python)"
+        remedy = "reduce the work, or add --yes (yes=True in Python)"
         raise InputError(f"{cost.sentence}; the limit is {allowed}: {remedy}")
     if cost.seconds > ANNOUNCED_FROM:
         remark(cost.sentence)

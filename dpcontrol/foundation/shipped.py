@@ -11,7 +11,7 @@ from pathlib import Path
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import checked_source
-from dpcontrol.foundation.settings import nearest
+from dpcontrol.foundation.settings import suggest
 from dpcontrol.foundation.version import PACKAGE
 
 MAPPINGS = PACKAGE / "recordings" / "mappings"
@@ -69,7 +69,5 @@ def find(kind: str, name: str) -> Path:
                 return file
     if is_path:
         raise InputError(f"there is no file {name}; give a TOML file or one of: {', '.join(names)}")
-    close = nearest(name, names)
-    hint = f"did you mean {close!r}? " if close else ""
     singular = {"models": "model", "itineraries": "itinerary"}[kind]
-    raise InputError(f"there is no {singular} named {name!r}; {hint}known: {', '.join(names)}, or give a path")
+    raise InputError(f"there is no {singular} named {name!r}; {suggest(name, names)}, or give a path")

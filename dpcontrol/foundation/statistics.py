@@ -76,13 +76,8 @@ def paired(first: ArrayLike, second: ArrayLike) -> Pairing:
     Args:
         first: outcomes (K,) of one controller, True for success.
         second: outcomes (K,) of the other controller, in the same order of seeds.
-
-    Raises:
-        ValueError: the numbers of outcomes differ.
     """
     one, two = np.asarray(first, dtype=bool), np.asarray(second, dtype=bool)
-    if one.shape != two.shape:
-        raise ValueError(f"outcomes of {one.shape} and {two.shape} runs cannot be paired")
     only_first, only_second = int((one & ~two).sum()), int((two & ~one).sum())
     differing = only_first + only_second
     if not differing:

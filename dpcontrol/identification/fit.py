@@ -159,6 +159,8 @@ def _compiled(arms: ArmChainParameters) -> Compiled:
 
 
 _GAP_WEIGHT = 1e3
+_CLOSED = 1e-12
+"""Gap between windows that is due to rounding, rad or rad/s."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,7 +168,7 @@ class Swing(Brief):
     """K measured samples of one uninterrupted swing."""
 
     angles: Array
-    """Absolute angles (K, n) from hanging, rad."""
+    """Absolute angles (K, n) from hanging, rad; NaN where a reading is missing."""
     period: float
     """Sampling period, s."""
     group: int = 0
@@ -175,6 +177,20 @@ class Swing(Brief):
     """Of the cart (K,), m/s², or None if it is clamped."""
     velocities: Array | None = None
     """Of the cart (K,), m/s, or None."""
+
+
+def filled(angles: Array) -> Array:
+    """Return angles (K, n) with missing ones interpolated, or zero if there is none.
+
+    Args:
+        angles: angles (K, n), rad; NaN where a reading is missing.
+    """
+    out = np.zeros_like(angles)
+    for column, values in zip(out.T, angles.T, strict=True):
+        known = np.flatnonzero(np.isfinite(values))
+        if len(known):
+            column[:] = np.interp(np.arange(len(values)), known, values[known])
+    return out
 
 
 class Windows:
@@ -215,13 +231,13 @@ class Windows:
     def guess(self) -> Array:
         """Return starts (W, 2n) from the measured angles.
 
-        Rates come from a local polynomial.
+        Missing angles are interpolated, and rates come from a local polynomial.
         """
         starts = []
         for swing, windows in zip(self.swings, self.of_swing, strict=True):
-            rates = smoothed_derivative(swing.angles, swing.period)
-            starts += [np.concatenate([swing.angles[self.first[w]], rates[self.first[w]]]) for w in windows]
-        return np.array(starts)
+            angles, at = filled(swing.angles), self.first[windows.start : windows.stop]
+            starts.append(np.hstack([angles[at], smoothed_derivative(angles, swing.period)[at]]))
+        return np.concatenate(starts)
 
     def linearised(self, starts: Array, values: Array, where: NDArray[np.intp]) -> "Linearised":
         """Integrate all windows and chain their derivatives.
@@ -260,11 +276,14 @@ class Windows:
                 if w != windows[-1]:
                     jump = states[w, k] - starts[w + 1]
                     offset = offset + jump
-                    out.gaps += float(np.abs(jump).sum())
+                    out.gaps += float(np.maximum(np.abs(jump) - _CLOSED, 0.0).sum())
                     out.gap = max(out.gap, float(np.abs(jump).max()))
             for column, index in enumerate(where):
                 if index >= m and (index - m) // arms == swing.group:
                     one.slope[:, (index - m) % arms, n + column] = 1.0
+            missing = ~np.isfinite(swing.angles)
+            for values in (one.residual, one.reduced, one.slope):
+                values[missing] = 0.0
             out.swings.append(one)
         return out
 
@@ -289,7 +308,7 @@ class Linearised:
     """Residuals of all swings and their derivatives at one point.
 
     Attributes:
-        gaps: sum of the gaps between windows.
+        gaps: sum of the gaps between windows beyond rounding.
         gap: the largest of them.
         finite: True if all numbers are finite.
     """
@@ -395,12 +414,7 @@ def fit_swings(
         free_zeros: True to fit the zeros.
         settings: windows, robust loss and convergence.
         near: first guess (W, 2n) of the windows' starts, default the measured angles.
-
-    Raises:
-        InputError: a swing is too short.
     """
-    if any(len(s.angles) < 8 for s in swings):
-        raise InputError("a swing has fewer than 8 samples, which is too short for a fit; omit it")
     cut = Windows(swings, model, settings.window)
     m, arms = model.parameters, model.arms.count
     unknown = np.concatenate([free, np.full(zeros.size, free_zeros)])
@@ -433,7 +447,8 @@ def fit_swings(
                 for w, node, offset in zip(windows, one.nodes, one.offsets, strict=True):
                     new_starts[w] += share * (node @ direction + offset)
             trial = cut.linearised(new_starts, np.maximum(new_values, lower), where)
-            if trial.finite and trial.merit(threshold) < now.merit(threshold) * (1 + 1e-12):
+            # Rounding may raise the misfit of a full step, but must not accept ever shorter ones.
+            if trial.finite and trial.merit(threshold) < now.merit(threshold) * (1 + 1e-12 * (share == 1.0)):
                 better = trial
                 break
             share /= 2

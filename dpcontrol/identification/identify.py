@@ -48,7 +48,7 @@ from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.foundation.shown import Brief, Shown
-from dpcontrol.identification.fit import FitSettings, Swing, SwingFit, Swings, fit_swings
+from dpcontrol.identification.fit import FitSettings, Swing, SwingFit, Swings, filled, fit_swings
 from dpcontrol.recordings.recording import Recording, cart_motion
 
 LONGEST, LONGEST_DRIVEN = 4.0, 1.0
@@ -57,9 +57,6 @@ LONGEST, LONGEST_DRIVEN = 4.0, 1.0
 Near a saddle, errors grow e⁸-fold in a second. Over four seconds, rounding hides the effect of the start.
 """
 _STILL = 1e-3
-_MOST_LOST = 5
-"""Maximum number of consecutive missing readings."""
-_NEAR = 20
 
 
 @dataclass(frozen=True)
@@ -79,8 +76,6 @@ class Segment:
 
 _FEWEST = 10
 """Minimum samples of a piece for a fit."""
-_MOST_TURNED = 1e6
-"""Upper bound of plausible angles, rad."""
 
 
 def cut_into_swings(
@@ -96,7 +91,7 @@ def cut_into_swings(
         longest: longest duration of a piece, s; None for the default.
 
     Raises:
-        InputError: a recording has another number of arms, hardly moves, or has a long gap.
+        InputError: a recording has another number of arms, or hardly moves.
     """
     swings: list[Swing] = []
     about: list[Segment] = []
@@ -108,58 +103,27 @@ def cut_into_swings(
         for part in recording.split():
             cart = cart_motion(part)
             most = longest or (LONGEST if cart is None else LONGEST_DRIVEN)
-            if part.dt * _FEWEST > most:
-                raise InputError(
-                    f"{recording.name} has a sample every {part.dt:g} s, but swings are fitted in pieces of "
-                    f"{most:g} s, which is too few samples; record faster"
-                )
             pieces = max(int(np.ceil((len(part.time) - 1) * part.dt / most)), 1)
-            edges = np.linspace(0, len(part.time), pieces + 1).round().astype(int)
-            filled = _filled(part)
-            if (largest := float(np.abs(filled).max(initial=0.0))) > _MOST_TURNED:
+            if len(part.time) < _FEWEST * pieces:
                 raise InputError(
-                    f"{part.name}: an angle of {largest:.3g} rad at {part.time[0]:.6g} s or later is not plausible; "
-                    "import the recording again with the correct unit of angles"
+                    f"{recording.name} has {len(part.time)} samples in a segment, one every {part.dt:g} s, fitted "
+                    f"in pieces of {most:g} s; a piece needs {_FEWEST}: record faster, or omit the segment"
                 )
+            edges = np.linspace(0, len(part.time), pieces + 1).round().astype(int)
             for a, b in pairwise(edges):
                 # Turns counted before a segment are irrelevant.
-                angles = filled[a:b] - 2 * np.pi * np.rint(filled[a] / (2 * np.pi))
+                angles = part.angles[a:b] - 2 * np.pi * np.rint(filled(part.angles[a:b])[0] / (2 * np.pi))
                 driven = () if cart is None else (cart.acceleration[a:b], cart.velocity[a:b])
                 swings.append(Swing(angles, part.dt, group, *driven))
                 seconds = float((b - a - 1) * part.dt)
                 about.append(Segment(len(about), recording.name, float(part.time[a]), seconds, True, np.nan))
     if not swings:
         raise InputError("the recordings contain no segment; import them again")
-    if max(float(np.ptp(s.angles, axis=0).max()) for s in swings) < _STILL:
+    if max(float(np.ptp(filled(s.angles), axis=0).max()) for s in swings) < _STILL:
         raise InputError(
             f"no angle moves by more than {_STILL:g} rad: there is nothing to identify; record free swings"
         )
     return swings, about
-
-
-def _filled(part: Recording) -> Array:
-    """Return the angles (K, n), with short gaps interpolated.
-
-    Raises:
-        InputError: too many consecutive readings are missing.
-    """
-    lost = np.asarray(~np.isfinite(part.angles).all(axis=1))
-    if not lost.any():
-        return part.angles
-    known = np.flatnonzero(~lost)
-    gaps = np.diff(known, prepend=-1, append=len(lost)) - 1
-    if gaps.max() > _MOST_LOST:
-        longest = int(gaps.argmax())
-        at = part.time[known[longest - 1] + 1 if longest else 0]
-        raise InputError(
-            f"{part.name}: {gaps.max()} readings in a row are missing at {at:.6g} s; use a recording without gaps"
-        )
-    angles = np.stack([np.interp(np.arange(len(lost)), known, column) for column in part.angles[known].T], axis=1)
-    for rows, near in ((np.arange(known[0]), known[:_NEAR]), (np.arange(known[-1] + 1, len(lost)), known[-_NEAR:])):
-        # Beyond the ends, a parabola through the nearest samples: two rounded ones give no slope.
-        curve = np.polynomial.polynomial.polyfit(near - near[0], part.angles[near], min(2, len(near) - 1))
-        angles[rows] = np.polynomial.polynomial.polyval(rows - near[0], curve).T
-    return angles
 
 
 _BLOCK_TIMES = 4.0

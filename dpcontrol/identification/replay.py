@@ -5,11 +5,8 @@ The others predict one sample and `ahead` samples from the estimate. If the cart
 encoders' zeros are subtracted from the angles if the model has them. Predictions are given as the encoders would show
 them. In the log, the prediction is the reference.
 
-The initial states of all stretches are fitted at once:
-
-    minimise over x_0:  Σ_k |θ(t_k; x_0) - θ_k|²    for each stretch    (Levenberg–Marquardt; ∂θ/∂x_0 by differences)
-
-Each stretch and each perturbed copy is one lane of the same compiled step, so fifteen fits cost as much as one.
+The initial state of each stretch is fitted by multiple shooting, like those of an identification but with fixed ratios
+and least squares.
 
 The estimator receives only angles, as means of a few samples, corrected for the motion between them. If model and noise
 are correct, its NIS has a chi-square distribution with one degree of freedom per angle:
@@ -20,8 +17,7 @@ A single sample of a real encoder is not Gaussian. It is constant when the arm t
 The 95 % band of single-sample NIS therefore contains only four fifths of the values. Means of ten samples are nearly
 Gaussian. The model gives the correction for a curved motion.
 
-Sources: Bar-Shalom, Li & Kirubarajan, Estimation with Applications to Tracking and Navigation, sections 5.4.2, 10.3.
-Nocedal & Wright, Numerical Optimization (2006), section 10.3.
+Source: Bar-Shalom, Li & Kirubarajan, Estimation with Applications to Tracking and Navigation, sections 5.4.2, 10.3.
 """
 
 from collections.abc import Sequence
@@ -35,8 +31,7 @@ from numpy.typing import NDArray
 
 from dpcontrol.control.estimator_settings import EstimatorSettings, NisMeans, chi_square_band, nis_means
 from dpcontrol.control.interface import SampledModel
-from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
-from dpcontrol.dynamics.compiled import compiled_step
+from dpcontrol.dynamics.chain import ArmChainParameters, Level, base_ratios, equations_of
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.checked import checked
 from dpcontrol.foundation.document import Documented
@@ -44,6 +39,7 @@ from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.foundation.settings import Settings, setting, suggest
 from dpcontrol.foundation.shown import Brief
+from dpcontrol.identification.fit import FitSettings, Swing, Swings, fit_swings
 from dpcontrol.loop.bench import SensorSettings
 from dpcontrol.loop.controllers import ESTIMATORS, make_estimator
 from dpcontrol.loop.result import inside_95
@@ -57,78 +53,7 @@ from dpcontrol.recordings.recording import (
     write_samples,
 )
 
-_DIFFERENCE = 1e-6
-"""Differences for derivatives, rad and rad/s; errors of 1e-12 · e^(λt) leave six digits after a few Lyapunov times."""
-_ITERATIONS = 25
-_ENOUGH = 1e-6
-"""Relative decrease in the sum of squares below which a fit has converged."""
 _GUESS_SECONDS = 0.02
-
-
-@dataclass(frozen=True, eq=False)
-class CartDrive(Brief):
-    """Cart motion of C stretches; its position does not affect the arms.
-
-    Attributes:
-        velocities: initial velocities (C,), m/s.
-        accelerations: accelerations (K, C), m/s², constant between samples.
-    """
-
-    velocities: Array
-    accelerations: Array
-
-
-class FreeMotion:
-    """Arms on a fixed or moving pivot, for many motions.
-
-    They are sampled every `period` s.
-
-    An instance must not be shared between threads.
-
-    Args:
-        arms: the model.
-        period: sampling period, s.
-        moving: True if the pivot is on a cart, whose motion `paths` receives.
-    """
-
-    def __init__(self, arms: ArmChainParameters, *, period: float, moving: bool = False) -> None:
-        self.arms = arms.count
-        self.period = period
-        self.moving = moving
-        self._step = compiled_step(equations_of(arms, Level.CART if moving else Level.DISSIPATIVE))
-        self._base = arms.base()
-
-    def paths(self, states: Array, samples: int, cart: CartDrive | None = None) -> Array:
-        """Return the arms' states (samples, N, S).
-
-        They follow from `states` (N, S), inclusive.
-
-        Args:
-            states: initial states (N, S) of S lanes.
-            samples: number of samples.
-            cart: motion for each lane, or for each of C stretches if S is a multiple of C.
-        """
-        size, lanes = states.shape
-        inputs = np.zeros((self._step.size_in, lanes))
-        where = self._step.slices
-        inputs[where["duration"]] = self.period
-        inputs[where["parameters"]] = self._base[:, None]
-        whole, following = inputs[where["state"]], np.empty((self._step.size_out, lanes))
-        whole[:size] = states
-        held = np.zeros((samples, lanes))
-        if cart is not None:
-            copies = lanes // len(cart.velocities)
-            whole[size + 1] = np.tile(cart.velocities, copies)
-            held = np.tile(cart.accelerations, copies)
-        out = np.empty((samples, size, lanes))
-        out[0] = states
-        for k in range(1, samples):
-            if self.moving:
-                inputs[where["inputs"]] = held[k - 1]
-            self._step(inputs, following)
-            whole[:] = following
-            out[k] = following[:size]
-        return out
 
 
 def first_guess(angles: Array, period: float) -> Array:
@@ -166,86 +91,51 @@ class FittedPath(Brief):
         return float(np.sqrt(np.mean(np.square(self.residual))))
 
 
-def fit_initial_states(
-    motion: FreeMotion,
-    stretches: Sequence[Array],
-    carts: Sequence[tuple[Array, Array]] = (),
-    *,
-    progress: Progress = no_progress,
-) -> list[FittedPath]:
-    """Return the best-fitting motion for each stretch of angles (K, n).
+_WINDOWS = (0.5, 1e6)
+"""Windows of the fits of a start, s: short ones bridge chaos, and a single one suits a wrong model."""
+_FOLLOWS = 0.5
+"""Largest residual of a model that follows the angles, rad rms."""
 
-    If the model cannot follow a stretch, for example because it is too long, the status reports it. The path is then
+
+def fitted_path(model: Swings, swing: Swing, ratios: Array) -> FittedPath:
+    """Return the best-fitting motion for a stretch of angles.
+
+    If the model cannot follow the stretch, for example because it is too long, the status reports it. The path is then
     the best one found.
 
     Args:
-        motion: motion of the model.
-        stretches: angles (K, n) of each stretch, rad; missing ones are NaN.
-        carts: velocities (K,) m/s and accelerations (K,) m/s² of the cart for each stretch, if it moved.
-        progress: receiver of progress reports.
+        model: integrator of the arms.
+        swing: the stretch; missing angles are NaN.
+        ratios: parameter ratios (m,) of the model.
     """
-    n, count = motion.arms, len(stretches)
-    size, longest = 2 * n, max(len(angles) for angles in stretches)
-    measured = np.zeros((longest, n, count))
-    inside = np.zeros((longest, 1, count))
-    for s, angles in enumerate(stretches):
-        known = np.asarray(np.isfinite(angles).all(axis=1))
-        measured[: len(angles), :, s] = np.where(known[:, None], angles, 0.0)
-        inside[: len(angles), 0, s] = known
-    cart = None
-    if carts:
-        accelerations = np.zeros((longest, count))
-        for s, (_, acceleration) in enumerate(carts):
-            accelerations[: len(acceleration), s] = acceleration
-        cart = CartDrive(np.array([velocity[0] for velocity, _ in carts]), accelerations)
-    states = np.stack([first_guess(angles, motion.period) for angles in stretches], axis=1)
-    damping = np.full(count, 1e-6)
-    path = motion.paths(states, longest, cart)
-    cost = _cost(path, measured, inside)
-    ended = np.zeros(count, dtype=bool)
-    for iteration in range(_ITERATIONS):
-        progress("fitting initial states", iteration / _ITERATIONS)
-        lanes = np.repeat(states[:, None, :], size, axis=1) + _DIFFERENCE * np.eye(size)[:, :, None]
-        moved = motion.paths(lanes.reshape(size, -1), longest, cart)[:, :n].reshape(longest, n, size, count)
-        slopes = (moved - path[:, :n, None, :]) / _DIFFERENCE * inside[:, :, None, :]
-        residual = (path[:, :n] - measured) * inside
-        normal = np.einsum("kais,kajs->sij", slopes, slopes)
-        gradient = np.einsum("kais,kas->si", slopes, residual)
-        scale = np.einsum("sii->si", normal)
-        finite = np.isfinite(normal).all(axis=(1, 2)) & np.isfinite(gradient).all(axis=1) & (scale > 0).all(axis=1)
-        normal[~finite], gradient[~finite], scale[~finite] = np.eye(size), 0.0, 1.0
-        damped = normal + damping[:, None, None] * scale[:, :, None] * np.eye(size)
-        tried = states - np.linalg.solve(damped, gradient[:, :, None])[:, :, 0].T
-        following = motion.paths(tried, longest, cart)
-        lower = _cost(following, measured, inside)
-        better = lower < cost
-        # Any finite cost is an improvement on an infinite one, but not a convergence.
-        gained = np.where(np.isfinite(cost), cost, np.inf) - np.where(np.isfinite(lower), lower, 0.0)
-        ended |= better & (gained <= _ENOUGH * cost) & np.isfinite(cost)
-        states = np.where(better, tried, states)
-        path = np.where(better, following, path)
-        cost = np.where(better, lower, cost)
-        damping = np.clip(np.where(better, damping / 10, damping * 10), 1e-12, 1e9)
-        # Even the shortest step gives no improvement, so this is the minimum.
-        ended |= ~better & (damping >= 1e3)
-        if ended.all():
+    n = model.arms.count
+    near: Array | None = None
+    for window in _WINDOWS:
+        fit = fit_swings(
+            model,
+            [swing],
+            parameters=ratios,
+            zeros=np.zeros((1, n)),
+            free=np.zeros(len(ratios), dtype=bool),
+            free_zeros=False,
+            settings=FitSettings(robust=0.0, window=window),
+            near=near,
+        )
+        near = fit.window_starts[:1]
+        if fit.converged:
             break
-    return [_fitted(path[: len(angles), :, s], angles, bool(ended[s])) for s, angles in enumerate(stretches)]
-
-
-def _cost(path: Array, measured: Array, inside: Array) -> Array:
-    n = measured.shape[1]
-    total = np.sum(np.square((path[:, :n] - measured) * inside), axis=(0, 1))
-    return np.where(np.isfinite(total), total, np.inf)
-
-
-def _fitted(path: Array, angles: Array, converged: bool) -> FittedPath:
-    known = np.isfinite(angles).all(axis=1)
-    if not known.any():
-        return FittedPath(path.copy(), np.zeros(angles.shape[1]), False, "it contains no reading")
-    residual = np.sqrt(np.mean(np.square((path[:, : angles.shape[1]] - angles)[known]), axis=0))
+    cart = [np.zeros(1) if values is None else values for values in (swing.accelerations, swing.velocities)]
+    start, period = near, np.array([swing.period])
+    (path,), _ = model.flown(
+        start, ratios, period=period, samples=len(swing.angles), accelerations=cart[0], velocities=cart[1]
+    )
+    known = np.isfinite(swing.angles)
+    off = np.where(known, path[:, :n] - swing.angles, 0.0)
+    residual = np.sqrt(np.sum(off**2, axis=0) / np.maximum(np.sum(known, axis=0), 1))
+    follows = fit.converged and bool(known.any() and residual.max() < _FOLLOWS)
     lost = "no initial state was found from which the model follows the angles; shorten the span, or identify the model"
-    return FittedPath(path.copy(), residual, converged, "the initial state was fitted" if converged else lost)
+    status = "the initial state was fitted" if follows else lost if known.any() else "it contains no reading"
+    return FittedPath(path, residual, follows, status)
 
 
 _INDEPENDENT = 1e-3
@@ -466,12 +356,6 @@ class Replay(Brief, Documented):
         if not self.carts:
             return ""
         commanded = sum(cart.commanded for cart in self.carts)
-        if not commanded:
-            return "its recorded position" + (
-                ", which the command does not explain" if self.recording.command is not None else ""
-            )
-        if commanded == len(self.carts):
-            return "the command" + ("" if self.recording.cart is None else ", which explains its position")
         return f"the command in {commanded} of {len(self.carts)} segments, else its recorded position"
 
     @property
@@ -555,12 +439,12 @@ def replay_recording(
     shown[: len(zeros)] = zeros
     recording = replace(recording, angles=recording.angles - shown[:n])
     carts = _carts(recording)
-    motion = FreeMotion(arms, period=recording.dt, moving=bool(carts))
+    model, ratios = Swings(arms), base_ratios(arms)
     stretches = _stretches(recording, _SPAN[bool(carts)] if settings.span is None else settings.span)
-    pieces = [recording.angles[first:end] for _, first, end in stretches]
     velocity, acceleration = driven(recording, carts)
-    moved = [(velocity[first:end], acceleration[first:end]) for _, first, end in stretches] if carts else []
-    fits = fit_initial_states(motion, pieces, moved, progress=part_of(progress, 0.0, 0.5))
+    progress("fitting initial states", 0.0)
+    swings = [Swing(recording.angles[a:b], recording.dt, 0, acceleration[a:b], velocity[a:b]) for _, a, b in stretches]
+    fits = [fitted_path(model, swing, ratios) for swing in swings]
     found = estimate_recording(
         recording,
         arms,
@@ -568,7 +452,7 @@ def replay_recording(
         carts,
         counts=settings.counts,
         mean_over=_MEAN_OVER[bool(carts)] if settings.mean_over is None else settings.mean_over,
-        progress=part_of(progress, 0.5, 0.9),
+        progress=part_of(progress, 0.3, 0.9),
     )
     settled = np.concatenate([np.arange(end - first) * recording.dt >= _SETTLED for first, end in recording.segments])
     if not settled.any():
@@ -588,7 +472,7 @@ def replay_recording(
         stretches=stretches,
         fits=tuple(fits),
         ahead={
-            k: _ahead(motion, recording, found, settled, k, velocity, acceleration) for k in sorted({1, settings.ahead})
+            k: _ahead(model, recording, found, settled, k, velocity, acceleration) for k in sorted({1, settings.ahead})
         },
         rates_rms=rates_rms,
         nis_inside_95=inside_95(known, n),
@@ -645,7 +529,7 @@ def _stretches(recording: Recording, span: float) -> tuple[tuple[int, int, int],
 
 
 def _ahead(
-    motion: FreeMotion,
+    model: Swings,
     recording: Recording,
     found: RecordedEstimate,
     settled: NDArray[np.bool_],
@@ -665,11 +549,17 @@ def _ahead(
     rows = rows[:: max(1, len(rows) // _STARTS)]
     if not len(rows):
         return np.full(recording.arms, np.nan)
-    states = np.ascontiguousarray(found.states[rows].T)
+    states, ratios, period = found.states[rows], base_ratios(model.arms), np.full(len(rows), recording.dt)
     for k in range(samples):
-        cart = CartDrive(velocity[rows + k], acceleration[None, rows + k]) if motion.moving else None
-        states = motion.paths(states, 2, cart)[1]
-    error = states[: recording.arms].T - recording.angles[rows + samples]
+        states = model.flown(
+            states,
+            ratios,
+            period=period,
+            samples=2,
+            accelerations=acceleration[rows + k, None],
+            velocities=velocity[rows + k, None],
+        )[0][:, 1]
+    error = states[:, : recording.arms] - recording.angles[rows + samples]
     return np.sqrt(np.nanmean(np.square(error), axis=0))
 
 

@@ -49,17 +49,12 @@ class Topic:
             read: decodes a message.
 
         Raises:
-            ValueError: a message does not decode; names topic and time.
+            ValueError: a message does not decode; names the topic.
         """
-        found = {}
-        for time, body in zip(self.times, self.bodies, strict=True):
-            try:
-                found[time] = read(body)
-            except ValueError as error:
-                raise ValueError(
-                    f"its message of {self.name} at {time / 1e9:.3f} s does not decode ({error})"
-                ) from error
-        return found
+        try:
+            return dict(zip(self.times, map(read, self.bodies), strict=True))
+        except ValueError as error:
+            raise ValueError(f"a message of {self.name} does not decode ({error})") from error
 
 
 def by_topic(
@@ -92,17 +87,13 @@ def by_topic(
 
 def _clock(measured: Topic | None) -> int:
     """Return the recording time of stamp 0, ns, or 0."""
-    if measured is None or measured.schema != layout.JOINT_STATE[0]:
-        return 0
-    with suppress(ValueError):
-        shifts = {time - stamp for stamp, time in zip(map(_stamp, measured.bodies), measured.times, strict=True)}
-        return shifts.pop() if len(shifts) == 1 else 0
-    return 0
-
-
-def _stamp(body: bytes) -> int:
-    seconds, nanoseconds = MessageReader(body).take("I", 4, 2)
-    return seconds * 10**9 + nanoseconds
+    shifts: set[int] = set()
+    if measured is not None and measured.schema == layout.JOINT_STATE[0]:
+        with suppress(ValueError):
+            for time, body in zip(measured.times, measured.bodies, strict=True):
+                seconds, nanoseconds = MessageReader(body).take("I", 4, 2)
+                shifts.add(time - seconds * 10**9 - nanoseconds)
+    return shifts.pop() if len(shifts) == 1 else 0
 
 
 def mixed(topics: Mapping[str, Topic]) -> str:
@@ -164,21 +155,25 @@ def found_in(topics: Mapping[str, Topic], described: Mapping[str, str]) -> Rewri
     measured = topics.get(layout.MEASURED)
     if measured is None or measured.schema != layout.JOINT_STATE[0]:
         return None
-    parts: dict[str, dict[int, Any]] = {}
-    decoded = measured.decoded(_joints)
+    joints = {
+        part: topics[name].decoded(_joints)
+        for part, name in {"measured": layout.MEASURED, **layout.STATE_TOPICS}.items()
+        if name in topics and topics[name].schema == layout.JOINT_STATE[0]
+    }
+    decoded = joints.pop("measured")
     names = decoded[measured.times[0]][0]
     has_cart = names[-1:] == ("cart",)
     arms = len(names) - has_cart
     lengths = [float(text) for text in described.get("arm_lengths", "").split()] or _drawn_lengths(topics)
     if not arms or names != layout.joint_names(arms, has_cart=has_cart) or len(lengths) != arms:
         raise ValueError(f"the joints of {layout.MEASURED} are {', '.join(names) or 'none'}, for {len(lengths)} arms")
-    parts["measured"] = {time: values[1] for time, values in decoded.items()}
+    parts: dict[str, dict[int, Any]] = {"measured": {time: values[1] for time, values in decoded.items()}}
     if all(len(values[2]) == len(names) for values in decoded.values()):
         parts["rates"] = {time: values[2] for time, values in decoded.items()}
-    for part, name in layout.STATE_TOPICS.items():
-        topic = topics.get(name)
-        if topic is not None and topic.schema == layout.JOINT_STATE[0]:
-            parts[part] = _states(topic, arms)
+    for part, states in joints.items():
+        parts[part] = {
+            time: (*at[:arms], *rates[:arms], *at[arms:], *rates[arms:]) for time, (_, at, rates) in states.items()
+        }
     fields = layout.control_fields(arms, has_cart=has_cart)
     control = topics.get(layout.CONTROL)
     if control is not None and re.findall(r"float64 (\w+)", control.definition.decode()) == list(fields):
@@ -188,37 +183,21 @@ def found_in(topics: Mapping[str, Topic], described: Mapping[str, str]) -> Rewri
         ticks = "1 tick" if len(times) == 1 else "no ticks"
         raise ValueError(f"it has {ticks}, times with a message in every state topic, and two are needed")
     rows = {name: np.array([values[int(time)] for time in times], float) for name, values in parts.items()}
-    names_of_extras = tuple(described.get(layout.EXTRAS_KEY, "").split())
-    extras = topics.get(layout.EXTRAS) if names_of_extras else None
-    found = [] if extras is None else [_with_times(_rows(extras, 2 * len(names_of_extras)))]
+    extras = tuple(described.get(layout.EXTRAS_KEY, "").split()) if layout.EXTRAS in topics else ()
+    values = sorted(_rows(topics[layout.EXTRAS], 2 * len(extras)).items()) if extras else []
     events = topics.get(layout.EVENTS)
     logged = [] if events is None or events.schema != layout.LOG[0] else zip(events.times, events.bodies, strict=True)
     own = {
         "format": layout.FORMAT, "program": "another program", "limits": "", **described,
         "arm_lengths": " ".join(map(repr, lengths)), "rate_hz": repr(1e9 / float(np.median(np.diff(times)))),
     }  # fmt: skip
-    tick = TickLayout(arms, has_cart, frozenset(rows) - {"measured"}, names_of_extras if found else ())
+    tick = TickLayout(arms, has_cart, frozenset(rows) - {"measured"}, extras)
+    found = [np.array([(time / 1e9, *row) for time, row in values])] if extras else []
     return Rewritten(tick, own, {"time": times / 1e9, **rows}, list(logged), found, dict(topics))
-
-
-def _states(topic: Topic, arms: int) -> dict[int, list[float]]:
-    """Return the states of a topic by time, in state order."""
-
-    def state(body: bytes) -> list[float]:
-        _, at, rates = _joints(body)
-        if len(at) != len(rates):
-            raise ValueError("a state lacks rates")
-        return [*at[:arms], *rates[:arms], *at[arms:], *rates[arms:]]
-
-    return topic.decoded(state)
 
 
 def _rows(topic: Topic, width: int) -> dict[int, tuple[float, ...]]:
     return topic.decoded(lambda body: MessageReader(body).take("d", 8, width))
-
-
-def _with_times(rows: Mapping[int, tuple[float, ...]]) -> Array:
-    return np.array([(time / 1e9, *values) for time, values in sorted(rows.items())])
 
 
 def _drawn_lengths(topics: Mapping[str, Topic]) -> list[float]:

@@ -15,10 +15,11 @@ another topic does not cover are left out, and a remark gives their duration.
 
 import json
 import re
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections import Counter
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from itertools import islice
+from functools import cache, partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -37,9 +38,7 @@ from dpcontrol.logs.reader import VerifiedFile, open_mcap, segment_numbers, segm
 
 LOG_TIME, SEGMENT = "log_time", "segment"
 """Names of the columns of recording times, and of the segments' numbers."""
-_FIELD = re.compile(r"\.(\w+)|\[(\d+)\]")
 _JOINT_FIELDS = ("position", "velocity", "effort")
-_JOINT = re.compile(rf"/([^/]+)/({'|'.join(_JOINT_FIELDS)})")
 _SHOWN_FIELDS = 30
 
 
@@ -71,19 +70,24 @@ def read_bag(
         PartMissing: rosbags is not installed.
     """
     with _opened(path, columns) as bag:
-        topics = sorted(bag.counts)
-        places = {name: _place(name, topics, path) for name in columns if name not in (LOG_TIME, SEGMENT)}
-        base = next(iter(places.values()))[0]
-        found = {topic: _of_topic(bag, topic, places, path, optional) for topic, _ in places.values()}
-    moments, out = found[base][LOG_TIME], {}
+        topics = {name: _topic(name, sorted(bag.counts), path) for name in columns if name not in (LOG_TIME, SEGMENT)}
+        base = next(iter(topics.values()))
+        tables = {topic: _table(bag, topic, columns) for topic in topics.values()}
+    moments, out = tables[base].times, {}
     if SEGMENT in columns and (segments := segments_in(bag.segments, len(moments))):
-        found[base][SEGMENT] = segment_numbers(segments, len(moments)).astype(float)
-    for name in columns:
-        topic = places[name][0] if name in places else base
-        if name in found[topic]:
-            values, at = found[topic][name], found[topic][LOG_TIME]
-            out[name] = values if topic == base else np.interp(moments, at, values, left=np.nan, right=np.nan)
-    return out, _covered(path, moments, {topic: values[LOG_TIME] for topic, values in found.items()})
+        out[SEGMENT] = segment_numbers(segments, len(moments)).astype(float)
+    if LOG_TIME in columns:
+        out[LOG_TIME] = moments
+    for name, topic in topics.items():
+        table = tables[topic]
+        if name in table.columns:
+            values = table.columns[name]
+            between = np.interp(moments, table.times, values, left=np.nan, right=np.nan)
+            out[name] = values if topic == base else between
+        elif name not in optional:
+            hint = suggest(name, table.fields)
+            raise InputError(f"{path}: {name} holds no numbers in any message; {hint}; check file and mapping")
+    return out, _covered(path, moments, {topic: table.times for topic, table in tables.items()})
 
 
 def _covered(path: Path, moments: Array, times: dict[str, Array]) -> NDArray[np.bool_]:
@@ -109,7 +113,7 @@ class _Bag:
     It holds their number by topic, the time of the first in ns, a reader of one topic, and the segments of a recording.
     """
 
-    counts: dict[str, int]
+    counts: Mapping[str, int]
     start: int
     messages: Callable[[str], Iterable[tuple[int, Any]]]
     segments: str = ""
@@ -135,13 +139,10 @@ def _opened(path: Path, columns: Sequence[str]) -> Iterator[_Bag]:
 
 def _of_rosbags(reader: Any) -> _Bag:
     def messages(topic: str) -> Iterator[tuple[int, Any]]:
-        for connection, time, data in reader.messages([one for one in reader.connections if one.topic == topic]):
+        for connection, time, data in reader.messages(reader.topics[topic].connections):
             yield time, reader.deserialize(data, connection.msgtype)
 
-    counts: dict[str, int] = {}
-    for connection in reader.connections:
-        counts[connection.topic] = counts.get(connection.topic, 0) + connection.msgcount
-    return _Bag(counts, reader.start_time, messages)
+    return _Bag({topic: about.msgcount for topic, about in reader.topics.items()}, reader.start_time, messages)
 
 
 def _of_mcap(file: VerifiedFile, columns: Sequence[str]) -> _Bag:
@@ -149,24 +150,23 @@ def _of_mcap(file: VerifiedFile, columns: Sequence[str]) -> _Bag:
 
     Only those of topics with a column are kept.
     """
-    counts: dict[str, int] = {}
+    counts: Counter[str] = Counter()
     kept: dict[str, list[tuple[int, int, bytes]]] = {}
     start = 1 << 64
     with file.decoding():
         for number, time, body in file.messages():
             topic = file.channels[number].topic
-            counts[topic], start = counts.get(topic, 0) + 1, min(start, time)
+            counts[topic] += 1
+            start = min(start, time)
             if any(name.startswith(topic) for name in columns):
                 kept.setdefault(topic, []).append((time, number, body))
-    decoders: dict[int, Callable[[bytes], Any]] = {}
-
-    def messages(topic: str) -> Iterator[tuple[int, Any]]:
-        for time, number, body in kept[topic]:
-            if number not in decoders:
-                decoders[number] = _decoder(file, number)
-            yield time, decoders[number](body)
-
-    return _Bag(counts, start, messages, file.values(RUN_RECORD).get("segments", ""))
+    decoder = cache(partial(_decoder, file))
+    return _Bag(
+        counts,
+        start,
+        lambda topic: ((time, decoder(number)(body)) for time, number, body in kept[topic]),
+        file.values(RUN_RECORD).get("segments", ""),
+    )
 
 
 def _decoder(file: VerifiedFile, number: int) -> Callable[[bytes], Any]:
@@ -176,9 +176,8 @@ def _decoder(file: VerifiedFile, number: int) -> Callable[[bytes], Any]:
     if encoding == "json":
         return lambda body: json.loads(body, object_hook=lambda values: SimpleNamespace(**values))
     if encoding != "cdr" or schema is None or schema.encoding not in ("", "ros2msg", "ros2idl", "omgidl"):
-        by = f" described by {schema.encoding}" if schema and schema.encoding else ""
         raise InputError(
-            f"{file.path}: {channel.topic} holds messages in {encoding or 'no encoding'}{by}; import reads json, "
+            f"{file.path}: {channel.topic} holds messages in {encoding or 'no encoding'}; import reads json, "
             "and cdr with definitions of ROS 2; convert the file to one of these"
         )
     types, text = part("rosbags.typesys"), schema.data.decode()
@@ -191,92 +190,50 @@ def _decoder(file: VerifiedFile, number: int) -> Callable[[bytes], Any]:
     return lambda body: store.deserialize_cdr(body, name)
 
 
-def _place(name: str, topics: Sequence[str], path: Path) -> tuple[str, str]:
-    """Return the topic of a column, and the rest.
-
-    The rest is that of the column's name.
-    """
-    fitting = [topic for topic in topics if name.startswith(topic) and name[len(topic) : len(topic) + 1] in ("/", ".")]
+def _topic(name: str, topics: Sequence[str], path: Path) -> str:
+    """Return the topic with which a column's name begins."""
+    fitting = [topic for topic in topics if name.startswith((f"{topic}/", f"{topic}."))]
     if not fitting:
         raise InputError(f"{path}: no topic holds the column {name!r}; {suggest(name, topics)}; check file and mapping")
-    topic = max(fitting, key=len)
-    return topic, name[len(topic) :]
+    return max(fitting, key=len)
 
 
-def _of_topic(
-    bag: _Bag, topic: str, places: dict[str, tuple[str, str]], path: Path, optional: Collection[str]
-) -> dict[str, Array]:
-    """Return the columns of one topic in order of time.
+@dataclass(frozen=True)
+class _Table:
+    """Recording times (K,) of a topic's messages, s, in order, its columns (K,), and the names of its numbers."""
 
-    The recording times are in s.
-    """
-    wanted = {name: rest for name, (own, rest) in places.items() if own == topic}
-    checked_size(8.0 * bag.counts[topic] * (len(wanted) + 1))
-    rows, there = [], dict[str, None]()
+    times: Array
+    columns: dict[str, Array]
+    fields: Collection[str]
+
+
+def _table(bag: _Bag, topic: str, columns: Sequence[str]) -> _Table:
+    """Return those columns of a topic that have a number in some message."""
+    checked_size(8.0 * bag.counts[topic] * (len(columns) + 1))
+    rows, fields = [], ()
     for time, message in bag.messages(topic):
+        numbers = dict(_numbers(message, topic, bag.start))
         # In double precision today's clock times resolve 0.2 µs; times since the start resolve far less than 1 ns.
-        moment = (time - bag.start) / 1e9
-        rows.append([moment, *(_number(message, rest, bag.start) for rest in wanted.values())])
-        there = there or dict.fromkeys(islice(_numbers(message, topic), _SHOWN_FIELDS))
-    values = np.array(sorted(rows, key=lambda row: row[0]), float).reshape(-1, len(wanted) + 1)
-    found = dict(zip((LOG_TIME, *wanted), values.T, strict=True))
-    for name in [name for name in wanted if np.isnan(found[name]).all()]:
-        if name not in optional:
-            raise InputError(
-                f"{path}: {name} holds no numbers in any message; {suggest(name, there)}; check file and mapping"
-            )
-        del found[name]
-    return found
+        rows.append([(time - bag.start) / 1e9, *(numbers.get(name, np.nan) for name in columns)])
+        fields = fields or list(numbers)[:_SHOWN_FIELDS]
+    values = np.array(sorted(rows, key=lambda row: row[0]), float).reshape(-1, len(columns) + 1).T
+    found = {name: column for name, column in zip(columns, values[1:], strict=True) if not np.isnan(column).all()}
+    return _Table(values[0], found, fields)
 
 
-def _joints(message: Any) -> list[str]:
-    """Return the joints of a sensor_msgs/JointState, or no names."""
-    names = getattr(message, "name", None)
-    return list(names) if isinstance(names, list) and hasattr(message, "position") else []
-
-
-def _listed(message: Any, kind: str) -> list[Any]:
-    """Return the values of a field, none if it is no list."""
-    values = getattr(message, kind, None)
-    return list(values) if isinstance(values, list | np.ndarray) else []
-
-
-def _numbers(value: Any, name: str) -> Iterator[str]:
-    """Yield the columns in a message, or in a part of it."""
-    joints = _joints(value)
-    for kind in _JOINT_FIELDS if joints else ():
-        if len(_listed(value, kind)) == len(joints):
-            yield from (f"{name}/{joint}/{kind}" for joint in joints)
-    if isinstance(value, int | float | np.number) or hasattr(value, "nanosec"):
-        yield name
+def _numbers(value: Any, name: str, start: int) -> Iterator[tuple[str, float]]:
+    """Yield the columns in a message, or in a part of it, with their numbers; times are seconds since `start` ns."""
+    if isinstance(value, int | float | np.number):
+        yield name, float(value)
+    elif hasattr(value, "nanosec"):
+        yield name, (value.sec * 10**9 + value.nanosec - start) / 1e9
     elif isinstance(value, list | np.ndarray):
         for index, one in enumerate(value):
-            yield from _numbers(one, f"{name}[{index}]")
+            yield from _numbers(one, f"{name}[{index}]", start)
     elif hasattr(value, "__dict__"):
         for key, one in vars(value).items():
-            yield from _numbers(one, f"{name}.{key}")
-
-
-def _number(message: Any, rest: str, start: int) -> float:
-    """Return a number of a message, nan if it is missing.
-
-    Times are seconds since `start` ns.
-    """
-    joint = _JOINT.fullmatch(rest)
-    if joint is not None:
-        names, values = _joints(message), _listed(message, joint[2])
-        found = joint[1] in names and len(values) == len(names)
-        return _real(values[names.index(joint[1])]) if found else np.nan
-    value: Any = message
-    for name, index in _FIELD.findall(rest):
-        if name:
-            value = getattr(value, name, None)
-        else:
-            value = value[int(index)] if isinstance(value, list | np.ndarray) and int(index) < len(value) else None
-    if hasattr(value, "nanosec"):
-        return (value.sec * 10**9 + value.nanosec - start) / 1e9
-    return _real(value)
-
-
-def _real(value: Any) -> float:
-    return float(value) if isinstance(value, int | float | np.number) else np.nan
+            yield from _numbers(one, f"{name}.{key}", start)
+            joints = getattr(value, "name", None) if key in _JOINT_FIELDS else None
+            if isinstance(joints, list) and np.size(one) == len(joints):
+                for joint, number in zip(joints, one, strict=True):
+                    yield from _numbers(number, f"{name}/{joint}/{key}", start)

@@ -2,14 +2,13 @@
 
 Faults are repaired only on request.
 
-Samples are first checked for time that repeats or runs backward (time), values that are not finite (nan) and missing
-samples (gaps). Then follow angles wrapped into one turn (wrap), outlying rates (spikes) and uneven sampling (sampling).
-Jumps and too few samples cannot be repaired and are rejected.
+Samples are first checked for time that is missing, repeats or runs backward (time), values that are not finite (nan)
+and missing samples (gaps). Then follow angles wrapped into one turn (wrap), outlying rates (spikes) and uneven sampling
+(sampling). Jumps and too few samples cannot be repaired and are rejected.
 
 The next checks compare the samples with the mapping: units, columns, signs and zero. The rates must be the derivative
-of the angles. If they are not, the correcting factor reveals the mistake: 180/π a unit, -1 a sign, another arm's
-derivative a swapped column. Gravity pulls arms down, so the mean of θ̈ sin θ over a free swing is negative. A positive
-mean shows that the zero is upright.
+of the angles. If they are not, the factor between them reveals the mistake: 180/π a unit, -1 a sign. Gravity pulls arms
+down, so the mean of θ̈ sin θ over a free swing is negative. A positive mean shows that the zero is upright.
 
 The last check compares the recorded motion roughly with the arms of a model. Over windows of h = 20 ms the recorded
 angles accelerate by (θ_{k+h} - 2 θ_k + θ_{k-h}) / h². The model accelerates by its equations at θ_k and
@@ -20,6 +19,7 @@ exchanged columns, a stuck encoder, a wrong sign or a model of other arms.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import permutations
 
 import numpy as np
@@ -34,7 +34,7 @@ from dpcontrol.recordings.recording import Recording, cart_motion
 
 REPAIRS = {
     "nan": "fill up to 10 missing samples in a row, cut the segment at longer holes",
-    "time": "drop samples whose time is not later than that of the sample before",
+    "time": "drop samples without a time that is later than all before",
     "gaps": "cut the segment at missing samples",
     "sampling": "interpolate to even times",
     "wrap": "unwrap angles that jump by a turn",
@@ -95,8 +95,7 @@ class Samples(Brief):
         Args:
             index: index of the sample, from 0.
         """
-        time = f" (t = {self.time[index]:.6g} s)" if np.isfinite(self.time[index]) else ""
-        return f"{self.where}: row {self.rows[index]}{time}"
+        return f"{self.where}: row {self.rows[index]} (t = {self.time[index]:.6g} s)"
 
     def taken(self, which: NDArray) -> "Samples":
         """Return some of the samples.
@@ -107,7 +106,14 @@ class Samples(Brief):
         return replace(self, rows=self.rows[which], time=self.time[which], values=self.values[which])
 
 
-Repaired = tuple[list[Samples], list[str]]
+@dataclass(frozen=True)
+class _Fault:
+    """A fault: name of its repair, the sentence on it, the repaired segments, and the note on the repair."""
+
+    repair: str
+    sentence: str
+    repaired: Sequence[Samples]
+    note: str
 
 
 def checked_repairs(names: tuple[str, ...]) -> frozenset[str]:
@@ -125,7 +131,7 @@ def checked_repairs(names: tuple[str, ...]) -> frozenset[str]:
     return frozenset(names)
 
 
-def sound_segments(samples: Samples, *, period: float, repairs: frozenset[str]) -> Repaired:
+def sound_segments(samples: Samples, *, period: float, repairs: frozenset[str]) -> tuple[list[Samples], list[str]]:
     """Return the samples as faultless segments, and a sentence for each repair.
 
     Args:
@@ -137,24 +143,22 @@ def sound_segments(samples: Samples, *, period: float, repairs: frozenset[str]) 
         InputError: a fault has no permitted repair, or none exists; names row and time.
     """
     segments, notes = [samples], []
-    for step in (_timed, _forward, _finite, _whole, _continuous, _steady, _even):
-        done = [step(segment, repairs, period) for segment in segments]
-        segments = [piece for pieces, _ in done for piece in pieces]
-        notes += [f"{samples.where}: {note}" for _, shown in done for note in shown]
+    for check in (_forward, partial(_finite, unwraps="wrap" in repairs), _whole, _continuous, _steady, _even):
+        sound: list[Samples] = []
+        for segment in segments:
+            fault = check(segment, period) if len(segment.time) >= FEWEST_SAMPLES else None
+            if fault is not None and fault.repair not in repairs:
+                remedy = f"give --repair {fault.repair}: {REPAIRS[fault.repair]}"
+                raise InputError(f"{fault.sentence}; correct the recording, or {remedy}")
+            sound += [segment] if fault is None else fault.repaired
+            notes += [] if fault is None else [f"{samples.where}: {fault.note}"]
+        segments = sound
     usable = [segment for segment in segments if len(segment.time) >= FEWEST_SAMPLES]
     if not usable:
         raise InputError(f"{samples.where} has {len(samples.time)} samples; a segment needs {FEWEST_SAMPLES} or more")
-    for segment in segments:
-        if len(segment.time) < FEWEST_SAMPLES:
-            rows = f"rows {segment.rows[0]} to {segment.rows[-1]}" if len(segment.rows) else "no rows"
-            notes.append(f"{samples.where}: {rows} dropped: too few samples for a segment")
+    if len(usable) < len(segments):
+        notes.append(f"{samples.where}: {len(segments) - len(usable)} pieces of too few samples dropped")
     return usable, notes
-
-
-def _require_repair(repair: str, repairs: frozenset[str], fault: str) -> None:
-    """Reject a fault whose repair was not requested."""
-    if repair not in repairs:
-        raise InputError(f"{fault}; correct the recording, or give --repair {repair}: {REPAIRS[repair]}")
 
 
 def _first(which: NDArray[np.bool_]) -> tuple[int, int]:
@@ -168,58 +172,38 @@ def _runs(which: NDArray[np.bool_]) -> NDArray[np.intp]:
     return np.flatnonzero(np.diff(np.concatenate([[False], which, [False]]).astype(np.int8))).reshape(-1, 2)
 
 
-def _timed(samples: Samples, repairs: frozenset[str], period: float) -> Repaired:
-    late = ~np.isfinite(samples.time)
-    if not late.any():
-        return [samples], []
-    fault = f"{samples.at(int(np.argmax(late)))}: the time is missing or not finite ({late.sum()} such rows)"
-    if late.all():
-        raise InputError(f"{fault}; no time is left: give [sampling] period in the mapping instead of a column")
-    _require_repair("nan", repairs, fault)
-    # A sample without time cannot be placed. It is dropped, and the gap is detected below.
-    return [samples.taken(~late)], [f"{late.sum()} rows without time dropped"]
-
-
-def _forward(samples: Samples, repairs: frozenset[str], period: float) -> Repaired:
-    back = np.concatenate([[False], np.diff(samples.time) <= 0])
-    if not back.any():
-        return [samples], []
-    index = int(np.argmax(back))
-    step = samples.time[index] - samples.time[index - 1]
-    what = "repeats the time of the row before" if step == 0 else f"goes back in time by {-step:.6g} s"
+def _forward(samples: Samples, period: float) -> _Fault | None:
     # A time that falls back permanently hides all rows after it.
-    behind = samples.time <= np.concatenate([[-np.inf], np.maximum.accumulate(samples.time)[:-1]])
-    fault = f"{samples.at(index)} {what} ({behind.sum()} rows do not come after all before them)"
-    _require_repair("time", repairs, fault)
+    behind = ~(samples.time > np.concatenate([[-np.inf], np.fmax.accumulate(samples.time)[:-1]]))
+    if not behind.any():
+        return None
+    fault = (
+        f"{samples.at(int(np.argmax(behind)))}: the time is missing or not later than before ({behind.sum()} such rows)"
+    )
     if behind.mean() > _MOST_LEFT_OUT:
         raise InputError(f"{fault}; too many to drop: give [sampling] period in place of the time column")
-    return [samples.taken(~behind)], [f"{behind.sum()} rows with repeated or earlier times dropped"]
+    return _Fault("time", fault, [samples.taken(~behind)], f"{behind.sum()} rows without a later time dropped")
 
 
-def _finite(samples: Samples, repairs: frozenset[str], period: float) -> Repaired:
+def _finite(samples: Samples, period: float, *, unwraps: bool) -> _Fault | None:
     bad = ~np.isfinite(samples.values)
     if not bad.any():
-        return [samples], []
+        return None
     index, column = _first(bad)
-    rows: NDArray[np.bool_] = np.any(bad, axis=1, keepdims=True)[:, 0]
-    count, good = int(rows.sum()), ~rows
-    _require_repair("nan", repairs, f"{samples.at(index)}: {samples.names[column]} is not finite ({count} such rows)")
-    if good.sum() < FEWEST_SAMPLES:
-        raise InputError(f"{samples.where}: {count} of {len(rows)} rows are not finite; too few are left")
-    keep, values = np.ones(len(rows), bool), samples.values.copy()
+    rows = bad.any(axis=1)
+    fault = f"{samples.at(index)}: {samples.names[column]} is not finite ({rows.sum()} such rows)"
+    if (~rows).sum() < FEWEST_SAMPLES:
+        raise InputError(f"{fault}; too few rows are left")
+    values, keep = samples.values.copy(), np.ones(len(rows), bool)
     for first, end in _runs(rows):
-        if end - first > _FILLED_IN_A_ROW or first == 0 or end == len(rows):
-            keep[first:end] = False
-    whole = values[good]
-    if "wrap" in repairs:
-        whole[:, : samples.arms] = np.unwrap(whole[:, : samples.arms], axis=0)
-        values[good] = whole
+        keep[first:end] = end - first <= _FILLED_IN_A_ROW and first > 0 and end < len(rows)
+    if unwraps:
+        values[~rows, : samples.arms] = np.unwrap(values[~rows, : samples.arms], axis=0)
     # A cubic is used because over ten samples a swinging arm leaves a straight line by several counts.
-    values[rows] = _cubic(samples.time[good], whole, samples.time[rows])
-    filled = int((rows & keep).sum())
-    notes = [f"{filled} rows filled between their neighbours, {count - filled} dropped"]
-    mended = replace(samples, values=values)
-    return [mended.taken(np.arange(first, end)) for first, end in _runs(keep)], notes
+    values[rows] = _cubic(samples.time[~rows], values[~rows], samples.time[rows])
+    mended, filled = replace(samples, values=values), int((rows & keep).sum())
+    note = f"{filled} rows filled between their neighbours, {rows.sum() - filled} dropped"
+    return _Fault("nan", fault, [mended.taken(np.arange(first, end)) for first, end in _runs(keep)], note)
 
 
 def _cubic(times: Array, values: Array, at: Array) -> Array:
@@ -228,10 +212,8 @@ def _cubic(times: Array, values: Array, at: Array) -> Array:
     return np.asarray(CubicSpline(times, values)(at))
 
 
-def _whole(samples: Samples, repairs: frozenset[str], period: float) -> Repaired:
+def _whole(samples: Samples, period: float) -> _Fault | None:
     steps = np.diff(samples.time)
-    if not len(steps):
-        return [samples], []
     spacing = float(np.median(steps))
     if period and not abs(spacing / period - 1) < _UNEVEN:
         raise InputError(
@@ -240,99 +222,78 @@ def _whole(samples: Samples, repairs: frozenset[str], period: float) -> Repaired
         )
     gaps = np.flatnonzero(steps > _GAP * spacing)
     if not len(gaps):
-        return [samples], []
-    index = int(gaps[0])
+        return None
+    fault = (
+        f"{samples.at(int(gaps[0]))}: the next sample comes {steps[gaps[0]]:.6g} s later, not {spacing:.6g} s "
+        f"({len(gaps)} such gaps)"
+    )
     if len(gaps) > max(5, _MOST_LEFT_OUT * len(steps)):
-        fault = f"{samples.at(index)}: {len(gaps)} of {len(steps)} steps differ from {spacing:.6g} s"
-        _require_repair("sampling", repairs, fault)
-        return [samples], []
-    fault = f"{samples.at(index)}: the next sample comes {steps[index]:.6g} s later, not {spacing:.6g} s"
-    _require_repair("gaps", repairs, f"{fault} ({len(gaps)} such gaps)")
+        return _Fault("sampling", fault, [samples], "has steps of many lengths")
     pieces = np.split(np.arange(len(samples.time)), gaps + 1)
-    return [samples.taken(piece) for piece in pieces], [f"cut at {len(gaps)} gaps"]
+    return _Fault("gaps", fault, [samples.taken(piece) for piece in pieces], f"cut at {len(gaps)} gaps")
 
 
-def _steady(samples: Samples, repairs: frozenset[str], period: float) -> Repaired:
-    columns = [k for k, name in enumerate(samples.names) if name.startswith(RATE)]
-    if not columns or len(samples.time) < FEWEST_SAMPLES:
-        return [samples], []
+def _steady(samples: Samples, period: float) -> _Fault | None:
     from scipy.ndimage import median_filter
 
+    columns = [k for k, name in enumerate(samples.names) if name.startswith(RATE)]
     rates = samples.values[:, columns]
-    median = median_filter(rates, size=(5, 1), mode="nearest")
+    median = median_filter(rates, size=(5, 1), mode="nearest") if columns else rates
     spikes = np.abs(rates - median) > _SPIKE
     if not spikes.any():
-        return [samples], []
+        return None
     index, column = _first(spikes)
-    name, value = samples.names[columns[column]], rates[index, column]
-    others = f"among {median[index, column]:.4g} ({spikes.sum()} such spikes)"
-    fault = f"{samples.at(index)}: {name} is {value:.4g} rad/s {others}"
+    fault = (
+        f"{samples.at(index)}: {samples.names[columns[column]]} is {rates[index, column]:.4g} rad/s among "
+        f"{median[index, column]:.4g} ({spikes.sum()} such spikes)"
+    )
     if spikes.mean() > _MOST_LEFT_OUT:
         raise InputError(f"{fault}; these are not rates: check unit and columns")
-    _require_repair("spikes", repairs, fault)
     values = samples.values.copy()
     values[:, columns] = np.where(spikes, median, rates)
-    return [replace(samples, values=values)], [f"{spikes.sum()} spikes of rates replaced"]
+    return _Fault("spikes", fault, [replace(samples, values=values)], f"{spikes.sum()} spikes of rates replaced")
 
 
-def _even(samples: Samples, repairs: frozenset[str], period: float) -> Repaired:
-    if len(samples.time) < 3:
-        return [samples], []
+def _even(samples: Samples, period: float) -> _Fault | None:
     spacing = period or float(np.polyfit(np.arange(len(samples.time)), samples.time, 1)[0])
     grid = samples.time[0] + spacing * np.arange(len(samples.time))
     off = np.abs(np.diff(samples.time) - spacing)
     drift = np.abs(samples.time - grid)
     worst = int(np.argmax(off))
     if off[worst] <= _UNEVEN * spacing and drift.max() <= max(_UNEVEN * spacing, 1e-4 * np.ptp(samples.time)):
-        return [samples], []
+        return None
     fault = f"{samples.at(worst)}: the step of time there is {off[worst]:.3g} s off {spacing:.6g} s: uneven sampling"
-    _require_repair("sampling", repairs, fault)
     inside = grid[: int((samples.time[-1] - samples.time[0]) / spacing + 1e-6) + 1]
     even = _cubic(samples.time, samples.values, inside)
     rows = samples.rows[np.searchsorted(samples.time, inside, side="right") - 1]
-    return [replace(samples, rows=rows, time=inside, values=even)], ["interpolated to even times"]
+    repaired = replace(samples, rows=rows, time=inside, values=even)
+    return _Fault("sampling", fault, [repaired], "interpolated to even times")
 
 
-def _continuous(samples: Samples, repairs: frozenset[str], period: float) -> Repaired:
-    angles = samples.values[:, : samples.arms]
-    if len(angles) < 2:
-        return [samples], []
-    notes: list[str] = []
+def _continuous(samples: Samples, period: float) -> _Fault | None:
     most = _JUMP + _FASTEST_RATE * np.diff(samples.time)[:, None]
-    steps = np.diff(angles, axis=0)
+    steps = np.diff(samples.values[:, : samples.arms], axis=0)
     wraps = np.abs(np.abs(steps) - 2 * np.pi) < np.minimum(most, 1.5)
-    if wraps.any():
-        index, arm = _first(wraps)
-        fault = f"{samples.at(index + 1)}: {samples.names[arm]} jumps by a turn ({wraps.sum()} such jumps)"
-        _require_repair("wrap", repairs, f"{fault}: it is wrapped")
-        angles = np.unwrap(angles, axis=0)
-        samples = replace(samples, values=np.column_stack([angles, samples.values[:, samples.arms :]]))
-        steps = np.diff(angles, axis=0)
-        notes.append(f"unwrapped {wraps.sum()} jumps by a turn")
-    jumps = np.abs(steps) > most
+    jumps = (np.abs(steps) > most) & ~wraps
     if jumps.any():
         index, arm = _first(jumps)
         raise InputError(
             f"{samples.at(index + 1)}: {samples.names[arm]} jumps by {abs(steps[index, arm]):.3g} rad in one sample "
             f"({jumps.sum()} such jumps); check the unit (degrees taken for rad?), columns, sampling, or cut it there"
         )
-    return [samples], notes
+    if not wraps.any():
+        return None
+    index, arm = _first(wraps)
+    fault = f"{samples.at(index + 1)}: {samples.names[arm]} jumps by a turn ({wraps.sum()} such jumps): it is wrapped"
+    values = samples.values.copy()
+    values[:, : samples.arms] = np.unwrap(values[:, : samples.arms], axis=0)
+    return _Fault("wrap", fault, [replace(samples, values=values)], f"unwrapped {wraps.sum()} jumps by a turn")
 
 
 _FASTEST = 80.0
 """Limit of the angle rate, rad/s, above any bench. A swing exceeds it if radians and degrees are confused."""
 _LARGEST = 1e9
 """Limit of every measurement. A larger one is damage in any unit."""
-_DEGREES = 180 / np.pi
-_FACTORS = {
-    _DEGREES: "the angles look like degrees and the rates like rad/s",
-    1 / _DEGREES: "the angles look like rad and the rates like degrees per second",
-    2 * np.pi: "the angles look like rad and the rates like turns per second, or the reverse",
-    1 / (2 * np.pi): "the angles look like turns and the rates like rad/s, or the reverse",
-    1e3: "the times look like ms",
-    1e-3: "the times look like s, but the mapping gives ms",
-    -1.0: "angles and rates have opposite signs",
-}
 _AGREES = 0.15
 """Tolerance for the slope of derivative over rate, as a share of one: filters lag and damp."""
 _FALLS_UP = 0.5
@@ -355,7 +316,6 @@ def check_plausible(segments: Sequence[Samples], *, file: str) -> None:
     Raises:
         InputError: reports the contradiction, its size and the likely cause.
     """
-    first = segments[0]
     for segment in segments:
         if (large := np.abs(segment.values) > _LARGEST).any():
             row, column = _first(large)
@@ -371,9 +331,9 @@ def check_plausible(segments: Sequence[Samples], *, file: str) -> None:
             f"{file}: the angles turn at {fastest:.4g} rad/s, and no bench's arm does more than {_FASTEST:g}; "
             "check the unit of angles and time in the mapping (degrees taken for rad? counts? ms?)"
         )
-    if first.of(RATE) is not None:
+    if segments[0].of(RATE) is not None:
         _compare(derivative, np.concatenate([part[1] for part in turned]), file=file)
-    if first.of(CART) is None and first.of(COMMAND) is None:
+    if segments[0].of(CART) is None and segments[0].of(COMMAND) is None:
         # With the cart clamped, gravity alone moves the arms.
         _check_zero(segments, file=file)
 
@@ -412,15 +372,11 @@ def _compare(derivative: Array, rates: Array, *, file: str) -> None:
     arm = wrong[0]
     slope, match = fits[arm][arm]
     if match > _MATCHES:
-        factor = min(_FACTORS, key=lambda f: abs(slope / f - 1))
-        guess = _FACTORS[factor] if abs(slope / factor - 1) < 0.3 else "check the units of angles, rates and time"
-        raise InputError(f"{file}: the derivative of angle {arm + 1} is {slope:.4g} times its rate; {guess}")
-    others = [j for j in range(arms) if j != arm and agree(arm, j)]
-    looks = f"it is rate {others[0] + 1}: are columns swapped?" if others else "are columns swapped?"
-    raise InputError(
-        f"{file}: the derivative of angle {arm + 1} is not its rate (they correlate by {match:.2f}); {looks} "
-        "Check the mapping's columns"
-    )
+        reason = f"is {slope:.4g} times its rate; is a unit (degrees, turns, ms) or a sign wrong?"
+    else:
+        alike = [f"; it is rate {j + 1}" for j in range(arms) if agree(arm, j)]
+        reason = f"is not its rate (they correlate by {match:.2f}{''.join(alike)}); are columns swapped?"
+    raise InputError(f"{file}: the derivative of angle {arm + 1} {reason} Check the mapping")
 
 
 def _fit(derivative: Array, rate: Array) -> tuple[float, float]:
@@ -476,15 +432,12 @@ def constant_angles(recording: Recording) -> tuple[str, ...]:
         recording: the recording.
     """
     reach = np.ptp(recording.angles, axis=0)
-    most, mover = float(reach.max()), int(np.argmax(reach)) + 1
-    if most == 0:
-        count = len(recording.time)
-        return (f"no angle changes in {count} samples: are the encoders connected, and the columns the right ones?",)
+    most = float(reach.max())
     return tuple(
-        f"angle {arm + 1} is {recording.angles[0, arm]:g} rad in all {len(recording.time)} samples while angle {mover} "
-        f"moves over {most:.3g} rad: is its encoder connected, and its column the right one?"
+        f"angle {arm + 1} is {recording.angles[0, arm]:g} rad in all {len(recording.time)} samples: is its encoder "
+        "connected, and its column the right one?"
         for arm in range(recording.arms)
-        if reach[arm] == 0 and most > _MOVES
+        if reach[arm] == 0 and (most == 0 or most > _MOVES)
     )
 
 

@@ -98,7 +98,7 @@ def import_recording(
         if given is None or mapping == _JOINT_STATES:
             chosen, columns, covered = _joint_states(path)
         else:
-            _check_columns(path, given, "a bag")
+            _check_columns(path, given)
             chosen, (columns, covered) = given, read_bag(path, given.named)
         stretches, period = _of_columns(path, chosen, columns, chosen.period, covered), chosen.period
     else:
@@ -157,15 +157,10 @@ def _joint_states(path: Path) -> tuple[Mapping, dict[str, Array], NDArray[np.boo
     return chosen, columns, covered
 
 
-def _check_columns(path: Path, mapping: Mapping, what: str) -> None:
-    """Reject a mapping of MATLAB cells or variables.
-
-    `what` has only columns.
-    """
+def _check_columns(path: Path, mapping: Mapping) -> None:
+    """Reject a mapping of MATLAB cells for a file that has only columns."""
     if mapping.cells.states:
         raise InputError(f"{path}: the mapping {mapping.name!r} is for MATLAB cells; give one with columns: --mapping")
-    if mapping.sampling.variable:
-        raise InputError(f"{path}: {what} holds no variable {mapping.sampling.variable!r}; give [sampling] period")
 
 
 def _table(path: Path, given: Mapping | None) -> tuple[Mapping, dict[str, Array]]:
@@ -174,7 +169,7 @@ def _table(path: Path, given: Mapping | None) -> tuple[Mapping, dict[str, Array]
     The shipped mapping loses its rates if the table has none of them. The segments may be missing, too.
     """
     if given is not None:
-        _check_columns(path, given, "a table")
+        _check_columns(path, given)
         return given, read_table(path, given.named)
     mapping = load_mapping("table")
     rates = mapping.rates.columns
@@ -246,11 +241,10 @@ def _samples(
 def _matlab(path: Path, mapping: Mapping, variables: dict[str, Any]) -> tuple[list[Samples], float]:
     period = mapping.period
     if mapping.sampling.variable:
-        given = numbers(find(variables, mapping.sampling.variable, file=path), mapping.sampling.variable, file=path)
-        period = float(given[0]) * TIME_UNITS[mapping.time.unit]
-        if given.size != 1 or not 1e-6 <= period <= 1:
-            shown = f"{given[0]:.6g}" if given.size == 1 else f"{given.size} numbers"
-            raise InputError(f"{path}: {mapping.sampling.variable} is {shown}; a sampling period is 1e-6 to 1 s")
+        name = mapping.sampling.variable
+        period = float(numbers(find(variables, name, file=path), name, file=path)[0]) * TIME_UNITS[mapping.time.unit]
+        if not 1e-6 <= period <= 1:
+            raise InputError(f"{path}: {name} is {period:.6g} s; a sampling period is 1e-6 to 1 s")
     if not mapping.cells.states:
         found = {name: column(variables, name, file=path) for name in mapping.named}
         return _of_columns(path, mapping, found, period), period
@@ -277,31 +271,30 @@ def _cells(
     stretches = []
     for number, (cell, time) in enumerate(zip(cells, time_cells, strict=True), start=1):
         label, values = f"{name}{{{number}}}", np.asarray(cell)
-        if values.dtype.kind not in "fiu" or values.ndim != 2 or values.size == 0:
-            what = "empty" if values.size == 0 else f"of kind {values.dtype}, {' x '.join(map(str, values.shape))}"
-            raise InputError(f"{path}: {label} is {what}; a cell holds rows of angles, then of rates, as numbers")
-        rows, length = values.shape
-        if rows % 2 or not 2 <= rows <= 2 * MOST_ARMS:
-            hint = "; transpose it" if length % 2 == 0 and length <= 2 * MOST_ARMS else ""
+        if values.dtype.kind not in "fiu" or values.ndim != 2 or values.size == 0 or len(values) % 2:
             raise InputError(
-                f"{path}: {label} is {rows} x {length}; it must have an even number of rows, angles then rates, of at "
-                f"most {MOST_ARMS} arms, and a column for each sample{hint}"
+                f"{path}: {label} is {_described(values)}; a cell holds an even number of rows, angles then rates, and "
+                "a column for each sample"
             )
         when = None if time is None else numbers(time, f"{times}{{{number}}}", file=path)
-        if when is not None and len(when) != length:
-            raise InputError(f"{path}: {label} has {length} samples and {times}{{{number}}} {len(when)}; give as many")
+        if when is not None and len(when) != values.shape[1]:
+            raise InputError(f"{path}: {label} is {_described(values)}, but has {len(when)} times; give as many")
         angles, rates = np.hsplit(values.T.astype(float), 2)
         stretches.append(_samples(path, f"{path}: {label}", mapping, {ANGLE: angles, RATE: rates}, when, period))
     return stretches
 
 
+def _described(value: Any) -> str:
+    """Return shape and kind of a value, for messages."""
+    array = np.asarray(value)
+    return f"{' x '.join(map(str, array.shape))} of kind {array.dtype}"
+
+
 def _cell_list(path: Path, variables: dict[str, Any], name: str) -> list[Any]:
     value = find(variables, name, file=path)
-    if not isinstance(value, np.ndarray) or value.dtype != object or value.size == 0:
-        shape = " x ".join(map(str, np.shape(value)))
-        kind = getattr(value, "dtype", type(value).__name__)
+    if not _is_cells(value) or not value.size:
         raise InputError(
-            f"{path}: {name} is not a cell array with cells in it (it is {shape}, {kind}); "
+            f"{path}: {name} is not a cell array with cells in it (it is {_described(value)}); "
             "give a mapping that names this file's columns: --mapping"
         )
     return list(value.reshape(-1, order="F"))
@@ -377,15 +370,10 @@ def read_table(path: Path, columns: Sequence[str], *, optional: Collection[str] 
     """
     try:
         table = (_parquet if path.suffix.lower() == ".parquet" else _csv)(path, columns, optional)
-    except OSError as error:
-        # pyarrow reports damage as OSError too, in more than one line.
+    except (OSError, ValueError, csv.Error, MemoryError) as error:
         raise InputError(
-            f"cannot read {path}: {error.strerror or _reason(error)}; check the name, or save the recording again"
+            f"cannot read {path} as a table ({_reason(error)}); check the name, or save the recording again"
         ) from error
-    except (ValueError, csv.Error, MemoryError) as error:
-        raise InputError(f"{path} is not a readable table ({_reason(error)}); save the recording again") from error
-    if not all(map(len, table.values())):
-        raise InputError(f"{path} holds no rows; save the recording again")
     return {name: _numbers(cells, name, path) for name, cells in table.items()}
 
 
@@ -408,7 +396,7 @@ def _present(
     return tuple(name for name in columns if name in header)
 
 
-def _parquet(path: Path, columns: Sequence[str], optional: Collection[str]) -> dict[str, Array | list[str | None]]:
+def _parquet(path: Path, columns: Sequence[str], optional: Collection[str]) -> dict[str, NDArray[Any]]:
     arrow = package("pyarrow")
     try:
         # pyarrow takes a name such as s3:table.parquet for an address.
@@ -419,18 +407,7 @@ def _parquet(path: Path, columns: Sequence[str], optional: Collection[str]) -> d
             table = file.read(columns=list(wanted))
     except arrow.ArrowException as error:
         raise ValueError(_reason(error)) from error
-    return {name: _parquet_column(table.column(name), name, path) for name in wanted}
-
-
-def _parquet_column(values: Any, name: str, path: Path) -> Array | list[str | None]:
-    import pyarrow as pa
-
-    kind = values.type
-    if pa.types.is_integer(kind) or pa.types.is_floating(kind):
-        return np.asarray(values.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False), dtype=float)
-    if not (pa.types.is_string(kind) or pa.types.is_large_string(kind)):
-        raise InputError(f"{path}: the column {name!r} holds values of type {kind}; a column holds numbers")
-    return values.to_pylist()
+    return {name: table.column(name).to_numpy() for name in wanted}
 
 
 _NUMBER = re.compile(r"[-+]?(\d+([.,]\d*)?|[.,]\d+|nan|inf)(e[-+]?\d+)?", re.IGNORECASE)
@@ -469,32 +446,26 @@ def _csv(path: Path, columns: Sequence[str], optional: Collection[str]) -> dict[
     return {name: [line[place] for line in lines] for name, place in places.items()}
 
 
-def _numbers(cells: Array | list[str | None], name: str, path: Path) -> Array:
+def _numbers(cells: Sequence[Any] | NDArray[Any], name: str, path: Path) -> Array:
     """Return a column's numbers.
 
     Markers of missing values become nan, other text is reported by row.
     """
-    if isinstance(cells, np.ndarray):
-        return cells
     try:
-        return np.array([float(cell) for cell in cells])  # type: ignore[arg-type]
+        return np.array(cells, dtype=float)
     except (TypeError, ValueError):
         return np.array([_number(cell, row, name, path) for row, cell in enumerate(cells, start=1)])
 
 
-def _number(cell: str | None, row: int, name: str, path: Path) -> float:
-    text = (cell or "").strip()
-    if text.casefold() in _MISSING:
-        return float("nan")
+def _number(cell: Any, row: int, name: str, path: Path) -> float:
+    text = str(cell).strip()
     try:
-        return float(text)
+        return float("nan") if text.casefold() in _MISSING else float(text)
     except ValueError:
         raise InputError(f"{path}: row {row} of column {name!r} holds {text!r}; it must be a number") from None
 
 
 _STEP = re.compile(r"\.?([A-Za-z]\w*)|\{(\d+)\}|\((\d+),:\)|\(:,(\d+)\)")
-_LARGEST_RATIO = 2000
-"""Limit of elements per byte of the file; zlib expands one byte to 1,032 at most."""
 _MOST_SAMPLES = 10**8
 
 
@@ -510,28 +481,19 @@ def read_matlab(path: Path) -> dict[str, Any]:
     try:
         with path.open("rb") as stream:
             head = stream.read(600)
-        size = path.stat().st_size
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror or error}; check the name") from error
-    if not head:
-        raise InputError(f"{path} is empty; save or copy the recording again")
-    hdf5 = b"MATLAB 7.3" in head[:128] or b"\x89HDF\r\n\x1a\n" in head
-    try:
+        hdf5 = b"MATLAB 7.3" in head[:128] or b"\x89HDF\r\n\x1a\n" in head
         checked_size((_hdf5_size if hdf5 else _unpacked_size)(path))
         if head.startswith(_OCTAVE):
             raise InputError(f"{path} is not a MATLAB file but one of Octave; save it in Octave with `save -v7`")
-        variables = _with_objects(path) if hdf5 else _plain(path, size)
+        variables = _with_objects(path) if hdf5 else _plain(path)
     except UNREADABLE as error:
         raise InputError(
-            f"{path} is not a MATLAB file, or is cut off or damaged ({_reason(error)}); save or copy it again"
+            f"cannot read {path} as a MATLAB file ({_reason(error)}); check the name, or save or copy it again"
         ) from error
-    named = {name: value for name, value in variables.items() if isinstance(name, str) and not name.startswith("__")}
-    if not named:
-        raise InputError(f"{path} holds no variables; save the recording again")
-    return named
+    return {name: value for name, value in variables.items() if isinstance(name, str) and not name.startswith("__")}
 
 
-def _plain(path: Path, size: int) -> dict[str, Any]:
+def _plain(path: Path) -> dict[str, Any]:
     from scipy.io import loadmat, whosmat
 
     try:
@@ -540,9 +502,6 @@ def _plain(path: Path, size: int) -> dict[str, Any]:
         # scipy does not report the shape of objects.
         return _with_objects(path)
     checked_size(sum(8 * math.prod(map(float, shape)) for _, shape, _ in declared))
-    for name, shape, _ in declared:
-        if np.prod([float(length) for length in shape]) > _LARGEST_RATIO * size:
-            raise ValueError(f"it declares {' x '.join(map(str, shape))} values in {name}, in {size} bytes")
     variables = loadmat(path)
     return _with_objects(path) if "__function_workspace__" in variables else variables
 
@@ -577,13 +536,8 @@ def _hdf5_size(path: Path) -> int:
     """
     h5py = package("h5py")
     sizes: list[int] = []
-
-    def visit(name: str, one: Any) -> None:
-        if isinstance(one, h5py.Dataset):
-            sizes.append(one.size * one.dtype.itemsize)
-
     with h5py.File(path) as file:
-        file.visititems(visit)
+        file.visititems(lambda _, item: sizes.append(getattr(item, "nbytes", 0)))
     return sum(sizes)
 
 
@@ -659,14 +613,11 @@ def numbers(value: Any, name: str, *, file: Path) -> Array:
         InputError: the value has another kind or shape, or is empty.
     """
     array = np.asarray(value)
-    if array.dtype.kind not in "fiu":
-        kind = {"c": "complex numbers", "U": "text", "S": "text", "b": "true and false", "O": "cells or an object"}
-        raise InputError(f"{file}: {name} holds {kind.get(array.dtype.kind, 'a struct')}; a column holds real numbers")
-    if array.size == 0:
-        raise InputError(f"{file}: {name} is empty; a recording has samples (save those of an object as x = {name})")
-    if max(array.shape, default=1) != array.size:
-        shape = " x ".join(map(str, array.shape))
-        raise InputError(f"{file}: {name} is {shape}; a column is one row or one column, as in {name}(1,:)")
+    if array.dtype.kind not in "fiu" or array.size == 0 or max(array.shape, default=1) != array.size:
+        raise InputError(
+            f"{file}: {name} is {_described(array)}; a column is one row or column of real numbers, as in {name}(1,:) "
+            f"(save those of an object as x = {name})"
+        )
     return array.reshape(-1).astype(float)
 
 
@@ -709,9 +660,9 @@ def _times(info: Any) -> Any:
         return given
     # MATLAB stores them as Start_, Increment_ and Length, the first two empty or nan for uneven times.
     parts = [np.asarray(_member(info, name)).reshape(-1) for name in ("Start", "Increment", "Length")]
-    if not all(part.size == 1 and part.dtype.kind in "fiu" and np.isfinite(part[0]) for part in parts):
+    if any(part.size != 1 or part.dtype.kind not in "fiu" for part in parts):
         return None
-    start, increment, length = (float(part[0]) for part in parts)
+    start, increment, length = np.concatenate(parts).astype(float)
     return start + increment * np.arange(int(length)) if 0 < length < _MOST_SAMPLES else None
 
 

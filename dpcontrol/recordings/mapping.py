@@ -94,8 +94,6 @@ class _Angles(Settings, table="angles"):
         for key, values in self.by_arm.items():
             if len(values) not in ({1, len(self.columns)} if self.columns else range(1, 100)):
                 raise self.refusal(key, f"give one value, or one for each of {len(self.columns)} angles")
-        if self.unit == "counts" and self.counts_per_turn is None:
-            raise InputError("angles: the unit is counts but counts_per_turn is missing; add counts_per_turn")
 
     @property
     def by_arm(self) -> dict[str, tuple[Any, ...]]:
@@ -257,5 +255,5 @@ def _check(mapping: Mapping, top: Place) -> None:
             raise InputError(f"{top} [angles] columns: {name!r} is named twice; a column has one meaning")
     if not (mapping.time.column or cells.time or mapping.period or mapping.sampling.variable):
         raise InputError(f"{top} neither [time] column nor [sampling] period is given; give one of them")
-    if mapping.rates.unit == "counts/s" and mapping.angles.counts_per_turn is None:
-        raise InputError(f"{top} [rates] the unit is counts/s but counts_per_turn is missing; add it to [angles]")
+    if "counts" in (mapping.angles.unit, *mapping.rates.unit.split("/")) and mapping.angles.counts_per_turn is None:
+        raise InputError(f"{top} [angles] a unit is counts but counts_per_turn is missing; add it")

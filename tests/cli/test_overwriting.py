@@ -140,20 +140,12 @@ def test_no_verb_replaces_its_input(line: str, link: str, way: str) -> None:
     assert read.read_bytes() == content
 
 
-@pytest.mark.parametrize("line", [f"plan {STILL} --out link.npz", f"run {STILL} --out link.mcap --force"])
-def test_a_link_to_a_file_of_another_kind_is_not_followed(line: str) -> None:
-    Path("notes.txt").write_text("mine")
-    link = Path(line.split()[3])
-    link.symlink_to("notes.txt")
-    ended = dpcontrol(*line.split())
-    assert ended.code == 2, ended.stdout
-    assert f"cannot write {link}: it is a link to {Path('notes.txt').resolve()}; " in ended.message
-    assert Path("notes.txt").read_text() == "mine"
-    link.unlink()
-    link.symlink_to(f"own{link.suffix}")
-    called(line)
+def test_a_link_is_followed() -> None:
+    link = Path("link.npz")
+    link.symlink_to("own.npz")
+    called(f"plan {STILL} --out link.npz")
     assert link.is_symlink()
-    assert Path(f"own{link.suffix}").is_file()
+    assert Path("own.npz").is_file()
 
 
 def named(line: str) -> str:
@@ -187,8 +179,7 @@ def test_a_log_that_is_being_written_gives_the_next_name() -> None:
 @pytest.mark.parametrize(
     ("line", "naming"),
     [
-        (f"run {STILL}", "it is not a regular file"),
-        (f"campaign {STILL} --out loop.parquet", "it is a link that leads to itself"),
+        (f"run {STILL}", "it is a folder or no regular file"),
         (f"export {STILL} --out taken/x", "taken/x"),
         ("walk lab --energy -0.07 --length 2 --solve --out taken", "taken"),
     ],
@@ -197,7 +188,6 @@ def test_an_output_that_cannot_be_written_is_refused_before_the_work(
     line: str, naming: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     os.mkfifo(LOG)
-    Path("loop.parquet").symlink_to("loop.parquet")
     Path("taken").touch()
     before = sorted(Path().rglob("*"))
     for work in ("runs.campaign.run_locally", "runs.run._exported", "plans.model.load_model", "runs.run.run_plan"):

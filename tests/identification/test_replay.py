@@ -7,22 +7,16 @@ import pytest
 from bench_recordings import LAB, PERIOD, free_swing, rig_file
 from numpy.typing import NDArray
 
-from dpcontrol.dynamics.chain import ArmChainParameters
+from dpcontrol.dynamics.chain import ArmChainParameters, base_ratios
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.identification.replay import (
-    FreeMotion,
-    ReplaySettings,
-    filter_settings,
-    fit_initial_states,
-    replay_recording,
-)
+from dpcontrol.identification.fit import Swing, Swings
+from dpcontrol.identification.replay import ReplaySettings, filter_settings, fitted_path, replay_recording
 from dpcontrol.plans.model import load_model
 from dpcontrol.recordings.importing import import_recording
 from dpcontrol.recordings.recording import Recording
 
 COUNT = 2 * np.pi / 40_000  # encoder count, rad
-STEP = 1e-8  # rad: DOP853 at 1 ms compared with scipy's at 1e-10, over 2 s
-FITTED = 1e-6  # rad: error of a fit to exact angles, due to finite differences
+FITTED = 1e-6  # rad: error of a fit to exact angles, due to steps of 1 ms
 NEAR_COUNT = 0.8  # counts: rms of two roundings, 0.41, and errors that the fit does not average
 IN_BAND = 0.90  # of the settled samples; the consistent share is 0.95
 RATES = 0.15  # rad/s rms: required for the recorded, filtered rates
@@ -56,29 +50,15 @@ def errors(recording: Recording, found: NDArray[np.float64]) -> float:
     return float(np.sqrt(np.mean(np.square(found[:, :2] - recording.angles))))
 
 
-def test_a_step_agrees_with_an_independent_integrator() -> None:
-    _, states = free_swing(2000)
-    path = FreeMotion(ARMS, period=PERIOD).paths(states[0][:, None].copy(), 2000)[:, :, 0]
-    assert np.abs(path[:, :2] - states[:, :2]).max() <= STEP
-
-
 def test_the_fitted_initial_state_for_exact_angles_is_exact() -> None:
     _, states = free_swing(2000)
-    (fit,) = fit_initial_states(FreeMotion(ARMS, period=PERIOD), [states[:, :2]])
+    angles = states[:, :2].copy()
+    angles[700:1300] = np.nan
+    fit = fitted_path(Swings(ARMS), Swing(angles, PERIOD), base_ratios(ARMS))
     assert fit.converged
     assert np.abs(fit.states[0] - states[0]).max() <= 1e3 * FITTED
+    assert np.abs(fit.states[:, :2] - states[:, :2]).max() <= FITTED
     assert fit.residual.max() <= FITTED
-
-
-def test_stretches_of_different_lengths_are_fitted_independently() -> None:
-    recording = recorded()
-    pieces = [recording.angles[:700], recording.angles[1000:2000], recording.angles[2000:2100]]
-    motion = FreeMotion(ARMS, period=PERIOD)
-    together = fit_initial_states(motion, pieces)
-    for piece, fit in zip(pieces, together, strict=True):
-        (alone,) = fit_initial_states(motion, [piece])
-        assert len(fit.states) == len(piece)
-        assert np.abs(fit.states - alone.states).max() <= COUNT / 100
 
 
 @pytest.mark.parametrize("kind", ["ekf", "ukf"])

@@ -62,8 +62,8 @@ def test_an_arm_that_swings_about_another_angle_than_hanging_is_named(swing: Rec
 def test_a_constant_angle_among_moving_ones_is_named(swing: Recording) -> None:
     assert constant_angles(swing) == ()
     (text,) = constant_angles(changed(swing, STOP))
-    assert text.startswith("angle 2 is 0 rad in all 2001 samples while angle 1 moves over ")
-    assert "no angle changes" in constant_angles(changed(swing, [[0.0, 0.0], [0.0, 0.0]]))[0]
+    assert text.startswith("angle 2 is 0 rad in all 2001 samples: is its encoder connected")
+    assert len(constant_angles(changed(swing, [[0.0, 0.0], [0.0, 0.0]]))) == 2
 
 
 def test_the_import_reports_contradictions_to_the_model(swing: Recording, tmp_path: Path) -> None:

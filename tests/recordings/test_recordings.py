@@ -236,8 +236,8 @@ def _uneven(columns: dict[str, Any]) -> None:
     ("fault", "repair", "said"),
     [
         (_missing, "nan", "row 101 (t = 0.1 s): angle 2 is not finite (5 such rows)"),
-        (_repeated, "time", "row 101 (t = 0.099 s) repeats the time of the row before"),
-        (_backward, "time", "row 101 (t = 0.097 s) goes back in time by 0.002 s"),
+        (_repeated, "time", "row 101 (t = 0.099 s): the time is missing or not later than before"),
+        (_backward, "time", "row 101 (t = 0.097 s): the time is missing or not later than before"),
         (_gap, "gaps", "row 100 (t = 0.099 s): the next sample comes 0.031 s later, not 0.001 s"),
         (_wrapped, "wrap", "angle 1 jumps by a turn"),
         (_spiked, "spikes", "row 101 (t = 0.1 s): rate 2 is 29"),
@@ -292,8 +292,8 @@ def test_a_jump_is_rejected_with_any_option(tmp_path: Path) -> None:
     [
         ({"angle_1": "rate_1", "rate_1": "angle_1"}, "columns swapped"),
         ({"angle_1": ("angle_1", 57.29578)}, "degrees"),
-        ({"rate_1": ("rate_1", 57.29578), "rate_2": ("rate_2", 57.29578)}, "rates like degrees per second"),
-        ({"rate_1": ("rate_1", -1.0)}, "opposite signs"),
+        ({"rate_1": ("rate_1", 57.29578), "rate_2": ("rate_2", 57.29578)}, "0.01745 times its rate; is a unit"),
+        ({"rate_1": ("rate_1", -1.0)}, "-1 times its rate"),
         ({"time": ("time", 1e3)}, "check the unit of time"),
     ],
 )
