@@ -64,7 +64,7 @@ def empty(axes: Axes, title: str, text: str) -> None:
     axes.text(0.0, 0.9, text, transform=axes.transAxes, va="top", fontsize=style.TEXT, color=style.NOTE)
 
 
-def quiet_space(axes: Axes, of: System | Atlas, *, steps: tuple[float, float] = (1.0, 1.0)) -> None:
+def quiet_space(axes: Axes, of: System | Atlas, *, steps: tuple[float | None, float | None] = (1.0, 1.0)) -> None:
     """Label the axes of a panel in space.
 
     They are (first coordinate, second, first rate).
@@ -72,7 +72,7 @@ def quiet_space(axes: Axes, of: System | Atlas, *, steps: tuple[float, float] = 
     Args:
         axes: panel in space.
         of: system or atlas with the labels.
-        steps: tick distances of x and y, half turns.
+        steps: tick distances of x and y, half turns; None adapts to the data.
     """
     for k, (which, step) in enumerate(zip("xy", steps, strict=True)):
         getattr(axes, f"set_{which}label")(of.labels[k], fontsize=style.SMALL)
