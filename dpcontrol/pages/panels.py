@@ -208,18 +208,19 @@ def name_rows(axes: Axes, names: Sequence[str]) -> None:
 DIRECT, BESIDE = "direct label", "label beside a point"
 
 
-def name_point(axes: Axes, text: str, at: tuple[float, float], colour: str) -> None:
+def name_point(axes: Axes, text: str, at: tuple[float, float], colour: str, *, weight: str = "bold") -> None:
     """Label a point directly, with an outline.
 
-    The layout engine moves labels round their points if they overlap.
+    The layout engine moves labels round their points if they cover marks or other labels.
 
     Args:
         axes: panel with the point.
         text: text of the label.
         at: (x, y) in data.
         colour: colour of the label.
+        weight: weight of its letters.
     """
     axes.annotate(
-        text, at, xytext=(5, 5), textcoords="offset points", fontsize=style.SMALL, color=colour, weight="bold",
-        zorder=7, path_effects=[withStroke(linewidth=2.5, foreground=style.PAPER)],
-    ).set_gid(BESIDE)  # fmt: skip
+        text, at, xytext=(5, 5), textcoords="offset points", fontsize=style.SMALL, color=colour, weight=weight,
+        zorder=7, path_effects=[withStroke(linewidth=2.5, foreground=style.PAPER)], gid=BESIDE, in_layout=False,
+    )  # fmt: skip
