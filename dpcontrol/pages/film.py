@@ -27,7 +27,6 @@ from dpcontrol.judge.run_view import RunView
 from dpcontrol.pages import style
 from dpcontrol.pages.filmstrip import draw_pose
 from dpcontrol.pages.layout import Page, cropped, key
-from dpcontrol.pages.planes import arm_points
 from dpcontrol.pages.ranges import Range
 from dpcontrol.pages.story import story, story_height, story_rows
 
@@ -73,13 +72,12 @@ class Film:
         self._canvas.draw()
         self._still = self._canvas.copy_from_bbox(figure.bbox)
         self.scene, *self._stories = figure.axes
+        self.scene.autoscale(False)
         self._static = {artist for axes in figure.axes for artist in axes.get_children()}
 
     def _draw_scene(self, axes: Axes) -> None:
-        view, reach = self.view, sum(self.view.arm_lengths)
-        (left, right), (low, high) = self._extent()
-        half = max((right - left) / _INCHES, (high - low) / _SCENE, 0.8 * reach / _SCENE) / 2
-        middle, level = (left + right) / 2, (low + high) / 2
+        view, reach = self.view, 1.12 * sum(self.view.arm_lengths)
+        pivots = np.append(self.pivots[self.rows[self.rows >= 0]], [] if (self.rows >= 0).any() else 0.0)
         axes.set_aspect("equal", adjustable="datalim")
         axes.axis("off")
         entries: list[tuple[str, str | dict[str, Any]]] = []
@@ -87,32 +85,15 @@ class Film:
             entries.append((view.against, {"color": style.REFERENCE, "linewidth": 5, "solid_capstyle": "round"}))
         if view.has_cart:
             axes.axhline(0.0, color=_TRACK, linewidth=3.0)
-            most = np.inf if view.limits is None else view.limits[0]
-            within = [at for at in (-most, most) if abs(at - middle) < half * _INCHES]
-            for at in within:
-                axes.plot([at, at], [-0.09 * reach, 0.09 * reach], color=style.LIMIT, linewidth=1.5)
-            if within:
-                entries.append(("the cart's limit", {"color": style.LIMIT, "linewidth": 1.5}))
+        if view.has_cart and view.limits is not None:
+            look = {"color": style.LIMIT, "linewidth": 1.5}
+            axes.vlines([-view.limits[0], view.limits[0]], -0.08 * reach, 0.08 * reach, **look)
+            entries.append(("the cart's limit", look))
         key(axes, entries)
-        axes.set_xlim(middle - half * _INCHES, middle + half * _INCHES)
+        middle, half = (pivots.min() + pivots.max()) / 2, max(np.ptp(pivots) / 2 + reach, reach * _INCHES / _SCENE)
+        axes.set_xlim(float(middle - half), float(middle + half))
         # The aspect may extend this range.
-        axes.set_ylim(level - half * _SCENE, level + half * _SCENE, auto=True)
-
-    def _extent(self) -> tuple[Range, Range]:
-        """Return the ranges of arms, reference and cart along x and y, m."""
-        view, reach = self.view, sum(self.view.arm_lengths)
-        rows, cart = self.rows[self.rows >= 0], 0.16 * reach
-        spots = [np.array([(middle + side, 0.0) for middle in self.pivots[rows] for side in (-cart, cart)])]
-        for states in (view.state, view.reference):
-            if states is not None:
-                points = arm_points(states[rows, : view.arms], view.arm_lengths)
-                points[..., 0] += self.pivots[rows, None]
-                spots.append(points)
-        places = np.concatenate([np.zeros((1, 2)), *(spot.reshape(-1, 2) for spot in spots)])
-        places = places[np.isfinite(places).all(axis=1)]
-        (left, low), (right, high) = places.min(axis=0), places.max(axis=0)
-        edge = 0.12 * reach
-        return (float(left - edge), float(right + edge)), (float(low - edge), float(high + edge))
+        axes.set_ylim(-half * _SCENE / _INCHES, half * _SCENE / _INCHES, auto=True)
 
     def frame(self, number: int) -> Image.Image:
         """Return a frame, counted from zero."""

@@ -82,7 +82,7 @@ def draw_pose(axes: Axes, view: RunView, row: int, *, since: int, at: float, thi
     if view.reference is not None:
         ghost = arm_points(view.reference[row : row + 1, :arms], view.arm_lengths)[0]
         shift = at + (view.reference[row, 2 * arms] - pivot[row] if view.has_cart else 0.0)
-        look = {"color": style.REFERENCE, "linewidth": 2.0 * thick, "solid_capstyle": "round", "zorder": 2.5}
+        look = {"color": style.REFERENCE, "linewidth": 2.0 * thick, "solid_capstyle": "round", "zorder": 1.5}
         axes.plot(shift + ghost[:, 0], ghost[:, 1], **look)
 
 

@@ -192,7 +192,7 @@ class ShownState:
             recorded.record_strips(self.recording, "", strips(self.planned), self.planned)
             recorded.record_planes(self.recording, "phase_planes", view)
         for chart in (*motion_charts(view), *check_charts(view)):
-            recorded.record_chart(self.recording, "plots", replace(chart, cut=()), view)
+            recorded.record_chart(self.recording, "plots", chart, view)
         modes = [strip for strip in strips(view, until=float(view.time[-1])) if strip.key == "mode"]
         recorded.record_strips(self.recording, "", modes, view)
         recorded.record_places(self.recording, "phase_planes", view)

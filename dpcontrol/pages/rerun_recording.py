@@ -46,9 +46,6 @@ TRACE_RATE = 50.0
 _BINS = 30_000
 """Number of bins of a long curve; the least and the greatest value of each are recorded."""
 _ON_THE_WAY = "on the way"
-_BAND_POINTS = 4000
-_EDGE = np.array([-1e-6, 0.0, 1e-6])
-"""Sampling offsets at the edge of a band, s."""
 
 
 _NO_GAPS: Array = np.zeros(0)
@@ -92,15 +89,6 @@ def record_chart(recording: rr.RecordingStream, home: str, chart: Chart, view: R
         _line(
             recording, f"{home}/{level.key}", Line("", level.name, "", ends, np.full(2, level.value), level.colour, 1.0)
         )
-    if chart.cut:
-        # The viewer joins points within one pixel, and would draw a sparse band as wedges.
-        edges = np.array(chart.cut)
-        time = np.union1d(np.linspace(*view.time_range, _BAND_POINTS), np.add.outer(edges, _EDGE).ravel())
-        inside = np.searchsorted(edges[:, 0], time, side="right") > np.searchsorted(edges[:, 1], time, side="left")
-        height = max(float(np.nanmax(np.abs(line.values))) for line in chart.lines if line.key == "applied")
-        reach = np.where(inside, height, 0.0)
-        name = "cut at a limit"
-        _line(recording, f"{home}/cut", Line("", name, "", time, np.zeros(len(time)), style.LIMIT, 1.0, reach=reach))
 
 
 def _line(recording: rr.RecordingStream, path: str, line: Line, *, gaps: Array = _NO_GAPS) -> None:
