@@ -15,15 +15,13 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, PercentFormatter
 
 from dpcontrol.bench.chart import ChartPage, Diagram, EdgeMap, Point, split_label
-from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.units import quantity
 from dpcontrol.pages.layout import Page, key, save_figure
-from dpcontrol.pages.panels import name_rows, quiet
-from dpcontrol.pages.style import FAINT, GOOD, INK, LIMIT, MARK, PAPER, SERIES, SMALL
+from dpcontrol.pages.panels import name_point, name_rows, quiet
+from dpcontrol.pages.style import FAINT, GOOD, INK, LIMIT, MARK, PAPER, SERIES
 
 Look = dict[str, Any]
 Layer = tuple[str, Sequence[tuple[float, float]], Look]
@@ -33,8 +31,8 @@ FLOOR = 1e-17
 """Drawn position of an error of exactly zero."""
 MOST_LABELS = 20
 """Points of a diagram that all have their settings beside them."""
-_RING, _CLEAR = 15.0, 10.0
-"""Diameter of a ring about a default, and width of another mark, points."""
+_RING = 15.0
+"""Diameter of a ring about a default, points."""
 _DEFAULT: Look = {
     "marker": "o",
     "linestyle": "none",
@@ -75,12 +73,7 @@ def figure(page: ChartPage, parts: Sequence[Any]) -> Figure:
     }
     panels = [partial(_draw, part=part, looks=looks) for part in parts]
     drawn = Page(page.title, page.chosen).grid(panels, across=min(len(parts), 2), height=3.7)
-    picture = drawn.text("\n".join(page.reading)).figure()
-    for axes, part in zip(picture.axes, parts, strict=False):
-        # The space for labels is known once the axes have their positions.
-        if isinstance(part, Diagram):
-            _label_points(axes, part, looks)
-    return picture
+    return drawn.text("\n".join(page.reading)).figure()
 
 
 def _draw(axes: Axes, part: Diagram | EdgeMap, looks: dict[str, Look]) -> None:
@@ -88,6 +81,9 @@ def _draw(axes: Axes, part: Diagram | EdgeMap, looks: dict[str, Look]) -> None:
     layers = [layer for layer in (_points(part, looks) if of_points else _borders(part)) if layer[1]]
     for _, places, look in layers:
         axes.plot(*np.transpose(places), **look)
+    for p in part.points if of_points else ():
+        if text := _label(part, p):
+            name_point(axes, text, _place(part, p), looks[p.method]["color"], weight="normal")
     key(axes, [(label, {**look, "markersize": 6}) for label, _, look in layers if label])
     axes.margins(0.12, 0.1)
     axes.set_xscale("log")
@@ -133,57 +129,11 @@ def _borders(one: EdgeMap) -> Iterator[Layer]:
     yield "default of dpcontrol", [(value, k) for k, b in rows if b.x == x], _DEFAULT
 
 
-_AWAY = np.repeat([0.0, 6.0, 12.0, 20.0, 30.0, 42.0, 60.0], 8)
-"""Tried distances between mark and label, in points; from `_LED` on a line connects them."""
-_LED = 10.0
-_SIDES = np.tile([(1, 1), (1, -1), (-1, 1), (-1, -1), (1, 0), (-1, 0), (0, 1), (0, -1)], (7, 1))
-"""Direction of the label at each of these distances."""
-
-
-def _label_points(axes: Any, panel: Diagram, looks: dict[str, Look]) -> None:
-    """Write names and settings beside their marks.
-
-    The place has the least overlap with marks, rings and other labels.
-    """
-    picture = axes.get_figure(root=True)
-    unit, renderer = picture.dpi / 72, picture.canvas.get_renderer()
-    spots = axes.transData.transform([_place(panel, p) for p in panel.points])
-    taken = [_box(spot, unit * (_RING if p.default else _CLEAR)) for p, spot in zip(panel.points, spots, strict=True)]
-    for p, spot in zip(panel.points, spots, strict=True):
-        colour = looks[p.method]["color"]
-        look = {"textcoords": "offset points", "xy": _place(panel, p), "in_layout": False, "color": colour}
-        look |= {"fontsize": SMALL, "ha": "center", "va": "center"}
-        look |= {"path_effects": [withStroke(linewidth=2, foreground=PAPER)]}
-        text = axes.annotate(_label(panel, p), xytext=(0, 0), **look)
-        extent = np.array(text.get_window_extent(renderer).size)
-        offsets = _SIDES * (unit * (_CLEAR / 2 + _AWAY[:, None]) + extent / 2)
-        boxes = np.array([_box(spot + offset, extent) for offset in offsets])
-        outside = extent.prod() - _common(boxes, axes.bbox.extents)
-        best = int(np.argmin(10 * (outside + sum(_common(boxes, other) for other in taken)) + _AWAY))
-        text.set_position(offsets[best] / unit)
-        # Text over text is worse than text over marks.
-        taken += [boxes[best]] * 4
-        if _AWAY[best] >= _LED:
-            line = {"arrowstyle": "-", "color": colour, "linewidth": 0.5, "shrinkA": 1, "shrinkB": 3}
-            nearest = np.clip(0.0, offsets[best] - extent / 2, offsets[best] + extent / 2)
-            axes.annotate("", xytext=nearest / unit, arrowprops=line, **look)
-
-
 def _label(panel: Diagram, point: Point) -> str:
     full = len(panel.points) > MOST_LABELS
     setting = "" if full and not point.default and point not in panel.front else point.setting
     named = point is next(p for p in panel.points if p.method == point.method)
     return ", ".join(filter(None, (point.method * named, setting)))
-
-
-def _box(middle: Array, size: Array | float) -> Array:
-    """Return left, bottom, right and top."""
-    return np.concatenate([middle - np.divide(size, 2), middle + np.divide(size, 2)])
-
-
-def _common(boxes: Array, other: Array) -> Array:
-    """Return the overlap areas of boxes (K, 4) with another."""
-    return np.clip(np.minimum(boxes[:, 2:], other[2:]) - np.maximum(boxes[:, :2], other[:2]), 0, None).prod(axis=1)
 
 
 def _readable_ticks(axis: Any, unit: str) -> None:

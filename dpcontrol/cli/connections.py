@@ -1,10 +1,10 @@
 """The verbs of orbits and connections: orbit, connect, bifurcations, atlas."""
 
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Sequence
 from decimal import Decimal
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
@@ -44,7 +44,6 @@ if TYPE_CHECKING:
     from dpcontrol.walks.atlas import Atlas
 
 
-ARMS = {"inner": 1, "outer": 2}
 KIND = "Kind of orbit"
 _ROTATING = {
     "energy (J)": "{.energy:.9g}",
@@ -62,9 +61,7 @@ def orbit_command(
     model: str = argument(),
     saddle: str | None = option(group=KIND, help="Saddle inside the orbit, inner arm first: down-up, up-down."),
     family: int = option(default=0, group=KIND, help="Family of orbits about the saddle, slowest first."),
-    rotating: str | None = option(
-        type=click.Choice(["inner", "outer"]), group=KIND, help="Rotating orbits of this arm instead."
-    ),
+    rotating: Literal["inner", "outer"] | None = option(group=KIND, help="Rotating orbits of this arm instead."),
     sustained: bool = option(
         group=KIND, help="Orbit that the cart sustains against friction with the least effort instead."
     ),
@@ -115,9 +112,9 @@ def orbit_command(
 
 
 def _lyapunov(model: "Model", saddle: str, energy: float, family: int) -> "LyapunovOrbit":
-    from dpcontrol.orbits.lyapunov import lyapunov_orbit
+    from dpcontrol import api
 
-    orbit = lyapunov_orbit(model.system, saddle, energy=energy, family=family)
+    orbit = api.orbit(model, saddle, energy=energy, family=family)
     if not orbit.converged:
         raise GoalMissed(f"the Lyapunov orbit about {saddle} at {energy:g}{model.unit('J')}: {orbit.status}")
     return orbit
@@ -157,21 +154,21 @@ def _family_text(model: "Model", found: "LyapunovFamily", saddle: str) -> Iterat
         yield f"{side:5s}{end.energy:.9g}{model.unit('J')}: {end.status}"
 
 
-def _rotating(model: "Model", arm: str, energy: float | None, energies: Range | None, picture: Path | None) -> Answer:
-    from dpcontrol.orbits.rotating import rotating_families, rotating_orbits
+def _rotating(
+    model: "Model", arm: Literal["inner", "outer"], energy: float | None, energies: Range | None, picture: Path | None
+) -> Answer:
+    from dpcontrol import api
 
-    if energy is None:
-        assert energies is not None
-        energy = (energies[0] + energies[1]) / 2
-    system, requested = model.system, {"arm": arm, "energy": energy}
-    orbits = rotating_orbits(system, ARMS[arm], energy)
-    if not orbits:
-        raise GoalMissed(
-            f"no symmetric orbit that turns the {arm} arm of {system.name} over was found at {energy:g} J; "
-            "try another energy"
-        )
+    if energies is not None:
+        energy = sum(energies) / 2
+    assert energy is not None
+    missed = f"no symmetric orbit that turns the {arm} arm of {model.name} over was found at {energy:g} J"
+    requested = {"arm": arm, "energy": energy}
     if energies is None:
-        title = f"Orbits of {system.name} at {energy:g} J that turn the {arm} arm forward"
+        orbits = api.rotating_orbits(model, arm, energy=energy)
+        if not orbits:
+            raise GoalMissed(missed)
+        title = f"Orbits of {model.name} at {energy:g} J that turn the {arm} arm forward"
         document = {
             "rotating_orbits": [orbit.document() for orbit in orbits],
             "count": len(orbits),
@@ -180,8 +177,9 @@ def _rotating(model: "Model", arm: str, energy: float | None, energies: Range | 
         }
         note = "each has a reflection that turns backward, (θ, ω) → (−θ, −ω), with the same multipliers"
         return Answer(document, [table(title, orbits, _ROTATING), note])
-    with progress_bar("families of rotating orbits") as progress:
-        families = rotating_families(orbits, energies, progress=progress)
+    families = api.rotating_families(model, arm, energies=energies, progress=True)
+    if not families:
+        raise GoalMissed(missed)
     if picture is not None:
         from dpcontrol.pages.layout import save_figure
         from dpcontrol.pages.rotating_orbits import draw_rotating_families
@@ -200,8 +198,7 @@ def _rotating(model: "Model", arm: str, energy: float | None, energies: Range | 
     return Answer(document, [*_rotating_text(families, arm), *drawn_to(picture)], missed)
 
 
-def _rotating_text(families: "Iterable[RotatingFamily]", arm: str) -> Iterator[str | TextTable]:
-    families = list(families)
+def _rotating_text(families: "Sequence[RotatingFamily]", arm: str) -> Iterator[str | TextTable]:
     for k, family in enumerate(families, start=1):
         chosen = family.members[:: max(1, len(family.members) // 12)]
         title = f"Family {k} of {len(families)}, the {arm} arm turning: {len(chosen)} of {len(family.members)}"

@@ -8,7 +8,6 @@ import importlib
 import logging
 import os
 import shlex
-import shutil
 import signal
 import sys
 import tempfile
@@ -256,7 +255,8 @@ def _failed(error: Exception, arguments: Sequence[str], call: Call) -> int:
         text = " ".join(line.strip() for line in error.format_message().splitlines())
         sentence, code = f"{concise(text).rstrip('.')}{more}", error.exit_code
     elif isinstance(error, OSError) and error.errno == errno.ENOSPC:
-        sentence, code = _full(error), 1
+        place = error.filename or f"standard output or in {tempfile.gettempdir()}"
+        sentence, code = f"no space left on {place}; free space, redirect the output, or set TMPDIR", 1
     elif isinstance(error, MemoryError):
         sentence, code = "there is not enough memory; use fewer or smaller inputs at once", 1
     elif isinstance(error, OSError) and error.strerror:
@@ -275,22 +275,6 @@ def _failed(error: Exception, arguments: Sequence[str], call: Call) -> int:
         print_message(f"dpcontrol: {mistake.replace(chr(10), chr(92) + 'n')}")
     _echo_notes(error)
     return code
-
-
-def _full(error: OSError) -> str:
-    """Return the message on a full disk.
-
-    It is that of the output, of stdout or of temporary files.
-    """
-    folder = tempfile.gettempdir()
-    with suppress(OSError):
-        if str(error.filename or "").startswith(folder) or shutil.disk_usage(folder).free == 0:
-            return (
-                f"no space left in the folder of temporary files, {folder}; free space, or set TMPDIR to another folder"
-            )
-    if error.filename is None:
-        return "no space left on standard output; free space, or redirect it elsewhere"
-    return "no space left in the output folder; nothing more was written"
 
 
 def _unforeseen(error: Exception, arguments: Sequence[str]) -> str:

@@ -44,7 +44,6 @@ from dpcontrol.foundation.interrupts import forget_interrupts
 from dpcontrol.foundation.parts import part
 from dpcontrol.foundation.progress import part_of, progress_bar
 from dpcontrol.foundation.rendering import live_view
-from dpcontrol.foundation.settings import suggest
 from dpcontrol.plans.overrides import NAMED, option_of, parsed, paths, resolved, typed, values_in
 
 if TYPE_CHECKING:
@@ -198,10 +197,8 @@ def run_command(
         return _repeat(source, out, force)
     if itinerary is None:
         raise click.UsageError("ITINERARY is missing: give an itinerary, or a log to repeat with --from")
-    if real_time and address is None:
-        raise click.UsageError("--real-time applies to runs on a rig: add --rig udp")
-    if address is None and (key_file or insecure):
-        raise click.UsageError("--key-file and --insecure apply to runs on a rig: add --rig")
+    if address is None and (real_time or key_file or insecure):
+        raise click.UsageError("--real-time, --key-file and --insecure apply to runs on a rig: add --rig udp")
     from dpcontrol.loop.own import names_file, own_object
 
     own = address if address is not None and names_file(address) else None
@@ -212,10 +209,8 @@ def run_command(
         )
     if hours is None and (resume or keep_every != 1 or file_minutes != 10.0):
         raise click.UsageError("--resume, --keep-every and --file-minutes apply to long runs: add --hours")
-    if hours is not None and program is not None:
-        raise click.UsageError("--hours needs recovery after falls, which --controller-program does not have: omit it")
-    if program is not None and address != "udp":
-        raise click.UsageError("--controller-program controls the example bench of a run: add --rig udp")
+    if program is not None and (address != "udp" or hours is not None or live):
+        raise click.UsageError("--controller-program controls single runs: add --rig udp, and omit --hours and --live")
     if program is not None and not (program.is_file() and os.access(program, os.X_OK)):
         raise InputError(f"--controller-program {program}: no such executable program; compile it first")
     from dpcontrol.logs import check_replaced
@@ -226,8 +221,6 @@ def run_command(
 
     # Before the plan, which can take minutes.
     if live:
-        if program is not None:
-            raise click.UsageError("--live and --controller-program exclude each other: give one of them")
         check_viewer(LIVE_REMEDY)
     shown = live_view if live else None
     address = None if own else address
@@ -390,20 +383,6 @@ def export_command(
 SERVER = "Server"
 
 
-class _Fault(click.ParamType):
-    """One of the faults of the example bench."""
-
-    name = "fault"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        from dpcontrol.rig.bench import FAULTS
-
-        if value not in FAULTS:
-            self.fail(f"{value!r} is not a fault of the example bench: {suggest(str(value), FAULTS)}", param, ctx)
-        return str(value)
-
-
-_FAULT = _Fault()
 FAULT_HELP = (
     "Fault of the example bench, for practice: drive-reversed, cart-reversed, encoder-1-reversed, "
     "encoder-2-reversed, encoders-swapped, angles-not-summed, encoder-1-factor-4, zeros-off, switch-dead, "
@@ -426,7 +405,7 @@ def rig_command(
     key_file: Path | None = option(type=FILE, group=SERVER, help=KEY_HELP),
     insecure: bool = option(group=SERVER, help="No key: anyone with access to --host can drive the cart."),
     hanging: bool = option(help="Hanging arms at the start, without a plan, as for `dpcontrol commission`."),
-    fault: tuple[str, ...] = option(type=_FAULT, metavar="NAME", help=FAULT_HELP),
+    fault: tuple[str, ...] = option(metavar="NAME", help=FAULT_HELP),
     settings: dict[str, Any] = run_settings(),
     yes: bool = YES,
 ) -> None:
@@ -480,7 +459,7 @@ def commission_command(
     key_file: Path | None = option(type=FILE, group=BENCH, help=KEY_HELP),
     insecure: bool = option(group=BENCH, help="With --rig: no key for a bench on another computer."),
     seed: int = option(default=0, help="Seed of all random numbers on the example bench."),
-    fault: tuple[str, ...] = option(type=_FAULT, metavar="NAME", help=FAULT_HELP),
+    fault: tuple[str, ...] = option(metavar="NAME", help=FAULT_HELP),
     settings: dict[str, Any] = run_settings(),
     write: bool = option(
         group=OUTPUT, help="Update of [run] in ITINERARY with the measured delay, lag, zeros and counts."

@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
 from types import UnionType
-from typing import Any, Literal, NamedTuple, TypeVar, get_args, get_origin
+from typing import Any, Literal, NamedTuple, TypeVar, Union, get_args, get_origin
 
 import click
 
@@ -277,7 +277,7 @@ def _parameter(verb: str, name: str, annotation: Any, declared: _Declared) -> cl
     """Return the click parameter for a parameter of a verb's function."""
     kind, names, settings = declared.kind, declared.names, dict(declared.settings)
     settings.setdefault("shell_complete", COMPLETERS.get((verb, name)) or COMPLETERS.get(("", name)))
-    choices = get_args(annotation) if isinstance(annotation, UnionType) else (annotation,)
+    choices = get_args(annotation) if get_origin(annotation) in (Union, UnionType) else (annotation,)
     (held,) = (one for one in choices if one is not type(None))
     parts: tuple[Any, ...] = get_args(held) if get_origin(held) is tuple else ()
     several, default = parts[-1:] == (...,), settings.get("default")

@@ -25,6 +25,8 @@ _NEEDED = {
     "rosbags": "ROS bags and MCAP files need rosbags; install it by `pip install 'dpcontrol[bags]'`, or save CSV",
     "pyarrow": "Parquet tables, as campaigns write them, need pyarrow; install it by `pip install 'dpcontrol[tables]'`",
     "flint": "proofs need python-flint; install it by `pip install 'dpcontrol[proof]'`",
+    "imageio_ffmpeg": "films as .mp4 need imageio-ffmpeg; install it by `pip install 'dpcontrol[film]'`, or choose "
+    ".gif or .webp",
     "rerun": "the viewer and its recordings need rerun-sdk; install it by `pip install 'dpcontrol[viewer]'`, or draw "
     "with matplotlib by --picture FILE.png",
 }

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from dpcontrol.foundation.document import counted
 from dpcontrol.pages import style
 from dpcontrol.pages.atlas_cuts import draw_cuts
-from dpcontrol.pages.atlas_flights import FLIGHT, draw_space
+from dpcontrol.pages.atlas_flights import draw_space
 from dpcontrol.pages.atlas_parts import connections_of
 from dpcontrol.pages.layout import Page, Panel, Stack, key
 from dpcontrol.walks.atlas import Atlas
@@ -44,9 +44,9 @@ def draw_atlas(atlas: Atlas) -> Figure:
 
 
 def _draw_whole(axes: Axes, atlas: Atlas) -> None:
-    draw_space(axes, atlas, atlas.cuts, flights=atlas.connections)
+    draw_space(axes, atlas, atlas.cuts, flights=[(c, style.INK) for c in atlas.connections])
     looks: list[tuple[str, str | dict[str, Any]]] = [("tubes out", style.UNSTABLE), ("tubes in", style.STABLE)]
-    looks += [("cuts", style.CUT), ("connections", FLIGHT)]
+    looks += [("cuts", style.CUT), ("connections", style.INK)]
     key(axes, looks)
     for k, orbit in enumerate(atlas.orbits):
         look = {"fontsize": style.SMALL, "color": style.saddle_colour(orbit.saddle), "weight": "bold"}

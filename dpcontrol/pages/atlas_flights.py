@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from functools import partial
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,7 +12,7 @@ from matplotlib.axes import Axes
 from dpcontrol.pages import style
 from dpcontrol.pages.atlas_cuts import draw_cuts
 from dpcontrol.pages.atlas_parts import colours, connections_of, placed, tubes_of_cut
-from dpcontrol.pages.layout import Panel, Stack
+from dpcontrol.pages.layout import Panel, Stack, key
 from dpcontrol.pages.panels import angle_axis, quiet, quiet_space
 from dpcontrol.walks.atlas import Atlas, AtlasConnection, AtlasCut, AtlasKind
 
@@ -104,16 +105,13 @@ def draw_angles(axes: Axes, atlas: Atlas, connection: AtlasConnection, *, title:
     angle_axis(axes, "y", step=1.0)
 
 
-FLIGHT = style.INK
-
-
 def draw_space(
     axes: Axes,
     atlas: Atlas,
     cuts: Iterable[AtlasCut],
     *,
     one_colour: str | None = None,
-    flights: tuple[AtlasConnection, ...] = (),
+    flights: Sequence[tuple[AtlasConnection, str]] = (),
     steps: tuple[float, float] = (1.0, 1.0),
     sense: int | None = None,
     saddles: tuple[str, ...] | None = None,
@@ -130,7 +128,7 @@ def draw_space(
         atlas: with the orbits.
         cuts: of tubes.
         one_colour: of all orbits.
-        flights: connections.
+        flights: connections with their colours.
         steps: half turns.
         sense: 1, -1 or None.
         saddles: of the orbits.
@@ -141,12 +139,32 @@ def draw_space(
             axes.plot(*states[:, picked].T, color=tube.colour, linewidth=0.5, alpha=0.8)
         for states in tube.ends:
             axes.plot(*states[:, picked].T, color=style.CUT, linewidth=1.6)
-    ends = sorted({(c.target, c.winding) for c in flights if any(c.winding)})
-    for c in flights:
-        axes.plot(*c.states[:, picked].T, color=FLIGHT, linewidth=0.9, alpha=0.9, zorder=8)
+    ends = sorted({(c.target, c.winding) for c, _ in flights if any(c.winding)})
+    for c, colour in flights:
+        axes.plot(*c.states[:, picked].T, color=colour, linewidth=0.9, alpha=0.9, zorder=8)
     for orbit in (o for o in atlas.orbits if saddles is None or o.saddle in saddles):
         colour = one_colour or style.saddle_colour(orbit.saddle)
         axes.plot(*placed(atlas, orbit)[:, picked].T, color=colour, linewidth=2.5, zorder=10)
         for winding in (w for saddle, w in ends if saddle == orbit.saddle and orbit.family == 0):
             axes.plot(*placed(atlas, orbit, winding)[:, picked].T, color=colour, linewidth=1.6, alpha=0.6, zorder=9)
     quiet_space(axes, atlas, steps=steps)
+
+
+def space_panel(
+    title: str, entries: Iterable[tuple[str, str | dict[str, Any]]], *, share: float = 1.0, **drawn: Any
+) -> Panel:
+    """Return a panel in space with a title and a key.
+
+    Args:
+        title: title of the panel.
+        entries: entries of the key.
+        share: width of the panel in its row.
+        **drawn: arguments of `draw_space`.
+    """
+
+    def draw(axes: Axes) -> None:
+        draw_space(axes, **drawn)
+        axes.set_title(title, loc="left")
+        key(axes, entries)
+
+    return Panel(draw, share, space=True)

@@ -3,6 +3,7 @@
 It shows the shares of completed runs, and where and why the others failed.
 """
 
+from collections.abc import Sequence
 from functools import partial
 from textwrap import shorten
 
@@ -10,12 +11,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, PercentFormatter
+from numpy.typing import NDArray
 
 from dpcontrol.judge.campaign import CampaignSummary, Group
 from dpcontrol.pages import style
-from dpcontrol.pages.campaign_spreads import draw_spread, group_colours
 from dpcontrol.pages.layout import Page, Panel
-from dpcontrol.pages.panels import name_curves, name_rows, quiet
+from dpcontrol.pages.panels import empty, name_curves, name_rows, quiet
 
 _TITLES = {"max_cart_position": "Cart's largest distance (mm)", "rms_tracking_error": "Tracking (mrad rms)"}
 _MOST, _APART = 28, 6
@@ -33,9 +34,37 @@ def draw_campaign(summary: CampaignSummary) -> Figure:
     if summary.failed_symbols or summary.reasons:
         failures = [Panel(partial(_draw_symbols, summary=summary)), Panel(partial(_draw_reasons, summary=summary), 1.3)]
         page.row(*failures, height=2.4)
-    families = max((len(some) for some in summary.spreads.values()), default=1)
-    spreads = [partial(draw_spread, summary=summary, name=name, title=title) for name, title in _TITLES.items()]
-    return page.row(*spreads, height=1.8 if families < 2 else 1.0 + 0.55 * min(families, len(style.RUNS))).figure()
+    rows = max((len(_spreads(summary, name)) for name in _TITLES), default=0)
+    spreads = [partial(_draw_spread, summary=summary, name=name, title=title) for name, title in _TITLES.items()]
+    return page.row(*spreads, height=0.9 + 0.21 * max(rows, 2)).figure()
+
+
+def _spreads(summary: CampaignSummary, name: str) -> list[tuple[str, NDArray[np.float64], str]]:
+    """Return the values of the completed and of the failed runs of each group, with their labels and colours."""
+    families = dict(list(summary.spreads.get(name, {}).items())[: len(style.RUNS)])
+    rows = []
+    for (family, (good, bad)), colour in zip(families.items(), _group_colours(summary, list(families)), strict=True):
+        rows += [(family, good, colour), (f"{family}, failed".removeprefix(", "), bad, style.LIMIT)]
+    return [row for row in rows if len(row[1])]
+
+
+def _draw_spread(axes: Axes, summary: CampaignSummary, name: str, title: str) -> None:
+    rows = _spreads(summary, name)
+    if not rows:
+        empty(axes, title, f"the table has no {name}")
+        return
+    quiet(axes, f"{title}: median, middle half and range; failed red")
+    for k, (_, values, colour) in enumerate(rows):
+        low, first, middle, third, high = 1e3 * np.quantile(values, (0.0, 0.25, 0.5, 0.75, 1.0))
+        axes.plot([low, high], [k, k], color=colour, linewidth=1.2)
+        axes.barh(k, third - first, left=first, color=colour, height=0.62, alpha=0.6)
+        axes.plot(middle, k, "|", color=style.INK, markersize=9)
+    name_rows(axes, [shorten(label, 40, placeholder=" …") for label, _, _ in rows])
+
+
+def _group_colours(summary: CampaignSummary, labels: Sequence[str]) -> list[str]:
+    order = list(dict.fromkeys(group.family for group in summary.groups))
+    return [style.RUNS[order.index(label) % len(style.RUNS)] for label in labels]
 
 
 def _bars_of(summary: CampaignSummary) -> list[tuple[Group, str]]:
@@ -56,7 +85,7 @@ def draw_groups(axes: Axes, summary: CampaignSummary) -> None:
     shown = every[:_MOST]
     more = f"… and {len(every) - len(shown)} groups more" if len(every) > len(shown) else ""
     quiet(axes, "Runs completed; lines: Wilson's 95 % interval", x=more)
-    colours = group_colours(summary, [group.family for group, _ in shown])
+    colours = _group_colours(summary, [group.family for group, _ in shown])
     for k, ((group, _), colour) in enumerate(zip(shown, colours, strict=True)):
         share = group.share
         axes.barh(k, share.rate, color=colour, height=0.62, alpha=0.85)
@@ -82,7 +111,7 @@ def _draw_levels(axes: Axes, summary: CampaignSummary) -> None:
     axes.set_ylim(-0.03, 1.03)
     axes.yaxis.set_major_formatter(PercentFormatter(1.0))
     reach = max(level.high for level in summary.levels) - min(level.low for level in summary.levels)
-    for k, (label, colour) in enumerate(zip(shown, group_colours(summary, shown), strict=True)):
+    for k, (label, colour) in enumerate(zip(shown, _group_colours(summary, shown), strict=True)):
         levels = [level for level in summary.levels if level.label == label]
         # Groups are offset slightly, so that their intervals do not overlap.
         x = np.array([(level.low + level.high) / 2 for level in levels]) + 0.006 * reach * (k - len(shown) / 2)
@@ -103,7 +132,7 @@ def _draw_symbols(axes: Axes, summary: CampaignSummary) -> None:
     numbers = sorted({symbol for _, symbol, _ in summary.failed_symbols})
     bottoms = dict.fromkeys(numbers, 0)
     labels = list(dict.fromkeys(label for label, _, _ in summary.failed_symbols))
-    colours = dict(zip(labels, group_colours(summary, labels), strict=True))
+    colours = dict(zip(labels, _group_colours(summary, labels), strict=True))
     for label, symbol, count in summary.failed_symbols:
         axes.bar(symbol, count, bottom=bottoms[symbol], color=colours[label], alpha=0.85)
         bottoms[symbol] += count

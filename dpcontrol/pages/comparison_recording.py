@@ -44,8 +44,7 @@ def write_comparison_recording(comparison: RunComparison, path: Path) -> None:
 def _blueprint(comparison: RunComparison, charts: Sequence[Chart], boxes: list[rerun_recording.Box]) -> rrb.Blueprint:
     runs = comparison.runs
     scenes = [
-        rerun_recording.scene_view(run.view, from_log=False, home=f"/runs/{k + 1}/scene", name=run.name)
-        for k, run in enumerate(runs)
+        rerun_recording.scene_view(run.view, home=f"/runs/{k + 1}/scene", name=run.name) for k, run in enumerate(runs)
     ]
     planes = [
         rerun_recording.plane_view(

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.judge.run_view import RunView
 from dpcontrol.pages import style
+from dpcontrol.pages.panels import draw_fading
 from dpcontrol.pages.planes import arm_points
 from dpcontrol.pages.ranges import Range
 
@@ -31,10 +32,9 @@ def draw_film(axes: Axes, view: RunView, times: Array) -> None:
         view: motion to draw.
         times: (K,) s.
     """
-    state, arms, reach = view.state, view.arms, sum(view.arm_lengths)
+    pivot, reach = view.pivot, sum(view.arm_lengths)
     horizontal, vertical = film_extent(view, times)
     axes.set(xlim=horizontal, ylim=vertical)
-    pivot, width, tip = view.pivot, 0.05 * reach, style.arm_colour(arms - 1)
     rows = film_rows(view, times)
     for i, (time, row) in enumerate(zip(times, rows, strict=True)):
         at = frame_position(view, i)
@@ -44,29 +44,46 @@ def draw_film(axes: Axes, view: RunView, times: Array) -> None:
             continue
         if view.has_cart:
             axes.plot([at - 0.98 * reach, at + 0.98 * reach], [0, 0], color=style.FAINT, linewidth=2.5, zorder=1)
-            axes.add_patch(Rectangle((at - 0.13 * reach, -width), 0.26 * reach, 2 * width, color=style.CART, zorder=2))
         before = max(1, round((_TRACE if i else 0.1) * view.rate_hz))
-        since = max(rows[i - 1] if i else 0, row - before)
-        points = arm_points(state[since : row + 1, :arms], view.arm_lengths)
-        points[..., 0] += at + (pivot[since : row + 1] - pivot[row])[:, None]
-        last = points[-1]
-        axes.plot(*points[:, -1].T, color=tip, alpha=0.3, linewidth=1.3)
-        for arm in range(arms):
-            look: dict[str, Any] = {"color": style.arm_colour(arm), "linewidth": 2.6, "solid_capstyle": "round"}
-            axes.plot(*last[arm : arm + 2].T, **look, zorder=3)
-        axes.plot(*last[:-1].T, "o", color=style.INK, markersize=3.2, zorder=4)
-        axes.plot(*last[-1], "o", color=tip, markersize=5.5, zorder=4)
-        if view.reference is not None:
-            ghost = arm_points(view.reference[row : row + 1, :arms], view.arm_lengths)[0]
-            shift = at + (view.reference[row, 2 * arms] - pivot[row] if view.has_cart else 0.0)
-            look = {"color": style.REFERENCE, "linewidth": 6.5, "solid_capstyle": "round", "zorder": 2.5}
-            axes.plot(shift + ghost[:, 0], ghost[:, 1], **look)
+        draw_pose(axes, view, row, since=max(rows[i - 1] if i else 0, row - before), at=at, thick=2.6)
         cart = f"\ncart {round(1000 * float(pivot[row])):+d} mm" if np.isfinite(pivot[row]) else "\nlost"
         text = f"{view.time[row]:.2f} s{cart if view.has_cart else ''}"
         look = {"ha": "center", "va": "top", "fontsize": style.SMALL, "color": style.NOTE, "linespacing": 1.25}
         axes.text(at, vertical[0] + 0.46 * reach, text, **look)
     axes.set_aspect("equal")
     axes.axis("off")
+
+
+def draw_pose(axes: Axes, view: RunView, row: int, *, since: int, at: float, thick: float) -> None:
+    """Draw the arms at a tick on their cart, with the grey reference behind them and the tip's fading path.
+
+    Args:
+        axes: panel to draw on.
+        view: motion to draw.
+        row: tick of the pose.
+        since: first tick of the tip's path.
+        at: drawn position of the pivot, m.
+        thick: width of the arms, points.
+    """
+    arms, reach, pivot = view.arms, sum(view.arm_lengths), view.pivot
+    tip = style.arm_colour(arms - 1)
+    if view.has_cart:
+        axes.add_patch(
+            Rectangle((at - 0.13 * reach, -0.05 * reach), 0.26 * reach, 0.1 * reach, color=style.CART, zorder=2)
+        )
+    points = arm_points(view.state[since : row + 1, :arms], view.arm_lengths)
+    points[..., 0] += at + (pivot[since : row + 1] - pivot[row])[:, None]
+    draw_fading(axes, points[:, -1], tip, shades=(0.0, 0.6), linewidth=thick / 2)
+    for arm in range(arms):
+        look: dict[str, Any] = {"color": style.arm_colour(arm), "linewidth": thick, "solid_capstyle": "round"}
+        axes.plot(*points[-1, arm : arm + 2].T, **look, zorder=3)
+    axes.plot(*points[-1, :-1].T, "o", color=style.INK, markersize=1.2 * thick, zorder=4)
+    axes.plot(*points[-1, -1], "o", color=tip, markersize=2.0 * thick, zorder=4)
+    if view.reference is not None:
+        ghost = arm_points(view.reference[row : row + 1, :arms], view.arm_lengths)[0]
+        shift = at + (view.reference[row, 2 * arms] - pivot[row] if view.has_cart else 0.0)
+        look = {"color": style.REFERENCE, "linewidth": 2.0 * thick, "solid_capstyle": "round", "zorder": 1.5}
+        axes.plot(shift + ghost[:, 0], ghost[:, 1], **look)
 
 
 def frame_position(view: RunView, frame: int) -> float:

@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cache
 from io import BytesIO
-from itertools import pairwise
+from itertools import pairwise, product
 from pathlib import Path
 from textwrap import wrap
 from typing import Any
@@ -28,6 +28,7 @@ from matplotlib.font_manager import FontProperties
 from matplotlib.lines import Line2D
 from matplotlib.text import Text
 from matplotlib.textpath import TextPath
+from matplotlib.transforms import Bbox
 
 from dpcontrol.foundation.errors import InputError, printable
 from dpcontrol.foundation.files import whole_file
@@ -446,26 +447,38 @@ def settle(figure: Figure) -> None:
             lines = wrapped(title, style.HEAD, max(inches, 0.8)) if axes.name != "3d" else [title]
             axes.set_title("\n".join(lines), loc="left", fontsize=style.HEAD, color=style.INK, pad=pad)
         _spread(axes, [text for text in axes.texts if text.get_gid() == DIRECT])
-        _turn_aside([text for text in axes.texts if text.get_gid() == BESIDE])
+        _turn_aside(axes, [text for text in axes.texts if text.get_gid() == BESIDE])
 
 
-def _turn_aside(labels: list[Any]) -> None:
-    """Move labels until none overlaps an earlier one.
+_AWAY = (5.0, 10.0, 16.0, 24.0, 34.0, 46.0, 60.0)
+"""Tried distances between a point and its label, points; beyond the second a line connects them."""
+_SIDES = ((1, 1), (1, -1), (-1, 1), (-1, -1), (1, 0), (-1, 0), (0, 1), (0, -1))
 
-    They move round their points, and away from them.
-    """
-    taken: list[Any] = []
+
+def _turn_aside(axes: Axes, labels: list[Any]) -> None:
+    """Move labels round their points, and away from them, until they cover neither marks nor other labels."""
+    taken = [box for line in axes.lines if labels for box in _marks(line)]
     for label in labels:
-        for x, y in ((r * c, r * d) for r in (1, 2, 3) for c, d in _AROUND):
-            label.set_position((5 * x, 5 * y))
-            label.set(ha="left" if x > 0 else "right" if x < 0 else "center", va="bottom" if y > 0 else "top")
+        # If every place is taken, the last one of this list remains: the nearest.
+        for away, (x, y) in [*product(_AWAY, _SIDES), (_AWAY[0], _SIDES[0])]:
+            label.set_position((away * x, away * y))
+            label.set(ha={1: "left", 0: "center", -1: "right"}[x], va={1: "bottom", 0: "center", -1: "top"}[y])
             box = label.get_window_extent()
-            if not any(box.overlaps(other) for other in taken):
+            inside = (axes.bbox.min <= box.min).all() and (box.max <= axes.bbox.max).all()
+            if inside and not box.count_overlaps(taken):
                 break
-        taken.append(label.get_window_extent())
+        taken.append(box)
+        if away > _AWAY[1]:
+            line = {"arrowstyle": "-", "color": label.get_color(), "linewidth": 0.5, "shrinkA": 1, "shrinkB": 3}
+            axes.annotate("", label.xy, xytext=(away * x, away * y), textcoords="offset points", arrowprops=line)
 
 
-_AROUND = ((1, 1), (1, -1), (-1, 1), (-1, -1), (0, 1), (0, -1))
+def _marks(line: Line2D) -> list[Bbox]:
+    if line.get_marker() in ("None", "", None):
+        return []
+    half = (line.get_markersize() / 2 + 1) * line.get_figure(root=True).dpi / 72  # type: ignore[union-attr]
+    spots = line.get_transform().transform(line.get_xydata())
+    return [Bbox([spot - half, spot + half]) for spot in spots]
 
 
 def _spread(axes: Axes, labels: list[Any]) -> None:

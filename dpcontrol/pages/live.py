@@ -9,7 +9,6 @@ viewer is closed. Failures of this process do not affect the run.
 """
 
 import contextlib
-import json
 import os
 import pickle
 import select
@@ -20,7 +19,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -42,8 +41,7 @@ _MOST = getattr(select, "PIPE_BUF", 512)
 """Largest atomic write to a pipe, bytes."""
 _ROOM = 1 << 20
 """Capacity of the pipe, bytes, on systems that can set it: a minute of rows."""
-_HEAD = struct.Struct("<cI")
-_ROW, _EVENT = b"R", b"E"
+_HEAD = struct.Struct("<I")
 _PAUSE = 0.1
 """Time between two reads of the pipe, s."""
 _TAIL = 20
@@ -112,7 +110,7 @@ class LiveView(LoopSink):
             parts = [rows.times[k : k + 1], rows.measured[k], rows.estimates[k], rows.references[k], rows.control[k]]
             if rows.truth is not None:
                 parts.append(rows.truth[k])
-            self._send(_ROW, np.concatenate(parts).tobytes())
+            self._send(np.concatenate(parts))
         self._left = -(count - self._left) % self._every
 
     def event(self, event: Event) -> None:
@@ -121,13 +119,14 @@ class LiveView(LoopSink):
         Args:
             event: the event.
         """
-        self._send(_EVENT, json.dumps(asdict(event), ensure_ascii=False).encode())
+        self._send(event)
 
-    def _send(self, kind: bytes, content: bytes) -> None:
+    def _send(self, content: Array | Event) -> None:
         if self._pipe < 0:
             return
         self._sent += 1
-        message = _HEAD.pack(kind, len(content)) + content
+        body = pickle.dumps(content, protocol=pickle.HIGHEST_PROTOCOL)
+        message = _HEAD.pack(len(body)) + body
         if len(message) > _MOST:
             # A longer message might be written in part.
             self._dropped += 1
@@ -187,12 +186,12 @@ class ShownState:
         first, both = not len(self.tail), rows if not len(self.tail) else np.concatenate([self.tail, rows])
         view, drawn = self._view(rows, events), self._view(both, ())
         if first:
-            self.recording.send_blueprint(recorded.blueprint(view, from_log=False, growing=True), make_active=True)
+            self.recording.send_blueprint(recorded.blueprint(view, growing=True), make_active=True)
             self.recording.send_recording_name(view.title)
             recorded.record_strips(self.recording, "", strips(self.planned), self.planned)
             recorded.record_planes(self.recording, "phase_planes", view)
         for chart in (*motion_charts(view), *check_charts(view)):
-            recorded.record_chart(self.recording, "plots", replace(chart, cut=()), view)
+            recorded.record_chart(self.recording, "plots", chart, view)
         modes = [strip for strip in strips(view, until=float(view.time[-1])) if strip.key == "mode"]
         recorded.record_strips(self.recording, "", modes, view)
         recorded.record_places(self.recording, "phase_planes", view)
@@ -238,14 +237,11 @@ def messages(pipe: int, viewer: "subprocess.Popen[Any] | None") -> Iterator[tupl
         rows: list[Array] = []
         events: list[Event] = []
         while len(kept) >= _HEAD.size:
-            kind, size = _HEAD.unpack_from(kept)
-            if len(kept) < _HEAD.size + size:
+            end = _HEAD.size + _HEAD.unpack_from(kept)[0]
+            if len(kept) < end:
                 break
-            body, kept = kept[_HEAD.size : _HEAD.size + size], kept[_HEAD.size + size :]
-            if kind == _ROW:
-                rows.append(np.frombuffer(body))
-            else:
-                events.append(Event(**json.loads(body)))
+            item, kept = pickle.loads(kept[_HEAD.size : end]), kept[end:]
+            (events if isinstance(item, Event) else rows).append(item)
         if rows or events:
             yield np.array(rows).reshape(len(rows), -1), tuple(events)
         # Rows that arrived in the meantime are shown together.

@@ -8,6 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
+from matplotlib.collections import LineCollection
+from matplotlib.colors import to_rgba
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FuncFormatter, MultipleLocator
 
@@ -62,7 +64,7 @@ def empty(axes: Axes, title: str, text: str) -> None:
     axes.text(0.0, 0.9, text, transform=axes.transAxes, va="top", fontsize=style.TEXT, color=style.NOTE)
 
 
-def quiet_space(axes: Axes, of: System | Atlas, *, steps: tuple[float, float] = (1.0, 1.0)) -> None:
+def quiet_space(axes: Axes, of: System | Atlas, *, steps: tuple[float | None, float | None] = (1.0, 1.0)) -> None:
     """Label the axes of a panel in space.
 
     They are (first coordinate, second, first rate).
@@ -70,7 +72,7 @@ def quiet_space(axes: Axes, of: System | Atlas, *, steps: tuple[float, float] = 
     Args:
         axes: panel in space.
         of: system or atlas with the labels.
-        steps: tick distances of x and y, half turns.
+        steps: tick distances of x and y, half turns; None adapts to the data.
     """
     for k, (which, step) in enumerate(zip("xy", steps, strict=True)):
         getattr(axes, f"set_{which}label")(of.labels[k], fontsize=style.SMALL)
@@ -140,6 +142,22 @@ def badge(axes: Axes, number: int, x: float, y: float, *, size: float = style.SM
     )  # fmt: skip
 
 
+def draw_fading(axes: Axes, path: Array, colour: str, *, shades: tuple[float, float], linewidth: float) -> None:
+    """Draw a path whose opacity changes evenly from its beginning to its end.
+
+    Args:
+        axes: panel to draw on.
+        path: points (K, 2).
+        colour: colour of the path.
+        shades: opacity at the beginning and at the end.
+        linewidth: width of the path, points.
+    """
+    steps = np.stack([path[:-1], path[1:]], axis=1)
+    colours = np.tile(to_rgba(colour), (len(steps), 1))
+    colours[:, 3] = np.linspace(*shades, len(steps))
+    axes.add_collection(LineCollection(list(steps), colors=colours, linewidths=linewidth))  # type: ignore[arg-type]
+
+
 def wrapped_runs(curve: Array, periods: tuple[float | None, ...]) -> list[Array]:
     """Return a curve (K, D) as runs within one period about zero.
 
@@ -190,18 +208,19 @@ def name_rows(axes: Axes, names: Sequence[str]) -> None:
 DIRECT, BESIDE = "direct label", "label beside a point"
 
 
-def name_point(axes: Axes, text: str, at: tuple[float, float], colour: str) -> None:
+def name_point(axes: Axes, text: str, at: tuple[float, float], colour: str, *, weight: str = "bold") -> None:
     """Label a point directly, with an outline.
 
-    The layout engine moves labels round their points if they overlap.
+    The layout engine moves labels round their points if they cover marks or other labels.
 
     Args:
         axes: panel with the point.
         text: text of the label.
         at: (x, y) in data.
         colour: colour of the label.
+        weight: weight of its letters.
     """
     axes.annotate(
-        text, at, xytext=(5, 5), textcoords="offset points", fontsize=style.SMALL, color=colour, weight="bold",
-        zorder=7, path_effects=[withStroke(linewidth=2.5, foreground=style.PAPER)],
-    ).set_gid(BESIDE)  # fmt: skip
+        text, at, xytext=(5, 5), textcoords="offset points", fontsize=style.SMALL, color=colour, weight=weight,
+        zorder=7, path_effects=[withStroke(linewidth=2.5, foreground=style.PAPER)], gid=BESIDE, in_layout=False,
+    )  # fmt: skip

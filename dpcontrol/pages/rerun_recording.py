@@ -2,8 +2,8 @@
 
 The motion is a run, a recording or a reference. The layout of the recording is built here too.
 
-A log's messages supply the scene; its numbers become curves with names and colours. The viewer can also open the log
-without the blueprint, in its default layout. Times are durations from the start. In the scene x points right and z up.
+The viewer can also open a log itself, in its default layout. Times are durations from the start. In the scene x points
+right and z up.
 In the phase planes the viewer's y points down and its scales are equal: a rate of 10 rad/s is drawn as long as an angle
 of 2 rad.
 """
@@ -16,10 +16,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from dpcontrol.foundation.arrays import Array
-from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import whole_file
 from dpcontrol.foundation.parts import Later
 from dpcontrol.judge.run_view import RunView
@@ -46,9 +46,6 @@ TRACE_RATE = 50.0
 _BINS = 30_000
 """Number of bins of a long curve; the least and the greatest value of each are recorded."""
 _ON_THE_WAY = "on the way"
-_BAND_POINTS = 4000
-_EDGE = np.array([-1e-6, 0.0, 1e-6])
-"""Sampling offsets at the edge of a band, s."""
 
 
 _NO_GAPS: Array = np.zeros(0)
@@ -92,15 +89,6 @@ def record_chart(recording: rr.RecordingStream, home: str, chart: Chart, view: R
         _line(
             recording, f"{home}/{level.key}", Line("", level.name, "", ends, np.full(2, level.value), level.colour, 1.0)
         )
-    if chart.cut:
-        # The viewer joins points within one pixel, and would draw a sparse band as wedges.
-        edges = np.array(chart.cut)
-        time = np.union1d(np.linspace(*view.time_range, _BAND_POINTS), np.add.outer(edges, _EDGE).ravel())
-        inside = np.searchsorted(edges[:, 0], time, side="right") > np.searchsorted(edges[:, 1], time, side="left")
-        height = max(float(np.nanmax(np.abs(line.values))) for line in chart.lines if line.key == "applied")
-        reach = np.where(inside, height, 0.0)
-        name = "cut at a limit"
-        _line(recording, f"{home}/cut", Line("", name, "", time, np.zeros(len(time)), style.LIMIT, 1.0, reach=reach))
 
 
 def _line(recording: rr.RecordingStream, path: str, line: Line, *, gaps: Array = _NO_GAPS) -> None:
@@ -273,14 +261,12 @@ def reading_lines(
     unit = np.pi if turning else 1.0
     if right - left > 100 * np.pi or not bottom - top < 1e100 * scale:
         return
-    turns = max(_round_step((right - left) / unit, 6), 1.0 if turning else 0.0)
-    spin = _round_step((bottom - top) / scale, 6)
     strips, places, labels = [], [], []
-    for k in np.arange(np.ceil(left / unit / turns), np.floor(right / unit / turns) + 1) * turns:
+    for k in _round_values(left / unit, right / unit, integer=turning):
         strips.append([(k * unit, top), (k * unit, bottom)])
         places.append((k * unit, bottom - 0.04 * (bottom - top)))
         labels.append(style.in_pi(k) if turning else f"{k + 0.0:.6g}")
-    for k in np.arange(np.ceil(-bottom / scale / spin), np.floor(-top / scale / spin) + 1) * spin:
+    for k in _round_values(-bottom / scale, -top / scale):
         strips.append([(left, -scale * k), (right, -scale * k)])
         places.append((left + 0.06 * (right - left), -scale * k))
         labels.append(f"{k + 0.0:.6g}")
@@ -292,40 +278,13 @@ def reading_lines(
         recording.log(f"{at}/grid/names", names, static=True)
 
 
-def _round_step(span: float, most: int) -> float:
-    """Return the smallest round step with at most `most` steps.
-
-    Round steps are 1, 2 or 5 times a power of ten.
-    """
-    size = 10.0 ** np.floor(np.log10(max(span, 1e-9) / most))
-    return float(next(step * size for step in (1.0, 2.0, 5.0, 10.0) if span / (step * size) <= most))
+def _round_values(low: float, high: float, *, integer: bool = False) -> Array:
+    values = MaxNLocator(6, steps=[1, 2, 5, 10], integer=integer).tick_values(low, high)
+    return values[(low <= values) & (values <= high)]
 
 
-WORLD = "world"
-"""Root frame of the log's transforms."""
 _TRACE_SECONDS = 0.4
 _DEPTH = -0.05
-
-
-def trace_tip(recording: rr.RecordingStream, path: str, view: RunView, *, frame: str | None = None) -> None:
-    """Trace the tip in the outermost arm's plane, over recent moments.
-
-    Args:
-        recording: recording to extend.
-        path: path in the recording.
-        view: run to record.
-        frame: frame of the log's transforms, if any.
-    """
-    rows = trace_rows(view)
-    points = _points(view.state[rows], view)
-    length = round(_TRACE_SECONDS * TRACE_RATE)
-    tips = points[:, -1] + np.array([0.0, _DEPTH, 0.0])
-    strips = [tips[max(0, k - length) : k + 1] for k in range(len(rows))]
-    colour = style.rgb(style.arm_colour(view.arms - 1))
-    look = rr.LineStrips3D.from_fields(colors=[colour], radii=rr.Radius.ui_points(1.5))
-    follow(recording, path, look, view.time[rows], rr.LineStrips3D.columns(strips=strips))
-    if frame is not None:
-        recording.log(path, rr.CoordinateFrame(frame), static=True)
 
 
 def draw_pendulum(recording: rr.RecordingStream, home: str, view: RunView) -> None:
@@ -351,7 +310,13 @@ def draw_pendulum(recording: rr.RecordingStream, home: str, view: RunView) -> No
             look = rr.LineStrips3D.from_fields(colors=[style.rgb(colour)], radii=radius * reach / 2)
             columns = rr.LineStrips3D.columns(strips=list(points[:, arm : arm + 2]))
             follow(recording, f"{home}/{name}/arm_{arm + 1}", look, view.time[rows], columns)
-    trace_tip(recording, f"{home}/tip", view)
+    length = round(_TRACE_SECONDS * TRACE_RATE)
+    tips = _points(view.state[rows], view)[:, -1] + np.array([0.0, _DEPTH, 0.0])
+    strips = [tips[max(0, k - length) : k + 1] for k in range(len(rows))]
+    look = rr.LineStrips3D.from_fields(
+        colors=[style.rgb(style.arm_colour(view.arms - 1))], radii=rr.Radius.ui_points(1.5)
+    )
+    follow(recording, f"{home}/tip", look, view.time[rows], rr.LineStrips3D.columns(strips=strips))
     if view.has_cart:
         centres = np.column_stack([view.pivot[rows], np.full(len(rows), 0.02), np.zeros(len(rows))])
         size = [[0.13 * reach, 0.02, 0.05 * reach]]
@@ -382,12 +347,11 @@ PAPER = [250, 251, 252]
 SUMMARY = "summary"
 
 
-def blueprint(view: RunView, *, from_log: bool, growing: bool = False) -> rrb.Blueprint:
+def blueprint(view: RunView, *, growing: bool = False) -> rrb.Blueprint:
     """Return the blueprint of a recording.
 
     Args:
         view: the recorded run.
-        from_log: True if the scene and the events come from the log.
         growing: True if more data will follow: axes adapt, and the viewer follows the latest time.
     """
     grey = f": {view.against} grey" if view.reference is not None else ""
@@ -410,7 +374,7 @@ def blueprint(view: RunView, *, from_log: bool, growing: bool = False) -> rrb.Bl
     if view.events:
         columns = rrb.TextLogColumns(text_log_columns=["loglevel", "body"])
         texts.append(rrb.TextLogView(name="Events", origin="/rosout", columns=columns))
-    scene = scene_view(view, from_log=from_log, name=f"Scene{grey}")
+    scene = scene_view(view, name=f"Scene{grey}")
     left = rrb.Vertical(scene, rrb.Horizontal(*planes), rrb.Horizontal(*texts), row_shares=[4, 4, 2.4])
     beside: list[rrb.Container] = [rrb.Vertical(*checks, name="Checks")] if checks else []
     if extras := plots(extra_charts(view)):
@@ -440,26 +404,23 @@ def page(
     )
 
 
-def scene_view(view: RunView, *, from_log: bool, home: str = "/scene", name: str = "Scene") -> rrb.View:
+def scene_view(view: RunView, *, home: str = "/scene", name: str = "Scene") -> rrb.View:
     """Return the view of the pendulum in space, seen from the front.
 
     Args:
         view: recorded run.
-        from_log: True if the scene comes from the log.
-        home: path of a scene without a log.
+        home: path of the scene.
         name: title of the view.
     """
     reach = sum(view.arm_lengths)
     distance = max(2.4 * reach, 1.9 * view.limits[0] if view.limits else 0.0)
-    homes = ["/pendulum", "/reference_pendulum", "/tf"] if from_log else [home]
     eye = rrb.EyeControls3D(position=(0.0, -distance, 0.0), look_target=(0.0, 0.0, 0.0), eye_up=(0.0, 0.0, 1.0))
     return rrb.Spatial3DView(
         name=name,
         origin="/",
-        contents=[f"+ {path}/**" for path in (*homes, "/tip")],
+        contents=[f"+ {home}/**"],
         eye_controls=eye,
         line_grid=False,
-        spatial_information=rrb.SpatialInformation(target_frame=WORLD) if from_log else None,
         background=PAPER,
     )
 
@@ -523,43 +484,26 @@ def _shown(chart: Chart) -> tuple[float, float] | None:
 
 
 _APPLICATION = "dpcontrol"
-_TOPICS = ["^/tf$", "^/robot_description$", "^/reference/robot_description$", "^/rosout$"]
-"""Topics copied unchanged; the numbers of the others become curves with names and colours."""
-_LONG = 120.0
-"""Duration, s, above which a log's scene is drawn from its series. The viewer's import takes 10 s of computing and a
-gigabyte for ten minutes."""
 SCENE = "scene"
 
 
 def write_recording(view: RunView, path: Path) -> None:
     """Write the recording of a view to `path` (`*.rrd`).
 
-    A log must still exist at its original path.
-
     Args:
         view: run or reference.
         path: file, `*.rrd`.
 
     Raises:
-        InputError: the recording cannot be written, or the log was removed.
+        InputError: the recording cannot be written.
     """
-    from_log = view.what != "reference"
-    if from_log and not view.path.is_file():
-        raise InputError(f"the log {view.path} has gone; put it back and try again")
-    # Rerun's reader aborts the process at a damaged message, so it reads only logs whose checksums agree.
-    from_log = from_log and not view.rewritten and view.time[-1] - view.time[0] <= _LONG
-    with recording_to(path, view.title, blueprint(view, from_log=from_log), _summary(view)) as recording:
+    with recording_to(path, view.title, blueprint(view), _summary(view)) as recording:
         record_strips(recording, "", strips(view), view)
         for chart in (*motion_charts(view), *check_charts(view), *extra_charts(view)):
             record_chart(recording, "plots", chart, view)
         record_planes(recording, "phase_planes", view)
-        if from_log:
-            reader = Later("rerun.chunk").McapReader
-            recording.send_chunks(reader(view.path, timeline_type="duration", include_topic_regex=_TOPICS).stream())
-            trace_tip(recording, "tip", view, frame=WORLD)
-        else:
-            draw_pendulum(recording, SCENE, view)
-            record_events(recording, view)
+        draw_pendulum(recording, SCENE, view)
+        record_events(recording, view)
 
 
 @contextmanager

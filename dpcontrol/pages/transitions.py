@@ -8,7 +8,6 @@ from functools import partial
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
@@ -16,6 +15,7 @@ from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.pages import style
 from dpcontrol.pages.layout import Page
+from dpcontrol.pages.panels import draw_fading
 from dpcontrol.pages.planes import arm_points
 from dpcontrol.references.reference import Reference
 
@@ -121,9 +121,7 @@ def _draw_motion(axes: Axes, motion: Array, arm_lengths: Sequence[float]) -> Non
     points, n = _points(motion, arm_lengths), len(arm_lengths)
     rows = np.unique(np.linspace(0, len(motion) - 1, _POSES).astype(int))
     axes.axhline(0.0, color=style.GRID, linewidth=1.0, zorder=0)
-    steps = np.stack([points[:-1, -1], points[1:, -1]], axis=1)
-    shades = [(style.arm_colour(n - 1), float(shade)) for shade in np.linspace(_FAINTEST, 0.8, len(steps))]
-    axes.add_collection(LineCollection(list(steps), colors=shades, linewidths=0.7))
+    draw_fading(axes, points[:, -1], style.arm_colour(n - 1), shades=(_FAINTEST, 0.8), linewidth=0.7)
     for row in rows:
         shade = 1.0 if len(rows) == 1 else _FAINTEST + (1 - _FAINTEST) * (row / rows[-1]) ** 2
         size = 0.045 * sum(arm_lengths)

@@ -45,10 +45,9 @@ def test_a_film_lasts_as_long_as_the_motion_and_is_the_same_each_time(tmp_path, 
 def test_arms_and_cart_are_at_the_position_of_the_state(tmp_path) -> None:
     view = swinging(2.0)
     film = Film(view, (0.0, 1.99))
-    scene = film.still[1]
     for k in (0, 20, 40):
         at = view.state[film.rows[k], 4]
-        place = scene.transData.transform((at, 0.0))[0] / 2
+        place = film.scene.transData.transform((at, 0.0))[0]
         assert middle_of(film.frame(k), style.CART)[0] == pytest.approx(place, abs=8.0)
     # At first both arms hang, later the outer arm's bob is elsewhere.
     tip = [middle_of(film.frame(k), style.arm_colour(1)) for k in (0, 12)]

@@ -54,6 +54,7 @@ class Kept:
         reading, writing = os.pipe()
         self.reading, self.view = reading, LiveView(start, viewer=NOWHERE)
         os.set_blocking(writing, False)
+        fcntl.fcntl(writing, fcntl.F_SETPIPE_SZ, 1 << 20)
         self.view._pipe = writing
 
 

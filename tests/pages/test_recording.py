@@ -47,9 +47,9 @@ def test_a_recording_holds_scene_plots_events_and_blueprint(run: RunView, tmp_pa
     write_recording(run, tmp_path / "run.rrd")
     found = _rerun("rrd", "stats", str(tmp_path / "run.rrd"))
     for entity in (
-        "/tf",
-        "/pendulum/visual_geometries/arm_2_link",
-        "/reference_pendulum/visual_geometries/",
+        "/scene/cart",
+        "/scene/arms/arm_2",
+        "/scene/reference/arm_1",
         "/rosout",
         "/symbol",
         "/mode",
@@ -60,7 +60,7 @@ def test_a_recording_holds_scene_plots_events_and_blueprint(run: RunView, tmp_pa
         "/phase_planes/arm_1/grid",
         "/plots/tracking_error/arm_1",
         "/plots/nis/mean",
-        "/tip",
+        "/scene/tip",
         "/viewport",
     ):
         assert entity in found, f"{entity} is not in the recording"

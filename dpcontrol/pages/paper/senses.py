@@ -2,15 +2,12 @@
 
 from functools import partial
 
-from matplotlib.axes import Axes
-
 from dpcontrol.pages import style
 from dpcontrol.pages.atlas_cuts import draw_cuts
-from dpcontrol.pages.atlas_flights import draw_space
+from dpcontrol.pages.atlas_flights import space_panel
 from dpcontrol.pages.atlas_parts import connections_of, kind_of
 from dpcontrol.pages.gallery import IDENTIFIED, Gallery, PaperFigure
-from dpcontrol.pages.layout import Page, Panel, key
-from dpcontrol.walks.atlas import Atlas
+from dpcontrol.pages.layout import Page
 
 SENSES_ENERGY = 0.2
 _TURNING = {"down-up": ("outer", "θ₂ = 2πk", "θ₁"), "up-down": ("inner", "θ₁ = 2πk", "θ₂")}
@@ -31,14 +28,14 @@ def senses_page(gallery: Gallery, *, saddle: str) -> PaperFigure:
     arm, section, coordinate = _TURNING[saddle]
     cuts = [cut for cut in atlas.cuts if (cut.saddle, cut.section.name, cut.hit) == (saddle, kind.section, 1)]
     page = Page(f"The tubes of {saddle} at {SENSES_ENERGY:g} J: the {arm} arm turns either way")
+    looks = [("tube out", style.UNSTABLE), ("tube in", style.STABLE)]
+    looks += [("Lyapunov orbit", style.saddle_colour(saddle)), ("cut", style.CUT)]
     spaces, panels, counts = [], [], []
     for column, sense in enumerate((1, -1)):
         way = "forward" if sense > 0 else "backward"
         shown = tuple(c for c in connections_of(atlas, kind) if c.sense == sense)
         title = f"{'ab'[column]}  the {arm} arm turns {way}"
-        spaces.append(
-            Panel(partial(_sense, atlas=atlas, cuts=cuts, sense=sense, saddle=saddle, title=title), space=True)
-        )
+        spaces.append(space_panel(title, looks, atlas=atlas, cuts=cuts, sense=sense, saddles=(saddle,)))
         title = f"{'cd'[column]}  cuts on {section}, crossed {way}"
         panels.append(partial(draw_cuts, atlas=atlas, kind=kind, shown=shown, legend=False, sense=sense, title=title))
         counts.append(f"{len(shown)} {way}")
@@ -52,10 +49,3 @@ def senses_page(gallery: Gallery, *, saddle: str) -> PaperFigure:
         "Both tubes start at the orbit's named position, so the red one ends on one sheet of the section and the green "
         f"one begins on another, whole turns away. Momenta are canonical in place of the paper's rates. {IDENTIFIED}",
     )
-
-
-def _sense(axes: Axes, atlas: Atlas, cuts: list, *, sense: int, saddle: str, title: str) -> None:
-    draw_space(axes, atlas, cuts, steps=(1.0, 1.0), sense=sense, saddles=(saddle,))
-    axes.set_title(title, loc="left")
-    looks = [("tube out", style.UNSTABLE), ("tube in", style.STABLE)]
-    key(axes, [*looks, ("Lyapunov orbit", style.saddle_colour(saddle)), ("cut", style.CUT)])

@@ -2,15 +2,12 @@
 
 from functools import partial
 
-from matplotlib.axes import Axes
-
 from dpcontrol.pages import style
 from dpcontrol.pages.atlas_cuts import draw_cuts
-from dpcontrol.pages.atlas_flights import draw_space
+from dpcontrol.pages.atlas_flights import space_panel
 from dpcontrol.pages.atlas_parts import kind_of
 from dpcontrol.pages.gallery import Gallery, PaperFigure
-from dpcontrol.pages.layout import Page, Panel, key
-from dpcontrol.walks.atlas import Atlas
+from dpcontrol.pages.layout import Page
 
 ENERGY = -0.07
 SADDLE = "down-up"
@@ -23,8 +20,10 @@ def tubes_page(gallery: Gallery) -> PaperFigure:
     assert kind is not None
     page = Page(f"The tubes of the Lyapunov orbit about Down-Up at {ENERGY:g} J, and their cuts")
     cuts = [cut for cut in atlas.cuts if (cut.saddle, cut.section.name, cut.hit) == (SADDLE, kind.section, 1)]
-    spaces = Panel(partial(_tube_space, atlas=atlas, cuts=cuts), 1.35, space=True)
-    page.row(spaces, partial(draw_cuts, atlas=atlas, kind=kind), height=5.2)
+    orbit, cut = {"color": style.INK, "linewidth": 2.5}, {"color": style.CUT, "linewidth": 2}
+    looks = [("tube out", style.UNSTABLE), ("tube in", style.STABLE), ("orbit", orbit), ("cut on θ₂ = 2πk", cut)]
+    space = space_panel("", looks, share=1.35, atlas=atlas, cuts=cuts, one_colour=style.INK, steps=(0.25, 1.0))
+    page.row(space, partial(draw_cuts, atlas=atlas, kind=kind), height=5.2)
     return PaperFigure(
         page.figure(),
         f"Left: trajectories that leave the Lyapunov orbit about Down-Up at {ENERGY:g} J (red) and that approach it "
@@ -36,9 +35,3 @@ def tubes_page(gallery: Gallery) -> PaperFigure:
         "tubes. The section's coordinates are canonical. Parameters are the rig's identified ones, which reproduce "
         "the paper's pictures; the printed ones do not.",
     )
-
-
-def _tube_space(axes: Axes, atlas: Atlas, cuts: list) -> None:
-    draw_space(axes, atlas, cuts, one_colour=style.INK, steps=(0.25, 1.0))
-    orbit, cut = {"color": style.INK, "linewidth": 2.5}, {"color": style.CUT, "linewidth": 2}
-    key(axes, [("tube out", style.UNSTABLE), ("tube in", style.STABLE), ("orbit", orbit), ("cut on θ₂ = 2πk", cut)])
