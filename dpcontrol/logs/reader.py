@@ -415,11 +415,9 @@ class Batch:
         times = ticks[layout.MEASURED]["log_time"]
         for topic, message in tick.messages.items():
             length = layout.record_type(message).itemsize - layout.LENGTH_FROM
-            due = {"opcode": Opcode.MESSAGE, "length": length, "channel": tick.channels[topic]}
+            due = {"opcode": Opcode.MESSAGE, "length": length, "channel": tick.channels[topic], "log_time": times}
             if any((ticks[topic][name] != value).any() for name, value in due.items()):
-                raise ValueError(f"a tick lacks its message of {topic}")
-            if (ticks[topic]["log_time"] != times).any():
-                raise ValueError(f"the messages of {topic} do not pair with those of {layout.MEASURED}")
+                raise ValueError(f"a tick lacks its message of {topic}, or that has another time")
         found = {part: np.empty((len(ticks), tick.widths[part])) for part in ("measured", *tick.parts)}
         for topic, field_name, joints, part, columns in tick.rooms:
             found[part][:, columns] = ticks[topic][field_name][:, joints]
