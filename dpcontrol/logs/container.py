@@ -292,12 +292,10 @@ def open_partial(path: Path) -> tuple[Path, FileIO]:
     """
     if not path.name:
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
-    names = [path.with_name(path.name + SUFFIX)]
-    names += [path.with_name(f"{path.name}.{os.getpid()}-{k}{SUFFIX}") for k in range(1, 100)]
-    for name in names[:-1]:
+    for name in (path.name, *(f"{path.name}.{os.getpid()}-{k}" for k in range(1, 99))):
         with suppress(FileExistsError):
-            return name, FileIO(name, "xb")
-    return names[-1], FileIO(names[-1], "wb")
+            return path.with_name(name + SUFFIX), FileIO(path.with_name(name + SUFFIX), "xb")
+    raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path))
 
 
 def partials_of(path: Path) -> tuple[Path, ...]:
@@ -312,34 +310,6 @@ def partials_of(path: Path) -> tuple[Path, ...]:
         names = [file for file in path.parent.iterdir() if file.suffix == SUFFIX and file.name.startswith(path.name)]
         return tuple(sorted(names, key=lambda file: file.stat().st_mtime))
     return ()
-
-
-def moved_away(path: Path, stream: FileIO) -> bool:
-    """True if a path is no longer that of an open file.
-
-    Args:
-        path: path of the file.
-        stream: the open file.
-    """
-    try:
-        found, own = os.stat(path), os.fstat(stream.fileno())
-    except OSError:
-        return True
-    return (found.st_ino, found.st_dev) != (own.st_ino, own.st_dev)
-
-
-def sync_folder(folder: Path) -> None:
-    """Flush a rename in a folder to the disk, if supported.
-
-    Args:
-        folder: folder of the renamed file.
-    """
-    with suppress(OSError):
-        handle = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(handle)
-        finally:
-            os.close(handle)
 
 
 _KEY = "crc32"

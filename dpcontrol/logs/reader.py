@@ -14,12 +14,12 @@ Source: the MCAP format specification, version 0.
 import struct
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 import zstandard
@@ -27,16 +27,15 @@ from lz4.frame import LZ4FrameDecompressor
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Chunk, Header, Metadata, Schema
-from mcap.stream_reader import CRCValidationError, get_chunk_data_stream
+from mcap.records import Attachment, Channel, Chunk, DataEnd, Footer, Header, Metadata, Schema
 from numpy.typing import NDArray
 
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError, remark
-from dpcontrol.foundation.files import checked_size, checked_source, in_the_way
+from dpcontrol.foundation.files import UNREADABLE, checked_size, checked_source, in_the_way
 from dpcontrol.foundation.shown import Brief, Shown, pandas_classes
 from dpcontrol.logs import layout
-from dpcontrol.logs.container import CHUNK_HEAD, MAGIC, ZSTD, partials_of, unsealed
+from dpcontrol.logs.container import CHUNK_HEAD, MAGIC, partials_of, unsealed
 from dpcontrol.logs.layout import Event, TickLayout, logged_event
 from dpcontrol.logs.rewritten import Rewritten, by_topic, found_in, mixed
 
@@ -47,30 +46,24 @@ if TYPE_CHECKING:
 _T = TypeVar("_T")
 _RECORD = struct.Struct("<BQH")
 """Head of a record: opcode, length and, for a message, its channel."""
+_MESSAGE = struct.Struct("<HIQQ")
+"""Head of a message's body: channel, sequence, log time and publish time; the data follow."""
 _BATCH_BYTES = 4_000_000
 LARGEST_CHUNK, LARGEST_LOG = 1 << 28, 1 << 33
 """Greatest unpacked size of a chunk and of a log, bytes: five hours at 1 kHz."""
-_LONGEST_HEADER = 10_000
-_OWN = "dpcontrol "
-"""Beginning of the library's name in the header of this program's files."""
 _AGAIN = "make it again with `dpcontrol run`"
 _AS_WRITTEN = "give the log as `dpcontrol run` wrote it"
-MALFORMED = (
-    McapError,
-    CRCValidationError,
-    zstandard.ZstdError,
-    struct.error,
-    ValueError,
-    RuntimeError,
-    OverflowError,
-    MemoryError,
-    LookupError,
-)
-"""Exceptions raised when a malformed record is parsed (lz4 raises RuntimeError)."""
-
-
-class OtherChannels(InputError):
-    """Channels of the layout are missing or have other numbers."""
+MALFORMED = (*UNREADABLE, McapError, zstandard.ZstdError)
+"""Exceptions raised when a malformed record is parsed."""
+_PARSED: dict[int, Any] = {
+    Opcode.HEADER: Header,
+    Opcode.METADATA: Metadata,
+    Opcode.ATTACHMENT: Attachment,
+    Opcode.SCHEMA: Schema,
+    Opcode.CHANNEL: Channel,
+    Opcode.DATA_END: DataEnd,
+    Opcode.FOOTER: Footer,
+}
 
 
 @dataclass
@@ -79,19 +72,19 @@ class VerifiedFile:
 
     Attributes:
         path: file that was read.
-        has_checksum: True if the data section has a checksum.
         library: the program that wrote it.
+        has_checksum: True if the data section has a checksum.
         metadata: text by key, by record name.
         attachments: content by name.
-        schemas: by number; those within chunks are added while `batches` runs.
+        schemas: by number; those within chunks are added while `messages` runs.
         channels: by number, like `schemas`.
         chunks: the chunks' records, still packed.
         loose: messages outside of chunks.
     """
 
     path: Path
-    has_checksum: bool
     library: str = ""
+    has_checksum: bool = False
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     attachments: dict[str, bytes] = field(default_factory=dict)
     schemas: dict[int, Schema] = field(default_factory=dict)
@@ -128,7 +121,7 @@ class VerifiedFile:
         try:
             yield
         except MALFORMED as error:
-            damaged(self.path, f"its messages do not decode: {error}", cause=error)
+            raise _damaged(self.path, error) from error
 
     def values(self, name: str) -> dict[str, str]:
         """Return the values of a metadata record.
@@ -143,16 +136,20 @@ class VerifiedFile:
     @cached_property
     def tick(self) -> TickLayout:
         """Tick layout from the log's own description."""
-        described = self.metadata.get(layout.LAYOUT_RECORD)
-        if described is None:
-            raise InputError(
-                f"{self.path}{self.writer} is not a log of `dpcontrol run`: it lacks the metadata record "
-                f"{layout.LAYOUT_RECORD}, as after cutting a log in time; {_AS_WRITTEN}, or make a recording of it "
-                "with `dpcontrol import`"
-            )
-        if unsealed(layout.LAYOUT_RECORD, described) is None and described.get("format") == layout.FORMAT:
-            raise ValueError(f"the checksum of {layout.LAYOUT_RECORD} differs")
-        return described_layout(self.path, described)
+        return described_layout(self.path, self.values(layout.LAYOUT_RECORD))
+
+    @property
+    def is_native(self) -> bool:
+        """True if this program wrote the file and its channels are those of its layout."""
+        if not (self.library.startswith("dpcontrol ") and self.has_checksum and self.values(layout.LAYOUT_RECORD)):
+            return False
+        declared = {c.topic: (c.id, self.schemas[c.schema_id].data) for c in self.channels.values()}
+        return declared == {name: (number, self.tick.schemas[name][1]) for name, number in self.tick.channels.items()}
+
+    @property
+    def writer(self) -> str:
+        """Phrase on the writing program, for messages."""
+        return f" (written by {self.library})" if self.library else ""
 
     def messages(self) -> Iterator[tuple[int, int, bytes]]:
         """Yield channel, time in ns and body of every message.
@@ -162,71 +159,29 @@ class VerifiedFile:
         Raises:
             Exception: one of `MALFORMED`.
         """
-        decompressor = zstandard.ZstdDecompressor()
         for chunk in self.chunks:
-            batch = Batch(data := unpacked(chunk, decompressor))
-            self._declare(batch)
-            places = sorted(place for offsets in batch.others.values() for place in offsets)
-            for place in places:
-                size = int.from_bytes(data[place + 1 : place + layout.LENGTH_FROM], "little")
-                start = place + layout.LENGTH_FROM
-                yield _message(data[start : start + size])
+            data = unpacked(chunk)
+            for opcode, start, end in records_in(data):
+                if opcode == Opcode.MESSAGE:
+                    yield _message(data[start:end])
+                elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                    self.note(opcode, data[start:end])
         for body in self.loose:
             yield _message(bytes(body))
 
     def batches(self) -> "Iterator[Batch]":
-        """Yield the messages in order, several chunks at a time.
+        """Yield the messages of a native log in order, several chunks at a time.
 
         Raises:
-            InputError: a chunk does not unpack, or the channels differ from the layout.
-            ValueError: the records of a chunk are not contiguous.
+            Exception: one of `MALFORMED`.
         """
-        decompressor = zstandard.ZstdDecompressor()
         pending, size = [], 0
-        if not self.chunks and not self.is_native:
-            self._check_channels()
         for k, chunk in enumerate(self.chunks, start=1):
-            try:
-                pending.append(unpacked(chunk, decompressor))
-            except MALFORMED as error:
-                damaged(self.path, f"a chunk does not unpack: {error}", cause=error)
+            pending.append(unpacked(chunk))
             size += len(pending[-1])
             if size >= _BATCH_BYTES or k == len(self.chunks):
-                batch = self._batch(b"".join(pending))
-                self._check_channels()
-                yield batch
+                yield Batch(b"".join(pending), self.tick)
                 pending, size = [], 0
-
-    def _batch(self, data: bytes) -> "Batch":
-        try:
-            batch = Batch(data, self.tick)
-        except ValueError:
-            # Ticks that differ from the layout mislead the walk; the channels may show the reason.
-            self._declare(Batch(data))
-            self._check_channels()
-            raise
-        self._declare(batch)
-        return batch
-
-    def _declare(self, batch: "Batch") -> None:
-        for opcode, start, end in batch.declared:
-            self.note(opcode, batch.data[start:end])
-
-    def _check_channels(self) -> None:
-        check_channels(self.path, self.tick, schemas=self.schemas, channels=self.channels, writer=self.writer)
-
-    @property
-    def is_native(self) -> bool:
-        """True if the header names this program as the writer."""
-        return self.library.startswith(_OWN)
-
-    @property
-    def writer(self) -> str:
-        return f" (written by {self.library})" if self.library else ""
-
-
-_MESSAGE = struct.Struct("<HIQQ")
-"""Head of a message's body: channel, sequence, log time and publish time; the data follow."""
 
 
 def _message(body: bytes) -> tuple[int, int, bytes]:
@@ -234,101 +189,31 @@ def _message(body: bytes) -> tuple[int, int, bytes]:
     return channel, time, body[_MESSAGE.size :]
 
 
-def _other_messages(channel: Channel, schemas: Mapping[int, Schema], name: str, definition: bytes) -> str:
-    """Describe the messages in a channel that are unexpected.
-
-    Expected are messages `name` in CDR. The result is "" if all are expected.
-    """
-    schema = schemas.get(channel.schema_id)
-    encoding = channel.message_encoding or "no encoding"
-    if schema is None or schema.name != name or encoding != "cdr":
-        return f"{schema.name if schema else 'messages without a schema'} in {encoding}"
-    return "" if schema.data == definition else "messages of that name with other fields"
-
-
-def check_channels(
-    path: Path, tick: TickLayout, *, schemas: Mapping[int, Schema], channels: Mapping[int, Channel], writer: str = ""
-) -> None:
-    """Reject a log whose channels differ from its layout.
-
-    Rewriting by another program can cause this.
-
-    Args:
-        path: path of the log, for messages.
-        tick: layout of the ticks.
-        schemas: schemas of the log, by number.
-        channels: channels of the log, by number.
-        writer: phrase on the writing program, for messages.
-
-    Raises:
-        InputError: a topic is missing, holds other messages or has another number.
-    """
-    by_topic = {channel.topic: channel for channel in channels.values()}
-    if missing := [topic for topic in tick.schemas if topic not in by_topic]:
-        raise OtherChannels(
-            f"{path}{writer} lacks {', '.join(missing)}, listed in its description: another program has removed "
-            f"topics; {_AS_WRITTEN}"
-        )
-    for topic, (name, definition) in tick.schemas.items():
-        if found := _other_messages(by_topic[topic], schemas, name, definition):
-            raise InputError(f"{path}{writer}: topic {topic} holds {found}, not {name} in cdr; {_AS_WRITTEN}")
-    for topic, due in tick.channels.items():
-        if by_topic[topic].id != due:
-            raise OtherChannels(
-                f"{path}{writer}: another program has renumbered the channels ({topic} is channel "
-                f"{by_topic[topic].id} instead of {due}); {_AS_WRITTEN}"
-            )
-
-
-def unpacked(chunk: memoryview, decompressor: zstandard.ZstdDecompressor) -> bytes:
+def unpacked(chunk: memoryview) -> bytes:
     """Return the records in a chunk after checking its checksum.
-
-    One decompressor serves any number of chunks.
 
     Args:
         chunk: body of the chunk's record.
-        decompressor: decompressor of zstd.
 
     Raises:
         Exception: one of `MALFORMED`: the chunk does not unpack, or its checksum differs.
     """
-    _, _, size, checksum, kind, packed = CHUNK_HEAD.unpack_from(chunk)
+    _, _, size, checksum, _, _ = CHUNK_HEAD.unpack_from(chunk)
     checked_size(size, most=LARGEST_CHUNK)
-    if kind == ZSTD:
-        content = decompressor.decompress(chunk[CHUNK_HEAD.size :], max_output_size=size)
-    else:
-        other = Chunk.read(ReadDataStream(BytesIO(chunk)))
-        if other.compression != "lz4":
-            stream, length = get_chunk_data_stream(other, validate_crc=True)
-            return stream.read(length)
-        # The lz4 package would unpack everything, regardless of the declared size.
-        content = LZ4FrameDecompressor().decompress(other.data, max_length=size + 1)
-        packed = len(chunk) - CHUNK_HEAD.size
+    found = Chunk.read(ReadDataStream(BytesIO(chunk)))
+    content = found.data
+    if found.compression == "zstd":
+        content = zstandard.decompress(content, size)
+    elif found.compression:
+        # The function of the lz4 package would unpack everything, regardless of the declared size.
+        content = LZ4FrameDecompressor().decompress(content, max_length=size + 1)
     # Other programs may omit the checksum, which is then zero.
-    other = checksum and zlib.crc32(content) != checksum
-    if len(content) != size or packed != len(chunk) - CHUNK_HEAD.size or other:
-        raise ValueError("its checksum or its size differs")
+    if len(content) != size or (checksum and zlib.crc32(content) != checksum):
+        raise ValueError("the checksum or the size of a chunk differs")
     return content
 
 
-def damaged(path: Path, reason: str, *, cause: BaseException | None = None) -> NoReturn:
-    """Raise the InputError for a file whose bytes have changed.
-
-    Args:
-        path: path of the file.
-        reason: what has changed.
-        cause: exception that led to this error, None for none.
-    """
-    raise InputError(f"{path} is damaged ({reason}); {_remedy(path)}") from cause
-
-
-_PARSED: dict[int, type[Header | Metadata | Attachment | Schema | Channel]] = {
-    Opcode.HEADER: Header, Opcode.METADATA: Metadata, Opcode.ATTACHMENT: Attachment, Opcode.SCHEMA: Schema,
-    Opcode.CHANNEL: Channel,
-}  # fmt: skip
-
-
-def parsed(opcode: int, body: memoryview | bytes) -> Header | Metadata | Attachment | Schema | Channel | None:
+def parsed(opcode: int, body: memoryview | bytes) -> Any:
     """Return the parsed record, or None for other kinds.
 
     Args:
@@ -346,93 +231,47 @@ def recorded_bytes(path: Path) -> bytes:
         path: the file.
 
     Raises:
-        InputError: the file is missing, unreadable or empty.
+        InputError: the file is missing or unreadable.
     """
     try:
-        data = checked_source(path).read_bytes()
+        return checked_source(path).read_bytes()
     except FileNotFoundError as error:
         left = partials_of(path)
         remedy = f"a run left {left[-1]}: {_recover(left[-1])}" if left else f"check the name or {_AGAIN}"
         raise InputError(f"there is no log {path}; {remedy}") from error
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror or error}; give the path of a .mcap file") from error
-    if not data:
-        raise InputError(f"{path} is empty; {_AGAIN}")
-    return data
 
 
-def _walk(path: Path, data: bytes) -> list[tuple[int, int, int]]:
-    """Return opcode, start and end of each record.
+def records_in(data: memoryview | bytes, place: int = 0) -> Iterator[tuple[int, int, int]]:
+    """Yield opcode, start and end of each record's body; contiguous records fill the data.
 
-    Start and end are those of its body. The footer is the last.
+    Args:
+        data: the records.
+        place: start of the first record.
+
+    Raises:
+        ValueError: the last record runs over the end.
     """
-    found: list[tuple[int, int, int]] = []
-    place, closed = len(MAGIC), False
-    while place + layout.LENGTH_FROM <= len(data) and not closed:
-        opcode, length = data[place], int.from_bytes(data[place + 1 : place + layout.LENGTH_FROM], "little")
-        end = place + layout.LENGTH_FROM + length
-        if end > len(data) or opcode == 0:
-            break
-        found.append((opcode, place + layout.LENGTH_FROM, end))
-        place, closed = end, opcode == Opcode.FOOTER
-    if closed and data[place:] == MAGIC and any(opcode == Opcode.DATA_END for opcode, _, _ in found):
-        return found
-    if closed and data[place:].startswith(MAGIC):
-        extra = len(data) - place - len(MAGIC)
-        what = "byte that does" if extra == 1 else "bytes that do"
-        raise InputError(f"{path} is followed by {extra} {what} not belong to it; {_remedy(path)}")
-    if data.endswith(MAGIC) and len(data) > len(MAGIC):
-        damaged(path, f"its records are not contiguous at byte {place}")
-    ends = [
-        struct.unpack_from("<Q", data, start + 8)[0]
-        for opcode, start, end in found
-        if opcode == Opcode.CHUNK and end - start >= 16
-    ]
-    moment = f"at {max(ends) / 1e9:.3f} s" if ends else "before its first tick"
-    raise InputError(f"{path} is cut off {moment}: the run was interrupted or the copy is incomplete; {_remedy(path)}")
+    whole = len(data)
+    while place < whole:
+        opcode, start = data[place], place + layout.LENGTH_FROM
+        place = start + int.from_bytes(data[place + 1 : start], "little")
+        if place > whole:
+            raise ValueError("a record runs over the end")
+        yield opcode, start, place
 
 
 def _recover(path: Path) -> str:
     return f"`dpcontrol recover {path}` rebuilds a log from the rest"
 
 
-def _remedy(path: Path) -> str:
-    writer = other_writer(path)
-    again = f"write it again with the program that wrote it ({writer})" if writer else _recover(path)
-    return f"copy it again from its source, or {again}"
-
-
-def other_writer(path: Path) -> str:
-    """Return the program that wrote a file.
-
-    The result is "" for this program, or if the header is not readable.
-
-    Args:
-        path: any file.
-    """
-    with suppress(OSError, *MALFORMED), path.open("rb") as stream:
-        opcode, length = struct.unpack("<BQ", stream.read(len(MAGIC) + layout.LENGTH_FROM)[len(MAGIC) :])
-        header = parsed(opcode, stream.read(min(length, _LONGEST_HEADER)))
-        if isinstance(header, Header) and not header.library.startswith(_OWN):
-            return header.library or "another program"
-    return ""
-
-
-def _check(path: Path, data: bytes, records: list[tuple[int, int, int]]) -> bool:
-    """Compare both checksums; return True if the data section has one."""
-    start, end = next((start, end) for opcode, start, end in records if opcode == Opcode.DATA_END)
-    footer_start, footer_end = records[-1][1:]
-    if end - start < 4 or footer_end - footer_start < 20:
-        damaged(path, "its closing records are too short")
-    (stored,) = struct.unpack_from("<I", data, start)
-    computed = zlib.crc32(memoryview(data)[: start - layout.LENGTH_FROM])
-    if stored and stored != computed:
-        damaged(path, f"the checksum of its data is {computed:#010x} instead of {stored:#010x}")
-    summary, _, summary_crc = struct.unpack_from("<QQI", data, footer_start)
-    computed = zlib.crc32(memoryview(data)[summary or footer_start - layout.LENGTH_FROM : footer_start + 16])
-    if summary_crc and summary_crc != computed:
-        damaged(path, f"the checksum of its summary is {computed:#010x} instead of {summary_crc:#010x}")
-    return bool(stored)
+def _damaged(path: Path, reason: object) -> InputError:
+    said = next(iter(str(reason).splitlines()), type(reason).__name__)
+    return InputError(
+        f"{path} is damaged ({said}); copy it again from its source, write it again with the program that wrote it, "
+        f"or {_recover(path)}"
+    )
 
 
 def open_verified(path: Path) -> VerifiedFile:
@@ -442,7 +281,7 @@ def open_verified(path: Path) -> VerifiedFile:
         path: the log.
 
     Raises:
-        InputError: the file is missing, empty, no MCAP file, cut off, damaged or not a log of this program.
+        InputError: the file is missing, no MCAP file, without its end, damaged or not a log of this program.
     """
     file = open_mcap(path)
     with file.decoding():
@@ -458,27 +297,44 @@ def open_mcap(path: Path) -> VerifiedFile:
         path: the file.
 
     Raises:
-        InputError: the file is missing, empty, no MCAP file, cut off or damaged.
+        InputError: the file is missing, no MCAP file, without its end, or damaged.
     """
     data = recorded_bytes(path)
-    if not (data.startswith(MAGIC) or MAGIC.startswith(data)):
+    if not data.startswith(MAGIC):
         raise InputError(
             f"{path} is not a log because it is not an MCAP file (it begins with {data[:8]!r}); import a recording "
             "with `dpcontrol import` first, or give a log of `dpcontrol run`"
         )
-    records = _walk(path, data)
-    view = memoryview(data)
-    file = VerifiedFile(path, _check(path, data, records))
-    try:
+    if not data[len(MAGIC) :].endswith(MAGIC):
+        raise InputError(
+            f"{path} has no end: the run was interrupted or the copy is incomplete; copy it again from its source, "
+            f"or {_recover(path)}"
+        )
+    file, view = VerifiedFile(path), memoryview(data)
+    with file.decoding():
+        records = list(records_in(view[: -len(MAGIC)], len(MAGIC)))
+        file.has_checksum = _check(view, records)
         for opcode, start, end in records:
-            if opcode == Opcode.DATA_END:
-                break
-            if opcode != Opcode.MESSAGE_INDEX:
-                file.note(opcode, view[start:end])
+            file.note(opcode, view[start:end])
         checked_size(sum(CHUNK_HEAD.unpack_from(chunk)[2] for chunk in file.chunks), most=LARGEST_LOG)
-    except MALFORMED as error:
-        damaged(path, f"a record is not readable: {error}", cause=error)
     return file
+
+
+def _check(view: memoryview, records: list[tuple[int, int, int]]) -> bool:
+    """Compare both checksums of a file; return True if the data section has one.
+
+    Raises:
+        Exception: one of `MALFORMED`: a checksum differs, or the closing records are not readable.
+    """
+    closing = [(start, end) for opcode, start, end in records if opcode == Opcode.DATA_END]
+    start, end = closing[0]
+    stored = parsed(Opcode.DATA_END, view[start:end]).data_section_crc
+    _, at, last = records[-1]
+    footer: Footer = parsed(records[-1][0], view[at:last])
+    data, summary = view[: start - layout.LENGTH_FROM], view[footer.summary_start or at - layout.LENGTH_FROM : last - 4]
+    if stored not in (0, zlib.crc32(data)) or footer.summary_crc not in (0, zlib.crc32(summary)):
+        raise ValueError("a checksum differs")
+    return stored != 0
 
 
 class Batch:
@@ -487,38 +343,45 @@ class Batch:
     Attributes:
         ticks: offsets (K,) of whole ticks.
         others: offsets of all other messages by channel.
-        declared: opcode, start and end of the body of each schema and channel.
 
     Args:
         data: the records.
-        tick: the ticks' layout; without one no message counts as part of a tick.
+        tick: layout of the ticks.
 
     Raises:
         ValueError: the records are not contiguous.
     """
 
-    def __init__(self, data: bytes, tick: TickLayout | None = None) -> None:
+    def __init__(self, data: bytes, tick: TickLayout) -> None:
         self.data = data
         self.ticks: list[int] = []
         self.others: dict[int, list[int]] = {}
-        self.declared: list[tuple[int, int, int]] = []
-        template = tick.block_template if tick else b""
+        template = tick.block_template
         beginning, size = template[: _RECORD.size], len(template)
         place, whole, unpack = 0, len(data), _RECORD.unpack_from
         while place < whole:
-            if template and data.startswith(beginning, place):
+            if data.startswith(beginning, place):
                 self.ticks.append(place)
                 place += size
                 continue
             opcode, length, channel = unpack(data, place)
-            end = place + layout.LENGTH_FROM + length
-            if opcode == layout.MESSAGE_OPCODE:
+            if opcode == Opcode.MESSAGE:
                 self.others.setdefault(channel, []).append(place)
-            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                self.declared.append((opcode, place + layout.LENGTH_FROM, end))
-            place = end
+            place += layout.LENGTH_FROM + length
         if place != whole:
             raise ValueError("a record runs over the end of its chunk")
+
+    def times(self, tick: TickLayout) -> dict[str, NDArray]:
+        """Return the times (K,) of each topic's messages, ns.
+
+        Args:
+            tick: layout of the ticks.
+        """
+        found = dict.fromkeys(tick.messages, gathered(self.data, self.ticks, layout.RECORD_HEADER)["log_time"])
+        for topic in tick.channels.keys() - found.keys():
+            places = self.others.get(tick.channels[topic], [])
+            found[topic] = gathered(self.data, places, layout.RECORD_HEADER)["log_time"]
+        return found
 
     def extras(self, tick: TickLayout) -> Array:
         """Return the rows of the estimated parameters.
@@ -552,11 +415,9 @@ class Batch:
         times = ticks[layout.MEASURED]["log_time"]
         for topic, message in tick.messages.items():
             length = layout.record_type(message).itemsize - layout.LENGTH_FROM
-            due = {"opcode": layout.MESSAGE_OPCODE, "length": length, "channel": tick.channels[topic]}
+            due = {"opcode": Opcode.MESSAGE, "length": length, "channel": tick.channels[topic], "log_time": times}
             if any((ticks[topic][name] != value).any() for name, value in due.items()):
-                raise ValueError(f"a tick lacks its message of {topic}")
-            if (ticks[topic]["log_time"] != times).any():
-                raise ValueError(f"the messages of {topic} do not pair with those of {layout.MEASURED}")
+                raise ValueError(f"a tick lacks its message of {topic}, or that has another time")
         found = {part: np.empty((len(ticks), tick.widths[part])) for part in ("measured", *tick.parts)}
         for topic, field_name, joints, part, columns in tick.rooms:
             found[part][:, columns] = ticks[topic][field_name][:, joints]
@@ -598,8 +459,9 @@ def described_layout(path: Path, described: Mapping[str, str]) -> TickLayout:
     """
     if described.get("format") != layout.FORMAT:
         raise InputError(
-            f"{path} has layout {described.get('format')!r}, and this version of dpcontrol reads layout "
-            f"{layout.FORMAT!r}; read it with the version that wrote it, or run the itinerary again"
+            f"{path} is not a log of `dpcontrol run` with layout {layout.FORMAT} (its metadata record "
+            f"{layout.LAYOUT_RECORD} is of layout {described.get('format', 'none')}); read it with the version that "
+            "wrote it, or make a recording of it with `dpcontrol import`"
         )
     parts = frozenset(described["parts"].split())
     if not parts <= set(layout.PARTS):
@@ -740,11 +602,10 @@ class RunLog(Shown):
         return self.states[part]
 
     def _lacks(self, topic: str) -> InputError:
-        if self.rewritten:
-            why, remedy = "or another program has left the topic out", _AS_WRITTEN
-        else:
-            why, remedy = "not a run", "give a log of `dpcontrol run`"
-        return InputError(f"{self.path} has no {topic}: it is a recording, {why}; {remedy}")
+        return InputError(
+            f"{self.path} has no {topic}: it is a recording, not a run, or another program has left the topic out; "
+            f"{_AS_WRITTEN}"
+        )
 
     def frame(self) -> "DataFrame":
         """Return a pandas table with one row per tick.
@@ -820,43 +681,35 @@ def read_log(path: Path | str) -> RunLog:
 def _read(path: Path, native: Callable[[VerifiedFile], _T], rewritten: Callable[[VerifiedFile, Rewritten], _T]) -> _T:
     """Read a log by the function for native or for rewritten ones."""
     file = open_mcap(path)
-    found = None if file.is_native else _rewritten(file)
-    try:
-        if found is None:
-            with file.decoding():
-                return native(file)
-    except InputError as error:
-        found = _rewritten(file, error) if file.is_native or isinstance(error, OtherChannels) else None
-        if found is None:
-            raise
-    return rewritten(file, found)
+    with file.decoding():
+        return native(file) if file.is_native else rewritten(file, _rewritten(file))
 
 
-def _rewritten(file: VerifiedFile, other: InputError | None = None) -> Rewritten | None:
-    """Return a log that another program has rewritten, or None.
+def _rewritten(file: VerifiedFile) -> Rewritten:
+    """Return a log that another program has rewritten, with a warning.
 
-    A warning is issued for such a log. `other` is the error of reading it as a native log.
+    Raises:
+        InputError: the file holds no run, or several.
     """
     try:
         topics = by_topic(file.messages(), file.channels, file.schemas)
         described = file.values(layout.LAYOUT_RECORD)
         found = found_in(topics, described)
-        whole = described_layout(file.path, described) if described else found and found.tick
+        if found is None:
+            raise ValueError(f"it lacks {layout.MEASURED} as {layout.JOINT_STATE[0]} in cdr")
+        whole = described_layout(file.path, described) if described else found.tick
     except MALFORMED as error:
-        # Such a log is readable by its topics, so their messages are at fault.
-        if isinstance(other, OtherChannels):
-            raise InputError(f"{file.path}{file.writer}: {error}; {_AS_WRITTEN}") from error
-        # The caller reports a more specific error.
-        return None
-    if found is not None and (name := mixed(topics)):
+        raise InputError(
+            f"{file.path}{file.writer} is not a log of `dpcontrol run`: {error}; {_AS_WRITTEN}, or make a recording of "
+            "it with `dpcontrol import`"
+        ) from error
+    if name := mixed(topics):
         raise InputError(f"{file.path}: {name} has different messages at one time, as of two runs; give one run's log")
-    if found is not None and whole is not None:
-        there = found.tick.schemas.keys() & found.topics.keys()
-        left_out = ", ".join(topic for topic in whole.schemas if topic not in there)
-        remark(
-            f"{file.path} was rewritten by {file.library or 'another program'} and is read by its topics; its "
-            f"integrity cannot be checked{f', and it lacks {left_out}' if left_out else ''}"
-        )
+    left_out = ", ".join(topic for topic in whole.schemas if topic not in found.tick.schemas.keys() & topics.keys())
+    remark(
+        f"{file.path} was rewritten by {file.library or 'another program'} and is read by its topics; its integrity "
+        f"cannot be checked{f', and it lacks {left_out}' if left_out else ''}"
+    )
     return found
 
 
@@ -933,8 +786,6 @@ def _decode(file: VerifiedFile) -> RunLog:
         if tick.extras:
             extras.append(batch.extras(tick))
         events += [_event(batch.data, offset) for offset in batch.others.get(tick.channels[layout.EVENTS], ())]
-    if not file.has_checksum:
-        raise InputError(f"{file.path} has no checksum of its data, so it cannot be verified; {_AGAIN}")
     if not sum(map(len, rows["time"])):
         raise InputError(f"{file.path} holds no ticks: the run ended before its first; {_AGAIN}")
     # Each part is removed from the mapping as it is joined, so that a long log is held only once.
@@ -944,12 +795,11 @@ def _decode(file: VerifiedFile) -> RunLog:
 
 
 def _decode_rewritten(file: VerifiedFile, found: Rewritten) -> RunLog:
-    with file.decoding():
-        events = [logged_event(time / 1e9, body) for time, body in found.events]
-        extras = _extras(found.tick.extras, found.extras)
-        whole = {name: _frozen(values) for name, values in found.rows.items()}
-        log = _run_log(file, found.tick, found.described, rows=whole, events=events, extras=extras)
-        return replace(log, rewritten=True)
+    events = [logged_event(time / 1e9, body) for time, body in found.events]
+    extras = _extras(found.tick.extras, found.extras)
+    whole = {name: _frozen(values) for name, values in found.rows.items()}
+    log = _run_log(file, found.tick, found.described, rows=whole, events=events, extras=extras)
+    return replace(log, rewritten=True)
 
 
 def _extras(names: tuple[str, ...], rows: list[Array]) -> Extras | None:
@@ -987,11 +837,8 @@ def _run_log(
     metadata = {**file.values(layout.RESULT_RECORD), **file.values(layout.RUN_RECORD)}
     ticks, rate = metadata.pop(layout.TICKS, None), file.values(layout.LAYOUT_RECORD).get("rate_hz")
     lengths = tuple(float(text) for text in described["arm_lengths"].split())
-    if not all(0 < length < np.inf for length in lengths):
-        damaged(file.path, f"its arms are {described['arm_lengths']} m long")
-    for event in events:
-        if event.time >= _LATEST:
-            damaged(file.path, f"an event is at {event.time:.3g} s")
+    if not all(0 < length < np.inf for length in lengths) or any(event.time >= _LATEST for event in events):
+        raise ValueError(f"arms are {described['arm_lengths']} m long, or an event is later than {_LATEST:.3g} s")
     return RunLog(
         path=file.path,
         time=rows["time"],
@@ -1087,53 +934,39 @@ def summarise(path: Path | str) -> LogSummary:
     Raises:
         InputError: the file is missing, cut off, damaged or not a log of this program.
     """
-    return _read(
-        Path(path),
-        lambda file: _summary(file, file.tick, file.metadata[layout.LAYOUT_RECORD], _spans(file)),
-        _summary_of_rewritten,
-    )
+    return _read(Path(path), _summary_of_native, _summary_of_rewritten)
+
+
+def _summary_of_native(file: VerifiedFile) -> LogSummary:
+    batches = [batch.times(file.tick) for batch in file.batches()]
+    times = {topic: np.concatenate([batch[topic] for batch in batches]) for topic in file.tick.schemas}
+    topics = [_topic(topic, kind, times[topic]) for topic, (kind, _) in file.tick.schemas.items()]
+    return _summary(file, file.tick, file.metadata[layout.LAYOUT_RECORD], topics)
 
 
 def _summary_of_rewritten(file: VerifiedFile, found: Rewritten) -> LogSummary:
-    spans = {name: (len(topic.times), min(topic.times), max(topic.times)) for name, topic in found.topics.items()}
-    channels = found.tick.channels
-    known = {channels[name]: span for name, span in spans.items() if name in channels}
-    summary = _summary(file, found.tick, found.described, known)
     # Without metadata the layout lacks topics whose names of fields were there.
-    others = [_topic(name, found.topics[name].schema, span) for name, span in spans.items() if name not in channels]
-    return replace(summary, topics=(*summary.topics, *others), rewritten=True)
+    kinds = {topic: kind for topic, (kind, _) in found.tick.schemas.items()}
+    kinds |= {name: topic.schema for name, topic in found.topics.items()}
+    times = {name: np.array(topic.times) for name, topic in found.topics.items()}
+    topics = [_topic(name, kind, times.get(name, np.empty(0))) for name, kind in kinds.items()]
+    return replace(_summary(file, found.tick, found.described, topics), rewritten=True)
 
 
-Spans = dict[int, tuple[int, int, int]]
-"""By channel: number of messages, first and last time, ns."""
-
-
-def _spans(file: VerifiedFile) -> Spans:
-    tick, spans = file.tick, Spans()
-    for batch in file.batches():
-        ticks = gathered(batch.data, batch.ticks, layout.RECORD_HEADER)
-        found = {tick.channels[topic]: ticks for topic in tick.messages}
-        found |= {k: gathered(batch.data, places, layout.RECORD_HEADER) for k, places in batch.others.items()}
-        for channel, heads in found.items():
-            if len(heads):
-                low, high = int(heads["log_time"].min()), int(heads["log_time"].max())
-                count, first, last = spans.get(channel, (0, low, high))
-                spans[channel] = (count + len(heads), min(first, low), max(last, high))
-    return spans
-
-
-def _summary(file: VerifiedFile, tick: TickLayout, described: Mapping[str, str], spans: Spans) -> LogSummary:
-    ends = [(first, last) for _, first, last in spans.values()]
+def _summary(
+    file: VerifiedFile, tick: TickLayout, described: Mapping[str, str], topics: Sequence[TopicSummary]
+) -> LogSummary:
+    begin = min((topic.first_s for topic in topics if topic.first_s is not None), default=0.0)
     return LogSummary(
         log=str(file.path),
         size=file.path.stat().st_size,
         format=described["format"],
         program=described["program"],
-        duration=(max(last for _, last in ends) - min(first for first, _ in ends)) / 1e9 if ends else 0.0,
+        duration=max((topic.last_s for topic in topics if topic.last_s is not None), default=0.0) - begin,
         rate_hz=float(described["rate_hz"]),
         joints=tick.names,
         parts=tuple(part for part in layout.PARTS if part in tick.parts),
-        topics=tuple(_topic(topic, kind, spans.get(tick.channels[topic])) for topic, (kind, _) in tick.schemas.items()),
+        topics=tuple(topics),
         attachments={name: len(data) for name, data in file.attachments.items()},
         metadata={**file.values(layout.RESULT_RECORD), **file.values(layout.RUN_RECORD)},
         recovered=file.values(layout.RECOVERY_RECORD).get(layout.LOST) or None,
@@ -1141,12 +974,13 @@ def _summary(file: VerifiedFile, tick: TickLayout, described: Mapping[str, str],
     )
 
 
-def _topic(topic: str, kind: str, span: tuple[int, int, int] | None) -> TopicSummary:
-    if span is None:
-        return TopicSummary(topic, kind, layout.UNITS[topic], 0, None, None, None)
-    count, first, last = span
-    rate = (count - 1) * 1e9 / (last - first) if last > first else None
-    return TopicSummary(topic, kind, layout.UNITS.get(topic, ""), count, first / 1e9, last / 1e9, rate)
+def _topic(topic: str, kind: str, times: NDArray) -> TopicSummary:
+    units = layout.UNITS.get(topic, "")
+    if not len(times):
+        return TopicSummary(topic, kind, units, 0, None, None, None)
+    first, last = int(times.min()), int(times.max())
+    rate = (len(times) - 1) * 1e9 / (last - first) if last > first else None
+    return TopicSummary(topic, kind, units, len(times), first / 1e9, last / 1e9, rate)
 
 
 @dataclass(frozen=True)

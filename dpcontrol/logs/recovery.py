@@ -3,7 +3,7 @@
 Remains are those of a killed run, a cut copy or a damaged file.
 
 Chunks are sorted by the sequence numbers of their messages. Swapped chunks are reordered, duplicates are dropped and
-gaps are counted. Messages are copied bit for bit, and no gap is filled.
+lost ticks are counted. Messages are copied bit for bit, and no gap is filled.
 
 A record is accepted only if its checksum agrees: MCAP's for chunks and attachments, the package's for metadata (see
 `sealed`). Lengths and indexes are not trusted. The file is therefore searched everywhere for the bytes that start such
@@ -15,37 +15,33 @@ import os
 import re
 import struct
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from io import FileIO
-from itertools import count, pairwise
+from itertools import count
 from pathlib import Path
 
 import numpy as np
-import zstandard
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Metadata, Schema
+from mcap.records import Channel
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import checked_other_file, whole_file
-from dpcontrol.foundation.progress import Progress, no_progress, part_of
+from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.version import PROGRAM
 from dpcontrol.logs import layout
 from dpcontrol.logs.container import CHUNK_HEAD, SUFFIX, ChunkMessages, McapFile, sealed, unsealed
-from dpcontrol.logs.layout import TickLayout
+from dpcontrol.logs.layout import LENGTH_FROM, MEASURED_CHANNEL, TickLayout
 from dpcontrol.logs.reader import (
-    LARGEST_CHUNK,
     MALFORMED,
-    Batch,
-    check_channels,
     check_replaced,
     described_layout,
     gathered,
-    other_writer,
     parsed,
     read_log,
     recorded_bytes,
+    records_in,
     unpacked,
 )
 from dpcontrol.logs.writer import CHUNK_SECONDS
@@ -63,136 +59,129 @@ class SoundChunk:
 
     Attributes:
         body: of the record.
-        size: unpacked, bytes.
-        checksum: unpacked.
-        sequences: first and last number by channel.
-        times: first and last tick, ns, or None.
-        schemas: by number.
-        channels: by number.
+        checksum: of the unpacked records.
+        sequences: first and last number of the messages of each channel.
+        end_s: time of the last tick, s, or None.
+        channels: number of each topic that the chunk declares.
     """
 
     body: memoryview
-    size: int
     checksum: int
     sequences: Mapping[int, tuple[int, int]]
-    times: tuple[int, int] | None
-    schemas: Mapping[int, Schema]
-    channels: Mapping[int, Channel]
-
-    @property
-    def identity(self) -> tuple[int, int, tuple[tuple[int, tuple[int, int]], ...]]:
-        """Key that distinguishes this chunk from others of its log."""
-        return self.size, self.checksum, tuple(sorted(self.sequences.items()))
+    end_s: float | None
+    channels: Mapping[str, int]
 
     def messages(self) -> tuple[bytes, list[ChunkMessages]]:
-        """Return the message records and the offset of each.
-
-        Schemas and channels are omitted.
-        """
-        start, batch = _message_start(self.body)
+        """Return the message records and the offset of each, without schemas and channels."""
+        data, start, places = _messages(self.body)
         found = []
-        for channel, offsets in batch.others.items():
-            times = gathered(batch.data, offsets, layout.RECORD_HEADER)["log_time"].astype(np.int64)
+        for channel, offsets in places.items():
+            times = gathered(data, offsets, layout.RECORD_HEADER)["log_time"].astype(np.int64)
             found.append(ChunkMessages(channel=channel, times=times, offsets=np.array(offsets) - start))
-        return batch.data[start:], found
+        return data[start:], found
+
+
+def _messages(body: memoryview) -> tuple[bytes, int, dict[int, list[int]]]:
+    """Return a chunk's records, the offset of the first message, and the offsets of the messages by channel."""
+    data, places = unpacked(body), dict[int, list[int]]()
+    records = list(records_in(data))
+    first = [opcode for opcode, _, _ in records].index(Opcode.MESSAGE)
+    for opcode, start, _ in records[first:]:
+        if opcode != Opcode.MESSAGE:
+            raise ValueError("a channel is declared after a chunk's first message")
+        places.setdefault(int.from_bytes(data[start : start + 2], "little"), []).append(start - LENGTH_FROM)
+    return data, records[first][1] - LENGTH_FROM, places
 
 
 @dataclass
 class Salvage:
-    """The valid records of a file, in file order.
+    """The valid records of a file.
 
     Attributes:
-        metadata: all distinct records by name, without their checksums.
+        metadata: values by name of the record, without their checksums.
         attachments: content by name.
         chunks: valid chunks.
-        dropped: number of chunks that start but are not valid.
+        is_mixed: True if the records are those of several logs.
     """
 
-    metadata: dict[str, list[dict[str, str]]] = field(default_factory=dict)
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     attachments: dict[str, bytes] = field(default_factory=dict)
     chunks: list[SoundChunk] = field(default_factory=list)
-    dropped: int = 0
+    is_mixed: bool = False
 
 
-def salvage(data: bytes, *, progress: Progress = no_progress) -> Salvage:
-    """Return the valid records in the bytes of a log.
+def salvage(path: Path, *, progress: Progress = no_progress) -> Salvage:
+    """Return the valid records of a log, each chunk once and in the order of writing.
 
     Args:
-        data: bytes of the log.
+        path: the log.
         progress: receiver of progress reports.
+
+    Raises:
+        InputError: the file is missing, or holds pieces of several logs.
     """
-    found = Salvage()
-    view, place = memoryview(data), 0
+    data, found, place = recorded_bytes(path), Salvage(), 0
     while (match := _BEGINNING.search(data, place)) is not None:
-        place = match.start()
-        opcode, length = struct.unpack_from("<BQ", data, place)
-        end = place + 9 + length
-        if end <= len(data) and _accept(found, opcode, view[place + 9 : end]):
+        place = match.start() + 1
+        opcode, length = struct.unpack_from("<BQ", data, match.start())
+        end = match.start() + LENGTH_FROM + length
+        if end > len(data):
+            continue
+        body = memoryview(data)[match.start() + LENGTH_FROM : end]
+        with suppress(*MALFORMED):
+            if opcode == Opcode.CHUNK:
+                found.chunks.append(_chunk(body))
+                progress("reading valid records", end / len(data))
+            else:
+                _add(found, opcode, body)
             place = end
-            if len(found.chunks) % 500 == 0:
-                progress("reading valid records", place / len(data))
-        else:
-            found.dropped += opcode == Opcode.CHUNK
-            place += 1
+    once = {(chunk.checksum, *chunk.sequences.items()): chunk for chunk in found.chunks}
+    after_all_ticks = (1 << 32, 0)
+    found.chunks = sorted(once.values(), key=lambda chunk: chunk.sequences.get(MEASURED_CHANNEL, after_all_ticks))
+    last: dict[int, int] = {}
+    for chunk in found.chunks:
+        found.is_mixed |= any(first <= last.get(channel, -1) for channel, (first, _) in chunk.sequences.items())
+        last |= {channel: end for channel, (_, end) in chunk.sequences.items()}
+    if found.is_mixed:
+        raise InputError(f"{path} holds pieces of several logs that cannot be told apart; recover each log separately")
     return found
 
 
-def _accept(found: Salvage, opcode: int, body: memoryview) -> bool:
-    """Add a record if its checksum agrees.
+def _add(found: Salvage, opcode: int, body: memoryview) -> None:
+    """Add an attachment or metadata.
 
-    Return True if it was added.
+    Raises:
+        Exception: one of `MALFORMED`: its checksum differs.
     """
-    try:
-        if opcode == Opcode.CHUNK:
-            found.chunks.append(_chunk(body))
-            return True
-        record = parsed(opcode, body)
-    except MALFORMED:
-        return False
-    if isinstance(record, Metadata):
-        values = unsealed(record.name, record.metadata)
-        known = found.metadata.setdefault(record.name, []) if values is not None else []
-        if values is not None and values not in known:
-            known.append(values)
-        return values is not None
-    if isinstance(record, Attachment) and zlib.crc32(body[:-4]) == int.from_bytes(body[-4:], "little"):
+    record = parsed(opcode, body)
+    if opcode == Opcode.ATTACHMENT:
+        if zlib.crc32(body[:-4]) != int.from_bytes(body[-4:], "little"):
+            raise ValueError("the checksum of an attachment differs")
         found.attachments[record.name] = record.data
-        return True
-    return False
+        return
+    values = unsealed(record.name, record.metadata)
+    if values is None:
+        raise ValueError("the checksum of a metadata record differs")
+    found.is_mixed |= found.metadata.setdefault(record.name, values) != values
 
 
 def _chunk(body: memoryview) -> SoundChunk:
-    _, _, size, checksum, _, _ = CHUNK_HEAD.unpack_from(body)
-    if size > LARGEST_CHUNK or not checksum:
-        raise ValueError("a chunk is too large, or carries no checksum")
-    _, batch = _message_start(body)
-    sequences, times = {}, None
-    for channel, offsets in batch.others.items():
-        heads = gathered(batch.data, [offsets[0], offsets[-1]], layout.RECORD_HEADER)
-        sequences[channel] = (int(heads["sequence"][0]), int(heads["sequence"][1]))
-        if channel == layout.MEASURED_CHANNEL:
-            times = (int(heads["log_time"][0]), int(heads["log_time"][1]))
-    declared = [parsed(opcode, batch.data[start:end]) for opcode, start, end in batch.declared]
-    schemas = {record.id: record for record in declared if isinstance(record, Schema)}
-    channels = {record.id: record for record in declared if isinstance(record, Channel)}
-    return SoundChunk(body, size, checksum, sequences, times, schemas, channels)
-
-
-def _message_start(body: memoryview) -> tuple[int, Batch]:
-    """Return the offset of a chunk's first message, and its records."""
-    batch = Batch(unpacked(body, zstandard.ZstdDecompressor()))
-    start = max((end for _, _, end in batch.declared), default=0)
-    if any(offsets[0] < start for offsets in batch.others.values()):
-        raise ValueError("a channel is declared after a chunk's first message")
-    return start, batch
-
-
-_SHOWN_GAPS = 3
+    checksum = CHUNK_HEAD.unpack_from(body)[3]
+    if not checksum:
+        raise ValueError("a chunk carries no checksum")
+    data, first, places = _messages(body)
+    heads = {k: gathered(data, [offsets[0], offsets[-1]], layout.RECORD_HEADER) for k, offsets in places.items()}
+    sequences = {k: (int(head["sequence"][0]), int(head["sequence"][1])) for k, head in heads.items()}
+    end_s = heads[MEASURED_CHANNEL]["log_time"][1] / 1e9 if MEASURED_CHANNEL in heads else None
+    declared = [parsed(opcode, data[start:end]) for opcode, start, end in records_in(data[:first])]
+    return SoundChunk(
+        body, checksum, sequences, end_s, {one.topic: one.id for one in declared if isinstance(one, Channel)}
+    )
 
 
 @dataclass(frozen=True)
 class Recovery:
-    """Ticks, gaps and losses of a recovered log.
+    """Ticks and losses of a recovered log.
 
     Attributes:
         source: file that was read.
@@ -201,9 +190,7 @@ class Recovery:
         end_s: time of the last tick, s.
         ticks_lost: ticks missing inside, and at the end if the file records their number.
         milliseconds_lost: duration of the lost ticks, ms.
-        gaps: (from, to) of each, s.
         end_known: True if the file records how the run ended.
-        chunks_dropped: chunks that are damaged or cut.
         attachments: names of those recovered.
         attachments_lost: names of those missing.
         lost: sentence that lists everything missing; empty if the log is complete.
@@ -213,14 +200,12 @@ class Recovery:
     log: Path
     ticks: int
     end_s: float
-    ticks_lost: int
-    milliseconds_lost: float
-    gaps: tuple[tuple[float, float], ...]
-    end_known: bool
-    chunks_dropped: int
-    attachments: tuple[str, ...]
-    attachments_lost: tuple[str, ...]
-    lost: str
+    ticks_lost: int = 0
+    milliseconds_lost: float = 0.0
+    end_known: bool = True
+    attachments: tuple[str, ...] = ()
+    attachments_lost: tuple[str, ...] = ()
+    lost: str = ""
 
 
 def recover(
@@ -239,46 +224,29 @@ def recover(
             rewritten it and it is damaged, or the new log cannot be written or would replace another.
     """
     path = Path(path)
-    data = recorded_bytes(path)
     if out is not None:
         checked_other_file(Path(out), path, what="the log to recover")
     with suppress(InputError):
         # A readable log may be one that another program has rewritten.
         log = read_log(path)
-        return Recovery(
-            path, path, ticks=len(log.time), end_s=float(log.time[-1]), ticks_lost=0, milliseconds_lost=0.0, gaps=(),
-            end_known=log.end_s is not None, chunks_dropped=0,
-            attachments=tuple(log.attachments), attachments_lost=(), lost="",
-        )  # fmt: skip
-    found = salvage(data, progress=part_of(progress, 0.0, 0.6))
-    described = _single_record(path, found, layout.LAYOUT_RECORD)
-    if described is None or not any(chunk.times for chunk in found.chunks):
-        if other_writer(path):
-            # This raises the reason and the remedy.
-            read_log(path)
-        raise InputError(f"{path} cannot be recovered: {_nothing(found)}; make the log again with `dpcontrol run`")
+        end, kept = float(log.time[-1]), tuple(log.attachments)
+        return Recovery(path, path, len(log.time), end, end_known=log.end_s is not None, attachments=kept)
+    found = salvage(path, progress=progress)
+    described = found.metadata.get(layout.LAYOUT_RECORD, {})
     try:
         tick = described_layout(path, described)
-        _check_declared(path, tick, found.chunks)
-        chunks = _in_order(path, found.chunks)
-        done = _account(path, found, chunks, described=described)
-    except MALFORMED as error:
-        raise InputError(f"{path} cannot be recovered: its valid records contradict each other: {error}") from error
-    done = replace(done, log=_free_name(path) if out is None else Path(out))
-    check_replaced(done.log, _single_record(path, found, layout.RUN_RECORD) or {}, recovers=path, force=force)
-    _write(found, chunks, described=described, tick=tick, done=done, progress=part_of(progress, 0.6, 1.0))
+        declared = {topic: number for chunk in found.chunks for topic, number in chunk.channels.items()}
+        if not declared.items() <= tick.channels.items():
+            raise ValueError("its channels are those of another program")
+        done = _account(path, _free_name(path) if out is None else Path(out), found, described=described)
+    except (InputError, *MALFORMED) as error:
+        raise InputError(
+            f"{path} cannot be recovered: too little of it is sound, or another program has rewritten it; make "
+            "it again with `dpcontrol run` or with that program"
+        ) from error
+    check_replaced(done.log, found.metadata.get(layout.RUN_RECORD, {}), recovers=path, force=force)
+    _write(found, tick, done)
     return done
-
-
-def _check_declared(path: Path, tick: TickLayout, chunks: Sequence[SoundChunk]) -> None:
-    """Reject a log that another program has rewritten.
-
-    A log without declarations is rebuilt without them.
-    """
-    schemas = {number: schema for chunk in chunks for number, schema in chunk.schemas.items()}
-    channels = {number: channel for chunk in chunks for number, channel in chunk.channels.items()}
-    if channels:
-        check_channels(path, tick, schemas=schemas, channels=channels)
 
 
 def _free_name(path: Path) -> Path:
@@ -294,130 +262,65 @@ def _free_name(path: Path) -> Path:
     return next(name for name in names if not name.exists())
 
 
-def _single_record(path: Path, found: Salvage, name: str) -> dict[str, str] | None:
-    """Return the record of this name, or None.
+def _account(path: Path, log: Path, found: Salvage, *, described: Mapping[str, str]) -> Recovery:
+    """List the recovered and the missing parts of the log.
 
     Raises:
-        InputError: the file holds several.
+        Exception: one of `MALFORMED`: there is no tick, or a record has other contents.
     """
-    records = found.metadata.get(name, [])
-    if len(records) > 1:
-        raise _several(path)
-    return records[0] if records else None
-
-
-def _several(path: Path) -> InputError:
-    return InputError(f"{path} holds pieces of several logs that cannot be told apart; recover each log separately")
-
-
-def _nothing(found: Salvage) -> str:
-    if layout.LAYOUT_RECORD in found.metadata:
-        return "it holds no complete tick"
-    if not found.chunks:
-        return "it ends before its first tick"
-    return "the description of its layout is damaged, or it is not a log of `dpcontrol run`"
-
-
-def _in_order(path: Path, chunks: Sequence[SoundChunk]) -> list[SoundChunk]:
-    """Return each chunk once, sorted by sequence number."""
-    once = {chunk.identity: chunk for chunk in chunks}.values()
-    after_all_ticks = (1 << 32, 0)
-
-    def key(chunk: SoundChunk) -> tuple:
-        return chunk.sequences.get(layout.MEASURED_CHANNEL, after_all_ticks), sorted(chunk.sequences.items())
-
-    ordered = sorted(once, key=key)
-    last: dict[int, int] = {}
-    for chunk in ordered:
-        for channel, (first, end) in chunk.sequences.items():
-            if first <= last.get(channel, -1):
-                raise _several(path)
-            last[channel] = end
-    return ordered
-
-
-def _account(path: Path, found: Salvage, chunks: Sequence[SoundChunk], *, described: dict[str, str]) -> Recovery:
-    """List the recovered and the missing parts of the log."""
-    ticked = [(*c.sequences[layout.MEASURED_CHANNEL], *c.times) for c in chunks if c.times is not None]
-    period = 1 / float(described["rate_hz"])
-    result = _single_record(path, found, layout.RESULT_RECORD)
-    end_s = ticked[-1][3] / 1e9
-    missing, gaps = ticked[0][0], [(0.0, ticked[0][2] / 1e9)] if ticked[0][0] else []
-    for (_, last, _, before), (first, _, after, _) in pairwise(ticked):
-        if first > last + 1:
-            missing += first - last - 1
-            gaps.append((before / 1e9, after / 1e9))
-    if result is not None and (at_end := int(result[layout.TICKS]) - ticked[-1][1] - 1):
-        missing += at_end
-        gaps.append((end_s, end_s + at_end * period))
-    names = json.loads(described["attachments"])
-    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-        raise InputError(f"{path}: its layout names no list of attachments but {names!r:.80}; nothing can be recovered")
+    period, names = 1 / float(described["rate_hz"]), json.loads(described["attachments"])
+    ticked = [chunk.sequences[MEASURED_CHANNEL] for chunk in found.chunks if chunk.end_s is not None]
+    end_s = max(chunk.end_s for chunk in found.chunks if chunk.end_s is not None)
+    result = found.metadata.get(layout.RESULT_RECORD)
+    ticks = sum(last - first + 1 for first, last in ticked)
+    missing = (ticked[-1][1] + 1 if result is None else int(result[layout.TICKS])) - ticks
     attachments_lost = tuple(name for name in names if name not in found.attachments)
-    before = _single_record(path, found, layout.RECOVERY_RECORD) or {}
-    lost = [before[layout.LOST]] if before.get(layout.LOST) else []
+    lost = [found.metadata.get(layout.RECOVERY_RECORD, {}).get(layout.LOST, "")]
     if missing:
-        shown = ", ".join(f"{a:.3f} to {b:.3f} s" for a, b in gaps[:_SHOWN_GAPS])
-        lost.append(f"{missing} ticks ({1e3 * missing * period:.0f} ms): {shown}{', …' * (len(gaps) > _SHOWN_GAPS)}")
+        lost.append(f"{missing} ticks ({1e3 * missing * period:.0f} ms)")
     if result is None:
         most = 1e3 * max(CHUNK_SECONDS, period)
         lost.append(f"everything after {end_s:.3f} s (at most {most:.0f} ms if the run was killed)")
     if attachments_lost:
-        lost.append(f"the attachment{'s'[: len(attachments_lost) > 1]} {', '.join(attachments_lost)}")
+        lost.append(f"the attachments {', '.join(attachments_lost)}")
     if layout.RUN_RECORD not in found.metadata:
         lost.append("the metadata of the run")
     return Recovery(
         source=path,
-        log=path,
-        ticks=sum(last - first + 1 for first, last, _, _ in ticked),
-        end_s=end_s,
+        log=log,
+        ticks=ticks,
+        end_s=float(end_s),
         ticks_lost=missing,
         milliseconds_lost=1e3 * missing * period,
-        gaps=tuple(gaps),
         end_known=result is not None,
-        chunks_dropped=found.dropped,
         attachments=tuple(name for name in found.attachments if name in names),
         attachments_lost=attachments_lost,
-        lost="; ".join(lost),
+        lost="; ".join(filter(None, lost)),
     )
 
 
-def _write(
-    found: Salvage,
-    chunks: Sequence[SoundChunk],
-    *,
-    described: dict[str, str],
-    tick: TickLayout,
-    done: Recovery,
-    progress: Progress,
-) -> None:
-    """Write the new log and read it back.
-
-    It is then moved to its final name.
-    """
+def _write(found: Salvage, tick: TickLayout, done: Recovery) -> None:
+    """Write the new log, read it back, and move it to its final name."""
+    records = {**found.metadata, layout.RECOVERY_RECORD: {layout.LOST: done.lost, "source": done.source.name}}
+    result = records.pop(layout.RESULT_RECORD, None)
     with whole_file(done.log) as temporary:
         with FileIO(temporary, "wb") as stream:
             file = McapFile(stream, library=PROGRAM)
-            for values in found.metadata.get(layout.RUN_RECORD, [])[:1]:
-                file.add_metadata(layout.RUN_RECORD, sealed(layout.RUN_RECORD, values))
+            for name, values in records.items():
+                file.add_metadata(name, sealed(name, values))
             for name in done.attachments:
                 file.add_attachment(name, found.attachments[name])
-            file.add_metadata(layout.LAYOUT_RECORD, sealed(layout.LAYOUT_RECORD, described))
-            record_values = {layout.LOST: done.lost, "source": done.source.name}
-            file.add_metadata(layout.RECOVERY_RECORD, sealed(layout.RECOVERY_RECORD, record_values))
             file.add_channels(tick.schemas, latched=layout.LATCHED)
-            for k, chunk in enumerate(chunks):
+            for chunk in found.chunks:
                 file.add_chunk(*chunk.messages())
-                progress("writing valid records", k / len(chunks))
-            for values in found.metadata.get(layout.RESULT_RECORD, []):
-                file.add_metadata(layout.RESULT_RECORD, sealed(layout.RESULT_RECORD, values))
+            if result is not None:
+                file.add_metadata(layout.RESULT_RECORD, sealed(layout.RESULT_RECORD, result))
             file.finish()
             os.fsync(stream.fileno())
         try:
-            written = read_log(temporary)
-        except InputError as error:
+            ticks = len(read_log(temporary).time)
+        except InputError:
             # The file named in the error no longer exists.
-            raise InputError(f"{done.source} cannot be recovered: the rebuilt log is not readable") from error
-        if len(written.time) != done.ticks or tuple(written.attachments) != done.attachments:
-            raise InputError(f"{done.source} cannot be recovered: the rebuilt log differs when it is read back")
-    progress("writing valid records", 1.0)
+            ticks = -1
+        if ticks != done.ticks:
+            raise InputError(f"{done.source} cannot be recovered: the rebuilt log is not readable or differs")

@@ -39,7 +39,7 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import checked_target, missing_folders, remove_empty, unwritable
 from dpcontrol.foundation.version import PROGRAM
 from dpcontrol.logs import layout
-from dpcontrol.logs.container import ChunkMessages, McapFile, moved_away, open_partial, sealed, sync_folder
+from dpcontrol.logs.container import ChunkMessages, McapFile, open_partial, sealed
 from dpcontrol.logs.layout import Event, TickLayout
 
 WORLD = "world"
@@ -119,73 +119,74 @@ def robot_description(
     ink = _INK["ghost" if ghost else "robot"]
     # The ghost swings just behind the robot; in one plane the two would flicker.
     depth = 1.5 * _THICKNESS if ghost else 0.0
-    names = [
-        (child.removeprefix(prefix), child)
-        for _, child in link_frames(len(arm_lengths), has_cart=has_cart, prefix=prefix)
-    ]
+    frames = link_frames(len(arm_lengths), has_cart=has_cart, prefix=prefix)
+    visuals = _visuals(arm_lengths, reach=reach)
+    if ghost or not has_cart:
+        visuals["base"] = []
+    joints = _joints(arm_lengths, reach=reach, speed=speed, prefix=prefix)
     lines = ['<?xml version="1.0"?>', f'<robot name="{"reference_" if ghost else ""}pendulum">']
     lines += [f'  <material name="{prefix}{part}"><color rgba="{colour}"/></material>' for part, colour in ink.items()]
-    for name, link in names:
+    for _, link in frames:
         lines.append(f'  <link name="{link}">')
-        lines += _visuals(name, arm_lengths, depth=depth, reach=reach, prefix=prefix, track=has_cart and not ghost)
+        lines += [
+            f'    <visual><origin xyz="{x:g} {y + depth:g} {z:g}" rpy="{turn}"/><geometry>{shape}</geometry>'
+            f'<material name="{prefix}{part}"/></visual>'
+            for (shape, turn), (x, y, z), part in visuals[link.removeprefix(prefix)]
+        ]
         lines.append("  </link>")
-    lines += _joints(arm_lengths, has_cart=has_cart, prefix=prefix, reach=reach, speed=speed)
+    for parent, child in frames[1:]:
+        kind, body = joints[child.removeprefix(prefix)]
+        name = child.removesuffix("_link")
+        ends = f'<parent link="{parent}"/><child link="{child}"/>'
+        lines.append(f'  <joint name="{name}" type="{kind}">{ends}{body}</joint>')
     return "\n".join([*lines, "</robot>"]) + "\n"
 
 
-def _visuals(
-    name: str, arm_lengths: Sequence[float], *, depth: float, reach: float, prefix: str, track: bool
-) -> list[str]:
-    def visual(shape: str, at: tuple[float, float, float], part: str, *, turn: str = "0 0 0") -> str:
-        x, y, z = at
-        return (
-            f'    <visual><origin xyz="{x:g} {y + depth:g} {z:g}" rpy="{turn}"/><geometry>{shape}</geometry>'
-            f'<material name="{prefix}{part}"/></visual>'
-        )
+_Visual = tuple[tuple[str, str], tuple[float, float, float], str]
+"""Shape and its turn, place (x, y, z) in m, and the material."""
 
-    def box(x: float, y: float, z: float, at: tuple[float, float, float], part: str) -> str:
-        return visual(f'<box size="{x:g} {y:g} {z:g}"/>', at, part)
 
-    def disc(radius: float, at: tuple[float, float, float], part: str) -> str:
-        shape = f'<cylinder radius="{radius:g}" length="{1.4 * _THICKNESS:g}"/>'
-        return visual(shape, at, part, turn="1.5707963 0 0")
+def _box(x: float, y: float, z: float) -> tuple[str, str]:
+    return f'<box size="{x:g} {y:g} {z:g}"/>', "0 0 0"
 
-    wide = 0.06
-    if name == "base" and track:
-        stops = [box(_THICKNESS, wide, 0.03, (side * (reach + 0.05), 0.06, 0), "track") for side in (-1, 1)]
-        return [box(2 * reach + 0.1, wide, 0.01, (0, 0.06, -0.02), "track"), *stops]
-    if name == "cart_link":
-        return [box(0.1, wide, 0.03, (0, 0.06, 0), "cart"), disc(0.6 * _THICKNESS, (0, 0.02, 0), "cart")]
-    if name.startswith("arm_"):
-        i = int(name.split("_")[1]) - 1
-        length = arm_lengths[i]
+
+def _disc(radius: float) -> tuple[str, str]:
+    return f'<cylinder radius="{radius:g}" length="{1.4 * _THICKNESS:g}"/>', "1.5707963 0 0"
+
+
+def _visuals(arm_lengths: Sequence[float], *, reach: float) -> dict[str, list[_Visual]]:
+    """Return the shapes of each link."""
+    wide, stop, hub = 0.06, reach + 0.05, _disc(1.3 * _THICKNESS)
+    track: list[_Visual] = [(_box(2 * reach + 0.1, wide, 0.01), (0, 0.06, -0.02), "track")]
+    track += [(_box(_THICKNESS, wide, 0.03), (x, 0.06, 0), "track") for x in (-stop, stop)]
+    cart: list[_Visual] = [
+        (_box(0.1, wide, 0.03), (0, 0.06, 0), "cart"),
+        (_disc(0.6 * _THICKNESS), (0, 0.02, 0), "cart"),
+    ]
+    found = {"base": track, "cart_link": cart}
+    for i, length in enumerate(arm_lengths, start=1):
         # Each arm swings in front of the previous one, as on the rig, so it is drawn in full.
-        y = -1.6 * _THICKNESS * i
-        return [
-            box(1.6 * _THICKNESS, _THICKNESS, length, (0, y, -length / 2), "arm"),
-            disc(1.3 * _THICKNESS, (0, y, 0), "cart"),
-            disc(1.3 * _THICKNESS, (0, y, -length), "tip" if i == len(arm_lengths) - 1 else "cart"),
+        y = -1.6 * _THICKNESS * (i - 1)
+        found[f"arm_{i}_link"] = [
+            (_box(1.6 * _THICKNESS, _THICKNESS, length), (0, y, -length / 2), "arm"),
+            (hub, (0, y, 0), "cart"),
+            (hub, (0, y, -length), "tip" if i == len(arm_lengths) else "cart"),
         ]
-    return []
+        found[f"elbow_{i}_link"] = []
+    return found
 
 
-def _joints(arm_lengths: Sequence[float], *, has_cart: bool, prefix: str, reach: float, speed: float) -> list[str]:
-    lines = []
+def _joints(arm_lengths: Sequence[float], *, reach: float, speed: float, prefix: str) -> dict[str, tuple[str, str]]:
+    """Return type and body of each link's joint to its parent."""
     axis = '<axis xyz="0 -1 0"/>'
-    for parent, child in link_frames(len(arm_lengths), has_cart=has_cart, prefix=prefix)[1:]:
-        name = child.removeprefix(prefix).removesuffix("_link")
-        ends = f'<parent link="{parent}"/><child link="{child}"/>'
-        if name == "cart":
-            body = f'<axis xyz="1 0 0"/><limit lower="{-reach:g}" upper="{reach:g}" velocity="{speed:g}" effort="0"/>'
-            lines.append(f'  <joint name="{prefix}cart" type="prismatic">{ends}{body}</joint>')
-        elif name.startswith("arm_"):
-            lines.append(f'  <joint name="{prefix}{name}" type="continuous">{ends}{axis}</joint>')
-        else:
-            i = int(name.split("_")[1])
-            origin = f'<origin xyz="0 0 {-arm_lengths[i - 1]:g}" rpy="0 0 0"/>'
-            mimic = f'<mimic joint="{prefix}arm_{i}" multiplier="-1" offset="0"/>'
-            lines.append(f'  <joint name="{prefix}{name}" type="continuous">{ends}{origin}{axis}{mimic}</joint>')
-    return lines
+    limit = f'<limit lower="{-reach:g}" upper="{reach:g}" velocity="{speed:g}" effort="0"/>'
+    found = {"cart_link": ("prismatic", f'<axis xyz="1 0 0"/>{limit}')}
+    for i, length in enumerate(arm_lengths, start=1):
+        origin = f'<origin xyz="0 0 {-length:g}" rpy="0 0 0"/>'
+        mimic = f'<mimic joint="{prefix}arm_{i}" multiplier="-1" offset="0"/>'
+        found[f"arm_{i}_link"] = ("continuous", axis)
+        found[f"elbow_{i}_link"] = ("continuous", origin + axis + mimic)
+    return found
 
 
 REFERENCE_PREFIX = "reference/"
@@ -320,11 +321,9 @@ class ChunkEncoder:
 
     def _due(self, times: NDArray[np.int64]) -> list[int]:
         """Return the rows at which messages of the slow rate are due."""
-        chosen: list[int] = []
-        for row, due in enumerate(slow_numbers(times).tolist()):
-            if due > self._last_due:
-                chosen.append(row)
-            self._last_due = due
+        numbers = slow_numbers(times)
+        chosen = np.flatnonzero(np.diff(numbers, prepend=self._last_due) > 0).tolist()
+        self._last_due = max(numbers.tolist(), default=self._last_due)
         return chosen
 
     def _extra_notes(self, chosen: list[int], times: NDArray[np.int64], rows: Mapping[str, Row]) -> list[Note]:
@@ -336,16 +335,13 @@ class ChunkEncoder:
         ]
 
     def _transform_notes(self, chosen: list[int], times: NDArray[np.int64], rows: Mapping[str, Row]) -> list[Note]:
-        if not chosen:
-            return []
         robots = [self._robot(rows)] + ([rows["reference"]] if "reference" in rows else [])
         states = np.concatenate([robot[chosen] for robot in robots], axis=1)
         # Readers of transforms reject poses that are not finite.
-        if not np.isfinite(states).all():
-            finite = np.flatnonzero(np.isfinite(states).all(axis=1))
-            chosen, states = [chosen[k] for k in finite], states[finite]
-            if not chosen:
-                return []
+        is_finite = np.isfinite(states).all(axis=1)
+        chosen, states = np.array(chosen, int)[is_finite].tolist(), states[is_finite]
+        if not chosen:
+            return []
         states = states.reshape(len(chosen) * len(robots), -1)
         poses = link_poses(states, arm_lengths=self._lengths, has_cart=self.tick.has_cart)
         stamps = np.empty(len(chosen), _STAMP)
@@ -543,7 +539,6 @@ class LogWriter:
         os.fsync(stream.fileno())
         stream.close()
         self.partial.replace(self.path)
-        sync_folder(self.path.parent)
 
     def _give_up(self, error: BaseException) -> None:
         """Keep the written part and note its path.
@@ -673,8 +668,3 @@ class LogWriter:
         self._ticks += count
         self._buffer.filled = 0
         self._torn = False
-        if self._stream is not None and moved_away(self.partial, self._stream):
-            raise InputError(
-                f"cannot continue writing {self.path}: {self.partial.name} or its folder was moved or removed; "
-                "run again, and leave the folder alone until the run has ended"
-            )

@@ -89,12 +89,10 @@ class Draft:
         """Reason why the walk can be edited only as text, or ""."""
         if self.mistake is not None and not self.values:
             return f"line {self.mistake.line} of the TOML has an error: correct it first, or undo"
-        if "parts" in self.values:
-            return "the TOML lists [[parts]]: edit it as text"
-        if self.itinerary and not all(isinstance(part, WalkPart) for part in self.itinerary.parts):
-            return "the TOML has holds or sustained orbits: edit it as text"
-        if self.values.get("repeat", 1) != 1:
-            return "the TOML repeats its walk: edit it as text"
+        parts = self.itinerary.parts if self.itinerary else ()
+        is_repeated = self.values.get("repeat", 1) != 1
+        if "parts" in self.values or is_repeated or not all(isinstance(part, WalkPart) for part in parts):
+            return "the TOML has parts, holds, sustained orbits or repetitions: edit it as text"
         return ""
 
     @cached_property

@@ -11,7 +11,6 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-import zstandard
 from command_line import dpcontrol
 
 from dpcontrol.logs.container import CHUNK_HEAD, ZSTD
@@ -106,7 +105,7 @@ def test_an_archive_that_unpacks_to_gigabytes_is_rejected_before_it_is_unpacked(
 def test_a_chunk_of_a_log_that_claims_gigabytes_is_rejected() -> None:
     chunk = CHUNK_HEAD.pack(0, 0, 10**12, 0, ZSTD, 0)
     with pytest.raises(ValueError, match=r"would unpack to 1e\+03 GB"):
-        unpacked(memoryview(chunk), zstandard.ZstdDecompressor())
+        unpacked(memoryview(chunk))
 
 
 @pytest.mark.parametrize("version", ["5", "7.3"])

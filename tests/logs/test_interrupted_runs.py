@@ -78,17 +78,6 @@ def test_a_full_disk_stops_a_run_with_a_message_and_keeps_the_written_data(
     assert done.ticks >= 100
 
 
-@posix
-def test_a_folder_that_is_renamed_stops_a_run(tmp_path: Path) -> None:
-    folder = tmp_path / "logs"
-    ticked: list[int] = []
-    with pytest.raises(InputError, match="moved or removed"):
-        _run_until(folder / "run.mcap", ticked, at=100, then=lambda: folder.rename(tmp_path / "elsewhere"))
-    assert len(ticked) <= 120
-    assert not folder.exists()
-    assert recover(tmp_path / "elsewhere" / "run.mcap.partial").ticks >= 100
-
-
 def test_an_interrupt_keeps_every_tick_and_names_the_file(tmp_path: Path) -> None:
     def interrupt() -> None:
         raise KeyboardInterrupt

@@ -71,7 +71,7 @@ def test_swapped_chunks_and_joined_padded_or_shortened_files_are_rejected(whole:
 @pytest.mark.parametrize(
     ("content", "said"),
     [
-        (b"", "is empty"),
+        (b"", "not an MCAP file"),
         (b"time,angle\n0,1\n", "not an MCAP file"),
         (foreign("/joint_states"), "somebody else's"),
         (foreign(), "lacks"),

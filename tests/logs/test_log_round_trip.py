@@ -103,7 +103,7 @@ def test_an_exception_keeps_the_partial_file_and_no_log(tmp_path: Path) -> None:
     ):
         tick_all(log, broken)
     assert not (tmp_path / "run.mcap").exists()
-    with pytest.raises(InputError, match=r"cut off at 0\.129 s"):
+    with pytest.raises(InputError, match="has no end"):
         read_log(tmp_path / "run.mcap.partial")
 
 
@@ -119,7 +119,7 @@ def test_a_killed_run_loses_at_most_a_chunk(tmp_path: Path) -> None:
         assert child.stdout is not None
         assert child.stdout.readline() == b"ready\n"
         child.send_signal(signal.SIGKILL)
-    with pytest.raises(InputError, match=r"cut off at 0\.199 s"):
+    with pytest.raises(InputError, match="has no end"):
         read_log(tmp_path / "run.mcap.partial")
 
 

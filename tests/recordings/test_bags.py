@@ -185,7 +185,7 @@ def test_a_log_is_imported_with_all_its_arms(tmp_path: Path, arms: int, has_rate
         ("field", "/encoders.dat.1. holds no numbers in any message; did you mean '/encoders.data.1.'"),
         ("topic", "no topic holds the column '/encoder.data.1.'; did you mean"),
         ("no shared time", "/rail begins when /encoders has ended"),
-        ("damage", "is damaged .*write it again with the program that wrote it .rig."),
+        ("damage", "is damaged .*write it again with the program that wrote it"),
         ("no MCAP", "is not an MCAP file"),
         ("no bag", "is not a readable bag"),
     ],
