@@ -151,8 +151,6 @@ def parse_address(text: str) -> tuple[str, int]:
     try:
         parts = urlsplit(text)
         host, port = parts.hostname, parts.port
-        # An invalid host causes a ValueError here, as it would at the first look-up.
-        (host or "").encode("idna")
     except ValueError:
         parts = host = port = None
     if not (parts and host and port) or parts.scheme != SCHEME or parts.path.strip("/"):

@@ -91,11 +91,6 @@ class Role(Enum):
     LOOP = b"loop"
     BENCH = b"bench"
 
-    @property
-    def other(self) -> "Role":
-        """The other end."""
-        return Role.BENCH if self is Role.LOOP else Role.LOOP
-
 
 class Packet(NamedTuple):
     """A packet without its head: kind, the head's count, and the content."""
@@ -311,6 +306,7 @@ class Talk:
 
     def __init__(self, role: Role, session: int, *, key: bytes = b"") -> None:
         self._role, self._session, self._key = role, session, key
+        self._other = Role.BENCH if role is Role.LOOP else Role.LOOP
         self._sequence = self._newest = 0
 
     def pack(self, message: Packet) -> bytes:
@@ -332,7 +328,7 @@ class Talk:
             ValueError: the packet belongs to another session, its number is not above all earlier ones, or it is
                 invalid as described in `unpacked`.
         """
-        heard = unpacked(data, self._role.other, key=self._key)
+        heard = unpacked(data, self._other, key=self._key)
         if heard.session != self._session:
             raise ValueError("a packet does not belong to this run")
         if heard.sequence <= self._newest:

@@ -425,10 +425,7 @@ def one_arm() -> ArmChainParameters:
 def test_other_numbers_of_arms_are_commissioned_as_well(arms: ArmChainParameters) -> None:
     assert not commissioned(bench(arms=arms), arms=arms).wrong
     found = commissioned(bench("encoder-1-reversed", arms=arms), arms=arms)
-    if arms.count == 1:
-        only_wrong(found, "drive", Cause.MIRRORED)
-    else:
-        only_wrong(found, "encoders", Cause.REVERSED)
+    only_wrong(found, "encoders", Cause.REVERSED)
 
 
 def test_modes_are_those_of_the_equations_linearised() -> None:

@@ -22,11 +22,16 @@ from dpcontrol.planner.worker import failure_of
 from dpcontrol.plans.itinerary import itinerary_from
 from dpcontrol.plans.model import load_model
 from dpcontrol.plans.planning import shadowing_orbit
-from dpcontrol.words import searches
+from dpcontrol.words import findings, searches
 
 TURN_BORN = -0.141987140339  # J; saddle-node of turns, where one wrap is needed between two of them
+OTHERS = {StrEnum, causes.Cause, causes.Fault, causes.FindingCause}  # The tables of runs and findings have these.
 KINDS = [kind for kind in vars(causes).values() if isinstance(kind, type) and issubclass(kind, StrEnum)]
+<<<<<<< HEAD
 KINDS = [kind for kind in KINDS if kind not in (StrEnum, causes.Cause, causes.Fault)]  # those are of runs
+=======
+KINDS = [kind for kind in KINDS if kind not in OTHERS]
+>>>>>>> d-rig
 JOULE = SimpleNamespace(unit=" {}".format)
 SHOT = {"residual": 1e-3, "iterations": 30}
 WALK = {"walk": ("a", "b", "c"), "fault": 1, "wraps": (3,), "wraps_realised": (2,), "rival": "d"}
@@ -43,6 +48,10 @@ def told(cause: StrEnum, **numbers: Any) -> str:
 @pytest.mark.parametrize("kind", KINDS)
 def test_each_cause_has_a_sentence(kind: type[StrEnum]) -> None:
     assert set(searches.SENTENCES[kind]) == set(kind)
+
+
+def test_each_cause_of_a_finding_has_a_sentence() -> None:
+    assert {cause for _, cause in findings.FINDINGS} == set(causes.FindingCause)
 
 
 @pytest.mark.parametrize(
