@@ -136,7 +136,7 @@ def numbers(name: str, values: Any, count: int) -> tuple[float, ...]:
     Raises:
         InputError: the count is wrong, or an entry is not a finite number.
     """
-    check(name, values, tuple[(float,) * count])
+    check(name, values, types.GenericAlias(tuple, (float,) * count))
     return tuple(map(float, values))
 
 

@@ -39,7 +39,7 @@ from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.foundation.settings import Settings, setting, suggest
 from dpcontrol.foundation.shown import Brief
-from dpcontrol.identification.fit import FitSettings, Swing, Swings, fit_swings
+from dpcontrol.identification.fit import FitSettings, Swing, SwingFit, Swings, fit_swings
 from dpcontrol.loop.bench import SensorSettings
 from dpcontrol.loop.controllers import ESTIMATORS, make_estimator
 from dpcontrol.loop.result import inside_95
@@ -91,7 +91,7 @@ class FittedPath(Brief):
         return float(np.sqrt(np.mean(np.square(self.residual))))
 
 
-_WINDOWS = (0.5, 1e6)
+_SHORT, _WHOLE = 0.5, 1e6
 """Windows of the fits of a start, s: short ones bridge chaos, and a single one suits a wrong model."""
 _FOLLOWS = 0.5
 """Largest residual of a model that follows the angles, rad rms."""
@@ -109,9 +109,9 @@ def fitted_path(model: Swings, swing: Swing, ratios: Array) -> FittedPath:
         ratios: parameter ratios (m,) of the model.
     """
     n = model.arms.count
-    near: Array | None = None
-    for window in _WINDOWS:
-        fit = fit_swings(
+
+    def fitted(window: float, near: Array | None = None) -> SwingFit:
+        return fit_swings(
             model,
             [swing],
             parameters=ratios,
@@ -121,11 +121,12 @@ def fitted_path(model: Swings, swing: Swing, ratios: Array) -> FittedPath:
             settings=FitSettings(robust=0.0, window=window),
             near=near,
         )
-        near = fit.window_starts[:1]
-        if fit.converged:
-            break
+
+    fit = fitted(_SHORT)
+    if not fit.converged:
+        fit = fitted(_WHOLE, fit.window_starts[:1])
     cart = [np.zeros(1) if values is None else values for values in (swing.accelerations, swing.velocities)]
-    start, period = near, np.array([swing.period])
+    start, period = fit.window_starts[:1], np.array([swing.period])
     (path,), _ = model.flown(
         start, ratios, period=period, samples=len(swing.angles), accelerations=cart[0], velocities=cart[1]
     )

@@ -210,7 +210,8 @@ class _Table:
 def _table(bag: _Bag, topic: str, columns: Sequence[str]) -> _Table:
     """Return those columns of a topic that have a number in some message."""
     checked_size(8.0 * bag.counts[topic] * (len(columns) + 1))
-    rows, fields = [], ()
+    rows: list[list[float]] = []
+    fields: list[str] = []
     for time, message in bag.messages(topic):
         numbers = dict(_numbers(message, topic, bag.start))
         # In double precision today's clock times resolve 0.2 µs; times since the start resolve far less than 1 ns.

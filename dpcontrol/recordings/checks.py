@@ -190,7 +190,7 @@ def _finite(samples: Samples, period: float, *, unwraps: bool) -> _Fault | None:
     if not bad.any():
         return None
     index, column = _first(bad)
-    rows = bad.any(axis=1)
+    rows: NDArray[np.bool_] = np.asarray(bad.any(axis=1), dtype=bool)
     fault = f"{samples.at(index)}: {samples.names[column]} is not finite ({rows.sum()} such rows)"
     if (~rows).sum() < FEWEST_SAMPLES:
         raise InputError(f"{fault}; too few rows are left")
