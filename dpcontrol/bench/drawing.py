@@ -81,9 +81,9 @@ def _draw(axes: Axes, part: Diagram | EdgeMap, looks: dict[str, Look]) -> None:
     layers = [layer for layer in (_points(part, looks) if of_points else _borders(part)) if layer[1]]
     for _, places, look in layers:
         axes.plot(*np.transpose(places), **look)
-    for p in part.points if of_points else ():
-        if text := _label(part, p):
-            name_point(axes, text, _place(part, p), looks[p.method]["color"], weight="normal")
+    if isinstance(part, Diagram):
+        for p in part.points:
+            name_point(axes, _label(part, p), _place(part, p), looks[p.method]["color"], weight="normal")
     key(axes, [(label, {**look, "markersize": 6}) for label, _, look in layers if label])
     axes.margins(0.12, 0.1)
     axes.set_xscale("log")

@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cache
 from io import BytesIO
-from itertools import pairwise, product
+from itertools import pairwise
 from pathlib import Path
 from textwrap import wrap
 from typing import Any
@@ -28,7 +28,7 @@ from matplotlib.font_manager import FontProperties
 from matplotlib.lines import Line2D
 from matplotlib.text import Text
 from matplotlib.textpath import TextPath
-from matplotlib.transforms import Bbox
+from matplotlib.transforms import Bbox, BboxBase
 
 from dpcontrol.foundation.errors import InputError, printable
 from dpcontrol.foundation.files import whole_file
@@ -447,30 +447,39 @@ def settle(figure: Figure) -> None:
             lines = wrapped(title, style.HEAD, max(inches, 0.8)) if axes.name != "3d" else [title]
             axes.set_title("\n".join(lines), loc="left", fontsize=style.HEAD, color=style.INK, pad=pad)
         _spread(axes, [text for text in axes.texts if text.get_gid() == DIRECT])
-        _turn_aside(axes, [text for text in axes.texts if text.get_gid() == BESIDE])
+        _turn_aside(axes, [text for text in axes.texts if text.get_gid() == BESIDE and text.get_text()])
 
 
-_AWAY = (5.0, 10.0, 16.0, 24.0, 34.0, 46.0, 60.0)
-"""Tried distances between a point and its label, points; beyond the second a line connects them."""
 _SIDES = ((1, 1), (1, -1), (-1, 1), (-1, -1), (1, 0), (-1, 0), (0, 1), (0, -1))
+_PLACES = [(away * x, away * y) for away in (5.0, 10.0, 16.0, 24.0, 34.0, 46.0, 60.0) for x, y in _SIDES]
+"""Tried places of a label beside its point, points."""
+_LED = 10.0
+"""Distance beyond which a line connects a point and its label, points."""
 
 
 def _turn_aside(axes: Axes, labels: list[Any]) -> None:
     """Move labels round their points, and away from them, until they cover neither marks nor other labels."""
     taken = [box for line in axes.lines if labels for box in _marks(line)]
     for label in labels:
-        # If every place is taken, the last one of this list remains: the nearest.
-        for away, (x, y) in [*product(_AWAY, _SIDES), (_AWAY[0], _SIDES[0])]:
-            label.set_position((away * x, away * y))
-            label.set(ha={1: "left", 0: "center", -1: "right"}[x], va={1: "bottom", 0: "center", -1: "top"}[y])
-            box = label.get_window_extent()
-            inside = (axes.bbox.min <= box.min).all() and (box.max <= axes.bbox.max).all()
-            if inside and not box.count_overlaps(taken):
-                break
-        taken.append(box)
-        if away > _AWAY[1]:
+        boxes = ((place, _box_at(label, place)) for place in _PLACES)
+        free = (place for place, box in boxes if _inside(box, axes.bbox) and not box.count_overlaps(taken))
+        place = next(free, _PLACES[0])
+        taken.append(_box_at(label, place))
+        if max(map(abs, place)) > _LED:
             line = {"arrowstyle": "-", "color": label.get_color(), "linewidth": 0.5, "shrinkA": 1, "shrinkB": 3}
-            axes.annotate("", label.xy, xytext=(away * x, away * y), textcoords="offset points", arrowprops=line)
+            axes.annotate("", label.xy, xytext=place, textcoords="offset points", arrowprops=line)
+
+
+def _box_at(label: Any, place: tuple[float, float]) -> Bbox:
+    """Move a label and return its box."""
+    x, y = np.sign(place)
+    label.set_position(place)
+    label.set(ha={1: "left", 0: "center", -1: "right"}[x], va={1: "bottom", 0: "center", -1: "top"}[y])
+    return label.get_window_extent()
+
+
+def _inside(box: Bbox, frame: BboxBase) -> bool:
+    return frame.x0 <= box.x0 and frame.y0 <= box.y0 and box.x1 <= frame.x1 and box.y1 <= frame.y1
 
 
 def _marks(line: Line2D) -> list[Bbox]:

@@ -234,8 +234,8 @@ def messages(pipe: int, viewer: "subprocess.Popen[Any] | None") -> Iterator[tupl
             continue
         content = os.read(pipe, _ROOM)
         kept, closed = kept + content, not content
-        rows: list[Array] = []
-        events: list[Event] = []
+        rows: list[Any] = []
+        events: list[Any] = []
         while len(kept) >= _HEAD.size:
             end = _HEAD.size + _HEAD.unpack_from(kept)[0]
             if len(kept) < end:

@@ -35,8 +35,8 @@ def viewer_program() -> Path | None:
         return None
     import rerun_cli
 
-    folder = Path(rerun_cli.__file__).parent
-    return next((folder / name for name in ("rerun", "rerun.exe") if (folder / name).is_file()), None)
+    found = shutil.which("rerun", path=Path(rerun_cli.__file__).parent)
+    return None if found is None else Path(found)
 
 
 _QUIET = {"CI": "1"}

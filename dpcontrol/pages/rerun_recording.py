@@ -279,7 +279,7 @@ def reading_lines(
 
 
 def _round_values(low: float, high: float, *, integer: bool = False) -> Array:
-    values = MaxNLocator(6, steps=[1, 2, 5, 10], integer=integer).tick_values(low, high)
+    values = np.asarray(MaxNLocator(6, steps=[1, 2, 5, 10], integer=integer).tick_values(low, high))
     return values[(low <= values) & (values <= high)]
 
 
