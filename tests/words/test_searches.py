@@ -27,11 +27,7 @@ from dpcontrol.words import findings, searches
 TURN_BORN = -0.141987140339  # J; saddle-node of turns, where one wrap is needed between two of them
 OTHERS = {StrEnum, causes.Cause, causes.Fault, causes.FindingCause}  # The tables of runs and findings have these.
 KINDS = [kind for kind in vars(causes).values() if isinstance(kind, type) and issubclass(kind, StrEnum)]
-<<<<<<< HEAD
-KINDS = [kind for kind in KINDS if kind not in (StrEnum, causes.Cause, causes.Fault)]  # those are of runs
-=======
 KINDS = [kind for kind in KINDS if kind not in OTHERS]
->>>>>>> d-rig
 JOULE = SimpleNamespace(unit=" {}".format)
 SHOT = {"residual": 1e-3, "iterations": 30}
 WALK = {"walk": ("a", "b", "c"), "fault": 1, "wraps": (3,), "wraps_realised": (2,), "rival": "d"}
