@@ -25,7 +25,6 @@ from dpcontrol.plans.itinerary import itinerary_from
 from dpcontrol.plans.model import load_model
 from dpcontrol.plans.planning import shadowing_orbit
 from dpcontrol.references.ending import Obstacle
-from dpcontrol.references.trajectory import LimitUse
 from dpcontrol.words import searches
 
 TURN_BORN = -0.141987140339  # J; saddle-node of turns, where one wrap is needed between two of them
@@ -81,16 +80,7 @@ def test_each_cause_has_a_sentence(kind: type[StrEnum]) -> None:
             },
             ["branch +1 scatters before crossing 1", "--longest"],
         ),
-        (
-            ReferenceCause.SOLVER,
-            {"answer": "no", "obstacle": Obstacle(ObstacleCause.FRICTION, share=0.5)},
-            ["'no'", "50%"],
-        ),
-        (
-            ObstacleCause.LIMITS,
-            {"uses": (LimitUse("speed", "m/s", 2.0, 3.0, 1.5),)},
-            ["cart speed of 3 m/s", "t = 1.50"],
-        ),
+        (ReferenceCause.SOLVER, {"answer": "no", "obstacle": Obstacle(ObstacleCause.FRICTION, share=0.5)}, ["50%"]),
         (GridCause.TIME, GRID | {"beyond": SimpleNamespace(energy=-0.95)}, ["at least 0 between", "before -0.95 J"]),
     ],
     ids=lambda value: value.name if isinstance(value, StrEnum) else "",
