@@ -113,14 +113,16 @@ class ArmChainParameters(Settings):
     def _check_together(self) -> None:
         """Check that each arm has its values."""
         if not self.mass:
-            raise InputError("mass = []: a chain has at least one arm")
+            raise InputError("mass = []: a chain has at least one arm", key="mass")
         if self.count > MOST_ARMS:
             raise InputError(
-                f"mass has {self.count} values: a chain has at most {MOST_ARMS} arms (each doubles its equilibria)"
+                f"mass has {self.count} values: a chain has at most {MOST_ARMS} arms (each doubles its equilibria)",
+                key="mass",
             )
         for name in ("centre_of_mass", "length", "inertia", "viscous", *self.friction):
             if len(values := getattr(self, name)) != self.count:
-                raise InputError(f"{name} has {len(values)} values but mass has {self.count}; give one for each arm")
+                sentence = f"{name} has {len(values)} values but mass has {self.count}; give one for each arm"
+                raise InputError(sentence, key=name)
 
     @property
     def count(self) -> int:
@@ -711,7 +713,7 @@ def _body(arms: ArmChainParameters, arm: int) -> Iterator[str]:
         times = f"{centre / length:.3g} times its length of {length:g} m"
         text = f"centre_of_mass = {centre:g} m {of} is {times} from its joint"
         if centre > _BEYOND * length:
-            raise InputError(f"{text}; give both in metres, the centre from the arm's joint")
+            raise InputError(f"{text}; give both in metres, the centre from the arm's joint", key="centre_of_mass")
         yield f"{text}, beyond its end; is that intended?"
     farthest = max(centre, length)
     outermost = mass * farthest**2
@@ -730,7 +732,7 @@ def _body(arms: ArmChainParameters, arm: int) -> Iterator[str]:
                 if fits
                 else "give it in kg m², about the centre of mass"
             )
-            raise InputError(f"{text}; {remedy}")
+            raise InputError(f"{text}; {remedy}", key="inertia")
         yield f"{text}; is that intended, about the centre of mass?"
     largest = mass * centre * (length - centre)
     if centre < _AT_THE_END * length and inertia < _HOLLOW * largest:
@@ -760,5 +762,5 @@ def _friction(arms: ArmChainParameters, arm: int) -> Iterator[str]:
             value = values[arm]
             text = f"{law} = {value:g} {unit} of arm {arm + 1} {effect(value)}"
             if value > _STUCK * most:
-                raise InputError(f"{text}; no bench has this value: give it in {unit}")
+                raise InputError(f"{text}; no bench has this value: give it in {unit}", key=law)
             yield f"{text}; is that intended?"

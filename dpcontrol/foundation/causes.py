@@ -112,6 +112,55 @@ class GridCause(StrEnum):
     UNSTABLE_DIRECTIONS = auto()
 
 
+class ReferenceCause(StrEnum):
+    """How the search for a reference ended."""
+
+    CONVERGED = auto()
+    REST = auto()
+    SHADOWING_ORBIT = auto()
+    PIECES = auto()
+    FLIGHTS = auto()
+    STORED = auto()
+    ROUNDS = auto()
+    SOLVER = auto()
+    OTHER_MOTION = auto()
+    NO_ORBIT = auto()
+    OTHER_PERIOD = auto()
+    ENERGY_CHANGE = auto()
+    NO_TRANSFER = auto()
+    NO_CHEAPER = auto()
+    SHORTFALL = auto()
+
+
+class ObstacleCause(StrEnum):
+    """What prevents a reference near its guess."""
+
+    AUTHORITY = auto()
+    GUESS = auto()
+    LIMITS = auto()
+    MESH = auto()
+    NO_MOTION = auto()
+    FRICTION = auto()
+
+
+class ShortfallCause(StrEnum):
+    """Why an exact run of a reference would not be completed."""
+
+    FIRST_FAR = auto()
+    FAR = auto()
+    WRAPS = auto()
+    LAST_FAR = auto()
+    NOT_DECODED = auto()
+
+
+class DepartureCause(StrEnum):
+    """How a polished motion departs from its walk."""
+
+    NO_CROSSING = auto()
+    ORDER = auto()
+    WRAPS = auto()
+
+
 class Cause(StrEnum):
     """Cause of a fall, of a run's end or of another event in its log."""
 

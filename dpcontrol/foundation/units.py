@@ -126,6 +126,6 @@ class Usual(NamedTuple):
                 text += "; check the value"
             if impossible:
                 raise InputError(
-                    text if fitting else f"{text}, which is impossible; give it in {self.unit or 'its unit'}"
+                    text if fitting else f"{text}, which is impossible; give it in {self.unit or 'its unit'}", key=key
                 )
             yield text

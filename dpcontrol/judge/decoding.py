@@ -29,8 +29,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.causes import ShortfallCause
 from dpcontrol.references.content import REST_BEFORE, PlanContent, PlanStop, PlanSymbol
 from dpcontrol.references.reference import Reference
+from dpcontrol.words.searches import Concluded
 
 FOLLOWS = 1.5
 """Greatest distance of a run from its plan, rad; half of the way to another saddle is π/2."""
@@ -372,19 +374,37 @@ _COUNTED = 0.3
 """Tolerance of the wraps about a whole number."""
 _SETTLED = 2
 """Wobbles at the end beyond which a reference comes no nearer to its last orbit."""
-_REST = 'friction keeps it off that orbit; set finish = "rest"'
 
 
-def shortfall(plan: Reference) -> str:
-    """Return the reason why an exact run of the reference fails.
+@dataclass(frozen=True)
+class Shortfall(Concluded):
+    """Why an exact run of a reference would not be completed.
 
-    The text includes a remedy; it is "" if the run succeeds.
+    Attributes:
+        cause: the cause.
+        content: content of the plan.
+        stop: index of the stop, or the number of stops passed.
+        gap: distance from its orbit, rad, or the number of wraps.
+        allowed: largest allowed distance, rad.
+        settled: True if a longer lead-out brings the reference no nearer.
+    """
+
+    cause: ShortfallCause
+    content: PlanContent
+    stop: int
+    gap: float = 0.0
+    allowed: float = NEAR_LAST_ORBIT
+    settled: bool = False
+
+
+def shortfall(plan: Reference) -> Shortfall | None:
+    """Return the reason why an exact run of the reference fails, or None if it succeeds.
 
     Args:
         plan: reference of the plan.
     """
     content = plan.content
-    stops, symbols = content.stops, content.symbols
+    stops = content.stops
     times = np.arange(0.0, plan.duration, _GRID / 10)
     states = plan.state(plan.mesh[0] + times)
     angles = states[:, : len(stops[0].angles)]
@@ -393,32 +413,17 @@ def shortfall(plan: Reference) -> str:
     near_orbits = () if content.polished else enumerate(zip(stops, spans, strict=True))
     for k, (stop, (begin, end)) in near_orbits:
         away = orbit_distance(states[(times >= begin) & (times <= end)][::10], stop, plan)
-        if away <= _REACHES:
-            continue
-        near = f"no nearer than {away:.2f} rad to the orbit about {stop.saddle}"
-        if not k:
-            return f"it starts {near}; raise lead_in to {content.lead_in + 1}"
-        text = f"symbol {k} of {len(symbols)} ({symbols[k - 1].text!r}) comes {near}"
-        return f"{text}; raise " + ("the wraps there by 1" if k < len(symbols) else _longer(content))
+        if away > _REACHES:
+            return Shortfall(ShortfallCause.FAR if k else ShortfallCause.FIRST_FAR, content, k, away)
     for k, required in enumerate(content.wraps):
         made = planned_wraps(content, k)
         if made is not None and required is not None and abs(made - required) > _COUNTED:
-            return f"wraps at stop {k + 1} are {made:.1f} instead of {required}; ask for {round(made)} wraps there"
+            return Shortfall(ShortfallCause.WRAPS, content, k + 1, made)
     if gap := last_gap(times, angles, plan, rate_hz=10 / _GRID):
-        return (
-            f"over the last period it is up to {gap:.2f} rad from the orbit about {stops[-1].saddle} "
-            f"(allowed: {NEAR_LAST_ORBIT:g}); "
-            + (f"raise {_longer(content)}" if content.lead_out < _SETTLED else _REST)
-        )
-    found = decode_run(times, angles, plan)
-    if found.matched < len(stops):
-        undone = f"symbol {found.matched} of {len(symbols)} ({symbols[found.matched - 1].text!r})"
-        return f"{undone if found.matched else 'the first stop'} does not show in its angles; raise {_longer(content)}"
-    return ""
-
-
-def _longer(content: PlanContent) -> str:
-    return f"lead_out to {content.lead_out + 1}"
+        settled = content.lead_out >= _SETTLED
+        return Shortfall(ShortfallCause.LAST_FAR, content, len(stops) - 1, gap, settled=settled)
+    matched = decode_run(times, angles, plan).matched
+    return Shortfall(ShortfallCause.NOT_DECODED, content, matched) if matched < len(stops) else None
 
 
 def orbit_distance(states: Array, stop: PlanStop, plan: Reference) -> float:

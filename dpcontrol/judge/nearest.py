@@ -10,7 +10,7 @@ from dpcontrol.foundation.arrays import Array
 from dpcontrol.judge.decoding import FOLLOWS
 from dpcontrol.judge.run_view import RunView
 from dpcontrol.logs import Mode
-from dpcontrol.references.reference import LimitUse
+from dpcontrol.references.trajectory import LimitUse
 
 
 def limit_uses(view: RunView) -> tuple[LimitUse, ...]:

@@ -29,7 +29,7 @@ from dpcontrol.pages.panels import quiet
 from dpcontrol.pages.planes import plane
 from dpcontrol.pages.series import extra_charts
 from dpcontrol.pages.story import story, story_height
-from dpcontrol.references.reference import LimitUse
+from dpcontrol.references.trajectory import LimitUse
 
 _FRAMES = 8
 _TALL = 1.5

@@ -42,7 +42,7 @@ from contextlib import contextmanager
 from dataclasses import MISSING, asdict, dataclass, field, fields, is_dataclass
 from io import BytesIO
 from pathlib import Path
-from typing import IO, Any, TypeVar, get_args, get_type_hints
+from typing import IO, Any, get_args, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,7 +86,6 @@ from dpcontrol.walks.atlas import (
 from dpcontrol.walks.edges import PairSearch, TubeCuts, orbits_at, search_pairs
 
 Arrays = dict[str, NDArray[Any]]
-Record = TypeVar("Record")
 
 FORMAT = "dpcontrol-atlas"
 VERSION = 2
@@ -475,87 +474,38 @@ def load_atlas(path: Path | IO[bytes]) -> Atlas:
     making = {"make": "make one with `dpcontrol atlas MODEL --energy H`", "again": "make it again"}
     with archive(path, what="an atlas", **making, format=FORMAT, versions=(VERSION,)) as (header, arrays):
         # Any error here means that the file is not an atlas.
-        hints = get_type_hints(Section)
-        sections = [
-            Section(**{key: _typed(value, hints[key], key) for key, value in entry.items()})
-            for entry in header["sections"]
-        ]
-        for one in sections:
-            rows = (one.normal, one.position, one.side)
-            if any(row is not None and len(row) != len(arrays["periods"]) for row in rows):
-                raise ValueError(f"its section {one.name} is not of {len(arrays['periods'])} coordinates")
-        return _unpacked(Atlas, header, "", arrays, sections)
+        for name, array in arrays.items():
+            # Coordinates other than angles have an infinite period.
+            if name != "periods" and not np.isfinite(array).all():
+                raise ValueError(f"its array {name} is not finite")
+        sections = [adapter(Section).validate_python(entry) for entry in header["sections"]]
+        return adapter(Atlas).validate_python(_unpacked(Atlas, header, "", arrays, sections))
 
 
 def _unpacked(
-    kind: type[Record], entry: dict[str, Any], prefix: str, arrays: Arrays, sections: list[Section]
-) -> Record:
-    """Return the record of an entry and arrays of `_packed`."""
-    values: dict[str, Any] = {}
-    # Fields with a default came later, and older files lack them.
-    entry = {f.name: f.default for f in fields(kind) if f.default is not MISSING} | entry  # type: ignore[arg-type]
-    hints = get_type_hints(kind)
-    for name, hint in ((f.name, hints[f.name]) for f in fields(kind)):  # type: ignore[arg-type]
-        member = next((one for one in get_args(hint) if is_dataclass(one)), None)
+    kind: type, entry: dict[str, Any], prefix: str, arrays: Arrays, sections: list[Section]
+) -> dict[str, Any]:
+    """Return an entry of `_packed` with its arrays and sections."""
+    values, hints = dict(entry), get_type_hints(kind)
+    for one in fields(kind):
+        name, hint = one.name, hints[one.name]
+        member = next((part for part in get_args(hint) if is_dataclass(part)), None)
         if name not in entry:
-            values[name] = _checked(arrays[prefix + name], prefix + name, len(arrays["periods"]))
+            # Fields with a default came later, and older files lack them.
+            values |= {} if one.default is not MISSING else {name: arrays[prefix + name]}
         elif hint is Section:
             values[name] = sections[entry[name]]
         elif member is not None:
             each = f"{prefix}{name.removesuffix('s')}"
-            values[name] = tuple(
-                _unpacked(member, one, f"{each}_{k}_", arrays, sections)  # type: ignore[arg-type]
-                for k, one in enumerate(entry[name])
-            )
+            parts = enumerate(entry[name])
+            values[name] = [_unpacked(member, part, f"{each}_{k}_", arrays, sections) for k, part in parts]  # type: ignore[arg-type]
         elif name in ("state", "point"):
             values[name] = np.array(entry[name], dtype=float)
-            wanted = (len(arrays["periods"]),) if name == "state" else (2,)
-            if values[name].shape != wanted:
-                raise ValueError(f"its {prefix}{name} has shape {values[name].shape}, not {wanted}")
         elif name == "floquet_multipliers":
             values[name] = np.array([complex(*pair) for pair in entry[name]])
-        else:
-            values[name] = _typed(entry[name], hint, name)
-    apart = (*entry, "periods", "reverser")
-    stored = {name: array for name, array in values.items() if name not in apart}
-    for group in (True, False):
-        counts = {name: len(array) for name, array in stored.items() if name.startswith("node") == group}
-        if len(set(counts.values())) > 1:
-            raise ValueError(f"its arrays {prefix}{', '.join(counts)} differ in length: {list(counts.values())}")
-    return kind(**values)
-
-
-def _typed(value: Any, hint: Any, name: str) -> Any:
-    """Return a value of the header in its field's type.
-
-    Lists become tuples. An impossible value raises ValueError.
-    """
-    if hint is float and value is None:
-        return float("nan")
-    try:
-        return adapter(hint).validate_json(json.dumps(value), strict=True)
-    except ValueError as error:
-        raise ValueError(f"its {name} is {value!r:.80}") from error
-
-
-def _checked(array: NDArray[Any], name: str, size: int) -> NDArray[Any]:
-    """Return a finite array with the axes of its name.
-
-    Any other array raises ValueError.
-    """
-    # Coordinates other than angles have an infinite period.
-    if name != "periods" and not np.isfinite(array).all():
-        raise ValueError(f"its array {name} is not finite")
-    states = name.endswith(("reverser", "samples", "strands", "states", "nodes"))
-    wanted = size if states else 2 if name.endswith("points") else None
-    if wanted is not None and (array.ndim < 2 or array.shape[-1] != wanted):
-        raise ValueError(f"its array {name} has shape {array.shape}, the last length must be {wanted}")
-    if name == "reverser" and len(array) != size:
-        raise ValueError(f"its array reverser has shape {array.shape}, not {(size, size)}")
-    axes = 3 if name.endswith("strands") else 2 if wanted is not None else 1
-    if array.ndim != axes or not (array.size or "strand" in name):
-        raise ValueError(f"its array {name} has shape {array.shape}, where {axes} lengths are wanted, none of them 0")
-    return array
+        elif hint is float and entry[name] is None:
+            values[name] = np.nan
+    return values
 
 
 BRANCHES_FORMAT = 1

@@ -11,7 +11,7 @@ times, plant names a model file for the plant's own arms, and zeros are the read
 [controller], [estimator] and [supervisor] have the rest of a run's settings.
 """
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -167,7 +167,6 @@ def read_run_settings(
     places = {name: replace(top, table=name) for name in ("run", "controller", "estimator", "supervisor")}
     run, law_keys = dict(tables.get("run", {})), dict(tables.get("controller", {}))
     mistakes, parts, blows, keep = Mistakes(), dict[str, Any](), list[Push](), law_keys.pop("keep", "none")
-    _take_misplaced(run, (*BENCH, *_TABLES), replace(top, table="run."), mistakes)
     law: Any = None
     struck = run.pop("blows", ())
     with mistakes:
@@ -203,16 +202,6 @@ def read_run_settings(
         return LoopSettings(seed=0, keep=keep, controller=law, **parts), given.zeros
     except InputError as error:
         raise error.under(f"{places['run']} ", table="run") from error
-
-
-def _take_misplaced(found: dict[str, Any], names: Iterable[str], place: Place, mistakes: Mistakes) -> None:
-    """Report each key of misplaced tables, and remove these tables."""
-    for name in names:
-        if isinstance(found.get(name), dict):
-            for key, value in found.pop(name).items():
-                with mistakes:
-                    there = name if name in _TABLES else "run"
-                    raise replace(place, table=f"{place.table}{name}").error(key, value, f"write this key in [{there}]")
 
 
 def _kind(values: Mapping[str, Any], kinds: Mapping[str, type], default: str, place: Place) -> Any:
@@ -428,9 +417,10 @@ class Itinerary:
             InputError: an impossible number.
         """
         try:
-            for sentence in rig_oddities(self.limits, self.loop, arms=self.model.arms.count, zeros=self.zeros):
-                place = sentence.partition(" =")[0]
-                remark(f"setting {sentence.partition(' ')[2]}" if place in given else f"{self.path}: {sentence}")
+            odd = rig_oddities(self.limits, self.loop, arms=self.model.arms.count, zeros=self.zeros)
+            for table, key, sentence in odd:
+                begin = "setting" if f"{table} {key}" in given else f"{self.path}: {table}"
+                remark(f"{begin} {sentence}")
         except InputError as error:
             raise InputError(f"{self.path}: {error}") from error
 
@@ -555,7 +545,6 @@ def _itinerary(
             if not isinstance(table, dict):
                 tables[name] = {}
                 raise top.error(name, table, f"must be a table, [{name}]")
-    _take_misplaced(rest, BENCH, top, mistakes)
     listed, head = rest.pop("parts", None), {name: rest.pop(name) for name in _names(Header) if name in rest}
     if listed is None:
         kind: type = HoldPart if "hold" in rest else OrbitPart if "orbit" in rest else WalkPart
@@ -563,14 +552,9 @@ def _itinerary(
         # The part reports a misspelling of a key that it lacks.
         misspelt = {nearest(name, unknown) for name in _names(kind) if name not in rest}
         head |= {key: rest.pop(key) for key in unknown if key not in misspelt}
-    with mistakes:
-        for key in rest if listed is not None else ():
-            if key in _SAME_IN_PARTS:
-                raise top.refusal(f"{key}: the file lists [[parts]]; move the key into one of them", key)
     header = unread = Header()
     with mistakes:
-        more = {key: one for key, one in rest.items() if key not in _SAME_IN_PARTS} if listed is not None else {}
-        header = decode(Header, {**head, **more}, top, also=[*_TABLES, *_SAME_IN_PARTS, "parts"])
+        header = decode(Header, head if listed is None else head | rest, top, also=[*_TABLES, *_SAME_IN_PARTS, "parts"])
     with mistakes:
         model = model or _named_model(header.model, where=f"{top} model", at=("", "model"), beside=path.parent)
         _ = model.arms  # an itinerary needs arms on a cart

@@ -92,5 +92,3 @@ RunTable: Any = make_dataclass(
     namespace={"__doc__": "The table [run] of an itinerary's file.", "TABLE": "run"},
     frozen=True,
 )
-PART_OF = {one.name: part for part, kind in BENCH.items() for one in fields(kind)}
-"""The part of the bench that a key of [run] belongs to; keys of none belong to the run itself."""

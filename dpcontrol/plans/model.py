@@ -338,9 +338,9 @@ def _model(document: Mapping[str, Any], text: str, path: Path) -> Model:
         chain = ArmChainParameters(**columns, gravity=found["gravity"].acceleration, viscous=friction.viscous, **laws)
         remarks = oddities(chain)
     except InputError as error:
-        key = str(error).split()[0]
-        table = {"acceleration": "gravity"}.get(key, "friction" if key in ("viscous", *Friction) else "arms")
-        raise InputError(f"{top} [{table}] {error}") from error
+        tables = {"acceleration": "gravity", "smoothing": "friction", "viscous": "friction"}
+        table = tables.get(error.errors[0].key) or ("friction" if error.errors[0].key in laws else "arms")
+        raise error.under(f"{top} [{table}] ", table=table) from error
     zeros = () if encoders is None else encoders.zeros
     try:
         remarks += tuple(_ZEROS.oddities("zeros", zeros))

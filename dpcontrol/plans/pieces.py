@@ -16,6 +16,7 @@ import numpy as np
 
 from dpcontrol.dynamics.chain import Level, equations_of
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.causes import ReferenceCause
 from dpcontrol.foundation.document import picked
 from dpcontrol.foundation.files import content_hash
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
@@ -35,6 +36,7 @@ from dpcontrol.references.content import (
     PlanSymbol,
     Shadowing,
 )
+from dpcontrol.references.ending import Ending
 from dpcontrol.references.find import find_reference, shadowed
 from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import PLANNING, EndConditions, Guess, ReferenceProblem
@@ -379,8 +381,9 @@ def _blend(itinerary: Itinerary, leaving: Goal, lift: Array, joining: Goal, prog
     ends = EndConditions(start=lifted(start, lift), end=lifted(end, onward))
     found = find_reference(cart_problem(itinerary, guess, duration, ends), itinerary.reference, progress=progress)
     if not found.converged:
-        text = f"from {first.energy:g} J to {last.energy:g} J at {first.saddle}"
-        found = replace(found, status=f"no change of energy {text}: {found.status}")
+        energies = (first.energy, last.energy)
+        cause = ReferenceCause.ENERGY_CHANGE
+        found = replace(found, ending=Ending(cause, energies=energies, saddle=first.saddle, inner=found.ending))
     return SolvedPiece(f"change of energy at {first.saddle}", None, onward, found)
 
 

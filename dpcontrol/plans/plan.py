@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.cache import cache_file, keep, kept
+from dpcontrol.foundation.causes import ReferenceCause
 from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.foundation.files import content_hash
@@ -26,6 +27,7 @@ from dpcontrol.foundation.shown import Timed, checked_times
 from dpcontrol.logs.layout import state_names
 from dpcontrol.plans.itinerary import HoldPart, Itinerary, WalkPart, stored_itinerary
 from dpcontrol.references.content import PlanContent, PlanStart
+from dpcontrol.references.ending import Ending
 from dpcontrol.references.problem import PLANNING
 from dpcontrol.references.reference import ByReference, Reference, load_reference, save_reference
 
@@ -245,9 +247,8 @@ def make_plan(
 
     reference = planned(itinerary, orbits, fresh=fresh, workers=workers, progress=progress)
     reference = replace(reference, plan=replace(reference.content, key=plan_key(itinerary)))
-    if reference.converged and (problem := shortfall(reference)):
-        status = f"the reference converged, but a run that follows it would not be completed: {problem}"
-        reference = replace(reference, converged=False, status=status)
+    if reference.converged and (missed := shortfall(reference)):
+        reference = replace(reference, converged=False, ending=Ending(ReferenceCause.SHORTFALL, inner=missed))
     plan = Plan(itinerary, reference, file, cached=False)
     if plan.converged:
         keep(file, plan.archive)

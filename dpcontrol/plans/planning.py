@@ -21,6 +21,7 @@ import numpy as np
 from dpcontrol.control.interface import whole_turns
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.causes import ReferenceCause
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.orbits.lyapunov import equilibria, equilibrium, lyapunov_orbit, resting_place
@@ -44,6 +45,7 @@ from dpcontrol.references.content import (
     PlanStop,
     StaySegment,
 )
+from dpcontrol.references.ending import Ending
 from dpcontrol.references.find import find_reference
 from dpcontrol.references.problem import EndConditions
 from dpcontrol.references.reference import Reference, joined
@@ -411,11 +413,14 @@ def _counted_once(whole: Reference, flights: list[Reference], orbits: dict[str, 
     """
     solved = [*flights, *(orbit.reference for orbit in orbits.values())]
     iterations, seconds = sum(one.iterations for one in solved), sum(one.solve_seconds for one in solved)
-    status = (
-        f"converged in {iterations} iterations; error between nodes {whole.max_error_between_nodes:.1e} on "
-        f"{len(whole.mesh) - 1} intervals: {len(flights)} flights, {len(flights) + 1} stays"
+    ending = Ending(
+        ReferenceCause.FLIGHTS,
+        iterations=iterations,
+        error=whole.max_error_between_nodes,
+        intervals=whole.intervals,
+        parts=len(flights),
     )
-    return replace(whole, iterations=iterations, solve_seconds=seconds, status=status)
+    return replace(whole, iterations=iterations, solve_seconds=seconds, ending=ending)
 
 
 def _rows(before: list[Reference], part: Reference) -> tuple[int, int]:
@@ -443,7 +448,7 @@ def _kept_orbit(itinerary: Itinerary, part: OrbitPart, progress: Progress) -> Re
     one = found.reference
     periods = max(1, round(part.seconds / found.period))
     reference, _ = joined([one] * periods)
-    reference = replace(reference, status=one.status, iterations=one.iterations, solve_seconds=one.solve_seconds)
+    reference = replace(reference, ending=one.ending, iterations=one.iterations, solve_seconds=one.solve_seconds)
     state = system.equilibrium(part.orbit)
     n = len(state) // 2
     stay = StaySegment(

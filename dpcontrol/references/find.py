@@ -33,13 +33,12 @@ from numpy.typing import NDArray
 
 from dpcontrol.dynamics.equations import Equations
 from dpcontrol.foundation.arrays import Array
-from dpcontrol.foundation.errors import GoalMissed, InputError
+from dpcontrol.foundation.causes import ObstacleCause, ReferenceCause
+from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.foundation.progress import Progress, no_progress
+from dpcontrol.references.ending import Ending, Obstacle
 from dpcontrol.references.method import Method, interpolation_matrix, method_named
 from dpcontrol.references.problem import (
-    ANGLE_SCALE,
-    LIMIT_UNITS,
-    RATE_SCALE,
     EndConditions,
     Guess,
     Limits,
@@ -57,8 +56,8 @@ from dpcontrol.references.trajectory import (
     even_mesh,
     first_trajectory,
     largest_values,
+    limit_uses,
     times_on,
-    where_largest,
 )
 from dpcontrol.references.transcription import solve
 
@@ -158,34 +157,19 @@ def has_authority(problem: ReferenceProblem, times: Array) -> bool:
     return bool(np.abs(found).max() > _NO_AUTHORITY)
 
 
-def limits_passed(problem: ReferenceProblem, trajectory: Trajectory) -> str:
-    """Describe the limits that an unconstrained motion exceeds.
-
-    The text has value and time, and is empty if there are none.
+def limits_passed(problem: ReferenceProblem, trajectory: Trajectory) -> Obstacle | None:
+    """Return the limits that an unconstrained motion exceeds, or None.
 
     Args:
         problem: limits of the cart.
         trajectory: motion.
     """
-    largest = largest_values(trajectory, problem.limits)
-    passed = [
-        f"cart {name} of {largest[name]:.4g} {LIMIT_UNITS[name]} where {bound:.4g} is allowed (at t = "
-        f"{where_largest(trajectory, name):.2f} s)"
-        for name, bound in problem.limits.named().items()
-        if largest[name] > bound
-    ]
-    if not passed:
-        return ""
-    return (
-        f"without limits it takes a {' and a '.join(passed)}; these values suffice as limits: widen them, or choose a "
-        "gentler itinerary"
-    )
+    passed = tuple(use for use in limit_uses(trajectory, problem.limits) if use.share > 1)
+    return Obstacle(ObstacleCause.LIMITS, uses=passed) if passed else None
 
 
-def wanting(problem: ReferenceProblem, first: Trajectory, settings: ReferenceSettings) -> str:
-    """Describe the cause of a failed solution.
-
-    The causes are the cart's authority, the limits or the guess.
+def wanting(problem: ReferenceProblem, first: Trajectory, settings: ReferenceSettings) -> Obstacle:
+    """Return the cause of a failed solution: the cart's authority, the limits, the guess or the mesh.
 
     Args:
         problem: problem without a solution.
@@ -193,74 +177,11 @@ def wanting(problem: ReferenceProblem, first: Trajectory, settings: ReferenceSet
         settings: settings of the solver.
     """
     if not has_authority(problem, first.mesh):
-        return "the cart's acceleration moves no arm, so friction cannot be compensated; check the arms' parameters"
+        return Obstacle(ObstacleCause.AUTHORITY)
     free = solve(problem, first, settings=settings, limits=_UNLIMITED)
     if not free.succeeded:
-        return (
-            "without limits it finds no solution either: check that the guess is an orbit of the same arms, or "
-            "lower the friction"
-        )
-    return limits_passed(problem, free.trajectory) or (
-        "the limits are not the cause: the same motion is found without them; use shorter intervals"
-    )
-
-
-def friction_text(share: float) -> str:
-    """Describe the share of friction that could be compensated.
-
-    Args:
-        share: compensated share, 0 to 1; NaN for none.
-    """
-    if np.isnan(share):
-        return (
-            "there is no motion near the guess even without friction and limits: check that it is an orbit of the "
-            "same arms"
-        )
-    return (
-        f"friction is out of reach: {share:.0%} of it can be compensated within the limits; lower the friction, "
-        "widen the limits or choose a gentler itinerary"
-    )
-
-
-def guess_misses_its_ends(problem: ReferenceProblem) -> str:
-    """Describe a guess that starts or ends far from the required states.
-
-    Empty if it does not.
-
-    Args:
-        problem: guess and required ends.
-    """
-    nz, ends = problem.pendulum_dimension, problem.ends
-    scale = state_scale(problem.equations.dimension, problem.limits)[:nz]
-    first, last = problem.guess_at(np.array([0.0, problem.duration]))
-    gaps = []
-    for where, given, guessed in (("starts", ends.start, first), ("ends", ends.end, last)):
-        if given is not None:
-            gaps.append((where, given[:nz] - guessed))
-    if ends.closing is not None:
-        gaps.append(("closes", ends.closing[:nz] - (last - first)))
-    for where, gap in gaps:
-        away = float(np.nanmax(np.abs(gap) / scale, initial=0.0))
-        if away > FARTHEST:
-            return (
-                f"the guess {where} {away:.2f} (scaled) from where the reference is to: an orbit integrated for "
-                "several periods leaves itself, so tile one period instead"
-            )
-    return ""
-
-
-def another_motion(away: float, when: float) -> str:
-    """Describe a solution that is a different motion from the guess.
-
-    Args:
-        away: largest scaled distance from the guess.
-        when: its time, s.
-    """
-    return (
-        f"no reference near the guess: the motion found passes {away:.2f} from it at t = {when:.2f} s (scaled by "
-        f"{ANGLE_SCALE:.3g} rad and {RATE_SCALE:g} rad/s, more for faster arms), {FARTHEST:g} is allowed, "
-        "so it is not the itinerary's motion; check that the guess is an orbit of the same arms, or lower the friction"
-    )
+        return Obstacle(ObstacleCause.GUESS)
+    return limits_passed(problem, free.trajectory) or Obstacle(ObstacleCause.MESH)
 
 
 def split_mesh(mesh: Array, errors: Array, *, tolerance: float, order: int) -> Array:
@@ -385,24 +306,27 @@ def _near_guess(
 
 def _once_more(
     problem: ReferenceProblem, first: Trajectory, *, settings: ReferenceSettings, limits: Limits, failed: Solved
-) -> tuple[Solved | None, str]:
-    """Solve by raising the friction.
-
-    Return the solution, or None and the reason.
-    """
-    head = f"no reference: the solver stopped with {failed.outcome!r}"
-    if failed.succeeded:
-        head = another_motion(*away_from_guess(problem, failed.trajectory))
+) -> Solved | Obstacle:
+    """Return a solution by raising the friction, or what prevents it."""
     if settings.pendulum_weight == 0 or not has_authority(problem, first.mesh):
-        return None, f"{head}; {wanting(problem, first, settings)}"
+        return wanting(problem, first, settings)
     if not failed.succeeded:
         free = solve(problem, first, settings=settings, limits=_UNLIMITED)
         near = free.succeeded and not _is_another_motion(problem, free, settings)
-        passed = limits_passed(problem, free.trajectory) if near else ""
-        if passed:
-            return None, f"{head}; {passed}"
+        if near and (passed := limits_passed(problem, free.trajectory)):
+            return passed
     share, raised = raise_friction(problem, first, settings=settings, limits=limits)
-    return (raised, "") if share >= 1.0 else (None, f"{head}; {friction_text(share)}")
+    if raised is None:
+        return Obstacle(ObstacleCause.NO_MOTION)
+    return raised if share >= 1.0 else Obstacle(ObstacleCause.FRICTION, share=share)
+
+
+def _failure(problem: ReferenceProblem, failed: Solved, obstacle: Obstacle) -> Ending:
+    """Return the ending of a search whose solver failed or converged to a different motion."""
+    if not failed.succeeded:
+        return Ending(ReferenceCause.SOLVER, answer=failed.outcome, obstacle=obstacle)
+    away, when = away_from_guess(problem, failed.trajectory)
+    return Ending(ReferenceCause.OTHER_MOTION, distance=away, times=(when,), allowed=FARTHEST, obstacle=obstacle)
 
 
 def find_reference(
@@ -430,21 +354,18 @@ def find_reference(
         A reference. If `converged` is false it must not be used; `status` has the reason and a remedy.
 
     Raises:
-        InputError: the guess has the wrong shape, is not finite or misses the required ends, or a setting is out of
-            range.
+        InputError: an unknown method, or a formulation that the solver does not support.
     """
     method = method_named(settings.method)
-    apart = guess_misses_its_ends(problem) if settings.pendulum_weight > 0 else ""
-    if apart:
-        raise InputError(apart)
     first = near or first_trajectory(problem, method, first_mesh(problem, settings, method=method))
     most = _MOST_GROWTH * len(first.mesh)
     limits, iterations, seconds, round_number = problem.limits, 0, 0.0, 0
 
-    def result(solved: Solved, status: str, *, converged: bool, error: float = np.inf) -> Reference:
+    def result(solved: Solved, ending: Ending) -> Reference:
         return Reference.of(
-            solved.trajectory, problem.limits, status=status, converged=converged, max_error_between_nodes=error,
-            constraint_violation=solved.violation, iterations=iterations, solve_seconds=seconds,
+            solved.trajectory, problem.limits, ending=ending, converged=ending.cause is ReferenceCause.CONVERGED,
+            max_error_between_nodes=ending.error, constraint_violation=solved.violation, iterations=iterations,
+            solve_seconds=seconds,
         )  # fmt: skip
 
     while True:
@@ -459,9 +380,9 @@ def find_reference(
             if raised is not None:
                 settings = held
             else:
-                raised, why = _once_more(problem, start, settings=settings, limits=limits, failed=solved)
-                if raised is None:
-                    return result(replace(solved, trajectory=first), why, converged=False)
+                raised = _once_more(problem, start, settings=settings, limits=limits, failed=solved)
+                if isinstance(raised, Obstacle):
+                    return result(replace(solved, trajectory=first), _failure(problem, solved, raised))
             solved = raised
             iterations, seconds = iterations + raised.iterations, seconds + raised.seconds
         errors = error_between_nodes(problem, solved.trajectory)
@@ -470,29 +391,18 @@ def find_reference(
         tighter = _tightened(limits, problem.limits, largest)
         if worst <= _ACCEPTED * settings.tolerance and tighter is None:
             progress("reference", 1.0)
-            return result(
-                solved,
-                f"converged in {iterations} iterations; error between nodes {worst:.1e} on {len(errors)} intervals",
-                converged=True,
-                error=worst,
-            )
+            found = Ending(ReferenceCause.CONVERGED, iterations=iterations, error=worst, intervals=len(errors))
+            return result(solved, found)
         finer = split_mesh(solved.trajectory.mesh, errors, tolerance=settings.tolerance, order=len(method.points))
         if round_number == settings.rounds or len(finer) > most:
             break
         first = on_mesh(solved.trajectory, finer)
         limits = tighter or limits
-    passed = ", ".join(
-        f"cart {name} passes its limit by {largest[name] - bound:.1e} {LIMIT_UNITS[name]}"
-        for name, bound in problem.limits.named().items()
-        if largest[name] > bound + _LIMIT_SLACK
-    )
+    uses = limit_uses(solved.trajectory, problem.limits)
+    passed = tuple(use for use in uses if use.largest > use.bound + _LIMIT_SLACK)
     return result(
         solved,
-        f"not converged in {round_number} rounds: error between nodes {worst:.1e} where "
-        f"{settings.tolerance:.1e} is required{'; ' + passed if passed else ''}; start with a shorter interval, "
-        "loosen the tolerance, or allow more rounds",
-        converged=False,
-        error=worst,
+        Ending(ReferenceCause.ROUNDS, rounds=round_number, error=worst, allowed=settings.tolerance, uses=passed),
     )
 
 
@@ -517,14 +427,10 @@ def shadowed(problem: ReferenceProblem, settings: ReferenceSettings) -> Referenc
             break
         mesh = split_mesh(mesh, errors, tolerance=settings.tolerance, order=len(method.points))
     converged = worst <= settings.tolerance
-    status = f"the shadowing orbit itself; error between nodes {worst:.1e} on {len(errors)} intervals"
-    if not converged:
-        status = (
-            f"not converged: the guess is {worst:.1e} from a frictionless motion where {settings.tolerance:.1e} is "
-            'required; check that it is an orbit of the same arms, or use level "cart"'
-        )
+    cause = ReferenceCause.SHADOWING_ORBIT if converged else ReferenceCause.NO_ORBIT
+    ending = Ending(cause, error=worst, intervals=len(errors), allowed=settings.tolerance)
     return Reference.of(
-        trajectory, problem.limits, status=status, converged=converged, max_error_between_nodes=worst,
+        trajectory, problem.limits, ending=ending, converged=converged, max_error_between_nodes=worst,
         solve_seconds=time.perf_counter() - began,
     )  # fmt: skip
 
@@ -623,14 +529,14 @@ def find_transfer(
         problem = ReferenceProblem(equations, parameters, guess, duration, limits=limits, ends=both)
         return problem, first_trajectory(problem, trying, even_mesh(duration, transfer.interval))
 
-    (problem, first), outcome = sought(*tries[0]), ""
+    (problem, first), answer, refined = sought(*tries[0]), "", None
     for k, one in enumerate([*tries, *further]):
         if solved and k >= len(tries):
             break
         progress("transfer", k / (len(tries) + len(further)))
         problem, first = sought(*one)
         attempt = solve(problem, first, settings=tried, limits=limits)
-        outcome = attempt.outcome
+        answer = attempt.outcome
         if attempt.succeeded:
             largest = largest_values(attempt.trajectory, limits)
             share = max(largest[name] / bound for name, bound in limits.named().items())
@@ -643,11 +549,15 @@ def find_transfer(
         if trying is not method:
             trajectory = on_mesh(trajectory, even_mesh(trajectory.duration, settings.interval), method)
         found = find_reference(chosen, wanted, near=trajectory)
-        outcome = found.status
+        refined = found.ending
         if found.converged:
             progress("transfer", 1.0)
             return found
-    seconds = ", ".join(f"{duration:g}" for duration in (*transfer.durations, *transfer.longer))
-    why = wanting(problem, first, tried)
-    bounds = ", ".join(f"{name} {bound:g} {LIMIT_UNITS[name]}" for name, bound in limits.named().items())
-    raise GoalMissed(f"no transfer in {seconds} s within the cart's limits ({bounds}): {outcome}; {why}")
+    missed = Ending(
+        ReferenceCause.NO_TRANSFER,
+        times=transfer.durations + transfer.longer,
+        answer=answer,
+        inner=refined,
+        obstacle=wanting(problem, first, tried),
+    )
+    raise GoalMissed(missed.status)

@@ -29,39 +29,16 @@ import numpy as np
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
 from dpcontrol.dynamics.equations import NumericEquations
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.causes import ReferenceCause
 from dpcontrol.foundation.document import document_of, picked, plain
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import archive, write_archive
 from dpcontrol.foundation.parts import installed
 from dpcontrol.references.content import PlanContent, PlanStart, restored, stored
+from dpcontrol.references.ending import Ending
 from dpcontrol.references.method import Method, method_named
-from dpcontrol.references.problem import LIMIT_UNITS, Limits, ReferenceProblem, state_scale
-from dpcontrol.references.trajectory import Trajectory, error_between_nodes, largest_values, where_largest
-
-
-@dataclass(frozen=True)
-class LimitUse:
-    """Use of one of the cart's limits.
-
-    Bound and largest size in `unit`, and the time of the latter, s.
-    """
-
-    name: str
-    unit: str
-    bound: float
-    largest: float
-    time: float
-
-    @property
-    def share(self) -> float:
-        """Largest size divided by the bound."""
-        return self.largest / self.bound
-
-    @property
-    def sentence(self) -> str:
-        """Largest size, bound and time in words."""
-        return f"{self.largest:.3g} of {self.bound:.4g} {self.unit} at {self.time:.2f} s"
-
+from dpcontrol.references.problem import Limits, ReferenceProblem, state_scale
+from dpcontrol.references.trajectory import LimitUse, Trajectory, error_between_nodes, largest_values, limit_uses
 
 _PLAN = (
     "title itinerary model energy plan=key made_from=origin symbols:time,text,name,arrives_at=target wraps transfers "
@@ -77,7 +54,7 @@ class Reference(Trajectory):
 
     Attributes:
         limits: limits that it respects.
-        status: a sentence.
+        ending: how its search ended.
         converged: True if it can be used.
         max_error_between_nodes: scaled, infinite if not measured.
         constraint_violation: scaled, at the nodes.
@@ -87,13 +64,18 @@ class Reference(Trajectory):
     """
 
     limits: Limits
-    status: str
+    ending: Ending
     converged: bool
     max_error_between_nodes: float
     constraint_violation: float = 0.0
     iterations: int = 0
     solve_seconds: float = 0.0
     plan: PlanContent | None = None
+
+    @property
+    def status(self) -> str:
+        """Method of the reference, or the cause of its failure with a remedy."""
+        return self.ending.status
 
     @property
     def intervals(self) -> int:
@@ -178,10 +160,7 @@ class Reference(Trajectory):
     @cached_property
     def uses(self) -> tuple[LimitUse, ...]:
         """Each limit's bound, with the largest value and its time."""
-        return tuple(
-            LimitUse(name, LIMIT_UNITS[name], bound, self.largest[name], where_largest(self, name))
-            for name, bound in self.limits.named().items()
-        )
+        return limit_uses(self, self.limits)
 
     @cached_property
     def errors(self) -> Array | None:
@@ -245,10 +224,7 @@ class ByReference:
 
     @property
     def status(self) -> str:
-        """Method of the reference, or the cause of its failure.
-
-        A failure also has a remedy.
-        """
+        """Method of the reference, or the cause of its failure with a remedy."""
         return self.reference.status
 
 
@@ -266,8 +242,8 @@ def still(state: Array, seconds: float, *, method: Method, limits: Limits, inter
     states = np.tile(np.asarray(state, dtype=float), (count, len(method.support), 1))
     mesh = np.linspace(0.0, seconds, count + 1)
     inputs = np.zeros((count, len(method.points), 1))
-    status = f"at rest for {seconds:g} s"
-    return Reference(method, mesh, states, inputs, limits, status, converged=True, max_error_between_nodes=0.0)
+    ending = Ending(ReferenceCause.REST, times=(seconds,))
+    return Reference(method, mesh, states, inputs, limits, ending, converged=True, max_error_between_nodes=0.0)
 
 
 def joined(pieces: Sequence[Reference]) -> tuple[Reference, Array]:
@@ -279,12 +255,7 @@ def joined(pieces: Sequence[Reference]) -> tuple[Reference, Array]:
 
     Args:
         pieces: references (P,) in order.
-
-    Raises:
-        ValueError: no pieces, or pieces of different methods.
     """
-    if not pieces or len({piece.method.name for piece in pieces}) > 1:
-        raise ValueError("pieces must have one method, and there must be at least one")
     first, limits = pieces[0], pieces[0].limits
     if len(pieces) == 1:
         return first, np.array([0.0, first.duration])
@@ -299,16 +270,15 @@ def joined(pieces: Sequence[Reference]) -> tuple[Reference, Array]:
     bad = [piece for piece in pieces if not piece.converged]
     error = max(piece.max_error_between_nodes for piece in pieces)
     iterations = sum(piece.iterations for piece in pieces)
-    status = bad[0].status if bad else (
-        f"converged in {iterations} iterations; error between nodes {error:.1e} on {len(mesh) - 1} intervals of "
-        f"{len(pieces)} pieces"
-    )  # fmt: skip
+    ending = Ending(
+        ReferenceCause.PIECES, iterations=iterations, error=error, intervals=len(mesh) - 1, parts=len(pieces)
+    )
     together = replace(
         first,
         mesh=mesh,
         states=np.concatenate([piece.states for piece in pieces]),
         inputs=np.concatenate([piece.inputs for piece in pieces]),
-        status=status,
+        ending=bad[0].ending if bad else ending,
         converged=not bad,
         max_error_between_nodes=error,
         constraint_violation=max([*jumps, *(piece.constraint_violation for piece in pieces)]),
@@ -384,7 +354,7 @@ def _checked(header: Any, arrays: dict[str, Array]) -> Reference:
     notes = header["notes"]
     return Reference(
         method, mesh, states, inputs, limits,
-        status=str(header["status"]), converged=bool(header["converged"]),
+        ending=Ending(ReferenceCause.STORED, text=str(header["status"])), converged=bool(header["converged"]),
         iterations=int(found.pop("iterations")), **found,
         plan=restored(notes, extra, arms=states.shape[-1] // 2 - 1) if notes else None,
     )  # fmt: skip

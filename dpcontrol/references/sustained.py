@@ -38,12 +38,14 @@ from numpy.typing import ArrayLike, NDArray
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
 from dpcontrol.dynamics.equations import Equations
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.causes import ReferenceCause
 from dpcontrol.foundation.document import picked
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.shown import Brief, Timed, checked_times
 from dpcontrol.orbits.lyapunov import LyapunovOrbit
 from dpcontrol.orbits.manifold import OrbitCurve
+from dpcontrol.references.ending import Ending
 from dpcontrol.references.find import find_reference
 from dpcontrol.references.method import gauss
 from dpcontrol.references.problem import EndConditions, Limits, ReferenceProblem, ReferenceSettings, state_scale
@@ -478,7 +480,6 @@ def sustained_orbit(
         reference = replace(
             reference,
             converged=False,
-            status=f"no sustained orbit: the period left that of the Lyapunov orbit, {lyapunov.period:.4g} s, by "
-            f"{STRETCH:.0%}, which gives another orbit; choose an energy nearer to the saddle's or less friction",
+            ending=Ending(ReferenceCause.OTHER_PERIOD, times=(lyapunov.period,), allowed=STRETCH),
         )
     return SustainedOrbit(lyapunov, arms, reference)

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.shown import Brief
 from dpcontrol.references.method import Method, differentiation_matrix, interpolation_matrix
-from dpcontrol.references.problem import Limits, ReferenceProblem, state_scale
+from dpcontrol.references.problem import LIMIT_UNITS, Limits, ReferenceProblem, state_scale
 
 if TYPE_CHECKING:
     from dpcontrol.dynamics.propagator import PolynomialInputPropagator
@@ -290,6 +290,44 @@ def where_largest(trajectory: Trajectory, name: str) -> float:
     interval, place = np.unravel_index(int(sampled.argmax()), sampled.shape)
     mesh = trajectory.mesh
     return float(mesh[interval] + tau[place] * (mesh[interval + 1] - mesh[interval]))
+
+
+@dataclass(frozen=True)
+class LimitUse:
+    """Use of one of the cart's limits.
+
+    Bound and largest size in `unit`, and the time of the latter, s.
+    """
+
+    name: str
+    unit: str
+    bound: float
+    largest: float
+    time: float
+
+    @property
+    def share(self) -> float:
+        """Largest size divided by the bound."""
+        return self.largest / self.bound
+
+    @property
+    def sentence(self) -> str:
+        """Largest size, bound and time in words."""
+        return f"{self.largest:.3g} of {self.bound:.4g} {self.unit} at {self.time:.2f} s"
+
+
+def limit_uses(trajectory: Trajectory, limits: Limits) -> tuple[LimitUse, ...]:
+    """Return each limit's bound, with the largest value and its time.
+
+    Args:
+        trajectory: motion.
+        limits: limits of the cart.
+    """
+    largest = largest_values(trajectory, limits)
+    return tuple(
+        LimitUse(name, LIMIT_UNITS[name], bound, largest[name], where_largest(trajectory, name))
+        for name, bound in limits.named().items()
+    )
 
 
 def largest_values(trajectory: Trajectory, limits: Limits) -> dict[str, float]:

@@ -29,6 +29,7 @@ import numpy as np
 from dpcontrol.dynamics.chain import Level, equations_of
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.cache import cache_file, keep, kept
+from dpcontrol.foundation.causes import DepartureCause, ReferenceCause
 from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import content_hash
@@ -42,6 +43,7 @@ from dpcontrol.plans.pieces import STILL
 from dpcontrol.plans.plan import Plan
 from dpcontrol.plans.transfers import transfer_costs
 from dpcontrol.references.content import PlanSymbol
+from dpcontrol.references.ending import Ending
 from dpcontrol.references.find import find_reference, on_mesh, tail
 from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import PLANNING, EndConditions, Guess, Limits, ReferenceProblem, ReferenceSettings
@@ -50,6 +52,7 @@ from dpcontrol.references.trajectory import Trajectory, even_mesh
 from dpcontrol.references.transcription import solve
 from dpcontrol.runs.campaign import Case, Job
 from dpcontrol.runs.preflight import outcomes, seconds_of
+from dpcontrol.words.searches import Concluded
 
 POLISHING = 1
 """Version of polishing, part of the cache keys: raise it whenever a polished plan changes."""
@@ -222,21 +225,21 @@ def _polished(plan: Plan, progress: Progress) -> Reference:
         here = part_of(progress, 0.8 * count / len(moving), 0.8 * (count + 1) / len(moving))
         found[k] = _searched(_problem(plan, parts[k]), parts[k], plan.itinerary.reference, here)
     # The least costly motion of each part comes first. Then the second best of one part replaces it.
-    missed, choice = "", dict.fromkeys(moving, 0)
+    missed: Concluded | None = None
+    choice = dict.fromkeys(moving, 0)
     while all(place < len(found[k]) for k, place in choice.items()):
         progress("refining", 0.8)
         pieces = [_refined(plan, part, found[k][choice[k]]) if k in choice else part for k, part in enumerate(parts)]
         whole = joined(pieces)[0]
-        missed = departure(robust, whole) if whole.converged else whole.status
-        if not missed:
+        missed = departure(robust, whole) if whole.converged else whole.ending
+        if missed is None:
             whole = _noted(plan, whole)
             missed = shortfall(whole)
-        if not missed:
+        if missed is None:
             progress("polished", 1.0)
             return whole
         choice = {k: place + 1 for k, place in choice.items()}
-    why = f": {missed}" if missed else ": no search converged"
-    return replace(robust, converged=False, status=f"no cheaper motion keeps the walk{why}; use the robust plan")
+    return replace(robust, converged=False, ending=Ending(ReferenceCause.NO_CHEAPER, inner=missed))
 
 
 def _problem(plan: Plan, part: Reference) -> ReferenceProblem:
@@ -332,8 +335,19 @@ class _Crossed:
     halves: list[int | None]
 
 
-def departure(robust: Reference, motion: Reference) -> str:
-    """Return the first difference between two walks, or "".
+@dataclass(frozen=True)
+class Departure(Concluded):
+    """Departure of a motion from its walk: its cause, with the symbol, or the stop and its wraps."""
+
+    cause: DepartureCause
+    symbol: str = ""
+    stop: int = 0
+    wraps: float = 0.0
+    wanted: float = 0.0
+
+
+def departure(robust: Reference, motion: Reference) -> Departure | None:
+    """Return the first difference between two walks, or None.
 
     Args:
         robust: reference of the robust plan.
@@ -343,20 +357,20 @@ def departure(robust: Reference, motion: Reference) -> str:
     try:
         after = _crossed(robust, motion)
     except LookupError as error:
-        return str(error)
+        return Departure(DepartureCause.NO_CROSSING, symbol=error.args[0])
     if before.events != after.events:
-        return "it crosses the walk's sections in another order"
+        return Departure(DepartureCause.ORDER)
     for k, (was, now) in enumerate(zip(before.halves, after.halves, strict=True)):
         if was is not None and now is not None and abs(now - was) > 1:
-            return f"{now / 2:g} wobbles at stop {k + 1} instead of {was / 2:g}"
-    return ""
+            return Departure(DepartureCause.WRAPS, stop=k + 1, wraps=now / 2, wanted=was / 2)
+    return None
 
 
 def _crossed(robust: Reference, motion: Reference) -> _Crossed:
     """Return the crossings of a robust plan's sections by a motion.
 
     Raises:
-        LookupError: a symbol does not cross its section on its turns.
+        LookupError: the symbol of this text does not cross its section on its turns.
     """
     content = robust.content
     n = len(content.stops[0].angles)
@@ -369,7 +383,7 @@ def _crossed(robust: Reference, motion: Reference) -> _Crossed:
             continue
         seen = crossing(grid, angles, symbol, robust, between=(after, symbol.time))
         if seen is None:
-            raise LookupError(f"symbol {symbol.text!r} does not cross its section")
+            raise LookupError(symbol.text)
         times.append(after := seen)
     events = list[list[tuple[int, int, int]]]()
     for transfer, group in groupby(zip(content.symbols, times, strict=True), lambda pair: pair[0].section is None):

@@ -381,15 +381,20 @@ def connection_sense(connection: Connection) -> int:
     return connection.section.sense(connection.source.system.numeric.rate(connection.state))
 
 
-def named(connection: Connection) -> Connection:
+def named(connection: Connection, *, at_energy: bool = False) -> Connection:
     """Return a connection with a name that depends on its properties only.
 
     The name has source, target, winding, hits, the section unless it is the default, and position and rate to four
-    digits.
+    digits. The connections of a family in energy have their energy instead of a place on the section.
 
     Args:
         connection: connection with any name.
+        at_energy: True for a connection of such a family, default False.
     """
+    turns, (out, back) = ",".join(str(k) for k in connection.winding), connection.hits
+    if at_energy:
+        saddle, energy = connection.source.name, connection.source.energy
+        return replace(connection, name=f"{saddle}>{saddle}[{turns}]h{out}.{back}@{energy:.6f}J")
     system, section, state = connection.source.system, connection.section, connection.state
     saddles = (connection.source.saddle, connection.target.saddle)
     coordinate = int(np.argmax(np.abs(section.position)))
@@ -398,7 +403,6 @@ def named(connection: Connection) -> Connection:
         position = position - np.rint(position / period) * period
     # Adding zero turns -0.0 into 0.0.
     place = ",".join(f"{round(float(v), 4) + 0.0:.4f}" for v in (position, state[coordinate + len(state) // 2]))
-    turns, (out, back) = ",".join(str(k) for k in connection.winding), connection.hits
     on = "" if connection.section_key is None else f":{connection.section_key}"
     return replace(connection, name=f"{saddles[0]}>{saddles[1]}[{turns}]h{out}.{back}{on}@{place}{section.mark(state)}")
 

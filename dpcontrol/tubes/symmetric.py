@@ -40,7 +40,7 @@ from dpcontrol.orbits.lyapunov import LyapunovOrbit, OrbitOutcome, SymmetricShoo
 from dpcontrol.orbits.lyapunov import symmetric_shooting as shooting_problem
 from dpcontrol.orbits.manifold import OrbitCurve, local_manifold
 from dpcontrol.shooting.newton import ManifoldEnd, ShootingOrbit
-from dpcontrol.tubes.connections import Connection, approach, mirrored
+from dpcontrol.tubes.connections import Connection, approach, mirrored, named
 from dpcontrol.words.searches import Concluded
 
 
@@ -199,16 +199,9 @@ _GRID = 0.7
 """Share of the time limit for the grid of energies; the rest is for the candidates."""
 
 
-def _name(connection: Connection) -> str:
-    """Return a name from a connection's properties, with its energy in microjoules."""
-    saddle, turns = connection.source.name, ",".join(map(str, connection.winding))
-    return f"{saddle}>{saddle}[{turns}]h{connection.hits[0]}.{connection.hits[1]}@{connection.source.energy:.6f}J"
-
-
 def mirror_image(connection: Connection) -> Connection:
     """Return the mirror image of a connection, which turns the other way."""
-    image = mirrored(connection)
-    return replace(image, name=_name(image))
+    return named(mirrored(connection), at_energy=True)
 
 
 def _fitness(orbit: LyapunovOrbit) -> GridCause:
@@ -456,7 +449,7 @@ class _FamilySearch:
             phase_in=phase_in,
             orbit=whole,
         )
-        return replace(found, name=_name(found))
+        return named(found, at_energy=True)
 
     def same(self, first: Connection, second: Connection) -> bool:
         """Return True if two connections are equal or mirror images."""

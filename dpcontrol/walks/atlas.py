@@ -212,6 +212,7 @@ class Atlas(Shown, InUnits, Documented):
     The rotating orbits are those of both arms, forward.
     """
 
+    __pydantic_config__: ClassVar[Any] = {"arbitrary_types_allowed": True}
     KEYS: ClassVar[str] = (
         "energy model complete status orbits rotating_orbits count=#connections connections:**,from=source,to=target "
         "kinds absent:saddle,reason seconds"

@@ -8,13 +8,17 @@ from typing import Any
 from dpcontrol.foundation.causes import (
     BranchCause,
     CutCause,
+    DepartureCause,
     FamilyEndCause,
     GridCause,
+    ObstacleCause,
     OpenEndCause,
     OrbitCause,
+    ReferenceCause,
     RefinementCause,
     SearchCause,
     ShootingCause,
+    ShortfallCause,
     WalkCause,
     WrapsCause,
 )
@@ -182,6 +186,27 @@ def bifurcations_sentence(r: Any) -> str:
     )
 
 
+def _passed(use: Any) -> str:
+    return f"cart {use.name} of {use.largest:.4g} {use.unit} where {use.bound:.4g} is allowed (at t = {use.time:.2f} s)"
+
+
+def _mesh(r: Any) -> str:
+    return f"error between nodes {r.error:.1e} on {r.intervals} intervals"
+
+
+def _longer(r: Any) -> str:
+    return f"raise lead_out to {r.content.lead_out + 1}"
+
+
+def _symbol(r: Any) -> str:
+    symbols = r.content.symbols
+    return f"symbol {r.stop} of {len(symbols)} ({symbols[r.stop - 1].text!r})"
+
+
+def _far(r: Any) -> str:
+    return f"no nearer than {r.gap:.2f} rad to the orbit about {r.content.stops[r.stop].saddle}"
+
+
 SENTENCES: Mapping[type[StrEnum], Mapping[Any, Callable[[Any], str]]] = {
     ShootingCause: {
         ShootingCause.CONVERGED: lambda r: f"converged in {r.iterations} iterations to a gap of {r.residual:.1e}",
@@ -321,6 +346,101 @@ SENTENCES: Mapping[type[StrEnum], Mapping[Any, Callable[[Any], str]]] = {
             f"{_tubes(r)}"
         ),
         SearchCause.LAPS: _on_laps,
+    },
+    ReferenceCause: {
+        ReferenceCause.CONVERGED: lambda r: f"converged in {r.iterations} iterations; {_mesh(r)}",
+        ReferenceCause.REST: lambda r: f"at rest for {r.times[0]:g} s",
+        ReferenceCause.SHADOWING_ORBIT: lambda r: f"the shadowing orbit itself; {_mesh(r)}",
+        ReferenceCause.PIECES: lambda r: f"converged in {r.iterations} iterations; {_mesh(r)} of {r.parts} pieces",
+        ReferenceCause.FLIGHTS: lambda r: (
+            f"converged in {r.iterations} iterations; {_mesh(r)}: {r.parts} flights, {r.parts + 1} stays"
+        ),
+        ReferenceCause.STORED: lambda r: r.text,
+        ReferenceCause.ROUNDS: lambda r: _joined(
+            (
+                True,
+                f"not converged in {r.rounds} rounds: error between nodes {r.error:.1e} where {r.allowed:.1e} is "
+                "required",
+            ),
+            (r.uses, f"a {' and a '.join(map(_passed, r.uses))}"),
+            (True, "start with a shorter interval, loosen the tolerance, or allow more rounds"),
+        ),
+        ReferenceCause.SOLVER: lambda r: f"no reference: the solver stopped with {r.answer!r}; {r.obstacle.status}",
+        ReferenceCause.OTHER_MOTION: lambda r: (
+            f"no reference near the guess: the motion found passes {r.distance:.2f} (scaled) from it at t = "
+            f"{r.times[0]:.2f} s, {r.allowed:g} is allowed, so it is not the itinerary's motion; check that the guess "
+            f"is an orbit of the same arms, or lower the friction; {r.obstacle.status}"
+        ),
+        ReferenceCause.NO_ORBIT: lambda r: (
+            f"not converged: the guess is {r.error:.1e} from a frictionless motion where {r.allowed:.1e} is required; "
+            'check that it is an orbit of the same arms, or use level "cart"'
+        ),
+        ReferenceCause.OTHER_PERIOD: lambda r: (
+            f"no sustained orbit: the period left that of the Lyapunov orbit, {r.times[0]:.4g} s, by {r.allowed:.0%}, "
+            "which gives another orbit; choose an energy nearer to the saddle's or less friction"
+        ),
+        ReferenceCause.ENERGY_CHANGE: lambda r: (
+            f"no change of energy from {r.energies[0]:g} J to {r.energies[1]:g} J at {r.saddle}: {r.inner.status}"
+        ),
+        ReferenceCause.NO_TRANSFER: lambda r: (
+            f"no transfer in {', '.join(f'{time:g}' for time in r.times)} s within the cart's limits: "
+            f"{r.inner.status if r.inner else r.answer}; {r.obstacle.status}"
+        ),
+        ReferenceCause.NO_CHEAPER: lambda r: (
+            f"no cheaper motion keeps the walk: {r.inner.status if r.inner else 'no search converged'}; use the "
+            "robust plan"
+        ),
+        ReferenceCause.SHORTFALL: lambda r: (
+            f"the reference converged, but a run that follows it would not be completed: {r.inner.status}"
+        ),
+    },
+    ObstacleCause: {
+        ObstacleCause.AUTHORITY: lambda r: (
+            "the cart's acceleration moves no arm, so friction cannot be compensated; check the arms' parameters"
+        ),
+        ObstacleCause.GUESS: lambda r: (
+            "without limits it finds no solution either: check that the guess is an orbit of the same arms, or lower "
+            "the friction"
+        ),
+        ObstacleCause.LIMITS: lambda r: (
+            f"without limits it takes a {' and a '.join(map(_passed, r.uses))}; these values suffice as limits: widen "
+            "them, or choose a gentler itinerary"
+        ),
+        ObstacleCause.MESH: lambda r: (
+            "the limits are not the cause: the same motion is found without them; use shorter intervals"
+        ),
+        ObstacleCause.NO_MOTION: lambda r: (
+            "there is no motion near the guess even without friction and limits: check that it is an orbit of the "
+            "same arms"
+        ),
+        ObstacleCause.FRICTION: lambda r: (
+            f"friction is out of reach: {r.share:.0%} of it can be compensated within the limits; lower the friction, "
+            "widen the limits or choose a gentler itinerary"
+        ),
+    },
+    ShortfallCause: {
+        ShortfallCause.FIRST_FAR: lambda r: f"it starts {_far(r)}; raise lead_in to {r.content.lead_in + 1}",
+        ShortfallCause.FAR: lambda r: (
+            f"{_symbol(r)} comes {_far(r)}; "
+            + ("raise the wraps there by 1" if r.stop < len(r.content.symbols) else _longer(r))
+        ),
+        ShortfallCause.WRAPS: lambda r: (
+            f"wraps at stop {r.stop} are {r.gap:.1f} instead of {r.content.wraps[r.stop - 1]}; ask for {round(r.gap)} "
+            "wraps there"
+        ),
+        ShortfallCause.LAST_FAR: lambda r: (
+            f"over the last period it is up to {r.gap:.2f} rad from the orbit about {r.content.stops[-1].saddle} "
+            f"(allowed: {r.allowed:g}); "
+            + ('friction keeps it off that orbit; set finish = "rest"' if r.settled else _longer(r))
+        ),
+        ShortfallCause.NOT_DECODED: lambda r: (
+            f"{_symbol(r) if r.stop else 'the first stop'} does not show in its angles; {_longer(r)}"
+        ),
+    },
+    DepartureCause: {
+        DepartureCause.NO_CROSSING: lambda r: f"symbol {r.symbol!r} does not cross its section",
+        DepartureCause.ORDER: lambda r: "it crosses the walk's sections in another order",
+        DepartureCause.WRAPS: lambda r: f"{r.wraps:g} wraps at stop {r.stop} instead of {r.wanted:g}",
     },
     GridCause: {
         GridCause.REACHED: _on_grid(lambda r: ""),

@@ -181,7 +181,7 @@ MISTAKES: list[tuple[str, str, str]] = [
     ("below the range", f"{TURN}[run]\nlag = -1\n", "[run] lag = -1.0: must be 0 to 1 s"),
     ("wrong choice", f"{TURN}[reference]\nsolver = 'ipot'\n", "[reference] solver = 'ipot': did you mean 'ipopt'?"),
     ("another kind's key", f"{TURN}[controller]\nkind = 'lqr'\ntrust = 1\n", "[controller] the key 'trust' is unknown"),
-    ("table within [run]", f"{TURN}[run.sensors]\ncounts = 3\n", "[run.sensors] counts = 3: write this key in [run]"),
+    ("table within [run]", f"{TURN}[run.sensors]\ncounts = 3\n", "[run] the key 'sensors' is unknown"),
     ("text in a list", f"{TURN}[run]\nplay = [0.1, 'x']\n", "[run] play holds 'x': must be"),
     ("value for a table", f"run = 3\n{TURN}", "run = 3: must be a table, [run]"),
     ("repeated walk that ends elsewhere", 'repeat = 2\nenergy = 0.2\nwalk = ["down-up > up-down"]\n', "repeat = 2"),

@@ -14,12 +14,14 @@ import dpcontrol as dp
 from dpcontrol.control.interface import SampledModel
 from dpcontrol.control.tracking import TvlqrSettings, riccati_gains, terminal_cost
 from dpcontrol.dynamics.chain import Level, equations_of
+from dpcontrol.foundation.causes import ReferenceCause
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.plans import transfers
 from dpcontrol.plans.itinerary import HoldPart, load_itinerary
 from dpcontrol.plans.model import load_model
 from dpcontrol.plans.plan import Plan, make_plan
 from dpcontrol.plans.transfers import sensitivity, transfer_costs
+from dpcontrol.references.ending import Ending
 from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import Limits
 from dpcontrol.references.reference import Reference
@@ -88,7 +90,9 @@ def standing(states: np.ndarray) -> Reference:
     share = method.support[:, None]
     rows = carts[:-1, None] * (1 - share) + carts[1:, None] * share
     inputs = np.zeros((len(states) - 1, len(method.points), 1))
-    return Reference(method, mesh, rows, inputs, Limits(), "", converged=True, max_error_between_nodes=0.0)
+    return Reference(
+        method, mesh, rows, inputs, Limits(), Ending(ReferenceCause.REST), converged=True, max_error_between_nodes=0.0
+    )
 
 
 @pytest.mark.slow

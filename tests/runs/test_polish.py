@@ -8,12 +8,13 @@ import pytest
 from command_line import dpcontrol
 
 from dpcontrol import api
+from dpcontrol.foundation.causes import DepartureCause
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.judge.decoding import shortfall
 from dpcontrol.plans.plan import Plan, load_plan
 from dpcontrol.references.find import tail
 from dpcontrol.references.reference import Reference, joined
-from dpcontrol.runs.polish import SHARE, departure, nearness
+from dpcontrol.runs.polish import SHARE, Departure, departure, nearness
 
 STAYS = 1e-9  # rad and m: what is not re-optimised is copied
 TOUR = 'model = "lab"\nstart = "rest"\nfinish = "rest"\n[[parts]]\nhold = "down-up"\nseconds = 1.5\n'
@@ -30,14 +31,15 @@ def part(motion: Reference, begin: float, end: float) -> Reference:
 
 
 def test_a_plan_keeps_its_own_walk(turns: Plan) -> None:
-    assert departure(turns.reference, turns.reference) == ""
-    assert shortfall(turns.reference) == ""
+    assert departure(turns.reference, turns.reference) is None
+    assert shortfall(turns.reference) is None
 
 
 def test_turns_the_other_way_are_another_walk(turns: Plan) -> None:
     mirrored = turns.reference.states.copy()
     mirrored[..., :2] *= -1
-    assert "does not cross its section" in departure(turns.reference, replace(turns.reference, states=mirrored))
+    departed = departure(turns.reference, replace(turns.reference, states=mirrored))
+    assert departed == Departure(DepartureCause.NO_CROSSING, symbol=turns.content.symbols[0].text)
 
 
 def test_one_wobble_more_at_a_stop_is_another_walk(turns: Plan) -> None:
@@ -46,7 +48,9 @@ def test_one_wobble_more_at_a_stop_is_another_walk(turns: Plan) -> None:
     period = content.orbit(content.stops[1]).period
     middle = (first + second) / 2
     longer, _ = joined([part(motion, 0.0, middle + period / 2), part(motion, middle - period / 2, motion.duration)])
-    assert "wobbles at stop 1" in departure(motion, longer)
+    departed = departure(motion, longer)
+    assert departed
+    assert (departed.cause, departed.stop) == (DepartureCause.WRAPS, 1)
 
 
 def test_an_arm_that_turns_once_more_between_two_symbols_is_another_walk(turns: Plan) -> None:
@@ -56,7 +60,7 @@ def test_an_arm_that_turns_once_more_between_two_symbols_is_another_walk(turns: 
     states = motion.states.copy()
     inside = (times > first) & (times < second)
     states[..., 1] += np.where(inside, -2 * np.pi * np.sin(np.pi * (times - first) / (second - first)) ** 2, 0.0)
-    assert departure(motion, replace(motion, states=states)) != ""
+    assert departure(motion, replace(motion, states=states)) is not None
 
 
 @pytest.mark.slow
@@ -72,7 +76,7 @@ def test_a_polished_plan_costs_less_keeps_its_holds_and_can_be_flown_from_its_fi
     plan, better = api.plan(str(scene)), load_plan(file)
     motion, content = better.reference, better.content
     assert motion.converged
-    assert shortfall(motion) == ""
+    assert shortfall(motion) is None
     assert content.polished == pytest.approx(nearness(motion))
     assert abs(motion.duration - plan.reference.duration) < STAYS
     (_, begin), (end, last) = content.transfers

@@ -8,7 +8,7 @@ import pytest
 from generated_itineraries import write_itinerary
 from verdict_runs import Comparison, drawn_options, for_plan
 
-from dpcontrol.foundation.causes import Fault
+from dpcontrol.foundation.causes import Fault, ShortfallCause
 from dpcontrol.judge.decoding import shortfall
 from dpcontrol.judge.score import Flown, verdict_on
 from dpcontrol.plans.itinerary import load_itinerary
@@ -135,15 +135,17 @@ def test_a_run_of_another_plan_is_not_completed(outer_turn: Plan) -> None:
 
 def test_a_reference_that_does_not_do_its_itinerary_is_refused_with_what_to_change(outer_turn: Plan) -> None:
     reference = outer_turn.reference
-    assert shortfall(reference) == ""
+    assert shortfall(reference) is None
     content = reference.content
     stops = content.stops[0], replace(content.stops[1], angles=(0.0, 5 * np.pi))
     far = shortfall(replace(reference, plan=replace(content, stops=stops)))
-    assert far.startswith("symbol 1 of 1 ('down-up +') comes no nearer than")
-    assert far.endswith("raise lead_out to 3")
+    assert far
+    assert (far.cause, far.stop, far.content.lead_out) == (ShortfallCause.FAR, 1, 2)
     short = reference.mesh[-1] - content.orbits[0].period * 2.5
     rows = int(np.searchsorted(reference.mesh, short))
     cut = replace(
         reference, mesh=reference.mesh[: rows + 1], states=reference.states[:rows], inputs=reference.inputs[:rows]
     )
-    assert "over the last period it is up to" in shortfall(cut)
+    missed = shortfall(cut)
+    assert missed
+    assert missed.cause is ShortfallCause.LAST_FAR

@@ -11,7 +11,9 @@ from dpcontrol.foundation.causes import (
     BranchCause,
     CutCause,
     GridCause,
+    ObstacleCause,
     OrbitCause,
+    ReferenceCause,
     RefinementCause,
     ShootingCause,
     WalkCause,
@@ -22,6 +24,7 @@ from dpcontrol.planner.worker import failure_of
 from dpcontrol.plans.itinerary import itinerary_from
 from dpcontrol.plans.model import load_model
 from dpcontrol.plans.planning import shadowing_orbit
+from dpcontrol.references.ending import Obstacle
 from dpcontrol.words import findings, searches
 
 TURN_BORN = -0.141987140339  # J; saddle-node of turns, where one wrap is needed between two of them
@@ -82,6 +85,7 @@ def test_each_cause_of_a_finding_has_a_sentence() -> None:
             },
             ["branch +1 scatters before crossing 1", "--longest"],
         ),
+        (ReferenceCause.SOLVER, {"answer": "no", "obstacle": Obstacle(ObstacleCause.FRICTION, share=0.5)}, ["50%"]),
         (GridCause.TIME, GRID | {"beyond": SimpleNamespace(energy=-0.95)}, ["at least 0 between", "before -0.95 J"]),
     ],
     ids=lambda value: value.name if isinstance(value, StrEnum) else "",
