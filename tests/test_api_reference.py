@@ -9,6 +9,7 @@ import dpcontrol as dp
 from tests.api_reference import CLASSES, FUNCTIONS, GROUPS, GUIDE, entry, page
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stem", GROUPS)
 def test_a_page_of_the_reference_is_generated_from_the_docstrings(stem: str) -> None:
     assert (GUIDE / f"{stem}.md").read_text(encoding="utf-8") == page(stem), "run python tests/api_reference.py"

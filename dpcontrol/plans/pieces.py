@@ -36,7 +36,7 @@ from dpcontrol.references.content import (
     PlanSymbol,
     Shadowing,
 )
-from dpcontrol.references.ending import Ending
+from dpcontrol.references.ending import ReferenceEnding
 from dpcontrol.references.find import find_reference, shadowed
 from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import PLANNING, EndConditions, Guess, ReferenceProblem
@@ -383,7 +383,9 @@ def _blend(itinerary: Itinerary, leaving: Goal, lift: Array, joining: Goal, prog
     if not found.converged:
         energies = (first.energy, last.energy)
         cause = ReferenceCause.ENERGY_CHANGE
-        found = replace(found, ending=Ending(cause, energies=energies, saddle=first.saddle, inner=found.ending))
+        found = replace(
+            found, ending=ReferenceEnding(cause, energies=energies, saddle=first.saddle, inner=found.ending)
+        )
     return SolvedPiece(f"change of energy at {first.saddle}", None, onward, found)
 
 

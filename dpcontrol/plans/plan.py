@@ -27,7 +27,7 @@ from dpcontrol.foundation.shown import Timed, checked_times
 from dpcontrol.logs.layout import state_names
 from dpcontrol.plans.itinerary import HoldPart, Itinerary, WalkPart, stored_itinerary
 from dpcontrol.references.content import PlanContent, PlanStart
-from dpcontrol.references.ending import Ending
+from dpcontrol.references.ending import ReferenceEnding
 from dpcontrol.references.problem import PLANNING
 from dpcontrol.references.reference import ByReference, Reference, load_reference, save_reference
 
@@ -248,7 +248,7 @@ def make_plan(
     reference = planned(itinerary, orbits, fresh=fresh, workers=workers, progress=progress)
     reference = replace(reference, plan=replace(reference.content, key=plan_key(itinerary)))
     if reference.converged and (missed := shortfall(reference)):
-        reference = replace(reference, converged=False, ending=Ending(ReferenceCause.SHORTFALL, inner=missed))
+        reference = replace(reference, converged=False, ending=ReferenceEnding(ReferenceCause.SHORTFALL, inner=missed))
     plan = Plan(itinerary, reference, file, cached=False)
     if plan.converged:
         keep(file, plan.archive)

@@ -45,7 +45,7 @@ from dpcontrol.references.content import (
     PlanStop,
     StaySegment,
 )
-from dpcontrol.references.ending import Ending
+from dpcontrol.references.ending import ReferenceEnding
 from dpcontrol.references.find import find_reference
 from dpcontrol.references.problem import EndConditions
 from dpcontrol.references.reference import Reference, joined
@@ -413,7 +413,7 @@ def _counted_once(whole: Reference, flights: list[Reference], orbits: dict[str, 
     """
     solved = [*flights, *(orbit.reference for orbit in orbits.values())]
     iterations, seconds = sum(one.iterations for one in solved), sum(one.solve_seconds for one in solved)
-    ending = Ending(
+    ending = ReferenceEnding(
         ReferenceCause.FLIGHTS,
         iterations=iterations,
         error=whole.max_error_between_nodes,

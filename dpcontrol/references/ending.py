@@ -25,7 +25,7 @@ class Obstacle(Concluded):
 
 
 @dataclass(frozen=True)
-class Ending(Concluded):
+class ReferenceEnding(Concluded):
     """How the search for a reference ended. Each cause has the numbers that its sentence uses.
 
     Attributes:

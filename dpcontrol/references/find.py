@@ -36,7 +36,7 @@ from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.causes import ObstacleCause, ReferenceCause
 from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.foundation.progress import Progress, no_progress
-from dpcontrol.references.ending import Ending, Obstacle
+from dpcontrol.references.ending import Obstacle, ReferenceEnding
 from dpcontrol.references.method import Method, interpolation_matrix, method_named
 from dpcontrol.references.problem import (
     EndConditions,
@@ -321,12 +321,14 @@ def _once_more(
     return raised if share >= 1.0 else Obstacle(ObstacleCause.FRICTION, share=share)
 
 
-def _failure(problem: ReferenceProblem, failed: Solved, obstacle: Obstacle) -> Ending:
+def _failure(problem: ReferenceProblem, failed: Solved, obstacle: Obstacle) -> ReferenceEnding:
     """Return the ending of a search whose solver failed or converged to a different motion."""
     if not failed.succeeded:
-        return Ending(ReferenceCause.SOLVER, answer=failed.outcome, obstacle=obstacle)
+        return ReferenceEnding(ReferenceCause.SOLVER, answer=failed.outcome, obstacle=obstacle)
     away, when = away_from_guess(problem, failed.trajectory)
-    return Ending(ReferenceCause.OTHER_MOTION, distance=away, times=(when,), allowed=FARTHEST, obstacle=obstacle)
+    return ReferenceEnding(
+        ReferenceCause.OTHER_MOTION, distance=away, times=(when,), allowed=FARTHEST, obstacle=obstacle
+    )
 
 
 def find_reference(
@@ -361,7 +363,7 @@ def find_reference(
     most = _MOST_GROWTH * len(first.mesh)
     limits, iterations, seconds, round_number = problem.limits, 0, 0.0, 0
 
-    def result(solved: Solved, ending: Ending) -> Reference:
+    def result(solved: Solved, ending: ReferenceEnding) -> Reference:
         return Reference.of(
             solved.trajectory, problem.limits, ending=ending, converged=ending.cause is ReferenceCause.CONVERGED,
             max_error_between_nodes=ending.error, constraint_violation=solved.violation, iterations=iterations,
@@ -391,7 +393,7 @@ def find_reference(
         tighter = _tightened(limits, problem.limits, largest)
         if worst <= _ACCEPTED * settings.tolerance and tighter is None:
             progress("reference", 1.0)
-            found = Ending(ReferenceCause.CONVERGED, iterations=iterations, error=worst, intervals=len(errors))
+            found = ReferenceEnding(ReferenceCause.CONVERGED, iterations=iterations, error=worst, intervals=len(errors))
             return result(solved, found)
         finer = split_mesh(solved.trajectory.mesh, errors, tolerance=settings.tolerance, order=len(method.points))
         if round_number == settings.rounds or len(finer) > most:
@@ -402,7 +404,9 @@ def find_reference(
     passed = tuple(use for use in uses if use.largest > use.bound + _LIMIT_SLACK)
     return result(
         solved,
-        Ending(ReferenceCause.ROUNDS, rounds=round_number, error=worst, allowed=settings.tolerance, uses=passed),
+        ReferenceEnding(
+            ReferenceCause.ROUNDS, rounds=round_number, error=worst, allowed=settings.tolerance, uses=passed
+        ),
     )
 
 
@@ -428,7 +432,7 @@ def shadowed(problem: ReferenceProblem, settings: ReferenceSettings) -> Referenc
         mesh = split_mesh(mesh, errors, tolerance=settings.tolerance, order=len(method.points))
     converged = worst <= settings.tolerance
     cause = ReferenceCause.SHADOWING_ORBIT if converged else ReferenceCause.NO_ORBIT
-    ending = Ending(cause, error=worst, intervals=len(errors), allowed=settings.tolerance)
+    ending = ReferenceEnding(cause, error=worst, intervals=len(errors), allowed=settings.tolerance)
     return Reference.of(
         trajectory, problem.limits, ending=ending, converged=converged, max_error_between_nodes=worst,
         solve_seconds=time.perf_counter() - began,
@@ -553,7 +557,7 @@ def find_transfer(
         if found.converged:
             progress("transfer", 1.0)
             return found
-    missed = Ending(
+    missed = ReferenceEnding(
         ReferenceCause.NO_TRANSFER,
         times=transfer.durations + transfer.longer,
         answer=answer,

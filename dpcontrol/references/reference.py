@@ -35,7 +35,7 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import archive, write_archive
 from dpcontrol.foundation.parts import installed
 from dpcontrol.references.content import PlanContent, PlanStart, restored, stored
-from dpcontrol.references.ending import Ending
+from dpcontrol.references.ending import ReferenceEnding
 from dpcontrol.references.method import Method, method_named
 from dpcontrol.references.problem import Limits, ReferenceProblem, state_scale
 from dpcontrol.references.trajectory import LimitUse, Trajectory, error_between_nodes, largest_values, limit_uses
@@ -64,7 +64,7 @@ class Reference(Trajectory):
     """
 
     limits: Limits
-    ending: Ending
+    ending: ReferenceEnding
     converged: bool
     max_error_between_nodes: float
     constraint_violation: float = 0.0
@@ -242,7 +242,7 @@ def still(state: Array, seconds: float, *, method: Method, limits: Limits, inter
     states = np.tile(np.asarray(state, dtype=float), (count, len(method.support), 1))
     mesh = np.linspace(0.0, seconds, count + 1)
     inputs = np.zeros((count, len(method.points), 1))
-    ending = Ending(ReferenceCause.REST, times=(seconds,))
+    ending = ReferenceEnding(ReferenceCause.REST, times=(seconds,))
     return Reference(method, mesh, states, inputs, limits, ending, converged=True, max_error_between_nodes=0.0)
 
 
@@ -270,7 +270,7 @@ def joined(pieces: Sequence[Reference]) -> tuple[Reference, Array]:
     bad = [piece for piece in pieces if not piece.converged]
     error = max(piece.max_error_between_nodes for piece in pieces)
     iterations = sum(piece.iterations for piece in pieces)
-    ending = Ending(
+    ending = ReferenceEnding(
         ReferenceCause.PIECES, iterations=iterations, error=error, intervals=len(mesh) - 1, parts=len(pieces)
     )
     together = replace(
@@ -354,7 +354,7 @@ def _checked(header: Any, arrays: dict[str, Array]) -> Reference:
     notes = header["notes"]
     return Reference(
         method, mesh, states, inputs, limits,
-        ending=Ending(ReferenceCause.STORED, text=str(header["status"])), converged=bool(header["converged"]),
+        ending=ReferenceEnding(ReferenceCause.STORED, text=str(header["status"])), converged=bool(header["converged"]),
         iterations=int(found.pop("iterations")), **found,
         plan=restored(notes, extra, arms=states.shape[-1] // 2 - 1) if notes else None,
     )  # fmt: skip

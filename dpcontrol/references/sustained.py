@@ -45,7 +45,7 @@ from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.shown import Brief, Timed, checked_times
 from dpcontrol.orbits.lyapunov import LyapunovOrbit
 from dpcontrol.orbits.manifold import OrbitCurve
-from dpcontrol.references.ending import Ending
+from dpcontrol.references.ending import ReferenceEnding
 from dpcontrol.references.find import find_reference
 from dpcontrol.references.method import gauss
 from dpcontrol.references.problem import EndConditions, Limits, ReferenceProblem, ReferenceSettings, state_scale
@@ -480,6 +480,6 @@ def sustained_orbit(
         reference = replace(
             reference,
             converged=False,
-            ending=Ending(ReferenceCause.OTHER_PERIOD, times=(lyapunov.period,), allowed=STRETCH),
+            ending=ReferenceEnding(ReferenceCause.OTHER_PERIOD, times=(lyapunov.period,), allowed=STRETCH),
         )
     return SustainedOrbit(lyapunov, arms, reference)

@@ -49,7 +49,7 @@ from dpcontrol.rig.motions import (
     CommissioningSettings,
     Halted,
     Notify,
-    Session,
+    RigSession,
     chirp_of,
     perform,
 )
@@ -192,7 +192,7 @@ def commission(
     # Slow computations run before the first tick or after the last, because a rig stops if its loop is silent.
     chirp = chirp_of(arms, rig.period, options)
     try:
-        session = Session(rig, arms, limits, zeros or [0.0] * arms.count)
+        session = RigSession(rig, arms, limits, zeros or [0.0] * arms.count)
         perform(session, chirp, switches, options=options, notify=notify)
     except Halted as halted:
         halt = halted.args
@@ -212,7 +212,7 @@ def commission(
     return Commissioning((*findings, *([_deadlines(session)] if session else [])))
 
 
-def _judged(session: Session, settings: LoopSettings, zeros: tuple[float, ...]) -> list[Finding]:
+def _judged(session: RigSession, settings: LoopSettings, zeros: tuple[float, ...]) -> list[Finding]:
     """Return the findings of the motion."""
     arms, period, since = session.arms, session.period, session.held_from
     readings = session.filled()[: session.rang_to + 1]
@@ -369,7 +369,7 @@ def _encoders(wiring: Wiring, swing: CommissioningSwing, signs: list[tuple[str, 
     return found or [Finding("encoders", Cause.RIGHT, figures)]
 
 
-def _counts(session: Session, wiring: Wiring, gain: float, settings: LoopSettings) -> Finding:
+def _counts(session: RigSession, wiring: Wiring, gain: float, settings: LoopSettings) -> Finding:
     """Compare the rounding of joint angles with the encoder counts in [run]."""
     joints = np.diff(np.array(session.positions)[:, :-1], axis=1, prepend=0.0)
     steps = np.array([rounding(column) for column in joints.T])
@@ -459,7 +459,7 @@ def _switch(side: int, answer: int, at: float, limits: Limits) -> Finding:
     return Finding("switches", cause, figures)
 
 
-def _deadlines(session: Session) -> Finding:
+def _deadlines(session: RigSession) -> Finding:
     """Judge the timing of both ends."""
     ticks, lost = len(session.positions), session.present.count(False)
     kept = getattr(session.rig, "deadlines", None)

@@ -91,7 +91,7 @@ class CommissioningSettings(Settings, table="commissioning"):
         return self.look + self.hold + self.sweep + self.ring + 3.0
 
 
-class Session:
+class RigSession:
     """The rig during commissioning; records every tick and limits the cart's travel."""
 
     def __init__(self, rig: Rig, arms: ArmChainParameters, limits: Limits, zeros: Sequence[float]) -> None:
@@ -190,7 +190,7 @@ class Session:
 
 
 def perform(
-    session: Session, chirp: tuple[Array, Array], switches: float, *, options: CommissioningSettings, notify: Notify
+    session: RigSession, chirp: tuple[Array, Array], switches: float, *, options: CommissioningSettings, notify: Notify
 ) -> None:
     """Perform all motions of the cart.
 
@@ -230,7 +230,7 @@ def perform(
             _return(session, options)
 
 
-def _look(session: Session, options: CommissioningSettings) -> None:
+def _look(session: RigSession, options: CommissioningSettings) -> None:
     """Take readings before any motion."""
     if abs(session.home) > _OFF_CENTRE:
         raise Halted(Cause.OFF_CENTRE, {"position": session.home})
@@ -240,7 +240,7 @@ def _look(session: Session, options: CommissioningSettings) -> None:
         raise Halted(Cause.TOUCHED, {"side": SIDES[session.switches[-1]]})
 
 
-def _shift(session: Session) -> None:
+def _shift(session: RigSession) -> None:
     """Find the drive's direction and gain, without feedback, which would require them."""
     quarter = max(1, round(_SHIFT_SECONDS / 4 / session.period))
     pattern = np.repeat([1.0, -1.0, -1.0, 1.0], quarter) / (quarter * session.period) ** 2
@@ -275,7 +275,7 @@ def _slope(wanted: Array, seen: Array) -> tuple[float, float]:
     return slope, 1 - slope**2 * size / max(float(seen @ seen), 1e-30)
 
 
-def _raise_for_no_shift(session: Session, seen: float) -> None:
+def _raise_for_no_shift(session: RigSession, seen: float) -> None:
     """Raise the cause of an invisible shift; the arms reveal motion of the cart."""
     wandered = float(np.ptp(session.filled()[:, -1]))
     if wandered > _SEEN:
@@ -287,7 +287,7 @@ def _raise_for_no_shift(session: Session, seen: float) -> None:
     raise Halted(Cause.DEAD if float(np.abs(wiring.factors).max()) > 0.3 else Cause.STANDS, {"seen": seen})
 
 
-def _wait_until_still(session: Session, options: CommissioningSettings, notify: Notify) -> None:
+def _wait_until_still(session: RigSession, options: CommissioningSettings, notify: Notify) -> None:
     """Hold the cart until the arms hardly swing."""
     attempts, swing = math.floor(options.wait / _WATCHED) + 1, 0.0
     for attempt in range(attempts):
@@ -321,7 +321,7 @@ def chirp_of(arms: ArmChainParameters, period: float, options: CommissioningSett
     return x[:-1:finer], np.diff(v[::finer]) / period
 
 
-def _creep(session: Session, side: int, most: float, speed: float) -> tuple[int, float]:
+def _creep(session: RigSession, side: int, most: float, speed: float) -> tuple[int, float]:
     """Move to a side until a switch responds or the distance is covered; return response and position."""
     period, wanted, slope = session.period, 0.0, 0.0
     answer, at, braking = 0, 0.0, False
@@ -337,7 +337,7 @@ def _creep(session: Session, side: int, most: float, speed: float) -> tuple[int,
             return answer, at
 
 
-def _return(session: Session, options: CommissioningSettings) -> None:
+def _return(session: RigSession, options: CommissioningSettings) -> None:
     """Move the cart back to its home smoothly."""
     away = session.cart - session.home
     duration = max(1.875 * abs(away) / (2 * options.creep), 0.5)

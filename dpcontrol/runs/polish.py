@@ -43,7 +43,7 @@ from dpcontrol.plans.pieces import STILL
 from dpcontrol.plans.plan import Plan
 from dpcontrol.plans.transfers import transfer_costs
 from dpcontrol.references.content import PlanSymbol
-from dpcontrol.references.ending import Ending
+from dpcontrol.references.ending import ReferenceEnding
 from dpcontrol.references.find import find_reference, on_mesh, tail
 from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import PLANNING, EndConditions, Guess, Limits, ReferenceProblem, ReferenceSettings
@@ -239,7 +239,7 @@ def _polished(plan: Plan, progress: Progress) -> Reference:
             progress("polished", 1.0)
             return whole
         choice = {k: place + 1 for k, place in choice.items()}
-    return replace(robust, converged=False, ending=Ending(ReferenceCause.NO_CHEAPER, inner=missed))
+    return replace(robust, converged=False, ending=ReferenceEnding(ReferenceCause.NO_CHEAPER, inner=missed))
 
 
 def _problem(plan: Plan, part: Reference) -> ReferenceProblem:

@@ -126,7 +126,7 @@ def test_repeating_takes_no_other_options_and_needs_a_log_of_a_run(logged: Path,
         log.ticks([0.0], measured=np.zeros((1, 2)))
     lacking = dpcontrol("run", "--from", tmp_path / "bench.mcap")
     assert lacking.code == 2
-    assert "lacks scene.toml" in lacking.message
+    assert "cannot be repeated" in lacking.message
 
 
 @pytest.mark.slow

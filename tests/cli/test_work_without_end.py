@@ -44,8 +44,16 @@ def test_endless_work_is_rejected_before_it_starts(call: tuple[str, ...], key: s
     assert "will take about" in ended.message
 
 
-@pytest.mark.parametrize("verb", ["plan", "run", "campaign", "rig"])
-@pytest.mark.parametrize(("key", "value"), [("wraps", "[100000]"), ("lead_in", "1000000"), ("repeat", "10000")])
+@pytest.mark.parametrize(
+    ("verb", "key", "value"),
+    [
+        ("plan", "wraps", "[100000]"),
+        ("run", "lead_in", "1000000"),
+        ("campaign", "wraps", "[100000]"),
+        ("rig", "lead_in", "1000000"),
+        ("plan", "repeat", "10000"),
+    ],
+)
 def test_an_endless_itinerary_is_rejected_with_its_file(
     verb: str, key: str, value: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

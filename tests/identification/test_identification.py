@@ -139,6 +139,7 @@ def test_standard_errors_for_independent_samples_would_be_far_too_small(rig: Ide
     assert correlation_time(rig.residuals) > 30
 
 
+@pytest.mark.slow
 def test_the_choice_prefers_few_terms_within_one_standard_error(rig: Identification) -> None:
     few, many = rig.candidates[0], rig.candidates[-1]
     errors = np.array([1.0, 1.2, 0.8, 1.1, 0.9])

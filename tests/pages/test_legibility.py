@@ -125,8 +125,9 @@ def transitions(folder: Path) -> Figure:
     return draw_transitions(plan.reference)
 
 
-QUICK = (run, campaign)
+QUICK = (campaign,)
 SLOW = (
+    run,
     long_run,
     run_of_many_symbols,
     comparison,

@@ -18,6 +18,8 @@ from dpcontrol.foundation.errors import InputError
 starlette, connected = pytest.importorskip("starlette"), pytest.importorskip("websockets.sync.client")
 from websockets.exceptions import InvalidStatus  # noqa: E402
 
+pytestmark = pytest.mark.slow
+
 
 def status(address: str, path: str, **headers: str) -> int:
     place = urlsplit(address)
@@ -190,7 +192,6 @@ def test_an_unsupported_model_and_a_used_port_are_refused(address: str) -> None:
         dp.open_planner("lab", browser=False, port=urlsplit(address).port or 0)
 
 
-@pytest.mark.slow
 def test_work_can_be_cancelled_and_a_dead_process_restarted(page: Page) -> None:
     page.until("atlas")
     # No other test plans this walk, whose plan would then be read at once.

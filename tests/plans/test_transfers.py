@@ -21,7 +21,7 @@ from dpcontrol.plans.itinerary import HoldPart, load_itinerary
 from dpcontrol.plans.model import load_model
 from dpcontrol.plans.plan import Plan, make_plan
 from dpcontrol.plans.transfers import sensitivity, transfer_costs
-from dpcontrol.references.ending import Ending
+from dpcontrol.references.ending import ReferenceEnding
 from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import Limits
 from dpcontrol.references.reference import Reference
@@ -91,7 +91,14 @@ def standing(states: np.ndarray) -> Reference:
     rows = carts[:-1, None] * (1 - share) + carts[1:, None] * share
     inputs = np.zeros((len(states) - 1, len(method.points), 1))
     return Reference(
-        method, mesh, rows, inputs, Limits(), Ending(ReferenceCause.REST), converged=True, max_error_between_nodes=0.0
+        method,
+        mesh,
+        rows,
+        inputs,
+        Limits(),
+        ReferenceEnding(ReferenceCause.REST),
+        converged=True,
+        max_error_between_nodes=0.0,
     )
 
 

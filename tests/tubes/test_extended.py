@@ -143,6 +143,7 @@ def test_the_state_is_independent_of_the_length_of_the_leads(lab, found):
     assert float(np.abs(states[0] - states[1]).max()) < MIRROR
 
 
+@pytest.mark.slow
 def test_refined_orbits_have_the_reference_period_and_energy(lab, found):
     key = ("down-up", "down-up", -0.07)
     refined = in_113_bits(lab, nearest(found[key].connections, CONNECTIONS[key][1][0]), key[2])
