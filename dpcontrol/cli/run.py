@@ -691,7 +691,7 @@ def _preflight_text(found: "Preflight") -> Iterator[str | TextTable]:
         runs = found.share.runs
         yield table("", found.endings[:SHOWN], {
             "what ends it otherwise": "{.cause}", "of all runs": lambda e: f"{e.runs / runs:.1%}",
-            "for example": "{.example}", "seed": "{.seed}",
+            "for example seed": "{.seed}",
         })  # fmt: skip
     if found.borders:
         yield table("", found.borders, {
