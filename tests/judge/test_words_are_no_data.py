@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from dpcontrol.judge.night import Night
+from dpcontrol.judge.night import Night, followed
 from dpcontrol.logs.rolling import Digest
 from dpcontrol.loop.bench import Push
 from dpcontrol.plans.itinerary import load_itinerary
@@ -34,7 +34,8 @@ def judged(plan: Plan, folder: Path) -> dict[str, Any]:
     digest = Digest(1, first=0.0, end=run.log.time[-1], ticks=len(run.log.time))
     for event in run.log.events:
         digest.add_event(event)
-    night = Night(folder, (Digest.of(digest.text()),))
+    digests = (Digest.of(digest.text()),)
+    night = Night(folder, digests, (), *followed(digests))
     case = cases_of(scene, fixed={"on_fall": "stop", "mismatch": 0.5}, over={})
     campaign = run_campaign(plan, case, settings=CampaignSettings(runs=6, workers=1, replayed=0))
     texts = ("reason", "verdict", "real_time_factor", "thinking", "log")
