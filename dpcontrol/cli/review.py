@@ -95,7 +95,7 @@ def score_text(verdict: "Score", *, hint: bool = True) -> Iterator[str]:
 
     Args:
         verdict: score of one log.
-        hint: True to tell what a failed run can be asked.
+        hint: True to name the command that explains a failed run.
     """
     pace = "" if verdict.real_time_factor is None else f", {verdict.real_time_factor:.1f} × real time"
     yield verdict.log

@@ -218,7 +218,7 @@ class Fault(StrEnum):
 
 
 class FindingCause(StrEnum):
-    """What a step of commissioning found; the step says of what."""
+    """How a step of commissioning ended. The name of the step tells which part of the rig was measured."""
 
     RIGHT = auto()
     DIFFERS = "differs from [run]"

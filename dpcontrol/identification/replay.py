@@ -357,6 +357,8 @@ class Replay(Brief, Documented):
         if not self.carts:
             return ""
         commanded = sum(cart.commanded for cart in self.carts)
+        if not commanded:
+            return "its recorded position"
         return f"the command in {commanded} of {len(self.carts)} segments, else its recorded position"
 
     @property

@@ -91,6 +91,7 @@ def _lyapunov(system: System, place: PlanOrbit) -> LyapunovOrbit:
     """Return the Lyapunov orbit whose state and period a plan stores."""
     state, period = np.array(place.state), place.free_period
     end, monodromy = system.propagator.flow_with_stm(state, period)
+    residual = float(np.abs(end - state).max())
     return LyapunovOrbit(
         saddle=place.saddle,
         energy=place.energy,
@@ -100,8 +101,8 @@ def _lyapunov(system: System, place: PlanOrbit) -> LyapunovOrbit:
         system=system,
         monodromy=monodromy,
         floquet_multipliers=floquet_multipliers(system, state, period, monodromy),
-        residual=float(np.abs(end - state).max()),
-        outcome=OrbitOutcome(OrbitCause.MEMBER, 0.0),
+        residual=residual,
+        outcome=OrbitOutcome(OrbitCause.MEMBER, residual),
     )
 
 

@@ -145,14 +145,13 @@ class RunView(Brief):
         events: as in the log.
         metadata: as in the log.
         verdict: one line, such as "completed: 1 of 1 symbols".
-        good: True for a favourable verdict; None if nothing was judged.
-        plan: requirements of the plan; empty without one.
+        good: True for a favourable verdict, None if nothing was judged.
+        plan: requirements of the plan, empty without one.
         done: the itinerary decoded from the angles.
-        crossings: crossing time of each completed symbol, s; None for a transfer.
+        crossings: crossing time of each completed symbol, s, or None for a transfer.
         source: the reference drawn, otherwise None.
         extras: estimated parameters, or None.
         extra_truth: known true values of the parameters by name, a number or (M,) at the extras' times.
-        rewritten: True for a log that another program has rewritten.
     """
 
     path: Path
@@ -185,7 +184,6 @@ class RunView(Brief):
     source: Reference | None = None
     extras: Extras | None = None
     extra_truth: Mapping[str, Array | float] = field(default_factory=dict)
-    rewritten: bool = False
 
     @property
     def arms(self) -> int:
@@ -307,7 +305,6 @@ def series_of(log: RunLog) -> RunView:
         events=log.events,
         metadata=log.metadata,
         extras=log.extras,
-        rewritten=log.rewritten,
     )
 
 

@@ -36,7 +36,7 @@ from dpcontrol.references.reference import Reference, load_reference
 from dpcontrol.words import runs as words
 
 Number = TypeVar("Number", int, float)
-Found = tuple[Fault, Mapping[str, Any]]
+FaultFigures = tuple[Fault, Mapping[str, Any]]
 """A fault and its figures."""
 
 REFERENCE_ATTACHMENT = "reference.npz"
@@ -70,10 +70,10 @@ class Verdict:
     """Verdict on a plan.
 
     Attributes:
-        symbols: number of symbols done.
-        wraps: at the stops reached.
-        fault: what the run lacks.
-        figures: numbers and names that belong to the fault; `short` is the time by which the run ended early, s.
+        symbols: number of completed symbols.
+        wraps: number of wraps at each stop that was reached.
+        fault: fault of the run, `Fault.NONE` if it completed its plan.
+        figures: numbers and names of the fault. `short` is the time by which the run ended early, s.
         end: event that ended the run early or let it fall back, or None.
     """
 
@@ -381,7 +381,7 @@ def score(log: RunLog) -> Score:
 _ENDINGS = frozenset(ending.value for ending in Ending)
 
 
-def _part(log: RunLog, flown: Flown, plan: Reference) -> Found | None:
+def _part(log: RunLog, flown: Flown, plan: Reference) -> FaultFigures | None:
     """Return the fault of a log that covers only a part of its run, None for a whole log.
 
     On a rig, stamps that jump belong to the run itself.
@@ -476,7 +476,7 @@ def _noted(log: RunLog, name: str, kind: Callable[[str], Number]) -> Number | No
         raise InputError(f"{log.path}: its {name} = {text!r:.80} is not a number; make the log again") from error
 
 
-def _fault(flown: Flown, plan: Reference, decoded: Decoded) -> Found:
+def _fault(flown: Flown, plan: Reference, decoded: Decoded) -> FaultFigures:
     """Return what a run lacks to complete its plan."""
     content, matched, lost = plan.content, decoded.matched, decoded.lost
     stops, symbols = content.stops, content.symbols
@@ -527,7 +527,7 @@ _UNSEEN = 0.05
 """Longest time without a possible half turn of an arm, s."""
 
 
-def _unobserved(flown: Flown) -> Found | None:
+def _unobserved(flown: Flown) -> FaultFigures | None:
     """Return the fault of time stamps with gaps, which hide the arms' motion."""
     steps = np.diff(flown.time)
     jumps = np.flatnonzero((steps < 0) | (steps > max(_UNSEEN, 1.5 / flown.rate_hz)))
@@ -537,7 +537,7 @@ def _unobserved(flown: Flown) -> Found | None:
     return Fault.STAMPS, {"step": float(steps[row]), "time": float(flown.time[row]), "period": 1 / flown.rate_hz}
 
 
-def _limits(flown: Flown) -> Found | None:
+def _limits(flown: Flown) -> FaultFigures | None:
     """Return the fault of a cart limit that was exceeded, or None."""
     states, n = flown.states, flown.angles.shape[1]
     if flown.limits is None:

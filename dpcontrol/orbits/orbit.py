@@ -61,8 +61,25 @@ class OrbitOutcome:
     reached: float = float("nan")
 
 
+class Periodic(Timed):
+    """Base of motions that are defined over one period."""
+
+    period: float
+    system: System
+
+    @property
+    def time_range(self) -> tuple[float, float]:
+        """Zero and the period, s."""
+        return 0.0, self.period
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of the N entries of a state."""
+        return self.system.columns
+
+
 @dataclass(frozen=True)
-class PeriodicOrbit(OrbitRecord, Timed, Concluded):
+class PeriodicOrbit(OrbitRecord, Periodic, Concluded):
     """A periodic orbit with its symmetry, from which its manifolds are computed.
 
     Attributes:
@@ -85,16 +102,6 @@ class PeriodicOrbit(OrbitRecord, Timed, Concluded):
 
     def __repr__(self) -> str:
         return f"<orbit about {self.saddle} at {self.energy:g}: {self.status}>"
-
-    @property
-    def time_range(self) -> tuple[float, float]:
-        """Zero and the period, s."""
-        return 0.0, self.period
-
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """Names of the N entries of a state."""
-        return self.system.columns
 
     @property
     def unstable_directions(self) -> int:

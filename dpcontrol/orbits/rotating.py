@@ -32,7 +32,7 @@ from dpcontrol.foundation.checked import number
 from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
-from dpcontrol.foundation.shown import Brief, Timed, checked_times
+from dpcontrol.foundation.shown import Brief, checked_times
 from dpcontrol.orbits.family import (
     LINGERS,
     SLOPE,
@@ -46,7 +46,8 @@ from dpcontrol.orbits.family import (
     follow,
     nearest_equilibrium,
 )
-from dpcontrol.orbits.lyapunov import OrbitOutcome, SymmetricShooting, fixed_and_moved
+from dpcontrol.orbits.lyapunov import SymmetricShooting, fixed_and_moved
+from dpcontrol.orbits.orbit import OrbitOutcome, Periodic
 from dpcontrol.words.searches import Concluded, rotating_family_sentence
 
 
@@ -108,7 +109,7 @@ class RotatingRecord(Brief, Documented):
 
 
 @dataclass(frozen=True)
-class RotatingOrbit(RotatingRecord, Timed, Concluded):
+class RotatingOrbit(RotatingRecord, Periodic, Concluded):
     """A symmetric rotating orbit with the residual of its shooting equations."""
 
     converged: ClassVar[bool] = True
@@ -128,16 +129,6 @@ class RotatingOrbit(RotatingRecord, Timed, Concluded):
     def name(self) -> str:
         """Name of the arm that rotates."""
         return f"{('inner', 'outer')[self.arm - 1]}-rotating"
-
-    @property
-    def time_range(self) -> tuple[float, float]:
-        """Zero and the period, s."""
-        return 0.0, self.period
-
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """Names of the N entries of a state."""
-        return self.system.columns
 
     def states(self, times: Any = None) -> Array:
         """Return the states at given times.

@@ -6,7 +6,7 @@ On disk it is one .npz file, readable with numpy alone (`numpy.load(path)`), wit
 
 Arrays are float64 unless said otherwise. K and J count orbits, cuts, pieces and connections from 0. Keys:
 
-    header   JSON text (a 0-d string array), numbers with all their digits, null for infinite or missing values:
+    header   JSON text (a 0-d string array). Numbers have all their digits; infinite or missing ones are null:
              {"format": "dpcontrol-atlas", "version": 2, "model", "title", "energy" (J), "status", "seconds",
               "points": [{name, state, energy, kind}], "absent": [[saddle, reason]],
               "sections": [{name, normal, position, momentum, offset, period, side, middle, reach}],
@@ -19,7 +19,8 @@ Arrays are float64 unless said otherwise. K and J count orbits, cuts, pieces and
               "connections": [{name, source, target, section (index), state, point, winding, sense, symmetric,
                                residual, transversality_angle (degrees), hits, time_out, time_in (s), phase_out,
                                phase_in}]}
-    periods  (N,)      2π for angles, inf otherwise;   reverser (N, N): turns unstable tubes into stable ones
+    periods  (N,)      2π for angles, inf otherwise
+    reverser (N, N)    maps unstable tubes to stable ones
     orbit_K_samples, rotating_orbit_K_samples     (M, N)  one period, equally spaced phases from 0
     cut_K_strands                          (B, M, N)  trajectories of the unstable tube, seed to section
     cut_K_strand_branches (int64), cut_K_strand_phases    (B,)
