@@ -88,7 +88,7 @@ CLASSES = {
 }  # fmt: skip
 """Class of each result above."""
 TIMED = ("orbit", "rotating orbit", "connection", "walk", "plan", "loop", "run", "recording")
-BASES = {"Shown", "Timed", "Family", "HyperbolicOrbit", "PeriodicOrbit"}
+BASES = {"Shown", "Timed", "Family", "HyperbolicOrbit", "Periodic", "PeriodicOrbit"}
 
 
 def subclasses(kind: type) -> set[type]:

@@ -607,16 +607,16 @@ class Sweep:
 
     def _along(self, path: Path, changes: list[Change], reasons: list[str]) -> None:
         """Add the turns and touches along a path."""
-        points = path.points
+        points, unit = path.points, self.problem.system.unit("J")
         counts = [self.count(p) for p in points]
         for k in range(len(points) - 1):
             if k in path.turns:
                 event = locate_turn(self.problem, path, k)
                 if event is None:
-                    reasons.append(f"a turn in energy near {points[k].energy:.9g} J could not be located")
+                    reasons.append(f"a turn in energy near {points[k].energy:.9g}{unit} could not be located")
                     continue
                 if counts[k] != counts[k + 1]:
-                    reasons.append(f"a touch of the section next to the turn at {event.energy:.9g} J")
+                    reasons.append(f"a touch of the section next to the turn at {event.energy:.9g}{unit}")
                 if counts[k] == self.crossings:
                     # The partners are on the side from which the path came.
                     came_from = points[k].energy if points[k].energy != event.energy else points[k - 1].energy
@@ -627,7 +627,7 @@ class Sweep:
                 if gain and not touches:
                     reasons.append(
                         f"crossings change from {counts[k]} to {counts[k + 1]} between {points[k].energy:.9g} and "
-                        f"{points[k + 1].energy:.9g} J without a located touch"
+                        f"{points[k + 1].energy:.9g}{unit} without a located touch"
                     )
                 elif gain:
                     rising = 1 if points[k + 1].energy > points[k].energy else -1

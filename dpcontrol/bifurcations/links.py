@@ -163,7 +163,8 @@ class LinkProblem:
                 return described_orbit(problem, found.unknowns, saddle=saddle, family=0, energy=energy, outcome=outcome)
         orbit = lyapunov_orbit(self.system, saddle, energy=energy)
         if not orbit.converged:
-            raise ArithmeticError(f"the Lyapunov orbit about {saddle} at {energy:.9g} J: {orbit.status}")
+            unit = self.system.unit("J")
+            raise ArithmeticError(f"the Lyapunov orbit about {saddle} at {energy:.9g}{unit}: {orbit.status}")
         c = problem.start.T @ (orbit.state - problem.centre)
         known[energy] = np.append(c, orbit.period / problem.quarters)
         return orbit
@@ -470,10 +471,10 @@ def follow(problem: LinkProblem, link: Link, start: float, goal: float, *, steps
     except UNSOLVED as error:
         reason = f"a connection could not be matched: {error}"
         if points:
-            last = points[-1]
+            last, unit = points[-1], problem.system.unit
             reason = (
-                f"a connection with a flight of {last.link.duration:.3g} s could not be followed beyond "
-                f"{last.energy:.9g} J: {error}"
+                f"a connection with a flight of {last.link.duration:.3g}{unit('s')} could not be followed beyond "
+                f"{last.energy:.9g}{unit('J')}: {error}"
             )
         return Path(tuple(points), tuple(turns), "lost", reason)
 

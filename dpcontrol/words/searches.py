@@ -44,6 +44,10 @@ def _joule(r: Any, energy: float, digits: int = 6) -> str:
     return f"{energy:.{digits}g}{r.system.unit('J')}"
 
 
+def _second(r: Any, time: float) -> str:
+    return f"{time:.3g}{r.system.unit('s')}"
+
+
 def _joined(*clauses: tuple[object, str]) -> str:
     return "; ".join(text for holds, text in clauses if holds)
 
@@ -237,7 +241,9 @@ SENTENCES: Mapping[type[StrEnum], Mapping[Any, Callable[[Any], str]]] = {
     },
     WalkCause: {
         WalkCause.CONVERGED: lambda r: r.orbit.status,
-        WalkCause.CONNECTION: lambda r: f"converged: the connection itself, at {r.connections[0].source.energy:.12g} J",
+        WalkCause.CONNECTION: lambda r: (
+            f"converged: the connection itself, at {_joule(source := r.connections[0].source, source.energy, 12)}"
+        ),
         WalkCause.SHOOTING: lambda r: f"symbol {r.fault + 1} of {len(r.walk)} ({r.walk[r.fault]}): {r.orbit.status}",
         WalkCause.RIVAL: lambda r: (
             f"symbol {r.fault + 1} of {len(r.walk)}: converged, but the orbit follows {r.rival} instead of "
@@ -277,15 +283,19 @@ SENTENCES: Mapping[type[StrEnum], Mapping[Any, Callable[[Any], str]]] = {
             f"{'the family branches or folds' if r.multiplier > 0 else 'the period doubles'}"
         ),
         FamilyEndCause.HOMOCLINICS: lambda r: (
-            f"ends in the homoclinics of {r.equilibrium}: the period grows without bound (followed to {r.period:.3g} "
-            f"s, multiplier {r.multiplier:.1e}) as the energy tends to {_joule(r, r.limit, 6)}, extrapolated; "
+            f"ends in the homoclinics of {r.equilibrium}: the period grows without bound (followed to "
+            f"{_second(r, r.period)}, multiplier {r.multiplier:.1e}) as the energy tends to "
+            f"{_joule(r, r.limit, 6)}, extrapolated; "
             f"{r.equilibrium} has {_joule(r, r.height, 6)}"
         ),
         FamilyEndCause.PASSES_EQUILIBRIUM: lambda r: (
-            f"ends in the homoclinics of {r.equilibrium}: at {r.energy:.9g} J the period has grown to {r.period:.3g} s "
-            f"and the orbit passes {r.equilibrium} ({r.height:.9g} J) at a scaled distance of {r.distance:.1g}"
+            f"ends in the homoclinics of {r.equilibrium}: at {_joule(r, r.energy, 9)} the period has grown to "
+            f"{_second(r, r.period)} and the orbit passes {r.equilibrium} ({_joule(r, r.height, 9)}) at a scaled "
+            f"distance of {r.distance:.1g}"
         ),
-        FamilyEndCause.LONG_PERIOD: lambda r: f"stopped at {r.energy:.9g} J: the period has grown to {r.period:.3g} s",
+        FamilyEndCause.LONG_PERIOD: lambda r: (
+            f"stopped at {_joule(r, r.energy, 9)}: the period has grown to {_second(r, r.period)}"
+        ),
         FamilyEndCause.LARGE_MULTIPLIER: lambda r: (
             f"stopped at {_joule(r, r.energy, 9)}: multipliers above {r.limit:g} exceed double precision"
         ),

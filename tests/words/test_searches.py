@@ -10,6 +10,7 @@ from dpcontrol.foundation import causes
 from dpcontrol.foundation.causes import (
     BranchCause,
     CutCause,
+    FamilyEndCause,
     GridCause,
     ObstacleCause,
     OrbitCause,
@@ -31,7 +32,7 @@ TURN_BORN = -0.141987140339  # J; saddle-node of turns, where one wrap is needed
 OTHERS = {StrEnum, causes.Cause, causes.Fault, causes.FindingCause}  # The tables of runs and findings have these.
 KINDS = [kind for kind in vars(causes).values() if isinstance(kind, type) and issubclass(kind, StrEnum)]
 KINDS = [kind for kind in KINDS if kind not in OTHERS]
-JOULE = SimpleNamespace(unit=" {}".format)
+JOULE, OWN_UNITS = SimpleNamespace(unit=" {}".format), SimpleNamespace(unit=lambda name: "")
 SHOT = {"residual": 1e-3, "iterations": 30}
 WALK = {"walk": ("a", "b", "c"), "fault": 1, "wraps": (3,), "wraps_realised": (2,), "rival": "d"}
 CUT = {"chord": 0.05, "trajectories": 100, "hit": 1, "section": SimpleNamespace(name="θ₂ = 0"), "longest": 12.0}
@@ -42,6 +43,15 @@ GRID = {"connections": (), "searched": (-1.0, -0.9), "failed": 0, "left": 0, "pa
 def told(cause: StrEnum, **numbers: Any) -> str:
     """Return the sentence of a result with a cause and numbers."""
     return searches.SENTENCES[type(cause)][cause](SimpleNamespace(cause=cause, **numbers))
+
+
+@pytest.mark.parametrize("cause", FamilyEndCause)
+def test_ends_of_families_have_the_units_of_their_system(cause: FamilyEndCause) -> None:
+    numbers = {"equilibrium": "L1", "multiplier": 1.0} | dict.fromkeys(
+        ("energy", "height", "distance", "period", "limit", "residual"), 2.0
+    )
+    assert not set(told(cause, system=OWN_UNITS, **numbers).split()) & {"J", "J:", "J)", "s", "s,"}
+    assert "2 J" in told(cause, system=JOULE, **numbers)
 
 
 @pytest.mark.parametrize("kind", KINDS)
