@@ -166,14 +166,31 @@ __all__ = [
     "write_recording",
 ]
 _HOMES = {
-    "BenchAddress": "dpcontrol.runs.example_bench",
-    "CampaignSettings": "dpcontrol.runs.campaign",
-    "NightSettings": "dpcontrol.runs.night",
-    "Reading": "dpcontrol.loop.result",
-    "ReplaySettings": "dpcontrol.identification.replay",
-    "__version__": "dpcontrol.foundation.version",
+    "BenchAddress": "runs.example_bench",
+    "CampaignSettings": "runs.campaign",
+    "Estimator": "loop.protocols:UserEstimator",
+    "GoalMissed": "foundation.errors",
+    "InputError": "foundation.errors",
+    "Law": "loop.protocols:UserLaw",
+    "Limits": "references.problem",
+    "Model": "plans.model",
+    "NightSettings": "runs.night",
+    "Plant": "loop.protocols:UserPlant",
+    "Reading": "loop.result",
+    "ReferenceSettings": "references.problem",
+    "ReplaySettings": "identification.replay",
+    "Rig": "loop.protocols:UserRig",
+    "Section": "dynamics.propagator",
+    "Setpoint": "control.symbolic",
+    "Sizes": "dynamics.components",
+    "SymbolicLaw": "control.symbolic",
+    "SymbolicPlant": "dynamics.components",
+    "System": "dynamics.system",
+    "Terms": "dynamics.components",
+    "__version__": "foundation.version",
+    "load_model": "plans.model",
 }
-"""Modules of names that `dpcontrol.api` does not import at once."""
+"""Modules of the names that are not functions of `dpcontrol.api`, and their names there if they differ."""
 
 
 def __getattr__(name: str) -> object:
@@ -181,7 +198,8 @@ def __getattr__(name: str) -> object:
         raise AttributeError(f"module 'dpcontrol' has no attribute {name!r}")
     import importlib
 
-    value = getattr(importlib.import_module(_HOMES.get(name, "dpcontrol.api")), name)
+    module, _, own = _HOMES.get(name, "api").partition(":")
+    value = getattr(importlib.import_module(f"dpcontrol.{module}"), own or name)
     globals()[name] = value
     return value
 

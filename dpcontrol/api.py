@@ -13,31 +13,19 @@ result of a failed search has `converged` False and the cause in `status`. Long 
 text and a share from 0 to 1, or True for a bar on stderr. By default, a line is written to stderr every twenty seconds.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from decimal import Decimal
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, overload
 
-from dpcontrol.control.symbolic import Setpoint as Setpoint
-from dpcontrol.control.symbolic import SymbolicLaw as SymbolicLaw
-from dpcontrol.dynamics.chain import ArmChainParameters
-from dpcontrol.dynamics.components import Sizes as Sizes
-from dpcontrol.dynamics.components import SymbolicPlant as SymbolicPlant
-from dpcontrol.dynamics.components import Terms as Terms
-from dpcontrol.dynamics.mjcf import CART_MASS, LAG, mjcf_text
-from dpcontrol.dynamics.propagator import Section as Section
-from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.checked import Between, Count, Hit, Index, Positive, Seed, Workers, checked
 from dpcontrol.foundation.errors import GoalMissed, InputError, remark
 from dpcontrol.foundation.files import write_whole
 from dpcontrol.foundation.parts import part
 from dpcontrol.foundation.progress import Cost, Reporting, announce, part_of, reporting
-from dpcontrol.loop.protocols import UserEstimator, UserLaw, UserPlant, UserRig
-from dpcontrol.plans.model import Model, ModelSystem, model_of, write_model
-from dpcontrol.plans.model import load_model as load_model
-from dpcontrol.plans.overrides import canonical
-from dpcontrol.references.problem import Limits, ReferenceSettings
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -46,6 +34,14 @@ if TYPE_CHECKING:
     from dpcontrol.bench.run import DrawnChart
     from dpcontrol.bifurcations.bifurcations import BifurcationSearch
     from dpcontrol.control.export import ControllerSource
+    from dpcontrol.control.symbolic import Setpoint as Setpoint
+    from dpcontrol.control.symbolic import SymbolicLaw as SymbolicLaw
+    from dpcontrol.dynamics.chain import ArmChainParameters
+    from dpcontrol.dynamics.components import Sizes as Sizes
+    from dpcontrol.dynamics.components import SymbolicPlant as SymbolicPlant
+    from dpcontrol.dynamics.components import Terms as Terms
+    from dpcontrol.dynamics.propagator import Section as Section
+    from dpcontrol.dynamics.system import System as System
     from dpcontrol.foundation.cache import CacheContents
     from dpcontrol.foundation.config import Configured
     from dpcontrol.identification.fit import Design
@@ -57,15 +53,20 @@ if TYPE_CHECKING:
     from dpcontrol.judge.night import Night
     from dpcontrol.logs import LogSummary, Recovery
     from dpcontrol.loop.protocols import Reading as Reading
+    from dpcontrol.loop.protocols import UserRig as Rig
     from dpcontrol.orbits.family import LyapunovFamily
     from dpcontrol.orbits.lyapunov import Equilibrium, LyapunovOrbit
     from dpcontrol.orbits.rotating import RotatingFamily, RotatingOrbit
     from dpcontrol.pages.figures import Drawn
     from dpcontrol.planner.server import Planner
+    from dpcontrol.plans.model import Model as Model
+    from dpcontrol.plans.model import load_model as load_model
     from dpcontrol.plans.plan import Plan
     from dpcontrol.proofs.check import CertificateCheck
     from dpcontrol.proofs.prove import Proof, ProofSettings
     from dpcontrol.recordings.recording import Recording
+    from dpcontrol.references.problem import Limits as Limits
+    from dpcontrol.references.problem import ReferenceSettings as ReferenceSettings
     from dpcontrol.references.sustained import SustainedOrbit
     from dpcontrol.rig.bench import UdpBench
     from dpcontrol.rig.commissioning import Commissioning
@@ -84,11 +85,9 @@ if TYPE_CHECKING:
     from dpcontrol.walks.following import SymbolChange
     from dpcontrol.walks.shadowing import ShadowingOrbit
     from dpcontrol.walks.walks import WalkRequest
+else:
+    Rig = object  # Its methods are checked where they are called.
 
-Law = UserLaw
-Estimator = UserEstimator
-Plant = UserPlant
-Rig = UserRig
 Place = Path | str
 NotNegative = Annotated[float, Between(0)]
 _ARMS = {"inner": 1, "outer": 2}
@@ -97,7 +96,7 @@ _SWEPT, _SWEPT_BYTES = 2.0, 1e6
 
 
 @checked
-def orbit(model: Model | System | str, saddle: str, *, energy: float, family: Index = 0) -> "LyapunovOrbit":
+def orbit(model: Model | System | str, saddle: str, *, energy: float, family: Index = 0) -> LyapunovOrbit:
     """Return the Lyapunov orbit about a saddle.
 
     Args:
@@ -123,8 +122,8 @@ def orbit(model: Model | System | str, saddle: str, *, energy: float, family: In
 
 @overload
 def connections(
-    source: "LyapunovOrbit",
-    target: "LyapunovOrbit | None" = None,
+    source: LyapunovOrbit,
+    target: LyapunovOrbit | None = None,
     *,
     hits: tuple[Hit, Hit] = (1, 1),
     section: str | None = None,
@@ -132,20 +131,20 @@ def connections(
     thorough: bool = False,
     seconds: Positive | None = None,
     progress: Reporting = None,
-) -> "ConnectionSearch": ...
+) -> ConnectionSearch: ...
 @overload
 def connections(
-    source: "LyapunovOrbit",
+    source: LyapunovOrbit,
     *,
     energies: tuple[float, float],
     hits: tuple[Hit, Hit] = (1, 1),
     seconds: Positive | None = None,
     progress: Reporting = None,
-) -> "SymmetricSearch": ...
+) -> SymmetricSearch: ...
 @checked
 def connections(
-    source: "LyapunovOrbit",
-    target: "LyapunovOrbit | None" = None,
+    source: LyapunovOrbit,
+    target: LyapunovOrbit | None = None,
     *,
     energies: tuple[float, float] | None = None,
     hits: tuple[Hit, Hit] = (1, 1),
@@ -154,7 +153,7 @@ def connections(
     thorough: bool = False,
     seconds: Positive | None = None,
     progress: Reporting = None,
-) -> "ConnectionSearch | SymmetricSearch":
+) -> ConnectionSearch | SymmetricSearch:
     """Find every connection from one orbit to another.
 
     Args:
@@ -214,7 +213,7 @@ def connections(
 @checked
 def graph(
     model: Model | System | str, *, energy: float, symbols: Sequence[str] = (), progress: Reporting = None
-) -> "Edges":
+) -> Edges:
     """Find the connection graph of an energy.
 
     Args:
@@ -254,7 +253,7 @@ def find_bifurcations(
     samples: Count = 24,
     yes: bool = False,
     progress: Reporting = None,
-) -> "BifurcationSearch":
+) -> BifurcationSearch:
     """Find the energies at which connections appear, vanish or split.
 
     Args:
@@ -302,7 +301,7 @@ def atlas(
     fresh: bool = False,
     yes: bool = False,
     progress: Reporting = None,
-) -> "Atlas":
+) -> Atlas:
     """Return all orbits, tubes and connections of an energy.
 
     Args:
@@ -342,15 +341,15 @@ def atlas(
 
 @checked
 def shadow(
-    found: "Edges | ConnectionSearch | Sequence[ConnectionSearch] | SymmetricSearch",
-    walk: "Sequence[str] | WalkRequest",
+    found: Edges | ConnectionSearch | Sequence[ConnectionSearch] | SymmetricSearch,
+    walk: Sequence[str] | WalkRequest,
     *,
     wraps: Sequence[Index] | None = None,
     lead_in: Index = 2,
     lead_out: Index = 2,
     periodic: bool = False,
     yes: bool = False,
-) -> "ShadowingOrbit":
+) -> ShadowingOrbit:
     """Return the orbit that follows a walk.
 
     Args:
@@ -402,13 +401,13 @@ def shadow(
 
 @checked
 def prove(
-    found: "LyapunovOrbit | ShadowingOrbit | ConnectionSearch",
+    found: LyapunovOrbit | ShadowingOrbit | ConnectionSearch,
     *,
     energy: Decimal | Fraction | float | None = None,
-    rivals: "Edges | None" = None,
-    settings: "ProofSettings | None" = None,
+    rivals: Edges | None = None,
+    settings: ProofSettings | None = None,
     progress: Reporting = None,
-) -> "Proof":
+) -> Proof:
     """Prove in ball arithmetic that orbits or connections exist.
 
     Homoclinic connections of one orbit are proved together with their horseshoe.
@@ -455,7 +454,7 @@ def prove(
 
 @checked
 def reference(
-    walks: "ShadowingOrbit | Sequence[ShadowingOrbit]",
+    walks: ShadowingOrbit | Sequence[ShadowingOrbit],
     *,
     limits: Limits | None = None,
     settings: ReferenceSettings | None = None,
@@ -464,7 +463,7 @@ def reference(
     name: str = "walk",
     yes: bool = False,
     progress: Reporting = None,
-) -> "Plan":
+) -> Plan:
     """Plan one or more walks with friction and a cart.
 
     Args:
@@ -489,6 +488,7 @@ def reference(
         True
     """
     from dpcontrol.plans.itinerary import WalkPart, itinerary_of
+    from dpcontrol.plans.model import model_of
     from dpcontrol.plans.plan import make_plan
     from dpcontrol.walks.shadowing import ShadowingOrbit
 
@@ -509,8 +509,8 @@ def reference(
         name=name,
         start=start,
         finish=finish,
-        limits=limits or Limits(),
-        reference=settings or ReferenceSettings(),
+        limits=limits,
+        reference=settings,
     )
     with reporting(progress, "reference") as report:
         return make_plan(scene, orbits=orbits, progress=report, yes=yes)
@@ -524,7 +524,7 @@ def plan(
     workers: Workers = 1,
     yes: bool = False,
     progress: Reporting = None,
-) -> "Plan":
+) -> Plan:
     """Plan an itinerary.
 
     Args:
@@ -554,13 +554,13 @@ def plan(
 
 @checked
 def closed_loop(
-    planned: "Plan | str",
+    planned: Plan | str,
     *,
     settings: Mapping[str, object] | None = None,
     yes: bool = False,
     progress: Reporting = None,
     **named: object,
-) -> "ClosedLoop":
+) -> ClosedLoop:
     """Return the closed loop of a plan.
 
     Args:
@@ -588,14 +588,14 @@ def closed_loop(
 
 @checked
 def mjcf(
-    model: Model | ArmChainParameters | str, *, cart_mass: float = CART_MASS, lag: float = LAG, out: Place | None = None
+    model: Model | ArmChainParameters | str, *, cart_mass: float = 20.0, lag: float = 0.002, out: Place | None = None
 ) -> str:
     """Return the arms on their cart as a model for MuJoCo.
 
     Args:
         model: model, its name, or arms.
-        cart_mass: mass of the cart, kg.
-        lag: time constant of the servo, s; its control is the cart's velocity, m/s.
+        cart_mass: mass of the cart, kg (default: 20).
+        lag: time constant of the servo, s; its control is the cart's velocity, m/s (default: 0.002).
         out: file to write (default: none).
 
     Returns:
@@ -608,6 +608,9 @@ def mjcf(
         >>> dp.mjcf("lab").startswith("<mujoco")
         True
     """
+    from dpcontrol.dynamics.chain import ArmChainParameters
+    from dpcontrol.dynamics.mjcf import mjcf_text
+
     arms = model if isinstance(model, ArmChainParameters) else _model(model).arms
     text = mjcf_text(arms, name="arms", cart_mass=cart_mass, lag=lag)
     if out is not None:
@@ -617,14 +620,14 @@ def mjcf(
 
 @checked
 def polish(
-    planned: "Plan | str",
+    planned: Plan | str,
     *,
     fresh: bool = False,
     runs: Count = 48,
     workers: Workers = 0,
     yes: bool = False,
     progress: Reporting = None,
-) -> "Polished":
+) -> Polished:
     """Re-optimise a motion from rest to rest as one problem.
 
     The polished plan keeps crossings, windings and wraps at a fraction of the effort. It may stay far from the orbits.
@@ -658,19 +661,19 @@ def polish(
 
 @checked
 def run(
-    planned: "Plan | str",
+    planned: Plan | str,
     *,
     mismatch: float | None = None,
     plant: Place | None = None,
     seed: Seed = 0,
     settings: Mapping[str, object] | None = None,
-    rig: "Rig | RigLink | str | None" = None,
+    rig: Rig | RigLink | str | None = None,
     log: Place | None = None,
     force: bool = False,
     live: bool = False,
     yes: bool = False,
     progress: Reporting = None,
-) -> "Run":
+) -> Run:
     """Run a closed loop once, simulated or on a rig.
 
     Args:
@@ -706,7 +709,7 @@ def run(
 
 @checked
 def export(
-    planned: "Plan | str",
+    planned: Plan | str,
     folder: Place | None = None,
     *,
     single: bool = False,
@@ -714,7 +717,7 @@ def export(
     force: bool = False,
     yes: bool = False,
     progress: Reporting = None,
-) -> "ControllerSource":
+) -> ControllerSource:
     """Return the controller of a plan as C99.
 
     Args:
@@ -744,7 +747,7 @@ def export(
 
 @checked
 def campaign(
-    planned: "Plan | str",
+    planned: Plan | str,
     *,
     runs: Count = 100,
     mismatch: float | None = None,
@@ -758,7 +761,7 @@ def campaign(
     force: bool = False,
     yes: bool = False,
     progress: Reporting = None,
-) -> "Campaign":
+) -> Campaign:
     """Run a plan with many seeds, and count completed runs.
 
     Args:
@@ -802,7 +805,7 @@ def campaign(
 @checked
 def swings(
     model: Model | str, *, count: Count = 9, seconds: Positive = 2.667, seed: Seed = 0, yes: bool = False
-) -> "Recording":
+) -> Recording:
     """Return simulated free swings as encoders would record them.
 
     Args:
@@ -831,13 +834,13 @@ def swings(
 
 @checked
 def identify(
-    recordings: "Recording | Sequence[Recording]",
+    recordings: Recording | Sequence[Recording],
     *,
     model: Model | str,
     zeros: bool | None = None,
     out: Place | None = None,
     progress: Reporting = None,
-) -> "Identification":
+) -> Identification:
     """Identify arms from recordings of free swings.
 
     Args:
@@ -859,6 +862,7 @@ def identify(
     """
     from dpcontrol.identification.identify import IdentificationSettings
     from dpcontrol.identification.identify import identify as found_in
+    from dpcontrol.plans.model import write_model
     from dpcontrol.recordings.checks import contradiction
     from dpcontrol.recordings.recording import Recording
 
@@ -877,7 +881,7 @@ def identify(
 
 
 @checked
-def open_log(file: Place) -> "Run":
+def open_log(file: Place) -> Run:
     """Open the log of a run or of a bench.
 
     Args:
@@ -900,7 +904,7 @@ def open_log(file: Place) -> "Run":
 
 
 @checked
-def open_plan(file: Place) -> "Plan":
+def open_plan(file: Place) -> Plan:
     """Open the file of a plan.
 
     Args:
@@ -922,7 +926,7 @@ def open_plan(file: Place) -> "Plan":
 
 
 @checked
-def open_atlas(file: Place) -> "Atlas":
+def open_atlas(file: Place) -> Atlas:
     """Open the file of an atlas.
 
     Args:
@@ -941,7 +945,7 @@ def open_atlas(file: Place) -> "Atlas":
 
 
 @checked
-def open_planner(model: str = "lab", *, browser: bool = True, port: Annotated[int, Between(0, 65535)] = 0) -> "Planner":
+def open_planner(model: str = "lab", *, browser: bool = True, port: Annotated[int, Between(0, 65535)] = 0) -> Planner:
     """Start the planner, a page in the browser.
 
     Args:
@@ -972,7 +976,7 @@ def open_planner(model: str = "lab", *, browser: bool = True, port: Annotated[in
 @checked
 def open_recording(
     file: Place, *, mapping: str | None = None, repairs: Sequence[str] = (), progress: Reporting = None
-) -> "Recording":
+) -> Recording:
     """Open a recording of a bench.
 
     Args:
@@ -1005,12 +1009,12 @@ def open_recording(
 
 @checked
 def picture(
-    result: "Run | Plan | ShadowingOrbit | Atlas",
+    result: Run | Plan | ShadowingOrbit | Atlas,
     *,
     transitions: bool = False,
     file: Place | None = None,
     film: Place | None = None,
-) -> "Figure":
+) -> Figure:
     """Draw a result as a figure, with a film if requested.
 
     Args:
@@ -1029,12 +1033,14 @@ def picture(
         >>> len(dp.picture(walk).axes) > 1
         True
     """
+    from dpcontrol.dynamics.chain import ArmChainParameters
     from dpcontrol.judge.of_log import reference_view, run_view
     from dpcontrol.pages.atlas import draw_atlas
     from dpcontrol.pages.layout import save_figure
     from dpcontrol.pages.page import draw
     from dpcontrol.pages.walk_story import WalkStory
     from dpcontrol.pages.walks import draw_walk
+    from dpcontrol.plans.model import ModelSystem
     from dpcontrol.plans.plan import Plan
     from dpcontrol.runs.run import Run
     from dpcontrol.walks.atlas import Atlas
@@ -1093,7 +1099,7 @@ def schema(of: Literal["itinerary", "model"]) -> dict[str, Any]:
 
 
 @checked
-def config() -> "tuple[Configured, ...]":
+def config() -> tuple[Configured, ...]:
     """Return the defaults of the command line with their sources.
 
     Returns:
@@ -1112,7 +1118,7 @@ def config() -> "tuple[Configured, ...]":
 
 
 @checked
-def cache(*, clear: bool = False) -> "CacheContents":
+def cache(*, clear: bool = False) -> CacheContents:
     """List or delete cached results of earlier work.
 
     Args:
@@ -1135,7 +1141,7 @@ def cache(*, clear: bool = False) -> "CacheContents":
 
 
 @checked
-def equilibria(model: Model | System | str) -> "dict[str, Equilibrium]":
+def equilibria(model: Model | System | str) -> dict[str, Equilibrium]:
     """Return a model's equilibria by name, with energies and eigenvalues.
 
     Args:
@@ -1161,7 +1167,7 @@ def family(
     energies: tuple[float, float],
     family: Index = 0,
     progress: Reporting = None,
-) -> "LyapunovFamily":
+) -> LyapunovFamily:
     """Follow a family of Lyapunov orbits between two energies.
 
     Args:
@@ -1191,7 +1197,7 @@ def family(
 @checked
 def rotating_orbits(
     model: Model | System | str, arm: Literal["inner", "outer"], *, energy: float
-) -> "tuple[RotatingOrbit, ...]":
+) -> tuple[RotatingOrbit, ...]:
     """Find the symmetric orbits that turn one arm over.
 
     Args:
@@ -1221,7 +1227,7 @@ def rotating_families(
     *,
     energies: tuple[float, float],
     progress: Reporting = None,
-) -> "tuple[RotatingFamily, ...]":
+) -> tuple[RotatingFamily, ...]:
     """Follow the families of orbits that turn one arm over.
 
     Args:
@@ -1250,8 +1256,8 @@ def rotating_families(
 
 @checked
 def sustained_orbit(
-    orbit: "LyapunovOrbit", *, limits: Limits | None = None, progress: Reporting = None
-) -> "SustainedOrbit":
+    orbit: LyapunovOrbit, *, limits: Limits | None = None, progress: Reporting = None
+) -> SustainedOrbit:
     """Return the periodic orbit that the cart sustains against friction.
 
     Args:
@@ -1270,6 +1276,7 @@ def sustained_orbit(
         >>> dp.sustained_orbit(orbit).converged
         True
     """
+    from dpcontrol.plans.model import model_of
     from dpcontrol.references.sustained import sustained_orbit as sustained
 
     _found(orbit.converged, f"the orbit about {orbit.saddle}", orbit.status)
@@ -1279,8 +1286,8 @@ def sustained_orbit(
 
 @checked
 def refine(
-    found: "Connection | ShadowingOrbit", *, energy: Decimal | Fraction | float | None = None
-) -> "ExtendedOrbit":
+    found: Connection | ShadowingOrbit, *, energy: Decimal | Fraction | float | None = None
+) -> ExtendedOrbit:
     """Refine a connection or a walk's orbit in 113-bit arithmetic.
 
     Args:
@@ -1297,6 +1304,7 @@ def refine(
         >>> float(dp.refine(found.connections[0]).residual) < 1e-25
         True
     """
+    from dpcontrol.plans.model import ModelSystem, model_of
     from dpcontrol.shooting.extended import refine as refined
     from dpcontrol.tubes.connections import Connection
 
@@ -1310,7 +1318,7 @@ def refine(
 
 
 @checked
-def count_walks(graph: "Edges", length: Count, *, source: str | None = None, target: str | None = None) -> int:
+def count_walks(graph: Edges, length: Count, *, source: str | None = None, target: str | None = None) -> int:
     """Return the number of walks with some number of symbols.
 
     Args:
@@ -1336,7 +1344,7 @@ def count_walks(graph: "Edges", length: Count, *, source: str | None = None, tar
 
 @checked
 def list_walks(
-    graph: "Edges", length: Count, *, source: str | None = None, target: str | None = None, periodic: bool = False
+    graph: Edges, length: Count, *, source: str | None = None, target: str | None = None, periodic: bool = False
 ) -> tuple[tuple[str, ...], ...]:
     """List all walks with some number of symbols.
 
@@ -1370,14 +1378,14 @@ def list_walks(
 
 @checked
 def random_walks(
-    graph: "Edges",
+    graph: Edges,
     count: Count,
     *,
     lengths: tuple[Count, Count] = (1, 8),
     extra_wraps: tuple[Index, Index] = (0, 0),
     periodic: bool = False,
     seed: Seed = 0,
-) -> "tuple[WalkRequest, ...]":
+) -> tuple[WalkRequest, ...]:
     """Draw walks, each of one length with equal probability.
 
     Args:
@@ -1409,7 +1417,7 @@ def random_walks(
 
 
 @checked
-def shortest_walk(graph: "Edges", stops: Sequence[str]) -> tuple[str, ...]:
+def shortest_walk(graph: Edges, stops: Sequence[str]) -> tuple[str, ...]:
     """Return the shortest walk that visits saddles in order.
 
     Args:
@@ -1434,7 +1442,7 @@ def shortest_walk(graph: "Edges", stops: Sequence[str]) -> tuple[str, ...]:
 @checked
 def symbol_changes(
     model: Model | System | str, symbols: Sequence[str], *, energies: tuple[float, float], progress: Reporting = None
-) -> "tuple[SymbolChange, ...]":
+) -> tuple[SymbolChange, ...]:
     """Find the energies at which symbols select other connections.
 
     Args:
@@ -1465,7 +1473,7 @@ def symbol_changes(
 
 
 @checked
-def check_proof(file: Place, *, progress: Reporting = None) -> "CertificateCheck":
+def check_proof(file: Place, *, progress: Reporting = None) -> CertificateCheck:
     """Check the certificate of a proof by independent code.
 
     Args:
@@ -1492,8 +1500,8 @@ def check_proof(file: Place, *, progress: Reporting = None) -> "CertificateCheck
 
 @checked
 def explore_energies(
-    planned: "Plan | str", *, picture: Place | None = None, progress: Reporting = None
-) -> "PrecisionChart":
+    planned: Plan | str, *, picture: Place | None = None, progress: Reporting = None
+) -> PrecisionChart:
     """Compare the effort of one walk over energies.
 
     Args:
@@ -1528,7 +1536,7 @@ def explore_energies(
 @checked
 def rig_link(
     address: str = "udp", *, key_file: Place | None = None, insecure: bool = False, real_time: bool = False
-) -> "RigLink":
+) -> RigLink:
     """Return the link to a bench, for runs on it.
 
     Args:
@@ -1561,10 +1569,10 @@ def start_bench(
     settings: Mapping[str, object] | None = None,
     hanging: bool = False,
     faults: Sequence[str] = (),
-    at: "BenchAddress | None" = None,
+    at: BenchAddress | None = None,
     yes: bool = False,
     progress: Reporting = None,
-) -> "UdpBench":
+) -> UdpBench:
     """Start an example bench in real time for loops over UDP.
 
     Args:
@@ -1599,16 +1607,16 @@ def start_bench(
 
 @checked
 def commission(
-    itinerary: "Plan | str",
+    itinerary: Plan | str,
     *,
-    rig: "Rig | RigLink | str | None" = None,
+    rig: Rig | RigLink | str | None = None,
     seed: Seed = 0,
     settings: Mapping[str, object] | None = None,
     faults: Sequence[str] = (),
     switches: NotNegative = 0.0,
     write: bool = False,
     progress: Reporting = None,
-) -> "Commissioning":
+) -> Commissioning:
     """Check a rig before its first run, and measure its delay.
 
     Args:
@@ -1659,7 +1667,7 @@ def commission(
 
 
 @checked
-def repeat(log: Place, out: Place, *, force: bool = False, progress: Reporting = None) -> "Repeat":
+def repeat(log: Place, out: Place, *, force: bool = False, progress: Reporting = None) -> Repeat:
     """Repeat a run from its log, and compare all messages.
 
     Args:
@@ -1686,7 +1694,7 @@ def repeat(log: Place, out: Place, *, force: bool = False, progress: Reporting =
 
 
 @checked
-def open_night(folder: Place) -> "Night":
+def open_night(folder: Place) -> Night:
     """Open the folder of a long run.
 
     Args:
@@ -1708,7 +1716,7 @@ def open_night(folder: Place) -> "Night":
 
 
 @checked
-def open_campaign(file: Place) -> "CampaignSummary":
+def open_campaign(file: Place) -> CampaignSummary:
     """Open the table of a campaign.
 
     Args:
@@ -1730,7 +1738,7 @@ def open_campaign(file: Place) -> "CampaignSummary":
 
 
 @checked
-def compare_logs(logs: Sequence[Place], *, align: Count = 1) -> "RunComparison":
+def compare_logs(logs: Sequence[Place], *, align: Count = 1) -> RunComparison:
     """Align several logged runs at one symbol.
 
     Args:
@@ -1787,7 +1795,7 @@ def review(files: Place | Sequence[Place], *, align: Count = 1, save: Place | No
 
 
 @checked
-def log_summary(file: Place) -> "LogSummary":
+def log_summary(file: Place) -> LogSummary:
     """Return the content of a log after checking it.
 
     Args:
@@ -1811,7 +1819,7 @@ def log_summary(file: Place) -> "LogSummary":
 @checked
 def recover_log(
     file: Place, out: Place | None = None, *, force: bool = False, progress: Reporting = None
-) -> "Recovery":
+) -> Recovery:
     """Rebuild a log that is cut or damaged.
 
     Args:
@@ -1837,7 +1845,7 @@ def recover_log(
 
 
 @checked
-def write_recording(recording: "Recording", file: Place, *, force: bool = False) -> Path:
+def write_recording(recording: Recording, file: Place, *, force: bool = False) -> Path:
     """Write a recording as a log.
 
     Args:
@@ -1861,7 +1869,7 @@ def write_recording(recording: "Recording", file: Place, *, force: bool = False)
 
 
 @checked
-def design_experiments(model: Model | str, *, progress: Reporting = None) -> "Design":
+def design_experiments(model: Model | str, *, progress: Reporting = None) -> Design:
     """Compare swings by their information on the model's parameters.
 
     Args:
@@ -1886,16 +1894,16 @@ def design_experiments(model: Model | str, *, progress: Reporting = None) -> "De
 
 @checked
 def replay(
-    recording: "Recording",
+    recording: Recording,
     *,
     model: Model | str,
     estimator: Literal["ekf", "ukf"] = "ekf",
     model_error: NotNegative = 0.003,
-    settings: "ReplaySettings | None" = None,
+    settings: ReplaySettings | None = None,
     out: Place | None = None,
     force: bool = False,
     progress: Reporting = None,
-) -> "Replay":
+) -> Replay:
     """Predict a recording by a model, and estimate its states.
 
     Args:
@@ -1934,7 +1942,7 @@ def replay(
 @checked
 def draw_figures(
     names: Sequence[str] = (), *, folder: Place = "figures", progress: Reporting = None
-) -> "tuple[Drawn, ...]":
+) -> tuple[Drawn, ...]:
     """Draw computational figures of the paper with captions.
 
     Args:
@@ -1967,7 +1975,7 @@ def draw_charts(
     quick: bool = False,
     yes: bool = False,
     progress: Reporting = None,
-) -> "tuple[DrawnChart, ...]":
+) -> tuple[DrawnChart, ...]:
     """Chart speed against accuracy, and limits of methods.
 
     Args:
@@ -2012,10 +2020,14 @@ def read_guide(topic: str = "README") -> str:
 
 
 def _model(model: Model | str) -> Model:
+    from dpcontrol.plans.model import load_model
+
     return load_model(model) if isinstance(model, str) else model
 
 
 def _system(model: Model | System | str) -> System:
+    from dpcontrol.dynamics.system import System
+
     return model if isinstance(model, System) else _model(model).system
 
 
@@ -2030,7 +2042,7 @@ def _same_level(system: System, energy: float, other: System, other_energy: floa
         raise InputError(f"the results are of different energies, {energy:g} and {other_energy:g}; use one")
 
 
-def _edges(searches: "Sequence[ConnectionSearch]") -> "Edges":
+def _edges(searches: Sequence[ConnectionSearch]) -> Edges:
     """Return the part of the graph that some searches found."""
     from dpcontrol.walks.edges import Edges
 
@@ -2052,7 +2064,7 @@ def _edges(searches: "Sequence[ConnectionSearch]") -> "Edges":
     )
 
 
-def _closed(planned: "Plan | str", settings: Mapping[str, Any], *, yes: bool, progress: Reporting) -> "ClosedLoop":
+def _closed(planned: Plan | str, settings: Mapping[str, Any], *, yes: bool, progress: Reporting) -> ClosedLoop:
     from dpcontrol.plans.itinerary import load_itinerary
     from dpcontrol.runs.closed_loop import ClosedLoop
 
@@ -2064,6 +2076,8 @@ def _closed(planned: "Plan | str", settings: Mapping[str, Any], *, yes: bool, pr
 
 def _settings(settings: Mapping[str, object] | None, **named: object) -> dict[str, Any]:
     """Return settings by path: those of the mapping and of arguments by name."""
+    from dpcontrol.plans.overrides import canonical
+
     if isinstance(named.get("plant"), Path):
         named["plant"] = str(named["plant"])
     return {**canonical(settings or {}), **canonical(named)}

@@ -14,11 +14,9 @@ from dpcontrol.foundation.errors import InputError
 
 STEP = 5e-4
 """Time step of the simulation, s."""
-CART_MASS, LAG = 20.0, 0.002
-"""kg and s."""
 
 
-def mjcf_text(arms: ArmChainParameters, *, name: str, cart_mass: float = CART_MASS, lag: float = LAG) -> str:
+def mjcf_text(arms: ArmChainParameters, *, name: str, cart_mass: float, lag: float) -> str:
     """Return arms on a cart as MJCF.
 
     Args:

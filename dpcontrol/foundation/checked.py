@@ -18,8 +18,6 @@ from numbers import Integral, Real
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
-import numpy as np
-
 from dpcontrol.foundation.arguments import allowed_range, shortened
 from dpcontrol.foundation.errors import InputError, printable
 from dpcontrol.foundation.settings import suggest
@@ -55,20 +53,26 @@ def checked(function: Function) -> Function:
     Args:
         function: annotated function or method.
     """
-    signature = inspect.signature(function)
-
-    @cache
-    def hints() -> dict[str, Any]:
-        return get_type_hints(function, {}, _Names({**vars(builtins), **function.__globals__}), include_extras=True)
 
     @wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:
+        signature, hints = inspect.signature(function), annotations_of(function)
         for name, value in signature.bind(*args, **kwargs).arguments.items():
-            if name in hints() and signature.parameters[name].kind is not inspect.Parameter.VAR_KEYWORD:
-                check(name, value, hints()[name])
+            if name in hints and signature.parameters[name].kind is not inspect.Parameter.VAR_KEYWORD:
+                check(name, value, hints[name])
         return function(*args, **kwargs)
 
     return call  # type: ignore[return-value]
+
+
+@cache
+def annotations_of(function: Callable[..., Any]) -> dict[str, Any]:
+    """Return the annotations of a function by parameter, with stand-ins for classes that are not imported.
+
+    Args:
+        function: function as it was written, without the check.
+    """
+    return get_type_hints(function, {}, _Names({**vars(builtins), **function.__globals__}), include_extras=True)
 
 
 class _ByName(type):
@@ -147,9 +151,13 @@ def _alternatives(hint: Any) -> tuple[Any, ...]:
 
 
 def _fits(value: Any, hint: Any) -> bool:
+    import numpy as np
+
     kind, inner = get_origin(hint), get_args(hint)
     if kind is Annotated:
         bounds = inner[1]
+        if not isinstance(inner[1], Between):
+            return _fits_any(value, inner[0])
         return _fits(value, inner[0]) and bounds.least <= value <= bounds.most and value > bounds.above
     if kind is Literal:
         return any(type(value) is type(one) and value == one for one in inner)
@@ -205,7 +213,7 @@ def is_list(value: Any) -> bool:
     Args:
         value: any object.
     """
-    if isinstance(value, np.ndarray):
+    if hasattr(value, "ndim"):
         return value.ndim > 0
     return isinstance(value, Collection) and not isinstance(value, str | bytes | Mapping | Set)
 
@@ -217,6 +225,8 @@ def _length(hint: Any, value: Any) -> int:
 
 def _words(hint: Any) -> str:
     kind, inner = get_origin(hint), get_args(hint)
+    if kind is Annotated and not isinstance(inner[1], Between):
+        return " or ".join(filter(None, map(_words, _alternatives(inner[0]))))
     if kind is Annotated:
         above = "" if math.isinf(inner[1].above) else f" above {inner[1].above:g}"
         return allowed_range(_words(inner[0]), inner[1].least, inner[1].most) + above
@@ -241,7 +251,7 @@ def _words(hint: Any) -> str:
     }
     if hint in plain:
         return plain[hint]
-    if kind is np.ndarray:
+    if getattr(kind, "__name__", "") == "ndarray":
         return "an array of finite numbers"
     if kind is Callable:
         return "a function"

@@ -479,8 +479,8 @@ def itinerary_of(
     name: str,
     start: str = "orbit",
     finish: str = "orbit",
-    limits: Limits,
-    reference: ReferenceSettings,
+    limits: Limits | None = None,
+    reference: ReferenceSettings | None = None,
 ) -> Itinerary:
     """Return the itinerary of walks, one after the other.
 
@@ -492,8 +492,8 @@ def itinerary_of(
         name: name and title of the itinerary.
         start: state at the start, one of `ENDS`.
         finish: state at the end, one of `ENDS`.
-        limits: the cart's limits.
-        reference: settings of the reference.
+        limits: the cart's limits (default: those of itineraries).
+        reference: settings of the reference (default: those of itineraries).
 
     Raises:
         InputError: the model has no arms, a saddle of a walk has no orbit at its energy, or an end is none of `ENDS`.
@@ -504,7 +504,7 @@ def itinerary_of(
             "[[parts]]", f"energy = {float(part.energy)!r}", f"walk = [{', '.join(map(quoted, part.walk))}]",
             f"wraps = {list(part.wraps)}", f"lead_in = {part.lead_in}", f"lead_out = {part.lead_out}",
         ]  # fmt: skip
-    for table, settings in (("limits", limits), ("reference", reference)):
+    for table, settings in (("limits", limits or Limits()), ("reference", reference or ReferenceSettings())):
         values = ((f.name, getattr(settings, f.name)) for f in fields(settings))
         lines += [f"[{table}]", *(f"{key} = {quoted(v) if isinstance(v, str) else repr(v)}" for key, v in values)]
     return itinerary_from("\n".join(lines) + "\n", name, model)
