@@ -23,8 +23,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, overload
 
 from dpcontrol.foundation.checked import Between, Count, Hit, Index, Positive, Seed, Workers, checked
 from dpcontrol.foundation.errors import GoalMissed, InputError, remark
-from dpcontrol.foundation.files import write_whole
-from dpcontrol.foundation.parts import part
+from dpcontrol.foundation.files import Output, write_whole
+from dpcontrol.foundation.parts import installed, part
 from dpcontrol.foundation.progress import Cost, Reporting, announce, part_of, reporting
 
 if TYPE_CHECKING:
@@ -43,7 +43,8 @@ if TYPE_CHECKING:
     from dpcontrol.dynamics.propagator import Section as Section
     from dpcontrol.dynamics.system import System as System
     from dpcontrol.foundation.cache import CacheContents
-    from dpcontrol.foundation.config import Configured
+    from dpcontrol.foundation.config import Configuration
+    from dpcontrol.foundation.guide import Page
     from dpcontrol.identification.fit import Design
     from dpcontrol.identification.identify import Identification
     from dpcontrol.identification.replay import Replay
@@ -60,6 +61,7 @@ if TYPE_CHECKING:
     from dpcontrol.pages.figures import Drawn
     from dpcontrol.planner.server import Planner
     from dpcontrol.plans.model import Model as Model
+    from dpcontrol.plans.model import ModelDescription
     from dpcontrol.plans.model import load_model as load_model
     from dpcontrol.plans.plan import Plan
     from dpcontrol.proofs.check import CertificateCheck
@@ -76,7 +78,7 @@ if TYPE_CHECKING:
     from dpcontrol.runs.example_bench import BenchAddress as BenchAddress
     from dpcontrol.runs.night import NightSettings as NightSettings
     from dpcontrol.runs.polish import Polished
-    from dpcontrol.runs.run import Repeat, RigLink, Run
+    from dpcontrol.runs.run import Demonstration, Repeat, RigLink, Run
     from dpcontrol.shooting.extended import ExtendedOrbit
     from dpcontrol.tubes.connections import Connection, ConnectionSearch
     from dpcontrol.tubes.symmetric import SymmetricSearch
@@ -1080,6 +1082,9 @@ def picture(
 def schema(of: Literal["itinerary", "model"]) -> dict[str, Any]:
     """Return the JSON Schema of itinerary files or model files.
 
+    Editors use it to complete and check files. Save it beside the files, and name it in their first line, such as
+    #:schema itinerary.schema.json.
+
     Args:
         of: "itinerary" or "model".
 
@@ -1099,8 +1104,11 @@ def schema(of: Literal["itinerary", "model"]) -> dict[str, Any]:
 
 
 @checked
-def config() -> tuple[Configured, ...]:
-    """Return the defaults of the command line with their sources.
+def config() -> Configuration:
+    """Show the defaults of the command line, and where each comes from.
+
+    An option overrides the environment variable, which overrides the file, which overrides the default. The file is
+    $XDG_CONFIG_HOME/dpcontrol/config.toml, such as: logs = "~/runs".
 
     Returns:
         Settings with value and source: an environment variable, the file, or the built-in default.
@@ -1112,14 +1120,17 @@ def config() -> tuple[Configured, ...]:
         >>> [one.source for one in dp.config() if one.name == "logs"]
         ['default']
     """
-    from dpcontrol.foundation.config import configured
+    from dpcontrol.foundation.config import Configuration, config_file, configured
 
-    return tuple(configured())
+    return Configuration(config_file(), tuple(configured()))
 
 
 @checked
 def cache(*, clear: bool = False) -> CacheContents:
-    """List or delete cached results of earlier work.
+    """List the cached results: plans, atlases, diagrams of connections, machine code.
+
+    Entries are cached by their input, including the program code, and checked when they are read. A damaged entry or
+    one of another version is computed again. You can empty the cache at any time. Other files in its folder are kept.
 
     Args:
         clear: delete them; they can be computed again.
@@ -1285,9 +1296,7 @@ def sustained_orbit(
 
 
 @checked
-def refine(
-    found: Connection | ShadowingOrbit, *, energy: Decimal | Fraction | float | None = None
-) -> ExtendedOrbit:
+def refine(found: Connection | ShadowingOrbit, *, energy: Decimal | Fraction | float | None = None) -> ExtendedOrbit:
     """Refine a connection or a walk's orbit in 113-bit arithmetic.
 
     Args:
@@ -1817,9 +1826,7 @@ def log_summary(file: Place) -> LogSummary:
 
 
 @checked
-def recover_log(
-    file: Place, out: Place | None = None, *, force: bool = False, progress: Reporting = None
-) -> Recovery:
+def recover_log(file: Place, out: Place | None = None, *, force: bool = False, progress: Reporting = None) -> Recovery:
     """Rebuild a log that is cut or damaged.
 
     Args:
@@ -2001,11 +2008,14 @@ def draw_charts(
 
 
 @checked
-def read_guide(topic: str = "README") -> str:
-    """Return a page of the guide as Markdown.
+def read_guide(topic: str | None = None) -> Page:
+    """Show a page of the guide, or list its pages.
 
     Args:
         topic: page, such as "tubes" (default: the list of pages).
+
+    Returns:
+        The page, a text in Markdown.
 
     Raises:
         InputError: the guide has no such page.
@@ -2014,9 +2024,98 @@ def read_guide(topic: str = "README") -> str:
         >>> dp.read_guide("tubes").splitlines()[0]
         '# ...'
     """
-    from dpcontrol.foundation.guide import GUIDE, page
+    from dpcontrol.foundation.guide import page
 
-    return (GUIDE / "README.md").read_text(encoding="utf-8") if topic == "README" else page(topic)
+    return page(topic)
+
+
+@checked
+def describe(model: Model | str, *, mjcf: Annotated[Path | str | None, Output((".xml",))] = None) -> ModelDescription:
+    """Show a model's parameters with units, and its equilibria.
+
+    Equilibria are frictionless, with the pivot at rest.
+
+    Args:
+        model: model, or its name or path.
+        mjcf: MuJoCo model to write, with arms and cart (default: none).
+
+    Returns:
+        Parameters, sources and equilibria.
+
+    Raises:
+        InputError: no such model, or a mistake in its file.
+
+    Examples:
+        >>> dp.describe("lab").equilibria["up-up"].kind
+        'index-2 saddle'
+    """
+    from dpcontrol.dynamics.mjcf import mjcf_text
+    from dpcontrol.orbits.lyapunov import equilibria as found_in
+    from dpcontrol.plans.model import ModelDescription
+
+    loaded = _model(model)
+    if mjcf is not None:
+        write_whole(Path(mjcf), mjcf_text(loaded.arms, name=loaded.name, cart_mass=20.0, lag=0.002))
+    return ModelDescription(loaded, found_in(loaded.system), None if mjcf is None else Path(mjcf))
+
+
+@checked
+def demo(
+    itinerary: Place = "outer-turn",
+    *,
+    seed: Seed = 0,
+    folder: Annotated[Place, Output(folder=True)] = "logs",
+    force: bool = False,
+    yes: bool = False,
+    progress: Reporting = None,
+) -> Demonstration:
+    """Plan, run, score and picture one itinerary.
+
+    The default is a full turn of the outer arm at no cost in energy. All steps are computed: Lyapunov orbit, tube,
+    connections, and the reference with friction and cart. The closed loop has encoders, an estimator, and a plant that
+    differs from the model.
+
+    Args:
+        itinerary: name or path of an itinerary (default: outer-turn).
+        seed: seed of the plant parameters and the initial error (default: 0).
+        folder: folder for log, recording and picture (default: logs).
+        force: replace an existing log, whatever made it.
+        yes: accept work of more than an hour or 4 GB (default: refused).
+        progress: reports, see `dpcontrol.api`.
+
+    Returns:
+        The score, and the files.
+
+    Raises:
+        InputError: no such itinerary, or a file that cannot be written.
+        GoalMissed: the itinerary cannot be planned.
+
+    Examples:
+        >>> dp.demo(folder=log.parent).score.completed
+        True
+    """
+    from time import perf_counter
+
+    from dpcontrol.foundation.files import free_name
+    from dpcontrol.judge.of_log import run_view
+    from dpcontrol.pages.picture import write_picture
+    from dpcontrol.pages.rerun_recording import write_recording
+    from dpcontrol.runs.run import Demonstration
+
+    began = perf_counter()
+    with reporting(progress, "demo") as report:
+        planned = plan(itinerary, yes=yes, progress=part_of(report, 0.05, 0.5))
+        step, name = part_of(report, 0.5, 0.75), f"{planned.itinerary.name}-{seed}.mcap"
+        with free_name(
+            Path(folder) / name, lambda log: run(planned, seed=seed, log=log, force=force, progress=step)
+        ) as done:
+            view, file = run_view(done.log), done.log.path
+            recording = file.with_suffix(".rrd") if installed("rerun") else None
+            if recording is not None:
+                write_recording(view, recording)
+            report("picture", 0.85)
+            picture = write_picture(view, file.with_suffix(".png"))
+    return Demonstration(planned, file, done.score(), recording, picture, perf_counter() - began)
 
 
 def _model(model: Model | str) -> Model:

@@ -21,18 +21,40 @@ from typing import Any
 import click
 from click.shell_completion import CompletionItem
 
-from dpcontrol.cli.verbs import Call, print_json, print_message
+from dpcontrol.cli.commands import Call, Verb, command, print_json, print_message
 from dpcontrol.foundation.errors import GoalMissed, InputError, PartMissing, Remark, concise, printable
 from dpcontrol.foundation.interrupts import ended_by, forget_interrupts, interrupts
 from dpcontrol.foundation.version import PACKAGE, PROGRAM, VERSION
 
 GROUPS = {
     "Start": {
-        "demo": ("start", "Plan, run, score and draw one itinerary."),
-        "model": ("start", "Show a model: parameters, equilibria, eigenvalues."),
-        "guide": ("start", "Show a page of the guide, or list its pages."),
-        "config": ("start", "Show the defaults of the command line, and where each comes from."),
-        "cache": ("start", "List the cached results with their sizes, or delete them."),
+        "demo": Verb(
+            "Plan, run, score and draw one itinerary.",
+            "demo",
+            "dpcontrol demo --itinerary cross",
+            names={"itinerary": "--itinerary"},
+        ),
+        "model": Verb(
+            "Show a model: parameters, equilibria, eigenvalues.",
+            "describe",
+            "dpcontrol model lab",
+            "MODEL is a name (in ./models or shipped) or a path.",
+        ),
+        "guide": Verb(
+            "Show a page of the guide, or list its pages.",
+            "read_guide",
+            "dpcontrol guide start",
+            "`dpcontrol guide` lists the pages in reading order.",
+        ),
+        "config": Verb(
+            "Show the defaults of the command line, and where each comes from.", "config", "dpcontrol config"
+        ),
+        "cache": Verb(
+            "List the cached results with their sizes, or delete them.",
+            "cache",
+            "dpcontrol cache --clear",
+            "The folder is $DPCONTROL_CACHE, else ~/.cache/dpcontrol.",
+        ),
     },
     "Design": {
         "orbit": ("connections", "Compute a Lyapunov orbit, or its family, and its Floquet multipliers."),
@@ -43,7 +65,9 @@ GROUPS = {
         "prove": ("prove", "Prove that an orbit or a closed walk exists, or check a certificate."),
         "plan": ("plan", "Plan an itinerary: shadowing orbit and reference."),
         "reference": ("plan", "Show a reference: limits, effort, mesh, error, picture."),
-        "schema": ("start", "Print the JSON Schema of itineraries or models, for editors."),
+        "schema": Verb(
+            "Print the JSON Schema of itineraries or models, for editors.", "schema", "dpcontrol schema itinerary"
+        ),
         "planner": ("planner", "Plan in the browser, from an energy to a run."),
     },
     "Run": {
@@ -129,7 +153,10 @@ class _Verbs(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in VERBS:
             return None
-        module = importlib.import_module(f"dpcontrol.cli.{VERBS[cmd_name][0]}")
+        entry = VERBS[cmd_name]
+        if isinstance(entry, Verb):
+            return command(cmd_name, entry)
+        module = importlib.import_module(f"dpcontrol.cli.{entry[0]}")
         return getattr(module, f"{cmd_name}_command")
 
     def resolve_command(
@@ -146,7 +173,11 @@ class _Verbs(click.Group):
         width = max(map(len, VERBS))
         for heading, verbs in GROUPS.items():
             with formatter.section(heading):
-                formatter.write_dl([(verb.ljust(width), text) for verb, (_, text) in verbs.items()])
+                formatter.write_dl([(verb.ljust(width), _summary(entry)) for verb, entry in verbs.items()])
+
+
+def _summary(entry: Any) -> str:
+    return entry.summary if isinstance(entry, Verb) else entry[1]
 
 
 @click.group(

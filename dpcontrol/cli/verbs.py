@@ -8,14 +8,12 @@ def score_command(*, logs: tuple[Path, ...] = argument(), seed: int = option(def
 """
 
 import inspect
-import json
 import math
 import os
 import re
-import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
 from types import UnionType
@@ -23,27 +21,21 @@ from typing import Any, Literal, NamedTuple, TypeVar, Union, get_args, get_origi
 
 import click
 
+from dpcontrol.cli.commands import Call, _prints_on_stderr, print_json
+from dpcontrol.cli.commands import print_message as print_message
 from dpcontrol.cli.completion import COMPLETERS
 from dpcontrol.foundation.errors import GoalMissed, InputError, printable
+from dpcontrol.words.table import Markdown as Markdown
+from dpcontrol.words.table import TextTable as TextTable
+from dpcontrol.words.table import extended_text as extended_text
+from dpcontrol.words.table import multiplier_texts as multiplier_texts
+from dpcontrol.words.table import spaced as spaced
+from dpcontrol.words.table import table as table
 
 T = TypeVar("T")
 
 OUTPUT, WORK = "Output", "Work"
 """Groups of options: output files, and distribution of work."""
-
-
-@dataclass
-class Call:
-    """Output options of one call of the program, and its files.
-
-    `aside` is open while the verb works.
-    """
-
-    as_json: bool = False
-    debug: bool = False
-    shown: bool = False
-    aside: ExitStack = field(default_factory=ExitStack)
-    files: set[Path] = field(default_factory=set)
 
 
 def claim(file: Path, *, folder: bool = False) -> Path:
@@ -62,7 +54,7 @@ def claim(file: Path, *, folder: bool = False) -> Path:
 
     (checked_folder if folder else checked_target)(file)
     context = click.get_current_context()
-    files, place = context.ensure_object(Call).files, Path(os.path.realpath(file))
+    files, place = context.meta.setdefault("files", set()), Path(os.path.realpath(file))
     if place not in files:
         files.add(place)
         context.with_resource(claimed(file))
@@ -81,45 +73,6 @@ def claim_free(file: Path, make: Callable[[Path], T]) -> T:
     from dpcontrol.foundation.files import free_name
 
     return click.get_current_context().with_resource(free_name(file, make))
-
-
-class TextTable(NamedTuple):
-    """A table in the terminal.
-
-    The first column is aligned left and the others right.
-    """
-
-    title: str
-    columns: Sequence[str]
-    rows: Iterable[Sequence[str]]
-
-
-class Markdown(NamedTuple):
-    """A page in Markdown, rendered for the terminal."""
-
-    text: str
-
-
-def table(title: str, items: Iterable[Any], columns: Mapping[str, str | Callable[[Any], str]]) -> TextTable:
-    """Return a table with a row for each item.
-
-    Args:
-        title: title above the table.
-        items: objects, one for each row.
-        columns: heading -> format or function of the item.
-    """
-    rows = [[show.format(one) if isinstance(show, str) else show(one) for show in columns.values()] for one in items]
-    return TextTable(title, tuple(columns), rows)
-
-
-def spaced(values: Iterable[float], form: str) -> str:
-    """Return numbers side by side.
-
-    Args:
-        values: numbers.
-        form: format of each number.
-    """
-    return "  ".join(format(value, form) for value in values)
 
 
 @dataclass(frozen=True)
@@ -395,46 +348,6 @@ def show(answer: Answer) -> None:
         raise GoalMissed(answer.missed)
 
 
-@contextmanager
-def _prints_on_stderr() -> Iterator[None]:
-    """Move what users' objects and workers print from stdout to stderr.
-
-    So stdout holds only the document.
-    """
-    with redirect_stdout(sys.stderr), ExitStack() as stack:
-        # Either stream may be closed.
-        with suppress(OSError):
-            before = os.dup(1)
-            stack.callback(os.close, before)
-            os.dup2(2, 1)
-            stack.callback(os.dup2, before, 1)
-            if sys.__stdout__ is not None:
-                stack.callback(sys.__stdout__.flush)
-        yield
-
-
-def print_json(document: Mapping[str, Any]) -> None:
-    """Print the one JSON document of a call.
-
-    Args:
-        document: nested mappings, lists, arrays and scalars.
-    """
-    from dpcontrol.foundation.document import plain
-
-    click.echo(printable(json.dumps(plain(document), indent=1, ensure_ascii=False), json=True))
-
-
-def print_message(text: str) -> None:
-    """Print a line on stderr, beside the answer.
-
-    Args:
-        text: one line.
-    """
-    # The exit code remains if stderr is full, or its terminal is closed.
-    with suppress(OSError):
-        click.echo(printable(text), err=True)
-
-
 def _print(item: str | TextTable | Markdown) -> None:
     if isinstance(item, str):
         click.echo(printable(item))
@@ -493,44 +406,6 @@ def draw_result(result: Any, picture: Path | None) -> list[str]:
 
         save_figure(render(result), picture)
     return drawn_to(picture)
-
-
-def multiplier_text(value: complex, digits: int = 11) -> str:
-    """Return a Floquet multiplier as text, real if possible.
-
-    The pair at one has some twelve digits.
-
-    Args:
-        value: the multiplier.
-        digits: number of significant digits.
-    """
-    value = complex(value)
-    if abs(value.imag) < 1e-12:
-        return f"{value.real:.{digits}g}"
-    return f"{value.real:.{min(digits, 10)}g}{value.imag:+.{min(digits, 10)}g}i"
-
-
-def multiplier_texts(values: Iterable[complex], digits: int = 11) -> str:
-    """Return Floquet multipliers side by side.
-
-    Args:
-        values: multipliers.
-        digits: significant digits of each.
-    """
-    return "  ".join(multiplier_text(value, digits) for value in values)
-
-
-def extended_text(state: Sequence[str], indent: str) -> list[str]:
-    """Return the lines of a state in decimal digits.
-
-    Positions come first, then rates.
-
-    Args:
-        state: decimals (N,).
-        indent: blanks before each line.
-    """
-    half = len(state) // 2
-    return [f"{indent}{'position' if k < half else 'rate'} {k % half + 1}  {value}" for k, value in enumerate(state)]
 
 
 class Hits(click.ParamType):

@@ -35,6 +35,36 @@ class Configured(NamedTuple):
     source: str
     help: str
 
+    @property
+    def variable(self) -> str:
+        """Environment variable of the setting."""
+        return variable(self.name)
+
+
+@dataclass(frozen=True)
+class Configuration:
+    """The defaults of the command line, and where each comes from.
+
+    Attributes:
+        file: place of the configuration file, which need not exist.
+    """
+
+    file: Path
+    settings: tuple[Configured, ...]
+
+    def __iter__(self) -> Iterator[Configured]:
+        return iter(self.settings)
+
+    @property
+    def exists(self) -> bool:
+        """True if there is a configuration file."""
+        return is_there(self.file)
+
+    def document(self) -> dict[str, Any]:
+        """Return file and settings as JSON values."""
+        settings = {one.name: {"value": one.value, "source": one.source} for one in self.settings}
+        return {"file": str(self.file), "settings": settings}
+
 
 def at_home(path: Path | str) -> Path:
     """Return a path with "~" replaced by the home folder.

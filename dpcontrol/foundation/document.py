@@ -15,11 +15,15 @@ Methods without arguments are called. A dataclass without `KEYS` has all its fie
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import fields, is_dataclass
+from importlib import import_module
 from inspect import ismethod
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
+
+if TYPE_CHECKING:
+    from dpcontrol.words.table import Line
 
 
 class Documented:
@@ -30,6 +34,15 @@ class Documented:
     def document(self) -> dict[str, Any]:
         """Return the result as JSON values, with the keys that `--json` prints."""
         return document_of(self, self.KEYS)
+
+    def lines(self) -> "Iterable[Line]":
+        """Return the result as lines and tables of text, which verbs print."""
+        return import_module("dpcontrol.words.texts").text_of(self)
+
+    @property
+    def missed(self) -> str:
+        """Why a verb with this result ends with exit code 1: the status of a result that is not `converged`, or ""."""
+        return "" if getattr(self, "converged", True) else str(getattr(self, "status", ""))
 
 
 def counted(count: int, noun: str) -> str:

@@ -20,10 +20,11 @@ import zipfile
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, nullcontext, suppress
+from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 from tokenize import TokenError
-from typing import IO, Any, TypeVar
+from typing import IO, Annotated, Any, TypeVar
 
 from dpcontrol.foundation.errors import InputError
 
@@ -32,6 +33,26 @@ T = TypeVar("T")
 
 class InTheWay(InputError):
     """A file exists that another command made or is writing."""
+
+
+@dataclass(frozen=True)
+class Output:
+    """The file or folder that a parameter of a public function names, for its annotation.
+
+    Attributes:
+        endings: allowed endings of the name, or () for any.
+        free: True if the command line takes the next free name in the folder of logs when none is given; True as the
+            argument of the function does the same.
+        folder: True for a folder.
+    """
+
+    endings: tuple[str, ...] = ()
+    free: bool = False
+    folder: bool = False
+
+
+Picture = Annotated[Path | str | None, Output((".png", ".pdf", ".svg"))]
+Film = Annotated[Path | str | None, Output((".gif", ".webp", ".mp4"))]
 
 
 def checked_target(path: Path) -> Path:

@@ -1,6 +1,7 @@
 """The pages of the guide, which come with the package."""
 
 import re
+from typing import Any
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.settings import suggest
@@ -19,16 +20,35 @@ def topics() -> dict[str, str]:
     return dict(re.findall(r"^- \[([\w-]+)\]\(\1\.md\): (.+)$", index, re.MULTILINE))
 
 
-def page(topic: str) -> str:
-    """Return a page of the guide as Markdown.
+class Page(str):
+    """A page of the guide in Markdown.
+
+    Attributes:
+        topic: name of the page, None for the list of pages.
+        topics: all pages by name, with a line about each.
+    """
+
+    topic: str | None
+    topics: dict[str, str]
+
+    def document(self) -> dict[str, Any]:
+        """Return the page and the list of pages as JSON values."""
+        shown = {} if self.topic is None else {"topic": self.topic, "text": str(self)}
+        return {**shown, "topics": [{"topic": name, "about": about} for name, about in self.topics.items()]}
+
+
+def page(topic: str | None = None) -> Page:
+    """Return a page of the guide.
 
     Args:
-        topic: name of the page, without .md.
+        topic: name of the page, without .md, or None for the list of pages.
 
     Raises:
         InputError: the guide has no such page.
     """
     pages = topics()
-    if topic not in pages:
+    if topic is not None and topic not in pages:
         raise InputError(f"the guide has no page {topic!r}; {suggest(topic, pages)}")
-    return (GUIDE / f"{topic}.md").read_text(encoding="utf-8")
+    text = Page((GUIDE / f"{topic or 'README'}.md").read_text(encoding="utf-8"))
+    text.topic, text.topics = topic, pages
+    return text

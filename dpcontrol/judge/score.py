@@ -160,6 +160,14 @@ class Score(Documented):
         return words.reason(self.verdict.reason, judged_by=self.judged_by, whole=self.whole, recovered=self.recovered)
 
     @property
+    def missed(self) -> str:
+        """Why the run is not known to be completed, or ""; on a rig, the symbols decide without the true state."""
+        unfinished = self.symbols_completed != self.symbols_total or not self.whole
+        if self.completed is False or (self.completed is None and unfinished):
+            return f"not completed: {self.reason}"
+        return ""
+
+    @property
     def sentence(self) -> str:
         """Verdict in one line."""
         done = {True: "completed", False: "NOT completed", None: "completion unknown"}[self.completed]

@@ -26,6 +26,7 @@ from dpcontrol.dynamics.chain import (
 from dpcontrol.dynamics.system import System, ThreeBodyParameters, three_body_system
 from dpcontrol.foundation.arguments import path as path_of
 from dpcontrol.foundation.checked import checked
+from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError, Mistakes, remark
 from dpcontrol.foundation.files import in_the_way, write_whole
 from dpcontrol.foundation.settings import (
@@ -40,6 +41,7 @@ from dpcontrol.foundation.settings import (
 )
 from dpcontrol.foundation.shipped import find
 from dpcontrol.foundation.units import Usual
+from dpcontrol.orbits.lyapunov import Equilibrium
 
 if TYPE_CHECKING:
     from dpcontrol.identification.identify import Identification
@@ -166,6 +168,31 @@ def model_of(system: System) -> Model:
     if not isinstance(system, ModelSystem):
         raise InputError(f"{system.name} has no arms and no cart: start from a model of arms, such as lab")
     return system.model
+
+
+@dataclass(frozen=True)
+class ModelDescription(Documented):
+    """A model with its frictionless equilibria, the pivot at rest.
+
+    Attributes:
+        equilibria: by name.
+        mjcf: file of MuJoCo that was written, if any.
+    """
+
+    KEYS = (
+        "model=model.name title=model.title parameters sources=model.sources remarks=model.remarks mjcf "
+        "equilibria:state,energy,eigenvalues,kind"
+    )
+
+    model: Model
+    equilibria: Mapping[str, Equilibrium]
+    mjcf: Path | None = None
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """Value and unit of each parameter."""
+        named = self.model.parameters.named().items()
+        return {name: {"value": value, "unit": unit} for name, (value, unit) in named}
 
 
 @checked

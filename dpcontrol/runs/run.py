@@ -35,7 +35,7 @@ from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.cache import commit
 from dpcontrol.foundation.checked import Count, Workers, checked
 from dpcontrol.foundation.config import log_folder
-from dpcontrol.foundation.document import picked
+from dpcontrol.foundation.document import Documented, picked
 from dpcontrol.foundation.errors import GoalMissed, InputError, remark
 from dpcontrol.foundation.files import (
     checked_other_file,
@@ -495,6 +495,30 @@ def run_metadata(itinerary: Itinerary) -> Mapping[str, str]:
         "run_settings": json.dumps(asdict(itinerary.loop), sort_keys=True, default=str),
         MODEL_METADATA: json.dumps(asdict(itinerary.model.arms), sort_keys=True),
     }
+
+
+@dataclass(frozen=True)
+class Demonstration(Documented):
+    """An itinerary that was planned, run, scored and drawn.
+
+    Attributes:
+        recording: recording for the viewer, None without rerun-sdk.
+        seconds: duration of all steps, s.
+    """
+
+    KEYS = "**score recording picture seconds"
+
+    plan: Plan
+    log: Path
+    score: Score
+    recording: Path | None
+    picture: Path
+    seconds: float
+
+    @property
+    def missed(self) -> str:
+        """Why the run is not known to be completed, or ""."""
+        return self.score.missed
 
 
 @dataclass(frozen=True)

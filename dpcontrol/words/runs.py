@@ -4,7 +4,7 @@
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from dpcontrol.foundation.causes import Cause, Fault
@@ -182,3 +182,29 @@ def lost(losses: str) -> str:
         losses: the losses in words.
     """
     return f"the log was recovered and lacks {losses}"
+
+
+_WHY = "  why      "
+
+
+def score_lines(verdict: Any) -> Iterator[str]:
+    """Yield the lines of a score of one log.
+
+    Args:
+        verdict: a `Score`.
+    """
+    pace = "" if verdict.real_time_factor is None else f", {verdict.real_time_factor:.1f} × real time"
+    yield verdict.log
+    yield f"  {verdict.sentence}"
+    yield (
+        f"  tracking {verdict.rms_tracking_error * 1e3:.1f} mrad rms; cart {verdict.max_cart_position * 1e3:.1f} mm at "
+        f"most, {verdict.rms_cart_acceleration:.3f} m/s² rms; NIS inside its 95 % band "
+        f"{verdict.nis_inside_95:.1%}{pace}"
+    )
+    if verdict.nis_means is not None:
+        yield f"  NIS      {verdict.nis_means.sentence}"
+    if verdict.completed is False:
+        yield f"{_WHY}`dpcontrol score LOG --why` searches for options that complete a simulated run of built-in parts"
+    if verdict.thinking is not None:
+        median, most = 1e6 * verdict.thinking.median, 1e6 * verdict.thinking.within_99
+        yield f"  thinking {median:.3g} µs a tick in the median, 99 % within {most:.3g} µs"

@@ -1,0 +1,472 @@
+"""From a function of `dpcontrol.api` to a verb, and from its result to the terminal.
+
+The arguments and options of a verb are the parameters of its function: names and types from the signature, help from
+the docstring. `settings` becomes an option for each common setting and --set. The result prints its `lines()`, or with
+--json its `document()`.
+"""
+
+import inspect
+import json
+import math
+import os
+import re
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
+from dataclasses import dataclass, field
+from decimal import Decimal, InvalidOperation
+from pathlib import Path
+from types import NoneType, UnionType
+from typing import Annotated, Any, Literal, NamedTuple, Union, get_args, get_origin
+
+import click
+
+from dpcontrol.cli.completion import COMPLETERS
+from dpcontrol.foundation.checked import annotations_of
+from dpcontrol.foundation.errors import GoalMissed, InputError, printable
+from dpcontrol.foundation.files import Output
+from dpcontrol.foundation.interrupts import forget_interrupts
+from dpcontrol.words.table import Line, TextTable
+
+OPTIONS, SETTINGS, OUTPUT = "Options", "Run settings", "Output"
+"""Headings of the help."""
+ALWAYS_OUTPUT = {"force", "yes", "live", "write"}
+"""Flags that concern the output."""
+
+
+class Verb(NamedTuple):
+    """A verb of the command line.
+
+    Attributes:
+        summary: its line in the list of verbs.
+        function: name of its function in `dpcontrol.api`.
+        example: a command line for the help.
+        note: further text beside the example.
+        names: options of parameters whose name on the command line differs, such as {"source": "--from"}.
+    """
+
+    summary: str
+    function: str
+    example: str
+    note: str = ""
+    names: Mapping[str, str | tuple[str, ...]] = {}
+
+
+@dataclass
+class Call:
+    """Output options of one call of the program; `aside` is open while the verb works."""
+
+    as_json: bool = False
+    debug: bool = False
+    shown: bool = False
+    aside: ExitStack = field(default_factory=ExitStack)
+
+
+class Option(click.Option):
+    """An option that help lists under a group."""
+
+    def __init__(self, *arguments: Any, group: str = OPTIONS, **others: Any) -> None:
+        super().__init__(*arguments, **others)
+        self.group = group
+
+
+class Command(click.Command):
+    """A verb, whose help lists options by group."""
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        sections: dict[str, list[tuple[str, str]]] = {OPTIONS: [], SETTINGS: [], OUTPUT: []}
+        for param in self.get_params(ctx):
+            record = param.get_help_record(ctx) if isinstance(param, click.Option) else None
+            if record is not None:
+                sections[getattr(param, "group", OPTIONS)].append(record)
+        for title, records in sections.items():
+            if records:
+                with formatter.section(title):
+                    formatter.write_dl(records)
+
+
+def command(name: str, verb: Verb) -> click.Command:
+    """Return the command of a verb.
+
+    Args:
+        name: name of the verb.
+        verb: its function and example.
+    """
+    from dpcontrol import api
+
+    function = getattr(api, verb.function)
+    parameters = inspect.signature(function).parameters
+    hints, (text, helps) = annotations_of(inspect.unwrap(function)), described(function)
+    given = {one.name for one in parameters.values()} - {"progress"}
+    params = [
+        param
+        for one in parameters.values()
+        if one.name in given
+        for param in _parameters(name, verb, one, hints[one.name], helps.get(one.name, ""))
+    ]
+    params.append(Option(["--json", "as_json"], is_flag=True, group=OUTPUT, help="One JSON document on stdout."))
+
+    def run(*, as_json: bool, **values: Any) -> None:
+        call = click.get_current_context().ensure_object(Call)
+        call.as_json = as_json
+        if "settings" in parameters:
+            values["settings"] = _settings(values)
+        if "over" in parameters:
+            values["over"] = _over(values["over"])
+        for one in parameters.values():
+            if one.name in values and (output := _output(hints[one.name])) is not None:
+                values[one.name] = _checked_output(one.name, output, values)
+        values = {key: value for key, value in values.items() if value is not None and key in given}
+        positional = [values.pop(key) for key, one in parameters.items() if key in values and _is_positional(one)]
+        if "progress" in parameters:
+            values["progress"] = True
+        with call.aside:
+            if as_json:
+                call.aside.enter_context(_prints_on_stderr())
+            result = function(*positional, **values)
+            show(result, {"picture": values.get("picture")} if "picture" in given else {})
+            if hasattr(result, "serve"):
+                _serve(result)
+
+    epilog = f"Example:  {verb.example}" + (f"      {verb.note}" if verb.note else "")
+    return Command(name, callback=run, params=params, help=text, epilog=epilog)
+
+
+def described(function: Callable[..., Any]) -> tuple[str, dict[str, str]]:
+    """Return the text of a function's docstring before its arguments, and the text of each argument.
+
+    Args:
+        function: documented function, in Google style.
+    """
+    text, _, rest = inspect.cleandoc(function.__doc__ or "").partition("\n\nArgs:\n")
+    arguments = re.split(r"\n\n\w+:", rest)[0]
+    entries = re.findall(r"^    (\w+): (.*(?:\n     .*)*)", arguments, re.MULTILINE)
+    return text, {name: " ".join(words.split()) for name, words in entries}
+
+
+def _is_positional(parameter: inspect.Parameter) -> bool:
+    return parameter.kind is inspect.Parameter.POSITIONAL_OR_KEYWORD
+
+
+def _parameters(
+    verb: str, declared: Verb, parameter: inspect.Parameter, hint: Any, help: str
+) -> Iterator[click.Parameter]:
+    """Yield what the command line offers for a parameter of a function."""
+    name, output = parameter.name, _output(hint)
+    completer = COMPLETERS.get((verb, name)) or COMPLETERS.get(("", name))
+    if name == "settings":
+        yield from _setting_options()
+        return
+    kinds = _kinds(hint)
+    several = name == "over" or any(get_origin(kind) is Sequence for kind in kinds)
+    kind = _click_type(name, kinds, output)
+    if _is_positional(parameter) and name not in declared.names:
+        required = parameter.default is inspect.Parameter.empty
+        yield click.Argument([name], nargs=-1 if several else 1, required=required, type=kind, shell_complete=completer)
+        return
+    names = declared.names.get(name, f"--{name.replace('_', '-')}")
+    names = (names,) if isinstance(names, str) else names
+    flag = kind is bool
+    if flag and parameter.default is True:
+        names = (f"--no-{name.replace('_', '-')}",)
+    elif flag and parameter.default is None:
+        names = (f"{names[0]}/--no-{names[0][2:]}",)
+    written = output is not None or name in ALWAYS_OUTPUT
+    help = help[:1].upper() + help[1:]
+    help = re.sub(r" \((default: [^)]*)\)\.?$", r". [\1]", help.removesuffix("."))
+    yield Option(
+        [*names, name],
+        is_flag=flag,
+        flag_value=False if flag and parameter.default is True else None,
+        type=None if flag else kind,
+        multiple=several,
+        default=None,
+        required=parameter.default is inspect.Parameter.empty,
+        help=help,
+        group=OUTPUT if written else OPTIONS,
+        shell_complete=completer,
+    )
+
+
+def _kinds(hint: Any) -> list[Any]:
+    """Return the alternatives of a type, without None and annotations."""
+    if get_origin(hint) is Annotated:
+        return _kinds(get_args(hint)[0])
+    if get_origin(hint) in (Union, UnionType):
+        return [kind for one in get_args(hint) for kind in _kinds(one)]
+    return [] if hint in (None, NoneType) else [hint]
+
+
+def _output(hint: Any) -> Output | None:
+    return next((one for one in getattr(hint, "__metadata__", ()) if isinstance(one, Output)), None)
+
+
+def _click_type(name: str, kinds: Sequence[Any], output: Output | None) -> Any:
+    """Return the type that reads a value of one of several types from text."""
+    if name in PARSERS:
+        return PARSERS[name]
+    if output is not None:
+        return click.Path(dir_okay=output.folder, path_type=Path)
+    for kind in kinds:
+        if get_origin(kind) is Sequence:
+            return _click_type("", _kinds(get_args(kind)[0]), None)
+        if get_origin(kind) is tuple:
+            return tuple(_click_type("", _kinds(one), None) for one in get_args(kind))
+        if get_origin(kind) is Literal:
+            return click.Choice([one for one in get_args(kind) if isinstance(one, str)])
+        if kind is Path:
+            return click.Path(path_type=Path)
+        if kind is Decimal:
+            return Number()
+    return next((kind for kind in (bool, int, float) if kind in kinds), str)
+
+
+def _checked_output(name: str, output: Output, values: Mapping[str, Any]) -> Path | bool | None:
+    """Return a file to write, or True for a free name, after a check of its name."""
+    from dpcontrol.foundation.files import checked_folder, checked_other_file, checked_target
+
+    file: Path | None = values[name]
+    if file is None:
+        return True if output.free else None
+    if not output.folder and not file.name:
+        raise InputError(f"{name} = {file}: this is not a file name; give a name")
+    if output.endings and file.suffix.lower() not in output.endings:
+        allowed = " or ".join(output.endings)
+        raise InputError(f"{name} = {file}: this writes a {allowed} file; choose a name that ends in {allowed}")
+    for key, value in values.items():
+        for one in value if isinstance(value, tuple) else (value,):
+            if key != name and isinstance(one, str | Path) and os.path.isfile(one):
+                checked_other_file(file, one, what=f"the input {one}", option=f"--{name}")
+    (checked_folder if output.folder else checked_target)(file)
+    return file
+
+
+class Parser(click.ParamType):
+    """A value that a function makes of its text, or refuses with ValueError.
+
+    Args:
+        name: how help writes the value.
+        read: function of the text.
+        form: an example for the message.
+    """
+
+    def __init__(self, name: str, read: Callable[[str], Any], form: str) -> None:
+        self.name, self.read, self.form = name, read, form
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        if not isinstance(value, str):
+            return value
+        try:
+            return self.read(value)
+        except ValueError:
+            self.fail(f"{value!r} is not of the form {self.form}", param, ctx)
+
+
+def _hits(text: str) -> tuple[int, int]:
+    numbers = [int(number) for number in text.split(",")]
+    first, *rest = numbers
+    if len(rest) > 1 or not all(1 <= one <= 9 for one in numbers):
+        raise ValueError(text)
+    return first, rest[0] if rest else first
+
+
+def _setting(text: str) -> tuple[str, str]:
+    name, equals, value = text.partition("=")
+    if not (name.strip() and equals and value.strip()):
+        raise ValueError(text)
+    return name.strip(), value.strip()
+
+
+PARSERS: Mapping[str, click.ParamType] = {
+    "hits": Parser("n[,m]", _hits, "1 or 1,2, numbers from 1 to 9"),
+    "wraps": Parser("n,n,…", lambda text: tuple(map(int, text.replace(",", " ").split())), "2,3,2"),
+    "repairs": Parser("name,…", lambda text: [one.strip() for one in text.split(",") if one.strip()], "nan,gaps"),
+    "over": Parser("path=v1,v2,…", _setting, "mismatch=0.05,0.1"),
+}
+"""Readers of parameters with a form of their own, by name."""
+
+
+class Number(click.ParamType):
+    """A number kept as the decimal that was typed: 0.2 is one fifth."""
+
+    name = "number"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Decimal:
+        try:
+            number = Decimal(value)
+        except InvalidOperation:
+            self.fail(f"{value!r} is not a number.", param, ctx)
+        if not (number.is_finite() and math.isfinite(float(number))):
+            raise InputError(f"{param.opts[0] if param else 'number'} {value}: must be a finite number")
+        return number
+
+
+class SettingOption(Option):
+    """The option of one setting, whose help is that of the setting."""
+
+    def __init__(self, path: str) -> None:
+        from dpcontrol.plans.overrides import option_of
+
+        self.path = path
+        name = path.rpartition(".")[2]
+        super().__init__([option_of(path), name], group=SETTINGS, shell_complete=COMPLETERS.get(("", name)))
+
+    def get_help_record(self, ctx: click.Context) -> tuple[str, str]:
+        """Return the option, and help, unit and choices of its setting."""
+        from dpcontrol.plans.overrides import paths
+
+        leaf = paths()[self.path]
+        kind = {str: "TEXT", int: "INTEGER"}.get(leaf.hint, "FLOAT")
+        return f"{self.opts[0]} {kind}", f"{leaf.sentence} [default: the itinerary's]"
+
+
+def _setting_options() -> Iterator[Option]:
+    from dpcontrol.plans.overrides import NAMED
+
+    yield from map(SettingOption, NAMED)
+    yield Option(
+        ["--set", "settings"],
+        type=Parser("path=value", _setting, "drive.lag=0.005"),
+        multiple=True,
+        group=SETTINGS,
+        help="Any setting by its path, or by the unique last part; repeatable. See `dpcontrol guide settings`.",
+        shell_complete=COMPLETERS["", "over"],
+    )
+
+
+def _settings(values: dict[str, Any]) -> dict[str, Any]:
+    """Return the settings that are given, by path, and remove them from the values.
+
+    The last value of a path counts, so that a remedy can be appended to a command.
+
+    Raises:
+        InputError: a setting is given by its option and by its path.
+    """
+    from dpcontrol.plans.overrides import NAMED, parsed, resolved
+
+    named = {path: values.pop(path.rpartition(".")[2]) for path in NAMED}
+    given = {path: parsed(path, text) for path, text in named.items() if text is not None}
+    for name, text in values.pop("settings"):
+        if named.get(resolved(name)) is not None:
+            raise InputError(f"--set {name}={text}: {resolved(name)} is given twice; give it once")
+        given[resolved(name)] = parsed(name, text)
+    return given
+
+
+def _over(given: Sequence[tuple[str, str]]) -> dict[str, list[Any]] | None:
+    """Return the values of each setting to vary.
+
+    Raises:
+        InputError: a setting is given twice, or a value is none of it.
+    """
+    from dpcontrol.plans.overrides import parsed, values_in
+
+    varied = {name.replace("-", "_"): [parsed(name, text) for text in values_in(texts)] for name, texts in given}
+    if len(varied) != len(given):
+        raise InputError("--over: a setting is given twice; list its values once, separated by commas")
+    return varied or None
+
+
+def show(result: Any, also: Mapping[str, Any]) -> None:
+    """Print a result as one JSON document at full precision, or as lines and tables.
+
+    Args:
+        result: result of a public function, a mapping, or a sequence of results.
+        also: further entries of the document.
+
+    Raises:
+        GoalMissed: the goal of the verb was missed, with the reason.
+    """
+    from dpcontrol.words.texts import text_of
+
+    call = click.get_current_context().ensure_object(Call)
+    call.shown = True
+    call.aside.close()
+    if call.as_json:
+        print_json({**(result.document() if hasattr(result, "document") else result), **also})
+        call.aside.enter_context(_prints_on_stderr())
+    else:
+        for line in [*text_of(result), *(f"drawn to {file}" for file in also.values() if file)]:
+            _print(line)
+    if missed := getattr(result, "missed", ""):
+        raise GoalMissed(missed)
+
+
+def _serve(server: Any) -> None:
+    """Serve until the server ends or Ctrl-C."""
+    # A reader behind a pipe waits for the address.
+    sys.stdout.flush()
+    with server:
+        try:
+            server.serve()
+        except KeyboardInterrupt:
+            forget_interrupts()
+
+
+@contextmanager
+def _prints_on_stderr() -> Iterator[None]:
+    """Move what users' objects and workers print from stdout to stderr, so that stdout holds only the document."""
+    with redirect_stdout(sys.stderr), ExitStack() as stack:
+        # Either stream may be closed.
+        with suppress(OSError):
+            before = os.dup(1)
+            stack.callback(os.close, before)
+            os.dup2(2, 1)
+            stack.callback(os.dup2, before, 1)
+            if sys.__stdout__ is not None:
+                stack.callback(sys.__stdout__.flush)
+        yield
+
+
+def print_json(document: Mapping[str, Any]) -> None:
+    """Print the one JSON document of a call.
+
+    Args:
+        document: nested mappings, lists, arrays and scalars.
+    """
+    from dpcontrol.foundation.document import plain
+
+    click.echo(printable(json.dumps(plain(document), indent=1, ensure_ascii=False), json=True))
+
+
+def print_message(text: str) -> None:
+    """Print a line on stderr, beside the answer.
+
+    Args:
+        text: one line.
+    """
+    # The exit code remains if stderr is full, or its terminal is closed.
+    with suppress(OSError):
+        click.echo(printable(text), err=True)
+
+
+def _print(line: Line) -> None:
+    if isinstance(line, str):
+        click.echo(printable(line))
+        return
+    from rich.console import Console
+
+    console = Console()
+    if isinstance(line, TextTable):
+        # A narrow terminal wraps lines, but a narrow table would omit names and digits.
+        Console(width=max(console.width, 130) if console.is_terminal else 200).print(_rich_table(line))
+        return
+    from rich.markdown import Markdown
+
+    Console(width=min(console.width, 126) if console.is_terminal else 126).print(Markdown(line.text))
+
+
+def _rich_table(shown: TextTable) -> Any:
+    """Return a table for the terminal; brackets in its cells are not markup."""
+    from rich.table import Table
+    from rich.text import Text
+
+    def texts(cells: Iterable[str]) -> Iterator[Text]:
+        return (Text(printable(cell)) for cell in cells)
+
+    table = Table(title=Text(printable(shown.title)) if shown.title else None, title_justify="left", title_style="bold")
+    for k, column in enumerate(texts(shown.columns)):
+        table.add_column(column, justify="left" if k == 0 else "right", no_wrap=True)
+    for row in shown.rows:
+        table.add_row(*texts(row))
+    return table
