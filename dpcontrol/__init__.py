@@ -6,7 +6,6 @@
 TYPE_CHECKING = False  # typing's own takes as long to import as all of this
 if TYPE_CHECKING:
     from dpcontrol.api import (
-        BenchAddress,
         CampaignSettings,
         Estimator,
         GoalMissed,
@@ -64,6 +63,7 @@ if TYPE_CHECKING:
         picture,
         plan,
         polish,
+        preflight,
         prove,
         random_walks,
         read_guide,
@@ -89,7 +89,6 @@ if TYPE_CHECKING:
     from dpcontrol.foundation.version import __version__ as __version__
 
 __all__ = [
-    "BenchAddress",
     "CampaignSettings",
     "Estimator",
     "GoalMissed",
@@ -147,6 +146,7 @@ __all__ = [
     "picture",
     "plan",
     "polish",
+    "preflight",
     "prove",
     "random_walks",
     "read_guide",
@@ -170,7 +170,6 @@ __all__ = [
     "write_recording",
 ]
 _HOMES = {
-    "BenchAddress": "runs.example_bench",
     "CampaignSettings": "runs.campaign",
     "Estimator": "loop.protocols:UserEstimator",
     "GoalMissed": "foundation.errors",

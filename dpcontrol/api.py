@@ -16,6 +16,7 @@ text and a share from 0 to 1, or True for a bar on stderr. By default, a line is
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from decimal import Decimal
 from fractions import Fraction
 from pathlib import Path
@@ -52,6 +53,7 @@ if TYPE_CHECKING:
     from dpcontrol.judge.campaign import CampaignSummary
     from dpcontrol.judge.comparison import RunComparison
     from dpcontrol.judge.night import Night
+    from dpcontrol.judge.preflight import Preflight
     from dpcontrol.logs import LogSummary, Recovery
     from dpcontrol.loop.protocols import Reading as Reading
     from dpcontrol.loop.protocols import UserRig as Rig
@@ -60,6 +62,7 @@ if TYPE_CHECKING:
     from dpcontrol.orbits.rotating import RotatingFamily, RotatingOrbit
     from dpcontrol.pages.figures import Drawn
     from dpcontrol.planner.server import Planner
+    from dpcontrol.plans.itinerary import Itinerary
     from dpcontrol.plans.model import Model as Model
     from dpcontrol.plans.model import ModelDescription
     from dpcontrol.plans.model import load_model as load_model
@@ -75,7 +78,6 @@ if TYPE_CHECKING:
     from dpcontrol.runs.campaign import Campaign
     from dpcontrol.runs.campaign import CampaignSettings as CampaignSettings
     from dpcontrol.runs.closed_loop import ClosedLoop
-    from dpcontrol.runs.example_bench import BenchAddress as BenchAddress
     from dpcontrol.runs.night import NightSettings as NightSettings
     from dpcontrol.runs.polish import Polished
     from dpcontrol.runs.run import Demonstration, Repeat, RigLink, Run
@@ -92,6 +94,7 @@ else:
 
 Place = Path | str
 NotNegative = Annotated[float, Between(0)]
+LogFile = Annotated[Path | str | bool | None, Output((".mcap", ""), free=True)]
 _ARMS = {"inner": 1, "outer": 2}
 _SWEPT, _SWEPT_BYTES = 2.0, 1e6
 """What each energy of a sweep for bifurcations takes, in s and bytes, for each crossing of the section."""
@@ -556,7 +559,7 @@ def plan(
 
 @checked
 def closed_loop(
-    planned: Plan | str,
+    itinerary: Plan | str,
     *,
     settings: Mapping[str, object] | None = None,
     yes: bool = False,
@@ -566,7 +569,7 @@ def closed_loop(
     """Return the closed loop of a plan.
 
     Args:
-        planned: plan, or name or path of an itinerary.
+        itinerary: plan, or name or path of an itinerary.
         settings: run settings by path, such as {"drive.lag": 0.005} (default: none).
         yes: accept work of more than an hour or 4 GB (default: refused).
         progress: reports, see `dpcontrol.api`.
@@ -585,7 +588,7 @@ def closed_loop(
         True
     """
     with reporting(progress, "plan") as report:
-        return _closed(planned, _settings(settings, **named), yes=yes, progress=report)
+        return _closed(itinerary, _settings(settings, **named), yes=yes, progress=report)
 
 
 @checked
@@ -622,7 +625,7 @@ def mjcf(
 
 @checked
 def polish(
-    planned: Plan | str,
+    itinerary: Plan | str,
     *,
     fresh: bool = False,
     runs: Count = 48,
@@ -635,7 +638,7 @@ def polish(
     The polished plan keeps crossings, windings and wraps at a fraction of the effort. It may stay far from the orbits.
 
     Args:
-        planned: plan from rest to rest, or name or path of an itinerary.
+        itinerary: plan from rest to rest, or name or path of an itinerary.
         fresh: compute it again even if it is cached.
         runs: runs of each plan at a mismatch of 5 and of 20 % (default: 48).
         workers: processes of these runs, 0 for one per processor.
@@ -657,78 +660,158 @@ def polish(
     from dpcontrol.runs.polish import polish as polish_plan
 
     with reporting(progress, "polish") as report:
-        found = plan(planned, yes=yes, progress=part_of(report, 0.0, 0.2)) if isinstance(planned, str) else planned
+        found = (
+            plan(itinerary, yes=yes, progress=part_of(report, 0.0, 0.2)) if isinstance(itinerary, str) else itinerary
+        )
         return polish_plan(found, fresh=fresh, runs=runs, workers=workers, yes=yes, progress=part_of(report, 0.2, 1.0))
 
 
 @checked
 def run(
-    planned: Plan | str,
+    itinerary: Plan | str | None = None,
     *,
+    source: Place | None = None,
     mismatch: float | None = None,
     plant: Place | None = None,
     seed: Seed = 0,
     settings: Mapping[str, object] | None = None,
     rig: Rig | RigLink | str | None = None,
-    log: Place | None = None,
-    force: bool = False,
+    program: Place | None = None,
+    real_time: bool = False,
+    key_file: Place | None = None,
+    insecure: bool = False,
+    hours: Positive | None = None,
+    file_minutes: Positive = 10.0,
+    keep_every: Count = 1,
+    resume: bool = False,
     live: bool = False,
+    log: LogFile = None,
+    force: bool = False,
     yes: bool = False,
     progress: Reporting = None,
-) -> Run:
-    """Run a closed loop once, simulated or on a rig.
+) -> Run | Night | Repeat:
+    """Run an itinerary in closed loop, on the simulated bench or on a rig.
+
+    The itinerary is planned first if its plan is not cached. The run is missed (exit code 1) if it is not completed. A
+    rig has no true state, so there it is missed if the run ended early, or if by the estimate a symbol was not done.
+    For hours, the itinerary is repeated, seamlessly if its end meets its start, and otherwise from rest. After a fall,
+    the arms are calmed and the symbol is repeated, except with another `on_fall`.
 
     Args:
-        planned: plan, or name or path of an itinerary.
+        itinerary: plan, or name or path of an itinerary.
+        source: log to repeat, from its attachments alone; missed if a message differs (default: none).
         mismatch: largest relative error of the plant's parameters (default: the itinerary's).
         plant: name or path of a model for a plant with other arms (default: the same arms).
-        seed: seed of the random numbers (default: 0).
+        seed: seed of all random numbers (default: 0).
         settings: run settings by path, such as {"drive.lag": 0.005} (default: none).
-        rig: object with `read()`, `command(acceleration)` and `stop()`, address of a bench in real time, or link of
-            `rig_link` (default: the simulated bench).
-        log: log to write (default: the run stays in memory).
-        force: replace the log of another run there.
-        live: show the run in the viewer.
-        yes: accept work of more than an hour or 4 GB (default: refused).
+        rig: bench for a run in real time: udp://HOST:PORT (see `dpcontrol rig`), or udp to start the example bench;
+            FILE.py:CLASS or an object with `read()`, `command(acceleration)` and `stop()` is a rig in Python, which
+            runs as fast as it answers. A real bench needs an itinerary with start = "rest" (default: the simulated
+            bench).
+        program: program that controls the run on rig udp, such as main_udp of `export` (default: none).
+        real_time: priority over all ordinary processes, on a rig.
+        key_file: file with the shared key of bench and loop (default: the environment's DPCONTROL_RIG_KEY).
+        insecure: no key for a bench on another computer.
+        hours: duration of a long run through falls, h, with the folder logs/NAME-SEED (default: a single run).
+        file_minutes: duration of each log of the folder, min (default: 10).
+        keep_every: interval of the older logs to keep, each N-th (default: 1).
+        resume: continuation of the interrupted long run in this folder.
+        live: view of the run while it happens.
+        log: log to write, logs/NAME-SEED.mcap on the command line; a folder without .mcap for a long run (default: the
+            run stays in memory).
+        force: replacement of an existing log, whatever made it.
+        yes: permission for work of more than an hour or 4 GB of memory.
         progress: reports, see `dpcontrol.api`.
 
     Returns:
-        The run, which scores, draws and explains itself.
+        The run, which scores, draws and explains itself; a long run; or the comparison of a repeated run.
 
     Raises:
-        InputError: an impossible setting, too much work, a log that cannot be written, or no display for a live view.
+        InputError: an impossible setting, arguments that exclude each other, too much work, a log that cannot be
+            written, or no display for a live view.
         GoalMissed: the plan did not converge, or no controller exists for it.
 
     Examples:
         >>> dp.run("outer-turn", mismatch=0.02, seed=3).converged
         True
     """
+    from dpcontrol.foundation.files import chosen_name
+    from dpcontrol.logs import check_replaced
+    from dpcontrol.pages.picture import LIVE_REMEDY, check_viewer
+    from dpcontrol.runs.closed_loop import bench_of
+    from dpcontrol.runs.night import NightSettings, check_night, night_cost, night_folder, night_itinerary
+    from dpcontrol.runs.run import default_log, repeated_log, run_record
+
+    if source is not None:
+        if any((itinerary, mismatch, plant, seed, settings, rig, program, hours, resume, live)):
+            raise InputError(f"source = {source}: a run is repeated without changes; give only log and force with it")
+        with chosen_name(log or True, repeated_log(Path(source))) as file:
+            return repeat(source, file, force=force, progress=progress)
+    if itinerary is None:
+        raise InputError("itinerary: give an itinerary, or as source a log to repeat")
+    if hours is None and (resume or keep_every != 1 or file_minutes != 10.0):
+        raise InputError("resume, keep_every and file_minutes apply to long runs: give hours")
+    if program is not None and (hours is not None or live):
+        raise InputError("program: controls single runs without a live view; omit hours and live")
+    if live:
+        check_viewer(LIVE_REMEDY)
+    bench = bench_of(_linked(rig, key_file=key_file, insecure=insecure, real_time=real_time))
     chosen = _settings(settings, mismatch=mismatch, plant=plant)
-    with reporting(progress, "run") as report:
-        loop = _closed(planned, chosen, yes=yes, progress=part_of(report, 0.0, 0.5))
-        return loop.run(seed=seed, rig=rig, log=log, force=force, live=live, progress=part_of(report, 0.5, 1.0))
+    scene, named = (
+        _scene(itinerary).with_run(chosen, seed=seed),
+        getattr(bench, "address", getattr(bench, "name", None)),
+    )
+    night = None if hours is None else NightSettings(hours, file_minutes, keep_every)
+    if night is not None:
+        scene = night_itinerary(scene, given=chosen)
+    record = run_record(scene, rig=named)
+
+    def check(file: Path) -> None:
+        if night is None:
+            check_replaced(file, record, force=force)
+            return
+        check_night(night_folder(file), record if log is True else {}, resume=resume, force=force)
+        night_cost(scene, night, night_folder(file), real_time=bench is not None, yes=yes)
+
+    # Names are checked before the plan, which can take minutes.
+    with chosen_name(log, default_log(scene), check) as file, reporting(progress, "run") as report:
+        loop = _closed(itinerary, chosen, yes=yes, progress=part_of(report, 0.0, 0.5))
+        shared, rest = {"force": force, "live": live}, part_of(report, 0.5, 1.0)
+        if night is None:
+            return loop.run(seed=seed, rig=bench, program=program, log=file, progress=rest, **shared)
+        folder = file or default_log(scene)
+        return loop.night(night, folder, seed=seed, rig=bench, resume=resume, yes=yes, progress=rest, **shared)
 
 
 @checked
 def export(
-    planned: Plan | str,
-    folder: Place | None = None,
+    itinerary: Plan | str,
+    folder: Annotated[Place | None, Output(folder=True)] = None,
     *,
     single: bool = False,
+    clock: Annotated[float, Between(1, 100_000)] | None = None,
+    unit: bool = False,
     settings: Mapping[str, object] | None = None,
     force: bool = False,
     yes: bool = False,
     progress: Reporting = None,
 ) -> ControllerSource:
-    """Return the controller of a plan as C99.
+    """Write the controller of an itinerary as C99.
+
+    The C code has estimator, law and supervisor in one call. The itinerary is planned first if its plan is not cached.
+    The folder has a Makefile, a replay program and a page on the wiring. Only laws with gains by time can be exported:
+    tvlqr, adaptive, lqr, feedforward. Settings of the bench, such as the mismatch, only change the simulated run that
+    `make check` replays.
 
     Args:
-        planned: plan, or name or path of an itinerary.
+        itinerary: plan, or name or path of an itinerary.
         folder: folder to write, or NAME.fmu for a co-simulation unit (default: none).
-        single: use single precision (default: double).
+        single: single precision.
+        clock: clock of a Cortex-M4, MHz; rates beyond its speed are rejected (default: not checked).
+        unit: co-simulation unit (FMI 2.0) for Simulink, Modelica tools, FMPy; the folder is then NAME.fmu.
         settings: run settings by path, such as {"drive.lag": 0.005} (default: none).
-        force: replace files of the same names there.
-        yes: accept work of more than an hour or 4 GB (default: refused).
+        force: replacement of existing files with these names.
+        yes: permission for work of more than an hour or 4 GB of memory.
         progress: reports, see `dpcontrol.api`.
 
     Returns:
@@ -742,43 +825,57 @@ def export(
         >>> sorted(dp.export("outer-turn", single=True).files)[:2]
         ['CMakeLists.txt', 'Makefile']
     """
+    from dpcontrol.runs.run import check_exportable
+
+    if unit and (folder is None or Path(folder).suffix != ".fmu"):
+        raise InputError(f"folder = {folder}: a co-simulation unit needs a name that ends in .fmu")
+    chosen = _settings(settings)
+    check_exportable(_scene(itinerary).with_run(chosen))
     with reporting(progress, "export") as report:
-        loop = _closed(planned, _settings(settings), yes=yes, progress=part_of(report, 0.0, 0.5))
-        return loop.export(folder, single=single, force=force, progress=part_of(report, 0.5, 1.0))
+        loop = _closed(itinerary, chosen, yes=yes, progress=part_of(report, 0.0, 0.5))
+        return loop.export(folder, single=single, clock=clock, force=force, progress=part_of(report, 0.5, 1.0))
 
 
 @checked
 def campaign(
-    planned: Plan | str,
+    itinerary: Plan | str,
     *,
-    runs: Count = 100,
+    runs: Count | None = None,
     mismatch: float | None = None,
     plant: Place | None = None,
     settings: Mapping[str, object] | None = None,
     over: Mapping[str, object] | None = None,
     first_seed: Seed = 0,
+    standard: bool = False,
     transitions: bool = False,
+    path: Literal["compiled", "ticks"] = "compiled",
     workers: Workers = 0,
-    out: Place | None = None,
+    out: Annotated[Place | bool | None, Output((".parquet",), free=True)] = None,
     force: bool = False,
     yes: bool = False,
     progress: Reporting = None,
 ) -> Campaign:
-    """Run a plan with many seeds, and count completed runs.
+    """Run an itinerary with many seeds and count the completed runs.
+
+    Every case runs the same seeds. An interrupted campaign with a table resumes with the same call. A run with the seed
+    of a failure and the same settings repeats it. The standard score applies to every controller that `over` lists, or
+    to that of the itinerary.
 
     Args:
-        planned: plan, or name or path of an itinerary.
-        runs: seeds of each case (default: 100).
+        itinerary: plan, or name or path of an itinerary.
+        runs: number of seeds of each case (default: 100, or 8 for the standard score).
         mismatch: largest relative error of the plant's parameters (default: the itinerary's).
         plant: name or path of a model for a plant with other arms (default: the same arms).
         settings: run settings by path, such as {"drive.lag": 0.005} (default: none).
-        over: values of run settings by name, each combination a case.
+        over: values of a setting by path, each combination of several settings a case (default: one case).
         first_seed: first seed (default: 0).
-        transitions: run each transfer from hold to hold separately.
-        workers: processes, 0 for one per processor.
-        out: Parquet table to write (default: none).
-        force: replace the table of another campaign there.
-        yes: accept work of more than an hour or 4 GB (default: refused).
+        standard: robustness score: nine kinds of disturbances at 21 levels each.
+        transitions: separate runs of each transfer from hold to hold.
+        path: method of simulation: many seeds in lockstep, or the loop itself (default: compiled).
+        workers: number of processes (default: one per processor).
+        out: table to write (.parquet), logs/NAME.parquet on the command line (default: none).
+        force: replacement of an existing table, whatever made it.
+        yes: permission for work of more than an hour or 4 GB of memory.
         progress: reports, see `dpcontrol.api`.
 
     Returns:
@@ -792,16 +889,82 @@ def campaign(
         >>> dp.campaign("outer-turn", runs=4, mismatch=0.02).completed.rate
         1.0
     """
-    from dpcontrol.runs.campaign import CampaignSettings
+    from dpcontrol.foundation.config import log_folder
+    from dpcontrol.foundation.files import chosen_name
+    from dpcontrol.runs.campaign import CampaignSettings, asked_cases, campaign_record, check_parts
 
-    counts = CampaignSettings(runs=runs, first_seed=first_seed, workers=workers)
-    with reporting(progress, "campaign") as report:
-        chosen = _settings(settings, mismatch=mismatch, plant=plant)
-        loop = _closed(planned, chosen, yes=yes, progress=part_of(report, 0.0, 0.1))
+    # Check for the writer of the table before the plan, which can take minutes.
+    part("pyarrow")
+    scene, fixed = _scene(itinerary), _settings(settings, mismatch=mismatch, plant=plant)
+    # A score needs no list of confirmed failures.
+    confirmed = 0 if standard else CampaignSettings.replayed
+    counts = CampaignSettings(runs or (8 if standard else 100), first_seed, path, workers, replayed=confirmed)
+    cases = asked_cases(scene, fixed=fixed, over=over or {}, standard=standard, transitions=transitions)
+    record = campaign_record(scene, cases, counts, transitions=transitions)
+
+    def check(file: Path) -> None:
+        if not force:
+            check_parts(file, record)
+
+    named = log_folder() / f"{scene.name}{'-transitions' if transitions else ''}.parquet"
+    with chosen_name(out, named, check) as file, reporting(progress, "campaign") as report:
+        loop = _closed(itinerary, fixed, yes=yes, progress=part_of(report, 0.0, 0.1))
         return loop.campaign(
-            over=over, settings=counts, transitions=transitions, out=out, force=force, yes=yes,
+            over=over, settings=counts, standard=standard, transitions=transitions, out=file, force=force, yes=yes,
             progress=part_of(report, 0.1, 1.0),
         )  # fmt: skip
+
+
+@checked
+def preflight(
+    itinerary: Plan | str,
+    *,
+    runs: Index = 0,
+    first_seed: Seed = 1_000_000,
+    workers: Workers = 0,
+    settings: Mapping[str, object] | None = None,
+    picture: Annotated[Place | bool | None, Output((".pdf", ".png", ".svg"), free=True)] = None,
+    yes: bool = False,
+    progress: Reporting = None,
+) -> Preflight:
+    """Predict whether the first run on a rig completes.
+
+    The arms are drawn from the identified uncertainty of the model, or from a mismatch if the model file has none. The
+    bench is that of [run], which `commission` fills with measurements. The limit of a disturbance is the value at which
+    the itinerary completes half as often. A repeated call resumes after an interruption.
+
+    Args:
+        itinerary: plan, or name or path of an itinerary.
+        runs: number of seeds for the rate, 16 or more, or 0 for as many as two minutes allow (default: 0).
+        first_seed: first seed (default: 1,000,000).
+        workers: number of processes (default: one per processor).
+        settings: run settings by path, such as {"drive.lag": 0.005} (default: none).
+        picture: page to write, logs/NAME-preflight.pdf on the command line (default: none).
+        yes: permission for work of more than an hour or 4 GB of memory.
+        progress: reports, see `dpcontrol.api`.
+
+    Returns:
+        Success rate, causes of failure, borders, and useful changes.
+
+    Raises:
+        InputError: an impossible setting, or it would take too long.
+        GoalMissed: the plan did not converge, or no controller exists for it.
+
+    Examples:
+        >>> dp.preflight("hold-up-up", runs=16, yes=True).share.runs  # doctest: +SKIP
+        16
+    """
+    from dpcontrol.foundation.config import log_folder
+    from dpcontrol.foundation.files import chosen_name
+
+    scene, fixed = _scene(itinerary), _settings(settings)
+    page = log_folder() / f"{scene.name}-preflight.pdf"
+    with chosen_name(picture, page) as file, reporting(progress, "preflight") as report:
+        loop = _closed(itinerary, fixed, yes=yes, progress=part_of(report, 0.0, 0.05))
+        found = loop.preflight(
+            runs=runs, first_seed=first_seed, workers=workers, yes=yes, progress=part_of(report, 0.05, 1.0)
+        )
+        return _drawn(found, file)
 
 
 @checked
@@ -1509,12 +1672,12 @@ def check_proof(file: Place, *, progress: Reporting = None) -> CertificateCheck:
 
 @checked
 def explore_energies(
-    planned: Plan | str, *, picture: Place | None = None, progress: Reporting = None
+    itinerary: Plan | str, *, picture: Place | None = None, progress: Reporting = None
 ) -> PrecisionChart:
     """Compare the effort of one walk over energies.
 
     Args:
-        planned: plan, or name or path of an itinerary, with a single walk.
+        itinerary: plan, or name or path of an itinerary, with a single walk.
         picture: PNG to draw (default: none).
         progress: reports, see `dpcontrol.api`.
 
@@ -1532,7 +1695,7 @@ def explore_energies(
     from dpcontrol.bench.energies import energies_chart
     from dpcontrol.plans.itinerary import load_itinerary
 
-    itinerary = load_itinerary(planned) if isinstance(planned, str) else planned.itinerary
+    itinerary = load_itinerary(itinerary) if isinstance(itinerary, str) else itinerary.itinerary
     with reporting(progress, "energies") as report:
         chart = energies_chart(itinerary, report)
     if picture is not None:
@@ -1578,20 +1741,38 @@ def start_bench(
     settings: Mapping[str, object] | None = None,
     hanging: bool = False,
     faults: Sequence[str] = (),
-    at: BenchAddress | None = None,
+    host: str = "127.0.0.1",
+    port: Annotated[int, Between(0, 65535)] = 0,
+    runs: Index = 0,
+    watchdog: Positive = 0.1,
+    real_time: bool = False,
+    key_file: Place | None = None,
+    insecure: bool = False,
     yes: bool = False,
     progress: Reporting = None,
 ) -> UdpBench:
-    """Start an example bench in real time for loops over UDP.
+    """Start an example bench for runs over UDP in real time.
+
+    The bench simulates the arms and cart of the itinerary. It serves one run after another at its address, for
+    `dpcontrol run ITINERARY --rig ADDRESS`. The arms start at the beginning of the itinerary. `dpcontrol guide packets`
+    describes the packets. If other computers can reach the host, loops need the key of the bench.
 
     Args:
         itinerary: name or path of the itinerary whose arms and cart are simulated.
-        seed: seed of the random numbers on the bench (default: 0).
+        seed: seed of all random numbers on the bench (default: 0).
         settings: settings of the bench by path, which override the itinerary's (see `closed_loop`).
-        hanging: begin with hanging arms, for `commission` (default: those of the itinerary's start).
-        faults: wiring mistakes for practice, such as "encoder-2-reversed" (default: none).
-        at: host, port, key and watchdog (default: any free port of this computer).
-        yes: accept any duration of planning.
+        hanging: hanging arms at the start, without a plan, as for `commission`.
+        faults: wiring mistake for practice: drive-reversed, cart-reversed, encoder-1-reversed, encoder-2-reversed,
+            encoders-swapped, angles-not-summed, encoder-1-factor-4, zeros-off, switch-dead, switches-swapped
+            (default: none).
+        host: address of this computer for connections (default: 127.0.0.1).
+        port: port, 0 for a free one (default: 0).
+        runs: number of runs to serve, 0 for no limit (default: 0).
+        watchdog: silence of the loop until the cart is stopped, s (default: 0.1).
+        real_time: priority over all ordinary processes.
+        key_file: file with the shared key of bench and loop (default: the environment's DPCONTROL_RIG_KEY).
+        insecure: no key, so that anyone with access to the host can drive the cart.
+        yes: permission for work of more than an hour or 4 GB of memory.
         progress: reports, see `dpcontrol.api`.
 
     Returns:
@@ -1605,12 +1786,13 @@ def start_bench(
         ...     bench.url
         'udp://127.0.0.1:...'
     """
-    from dpcontrol.plans.itinerary import load_itinerary
+    from dpcontrol.rig.bench import BenchServerSettings
     from dpcontrol.runs.example_bench import BenchAddress, example_bench
 
-    scene = load_itinerary(itinerary).with_run(_settings(settings), seed=seed)
+    scene = _scene(itinerary).with_run(_settings(settings), seed=seed)
+    server = BenchServerSettings(watchdog=watchdog, real_time=real_time, runs=runs)
+    where = BenchAddress(host, port, None if key_file is None else Path(key_file), insecure, server)
     with reporting(progress, "rig") as report:
-        where = BenchAddress() if at is None else at
         return example_bench(scene, where, hanging=hanging, faults=faults, notify=remark, yes=yes, progress=report)
 
 
@@ -1623,20 +1805,32 @@ def commission(
     settings: Mapping[str, object] | None = None,
     faults: Sequence[str] = (),
     switches: NotNegative = 0.0,
+    real_time: bool = False,
+    key_file: Place | None = None,
+    insecure: bool = False,
     write: bool = False,
     progress: Reporting = None,
 ) -> Commissioning:
-    """Check a rig before its first run, and measure its delay.
+    """Measure a rig before its first run: signs, delay, lag, zeros.
+
+    The arms must hang, and the cart must stand at the centre. The cart moves a few millimetres, then follows a chirp
+    within 10 mm. The motion of cart and arms gives signs, order, counts and zeros of the encoders, and direction and
+    gain of the drive. Ctrl-C brakes the cart. It is missed (exit code 1) if a finding is wrong. Settings and faults
+    apply to the example bench. For more, see `dpcontrol guide commission`.
 
     Args:
         itinerary: plan, or name or path of an itinerary.
-        rig: object with `read()`, `command(acceleration)` and `stop()`, address of a bench in real time, FILE.py:CLASS,
-            or link of `rig_link` (default: the example bench in simulated time).
-        seed: seed of the random numbers on the example bench (default: 0).
+        rig: rig at udp://HOST:PORT, FILE.py:CLASS or an object with `read()`, `command(acceleration)` and `stop()`, or
+            udp for the example bench in a separate process (default: the example bench in simulated time).
+        seed: seed of all random numbers on the example bench (default: 0).
         settings: settings of the example bench by path, which override the itinerary's (see `closed_loop`).
-        faults: wiring mistakes of the example bench (default: none).
-        switches: distance in m to creep to either side until limit switches answer (default: 0, none).
-        write: write measured values into the itinerary's [run] if nothing blocks (default: not).
+        faults: wiring mistake of the example bench for practice, see `start_bench` (default: none).
+        switches: distance of the search for limit switches to either side, m, short of the hard stops (default: 0, no
+            search).
+        real_time: priority over all ordinary processes.
+        key_file: file with the shared key of bench and loop (default: the environment's DPCONTROL_RIG_KEY).
+        insecure: no key for a bench on another computer.
+        write: update of [run] in the itinerary with the measured delay, lag, zeros and counts.
         progress: called with each step.
 
     Returns:
@@ -1650,29 +1844,23 @@ def commission(
         >>> dp.commission("outer-turn", faults=["encoder-2-reversed"]).wrong[0].step
         'encoders'
     """
-    from dpcontrol.plans.itinerary import load_itinerary
     from dpcontrol.runs.closed_loop import bench_of
-    from dpcontrol.runs.run import OWN_BENCH, commission_rig, measured_text
+    from dpcontrol.runs.run import OWN_BENCH, commission_rig, measured_text, written
 
-    scene = load_itinerary(itinerary) if isinstance(itinerary, str) else itinerary.itinerary
-    chosen, bench = _settings(settings), bench_of(rig)
+    scene, chosen = _scene(itinerary), _settings(settings)
+    bench = bench_of(_linked(rig, key_file=key_file, insecure=insecure, real_time=real_time))
     if getattr(bench, "address", bench) not in (None, OWN_BENCH) and (faults or chosen):
         raise InputError(f"rig = {rig}: faults and settings are those of the example bench; omit them")
     if write:
         # A file that cannot be changed is reported before the cart moves.
         measured_text(scene, {"delay": 1.0, "lag": 0.0, "zeros": [0.0], "counts": 1})
+    practice = scene.with_run(chosen, seed=seed)
     with reporting(progress, "commission") as report:
         found = commission_rig(
-            scene,
-            bench,
-            practice=scene.with_run(chosen, seed=seed),
-            faults=faults,
-            switches=switches,
-            notify=lambda text: report(text, 0.0),
+            scene, bench, practice=practice, faults=faults, switches=switches, notify=lambda text: report(text, 0.0)
         )
-    if write and found.changes:
-        write_whole(*measured_text(scene, found.changes))
-    return found
+    found = replace(found, itinerary=scene.name, bench=getattr(bench, "address", getattr(bench, "name", "")))
+    return written(found, scene) if write else found
 
 
 @checked
@@ -2163,14 +2351,43 @@ def _edges(searches: Sequence[ConnectionSearch]) -> Edges:
     )
 
 
-def _closed(planned: Plan | str, settings: Mapping[str, Any], *, yes: bool, progress: Reporting) -> ClosedLoop:
+def _scene(itinerary: Plan | str) -> Itinerary:
     from dpcontrol.plans.itinerary import load_itinerary
+
+    return load_itinerary(itinerary) if isinstance(itinerary, str) else itinerary.itinerary
+
+
+def _closed(itinerary: Plan | str, settings: Mapping[str, Any], *, yes: bool, progress: Reporting) -> ClosedLoop:
     from dpcontrol.runs.closed_loop import ClosedLoop
 
-    if isinstance(planned, str):
-        # A wrong setting is reported before the plan is computed.
-        load_itinerary(planned).with_run(settings)
-    return ClosedLoop(plan(planned, yes=yes, progress=progress) if isinstance(planned, str) else planned, settings)
+    # A wrong setting is reported before the plan is computed.
+    _scene(itinerary).with_run(settings)
+    return ClosedLoop(
+        plan(itinerary, yes=yes, progress=progress) if isinstance(itinerary, str) else itinerary, settings
+    )
+
+
+def _linked(
+    rig: Rig | RigLink | str | None, *, key_file: Place | None, insecure: bool, real_time: bool
+) -> Rig | RigLink | str | None:
+    """Return a rig, or the link to a bench at an address."""
+    from dpcontrol.loop.own import names_file
+
+    if not (key_file or insecure or real_time):
+        return rig
+    if not isinstance(rig, str) or names_file(rig):
+        raise InputError("real_time, key_file and insecure apply to benches at udp://: give such a rig, or udp")
+    return rig_link(rig, key_file=key_file, insecure=insecure, real_time=real_time)
+
+
+def _drawn(result: Any, file: Place | None) -> Any:
+    """Return a result with the name of its picture, which is drawn if a file is given."""
+    if file is None:
+        return result
+    from dpcontrol.pages.layout import save_figure
+
+    save_figure(result.plot(), Path(file))
+    return replace(result, picture=Path(file))
 
 
 def _settings(settings: Mapping[str, object] | None, **named: object) -> dict[str, Any]:

@@ -26,10 +26,12 @@ from dpcontrol.foundation.checked import annotations_of
 from dpcontrol.foundation.errors import GoalMissed, InputError, printable
 from dpcontrol.foundation.files import Output
 from dpcontrol.foundation.interrupts import forget_interrupts
-from dpcontrol.words.table import Line, TextTable
+from dpcontrol.words.table import Line, TextTable, drawn_to
 
 OPTIONS, SETTINGS, OUTPUT = "Options", "Run settings", "Output"
 """Headings of the help."""
+COMMON = {"mismatch"}
+"""Parameters that are also settings with an option."""
 ALWAYS_OUTPUT = {"force", "yes", "live", "write"}
 """Flags that concern the output."""
 
@@ -98,10 +100,11 @@ def command(name: str, verb: Verb) -> click.Command:
     parameters = inspect.signature(function).parameters
     hints, (text, helps) = annotations_of(inspect.unwrap(function)), described(function)
     given = {one.name for one in parameters.values()} - {"progress"}
+    offered = given - (COMMON if "settings" in given else set())
     params = [
         param
         for one in parameters.values()
-        if one.name in given
+        if one.name in offered
         for param in _parameters(name, verb, one, hints[one.name], helps.get(one.name, ""))
     ]
     params.append(Option(["--json", "as_json"], is_flag=True, group=OUTPUT, help="One JSON document on stdout."))
@@ -117,14 +120,14 @@ def command(name: str, verb: Verb) -> click.Command:
             if one.name in values and (output := _output(hints[one.name])) is not None:
                 values[one.name] = _checked_output(one.name, output, values)
         values = {key: value for key, value in values.items() if value is not None and key in given}
-        positional = [values.pop(key) for key, one in parameters.items() if key in values and _is_positional(one)]
         if "progress" in parameters:
             values["progress"] = True
         with call.aside:
             if as_json:
                 call.aside.enter_context(_prints_on_stderr())
-            result = function(*positional, **values)
-            show(result, {"picture": values.get("picture")} if "picture" in given else {})
+            result = function(**values)
+            drawn = getattr(result, "picture", values.get("picture"))
+            show(result, {"picture": drawn} if "picture" in given else {})
             if hasattr(result, "serve"):
                 _serve(result)
 
@@ -173,7 +176,7 @@ def _parameters(
         names = (f"{names[0]}/--no-{names[0][2:]}",)
     written = output is not None or name in ALWAYS_OUTPUT
     help = help[:1].upper() + help[1:]
-    help = re.sub(r" \((default: [^)]*)\)\.?$", r". [\1]", help.removesuffix("."))
+    help = re.sub(r" \((default: [^)]*)\)\.$", r". [\1]", f"{help.removesuffix('.')}.")
     yield Option(
         [*names, name],
         is_flag=flag,
@@ -386,7 +389,9 @@ def show(result: Any, also: Mapping[str, Any]) -> None:
         print_json({**(result.document() if hasattr(result, "document") else result), **also})
         call.aside.enter_context(_prints_on_stderr())
     else:
-        for line in [*text_of(result), *(f"drawn to {file}" for file in also.values() if file)]:
+        for line in result.lines() if hasattr(result, "lines") else text_of(result):
+            _print(line)
+        for line in drawn_to(also.get("picture")):
             _print(line)
     if missed := getattr(result, "missed", ""):
         raise GoalMissed(missed)

@@ -27,6 +27,7 @@ command acts from the end of the step, one period after the reading.
 """
 
 import ctypes
+import math
 import platform
 import re
 import shutil
@@ -51,6 +52,7 @@ from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import content_hash
 from dpcontrol.foundation.version import PROGRAM, VERSION
+from dpcontrol.words.runs import kibibytes
 
 _TEMPLATES = Path(__file__).with_name("target")
 _VERSION = 3
@@ -88,11 +90,40 @@ CYCLES = {True: 5.0, False: 60.0}
 
 @dataclass(frozen=True, eq=False)
 class ControllerSource:
-    """A controller as C: files by name, identity, and resources."""
+    """A controller as C: files by name, identity, and resources.
+
+    Attributes:
+        itinerary: name of the itinerary.
+        rate: ticks per second, Hz.
+        clock: clock of the target, MHz, if it was given.
+        place: folder or co-simulation unit that was written, if any.
+    """
 
     files: Mapping[str, str]
     identity: str
     figures: Figures
+    itinerary: str = ""
+    rate: float = math.nan
+    single: bool = False
+    clock: float | None = None
+    place: Path | None = None
+
+    @property
+    def precision(self) -> str:
+        """Floating-point type of the program."""
+        return "single" if self.single else "double"
+
+    def document(self) -> dict[str, Any]:
+        """Return what was written, and the resources, as JSON values."""
+        unit = self.place is not None and self.place.suffix == ".fmu"
+        return {
+            "unit" if unit else "folder": self.place,
+            "files": [] if unit else list(self.files),
+            "identity": self.identity,
+            "precision": self.precision,
+            "rate": self.rate,
+            **self.figures._asdict(),
+        }
 
     def __repr__(self) -> str:
         return f"<controller in C: {len(self.files)} files, {self.figures.operations:,} operations a tick>"
@@ -443,15 +474,6 @@ def _measured(files: Mapping[str, str]) -> tuple[int | None, int | None]:
         except (OSError, ValueError, LookupError, subprocess.SubprocessError):
             return None, None
     return code, step
-
-
-def kibibytes(count: float | None) -> str:
-    """Return a readable number of bytes.
-
-    Args:
-        count: number of bytes, None if unknown.
-    """
-    return "unknown (no gcc to measure it)" if count is None else f"{count / 1024:.1f} KiB"
 
 
 _COMPILED = ("dpc_controller.c", "dpc_tables.c", "fmu.c")

@@ -169,6 +169,35 @@ def free_name(path: Path, make: Callable[[Path], T]) -> Iterator[T]:
             return
 
 
+@contextmanager
+def chosen_name(
+    given: Path | str | bool | None, first: Path, check: Callable[[Path], object] = lambda file: None
+) -> Iterator[Path | None]:
+    """Yield the file to write, which no other command writes until the end of the block.
+
+    Args:
+        given: its name, True for the first free name, or None for no file.
+        first: the first name that is tried (see `free_name`).
+        check: checks a name; raises `InTheWay` if another command made the file.
+
+    Raises:
+        InputError: the file cannot be written, or is in the way.
+    """
+
+    def checked(file: Path) -> Path:
+        check(file)
+        return file
+
+    if given is True:
+        with free_name(first, checked) as file:
+            yield file
+    elif not given:
+        yield None
+    else:
+        with claimed(checked_target(Path(str(given)))):
+            yield checked(Path(str(given)))
+
+
 def checked_source(path: Path | str) -> Path:
     """Return the path of a regular or missing file to read.
 

@@ -105,6 +105,11 @@ class Night(Shown):
         last = [end.text for end in self.endings if end.time >= self.digests[-1].first]
         return last[-1] if last else ""
 
+    @property
+    def missed(self) -> str:
+        """Why the night ended before its planned time, or ""."""
+        return self.failure and f"ended early: {self.failure}"
+
     def _time(self, *kinds: str) -> float:
         return sum(span.end - span.first for span in self.spans if span.kind in kinds)
 

@@ -8,6 +8,7 @@ It holds completed runs, endings, borders, and gains of changes.
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, ClassVar
 
 from dpcontrol.foundation.document import Documented, document_of
@@ -147,6 +148,7 @@ class Improvement(Documented):
 
     Attributes:
         options: run settings of the change.
+        typed: the same as options of the command line.
         rate: share of completed runs without it.
     """
 
@@ -159,6 +161,7 @@ class Improvement(Documented):
     lost: int
     completing: int
     rate: float
+    typed: str = ""
 
     @property
     def gain(self) -> float:
@@ -193,6 +196,7 @@ class Preflight(Shown, Documented):
         borders: the nearest first.
         changes: the largest gain first.
         seconds: computing time.
+        picture: page that was written, if any.
     """
 
     KEYS: ClassVar[str] = (
@@ -211,6 +215,7 @@ class Preflight(Shown, Documented):
     borders: tuple[HazardBorder, ...]
     changes: tuple[Improvement, ...]
     seconds: float
+    picture: Path | None = None
 
     def __repr__(self) -> str:
         return f"<preflight of {self.itinerary!r}: {self.status}>"

@@ -88,11 +88,13 @@ class BenchServerSettings(Settings, table="bench"):
         watchdog: silence of the loop after which the cart is stopped, s.
         spin: polling time in each period, s.
         real_time: request priority over all ordinary processes.
+        runs: number of runs to serve, 0 for no limit.
     """
 
     watchdog: float = setting(0.1, least=0.001, most=60, unit="s")
     spin: float = setting(0.0001, least=0, most=1, unit="s")
     real_time: bool = False
+    runs: int = 0
 
 
 class BenchRecord:
@@ -291,13 +293,13 @@ class UdpBench(AbstractContextManager["UdpBench"]):
     def __exit__(self, *exception: object) -> None:
         self._socket.close()
 
-    def serve(self, *, runs: int = 0) -> None:
+    def serve(self, *, runs: int | None = None) -> None:
         """Serve runs in sequence.
 
         Args:
-            runs: number of runs; 0 to continue until interrupted.
+            runs: number of runs; 0 to continue until interrupted (default: that of the settings).
         """
-        served = 0
+        served, runs = 0, self._settings.runs if runs is None else runs
         while not runs or served < runs:
             select.select([self._socket], [], [])
             try:

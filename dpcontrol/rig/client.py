@@ -8,15 +8,16 @@ last, counted from the earliest arrival of any reading.
 """
 
 import gc
+import json
 import math
 import os
 import secrets
 import select
 import socket
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -110,6 +111,16 @@ class Deadlines:
     def record(self) -> dict[str, str]:
         """Return the statistics by name as text, for a log's result record."""
         return {f"deadlines_{name}": repr(value) for name, value in asdict(self).items()}
+
+    @classmethod
+    def of(cls, record: Mapping[str, str]) -> "Deadlines | None":
+        """Return the statistics of a log's result record, or None for a run in simulated time.
+
+        Args:
+            record: metadata of the log.
+        """
+        texts = {one.name: record.get(f"deadlines_{one.name}", "") for one in fields(cls)}
+        return cls(**{name: json.loads(text) for name, text in texts.items()}) if all(texts.values()) else None
 
 
 SCHEME = "udp"

@@ -13,6 +13,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -125,11 +126,22 @@ class Finding:
 
 @dataclass(frozen=True)
 class Commissioning(Documented):
-    """Findings of each step, and measured values for keys of the scene's [run]."""
+    """Findings of each step, and measured values for keys of the scene's [run].
 
-    KEYS: ClassVar[str] = "right findings:step,cause,verdict,sentence,remedy,figures measured=changes"
+    Attributes:
+        itinerary: name of the itinerary.
+        bench: address or name of the rig, "" for the example bench in simulated time.
+        written: the itinerary's file with the measured values, if it was written.
+        unwritten: why it was not, a sentence.
+    """
+
+    KEYS: ClassVar[str] = "right findings:step,cause,verdict,sentence,remedy,figures measured=changes written"
 
     findings: tuple[Finding, ...]
+    itinerary: str = ""
+    bench: str = ""
+    written: Path | None = None
+    unwritten: str = ""
 
     @property
     def wrong(self) -> tuple[Finding, ...]:
@@ -145,6 +157,14 @@ class Commissioning(Documented):
     def changes(self) -> dict[str, Any]:
         """Measured values by key of [run], none if the rig has a fault."""
         return {} if self.blocking else {key: value for f in self.findings for key, value in f.changes.items()}
+
+    @property
+    def missed(self) -> str:
+        """The number of findings that must still be fixed, and the first of them, or ""."""
+        left = self.wrong if self.written is None else self.blocking
+        if self.changes and self.unwritten:
+            return self.unwritten
+        return f"{len(left)} of {len(self.findings)} findings must be fixed; first: {left[0].sentence}" if left else ""
 
     @property
     def right(self) -> bool:

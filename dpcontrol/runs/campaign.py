@@ -82,6 +82,7 @@ from dpcontrol.judge.campaign import CampaignSummary, summary_of
 from dpcontrol.judge.score import Flown, verdict_on
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.loop import LoopSettings
+from dpcontrol.loop.own import OwnExpressions, OwnLaw
 from dpcontrol.loop.result import BatchRun, Ending
 from dpcontrol.plans.itinerary import Itinerary
 from dpcontrol.plans.overrides import canonical
@@ -441,6 +442,7 @@ class Campaign(Shown):
     table: "pa.Table"
     file: Path | None
     alone: Mapping[str, tuple[str, str, float]] = field(default_factory=dict)
+    standard: tuple["StandardScore", ...] = ()
 
     def __repr__(self) -> str:
         return f"<campaign of {self.itinerary!r}: {self.status}>"
@@ -516,7 +518,7 @@ class Campaign(Shown):
             "cases": cases,
             "pairs": [{"first": a, "second": b, **asdict(pair)} for a, b, pair in self.pairs],
             "transitions": self.transitions,
-            "standard": [],
+            "standard": [score.document() for score in self.standard],
             "seconds": self.seconds,
             "simulated_seconds": self.simulated_seconds,
             "file": None if self.file is None else str(self.file),
@@ -947,6 +949,33 @@ class StandardScore(Documented):
     controller: str
     kinds: Mapping[str, Share]
     total: float
+
+
+def asked_cases(
+    itinerary: Itinerary, *, fixed: Mapping[str, Any], over: Mapping[str, Any], standard: bool, transitions: bool
+) -> tuple[Case, ...]:
+    """Return the cases of a campaign or of the standard score.
+
+    Args:
+        itinerary: itinerary of all cases.
+        fixed: settings of all cases, by path.
+        over: values to vary, by path; only controllers for the standard score.
+        standard: True for the standard score.
+        transitions: True if each transition is run separately.
+
+    Raises:
+        InputError: an unknown name, an impossible value, or a combination that has no meaning.
+    """
+    if not standard:
+        return cases_of(itinerary, fixed=fixed, over=over)
+    if transitions:
+        raise InputError("transitions: the robustness score needs the whole itinerary; omit standard or transitions")
+    if others := [name for name in over if name != "controller"]:
+        raise InputError(f"over {others[0]}: the robustness score compares controllers only; omit {others[0]}")
+    law = itinerary.loop.controller
+    own = law.own.source or law.own.thing if isinstance(law, OwnLaw | OwnExpressions) else law.kind
+    controllers = over.get("controller", [fixed.get("controller") or own])
+    return standard_cases(itinerary, fixed=fixed, controllers=controllers)
 
 
 def standard_scores(results: Sequence[CaseResult]) -> tuple[StandardScore, ...]:

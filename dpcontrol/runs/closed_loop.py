@@ -3,7 +3,7 @@
 Runs, campaigns, margins and export share the components.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -20,19 +20,16 @@ from dpcontrol.foundation.rendering import live_view
 from dpcontrol.foundation.shown import Timed
 from dpcontrol.judge.night import Night
 from dpcontrol.judge.preflight import Preflight
-from dpcontrol.logs import read_log
 from dpcontrol.loop.assembly import Assembly
-from dpcontrol.loop.own import OwnExpressions, OwnLaw, OwnObject, names_file, own_object
+from dpcontrol.loop.own import OwnObject, names_file, own_object
 from dpcontrol.loop.protocols import UserRig
 from dpcontrol.plans.plan import Plan, recoverable, with_kept_starts
 from dpcontrol.runs.campaign import (
     STANDARD_CAMPAIGN,
     Campaign,
     CampaignSettings,
-    StandardScore,
-    cases_of,
+    asked_cases,
     run_campaign,
-    standard_cases,
     standard_scores,
 )
 from dpcontrol.runs.night import (
@@ -168,10 +165,8 @@ class ClosedLoop(Timed):
         if link is not None:
             out = out or default_log(scene)
             if program is None:
-                run_on_rig(plan, out, link, force=force, live=shown)
-            else:
-                run_with_program(plan, out, Path(program), real_time=link.real_time, force=force)
-            return Run(read_log(out))
+                return run_on_rig(plan, out, link, force=force, live=shown)
+            return run_with_program(plan, out, Path(program), real_time=link.real_time, force=force)
         with reporting(progress, "run") as report:
             return run_plan(
                 plan, out, assembly=assembly.under(scene.loop), rig=own,
@@ -184,6 +179,7 @@ class ClosedLoop(Timed):
         hours: Positive | NightSettings,
         folder: Path | str,
         *,
+        seed: Seed = 0,
         rig: RigLink | str | None = None,
         resume: bool = False,
         force: bool = False,
@@ -196,6 +192,7 @@ class ClosedLoop(Timed):
         Args:
             hours: duration, h, or settings with the length and number of logs.
             folder: folder for the logs.
+            seed: seed of the random numbers.
             rig: "udp", udp://HOST:PORT or a link of `dp.rig_link` (default: the simulated bench).
             resume: continue the interrupted night of this folder.
             force: replace another night there.
@@ -211,7 +208,8 @@ class ClosedLoop(Timed):
         out, link = Path(folder), bench_of(rig)
         if isinstance(link, OwnObject):
             raise InputError(f'rig = {link}: a night needs a bench at an address; give "udp" or udp://HOST:PORT')
-        scene = night_itinerary(self.plan.itinerary, given=self.options)
+        seeded = self.plan.itinerary.with_run({}, seed=seed)
+        scene = night_itinerary(seeded, given=self.options)
         check_folder(night_folder(out), resume=resume, force=force)
         night_cost(scene, night, night_folder(out), real_time=link is not None, yes=yes)
         with reporting(progress, "night") as report:
@@ -227,6 +225,7 @@ class ClosedLoop(Timed):
         runs: Count = 100,
         over: Mapping[str, object] | None = None,
         settings: CampaignSettings | None = None,
+        standard: bool = False,
         transitions: bool = False,
         out: Path | str | None = None,
         force: bool = False,
@@ -239,6 +238,7 @@ class ClosedLoop(Timed):
             runs: seeds of each case.
             over: values of run options by name, each combination a case.
             settings: seeds, workers and other settings, replacing `runs`.
+            standard: robustness score: nine kinds of disturbances at 21 levels each, of the controllers in `over`.
             transitions: run each transfer from hold to hold separately.
             out: Parquet file to write.
             force: replace the table of another campaign there.
@@ -249,49 +249,14 @@ class ClosedLoop(Timed):
             InputError: an unknown option or impossible value, or the file cannot be written.
             GoalMissed: there is no reference to follow, or workers died repeatedly.
         """
-        cases = cases_of(self.planned.itinerary, fixed=self.options, over=over or {})
-        with reporting(progress, "campaign") as report:
-            return run_campaign(
-                self.planned, cases, place("out", out), settings=settings or CampaignSettings(runs),
-                transitions=transitions, force=force, yes=yes, progress=report,
-            )  # fmt: skip
-
-    @checked
-    def standard_score(
-        self,
-        controllers: Sequence[Any] = (),
-        *,
-        settings: CampaignSettings | None = None,
-        out: Path | str | None = None,
-        force: bool = False,
-        yes: bool = False,
-        progress: Reporting = None,
-    ) -> tuple[StandardScore, ...]:
-        """Return the robustness score.
-
-        Shares of completed runs under nine kinds of trouble.
-
-        Args:
-            controllers: kinds of laws, or own laws, to compare (default: this loop's).
-            settings: runs at each of 21 levels (default 8), and workers.
-            out: Parquet file to write.
-            force: replace the table of another campaign there.
-            yes: accept any duration.
-            progress: receiver of progress reports (see `dpcontrol.api`).
-
-        Raises:
-            InputError: an unknown controller, or the file cannot be written.
-            GoalMissed: there is no reference to follow, or workers died repeatedly.
-        """
-        law = self.plan.itinerary.loop.controller
-        own = [law.own.source or law.own.thing] if isinstance(law, OwnLaw | OwnExpressions) else [law.kind]
-        cases = standard_cases(self.planned.itinerary, fixed=self.options, controllers=list(controllers) or own)
+        scene, own = self.planned.itinerary, settings or (STANDARD_CAMPAIGN if standard else CampaignSettings(runs))
+        cases = asked_cases(scene, fixed=self.options, over=over or {}, standard=standard, transitions=transitions)
         with reporting(progress, "campaign") as report:
             found = run_campaign(
-                self.planned, cases, place("out", out), settings=settings or STANDARD_CAMPAIGN, force=force, yes=yes,
-                progress=report,
+                self.planned, cases, place("out", out), settings=own,
+                transitions=transitions, force=force, yes=yes, progress=report,
             )  # fmt: skip
-        return standard_scores(found.results)
+        return replace(found, standard=standard_scores(found.results)) if standard else found
 
     def margins(self) -> Margins:
         """Return the margins of gain, delay and lag along the reference.
@@ -306,12 +271,19 @@ class ClosedLoop(Timed):
 
     @checked
     def preflight(
-        self, *, runs: Index = 0, workers: Workers = 0, yes: bool = False, progress: Reporting = None
+        self,
+        *,
+        runs: Index = 0,
+        first_seed: Seed = PreflightSettings.first_seed,
+        workers: Workers = 0,
+        yes: bool = False,
+        progress: Reporting = None,
     ) -> Preflight:
         """Predict success rate, causes of failure, borders and useful changes.
 
         Args:
             runs: seeds for the rate, 0 for as many as two minutes allow.
+            first_seed: first seed.
             workers: processes, 0 for one per processor.
             yes: accept any duration.
             progress: receiver of progress reports (see `dpcontrol.api`).
@@ -320,11 +292,9 @@ class ClosedLoop(Timed):
             InputError: it would take too long.
             GoalMissed: there is no reference to follow, or no controller can be made for it.
         """
+        settings = PreflightSettings(runs=runs, first_seed=first_seed, workers=workers)
         with reporting(progress, "preflight") as report:
-            return preflight(
-                self.planned, self.options, settings=PreflightSettings(runs=runs, workers=workers), yes=yes,
-                progress=report,
-            )  # fmt: skip
+            return preflight(self.planned, self.options, settings=settings, yes=yes, progress=report)
 
     @checked
     def export(

@@ -447,20 +447,22 @@ def _switching_soon() -> Iterator[None]:
         sys.setswitchinterval(was)
 
 
-def check_night(folder: Path, record: Mapping[str, str]) -> None:
-    """Reject a folder that holds another or no long run.
-
-    A long run to resume must be there.
+def check_night(folder: Path, record: Mapping[str, str], *, resume: bool, force: bool) -> None:
+    """Reject a folder that holds another long run, or none to resume.
 
     Args:
         folder: folder of the logs.
-        record: metadata that identify the run.
+        record: metadata that identify the run to resume, or none if the folder was named.
+        resume: True to continue the long run there.
+        force: True to replace it.
 
     Raises:
         InTheWay: the last log is unreadable or of another run.
-        InputError: there is no long run.
+        InputError: a long run is there that is neither resumed nor replaced, or none to resume.
     """
-    check_folder(folder, resume=True, force=False)
+    check_folder(folder, resume=resume, force=force)
+    if not (resume and record):
+        return
     for log in sorted(folder.glob(f"{folder.resolve().name}-[0-9]*.mcap"))[-1:]:
         try:
             check_same_run(log, record, also=(NIGHT_METADATA,))

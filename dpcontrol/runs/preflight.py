@@ -43,7 +43,7 @@ from dpcontrol.loop.bench import MechanicsSettings
 from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.loop.own import OwnPlant
 from dpcontrol.plans.itinerary import Itinerary, overridden, setting_of
-from dpcontrol.plans.overrides import canonical
+from dpcontrol.plans.overrides import canonical, typed
 from dpcontrol.plans.plan import Plan
 from dpcontrol.runs.campaign import MOST_TICKS, Case, Job, run_job
 
@@ -434,7 +434,7 @@ def _change(trial: _Trial) -> Improvement:
     pairs = paired(before, done)
     return Improvement(
         change.advice, dict(change.options), pairs.only_second, before.count(False), pairs.only_first,
-        before.count(True), trial.rate,
+        before.count(True), trial.rate, typed(change.options),
     )  # fmt: skip
 
 

@@ -9,7 +9,8 @@ implements `dpcontrol.rig.packets` works. The example bench is the simulated one
 """
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property, partial
@@ -88,6 +89,8 @@ from dpcontrol.plans.plan import Plan, plan_key, recoverable
 from dpcontrol.rig.bench import BenchProcess, BenchRecipe, BenchServerSettings, RecordedRig, checked_faults
 from dpcontrol.rig.client import Deadlines, UdpRig, parse_address, real_time_priority, without_collecting
 from dpcontrol.rig.packets import shared_key
+from dpcontrol.words.table import Line
+from dpcontrol.words.texts import text_of
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -194,13 +197,38 @@ class Run(Timed):
     def _judged(self) -> Score | None:
         return None if lacking(self.log) else self._score
 
+    @property
+    def deadlines(self) -> Deadlines | None:
+        """Deadlines of a run in real time, None for others."""
+        return Deadlines.of(self.log.metadata)
+
+    @property
+    def difference(self) -> float | None:
+        """Largest difference between the commands of a controlling program and the loop's own, m/s²."""
+        noted = self.log.metadata.get("command_difference")
+        return None if noted is None else float(noted)
+
+    @property
+    def missed(self) -> str:
+        """Why the run is not known to be completed, or ""."""
+        failed = self.failure if "rig" in self.log.metadata or self.object_failed else ""
+        verdict = self._score
+        return f"{'failed' if verdict.completed else 'not completed'}: {failed}" if failed else verdict.missed
+
     def document(self) -> dict[str, Any]:
         """Return the JSON output of `dpcontrol run`.
 
         Raises:
             InputError: the log carries no plan.
         """
-        return self._score.document()
+        document, deadlines = self._score.document(), self.deadlines
+        if deadlines is not None:
+            document |= {"ending": self.log.metadata["ending"], "deadlines": asdict(deadlines)}
+        return document if self.difference is None else {**document, "command_difference": self.difference}
+
+    def lines(self) -> "Iterable[Line]":
+        """Return the score as lines of text."""
+        return text_of(self)
 
     @property
     def plant(self) -> ArmChainParameters | None:
@@ -522,15 +550,34 @@ class Demonstration(Documented):
 
 
 @dataclass(frozen=True)
-class Repeat:
+class Repeat(Documented):
     """Score of a repeated run, compared with the original log.
 
-    Its score, the comparison with the original log, and a remark on another version.
+    Attributes:
+        source: log of the original run.
+        versions: remark on another version of the program, or None.
     """
+
+    KEYS = "**score repeated"
 
     score: Score
     comparison: Comparison
     versions: str | None
+    source: Path
+
+    @property
+    def repeated(self) -> dict[str, Any]:
+        """The original log, the number of identical messages, and the first difference."""
+        same = self.comparison
+        return {"of": self.source, "identical_messages": same.messages, "difference": same.difference}
+
+    @property
+    def missed(self) -> str:
+        """Why it is not the same run, or not completed, or ""."""
+        differs = self.comparison.difference
+        if differs is None:
+            return self.score.missed
+        return f"not the same run: {differs}{f'; {self.versions}' if self.versions else ''}"
 
 
 def repeated_log(source: Path) -> Path:
@@ -564,7 +611,7 @@ def repeat_run(source: Path, out: Path, *, force: bool = False, progress: Progre
     verdict = run_plan(_plan(log), out, force=force, progress=progress).score()
     then, now = log.metadata.get("version", "?"), VERSION
     versions = None if then == now else f"the log was written by version {then}, this is {now}"
-    return Repeat(verdict, compare_messages(source, out), versions)
+    return Repeat(verdict, compare_messages(source, out), versions, source)
 
 
 def _plan(log: RunLog, *, repeats: bool = True) -> Plan:
@@ -723,7 +770,7 @@ def export_plan(
     source, _, _ = _exported(plan, assembly or assembled(plan), single, progress, clock=clock)
     if out is not None:
         write_folder(out, source.files, force=force)
-    return source
+    return replace(source, place=out)
 
 
 def export_unit(
@@ -751,7 +798,7 @@ def export_unit(
     if not force and out.exists() and not (out.is_file() and out.read_bytes() == made.archive):
         raise in_the_way(out, "holds something else")
     write_whole(out, made.archive)
-    return source, made.lacks
+    return replace(source, place=out), made.lacks
 
 
 def _exported(
@@ -775,10 +822,11 @@ def _exported(
     names = [f"measured.{name}" for name in joint_names(itinerary.model.arms.count, has_cart=True)]
     rows = np.column_stack([ran.ticks.measured, ran.ticks.control[:, 0]]).tolist()
     readings = "".join(f"{','.join(map(repr, row))}\n" for row in rows)
-    source = controller_source(
+    made = controller_source(
         program, controller, schedule, itinerary=itinerary.name, title=itinerary.title, single=single,
         clock=clock, readings=f"{','.join([*names, 'control.command'])}\n{readings}",
     )  # fmt: skip
+    source = replace(made, itinerary=itinerary.name, rate=loop.rate, single=single, clock=clock)
     return source, program, schedule
 
 
@@ -792,25 +840,6 @@ OWN_BENCH = "udp"
 """Address of an example bench that is started for the run in a separate process."""
 _SPARE = 1.0
 """Time that the example bench can continue after the controller's end, s."""
-
-
-@dataclass(frozen=True)
-class RigRun:
-    """A run on a bench: score, the loop's result and deadlines.
-
-    Completion is unknown without the true state.
-
-    Attributes:
-        bench: output of the example bench, if it was started for the run.
-        deadlines: None if the controlling program does not report them.
-        difference: largest between such a program's commands and the loop's, m/s².
-    """
-
-    score: Score
-    result: LoopResult
-    deadlines: Deadlines | None
-    bench: tuple[str, ...]
-    difference: float | None = None
 
 
 def bench_recipe(plan: Plan, assembly: Assembly | None = None) -> BenchRecipe:
@@ -1019,7 +1048,25 @@ def measured_text(itinerary: Itinerary, values: Mapping[str, Any]) -> tuple[Path
     return path, mark + with_values(text.removeprefix(mark), "run", values, file=str(itinerary.path))
 
 
-def run_on_rig(plan: Plan, out: Path, link: RigLink, *, force: bool = False, live: LiveSink | None = None) -> RigRun:
+def written(found: "Commissioning", itinerary: Itinerary) -> "Commissioning":
+    """Write the measured values of a commissioning into [run] of the itinerary, unless the rig has a fault.
+
+    Args:
+        found: findings on the itinerary's rig.
+        itinerary: itinerary of `measured_text`.
+    """
+    if not found.changes:
+        return replace(found, unwritten=f"{itinerary.path} is unchanged until the rig has no fault")
+    path, text = measured_text(itinerary, found.changes)
+    try:
+        write_whole(path, text)
+    except InputError as error:
+        # The measurements are shown nevertheless.
+        return replace(found, unwritten=str(error))
+    return replace(found, written=path)
+
+
+def run_on_rig(plan: Plan, out: Path, link: RigLink, *, force: bool = False, live: LiveSink | None = None) -> Run:
     """Run a planned itinerary on a bench, log and score it.
 
     Args:
@@ -1041,20 +1088,19 @@ def run_on_rig(plan: Plan, out: Path, link: RigLink, *, force: bool = False, liv
     _ = assembly.controller, assembly.fallback, assembly.recovery
     with log_writer(plan, out) as writer, watched(plan, LogSink(writer), live=live) as sink:
         loop, recipe = assembly.loop(sink=sink), bench_recipe(plan, assembly)
-        with link.connected(itinerary, recipe, ticks=loop.count, what="the itinerary", loop=loop) as (rig, process):
+        with link.connected(itinerary, recipe, ticks=loop.count, what="the itinerary", loop=loop) as (rig, _):
             result = loop.run(rig)
         if not len(result.ticks.times):
             raise GoalMissed(result.reason)
-        deadlines = rig.deadlines
-        writer.result(**outcome(result), rig=rig.address, **deadlines.record())
-    return RigRun(score(read_log(out)), result, deadlines, tuple(process.messages if process else ()))
+        writer.result(**outcome(result), rig=rig.address, **rig.deadlines.record())
+    return Run(read_log(out))
 
 
 PROGRAM_WATCHDOG = 0.03
 """Silence after which the example bench stops a program's cart, s: programs do not stall as Python can."""
 
 
-def run_with_program(plan: Plan, out: Path, program: Path, *, real_time: bool = False, force: bool = False) -> RigRun:
+def run_with_program(plan: Plan, out: Path, program: Path, *, real_time: bool = False, force: bool = False) -> Run:
     """Run a planned itinerary with an external program as the controller.
 
     It runs on an example bench, and is logged and scored.
@@ -1073,6 +1119,8 @@ def run_with_program(plan: Plan, out: Path, program: Path, *, real_time: bool = 
         InputError: the program cannot be run or does not fit the itinerary, or the log cannot be written.
         GoalMissed: the plan did not converge, or no controller can be made for it.
     """
+    if not (program.is_file() and os.access(program, os.X_OK)):
+        raise InputError(f"program = {program}: no such executable program; compile it first")
     check_replaced(out, run_record(plan.itinerary, rig=OWN_BENCH), force=force)
     loop = plan.itinerary.loop
     # A program neither restarts after a fall nor subtracts zeros from its readings.
@@ -1092,7 +1140,7 @@ def run_with_program(plan: Plan, out: Path, program: Path, *, real_time: bool = 
 
 def _log_recorded(
     plan: Plan, out: Path, program: Path, assembly: Assembly, process: BenchProcess, kept: Deadlines | None
-) -> RigRun:
+) -> Run:
     if process.record is None:
         raise GoalMissed(f"the example bench did not end its run in order: {'; '.join(process.messages)}")
     with log_writer(plan, out, **drawn_metadata(plan.itinerary)) as writer:
@@ -1108,4 +1156,4 @@ def _log_recorded(
             controller_program=content_hash(program.read_bytes()), command_difference=repr(rig.difference),
             **(kept.record() if kept else {}),
         )  # fmt: skip
-    return RigRun(score(read_log(out)), result, kept, tuple(process.messages), rig.difference)
+    return Run(read_log(out))

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from dpcontrol.foundation.causes import Cause, Fault
+from dpcontrol.words.table import Line, table
 
 _LOST = "estimate lost at t = {time:.3f} s:"
 _FAILED = "drive failed at t = {time:.3f} s:"
@@ -208,3 +209,173 @@ def score_lines(verdict: Any) -> Iterator[str]:
     if verdict.thinking is not None:
         median, most = 1e6 * verdict.thinking.median, 1e6 * verdict.thinking.within_99
         yield f"  thinking {median:.3g} µs a tick in the median, 99 % within {most:.3g} µs"
+
+
+def run_lines(run: Any) -> Iterator[str]:
+    """Yield the score of a run, and the deadlines of one in real time.
+
+    Args:
+        run: a `Run`.
+    """
+    yield from score_lines(run.score())
+    if run.deadlines is not None:
+        yield f"  {run.deadlines.sentence}"
+    if run.difference is not None:
+        yield f"  the program's commands differ from the loop's own by {run.difference:.2g} m/s² at most"
+
+
+def repeat_lines(repeat: Any) -> Iterator[str]:
+    """Yield the score of a repeated run, and the number of identical messages.
+
+    Args:
+        repeat: a `Repeat`.
+    """
+    yield from score_lines(repeat.score)
+    yield f"  repeats {repeat.source}: {repeat.comparison.messages:,} messages are identical"
+
+
+def commissioning_lines(found: Any) -> Iterator[str]:
+    """Yield the findings of a commissioning with their remedies.
+
+    Args:
+        found: a `Commissioning`.
+    """
+    yield f"commissioning for {found.itinerary} on {found.bench or 'the example bench, simulated'}"
+    for finding in found.findings:
+        yield f"  {finding.verdict:6}  {finding.step}: {finding.sentence}"
+        if finding.remedy:
+            yield f"          → {finding.remedy}"
+    if found.written is not None:
+        values = ", ".join(f"{key} = {value}" for key, value in found.changes.items())
+        yield f"{found.written}: [run] now has {values}"
+    elif found.unwritten and not found.changes:
+        yield found.unwritten
+
+
+def bench_lines(bench: Any) -> Iterator[str]:
+    """Yield the address of an example bench.
+
+    Args:
+        bench: a `UdpBench`.
+    """
+    yield f"bench at {bench.url}"
+
+
+def export_lines(export: Any) -> Iterator[str]:
+    """Yield precision, rate and resources of an exported controller.
+
+    Args:
+        export: a `ControllerSource`.
+    """
+    figures, rate = export.figures, export.rate
+    halves = f"at {rate / 2:g} Hz half of it" + ("" if export.precision == "single" else ", with --float half")
+    grows = f", {kibibytes(figures.tables_per_second)} for each second; {halves}"
+    where = export.place or "not written"
+    yield f"{where}: controller of {export.itinerary} in {export.precision} precision, {rate:g} Hz"
+    yield f"  code    {kibibytes(figures.code)} by gcc -O2 on this computer, {figures.operations:,} operations a tick"
+    yield f"  stack   {kibibytes(figures.stack)}, memory {kibibytes(figures.memory)}"
+    yield (
+        f"  tables  {kibibytes(figures.tables)}" + (grows if figures.tables_per_second else " for a run of any length")
+    )
+    if figures.seconds_a_tick is not None:
+        took, share = f"{1e3 * figures.seconds_a_tick:.2g} ms", figures.seconds_a_tick * rate
+        yield f"  time    some {took} a tick on a Cortex-M4 at {export.clock:g} MHz, {share:.0%} of a period"
+
+
+def kibibytes(count: float | None) -> str:
+    """Return a readable number of bytes.
+
+    Args:
+        count: number of bytes, None if unknown.
+    """
+    return "unknown (no gcc to measure it)" if count is None else f"{count / 1024:.1f} KiB"
+
+
+_SHOWN = 10
+"""Number of failures to print; all of them are in the file."""
+
+
+def campaign_lines(found: Any) -> Iterator[Line]:
+    """Yield the completed shares of a campaign with some of its failures.
+
+    Args:
+        found: a `Campaign`.
+    """
+    if found.standard:
+        rates = {kind: f"{{0.kinds[{kind}].rate:.2f}}" for kind in found.standard[0].kinds}
+        columns = {"controller": "{.controller}", "score": "{.total:.3f}", **rates}
+        yield table(f"Robustness of {found.itinerary}", found.standard, columns)
+    else:
+        yield from _cases(found)
+    pace = found.simulated_seconds / max(found.seconds, 1e-9)
+    took = f"{found.simulated_seconds:.0f} s simulated in {found.seconds:.1f} s"
+    yield f"{found.file}  ({took}, {pace:.0f} × real time)"
+
+
+def _cases(found: Any) -> Iterator[Line]:
+    columns = {
+        "case": "{0.case.label}",
+        "completed": "{0.completed.successes} of {0.completed.runs}",
+        "share": lambda r: f"{100 * r.completed.rate:.1f} %",
+        "95 % (Wilson)": lambda r: f"{100 * r.completed.low:.1f} … {100 * r.completed.high:.1f} %",
+    }
+    yield table(f"Campaign of {found.itinerary}", found.results, columns)
+    for first, second, pair in found.pairs:
+        yield (
+            f"  same seeds: only {first!r} completed {pair.only_first}, only {second!r} {pair.only_second} "
+            f"(McNemar p = {pair.p_value:.2g})"
+        )
+    if found.transitions:
+        columns = {
+            "from": "{.source}",
+            "to": "{.target}",
+            "s": "{.duration:.3g}",
+            "case": "{.case}",
+            "completed": "{0.completed.successes} of {0.completed.runs}",
+            "cart at most (m)": "{.max_cart_position:.3f}",
+            "rms (m/s²)": "{.rms_cart_acceleration:.2f}",
+        }
+        yield table("Each alone", found.transitions, columns)
+    failures = [row for r in found.results for row in r.failures]
+    for failure in failures[:_SHOWN]:
+        which = f"{failure['itinerary']}, " if found.transitions else ""
+        yield f"  {which}seed {failure['seed']}: {failure['reason']}"
+    if len(failures) > _SHOWN:
+        yield f"  … and {len(failures) - _SHOWN} more in the file"
+
+
+def preflight_lines(found: Any) -> Iterator[Line]:
+    """Yield the forecast of a first run: rate, causes of failure, borders, and what would help.
+
+    Args:
+        found: a `Preflight`.
+    """
+    yield f"{found.itinerary}: {found.status}"
+    yield f"  {found.advice}"
+    yield from (f"  mind: {note}" for note in found.notes)
+    yield table("", found.known, {"known of the bench": "{.name}", "": "{.value}", "from": "{.source}"})
+    if found.endings:
+        columns = {
+            "what ends it otherwise": "{.cause}",
+            "of all runs": lambda ending: f"{ending.runs / found.share.runs:.1%}",
+            "for example seed": "{.seed}",
+        }
+        yield table("", found.endings[:_SHOWN], columns)
+    if found.borders:
+        columns = {
+            "half as often at": "{.name}",
+            "set": "{.own}",
+            "border": "{.sentence}",
+            "95 %": lambda border: border.interval,
+            "margin": lambda border: "" if border.margin is None else f"{border.margin:.1f} ×",
+        }
+        yield table("", found.borders, columns)
+    if helping := [change for change in found.changes if change.gain > 2 * change.error]:
+        columns = {
+            "what would help": "{.text}",
+            "option": "{.typed}",
+            "gain": lambda change: f"{100 * change.gain:+.1f} ± {200 * change.error:.1f} points",
+            "rescued": "{0.rescued} of {0.failing}",
+            "lost": "{0.lost} of {0.completing}",
+        }
+        yield table("", helping, columns)

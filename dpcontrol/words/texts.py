@@ -13,11 +13,18 @@ from dpcontrol.words.table import Line
 
 TEXTS = {
     "CacheContents": "start.cache",
+    "Campaign": "runs.campaign_lines",
+    "Commissioning": "runs.commissioning_lines",
     "Configuration": "start.configuration",
     "Demonstration": "start.demonstration",
+    "ControllerSource": "runs.export_lines",
     "ModelDescription": "start.description",
     "Page": "start.page",
+    "Preflight": "runs.preflight_lines",
+    "Repeat": "runs.repeat_lines",
+    "Run": "runs.run_lines",
     "Score": "runs.score_lines",
+    "UdpBench": "runs.bench_lines",
 }
 """Class of a result -> its function as MODULE.FUNCTION within this package."""
 
