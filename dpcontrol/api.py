@@ -20,7 +20,7 @@ from dataclasses import replace
 from decimal import Decimal
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, overload
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, overload
 
 from dpcontrol.foundation.checked import Between, Count, Hit, Index, Positive, Seed, Workers, checked
 from dpcontrol.foundation.errors import GoalMissed, InputError, remark
@@ -56,7 +56,7 @@ if TYPE_CHECKING:
     from dpcontrol.judge.preflight import Preflight
     from dpcontrol.logs import LogSummary, Recovery
     from dpcontrol.loop.protocols import Reading as Reading
-    from dpcontrol.loop.protocols import UserRig as Rig
+    from dpcontrol.loop.protocols import UserEstimator, UserLaw, UserPlant, UserRig
     from dpcontrol.orbits.family import LyapunovFamily
     from dpcontrol.orbits.lyapunov import Equilibrium, LyapunovOrbit
     from dpcontrol.orbits.rotating import RotatingFamily, RotatingOrbit
@@ -89,6 +89,11 @@ if TYPE_CHECKING:
     from dpcontrol.walks.following import SymbolChange
     from dpcontrol.walks.shadowing import ShadowingOrbit
     from dpcontrol.walks.walks import WalkRequest
+
+    Law: TypeAlias = UserLaw
+    Estimator: TypeAlias = UserEstimator
+    Plant: TypeAlias = UserPlant
+    Rig: TypeAlias = UserRig
 else:
     Rig = object  # Its methods are checked where they are called.
 
@@ -668,6 +673,54 @@ def polish(
 
 @checked
 def run(
+    itinerary: Plan | str,
+    *,
+    mismatch: float | None = None,
+    plant: Place | None = None,
+    seed: Seed = 0,
+    settings: Mapping[str, object] | None = None,
+    rig: Rig | RigLink | str | None = None,
+    log: Place | None = None,
+    force: bool = False,
+    live: bool = False,
+    yes: bool = False,
+    progress: Reporting = None,
+) -> Run:
+    """Run a plan once in closed loop, and log it if requested; see `launch` for long and repeated runs.
+
+    Args:
+        itinerary: plan, or name or path of an itinerary.
+        mismatch: largest relative error of the plant's parameters (default: the itinerary's).
+        plant: name or path of a model for a plant with other arms (default: the same arms).
+        seed: seed of the random numbers (default: 0).
+        settings: run settings by path, such as {"drive.lag": 0.005} (default: none).
+        rig: object with `read()`, `command(acceleration)` and `stop()`, address of a bench in real time, or link of
+            `rig_link` (default: the simulated bench).
+        log: log to write (default: the run stays in memory).
+        force: replace the log of another run there.
+        live: show the run in the viewer.
+        yes: accept work of more than an hour or 4 GB (default: refused).
+        progress: reports, see `dpcontrol.api`.
+
+    Returns:
+        The run, which scores, draws and explains itself.
+
+    Raises:
+        InputError: an impossible setting, too much work, a log that cannot be written, or no display for a live view.
+        GoalMissed: the plan did not converge, or no controller exists for it.
+
+    Examples:
+        >>> dp.run("outer-turn", mismatch=0.02, seed=3).converged
+        True
+    """
+    chosen = _settings(settings, mismatch=mismatch, plant=plant)
+    with reporting(progress, "run") as report:
+        loop = _closed(itinerary, chosen, yes=yes, progress=part_of(report, 0.0, 0.5))
+        return loop.run(seed=seed, rig=rig, log=log, force=force, live=live, progress=part_of(report, 0.5, 1.0))
+
+
+@checked
+def launch(
     itinerary: Plan | str | None = None,
     *,
     source: Place | None = None,
@@ -732,7 +785,7 @@ def run(
         GoalMissed: the plan did not converge, or no controller exists for it.
 
     Examples:
-        >>> dp.run("outer-turn", mismatch=0.02, seed=3).converged
+        >>> dp.launch(source=log, log=log.with_name("same.mcap")).comparison.difference is None
         True
     """
     from dpcontrol.foundation.files import chosen_name
@@ -1693,11 +1746,9 @@ def explore_energies(
         'outer-turn-energies'
     """
     from dpcontrol.bench.energies import energies_chart
-    from dpcontrol.plans.itinerary import load_itinerary
 
-    itinerary = load_itinerary(itinerary) if isinstance(itinerary, str) else itinerary.itinerary
     with reporting(progress, "energies") as report:
-        chart = energies_chart(itinerary, report)
+        chart = energies_chart(_scene(itinerary), report)
     if picture is not None:
         from dpcontrol.bench.drawing import save_chart
 

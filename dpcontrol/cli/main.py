@@ -73,7 +73,7 @@ GROUPS = {
     "Run": {
         "run": Verb(
             "Run an itinerary in closed loop and write its log.",
-            "run",
+            "launch",
             "dpcontrol run outer-turn --seed 3 --mismatch 0.05",
             names={"source": "--from", "program": "--controller-program", "log": "--out"},
         ),
