@@ -799,6 +799,7 @@ def launch(
         if any((itinerary, mismatch, plant, seed, settings, rig, program, hours, resume, live)):
             raise InputError(f"source = {source}: a run is repeated without changes; give only log and force with it")
         with chosen_name(log or True, repeated_log(Path(source))) as file:
+            assert file is not None
             return repeat(source, file, force=force, progress=progress)
     if itinerary is None:
         raise InputError("itinerary: give an itinerary, or as source a log to repeat")

@@ -14,7 +14,7 @@ ROOT = Path(__file__).parents[1]
 GUIDE = ROOT / "dpcontrol" / "guide"
 FUNCTIONS = [name for name in dp.__all__ if inspect.isfunction(getattr(dp, name))]
 GROUPS = {
-    "api-models": ("Models", ["load_model", "equilibria", "mjcf", "schema"]),
+    "api-models": ("Models", ["load_model", "describe", "equilibria", "mjcf", "schema"]),
     "api-orbits": (
         "Orbits and tubes",
         [
@@ -49,8 +49,8 @@ GROUPS = {
         "References",
         ["plan", "reference", "open_plan", "polish", "explore_energies", "open_planner", "picture"],
     ),
-    "api-loop": ("Closed loop", ["closed_loop", "ClosedLoop", "export", "rig_link", "start_bench", "commission"]),
-    "api-runs": ("Runs and campaigns", ["run", "Run", "repeat", "campaign", "open_campaign", "open_night"]),
+    "api-loop": ("Closed loop", ["closed_loop", "ClosedLoop", "export", "rig_link", "start_bench", "commission", "preflight"]),
+    "api-runs": ("Runs and campaigns", ["run", "Run", "launch", "repeat", "demo", "campaign", "open_campaign", "open_night"]),
     "api-logs": ("Logs", ["open_log", "log_summary", "recover_log", "compare_logs", "review"]),
     "api-recordings": (
         "Recordings",

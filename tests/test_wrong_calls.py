@@ -189,7 +189,7 @@ MISTAKES: list[tuple[str, dict[str, Any]]] = [
     *(("run", {"rig": one}) for one in (object(), int, "x.py:Y", "udp://x")),
     ("campaign", {"over": {"mismatch": []}}),
     ("campaign", {"over": {"mismatchh": [0.1]}}),
-    ("loop.standard_score", {"controllers": ["no such"]}),
+    ("loop.campaign", {"standard": True, "over": {"controller": ["no such"]}}),
     ("loop.night", {"hours": 1e300}),
     ("commission", {"faults": ["encoder-9-reversed"]}),
     ("rig_link", {"address": "no such"}),

@@ -131,7 +131,7 @@ class ClosedLoop(Timed):
         self,
         *,
         seed: Seed = 0,
-        rig: UserRig | RigLink | str | None = None,
+        rig: UserRig | OwnObject | RigLink | str | None = None,
         program: Path | str | None = None,
         log: Path | str | None = None,
         force: bool = False,
@@ -180,7 +180,7 @@ class ClosedLoop(Timed):
         folder: Path | str,
         *,
         seed: Seed = 0,
-        rig: RigLink | str | None = None,
+        rig: OwnObject | RigLink | str | None = None,
         resume: bool = False,
         force: bool = False,
         live: bool = False,
@@ -346,4 +346,4 @@ def bench_of(rig: object) -> RigLink | OwnObject | None:
     """
     if isinstance(rig, str) and not names_file(rig):
         return rig_link(rig, key_file=None, insecure=False, real_time=False)
-    return rig if rig is None or isinstance(rig, RigLink) else own_object("rig", rig)
+    return rig if rig is None or isinstance(rig, RigLink | OwnObject) else own_object("rig", rig)

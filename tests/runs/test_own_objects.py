@@ -186,7 +186,7 @@ def test_a_stopped_rig_receives_neither_commands_nor_a_second_stop() -> None:
 def test_the_standard_score_is_that_of_the_loops_own_law(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("dpcontrol.runs.campaign.STANDARD", STANDARD[:1])
     loop = dp.closed_loop("outer-turn", controller=dp.SymbolicLaw(_push))
-    (found,) = loop.standard_score(settings=dp.CampaignSettings(runs=1, replayed=0))
+    (found,) = loop.campaign(standard=True, settings=dp.CampaignSettings(runs=1, replayed=0)).standard
     assert found.controller == "_push"
 
 
