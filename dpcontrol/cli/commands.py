@@ -180,7 +180,7 @@ def _parameters(
     yield Option(
         [*names, name],
         is_flag=flag,
-        flag_value=False if flag and parameter.default is True else None,
+        **({"flag_value": False} if flag and parameter.default is True else {}),
         type=None if flag else kind,
         multiple=several,
         default=None,
