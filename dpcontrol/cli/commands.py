@@ -124,7 +124,8 @@ def command(name: str, verb: Verb) -> click.Command:
             if as_json:
                 call.aside.enter_context(_prints_on_stderr())
             result = function(*positional, **values)
-            show(result, {"picture": values.get("picture")} if "picture" in given else {})
+            drawn = getattr(result, "picture", values.get("picture"))
+            show(result, {"picture": drawn} if "picture" in given else {})
             if hasattr(result, "serve"):
                 _serve(result)
 
@@ -158,7 +159,7 @@ def _parameters(
         yield from _setting_options()
         return
     kinds = _kinds(hint)
-    several = name == "over" or any(get_origin(kind) is Sequence for kind in kinds)
+    several = name == "over" or (name not in PARSERS and any(get_origin(kind) is Sequence for kind in kinds))
     kind = _click_type(name, kinds, output)
     if _is_positional(parameter) and name not in declared.names:
         required = parameter.default is inspect.Parameter.empty
@@ -177,7 +178,8 @@ def _parameters(
     yield Option(
         [*names, name],
         is_flag=flag,
-        flag_value=False if flag and parameter.default is True else None,
+        # With a value for a flag, click would take -0.07 after an option for another option.
+        **({"flag_value": False} if flag and parameter.default is True else {}),
         type=None if flag else kind,
         multiple=several,
         default=None,
@@ -203,7 +205,7 @@ def _output(hint: Any) -> Output | None:
 
 def _click_type(name: str, kinds: Sequence[Any], output: Output | None) -> Any:
     """Return the type that reads a value of one of several types from text."""
-    if name in PARSERS:
+    if name in PARSERS and int not in kinds:
         return PARSERS[name]
     if output is not None:
         return click.Path(dir_okay=output.folder, path_type=Path)

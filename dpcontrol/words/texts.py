@@ -12,12 +12,29 @@ from dpcontrol.foundation.document import plain
 from dpcontrol.words.table import Line
 
 TEXTS = {
+    "Atlas": "design.atlas",
+    "BifurcationSearch": "design.bifurcations",
     "CacheContents": "start.cache",
+    "CertificateCheck": "design.check",
+    "ChosenConnection": "design.chosen",
     "Configuration": "start.configuration",
+    "ConnectionSearch": "design.connections",
     "Demonstration": "start.demonstration",
+    "Edges": "design.graph",
+    "LyapunovFamily": "design.family",
+    "LyapunovOrbit": "design.orbit",
     "ModelDescription": "start.description",
     "Page": "start.page",
+    "Proof": "design.proof",
+    "RefinedConnection": "design.refined",
+    "RotatingFamilies": "design.rotating_families",
+    "RotatingOrbits": "design.rotating_orbits",
     "Score": "runs.score_lines",
+    "SolvedWalks": "design.solved",
+    "SustainedOrbit": "design.sustained",
+    "SymbolChanges": "design.changes",
+    "SymmetricSearch": "design.symmetric",
+    "WalkList": "design.walks",
 }
 """Class of a result -> its function as MODULE.FUNCTION within this package."""
 
