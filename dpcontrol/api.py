@@ -1696,23 +1696,14 @@ def find_walks(
     from dpcontrol.walks.edges import find_edges
     from dpcontrol.walks.walks import WalkList, WalkSelection
 
+    leads = (lead_in, lead_out)
     selection = WalkSelection(
-        symbols,
-        through,
-        length,
-        source,
-        target,
-        random,
-        lengths,
-        seed,
-        periodic,
-        wraps,
-        extra_wraps,
-        (lead_in, lead_out),
+        symbols, through, length, source, target, random, lengths, seed, periodic, wraps, extra_wraps, leads
     )
     selection.check(solve=solve, yes=yes)
-    files = {"out": out, "picture": picture, "film": film, "precision": precision == "extended"}
-    if not solve and (names := [name for name, value in files.items() if value]):
+    exact = _exact(energy) if precision == "extended" else None
+    results = {"out": out, "picture": picture, "film": film, "precision": exact}
+    if not solve and (names := [name for name, value in results.items() if value is not None]):
         raise InputError(f"{names[0]} concerns the orbits of walks: add --solve (solve=True in Python)")
     if solve and not selection.selected_by:
         raise InputError("solve needs walks: give symbols, through, length or random")
@@ -1728,7 +1719,7 @@ def find_walks(
     if not selection.selected_by:
         return edges
     walks = WalkList(edges, selection.requests(edges, solve=solve, yes=yes))
-    return _solved(walks, files, energy, progress) if solve else walks
+    return _solved(walks, out, (picture, film), exact, progress) if solve else walks
 
 
 @checked
@@ -2593,28 +2584,28 @@ _REFINED = 4
 """Largest number of walks whose orbits are refined in extended precision."""
 
 
-def _solved(walks: WalkList, files: Mapping[str, Any], energy: Decimal | float, progress: Reporting) -> SolvedWalks:
-    """Return the orbits of walks, saved and drawn in the files."""
+def _solved(
+    walks: WalkList,
+    folder: Place | None,
+    shown: tuple[Place | None, Place | None],
+    energy: Decimal | Fraction | None,
+    progress: Reporting,
+) -> SolvedWalks:
+    """Return the orbits of walks, in files of a folder, refined at an exact energy, and shown in picture and film."""
     from dpcontrol.walks.walks import solve_walks
 
-    count, out, shown = len(walks.walks), files["out"], {key: files[key] for key in ("picture", "film")}
-    if any(shown.values()) and count != 1:
+    count = len(walks.walks)
+    if any(shown) and count != 1:
         raise InputError(f"picture and film show one walk, but there are {count}: give the symbols of one")
-    if files["precision"] and count > _REFINED:
+    if energy is not None and count > _REFINED:
         raise InputError(f"precision = extended: {count} walks; at most {_REFINED} are possible")
+    parameters, place = _exact_parameters(walks.edges.system), None if folder is None else Path(folder)
     with reporting(progress, "walks") as report:
-        found = solve_walks(
-            walks,
-            energy=_exact(energy) if files["precision"] else None,
-            parameters=_exact_parameters(walks.edges.system),
-            folder=None if out is None else Path(out),
-            progress=report,
-        )
-    orbit = found.answers[0].orbit if any(shown.values()) and found.converged else None
-    if orbit is None:
-        return found
-    picture(orbit, file=shown["picture"], film=shown["film"])
-    return replace(found, **shown)
+        found = solve_walks(walks, energy=energy, parameters=parameters, folder=place, progress=report)
+    if any(shown) and found.converged and (orbit := found.answers[0].orbit) is not None:
+        picture(orbit, file=shown[0], film=shown[1])
+        return replace(found, picture=shown[0], film=shown[1])
+    return found
 
 
 def _exact(energy: Decimal | Fraction | float) -> Decimal | Fraction:
