@@ -175,10 +175,10 @@ def find_orbits(
     """
     if (saddle is None) == (rotating is None):
         raise InputError("give either saddle for Lyapunov orbits, or rotating = inner or outer for rotating orbits")
-    if energy is None and energies is None:
-        raise InputError("give energy for the orbits of one energy, or energies for their families")
     if sustained and (saddle is None or energy is None):
         raise InputError("a sustained orbit needs saddle and energy: give both")
+    if energy is None and energies is None:
+        raise InputError("give energy for the orbits of one energy, or energies for their families")
     if picture is not None and rotating is not None and energies is None:
         raise InputError("picture shows families of rotating orbits: give energies")
     system = _system(model)
