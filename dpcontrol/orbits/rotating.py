@@ -32,7 +32,7 @@ from dpcontrol.foundation.checked import number
 from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
-from dpcontrol.foundation.shown import Brief, Shown, checked_times
+from dpcontrol.foundation.shown import Brief, checked_times
 from dpcontrol.orbits.family import (
     LINGERS,
     SLOPE,
@@ -523,7 +523,7 @@ class RotatingOrbits(Documented):
 
 
 @dataclass(frozen=True)
-class RotatingFamilies(Shown, Documented):
+class RotatingFamilies(Documented):
     """The families of the orbits of one energy, J, on which an arm turns forward, between two energies."""
 
     KEYS: ClassVar[str] = "families count=#families arm energy energies status"
