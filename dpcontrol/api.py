@@ -1234,7 +1234,7 @@ def open_atlas(file: Place) -> Atlas:
     """
     from dpcontrol.plans.atlas import load_atlas
 
-    return load_atlas(Path(file))
+    return replace(load_atlas(Path(file)), file=Path(file))
 
 
 @checked
