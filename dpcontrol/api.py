@@ -15,6 +15,7 @@ text and a share from 0 to 1, or True for a bar on stderr. By default, a line is
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from decimal import Decimal
@@ -24,9 +25,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, overload
 
 from dpcontrol.foundation.checked import Between, Count, Hit, Index, Positive, Seed, Workers, checked
 from dpcontrol.foundation.errors import GoalMissed, InputError, remark
-from dpcontrol.foundation.files import Output, write_whole
+from dpcontrol.foundation.files import Film, Output, Picture, write_whole
 from dpcontrol.foundation.parts import installed, part
-from dpcontrol.foundation.progress import Cost, Reporting, announce, part_of, reporting
+from dpcontrol.foundation.progress import Cost, Progress, Reporting, announce, part_of, reporting
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -59,7 +60,7 @@ if TYPE_CHECKING:
     from dpcontrol.loop.protocols import UserEstimator, UserLaw, UserPlant, UserRig
     from dpcontrol.orbits.family import LyapunovFamily
     from dpcontrol.orbits.lyapunov import Equilibrium, LyapunovOrbit
-    from dpcontrol.orbits.rotating import RotatingFamily, RotatingOrbit
+    from dpcontrol.orbits.rotating import RotatingFamilies, RotatingFamily, RotatingOrbit, RotatingOrbits
     from dpcontrol.pages.figures import Drawn
     from dpcontrol.planner.server import Planner
     from dpcontrol.plans.itinerary import Itinerary
@@ -82,13 +83,14 @@ if TYPE_CHECKING:
     from dpcontrol.runs.polish import Polished
     from dpcontrol.runs.run import Demonstration, Repeat, RigLink, Run
     from dpcontrol.shooting.extended import ExtendedOrbit
-    from dpcontrol.tubes.connections import Connection, ConnectionSearch
+    from dpcontrol.tubes.connections import ChosenConnection, Connection, ConnectionSearch, RefinedConnection
     from dpcontrol.tubes.symmetric import SymmetricSearch
     from dpcontrol.walks.atlas import Atlas
     from dpcontrol.walks.edges import Edges
-    from dpcontrol.walks.following import SymbolChange
+    from dpcontrol.walks.following import SymbolChange, SymbolChanges
     from dpcontrol.walks.shadowing import ShadowingOrbit
-    from dpcontrol.walks.walks import WalkRequest
+    from dpcontrol.walks.symbols import Symbol
+    from dpcontrol.walks.walks import SolvedWalks, WalkList, WalkRequest
 
     Law: TypeAlias = UserLaw
     Estimator: TypeAlias = UserEstimator
@@ -128,6 +130,84 @@ def orbit(model: Model | System | str, saddle: str, *, energy: float, family: In
     from dpcontrol.orbits.lyapunov import lyapunov_orbit
 
     return lyapunov_orbit(_system(model), saddle, energy=energy, family=family)
+
+
+@checked
+def find_orbits(
+    model: Model | System | str,
+    *,
+    saddle: str | None = None,
+    family: Index = 0,
+    rotating: Literal["inner", "outer"] | None = None,
+    sustained: bool = False,
+    sections: Annotated[int, Between(1, 1000)] = 4,
+    energy: float | None = None,
+    energies: tuple[float, float] | None = None,
+    picture: Picture = None,
+    progress: Reporting = None,
+) -> LyapunovOrbit | LyapunovFamily | SustainedOrbit | RotatingOrbits | RotatingFamilies:
+    """Compute a Lyapunov orbit or its family, with Floquet multipliers.
+
+    A family is followed from its saddle until it ends, loses hyperbolicity or leaves the given energies.
+
+    `rotating` selects the symmetric orbits on which one arm rotates, with their stability. Their families start from
+    the orbits at `energy`, or at the middle of `energies`.
+
+    `sustained` selects the periodic orbit of pendulum and cart that the acceleration of the cart sustains against
+    friction. It starts from the Lyapunov orbit at `energy` and has that energy at phase 0. There are two sets of
+    multipliers: over a period with the input replayed, and from section to section with the input clock reset.
+
+    Args:
+        model: model, its name, or a system.
+        saddle: saddle inside the orbit, inner arm first, such as down-up (default: none).
+        family: family of orbits about the saddle, slowest first (default: 0).
+        rotating: arm of the rotating orbits to find instead (default: none).
+        sustained: orbit that the cart sustains against friction with the least effort instead.
+        sections: resets of the input clock per period of the sustained orbit (default: 4).
+        energy: energy, J, zero at the pivot's height; three bodies: own units (default: none).
+        energies: lowest and highest energy of a family, J (default: none).
+        picture: picture to write, .png, .pdf or .svg (default: none).
+        progress: reports, see `dpcontrol.api`.
+
+    Returns:
+        The orbit or family, with `lines()` and `document()`.
+
+    Raises:
+        InputError: neither a saddle nor a rotating arm, no energy, or what `orbit` and `family` raise.
+        GoalMissed: the Lyapunov orbit did not converge, or there is no rotating orbit at the energy.
+
+    Examples:
+        >>> dp.find_orbits("lab", saddle="down-up", energy=-0.07).period
+        0.75238...
+    """
+    if (saddle is None) == (rotating is None):
+        raise InputError("give either saddle for Lyapunov orbits, or rotating = inner or outer for rotating orbits")
+    if sustained and (saddle is None or energy is None):
+        raise InputError("a sustained orbit needs saddle and energy: give both")
+    if energy is None and energies is None:
+        raise InputError("give energy for the orbits of one energy, or energies for their families")
+    if picture is not None and rotating is not None and energies is None:
+        raise InputError("picture shows families of rotating orbits: give energies")
+    system = _system(model)
+    if rotating is not None:
+        found = view = _rotating(system, rotating, energy, energies, progress)
+    elif not sustained:
+        found = view = _lyapunov(system, str(saddle), family, energy, energies, progress)
+    else:
+        from dpcontrol.judge.of_log import sustained_view
+        from dpcontrol.plans.model import model_of
+
+        # A system without arms is rejected before the search for its orbit, which can take minutes.
+        arms = model_of(system).arms
+        conservative = _lyapunov(system, str(saddle), family, energy, energies, progress)
+        found = replace(sustained_orbit(conservative, progress=progress), resets=sections)
+        view = None
+        if picture is not None:
+            _found(found.converged, f"the sustained orbit about {saddle}", found.status)
+            view = sustained_view(found, arms.length)
+    if picture is not None:
+        _draw(view, picture)
+    return found
 
 
 @overload
@@ -221,8 +301,112 @@ def connections(
 
 
 @checked
+def find_connections(
+    model: Model | System | str,
+    source: str,
+    target: str,
+    *,
+    energy: Decimal | float | None = None,
+    energies: tuple[float, float] | None = None,
+    family: Index = 0,
+    hits: tuple[Hit, Hit] | None = None,
+    section: str | None = None,
+    longest: Positive | None = None,
+    thorough: bool = False,
+    seconds: Positive | None = None,
+    name: str | None = None,
+    precision: Literal["double", "extended"] = "double",
+    progress: Reporting = None,
+) -> ConnectionSearch | SymmetricSearch | ChosenConnection | RefinedConnection:
+    """Find every connection between Lyapunov orbits at given section hits.
+
+    The list contains all connections on the torus of angles: both senses, mirror pairs and reflections. The walk of an
+    itinerary can use their names. The exit code is 1 if the list may be incomplete (`complete` in --json). With a name,
+    only that connection counts, and `complete` is false if there may be others.
+
+    Another section gives other connections first. Homoclinics that pass the other saddle cross "aligned" twice, so the
+    hits 1,2 find them there.
+
+    Orbits of three arms have connections at isolated energies only. Use `energies` to find the symmetric ones, which
+    lead from an orbit back to itself through a moment at which every arm hangs or stands.
+
+    Args:
+        model: model, its name, or a system.
+        source: first saddle of the connections.
+        target: last saddle of the connections.
+        energy: energy, J, zero at the pivot's height; three bodies: own units (default: none).
+        energies: for three arms: lowest and highest energy of symmetric connections, J (default: none).
+        family: with energies: family of orbits, slowest first (default: 0).
+        hits: section crossings of the connections, of the unstable and the stable tube (default: 1, or those of name).
+        section: section of the search: outer-down (θ₂ = 2πk), inner-down (θ₁ = 2πk), aligned (θ₁ = θ₂ + 2πk);
+            three-body: opposite, between (default: the saddles' own).
+        longest: longest flight to the section, in periods of the orbit; a short limit also resolves scattering tubes
+            (default: the model's, 12 for pendulums).
+        thorough: longer search if the result is "at least": 20,000 or more trajectories per tube, up to a minute.
+        seconds: processor time of the search, s; after it, the partial result is shown (default: 60).
+        name: only this connection, by a name from the list (default: none).
+        precision: precision of the connection with this name; extended refines it in 113-bit arithmetic (default:
+            double).
+        progress: reports, see `dpcontrol.api`.
+
+    Returns:
+        The search, or the connection with the name.
+
+    Raises:
+        InputError: an unknown saddle, section or name, no orbit at the energy, or arguments that exclude each other.
+        GoalMissed: an orbit did not converge, or the connection cannot be refined.
+
+    Examples:
+        >>> len(dp.find_connections("lab", "down-up", "down-up", energy=-0.07).connections)
+        8
+    """
+    from dpcontrol.tubes.connections import ChosenConnection, RefinedConnection, orbits_between
+    from dpcontrol.walks.symbols import parse_symbol
+
+    extended = precision == "extended"
+    if energies is not None:
+        one = {"energy": energy, "section": section, "longest": longest, "thorough": thorough, "name": name}
+        if others := [key for key, value in (one | {"precision": extended}).items() if value not in (None, False)]:
+            raise InputError(f"{others[0]} belongs to a search at one energy: omit it, or energies")
+        if source != target:
+            raise InputError(f"energies: symmetric connections lead back to their orbit: the target must be {source}")
+        orbit = _lyapunov(_system(model), source, family, energies[0], None, progress)
+        return connections(orbit, energies=energies, hits=hits or (1, 1), seconds=seconds, progress=progress)
+    if energy is None:
+        raise InputError("give energy or, for three arms, energies")
+    if family:
+        raise InputError("family belongs to a search with energies: omit it with energy")
+    if extended and name is None:
+        raise InputError("precision = extended refines one connection: give its name from the list of connections")
+    symbol = None if name is None else parse_symbol(name, [source, target])
+    search = connections(
+        *orbits_between(_system(model), source, target, float(energy)),
+        hits=hits or (symbol and symbol.hits) or (1, 1),
+        section=section or (symbol and symbol.section),
+        longest=longest,
+        thorough=thorough,
+        seconds=seconds,
+        progress=progress,
+    )
+    if name is None:
+        return search
+    connection = search.named(name)
+    if not extended:
+        return ChosenConnection(search, (connection,))
+    with reporting(progress, "refining in 113-bit arithmetic"):
+        refined = refine(connection, energy=energy)
+    _found(refined.converged, f"{connection.name} in extended precision", refined.status)
+    return RefinedConnection(connection, refined, str(energy))
+
+
+@checked
 def graph(
-    model: Model | System | str, *, energy: float, symbols: Sequence[str] = (), progress: Reporting = None
+    model: Model | System | str,
+    *,
+    energy: float,
+    symbols: Sequence[str] = (),
+    yes: bool = False,
+    progress: Reporting = None,
 ) -> Edges:
     """Find the connection graph of an energy.
 
@@ -230,6 +414,7 @@ def graph(
         model: model, its name, or a system.
         energy: energy, J.
         symbols: symbols of a walk, for other sections, later hits or rotating orbits (default: none).
+        yes: accept work of more than an hour or 4 GB (default: refused).
         progress: reports, see `dpcontrol.api`.
 
     Returns:
@@ -249,7 +434,7 @@ def graph(
     system = _system(model)
     requested = parse_walk(symbols, vertex_names(system)) if symbols else ()
     with reporting(progress, "connections") as report:
-        return find_edges(system, energy, symbols=requested, progress=report)
+        return find_edges(system, energy, symbols=requested, yes=yes, progress=report)
 
 
 @checked
@@ -266,13 +451,18 @@ def find_bifurcations(
 ) -> BifurcationSearch:
     """Find the energies at which connections appear, vanish or split.
 
+    There are three kinds of events. At a saddle-node, two connections meet and vanish. At a pitchfork, a mirror pair
+    splits off a symmetric connection. At a section-artefact, the connection continues, but gains or loses an earlier
+    crossing of the section. Changes of the count without such an event are reported. If trajectories scatter before
+    they arrive, connections accumulate without end, and counts are lower bounds.
+
     Args:
         model: model, its name, or a system.
-        source: saddle that the connections leave.
-        target: saddle that they join.
+        source: first saddle of the connections.
+        target: last saddle of the connections.
         energies: lowest and highest energy, J.
-        hits: crossings of the section (default: 1).
-        samples: energies of the first search (default: 24).
+        hits: section crossings of the connections (default: 1).
+        samples: energies of the first search, two or more (default: 24).
         yes: accept work of more than an hour or 4 GB (default: refused).
         progress: reports, see `dpcontrol.api`.
 
@@ -309,44 +499,50 @@ def atlas(
     thorough: bool = False,
     seconds: Positive | None = None,
     fresh: bool = False,
+    out: Annotated[Path | str | None, Output((".npz",))] = None,
     yes: bool = False,
     progress: Reporting = None,
 ) -> Atlas:
-    """Return all orbits, tubes and connections of an energy.
+    """Compute all orbits, tubes and connections of an energy.
+
+    The orbits are Lyapunov orbits about the saddles and rotating orbits. The atlas is one file with orbits, cuts, and
+    connections with their flights. It is cached by content, unless a search of it ended early. Draw it with `dpcontrol
+    review FILE`. The exit code is 1 if the list of connections may be incomplete.
 
     Args:
         model: model, its name, or a system.
-        energy: energy, J.
-        hits: crossings of the section (default: the first with connections, up to the second).
-        thorough: resolve parts that are reported as "at least", for up to a minute each.
-        seconds: processor time of each search, s (default: 60). A partial atlas is not cached.
-        fresh: compute it again even if it is cached.
+        energy: energy, J, zero at the pivot's height; three bodies: own units.
+        hits: section crossings of the connections, of the unstable and the stable tube (default: for each kind, the
+            first with intersections, up to 2).
+        thorough: longer search if the result is "at least": 20,000 or more trajectories per tube, up to a minute for
+            each kind of connection.
+        seconds: processor time per search, s; after it, the partial result is shown (default: 60).
+        fresh: new atlas, even if one is cached.
+        out: atlas to write, .npz (default: none).
         yes: accept work of more than an hour or 4 GB (default: refused).
         progress: reports, see `dpcontrol.api`.
 
     Returns:
-        The atlas, from the cache if possible.
+        The atlas, from the cache if possible, with its file.
 
     Raises:
-        InputError: no saddle has an orbit at this energy, or too much work.
+        InputError: no saddle has an orbit at this energy, too much work, or a file that cannot be written.
 
     Examples:
         >>> len(dp.atlas("lab", energy=-0.07).connections)
         8
     """
-    from dpcontrol.plans.atlas import AtlasSettings, make_atlas
+    from dpcontrol.plans.atlas import AtlasSettings, make_atlas, save_atlas
     from dpcontrol.tubes.intersections import search_settings
 
     settings = AtlasSettings(hits=hits, search=search_settings(thorough=thorough, seconds=seconds))
+    chosen = _model(model) if isinstance(model, str) else model
     with reporting(progress, "atlas") as report:
-        return make_atlas(
-            _model(model) if isinstance(model, str) else model,
-            energy,
-            settings=settings,
-            fresh=fresh,
-            yes=yes,
-            progress=report,
-        ).atlas
+        found = make_atlas(chosen, energy, settings=settings, fresh=fresh, yes=yes, progress=report)
+    if out is None:
+        return found
+    save_atlas(Path(out), found)
+    return replace(found, file=Path(out))
 
 
 @checked
@@ -415,17 +611,17 @@ def prove(
     *,
     energy: Decimal | Fraction | float | None = None,
     rivals: Edges | None = None,
+    horseshoe: bool = True,
     settings: ProofSettings | None = None,
     progress: Reporting = None,
 ) -> Proof:
     """Prove in ball arithmetic that orbits or connections exist.
 
-    Homoclinic connections of one orbit are proved together with their horseshoe.
-
     Args:
         found: orbit, closed walk, or search for connections.
         energy: exact energy, J (default: the shortest decimal that reads as the orbit's).
         rivals: graph whose other connections the walk must not follow (default: not checked).
+        horseshoe: prove also the horseshoe of homoclinic connections of one orbit (default: True).
         settings: precision and radii (default: those of `dpcontrol prove`).
         progress: reports, see `dpcontrol.api`.
 
@@ -454,12 +650,106 @@ def prove(
     height = exact_energy(own.energy if energy is None else energy)
     with reporting(progress, "proof") as report:
         if not isinstance(found, LyapunovOrbit | ShadowingOrbit):
-            whole = own is found.connections[0].target
+            whole = horseshoe and own is found.connections[0].target
             return prove_connections(found.connections, energy=height, settings=settings, whole=whole, progress=report)
         if isinstance(found, ShadowingOrbit):
             known = () if rivals is None else rivals.known
             return prove_walk(found, energy=height, rivals=known, settings=settings, progress=report)
         return prove_orbit(found, energy=height, settings=settings, progress=report)
+
+
+@checked
+def prove_statement(
+    statement: Literal["orbit", "walk", "connection", "horseshoe", "check"],
+    model: Model | System | str,
+    *,
+    energy: Decimal | Fraction | float | None = None,
+    saddle: str | None = None,
+    family: Index = 0,
+    symbols: Sequence[str] = (),
+    wraps: Sequence[Index] | None = None,
+    periodic: bool = False,
+    source: str | None = None,
+    target: str | None = None,
+    names: Sequence[str] = (),
+    hits: tuple[Hit, Hit] = (1, 1),
+    bits: Annotated[int, Between(64, 1024)] = 128,
+    radius: Annotated[float, Between(1e-20, 1e-3)] = 1e-8,
+    box: Annotated[float, Between(1e-12, 1e-4)] = 1e-7,
+    out: Annotated[Path | str | None, Output((".json",))] = None,
+    yes: bool = False,
+    progress: Reporting = None,
+) -> Proof | CertificateCheck:
+    """Prove in ball arithmetic that orbits exist, or check a certificate.
+
+    Statements concern an orbit, a closed walk, a connection or a horseshoe. Parameters and energy are exact decimals.
+    The answer is "proved", or "not proved" with the enclosure that does not close. The latter is not a disproof.
+    Separate code checks certificates.
+
+    Args:
+        statement: what to prove, or "check".
+        model: model, its name, or a system; for "check", the file of a certificate.
+        energy: energy, J, as an exact decimal (default: none).
+        saddle: for orbit: saddle inside the orbit (default: none).
+        family: for orbit: family of orbits about the saddle, slowest first (default: 0).
+        symbols: for walk: symbol, in order, as for `dpcontrol walk` (default: none).
+        wraps: for walk: wraps at the stops, such as 2,3 (default: the fewest that work).
+        periodic: for walk: closed walk, which is required for a proof.
+        source: for connection, horseshoe: first saddle (default: saddle).
+        target: for connection: last saddle (default: the first one).
+        names: for connection: name from the list of `dpcontrol connect` (default: all).
+        hits: section crossings of the connections, of the unstable and the stable tube (default: 1).
+        bits: working precision, 64 to 1024 bits (default: 128).
+        radius: radius of the balls in which orbits are unique, scaled, 1e-20 to 1e-3 (default: 1e-8).
+        box: for connection, horseshoe: half-width of the boxes, scaled, 1e-12 to 1e-4 (default: 1e-7).
+        out: for orbit, walk: certificate to write, .json, for `prove check` (default: none).
+        yes: accept work of more than an hour or 4 GB (default: refused).
+        progress: reports, see `dpcontrol.api`.
+
+    Returns:
+        The proof, or the verdict on the certificate.
+
+    Raises:
+        InputError: a part of the statement is missing, a system without enclosures, or too much work.
+        GoalMissed: an orbit to prove was not found.
+        PartMissing: the extra `proof` is not installed.
+
+    Examples:
+        >>> dp.prove_statement("orbit", "lab", saddle="down-up", energy=-0.07).proved
+        True
+    """
+    part("flint")
+    from dpcontrol.proofs.prove import ProofSettings
+
+    if out is not None and statement not in ("orbit", "walk"):
+        raise InputError(f"out = {out}: only orbits and walks have certificates; omit it")
+    if statement == "check":
+        return check_proof(str(model), progress=progress)
+    system, first, settings = _system(model), source or saddle, ProofSettings(bits, radius, box)
+    if energy is None:
+        raise InputError("energy is missing: give the energy, J")
+    with reporting(progress, "proof") as report:
+        if statement == "walk":
+            if not (symbols and periodic):
+                raise InputError("only closed walks can be proved: give the symbols, and periodic")
+            edges = graph(system, energy=float(energy), symbols=symbols, yes=yes, progress=part_of(report, 0.0, 0.2))
+            walk = shadow(edges, symbols, wraps=wraps, periodic=True, yes=yes)
+            announce(_proof_cost(walk.duration / walk.connections[0].source.period), yes=yes)
+            work = part_of(report, 0.2, 1.0)
+            return _certified(prove(walk, energy=energy, rivals=edges, settings=settings, progress=work), out)
+        if first is None:
+            raise InputError("give the saddle inside the orbit, or the source of the connections, such as down-up")
+        near = orbit(system, first, energy=float(energy), family=family)
+        if statement == "orbit":
+            return _certified(prove(near, energy=energy, settings=settings, progress=report), out)
+        joined = near if target in (None, first) else orbit(system, str(target), energy=float(energy))
+        if statement == "horseshoe" and joined is not near:
+            raise InputError("a horseshoe needs homoclinics of one orbit: omit the target")
+        search = connections(near, joined, hits=hits, progress=part_of(report, 0.0, 0.1))
+        chosen = tuple(search.named(name) for name in dict.fromkeys(names)) or search.connections
+        announce(_proof_cost(sum(4 + (c.time_out + c.time_in) / near.period for c in chosen)), yes=yes)
+        found, whole, work = replace(search, connections=chosen), statement == "horseshoe", part_of(report, 0.1, 1.0)
+        return prove(found, energy=energy, horseshoe=whole, settings=settings, progress=work)
 
 
 @checked
@@ -1160,7 +1450,7 @@ def open_atlas(file: Place) -> Atlas:
     """
     from dpcontrol.plans.atlas import load_atlas
 
-    return load_atlas(Path(file))
+    return replace(load_atlas(Path(file)), file=Path(file))
 
 
 @checked
@@ -1530,17 +1820,122 @@ def refine(found: Connection | ShadowingOrbit, *, energy: Decimal | Fraction | f
         >>> float(dp.refine(found.connections[0]).residual) < 1e-25
         True
     """
-    from dpcontrol.plans.model import ModelSystem, model_of
     from dpcontrol.shooting.extended import refine as refined
     from dpcontrol.tubes.connections import Connection
 
     source = found.source if isinstance(found, Connection) else found.connections[0].source
-    exact = model_of(source.system).exact_parameters if isinstance(source.system, ModelSystem) else None
-    height = Decimal(repr(float(source.energy if energy is None else energy)))
-    if isinstance(energy, Decimal | Fraction):
-        height = energy
     solution = found.solution if isinstance(found, Connection) else found.shot.solution
-    return refined(solution, energy=height, parameters=exact)
+    height = _exact(source.energy if energy is None else energy)
+    return refined(solution, energy=height, parameters=_exact_parameters(source.system))
+
+
+@checked
+def find_walks(
+    model: Model | System | str,
+    *,
+    energy: Decimal | float,
+    hits: tuple[Hit, Hit] = (1, 1),
+    symbols: Sequence[str] = (),
+    through: Sequence[str] = (),
+    length: Annotated[int, Between(1, 10_000)] | None = None,
+    source: str | None = None,
+    target: str | None = None,
+    random: Count | None = None,
+    lengths: tuple[Count, Count] = (1, 8),
+    seed: Seed = 0,
+    periodic: bool = False,
+    compare: float | None = None,
+    wraps: Sequence[Index] | None = None,
+    extra_wraps: tuple[Index, Index] = (0, 0),
+    lead_in: Index = 2,
+    lead_out: Index = 2,
+    solve: bool = False,
+    precision: Literal["double", "extended"] = "double",
+    out: Annotated[Path | str | None, Output(folder=True)] = None,
+    picture: Picture = None,
+    film: Film = None,
+    yes: bool = False,
+    progress: Reporting = None,
+) -> Edges | WalkList | SolvedWalks | SymbolChanges:
+    """List, count and create walks on the connection graph.
+
+    `solve` computes the orbit that follows each walk, with an estimate of its error. The orbit is homoclinic,
+    heteroclinic, or with `periodic` periodic. Give one walk by its symbols (-s) or its stops (`through`). `length`
+    lists all walks of a length, and `random` draws some. Without these options, the graph itself is shown.
+
+    A symbol selects the connection at the largest angle. At other energies this can be another connection; `compare`
+    reports the energies of such changes.
+
+    A symbol is "down-up +", "down-up > up-down", any connection's name that `dpcontrol connect` lists, or a
+    composite edge ("(down-up +)·1·(down-up -)": symbols, and the wraps between them). It can also lead to or from a
+    rotating orbit: "down-up > outer-rotating" (also inner-rotating, outer-rotating-back, outer-rotating-2: faster ones
+    first). There, a wrap is a turn.
+
+    Args:
+        model: model, its name, or a system.
+        energy: energy, J, zero at the pivot's height; three bodies: own units.
+        hits: last section crossings of the connections, of the unstable and the stable tube (default: 1).
+        symbols: symbol of one walk, in order, as in an itinerary, or to and from rotating orbits (default: none).
+        through: stop of the shortest walk through all given stops (default: none).
+        length: number of symbols of the listed walks, up to 10,000 (default: none).
+        source: with a length: first saddle of the walks (default: any).
+        target: with a length: last saddle of the walks (default: any).
+        random: number of random walks (default: none).
+        lengths: least and greatest number of symbols of a random walk (default: 1 and 8).
+        seed: seed of the random walks (default: 0).
+        periodic: closed walks: periodic orbits, with one more stop.
+        compare: other energy, J; energies at which symbols select other connections are reported (default: none).
+        wraps: wraps at the stops of one walk, such as 2,3 (default: the fewest that work).
+        extra_wraps: range of additional wraps at each stop, random for random walks (default: 0 and 0).
+        lead_in: wraps before the first symbol (default: 2).
+        lead_out: wraps after the last symbol (default: 2).
+        solve: orbit of each walk.
+        precision: precision of the orbits; extended refines up to 4 in 113-bit arithmetic, in seconds per symbol
+            (default: double).
+        out: folder for the orbits, .npz (default: none).
+        picture: picture of the orbit of one walk, .png, .pdf or .svg (default: none).
+        film: film of the orbit of one walk, in real time, .gif, .webp or .mp4 (default: none).
+        yes: accept work of more than an hour or 4 GB (default: refused).
+        progress: reports, see `dpcontrol.api`.
+
+    Returns:
+        The graph, the walks, their orbits, or the changes of the symbols.
+
+    Raises:
+        InputError: no such walk at this energy, arguments that exclude each other, or too much work.
+        GoalMissed: an orbit cannot be refined.
+
+    Examples:
+        >>> dp.find_walks("lab", energy=-0.07, symbols=["down-up +"], solve=True).converged
+        True
+    """
+    from dpcontrol.walks.edges import find_edges
+    from dpcontrol.walks.walks import WalkList, WalkSelection
+
+    leads = (lead_in, lead_out)
+    selection = WalkSelection(
+        symbols, through, length, source, target, random, lengths, seed, periodic, wraps, extra_wraps, leads
+    )
+    selection.check(solve=solve, yes=yes)
+    exact = _exact(energy) if precision == "extended" else None
+    results = {"out": out, "picture": picture, "film": film, "precision": exact}
+    if not solve and (names := [name for name, value in results.items() if value is not None]):
+        raise InputError(f"{names[0]} concerns the orbits of walks: add --solve (solve=True in Python)")
+    if solve and not selection.selected_by:
+        raise InputError("solve needs walks: give symbols, through, length or random")
+    if compare is not None and (solve or not (symbols or through)):
+        raise InputError("compare follows the symbols of one walk: give symbols or through, and omit solve")
+    system = _system(model)
+    chosen = selection.parsed(system)
+    with reporting(progress, "connections") as report:
+        if compare is not None:
+            return _changes(system, chosen, (float(energy), compare), report)
+        numbers = {(a, b) for a in range(1, hits[0] + 1) for b in range(1, hits[1] + 1)}
+        edges = find_edges(system, float(energy), hits=numbers, symbols=chosen, yes=yes, progress=report)
+    if not selection.selected_by:
+        return edges
+    walks = WalkList(edges, selection.requests(edges, solve=solve, yes=yes))
+    return _solved(walks, out, (picture, film), exact, progress) if solve else walks
 
 
 @checked
@@ -1591,15 +1986,10 @@ def list_walks(
         >>> len(dp.list_walks(dp.graph(lab, energy=-0.07), 2))
         64
     """
-    from dpcontrol.walks.walks import LISTED, all_walks, counted, is_closed
+    from dpcontrol.walks.walks import listed
 
-    total = count_walks(graph, length, source=source, target=target)
-    if total > LISTED:
-        raise InputError(
-            f"length = {length}: there are {counted(total)} such walks, and {LISTED:,} can be listed; draw some"
-        )
-    chains = all_walks(graph, length, source=source, target=target)
-    return tuple(tuple(c.name for c in chain) for chain in chains if not periodic or is_closed(chain))
+    chains = listed(graph, length, source=source, target=target, periodic=periodic)
+    return tuple(tuple(c.name for c in chain) for chain in chains)
 
 
 @checked
@@ -1691,8 +2081,6 @@ def symbol_changes(
     from dpcontrol.walks.symbols import parse_walk
     from dpcontrol.walks.walks import vertex_names
 
-    if energies[0] == energies[1]:
-        raise InputError(f"energies = {energies}: must be two different energies")
     system = _system(model)
     with reporting(progress, "symbols over energies") as report:
         return changes(system, parse_walk(symbols, vertex_names(system)), energies, progress=report)
@@ -2373,6 +2761,116 @@ def _system(model: Model | System | str) -> System:
 def _found(converged: bool, what: str, status: str) -> None:
     if not converged:
         raise GoalMissed(f"{what}: {status}")
+
+
+def _draw(result: object, picture: Place) -> None:
+    from dpcontrol.foundation.rendering import render
+    from dpcontrol.pages.layout import save_figure
+
+    save_figure(render(result), picture)
+
+
+def _lyapunov(
+    system: System,
+    saddle: str,
+    number: int,
+    energy: float | None,
+    energies: tuple[float, float] | None,
+    progress: Reporting,
+) -> Any:
+    """Return a Lyapunov orbit, or its family between two energies."""
+    if energies is not None and energy is not None:
+        raise InputError("energy and energies are given: give energy for one orbit, or energies for its family")
+    if energies is not None:
+        return family(system, saddle, energies=energies, family=number, progress=progress)
+    assert energy is not None
+    found = orbit(system, saddle, energy=energy, family=number)
+    _found(found.converged, f"the Lyapunov orbit about {saddle} at {energy:g}{system.unit('J')}", found.status)
+    return found
+
+
+def _rotating(
+    system: System,
+    arm: Literal["inner", "outer"],
+    energy: float | None,
+    energies: tuple[float, float] | None,
+    progress: Reporting,
+) -> RotatingOrbits | RotatingFamilies:
+    """Return the rotating orbits at an energy, or their families between two."""
+    from dpcontrol.orbits.rotating import RotatingFamilies, RotatingOrbits
+    from dpcontrol.orbits.rotating import rotating_families as followed
+
+    height = sum(energies or ()) / 2 if energy is None else energy
+    orbits = rotating_orbits(system, arm, energy=height)
+    if not orbits:
+        raise GoalMissed(f"no symmetric orbit that turns the {arm} arm of {system.name} over was found at {height:g} J")
+    if energies is None:
+        return RotatingOrbits(orbits, arm, height)
+    with reporting(progress, "families of rotating orbits") as report:
+        return RotatingFamilies(followed(orbits, energies, progress=report), arm, height, energies)
+
+
+def _changes(
+    system: System, symbols: Sequence[Symbol], energies: tuple[float, float], progress: Progress
+) -> SymbolChanges:
+    from dpcontrol.walks.following import SymbolChanges
+    from dpcontrol.walks.following import symbol_changes as changes
+
+    return SymbolChanges(changes(system, symbols, energies, progress=progress), energies, system.unit("J"))
+
+
+_REFINED = 4
+"""Largest number of walks whose orbits are refined in extended precision."""
+
+
+def _solved(
+    walks: WalkList,
+    folder: Place | None,
+    shown: tuple[Place | None, Place | None],
+    energy: Decimal | Fraction | None,
+    progress: Reporting,
+) -> SolvedWalks:
+    """Return the orbits of walks, in files of a folder, refined at an exact energy, and shown in picture and film."""
+    from dpcontrol.walks.walks import solve_walks
+
+    count = len(walks.walks)
+    if any(shown) and count != 1:
+        raise InputError(f"picture and film show one walk, but there are {count}: give the symbols of one")
+    if energy is not None and count > _REFINED:
+        raise InputError(f"precision = extended: {count} walks; at most {_REFINED} are possible")
+    parameters, place = _exact_parameters(walks.edges.system), None if folder is None else Path(folder)
+    with reporting(progress, "walks") as report:
+        found = solve_walks(walks, energy=energy, parameters=parameters, folder=place, progress=report)
+    if any(shown) and found.converged and (orbit := found.answers[0].orbit) is not None:
+        picture(orbit, file=shown[0], film=shown[1])
+        return replace(found, picture=shown[0], film=shown[1])
+    return found
+
+
+def _exact(energy: Decimal | Fraction | float) -> Decimal | Fraction:
+    return energy if isinstance(energy, Decimal | Fraction) else Decimal(repr(float(energy)))
+
+
+def _exact_parameters(system: System) -> Sequence[Any] | None:
+    from dpcontrol.plans.model import ModelSystem
+
+    return system.model.exact_parameters if isinstance(system, ModelSystem) else None
+
+
+def _proof_cost(periods: float) -> Cost:
+    """Return the cost of a proof, 0.8 to 1.5 s per period."""
+    return Cost(f"{periods:.3g} periods of orbits", 1.5 * periods, 2e8, "prove")
+
+
+def _certified(proof: Proof, out: Place | None) -> Proof:
+    """Write the certificate of a proof that has one, and return the proof with its file."""
+    if out is None or not proof.proved:
+        return proof
+    if proof.certificate is None:
+        remark(f"{out} is not written: the proof has no certificate, because its multipliers are not enclosed")
+        return proof
+    write_whole(Path(out), json.dumps(proof.certificate, indent=1) + "\n")
+    return replace(proof, file=Path(out))
 
 
 def _same_level(system: System, energy: float, other: System, other_energy: float) -> None:

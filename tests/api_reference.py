@@ -18,11 +18,13 @@ GROUPS = {
     "api-orbits": (
         "Orbits and tubes",
         [
+            "find_orbits",
             "orbit",
             "family",
             "rotating_orbits",
             "rotating_families",
             "sustained_orbit",
+            "find_connections",
             "connections",
             "refine",
             "find_bifurcations",
@@ -34,6 +36,7 @@ GROUPS = {
     "api-walks": (
         "Walks",
         [
+            "find_walks",
             "graph",
             "shadow",
             "count_walks",
@@ -41,6 +44,7 @@ GROUPS = {
             "random_walks",
             "shortest_walk",
             "symbol_changes",
+            "prove_statement",
             "prove",
             "check_proof",
         ],

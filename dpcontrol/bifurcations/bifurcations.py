@@ -711,12 +711,13 @@ class BifurcationSearch(Shown, Documented):
         scatters_from: J, or None.
         runs: connections that were followed.
         born: energy of the higher saddle, J, if the sweep starts just above it.
+        energies: lowest and highest energy of the search, J.
     """
 
     KEYS: ClassVar[str] = (
         "events:energy,kind,state,count_below,count_above,at_least,symmetric,winding,residual,point "
         "counts:energy,count,complete,caveat unexplained=gaps:energies,reason scatters_from complete status "
-        "section=section.name from=source to=target hits=crossings"
+        "section=section.name from=source to=target hits=crossings energies"
     )
 
     system: System
@@ -730,6 +731,12 @@ class BifurcationSearch(Shown, Documented):
     runs: tuple[Branch, ...]
     scatters_from: float | None
     born: float | None
+    energies: tuple[float, float]
+
+    @property
+    def missed(self) -> str:
+        """Which changes of the count were not located."""
+        return f"not every change of the count was located: {self.status}" if self.unexplained else ""
 
     @property
     def complete(self) -> bool:
@@ -819,6 +826,7 @@ def find_bifurcations(
         runs=tuple(run for a, b in pairs for run in sweep.between(a, b).runs),
         scatters_from=scatters_from,
         born=max(births) if start > low else None,
+        energies=(low, high),
     )
 
 

@@ -161,7 +161,7 @@ def _parameters(
         yield from _setting_options()
         return
     kinds = _kinds(hint)
-    several = name == "over" or any(get_origin(kind) is Sequence for kind in kinds)
+    several = name == "over" or (name not in PARSERS and any(get_origin(kind) is Sequence for kind in kinds))
     kind = _click_type(name, kinds, output)
     if _is_positional(parameter) and name not in declared.names:
         required = parameter.default is inspect.Parameter.empty
@@ -180,6 +180,7 @@ def _parameters(
     yield Option(
         [*names, name],
         is_flag=flag,
+        # With a value for a flag, click would take -0.07 after an option for another option.
         **({"flag_value": False} if flag and parameter.default is True else {}),
         type=None if flag else kind,
         multiple=several,
@@ -206,7 +207,7 @@ def _output(hint: Any) -> Output | None:
 
 def _click_type(name: str, kinds: Sequence[Any], output: Output | None) -> Any:
     """Return the type that reads a value of one of several types from text."""
-    if name in PARSERS:
+    if name in PARSERS and int not in kinds:
         return PARSERS[name]
     if output is not None:
         return click.Path(dir_okay=output.folder, path_type=Path)

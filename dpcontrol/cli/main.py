@@ -57,12 +57,42 @@ GROUPS = {
         ),
     },
     "Design": {
-        "orbit": ("connections", "Compute a Lyapunov orbit, or its family, and its Floquet multipliers."),
-        "connect": ("connections", "Find all homoclinic or heteroclinic connections of an energy."),
-        "bifurcations": ("connections", "Find the energies at which connections appear, split or change their hits."),
-        "atlas": ("connections", "Compute all orbits, tubes and connections of an energy."),
-        "walk": ("walk", "List, count and create walks on the connection graph, and their orbits."),
-        "prove": ("prove", "Prove that an orbit or a closed walk exists, or check a certificate."),
+        "orbit": Verb(
+            "Compute a Lyapunov orbit, or its family, and its Floquet multipliers.",
+            "find_orbits",
+            "dpcontrol orbit lab --saddle down-up --energy -0.07",
+        ),
+        "connect": Verb(
+            "Find all homoclinic or heteroclinic connections of an energy.",
+            "find_connections",
+            "dpcontrol connect lab --from down-up --to up-down --energy 0.2",
+            names={"source": "--from", "target": "--to"},
+        ),
+        "bifurcations": Verb(
+            "Find the energies at which connections appear, split or change their hits.",
+            "find_bifurcations",
+            "dpcontrol bifurcations lab --from down-up --to down-up --energies -0.11 -0.09",
+            names={"source": "--from", "target": "--to"},
+        ),
+        "atlas": Verb(
+            "Compute all orbits, tubes and connections of an energy.",
+            "atlas",
+            "dpcontrol atlas lab --energy 0.2",
+            "then: dpcontrol review FILE",
+        ),
+        "walk": Verb(
+            "List, count and create walks on the connection graph, and their orbits.",
+            "find_walks",
+            'dpcontrol walk lab --energy 0.2 -s "down-up +" -s "down-up > up-down" --solve',
+            names={"symbols": ("-s", "--symbol"), "source": "--from", "target": "--to"},
+        ),
+        "prove": Verb(
+            "Prove that an orbit or a closed walk exists, or check a certificate.",
+            "prove_statement",
+            "dpcontrol prove orbit lab --saddle down-up --energy -0.07",
+            "For check, MODEL is the file of a certificate.",
+            {"symbols": ("-s", "--symbol"), "source": "--from", "target": "--to", "names": "--name"},
+        ),
         "plan": ("plan", "Plan an itinerary: shadowing orbit and reference."),
         "reference": ("plan", "Show a reference: limits, effort, mesh, error, picture."),
         "schema": Verb(

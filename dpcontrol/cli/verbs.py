@@ -14,7 +14,6 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from decimal import Decimal, InvalidOperation
 from pathlib import Path
 from types import UnionType
 from typing import Any, Literal, NamedTuple, TypeVar, Union, get_args, get_origin
@@ -27,9 +26,6 @@ from dpcontrol.cli.completion import COMPLETERS
 from dpcontrol.foundation.errors import GoalMissed, InputError, printable
 from dpcontrol.words.table import Markdown as Markdown
 from dpcontrol.words.table import TextTable as TextTable
-from dpcontrol.words.table import extended_text as extended_text
-from dpcontrol.words.table import multiplier_texts as multiplier_texts
-from dpcontrol.words.table import spaced as spaced
 from dpcontrol.words.table import table as table
 
 T = TypeVar("T")
@@ -252,7 +248,7 @@ def _click_type(held: Any) -> Any:
         return click.Choice(get_args(held))
     if get_origin(held) is tuple:
         return get_args(held)
-    return {Path: click.Path(path_type=Path), Decimal: DecimalNumber()}.get(held, held)
+    return {Path: click.Path(path_type=Path)}.get(held, held)
 
 
 def verb(
@@ -408,56 +404,7 @@ def draw_result(result: Any, picture: Path | None) -> list[str]:
     return drawn_to(picture)
 
 
-class Hits(click.ParamType):
-    """Crossings of the section: N, or N,M.
-
-    N is for both tubes, N,M for the unstable and the stable one.
-    """
-
-    name = "n[,m]"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
-        numbers = str(value).split(",")
-        if len(numbers) in (1, 2) and all(n.strip().isdecimal() and 1 <= int(n) <= 9 for n in numbers):
-            return int(numbers[0]), int(numbers[-1])
-        self.fail(f"{value!r} is neither one number from 1 to 9 nor two, as in 1,2.", param, ctx)
-
-
-class DecimalNumber(click.ParamType):
-    """A number kept as the decimal that was typed.
-
-    It is for extended precision: 0.2 is one fifth.
-    """
-
-    name = "number"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Decimal:
-        try:
-            number = Decimal(value)
-            if number.is_finite() and math.isfinite(float(number)):
-                return number
-        except InvalidOperation:
-            self.fail(f"{value!r} is not a number.", param, ctx)
-        raise InputError(f"{param.opts[0] if param else 'number'} {value}: must be a finite number")
-
-
 FILMS = (".gif", ".webp", ".mp4")
 """Formats of films."""
 YES = option(group=OUTPUT, help="Permission for work of more than an hour or 4 GB of memory.")
 """Option of verbs with work of any length."""
-ENERGY = option(help="Energy, J, zero at the height of the pivot; three bodies: own units.")
-LEAVING = option("--from", help="First saddle of the connections.")
-JOINING = option("--to", help="Last saddle of the connections.")
-"""Options of several verbs: the energy, and the saddles of connections."""
-Precision = Literal["double", "extended"]
-
-
-def hits_option(default: str, *, group: str = "") -> Any:
-    """Declare the option for crossings of the section.
-
-    Args:
-        default: the default in words.
-        group: heading in the help.
-    """
-    text = "Section crossings of the connections: the N-th of both tubes, or N,M for the unstable and the stable one."
-    return option(type=Hits(), group=group, help=f"{text} [default: {default}]")

@@ -488,14 +488,21 @@ class FamilyEvent:
 
 @dataclass(frozen=True)
 class LyapunovFamily(Family[LyapunovOrbit], Documented):
-    """Lyapunov orbits along a family's curve, starting at the saddle."""
+    """Lyapunov orbits along a family's curve, starting at the saddle.
 
-    KEYS: ClassVar[str] = "family=members ends:energy,cause,reason=status events:kind,**orbit saddle status"
+    Attributes:
+        bounds: energies between which it was followed, J.
+    """
+
+    KEYS: ClassVar[str] = (
+        "family=members ends:energy,cause,reason=status events:kind,**orbit saddle status energies=bounds"
+    )
 
     system: System
     saddle: str
     family: int
     events: tuple[FamilyEvent, ...]
+    bounds: tuple[float, float]
 
     @property
     def converged(self) -> bool:
@@ -576,7 +583,7 @@ def lyapunov_family(
         raise InputError(f"{span}: the family about {saddle} does not reach them; {last.status}")
     members = tuple(orbit(p) for p in points)
     events = tuple(FamilyEvent("fold" if e.test == SLOPE else e.test, orbit(e.place)) for e in run.events)
-    return LyapunovFamily(system, saddle, family, events, members=members, ends=(first, last))
+    return LyapunovFamily(system, saddle, family, events, energies, members=members, ends=(first, last))
 
 
 def _curve(problem: SymmetricShooting, linear: LinearCentre, settings: FamilySettings) -> FamilyCurve:

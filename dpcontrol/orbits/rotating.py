@@ -506,6 +506,45 @@ def rotating_families(
     return tuple(families)
 
 
+@dataclass(frozen=True)
+class RotatingOrbits(Documented):
+    """The symmetric orbits of one energy, J, on which an arm turns forward."""
+
+    KEYS: ClassVar[str] = "rotating_orbits=orbits count=#orbits arm energy status"
+
+    orbits: tuple[RotatingOrbit, ...]
+    arm: str
+    energy: float
+
+    @property
+    def status(self) -> str:
+        """Number of the orbits in words."""
+        return f"{len(self.orbits)} symmetric orbits that turn the {self.arm} arm forward; each has a reflection"
+
+
+@dataclass(frozen=True)
+class RotatingFamilies(Documented):
+    """The families of the orbits of one energy, J, on which an arm turns forward, between two energies."""
+
+    KEYS: ClassVar[str] = "families count=#families arm energy energies status"
+
+    families: tuple[RotatingFamily, ...]
+    arm: str
+    energy: float
+    energies: tuple[float, float]
+
+    @property
+    def status(self) -> str:
+        """Ranges and changes of the families in words."""
+        return "; ".join(family.status for family in self.families)
+
+    @property
+    def missed(self) -> str:
+        """Which families Newton's method lost."""
+        lost = [family.status for family in self.families if not family.converged]
+        return f"{len(lost)} of {len(self.families)} families of rotating orbits: {'; '.join(lost)}" if lost else ""
+
+
 def _passes(family: RotatingFamily, orbit: RotatingOrbit) -> bool:
     """Return True if a family's curve passes through an orbit."""
     scale = orbit.system.scale

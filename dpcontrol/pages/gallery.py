@@ -39,7 +39,7 @@ def cached_gallery() -> Gallery:
     model = cache(load_model)
     return Gallery(
         system=lambda name: model(name).system,
-        atlas=lambda name, energy, hits: make_atlas(model(name), energy, settings=AtlasSettings(hits=hits)).atlas,
+        atlas=lambda name, energy, hits: make_atlas(model(name), energy, settings=AtlasSettings(hits=hits)),
         branches=lambda name, source, target, report: make_branches(model(name), source, target, progress=report),
     )
 

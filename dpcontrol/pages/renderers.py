@@ -18,6 +18,7 @@ RENDERERS = {
     "dpcontrol.judge.comparison.RunComparison": "comparison:draw_comparison",
     "dpcontrol.walks.atlas.Atlas": "atlas:draw_atlas",
     "dpcontrol.orbits.family.LyapunovFamily": "single:family_page",
+    "dpcontrol.orbits.rotating.RotatingFamilies": "rotating_orbits:draw_rotating_families",
     "dpcontrol.walks.shadowing.ShadowingOrbit": "single:walk_page",
     "dpcontrol.plans.plan.Plan": "single:plan_page",
     "dpcontrol.identification.identify.Identification": "identification:draw_identification",

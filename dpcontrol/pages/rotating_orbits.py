@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import SymmetricalLogLocator
 
-from dpcontrol.orbits.rotating import RotatingFamily, RotatingOrbit
+from dpcontrol.orbits.rotating import RotatingFamilies, RotatingFamily, RotatingOrbit
 from dpcontrol.pages import style
 from dpcontrol.pages.layout import Page, Stack, key
 from dpcontrol.pages.orbits import SAMPLES
@@ -28,11 +28,10 @@ KINDS = {
 _ROTATING_SHAPES = 3
 
 
-def draw_rotating_families(families: Sequence[RotatingFamily]) -> Figure:
+def draw_rotating_families(found: RotatingFamilies) -> Figure:
     """Return the page on rotating orbits as a figure."""
-    first = families[0].members[0]
-    arm = ("inner", "outer")[first.arm - 1]
-    page = Page(f"Orbits of {first.system.name} that turn the {arm} arm over")
+    families = found.families
+    page = Page(f"Orbits of {families[0].members[0].system.name} that turn the {found.arm} arm over")
     over = Stack([partial(_traces, families=families), partial(_periods, families=families)])
     return page.row(over, partial(_rotations, families=families), height=5.2).figure()
 

@@ -73,7 +73,7 @@ class Reporter:
 
 
 def _atlas(report: Reporter, *, model: str, energy: float) -> dict[str, Any]:
-    atlas = make_atlas(fitting_model(model), energy, progress=report.progress).atlas
+    atlas = make_atlas(fitting_model(model), energy, progress=report.progress)
     shown = {**shown_atlas(atlas, fitting_model(model)), "model": model}
     report.write("show:atlas", shown)
     names = [one["name"] for one in shown["connections"]]

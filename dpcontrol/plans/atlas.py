@@ -37,10 +37,11 @@ of kilobytes.
 """
 
 import json
+import os
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import MISSING, asdict, dataclass, field, fields, is_dataclass
+from dataclasses import MISSING, asdict, dataclass, field, fields, is_dataclass, replace
 from io import BytesIO
 from pathlib import Path
 from typing import IO, Any, get_args, get_type_hints
@@ -116,18 +117,6 @@ class AtlasSettings(Settings, table="atlas"):
     search: ConnectionSettings = field(default_factory=ConnectionSettings)
 
 
-@dataclass(frozen=True)
-class FoundAtlas:
-    """An atlas, its file, and True if it was cached.
-
-    The file exists if the cache is writable.
-    """
-
-    atlas: Atlas
-    file: Path
-    cached: bool
-
-
 def atlas_key(model: Model | System, energy: float, settings: AtlasSettings) -> str:
     """Return the hash of an atlas's inputs, as 16 hexadecimal digits.
 
@@ -160,10 +149,10 @@ def make_atlas(
     fresh: bool = False,
     yes: bool = False,
     progress: Progress = no_progress,
-) -> FoundAtlas:
+) -> Atlas:
     """Return a model's atlas at an energy, from the cache if possible.
 
-    The atlas is cached if it is complete.
+    The atlas is cached unless a search of it ended early; its file is that in the cache.
 
     Args:
         model: model, or a conservative system.
@@ -182,13 +171,14 @@ def make_atlas(
         whole("hits", hit, least=1, most=9)
     file = cache_file("atlases", f"{model.name}-{energy:g}", atlas_key(model, energy, settings))
     if not fresh and (content := kept(file)) is not None:
-        return FoundAtlas(load_atlas(BytesIO(content)), file, cached=True)
+        return replace(load_atlas(BytesIO(content)), file=file, cached=True)
     atlas = compute_atlas(model, energy, settings=settings, yes=yes, progress=progress)
-    if not any(kind.partial for kind in atlas.kinds):
-        content = BytesIO()
-        save_atlas(content, atlas)
-        keep(file, content.getvalue())
-    return FoundAtlas(atlas, file, cached=False)
+    if any(kind.partial for kind in atlas.kinds):
+        return atlas
+    content = BytesIO()
+    save_atlas(content, atlas)
+    keep(file, content.getvalue())
+    return replace(atlas, file=file if os.path.isfile(file) else None)
 
 
 def compute_atlas(
@@ -451,6 +441,8 @@ def _packed(record: Any, prefix: str, arrays: Arrays, sections: list[Section]) -
     """
     entry: dict[str, Any] = {}
     for name, value in fields_of(type(record), record).items():
+        if name in ("file", "cached"):
+            continue
         if isinstance(value, Section):
             entry[name] = sections.index(value)
         elif isinstance(value, tuple) and value and is_dataclass(value[0]):

@@ -26,13 +26,15 @@ import hashlib
 import json
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from fractions import Fraction
 from itertools import accumulate
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
+from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import checked_source
 from dpcontrol.foundation.progress import Progress, no_progress
@@ -46,7 +48,8 @@ _LONGEST, _SHORTEST, _MOST_STEPS, _MOST_NODES = Fraction(1, 128), Fraction(1, 2*
 """Steps in s, and limits on the work that a file can cause."""
 
 
-class CertificateCheck(NamedTuple):
+@dataclass(frozen=True)
+class CertificateCheck(Documented):
     """The verdict on a certificate.
 
     It has the proved statement, or the step that fails.
@@ -55,6 +58,11 @@ class CertificateCheck(NamedTuple):
     proved: bool
     status: str
     statement: str | None
+
+    @property
+    def missed(self) -> str:
+        """The step that fails."""
+        return "" if self.proved else self.status
 
 
 def digest(certificate: Mapping[str, Any]) -> str:

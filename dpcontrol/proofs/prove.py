@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from operator import attrgetter
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -63,9 +64,13 @@ class ProofSettings:
 
 @dataclass(frozen=True)
 class Proof(Shown, Documented):
-    """A statement with its verdict, enclosures and certificate, if any."""
+    """A statement with its verdict, enclosures and certificate, if any.
 
-    KEYS: ClassVar[str] = "kind proved status statement **figures seconds"
+    Attributes:
+        file: file of the certificate, if it was written.
+    """
+
+    KEYS: ClassVar[str] = "kind proved status statement **figures seconds certificate=file"
 
     kind: str
     proved: bool
@@ -74,6 +79,12 @@ class Proof(Shown, Documented):
     figures: dict[str, Any]
     seconds: float
     certificate: dict[str, Any] | None = field(default=None, repr=False)
+    file: Path | None = None
+
+    @property
+    def missed(self) -> str:
+        """The enclosure that does not close."""
+        return "" if self.proved else self.status
 
     def __repr__(self) -> str:
         return f"<proof of {self.kind}: {self.status}>"

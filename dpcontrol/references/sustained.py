@@ -161,11 +161,13 @@ class SustainedOrbit(ByReference, Timed):
         lyapunov: the conservative orbit that it continues.
         arms: arms with friction.
         reference: one period.
+        resets: sections per period at which the input's clock is reset, for the multipliers of the document.
     """
 
     lyapunov: LyapunovOrbit
     arms: ArmChainParameters
     reference: Reference
+    resets: int = 1
 
     def __repr__(self) -> str:
         return f"<sustained orbit about {self.lyapunov.saddle} at {self.energy:g}: {self.status}>"
@@ -410,12 +412,8 @@ class SustainedOrbit(ByReference, Timed):
         ]
         return _multipliers(np.array(parts))
 
-    def document(self, sections: int = 1) -> dict[str, Any]:
-        """Return the JSON output of `dpcontrol orbit --sustained`.
-
-        Args:
-            sections: number of sections for the multipliers.
-        """
+    def document(self) -> dict[str, Any]:
+        """Return the JSON output of `dpcontrol orbit --sustained`."""
         reference, there = self.reference, self.converged
         return {
             **picked(self.lyapunov, "saddle", "family"),
@@ -423,8 +421,8 @@ class SustainedOrbit(ByReference, Timed):
             "lyapunov_period": self.lyapunov.period,
             "state": self.state(0.0),
             "multipliers": self.multipliers if there else None,
-            "sections": sections,
-            "section_multipliers": self.section_multipliers(sections) if there else None,
+            "sections": self.resets,
+            "section_multipliers": self.section_multipliers(self.resets) if there else None,
             "u_rms": reference.rms_cart_acceleration,
             "u_max": reference.max_cart_acceleration,
             **picked(reference, "max_cart_position", "max_cart_velocity", "iterations", "solve_seconds"),

@@ -16,7 +16,7 @@ resonance transitions in celestial mechanics (2000), section 4.
 """
 
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from scipy.optimize import root_scalar
@@ -39,6 +39,9 @@ from dpcontrol.orbits.manifold import OrbitCurve, local_manifold
 from dpcontrol.shooting.newton import Guess, ManifoldEnd, ShootingOrbit, solve_shooting
 from dpcontrol.tubes.intersections import ConnectionSettings, Intersection, balanced, intersect_cuts
 from dpcontrol.words.searches import Concluded
+
+if TYPE_CHECKING:
+    from dpcontrol.shooting.extended import ExtendedOrbit
 
 _ROUNDING = 1e-13
 """Scaled rounding error of the gap between two tubes. Divided by their angle, it is the shift of the intersection."""
@@ -459,6 +462,12 @@ class ConnectionSearch(Shown, Documented, Concluded):
         resolved = self.even and all(cut.resolved for cut in self.cuts)
         return self.cause is not SearchCause.LAPS and resolved and not missed
 
+    @property
+    def missed(self) -> str:
+        """Why the list may not be complete."""
+        pair = f"between {self.source.saddle} and {self.target.saddle}"
+        return "" if self.complete else f"the search {pair} is not complete: {self.status}"
+
     def __repr__(self) -> str:
         return f"<connections {self.source.saddle} → {self.target.saddle}: {self.status}>"
 
@@ -488,6 +497,63 @@ class ConnectionSearch(Shown, Documented, Concluded):
         """Open ends of the cuts: (tube, end) with tube "unstable" or "stable"."""
         return tuple((name, end) for name, cut in zip(("unstable", "stable"), self.cuts, strict=True)
                      for end in cut.open_ends)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class ChosenConnection(Documented):
+    """A connection by its name, with the search that lists it."""
+
+    KEYS: ClassVar[str] = "**search count connections"
+
+    search: ConnectionSearch
+    connections: tuple[Connection]
+    count: ClassVar[int] = 1
+
+
+@dataclass(frozen=True)
+class RefinedConnection(Documented):
+    """A connection whose orbit is refined in 113-bit arithmetic at an exact energy, J."""
+
+    KEYS: ClassVar[str] = (
+        "**refined_row count connections state_double=connection.state residual_double=connection.residual "
+        "correction=refined.correction orbits energy from=connection.source.saddle to=connection.target.saddle "
+        "status=refined.status"
+    )
+
+    connection: Connection
+    refined: "ExtendedOrbit"
+    energy: str
+    count: ClassVar[int] = 1
+
+    @property
+    def refined_row(self) -> dict[str, Any]:
+        """The connection's document with the decimal digits of its state."""
+        digits = {"state": self.refined.digits, "residual": self.residual, "precision": "extended"}
+        return self.connection.document() | digits
+
+    @property
+    def connections(self) -> list[dict[str, Any]]:
+        """The one row of the list of connections."""
+        return [self.refined_row]
+
+    @property
+    def residual(self) -> str:
+        """The largest gap between segments, in their units."""
+        return f"{float(self.refined.residual):.3e}"
+
+    @property
+    def orbits(self) -> list[dict[str, Any]]:
+        """The refined periodic orbits at both ends, one for a homoclinic connection."""
+        saddles = (self.connection.source.saddle, self.connection.target.saddle)
+        return [
+            {
+                "saddle": saddle,
+                "state": end.digits,
+                "period": str(end.duration),
+                "residual": f"{float(end.residual):.3e}",
+            }
+            for saddle, end in dict(zip(saddles, self.refined.ends, strict=True)).items()
+        ]
 
 
 def orbits_between(system: System, source: str, target: str, energy: float) -> tuple[LyapunovOrbit, LyapunovOrbit]:

@@ -106,6 +106,11 @@ class SymmetricSearch(Shown, Documented, Concluded):
         """True if the time limit ended the search early."""
         return self.left > 0 or self.cause is GridCause.TIME
 
+    @property
+    def missed(self) -> str:
+        """Why there is no connection."""
+        return "" if self.connections else f"no symmetric connection of {self.saddle}: {self.status}"
+
     def __repr__(self) -> str:
         return f"<symmetric connections of {self.saddle}: {self.status}>"
 

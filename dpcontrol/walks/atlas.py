@@ -9,7 +9,8 @@ Source: Kaheman et al. (2023), section 4.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, ClassVar
 
 import networkx as nx
@@ -208,6 +209,8 @@ class Atlas(Shown, InUnits, Documented):
         seconds: computing time by stage, s.
         labels: axis labels of the N entries of a state.
         si: True if units are those of SI.
+        file: file that holds it, if there is one.
+        cached: True if it was read from the cache.
 
     The rotating orbits are those of both arms, forward.
     """
@@ -215,7 +218,7 @@ class Atlas(Shown, InUnits, Documented):
     __pydantic_config__: ClassVar[Any] = {"arbitrary_types_allowed": True}
     KEYS: ClassVar[str] = (
         "energy model complete status orbits rotating_orbits count=#connections connections:**,from=source,to=target "
-        "kinds absent:saddle,reason seconds"
+        "kinds absent:saddle,reason seconds file cached"
     )
 
     model: str
@@ -234,6 +237,8 @@ class Atlas(Shown, InUnits, Documented):
     status: str
     labels: tuple[str, ...] = ("θ₁ (rad)", "θ₂ (rad)", "ω₁ (rad/s)", "ω₂ (rad/s)")
     si: bool = True
+    file: Path | None = field(default=None, compare=False)
+    cached: bool = field(default=False, compare=False)
 
     def __repr__(self) -> str:
         return f"<atlas of {self.model} at {self.energy:g}: {self.status}>"
@@ -247,6 +252,12 @@ class Atlas(Shown, InUnits, Documented):
     def complete(self) -> bool:
         """True if every search was complete."""
         return all(kind.complete for kind in self.kinds)
+
+    @property
+    def missed(self) -> str:
+        """Why the list of connections may not be complete."""
+        place = f"{self.model} at {self.energy:g}{self.unit('J')}"
+        return "" if self.complete else f"the atlas of {place} is not complete: {self.status}"
 
     def graph(self) -> "nx.MultiDiGraph[str]":
         """Return the connection graph, with orbits of all families as nodes."""

@@ -141,7 +141,7 @@ class Edges(Shown, Documented):
 
     KEYS: ClassVar[str] = (
         "energy saddles notes absent:saddle,reason edges=connections:name,winding,sense,from=source.saddle,"
-        "to=target.saddle,transversality_angle_deg=transversality_angle"
+        "to=target.saddle,transversality_angle_deg=transversality_angle walks_by_length"
     )
 
     system: System
@@ -167,6 +167,15 @@ class Edges(Shown, Documented):
             f"{search.status}"
             for search in self.incomplete
         )
+
+    @property
+    def walks_by_length(self) -> dict[int, int]:
+        """Number of walks with one to eight symbols."""
+        onward, counts = dict.fromkeys(self.orbits, 1), {}
+        for length in range(1, 9):
+            onward = {name: sum(onward[c.target.saddle] for c in self.leaving(name)) for name in onward}
+            counts[length] = sum(onward.values())
+        return counts
 
     @property
     def saddles(self) -> tuple[str, ...]:

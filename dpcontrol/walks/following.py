@@ -63,6 +63,23 @@ class SymbolChange(Documented):
         )
 
 
+@dataclass(frozen=True)
+class SymbolChanges(Documented):
+    """The energies between two, J, at which symbols select other connections."""
+
+    KEYS: ClassVar[str] = "symbol_changes=changes energies status"
+
+    changes: tuple[SymbolChange, ...]
+    energies: tuple[float, float]
+    unit: str
+
+    @property
+    def status(self) -> str:
+        """Number of the changes in words."""
+        begin, end = self.energies
+        return f"{len(self.changes)} changes of the selected connections between {begin:g} and {end:g}{self.unit}"
+
+
 class SymbolBranches:
     """Connections that match a symbol at any energy, with cached searches."""
 
@@ -216,8 +233,10 @@ def symbol_changes(
         progress: called with a label and the completed share.
 
     Raises:
-        InputError: a symbol cannot be followed, or its connections are missing at the first energy.
+        InputError: a symbol cannot be followed, or both energies are equal.
     """
+    if energies[0] == energies[1]:
+        raise InputError(f"energies = {energies}: must be two different energies")
     texts = list({s.text: s for symbol in symbols for s in symbol.simple if s.name is None}.values())
     found: list[SymbolChange] = []
     for k, symbol in enumerate(texts):

@@ -12,7 +12,7 @@ Source: Kaheman et al. (2023), theorem 4.1.
 
 import math
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -29,7 +29,7 @@ from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.document import Documented, picked, plain
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.files import write_archive
-from dpcontrol.foundation.progress import Cost
+from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress
 from dpcontrol.foundation.settings import suggest
 from dpcontrol.orbits.manifold import OrbitCurve
 from dpcontrol.shooting.extended import ExtendedOrbit, refine
@@ -390,6 +390,31 @@ def all_walks(edges: Edges, length: int, *, source: str | None = None, target: s
             yield tuple(named[name] for name in names)
 
 
+def listed(
+    edges: Edges, length: int, *, source: str | None = None, target: str | None = None, periodic: bool = False
+) -> list[Walk]:
+    """Return every walk of given length.
+
+    Args:
+        edges: connections at one energy.
+        length: number of symbols.
+        source: name of the first stop, or None for any.
+        target: name of the last stop, or None for any.
+        periodic: closed walks only.
+
+    Raises:
+        InputError: a length below one, a saddle without an orbit, or more walks than can be listed.
+    """
+    total = count_walks(edges, length, source=source, target=target)
+    if total > LISTED:
+        raise InputError(
+            f"length = {length}: there are {counted(total)} such walks, and {LISTED:,} can be listed; draw some with "
+            "--random (random_walks in Python)"
+        )
+    chains = all_walks(edges, length, source=source, target=target)
+    return [chain for chain in chains if not periodic or is_closed(chain)]
+
+
 def random_walk(edges: Edges, length: int, generator: np.random.Generator, *, periodic: bool = False) -> Walk:
     """Draw a walk with uniform probability.
 
@@ -595,6 +620,186 @@ def request(
     return WalkRequest(chain, periodic, None if wraps is None else tuple(wraps), (extra,) * stops, *leads)
 
 
+@dataclass(frozen=True)
+class WalkSelection:
+    """Walks of a graph, selected in one of four ways, and their wraps.
+
+    Attributes:
+        symbols: symbols of one walk.
+        through: stops of one walk, the shortest.
+        length: number of symbols of all walks, from `source` to `target` if these are given.
+        random: number of walks to draw with `seed`, with least and greatest `lengths`.
+        periodic: closed walks only.
+        wraps: at the stops of one walk, or None for the fewest that suffice.
+        extra_wraps: range of wraps in addition to the fewest at each stop.
+        leads: periods on the first and the last orbit.
+    """
+
+    symbols: Sequence[str] = ()
+    through: Sequence[str] = ()
+    length: int | None = None
+    source: str | None = None
+    target: str | None = None
+    random: int | None = None
+    lengths: tuple[int, int] = (1, 8)
+    seed: int = 0
+    periodic: bool = False
+    wraps: Sequence[int] | None = None
+    extra_wraps: tuple[int, int] = (0, 0)
+    leads: tuple[int, int] = (2, 2)
+
+    @property
+    def selected_by(self) -> list[str]:
+        """Names of the ways in which walks are selected."""
+        return [name for name in ("symbols", "through", "length", "random") if getattr(self, name)]
+
+    def check(self, *, solve: bool, yes: bool) -> None:
+        """Reject contradictions, and announce long work.
+
+        Args:
+            solve: the walks' orbits are requested.
+            yes: accept work of any duration.
+
+        Raises:
+            InputError: two ways of selecting walks, wraps of several walks, or too much work.
+        """
+        names, stops = self.selected_by, self.symbols or self.through
+        if len(names) > 1:
+            raise InputError(f"{' and '.join(names)} both select walks: give one of them")
+        if self.wraps is not None and not stops:
+            raise InputError(
+                "wraps belong to one walk: give its symbols or the stops to go through, or use extra_wraps"
+            )
+        if self.random is not None:
+            key = "random" if self.random > max(self.lengths) else "lengths"
+            self._announce(self.random, max(self.lengths), key, solve=solve, yes=yes)
+        elif stops:
+            self._announce(1, len(stops), "wraps" if self.wraps else names[0], solve=solve, yes=yes)
+
+    def _announce(self, count: int, longest: int, key: str, *, solve: bool, yes: bool) -> None:
+        wraps = max(sum(self.wraps or ()), self.extra_wraps[1] * longest)
+        announce(walks_cost(count, symbols=longest, wraps=wraps, solve=solve, key=key), yes=yes)
+
+    def parsed(self, system: System) -> tuple[Symbol, ...]:
+        """Return the symbols of one walk, or those for any connection between its stops.
+
+        Args:
+            system: system of the graph.
+        """
+        return parse_walk(self.symbols, vertex_names(system)) if self.symbols else ways(self.through)
+
+    def requests(self, edges: Edges, *, solve: bool, yes: bool) -> tuple[WalkRequest, ...]:
+        """Return the selected walks of a graph.
+
+        Args:
+            edges: connections at one energy.
+            solve: the walks' orbits are requested.
+            yes: accept work of any duration.
+
+        Raises:
+            InputError: no such walk, or too many.
+        """
+        settings: dict[str, Any] = {"periodic": self.periodic, "leads": self.leads}
+        if self.random is not None:
+            extra = {"lengths": self.lengths, "extra": self.extra_wraps, "seed": self.seed}
+            return tuple(drawn_requests(edges, self.random, **extra, **settings))
+        if self.length is None:
+            walks = [resolve(self.symbols, edges) if self.symbols else through(self.through, edges)]
+        else:
+            walks = listed(edges, self.length, source=self.source, target=self.target, periodic=self.periodic)
+            self._announce(len(walks), self.length, "length", solve=solve, yes=yes)
+        return tuple(request(walk, wraps=self.wraps, extra=self.extra_wraps[0], **settings) for walk in walks)
+
+
+@dataclass(frozen=True)
+class WalkList(Documented):
+    """Walks of a graph without their orbits."""
+
+    KEYS: ClassVar[str] = "energy=edges.energy count=#walks walks notes=edges.notes"
+
+    edges: Edges
+    walks: tuple[WalkRequest, ...]
+
+
+@dataclass(frozen=True)
+class SolvedWalks(Documented):
+    """Walks of a graph with their orbits.
+
+    Attributes:
+        files: file of each orbit, or None.
+        least_seen: fewest sufficient wraps between two connections, by their names.
+        picture, film: files that show the orbit, if they were written.
+    """
+
+    edges: Edges
+    answers: tuple[WalkAnswer, ...]
+    files: tuple[Path | None, ...]
+    least_seen: Mapping[tuple[str, str], int]
+    picture: Path | str | None = None
+    film: Path | str | None = None
+
+    @property
+    def converged(self) -> bool:
+        """True if every orbit converged in the requested precision."""
+        return all(answer.converged for answer in self.answers)
+
+    @property
+    def status(self) -> str:
+        """Number of the orbits, and the cause of the first failure."""
+        failed = [(k, answer.status) for k, answer in enumerate(self.answers, start=1) if not answer.converged]
+        status = f"{len(self.answers) - len(failed)} of {len(self.answers)} walks converged"
+        return "; walk ".join([status, *("{}: {}".format(*one) for one in failed[:1])])
+
+    def document(self) -> dict[str, Any]:
+        """Return the document printed by `dpcontrol walk --solve --json`."""
+        return {
+            "energy": self.edges.energy,
+            "walks": [
+                {**answer.document(), "file": file} for answer, file in zip(self.answers, self.files, strict=True)
+            ],
+            "least_seen": [{"before": a, "after": b, "wraps": n} for (a, b), n in sorted(self.least_seen.items())],
+            "notes": self.edges.notes,
+            **picked(self, "picture", "film", "status"),
+        }
+
+
+def solve_walks(
+    walks: WalkList,
+    *,
+    energy: Exact | None = None,
+    parameters: Sequence[Exact] | None = None,
+    folder: Path | None = None,
+    progress: Progress = no_progress,
+) -> SolvedWalks:
+    """Solve walks, and refine and save their orbits on request.
+
+    Args:
+        walks: walks of one graph.
+        energy: exact energy, J, to refine the orbits in 113-bit arithmetic; not refined by default.
+        parameters: exact values (p,) of the equations' parameters; those of the system by default.
+        folder: folder for the orbits that converge; none by default.
+        progress: called with a label and the completed share.
+
+    Raises:
+        GoalMissed: a periodic orbit cannot be refined, or the machine has no 113-bit floating-point type.
+        InputError: a file cannot be written.
+    """
+    edges, solver, count = walks.edges, WalkSolver(walks.edges.connections), len(walks.walks)
+    answers: list[WalkAnswer] = []
+    files: list[Path | None] = []
+    for k, answer in enumerate(solved(walks.walks, solver)):
+        if energy is not None:
+            progress("refining in 113-bit arithmetic", (k + 0.5) / count)
+            answer = refined_answer(answer, energy=energy, parameters=parameters)
+        file = None if folder is None or not answer.converged else folder / f"walk-{k + 1}.npz"
+        if file is not None and answer.orbit is not None:
+            save_walk(file, edges.system.name, answer.orbit, refined=answer.refined)
+        answers.append(answer)
+        files.append(file)
+        progress("walks", (k + 1) / count)
+    return SolvedWalks(edges, tuple(answers), tuple(files), solver.least_seen)
+
+
 _DRAWN, _SOLVED_SYMBOL, _SOLVED_WRAP, _TRIED = 5e-4, 0.05, 0.01, 0.002
 """Time, s: to draw a symbol, to solve a symbol, to solve a wrap, and to find the fewest wraps per pair of symbols. The
 last term is quadratic because each increase of a count requires a new solution."""
@@ -652,7 +857,7 @@ def _solve_request(request: WalkRequest, solver: WalkSolver) -> WalkAnswer:
     return WalkAnswer(request, least, orbit, seconds, None if orbit.converged else solver.advice(orbit))
 
 
-def refined_answer(answer: WalkAnswer, *, energy: Exact, parameters: Sequence[Exact]) -> WalkAnswer:
+def refined_answer(answer: WalkAnswer, *, energy: Exact, parameters: Sequence[Exact] | None) -> WalkAnswer:
     """Return the result with its orbit, if any, refined in 113-bit arithmetic.
 
     The attribute `seconds` still refers to the orbit in double precision.

@@ -12,19 +12,36 @@ from dpcontrol.foundation.document import plain
 from dpcontrol.words.table import Line
 
 TEXTS = {
+    "Atlas": "designs.atlas",
+    "BifurcationSearch": "designs.bifurcations",
     "CacheContents": "start.cache",
     "Campaign": "runs.campaign_lines",
+    "CertificateCheck": "designs.check",
+    "ChosenConnection": "designs.chosen",
     "Commissioning": "runs.commissioning_lines",
     "Configuration": "start.configuration",
-    "Demonstration": "start.demonstration",
+    "ConnectionSearch": "designs.connections",
     "ControllerSource": "runs.export_lines",
+    "Demonstration": "start.demonstration",
+    "Edges": "designs.graph",
+    "LyapunovFamily": "designs.family",
+    "LyapunovOrbit": "designs.orbit",
     "ModelDescription": "start.description",
     "Page": "start.page",
     "Preflight": "runs.preflight_lines",
+    "Proof": "designs.proof",
+    "RefinedConnection": "designs.refined",
     "Repeat": "runs.repeat_lines",
+    "RotatingFamilies": "designs.rotating_families",
+    "RotatingOrbits": "designs.rotating_orbits",
     "Run": "runs.run_lines",
     "Score": "runs.score_lines",
+    "SolvedWalks": "designs.solved",
+    "SustainedOrbit": "designs.sustained",
+    "SymbolChanges": "designs.changes",
+    "SymmetricSearch": "designs.symmetric",
     "UdpBench": "runs.bench_lines",
+    "WalkList": "designs.walks",
 }
 """Class of a result -> its function as MODULE.FUNCTION within this package."""
 

@@ -27,7 +27,7 @@ LINES = {
     "run outer-turn --seed -1": "seed",
     "export outer-turn --clock nan --out c": "--clock = nan",
     "connect lab --from down-up --to down-up --energy sNaN": "--energy sNaN",
-    "walk lab --energy -0.07 --random 2 --lengths 1 99999999999999999999": "--lengths",
+    "walk lab --energy -0.07 --random 2 --lengths 1 99999999999999999999": "lengths",
     "import --simulated lab --swings 0": "swings = 0",
     "commission outer-turn --switches 0.001": "switches = 0.001",
     "preflight outer-turn --runs 3": "runs = 3",
@@ -40,7 +40,7 @@ LINES = {
     # Following the family up to this energy would take minutes.
     "orbit three-body --saddle L1 --energy 0.5 --sustained": "no arms",
     # Options that lack another, or exclude one another.
-    "orbit lab --saddle down-up --sustained": "needs --saddle and --energy",
+    "orbit lab --saddle down-up --sustained": "needs saddle and energy",
     "import": "give a FILE",
     "identify": "at least one log",
     "run": "--from",

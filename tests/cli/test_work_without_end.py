@@ -26,10 +26,10 @@ def begun(*_: object, **__: object) -> None:
 @pytest.mark.parametrize(
     ("call", "key"),
     [
-        ((*WALK, *TURN, *TURN, "--wraps", "9999999999999999", "--solve"), "--wraps"),
-        ((*WALK, *(TURN * 5000), "--solve"), "-s"),
-        ((*WALK, "--random", "1000000000"), "--random"),
-        ((*WALK, "--random", "1", "--lengths", "1", "1000000000"), "--lengths"),
+        ((*WALK, *TURN, *TURN, "--wraps", "1000000", "--solve"), "wraps"),
+        ((*WALK, *(TURN * 5000), "--solve"), "symbols"),
+        ((*WALK, "--random", "1000000"), "random"),
+        ((*WALK, "--random", "100", "--lengths", "1", "1000000"), "lengths"),
         (("bifurcations", "lab", "--from", "down-up", "--to", "down-up", "--energies", "-0.11", "-0.09", "--samples",
           "1000000"), "samples"),
         ((*WALK, "--hits", "9,9", "--length", "1"), "hits up to 9,9: up to 243 searches"),

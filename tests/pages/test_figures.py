@@ -31,7 +31,7 @@ LEAST_BYTES = 20_000  # of a PNG: empty axes of these sizes take about 8,000
 
 GALLERY = Gallery(
     system=lambda name: load_model(name).system,
-    atlas=lambda name, energy, hits: make_atlas(load_model(name), energy, settings=AtlasSettings(hits=hits)).atlas,
+    atlas=lambda name, energy, hits: make_atlas(load_model(name), energy, settings=AtlasSettings(hits=hits)),
     branches=lambda name, source, target, told: make_branches(
         load_model(name), source, target, energies=FEW_ENERGIES[source, target], samples=3, progress=told
     ),

@@ -93,7 +93,7 @@ def preflight(_: Path) -> Figure:
 
 
 def atlas(_: Path) -> Figure:
-    return draw_atlas(make_atlas(LAB, -0.07).atlas)
+    return draw_atlas(make_atlas(LAB, -0.07))
 
 
 def walk_page(_: Path) -> Figure:
