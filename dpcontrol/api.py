@@ -1014,8 +1014,6 @@ def launch(
     itinerary: Plan | str | None = None,
     *,
     source: Place | None = None,
-    mismatch: float | None = None,
-    plant: Place | None = None,
     seed: Seed = 0,
     settings: Mapping[str, object] | None = None,
     rig: Rig | RigLink | str | None = None,
@@ -1043,8 +1041,6 @@ def launch(
     Args:
         itinerary: plan, or name or path of an itinerary.
         source: log to repeat, from its attachments alone; missed if a message differs (default: none).
-        mismatch: largest relative error of the plant's parameters (default: the itinerary's).
-        plant: name or path of a model for a plant with other arms (default: the same arms).
         seed: seed of all random numbers (default: 0).
         settings: run settings by path, such as {"drive.lag": 0.005} (default: none).
         rig: bench for a run in real time: udp://HOST:PORT (see `dpcontrol rig`), or udp to start the example bench;
@@ -1079,18 +1075,16 @@ def launch(
         True
     """
     from dpcontrol.foundation.files import chosen_name
-    from dpcontrol.logs import check_replaced
     from dpcontrol.pages.picture import LIVE_REMEDY, check_viewer
     from dpcontrol.runs.closed_loop import bench_of
-    from dpcontrol.runs.night import NightSettings, check_night, night_cost, night_folder, night_itinerary
-    from dpcontrol.runs.run import default_log, repeated_log, run_record
+    from dpcontrol.runs.night import NightSettings, name_check, night_itinerary
+    from dpcontrol.runs.run import default_log, repeated_log
 
     if source is not None:
-        if any((itinerary, mismatch, plant, seed, settings, rig, program, hours, resume, live)):
+        if any((itinerary, seed, settings, rig, program, hours, resume, live)):
             raise InputError(f"source = {source}: a run is repeated without changes; give only log and force with it")
         with chosen_name(log or True, repeated_log(Path(source))) as file:
-            assert file is not None
-            return repeat(source, file, force=force, progress=progress)
+            return repeat(source, str(file), force=force, progress=progress)
     if itinerary is None:
         raise InputError("itinerary: give an itinerary, or as source a log to repeat")
     if hours is None and (resume or keep_every != 1 or file_minutes != 10.0):
@@ -1100,27 +1094,14 @@ def launch(
     if live:
         check_viewer(LIVE_REMEDY)
     bench = bench_of(_linked(rig, key_file=key_file, insecure=insecure, real_time=real_time))
-    chosen = _settings(settings, mismatch=mismatch, plant=plant)
-    scene, named = (
-        _scene(itinerary).with_run(chosen, seed=seed),
-        getattr(bench, "address", getattr(bench, "name", None)),
-    )
+    chosen, shared = _settings(settings), {"force": force, "live": live}
+    scene = _scene(itinerary).with_run(chosen, seed=seed)
     night = None if hours is None else NightSettings(hours, file_minutes, keep_every)
-    if night is not None:
-        scene = night_itinerary(scene, given=chosen)
-    record = run_record(scene, rig=named)
-
-    def check(file: Path) -> None:
-        if night is None:
-            check_replaced(file, record, force=force)
-            return
-        check_night(night_folder(file), record if log is True else {}, resume=resume, force=force)
-        night_cost(scene, night, night_folder(file), real_time=bench is not None, yes=yes)
-
+    scene = scene if night is None else night_itinerary(scene, given=chosen)
+    check = name_check(scene, bench, night, resume=resume, free=log is True, force=force, yes=yes)
     # Names are checked before the plan, which can take minutes.
     with chosen_name(log, default_log(scene), check) as file, reporting(progress, "run") as report:
-        loop = _closed(itinerary, chosen, yes=yes, progress=part_of(report, 0.0, 0.5))
-        shared, rest = {"force": force, "live": live}, part_of(report, 0.5, 1.0)
+        loop, rest = _closed(itinerary, chosen, yes=yes, progress=part_of(report, 0.0, 0.5)), part_of(report, 0.5, 1.0)
         if night is None:
             return loop.run(seed=seed, rig=bench, program=program, log=file, progress=rest, **shared)
         folder = file or default_log(scene)

@@ -53,8 +53,14 @@ GROUPS = {
         "References",
         ["plan", "reference", "open_plan", "polish", "explore_energies", "open_planner", "picture"],
     ),
-    "api-loop": ("Closed loop", ["closed_loop", "ClosedLoop", "export", "rig_link", "start_bench", "commission", "preflight"]),
-    "api-runs": ("Runs and campaigns", ["run", "Run", "launch", "repeat", "demo", "campaign", "open_campaign", "open_night"]),
+    "api-loop": (
+        "Closed loop",
+        ["closed_loop", "ClosedLoop", "export", "rig_link", "start_bench", "commission", "preflight"],
+    ),
+    "api-runs": (
+        "Runs and campaigns",
+        ["run", "Run", "launch", "repeat", "demo", "campaign", "open_campaign", "open_night"],
+    ),
     "api-logs": ("Logs", ["open_log", "log_summary", "recover_log", "compare_logs", "review"]),
     "api-recordings": (
         "Recordings",

@@ -20,10 +20,7 @@ from dataclasses import fields, is_dataclass
 from importlib import import_module
 from inspect import ismethod
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
-
-if TYPE_CHECKING:
-    from dpcontrol.words.table import Line
+from typing import Any, ClassVar
 
 
 class Documented:
@@ -35,7 +32,7 @@ class Documented:
         """Return the result as JSON values, with the keys that `--json` prints."""
         return document_of(self, self.KEYS)
 
-    def lines(self) -> "Iterable[Line]":
+    def lines(self) -> Iterable[Any]:
         """Return the result as lines and tables of text, which verbs print."""
         return import_module("dpcontrol.words.texts").text_of(self)
 

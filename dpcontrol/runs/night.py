@@ -19,7 +19,7 @@ import sys
 import threading
 import time
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass, replace
 from io import BytesIO
@@ -37,11 +37,12 @@ from dpcontrol.foundation.processes import end_with_parent, ignoring_interrupts
 from dpcontrol.foundation.progress import MOST_SECONDS, Cost, Progress, no_progress
 from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.judge.night import Night, read_night
-from dpcontrol.logs import LogWriter, partials_of, recover
+from dpcontrol.logs import LogWriter, check_replaced, partials_of, recover
 from dpcontrol.logs.reader import check_same_run
 from dpcontrol.logs.rolling import NIGHT_METADATA, RollingLog
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.loop import LoopSettings
+from dpcontrol.loop.own import OwnObject
 from dpcontrol.loop.recovery import LAST_SECONDS, RecoveryPlan, meeting_tick
 from dpcontrol.loop.result import LogSink, SinkBeside
 from dpcontrol.plans.itinerary import Itinerary, stored_itinerary
@@ -58,6 +59,7 @@ from dpcontrol.runs.run import (
     log_writer,
     outcome,
     run_metadata,
+    run_record,
     watched,
 )
 
@@ -468,6 +470,40 @@ def check_night(folder: Path, record: Mapping[str, str], *, resume: bool, force:
             check_same_run(log, record, also=(NIGHT_METADATA,))
         except InputError as error:
             raise InTheWay(str(error)) from error
+
+
+def name_check(
+    itinerary: Itinerary,
+    bench: RigLink | OwnObject | None,
+    night: NightSettings | None,
+    *,
+    resume: bool,
+    free: bool,
+    force: bool,
+    yes: bool,
+) -> Callable[[Path], None]:
+    """Return the check of the log's or folder's name, which comes before planning.
+
+    Args:
+        itinerary: itinerary of the run.
+        bench: rig of the run, None for the simulated bench.
+        night: settings of a long run, None for a single one.
+        resume: True to continue the long run there.
+        free: True if free names are tried.
+        force: True to replace what is there.
+        yes: accept a cost beyond the limits.
+    """
+    made_by = getattr(bench, "address", getattr(bench, "name", None))
+    record = run_record(itinerary, rig=made_by)
+
+    def check(file: Path) -> None:
+        if night is None:
+            check_replaced(file, record, force=force)
+            return
+        check_night(night_folder(file), record if free else {}, resume=resume, force=force)
+        night_cost(itinerary, night, night_folder(file), real_time=bench is not None, yes=yes)
+
+    return check
 
 
 def check_folder(folder: Path, *, resume: bool, force: bool) -> list[Path]:
