@@ -172,17 +172,19 @@ def _parameters(
     elif flag and parameter.default is None:
         names = (f"{names[0]}/--no-{names[0][2:]}",)
     written = output is not None or name in ALWAYS_OUTPUT
+    if flag and parameter.default is True:
+        help = f"do not {help}"
     help = help[:1].upper() + help[1:]
-    help = re.sub(r" \((default: [^)]*)\)\.?$", r". [\1]", help.removesuffix("."))
+    help = re.sub(r" \((default: [^)]*)\)$", r". [\1]", help.removesuffix("."))
     yield Option(
         [*names, name],
         is_flag=flag,
-        flag_value=False if flag and parameter.default is True else None,
+        **({"flag_value": False} if flag and parameter.default is True else {}),
         type=None if flag else kind,
         multiple=several,
         default=None,
         required=parameter.default is inspect.Parameter.empty,
-        help=help,
+        help=help if help.endswith("]") else f"{help}.",
         group=OUTPUT if written else OPTIONS,
         shell_complete=completer,
     )
