@@ -47,14 +47,14 @@ GROUPS = {
     ),
     "api-references": (
         "References",
-        ["plan", "reference", "open_plan", "polish", "explore_energies", "open_planner", "picture"],
+        ["plan", "reference", "open_plan", "open_reference", "polish", "explore_energies", "open_planner", "picture"],
     ),
     "api-loop": ("Closed loop", ["closed_loop", "ClosedLoop", "export", "rig_link", "start_bench", "commission"]),
     "api-runs": ("Runs and campaigns", ["run", "Run", "repeat", "campaign", "open_campaign", "open_night"]),
-    "api-logs": ("Logs", ["open_log", "log_summary", "recover_log", "compare_logs", "review"]),
+    "api-logs": ("Logs", ["open_log", "log_summary", "recover_log", "compare_logs", "score", "review", "report"]),
     "api-recordings": (
         "Recordings",
-        ["open_recording", "write_recording", "swings", "identify", "design_experiments", "replay"],
+        ["open_recording", "import_recording", "write_recording", "swings", "identify", "design_experiments", "replay"],
     ),
     "api-other": ("Cache, guide and charts", ["cache", "config", "read_guide", "draw_charts"]),
 }

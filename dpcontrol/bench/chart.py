@@ -502,6 +502,7 @@ CHARTS: dict[str, Callable[[bool, Progress], ChartPage]] = {
 fronts."""
 GROUPS = {"edges": tuple(name for name in CHARTS if name.startswith("edges-"))}
 """Names for groups of charts."""
+NAMES = (*CHARTS, *GROUPS)
 
 
 def check_names(names: tuple[str, ...]) -> tuple[str, ...]:
@@ -513,8 +514,8 @@ def check_names(names: tuple[str, ...]) -> tuple[str, ...]:
     Raises:
         InputError: a name is unknown.
     """
-    unknown = [name for name in names if name not in (*CHARTS, *GROUPS)]
+    unknown = [name for name in names if name not in NAMES]
     if unknown:
-        raise InputError(f"there is no chart {unknown[0]!r}; choose from {', '.join((*CHARTS, *GROUPS))}")
+        raise InputError(f"there is no chart {unknown[0]!r}; choose from {', '.join(NAMES)}")
     chosen = [chart for name in names for chart in GROUPS.get(name, (name,))]
     return tuple(dict.fromkeys(chosen or CHARTS))

@@ -21,7 +21,7 @@ from dpcontrol.foundation.cache import cache_file, keep, kept
 from dpcontrol.foundation.causes import ReferenceCause
 from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import GoalMissed
-from dpcontrol.foundation.files import content_hash
+from dpcontrol.foundation.files import content_hash, write_whole
 from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress, part_of
 from dpcontrol.foundation.shown import Timed, checked_times
 from dpcontrol.logs.layout import state_names
@@ -45,8 +45,11 @@ class Plan(ByReference, Timed, Documented):
     There is no file if the reference did not converge, or the cache is not writable.
 
     Attributes:
-        file: its file in the cache.
+        file: its file in the cache, or the one that was asked for.
         cached: True if it was cached before.
+        polished: the plan as one optimisation problem, a `Polished`, if it was asked for.
+        margins: margins of gain, delay and lag, if they were asked for.
+        explored: chart of the effort over energies, and its picture, if it was asked for.
     """
 
     KEYS: ClassVar[str] = (
@@ -59,9 +62,42 @@ class Plan(ByReference, Timed, Documented):
     reference: Reference
     file: Path
     cached: bool
+    polished: Any = None
+    margins: Any = None
+    explored: tuple[Any, Path] | None = None
 
     def __repr__(self) -> str:
         return f"<plan {self.itinerary.name!r}: {self.status}>"
+
+    def document(self) -> dict[str, Any]:
+        """Return the plan as JSON values, with what was asked for beside it."""
+        more: dict[str, Any] = {"polish": self.polished, "margins": self.margins}
+        document = {**super().document(), **{name: one.document() for name, one in more.items() if one is not None}}
+        if self.explored is not None:
+            chart, file = self.explored
+            document["energies"] = {**chart.document(), "file": str(file)}
+        return document
+
+    @property
+    def final(self) -> "Plan":
+        """The polished plan if it was asked for, otherwise this one."""
+        return self if self.polished is None else self.polished.polished
+
+    @property
+    def missed(self) -> str:
+        """Why there is no final plan, or ""."""
+        return "" if self.final.converged else f"{self.itinerary.name}: {self.final.status}"
+
+    def written_to(self, file: Path) -> "Plan":
+        """Write the final plan to a file, and return this one with its name.
+
+        Args:
+            file: reference to write (.npz).
+        """
+        write_whole(file, self.final.archive)
+        if self.polished is None:
+            return replace(self, file=file)
+        return replace(self, polished=replace(self.polished, polished=replace(self.final, file=file)))
 
     @property
     def time_range(self) -> tuple[float, float]:

@@ -13,11 +13,28 @@ from dpcontrol.words.table import Line
 
 TEXTS = {
     "CacheContents": "start.cache",
+    "CampaignSummary": "logs.campaign",
     "Configuration": "start.configuration",
     "Demonstration": "start.demonstration",
+    "Design": "recordings.design",
+    "DrawnCharts": "drawings.charts",
+    "DrawnFigures": "drawings.figures",
+    "Identification": "recordings.identification",
+    "ImportedRecording": "recordings.imported",
+    "LogSummary": "logs.summary",
     "ModelDescription": "start.description",
+    "Night": "logs.night",
     "Page": "start.page",
+    "Plan": "references.plan",
+    "Planner": "references.planner",
+    "Recovery": "logs.recovery",
+    "ReferenceFile": "references.reference",
+    "Replay": "recordings.replay",
+    "Report": "logs.report",
+    "Review": "logs.review",
     "Score": "runs.score_lines",
+    "Scores": "logs.scores",
+    "Unscored": "logs.unscored",
 }
 """Class of a result -> its function as MODULE.FUNCTION within this package."""
 
