@@ -22,7 +22,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, overload
 
-from dpcontrol.foundation.checked import Between, Count, Hit, Index, Positive, Seed, Workers, checked, is_list
+from dpcontrol.foundation.checked import Between, Count, Hit, Index, Positive, Seed, Workers, checked
 from dpcontrol.foundation.errors import GoalMissed, InputError, remark
 from dpcontrol.foundation.files import Film, Output, Picture, write_whole
 from dpcontrol.foundation.parts import installed, part
@@ -930,7 +930,9 @@ def identify(
         >>> dp.identify(dp.swings("lab", count=3, seconds=1.5), model="lab").friction_terms
         ('viscous',)
     """
-    several = [*recordings] if is_list(recordings) else [recordings]
+    from dpcontrol.recordings.recording import Recording
+
+    several = [recordings] if isinstance(recordings, Recording | str | Path) else [*recordings]
     if bool(several) == design:
         raise InputError(
             "design compares possible recordings: omit recordings" if design else "recordings = []: give one"
@@ -2005,12 +2007,12 @@ def review(
         if picture is not None:
             report("picture", 0.5)
             write_picture(shown, picture)
-    aligned = shown.status if len(paths) > 1 else None
+    aligned = getattr(shown, "status", None) if len(paths) > 1 else None
     return Review(tuple(paths), recording, None if film is None else Path(film), aligned)
 
 
 @checked
-def report(file: Place, *, page: Picture = None, margins: bool = False, progress: Reporting = None) -> Report:
+def report(file: Place, *, page: Picture = None, margins: bool = False) -> Report:
     """Write one page on a log, a long run or a campaign.
 
     matplotlib draws it.
@@ -2025,7 +2027,6 @@ def report(file: Place, *, page: Picture = None, margins: bool = False, progress
         file: log, folder of a long run, or table of a campaign (.parquet).
         page: page to write (default: NAME-report.png beside the file).
         margins: limits of gain, delay and lag along the reference of a log, in some seconds.
-        progress: reports, see `dpcontrol.api`.
 
     Returns:
         The score or the summary, and the page.
@@ -2052,16 +2053,15 @@ def report(file: Place, *, page: Picture = None, margins: bool = False, progress
         remedy = "a log of the folder" if of_night else "a log, or use plan --margins"
         raise InputError(f"{file}: margins apply to one log; give {remedy}")
     checked_target(target)
-    with reporting(progress, "report"):
-        if of_night or of_campaign:
-            found = read_night(source) if of_night else campaign_summary(checked_source(source))
-            _save(render(found), target)
-            return Report(found, target)
-        run = open_log(checked_source(source))
-        borne = run.margins() if margins else None
-        view = run_view(run.log)
-        _save(render(view), target)
-        return Report(Unscored(str(source), view.verdict) if lacking(run.log) else run.score(), target, borne)
+    if of_night or of_campaign:
+        found = read_night(source) if of_night else campaign_summary(checked_source(source))
+        _save(render(found), target)
+        return Report(found, target)
+    run = open_log(checked_source(source))
+    borne = run.margins() if margins else None
+    view = run_view(run.log)
+    _save(render(view), target)
+    return Report(Unscored(str(source), view.verdict) if lacking(run.log) else run.score(), target, borne)
 
 
 @checked

@@ -175,7 +175,7 @@ def _parameters(
     if flag and parameter.default is True:
         help = f"do not {help}"
     help = help[:1].upper() + help[1:]
-    help = re.sub(r" \((default: [^)]*)\)$", r". [\1]", help.removesuffix("."))
+    help = re.sub(r" \((default: [^)]*)\)\.$", r". [\1]", f"{help.removesuffix('.')}.")
     yield Option(
         [*names, name],
         is_flag=flag,
@@ -184,7 +184,7 @@ def _parameters(
         multiple=several,
         default=None,
         required=parameter.default is inspect.Parameter.empty,
-        help=help if help.endswith("]") else f"{help}.",
+        help=help,
         group=OUTPUT if written else OPTIONS,
         shell_complete=completer,
     )
