@@ -158,7 +158,8 @@ def _parameters(
         yield from _setting_options()
         return
     kinds = _kinds(hint)
-    several = name == "over" or any(get_origin(kind) is Sequence for kind in kinds)
+    # A list in one text has a parser.
+    several = name == "over" or (name not in PARSERS and any(get_origin(kind) is Sequence for kind in kinds))
     kind = _click_type(name, kinds, output)
     if _is_positional(parameter) and name not in declared.names:
         required = parameter.default is inspect.Parameter.empty
