@@ -586,8 +586,8 @@ def plan(
         if margins:
             found = replace(found, margins=closed_loop(found).margins())
         if explore_energy is not None and not found.missed:
-            chart = explore_energies(found, picture=explore_energy, progress=part_of(report, 0.8, 1.0))
-            found = replace(found, explored=(chart, Path(explore_energy)))
+            step = part_of(report, 0.8, 1.0)
+            found = replace(found, energies=explore_energies(found, picture=explore_energy, progress=step))
     return found if out is None or found.missed else found.written_to(Path(out))
 
 
@@ -934,9 +934,12 @@ def identify(
 
     several = [recordings] if isinstance(recordings, Recording | str | Path) else [*recordings]
     if bool(several) == design:
-        raise InputError(
-            "design compares possible recordings: omit recordings" if design else "recordings = []: give one"
+        wrong = (
+            "design compares possible recordings: omit recordings"
+            if design
+            else "recordings = []: give at least one log"
         )
+        raise InputError(wrong)
     model = _model(model)
     if design:
         return design_experiments(model, picture=picture, progress=progress)
@@ -1038,18 +1041,16 @@ def open_reference(file: Place, *, picture: Picture = None, transitions: Picture
 
     if picture is not None and transitions is not None and Path(picture).resolve() == Path(transitions).resolve():
         raise InputError(f"picture and transitions are both {picture}: give two names")
-    reference, figures = load_reference(Path(file)), list[tuple[Any, Place]]()
+    reference = load_reference(Path(file))
     if transitions is not None:
         from dpcontrol.pages.transitions import draw_transitions
 
         # It can be refused, and must be before another picture is written.
-        figures.append((draw_transitions(reference), transitions))
+        _save(draw_transitions(reference), transitions)
     if picture is not None:
         from dpcontrol.judge.of_log import reference_view
 
-        figures.append((render(reference_view(reference, Path(file))), picture))
-    for figure, target in figures:
-        _save(figure, target)
+        _save(render(reference_view(reference, Path(file))), picture)
     return ReferenceFile(Path(file), reference, None if transitions is None else Path(transitions))
 
 
@@ -1175,14 +1176,11 @@ def picture(
     from dpcontrol.plans.model import ModelSystem
     from dpcontrol.plans.plan import Plan
     from dpcontrol.runs.run import Run
-    from dpcontrol.walks.atlas import Atlas
     from dpcontrol.walks.shadowing import ShadowingOrbit
 
     if transitions and not isinstance(result, Plan):
         raise InputError("transitions = True draws the transfers of a plan: give one")
-    if film is not None and isinstance(result, Atlas):
-        raise InputError(f"{film}: an atlas does not move: give a run, a plan or a walk's orbit")
-    view = None
+    view: Any = result
     if isinstance(result, Run | Plan):
         plan = isinstance(result, Plan)
         view = reference_view(result.reference, result.file) if plan else run_view(result.log)
@@ -1199,7 +1197,7 @@ def picture(
         from dpcontrol.pages.transitions import draw_transitions
 
         figure = draw_transitions(result.reference)
-    if film is not None and view is not None:
+    if film is not None:
         from dpcontrol.pages.film import write_film
 
         write_film(view, film)
@@ -1669,6 +1667,7 @@ def explore_energies(
         from dpcontrol.bench.drawing import save_chart
 
         save_chart(chart, Path(picture))
+        chart = replace(chart, file=Path(picture))
     return chart
 
 
@@ -1987,7 +1986,7 @@ def review(
         >>> dp.review(log, save=log.with_suffix(".rrd")).recording.name
         'turn.rrd'
     """
-    from dpcontrol.pages.picture import Review, filmed, opened, view_in_window, write_picture
+    from dpcontrol.pages.picture import Review, opened, view_in_window
     from dpcontrol.pages.renderers import record
 
     if stretch is not None and film is None:
@@ -2003,10 +2002,12 @@ def review(
         elif picture is None and film is None:
             recording = view_in_window(shown, paths[0].stem)
         if film is not None:
-            filmed(shown, Path(film), stretch=stretch, yes=yes, progress=report)
+            from dpcontrol.pages.film import write_film
+
+            write_film(shown, film, stretch=stretch, yes=yes, progress=report)
         if picture is not None:
             report("picture", 0.5)
-            write_picture(shown, picture)
+            _save(render(shown), picture)
     aligned = getattr(shown, "status", None) if len(paths) > 1 else None
     return Review(tuple(paths), recording, None if film is None else Path(film), aligned)
 
@@ -2038,7 +2039,7 @@ def report(file: Place, *, page: Picture = None, margins: bool = False) -> Repor
         >>> dp.report(log, page=log.with_name("page.png")).page.name
         'page.png'
     """
-    from dpcontrol.foundation.files import checked_source, checked_target, is_bag_folder
+    from dpcontrol.foundation.files import is_bag_folder
     from dpcontrol.judge.campaign import campaign_summary
     from dpcontrol.judge.night import read_night
     from dpcontrol.judge.of_log import run_view
@@ -2052,12 +2053,11 @@ def report(file: Place, *, page: Picture = None, margins: bool = False) -> Repor
     if margins and (of_night or of_campaign):
         remedy = "a log of the folder" if of_night else "a log, or use plan --margins"
         raise InputError(f"{file}: margins apply to one log; give {remedy}")
-    checked_target(target)
     if of_night or of_campaign:
-        found = read_night(source) if of_night else campaign_summary(checked_source(source))
+        found = read_night(source) if of_night else campaign_summary(source)
         _save(render(found), target)
         return Report(found, target)
-    run = open_log(checked_source(source))
+    run = open_log(source)
     borne = run.margins() if margins else None
     view = run_view(run.log)
     _save(render(view), target)
@@ -2182,7 +2182,8 @@ def import_recording(
     from dpcontrol.recordings.recording import write_recording as written
 
     if (file is None) == (simulated is None):
-        raise InputError("give either file, or simulated with a model to swing")
+        found = "missing" if file is None else "given"
+        raise InputError(f"file and simulated are both {found}: give a file, or the model of simulated swings")
     own = None if model is None else _model(model)
     with reporting(progress, "import") as report:
         if simulated is None:
@@ -2308,17 +2309,14 @@ def replay(
     name, recording = _recording(recording)
     with reporting(progress, "replay") as report:
         found = replay_recording(recording, model.arms, filters, settings, zeros=model.encoder_zeros, progress=report)
-        found = replace(found, model=model.name, estimator=estimator)
-        if out is not None:
-            log = _new_log(
-                out,
-                f"{Path(name).stem}-replay.mcap",
-                lambda place: write_replay(found, place, model=model.name, model_text=model.text, force=force),
-            )
-            found = replace(found, log=log)
+        log = _new_log(
+            out,
+            f"{Path(name).stem}-replay.mcap",
+            lambda place: write_replay(found, place, model=model.name, model_text=model.text, force=force),
+        )
     if against := contradiction(recording, model.arms, model=model.name):
         remark(f"{name}: {against}")
-    return found
+    return replace(found, model=model.name, estimator=estimator, log=log)
 
 
 @checked
@@ -2494,7 +2492,6 @@ def demo(
 
     from dpcontrol.foundation.files import free_name
     from dpcontrol.judge.of_log import run_view
-    from dpcontrol.pages.picture import write_picture
     from dpcontrol.pages.rerun_recording import write_recording
     from dpcontrol.runs.run import Demonstration
 
@@ -2510,7 +2507,8 @@ def demo(
             if recording is not None:
                 write_recording(view, recording)
             report("picture", 0.85)
-            picture = write_picture(view, file.with_suffix(".png"))
+            picture = file.with_suffix(".png")
+            _save(render(view), picture)
     return Demonstration(planned, file, done.score(), recording, picture, perf_counter() - began)
 
 

@@ -28,6 +28,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from pathlib import Path
 from textwrap import shorten
 from typing import Any, ClassVar
 
@@ -426,16 +427,18 @@ class EdgeMap(Documented):
 class ChartPage(Documented):
     """A page of `dpcontrol bench`.
 
-    It has a name for command line and files, a title, three reading hints, the choice and its diagrams.
+    It has a name for command line and files, a title, three reading hints, the choice and its diagrams. A chart that is
+    drawn alone has a file.
     """
 
-    KEYS: ClassVar[str] = "name title headline=title reading chosen complaints findings"
+    KEYS: ClassVar[str] = "name title headline=title reading chosen complaints findings file?"
 
     name: str
     title: str
     reading: tuple[str, str, str]
     chosen: str
     parts: tuple[Any, ...]
+    file: Path | None = None
 
     @property
     def pages(self) -> dict[str, tuple[Any, ...]]:

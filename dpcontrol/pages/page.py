@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -57,14 +57,11 @@ class Report(Documented):
         margins: margins of gain, delay and lag along the reference of a log, if they were asked for.
     """
 
+    KEYS: ClassVar[str] = "**result.document margins? picture=page"
+
     result: Any
     page: Path
     margins: Margins | None = None
-
-    def document(self) -> dict[str, Any]:
-        """Return the document of the result, with margins and page."""
-        margins = {} if self.margins is None else {"margins": self.margins.document()}
-        return {**self.result.document(), **margins, "picture": str(self.page)}
 
 
 def draw(view: RunView) -> Figure:

@@ -12,15 +12,13 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
 from dpcontrol.foundation.config import configuration
-from dpcontrol.foundation.document import Documented, plain
+from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import archive_format, is_archive
 from dpcontrol.foundation.parts import installed, part
-from dpcontrol.foundation.progress import Progress
-from dpcontrol.foundation.rendering import render
 from dpcontrol.judge.of_log import reference_view, run_view
 from dpcontrol.judge.run_view import RunView
 from dpcontrol.logs import read_log
@@ -164,16 +162,13 @@ class Review(Documented):
         aligned: how several logs are aligned, None for one.
     """
 
+    KEYS: ClassVar[str] = "log=files.0 logs=files recording film aligned? status"
+
+    status = "done"
     files: tuple[Path, ...]
     recording: Path | None
     film: Path | None
     aligned: str | None
-
-    def document(self) -> dict[str, Any]:
-        """Return the files by role."""
-        several = {} if self.aligned is None else {"logs": self.files, "aligned": self.aligned}
-        written = {"recording": self.recording, "film": self.film}
-        return plain({"log": self.files[0], **written, "status": "done", **several})
 
 
 Shown: TypeAlias = "RunView | RunComparison | Atlas"
@@ -208,39 +203,3 @@ def opened(files: Sequence[Path], *, symbol: int = 1) -> Shown:
 
         return load_atlas(first)
     return run_view(read_log(first))
-
-
-def filmed(shown: Shown, file: Path, *, stretch: tuple[float, float] | None, yes: bool, progress: Progress) -> None:
-    """Write a film of a run or a reference.
-
-    Args:
-        shown: run, reference, comparison or atlas.
-        file: the film.
-        stretch: part of the motion, s; None for all.
-        yes: accept any duration of the writing.
-        progress: called with a label and the completed share.
-
-    Raises:
-        InputError: several motions or none, see also `write_film`.
-    """
-    from dpcontrol.pages.film import write_film
-
-    if not isinstance(shown, RunView):
-        raise InputError(f"{file}: a film shows one motion; give one log, recording or reference")
-    write_film(shown, file, stretch=stretch, yes=yes, progress=progress)
-
-
-def write_picture(shown: Shown, path: Path | str) -> Path:
-    """Write a picture of a review and return its path.
-
-    Args:
-        shown: run, reference, comparison or atlas.
-        path: file, `*.png`.
-
-    Raises:
-        InputError: the file cannot be written.
-    """
-    from dpcontrol.pages.layout import save_figure
-
-    save_figure(render(shown), Path(path))
-    return Path(path)

@@ -49,13 +49,14 @@ class Plan(ByReference, Timed, Documented):
         cached: True if it was cached before.
         polished: the plan as one optimisation problem, a `Polished`, if it was asked for.
         margins: margins of gain, delay and lag, if they were asked for.
-        explored: chart of the effort over energies, and its picture, if it was asked for.
+        energies: chart of the effort over energies, if it was asked for.
     """
 
     KEYS: ClassVar[str] = (
         "walk=content.walk wraps=content.wraps shadowing=content.shadowing transfers=content.costs "
         "reference:intervals,duration,max_error_between_nodes,constraint_violation,max_cart_position,max_cart_velocity,max_cart_acceleration,"
-        "rms_cart_acceleration,iterations,solve_seconds,status file=written cached status"
+        "rms_cart_acceleration,iterations,solve_seconds,status file=written cached status "
+        "polish?=polished margins? energies?"
     )
 
     itinerary: Itinerary
@@ -64,19 +65,10 @@ class Plan(ByReference, Timed, Documented):
     cached: bool
     polished: Any = None
     margins: Any = None
-    explored: tuple[Any, Path] | None = None
+    energies: Any = None
 
     def __repr__(self) -> str:
         return f"<plan {self.itinerary.name!r}: {self.status}>"
-
-    def document(self) -> dict[str, Any]:
-        """Return the plan as JSON values, with what was asked for beside it."""
-        more: dict[str, Any] = {"polish": self.polished, "margins": self.margins}
-        document = {**super().document(), **{name: one.document() for name, one in more.items() if one is not None}}
-        if self.explored is not None:
-            chart, file = self.explored
-            document["energies"] = {**chart.document(), "file": str(file)}
-        return document
 
     @property
     def final(self) -> "Plan":

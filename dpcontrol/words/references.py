@@ -45,9 +45,8 @@ def plan(found: Any) -> Iterator[Line]:
         yield from _polished(found.polished)
     if found.margins is not None:
         yield f"  margins          {found.margins.status}"
-    if found.explored is not None:
-        chart, picture = found.explored
-        yield from (f"  energy           {chart.chosen}", *drawn_to(picture))
+    if found.energies is not None:
+        yield from (f"  energy           {found.energies.chosen}", *drawn_to(found.energies.file))
 
 
 def _file(found: Any) -> str:
