@@ -16,7 +16,7 @@ text and a share from 0 to 1, or True for a bar on stderr. By default, a line is
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from decimal import Decimal
 from fractions import Fraction
@@ -28,12 +28,13 @@ from dpcontrol.foundation.errors import GoalMissed, InputError, remark
 from dpcontrol.foundation.files import Film, Output, Picture, write_whole
 from dpcontrol.foundation.parts import installed, part
 from dpcontrol.foundation.progress import Cost, Progress, Reporting, announce, part_of, reporting
+from dpcontrol.foundation.rendering import render
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from dpcontrol.bench.chart import PrecisionChart
-    from dpcontrol.bench.run import DrawnChart
+    from dpcontrol.bench.run import DrawnCharts
     from dpcontrol.bifurcations.bifurcations import BifurcationSearch
     from dpcontrol.control.export import ControllerSource
     from dpcontrol.control.symbolic import Setpoint as Setpoint
@@ -50,18 +51,20 @@ if TYPE_CHECKING:
     from dpcontrol.identification.fit import Design
     from dpcontrol.identification.identify import Identification
     from dpcontrol.identification.replay import Replay
-    from dpcontrol.identification.replay import ReplaySettings as ReplaySettings
     from dpcontrol.judge.campaign import CampaignSummary
     from dpcontrol.judge.comparison import RunComparison
     from dpcontrol.judge.night import Night
     from dpcontrol.judge.preflight import Preflight
+    from dpcontrol.judge.score import Scores
     from dpcontrol.logs import LogSummary, Recovery
     from dpcontrol.loop.protocols import Reading as Reading
     from dpcontrol.loop.protocols import UserEstimator, UserLaw, UserPlant, UserRig
     from dpcontrol.orbits.family import LyapunovFamily
     from dpcontrol.orbits.lyapunov import Equilibrium, LyapunovOrbit
     from dpcontrol.orbits.rotating import RotatingFamilies, RotatingFamily, RotatingOrbit, RotatingOrbits
-    from dpcontrol.pages.figures import Drawn
+    from dpcontrol.pages.figures import DrawnFigures
+    from dpcontrol.pages.page import Report
+    from dpcontrol.pages.picture import Review
     from dpcontrol.planner.server import Planner
     from dpcontrol.plans.itinerary import Itinerary
     from dpcontrol.plans.model import Model as Model
@@ -70,9 +73,10 @@ if TYPE_CHECKING:
     from dpcontrol.plans.plan import Plan
     from dpcontrol.proofs.check import CertificateCheck
     from dpcontrol.proofs.prove import Proof, ProofSettings
-    from dpcontrol.recordings.recording import Recording
+    from dpcontrol.recordings.recording import ImportedRecording, Recording
     from dpcontrol.references.problem import Limits as Limits
     from dpcontrol.references.problem import ReferenceSettings as ReferenceSettings
+    from dpcontrol.references.reference import ReferenceFile
     from dpcontrol.references.sustained import SustainedOrbit
     from dpcontrol.rig.bench import UdpBench
     from dpcontrol.rig.commissioning import Commissioning
@@ -102,6 +106,9 @@ else:
 Place = Path | str
 NotNegative = Annotated[float, Between(0)]
 LogFile = Annotated[Path | str | bool | None, Output((".mcap", ""), free=True)]
+NewLog = Annotated[Path | str | Literal[True] | None, Output((".mcap",), free=True)]
+NewModel = Annotated[Path | str | Literal[True] | None, Output((".toml",), free=True)]
+"""A file to write; True for a free name of the usual kind."""
 _ARMS = {"inner": 1, "outer": 2}
 _SWEPT, _SWEPT_BYTES = 2.0, 1e6
 """What each energy of a sweep for bifurcations takes, in s and bytes, for each crossing of the section."""
@@ -821,17 +828,28 @@ def plan(
     itinerary: Place,
     *,
     fresh: bool = False,
-    workers: Workers = 1,
+    out: Annotated[Path | str | None, Output((".npz",))] = None,
+    margins: bool = False,
+    polish: bool = False,
+    explore_energy: Picture = None,
+    workers: Workers = 0,
     yes: bool = False,
     progress: Reporting = None,
 ) -> Plan:
-    """Plan an itinerary.
+    """Plan an itinerary: connections, shadowing orbit and reference.
+
+    Plans are cached by content, so the same itinerary is planned once. Each transfer is cached too, so interrupted
+    planning resumes with the next one.
 
     Args:
         itinerary: name or path of an itinerary's file.
-        fresh: plan it again even if it is cached.
-        workers: processes that search for transfers, 0 for a useful number (default: 1).
-        yes: accept work of more than an hour or 4 GB (default: refused).
+        fresh: new plan, even if one is cached.
+        out: reference to write, .npz, the polished one if there is one (default: none).
+        margins: limits of gain, delay and lag along the plan, in some seconds.
+        polish: joint optimisation of a motion from rest to rest, compared with the robust plan, in a minute or two.
+        explore_energy: chart of the effort with feedback at ±5 % over energies, in a minute (default: none).
+        workers: processes that search for transfers (default: one per processor if there are at least four).
+        yes: permission for work of more than an hour or 4 GB of memory.
         progress: reports, see `dpcontrol.api`.
 
     Returns:
@@ -848,8 +866,26 @@ def plan(
     from dpcontrol.plans.itinerary import load_itinerary
     from dpcontrol.plans.plan import make_plan
 
+    scene = load_itinerary(str(itinerary))
+    if explore_energy is not None:
+        from dpcontrol.bench.energies import only_walk
+
+        only_walk(scene)
     with reporting(progress, "plan") as report:
-        return make_plan(load_itinerary(str(itinerary)), progress=report, fresh=fresh, workers=workers, yes=yes)
+        found = make_plan(scene, progress=part_of(report, 0.0, 0.5), fresh=fresh, workers=workers, yes=yes)
+        if not found.converged:
+            return found
+        if polish:
+            from dpcontrol.runs.polish import polish as polish_plan
+
+            step = part_of(report, 0.5, 0.8)
+            found = replace(found, polished=polish_plan(found, fresh=fresh, workers=workers, yes=yes, progress=step))
+        if margins:
+            found = replace(found, margins=closed_loop(found).margins())
+        if explore_energy is not None and not found.missed:
+            step = part_of(report, 0.8, 1.0)
+            found = replace(found, energies=explore_energies(found, picture=explore_energy, progress=step))
+    return found if out is None or found.missed else found.written_to(Path(out))
 
 
 @checked
@@ -1322,52 +1358,103 @@ def swings(
     return random_swings(model.arms, swings=count, seconds=seconds, seed=seed, name=f"{model.name}-swings-{seed}")
 
 
+@overload
+def identify(
+    recordings: Recording | Place | Sequence[Recording | Place] = (),
+    *,
+    model: Model | str = "lab",
+    design: Literal[True],
+    picture: Picture = None,
+    progress: Reporting = None,
+) -> Design: ...
+@overload
+def identify(
+    recordings: Recording | Place | Sequence[Recording | Place] = (),
+    *,
+    model: Model | str = "lab",
+    zeros: bool | None = None,
+    design: Literal[False] = False,
+    out: NewModel = None,
+    force: bool = False,
+    picture: Picture = None,
+    progress: Reporting = None,
+) -> Identification: ...
 @checked
 def identify(
-    recordings: Recording | Sequence[Recording],
+    recordings: Recording | Place | Sequence[Recording | Place] = (),
     *,
-    model: Model | str,
+    model: Model | str = "lab",
     zeros: bool | None = None,
-    out: Place | None = None,
+    design: bool = False,
+    out: NewModel = None,
+    force: bool = False,
+    picture: Picture = None,
     progress: Reporting = None,
-) -> Identification:
-    """Identify arms from recordings of free swings.
+) -> Identification | Design:
+    """Identify a model from recordings that `dpcontrol import` wrote.
+
+    The model gets inertia ratios, friction laws and encoder zeros. Every third segment is held out, and the friction
+    laws are chosen by the error on these segments. --design needs no recording.
 
     Args:
-        recordings: recording, or several.
-        model: initial model, or its name.
-        zeros: fit the encoder zeros or not (default: decided by the segments left out).
-        out: model file to write (default: none).
+        recordings: recording, its log, or several.
+        model: initial model, a name or a TOML file (default: lab).
+        zeros: fit of the encoder zeros (default: if it predicts the held-out segments better).
+        design: most informative swings for recording, instead of an identification.
+        out: model to write (default: models/NAME.toml).
+        force: replace an existing model, whatever made it.
+        picture: picture of the result, with profiles of the misfit in a minute (default: none).
         progress: reports, see `dpcontrol.api`.
 
     Returns:
-        Inertia ratios, friction laws and encoder zeros with standard errors.
+        Inertia ratios, friction laws and encoder zeros with standard errors; experiments by information with `design`.
 
     Raises:
-        InputError: recordings contradict the model or are too short, or the file cannot be written.
+        InputError: recordings contradict the model or are too short, none or, with `design`, some are given, or the
+            file cannot be written.
 
     Examples:
         >>> dp.identify(dp.swings("lab", count=3, seconds=1.5), model="lab").friction_terms
         ('viscous',)
     """
-    from dpcontrol.identification.identify import IdentificationSettings
-    from dpcontrol.identification.identify import identify as found_in
-    from dpcontrol.plans.model import write_model
-    from dpcontrol.recordings.checks import contradiction
     from dpcontrol.recordings.recording import Recording
 
-    given, model = [recordings] if isinstance(recordings, Recording) else [*recordings], _model(model)
+    several = [recordings] if isinstance(recordings, Recording | str | Path) else [*recordings]
+    if bool(several) == design:
+        wrong = (
+            "design compares possible recordings: omit recordings"
+            if design
+            else "recordings = []: give at least one log"
+        )
+        raise InputError(wrong)
+    model = _model(model)
+    if design:
+        return design_experiments(model, picture=picture, progress=progress)
+    from dpcontrol.identification.identify import IdentificationSettings
+    from dpcontrol.identification.identify import identify as found_in
+    from dpcontrol.plans.model import check_model_replaced, write_model
+    from dpcontrol.recordings.checks import contradiction
+
+    named = [*map(_recording, several)]
+    files, given = [Path(name).name for name, _ in named], [one for _, one in named]
+    target = Path("models") / f"{Path(files[0]).stem}.toml" if out is True else None if out is None else Path(out)
+    if target is not None:
+        check_model_replaced(target, logs=files, starting_model=model.name, force=force)
     choice = {None: "chosen", True: "free", False: "none"}[zeros]
+    title = f"{model.title}, identified from {', '.join(one.name for one in given)}"
     with reporting(progress, "identify") as report:
         found = found_in(given, model.arms, settings=IdentificationSettings(zeros=choice), progress=report)
-    for one in given:
-        if against := contradiction(one, model.arms, model=model.name):
-            remark(f"{one.name}: {against}")
-    if out is not None:
-        names = [one.name for one in given]
-        title = f"{model.title}, identified from {', '.join(names)}"
-        write_model(found, Path(out), title=title, logs=names, starting_model=model.name)
-    return found
+        for one in given:
+            if against := contradiction(one, model.arms, model=model.name):
+                remark(f"{one.name}: {against}")
+        if target is not None:
+            write_model(found, target, title=title, logs=files, starting_model=model.name)
+        if picture is not None:
+            from dpcontrol.identification.identify import profiles
+            from dpcontrol.pages.identification import draw_identification
+
+            _save(draw_identification(found, profiles(found, progress=report), title=title), picture)
+    return replace(found, file=target)
 
 
 @checked
@@ -1416,6 +1503,45 @@ def open_plan(file: Place) -> Plan:
 
 
 @checked
+def open_reference(file: Place, *, picture: Picture = None, transitions: Picture = None) -> ReferenceFile:
+    """Show a reference: motion, limits, effort, mesh, error and origin.
+
+    FILE is a .npz from `dpcontrol plan --out`. numpy can read it; dpcontrol.references.reference documents its layout.
+    The error between nodes is measured again.
+
+    Args:
+        file: reference (.npz).
+        picture: picture of the reference to draw (default: none).
+        transitions: picture of the transfers between equilibria, from rows to columns (default: none).
+
+    Returns:
+        The reference with its figures and the files drawn.
+
+    Raises:
+        InputError: the file is missing, damaged or not a reference, or has no transfers to draw.
+
+    Examples:
+        >>> dp.open_reference(planned.file).reference.converged
+        True
+    """
+    from dpcontrol.references.reference import ReferenceFile, load_reference
+
+    if picture is not None and transitions is not None and Path(picture).resolve() == Path(transitions).resolve():
+        raise InputError(f"picture and transitions are both {picture}: give two names")
+    reference = load_reference(Path(file))
+    if transitions is not None:
+        from dpcontrol.pages.transitions import draw_transitions
+
+        # It can be refused, and must be before another picture is written.
+        _save(draw_transitions(reference), transitions)
+    if picture is not None:
+        from dpcontrol.judge.of_log import reference_view
+
+        _save(render(reference_view(reference, Path(file))), picture)
+    return ReferenceFile(Path(file), reference, None if transitions is None else Path(transitions))
+
+
+@checked
 def open_atlas(file: Place) -> Atlas:
     """Open the file of an atlas.
 
@@ -1436,12 +1562,16 @@ def open_atlas(file: Place) -> Atlas:
 
 @checked
 def open_planner(model: str = "lab", *, browser: bool = True, port: Annotated[int, Between(0, 65535)] = 0) -> Planner:
-    """Start the planner, a page in the browser.
+    """Plan in the browser, from an energy to a run.
+
+    Choose an energy, click connections to build a walk, plan it, and run it. Itinerary, log and film are saved in
+    ./itineraries and ./logs. The page works offline and only on this computer, because its address contains a token.
+    It needs an extra: pip install 'dpcontrol[planner]'.
 
     Args:
-        model: name or path of a model of two arms (default: "lab").
-        browser: open the browser (default: yes). Otherwise open `address` yourself.
-        port: port on 127.0.0.1 (default: 0, any free one).
+        model: name or path of a model of two arms (default: lab).
+        browser: open the page in the browser.
+        port: port on 127.0.0.1; 0 selects a free one (default: 0).
 
     Returns:
         The planner, a context manager, which serves until it is closed.
@@ -1458,8 +1588,8 @@ def open_planner(model: str = "lab", *, browser: bool = True, port: Annotated[in
     from dpcontrol.planner.server import Planner
 
     planner = Planner(model, port=port)
-    if browser:
-        planner.open()
+    if browser and not planner.open():
+        remark("no browser was found; open the address in one")
     return planner
 
 
@@ -1533,14 +1663,11 @@ def picture(
     from dpcontrol.plans.model import ModelSystem
     from dpcontrol.plans.plan import Plan
     from dpcontrol.runs.run import Run
-    from dpcontrol.walks.atlas import Atlas
     from dpcontrol.walks.shadowing import ShadowingOrbit
 
     if transitions and not isinstance(result, Plan):
         raise InputError("transitions = True draws the transfers of a plan: give one")
-    if film is not None and isinstance(result, Atlas):
-        raise InputError(f"{film}: an atlas does not move: give a run, a plan or a walk's orbit")
-    view = None
+    view: Any = result
     if isinstance(result, Run | Plan):
         plan = isinstance(result, Plan)
         view = reference_view(result.reference, result.file) if plan else run_view(result.log)
@@ -1557,7 +1684,7 @@ def picture(
         from dpcontrol.pages.transitions import draw_transitions
 
         figure = draw_transitions(result.reference)
-    if film is not None and view is not None:
+    if film is not None:
         from dpcontrol.pages.film import write_film
 
         write_film(view, film)
@@ -2123,6 +2250,7 @@ def explore_energies(
         from dpcontrol.bench.drawing import save_chart
 
         save_chart(chart, Path(picture))
+        chart = replace(chart, file=Path(picture))
     return chart
 
 
@@ -2381,40 +2509,176 @@ def compare_logs(logs: Sequence[Place], *, align: Count = 1) -> RunComparison:
 
 
 @checked
-def review(files: Place | Sequence[Place], *, align: Count = 1, save: Place | None = None) -> Path:
-    """Open logs, an atlas or a reference in the Rerun viewer.
+def score(logs: Place | Sequence[Place], *, why: bool = False, yes: bool = False, progress: Reporting = None) -> Scores:
+    """Score logged runs: symbols, wraps, limits, tracking, consistency of the estimator.
+
+    For the folder of a long run, the score has uptime, falls with causes, times to return, repetitions, and drift of
+    the estimates. With --why, it prints the options of `dpcontrol run` (more travel, half the lag, another law …) that
+    complete a failed run more often than harmless changes. It works for simulated runs only. With --json, one log gives
+    one object, several give {"runs": [...]}. The exit code is 1 if a run is not completed, or if its log covers only a
+    part of it. On a rig, it is 1 if by the estimate a symbol was not done.
+
+    Args:
+        logs: log, several logs, or folders of long runs.
+        why: options that complete each failed run, found by simulation.
+        yes: permission for work of more than an hour or 4 GB of memory.
+        progress: reports, see `dpcontrol.api`.
+
+    Returns:
+        The scores in order; `missed` says which run is not known to be completed.
+
+    Raises:
+        InputError: a log is missing, damaged or has no plan, or folders are mixed with logs or with `why`.
+
+    Examples:
+        >>> dp.score(log).results[0].completed
+        True
+    """
+    from dpcontrol.foundation.files import is_bag_folder
+    from dpcontrol.judge.night import read_night
+    from dpcontrol.judge.score import Scores
+
+    paths = [Path(logs)] if isinstance(logs, str | Path) else [*map(Path, logs)]
+    nights = [path for path in paths if path.is_dir() and not is_bag_folder(path)]
+    if not nights:
+        runs = [open_log(path) for path in paths]
+        scores = tuple(run.score() for run in runs)
+        return Scores(scores, tuple(run.why(yes=yes, progress=progress) for run in runs) if why else ())
+    if why or len(nights) < len(paths):
+        other = next((path for path in paths if path not in nights), None)
+        what = "why tries single runs" if other is None else f"{other} is a single log"
+        raise InputError(f"{nights[0]} is the folder of a long run, and {what}; score the folder alone")
+    return Scores(tuple(map(read_night, nights)))
+
+
+@checked
+def review(
+    files: Place | Sequence[Place],
+    *,
+    align: Count = 1,
+    save: Annotated[Path | str | None, Output((".rrd",))] = None,
+    picture: Picture = None,
+    film: Film = None,
+    stretch: tuple[float, float] | None = None,
+    yes: bool = False,
+    progress: Reporting = None,
+) -> Review:
+    """Open a log in the Rerun viewer.
+
+    It shows the arms with the reference as a ghost, the planned and the actual itinerary, angles, rates, command,
+    errors, energy, and phase planes with the tubes. Recordings from the bench open too. Several logs open side by side,
+    delayed so that all cross the section of symbol N at the same time. An atlas (.npz) opens as tubes, orbits and
+    flights, with numbered connections on its cuts. A reference (.npz) opens as motion, command and limits.
+
+    With --save, --picture or --film, no viewer opens. A film shows the arms on their cart, the reference, the path of
+    the tip and the itinerary.
 
     Args:
         files: a log, an atlas, a reference, or several logs.
-        align: number of the symbol at which several logs are aligned (default: 1).
-        save: Rerun recording (.rrd) to write instead (default: the viewer opens).
+        align: symbol at which several logs are aligned, counted from 1 (default: 1).
+        save: Rerun recording to write, .rrd (default: none).
+        picture: picture to draw (default: none).
+        film: film of the arms in real time; .mp4 needs pip install 'dpcontrol[film]' (default: none).
+        stretch: begin and end of the filmed part of the log, s (default: all).
+        yes: permission for work of more than an hour or 4 GB of memory.
+        progress: reports, see `dpcontrol.api`.
 
     Returns:
-        The recording.
+        The files: the recording, which may be that of the viewer, picture and film.
 
     Raises:
-        InputError: a file is missing or damaged, or there is no display.
+        InputError: a file is missing or damaged, there is no display, or a stretch without a film.
         PartMissing: the extra `viewer` is not installed.
 
     Examples:
-        >>> dp.review(log, save=log.with_suffix(".rrd")).name
+        >>> dp.review(log, save=log.with_suffix(".rrd")).recording.name
         'turn.rrd'
     """
-    from dpcontrol.pages.picture import opened, view_in_window
+    from dpcontrol.pages.picture import Review, opened, view_in_window
     from dpcontrol.pages.renderers import record
 
-    given = [files] if isinstance(files, str | Path) else files
-    paths = [Path(one) for one in given]
-    shown = opened(paths, symbol=align)
-    if save is None:
-        return view_in_window(shown, paths[0].stem)
-    record(shown, Path(save))
-    return Path(save)
+    if stretch is not None and film is None:
+        raise InputError("stretch is given without film: give the film too")
+    paths = [Path(files)] if isinstance(files, str | Path) else [*map(Path, files)]
+    with reporting(progress, "review") as report:
+        report("reading", 0.05)
+        shown = opened(paths, symbol=align)
+        recording = None if save is None else Path(save)
+        report("recording", 0.2)
+        if recording is not None:
+            record(shown, recording)
+        elif picture is None and film is None:
+            recording = view_in_window(shown, paths[0].stem)
+        if film is not None:
+            from dpcontrol.pages.film import write_film
+
+            write_film(shown, film, stretch=stretch, yes=yes, progress=report)
+        if picture is not None:
+            report("picture", 0.5)
+            _save(render(shown), picture)
+    aligned = getattr(shown, "status", None) if len(paths) > 1 else None
+    return Review(tuple(paths), recording, None if film is None else Path(film), aligned)
+
+
+@checked
+def report(file: Place, *, page: Picture = None, margins: bool = False) -> Report:
+    """Write one page on a log, a long run or a campaign.
+
+    matplotlib draws it.
+
+    The page of a log has the planned and the actual itinerary, a film strip, angles, rates, cart, command, errors,
+    energy and phase planes. It also compares the further estimates with the truth, if that is in the log. The page of a
+    long run has strips of half an hour with the times on the itinerary and the causes of interruptions. It also has
+    times to return, and drift. The page of a campaign has success rates by group with Wilson's intervals, and failures
+    by symbol and reason.
+
+    Args:
+        file: log, folder of a long run, or table of a campaign (.parquet).
+        page: page to write (default: NAME-report.png beside the file).
+        margins: limits of gain, delay and lag along the reference of a log, in some seconds.
+
+    Returns:
+        The score or the summary, and the page.
+
+    Raises:
+        InputError: the file is missing or damaged, the page cannot be written, or margins of more than one log.
+
+    Examples:
+        >>> dp.report(log, page=log.with_name("page.png")).page.name
+        'page.png'
+    """
+    from dpcontrol.foundation.files import is_bag_folder
+    from dpcontrol.judge.campaign import campaign_summary
+    from dpcontrol.judge.night import read_night
+    from dpcontrol.judge.of_log import run_view
+    from dpcontrol.judge.score import Unscored, lacking
+    from dpcontrol.pages.page import Report
+
+    source = Path(file)
+    # A folder may be named by "." alone.
+    target = Path(page or source.parent / f"{source.stem or source.resolve().name}-report.png")
+    of_night, of_campaign = source.is_dir() and not is_bag_folder(source), source.suffix.lower() == ".parquet"
+    if margins and (of_night or of_campaign):
+        remedy = "a log of the folder" if of_night else "a log, or use plan --margins"
+        raise InputError(f"{file}: margins apply to one log; give {remedy}")
+    if of_night or of_campaign:
+        found = read_night(source) if of_night else campaign_summary(source)
+        _save(render(found), target)
+        return Report(found, target)
+    run = open_log(source)
+    borne = run.margins() if margins else None
+    view = run_view(run.log)
+    _save(render(view), target)
+    return Report(Unscored(str(source), view.verdict) if lacking(run.log) else run.score(), target, borne)
 
 
 @checked
 def log_summary(file: Place) -> LogSummary:
-    """Return the content of a log after checking it.
+    """Show a log's topics, types, rates, duration, metadata and attachments.
+
+    Topics also have units and counts.
+
+    All checksums are verified. A truncated or damaged log is rejected, and the message suggests a remedy.
 
     Args:
         file: log.
@@ -2435,13 +2699,23 @@ def log_summary(file: Place) -> LogSummary:
 
 
 @checked
-def recover_log(file: Place, out: Place | None = None, *, force: bool = False, progress: Reporting = None) -> Recovery:
-    """Rebuild a log that is cut or damaged.
+def recover_log(
+    file: Place,
+    out: Annotated[Path | str | None, Output((".mcap",))] = None,
+    *,
+    force: bool = False,
+    progress: Reporting = None,
+) -> Recovery:
+    """Rebuild a truncated or damaged log, and report the losses.
+
+    The log can also be that of a killed run.
+
+    Intact records are copied bit for bit, sorted and verified. The old file is kept.
 
     Args:
         file: damaged log, which is kept.
-        out: new log (default: a free name beside it).
-        force: replace any log at `out`.
+        out: log to write (default: NAME.mcap for NAME.mcap.partial if it does not exist, else NAME-recovered.mcap).
+        force: replace an existing log, whatever made it.
         progress: reports, see `dpcontrol.api`.
 
     Returns:
@@ -2458,6 +2732,81 @@ def recover_log(file: Place, out: Place | None = None, *, force: bool = False, p
 
     with reporting(progress, "recover") as report:
         return recover(Path(file), None if out is None else Path(out), force=force, progress=report)
+
+
+@checked
+def import_recording(
+    file: Place | None = None,
+    *,
+    mapping: str | None = None,
+    model: Model | str | None = None,
+    repairs: Sequence[str] = (),
+    simulated: Model | str | None = None,
+    swings: int = 9,
+    seconds: float = 2.667,
+    seed: Seed = 0,
+    out: NewLog = None,
+    force: bool = False,
+    yes: bool = False,
+    progress: Reporting = None,
+) -> ImportedRecording:
+    """Import a recording of the bench as a log.
+
+    It reads MATLAB, CSV, Parquet, MCAP and ROS bags. Gaps, repeated times, missing numbers, wrapped angles and
+    contradicting columns are rejected with their row. --repair selects the faults to correct, and the log records the
+    corrections. Segments count from 0, rows from 1. Unusual but possible data cause a remark: a constant angle, and
+    with --model a recording that its arms cannot have made. --simulated gives data with known truth for `identify` and
+    `replay`.
+
+    Args:
+        file: recording of the bench.
+        mapping: mapping of the columns, a name or a TOML file (default: by contents for .mat, joint-states for bags and
+            .mcap, otherwise table).
+        model: model of the arms, for remarks on contradictions (default: none).
+        repairs: faults to correct, with commas: nan,time,gaps,wrap,spikes,sampling (default: none).
+        simulated: model whose free swings replace the file, as encoders measure them (default: none).
+        swings: number of simulated swings (default: 9).
+        seconds: duration of each simulated swing, s (default: 2.667).
+        seed: seed of the simulated initial states and encoder zeros (default: 0).
+        out: log to write (default: logs/NAME.mcap).
+        force: replace an existing log, whatever made it.
+        yes: permission for work of more than an hour or 4 GB of memory.
+        progress: reports, see `dpcontrol.api`.
+
+    Returns:
+        The recording with its log, and remarks on it.
+
+    Raises:
+        InputError: file and simulated model are both given or both missing, or the file is missing or damaged, does
+            not match the mapping, or needs a repair.
+
+    Examples:
+        >>> dp.import_recording(simulated="lab", swings=2, out=log.with_name("two.mcap")).recording.arms
+        2
+    """
+    from dpcontrol.recordings.checks import constant_angles, contradiction
+    from dpcontrol.recordings.importing import import_recording as imported
+    from dpcontrol.recordings.recording import ImportedRecording, random_swings, swings_cost
+    from dpcontrol.recordings.recording import write_recording as written
+
+    if (file is None) == (simulated is None):
+        found = "missing" if file is None else "given"
+        raise InputError(f"file and simulated are both {found}: give a file, or the model of simulated swings")
+    own = None if model is None else _model(model)
+    with reporting(progress, "import") as report:
+        if simulated is None:
+            recording = imported(Path(str(file)), mapping, repairs=list(repairs), progress=report)
+        else:
+            announce(swings_cost(swings, seconds, written=out is not None), yes=yes)
+            swung, name = _model(simulated), f"{_model(simulated).name}-swings-{seed}"
+            recording = random_swings(swung.arms, swings=swings, seconds=seconds, seed=seed, name=name)
+        report("writing", 0.7)
+        log = _new_log(out, f"{recording.name}.mcap", lambda place: written(recording, place, force=force))
+    against = "" if own is None else contradiction(recording, own.arms, model=own.name)
+    remarks, source = (*constant_angles(recording), *filter(None, [against])), str(file or recording.source)
+    for sentence in remarks:
+        remark(f"{source}: {sentence}")
+    return ImportedRecording(recording, source, log, remarks)
 
 
 @checked
@@ -2485,11 +2834,12 @@ def write_recording(recording: Recording, file: Place, *, force: bool = False) -
 
 
 @checked
-def design_experiments(model: Model | str, *, progress: Reporting = None) -> Design:
+def design_experiments(model: Model | str, *, picture: Picture = None, progress: Reporting = None) -> Design:
     """Compare swings by their information on the model's parameters.
 
     Args:
         model: model of arms.
+        picture: picture of the result (default: none).
         progress: reports, see `dpcontrol.api`.
 
     Returns:
@@ -2502,68 +2852,98 @@ def design_experiments(model: Model | str, *, progress: Reporting = None) -> Des
         >>> len(dp.design_experiments(lab).best_pair())
         2
     """
-    from dpcontrol.identification.fit import design_experiments as design
+    from dpcontrol.identification.fit import design_experiments as designed
 
+    model = _model(model)
     with reporting(progress, "design") as report:
-        return design(_model(model).arms, progress=report)
+        found = designed(model.arms, progress=report)
+    if picture is not None:
+        from dpcontrol.pages.experiments import draw_design
+
+        _save(draw_design(found, title=model.title), picture)
+    return found
 
 
 @checked
 def replay(
-    recording: Recording,
+    recording: Recording | Place,
     *,
-    model: Model | str,
+    model: Model | str = "lab",
+    ahead: int = 100,
+    span: float | None = None,
     estimator: Literal["ekf", "ukf"] = "ekf",
+    counts: int = 40_000,
+    mean_over: float | None = None,
     model_error: NotNegative = 0.003,
-    settings: ReplaySettings | None = None,
-    out: Place | None = None,
+    out: NewLog = None,
     force: bool = False,
     progress: Reporting = None,
 ) -> Replay:
-    """Predict a recording by a model, and estimate its states.
+    """Predict a recording by a model, and run an estimator.
+
+    The log contains the prediction, the estimates and the measurements. Each segment is predicted in one piece from its
+    best initial state. The prediction is the reference of the log, so `dpcontrol review` shows both. If the cart moved,
+    as in a log of `dpcontrol run`, its command or its recorded motion is the input of the model. The encoder zeros of
+    the model file are subtracted.
 
     Args:
-        recording: recording of a bench.
-        model: predicting model, whose encoder zeros are subtracted.
-        estimator: "ekf", by default, or "ukf".
-        model_error: relative error of the model's accelerations (default: 0.003).
-        settings: encoder counts, means, samples ahead and span.
-        out: log of measurement and prediction to write (default: none).
-        force: replace any log there.
+        recording: recording of a bench, or its log.
+        model: model for the prediction, a name or a path (default: lab).
+        ahead: number of samples of the n-step prediction error (default: 100).
+        span: longest prediction in one piece, s (default: 5, or 0.5 if the cart moved).
+        estimator: kind of estimator (default: ekf).
+        counts: encoder counts per turn, for the assumed noise of the estimator (default: 40000).
+        mean_over: duration of the estimator's means, s (default: 0.015, or 0 if the cart moved).
+        model_error: assumed relative error of the accelerations (default: 0.003).
+        out: log to write (default: logs/NAME-replay.mcap).
+        force: replace an existing log, whatever made it.
         progress: reports, see `dpcontrol.api`.
 
     Returns:
         Prediction, estimate and their errors.
 
     Raises:
-        InputError: the recording does not fit the model, or an unknown estimator.
+        InputError: the recording does not fit the model, an impossible setting, or the log cannot be written.
 
     Examples:
         >>> len(dp.replay(dp.swings(lab, count=2), model=lab).fits)
         2
     """
-    from dpcontrol.identification.replay import filter_settings, replay_recording, write_replay
+    from dpcontrol.identification.replay import ReplaySettings, filter_settings, replay_recording, write_replay
     from dpcontrol.recordings.checks import contradiction
 
+    settings = ReplaySettings(counts=counts, mean_over=mean_over, ahead=ahead, span=span)
     model, filters = _model(model), filter_settings(estimator, model_error=model_error)
+    name, recording = _recording(recording)
     with reporting(progress, "replay") as report:
         found = replay_recording(recording, model.arms, filters, settings, zeros=model.encoder_zeros, progress=report)
-    if out is not None:
-        write_replay(found, Path(out), model=model.name, model_text=model.text, force=force)
+        log = _new_log(
+            out,
+            f"{Path(name).stem}-replay.mcap",
+            lambda place: write_replay(found, place, model=model.name, model_text=model.text, force=force),
+        )
     if against := contradiction(recording, model.arms, model=model.name):
-        remark(f"{recording.name}: {against}")
-    return found
+        remark(f"{name}: {against}")
+    return replace(found, model=model.name, estimator=estimator, log=log)
 
 
 @checked
 def draw_figures(
-    names: Sequence[str] = (), *, folder: Place = "figures", progress: Reporting = None
-) -> tuple[Drawn, ...]:
-    """Draw computational figures of the paper with captions.
+    names: Sequence[str] = (),
+    *,
+    folder: Annotated[Place, Output(folder=True)] = "figures",
+    progress: Reporting = None,
+) -> DrawnFigures:
+    """Draw the computational figures of the paper, each a PNG with a caption and the differences.
+
+    Names: energy-landscape, three-body-homoclinics, three-body, lyapunov-orbits, families, tubes, tubes-down-up, cuts,
+    colour-wheels, tubes-up-down, colour-wheels-up-down, homoclinics-low, homoclinics-high, heteroclinics,
+    heteroclinic-orbits, branches, graph, shadowing, double-homoclinics, triple-homoclinics, returning-homoclinics,
+    up-up. Without a name, all are drawn. Atlases are cached by content.
 
     Args:
         names: figures, such as "tubes" (default: all).
-        folder: folder for the PNGs and captions.json (default: "figures").
+        folder: folder for the pictures and captions.json (default: figures).
         progress: reports, see `dpcontrol.api`.
 
     Returns:
@@ -2576,10 +2956,11 @@ def draw_figures(
         >>> [one.name for one in dp.draw_figures(["energy-landscape"], folder=log.parent)]
         ['energy-landscape']
     """
-    from dpcontrol.pages.figures import draw_figures as drawn
-    from dpcontrol.pages.gallery import cached_gallery
-
     with reporting(progress, "figures") as report:
+        report("loading", 0.0)
+        from dpcontrol.pages.figures import draw_figures as drawn
+        from dpcontrol.pages.gallery import cached_gallery
+
         return drawn(names, cached_gallery(), Path(folder), progress=report)
 
 
@@ -2587,18 +2968,29 @@ def draw_figures(
 def draw_charts(
     names: Sequence[str] = (),
     *,
-    folder: Place = "charts",
+    folder: Annotated[Place, Output(folder=True)] = "charts",
     quick: bool = False,
+    strict: bool = False,
     yes: bool = False,
     progress: Reporting = None,
-) -> tuple[DrawnChart, ...]:
-    """Chart speed against accuracy, and limits of methods.
+) -> DrawnCharts:
+    """Chart speed against accuracy of numerical methods, and map their failures.
+
+    Charts: propagation, connections, transcription, estimation, control. Times are medians on one core without
+    start-up, and a ring marks the default of dpcontrol.
+
+    Maps of the limits of methods, found by bisection, beside the predictions of theory: edges-moving, edges-ogy,
+    edges-estimation, edges-margins. `edges` selects all of them.
+
+    Without a name, all are drawn. The status reports defaults off their front and limits that differ from their
+    prediction. With --strict, these give exit code 1.
 
     Args:
         names: charts, such as "propagation" (default: all).
-        folder: folder for each chart's PNG and JSON (default: "charts").
-        quick: less of the same work (default: all of it).
-        yes: accept any duration.
+        folder: folder for NAME.png and NAME.json of each chart (default: charts).
+        quick: fewer and shorter measurements.
+        strict: exit code 1 if a chart reports a deviation, which the result names as `missed`.
+        yes: permission for work of more than an hour or 4 GB of memory.
         progress: reports, see `dpcontrol.api`.
 
     Returns:
@@ -2610,10 +3002,11 @@ def draw_charts(
     Examples:
         >>> dp.draw_charts(["edges-margins"], quick=True)  # doctest: +SKIP
     """
-    from dpcontrol.bench.run import draw_charts as drawn
-
     with reporting(progress, "bench") as report:
-        return drawn(names, Path(folder), quick=quick, yes=yes, progress=report)
+        report("loading", 0.0)
+        from dpcontrol.bench.run import draw_charts as drawn
+
+        return replace(drawn(names, Path(folder), quick=quick, yes=yes, progress=report), strict=strict)
 
 
 @checked
@@ -2707,7 +3100,6 @@ def demo(
 
     from dpcontrol.foundation.files import free_name
     from dpcontrol.judge.of_log import run_view
-    from dpcontrol.pages.picture import write_picture
     from dpcontrol.pages.rerun_recording import write_recording
     from dpcontrol.runs.run import Demonstration
 
@@ -2723,8 +3115,33 @@ def demo(
             if recording is not None:
                 write_recording(view, recording)
             report("picture", 0.85)
-            picture = write_picture(view, file.with_suffix(".png"))
+            picture = file.with_suffix(".png")
+            _save(render(view), picture)
     return Demonstration(planned, file, done.score(), recording, picture, perf_counter() - began)
+
+
+def _recording(given: Recording | Place) -> tuple[str, Recording]:
+    """Return a recording with its name: that of its file, if it is given by one."""
+    from dpcontrol.recordings.recording import load_recording
+
+    return (str(given), load_recording(given)) if isinstance(given, str | Path) else (given.name, given)
+
+
+def _new_log(out: Place | Literal[True] | None, name: str, write: Callable[[Path], Path]) -> Path | None:
+    """Write a log to a file, or to the first free name in the folder of logs."""
+    from dpcontrol.foundation.config import log_folder
+    from dpcontrol.foundation.files import free_name
+
+    if out is True:
+        with free_name(log_folder() / name, write) as log:
+            return log
+    return None if out is None else write(Path(out))
+
+
+def _save(figure: Figure, file: Place) -> None:
+    from dpcontrol.pages.layout import save_figure
+
+    save_figure(figure, file)
 
 
 def _model(model: Model | str) -> Model:

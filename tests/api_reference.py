@@ -51,7 +51,7 @@ GROUPS = {
     ),
     "api-references": (
         "References",
-        ["plan", "reference", "open_plan", "polish", "explore_energies", "open_planner", "picture"],
+        ["plan", "reference", "open_plan", "open_reference", "polish", "explore_energies", "open_planner", "picture"],
     ),
     "api-loop": (
         "Closed loop",
@@ -61,10 +61,10 @@ GROUPS = {
         "Runs and campaigns",
         ["run", "Run", "launch", "repeat", "demo", "campaign", "open_campaign", "open_night"],
     ),
-    "api-logs": ("Logs", ["open_log", "log_summary", "recover_log", "compare_logs", "review"]),
+    "api-logs": ("Logs", ["open_log", "log_summary", "recover_log", "compare_logs", "score", "review", "report"]),
     "api-recordings": (
         "Recordings",
-        ["open_recording", "write_recording", "swings", "identify", "design_experiments", "replay"],
+        ["open_recording", "import_recording", "write_recording", "swings", "identify", "design_experiments", "replay"],
     ),
     "api-other": ("Cache, guide and charts", ["cache", "config", "read_guide", "draw_charts"]),
 }

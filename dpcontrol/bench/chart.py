@@ -28,6 +28,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from pathlib import Path
 from textwrap import shorten
 from typing import Any, ClassVar
 
@@ -426,16 +427,18 @@ class EdgeMap(Documented):
 class ChartPage(Documented):
     """A page of `dpcontrol bench`.
 
-    It has a name for command line and files, a title, three reading hints, the choice and its diagrams.
+    It has a name for command line and files, a title, three reading hints, the choice and its diagrams. A chart that is
+    drawn alone has a file.
     """
 
-    KEYS: ClassVar[str] = "name title headline=title reading chosen complaints findings"
+    KEYS: ClassVar[str] = "name title headline=title reading chosen complaints findings file?"
 
     name: str
     title: str
     reading: tuple[str, str, str]
     chosen: str
     parts: tuple[Any, ...]
+    file: Path | None = None
 
     @property
     def pages(self) -> dict[str, tuple[Any, ...]]:
@@ -502,6 +505,7 @@ CHARTS: dict[str, Callable[[bool, Progress], ChartPage]] = {
 fronts."""
 GROUPS = {"edges": tuple(name for name in CHARTS if name.startswith("edges-"))}
 """Names for groups of charts."""
+NAMES = (*CHARTS, *GROUPS)
 
 
 def check_names(names: tuple[str, ...]) -> tuple[str, ...]:
@@ -513,8 +517,8 @@ def check_names(names: tuple[str, ...]) -> tuple[str, ...]:
     Raises:
         InputError: a name is unknown.
     """
-    unknown = [name for name in names if name not in (*CHARTS, *GROUPS)]
+    unknown = [name for name in names if name not in NAMES]
     if unknown:
-        raise InputError(f"there is no chart {unknown[0]!r}; choose from {', '.join((*CHARTS, *GROUPS))}")
+        raise InputError(f"there is no chart {unknown[0]!r}; choose from {', '.join(NAMES)}")
     chosen = [chart for name in names for chart in GROUPS.get(name, (name,))]
     return tuple(dict.fromkeys(chosen or CHARTS))

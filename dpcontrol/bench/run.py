@@ -7,30 +7,60 @@ import json
 import os
 import platform
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from dpcontrol.bench.chart import CHARTS, ChartPage, check_names
 from dpcontrol.bench.drawing import save_chart
 from dpcontrol.bench.measure import one_core
 from dpcontrol.foundation.cache import commit
-from dpcontrol.foundation.document import counted
+from dpcontrol.foundation.document import Documented, counted
 from dpcontrol.foundation.files import write_whole
 from dpcontrol.foundation.parts import versions
 from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress, part_of
 
 
 @dataclass(frozen=True)
-class DrawnChart:
+class DrawnChart(Documented):
     """A finished chart, its files, and its duration in seconds."""
+
+    KEYS: ClassVar[str] = "**chart file=pictures.0 files=pictures data seconds"
 
     chart: ChartPage
     pictures: tuple[Path, ...]
     data: Path
     seconds: float
+
+
+@dataclass(frozen=True)
+class DrawnCharts(Documented):
+    """Finished charts; with `strict`, a deviation that a chart reports counts as a failure."""
+
+    KEYS: ClassVar[str] = "charts status"
+
+    charts: tuple[DrawnChart, ...]
+    strict: bool = False
+
+    def __iter__(self) -> Iterator[DrawnChart]:
+        return iter(self.charts)
+
+    @property
+    def complaints(self) -> tuple[str, ...]:
+        """Defaults off their front, and limits that differ from their prediction."""
+        return tuple(text for one in self.charts for text in one.chart.complaints)
+
+    @property
+    def status(self) -> str:
+        """Number of charts, and their complaints."""
+        return f"{len(self.charts)} charts drawn; {'; '.join(self.complaints) or 'every default stands where it may'}"
+
+    @property
+    def missed(self) -> str:
+        """The complaints of strict charts, or ""."""
+        return self.status if self.strict and self.complaints else ""
 
 
 _SECONDS = {False: 150.0, True: 25.0}
@@ -49,7 +79,7 @@ def charts_cost(names: Sequence[str], *, quick: bool) -> Cost:
 
 def draw_charts(
     names: Sequence[str], folder: Path, *, quick: bool = False, yes: bool = False, progress: Progress = no_progress
-) -> tuple[DrawnChart, ...]:
+) -> DrawnCharts:
     """Draw charts (all if `names` is empty).
 
     They are drawn one after the other on one core, with the others idle.
@@ -73,7 +103,7 @@ def draw_charts(
         for k, name in enumerate(chosen):
             report = part_of(progress, k / len(chosen), (k + 1) / len(chosen))
             drawn.append(draw_chart(name, folder=folder, made_with=made_with, progress=report))
-    return tuple(drawn)
+    return DrawnCharts(tuple(drawn))
 
 
 def draw_chart(

@@ -161,6 +161,7 @@ def _parameters(
         yield from _setting_options()
         return
     kinds = _kinds(hint)
+    # A list in one text has a parser.
     several = name == "over" or (name not in PARSERS and any(get_origin(kind) is Sequence for kind in kinds))
     kind = _click_type(name, kinds, output)
     if _is_positional(parameter) and name not in declared.names:
@@ -175,6 +176,8 @@ def _parameters(
     elif flag and parameter.default is None:
         names = (f"{names[0]}/--no-{names[0][2:]}",)
     written = output is not None or name in ALWAYS_OUTPUT
+    if flag and parameter.default is True:
+        help = f"do not {help}"
     help = help[:1].upper() + help[1:]
     help = re.sub(r" \((default: [^)]*)\)\.$", r". [\1]", f"{help.removesuffix('.')}.")
     yield Option(

@@ -114,11 +114,10 @@ COMPLETERS: dict[tuple[str, str], Completer] = {
     ("", "section"): completing(_sections),
     ("", "saddle"): completing(_saddles),
     ("", "symbols"): completing(_symbols),
-    ("figures", "names"): completing(_found("cli.charts", "FIGURES")),
-    ("bench", "names"): completing(_found("cli.charts", "ALL_CHARTS")),
-    ("replay", "estimator"): completing(lambda *_: ("ekf", "ukf")),
+    ("figures", "names"): completing(_found("pages.figures", "FIGURES")),
+    ("bench", "names"): completing(_found("bench.chart", "NAMES")),
     ("walk", "through"): completing(_saddles),
-    ("import", "repair"): completing(_found("recordings.checks", "REPAIRS"), listed=True),
+    ("import", "repairs"): completing(_found("recordings.checks", "REPAIRS"), listed=True),
     **{
         (verb, name): completing(_saddles)
         for verb in ("connect", "bifurcations", "walk", "prove")

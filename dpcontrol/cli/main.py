@@ -93,12 +93,26 @@ GROUPS = {
             "For check, MODEL is the file of a certificate.",
             {"symbols": ("-s", "--symbol"), "source": "--from", "target": "--to", "names": "--name"},
         ),
-        "plan": ("plan", "Plan an itinerary: shadowing orbit and reference."),
-        "reference": ("plan", "Show a reference: limits, effort, mesh, error, picture."),
+        "plan": Verb(
+            "Plan an itinerary: shadowing orbit and reference.",
+            "plan",
+            "dpcontrol plan outer-turn",
+            "ITINERARY is a name (in ./itineraries or shipped) or the path of a .toml, or of a plan from --out.",
+        ),
+        "reference": Verb(
+            "Show a reference: limits, effort, mesh, error, picture.",
+            "open_reference",
+            "dpcontrol plan cross --out cross.npz; dpcontrol reference cross.npz",
+        ),
         "schema": Verb(
             "Print the JSON Schema of itineraries or models, for editors.", "schema", "dpcontrol schema itinerary"
         ),
-        "planner": ("planner", "Plan in the browser, from an energy to a run."),
+        "planner": Verb(
+            "Plan in the browser, from an energy to a run.",
+            "open_planner",
+            "dpcontrol planner lab",
+            "MODEL is a name (in ./models or shipped) or a path.",
+        ),
     },
     "Run": {
         "run": Verb(
@@ -140,20 +154,65 @@ GROUPS = {
         ),
     },
     "Review": {
-        "score": ("review", "Report whether logged runs completed their itineraries."),
-        "review": ("review", "Open a log in the viewer, or save a recording or a picture."),
-        "report": ("review", "Write one page on a log or a campaign."),
-        "info": ("review", "Show the contents of a log: topics, rates, metadata, attachments."),
-        "recover": ("review", "Rebuild a truncated or damaged log, and report the losses."),
+        "score": Verb(
+            "Report whether logged runs completed their itineraries.",
+            "score",
+            "dpcontrol score logs/outer-turn-0.mcap --why",
+        ),
+        "review": Verb(
+            "Open a log in the viewer, or save a recording or a picture.",
+            "review",
+            "dpcontrol review logs/outer-turn-0.mcap --picture outer-turn.png",
+        ),
+        "report": Verb(
+            "Write one page on a log or a campaign.",
+            "report",
+            "dpcontrol report logs/outer-turn-0.mcap --picture outer-turn.pdf",
+            names={"page": "--picture"},
+        ),
+        "info": Verb(
+            "Show the contents of a log: topics, rates, metadata, attachments.",
+            "log_summary",
+            "dpcontrol info logs/outer-turn-0.mcap",
+        ),
+        "recover": Verb(
+            "Rebuild a truncated or damaged log, and report the losses.",
+            "recover_log",
+            "dpcontrol recover logs/outer-turn-0.mcap.partial",
+            names={"out": "--out"},
+        ),
     },
     "Recordings": {
-        "import": ("recordings", "Import a recording of the bench as a log."),
-        "identify": ("recordings", "Identify a model from recordings of the bench."),
-        "replay": ("recordings", "Predict a recording by a model, and run an estimator over it."),
+        "import": Verb(
+            "Import a recording of the bench as a log.",
+            "import_recording",
+            "dpcontrol import swing.csv --mapping my-rig.toml --repair nan,gaps",
+            names={"repairs": "--repair"},
+        ),
+        "identify": Verb(
+            "Identify a model from recordings of the bench.",
+            "identify",
+            "dpcontrol identify logs/lab_free_swing.mcap --model lab --out models/rig.toml",
+        ),
+        "replay": Verb(
+            "Predict a recording by a model, and run an estimator over it.",
+            "replay",
+            "dpcontrol replay logs/lab_free_swing.mcap --model lab --estimator ukf",
+        ),
     },
     "Charts": {
-        "figures": ("charts", "Draw the computational figures of the paper, with captions."),
-        "bench": ("charts", "Chart speed against accuracy, and the limits of methods."),
+        "figures": Verb(
+            "Draw the computational figures of the paper, with captions.",
+            "draw_figures",
+            "dpcontrol figures tubes heteroclinics --out pictures",
+            names={"folder": "--out"},
+        ),
+        "bench": Verb(
+            "Chart speed against accuracy, and the limits of methods.",
+            "draw_charts",
+            "dpcontrol bench propagation --quick --out charts",
+            names={"folder": "--out"},
+        ),
     },
 }
 """Verbs by heading, in the order of work, each with its module and a summary."""

@@ -22,6 +22,7 @@ import numpy as np
 from dpcontrol.control.interface import GainSchedule, SampledModel
 from dpcontrol.control.tick import TickProgram
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.document import Documented
 from dpcontrol.references.problem import Limits
 
 FIRST_ERROR = 2e-3
@@ -44,7 +45,7 @@ _NEAREST = {"gain_low": 1.0, "gain_high": 1.0, "delay": 1e-3, "lag": 1e-3}
 
 
 @dataclass(frozen=True)
-class Margins:
+class Margins(Documented):
     """Gain, delay and lag margins of the loop along its reference.
 
     Delay and lag are those beyond the assumed ones.

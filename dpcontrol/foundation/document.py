@@ -6,6 +6,7 @@
     from=source.saddle      an attribute under another name, here of a part
     names=parts.name        the attribute of each item of a sequence
     count=#connections      the length of an attribute
+    margins?                an attribute, which is left out if it is None
     ends:energy,reason      these entries of a part or of each item (plain tuples get the names in order)
     **orbit                 the entries of a part beside those of the object
     **                      the object's own document
@@ -62,8 +63,10 @@ def document_of(result: Any, keys: str = "*") -> dict[str, Any]:
     document: dict[str, Any] = {}
     for entry in keys.split():
         name, _, columns = entry.partition(":")
-        key, _, path = name.partition("=")
+        key, _, path = name.replace("?", "").partition("=")
         value = result if key == "**" else None if key == "*" else _part(result, path or key.lstrip("*"))
+        if value is None and "?" in name:
+            continue
         if columns:
             value = _rows(value, columns)
         if key == "*":

@@ -27,6 +27,7 @@ dynamical models (2009).
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -43,7 +44,7 @@ from dpcontrol.dynamics.chain import (
     with_laws,
 )
 from dpcontrol.foundation.arrays import Array
-from dpcontrol.foundation.document import picked
+from dpcontrol.foundation.document import Documented, picked
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.settings import Settings, setting
@@ -304,7 +305,7 @@ class Candidate(Brief):
 
 
 @dataclass(frozen=True, eq=False)
-class Identification(Shown):
+class Identification(Shown, Documented):
     """Identified arms with errors, encoder zeros and friction laws."""
 
     arms: ArmChainParameters
@@ -331,6 +332,8 @@ class Identification(Shown):
     residuals: tuple[Array, ...]
     """Residuals (K, n) of each segment, rad."""
     status: str
+    file: Path | None = None
+    """Model file that was written, or None."""
 
     def __repr__(self) -> str:
         return f"<identified arms: {self.status}>"
@@ -346,7 +349,7 @@ class Identification(Shown):
         return correlation_of(self.covariance)
 
     def document(self) -> dict[str, Any]:
-        """Return the output of `dpcontrol identify --json`, except the file name."""
+        """Return the output of `dpcontrol identify --json`."""
         segment = ("index", "used", "rms", "log", "start", "seconds")
         return {
             "parameters": {
@@ -367,7 +370,7 @@ class Identification(Shown):
             ],
             "segments": [picked(s, *segment) for s in self.segments],
             "starting_model_left_out_rms": float(np.sqrt((self.started_at**2).mean())),
-            **picked(self, "zeros", "correlation", "status"),
+            **picked(self, "zeros", "correlation", "status", "file"),
         }
 
 

@@ -301,7 +301,8 @@ class Replay(Brief, Documented):
     """A recording of K samples and the model's predictions for it."""
 
     KEYS: ClassVar[str] = (
-        "segments=stretch_errors nis_inside_95 nis_below_95 rates_rms cart status nis_means rms_ahead=ahead"
+        "log model estimator segments=stretch_errors nis_inside_95 nis_below_95 rates_rms cart status nis_means "
+        "rms_ahead=ahead"
     )
 
     recording: Recording
@@ -329,6 +330,12 @@ class Replay(Brief, Documented):
     """Share below the 95 % quantile."""
     nis_means: NisMeans | None = None
     """Mean of the NIS, None if there is none."""
+    model: str = ""
+    """Name of the model."""
+    estimator: str = ""
+    """Kind of the estimator."""
+    log: Path | None = None
+    """Log that was written, or None."""
 
     @checked
     def summary(self, model: str) -> str:
@@ -370,6 +377,11 @@ class Replay(Brief, Documented):
         start = self.recording.time[lost[0][1]]
         reason = next(fit.status for fit in self.fits if not fit.converged)
         return f"{len(lost)} of {len(self.fits)} stretches, the first at {start:.4g} s: {reason}"
+
+    @property
+    def converged(self) -> bool:
+        """True if the model could follow all stretches."""
+        return all(fit.converged for fit in self.fits)
 
     @property
     def stretch_errors(self) -> list[dict[str, Any]]:

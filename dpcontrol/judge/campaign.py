@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.foundation.document import document_of, picked
+from dpcontrol.foundation.document import Documented, document_of, picked
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import checked_size, checked_source
 from dpcontrol.foundation.parts import part
@@ -61,7 +61,7 @@ class Group:
 
 
 @dataclass(frozen=True, eq=False)
-class CampaignSummary(Shown):
+class CampaignSummary(Shown, Documented):
     """Success rates and causes of failure in a campaign's table.
 
     Attributes:

@@ -22,7 +22,7 @@ import numpy as np
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.causes import Cause
 from dpcontrol.foundation.checked import checked
-from dpcontrol.foundation.document import picked
+from dpcontrol.foundation.document import Documented, picked
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.settings import check_names
 from dpcontrol.foundation.shown import Shown, pandas_classes
@@ -88,7 +88,7 @@ class Drift:
 
 
 @dataclass(frozen=True, eq=False)
-class Night(Shown):
+class Night(Shown, Documented):
     """A long run, represented by its digests in order."""
 
     folder: Path
@@ -210,6 +210,11 @@ class Night(Shown):
         return of_session[-1] / of_session[0] if of_session else math.nan
 
     @property
+    def unlogged(self) -> tuple[NightSpan, ...]:
+        """Times without a log."""
+        return tuple(span for span in self.spans if span.kind == UNKNOWN)
+
+    @property
     def deadlines(self) -> dict[str, float] | None:
         """Deadline statistics of a rig, or None in simulation.
 
@@ -238,7 +243,7 @@ class Night(Shown):
         """Return the output of `dpcontrol score FOLDER --json`."""
         returns = self.returns
         quantiles = np.quantile(returns, [0.5, 0.99]).tolist() if len(returns) else [None, None]
-        lost = [{"first": s.first, "end": s.end} for s in self.spans if s.kind == UNKNOWN]
+        lost = [picked(span, "first", "end") for span in self.unlogged]
         return {
             "log": self.folder, "hours": self.known / 3600, "files": len(self.digests),
             "files_kept": len([*self.folder.glob("*.mcap")]),
@@ -274,38 +279,6 @@ class Night(Shown):
             for digest in self.digests
         ]
         return data_frame(rows, index=index([digest.first for digest in self.digests], name="time"))
-
-    def lines(self) -> Iterator[str]:
-        """Yield the lines of the report."""
-        yield str(self.folder)
-        yield f"  {self.sentence}"
-        if self.falls:
-            yield f"  falls    {', '.join(f'{cause} {count}' for cause, count in self.causes.items())}"
-        limit = self.digests[0].limit
-        of = f" of {1e3 * limit:.0f}" if limit else ""
-        hits = self.stop_hits
-        yield (
-            f"  cart     {1e3 * self.cart:.1f}{of} mm at most, {hits or 'no'} end stop{'s' if hits > 1 else ''} hit; "
-            f"tracking {1e3 * self.tracking:.1f} mrad rms on the itinerary"
-        )
-        if self.drifts:
-            shown = (f"{d.name} {d.first:+.4f} to {d.last:+.4f}" for d in self.drifts)
-            yield f"  drift    {', '.join(shown)}"
-        if math.isfinite(self.memory_growth):
-            yield f"  memory   {self.memory_growth:.0%} of its size after the first file"
-        if (kept := self.deadlines) is not None:
-            yield (
-                f"  rig      {kept['missed']:,} of {kept['ticks']:,} deadlines missed, ticks began up to "
-                f"{1e3 * kept['worst']:.3g} ms late; {kept['lost']:,} readings lost, the bench repeated a command "
-                f"{kept['held']:,} times"
-            )
-        for span in self.spans:
-            if span.kind == UNKNOWN:
-                yield f"  no log from {span.first / 60:.2f} to {span.end / 60:.2f} minutes"
-        for end in self.endings:
-            yield f"  ended at {end.time / 60:.2f} minutes: {end.text}"
-        for file in self.partials:
-            yield f"  beside it: {file}, of a night that was interrupted or is under way"
 
 
 def _firsts(falls: Sequence[Fall], spans: Sequence[NightSpan]) -> list[Fall]:

@@ -184,6 +184,44 @@ class Score(Documented):
         return f"<score: {self.sentence}>"
 
 
+@dataclass(frozen=True)
+class Unscored(Documented):
+    """A log that cannot be scored, such as a recording, with the reason."""
+
+    log: str
+    reason: str
+    completed: None = None
+
+
+@dataclass(frozen=True)
+class Scores(Documented):
+    """Scores of several logs or long runs.
+
+    Attributes:
+        results: `Score` of each log, or `Night` of each folder of a long run, in order.
+        whys: `Why` of each run, with the options that complete it; empty if they were not searched.
+    """
+
+    results: tuple[Any, ...]
+    whys: tuple[Any, ...] = ()
+
+    def document(self) -> dict[str, Any]:
+        """Return the document of the only score, or those of all runs."""
+        documents = [one.document() for one in self.results]
+        for document, why in zip(documents, self.whys, strict=False):
+            document["why"] = why.document()
+        return documents[0] if len(documents) == 1 else {"runs": documents}
+
+    @property
+    def missed(self) -> str:
+        """Why a run is not known to be completed, or ""."""
+        failed = [one for one in self.results if isinstance(one, Score) and one.missed]
+        if not failed:
+            return ""
+        known = "" if all(one.completed is False for one in failed) else "known to be "
+        return f"{len(failed)} of {len(self.results)} not {known}completed; {failed[0].log}: {failed[0].reason}"
+
+
 def plan_of(log: RunLog) -> Reference:
     """Return the reference in the log, with its plan.
 

@@ -31,6 +31,7 @@ from mcap.records import Attachment, Channel, Chunk, DataEnd, Footer, Header, Me
 from numpy.typing import NDArray
 
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError, remark
 from dpcontrol.foundation.files import UNREADABLE, checked_size, checked_source, in_the_way
 from dpcontrol.foundation.shown import Brief, Shown, pandas_classes
@@ -889,7 +890,7 @@ class TopicSummary:
 
 
 @dataclass(frozen=True)
-class LogSummary:
+class LogSummary(Documented):
     """Contents of a complete log: topics, attachments and metadata.
 
     Attributes:

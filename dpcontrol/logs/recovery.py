@@ -26,6 +26,7 @@ import numpy as np
 from mcap.opcode import Opcode
 from mcap.records import Channel
 
+from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import checked_other_file, whole_file
 from dpcontrol.foundation.progress import Progress, no_progress
@@ -180,7 +181,7 @@ def _chunk(body: memoryview) -> SoundChunk:
 
 
 @dataclass(frozen=True)
-class Recovery:
+class Recovery(Documented):
     """Ticks and losses of a recovered log.
 
     Attributes:

@@ -2,11 +2,13 @@
 
 import json
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import ClassVar
 
+from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import write_whole
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
@@ -69,9 +71,27 @@ class Drawn:
     seconds: float
 
 
+@dataclass(frozen=True)
+class DrawnFigures(Documented):
+    """Figures on disk, and the file of their captions."""
+
+    KEYS: ClassVar[str] = "figures captions status"
+
+    figures: tuple[Drawn, ...]
+    captions: Path
+
+    def __iter__(self) -> Iterator[Drawn]:
+        return iter(self.figures)
+
+    @property
+    def status(self) -> str:
+        """Number of figures."""
+        return f"{len(self.figures)} figures drawn"
+
+
 def draw_figures(
     names: Sequence[str], gallery: Gallery, folder: Path, *, progress: Progress = no_progress
-) -> tuple[Drawn, ...]:
+) -> DrawnFigures:
     """Draw figures to NAME.png in a folder.
 
     Their captions are written to captions.json there. Captions of figures drawn there earlier are kept.
@@ -98,8 +118,9 @@ def draw_figures(
         file = Path(folder) / f"{name}.png"
         save_figure(page.figure, file)
         drawn.append(Drawn(name, file, page.caption, page.differs, time.perf_counter() - began))
-    _write_captions(Path(folder) / CAPTIONS, drawn)
-    return tuple(drawn)
+    captions = Path(folder) / CAPTIONS
+    _write_captions(captions, drawn)
+    return DrawnFigures(tuple(drawn), captions)
 
 
 def _write_captions(file: Path, drawn: Sequence[Drawn]) -> None:

@@ -135,7 +135,7 @@ class Film:
 
 
 def write_film(
-    view: RunView,
+    view: Any,
     file: Path | str,
     *,
     stretch: Range | None = None,
@@ -162,6 +162,8 @@ def write_film(
     kind = file.suffix.lower()
     if kind not in _WRITERS:
         raise InputError(f"{file}: a film is a .gif, .webp or .mp4 file; choose a name that ends so")
+    if not isinstance(view, RunView):
+        raise InputError(f"{file}: a film shows one motion; give one log, recording, reference or walk")
     if not view.arm_lengths:
         raise InputError(f"{file}: a film shows arms, and this system has none; use --picture")
     begin, end = view.time_range

@@ -321,19 +321,19 @@ def missing_glyphs_as_boxes() -> Iterator[None]:
 
 
 def save_figure(figure: Figure, path: Path | str) -> None:
-    """Write a figure as PNG or PDF, by the name's suffix.
+    """Write a figure as PNG, PDF or SVG, by the name's suffix.
 
     Args:
         figure: figure to write.
-        path: file, `*.png` or `*.pdf`.
+        path: file, `*.png`, `*.pdf` or `*.svg`.
 
     Raises:
         InputError: the file cannot be written.
     """
     path = Path(path)
     kind = path.suffix.lower().removeprefix(".")
-    if kind not in ("png", "pdf"):
-        raise InputError(f"{path}: a picture is a .png or .pdf file; choose a name that ends so")
+    if kind not in ("png", "pdf", "svg"):
+        raise InputError(f"{path}: a picture is a .png, .pdf or .svg file; choose a name that ends so")
     _literal_texts(figure)
     with whole_file(path, suffix=f".{kind}") as temporary:
         try:

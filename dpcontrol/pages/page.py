@@ -8,12 +8,17 @@ follow.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
+from typing import Any, ClassVar
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
+from dpcontrol.control.margins import Margins
+from dpcontrol.foundation.document import Documented
 from dpcontrol.judge.nearest import closest_approach, limit_uses, nis_reading
 from dpcontrol.judge.of_log import run_view
 from dpcontrol.judge.run_view import RunView
@@ -40,6 +45,23 @@ _NEAR, _FULL = 0.9, 1.05
 """Share of a limit from which on its bar is red, and the longest bar."""
 _LISTED = 7
 """Most symbols and most events in a list."""
+
+
+@dataclass(frozen=True, eq=False)
+class Report(Documented):
+    """A page on a log, a long run or a campaign.
+
+    Attributes:
+        result: `Score` of a log or `Unscored`, `Night` of a long run, or `CampaignSummary`.
+        page: file of the page.
+        margins: margins of gain, delay and lag along the reference of a log, if they were asked for.
+    """
+
+    KEYS: ClassVar[str] = "**result.document margins? picture=page"
+
+    result: Any
+    page: Path
+    margins: Margins | None = None
 
 
 def draw(view: RunView) -> Figure:

@@ -10,14 +10,15 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
 from dpcontrol.foundation.config import configuration
+from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import archive_format, is_archive
 from dpcontrol.foundation.parts import installed, part
-from dpcontrol.foundation.rendering import render
 from dpcontrol.judge.of_log import reference_view, run_view
 from dpcontrol.judge.run_view import RunView
 from dpcontrol.logs import read_log
@@ -150,6 +151,26 @@ def view_in_window(shown: Any, name: str) -> Path:
     return recording
 
 
+@dataclass(frozen=True)
+class Review(Documented):
+    """Reviewed files, and what was written.
+
+    Attributes:
+        files: logs, an atlas or a reference.
+        recording: recording that was saved or opened, or None.
+        film: film of the arms, or None.
+        aligned: how several logs are aligned, None for one.
+    """
+
+    KEYS: ClassVar[str] = "log=files.0 logs=files recording film aligned? status"
+
+    status = "done"
+    files: tuple[Path, ...]
+    recording: Path | None
+    film: Path | None
+    aligned: str | None
+
+
 Shown: TypeAlias = "RunView | RunComparison | Atlas"
 """Objects to review: a run or a reference, several runs, an atlas."""
 
@@ -182,19 +203,3 @@ def opened(files: Sequence[Path], *, symbol: int = 1) -> Shown:
 
         return load_atlas(first)
     return run_view(read_log(first))
-
-
-def write_picture(shown: Shown, path: Path | str) -> Path:
-    """Write a picture of a review and return its path.
-
-    Args:
-        shown: run, reference, comparison or atlas.
-        path: file, `*.png`.
-
-    Raises:
-        InputError: the file cannot be written.
-    """
-    from dpcontrol.pages.layout import save_figure
-
-    save_figure(render(shown), Path(path))
-    return Path(path)

@@ -95,7 +95,11 @@ class Planner(AbstractContextManager["Planner"]):
         """Open the page in a browser; return False without a browser."""
         return webbrowser.open(self.address)
 
-    def wait(self) -> None:
+    def document(self) -> dict[str, str]:
+        """Return the address as JSON value."""
+        return {"address": self.address}
+
+    def serve(self) -> None:
         """Block until the server is closed or the program is interrupted."""
         while self._thread.is_alive():
             self._thread.join(0.2)

@@ -21,7 +21,7 @@ from dpcontrol.foundation.cache import cache_file, keep, kept
 from dpcontrol.foundation.causes import ReferenceCause
 from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import GoalMissed
-from dpcontrol.foundation.files import content_hash
+from dpcontrol.foundation.files import content_hash, write_whole
 from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress, part_of
 from dpcontrol.foundation.shown import Timed, checked_times
 from dpcontrol.logs.layout import state_names
@@ -45,23 +45,51 @@ class Plan(ByReference, Timed, Documented):
     There is no file if the reference did not converge, or the cache is not writable.
 
     Attributes:
-        file: its file in the cache.
+        file: its file in the cache, or the one that was asked for.
         cached: True if it was cached before.
+        polished: the plan as one optimisation problem, a `Polished`, if it was asked for.
+        margins: margins of gain, delay and lag, if they were asked for.
+        energies: chart of the effort over energies, if it was asked for.
     """
 
     KEYS: ClassVar[str] = (
         "walk=content.walk wraps=content.wraps shadowing=content.shadowing transfers=content.costs "
         "reference:intervals,duration,max_error_between_nodes,constraint_violation,max_cart_position,max_cart_velocity,max_cart_acceleration,"
-        "rms_cart_acceleration,iterations,solve_seconds,status file=written cached status"
+        "rms_cart_acceleration,iterations,solve_seconds,status file=written cached status "
+        "polish?=polished margins? energies?"
     )
 
     itinerary: Itinerary
     reference: Reference
     file: Path
     cached: bool
+    polished: Any = None
+    margins: Any = None
+    energies: Any = None
 
     def __repr__(self) -> str:
         return f"<plan {self.itinerary.name!r}: {self.status}>"
+
+    @property
+    def final(self) -> "Plan":
+        """The polished plan if it was asked for, otherwise this one."""
+        return self if self.polished is None else self.polished.polished
+
+    @property
+    def missed(self) -> str:
+        """Why there is no final plan, or ""."""
+        return "" if self.final.converged else f"{self.itinerary.name}: {self.final.status}"
+
+    def written_to(self, file: Path) -> "Plan":
+        """Write the final plan to a file, and return this one with its name.
+
+        Args:
+            file: reference to write (.npz).
+        """
+        write_whole(file, self.final.archive)
+        if self.polished is None:
+            return replace(self, file=file)
+        return replace(self, polished=replace(self.polished, polished=replace(self.final, file=file)))
 
     @property
     def time_range(self) -> tuple[float, float]:

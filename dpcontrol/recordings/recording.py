@@ -25,14 +25,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.checked import Count, Index, checked
-from dpcontrol.foundation.document import picked
+from dpcontrol.foundation.document import Documented, picked
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import content_hash
 from dpcontrol.foundation.progress import Cost
@@ -177,6 +177,24 @@ class Recording(Timed):
             "cart": self.cart is not None,
             "segments": segments,
         }
+
+
+@dataclass(frozen=True, eq=False)
+class ImportedRecording(Documented):
+    """A recording that was imported or simulated.
+
+    Attributes:
+        source: its file, or its origin.
+        log: log that was written, or None.
+        remarks: sentences on unusual data.
+    """
+
+    KEYS: ClassVar[str] = "log source **recording.document remarks"
+
+    recording: Recording
+    source: str
+    log: Path | None
+    remarks: tuple[str, ...]
 
 
 def described(recording: Recording, *, kind: str = KIND) -> dict[str, str]:

@@ -22,7 +22,7 @@ from functools import cached_property
 from io import BytesIO
 from itertools import pairwise
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, ClassVar
 
 import numpy as np
 
@@ -30,7 +30,7 @@ from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
 from dpcontrol.dynamics.equations import NumericEquations
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.causes import ReferenceCause
-from dpcontrol.foundation.document import document_of, picked, plain
+from dpcontrol.foundation.document import Documented, document_of, picked, plain
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import archive, write_archive
 from dpcontrol.foundation.parts import installed
@@ -210,6 +210,22 @@ class Reference(Trajectory):
             **picked(self, "iterations", "solve_seconds", "converged", "status"),
             "arrays": {"states": self.states.shape, "inputs": self.inputs.shape},
         }
+
+
+@dataclass(frozen=True, eq=False)
+class ReferenceFile(Documented):
+    """A reference in a file.
+
+    Attributes:
+        file: the file.
+        transitions: picture of the transfers between equilibria, or None.
+    """
+
+    KEYS: ClassVar[str] = "file **reference.document transitions"
+
+    file: Path
+    reference: Reference
+    transitions: Path | None = None
 
 
 class ByReference:

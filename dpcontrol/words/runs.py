@@ -188,11 +188,12 @@ def lost(losses: str) -> str:
 _WHY = "  why      "
 
 
-def score_lines(verdict: Any) -> Iterator[str]:
+def score_lines(verdict: Any, *, why: Any = None) -> Iterator[str]:
     """Yield the lines of a score of one log.
 
     Args:
         verdict: a `Score`.
+        why: a `Why` with options that complete the run; by default, the command that searches for them is named.
     """
     pace = "" if verdict.real_time_factor is None else f", {verdict.real_time_factor:.1f} × real time"
     yield verdict.log
@@ -204,7 +205,10 @@ def score_lines(verdict: Any) -> Iterator[str]:
     )
     if verdict.nis_means is not None:
         yield f"  NIS      {verdict.nis_means.sentence}"
-    if verdict.completed is False:
+    if why is not None:
+        yield f"{_WHY}{why.sentence}"
+        yield from (f"{' ' * len(_WHY)}{line}" for line in why.lines())
+    elif verdict.completed is False:
         yield f"{_WHY}`dpcontrol score LOG --why` searches for options that complete a simulated run of built-in parts"
     if verdict.thinking is not None:
         median, most = 1e6 * verdict.thinking.median, 1e6 * verdict.thinking.within_99

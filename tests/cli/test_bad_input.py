@@ -41,7 +41,7 @@ LINES = {
     "orbit three-body --saddle L1 --energy 0.5 --sustained": "no arms",
     # Options that lack another, or exclude one another.
     "orbit lab --saddle down-up --sustained": "needs saddle and energy",
-    "import": "give a FILE",
+    "import": "give a file",
     "identify": "at least one log",
     "run": "--from",
     "run outer-turn --real-time": "--real-time",

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dpcontrol.cli.review import shortfall
 from dpcontrol.control.estimator_settings import MEANS_OF, nis_means
 from dpcontrol.judge.decoding import FOLLOWS
 from dpcontrol.judge.score import HARDEST_METADATA, score
@@ -112,6 +111,6 @@ def test_without_the_true_state_the_verdict_uses_the_estimate_and_reports_this(l
     measured = replace(without_note(log), states={k: v for k, v in log.states.items() if k != "truth"})
     found = score(measured)
     assert (found.completed, found.judged_by) == (None, "estimate")
-    assert not shortfall(found)
-    assert shortfall(replace(found, symbols_completed=0))
+    assert not found.missed
+    assert replace(found, symbols_completed=0).missed
     assert "acceleration" in score(with_applied(measured, 700, 98.3)).reason

@@ -1,0 +1,122 @@
+"""What the verbs of plans and references print."""
+
+from collections.abc import Iterator
+from typing import Any
+
+from dpcontrol.words.table import Line, drawn_to, table
+
+_ORIGIN = ("program", "code", "scene_hash", "model_hash")
+
+
+def plan(found: Any) -> Iterator[Line]:
+    """Yield what was planned, with what was asked for beside it; nothing without a reference.
+
+    Args:
+        found: a `Plan`.
+    """
+    if not found.converged:
+        return
+    reference, content = found.reference, found.content
+    yield found.itinerary.title
+    for symbol in content.symbols:
+        named = f"{symbol.text!r} is {symbol.name}"
+        yield f"  {named if symbol.name else f'{symbol.text}, a transfer at {symbol.time:.2f} s'}"
+    if (residual := content.shadowing.residual) is not None:
+        yield f"  shadowing orbit  {content.shadowing.duration:.3f} s, residual {residual:.1e}"
+    yield f"  reference        {reference.status}"
+    yield (
+        f"  cart             {reference.max_cart_position * 1e3:.1f} mm at most, "
+        f"{reference.rms_cart_acceleration:.3f} m/s² rms, {reference.max_cart_acceleration:.3f} m/s² at most"
+    )
+    yield f"{_file(found)}{' (cached)' if found.cached else ''}"
+    if costs := content.costs:
+        columns: dict[str, Any] = {
+            "transfer": "{0.text}",
+            "duration (s)": "{0.duration:.3g}",
+            "∫u² (m²/s³)": "{0.effort:.3g}",
+            "stroke (m)": "{0.stroke:.3g}",
+        }
+        for k, family in enumerate(costs[0].closest):
+            columns[f"closest to {family.orbit}"] = (
+                f"{{0.closest[{k}].distance:.2f}} at {{0.closest[{k}].energy:.3g}} J"
+            )
+        yield table("", costs, columns)
+    if found.polished is not None and found.polished.converged:
+        yield from _polished(found.polished)
+    if found.margins is not None:
+        yield f"  margins          {found.margins.status}"
+    if found.energies is not None:
+        yield from (f"  energy           {found.energies.chosen}", *drawn_to(found.energies.file))
+
+
+def _file(found: Any) -> str:
+    return f"  file             {found.written or 'none: the cache cannot be written'}"
+
+
+def _polished(found: Any) -> Iterator[Line]:
+    yield f"  polished         {found.status}"
+    yield _file(found.polished)
+    columns: dict[str, Any] = {
+        "plan": "{0.name}",
+        "∫u² (m²/s³)": "{0.effort:.3g}",
+        "peak (m/s²)": "{0.peak:.3g}",
+        "travel (m)": "{0.travel:.3g}",
+        "from the orbits": "{0.nearest:.2g}",
+    }
+    for mismatch in found.sides[0].completed:
+        columns[f"completed at ±{mismatch:.0%}"] = lambda side, m=mismatch: "{0.successes} of {0.runs}".format(
+            side.completed[m]
+        )
+    yield table("", found.sides, columns)
+    yield "  The polished plan keeps crossings, windings and wraps; it need not come near the orbits."
+
+
+def reference(found: Any) -> Iterator[Line]:
+    """Yield motion, mesh, error, effort, origin, limits and symbols of a reference.
+
+    Args:
+        found: a `ReferenceFile`.
+    """
+    document = found.document()
+    yield f"{found.file}: {document.get('title', 'a reference')}"
+    if "itinerary" in document:
+        yield f"  itinerary    {document['itinerary']}, model {document['model']}, plan {document['plan']}"
+    yield f"  status       {document['status']}"
+    yield (
+        f"  mesh         {document['duration']:.6g} s in {document['intervals']} intervals of {document['method']}, "
+        f"{1e3 * document['shortest_interval']:.3g} to {1e3 * document['longest_interval']:.3g} ms"
+    )
+    measured, origin = document["measured_error_between_nodes"], document.get("made_from")
+    lack = "the file names no arms" if origin is None else "this needs heyoka, which is not installed"
+    anew = f"not measured again: {lack}" if measured is None else f"{measured:.1e} measured again"
+    yield f"  error        {document['max_error_between_nodes']:.1e} between nodes as stored, {anew}"
+    yield f"  effort       {document['rms_cart_acceleration']:.4g} m/s² rms, ∫u² {document['effort']:.4g} m²/s³"
+    if origin:
+        yield "  made from    " + ", ".join(f"{key} {origin.get(key)}" for key in _ORIGIN)
+    columns = {
+        "limit": "cart {0[0]}",
+        "allowed": "±{0[1][bound]:g} {0[1][unit]}",
+        "largest": "{0[1][largest]:.4g}",
+        "used": "{0[1][share]:.1%}",
+        "at (s)": "{0[1][time]:.3f}",
+    }
+    yield table("", document["limits"].items(), columns)
+    if document.get("symbols"):
+        shown: dict[str, Any] = {
+            "symbol": "{0[0]}",
+            "time (s)": "{0[1][time]:.3f}",
+            "text": "{0[1][text]}",
+            "arrives at": "{0[1][arrives_at]}",
+            "connection": lambda row: row[1]["name"] or "a transfer",
+        }
+        yield table("", enumerate(document["symbols"], start=1), shown)
+    yield from drawn_to(found.transitions)
+
+
+def planner(found: Any) -> Iterator[Line]:
+    """Yield the address of the planner.
+
+    Args:
+        found: a `Planner`.
+    """
+    yield from (found.address, "Ctrl-C ends the planner")
