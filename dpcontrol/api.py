@@ -213,7 +213,7 @@ def find_orbits(
             _found(found.converged, f"the sustained orbit about {saddle}", found.status)
             view = sustained_view(found, arms.length)
     if picture is not None:
-        _draw(view, picture)
+        _save(render(view), picture)
     return found
 
 
@@ -3161,13 +3161,6 @@ def _found(converged: bool, what: str, status: str) -> None:
         raise GoalMissed(f"{what}: {status}")
 
 
-def _draw(result: object, picture: Place) -> None:
-    from dpcontrol.foundation.rendering import render
-    from dpcontrol.pages.layout import save_figure
-
-    save_figure(render(result), picture)
-
-
 def _lyapunov(
     system: System,
     saddle: str,
@@ -3332,9 +3325,7 @@ def _drawn(result: Any, file: Place | None) -> Any:
     """Return a result with the name of its picture, which is drawn if a file is given."""
     if file is None:
         return result
-    from dpcontrol.pages.layout import save_figure
-
-    save_figure(result.plot(), Path(file))
+    _save(render(result), file)
     return replace(result, picture=Path(file))
 
 
