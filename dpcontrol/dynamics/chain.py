@@ -46,7 +46,7 @@ from enum import StrEnum
 from fractions import Fraction
 from functools import cache, reduce
 from itertools import product
-from typing import Any
+from typing import Annotated, Any
 
 import casadi as ca
 import numpy as np
@@ -57,7 +57,7 @@ from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System, described_system
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import GoalMissed, InputError
-from dpcontrol.foundation.settings import Settings, bounds_of, setting
+from dpcontrol.foundation.settings import Setting, Settings, leaves_of
 from dpcontrol.foundation.shown import Brief
 from dpcontrol.foundation.units import OTHER_UNITS, Usual
 
@@ -100,15 +100,28 @@ class ArmChainParameters(Settings):
         smoothing: rate below which these two fade, rad/s.
     """
 
-    mass: tuple[float, ...] = setting(above=0, most=LARGEST, unit="kg")
-    centre_of_mass: tuple[float, ...] = setting(above=0, most=LARGEST, unit="m")
-    length: tuple[float, ...] = setting(above=0, most=LARGEST, unit="m")
-    inertia: tuple[float, ...] = setting(least=0, most=1e9, unit="kg m²")
-    gravity: float = setting(above=0, most=LARGEST, unit="m/s²", key="acceleration")
-    viscous: tuple[float, ...] = setting(least=0, most=LARGEST, unit="N m s/rad")
-    coulomb: tuple[float, ...] = setting((), least=0, most=LARGEST, unit="N m")
-    quadratic: tuple[float, ...] = setting((), least=0, most=LARGEST, unit="N s²/m²")
-    smoothing: float = setting(0.05, above=0, most=LARGEST, unit="rad/s")
+    mass: Annotated[tuple[float, ...], Setting(above=0, most=LARGEST, unit="kg", help="Masses.")]
+    centre_of_mass: Annotated[
+        tuple[float, ...],
+        Setting(above=0, most=LARGEST, unit="m", help="Distances of the centres of mass from the upper joints."),
+    ]
+    length: Annotated[tuple[float, ...], Setting(above=0, most=LARGEST, unit="m", help="Lengths from joint to joint.")]
+    inertia: Annotated[
+        tuple[float, ...],
+        Setting(least=0, most=1e9, unit="kg m²", help="Moments of inertia about the centres of mass."),
+    ]
+    gravity: Annotated[
+        float, Setting(above=0, most=LARGEST, unit="m/s²", key="acceleration", help="Acceleration of gravity.")
+    ]
+    viscous: Annotated[tuple[float, ...], Setting(least=0, most=LARGEST, unit="N m s/rad", help="Viscous friction.")]
+    coulomb: Annotated[tuple[float, ...], Setting(least=0, most=LARGEST, unit="N m", help="Dry friction.")] = ()
+    quadratic: Annotated[
+        tuple[float, ...],
+        Setting(least=0, most=LARGEST, unit="N s²/m²", help="Drag of the air at the centres of oscillation."),
+    ] = ()
+    smoothing: Annotated[
+        float, Setting(above=0, most=LARGEST, unit="rad/s", help="Rate below which dry friction is smoothed.")
+    ] = 0.05
 
     def _check_together(self) -> None:
         """Check that each arm has its values."""
@@ -139,7 +152,7 @@ class ArmChainParameters(Settings):
 
         The names are m1, a1, l1, J1, g, k1 …
         """
-        units = {name: bounds.unit.replace("²", "^2") for name, bounds in bounds_of(type(self)).items()}
+        units = {name: leaf.bounds.unit.replace("²", "^2") for name, leaf in leaves_of(type(self)).items()}
         shown = {**_INERTIAL, "gravity": "g", **_FRICTION, **({"smoothing": "w"} if self.friction else {})}
         out: dict[str, tuple[float, str]] = {}
         for field, letter in shown.items():
