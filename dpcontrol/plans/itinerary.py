@@ -23,7 +23,7 @@ from dpcontrol.dynamics.plant import check_component
 from dpcontrol.foundation.errors import InputError, Mistakes, remark, shortened, together
 from dpcontrol.foundation.settings import leaves_of, nearest, suggest
 from dpcontrol.foundation.shipped import find
-from dpcontrol.foundation.toml import Place, decode, parse_toml, read_toml, table_values
+from dpcontrol.foundation.toml import Place, decode, parse_toml, read_toml, table_values, with_values
 from dpcontrol.loop.bench import Push
 from dpcontrol.loop.controllers import CONTROLLERS, ESTIMATORS, estimators_of
 from dpcontrol.loop.loop import LoopSettings
@@ -32,7 +32,7 @@ from dpcontrol.loop.result import SupervisorSettings
 from dpcontrol.orbits.lyapunov import equilibria
 from dpcontrol.plans.layout import KEEP, RUN, ZEROS, Header, HoldPart, OrbitPart, Part, WalkPart
 from dpcontrol.plans.model import Model, load_model, model_from, quoted
-from dpcontrol.plans.overrides import OBJECTS, canonical, resolved
+from dpcontrol.plans.overrides import NOT_OF_LOOP, canonical, resolved
 from dpcontrol.plans.plausible import rig_oddities
 from dpcontrol.references.content import PlanContent
 from dpcontrol.references.method import method_named
@@ -173,8 +173,8 @@ def overridden(loop: LoopSettings, settings: Mapping[str, Any]) -> LoopSettings:
 
     Paths are those of `dpcontrol.plans.overrides`.
 
-    `plant` is a file and stays unchanged; see `Itinerary.with_run`. A controller that cannot hand over to a keeper of
-    stops follows the whole reference.
+    `plant` and `seconds` change an itinerary; see `Itinerary.with_run`. A controller that cannot hand over to a keeper
+    of stops follows the whole reference.
 
     Args:
         loop: settings of the run.
@@ -197,7 +197,9 @@ def overridden(loop: LoopSettings, settings: Mapping[str, Any]) -> LoopSettings:
         filters = _fitting(filters, law)
     # Only TVLQR hands over to a keeper of stops.
     keep = loop.keep if isinstance(law, TvlqrSettings) else "none"
-    changes = {"keep" if path == "controller.keep" else path: values[path] for path in values if path not in OBJECTS}
+    changes = {
+        "keep" if path == "controller.keep" else path: values[path] for path in values if path not in NOT_OF_LOOP
+    }
     return replace(loop, controller=law, estimator=filters, keep=keep).with_(changes)
 
 
@@ -318,17 +320,39 @@ class Itinerary:
 
         Raises:
             InputError: an unknown kind or an impossible value, a plant with a missing or faulty file or with other
-                arms, or a drawn plant without an uncertainty in the model's file.
+                arms, a drawn plant without an uncertainty in the model's file, or a duration of something else than
+                one stay.
         """
         loop, values = self.loop, canonical(settings)
         if "plant" in values:
             loop = replace(loop, plant=self._plant(values["plant"]))
         loop = overridden(loop, settings)
-        itinerary = replace(self, loop=loop if seed is None else replace(loop, seed=seed))
+        itinerary = self._lasting(values["seconds"]) if "seconds" in values else self
+        itinerary = replace(itinerary, loop=loop if seed is None else replace(loop, seed=seed))
         _ = itinerary.uncertainty
         paths = (path.rpartition(".") for path in values)
         itinerary.remark_on_rig([f"[{table if table in _TABLES else 'run'}] {key}" for table, _, key in paths])
         return itinerary
+
+    def _lasting(self, seconds: float) -> "Itinerary":
+        """Return the itinerary of one stay with another duration; its text gives the same one."""
+        stay = self.parts[0]
+        if len(self.parts) > 1 or isinstance(stay, WalkPart) or self.stored is not None:
+            raise InputError(f"seconds = {seconds:g}: {self.path} is not the file of one stay; change its [[parts]]")
+        text = with_values(self.text, "", {"seconds": seconds}, file=str(self.path))
+        return replace(self, text=text, parts=(replace(stay, seconds=seconds),))
+
+    def check_parts(self, planned: "Itinerary") -> None:
+        """Reject parts that differ from those of a plan.
+
+        Args:
+            planned: itinerary of the plan.
+
+        Raises:
+            InputError: a stay has another duration.
+        """
+        if self.parts != planned.parts:
+            raise InputError("seconds: the plan has another duration; plan the itinerary with this setting first")
 
     def _plant(self, plant: Any) -> Any:
         """Return the arms of a model's file, or the settings of a user's plant."""

@@ -22,6 +22,8 @@ NAMED = (
 """Paths that have an option of the command line each; `--set` takes every path."""
 OBJECTS = ("controller", "estimator", "plant")
 """Settings that may be objects of the user."""
+NOT_OF_LOOP = (*OBJECTS, "seconds")
+"""Settings that are not fields of a run's settings: objects by their names, and the duration of a stay."""
 
 
 @cache
@@ -30,7 +32,7 @@ def paths() -> Mapping[str, Leaf]:
     # Imported here because the help of verbs needs no dynamics.
     from dpcontrol.loop.controllers import ADAPTIVE_ESTIMATORS, CONTROLLERS, ESTIMATORS
     from dpcontrol.loop.result import SupervisorSettings
-    from dpcontrol.plans.layout import KEEP, RUN
+    from dpcontrol.plans.layout import KEEP, RUN, HoldPart
 
     laws = Setting(choices=tuple(CONTROLLERS), help="Law.")
     filters = Setting(choices=tuple(ESTIMATORS), help="Filter.")
@@ -38,6 +40,7 @@ def paths() -> Mapping[str, Leaf]:
         "controller": Leaf("controller", Annotated[str, laws], "adaptive"),
         "estimator": Leaf("estimator", Annotated[str, filters], "ekf"),
         "controller.keep": KEEP,
+        "seconds": leaves_of(HoldPart)["seconds"],
         **dict(RUN.values()),
     }
     tables = [("supervisor", SupervisorSettings), *(("controller", kind) for kind in CONTROLLERS.values())]

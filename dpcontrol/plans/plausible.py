@@ -41,7 +41,7 @@ def rig_oddities(
         (table, leaf, getattr(part, leaf.name)) for table, part in parts for leaf in leaves_of(type(part)).values()
     ]
     for table, leaf, value in [*leaves, ("[run]", ZEROS, zeros)]:
-        if leaf.bounds.usual is None:
+        if leaf.bounds.usual is None or value is leaf.default:
             continue
         numbers = np.atleast_1d(np.array(value, dtype=float))
         try:

@@ -24,7 +24,8 @@ The headings name the tables of an itinerary's file, and *key* is the key in tha
 `--set PATH=VALUE` overrides a setting of a run, and `campaign --over PATH=V1,V2` varies it. In Python,
 `settings={"drive.lag": 0.005}` does the same. *Path* is given where it differs from the key. Its last part is enough if
 it is unique or a key of `[run]`: `--set jerk=100`. Ten settings have options: `--mismatch`, `--initial-error`, `--lag`,
-`--delay`, `--counts`, `--travel`, `--controller`, `--estimator`, `--rate` and `--on-fall`.
+`--delay`, `--counts`, `--travel`, `--controller`, `--estimator`, `--rate` and `--on-fall`. Lists are written as in a
+file: `--set 'augment=["zeros", "drive"]'`. `--set seconds=90` changes the duration of an itinerary that is one stay.
 
 `dpcontrol schema itinerary` and `dpcontrol schema model` print the JSON Schema of files. Save it, and name it in the
 first line of a file, such as `#:schema itinerary.schema.json`. Editors with a TOML language server, such as Taplo, then

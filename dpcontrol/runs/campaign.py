@@ -557,6 +557,7 @@ def cases_of(itinerary: Itinerary, *, fixed: Mapping[str, Any], over: Mapping[st
         scene = itinerary.with_run(
             {**canonical(fixed), **canonical({name: value for name, (value, _) in zip(names, values, strict=True)})}
         )
+        scene.check_parts(itinerary)
         chosen = {name: shown for name, (_, shown) in zip(names, values, strict=True)}
         label = ", ".join(f"{k}={v:.12g}" if isinstance(v, float) else f"{k}={v}" for k, v in chosen.items())
         if any(label == case.label for case in cases):

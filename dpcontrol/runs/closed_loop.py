@@ -108,7 +108,9 @@ class ClosedLoop(Timed):
     @cached_property
     def plan(self) -> Plan:
         """The plan, its itinerary with the options in place."""
-        return replace(self.planned, itinerary=self.planned.itinerary.with_run(self.options))
+        itinerary = self.planned.itinerary.with_run(self.options)
+        itinerary.check_parts(self.planned.itinerary)
+        return replace(self.planned, itinerary=itinerary)
 
     @cached_property
     def assembly(self) -> Assembly:

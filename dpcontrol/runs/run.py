@@ -579,6 +579,7 @@ def _with_options(plan: Plan, scene: Itinerary, change: Mapping[str, Any]) -> Pl
     own = {path: noted for path, noted in own.items() if not path.startswith(reset)} if reset else own
     accounted = scene.with_run(own, seed=then.loop.seed).loop == then.loop
     chosen = scene.with_run({**own, **canonical(change)}, seed=then.loop.seed) if accounted else then.with_run(change)
+    chosen.check_parts(then)
     reference = plan.reference
     if chosen.loop.travel != then.loop.travel:
         # Starts are planned for the travel.

@@ -18,6 +18,7 @@ from dpcontrol.plans.itinerary import itinerary_from, load_itinerary, setting_of
 from dpcontrol.plans.model import load_model
 from dpcontrol.plans.overrides import NAMED, parsed, paths, typed, values_in
 from dpcontrol.plans.tables import settings_page
+from dpcontrol.runs.campaign import cases_of
 from dpcontrol.runs.run import stored_settings
 
 OLD = Path(__file__).parent / "version-0.2.0"
@@ -86,7 +87,7 @@ def value_of(path: str) -> Any:
     return int(low + 1) if "int" in str(leaf.hint) else low + 0.25 * (high - low)
 
 
-APART = ("plant", "controller", "model_uncertainty")
+APART = ("plant", "seconds", "controller", "model_uncertainty")
 NOT_ALONE = "drive.failure"  # needs the time of the fault
 
 
@@ -119,6 +120,16 @@ def test_settings_of_a_law_have_paths_too() -> None:
     assert asdict(loop.controller)["damping"] == 0.2
     with pytest.raises(InputError, match=r"controller.damping: adaptive has no such setting; it has angle, rate"):
         load_itinerary("outer-turn").with_run({"damping": 0.2})
+
+
+def test_a_stay_is_lengthened_by_a_setting_but_a_plan_keeps_its_duration() -> None:
+    scene = load_itinerary("hold-up-up").with_run({"seconds": 90})
+    assert itinerary_from(scene.text, "hold-up-up", scene.model).parts == scene.parts
+    assert parsed("seconds", "90") == scene.parts[0].seconds == 90.0
+    with pytest.raises(InputError, match="is not the file of one stay"):
+        load_itinerary("outer-turn").with_run({"seconds": 90})
+    with pytest.raises(InputError, match="plan the itinerary with this setting first"):
+        cases_of(load_itinerary("hold-up-up"), fixed={}, over={"seconds": [30, 90]})
 
 
 @pytest.mark.slow
