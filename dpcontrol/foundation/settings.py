@@ -220,6 +220,8 @@ class Leaf:
         inside = [error for error in errors if any(isinstance(step, int) for step in error["loc"])]
         kinds = dict.fromkeys(str(_KINDS.get(error["type"], error["msg"])) for error in inside or errors)
         given = f"{key} holds {shortened(inside[0]['input'])}" if inside else f"{key} = {shortened(value)}"
+        if self.bounds.choices:
+            return f"{given}: {suggest(str(value), self.bounds.choices)}"
         return f"{given}: must be {' or '.join(kinds)}" + (f", {self.bounds.range}" if self.bounds.bounded else "")
 
     def schema(self) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 import json
 import tomllib
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ import dpcontrol as dp
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.shipped import folders
 from dpcontrol.logs import compare_messages
+from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.plans.itinerary import itinerary_from, load_itinerary, setting_of
 from dpcontrol.plans.model import load_model
 from dpcontrol.plans.overrides import NAMED, parsed, paths, typed, values_in
@@ -113,6 +114,16 @@ def test_a_setting_by_path_is_that_of_a_file_and_is_typed_and_parsed_back(path: 
     shown = list(value) if isinstance(value, tuple) else value
     text = f'{TURN}[controller]\nkind = "tvlqr"\n[{table}]\n{kind}{key} = {json.dumps(shown)}\n'
     assert itinerary_from(text, "turn", load_model("lab")).loop == loop
+
+
+def test_settings_are_replaced_by_path() -> None:
+    loop = LoopSettings(seed=0)
+    changed = loop.with_({"rate": 500.0, "drive.lag": 0.002, "drive.delay": 2.0})
+    assert changed == replace(loop, rate=500.0, drive=replace(loop.drive, lag=0.002, delay=2.0))
+    with pytest.raises(InputError, match=r"drive\.lagg: drive has no such setting; it has delay, lag, "):
+        loop.with_({"drive.lagg": 0.002})
+    with pytest.raises(InputError, match=r"lag = -1\.0: must be 0 to 1 s\n.*counts = 0\.5: must be a whole number"):
+        load_itinerary("outer-turn").with_run({"lag": -1, "counts": 0.5})
 
 
 def test_settings_of_a_law_have_paths_too() -> None:
