@@ -301,23 +301,23 @@ class AdaptiveFilterSettings(FilterSettings):
     friction is estimated. Without this, only 36 of 64 runs cross from rest with 2 mN m of it.
     """
 
-    parameter_error: Annotated[float, Setting(least=0, most=_MOST)] = 0.0
-    nonlinearity: Annotated[float, Setting(least=0, most=_MOST)] = 4.0
-    dry_shape: Annotated[float, Setting(least=0, most=_MOST)] = 0.02
-    surprise: Annotated[float, Setting(least=0, most=4)] = 2.0
-    rate_noise: Annotated[float, Setting(above=0, most=_MOST)] = 1e-4
-    cart_noise: Annotated[float, Setting(above=0, most=_MOST)] = 3e-3
-    augment: Annotated[tuple[str, ...], Setting(choices=tuple(Augment))] = (
+    parameter_error: float = 0.0
+    nonlinearity: float = 4.0
+    dry_shape: float = 0.02
+    surprise: float = 2.0
+    rate_noise: float = 1e-4
+    cart_noise: float = 3e-3
+    augment: tuple[str, ...] = (
         "zeros",
         "drive",
         "friction",
         "dry",
         "parameters",
     )
-    drive_error: Annotated[float, Setting(above=0, most=_MOST)] = 0.1
-    late_drive: Annotated[float, Setting(least=0, most=_MOST)] = 0.5
-    friction_error: Annotated[float, Setting(above=0, most=_MOST)] = 0.5
-    model_error: Annotated[float, Setting(above=0, most=_MOST)] = 0.08
+    drive_error: float = 0.1
+    late_drive: float = 0.5
+    friction_error: float = 0.5
+    model_error: float = 0.08
 
 
 @dataclass(frozen=True)
