@@ -20,6 +20,7 @@ from numbers import Real
 from typing import Annotated, Any, ClassVar, Self, TypeVar, get_origin
 
 from dpcontrol.foundation.errors import InputError, Mistakes, shortened
+from dpcontrol.foundation.units import unusual
 
 T = TypeVar("T")
 
@@ -131,6 +132,20 @@ class Setting:
             or (is_finite(number) and self.above < number and self.least <= number <= self.most)
         )
         return "" if allowed else f"must be {self.range}"
+
+    def oddities(self, key: str, value: Any) -> Iterator[str]:
+        """Yield a sentence on each unusual number.
+
+        Args:
+            key: key of the value, for the message.
+            value: a number or several, in `unit`.
+
+        Raises:
+            InputError: an impossible number.
+        """
+        if self.usual is not None:
+            values = value if isinstance(value, tuple | list) else (value,)
+            yield from unusual(self.key or key, [one for one in values if is_finite(one)], self.usual, self.unit)
 
     def check(self, key: str, value: Any, *, table: str = "") -> None:
         """Raise an error if a value, or a value of a list, is not allowed.

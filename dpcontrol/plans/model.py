@@ -30,14 +30,12 @@ from dpcontrol.foundation.files import in_the_way, write_whole
 from dpcontrol.foundation.settings import Setting, Settings, leaves_of, nearest
 from dpcontrol.foundation.shipped import find
 from dpcontrol.foundation.toml import Place, decode, parse_toml, read_toml
-from dpcontrol.foundation.units import Usual
 
 if TYPE_CHECKING:
     from dpcontrol.identification.identify import Identification
 
 
 SYSTEMS = ("arm-chain", "three-body")
-_ZEROS = Usual(0.0, 2 * np.pi, "rad")
 
 
 @dataclass(frozen=True)
@@ -248,7 +246,10 @@ class _Friction(_Sourced, table="friction"):
 class _Encoders(_Sourced, table="encoders"):
     """Encoders of recordings."""
 
-    zeros: Annotated[tuple[float, ...], Setting(unit="rad", help="Recorded angles at which the true ones are zero.")]
+    zeros: Annotated[
+        tuple[float, ...],
+        Setting(unit="rad", usual=(0.0, 2 * np.pi), help="Recorded angles at which the true ones are zero."),
+    ]
 
 
 @dataclass(frozen=True)
@@ -325,7 +326,7 @@ def _model(document: Mapping[str, Any], text: str, path: Path) -> Model:
         raise error.under(f"{top} [{table}] ", table=table) from error
     zeros = () if encoders is None else encoders.zeros
     try:
-        remarks += tuple(_ZEROS.oddities("zeros", zeros))
+        remarks += tuple(leaves_of(_Encoders)["zeros"].bounds.oddities("zeros", zeros))
     except InputError as error:
         raise InputError(f"{top} [encoders] {error}") from error
     if zeros and len(zeros) != chain.count:

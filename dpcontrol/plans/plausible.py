@@ -5,11 +5,8 @@ Remarks report numbers of a rig that seem to be in another unit.
 
 from collections.abc import Iterator, Sequence
 
-import numpy as np
-
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.settings import Settings, leaves_of
-from dpcontrol.foundation.units import Usual
 from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.plans.layout import BENCH, ZEROS
 from dpcontrol.references.problem import Limits
@@ -41,13 +38,8 @@ def rig_oddities(
         (table, leaf, getattr(part, leaf.name)) for table, part in parts for leaf in leaves_of(type(part)).values()
     ]
     for table, leaf, value in [*leaves, ("[run]", ZEROS, zeros)]:
-        if leaf.bounds.usual is None or value is leaf.default:
-            continue
-        numbers = np.atleast_1d(np.array(value, dtype=float))
         try:
-            least, most = leaf.bounds.usual
-            usual = Usual(least, most, leaf.bounds.unit)
-            for sentence in usual.oddities(leaf.name, numbers[np.isfinite(numbers)].tolist()):
+            for sentence in leaf.bounds.oddities(leaf.name, value) if value is not leaf.default else ():
                 yield table, leaf.name, sentence
         except InputError as error:
             raise error.under(f"{table} ") from error
