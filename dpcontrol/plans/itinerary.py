@@ -117,9 +117,10 @@ def read_run_settings(
     place, keep = replace(top, table="run"), law_keys.pop("keep", "none")
     law: Any = None
     parts: dict[str, Any] = {"plant": None if plant is None else plant.arms}
-    for number, blow in enumerate(table_list(run.pop("blows", []), replace(top, table="run.blows"), mistakes), start=1):
+    struck = replace(top, table="run.blows")
+    for number, blow in enumerate(_listed(run.pop("blows"), struck, mistakes) if "blows" in run else (), start=1):
         with mistakes:
-            blows.append(decode(Push, blow, replace(top, table="run.blows", number=number)))
+            blows.append(decode(Push, blow, replace(struck, number=number)))
     with mistakes:
         leaves = {"zeros": ZEROS, **{key: leaf for key, (_, leaf) in RUN.items()}}
         given = table_values(leaves, run, place, also=["blows"])
@@ -144,15 +145,9 @@ def read_run_settings(
         raise error.under(f"{place} ", table="run") from error
 
 
-def table_list(tables: Any, place: Place, mistakes: Mistakes) -> list[dict[str, Any]]:
-    """Return the tables of a list in a file, none if it is no list of tables.
-
-    Args:
-        tables: value of the file's key.
-        place: of the tables.
-        mistakes: collects the error of another value.
-    """
-    if isinstance(tables, list) and all(isinstance(table, dict) for table in tables):
+def _listed(tables: Any, place: Place, mistakes: Mistakes) -> list[dict[str, Any]]:
+    """Return the tables of a list in a file, none if it is another value or empty."""
+    if isinstance(tables, list) and tables and all(isinstance(table, dict) for table in tables):
         return tables
     with mistakes:
         sentence = f"{place.table} = {shortened(tables)}: must be tables, each under [[{place.table}]]"
@@ -352,7 +347,7 @@ class Itinerary:
             InputError: a stay has another duration.
         """
         if self.parts != planned.parts:
-            raise InputError("seconds: the plan has another duration; plan the itinerary with this setting first")
+            raise InputError("seconds: the plan has another duration; change seconds in the file of the itinerary")
 
     def _plant(self, plant: Any) -> Any:
         """Return the arms of a model's file, or the settings of a user's plant."""
@@ -509,7 +504,7 @@ def _itinerary(
         with mistakes:
             parts.append(_part(rest, model, top, also=[*leaves_of(Header), *_TABLES, "parts"]))
     elif model is not None:
-        for number, values in enumerate(table_list(listed, replace(top, table="parts"), mistakes), start=1):
+        for number, values in enumerate(_listed(listed, replace(top, table="parts"), mistakes), start=1):
             with mistakes:
                 parts.append(_part(values, model, replace(top, table="parts", number=number)))
     with mistakes:

@@ -139,7 +139,7 @@ def test_a_stay_is_lengthened_by_a_setting_but_a_plan_keeps_its_duration() -> No
     assert parsed("seconds", "90") == scene.parts[0].seconds == 90.0
     with pytest.raises(InputError, match="is not the file of one stay"):
         load_itinerary("outer-turn").with_run({"seconds": 90})
-    with pytest.raises(InputError, match="plan the itinerary with this setting first"):
+    with pytest.raises(InputError, match="change seconds in the file of the itinerary"):
         cases_of(load_itinerary("hold-up-up"), fixed={}, over={"seconds": [30, 90]})
 
 
@@ -211,6 +211,9 @@ MISTAKES: list[tuple[str, str, str]] = [
     ("text in a list", f"{TURN}[run]\nplay = [0.1, 'x']\n", "[run] play holds 'x': must be"),
     ("value for a table", f"run = 3\n{TURN}", "run = 3: must be a table, [run]"),
     ("repeated walk that ends elsewhere", 'repeat = 2\nenergy = 0.2\nwalk = ["down-up > up-down"]\n', "repeat = 2"),
+    ("empty list of parts", "parts = []\n", "parts = []: must be tables, each under [[parts]]"),
+    ("text for blows", f"{TURN}[run]\nblows = 'x'\n", "run.blows = 'x': must be tables, each under [[run.blows]]"),
+    ("number for a choice", f"{TURN}[supervisor]\nhold = 3\n", "[supervisor] hold = 3: allowed: none, nearest"),
     ("hold beside a walk", f'{TURN}hold = "up-up"\n', "hold"),
     ("rest without a cart", f'{TURN}start = "rest"\n[reference]\nlevel = "conservative"\n', "conservative"),
     ("impossible walk", 'energy = -0.07\nwalk = ["down-up ?"]\n', "walk: "),
