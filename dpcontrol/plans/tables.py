@@ -110,7 +110,11 @@ def _itinerary_schema() -> dict[str, Any]:
     parts = [_object(leaves_of(kind)) for kind in (WalkPart, HoldPart, OrbitPart)]
     part_keys = {key: value for part in reversed(parts) for key, value in part["properties"].items()}
     run = _object({**{key: leaf for key, (_, leaf) in RUN.items()}, "zeros": ZEROS})
-    run["properties"]["blows"] = {"type": "array", "items": _object(leaves_of(Push)), "description": "Blows."}
+    run["properties"]["blows"] = {
+        "type": "array",
+        "items": _object(leaves_of(Push)),
+        "description": "Blows at given times.",
+    }
     alone = [*part_keys, "parts"]
     tables = {
         "limits": _object(leaves_of(Limits)),
@@ -156,7 +160,9 @@ def _kinds(kinds: Mapping[str, type], default: str, keep: Mapping[str, Leaf] | N
     """Return the schemas of a table whose `kind` chooses its keys."""
     made = []
     for name, kind in kinds.items():
-        known = Leaf("kind", Annotated[str, Setting(choices=(name,))], name if name == default else MISSING)
+        known = Leaf(
+            "kind", Annotated[str, Setting(choices=(name,), help="Kind.")], name if name == default else MISSING
+        )
         made.append(_object({"kind": known, **leaves_of(kind), **(keep or {})}))
     return made
 
@@ -167,8 +173,8 @@ def _controller_schema() -> dict[str, Any]:
     Only TVLQR hands over to a keeper, and is then the default.
     """
     none, *laws = KEEPERS
-    alone = Leaf("keep", Annotated[str, Setting(choices=(none,))], none)
-    keeping = Leaf("keep", Annotated[str, Setting(choices=tuple(laws))], MISSING)
+    alone = Leaf("keep", Annotated[str, Setting(choices=(none,), help=KEEP.bounds.help)], none)
+    keeping = Leaf("keep", Annotated[str, Setting(choices=tuple(laws), help=KEEP.bounds.help)], MISSING)
     follow = _kinds(CONTROLLERS, "adaptive", {"keep": alone})
     return {"anyOf": [*follow, *_kinds({"tvlqr": CONTROLLERS["tvlqr"]}, "tvlqr", {"keep": keeping})]}
 
