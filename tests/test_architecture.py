@@ -14,7 +14,7 @@ USES = {
     "foundation/cache.py": "names of files in the cache's folder",
     "foundation/errors.py": "shortens and escapes texts from outside for the terminal",
     "foundation/guide.py": "the list of pages in the guide's README",
-    "foundation/settings.py": "the line of a TOML error, which Python 3.13 gives in its text only",
+    "foundation/toml.py": "the line of a TOML error, which Python 3.13 gives in its text only",
     "judge/campaign.py": "groups sentences of runs",
     "logs/layout.py": "attempts in the events of logs",
     "logs/reader.py": "ranges of lost ticks in a log's metadata",

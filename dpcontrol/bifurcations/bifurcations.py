@@ -36,7 +36,7 @@ although no extremum crosses the section, and the equations are  off Fix R = 0, 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import groupby, pairwise
-from typing import Any, ClassVar, NamedTuple
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import numpy as np
 from scipy.optimize import brentq
@@ -57,9 +57,8 @@ from dpcontrol.bifurcations.links import (
 )
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
-from dpcontrol.foundation.arguments import whole
 from dpcontrol.foundation.arrays import Array
-from dpcontrol.foundation.checked import numbers
+from dpcontrol.foundation.checked import Between, check, numbers
 from dpcontrol.foundation.document import Documented, fields_of
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress, no_progress
@@ -786,7 +785,7 @@ def find_bifurcations(
     if (source, target) not in system.sections:
         raise InputError(f"{system.name} has no section between {source} and {target}")
     low, high = numbers("energies", energies, 2)
-    whole("samples", settings.energies, least=2, most=1_000_000)
+    check("samples", settings.energies, Annotated[int, Between(2, 1_000_000)])
     if not low < high:
         raise InputError(f"energies {low:g} to {high:g}: must be two finite numbers in ascending order")
     births = [equilibrium(system, name).energy for name in (source, target)]

@@ -24,7 +24,7 @@ Hartog, Mechanical Vibrations, chapter 3, on dynamic vibration absorbers.
 """
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import casadi as ca
 import numpy as np
@@ -35,7 +35,7 @@ from dpcontrol.control.lqr import HoldController, HoldSettings, hold_controller
 from dpcontrol.dynamics.compiled import Compiled
 from dpcontrol.dynamics.equations import Equations
 from dpcontrol.foundation.arrays import Array
-from dpcontrol.foundation.settings import Settings, setting
+from dpcontrol.foundation.settings import Setting, Settings
 from dpcontrol.foundation.shown import Brief
 from dpcontrol.references.problem import Limits
 
@@ -68,14 +68,14 @@ class CalmingSettings(Settings, table="calming"):
         braking: fraction of the maximum acceleration assumed for stopping the cart.
     """
 
-    mass: float = setting(0.25, above=0, most=100)
-    spring: float = setting(0.75, above=0, most=100)
-    stiffening: float = setting(4.0, least=0, most=100)
-    damper: float = setting(1.7, above=0, most=100)
-    near: float = setting(0.1, above=0, most=1)
-    fast: float = setting(1.4, above=0, most=100)
-    drain: float = setting(10.0, above=0, most=1000)
-    braking: float = setting(0.4, above=0, most=1)
+    mass: Annotated[float, Setting(above=0, most=100)] = 0.25
+    spring: Annotated[float, Setting(above=0, most=100)] = 0.75
+    stiffening: Annotated[float, Setting(least=0, most=100)] = 4.0
+    damper: Annotated[float, Setting(above=0, most=100)] = 1.7
+    near: Annotated[float, Setting(above=0, most=1)] = 0.1
+    fast: Annotated[float, Setting(above=0, most=100)] = 1.4
+    drain: Annotated[float, Setting(above=0, most=1000)] = 10.0
+    braking: Annotated[float, Setting(above=0, most=1)] = 0.4
 
 
 @dataclass(frozen=True, eq=False)

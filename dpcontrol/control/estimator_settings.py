@@ -33,12 +33,12 @@ Source: Bar-Shalom, Li & Kirubarajan, Estimation with Applications to Tracking a
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cache
-from typing import Self
+from typing import Annotated, Self
 
 import numpy as np
 
 from dpcontrol.foundation.arrays import Array
-from dpcontrol.foundation.settings import Settings, setting
+from dpcontrol.foundation.settings import Setting, Settings
 
 
 class Augment(StrEnum):
@@ -114,42 +114,55 @@ class FilterSettings(Settings, table="estimator"):
     """
 
     kind: str = "ekf"
-    parameter_error: float = setting(0.01, least=0, most=_MOST, help="Relative error of the accelerations.")
-    correlation_time: float = setting(0.02, above=0, most=_MOST, help="Duration of such an error.")
-    nonlinearity: float = setting(
-        2.5, least=0, most=_MOST, help="Further relative error per variance of the estimated parameters."
-    )
-    dry_shape: float = setting(0.0, least=0, most=_MOST, help="Relative error of the law of dry friction.")
-    surprise: float = setting(0.0, least=0, most=4, help="Power of the mean NIS that scales the process noise.")
-    rate_noise: float = setting(0.03, above=0, most=_MOST, help="Floor of the process noise of the rates.")
-    cart_noise: float = setting(0.1, above=0, most=_MOST, help="Floor of the process noise of the cart's velocity.")
-    first_angle: float = setting(0.03, above=0, most=_MOST, help="Initial standard deviation of the angles.")
-    first_rate: float = setting(0.1, above=0, most=_MOST, help="Initial standard deviation of the rates.")
-    first_cart: float = setting(
-        1e-3, above=0, most=_MOST, help="Initial standard deviation of the cart's position and velocity."
-    )
-    augment: tuple[str, ...] = setting(
-        ("zeros", "drive"), choices=tuple(Augment), help="Quantities estimated in addition to the state."
-    )
-    zero_error: float = setting(0.012, above=0, most=_MOST, help="Standard deviation of the encoders' zeros.")
-    disturbance: float = setting(
-        1.0, above=0, most=_MOST, help="Standard deviation of the arms' further accelerations."
-    )
-    disturbance_time: float = setting(0.1, above=0, most=_MOST, help="Their correlation time.")
-    drive_error: float = setting(3.0, above=0, most=_MOST, help="Standard deviation of the drive's error.")
-    drive_time: float = setting(0.01, above=0, most=_MOST, help="Its correlation time.")
-    late_drive: float = setting(
-        0.0, least=0, most=_MOST, help="Share of each command change that adds to the drive's error."
-    )
-    friction_error: float = setting(
-        0.3, above=0, most=_MOST, help="Standard deviation of the relative friction errors."
-    )
-    dry_error: float = setting(
-        0.005, above=0, most=_MOST, help="Standard deviation of dry friction over gravity's torques."
-    )
-    model_error: float = setting(
-        0.1, above=0, most=_MOST, help="Standard deviation of the parameters' relative errors."
-    )
+    parameter_error: Annotated[float, Setting(least=0, most=_MOST, help="Relative error of the accelerations.")] = 0.01
+    correlation_time: Annotated[float, Setting(above=0, most=_MOST, help="Duration of such an error.")] = 0.02
+    nonlinearity: Annotated[
+        float, Setting(least=0, most=_MOST, help="Further relative error per variance of the estimated parameters.")
+    ] = 2.5
+    dry_shape: Annotated[float, Setting(least=0, most=_MOST, help="Relative error of the law of dry friction.")] = 0.0
+    surprise: Annotated[
+        float, Setting(least=0, most=4, help="Power of the mean NIS that scales the process noise.")
+    ] = 0.0
+    rate_noise: Annotated[float, Setting(above=0, most=_MOST, help="Floor of the process noise of the rates.")] = 0.03
+    cart_noise: Annotated[
+        float, Setting(above=0, most=_MOST, help="Floor of the process noise of the cart's velocity.")
+    ] = 0.1
+    first_angle: Annotated[
+        float,
+        Setting(above=0, most=_MOST, unit="rad", usual=(0.0, 1.0), help="Initial standard deviation of the angles."),
+    ] = 0.03
+    first_rate: Annotated[
+        float,
+        Setting(above=0, most=_MOST, unit="rad/s", usual=(0.0, 50.0), help="Initial standard deviation of the rates."),
+    ] = 0.1
+    first_cart: Annotated[
+        float, Setting(above=0, most=_MOST, help="Initial standard deviation of the cart's position and velocity.")
+    ] = 1e-3
+    augment: Annotated[
+        tuple[str, ...], Setting(choices=tuple(Augment), help="Quantities estimated in addition to the state.")
+    ] = ("zeros", "drive")
+    zero_error: Annotated[
+        float,
+        Setting(above=0, most=_MOST, unit="rad", usual=(0.0, 0.6), help="Standard deviation of the encoders' zeros."),
+    ] = 0.012
+    disturbance: Annotated[
+        float, Setting(above=0, most=_MOST, help="Standard deviation of the arms' further accelerations.")
+    ] = 1.0
+    disturbance_time: Annotated[float, Setting(above=0, most=_MOST, help="Their correlation time.")] = 0.1
+    drive_error: Annotated[float, Setting(above=0, most=_MOST, help="Standard deviation of the drive's error.")] = 3.0
+    drive_time: Annotated[float, Setting(above=0, most=_MOST, help="Its correlation time.")] = 0.01
+    late_drive: Annotated[
+        float, Setting(least=0, most=_MOST, help="Share of each command change that adds to the drive's error.")
+    ] = 0.0
+    friction_error: Annotated[
+        float, Setting(above=0, most=_MOST, help="Standard deviation of the relative friction errors.")
+    ] = 0.3
+    dry_error: Annotated[
+        float, Setting(above=0, most=_MOST, help="Standard deviation of dry friction over gravity's torques.")
+    ] = 0.005
+    model_error: Annotated[
+        float, Setting(above=0, most=_MOST, help="Standard deviation of the parameters' relative errors.")
+    ] = 0.1
 
     def _check_together(self) -> None:
         """Check that each quantity is augmented once."""
@@ -274,8 +287,8 @@ class UkfSettings(FilterSettings):
     """
 
     kind: str = "ukf"
-    spread: float = setting(0.5, help="Distance of the sigma points in standard deviations, over √(N+E).")
-    weight: float = setting(2.0, help="Merwe's beta; 2 for a Gaussian.")
+    spread: Annotated[float, Setting(help="Distance of the sigma points in standard deviations, over √(N+E).")] = 0.5
+    weight: Annotated[float, Setting(help="Merwe's beta; 2 for a Gaussian.")] = 2.0
 
 
 @dataclass(frozen=True)
@@ -288,17 +301,23 @@ class AdaptiveFilterSettings(FilterSettings):
     friction is estimated. Without this, only 36 of 64 runs cross from rest with 2 mN m of it.
     """
 
-    parameter_error: float = setting(0.0, least=0, most=_MOST)
-    nonlinearity: float = setting(4.0, least=0, most=_MOST)
-    dry_shape: float = setting(0.02, least=0, most=_MOST)
-    surprise: float = setting(2.0, least=0, most=4)
-    rate_noise: float = setting(1e-4, above=0, most=_MOST)
-    cart_noise: float = setting(3e-3, above=0, most=_MOST)
-    augment: tuple[str, ...] = setting(("zeros", "drive", "friction", "dry", "parameters"), choices=tuple(Augment))
-    drive_error: float = setting(0.1, above=0, most=_MOST)
-    late_drive: float = setting(0.5, least=0, most=_MOST)
-    friction_error: float = setting(0.5, above=0, most=_MOST)
-    model_error: float = setting(0.08, above=0, most=_MOST)
+    parameter_error: float = 0.0
+    nonlinearity: float = 4.0
+    dry_shape: float = 0.02
+    surprise: float = 2.0
+    rate_noise: float = 1e-4
+    cart_noise: float = 3e-3
+    augment: tuple[str, ...] = (
+        "zeros",
+        "drive",
+        "friction",
+        "dry",
+        "parameters",
+    )
+    drive_error: float = 0.1
+    late_drive: float = 0.5
+    friction_error: float = 0.5
+    model_error: float = 0.08
 
 
 @dataclass(frozen=True)

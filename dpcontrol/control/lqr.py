@@ -19,6 +19,7 @@ Control: Linear Quadratic Methods, chapter 6, on selecting weights.
 """
 
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -27,7 +28,7 @@ from dpcontrol.control.interface import Action, GainSchedule, Mode, SampledModel
 from dpcontrol.dynamics.chain import damping_scales
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import GoalMissed, InputError
-from dpcontrol.foundation.settings import Settings, setting
+from dpcontrol.foundation.settings import Setting, Settings
 from dpcontrol.foundation.shown import Brief
 from dpcontrol.references.problem import ANGLE_SCALE, CART_VELOCITY_SCALE, RATE_SCALE
 
@@ -40,11 +41,11 @@ class QuadraticWeights(Settings, table="controller"):
     the effort.
     """
 
-    angle: float = setting(1000.0, least=0, help="Weight of the angles.")
-    rate: float = setting(100.0, least=0, help="Weight of the rates.")
-    position: float = setting(100.0, above=0, help="Weight of the cart's position.")
-    velocity: float = setting(10.0, least=0, help="Weight of the cart's velocity.")
-    effort: float = setting(1.0, above=0, help="Weight of the cart's acceleration.")
+    angle: Annotated[float, Setting(least=0, help="Weight of the angles.")] = 1000.0
+    rate: Annotated[float, Setting(least=0, help="Weight of the rates.")] = 100.0
+    position: Annotated[float, Setting(above=0, help="Weight of the cart's position.")] = 100.0
+    velocity: Annotated[float, Setting(least=0, help="Weight of the cart's velocity.")] = 10.0
+    effort: Annotated[float, Setting(above=0, help="Weight of the cart's acceleration.")] = 1.0
 
     def weights(self, arms: int, period: float) -> tuple[Array, float]:
         """Return Q's diagonal (N,) and r.
@@ -66,8 +67,10 @@ class ClosingWeights(QuadraticWeights):
     model's orbit, whatever the real arms' own motion would be.
     """
 
-    closing: float = setting(10.0, least=1, most=1e6, help="Factor on the angles' weight at the end of a reference.")
-    closing_time: float = setting(1.6, least=0, most=1e4, unit="s", help="Duration of that end.")
+    closing: Annotated[
+        float, Setting(least=1, most=1e6, help="Factor on the angles' weight at the end of a reference.")
+    ] = 10.0
+    closing_time: Annotated[float, Setting(least=0, most=1e4, unit="s", help="Duration of that end.")] = 1.6
 
 
 AT_REST = 1e-6
@@ -79,12 +82,14 @@ class HoldSettings(QuadraticWeights):
     """Linear-quadratic regulator at an equilibrium."""
 
     kind: str = "lqr"
-    damping: float | None = setting(
-        None,
-        least=0,
-        most=10,
-        help="Assumed viscous friction of the joints beyond the model's; by default what the arms allow, at most 0.06.",
-    )
+    damping: Annotated[
+        float | None,
+        Setting(
+            least=0,
+            most=10,
+            help="Assumed viscous friction beyond the model's; by default what the arms allow, at most 0.06.",
+        ),
+    ] = None
     """Viscous friction beyond the model's in each joint, over √(G M), for the mean effect of dry friction; gains
     without it let the arms oscillate with twice the amplitude. None: see `assumed_damping`."""
 

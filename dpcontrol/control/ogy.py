@@ -28,7 +28,7 @@ Sources: Anderson & Moore, Optimal Control: Linear Quadratic Methods, sections 3
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,7 +41,7 @@ from dpcontrol.dynamics.compiled import Compiled
 from dpcontrol.dynamics.equations import Equations
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import GoalMissed, InputError
-from dpcontrol.foundation.settings import Settings, setting
+from dpcontrol.foundation.settings import Setting, Settings
 from dpcontrol.foundation.shown import Brief
 
 if TYPE_CHECKING:
@@ -251,8 +251,8 @@ class ClassicOgySettings(Settings, table="controller"):
     """OGY as published: sections per period, and largest pulse in m/s²."""
 
     kind: str = "ogy-classic"
-    sections: int = setting(16, least=1, most=1000, help="Sections in a period.")
-    pulse_limit: float = setting(5.0, above=0, unit="m/s²", help="Largest pulse.")
+    sections: Annotated[int, Setting(least=1, most=1000, help="Sections in a period.")] = 16
+    pulse_limit: Annotated[float, Setting(above=0, unit="m/s²", help="Largest pulse.")] = 5.0
 
 
 @dataclass(frozen=True)
@@ -268,9 +268,11 @@ class OgySettings(QuadraticWeights):
     velocity: float = 3.0
     effort: float = 0.3
     kind: str = "ogy"
-    sections: int = setting(16, least=1, most=1000, help="Sections in a period.")
-    pulse_limit: float = setting(5.0, above=0, unit="m/s²", help="Largest pulse.")
-    parameter_error: float = setting(0.05, least=0, most=1, help="Assumed relative error of the plant's parameters.")
+    sections: Annotated[int, Setting(least=1, most=1000, help="Sections in a period.")] = 16
+    pulse_limit: Annotated[float, Setting(above=0, unit="m/s²", help="Largest pulse.")] = 5.0
+    parameter_error: Annotated[
+        float, Setting(least=0, most=1, help="Assumed relative error of the plant's parameters.")
+    ] = 0.05
 
 
 @dataclass(frozen=True, eq=False)

@@ -46,7 +46,7 @@ Source: Hauser & Hindman, Manoeuvre regulation from trajectory tracking, NOLCOS 
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import combinations_with_replacement
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,7 +70,7 @@ from dpcontrol.control.lqr import ClosingWeights, QuadraticWeights
 from dpcontrol.dynamics.compiled import Compiled
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import GoalMissed, InputError
-from dpcontrol.foundation.settings import Settings, setting
+from dpcontrol.foundation.settings import Setting, Settings
 from dpcontrol.foundation.shown import Brief
 from dpcontrol.references.reference import Reference
 
@@ -258,7 +258,7 @@ class TvlqrSettings(ClosingWeights):
     rate: float = 1000.0
     position: float = 150.0
     kind: str = "tvlqr"
-    schedule: str = setting("time", choices=SCHEDULES, help="Whether gains follow time or phase.")
+    schedule: Annotated[str, Setting(choices=SCHEDULES, help="Whether gains follow time or phase.")] = "time"
 
 
 ControllerSettings = FeedforwardSettings | TvlqrSettings
@@ -322,9 +322,9 @@ class AdaptiveSettings(ClosingWeights):
     angle: float = 6000.0
     rate: float = 600.0
     closing: float = 120.0
-    trust: float = setting(
-        0.8, least=0, most=1.9, help="Largest logarithmic error of a parameter that the law acts on."
-    )
+    trust: Annotated[
+        float, Setting(least=0, most=1.9, help="Largest logarithmic error of a parameter that the law acts on.")
+    ] = 0.8
 
 
 @dataclass(frozen=True, eq=False)

@@ -46,7 +46,7 @@ from enum import StrEnum
 from fractions import Fraction
 from functools import cache, reduce
 from itertools import product
-from typing import Any
+from typing import Annotated, Any
 
 import casadi as ca
 import numpy as np
@@ -57,14 +57,16 @@ from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System, described_system
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import GoalMissed, InputError
-from dpcontrol.foundation.settings import Settings, bounds_of, setting
+from dpcontrol.foundation.settings import Setting, Settings, leaves_of
 from dpcontrol.foundation.shown import Brief
-from dpcontrol.foundation.units import OTHER_UNITS, Usual
+from dpcontrol.foundation.units import OTHER_UNITS
 
 MOST_ARMS = 8
 """Largest number of arms; `model` shows 256 equilibria of eight."""
 LARGEST = 1e6
 """Largest mass, length, inertia or friction in SI units; products of larger ones overflow."""
+_HEAVIEST_ARM = 20.0
+"""Largest usual mass, kg."""
 _INERTIAL = {"mass": "m", "centre_of_mass": "a", "length": "l", "inertia": "J"}
 _FRICTION = {"viscous": "k", "coulomb": "c", "quadratic": "b"}
 """The fields of numbers for each arm, with their short names."""
@@ -100,15 +102,48 @@ class ArmChainParameters(Settings):
         smoothing: rate below which these two fade, rad/s.
     """
 
-    mass: tuple[float, ...] = setting(above=0, most=LARGEST, unit="kg")
-    centre_of_mass: tuple[float, ...] = setting(above=0, most=LARGEST, unit="m")
-    length: tuple[float, ...] = setting(above=0, most=LARGEST, unit="m")
-    inertia: tuple[float, ...] = setting(least=0, most=1e9, unit="kg m²")
-    gravity: float = setting(above=0, most=LARGEST, unit="m/s²", key="acceleration")
-    viscous: tuple[float, ...] = setting(least=0, most=LARGEST, unit="N m s/rad")
-    coulomb: tuple[float, ...] = setting((), least=0, most=LARGEST, unit="N m")
-    quadratic: tuple[float, ...] = setting((), least=0, most=LARGEST, unit="N s²/m²")
-    smoothing: float = setting(0.05, above=0, most=LARGEST, unit="rad/s")
+    mass: Annotated[
+        tuple[float, ...], Setting(above=0, most=LARGEST, unit="kg", usual=(5e-4, _HEAVIEST_ARM), help="Masses.")
+    ]
+    centre_of_mass: Annotated[
+        tuple[float, ...],
+        Setting(
+            above=0,
+            most=LARGEST,
+            unit="m",
+            usual=(1e-4, 4.0),
+            help="Distances of the centres of mass from the upper joints.",
+        ),
+    ]
+    length: Annotated[
+        tuple[float, ...],
+        Setting(above=0, most=LARGEST, unit="m", usual=(5e-3, 4.0), help="Lengths from joint to joint."),
+    ]
+    # A large inertia is judged by mass and length.
+    inertia: Annotated[
+        tuple[float, ...],
+        Setting(
+            least=0, most=1e9, unit="kg m²", usual=(1e-9, np.inf), help="Moments of inertia about the centres of mass."
+        ),
+    ]
+    gravity: Annotated[
+        float,
+        Setting(
+            above=0, most=LARGEST, unit="m/s²", key="acceleration", usual=(1.0, 30.0), help="Acceleration of gravity."
+        ),
+    ]
+    viscous: Annotated[tuple[float, ...], Setting(least=0, most=LARGEST, unit="N m s/rad", help="Viscous friction.")]
+    coulomb: Annotated[tuple[float, ...], Setting(least=0, most=LARGEST, unit="N m", help="Dry friction.")] = ()
+    quadratic: Annotated[
+        tuple[float, ...],
+        Setting(least=0, most=LARGEST, unit="N s²/m²", help="Drag of the air at the centres of oscillation."),
+    ] = ()
+    smoothing: Annotated[
+        float,
+        Setting(
+            above=0, most=LARGEST, unit="rad/s", usual=(1e-4, 20.0), help="Rate below which dry friction is smoothed."
+        ),
+    ] = 0.05
 
     def _check_together(self) -> None:
         """Check that each arm has its values."""
@@ -139,7 +174,7 @@ class ArmChainParameters(Settings):
 
         The names are m1, a1, l1, J1, g, k1 …
         """
-        units = {name: bounds.unit.replace("²", "^2") for name, bounds in bounds_of(type(self)).items()}
+        units = {name: leaf.bounds.unit.replace("²", "^2") for name, leaf in leaves_of(type(self)).items()}
         shown = {**_INERTIAL, "gravity": "g", **_FRICTION, **({"smoothing": "w"} if self.friction else {})}
         out: dict[str, tuple[float, str]] = {}
         for field, letter in shown.items():
@@ -665,9 +700,10 @@ def oddities(arms: ArmChainParameters) -> tuple[str, ...]:
     Raises:
         InputError: a parameter is beyond the bounds of any bench.
     """
-    found = list(_GRAVITY.oddities("acceleration", [arms.gravity]))
-    if arms.coulomb or arms.quadratic:
-        found += _SMOOTHING.oddities("smoothing", [arms.smoothing])
+    leaves = leaves_of(ArmChainParameters)
+    found = list(leaves["gravity"].bounds.oddities("gravity", arms.gravity))
+    if arms.friction:
+        found += leaves["smoothing"].bounds.oddities("smoothing", arms.smoothing)
     for arm in range(arms.count):
         slips = list(_slips(arms, arm))
         body = list(_body(arms, arm))
@@ -676,15 +712,6 @@ def oddities(arms: ArmChainParameters) -> tuple[str, ...]:
     return tuple(found)
 
 
-_GRAVITY = Usual(1.0, 30.0, "m/s²")
-_BODY = {
-    "mass": Usual(5e-4, 20.0, "kg"),
-    "centre_of_mass": Usual(1e-4, 4.0, "m"),
-    "length": Usual(5e-3, 4.0, "m"),
-    # A large inertia is judged by mass and length.
-    "inertia": Usual(1e-9, np.inf, "kg m²"),
-}
-_SMOOTHING = Usual(1e-4, 20.0, "rad/s")
 _HOLLOWEST = 1e-3
 """Least moment of inertia of a likely unit, over mass times length squared."""
 _LIKELY = 0.1
@@ -696,11 +723,13 @@ _HEAVY = 40.0
 def _slips(arms: ArmChainParameters, arm: int) -> Iterator[str]:
     """Yield sentences on parameters that seem to be in another unit."""
     of = f" of arm {arm + 1}"
-    for name, usual in _BODY.items():
-        for sentence in usual.oddities(name, [getattr(arms, name)[arm]]):
-            yield sentence.replace(f" {usual.unit} is ", f" {usual.unit}{of} is ", 1)
+    leaves = leaves_of(ArmChainParameters)
+    for name in _INERTIAL:
+        bounds = leaves[name].bounds
+        for sentence in bounds.oddities(name, getattr(arms, name)[arm]):
+            yield sentence.replace(f" {bounds.unit} is ", f" {bounds.unit}{of} is ", 1)
     mass, length = arms.mass[arm], arms.length[arm]
-    if _HEAVY * length < mass <= _BODY["mass"].most:
+    if _HEAVY * length < mass <= _HEAVIEST_ARM:
         yield f"mass = {mass:g} kg{of} is much for a length of {length:g} m; is it given in g ({1e-3 * mass:.3g} kg)?"
 
 

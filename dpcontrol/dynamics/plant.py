@@ -22,6 +22,7 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cache
 from types import SimpleNamespace
+from typing import Annotated
 
 import casadi as ca
 import numpy as np
@@ -32,7 +33,7 @@ from dpcontrol.dynamics.components import ComponentFrame, SymbolicPlant, Terms
 from dpcontrol.dynamics.equations import Equations, Mechanics, mechanics, solve_symmetric
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.settings import Settings, setting
+from dpcontrol.foundation.settings import Setting, Settings
 
 _SMOOTH_STEP = 2e-3
 """Longest step with an error of the arms' motion below 1e-12, s."""
@@ -66,10 +67,10 @@ class PlantParameters(Settings):
     """
 
     arms: ArmChainParameters
-    lag: float = setting(0.0, least=1e-5, most=1, zero="a drive that follows at once", unit="s")
-    cart_mass: float = setting(0.0, least=0, most=1e6, unit="kg")
-    cart_viscous: float = setting(0.0, least=0, most=1e6, unit="N s/m")
-    tilt: float = setting(0.0, least=-np.pi / 4, most=np.pi / 4, unit="rad")
+    lag: Annotated[float, Setting(least=1e-5, most=1, zero="a drive that follows at once", unit="s")] = 0.0
+    cart_mass: Annotated[float, Setting(least=0, most=1e6, unit="kg")] = 0.0
+    cart_viscous: Annotated[float, Setting(least=0, most=1e6, unit="N s/m")] = 0.0
+    tilt: Annotated[float, Setting(least=-np.pi / 4, most=np.pi / 4, unit="rad")] = 0.0
     components: tuple[SymbolicPlant, ...] = ()
 
     def _check_together(self) -> None:

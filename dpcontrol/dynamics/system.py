@@ -18,7 +18,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import product
-from typing import Any, TypedDict, Unpack
+from typing import Annotated, Any, TypedDict, Unpack
 
 import casadi as ca
 import numpy as np
@@ -37,7 +37,7 @@ from dpcontrol.foundation.arrays import Array, checked_array
 from dpcontrol.foundation.checked import checked, number
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.parts import installed
-from dpcontrol.foundation.settings import Settings, check_names, setting, suggest
+from dpcontrol.foundation.settings import Setting, Settings, check_names, suggest
 from dpcontrol.foundation.shown import Brief
 from dpcontrol.foundation.units import SUBSCRIPTS, InUnits
 
@@ -718,7 +718,7 @@ class ThreeBodyParameters(Settings):
     appendix A.
     """
 
-    mass_ratio: float = setting(above=0, most=0.5)
+    mass_ratio: Annotated[float, Setting(above=0, most=0.5, help="Mass of the lighter body as a share of both.")]
 
     def named(self) -> dict[str, tuple[float, str]]:
         """Return {name: (value, unit)}."""

@@ -5,8 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.foundation.arguments import shortened
-from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.errors import InputError, shortened
 
 Array = NDArray[np.float64]
 """Array of floats."""

@@ -9,33 +9,18 @@ these are annotated. A wrong number of arguments and an unknown keyword remain P
 
 import builtins
 import inspect
-import math
 import types
 from collections.abc import Callable, Collection, Mapping, Sequence, Set
-from dataclasses import dataclass
 from functools import cache, wraps
 from numbers import Integral, Real
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from dpcontrol.foundation.arguments import allowed_range, shortened
-from dpcontrol.foundation.errors import InputError, printable
-from dpcontrol.foundation.settings import suggest
+from dpcontrol.foundation.errors import InputError, printable, shortened
+from dpcontrol.foundation.settings import Setting as Between
+from dpcontrol.foundation.settings import is_finite, suggest
 
 Function = TypeVar("Function", bound=Callable[..., Any])
-
-
-@dataclass(frozen=True)
-class Between:
-    """Bounds of an annotated number.
-
-    At least `least`, at most `most`, greater than `above`.
-    """
-
-    least: float = -math.inf
-    most: float = math.inf
-    above: float = -math.inf
-
 
 Seed = Annotated[int, Between(0, 2**62)]
 Workers = Annotated[int, Between(0, 4096)]
@@ -83,10 +68,7 @@ class _ByName(type):
 
 
 class _Names(dict[str, Any]):
-    """The names of a module, with stand-ins for missing classes.
-
-    Only type checkers import these classes.
-    """
+    """The names of a module, with stand-ins for the classes that only type checkers import."""
 
     def __missing__(self, name: str) -> type:
         return _ByName(name, (), {})
@@ -103,16 +85,12 @@ def check(name: str, value: Any, hint: Any) -> None:
     Raises:
         InputError: names the argument, its value and the allowed values.
     """
-    options = _alternatives(hint)
-    if _fits_any(value, hint):
+    if _fits(value, hint):
         return
-    if isinstance(value, str | Path) and not _is_line(str(value)):
-        raise InputError(f"{name} = {shortened(value)}: must be one short line without control characters")
-    texts = [one for option in options if get_origin(option) is Literal for one in get_args(option)]
-    if isinstance(value, str) and texts and all(isinstance(one, str) for one in texts):
+    texts = [text for part in (hint, *get_args(hint)) if get_origin(part) is Literal for text in get_args(part)]
+    if isinstance(value, str) and texts and all(isinstance(text, str) for text in texts):
         raise InputError(f"{name} = {shortened(value)}: {suggest(value, texts)}")
-    words = [word for option in options if (word := _words(option))]
-    raise InputError(f"{name} = {shortened(value)}: must be {' or '.join(dict.fromkeys(words))}")
+    raise InputError(f"{name} = {shortened(value)}: must be {_noun(hint)}")
 
 
 def number(name: str, value: Any) -> float:
@@ -144,61 +122,68 @@ def numbers(name: str, values: Any, count: int) -> tuple[float, ...]:
     return tuple(map(float, values))
 
 
-def _alternatives(hint: Any) -> tuple[Any, ...]:
-    if get_origin(hint) in (Union, types.UnionType):
-        return tuple(one for part in get_args(hint) for one in _alternatives(part))
-    return (hint,)
+class _Kind(NamedTuple):
+    """Values that a plain type allows: their noun for messages, and their test."""
+
+    noun: str
+    fits: Callable[[Any], bool]
+
+
+@cache
+def _kinds() -> dict[Any, _Kind]:
+    """Return the values that each plain type allows.
+
+    The import within the function keeps the signatures of public functions quick to import.
+    """
+    import numpy as np
+
+    def is_number(value: Any, kind: Any) -> bool:
+        return isinstance(value, kind) and not isinstance(value, bool) and is_finite(value)
+
+    def is_array(value: Any) -> bool:
+        return isinstance(value, np.ndarray) and value.dtype.kind in "iuf" and bool(np.isfinite(value).all())
+
+    anything = _Kind("", lambda _: True)
+    return {
+        float: _Kind("a finite number", lambda value: is_number(value, Real)),
+        int: _Kind("a whole number", lambda value: is_number(value, Integral)),
+        bool: _Kind("True or False", lambda value: isinstance(value, bool | np.bool_)),
+        str: _Kind("one short line of text", lambda value: isinstance(value, str) and _is_line(value)),
+        Path: _Kind("the path of a file", lambda value: isinstance(value, Path) and _is_line(str(value))),
+        np.ndarray: _Kind("an array of finite numbers", is_array),
+        Callable: _Kind("a function", callable),
+        types.NoneType: _Kind("", lambda value: value is None),
+        None: _Kind("", lambda value: value is None),
+        Any: anything,
+        object: anything,
+    }
 
 
 def _fits(value: Any, hint: Any) -> bool:
-    import numpy as np
-
-    kind, inner = get_origin(hint), get_args(hint)
+    kind, inner = get_origin(hint) or hint, get_args(hint)
+    if kind in (Union, types.UnionType):
+        return any(_fits(value, part) for part in inner)
     if kind is Annotated:
-        bounds = inner[1]
-        if not isinstance(inner[1], Between):
-            return _fits_any(value, inner[0])
-        return _fits(value, inner[0]) and bounds.least <= value <= bounds.most and value > bounds.above
+        return _fits(value, inner[0]) and not (isinstance(inner[1], Between) and inner[1].complaint(value))
     if kind is Literal:
-        return any(type(value) is type(one) and value == one for one in inner)
+        return any(type(value) is type(allowed) and value == allowed for allowed in inner)
     if kind is Mapping:
         return isinstance(value, Mapping) and all(
-            _fits_any(one, part) for pair in value.items() for one, part in zip(pair, inner, strict=True)
+            _fits(key, inner[0]) and _fits(entry, inner[1]) for key, entry in value.items()
         )
     if kind in (Sequence, Collection, tuple):
-        return is_list(value) and len(value) == _length(hint, value) and all(
-            _fits_any(one, inner[0 if Ellipsis in inner else min(k, len(inner) - 1)]) for k, one in enumerate(value)
-        )  # fmt: skip
-    if kind is np.ndarray:
-        return isinstance(value, np.ndarray) and value.dtype.kind in "iuf" and bool(np.isfinite(value).all())
-    if hint in (float, int):
-        kinds: Any = (Real if hint is float else Integral, bool | np.bool_)
-        # The bound overflows in NumPy's short floats.
-        size = abs(float(value) if isinstance(value, np.floating) else value) if isinstance(value, kinds[0]) else np.nan
-        return not isinstance(value, kinds[1]) and bool(size <= _LARGEST)
-    if hint is bool:
-        return isinstance(value, bool | np.bool_)
-    if hint is None or hint is Any or hint is object or isinstance(hint, TypeVar):
-        return value is None or hint is not None
-    if isinstance(value, str | Path) and hint in (str, Path):
-        return isinstance(value, hint) and _is_line(str(value))
-    if getattr(hint, "_is_protocol", False):
+        entries = inner if kind is tuple and Ellipsis not in inner else inner[:1] * len(value) if is_list(value) else ()
+        return is_list(value) and len(value) == len(entries) and all(map(_fits, value, entries))
+    if kind in _kinds():
+        return _kinds()[kind].fits(value)
+    if getattr(kind, "_is_protocol", False):
         return value is not None  # The object's methods are checked where they are called.
-    kind = kind or hint
-    return callable(value) if kind is Callable else not isinstance(kind, type) or isinstance(value, kind)
+    return not isinstance(kind, type) or isinstance(value, kind)
 
 
 def _is_line(text: str) -> bool:
     """Return True if a text is one printable line that fits in a path; symbols of composite edges are long."""
     return printable(text) == text and "\n" not in text and len(text) < 4000
-
-
-_LARGEST = 1.7976931348623157e308
-"""The largest double; NaN does not compare as less."""
-
-
-def _fits_any(value: Any, hint: Any) -> bool:
-    return any(_fits(value, option) for option in _alternatives(hint))
 
 
 def is_list(value: Any) -> bool:
@@ -209,49 +194,24 @@ def is_list(value: Any) -> bool:
     Args:
         value: any object.
     """
-    if hasattr(value, "ndim"):
-        return value.ndim > 0
-    return isinstance(value, Collection) and not isinstance(value, str | bytes | Mapping | Set)
+    ordered = isinstance(value, Collection) and not isinstance(value, str | bytes | Mapping | Set)
+    return ordered and getattr(value, "ndim", 1) > 0
 
 
-def _length(hint: Any, value: Any) -> int:
-    inner = get_args(hint)
-    return len(value) if get_origin(hint) is not tuple or Ellipsis in inner else len(inner)
-
-
-def _words(hint: Any) -> str:
-    kind, inner = get_origin(hint), get_args(hint)
-    if kind is Annotated and not isinstance(inner[1], Between):
-        return " or ".join(filter(None, map(_words, _alternatives(inner[0]))))
+def _noun(hint: Any) -> str:
+    """Return the values that a type allows, as a noun for messages."""
+    kind, inner = get_origin(hint) or hint, get_args(hint)
+    if kind in (Union, types.UnionType):
+        return " or ".join(dict.fromkeys(filter(None, map(_noun, inner))))
     if kind is Annotated:
-        above = "" if math.isinf(inner[1].above) else f" above {inner[1].above:g}"
-        return allowed_range(_words(inner[0]), inner[1].least, inner[1].most) + above
+        return f"{_noun(inner[0])}, {inner[1].range}" if isinstance(inner[1], Between) else _noun(inner[0])
     if kind is Literal:
         return ", ".join(map(repr, inner))
     if kind is Mapping:
         return "values by name"
     if kind in (Sequence, Collection, tuple):
-        count = "" if kind is not tuple or Ellipsis in inner else f"{len(inner)} values, each "
-        each = " or ".join(filter(None, map(_words, _alternatives(inner[0]))))
-        if count:
-            return f"{count}{each}"
-        return f"a list, each entry {each}" if each else "a list"
-    plain = {
-        float: "a finite number",
-        int: "a whole number",
-        bool: "True or False",
-        str: "text",
-        None: "",
-        type(None): "",
-        Any: "",
-    }
-    if hint in plain:
-        return plain[hint]
-    if getattr(kind, "__name__", "") == "ndarray":
-        return "an array of finite numbers"
-    if kind is Callable:
-        return "a function"
-    if hint is Path:
-        return "the path of a file"
-    name = getattr(hint, "__name__", str(hint))
-    return f"{'an' if name[0] in 'AEIOU' else 'a'} {name}"
+        count = f"{len(inner)} values" if kind is tuple and Ellipsis not in inner else "a list"
+        each = _noun(inner[0])
+        return f"{count}, each {each}" if each else count
+    name = getattr(kind, "__name__", str(kind))
+    return _kinds()[kind].noun if kind in _kinds() else f"{'an' if name[0] in 'AEIOU' else 'a'} {name}"

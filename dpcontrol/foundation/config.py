@@ -11,20 +11,21 @@ from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.settings import Place, Settings, decode, help_of, read_toml, setting
+from dpcontrol.foundation.settings import Setting, Settings, leaves_of
+from dpcontrol.foundation.toml import Place, decode, read_toml
 
 
 @dataclass(frozen=True)
 class Config(Settings):
     """Defaults of the command line."""
 
-    logs: str = setting("logs", help="Folder of logs, tables and pages.")
-    workers: int = setting(0, least=1, most=4096, zero="one for each processor", help="Processes.")
-    viewer: str = setting("", help="Program that shows recordings; by default that of rerun-sdk.")
-    colour: str = setting("auto", choices=("auto", "always", "never"), help="Colour in the terminal.")
+    logs: Annotated[str, Setting(help="Folder of logs, tables and pages.")] = "logs"
+    workers: Annotated[int, Setting(least=1, most=4096, zero="one for each processor", help="Processes.")] = 0
+    viewer: Annotated[str, Setting(help="Program that shows recordings; by default that of rerun-sdk.")] = ""
+    colour: Annotated[str, Setting(choices=("auto", "always", "never"), help="Colour in the terminal.")] = "auto"
 
 
 class Configured(NamedTuple):
@@ -148,9 +149,11 @@ def configured() -> Iterator[Configured]:
         InputError: a mistake in the file or in a variable.
     """
     config, of_file = _now()
-    for name, text in help_of(Config).items():
+    for name, leaf in leaves_of(Config).items():
         in_file = str(config_file()) if name in of_file else "default"
-        yield Configured(name, getattr(config, name), variable(name) if variable(name) in os.environ else in_file, text)
+        yield Configured(
+            name, getattr(config, name), variable(name) if variable(name) in os.environ else in_file, leaf.bounds.help
+        )
 
 
 def log_folder() -> Path:

@@ -6,6 +6,7 @@ Exceptions have exit codes. Remarks stop nothing.
 import re
 import warnings
 from collections.abc import Sequence
+from typing import Any
 
 _WORD = re.compile(r"[^\s/\\]{256,}")
 """A word that is no part of a file's path, because names of files have at most 255 bytes."""
@@ -23,6 +24,22 @@ def concise(sentence: str) -> str:
     """
     lines = _WORD.sub(lambda word: f"{word[0][:40]}…", sentence).split("\n")
     return "\n".join(one if len(one) <= _LONGEST else f"{one[: _LONGEST // 2]} … {one[-400:]}" for one in lines)
+
+
+def shortened(value: Any) -> str:
+    """Return the repr of a value, shortened if it is long.
+
+    Args:
+        value: any object.
+    """
+    try:
+        text = " ".join(repr(value).split())
+    except ValueError:
+        # Python cannot print whole numbers of more than 4,300 digits.
+        return "a number of thousands of digits"
+    except Exception:  # noqa: BLE001 - the object is the user's, and so is its __repr__
+        return f"<{type(value).__name__}>"
+    return text if len(text) <= 40 else f"{text[:40]}…"
 
 
 class InputError(Exception):

@@ -5,7 +5,6 @@ Unusual values cause a remark, impossible ones an error.
 
 import math
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
 
 from dpcontrol.foundation.errors import InputError
 
@@ -88,44 +87,37 @@ class InUnits:
         return form.format(name) if self.si else ""
 
 
-class Usual(NamedTuple):
-    """Usual range of a key on ordinary benches.
+def unusual(key: str, values: Sequence[float], usual: tuple[float, float], unit: str) -> Iterator[str]:
+    """Yield a sentence on each number that is unusual on ordinary benches.
 
-    The range has a unit. Zero is always usual.
+    If another unit would make it usual, the sentence has that unit. Zero is always usual.
+
+    Args:
+        key: key of the values, for the message.
+        values: numbers in `unit`.
+        usual: least and largest usual size.
+        unit: unit of the numbers.
+
+    Raises:
+        InputError: a value is impossible.
     """
-
-    least: float
-    most: float
-    unit: str
-
-    def oddities(self, key: str, values: Sequence[float]) -> Iterator[str]:
-        """Yield a sentence on each unusual value.
-
-        If another unit would make it usual, the sentence has that unit.
-
-        Args:
-            key: key of the values, for the message.
-            values: numbers in `unit`.
-
-        Raises:
-            InputError: a value is impossible.
-        """
-        for value in values:
-            size = abs(value)
-            if not size or self.least <= size <= self.most:
-                continue
-            far = f"more than the usual {self.most:g}" if size > self.most else f"less than the usual {self.least:g}"
-            unit = f" {self.unit}" if self.unit else ""
-            text = f"{key} = {value:g}{unit} is {far}{unit}"
-            impossible = size > _IMPOSSIBLE * self.most or size < _VANISHING * self.least
-            others = {name: size * factor for name, factor in OTHER_UNITS.get(self.unit, {}).items()}
-            fitting = [f"{name} ({v:.3g}{unit})" for name, v in others.items() if self.least <= v <= self.most]
-            if fitting:
-                text += f"; is it given in {' or in '.join(fitting)}?"
-            elif not impossible:
-                text += "; check the value"
-            if impossible:
-                raise InputError(
-                    text if fitting else f"{text}, which is impossible; give it in {self.unit or 'its unit'}", key=key
-                )
-            yield text
+    least, most = usual
+    of = f" {unit}" if unit else ""
+    for value in values:
+        size = abs(value)
+        if not size or least <= size <= most:
+            continue
+        far = f"more than the usual {most:g}" if size > most else f"less than the usual {least:g}"
+        text = f"{key} = {value:g}{of} is {far}{of}"
+        impossible = size > _IMPOSSIBLE * most or size < _VANISHING * least
+        others = {name: size * factor for name, factor in OTHER_UNITS.get(unit, {}).items()}
+        fitting = [f"{name} ({v:.3g}{of})" for name, v in others.items() if least <= v <= most]
+        if fitting:
+            text += f"; is it given in {' or in '.join(fitting)}?"
+        elif not impossible:
+            text += "; check the value"
+        if impossible:
+            raise InputError(
+                text if fitting else f"{text}, which is impossible; give it in {unit or 'its unit'}", key=key
+            )
+        yield text

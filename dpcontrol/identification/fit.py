@@ -38,7 +38,7 @@ robot excitation and identification (1997).
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import product
-from typing import Any, ClassVar, NamedTuple
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -60,7 +60,7 @@ from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress, no_progress
-from dpcontrol.foundation.settings import Settings, setting
+from dpcontrol.foundation.settings import Setting, Settings
 from dpcontrol.foundation.shown import Brief
 from dpcontrol.recordings.recording import smoothed_derivative
 
@@ -346,16 +346,16 @@ _HALVINGS = 8
 class FitSettings(Settings, table="fit"):
     """Windows, robust loss and convergence of the fit."""
 
-    window: float = setting(0.5, above=0, unit="s")
+    window: Annotated[float, Setting(above=0, unit="s")] = 0.5
     """Length of a shooting window, s."""
-    robust: float = setting(3.0, least=0)
+    robust: Annotated[float, Setting(least=0)] = 3.0
     """Residual at which the loss becomes linear, in standard deviations of the bulk; 0 for least squares."""
-    bend: float = setting(0.0, least=0, unit="rad")
+    bend: Annotated[float, Setting(least=0, unit="rad")] = 0.0
     """Fixed residual at which the loss becomes linear, rad."""
-    least_scale: float = setting(1e-4, above=0, unit="rad")
+    least_scale: Annotated[float, Setting(above=0, unit="rad")] = 1e-4
     """Minimum standard deviation of the bulk, rad, about half a count."""
-    iterations: int = setting(40, least=1)
-    tolerance: float = setting(1e-7, above=0)
+    iterations: Annotated[int, Setting(least=1)] = 40
+    tolerance: Annotated[float, Setting(above=0)] = 1e-7
     """Relative decrease of the loss below which the fit has converged."""
 
 
@@ -573,19 +573,19 @@ _CHAOTIC = 20.0
 class DesignSettings(Settings, table="design"):
     """Experiments to compare."""
 
-    seconds: float = setting(2.667, above=0, unit="s")
+    seconds: Annotated[float, Setting(above=0, unit="s")] = 2.667
     """Duration of each recording, s."""
-    period: float = setting(4e-3, above=0, unit="s")
+    period: Annotated[float, Setting(above=0, unit="s")] = 4e-3
     """Sampling period, s."""
-    counts: int = setting(40_000, least=1)
+    counts: Annotated[int, Setting(least=1)] = 40_000
     """Encoder counts per turn."""
-    steps: int = setting(9, least=2)
+    steps: Annotated[int, Setting(least=2)] = 9
     """Grid points of each angle over half a turn."""
     amplitudes: tuple[float, ...] = (0.5, 1.0, 2.0, 4.0)
     """Of the cart's sine, m/s²."""
     frequencies: tuple[float, ...] = (0.5, 0.7, 0.9, 1.1, 1.3, 1.5, 1.8, 2.1, 2.5, 3.0)
     """Of the cart's sine, Hz."""
-    track: float = setting(0.4, above=0, unit="m")
+    track: Annotated[float, Setting(above=0, unit="m")] = 0.4
     """Half length of the track, m."""
 
 

@@ -28,7 +28,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,7 +47,7 @@ from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.document import Documented, picked
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.progress import Progress, no_progress
-from dpcontrol.foundation.settings import Settings, setting
+from dpcontrol.foundation.settings import Setting, Settings
 from dpcontrol.foundation.shown import Brief, Shown
 from dpcontrol.identification.fit import FitSettings, Swing, SwingFit, Swings, filled, fit_swings
 from dpcontrol.recordings.recording import Recording, cart_motion
@@ -264,11 +264,11 @@ LAWS: tuple[tuple[Friction, ...], ...] = (
 class IdentificationSettings(Settings, table="identify"):
     """Terms to try, and segments to hold out."""
 
-    zeros: str = setting("chosen", choices=("free", "none", "chosen"))
+    zeros: Annotated[str, Setting(choices=("free", "none", "chosen"))] = "chosen"
     """"free", "none", or "chosen" by the held-out error."""
-    left_out: int = setting(3, least=2)
+    left_out: Annotated[int, Setting(least=2)] = 3
     """One in so many segments is held out."""
-    longest: float | None = setting(None, above=0, unit="s")
+    longest: Annotated[float | None, Setting(above=0, unit="s")] = None
     """Maximum segment length, s; None for 4 s, or 1 s if the cart moved, since runs stay near saddles."""
     laws: tuple[tuple[Friction, ...], ...] = LAWS
     """Sets of friction laws to try in addition to the viscous one."""

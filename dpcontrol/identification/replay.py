@@ -24,7 +24,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,7 +37,7 @@ from dpcontrol.foundation.checked import checked
 from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
-from dpcontrol.foundation.settings import Settings, setting, suggest
+from dpcontrol.foundation.settings import Setting, Settings, suggest
 from dpcontrol.foundation.shown import Brief
 from dpcontrol.identification.fit import FitSettings, Swing, SwingFit, Swings, fit_swings
 from dpcontrol.loop.bench import SensorSettings
@@ -286,13 +286,13 @@ class ReplaySettings(Settings, table="replay"):
     change within a mean, and half a second, since errors near a saddle grow fiftyfold in that time.
     """
 
-    counts: int = setting(40_000, least=1)
+    counts: Annotated[int, Setting(least=1)] = 40_000
     """Encoder counts per turn, which set the noise."""
-    mean_over: float | None = setting(None, least=0, most=0.02, unit="s")
+    mean_over: Annotated[float | None, Setting(least=0, most=0.02, unit="s")] = None
     """Duration of each mean for the estimator, s."""
-    ahead: int = setting(100, least=1, most=100_000, unit="samples")
+    ahead: Annotated[int, Setting(least=1, most=100_000, unit="samples")] = 100
     """Samples of the longer prediction."""
-    span: float | None = setting(None, least=0.05, most=1000, unit="s")
+    span: Annotated[float | None, Setting(least=0.05, most=1000, unit="s")] = None
     """Longest stretch that is predicted in one piece, s."""
 
 

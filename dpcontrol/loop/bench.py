@@ -25,7 +25,7 @@ m/s, and limit switches at both ends. Seed sequences: O'Neill, as in numpy.rando
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,7 +36,7 @@ from dpcontrol.dynamics.components import Belt, Cable, EncoderPlay, Stiction, Sy
 from dpcontrol.dynamics.plant import PlantParameters
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.settings import Settings, setting
+from dpcontrol.foundation.settings import Setting, Settings
 from dpcontrol.foundation.shown import Brief
 from dpcontrol.references.problem import Limits
 
@@ -73,38 +73,75 @@ class SensorSettings(Settings, table="sensors"):
         zero_drift: drift of each arm encoder's zero, in either direction, rad/h.
     """
 
-    counts: int | tuple[int, ...] = setting(
-        40_000, least=1, zero="no rounding", help="Encoder counts per turn of a joint."
+    counts: Annotated[
+        int | tuple[int, ...],
+        Setting(least=1, zero="no rounding", usual=(8.0, 2e7), help="Encoder counts per turn of a joint."),
+    ] = 40_000
+    cart_resolution: Annotated[
+        float,
+        Setting(
+            least=1e-12,
+            most=1,
+            zero="no rounding",
+            unit="m",
+            usual=(1e-9, 5e-3),
+            help="Resolution of the cart's scale.",
+        ),
+    ] = 1e-6
+    zero_error: Annotated[
+        float, Setting(least=0, most=np.pi, unit="rad", usual=(0.0, 0.6), help="Largest error of each encoder's zero.")
+    ] = 0.0
+    noise: Annotated[
+        float,
+        Setting(
+            least=0, most=np.pi, unit="rad", usual=(0.0, 0.1), help="Standard deviation of the measured joint angles."
+        ),
+    ] = 0.0
+    cart_noise: Annotated[
+        float,
+        Setting(least=0, most=1, unit="m", usual=(0.0, 0.02), help="Standard deviation of the measured cart position."),
+    ] = 0.0
+    missed_counts: Annotated[
+        float, Setting(least=0, most=1e6, unit="1/s", help="Rate at which a moving encoder loses counts.")
+    ] = 0.0
+    dropout: Annotated[float, Setting(least=0, most=1, help="Share of ticks without any reading.")] = 0.0
+    stuck_at: Annotated[
+        float, Setting(least=0, infinite="never", unit="s", usual=(0.0, 600.0), help="Time at which a sensor sticks.")
+    ] = math.inf
+    stuck_sensor: Annotated[
+        int,
+        Setting(least=0, help="Sensor that sticks: 0 the inner arm's encoder, then outwards, last the cart's scale."),
+    ] = 0
+    stuck_for: Annotated[
+        float,
+        Setting(
+            above=0, infinite="the rest of the run", unit="s", usual=(0.0, 60.0), help="Duration for which it sticks."
+        ),
+    ] = math.inf
+    jitter: Annotated[float, Setting(least=0, most=1, unit="s", usual=(0.0, 0.1), help="Largest age of a reading.")] = (
+        0.0
     )
-    cart_resolution: float = setting(
-        1e-6, least=1e-12, most=1, zero="no rounding", unit="m", help="Resolution of the cart's scale."
-    )
-    zero_error: float = setting(0.0, least=0, most=np.pi, unit="rad", help="Largest error of each encoder's zero.")
-    noise: float = setting(
-        0.0, least=0, most=np.pi, unit="rad", help="Standard deviation of the measured joint angles."
-    )
-    cart_noise: float = setting(
-        0.0, least=0, most=1, unit="m", help="Standard deviation of the measured cart position."
-    )
-    missed_counts: float = setting(
-        0.0, least=0, most=1e6, unit="1/s", help="Rate at which a moving encoder loses counts."
-    )
-    dropout: float = setting(0.0, least=0, most=1, help="Share of ticks without any reading.")
-    stuck_at: float = setting(math.inf, least=0, infinite="never", unit="s", help="Time at which a sensor sticks.")
-    stuck_sensor: int = setting(
-        0, least=0, help="Sensor that sticks: 0 the inner arm's encoder, then outwards, last the cart's scale."
-    )
-    stuck_for: float = setting(
-        math.inf, above=0, infinite="the rest of the run", unit="s", help="Duration for which it sticks."
-    )
-    jitter: float = setting(0.0, least=0, most=1, unit="s", help="Largest age of a reading.")
-    ages: str = setting("unknown", choices=AGES, help="Whether the bench reports the ages of its readings.")
-    rate_noise: float = setting(
-        0.0, least=0, most=1000, unit="rad/s", help="Standard deviation of noise added to the estimated rates."
-    )
-    zero_drift: float = setting(
-        0.0, least=0, most=1000, unit="rad/h", help="Drift of each encoder's zero, in either direction."
-    )
+    ages: Annotated[str, Setting(choices=AGES, help="Whether the bench reports the ages of its readings.")] = "unknown"
+    rate_noise: Annotated[
+        float,
+        Setting(
+            least=0,
+            most=1000,
+            unit="rad/s",
+            usual=(0.0, 20.0),
+            help="Standard deviation of noise added to the estimated rates.",
+        ),
+    ] = 0.0
+    zero_drift: Annotated[
+        float,
+        Setting(
+            least=0,
+            most=1000,
+            unit="rad/h",
+            usual=(0.0, 20.0),
+            help="Drift of each encoder's zero, in either direction.",
+        ),
+    ] = 0.0
 
     def _check_together(self) -> None:
         """Check that an encoder which loses counts has counts."""
@@ -163,33 +200,75 @@ class DriveSettings(Settings, table="drive"):
         failure: "off" if the cart brakes to a standstill, "reversed" if it goes the other way.
     """
 
-    delay: float = setting(
-        1.0, least=0, most=1000, unit="periods", help="Delay from a reading to its command, also fractions."
-    )
-    lag: float = setting(0.0, least=0, most=1, unit="s", help="Time constant of the drive's velocity loop.")
-    cart_mass: float = setting(0.0, least=0, most=1e6, unit="kg", help="Mass of the cart, which the arms then push.")
-    cart_viscous: float = setting(0.0, least=0, most=1e6, unit="N s/m", help="Viscous friction of the cart.")
-    velocity: float = setting(
-        math.inf, above=0, infinite="no separate limit", unit="m/s", help="Largest velocity of the drive."
-    )
-    acceleration: float = setting(
-        math.inf, above=0, infinite="no separate limit", unit="m/s²", help="Largest acceleration of the drive."
-    )
-    jerk: float = setting(
-        math.inf, above=0, infinite="no separate limit", unit="m/s³", help="Largest jerk of the drive."
-    )
-    command_noise: float = setting(
-        0.0, least=0, most=1e6, unit="m/s²", help="Standard deviation of noise on the command."
-    )
-    response: float = setting(1.0, least=0, most=10, help="Share of a command that the drive gives.")
-    track: float = setting(
-        math.inf, above=0, infinite="no separate limit", unit="m", help="Distance of the hard stops from the centre."
-    )
-    switch_margin: float = setting(
-        0.0, least=0, most=1000, unit="m", help="Distance of the limit switches from the hard stops."
-    )
-    failed_at: float = setting(math.inf, least=0, infinite="never", unit="s", help="Time at which the drive fails.")
-    failure: str = setting("off", choices=FAILURES, help="Fault of the drive from failed_at on.")
+    delay: Annotated[
+        float,
+        Setting(
+            least=0,
+            most=1000,
+            unit="periods",
+            usual=(0.0, 100.0),
+            help="Delay from a reading to its command, also fractions.",
+        ),
+    ] = 1.0
+    lag: Annotated[
+        float, Setting(least=0, most=1, unit="s", usual=(0.0, 0.2), help="Time constant of the drive's velocity loop.")
+    ] = 0.0
+    cart_mass: Annotated[
+        float,
+        Setting(least=0, most=1e6, unit="kg", usual=(0.02, 200.0), help="Mass of the cart, which the arms then push."),
+    ] = 0.0
+    cart_viscous: Annotated[
+        float, Setting(least=0, most=1e6, unit="N s/m", usual=(0.0, 1e4), help="Viscous friction of the cart.")
+    ] = 0.0
+    velocity: Annotated[
+        float,
+        Setting(
+            above=0, infinite="no separate limit", unit="m/s", usual=(0.05, 20.0), help="Largest velocity of the drive."
+        ),
+    ] = math.inf
+    acceleration: Annotated[
+        float,
+        Setting(
+            above=0,
+            infinite="no separate limit",
+            unit="m/s²",
+            usual=(0.05, 300.0),
+            help="Largest acceleration of the drive.",
+        ),
+    ] = math.inf
+    jerk: Annotated[
+        float,
+        Setting(
+            above=0, infinite="no separate limit", unit="m/s³", usual=(5.0, 1e6), help="Largest jerk of the drive."
+        ),
+    ] = math.inf
+    command_noise: Annotated[
+        float,
+        Setting(least=0, most=1e6, unit="m/s²", usual=(0.0, 100.0), help="Standard deviation of noise on the command."),
+    ] = 0.0
+    response: Annotated[
+        float, Setting(least=0, most=10, usual=(0.05, 3.0), help="Share of a command that the drive gives.")
+    ] = 1.0
+    track: Annotated[
+        float,
+        Setting(
+            above=0,
+            infinite="no separate limit",
+            unit="m",
+            usual=(0.02, 5.0),
+            help="Distance of the hard stops from the centre.",
+        ),
+    ] = math.inf
+    switch_margin: Annotated[
+        float,
+        Setting(
+            least=0, most=1000, unit="m", usual=(0.0, 0.5), help="Distance of the limit switches from the hard stops."
+        ),
+    ] = 0.0
+    failed_at: Annotated[
+        float, Setting(least=0, infinite="never", unit="s", usual=(0.0, 600.0), help="Time at which the drive fails.")
+    ] = math.inf
+    failure: Annotated[str, Setting(choices=FAILURES, help="Fault of the drive from failed_at on.")] = "off"
 
     def _check_together(self) -> None:
         if self.failure != "off" and self.failed_at == math.inf:
@@ -281,11 +360,17 @@ class Push(Settings, table="push"):
         knock: jump of the cart's velocity, m/s.
     """
 
-    time: float = setting(least=0, unit="s", help="Time of the blow.")
-    arm: int = setting(0, least=0, help="Arm that is struck, 0 the inner one.")
-    impulse: float = setting(0.0, least=-1000, most=1000, unit="N m s", help="Angular impulse on the arm.")
-    rate: float = setting(0.0, least=-1000, most=1000, unit="rad/s", help="Jump of the arm's rate.")
-    knock: float = setting(0.0, least=-1000, most=1000, unit="m/s", help="Jump of the cart's velocity.")
+    time: Annotated[float, Setting(least=0, unit="s", usual=(0.0, 600.0), help="Time of the blow.")]
+    arm: Annotated[int, Setting(least=0, help="Arm that is struck, 0 the inner one.")] = 0
+    impulse: Annotated[
+        float, Setting(least=-1000, most=1000, unit="N m s", usual=(0.0, 2.0), help="Angular impulse on the arm.")
+    ] = 0.0
+    rate: Annotated[
+        float, Setting(least=-1000, most=1000, unit="rad/s", usual=(0.0, 100.0), help="Jump of the arm's rate.")
+    ] = 0.0
+    knock: Annotated[
+        float, Setting(least=-1000, most=1000, unit="m/s", usual=(0.0, 5.0), help="Jump of the cart's velocity.")
+    ] = 0.0
 
 
 @dataclass(frozen=True)
@@ -301,21 +386,41 @@ class DisturbanceSettings(Settings, table="disturbances"):
         explicit: further blows.
     """
 
-    pushes: int = setting(0, least=0, most=10_000, help="Number of random blows on the arms.")
-    push_impulse: float = setting(0.0, least=0, most=1000, unit="N m s", help="Largest impulse of these blows.")
-    knocks: int = setting(0, least=0, most=10_000, help="Number of random blows on the cart.")
-    knock_velocity: float = setting(
-        0.0, least=0, most=1000, unit="m/s", help="Largest jump of the cart's velocity by such a blow."
-    )
-    knocks_per_minute: float = setting(
-        0.0, least=0, most=6000, unit="1/min", help="Rate of further blows on the arms at random times."
-    )
-    knock_impulse: float = setting(
-        0.03, least=0, most=1000, unit="N m s", help="Largest impulse of these further blows."
-    )
-    tilt: float = setting(
-        0.0, least=-np.pi / 4, most=np.pi / 4, unit="rad", help="Tilt of the track, positive with the right end down."
-    )
+    pushes: Annotated[int, Setting(least=0, most=10_000, help="Number of random blows on the arms.")] = 0
+    push_impulse: Annotated[
+        float, Setting(least=0, most=1000, unit="N m s", usual=(0.0, 2.0), help="Largest impulse of these blows.")
+    ] = 0.0
+    knocks: Annotated[int, Setting(least=0, most=10_000, help="Number of random blows on the cart.")] = 0
+    knock_velocity: Annotated[
+        float,
+        Setting(
+            least=0, most=1000, unit="m/s", usual=(0.0, 5.0), help="Largest jump of the cart's velocity by such a blow."
+        ),
+    ] = 0.0
+    knocks_per_minute: Annotated[
+        float,
+        Setting(
+            least=0,
+            most=6000,
+            unit="1/min",
+            usual=(0.0, 600.0),
+            help="Rate of further blows on the arms at random times.",
+        ),
+    ] = 0.0
+    knock_impulse: Annotated[
+        float,
+        Setting(least=0, most=1000, unit="N m s", usual=(0.0, 2.0), help="Largest impulse of these further blows."),
+    ] = 0.03
+    tilt: Annotated[
+        float,
+        Setting(
+            least=-np.pi / 4,
+            most=np.pi / 4,
+            unit="rad",
+            usual=(0.0, 0.4),
+            help="Tilt of the track, positive with the right end down.",
+        ),
+    ] = 0.0
     explicit: tuple[Push, ...] = ()
 
 
@@ -338,45 +443,64 @@ class MechanicsSettings(Settings, table="mechanics"):
         known_play: play assumed by the loop, by default the true one, 0 to ignore it, rad.
     """
 
-    belt: float = setting(
-        0.0,
-        least=1,
-        most=1000,
-        zero="a rigid belt",
-        unit="Hz",
-        help="Frequency of the cart on an elastic belt with the motor held.",
-    )
-    belt_damping: float = setting(0.05, least=0, most=1, help="Damping ratio of the cart on its belt.")
-    belt_scale: str = setting("motor", choices=("motor", "cart"), help="Place of the cart's scale.")
-    play: float | tuple[float, ...] = setting(
-        0.0, least=0, most=1, unit="rad", help="Play between each joint and its encoder."
-    )
-    cable_torque: float = setting(
-        0.0, least=-1000, most=1000, unit="N m", help="Torque of a cable on the hanging inner arm."
-    )
-    cable_stiffness: float = setting(
-        0.0, least=0, most=1000, unit="N m/rad", help="Stiffness of the cable against turning."
-    )
-    stiction: float | tuple[float, ...] = setting(
-        0.0, least=0, most=1000, unit="N m", help="Break-away torque of the joints at rest."
-    )
-    kinetic: float = setting(
-        0.8, least=0, most=1, help="Torque of a sliding joint as a share of its break-away torque."
-    )
-    initial_rate: float = setting(0.0, least=0, most=1000, unit="rad/s", help="Largest initial rate of each arm.")
-    initial_cart: float = setting(0.0, least=-100, most=100, unit="m", help="Initial position of the cart.")
-    known_belt: float = setting(
-        math.inf,
-        least=1,
-        most=1000,
-        zero="none",
-        infinite="as belt",
-        unit="Hz",
-        help="Belt frequency that the controller assumes.",
-    )
-    known_play: float | tuple[float, ...] = setting(
-        math.inf, least=0, most=1, infinite="as play", unit="rad", help="Play that the estimator assumes."
-    )
+    belt: Annotated[
+        float,
+        Setting(
+            least=1,
+            most=1000,
+            zero="a rigid belt",
+            unit="Hz",
+            usual=(0.5, 1000.0),
+            help="Frequency of the cart on an elastic belt with the motor held.",
+        ),
+    ] = 0.0
+    belt_damping: Annotated[float, Setting(least=0, most=1, help="Damping ratio of the cart on its belt.")] = 0.05
+    belt_scale: Annotated[str, Setting(choices=("motor", "cart"), help="Place of the cart's scale.")] = "motor"
+    play: Annotated[
+        float | tuple[float, ...],
+        Setting(least=0, most=1, unit="rad", usual=(0.0, 0.5), help="Play between each joint and its encoder."),
+    ] = 0.0
+    cable_torque: Annotated[
+        float,
+        Setting(
+            least=-1000, most=1000, unit="N m", usual=(0.0, 2.0), help="Torque of a cable on the hanging inner arm."
+        ),
+    ] = 0.0
+    cable_stiffness: Annotated[
+        float,
+        Setting(least=0, most=1000, unit="N m/rad", usual=(0.0, 5.0), help="Stiffness of the cable against turning."),
+    ] = 0.0
+    stiction: Annotated[
+        float | tuple[float, ...],
+        Setting(least=0, most=1000, unit="N m", usual=(0.0, 1.0), help="Break-away torque of the joints at rest."),
+    ] = 0.0
+    kinetic: Annotated[
+        float, Setting(least=0, most=1, help="Torque of a sliding joint as a share of its break-away torque.")
+    ] = 0.8
+    initial_rate: Annotated[
+        float, Setting(least=0, most=1000, unit="rad/s", usual=(0.0, 50.0), help="Largest initial rate of each arm.")
+    ] = 0.0
+    initial_cart: Annotated[
+        float, Setting(least=-100, most=100, unit="m", usual=(0.0, 5.0), help="Initial position of the cart.")
+    ] = 0.0
+    known_belt: Annotated[
+        float,
+        Setting(
+            least=1,
+            most=1000,
+            zero="none",
+            infinite="as belt",
+            unit="Hz",
+            usual=(0.5, 1000.0),
+            help="Belt frequency that the controller assumes.",
+        ),
+    ] = math.inf
+    known_play: Annotated[
+        float | tuple[float, ...],
+        Setting(
+            least=0, most=1, infinite="as play", unit="rad", usual=(0.0, 0.5), help="Play that the estimator assumes."
+        ),
+    ] = math.inf
 
     def of_each(self, name: str, arms: int) -> tuple[Any, ...]:
         """Return the values of a setting for each arm; infinite play is the bench's own.

@@ -16,7 +16,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -29,7 +29,7 @@ from dpcontrol.dynamics.chain import ArmChainParameters, Level, Uncertainty, arm
 from dpcontrol.foundation.causes import Cause
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress, no_progress
-from dpcontrol.foundation.settings import Settings, setting
+from dpcontrol.foundation.settings import Setting, Settings
 from dpcontrol.logs import Event
 from dpcontrol.loop.bench import (
     BenchDraw,
@@ -346,28 +346,42 @@ class LoopSettings(Settings, table="run"):
         keep: law that keeps the stops of a walk (`KEEPERS`), with TVLQR in between.
     """
 
-    seed: int = setting(least=0, help="Seed of the random numbers.")
-    rate: float = setting(1000.0, least=1, most=10_000, unit="Hz", help="Rate of the loop.")
-    initial_error: float = setting(0.0, least=0, most=np.pi, unit="rad", help="Largest error of each initial angle.")
-    mismatch: float = setting(0.0, least=0, most=0.9, help="Largest relative error of the plant's parameters.")
-    model_uncertainty: float = setting(
-        0.0,
-        least=0,
-        most=100,
-        help="Factor on the standard errors of an identified model, from which the plant is drawn.",
+    seed: Annotated[int, Setting(least=0, help="Seed of the random numbers.")]
+    rate: Annotated[
+        float, Setting(least=1, most=10_000, unit="Hz", usual=(20.0, 20_000.0), help="Rate of the loop.")
+    ] = 1000.0
+    initial_error: Annotated[
+        float, Setting(least=0, most=np.pi, unit="rad", usual=(0.0, 1.0), help="Largest error of each initial angle.")
+    ] = 0.0
+    mismatch: Annotated[float, Setting(least=0, most=0.9, help="Largest relative error of the plant's parameters.")] = (
+        0.0
     )
-    friction: float = setting(1.0, least=0, most=1000, help="Factor on the plant's friction.")
+    model_uncertainty: Annotated[
+        float,
+        Setting(
+            least=0,
+            most=100,
+            help="Factor on the standard errors of an identified model, from which the plant is drawn.",
+        ),
+    ] = 0.0
+    friction: Annotated[float, Setting(least=0, most=1000, help="Factor on the plant's friction.")] = 1.0
     plant: ArmChainParameters | OwnPlant | None = None
-    travel: float = setting(0.0, least=0, most=1000, unit="m", help="Largest distance of the cart from the centre.")
-    drive_lag: float = setting(
-        0.0,
-        least=1e-5,
-        most=1,
-        zero="a drive that follows at once",
-        unit="s",
-        help="Drive lag that the controller assumes.",
-    )
-    keep: str = setting("none", choices=KEEPERS, help="Law that keeps the stops of a walk.")
+    travel: Annotated[
+        float,
+        Setting(least=0, most=1000, unit="m", usual=(0.02, 5.0), help="Largest distance of the cart from the centre."),
+    ] = 0.0
+    drive_lag: Annotated[
+        float,
+        Setting(
+            least=1e-5,
+            most=1,
+            zero="a drive that follows at once",
+            unit="s",
+            usual=(0.0, 0.2),
+            help="Drive lag that the controller assumes.",
+        ),
+    ] = 0.0
+    keep: Annotated[str, Setting(choices=KEEPERS, help="Law that keeps the stops of a walk.")] = "none"
     controller: ControllerSettings = field(default_factory=TvlqrSettings)
     estimator: EstimatorSettings | OwnEstimator = field(default_factory=EkfSettings)
     sensors: SensorSettings = field(default_factory=SensorSettings)

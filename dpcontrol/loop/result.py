@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any, Protocol
+from typing import Annotated, Any, Protocol
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.causes import Cause
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.settings import Settings, setting
+from dpcontrol.foundation.settings import Setting, Settings
 from dpcontrol.foundation.shown import Brief
 from dpcontrol.logs import Event, Flight, LogWriter
 from dpcontrol.logs.rolling import RollingLog
@@ -112,26 +112,47 @@ class SupervisorSettings(Settings, table="supervisor"):
         attempts: attempts of one symbol until the run ends.
     """
 
-    lost_tracking: float = setting(
-        1.5, least=0.05, most=100, unit="rad", help="Mean error of an angle from which tracking is lost."
+    lost_tracking: Annotated[
+        float,
+        Setting(
+            least=0.05,
+            most=100,
+            unit="rad",
+            usual=(0.05, 4 * np.pi),
+            help="Mean error of an angle from which tracking is lost.",
+        ),
+    ] = 1.5
+    resynchronise: Annotated[
+        float,
+        Setting(
+            least=0,
+            most=100,
+            unit="rad",
+            usual=(0.0, 4 * np.pi),
+            help="Error from which the reference's clock moves to the nearest phase.",
+        ),
+    ] = 0.0
+    lost_estimate: Annotated[
+        float, Setting(least=5, most=1e12, help="Mean NIS per degree of freedom from which the estimate is lost.")
+    ] = 100_000.0
+    restarts: Annotated[int, Setting(least=0, most=1000, help="Restarts of the estimator within a second.")] = 2
+    missing: Annotated[
+        float,
+        Setting(
+            least=1e-4, most=60, unit="s", usual=(1e-3, 5.0), help="Longest time without a measurement of a position."
+        ),
+    ] = 0.1
+    braking: Annotated[
+        float, Setting(least=0.01, most=1, help="Share of the largest acceleration that stopping assumes.")
+    ] = 0.5
+    margin: Annotated[float, Setting(least=0, most=1, unit="m", help="Free track that must remain after stopping.")] = (
+        0.002
     )
-    resynchronise: float = setting(
-        0.0, least=0, most=100, unit="rad", help="Error from which the reference's clock moves to the nearest phase."
-    )
-    lost_estimate: float = setting(
-        100_000.0, least=5, most=1e12, help="Mean NIS per degree of freedom from which the estimate is lost."
-    )
-    restarts: int = setting(2, least=0, most=1000, help="Restarts of the estimator within a second.")
-    missing: float = setting(
-        0.1, least=1e-4, most=60, unit="s", help="Longest time without a measurement of a position."
-    )
-    braking: float = setting(0.5, least=0.01, most=1, help="Share of the largest acceleration that stopping assumes.")
-    margin: float = setting(0.002, least=0, most=1, unit="m", help="Free track that must remain after stopping.")
-    hold: str = setting("none", choices=HOLDS, help="Motion to hold after lost tracking.")
-    on_fall: str = setting("stop", choices=ON_FALL, help="Action after a fall.")
-    attempts: int = setting(
-        10, least=1, most=1_000_000, zero="no limit", help="Attempts of one symbol until the run ends."
-    )
+    hold: Annotated[str, Setting(choices=HOLDS, help="Motion to hold after lost tracking.")] = "none"
+    on_fall: Annotated[str, Setting(choices=ON_FALL, help="Action after a fall.")] = "stop"
+    attempts: Annotated[
+        int, Setting(least=1, most=1_000_000, zero="no limit", help="Attempts of one symbol until the run ends.")
+    ] = 10
 
 
 ENDINGS = {

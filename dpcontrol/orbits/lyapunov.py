@@ -24,7 +24,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.dynamics.system import System, saddle_index
-from dpcontrol.foundation.arguments import whole
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.causes import OrbitCause
 from dpcontrol.foundation.checked import checked, number
@@ -402,7 +401,7 @@ def lyapunov_orbit(
     """
     settings = settings or ContinuationSettings()
     energy = number("energy", energy)
-    problem, linear = symmetric_shooting(system, saddle, whole("family", family, least=-1, most=1000))
+    problem, linear = symmetric_shooting(system, saddle, family)
     if (energy - linear.energy) * linear.sign <= 0:
         raise InputError(
             f"energy = {energy!r}{system.unit('J')}: the Lyapunov orbits about {saddle} exist only "

@@ -5,7 +5,7 @@ from functools import cached_property
 from typing import Any
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.settings import parse_toml, with_values
+from dpcontrol.foundation.toml import parse_toml, with_values
 from dpcontrol.planner.shown import energies_of, fitting_model
 from dpcontrol.plans.itinerary import Itinerary, WalkPart, itinerary_from
 from dpcontrol.plans.model import Model, quoted

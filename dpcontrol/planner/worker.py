@@ -23,7 +23,7 @@ from typing import Any
 from dpcontrol.foundation.document import plain
 from dpcontrol.foundation.errors import GoalMissed, InputError, PartMissing, Remark, printable
 from dpcontrol.foundation.progress import Progress, part_of
-from dpcontrol.foundation.settings import parse_toml
+from dpcontrol.foundation.toml import parse_toml
 from dpcontrol.judge.of_log import run_view
 from dpcontrol.logs import read_log
 from dpcontrol.pages.film import write_film

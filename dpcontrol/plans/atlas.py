@@ -44,7 +44,7 @@ from contextlib import contextmanager
 from dataclasses import MISSING, asdict, dataclass, field, fields, is_dataclass, replace
 from io import BytesIO
 from pathlib import Path
-from typing import IO, Any, get_args, get_type_hints
+from typing import IO, Annotated, Any, get_args, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,7 +58,6 @@ from dpcontrol.bifurcations.bifurcations import (
 )
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
-from dpcontrol.foundation.arguments import whole
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.cache import cache_file, keep, kept
 from dpcontrol.foundation.checked import number
@@ -66,7 +65,7 @@ from dpcontrol.foundation.document import counted, fields_of, picked, plain
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import archive, content_hash, write_archive
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
-from dpcontrol.foundation.settings import Settings, adapter, setting
+from dpcontrol.foundation.settings import Setting, Settings, adapter
 from dpcontrol.orbits.cut import Cut, Piece, section_points
 from dpcontrol.orbits.lyapunov import LyapunovOrbit, equilibria
 from dpcontrol.orbits.manifold import UnstableManifold
@@ -110,7 +109,7 @@ class AtlasSettings(Settings, table="atlas"):
         strands: stored trajectories of each branch, for drawing, and their instants.
     """
 
-    hits: tuple[int, int] | None = setting(None, least=1, most=9)
+    hits: Annotated[tuple[int, int] | None, Setting(least=1, most=9)] = None
     last_hit: int = 2
     strands: int = 40
     strand_instants: int = 160
@@ -167,8 +166,6 @@ def make_atlas(
     """
     settings = settings or AtlasSettings()
     energy = number("energy", energy)
-    for hit in settings.hits or ():
-        whole("hits", hit, least=1, most=9)
     file = cache_file("atlases", f"{model.name}-{energy:g}", atlas_key(model, energy, settings))
     if not fresh and (content := kept(file)) is not None:
         return replace(load_atlas(BytesIO(content)), file=file, cached=True)

@@ -20,18 +20,19 @@ from dpcontrol.control.estimator_settings import Augment, FilterSettings
 from dpcontrol.control.tracking import AdaptiveSettings, TvlqrSettings
 from dpcontrol.dynamics.chain import ArmChainParameters, Uncertainty
 from dpcontrol.dynamics.plant import check_component
-from dpcontrol.foundation.errors import InputError, Mistakes, remark, together
-from dpcontrol.foundation.settings import Place, decode, nearest, parse_toml, read_toml, suggest
+from dpcontrol.foundation.errors import InputError, Mistakes, remark, shortened, together
+from dpcontrol.foundation.settings import leaves_of, nearest, suggest
 from dpcontrol.foundation.shipped import find
+from dpcontrol.foundation.toml import Place, decode, parse_toml, read_toml, table_values, with_values
 from dpcontrol.loop.bench import Push
-from dpcontrol.loop.controllers import CONTROLLERS, ESTIMATORS, KEEPERS, estimators_of
+from dpcontrol.loop.controllers import CONTROLLERS, ESTIMATORS, estimators_of
 from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.loop.own import OwnEstimator, OwnExpressions, OwnLaw, OwnPlant, names_file, own_object
 from dpcontrol.loop.result import SupervisorSettings
 from dpcontrol.orbits.lyapunov import equilibria
-from dpcontrol.plans.layout import BENCH, Header, HoldPart, OrbitPart, Part, RunTable, WalkPart
+from dpcontrol.plans.layout import KEEP, RUN, ZEROS, Header, HoldPart, OrbitPart, Part, WalkPart
 from dpcontrol.plans.model import Model, load_model, model_from, quoted
-from dpcontrol.plans.overrides import OBJECTS, canonical, resolved
+from dpcontrol.plans.overrides import NOT_OF_LOOP, canonical, resolved
 from dpcontrol.plans.plausible import rig_oddities
 from dpcontrol.references.content import PlanContent
 from dpcontrol.references.method import method_named
@@ -39,36 +40,9 @@ from dpcontrol.references.problem import Limits, ReferenceSettings
 from dpcontrol.references.reference import Reference, load_reference
 from dpcontrol.walks.symbols import expanded, parse_walk
 
-
-def _parts(
-    document: Mapping[str, Any], listed: Any, model: Model, top: Place, mistakes: Mistakes
-) -> tuple[Part | None, ...]:
-    """Return the parts of an itinerary's file, None for those with mistakes.
-
-    Args:
-        document: keys of the file's one part.
-        listed: its [[parts]], if any.
-        model: gives equilibria and energies.
-        top: of the file.
-        mistakes: collects them.
-    """
-    if listed is None:
-        with mistakes:
-            return (_part(document, model, top, also=[*_names(Header), *_TABLES, "parts"]),)
-        return (None,)
-    if not isinstance(listed, list) or not listed or not all(isinstance(one, dict) for one in listed):
-        with mistakes:
-            raise top.error("parts", listed, "must be tables, each under [[parts]]")
-        return ()
-    found: list[Part | None] = []
-    for number, one in enumerate(listed, start=1):
-        place, part = replace(top, table="parts", number=number), None
-        with mistakes:
-            if "orbit" in one:
-                raise place.refusal("orbit: an itinerary that keeps an orbit has no [[parts]]", "orbit")
-            part = _part(one, model, place)
-        found.append(part)
-    return tuple(found)
+_TABLES = ("limits", "reference", "run", "controller", "estimator", "supervisor")
+_PARTS: Mapping[str, type] = {"hold": HoldPart, "orbit": OrbitPart, "walk": WalkPart}
+"""The kinds of parts, by the key that only they have."""
 
 
 def _part(values: Mapping[str, Any], model: Model, place: Place, *, also: Sequence[str] = ()) -> Part:
@@ -77,44 +51,28 @@ def _part(values: Mapping[str, Any], model: Model, place: Place, *, also: Sequen
     Raises:
         InputError: an impossible walk, wraps, energy or hold; names file, table, key, value and remedy.
     """
+    keys = [key for key in _PARTS if key in values] or ["walk"]
+    if len(keys) > 1:
+        raise place.refusal(f"{keys[0]}: this part has {keys[1]} as well; give each its own [[parts]]", keys[0])
+    part = decode(_PARTS[keys[0]], values, place, also=also)
+    if isinstance(part, HoldPart):
+        if part.hold not in (names := equilibria(model.system)):
+            raise place.error("hold", part.hold, suggest(part.hold, names))
+        return part
     saddles = model.system.saddles
-    if "hold" in values:
-        if "walk" in values:
-            raise place.refusal("hold: this part has a walk as well; give each its own [[parts]]", "hold")
-        stay = decode(HoldPart, values, place, also=also)
-        if stay.hold not in (names := equilibria(model.system)):
-            raise place.error("hold", stay.hold, suggest(stay.hold, names))
-        return stay
-    if "orbit" in values:
-        if "walk" in values:
-            raise place.refusal("orbit: an itinerary that keeps an orbit has no walk; remove one of them", "orbit")
-        kept = decode(OrbitPart, values, place, also=also)
-        if kept.orbit not in saddles:
-            raise place.error("orbit", kept.orbit, suggest(kept.orbit, saddles))
-        _check_energy(kept.energy, [kept.orbit], model, place)
-        return kept
-    # A walk that is impossible at any energy is reported first.
-    part = _expanded(decode(WalkPart, values, place, also=also), saddles, place)
-    visited = [name for symbol in parse_walk(part.walk, saddles) for name in (symbol.source, symbol.target)]
-    _check_energy(part.energy, visited, model, place)
-    return part
-
-
-def _check_energy(energy: float, saddles: Sequence[str], model: Model, place: Place) -> None:
-    """Reject an energy at which one of these saddles has no orbits.
-
-    Raises:
-        InputError: names the saddle and its energy.
-    """
+    if isinstance(part, OrbitPart) and part.orbit not in saddles:
+        raise place.error("orbit", part.orbit, suggest(part.orbit, saddles))
+    visited = [part.orbit] if isinstance(part, OrbitPart) else []
+    if isinstance(part, WalkPart):
+        # A walk that is impossible at any energy is reported first.
+        part = _expanded(part, saddles, place)
+        visited = [name for symbol in parse_walk(part.walk, saddles) for name in (symbol.source, symbol.target)]
     points = equilibria(model.system)
-    for saddle in saddles:
-        if energy <= points[saddle].energy:
+    for saddle in visited:
+        if part.energy <= points[saddle].energy:
             only = f"{saddle} has Lyapunov orbits only above its own {points[saddle].energy:.9g} J"
-            raise place.refusal(f"energy = {energy!r} J: {only}; choose a higher energy", "energy")
-
-
-def _count(number: int, thing: str) -> str:
-    return f"{number} {thing}{'' if number == 1 else 's'}"
+            raise place.refusal(f"energy = {part.energy!r} J: {only}; choose a higher energy", "energy")
+    return part
 
 
 def _expanded(part: WalkPart, saddles: Sequence[str], place: Place) -> WalkPart:
@@ -128,25 +86,15 @@ def _expanded(part: WalkPart, saddles: Sequence[str], place: Place) -> WalkPart:
         symbols = parse_walk(walk, saddles)
     except InputError as error:
         raise error.under(f"{place} walk: ", table=place.table, key="walk") from error
-    stops = len(walk) - 1
-    of = f"a walk of {_count(len(walk), 'symbol')} has {_count(stops, 'interior stop')}"
-    if repeat > 1:
-        if symbols[0].source != symbols[-1].target:
-            ends = f"the walk starts at {symbols[0].source} and ends at {symbols[-1].target}"
-            raise place.error("repeat", repeat, f"{ends}; only a walk that ends where it starts can be repeated")
-        stops = len(walk)
-        of = (
-            f"a walk of {stops} symbols that is repeated has {stops} stops, the last from its last symbol back to its "
-            "first"
-        )
+    if repeat > 1 and symbols[0].source != symbols[-1].target:
+        ends = f"the walk starts at {symbols[0].source} and ends at {symbols[-1].target}"
+        raise place.error("repeat", repeat, f"{ends}; only a walk that ends where it starts can be repeated")
+    stops = len(walk) - (repeat == 1)
     if len(wraps) != stops:
-        raise place.error("wraps", list(wraps), f"{of}; give one whole number for each")
+        between = "between its symbols" + (", and from its last to its first" if repeat > 1 else "")
+        raise place.error("wraps", list(wraps), f"must be whole numbers, one for each of {stops} stops {between}")
     walk, wraps = expanded(symbols, wraps)
     return replace(part, walk=walk * repeat, wraps=(wraps * repeat)[: len(walk) * repeat - 1])
-
-
-def _names(kind: type) -> list[str]:
-    return [one.name for one in fields(kind)]
 
 
 def read_run_settings(
@@ -164,44 +112,47 @@ def read_run_settings(
     Raises:
         InputError: every mistake with file, table, key, value and allowed range.
     """
-    places = {name: replace(top, table=name) for name in ("run", "controller", "estimator", "supervisor")}
     run, law_keys = dict(tables.get("run", {})), dict(tables.get("controller", {}))
-    mistakes, parts, blows, keep = Mistakes(), dict[str, Any](), list[Push](), law_keys.pop("keep", "none")
+    mistakes, given, blows = Mistakes(), dict[str, Any](), list[Push]()
+    place, keep = replace(top, table="run"), law_keys.pop("keep", "none")
     law: Any = None
-    struck = run.pop("blows", ())
+    parts: dict[str, Any] = {"plant": None if plant is None else plant.arms}
+    struck = replace(top, table="run.blows")
+    for number, blow in enumerate(_listed(run.pop("blows"), struck, mistakes) if "blows" in run else (), start=1):
+        with mistakes:
+            blows.append(decode(Push, blow, replace(struck, number=number)))
     with mistakes:
-        if not isinstance(struck, list | tuple) or not all(isinstance(one, dict) for one in struck):
-            raise places["run"].error("blows", struck, "must be a list of tables, [[run.blows]]")
-        for number, one in enumerate(struck, start=1):
-            with mistakes:
-                blows.append(decode(Push, one, replace(top, table="run.blows", number=number)))
-    given = RunTable()
+        leaves = {"zeros": ZEROS, **{key: leaf for key, (_, leaf) in RUN.items()}}
+        given = table_values(leaves, run, place, also=["blows"])
     with mistakes:
-        given = decode(RunTable, run, places["run"], also=["blows"])
-        for part, kind in BENCH.items():
-            own = {name: getattr(given, name) for name in _names(kind) if name != "explicit"}
-            with mistakes:
-                parts[part] = decode(kind, own, places["run"])
-        parts |= {name: getattr(given, name) for name in _names(RunTable) if name in _names(LoopSettings)}
-        parts["plant"] = None if plant is None else plant.arms
-    with mistakes:
-        if keep not in KEEPERS:
-            raise places["controller"].error("keep", keep, suggest(str(keep), KEEPERS))
-        law = _kind(law_keys, CONTROLLERS, "adaptive" if keep == "none" else "tvlqr", places["controller"])
+        law_place = replace(top, table="controller")
+        table_values({"keep": KEEP}, {"keep": keep}, law_place)
+        law = _kind(law_keys, CONTROLLERS, "adaptive" if keep == "none" else "tvlqr", law_place)
         if keep != "none" and not isinstance(law, TvlqrSettings):
-            raise places["controller"].error(
-                "keep", keep, f'the law between the stops must be kind = "tvlqr", not "{law.kind}"'
-            )
+            raise law_place.error("keep", keep, f'the law between the stops must be kind = "tvlqr", not "{law.kind}"')
     with mistakes:
-        parts["estimator"] = _kind(tables.get("estimator", {}), estimators_of(law), "ekf", places["estimator"])
+        filters = tables.get("estimator", {})
+        parts["estimator"] = _kind(filters, estimators_of(law), "ekf", replace(top, table="estimator"))
     with mistakes:
-        parts["supervisor"] = decode(SupervisorSettings, tables.get("supervisor", {}), places["supervisor"])
+        supervisor = tables.get("supervisor", {})
+        parts["supervisor"] = decode(SupervisorSettings, supervisor, replace(top, table="supervisor"))
     mistakes.report()
-    parts["disturbances"] = replace(parts["disturbances"], explicit=tuple(blows))
+    zeros, _ = given.pop("zeros", ()), given.pop("plant", None)
+    settings = {"disturbances.explicit": tuple(blows), **{RUN[key][0]: value for key, value in given.items()}}
     try:
-        return LoopSettings(seed=0, keep=keep, controller=law, **parts), given.zeros
+        return LoopSettings(seed=0, keep=keep, controller=law, **parts).with_(settings), zeros
     except InputError as error:
-        raise error.under(f"{places['run']} ", table="run") from error
+        raise error.under(f"{place} ", table="run") from error
+
+
+def _listed(tables: Any, place: Place, mistakes: Mistakes) -> list[dict[str, Any]]:
+    """Return the tables of a list in a file, none if it is another value or empty."""
+    if isinstance(tables, list) and tables and all(isinstance(table, dict) for table in tables):
+        return tables
+    with mistakes:
+        sentence = f"{place.table} = {shortened(tables)}: must be tables, each under [[{place.table}]]"
+        raise InputError(sentence, where=f"{place.file}: ", key=place.table)
+    return []
 
 
 def _kind(values: Mapping[str, Any], kinds: Mapping[str, type], default: str, place: Place) -> Any:
@@ -209,7 +160,7 @@ def _kind(values: Mapping[str, Any], kinds: Mapping[str, type], default: str, pl
     kind = values.get("kind", default)
     if not isinstance(kind, str) or kind not in kinds:
         raise place.error("kind", kind, suggest(str(kind), kinds))
-    return decode(kinds[kind], values, place)
+    return decode(kinds[kind], {key: value for key, value in values.items() if key != "kind"}, place)
 
 
 def overridden(loop: LoopSettings, settings: Mapping[str, Any]) -> LoopSettings:
@@ -217,8 +168,8 @@ def overridden(loop: LoopSettings, settings: Mapping[str, Any]) -> LoopSettings:
 
     Paths are those of `dpcontrol.plans.overrides`.
 
-    `plant` is a file and stays unchanged; see `Itinerary.with_run`. A controller that cannot hand over to a keeper of
-    stops follows the whole reference.
+    `plant` and `seconds` change an itinerary; see `Itinerary.with_run`. A controller that cannot hand over to a keeper
+    of stops follows the whole reference.
 
     Args:
         loop: settings of the run.
@@ -227,73 +178,55 @@ def overridden(loop: LoopSettings, settings: Mapping[str, Any]) -> LoopSettings:
     Raises:
         InputError: an unknown name, an unknown kind, or an impossible value.
     """
-    given = canonical(settings)
-    own = {
-        role: _of_kind(role, given[role], getattr(loop, role)) for role in ("controller", "estimator") if role in given
-    }
-    law, filters = own.get("controller", loop.controller), own.get("estimator", loop.estimator)
-    adaptive, augmented = isinstance(law, AdaptiveSettings), Augment.PARAMETERS in filters.augments
-    defaults = estimators_of(law).get(filters.kind, OwnEstimator)
-    if adaptive and isinstance(filters, OwnEstimator):
+    values = canonical(settings)
+    law, filters = (
+        _of_kind(role, values[role], getattr(loop, role)) if role in values else getattr(loop, role)
+        for role in ("controller", "estimator")
+    )
+    if isinstance(filters, OwnEstimator) and isinstance(law, AdaptiveSettings):
         raise InputError(
             f'controller: kind = "adaptive" needs the errors of the model, which {filters.kind} does not estimate; use '
             '"tvlqr"'
         )
-    if (
-        own
-        and not isinstance(filters, OwnEstimator)
-        and (type(filters) is not defaults or (adaptive and not augmented))
-    ):
-        # The adaptive law needs the parameters' errors.
-        needed = {"augment": defaults.augment} if adaptive and not augmented else {}
-        own["estimator"] = defaults(**{**_changed(filters), **needed})
-    loop, changes, mistakes = replace(loop, **own, **_followed(law)), dict[str, dict[str, Any]](), Mistakes()
-    for path, value in given.items():
-        if path not in OBJECTS:
-            part, _, name = path.rpartition(".")
-            changes.setdefault("" if path == "controller.keep" else part, {})[name] = value
-    top = changes.pop("", {})
-    for part, values in changes.items():
-        now = getattr(loop, part)
-        for name in values:
-            if name not in (there := [one for one in _names(type(now)) if one != "kind"]):
-                raise InputError(f"{part}.{name}: {now.kind} has no such setting; it has {', '.join(there)}")
-        with mistakes:
-            top[part] = replace(now, **values)
-    with mistakes:
-        loop = replace(loop, **top)
-    mistakes.report()
-    return loop
+    if not isinstance(filters, OwnEstimator) and {"controller", "estimator"} & set(values):
+        filters = _fitting(filters, law)
+    # Only TVLQR hands over to a keeper of stops.
+    keep = loop.keep if isinstance(law, TvlqrSettings) else "none"
+    changes = {
+        "keep" if path == "controller.keep" else path: values[path] for path in values if path not in NOT_OF_LOOP
+    }
+    return replace(loop, controller=law, estimator=filters, keep=keep).with_(changes)
 
 
-def _followed(law: Any) -> dict[str, Any]:
-    """Return the change of `keep` that goes with a law.
-
-    Only TVLQR hands over to a keeper of stops.
-    """
-    return {} if isinstance(law, TvlqrSettings) else {"keep": "none"}
+def _fitting(filters: FilterSettings, law: Any) -> FilterSettings:
+    """Return a filter's settings with the defaults for a law; what differs from the defaults stays."""
+    kind, defaults = estimators_of(law)[filters.kind], vars(type(filters)())
+    changed = {name: value for name, value in vars(filters).items() if value != defaults[name]}
+    if isinstance(law, AdaptiveSettings) and Augment.PARAMETERS not in filters.augments:
+        # This law needs the parameters' errors.
+        changed["augment"] = kind.augment
+    return kind(**changed)
 
 
 def _of_kind(role: str, value: Any, now: Any) -> Any:
-    """Return the settings of a controller or an estimator.
-
-    The object is named by its kind or given as an object.
+    """Return the settings of a controller or an estimator that is named by its kind or given as an object.
 
     Raises:
         InputError: an unknown kind.
     """
     kinds: Mapping[str, Any] = {"controller": CONTROLLERS, "estimator": ESTIMATORS}[role]
     if not isinstance(value, str) or names_file(value):
-        made = own_object(role, value)
-        law = OwnExpressions if made.symbolic else OwnLaw
-        return law(made.name, made) if role == "controller" else OwnEstimator(kind=made.name, own=made)
+        own = own_object(role, value)
+        if role == "estimator":
+            return OwnEstimator(kind=own.name, own=own)
+        return (OwnExpressions if own.symbolic else OwnLaw)(own.name, own)
     if value not in kinds:
         raise InputError(f"{role} = {value!r}: {suggest(value, kinds)}")
     return now if value == now.kind else kinds[value]()
 
 
 def setting_of(loop: LoopSettings, name: str) -> Any:
-    """Return the value of a setting of a run.
+    """Return the value of a setting of a run, None if its controller or estimator lacks it.
 
     Of controller and estimator it is the kind.
 
@@ -302,19 +235,12 @@ def setting_of(loop: LoopSettings, name: str) -> Any:
         name: path of the setting, or its last part.
     """
     path = resolved(name)
-    if path in ("controller", "estimator"):
-        return getattr(loop, path).kind
-    part, _, last = path.rpartition(".")
-    return loop.keep if path == "controller.keep" else getattr(getattr(loop, part) if part else loop, last, None)
-
-
-def _changed(filters: FilterSettings) -> dict[str, Any]:
-    """Return the settings of a filter that differ from their defaults.
-
-    The file sets these for any controller.
-    """
-    default = type(filters)()
-    return {name: value for name, value in vars(filters).items() if value != getattr(default, name)}
+    if path == "controller.keep":
+        return loop.keep
+    value: Any = loop
+    for step in f"{path}.kind".split(".") if path in ("controller", "estimator") else path.split("."):
+        value = getattr(value, step, None)
+    return value
 
 
 @dataclass(frozen=True)
@@ -389,23 +315,48 @@ class Itinerary:
 
         Raises:
             InputError: an unknown kind or an impossible value, a plant with a missing or faulty file or with other
-                arms, or a drawn plant without an uncertainty in the model's file.
+                arms, a drawn plant without an uncertainty in the model's file, or a duration of something else than
+                one stay.
         """
-        loop = self.loop
-        plant = canonical(settings).get("plant")
-        if plant is not None:
-            named = isinstance(plant, str) and not names_file(plant)
-            made = None if named else own_object("plant", plant)
-            if made is not None and made.symbolic:
-                check_component(made.thing, self.model.arms.count)
-            own = OwnPlant(made.name, made) if made else own_plant(str(plant), self.model.arms, where="plant").arms
-            loop = replace(loop, plant=own)
+        loop, values = self.loop, canonical(settings)
+        if "plant" in values:
+            loop = replace(loop, plant=self._plant(values["plant"]))
         loop = overridden(loop, settings)
-        scene = replace(self, loop=loop if seed is None else replace(loop, seed=seed))
-        _ = scene.uncertainty
-        given = (path.rpartition(".") for path in canonical(settings))
-        scene.remark_on_rig([f"[{table if table in _TABLES else 'run'}] {key}" for table, _, key in given])
-        return scene
+        itinerary = self._lasting(values["seconds"]) if "seconds" in values else self
+        itinerary = replace(itinerary, loop=loop if seed is None else replace(loop, seed=seed))
+        _ = itinerary.uncertainty
+        paths = (path.rpartition(".") for path in values)
+        itinerary.remark_on_rig([f"[{table if table in _TABLES else 'run'}] {key}" for table, _, key in paths])
+        return itinerary
+
+    def _lasting(self, seconds: float) -> "Itinerary":
+        """Return the itinerary of one stay with another duration; its text gives the same one."""
+        stay = self.parts[0]
+        if len(self.parts) > 1 or isinstance(stay, WalkPart) or self.stored is not None:
+            raise InputError(f"seconds = {seconds:g}: {self.path} is not the file of one stay; change its [[parts]]")
+        text = with_values(self.text, "", {"seconds": seconds}, file=str(self.path))
+        return replace(self, text=text, parts=(replace(stay, seconds=seconds),))
+
+    def check_parts(self, planned: "Itinerary") -> None:
+        """Reject parts that differ from those of a plan.
+
+        Args:
+            planned: itinerary of the plan.
+
+        Raises:
+            InputError: a stay has another duration.
+        """
+        if self.parts != planned.parts:
+            raise InputError("seconds: the plan has another duration; change seconds in the file of the itinerary")
+
+    def _plant(self, plant: Any) -> Any:
+        """Return the arms of a model's file, or the settings of a user's plant."""
+        if isinstance(plant, str) and not names_file(plant):
+            return own_plant(plant, self.model.arms, where="plant").arms
+        own = own_object("plant", plant)
+        if own.symbolic:
+            check_component(own.thing, self.model.arms.count)
+        return OwnPlant(own.name, own)
 
     def remark_on_rig(self, given: Collection[str] = ()) -> None:
         """Emit remarks on numbers of the rig in doubtful units.
@@ -526,10 +477,6 @@ def itinerary_from(text: str, name: str, model: Model, *, plant: str = "") -> It
     return _itinerary(parse_toml(text, str(file)), text, file, model, model_from(plant, "plant") if plant else None)
 
 
-_TABLES = ("limits", "reference", "run", "controller", "estimator", "supervisor")
-_SAME_IN_PARTS = {name for kind in (WalkPart, HoldPart, OrbitPart) for name in _names(kind)}
-
-
 def _itinerary(
     document: Mapping[str, Any], text: str, path: Path, model: Model | None = None, plant: Model | None = None
 ) -> Itinerary:
@@ -538,106 +485,93 @@ def _itinerary(
     Raises:
         InputError: names every mistake.
     """
-    top, mistakes, rest = Place(str(path)), Mistakes(), dict(document)
-    tables: dict[str, Any] = {name: rest.pop(name) for name in _TABLES if name in rest}
-    for name, table in list(tables.items()):
-        with mistakes:
-            if not isinstance(table, dict):
-                tables[name] = {}
-                raise top.error(name, table, f"must be a table, [{name}]")
-    listed, head = rest.pop("parts", None), {name: rest.pop(name) for name in _names(Header) if name in rest}
+    top, mistakes = Place(str(path)), Mistakes()
+    tables = {name: _table(document, name, top, mistakes) for name in _TABLES}
+    rest = {key: value for key, value in document.items() if key not in _TABLES}
+    listed, head = rest.pop("parts", None), {key: rest.pop(key) for key in leaves_of(Header) if key in rest}
+    part_keys = [key for kind in _PARTS.values() for key in leaves_of(kind)]
     if listed is None:
-        kind: type = HoldPart if "hold" in rest else OrbitPart if "orbit" in rest else WalkPart
-        unknown = [key for key in rest if key not in _SAME_IN_PARTS]
-        # The part reports a misspelling of a key that it lacks.
-        misspelt = {nearest(name, unknown) for name in _names(kind) if name not in rest}
-        head |= {key: rest.pop(key) for key in unknown if key not in misspelt}
-    header = unread = Header()
+        # The part reports a misspelling of its keys.
+        head |= {key: rest.pop(key) for key in list(rest) if key not in part_keys and not nearest(key, part_keys)}
+    header, limits, reference, loop, zeros = Header(), Limits(), ReferenceSettings(), None, ()
     with mistakes:
-        header = decode(Header, head if listed is None else head | rest, top, also=[*_TABLES, *_SAME_IN_PARTS, "parts"])
+        header = decode(Header, head if listed is None else head | rest, top, also=[*_TABLES, *part_keys, "parts"])
     with mistakes:
         model = model or _named_model(header.model, where=f"{top} model", at=("", "model"), beside=path.parent)
         _ = model.arms  # an itinerary needs arms on a cart
-    if model is None:
-        mistakes.report()
-    assert model is not None
-    parts = _parts(rest, listed, model, top, mistakes)
-    limits, reference, loop, zeros = Limits(), ReferenceSettings(), None, ()
+    parts = list[Part]()
+    if model is not None and listed is None:
+        with mistakes:
+            parts.append(_part(rest, model, top, also=[*leaves_of(Header), *_TABLES, "parts"]))
+    elif model is not None:
+        for number, values in enumerate(_listed(listed, replace(top, table="parts"), mistakes), start=1):
+            with mistakes:
+                parts.append(_part(values, model, replace(top, table="parts", number=number)))
     with mistakes:
-        limits = decode(Limits, tables.get("limits", {}), replace(top, table="limits"))
+        limits = decode(Limits, tables["limits"], replace(top, table="limits"))
     with mistakes:
-        reference = _reference(tables.get("reference", {}), replace(top, table="reference"))
-    if header.start == "hold" and listed is None:
+        reference = _reference(tables["reference"], replace(top, table="reference"))
+    if listed is None and head.get("start") == "hold":
         # Dry friction moves an arm that `adaptive` holds by twice as much.
-        tables["controller"] = {"kind": "lqr", **tables.get("controller", {})}
+        tables["controller"] = {"kind": "lqr", **tables["controller"]}
+    run = replace(top, table="run")
     with mistakes:
-        if plant is None and (named := tables.get("run", {}).get("plant")):
-            plant = own_plant(str(named), model.arms, where=f"{replace(top, table='run')} plant", beside=path.parent)
+        if plant is None and model is not None and (named := tables["run"].get("plant")):
+            plant = own_plant(str(named), model.arms, where=f"{run} plant", beside=path.parent)
     with mistakes:
         loop, zeros = read_run_settings(tables, top, plant=plant)
-        if zeros and len(zeros) != model.arms.count:
-            run = replace(top, table="run")
+        if zeros and model is not None and len(zeros) != model.arms.count:
             raise run.refusal(f"zeros has {len(zeros)} values; give one for each of {model.arms.count} arms", "zeros")
-    known = tuple(part for part in parts if part is not None)
-    start, finish = header.start, head.get("finish", header.start if header.start == "hold" else "orbit")
-    if known and len(known) == len(parts) and header is not unread:
-        with mistakes:
-            _check_ends(known, start, finish, top)
-        with mistakes:
-            _check_level(known, start, finish, reference, "none" if loop is None else loop.keep, path)
     mistakes.report()
+    assert model is not None
     assert loop is not None
-    return Itinerary(
-        path.stem, path, header.title or path.stem, model, known, start, finish, limits, reference, loop, text,
-        loop.keep != "none", zeros, plant="" if plant is None else plant.text,
+    finish = head.get("finish", header.start if header.start == "hold" else "orbit")
+    itinerary = Itinerary(
+        path.stem, path, header.title or path.stem, model, tuple(parts), header.start, finish, limits, reference, loop,
+        text, loop.keep != "none", zeros, plant="" if plant is None else plant.text,
     )  # fmt: skip
+    _check_together(itinerary)
+    return itinerary
 
 
-def _check_ends(parts: tuple[Part, ...], start: str, finish: str, top: Place) -> None:
-    """Reject ends that the parts do not have.
-
-    Raises:
-        InputError: names the end.
-    """
-    if "hold" in (start, finish) and not (start == finish and all(isinstance(parts[k], HoldPart) for k in (0, -1))):
-        raise top.error(
-            "start" if start == "hold" else "finish",
-            "hold",
-            'is for start and finish together, and for holds as first and last part; use "rest", or in simulation '
-            '"orbit"',
-        )
-    if isinstance(parts[0], OrbitPart) and (start, finish) != ("orbit", "orbit"):
-        raise top.refusal('orbit: an orbit is kept from "orbit" to "orbit"; remove start and finish', "orbit")
-    for key, which, part in (("start", start, parts[0]), ("finish", finish, parts[-1])):
-        if which == "orbit" and isinstance(part, HoldPart):
-            raise top.error(key, which, f"the part there is a hold without an orbit; {key} at rest")
+def _table(document: Mapping[str, Any], name: str, top: Place, mistakes: Mistakes) -> dict[str, Any]:
+    """Return a table of a file, empty if it lacks it or if it is another value."""
+    table = document.get(name, {})
+    with mistakes:
+        if not isinstance(table, dict):
+            raise top.error(name, table, f"must be a table, [{name}]")
+        return table
+    return {}
 
 
-def _check_level(
-    parts: tuple[Part, ...], start: str, finish: str, reference: ReferenceSettings, keep: str, path: Path
-) -> None:
-    """Reject a level or a keeper that does not fit.
-
-    They are the reference's level and the keeper of stops.
+def _check_together(itinerary: Itinerary) -> None:
+    """Reject ends, a level of the reference or a keeper of stops that do not fit the parts.
 
     Raises:
-        InputError: names the setting.
+        InputError: names the first setting that does not fit.
     """
-    if reference.level == "conservative" and (start, finish, len(parts)) != ("orbit", "orbit", 1):
-        raise InputError(
-            f'{path}: [reference] level = "conservative": rest, holds and changes of energy need the cart; use "cart"'
+    top, (start, finish) = Place(str(itinerary.path)), (itinerary.start, itinerary.finish)
+    first, last, several = itinerary.parts[0], itinerary.parts[-1], len(itinerary.parts) > 1
+    holds = [isinstance(part, HoldPart) for part in (first, last)]
+    orbits = not several and (start, finish) == ("orbit", "orbit")
+    if any(isinstance(part, OrbitPart) for part in itinerary.parts) and not orbits:
+        stays = "an itinerary that keeps an orbit has no [[parts]], start and finish; remove these"
+        raise top.refusal(f"orbit: {stays}", "orbit")
+    if "hold" in (start, finish) and not (start == finish and all(holds)):
+        key = "start" if start == "hold" else "finish"
+        both = "is for start and finish together, and for holds as first and last part"
+        raise top.error(key, "hold", f'{both}; use "rest", or in simulation "orbit"')
+    for key, end, hold in zip(("start", "finish"), (start, finish), holds, strict=True):
+        if end == "orbit" and hold:
+            raise top.error(key, end, f"the part there is a hold without an orbit; {key} at rest")
+    keep, conservative = itinerary.loop.keep, itinerary.reference.level == "conservative"
+    if conservative and (keep != "none" or not orbits):
+        raise replace(top, table="reference").error(
+            "level", "conservative", 'rest, holds, kept stops and changes of energy need the cart; use "cart"'
         )
-    if keep == "none":
-        return
-    if not (len(parts) == 1 and isinstance(parts[0], WalkPart) and (start, finish) == ("orbit", "orbit")):
-        raise InputError(
-            f'{path}: [controller] keep = "{keep}": keeps the stops of one walk from orbit to orbit; remove it, '
-            "or start, finish and [[parts]]"
-        )
-    if reference.level == "conservative":
-        raise InputError(
-            f'{path}: [reference] level = "conservative": orbits are kept by the cart\'s motion; use "cart", or remove '
-            "keep under [controller]"
+    if keep != "none" and not (orbits and isinstance(first, WalkPart)):
+        raise replace(top, table="controller").error(
+            "keep", keep, "keeps the stops of one walk from orbit to orbit; remove it, or start, finish and [[parts]]"
         )
 
 

@@ -2,16 +2,17 @@
 
 Each setting has a place in a run's settings.
 
-[run] lists the keys of sensors, drive, disturbances and mechanics side by side. Its dataclass is made of theirs, so
-each setting is declared once: in the dataclass of its part.
+[run] lists the keys of the run, its sensors, drive, disturbances and mechanics side by side. Each setting is declared
+once: in the dataclass of its part.
 """
 
+import math
 from collections.abc import Iterator, Mapping
-from dataclasses import MISSING, Field, dataclass, field, fields, make_dataclass
-from typing import Any, get_type_hints
+from dataclasses import dataclass
+from typing import Annotated
 
-from dpcontrol.foundation.settings import Settings, setting
-from dpcontrol.loop.bench import DisturbanceSettings, DriveSettings, MechanicsSettings, Push, SensorSettings
+from dpcontrol.foundation.settings import Leaf, Setting, Settings, leaves_of
+from dpcontrol.loop.bench import DisturbanceSettings, DriveSettings, MechanicsSettings, SensorSettings
 from dpcontrol.loop.loop import LoopSettings
 
 BENCH: Mapping[str, type] = {
@@ -32,30 +33,30 @@ class WalkPart(Settings):
     Walk and wraps are those of the file done `repeat` times.
     """
 
-    energy: float = setting(unit="J", help="Energy, zero at the pivot's height.")
-    walk: tuple[str, ...] = setting(help="Symbols of the walk.")
-    wraps: tuple[int, ...] = setting((), least=0, help="Laps at each interior stop.")
-    repeat: int = setting(1, least=1, most=10_000, help="Repetitions of a closed walk.")
-    lead_in: int = setting(2, least=0, help="Laps on the first orbit.")
-    lead_out: int = setting(2, least=0, help="Laps on the last orbit.")
+    energy: Annotated[float, Setting(unit="J", help="Energy, zero at the pivot's height.")]
+    walk: Annotated[tuple[str, ...], Setting(help="Symbols of the walk.")]
+    wraps: Annotated[tuple[int, ...], Setting(least=0, help="Wraps at each interior stop.")] = ()
+    repeat: Annotated[int, Setting(least=1, most=10_000, help="Repetitions of a closed walk.")] = 1
+    lead_in: Annotated[int, Setting(least=0, help="Wraps on the first orbit.")] = 2
+    lead_out: Annotated[int, Setting(least=0, help="Wraps on the last orbit.")] = 2
 
 
 @dataclass(frozen=True)
 class HoldPart(Settings):
     """A stay at an equilibrium."""
 
-    hold: str = setting(help="Equilibrium to stay at.")
-    seconds: float = setting(2.0, least=0.5, most=3600, unit="s", help="Duration of the stay.")
+    hold: Annotated[str, Setting(help="Equilibrium to stay at.")]
+    seconds: Annotated[float, Setting(least=0.5, most=3600, unit="s", help="Duration of the stay.")] = 2.0
 
 
 @dataclass(frozen=True)
 class OrbitPart(Settings):
     """A stay on the sustained orbit about a saddle, for whole periods."""
 
-    orbit: str = setting(help="Saddle of the orbit.")
-    energy: float = setting(unit="J", help="Energy, zero at the pivot's height.")
-    seconds: float = setting(10.0, least=0.5, most=3600, unit="s", help="Duration of the stay.")
-    family: int = setting(0, least=0, help="Family of Lyapunov orbits about the saddle.")
+    orbit: Annotated[str, Setting(help="Saddle of the orbit.")]
+    energy: Annotated[float, Setting(unit="J", help="Energy, zero at the pivot's height.")]
+    seconds: Annotated[float, Setting(least=0.5, most=3600, unit="s", help="Duration of the stay.")] = 10.0
+    family: Annotated[int, Setting(least=0, help="Family of Lyapunov orbits about the saddle.")] = 0
 
 
 Part = WalkPart | HoldPart | OrbitPart
@@ -65,30 +66,33 @@ Part = WalkPart | HoldPart | OrbitPart
 class Header(Settings):
     """The top level of an itinerary's file, beside its part or parts."""
 
-    title: str = setting("", help="Title of pages and logs; by default the file's name.")
-    model: str = setting("lab", help="Model, by name or path.")
-    start: str = setting("orbit", choices=ENDS, help="State at the start.")
-    finish: str = setting("orbit", choices=ENDS, help='State at the end; after start = "hold" by default "hold".')
+    title: Annotated[str, Setting(help="Title of pages and logs; by default the file's name.")] = ""
+    model: Annotated[str, Setting(help="Model, by name or path.")] = "lab"
+    start: Annotated[str, Setting(choices=ENDS, help="State at the start.")] = "orbit"
+    finish: Annotated[str, Setting(choices=ENDS, help='State at the end; after start = "hold" by default "hold".')] = (
+        "orbit"
+    )
 
 
-def _copied(kind: type, *, without: tuple[str, ...] = ()) -> Iterator[tuple[str, Any, Field[Any]]]:
-    """Yield the fields of a dataclass as `make_dataclass` takes them."""
-    hints = get_type_hints(kind)
-    for one in fields(kind):
-        if one.name not in without and one.default is not MISSING:
-            yield one.name, hints[one.name], field(default=one.default, metadata=one.metadata)
+_ANGLES = Setting(unit="rad", usual=(0.0, 2 * math.pi), help="Readings of the rig's hanging arms.")
+ZEROS = Leaf("zeros", Annotated[tuple[float, ...], _ANGLES], ())
+_FILE = Setting(help="Model of the plant's own arms and friction, by name or path.")
+PLANT = Leaf("plant", Annotated[str, _FILE], "")
+"""Keys of [run] that are not settings of the loop: readings of a rig, and the name of a file."""
 
 
-RunTable: Any = make_dataclass(
-    "RunTable",
-    [
-        *_copied(LoopSettings, without=("plant", "keep")),
-        ("plant", str, setting("", help="Model of the plant's own arms and friction, by name or path.")),
-        ("zeros", tuple[float, ...], setting((), unit="rad", help="Readings of the rig's hanging arms.")),
-        *(one for kind in BENCH.values() for one in _copied(kind, without=("explicit",))),
-        ("blows", tuple[Push, ...], setting((), help="Blows at given times.")),
-    ],
-    bases=(Settings,),
-    namespace={"__doc__": "The table [run] of an itinerary's file.", "TABLE": "run"},
-    frozen=True,
-)
+def _of_run() -> Iterator[tuple[str, Leaf]]:
+    """Yield the path and the setting of each key of [run]."""
+    for name, leaf in leaves_of(LoopSettings).items():
+        if name not in ("seed", "keep"):
+            yield name, leaf
+    yield PLANT.name, PLANT
+    for part, kind in BENCH.items():
+        for name, leaf in leaves_of(kind).items():
+            yield f"{part}.{name}", leaf
+
+
+KEEP = leaves_of(LoopSettings)["keep"]
+"""The key of [controller] that names the law which keeps stops."""
+RUN: Mapping[str, tuple[str, Leaf]] = {leaf.name: (path, leaf) for path, leaf in _of_run()}
+"""The keys of the table [run], with their paths in a run's settings."""

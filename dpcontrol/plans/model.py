@@ -5,12 +5,12 @@ A model file of identified arms gives the source and the uncertainty of each num
 
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import MISSING, dataclass, fields, replace
+from dataclasses import dataclass, fields, replace
 from decimal import Decimal
 from fractions import Fraction
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
@@ -24,23 +24,13 @@ from dpcontrol.dynamics.chain import (
     unit_name,
 )
 from dpcontrol.dynamics.system import System, ThreeBodyParameters, three_body_system
-from dpcontrol.foundation.arguments import path as path_of
 from dpcontrol.foundation.checked import checked
 from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError, Mistakes, remark
 from dpcontrol.foundation.files import in_the_way, write_whole
-from dpcontrol.foundation.settings import (
-    Place,
-    Settings,
-    bounds_of,
-    decode,
-    nearest,
-    parse_toml,
-    read_toml,
-    setting,
-)
+from dpcontrol.foundation.settings import Setting, Settings, leaves_of, nearest
 from dpcontrol.foundation.shipped import find
-from dpcontrol.foundation.units import Usual
+from dpcontrol.foundation.toml import Place, decode, parse_toml, read_toml
 from dpcontrol.orbits.lyapunov import Equilibrium
 
 if TYPE_CHECKING:
@@ -48,7 +38,6 @@ if TYPE_CHECKING:
 
 
 SYSTEMS = ("arm-chain", "three-body")
-_ZEROS = Usual(0.0, 2 * np.pi, "rad")
 
 
 @dataclass(frozen=True)
@@ -212,7 +201,7 @@ def load_model(name: str | Path) -> Model:
         >>> dp.load_model("lab").arms.count
         2
     """
-    path = find("models", path_of("name", name))
+    path = find("models", str(name))
     document, text = read_toml(path)
     model = _model(document, text, path)
     for sentence in model.remarks:
@@ -238,77 +227,71 @@ def model_from(text: str, name: str) -> Model:
 class Title(Settings):
     """The top level of a model's file."""
 
-    title: str = setting(help="Title of pages and logs.")
-    system: str = setting("arm-chain", choices=SYSTEMS, help="System that the parameters belong to.")
+    title: Annotated[str, Setting(help="Title of pages and logs.")]
+    system: Annotated[str, Setting(choices=SYSTEMS, help="System that the parameters belong to.")] = "arm-chain"
 
 
-def _like(kind: type, name: str, default: Any = MISSING, /, *, help: str) -> Any:
-    """Declare a key with the bounds and the unit of a parameter."""
-    return setting(default, help=help, **vars(bounds_of(kind)[name]))
+_ARMS, _BODIES = leaves_of(ArmChainParameters), leaves_of(ThreeBodyParameters)
+"""Parameters, whose declarations the tables of a file share."""
 
 
 @dataclass(frozen=True)
 class _Sourced(Settings):
     """A table with the source of its numbers."""
 
-    source: str = setting(help="Source of the numbers.")
+    source: Annotated[str, Setting(help="Source of the numbers.")]
 
 
 @dataclass(frozen=True)
 class _Arms(_Sourced, table="arms"):
     """Inertial parameters, one number for each arm from the pivot outwards."""
 
-    mass: tuple[float, ...] = _like(ArmChainParameters, "mass", help="Masses.")
-    centre_of_mass: tuple[float, ...] = _like(
-        ArmChainParameters, "centre_of_mass", help="Distances of the centres of mass from the upper joints."
-    )
-    length: tuple[float, ...] = _like(ArmChainParameters, "length", help="Lengths from joint to joint.")
-    inertia: tuple[float, ...] = _like(
-        ArmChainParameters, "inertia", help="Moments of inertia about the centres of mass."
-    )
+    mass: Annotated[tuple[float, ...], _ARMS["mass"].bounds]
+    centre_of_mass: Annotated[tuple[float, ...], _ARMS["centre_of_mass"].bounds]
+    length: Annotated[tuple[float, ...], _ARMS["length"].bounds]
+    inertia: Annotated[tuple[float, ...], _ARMS["inertia"].bounds]
 
 
 @dataclass(frozen=True)
 class _Gravity(_Sourced, table="gravity"):
     """The gravity in which the arms swing."""
 
-    acceleration: float = _like(ArmChainParameters, "gravity", help="Acceleration of gravity.")
+    acceleration: Annotated[float, _ARMS["gravity"].bounds]
 
 
 @dataclass(frozen=True)
 class _Friction(_Sourced, table="friction"):
     """Friction of the joints, one number for each."""
 
-    viscous: tuple[float, ...] = _like(ArmChainParameters, "viscous", help="Viscous friction.")
-    coulomb: tuple[float, ...] = _like(ArmChainParameters, "coulomb", (), help="Dry friction.")
-    quadratic: tuple[float, ...] = _like(
-        ArmChainParameters, "quadratic", (), help="Drag of the air at the centres of oscillation."
-    )
-    smoothing: float | None = _like(
-        ArmChainParameters, "smoothing", None, help="Rate below which dry friction is smoothed."
-    )
+    viscous: Annotated[tuple[float, ...], _ARMS["viscous"].bounds]
+    coulomb: Annotated[tuple[float, ...], _ARMS["coulomb"].bounds] = ()
+    quadratic: Annotated[tuple[float, ...], _ARMS["quadratic"].bounds] = ()
+    smoothing: Annotated[float | None, _ARMS["smoothing"].bounds] = None
 
 
 @dataclass(frozen=True)
 class _Encoders(_Sourced, table="encoders"):
     """Encoders of recordings."""
 
-    zeros: tuple[float, ...] = setting(unit="rad", help="Recorded angles at which the true ones are zero.")
+    zeros: Annotated[
+        tuple[float, ...],
+        Setting(unit="rad", usual=(0.0, 2 * np.pi), help="Recorded angles at which the true ones are zero."),
+    ]
 
 
 @dataclass(frozen=True)
 class _Uncertain(_Sourced, table="uncertainty"):
     """Uncertainty of the identified ratios."""
 
-    names: tuple[str, ...] = setting(help="Names of the ratios.")
-    covariance: tuple[float, ...] = setting(help="Covariance of the ratios, row by row.")
+    names: Annotated[tuple[str, ...], Setting(help="Names of the ratios.")]
+    covariance: Annotated[tuple[float, ...], Setting(help="Covariance of the ratios, row by row.")]
 
 
 @dataclass(frozen=True)
 class _Primaries(_Sourced, table="primaries"):
     """The two heavy bodies of a restricted three-body problem."""
 
-    mass_ratio: float = _like(ThreeBodyParameters, "mass_ratio", help="Mass of the lighter body as a share of both.")
+    mass_ratio: Annotated[float, _BODIES["mass_ratio"].bounds]
 
 
 REQUIRED: dict[str, dict[str, type]] = {
@@ -370,7 +353,7 @@ def _model(document: Mapping[str, Any], text: str, path: Path) -> Model:
         raise error.under(f"{top} [{table}] ", table=table) from error
     zeros = () if encoders is None else encoders.zeros
     try:
-        remarks += tuple(_ZEROS.oddities("zeros", zeros))
+        remarks += tuple(leaves_of(_Encoders)["zeros"].bounds.oddities("zeros", zeros))
     except InputError as error:
         raise InputError(f"{top} [encoders] {error}") from error
     if zeros and len(zeros) != chain.count:

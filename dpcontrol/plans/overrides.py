@@ -7,39 +7,23 @@ Paths follow the fields of `LoopSettings`, such as `mismatch`, `drive.lag` and `
 """
 
 import shlex
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import fields
+from collections.abc import Mapping, Sequence
 from functools import cache
 from itertools import accumulate
-from numbers import Integral, Real
-from typing import Any, NamedTuple, get_type_hints
+from typing import Annotated, Any
 
-from dpcontrol.foundation.arguments import shortened
-from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.settings import Bounds, bounds_of, help_of, nearest
+from dpcontrol.foundation.errors import InputError, Mistakes
+from dpcontrol.foundation.settings import Leaf, Setting, leaves_of, nearest
 
 NAMED = (
     "mismatch", "initial_error", "drive.lag", "drive.delay", "sensors.counts", "travel", "controller", "estimator",
     "rate", "supervisor.on_fall",
 )  # fmt: skip
 """Paths that have an option of the command line each; `--set` takes every path."""
-
-
-class Leaf(NamedTuple):
-    """A setting: types of its values, bounds, default and help."""
-
-    hint: Any
-    bounds: Bounds
-    default: Any
-    help: str
-
-    @property
-    def sentence(self) -> str:
-        """The help, with the unit or the choices."""
-        more = f": {', '.join(self.bounds.choices)}" if self.bounds.choices else ""
-        unit = f", {self.bounds.unit}" if self.bounds.unit else ""
-        return f"{self.help.removesuffix('.')}{more}{unit}."
+OBJECTS = ("controller", "estimator", "plant")
+"""Settings that may be objects of the user."""
+NOT_OF_LOOP = (*OBJECTS, "seconds")
+"""Settings that are not fields of a run's settings: objects by their names, and the duration of a stay."""
 
 
 @cache
@@ -47,30 +31,23 @@ def paths() -> Mapping[str, Leaf]:
     """Return every setting of a run by its path."""
     # Imported here because the help of verbs needs no dynamics.
     from dpcontrol.loop.controllers import ADAPTIVE_ESTIMATORS, CONTROLLERS, ESTIMATORS
-    from dpcontrol.loop.loop import LoopSettings
     from dpcontrol.loop.result import SupervisorSettings
-    from dpcontrol.plans.layout import BENCH, RunTable
+    from dpcontrol.plans.layout import KEEP, RUN, HoldPart
 
-    found: dict[str, Leaf] = {"controller": Leaf(str, Bounds(choices=tuple(CONTROLLERS)), "adaptive", "Law.")}
-    found["estimator"] = Leaf(str, Bounds(choices=tuple(ESTIMATORS)), "ekf", "Filter.")
-    own, table = dict(_leaves("", LoopSettings)), dict(_leaves("", RunTable))
-    found |= {"controller.keep" if name == "keep" else name: own[name] for name in own if name not in ("seed", "plant")}
-    found["plant"] = table["plant"]
-    parts = {**BENCH, "supervisor": SupervisorSettings}
-    for part, kind in parts.items():
-        found |= dict(_leaves(f"{part}.", kind))
-    for part, kinds in (("controller", CONTROLLERS), ("estimator", {**ESTIMATORS, **ADAPTIVE_ESTIMATORS})):
-        for kind in kinds.values():
-            found = {**dict(_leaves(f"{part}.", kind)), **found}
-    return {path: leaf for path, leaf in found.items() if not path.endswith(".kind")}
-
-
-def _leaves(prefix: str, kind: type) -> Iterator[tuple[str, Leaf]]:
-    """Yield the settings of a dataclass by path."""
-    hints, helps, bounds = get_type_hints(kind), help_of(kind), bounds_of(kind)
-    for one in fields(kind):
-        if one.name in bounds and one.name != "blows":
-            yield f"{prefix}{one.name}", Leaf(hints[one.name], bounds[one.name], one.default, helps[one.name])
+    laws = Setting(choices=tuple(CONTROLLERS), help="Law.")
+    filters = Setting(choices=tuple(ESTIMATORS), help="Filter.")
+    found = {
+        "controller": Leaf("controller", Annotated[str, laws], "adaptive"),
+        "estimator": Leaf("estimator", Annotated[str, filters], "ekf"),
+        "controller.keep": KEEP,
+        "seconds": leaves_of(HoldPart)["seconds"],
+        **dict(RUN.values()),
+    }
+    tables = [("supervisor", SupervisorSettings), *(("controller", kind) for kind in CONTROLLERS.values())]
+    tables += [("estimator", kind) for kind in (*ESTIMATORS.values(), *ADAPTIVE_ESTIMATORS.values())]
+    for table, kind in tables:
+        found = {**{f"{table}.{name}": leaf for name, leaf in leaves_of(kind).items()}, **found}
+    return found
 
 
 def resolved(name: str) -> str:
@@ -107,55 +84,25 @@ def canonical(settings: Mapping[str, Any]) -> dict[str, Any]:
         settings: values by name.
 
     Raises:
-        InputError: an unknown or ambiguous name, a setting that is given twice, or a value of another type.
+        InputError: every unknown or ambiguous name, every setting that is given twice, and every value of another type
+            or out of bounds.
     """
-    found: dict[str, Any] = {}
+    values, mistakes = dict[str, Any](), Mistakes()
     for name, value in settings.items():
-        path = resolved(name)
-        if value is None:
-            continue
-        if path in found:
-            raise InputError(f"{name} = {value!r}: {path} is given twice; give it once")
-        found[path] = _of_type(name, value, paths()[path].hint) if path not in OBJECTS else value
-    return found
-
-
-OBJECTS = ("controller", "estimator", "plant")
-"""Settings that may be objects of the user."""
-
-
-def _of_type(name: str, value: Any, hint: Any) -> Any:
-    """Return a value as a type takes it.
-
-    Raises:
-        InputError: it is of another type.
-    """
-    whole = "int" in str(hint)
-    if isinstance(value, list | tuple) and "tuple" in str(hint):
-        return tuple(_of_type(name, one, int) for one in value) if whole else tuple(value)
-    if isinstance(value, Real) and not isinstance(value, bool):
-        number: Any = value
-        with suppress(OverflowError):
-            if whole and (isinstance(value, Integral) or float(number).is_integer()):
-                return int(number)
-            if not whole and "float" in str(hint) and hint != tuple[float, ...]:
-                return float(number)
-    if hint is str and isinstance(value, str):
-        return value
-    raise InputError(f"{name} = {shortened(value)}: must be {_kind(hint)}")
-
-
-def _kind(hint: Any) -> str:
-    if hint is str:
-        return "text"
-    if "tuple" in str(hint):
-        kind = "whole number" if "int" in str(hint) else "number"
-        return "a list of texts" if "str" in str(hint) else f"a {kind} or a list of {kind}s"
-    return "a whole number" if hint is int else "a number"
+        with mistakes:
+            path = resolved(name)
+            if value is not None and path in values:
+                raise InputError(f"{name} = {value!r}: {path} is given twice; give it once")
+            if value is not None:
+                values[path] = value if path in OBJECTS else paths()[path].read(value, key=name)
+    mistakes.report()
+    return values
 
 
 def parsed(name: str, text: str) -> Any:
     """Return the value of a setting from its command-line text.
+
+    Lists are written as in TOML; brackets and quotes can be left out.
 
     Args:
         name: path of the setting, or its last part.
@@ -164,20 +111,13 @@ def parsed(name: str, text: str) -> Any:
     Raises:
         InputError: an unknown setting, or text that is no value of it.
     """
-    hint, text = paths()[resolved(name)].hint, text.strip()
-    try:
-        number = int if "int" in str(hint) else float
-        if "tuple" in str(hint) and (text.startswith("[") or "," in text or "str" in str(hint)):
-            inner = text[1:-1] if text[:1] + text[-1:] == "[]" else text
-            parts = [part.strip() for part in inner.split(",")]
-            # The last value of a list may be followed by a comma, as in TOML.
-            parts = parts if parts[-1] else parts[:-1]
-            if not all(parts):
-                raise ValueError(text)
-            return tuple(parts if "str" in str(hint) else map(number, parts))
-        return text if hint is str else number(text)
-    except ValueError:
-        raise InputError(f"{name} = {shortened(text)}: must be {_kind(hint)}") from None
+    path, text = resolved(name), text.strip()
+    if path in OBJECTS:
+        return text
+    leaf, value = paths()[path], text
+    if "tuple" in str(leaf.hint) and (text[:1] == "[" or "," in text or "str" in str(leaf.hint)):
+        value = [entry.strip(" \"'") for entry in text.removeprefix("[").removesuffix("]").rstrip(", ").split(",")]
+    return leaf.read(value, key=name, strict=False)
 
 
 def values_in(text: str) -> list[str]:

@@ -3,16 +3,15 @@
 Both are made from the declarations of the settings.
 """
 
-import math
 from collections.abc import Iterable, Mapping
-from dataclasses import MISSING, fields
-from typing import Any, get_type_hints
+from dataclasses import MISSING
+from typing import Annotated, Any
 
-from dpcontrol.foundation.settings import adapter, bounds_of, help_of
+from dpcontrol.foundation.settings import Leaf, Setting, leaves_of
 from dpcontrol.loop.bench import Push
 from dpcontrol.loop.controllers import CONTROLLERS, ESTIMATORS, KEEPERS
 from dpcontrol.loop.result import SupervisorSettings
-from dpcontrol.plans.layout import BENCH, Header, HoldPart, OrbitPart, RunTable, WalkPart
+from dpcontrol.plans.layout import BENCH, KEEP, RUN, ZEROS, Header, HoldPart, OrbitPart, WalkPart
 from dpcontrol.plans.model import OPTIONAL, REQUIRED, Title
 from dpcontrol.references.problem import Limits, ReferenceSettings
 
@@ -25,7 +24,8 @@ The headings name the tables of an itinerary's file, and *key* is the key in tha
 `--set PATH=VALUE` overrides a setting of a run, and `campaign --over PATH=V1,V2` varies it. In Python,
 `settings={"drive.lag": 0.005}` does the same. *Path* is given where it differs from the key. Its last part is enough if
 it is unique or a key of `[run]`: `--set jerk=100`. Ten settings have options: `--mismatch`, `--initial-error`, `--lag`,
-`--delay`, `--counts`, `--travel`, `--controller`, `--estimator`, `--rate` and `--on-fall`.
+`--delay`, `--counts`, `--travel`, `--controller`, `--estimator`, `--rate` and `--on-fall`. Lists are written as in a
+file: `--set 'augment=["zeros", "drive"]'`. `--set seconds=90` changes the duration of an itinerary that is one stay.
 
 `dpcontrol schema itinerary` and `dpcontrol schema model` print the JSON Schema of files. Save it, and name it in the
 first line of a file, such as `#:schema itinerary.schema.json`. Editors with a TOML language server, such as Taplo, then
@@ -35,54 +35,58 @@ complete and check the keys.
 
 def settings_page() -> str:
     """Return the guide's page on settings."""
-    bench = {name for kind in BENCH.values() for name in bounds_of(kind)}
-    tables: list[tuple[str, str, Mapping[str, type], set[str]]] = [
-        ("Top level", "", {"": Header}, set()),
-        ("A walk", "", {"": WalkPart}, set()),
-        ("A hold", "", {"": HoldPart}, set()),
-        ("An orbit", "", {"": OrbitPart}, set()),
-        ("[limits]", "", {"": Limits}, set()),
-        ("[reference]", "", {"": ReferenceSettings}, set()),
-        ("[run]: the run", "", {"": RunTable}, {*bench, "blows"}),
-        *((f"[run]: {name}", f"{name}.", {"": kind}, set()) for name, kind in BENCH.items()),
-        ("[[run.blows]]", "", {"": Push}, set()),
-        ("[controller]", "controller.", CONTROLLERS, set()),
-        ("[estimator]", "estimator.", ESTIMATORS, set()),
-        ("[supervisor]", "supervisor.", {"": SupervisorSettings}, set()),
+    alone = {leaf.name: leaf for path, leaf in RUN.values() if "." not in path} | {"zeros": ZEROS}
+    tables: list[tuple[str, str, Mapping[str, Mapping[str, Leaf]]]] = [
+        *(
+            (title, "", {"": leaves_of(kind)})
+            for title, kind in {
+                "Top level": Header,
+                "A walk": WalkPart,
+                "A hold": HoldPart,
+                "An orbit": OrbitPart,
+                "[limits]": Limits,
+                "[reference]": ReferenceSettings,
+            }.items()
+        ),
+        ("[run]: the run", "", {"": alone}),
+        *((f"[run]: {name}", f"{name}.", {"": leaves_of(kind)}) for name, kind in BENCH.items()),
+        ("[[run.blows]]", "", {"": leaves_of(Push)}),
+        ("[controller]", "controller.", {kind: leaves_of(law) for kind, law in CONTROLLERS.items()}),
+        ("[estimator]", "estimator.", {kind: leaves_of(filters) for kind, filters in ESTIMATORS.items()}),
+        ("[supervisor]", "supervisor.", {"": leaves_of(SupervisorSettings)}),
     ]
-    return _PAGE + "".join(
-        f"\n## {title}\n\n{_table(prefix, kinds, without)}" for title, prefix, kinds, without in tables
-    )
+    return _PAGE + "".join(f"\n## {title}\n\n{_table(prefix, kinds)}" for title, prefix, kinds in tables)
 
 
-def _table(prefix: str, kinds: Mapping[str, type], without: set[str]) -> str:
+def _table(prefix: str, kinds: Mapping[str, Mapping[str, Leaf]]) -> str:
     """Return a table in Markdown.
 
     With several kinds, each has its own default.
     """
     rows: dict[str, list[str]] = {}
-    for kind, declared in kinds.items():
-        bounds, helps = bounds_of(declared), help_of(declared)
-        for one in fields(declared):  # type: ignore[arg-type]
-            if one.name not in bounds or one.name in without:
-                continue
-            allowed = ", ".join(bounds[one.name].choices) or bounds[one.name].range
-            text = "" if "str" in str(get_type_hints(declared)[one.name]) and not bounds[one.name].choices else allowed
-            path = [f"`{prefix}{one.name}`"] if prefix else []
-            row = rows.setdefault(one.name, [f"`{one.name}`", *path, "", text, helps[one.name]])
-            value = "required" if one.default is MISSING else _shown(one.default)
-            row[-3] += f"{', ' if row[-3] else ''}{value}{f' ({kind})' if kind else ''}"
-    if set(kinds) == set(CONTROLLERS):
+    for kind, leaves in kinds.items():
+        for key, leaf in leaves.items():
+            path = [f"`{prefix}{key}`"] if prefix else []
+            row = rows.setdefault(key, [f"`{key}`", *path, "", _allowed(leaf), leaf.bounds.help])
+            row[-3] += f"{', ' if row[-3] else ''}{_shown(leaf.default)}{f' ({kind})' if kind else ''}"
+    if prefix == "controller.":
         rows["kind"] = ["`kind`", "`controller`", "adaptive", ", ".join(CONTROLLERS), "Law."]
-        rows["keep"] = ["`keep`", "`controller.keep`", "none", ", ".join(KEEPERS), "Law that keeps a walk's stops."]
-    if set(kinds) == set(ESTIMATORS):
+        rows["keep"] = ["`keep`", "`controller.keep`", "none", ", ".join(KEEPERS), KEEP.bounds.help]
+    if prefix == "estimator.":
         rows["kind"] = ["`kind`", "`estimator`", "ekf", ", ".join(ESTIMATORS), "Filter."]
     columns = ["key", *(["path"] if prefix else []), "default", "allowed", "meaning"]
     head = f"| {' | '.join(columns)} |\n{'|---' * len(columns)}|\n"
     return head + "".join(f"| {' | '.join(row)} |\n" for row in rows.values())
 
 
+def _allowed(leaf: Leaf) -> str:
+    """Return the allowed values, "" for any text."""
+    return ", ".join(leaf.bounds.choices) or ("" if "str" in str(leaf.hint) else leaf.bounds.range)
+
+
 def _shown(value: Any) -> str:
+    if value is MISSING:
+        return "required"
     if isinstance(value, tuple):
         return ", ".join(map(str, value)) or "none"
     if isinstance(value, float):
@@ -103,25 +107,29 @@ _DRAFT = "https://json-schema.org/draft/2020-12/schema"
 
 
 def _itinerary_schema() -> dict[str, Any]:
-    parts = [_object(kind) for kind in (WalkPart, HoldPart, OrbitPart)]
+    parts = [_object(leaves_of(kind)) for kind in (WalkPart, HoldPart, OrbitPart)]
     part_keys = {key: value for part in reversed(parts) for key, value in part["properties"].items()}
-    run = _object(RunTable)
-    run["properties"]["blows"] = {"type": "array", "items": _object(Push)}
+    run = _object({**{key: leaf for key, (_, leaf) in RUN.items()}, "zeros": ZEROS})
+    run["properties"]["blows"] = {
+        "type": "array",
+        "items": _object(leaves_of(Push)),
+        "description": "Blows at given times.",
+    }
     alone = [*part_keys, "parts"]
     tables = {
-        "limits": _object(Limits),
-        "reference": _object(ReferenceSettings),
+        "limits": _object(leaves_of(Limits)),
+        "reference": _object(leaves_of(ReferenceSettings)),
         "run": run,
         "controller": _controller_schema(),
-        "estimator": _kinds(ESTIMATORS, "ekf"),
-        "supervisor": _object(SupervisorSettings),
+        "estimator": {"anyOf": _kinds(ESTIMATORS, "ekf")},
+        "supervisor": _object(leaves_of(SupervisorSettings)),
         "parts": {"type": "array", "items": {"anyOf": parts}, "minItems": 1},
     }
     return {
         "$schema": _DRAFT,
         "title": "Itinerary of dpcontrol",
         "type": "object",
-        "properties": {**_object(Header)["properties"], **part_keys, **tables},
+        "properties": {**_object(leaves_of(Header))["properties"], **part_keys, **tables},
         "anyOf": [
             *({"required": part["required"], "properties": _absent(alone, part["properties"])} for part in parts),
             {"required": ["parts"], "properties": _absent(part_keys)},
@@ -136,27 +144,27 @@ def _absent(keys: Iterable[str], allowed: Iterable[str] = ()) -> dict[str, bool]
 
 
 def _model_schema() -> dict[str, Any]:
-    top = _object(Title)
     systems = []
     for system, required in REQUIRED.items():
-        optional = OPTIONAL if system == "arm-chain" else {}
-        tables = {name: _object(kind) for name, kind in {**required, **optional}.items()}
-        own = {**top["properties"], "system": {"const": system, "default": "arm-chain"}}
-        needed = ["title", *required, *(["system"] if system != "arm-chain" else [])]
-        systems.append(
-            {"type": "object", "properties": {**own, **tables}, "required": needed, "additionalProperties": False}
-        )
+        arms = system == "arm-chain"
+        made = _object(leaves_of(Title))
+        tables = {**required, **(OPTIONAL if arms else {})}
+        made["properties"] |= {name: _object(leaves_of(kind)) for name, kind in tables.items()}
+        made["properties"]["system"] = {"const": system, "default": "arm-chain"}
+        made["required"] += [*required, *(() if arms else ("system",))]
+        systems.append(made)
     return {"$schema": _DRAFT, "title": "Model of dpcontrol", "anyOf": systems}
 
 
-def _kinds(kinds: Mapping[str, type], default: str) -> dict[str, Any]:
-    """Return the schema of a table whose `kind` chooses its keys."""
-    found = []
+def _kinds(kinds: Mapping[str, type], default: str, keep: Mapping[str, Leaf] | None = None) -> list[dict[str, Any]]:
+    """Return the schemas of a table whose `kind` chooses its keys."""
+    made = []
     for name, kind in kinds.items():
-        one = _object(kind)
-        one["properties"] |= {"kind": {"const": name}}
-        found.append(one | ({} if name == default else {"required": ["kind"]}))
-    return {"anyOf": found}
+        known = Leaf(
+            "kind", Annotated[str, Setting(choices=(name,), help="Kind.")], name if name == default else MISSING
+        )
+        made.append(_object({"kind": known, **leaves_of(kind), **(keep or {})}))
+    return made
 
 
 def _controller_schema() -> dict[str, Any]:
@@ -164,51 +172,18 @@ def _controller_schema() -> dict[str, Any]:
 
     Only TVLQR hands over to a keeper, and is then the default.
     """
-    made = _kinds(CONTROLLERS, "adaptive")
-    for one in made["anyOf"]:
-        one["properties"]["keep"] = {"enum": ["none"], "default": "none"}
-    tvlqr = next(one for one in made["anyOf"] if one["properties"]["kind"] == {"const": "tvlqr"})
-    keeps = {"enum": [name for name in KEEPERS if name != "none"]}
-    keeping = {**tvlqr, "properties": {**tvlqr["properties"], "keep": keeps}, "required": ["keep"]}
-    return {"anyOf": [*made["anyOf"], keeping]}
+    none, *laws = KEEPERS
+    alone = Leaf("keep", Annotated[str, Setting(choices=(none,), help=KEEP.bounds.help)], none)
+    keeping = Leaf("keep", Annotated[str, Setting(choices=tuple(laws), help=KEEP.bounds.help)], MISSING)
+    follow = _kinds(CONTROLLERS, "adaptive", {"keep": alone})
+    return {"anyOf": [*follow, *_kinds({"tvlqr": CONTROLLERS["tvlqr"]}, "tvlqr", {"keep": keeping})]}
 
 
-def _object(kind: type) -> dict[str, Any]:
-    """Return the schema of a dataclass: pydantic's, with bounds, units and help."""
-    made = adapter(kind).json_schema()
-    helps = help_of(kind)
-    for name, bounds in bounds_of(kind).items():
-        own = made["properties"][name]
-        if name == "blows":
-            continue
-        own.pop("title", None)
-        if own.get("default") in (math.inf, None):
-            own.pop("default", None)
-        values = [own, *own.get("anyOf", ()), *([own["items"]] if "items" in own else [])]
-        for one in [*values, *(value["items"] for value in own.get("anyOf", ()) if "items" in value)]:
-            if one.get("type") in ("number", "integer"):
-                _bound(one, bounds)
-            elif one.get("type") == "string" and bounds.choices:
-                one["enum"] = list(bounds.choices)
-        own["description"] = helps[name] + (f" Unit: {bounds.unit}." if bounds.unit else "")
-    made.pop("$defs", None)
-    made.pop("title", None)
-    for one in (made, made["properties"].get("blows", {}).get("items", {})):
-        if "description" in one:
-            one["description"] = one["description"].partition("\n\n")[0]
-    return {**made, "additionalProperties": False}
-
-
-def _bound(number: dict[str, Any], bounds: Any) -> None:
-    """Add bounds to the schema of a number.
-
-    Zero or infinity is added if allowed.
-    """
-    limits = {"minimum": bounds.least, "exclusiveMinimum": bounds.above, "maximum": bounds.most}
-    limits = {key: float(value) for key, value in limits.items() if math.isfinite(value)}
-    if bounds.zero and limits.get("minimum", 0.0) > 0:
-        number["anyOf"] = [{"const": 0}, limits]
-    elif not bounds.infinite:
-        number.update(limits)
-    else:
-        number.update({key: value for key, value in limits.items() if key != "maximum"})
+def _object(leaves: Mapping[str, Leaf]) -> dict[str, Any]:
+    """Return the schema of a table."""
+    return {
+        "type": "object",
+        "properties": {key: leaf.schema() for key, leaf in leaves.items()},
+        "required": [key for key, leaf in leaves.items() if leaf.default is MISSING],
+        "additionalProperties": False,
+    }

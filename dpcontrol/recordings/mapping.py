@@ -20,8 +20,9 @@ from pydantic import BeforeValidator
 
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError, Mistakes
-from dpcontrol.foundation.settings import Place, Settings, decode, read_toml, setting, suggest
+from dpcontrol.foundation.settings import Setting, Settings, suggest
 from dpcontrol.foundation.shipped import MAPPINGS, mappings
+from dpcontrol.foundation.toml import Place, decode, read_toml
 
 ANGLE_UNITS = {"rad": 1.0, "deg": np.pi / 180, "turns": 2 * np.pi, "counts": 0.0}
 RATE_UNITS = {"rad/s": 1.0, "deg/s": np.pi / 180, "turns/s": 2 * np.pi, "rpm": np.pi / 30, "counts/s": 0.0}
@@ -37,8 +38,10 @@ NAMED = BeforeValidator(lambda value: str(value) if type(value) is int else valu
 class _Top(Settings):
     """The top level of a mapping's file."""
 
-    arm_lengths: tuple[float, ...] = setting(above=0, most=100, unit="m", help="Lengths of the arms, for pictures.")
-    title: str = setting("", help="What the mapping reads.")
+    arm_lengths: Annotated[
+        tuple[float, ...], Setting(above=0, most=100, unit="m", help="Lengths of the arms, for pictures.")
+    ]
+    title: Annotated[str, Setting(help="What the mapping reads.")] = ""
 
     def _check_together(self) -> None:
         if not self.arm_lengths:
@@ -49,26 +52,26 @@ class _Top(Settings):
 class _Time(Settings, table="time"):
     """The times of the samples, and their segments."""
 
-    column: Annotated[str, NAMED] = setting("", help="Column of the times.")
-    segment: Annotated[str, NAMED] = setting("", help="Column that numbers the segments; a change begins a segment.")
-    unit: str = setting("s", choices=tuple(TIME_UNITS), help="Unit of the times.")
+    column: Annotated[str, NAMED, Setting(help="Column of the times.")] = ""
+    segment: Annotated[str, NAMED, Setting(help="Column that numbers the segments; a change begins a segment.")] = ""
+    unit: Annotated[str, Setting(choices=tuple(TIME_UNITS), help="Unit of the times.")] = "s"
 
 
 @dataclass(frozen=True)
 class _Sampling(Settings, table="sampling"):
     """The time between samples."""
 
-    period: float | None = setting(None, least=1e-6, most=1, unit="s", help="Time between samples.")
-    rate: float | None = setting(None, least=1, most=1e6, unit="Hz", help="Samples per second.")
-    variable: str = setting("", help="Variable of a MATLAB file that holds the period.")
+    period: Annotated[float | None, Setting(least=1e-6, most=1, unit="s", help="Time between samples.")] = None
+    rate: Annotated[float | None, Setting(least=1, most=1e6, unit="Hz", help="Samples per second.")] = None
+    variable: Annotated[str, Setting(help="Variable of a MATLAB file that holds the period.")] = ""
 
 
 @dataclass(frozen=True)
 class _Cells(Settings, table="cells"):
     """Cell arrays of a MATLAB file, which replace all columns."""
 
-    states: tuple[str, ...] = setting((), help="Cell arrays with rows of all angles, then of all rates.")
-    time: tuple[str, ...] = setting((), help="Cell arrays with the times of `states`.")
+    states: Annotated[tuple[str, ...], Setting(help="Cell arrays with rows of all angles, then of all rates.")] = ()
+    time: Annotated[tuple[str, ...], Setting(help="Cell arrays with the times of `states`.")] = ()
 
 
 @dataclass(frozen=True)
@@ -78,12 +81,16 @@ class _Angles(Settings, table="angles"):
     Lists have one value for all arms or one for each.
     """
 
-    columns: tuple[Annotated[str, NAMED], ...] = setting((), help="Columns of the angles.")
-    unit: str = setting("rad", choices=tuple(ANGLE_UNITS), help="Unit of the angles.")
-    counts_per_turn: int | tuple[int, ...] | None = setting(None, least=1, help="Counts of an encoder in a turn.")
-    sign: float | tuple[float, ...] = setting(1.0, help="1 for counter-clockwise, -1 for clockwise.")
-    zero: Any = "hanging"
-    relative: bool = False
+    columns: Annotated[tuple[Annotated[str, NAMED], ...], Setting(help="Columns of the angles.")] = ()
+    unit: Annotated[str, Setting(choices=tuple(ANGLE_UNITS), help="Unit of the angles.")] = "rad"
+    counts_per_turn: Annotated[
+        int | tuple[int, ...] | None, Setting(least=1, help="Counts of an encoder in a turn.")
+    ] = None
+    sign: Annotated[float | tuple[float, ...], Setting(help="1 for counter-clockwise, -1 for clockwise.")] = 1.0
+    zero: Annotated[
+        Any, Setting(unit="rad", help='Readings of hanging arms; "hanging" for 0, "upright" for half a turn.')
+    ] = "hanging"
+    relative: Annotated[bool, Setting(help="Whether each angle counts from the next inner arm.")] = False
 
     def _check_together(self) -> None:
         if any(abs(one) != 1 for one in self.signs):
@@ -121,17 +128,17 @@ class _Angles(Settings, table="angles"):
 class _Rates(Settings, table="rates"):
     """The rates, inner arm first."""
 
-    columns: tuple[Annotated[str, NAMED], ...] = setting((), help="Columns of the rates.")
-    unit: str = setting("rad/s", choices=tuple(RATE_UNITS), help="Unit of the rates.")
+    columns: Annotated[tuple[Annotated[str, NAMED], ...], Setting(help="Columns of the rates.")] = ()
+    unit: Annotated[str, Setting(choices=tuple(RATE_UNITS), help="Unit of the rates.")] = "rad/s"
 
 
 @dataclass(frozen=True)
 class _Cart(Settings, table="cart"):
     """The cart and its command."""
 
-    position: Annotated[str, NAMED] = setting("", help="Column of the cart's position.")
-    unit: str = setting("m", choices=tuple(LENGTH_UNITS), help="Unit of the position.")
-    command: Annotated[str, NAMED] = setting("", help="Column of the commanded acceleration, m/s².")
+    position: Annotated[str, NAMED, Setting(help="Column of the cart's position.")] = ""
+    unit: Annotated[str, Setting(choices=tuple(LENGTH_UNITS), help="Unit of the position.")] = "m"
+    command: Annotated[str, NAMED, Setting(help="Column of the commanded acceleration, m/s².")] = ""
 
 
 _TABLES = {"time": _Time, "sampling": _Sampling, "cells": _Cells, "angles": _Angles, "rates": _Rates, "cart": _Cart}

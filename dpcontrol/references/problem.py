@@ -10,14 +10,14 @@ its acceleration. Without w_z the optimiser leaves the itinerary.
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
 from dpcontrol.dynamics.equations import Equations
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.settings import Settings, bounds_of, setting
+from dpcontrol.foundation.settings import Setting, Settings, leaves_of
 from dpcontrol.foundation.shown import Brief
 
 if TYPE_CHECKING:
@@ -50,10 +50,22 @@ class Limits(Settings, table="limits"):
         jerk: m/s³, zero for none. A bound makes the acceleration continuous.
     """
 
-    position: float = setting(0.4, least=1e-6, most=1e6, unit="m", help="Largest distance of the cart from the centre.")
-    velocity: float = setting(3.0, least=1e-6, most=1e6, unit="m/s", help="Largest velocity of the cart.")
-    acceleration: float = setting(30.0, least=1e-6, most=1e6, unit="m/s²", help="Largest acceleration of the cart.")
-    jerk: float = setting(0.0, least=1e-6, most=1e6, zero="no limit", unit="m/s³", help="Largest jerk of the cart.")
+    position: Annotated[
+        float,
+        Setting(
+            least=1e-6, most=1e6, unit="m", usual=(0.02, 5.0), help="Largest distance of the cart from the centre."
+        ),
+    ] = 0.4
+    velocity: Annotated[
+        float, Setting(least=1e-6, most=1e6, unit="m/s", usual=(0.05, 20.0), help="Largest velocity of the cart.")
+    ] = 3.0
+    acceleration: Annotated[
+        float, Setting(least=1e-6, most=1e6, unit="m/s²", usual=(0.05, 300.0), help="Largest acceleration of the cart.")
+    ] = 30.0
+    jerk: Annotated[
+        float,
+        Setting(least=1e-6, most=1e6, zero="no limit", unit="m/s³", usual=(5.0, 1e6), help="Largest jerk of the cart."),
+    ] = 0.0
 
     def named(self) -> dict[str, float]:
         """Return {name: bound} of the existing bounds."""
@@ -61,7 +73,7 @@ class Limits(Settings, table="limits"):
         return {**bounds, "jerk": self.jerk} if self.jerk > 0 else bounds
 
 
-LIMIT_UNITS = {name: bounds.unit for name, bounds in bounds_of(Limits).items()}
+LIMIT_UNITS = {name: leaf.bounds.unit for name, leaf in leaves_of(Limits).items()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +91,7 @@ class EndConditions(Settings, table="ends"):
     end: Array | None = None
     closing: Array | None = None
     energy: float | None = None
-    stretch: float = setting(0.0, least=0, most=0.999, help="Share by which the duration may change.")
+    stretch: Annotated[float, Setting(least=0, most=0.999, help="Share by which the duration may change.")] = 0.0
 
 
 def state_scale(dimension: int, limits: Limits) -> Array:
@@ -168,17 +180,19 @@ class ReferenceSettings(Settings, table="reference"):
         iterations: solver iterations in each round.
     """
 
-    level: str = setting("cart", choices=LEVELS, help="Equations: with friction and cart, or conservative.")
-    method: str = setting("radau-7", help="Collocation method.")
-    solver: str = setting("ipopt", choices=SOLVERS, help="Solver of the nonlinear program.")
+    level: Annotated[str, Setting(choices=LEVELS, help="Equations: with friction and cart, or conservative.")] = "cart"
+    method: Annotated[str, Setting(help="Collocation method.")] = "radau-7"
+    solver: Annotated[str, Setting(choices=SOLVERS, help="Solver of the nonlinear program.")] = "ipopt"
     # Below the least interval a mesh may have more intervals than memory holds.
-    interval: float = setting(0.05, least=1e-3, most=10, unit="s", help="Initial length of the mesh intervals.")
-    tolerance: float = setting(1e-6, least=1e-20, most=1, help="Allowed scaled error between nodes.")
-    pendulum_weight: float = setting(0.1, least=0, help="Weight of the distance from the guess.")
-    cart_weight: float = setting(10.0, least=0, help="Weight of the cart's distance from the centre.")
-    end_tolerance: float = setting(0.0, least=0, help="Allowed scaled distance from the guess's end.")
-    rounds: int = setting(8, least=1, help="Rounds of mesh refinement.")
-    iterations: int = setting(100, least=1, help="Solver iterations in each round.")
+    interval: Annotated[float, Setting(least=1e-3, most=10, unit="s", help="Initial length of the mesh intervals.")] = (
+        0.05
+    )
+    tolerance: Annotated[float, Setting(least=1e-20, most=1, help="Allowed scaled error between nodes.")] = 1e-6
+    pendulum_weight: Annotated[float, Setting(least=0, help="Weight of the distance from the guess.")] = 0.1
+    cart_weight: Annotated[float, Setting(least=0, help="Weight of the cart's distance from the centre.")] = 10.0
+    end_tolerance: Annotated[float, Setting(least=0, help="Allowed scaled distance from the guess's end.")] = 0.0
+    rounds: Annotated[int, Setting(least=1, help="Rounds of mesh refinement.")] = 8
+    iterations: Annotated[int, Setting(least=1, help="Solver iterations in each round.")] = 100
 
     def __post_init__(self) -> None:
         """Check the bounds.

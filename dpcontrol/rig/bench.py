@@ -32,7 +32,7 @@ from contextlib import AbstractContextManager, ExitStack, nullcontext, suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -42,7 +42,7 @@ from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.causes import Cause
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.processes import end_with_parent
-from dpcontrol.foundation.settings import Settings, check_names, setting
+from dpcontrol.foundation.settings import Setting, Settings, check_names
 from dpcontrol.foundation.shown import Brief
 from dpcontrol.logs import Event
 from dpcontrol.loop.loop import LoopSettings
@@ -91,8 +91,8 @@ class BenchServerSettings(Settings, table="bench"):
         runs: number of runs to serve, 0 for no limit.
     """
 
-    watchdog: float = setting(0.1, least=0.001, most=60, unit="s")
-    spin: float = setting(0.0001, least=0, most=1, unit="s")
+    watchdog: Annotated[float, Setting(least=0.001, most=60, unit="s")] = 0.1
+    spin: Annotated[float, Setting(least=0, most=1, unit="s")] = 0.0001
     real_time: bool = False
     runs: int = 0
 

@@ -18,13 +18,14 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import asdict, dataclass, fields
+from typing import Annotated
 from urllib.parse import urlsplit
 
 import numpy as np
 
 from dpcontrol.foundation.causes import Cause
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.settings import Settings, setting
+from dpcontrol.foundation.settings import Setting, Settings
 from dpcontrol.logs import Event
 from dpcontrol.loop.protocols import Reading
 from dpcontrol.loop.result import ended
@@ -142,11 +143,11 @@ _MOST_REFUSED = 256
 class LinkSettings(Settings, table="link"):
     """Time limits of the packets from the bench."""
 
-    answer: float = setting(10.0, above=0, most=3600, unit="s")
+    answer: Annotated[float, Setting(above=0, most=3600, unit="s")] = 10.0
     """Time limit for the bench's welcome and first reading, s."""
-    patience: float = setting(0.02, above=0, most=3600, unit="s")
+    patience: Annotated[float, Setting(above=0, most=3600, unit="s")] = 0.02
     """Delay of a reading after which its tick continues without it, s."""
-    silence: float = setting(1.0, above=0, most=3600, unit="s")
+    silence: Annotated[float, Setting(above=0, most=3600, unit="s")] = 1.0
     """Time without packets after which the bench counts as disconnected, s."""
 
 

@@ -23,7 +23,7 @@ from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.causes import FindingCause as Cause
 from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.settings import Bounds
+from dpcontrol.foundation.settings import Setting
 from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.loop.result import Rig
 from dpcontrol.references.problem import Limits
@@ -58,7 +58,7 @@ from dpcontrol.words.findings import told
 
 _LONGEST_PERIOD = 0.05
 """s."""
-_SWITCHES = Bounds(least=2 * REACH, most=100, unit="m")
+_SWITCHES = Setting(least=2 * REACH, most=100, unit="m")
 _GAIN = 0.05
 """Largest error of the drive's gain."""
 _LEFT_OVER = 0.3

@@ -8,6 +8,7 @@ ones show the delay of the drive. A rig that fails, is not read or leaves its ra
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from scipy import signal
@@ -15,7 +16,7 @@ from scipy import signal
 from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.causes import FindingCause as Cause
-from dpcontrol.foundation.settings import Settings, setting
+from dpcontrol.foundation.settings import Setting, Settings
 from dpcontrol.loop.protocols import Reading
 from dpcontrol.loop.result import Rig
 from dpcontrol.references.problem import Limits
@@ -62,24 +63,24 @@ class Halted(Exception):
 class CommissioningSettings(Settings, table="commissioning"):
     """Durations and sizes of the motions that measure a rig."""
 
-    wait: float = setting(60.0, least=0, most=3600, unit="s")
+    wait: Annotated[float, Setting(least=0, most=3600, unit="s")] = 60.0
     """Time limit for the arms to hang still, s."""
-    still: float = setting(0.05, above=0, most=0.2, unit="rad")
+    still: Annotated[float, Setting(above=0, most=0.2, unit="rad")] = 0.05
     """Swing that counts as still, rad."""
-    look: float = setting(0.3, least=0.1, most=60, unit="s")
+    look: Annotated[float, Setting(least=0.1, most=60, unit="s")] = 0.3
     """Observation time before any motion, s."""
-    hold: float = setting(1.5, least=0.5, most=60, unit="s")
+    hold: Annotated[float, Setting(least=0.5, most=60, unit="s")] = 1.5
     """Observation time with the cart held, s."""
-    sweep: float = setting(8.0, least=2, most=120, unit="s")
+    sweep: Annotated[float, Setting(least=2, most=120, unit="s")] = 8.0
     """Duration of the chirp, s, from half the slowest swing's frequency to `highest` Hz."""
-    ring: float = setting(3.0, least=0.5, most=120, unit="s")
+    ring: Annotated[float, Setting(least=0.5, most=120, unit="s")] = 3.0
     """Observation time of the free swing after it, s."""
-    highest: float = setting(40.0, least=2, most=500, unit="Hz")
-    amplitude: float = setting(0.004, above=0, most=0.005, unit="m")
+    highest: Annotated[float, Setting(least=2, most=500, unit="Hz")] = 40.0
+    amplitude: Annotated[float, Setting(above=0, most=0.005, unit="m")] = 0.004
     """Largest displacement in the chirp, m."""
-    push: float = setting(4.0, above=0, most=10, unit="m/s²")
+    push: Annotated[float, Setting(above=0, most=10, unit="m/s²")] = 4.0
     """Largest acceleration in the chirp, m/s²."""
-    creep: float = setting(0.05, above=0, most=0.1, unit="m/s")
+    creep: Annotated[float, Setting(above=0, most=0.1, unit="m/s")] = 0.05
     """Speed towards the limit switches, m/s."""
 
     @property

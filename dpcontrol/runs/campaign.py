@@ -55,7 +55,7 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,7 +74,7 @@ from dpcontrol.foundation.files import (
 from dpcontrol.foundation.parts import Later, part
 from dpcontrol.foundation.processes import in_processes, processors
 from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress
-from dpcontrol.foundation.settings import Settings, setting
+from dpcontrol.foundation.settings import Setting, Settings
 from dpcontrol.foundation.shown import Brief, Shown, pandas_classes
 from dpcontrol.foundation.statistics import Pairing, Share, paired, wilson
 from dpcontrol.foundation.version import VERSION
@@ -367,12 +367,12 @@ class CampaignSettings(Settings, table="campaign"):
         replayed: number of a job's failures in lockstep that the loop itself runs again to confirm them.
     """
 
-    runs: int = setting(least=1, most=MOST_RUNS)
-    first_seed: int = setting(0, least=0, most=2**31)
-    path: str = setting("compiled", choices=("compiled", "ticks"))
-    workers: int = setting(0, least=1, most=1024, zero="one on each processor")
-    batch: int = setting(256, least=1, most=4096)
-    replayed: int = setting(4, least=0, most=4096)
+    runs: Annotated[int, Setting(least=1, most=MOST_RUNS)]
+    first_seed: Annotated[int, Setting(least=0, most=2**31)] = 0
+    path: Annotated[str, Setting(choices=("compiled", "ticks"))] = "compiled"
+    workers: Annotated[int, Setting(least=1, most=1024, zero="one on each processor")] = 0
+    batch: Annotated[int, Setting(least=1, most=4096)] = 256
+    replayed: Annotated[int, Setting(least=0, most=4096)] = 4
 
 
 @dataclass(frozen=True)
@@ -559,6 +559,7 @@ def cases_of(itinerary: Itinerary, *, fixed: Mapping[str, Any], over: Mapping[st
         scene = itinerary.with_run(
             {**canonical(fixed), **canonical({name: value for name, (value, _) in zip(names, values, strict=True)})}
         )
+        scene.check_parts(itinerary)
         chosen = {name: shown for name, (_, shown) in zip(names, values, strict=True)}
         label = ", ".join(f"{k}={v:.12g}" if isinstance(v, float) else f"{k}={v}" for k, v in chosen.items())
         if any(label == case.label for case in cases):

@@ -11,7 +11,6 @@ from typing import Any
 
 from dpcontrol.control.export import ControllerSource
 from dpcontrol.control.margins import Margins
-from dpcontrol.foundation.arguments import place
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.checked import Count, Index, Positive, Seed, Workers, checked
 from dpcontrol.foundation.errors import InputError, remark
@@ -106,7 +105,9 @@ class ClosedLoop(Timed):
     @cached_property
     def plan(self) -> Plan:
         """The plan, its itinerary with the options in place."""
-        return replace(self.planned, itinerary=self.planned.itinerary.with_run(self.options))
+        itinerary = self.planned.itinerary.with_run(self.options)
+        itinerary.check_parts(self.planned.itinerary)
+        return replace(self.planned, itinerary=itinerary)
 
     @cached_property
     def assembly(self) -> Assembly:
@@ -159,7 +160,7 @@ class ClosedLoop(Timed):
         link, own = (bench, None) if isinstance(bench, RigLink) else (None, bench)
         plan, assembly = self._flown
         scene = replace(plan.itinerary, loop=replace(plan.itinerary.loop, seed=seed))
-        plan, shown, out = replace(plan, itinerary=scene), live_view if live else None, place("log", log)
+        plan, shown, out = replace(plan, itinerary=scene), live_view if live else None, _path(log)
         if program is not None and (link is None or link.address != OWN_BENCH):
             raise InputError('program: controls the example bench; give rig="udp" as well')
         if link is not None:
@@ -253,7 +254,7 @@ class ClosedLoop(Timed):
         cases = asked_cases(scene, fixed=self.options, over=over or {}, standard=standard, transitions=transitions)
         with reporting(progress, "campaign") as report:
             found = run_campaign(
-                self.planned, cases, place("out", out), settings=own,
+                self.planned, cases, _path(out), settings=own,
                 transitions=transitions, force=force, yes=yes, progress=report,
             )  # fmt: skip
         return replace(found, standard=standard_scores(found.results)) if standard else found
@@ -323,7 +324,7 @@ class ClosedLoop(Timed):
             GoalMissed: there is no reference to follow, or no controller can be made for it.
         """
         check_exportable(self.plan.itinerary)
-        out = place("folder", folder)
+        out = _path(folder)
         with reporting(progress, "export") as report:
             if out is not None and out.suffix == ".fmu":
                 source, lacks = export_unit(self.plan, out, single=single, force=force, progress=report)
@@ -347,3 +348,7 @@ def bench_of(rig: object) -> RigLink | OwnObject | None:
     if isinstance(rig, str) and not names_file(rig):
         return rig_link(rig, key_file=None, insecure=False, real_time=False)
     return rig if rig is None or isinstance(rig, RigLink | OwnObject) else own_object("rig", rig)
+
+
+def _path(file: Path | str | None) -> Path | None:
+    return None if file is None else Path(file)

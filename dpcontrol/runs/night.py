@@ -27,6 +27,7 @@ from math import ceil
 from multiprocessing.connection import Connection
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Annotated
 
 from dpcontrol.control.estimator_settings import extra_names
 from dpcontrol.control.interface import GainSchedule
@@ -35,7 +36,7 @@ from dpcontrol.foundation.errors import GoalMissed, InputError, remark
 from dpcontrol.foundation.files import InTheWay
 from dpcontrol.foundation.processes import end_with_parent, ignoring_interrupts
 from dpcontrol.foundation.progress import MOST_SECONDS, Cost, Progress, no_progress
-from dpcontrol.foundation.settings import Settings, setting
+from dpcontrol.foundation.settings import Setting, Settings
 from dpcontrol.judge.night import Night, read_night
 from dpcontrol.logs import LogWriter, check_replaced, partials_of, recover
 from dpcontrol.logs.reader import check_same_run
@@ -85,9 +86,9 @@ class NightSettings(Settings, table="night"):
     hours: duration, h. file_minutes: length of each log, min. keep_every: share of older logs to keep, one in so many.
     """
 
-    hours: float = setting(above=0, most=10_000, unit="h")
-    file_minutes: float = setting(10.0, least=0.01, most=1440, unit="min")
-    keep_every: int = setting(1, least=1, most=1_000_000)
+    hours: Annotated[float, Setting(above=0, most=10_000, unit="h")]
+    file_minutes: Annotated[float, Setting(least=0.01, most=1440, unit="min")] = 10.0
+    keep_every: Annotated[int, Setting(least=1, most=1_000_000)] = 1
 
     @property
     def files(self) -> int:

@@ -26,7 +26,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,7 +36,7 @@ from dpcontrol.foundation.cache import cache_file, keep, kept
 from dpcontrol.foundation.files import content_hash
 from dpcontrol.foundation.processes import in_processes, processors
 from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress, part_of
-from dpcontrol.foundation.settings import Settings, bounds_of, setting
+from dpcontrol.foundation.settings import Setting, Settings, leaves_of
 from dpcontrol.foundation.statistics import paired, wilson
 from dpcontrol.judge.preflight import Assumption, EndingShare, HazardBorder, Improvement, Preflight, ShareAt
 from dpcontrol.loop.bench import MechanicsSettings
@@ -194,10 +194,10 @@ class PreflightSettings(Settings, table="preflight"):
     The seeds are far from the first seeds of campaigns.
     """
 
-    runs: int = setting(0, least=16, most=100_000, zero="as many as two minutes allow")
-    first_seed: int = setting(1_000_000, least=0, most=2**31)
-    confidence: float = setting(0.99, least=0.5, most=0.9999)
-    workers: int = setting(0, least=1, most=1024, zero="one on each processor")
+    runs: Annotated[int, Setting(least=16, most=100_000, zero="as many as two minutes allow")] = 0
+    first_seed: Annotated[int, Setting(least=0, most=2**31)] = 1_000_000
+    confidence: Annotated[float, Setting(least=0.5, most=0.9999)] = 0.99
+    workers: Annotated[int, Setting(least=1, most=1024, zero="one on each processor")] = 0
 
 
 class RunEnd(NamedTuple):
@@ -652,7 +652,7 @@ def with_known_errors(scene: Itinerary, options: Mapping[str, Any]) -> tuple[Iti
     for key in ("belt", "play", "cable_torque", "cable_stiffness", "stiction", "initial_rate", "initial_cart"):
         if value := getattr(loop.mechanics, key):
             shown = " and ".join(f"{one:g}" for one in (value if isinstance(value, tuple) else (value,)))
-            unit = bounds_of(MechanicsSettings)[key].unit
+            unit = leaves_of(MechanicsSettings)[key].bounds.unit
             known.append(Assumption(key.replace("_", " "), f"{shown} {unit}", of(key)))
     known.append(
         Assumption("control", f"{loop.controller.kind} with {loop.estimator.kind}", of("controller", "estimator"))

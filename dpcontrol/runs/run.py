@@ -46,9 +46,10 @@ from dpcontrol.foundation.files import (
     write_whole,
 )
 from dpcontrol.foundation.progress import Progress, Reporting, no_progress, reporting
-from dpcontrol.foundation.settings import Place, decode, frozen, with_values
+from dpcontrol.foundation.settings import frozen
 from dpcontrol.foundation.shipped import folders
 from dpcontrol.foundation.shown import Timed, checked_times
+from dpcontrol.foundation.toml import Place, decode, with_values
 from dpcontrol.foundation.version import VERSION
 from dpcontrol.judge.score import (
     DRAWN_METADATA,
@@ -78,6 +79,7 @@ from dpcontrol.logs import (
 )
 from dpcontrol.logs.layout import state_names
 from dpcontrol.loop.assembly import Assembly
+from dpcontrol.loop.bench import Push
 from dpcontrol.loop.controllers import CONTROLLERS, estimators_of, filter_of, law_of
 from dpcontrol.loop.loop import ControlLoop, LoopSettings
 from dpcontrol.loop.own import OwnLaw, OwnObject, OwnRig
@@ -648,6 +650,7 @@ def _with_options(plan: Plan, scene: Itinerary, change: Mapping[str, Any]) -> Pl
     own = {path: noted for path, noted in own.items() if not path.startswith(reset)} if reset else own
     accounted = scene.with_run(own, seed=then.loop.seed).loop == then.loop
     chosen = scene.with_run({**own, **canonical(change)}, seed=then.loop.seed) if accounted else then.with_run(change)
+    chosen.check_parts(then)
     reference = plan.reference
     if chosen.loop.travel != then.loop.travel:
         # Starts are planned for the travel.
@@ -686,14 +689,20 @@ def stored_settings(values: Mapping[str, Any], file: str) -> LoopSettings:
     own, parts = dict(values), dict[str, Any]()
     kinds: Mapping[str, Any] = CONTROLLERS
     for name in ("controller", "estimator"):
-        part = own.pop(name)
+        part = dict(own.pop(name))
         if part["kind"] not in kinds:
             raise LookupError(f"{name} = {part['kind']} is a user's object, which is not in the log")
-        parts[name] = decode(kinds[part["kind"]], part, Place(file, name))
+        parts[name] = decode(kinds[part.pop("kind")], part, Place(file, name))
         kinds = estimators_of(parts["controller"])
     for name, kind in {**BENCH, "supervisor": SupervisorSettings}.items():
         if name in own:
-            parts[name] = decode(kind, own.pop(name), Place(file, name))
+            part = dict(own.pop(name))
+            blows = (
+                {"explicit": tuple(Push(**blow) for blow in part.pop("explicit", ()))} if name == "disturbances" else {}
+            )
+            parts[name] = decode(kind, part, Place(file, name))
+            if blows:
+                parts[name] = replace(parts[name], explicit=tuple(blows))
     if own.get("plant") is not None:
         own["plant"] = ArmChainParameters(**frozen(own["plant"]))
     return LoopSettings(**own, **parts)

@@ -23,10 +23,9 @@ from scipy.sparse.linalg import splu
 
 from dpcontrol.dynamics.propagator import Exact, Extended, ExtendedPropagator, digits, extended, pi_times
 from dpcontrol.dynamics.system import System
-from dpcontrol.foundation.arguments import shortened
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.causes import RefinementCause
-from dpcontrol.foundation.errors import GoalMissed, InputError
+from dpcontrol.foundation.errors import GoalMissed, InputError, shortened
 from dpcontrol.foundation.shown import Brief
 from dpcontrol.orbits.lyapunov import LyapunovOrbit
 from dpcontrol.orbits.manifold import local_manifold

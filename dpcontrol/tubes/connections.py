@@ -23,7 +23,6 @@ from scipy.optimize import root_scalar
 
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
-from dpcontrol.foundation.arguments import whole
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.budget import Budget
 from dpcontrol.foundation.causes import SearchCause
@@ -603,8 +602,6 @@ def find_connections(
             not preserve it, or one of the orbits crosses it.
     """
     settings, system = settings or ConnectionSettings(), source.system
-    for hit in hits:
-        whole("hits", hit, least=1, most=1000)
     system.check_same(target.system)
     budget = budget or Budget(settings.seconds)
     section = section or system.section_between(source.saddle, target.saddle)

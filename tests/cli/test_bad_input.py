@@ -82,9 +82,13 @@ ITINERARY = {
 MODEL = {
     "missing table": ("[gravity]", "[gravitation]", "gravity"),
     "negative mass": ("mass           = [0.09", "mass           = [-0.09", "mass"),
-    "not a number": ("mass           = [0.0938439747983407", "mass           = [true", "must be a list of numbers"),
+    "not a number": (
+        "mass           = [0.0938439747983407",
+        "mass           = [true",
+        "mass holds True: must be a number",
+    ),
     "arms of unequal count": ("viscous = [0.000237142782693581, ", "viscous = [", "viscous"),
-    "too many digits": ("acceleration = 9.8085802336215", "acceleration = 1" + 400 * "0", "acceleration = inf"),
+    "too many digits": ("acceleration = 9.8085802336215", "acceleration = 1" + 400 * "0", "acceleration = 1000000"),
     "nested too deeply": ('title = "', "x = " + 5000 * "[" + '\ntitle = "', "nested"),
     "nested too deeply by dots": ('title = "', "x." * 3000 + 'y = 1\ntitle = "', "nested"),
 }

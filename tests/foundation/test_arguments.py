@@ -1,13 +1,15 @@
 """Arguments of the wrong type are refused by name."""
 
+import subprocess
+import sys
 from math import inf, nan
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import dpcontrol as dp
-from dpcontrol.foundation.arguments import path, whole
-from dpcontrol.foundation.checked import number
+from dpcontrol.foundation.checked import Hit, check, number
 from dpcontrol.foundation.errors import InputError
 
 
@@ -19,14 +21,19 @@ def test_values_that_are_not_finite_numbers_are_refused(value):
 
 @pytest.mark.parametrize("value", [None, "3", 0, 1.5, True])
 def test_values_that_are_not_integers_in_range_are_refused(value):
-    with pytest.raises(InputError, match=r"hits = .*: must be a whole number from 1 to 9"):
-        whole("hits", value, least=1, most=9)
-    assert whole("hits", 3.0, least=1, most=9) == 3
+    with pytest.raises(InputError, match=r"hit = .*: must be a whole number, 1 to 1000"):
+        check("hit", value, Hit)
+    check("hit", np.int64(3), Hit)
 
 
 def test_values_that_are_not_paths_are_refused():
-    with pytest.raises(InputError, match="must be the path of a file"):
-        path("file", b"log.mcap")
+    with pytest.raises(InputError, match="must be one short line of text or the path of a file"):
+        check("file", b"log.mcap", str | Path)
+
+
+def test_signatures_are_imported_without_numpy_and_pydantic():
+    code = "import sys, dpcontrol.foundation.checked; print({'numpy', 'pydantic'} & set(sys.modules))"
+    assert subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout == "set()\n"
 
 
 @pytest.mark.slow

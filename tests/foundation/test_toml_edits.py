@@ -4,7 +4,7 @@ import tomllib
 
 import pytest
 
-from dpcontrol.foundation.settings import with_values
+from dpcontrol.foundation.toml import with_values
 
 SCENE = """\
 title = "A scene"   # [run] is below

@@ -7,7 +7,7 @@ import pytest
 from shadowing_stand_in import LAB
 
 from dpcontrol.control.tick import KnownMechanics
-from dpcontrol.foundation.settings import Place, parse_toml
+from dpcontrol.foundation.toml import Place, parse_toml
 from dpcontrol.loop.bench import BenchSettings, MechanicsSettings, draw_bench
 from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.loop.simulated import SimulatedRig

@@ -2,7 +2,7 @@
 
 import json
 import tomllib
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +14,12 @@ import dpcontrol as dp
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.shipped import folders
 from dpcontrol.logs import compare_messages
+from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.plans.itinerary import itinerary_from, load_itinerary, setting_of
 from dpcontrol.plans.model import load_model
 from dpcontrol.plans.overrides import NAMED, parsed, paths, typed, values_in
 from dpcontrol.plans.tables import settings_page
+from dpcontrol.runs.campaign import cases_of
 from dpcontrol.runs.run import stored_settings
 
 OLD = Path(__file__).parent / "version-0.2.0"
@@ -86,7 +88,7 @@ def value_of(path: str) -> Any:
     return int(low + 1) if "int" in str(leaf.hint) else low + 0.25 * (high - low)
 
 
-APART = ("plant", "controller", "model_uncertainty")
+APART = ("plant", "seconds", "controller", "model_uncertainty")
 NOT_ALONE = "drive.failure"  # needs the time of the fault
 
 
@@ -114,11 +116,31 @@ def test_a_setting_by_path_is_that_of_a_file_and_is_typed_and_parsed_back(path: 
     assert itinerary_from(text, "turn", load_model("lab")).loop == loop
 
 
+def test_settings_are_replaced_by_path() -> None:
+    loop = LoopSettings(seed=0)
+    changed = loop.with_({"rate": 500.0, "drive.lag": 0.002, "drive.delay": 2.0})
+    assert changed == replace(loop, rate=500.0, drive=replace(loop.drive, lag=0.002, delay=2.0))
+    with pytest.raises(InputError, match=r"drive\.lagg: drive has no such setting; it has delay, lag, "):
+        loop.with_({"drive.lagg": 0.002})
+    with pytest.raises(InputError, match=r"lag = -1\.0: must be 0 to 1 s\n.*counts = 0\.5: must be a whole number"):
+        load_itinerary("outer-turn").with_run({"lag": -1, "counts": 0.5})
+
+
 def test_settings_of_a_law_have_paths_too() -> None:
     loop = load_itinerary("outer-turn").with_run({"controller": "lqr", "controller.damping": 0.2}).loop
     assert asdict(loop.controller)["damping"] == 0.2
     with pytest.raises(InputError, match=r"controller.damping: adaptive has no such setting; it has angle, rate"):
         load_itinerary("outer-turn").with_run({"damping": 0.2})
+
+
+def test_a_stay_is_lengthened_by_a_setting_but_a_plan_keeps_its_duration() -> None:
+    scene = load_itinerary("hold-up-up").with_run({"seconds": 90})
+    assert itinerary_from(scene.text, "hold-up-up", scene.model).parts == scene.parts
+    assert parsed("seconds", "90") == scene.parts[0].seconds == 90.0
+    with pytest.raises(InputError, match="is not the file of one stay"):
+        load_itinerary("outer-turn").with_run({"seconds": 90})
+    with pytest.raises(InputError, match="change seconds in the file of the itinerary"):
+        cases_of(load_itinerary("hold-up-up"), fixed={}, over={"seconds": [30, 90]})
 
 
 @pytest.mark.slow
@@ -175,7 +197,11 @@ def test_mistakes_in_one_file_are_reported_together_one_line_each(tmp_path: Path
 
 MISTAKES: list[tuple[str, str, str]] = [
     ("unknown key", f"{TURN}[run]\nlagg = 0.1\n", "[run] the key 'lagg' is unknown: did you mean 'lag'?"),
-    ("misspelt required key", 'walk = ["down-up +"]\nenergie = -0.07', "the key 'energy' is missing; is 'energie'"),
+    (
+        "misspelt required key",
+        'walk = ["down-up +"]\nenergie = -0.07',
+        "the key 'energie' is unknown: did you mean 'energy'?",
+    ),
     ("text for number", f"{TURN}[run]\nlag = 'x'\n", "[run] lag = 'x': must be a number"),
     ("fraction for whole number", f"{TURN}[run]\ncounts = 1.5\n", "[run] counts = 1.5: must be a whole number"),
     ("below the range", f"{TURN}[run]\nlag = -1\n", "[run] lag = -1.0: must be 0 to 1 s"),
@@ -185,11 +211,14 @@ MISTAKES: list[tuple[str, str, str]] = [
     ("text in a list", f"{TURN}[run]\nplay = [0.1, 'x']\n", "[run] play holds 'x': must be"),
     ("value for a table", f"run = 3\n{TURN}", "run = 3: must be a table, [run]"),
     ("repeated walk that ends elsewhere", 'repeat = 2\nenergy = 0.2\nwalk = ["down-up > up-down"]\n', "repeat = 2"),
+    ("empty list of parts", "parts = []\n", "parts = []: must be tables, each under [[parts]]"),
+    ("text for blows", f"{TURN}[run]\nblows = 'x'\n", "run.blows = 'x': must be tables, each under [[run.blows]]"),
+    ("number for a choice", f"{TURN}[supervisor]\nhold = 3\n", "[supervisor] hold = 3: allowed: none, nearest"),
     ("hold beside a walk", f'{TURN}hold = "up-up"\n', "hold"),
     ("rest without a cart", f'{TURN}start = "rest"\n[reference]\nlevel = "conservative"\n', "conservative"),
     ("impossible walk", 'energy = -0.07\nwalk = ["down-up ?"]\n', "walk: "),
     ("energy below the saddle", 'energy = -9\nwalk = ["down-up +"]\n', "energy = -9.0 J: down-up has Lyapunov orbits"),
-    ("error of a blow", f"{TURN}[[run.blows]]\ntime = -1\n", "[[run.blows]] 1, time = -1.0: must be zero or positive"),
+    ("error of a blow", f"{TURN}[[run.blows]]\ntime = -1\n", "[[run.blows]] 1, time = -1.0: must be at least 0 s"),
 ]
 
 
@@ -203,7 +232,7 @@ def test_each_kind_of_mistake_is_named(what: str, text: str, told: str) -> None:
 
 def test_a_list_is_written_with_or_without_brackets_and_varied_in_brackets() -> None:
     assert parsed("play", "[0.1, 0.2]") == parsed("play", "0.1,0.2,") == (0.1, 0.2)
-    assert parsed("augment", "[zeros,drive]") == ("zeros", "drive")
+    assert parsed("augment", "[zeros,drive]") == parsed("augment", '["zeros", "drive"]') == ("zeros", "drive")
     assert values_in("[0.1,0.2],0.3,[0.2, 0.1]") == ["[0.1,0.2]", "0.3", "[0.2, 0.1]"]
-    with pytest.raises(InputError, match="must be a number or a list of numbers"):
+    with pytest.raises(InputError, match="play holds 'x': must be a number, 0 to 1 rad"):
         parsed("play", "[1,x")
