@@ -15,7 +15,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cache
 from io import BytesIO
-from itertools import pairwise
 from pathlib import Path
 from textwrap import wrap
 from typing import Any
@@ -28,12 +27,12 @@ from matplotlib.font_manager import FontProperties
 from matplotlib.lines import Line2D
 from matplotlib.text import Text
 from matplotlib.textpath import TextPath
-from matplotlib.transforms import Bbox, BboxBase
+from matplotlib.transforms import Bbox
 
 from dpcontrol.foundation.errors import InputError, printable
 from dpcontrol.foundation.files import whole_file
 from dpcontrol.pages import style
-from dpcontrol.pages.panels import BESIDE, DIRECT, bare
+from dpcontrol.pages.panels import BESIDE, bare
 
 Draw = Callable[[Any], None]
 _DPI = 150
@@ -423,9 +422,9 @@ MOST_IN_KEY = 4
 
 
 def settle(figure: Figure) -> None:
-    """Arrange titles, keys and direct labels.
+    """Arrange titles, keys and labels of points.
 
-    Titles are wrapped to the widths of their panels and moved above keys. Direct labels are moved apart.
+    Titles are wrapped to the widths of their panels and moved above keys.
     """
     _literal_texts(figure)
     with missing_glyphs_as_boxes():
@@ -446,12 +445,10 @@ def settle(figure: Figure) -> None:
         if title:
             lines = wrapped(title, style.HEAD, max(inches, 0.8)) if axes.name != "3d" else [title]
             axes.set_title("\n".join(lines), loc="left", fontsize=style.HEAD, color=style.INK, pad=pad)
-        _spread(axes, [text for text in axes.texts if text.get_gid() == DIRECT])
         _turn_aside(axes, [text for text in axes.texts if text.get_gid() == BESIDE and text.get_text()])
 
 
-_SIDES = ((1, 1), (1, -1), (-1, 1), (-1, -1), (1, 0), (-1, 0), (0, 1), (0, -1))
-_PLACES = [(away * x, away * y) for away in (5.0, 10.0, 16.0, 24.0, 34.0, 46.0, 60.0) for x, y in _SIDES]
+_PLACES = [(away * x, away * y) for away in (5, 10, 16, 24, 34, 46, 60) for x in (1, -1, 0) for y in (1, -1, 0) if x or y]
 """Tried places of a label beside its point, points."""
 _LED = 10.0
 """Distance beyond which a line connects a point and its label, points."""
@@ -459,52 +456,26 @@ _LED = 10.0
 
 def _turn_aside(axes: Axes, labels: list[Any]) -> None:
     """Move labels round their points, and away from them, until they cover neither marks nor other labels."""
-    taken = [box for line in axes.lines if labels for box in _marks(line)]
+    taken = [box for line in axes.lines if labels and line.get_marker() not in ("None", "") for box in _marks(line)]
     for label in labels:
-        boxes = ((place, _box_at(label, place)) for place in _PLACES)
-        free = (place for place, box in boxes if _inside(box, axes.bbox) and not box.count_overlaps(taken))
-        place = next(free, _PLACES[0])
-        taken.append(_box_at(label, place))
-        if max(map(abs, place)) > _LED:
+        for x, y in (*_PLACES, _PLACES[0]):
+            label.set_position((x, y))
+            label.set(ha=_ASIDE[np.sign(x)][0], va=_ASIDE[np.sign(y)][1])
+            box = label.get_window_extent()
+            inside = axes.bbox.contains(box.x0, box.y0) and axes.bbox.contains(box.x1, box.y1)
+            if inside and not box.count_overlaps(taken):
+                break
+        taken.append(box)
+        if max(abs(x), abs(y)) > _LED:
             line = {"arrowstyle": "-", "color": label.get_color(), "linewidth": 0.5, "shrinkA": 1, "shrinkB": 3}
-            axes.annotate("", label.xy, xytext=place, textcoords="offset points", arrowprops=line)
-
-
-def _box_at(label: Any, place: tuple[float, float]) -> Bbox:
-    """Move a label and return its box."""
-    x, y = np.sign(place)
-    label.set_position(place)
-    label.set(ha={1: "left", 0: "center", -1: "right"}[x], va={1: "bottom", 0: "center", -1: "top"}[y])
-    return label.get_window_extent()
-
-
-def _inside(box: Bbox, frame: BboxBase) -> bool:
-    return frame.x0 <= box.x0 and frame.y0 <= box.y0 and box.x1 <= frame.x1 and box.y1 <= frame.y1
+            axes.annotate("", label.xy, xytext=(x, y), textcoords="offset points", arrowprops=line)
 
 
 def _marks(line: Line2D) -> list[Bbox]:
-    if line.get_marker() in ("None", "", None):
-        return []
+    """Return the boxes of a line's marks, pixels."""
     half = (line.get_markersize() / 2 + 1) * line.get_figure(root=True).dpi / 72  # type: ignore[union-attr]
-    spots = line.get_transform().transform(line.get_xydata())
-    return [Bbox([spot - half, spot + half]) for spot in spots]
+    return [Bbox([spot - half, spot + half]) for spot in line.get_transform().transform(line.get_xydata())]
 
 
-def _spread(axes: Axes, labels: list[Any]) -> None:
-    """Move direct labels apart so that they do not overlap.
-
-    They move up, and down from the panel's upper edge.
-    """
-    step = _height(style.SMALL) * axes.get_figure(root=True).dpi  # type: ignore[union-attr]
-    low, high = axes.transAxes.transform([(0, 0), (0, 1)])[:, 1]
-    heights = [float(axes.transData.transform((0, label.xy[1]))[1]) for label in labels]
-    places = np.array([min(max(height, low), high) for height in heights])
-    order = np.argsort(places)
-    for before, after in pairwise(order):
-        places[after] = max(places[after], places[before] + step)
-    if len(order) and places[order[-1]] > high:
-        places[order[-1]] = high
-        for after, before in pairwise(order[::-1]):
-            places[before] = min(places[before], places[after] - step)
-    for label, place in zip(labels, places, strict=True):
-        label.xycoords, label.xy = "axes fraction", (1.0, (place - low) / (high - low))
+_ASIDE = {1: ("left", "bottom"), -1: ("right", "top"), 0: ("center", "center")}
+"""Alignments of a label by the side of its point."""

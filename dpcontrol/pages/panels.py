@@ -4,12 +4,14 @@ They are frames, axes in units of π, badges, marks and direct labels.
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.collections import LineCollection
 from matplotlib.colors import to_rgba
+from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FuncFormatter, MultipleLocator
 
@@ -179,19 +181,16 @@ def wrapped_runs(curve: Array, periods: tuple[float | None, ...]) -> list[Array]
 
 
 def name_curves(axes: Axes, names: list[tuple[float, str, str]]) -> None:
-    """Label curves directly at the right end of a panel.
-
-    The labels take the place of a key. The layout engine moves apart labels that would overlap.
+    """Name curves at the right of a panel, in the order of their ends.
 
     Args:
         axes: panel with the curves.
-        names: height of the curve's end in data, text and colour of each label.
+        names: height of the curve's end in data, text and colour of each name.
     """
-    for height, text, colour in names:
-        axes.annotate(
-            text, (1.0, height), xycoords=("axes fraction", "data"), xytext=(4, 0), textcoords="offset points",
-            va="center", fontsize=style.SMALL, color=colour, annotation_clip=False,
-        ).set_gid(DIRECT)  # fmt: skip
+    lines = [Line2D([], [], color=colour, label=text) for _, text, colour in sorted(names, reverse=True)]
+    look: dict[str, Any] = {"loc": "center left", "bbox_to_anchor": (1.0, 0.5), "handlelength": 0.8, "borderpad": 0.0}
+    look |= {"fontsize": style.SMALL, "labelcolor": "linecolor", "frameon": False, "borderaxespad": 0.4}
+    axes.legend(handles=lines, **look)
 
 
 def name_rows(axes: Axes, names: Sequence[str]) -> None:
@@ -205,7 +204,7 @@ def name_rows(axes: Axes, names: Sequence[str]) -> None:
     axes.set_ylim(max(len(names) - 0.4, 0.6), -0.6)
 
 
-DIRECT, BESIDE = "direct label", "label beside a point"
+BESIDE = "label beside a point"
 
 
 def name_point(axes: Axes, text: str, at: tuple[float, float], colour: str, *, weight: str = "bold") -> None:
