@@ -448,7 +448,9 @@ def settle(figure: Figure) -> None:
         _turn_aside(axes, [text for text in axes.texts if text.get_gid() == BESIDE and text.get_text()])
 
 
-_PLACES = [(away * x, away * y) for away in (5, 10, 16, 24, 34, 46, 60) for x in (1, -1, 0) for y in (1, -1, 0) if x or y]
+_PLACES = [
+    (away * x, away * y) for away in (5, 10, 16, 24, 34, 46, 60) for x in (1, -1, 0) for y in (1, -1, 0) if x or y
+]
 """Tried places of a label beside its point, points."""
 _LED = 10.0
 """Distance beyond which a line connects a point and its label, points."""

@@ -14,7 +14,7 @@ from dpcontrol.pages import style
 from dpcontrol.pages.gallery import IDENTIFIED, Gallery, PaperFigure
 from dpcontrol.pages.layout import Page, Panel, key
 from dpcontrol.pages.panels import angle_axis, quiet, quiet_space, wrapped_runs
-from dpcontrol.pages.paper.senses import SENSES_ENERGY
+from dpcontrol.pages.paper.tubes import SENSES_ENERGY
 from dpcontrol.tubes.connections import ConnectionSearch, find_connections
 from dpcontrol.tubes.intersections import search_settings
 

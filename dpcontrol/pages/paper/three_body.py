@@ -30,17 +30,16 @@ def three_body_page(gallery: Gallery) -> PaperFigure:
     pairs = (("L1", "L2"), ("L2", "L1"))
     page = Page(f"Three bodies: heteroclinic connections of L1 and L2 at energy {BETWEEN_ENERGY:g}")
     counts = _rows(page, gallery, [(atlas, *pair, NEAR) for pair in pairs])
-    kind = kind_of(atlas, "L1", "L2")
-    assert kind is not None
+    hits = list(kind_of(atlas, "L1", "L2").hits)
     return PaperFigure(
         page.figure(),
         "The planar circular restricted three-body problem in the rotating frame, mass ratio "
         f"{float(gallery.system('three-body').parameters[0]):g}, near the smaller primary (dot). Grey: inaccessible at "
         "this energy. Left: Lyapunov orbits about L1 (teal) and L2 (violet). The unstable tube (red) of one and the "
-        f"stable tube (green) of the other reach crossing number {kind.hits[0]} of the line x = 1 - μ. Middle: "
+        f"stable tube (green) of the other reach crossing number {hits[0]} of the line x = 1 - μ. Middle: "
         "the cuts there with the connections found. Right: the complete flight of the first. Below: the opposite "
         f"direction, which is the image under time reversal. {counts}.",
-        f"Both tubes pass the line once before they can meet: hits {list(kind.hits)} are the first with "
+        f"Both tubes pass the line once before they can meet: hits {hits} are the first with "
         "connections. The energy's constant is that of the paper's appendix. Cuts are open at trajectories of the "
         "tube that pass close to the smaller primary and are scattered.",
     )
@@ -75,7 +74,6 @@ def _rows(page: Page, gallery: Gallery, rows: Sequence[tuple[Atlas, str, str, Ex
     words = []
     for row, (atlas, source, target, extent) in enumerate(rows):
         kind = kind_of(atlas, source, target)
-        assert kind is not None
         letters, section = "abc" if row == 0 else "def", kind.section.replace("mu", "μ")
         connections = connections_of(atlas, kind)
         look = colours(connections)
@@ -100,11 +98,10 @@ def _rows(page: Page, gallery: Gallery, rows: Sequence[tuple[Atlas, str, str, Ex
 def _tubes(axes: Axes, plane: Draw, atlas: Atlas, kind: AtlasKind, letter: str) -> None:
     plane(axes)
     source, target = kind.source, kind.target
-    for saddle, hit, stable in ((source, kind.hits[0], False), (target, kind.hits[1], True)):
-        for strand in atlas.cut(saddle, kind.section, hit).strands:
-            states = atlas.turned(strand, saddle) if stable else strand
-            colour = style.STABLE if stable else style.UNSTABLE
-            axes.plot(states[:, 0], states[:, 1], color=colour, linewidth=0.45, alpha=0.75)
+    for strand in atlas.cut(source, kind.section, kind.hits[0]).strands:
+        axes.plot(*strand[:, :2].T, color=style.UNSTABLE, linewidth=0.45, alpha=0.75)
+    for strand in atlas.cut(target, kind.section, kind.hits[1]).strands:
+        axes.plot(*atlas.turned(strand, target)[:, :2].T, color=style.STABLE, linewidth=0.45, alpha=0.75)
     both = f"{source} and {target}" if source != target else source
     axes.set_title(f"{letter}  tubes of {both}, energy {atlas.energy:g}", loc="left")
 
@@ -116,8 +113,7 @@ def _flights(
     for c in kept:
         line = "-" if c.symmetric or kind.source != kind.target else (0, (5, 2))
         axes.plot(*c.states[:, :2].T, color=look[c.name], linewidth=1.1, linestyle=line, zorder=3)
-    title = f"{letter}  from {kind.source}'s orbit to {kind.target}'s" if kept else "none found"
-    axes.set_title(title, loc="left")
+    axes.set_title(f"{letter}  from {kind.source}'s orbit to {kind.target}'s" if kept else "none found", loc="left")
 
 
 def _plane(axes: Axes, gallery: Gallery, atlas: Atlas, extent: Extent, *, section: str) -> None:
@@ -131,8 +127,7 @@ def _plane(axes: Axes, gallery: Gallery, atlas: Atlas, extent: Extent, *, sectio
     quiet(axes, x="x", y="y")
     axes.grid(False)
     for orbit in atlas.orbits:
-        closed = placed(atlas, orbit)
-        colour = style.saddle_colour(orbit.saddle)
+        closed, colour = placed(atlas, orbit), style.saddle_colour(orbit.saddle)
         axes.plot(closed[:, 0], closed[:, 1], color=colour, linewidth=2.4, zorder=5)
         name_point(axes, orbit.saddle, (float(closed[:, 0].mean()), float(closed[:, 1].max())), colour)
     axes.plot(1 - mu, 0, "o", color=style.INK, markersize=4, zorder=6)
