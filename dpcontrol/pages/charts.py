@@ -1,4 +1,4 @@
-"""Charts over time and phase planes, drawn from their descriptions (`series`)."""
+"""Charts over time and phase planes, drawn from their descriptions (`run_charts`)."""
 
 from typing import Any
 

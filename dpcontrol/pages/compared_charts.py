@@ -9,7 +9,7 @@ import numpy as np
 from dpcontrol.judge.comparison import ComparedRun, RunComparison
 from dpcontrol.pages import style
 from dpcontrol.pages.chart import Chart, Line
-from dpcontrol.pages.series import charts
+from dpcontrol.pages.run_charts import charts
 
 
 def compared_charts(comparison: RunComparison) -> tuple[Chart, ...]:
@@ -52,19 +52,16 @@ def _chart(comparison: RunComparison, every: list[Chart | None], key: str, title
     known = next((own for own in every if own), None)
     if known is None:
         return None
-    legend = key == "angle_1"
     return replace(
         known,
         key=key,
         title=title,
         note="",
-        hint=", reference grey" if legend else "",
         lines=tuple(lines),
         levels=tuple(level for level in known.levels if level.kind == "limit" or key == "energy"),
         cut=(),
         shown=None,
         log=False,
-        legend=legend,
     )
 
 

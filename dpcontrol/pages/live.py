@@ -179,8 +179,7 @@ class ShownState:
             events: new events.
         """
         from dpcontrol.pages import rerun_recording as recorded
-        from dpcontrol.pages.check_charts import check_charts
-        from dpcontrol.pages.motion_charts import motion_charts
+        from dpcontrol.pages.run_charts import charts
         from dpcontrol.pages.strips import strips
 
         first, both = not len(self.tail), rows if not len(self.tail) else np.concatenate([self.tail, rows])
@@ -190,7 +189,7 @@ class ShownState:
             self.recording.send_recording_name(view.title)
             recorded.record_strips(self.recording, "", strips(self.planned), self.planned)
             recorded.record_planes(self.recording, "phase_planes", view)
-        for chart in (*motion_charts(view), *check_charts(view)):
+        for chart in charts(view).values():
             recorded.record_chart(self.recording, "plots", chart, view)
         modes = [strip for strip in strips(view, until=float(view.time[-1])) if strip.key == "mode"]
         recorded.record_strips(self.recording, "", modes, view)

@@ -1,4 +1,4 @@
-"""A motion on one page, drawn by matplotlib from its story (`series`).
+"""A motion on one page, drawn by matplotlib from its story (`run_charts`).
 
 The motion is a run, a recording, a reference or an orbit.
 
@@ -21,13 +21,11 @@ from dpcontrol.logs import RunLog
 from dpcontrol.pages import style
 from dpcontrol.pages.chart import Chart
 from dpcontrol.pages.charts import draw_chart, draw_plane
-from dpcontrol.pages.check_charts import check_charts
 from dpcontrol.pages.filmstrip import draw_film, film_height, film_times
 from dpcontrol.pages.layout import Page, Panel, Stack, cropped, list_panel
-from dpcontrol.pages.motion_charts import motion_charts
 from dpcontrol.pages.panels import quiet
 from dpcontrol.pages.planes import plane
-from dpcontrol.pages.series import extra_charts
+from dpcontrol.pages.run_charts import check_charts, extra_charts, motion_charts
 from dpcontrol.pages.story import story, story_height
 from dpcontrol.references.trajectory import LimitUse
 

@@ -1,4 +1,4 @@
-"""A motion as a Rerun recording, built from its story (`series`).
+"""A motion as a Rerun recording, built from its story (`run_charts`).
 
 The motion is a run, a recording or a reference. The layout of the recording is built here too.
 
@@ -25,11 +25,9 @@ from dpcontrol.foundation.parts import Later
 from dpcontrol.judge.run_view import RunView
 from dpcontrol.pages import style
 from dpcontrol.pages.chart import Chart, Line
-from dpcontrol.pages.check_charts import check_charts
-from dpcontrol.pages.motion_charts import motion_charts
 from dpcontrol.pages.planes import Plane, arm_points, plane
 from dpcontrol.pages.ranges import extreme_rows, gap_times, padded, ticked
-from dpcontrol.pages.series import extra_charts
+from dpcontrol.pages.run_charts import check_charts, extra_charts, motion_charts
 from dpcontrol.pages.strips import Span, Strip, strips
 
 if TYPE_CHECKING:
@@ -453,18 +451,15 @@ def plane_view(arm: int, home: str, box: Box, *, name: str, free: float = 0.1) -
 def plots(charts: Sequence[Chart], *, growing: bool = False) -> list[rrb.View]:
     """Return the views of charts.
 
-    Named levels or several runs have a legend.
-
     Args:
         charts: charts to show; those without a key are omitted.
         growing: as in `blueprint`.
     """
-    corner = rrb.Corner2D.RightTop
     return [
         rrb.TimeSeriesView(
             name=chart.named,
             origin=f"/plots/{chart.key}",
-            plot_legend=rrb.PlotLegend(visible=chart.legend, corner=corner if chart.legend else None),
+            plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.RightTop),
             axis_y=rrb.ScalarAxis(range=None if growing else _shown(chart)),
         )
         for chart in charts

@@ -33,7 +33,7 @@ from dpcontrol.pages.charts import draw_chart
 from dpcontrol.pages.page import draw
 from dpcontrol.pages.panels import angle_axis, quiet
 from dpcontrol.pages.paper.branches import draw_momentum_branches
-from dpcontrol.pages.series import charts
+from dpcontrol.pages.run_charts import charts
 from dpcontrol.pages.walk_story import WalkStory
 from dpcontrol.pages.walks import draw_walk
 from dpcontrol.pages.walks import plane as walk_plane
