@@ -179,21 +179,23 @@ class ShownState:
             events: new events.
         """
         from dpcontrol.pages import rerun_recording as recorded
+        from dpcontrol.pages.planes import plane
         from dpcontrol.pages.run_charts import charts
         from dpcontrol.pages.strips import strips
 
         first, both = not len(self.tail), rows if not len(self.tail) else np.concatenate([self.tail, rows])
         view, drawn = self._view(rows, events), self._view(both, ())
         if first:
-            self.recording.send_blueprint(recorded.blueprint(view, growing=True), make_active=True)
+            sheets = [recorded.phase_plane(plane(view, arm)) for arm in range(view.arms)]
+            self.recording.send_blueprint(recorded.blueprint(view, sheets, growing=True), make_active=True)
             self.recording.send_recording_name(view.title)
             recorded.record_strips(self.recording, "", strips(self.planned), self.planned)
-            recorded.record_planes(self.recording, "phase_planes", view)
+            recorded.record_planes(self.recording, recorded.PLANES, view, sheets)
         for chart in charts(view).values():
-            recorded.record_chart(self.recording, "plots", chart, view)
+            recorded.record_chart(self.recording, chart, view)
         modes = [strip for strip in strips(view, until=float(view.time[-1])) if strip.key == "mode"]
         recorded.record_strips(self.recording, "", modes, view)
-        recorded.record_places(self.recording, "phase_planes", view)
+        recorded.record_places(self.recording, recorded.PLANES, view)
         recorded.draw_pendulum(self.recording, recorded.SCENE, drawn)
         recorded.record_events(self.recording, view)
         self.tail = both[-_TAIL:]
