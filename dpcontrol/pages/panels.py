@@ -85,6 +85,21 @@ def quiet_space(axes: Axes, of: System | Atlas, *, steps: tuple[float | None, fl
     axes.tick_params(labelsize=style.SMALL, colors=style.CART)
 
 
+def quiet_plane(axes: Axes, of: System | Atlas, columns: tuple[int, int] = (0, 1), title: str = "") -> None:
+    """Label a panel that shows two entries of states, angles in multiples of π.
+
+    Args:
+        axes: panel to label.
+        of: system or atlas with the labels.
+        columns: indices of the entries.
+        title: title of the panel.
+    """
+    quiet(axes, title, x=of.labels[columns[0]], y=of.labels[columns[1]])
+    for column, which in zip(columns, "xy", strict=True):
+        if np.isfinite(of.periods[column]):
+            angle_axis(axes, which)
+
+
 def angle_axis(axes: Axes, which: str, *, step: float | None = None) -> None:
     """Tick the "x" or "y" axis in multiples of π.
 
