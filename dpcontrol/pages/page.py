@@ -23,7 +23,7 @@ from dpcontrol.pages.chart import Chart
 from dpcontrol.pages.charts import draw_chart, draw_plane
 from dpcontrol.pages.filmstrip import draw_film, film_height, film_times
 from dpcontrol.pages.layout import Page, Panel, Stack, cropped, list_panel
-from dpcontrol.pages.panels import quiet
+from dpcontrol.pages.panels import Bar, bars
 from dpcontrol.pages.planes import plane
 from dpcontrol.pages.run_charts import check_charts, extra_charts, motion_charts
 from dpcontrol.pages.story import story, story_height
@@ -78,15 +78,13 @@ def _uses(axes: Axes, uses: Sequence[LimitUse]) -> None:
 
     The largest share is at the top.
     """
-    quiet(axes, "Largest values, as shares of their limits")
-    for k, use in enumerate(uses):
-        axes.barh(k, min(use.share, _FULL), color=style.LIMIT if use.share > _NEAR else style.CART, height=0.6)
-        axes.text(_FULL + 0.02, k, use.sentence, va="center", fontsize=style.SMALL, color=style.INK)
+    rows = [
+        Bar(use.name, min(use.share, _FULL), style.LIMIT if use.share > _NEAR else style.CART, note=use.sentence)
+        for use in uses
+    ]
+    bars(axes, "Largest values, as shares of their limits", rows)
     axes.axvline(1.0, color=style.LIMIT, linewidth=1.1, linestyle=style.DASHED, zorder=0.5)
-    axes.set_yticks(range(len(uses)), [use.name for use in uses])
-    axes.set_ylim(len(uses) - 0.5, -0.5)
-    axes.set_xlim(0, 1.35)
-    axes.set_xticks([0, 0.25, 0.5, 0.75, 1.0])
+    axes.set(xlim=(0, _FULL), xticks=[0, 0.25, 0.5, 0.75, 1.0])
     axes.xaxis.set_major_formatter(PercentFormatter(1.0))
 
 

@@ -4,6 +4,8 @@ They are frames, axes in units of π, badges, marks and direct labels.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from textwrap import shorten
 from typing import Any
 
 import numpy as np
@@ -217,6 +219,45 @@ def name_rows(axes: Axes, names: Sequence[str]) -> None:
     """
     axes.set_yticks(range(len(names)), names)
     axes.set_ylim(max(len(names) - 0.4, 0.6), -0.6)
+
+
+@dataclass(frozen=True)
+class Bar:
+    """A row of a bar chart.
+
+    Attributes:
+        name: name of the row.
+        value: length of the bar.
+        colour: colour of the bar.
+        interval: ends of a line over the bar, or none.
+        note: text at the right of the panel.
+    """
+
+    name: str
+    value: float
+    colour: str
+    interval: tuple[float, ...] = ()
+    note: str = ""
+
+
+def bars(axes: Axes, title: str, rows: Sequence[Bar], *, x: str = "") -> None:
+    """Draw a bar chart, the first row at the top.
+
+    Args:
+        axes: panel to draw on.
+        title: title of the panel.
+        rows: bars.
+        x: label of the x axis.
+    """
+    quiet(axes, title, x=x)
+    for k, bar in enumerate(rows):
+        axes.barh(k, bar.value, color=bar.colour, height=0.62, alpha=0.85)
+        axes.plot(bar.interval, [k] * len(bar.interval), color=style.INK, linewidth=1.4)
+        look = {"xytext": (5, 0), "textcoords": "offset points", "va": "center", "fontsize": style.SMALL}
+        axes.annotate(
+            bar.note, (1.0, k), xycoords=("axes fraction", "data"), color=style.NOTE, annotation_clip=False, **look
+        )
+    name_rows(axes, [shorten(bar.name, 52, placeholder=" …") for bar in rows])
 
 
 BESIDE = "label beside a point"

@@ -303,9 +303,7 @@ def _share_inside(points: Array, ways: Array, outlines: tuple[Outline, ...]) -> 
     return float(np.any([o.contains(points) & (ways == o.direction) for o in unstable], axis=0).mean())
 
 
-def _cut(
-    axes: Axes, *, points: Array, colours: Array, outlines: tuple[Outline, ...], marks: Array, title: str
-) -> None:
+def _cut(axes: Axes, *, points: Array, colours: Array, outlines: tuple[Outline, ...], marks: Array, title: str) -> None:
     """Draw points (K, 2) on the section in their colours, over the tubes' cuts; stars mark periodic orbits."""
     axes.set_label("cut")
     quiet(axes, title, x="q (rad)", y="p / p₀")
