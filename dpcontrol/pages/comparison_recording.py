@@ -8,7 +8,7 @@ from pathlib import Path
 from dpcontrol.judge.comparison import RunComparison
 from dpcontrol.pages import rerun_recording as recorded
 from dpcontrol.pages.chart import Chart
-from dpcontrol.pages.compared_charts import compared_charts, run_path
+from dpcontrol.pages.comparison import compared_charts, run_path
 from dpcontrol.pages.planes import plane
 from dpcontrol.pages.sheet import Sheet, rrb
 from dpcontrol.pages.strips import strips

@@ -369,16 +369,9 @@ def wrapped(text: str, size: float, width: float) -> list[str]:
         size: size of the text, points.
         width: width of the lines, inches.
     """
-    space, lines, used = text_width("n n", size) - text_width("nn", size), [""] if text else [], 0.0
-    for word in text.split(" "):
-        for part in [word] if text_width(word, size) <= width else wrap(word, 20):
-            wide = text_width(part, size) + space
-            if used and used + wide > width:
-                lines.append("")
-                used = 0.0
-            lines[-1:] = [f"{lines[-1]} {part}" if used else part]
-            used += wide
-    return lines
+    # The factor allows for lines with wider letters than the text's mean.
+    share = 0.93 * width / max(text_width(text, size), 1e-9)
+    return wrap(text, max(int(share * len(text)), 8)) if share < 0.93 else [text] * bool(text)
 
 
 def cropped(text: str, size: float, width: float) -> str:

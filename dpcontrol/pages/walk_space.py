@@ -14,7 +14,7 @@ from dpcontrol.pages.walk_story import WalkStory
 NAMED = 20
 """Greatest number of symbols with numbers in space."""
 TIME = colormaps["viridis"]
-_TOGETHER = 0.012
+_TOGETHER = 0.015
 """In units of the projection, whose page is about 0.2 wide."""
 
 
@@ -42,7 +42,10 @@ def space(axes: Axes, story: WalkStory) -> None:
     if len(points) <= NAMED:
         # Points that are near each other on the page share a label.
         seen = np.column_stack(proj_transform(*points.T, axes.get_proj())[:2])  # type: ignore[attr-defined]
-        for members in _together(seen):
+        groups: dict[tuple[float, ...], list[int]] = {}
+        for k, place in enumerate(np.rint(seen / _TOGETHER)):
+            groups.setdefault(tuple(place), []).append(k)
+        for members in groups.values():
             text = ", ".join(str(k + 1) for k in members)
             axes.text(*points[members[0]], f"  {text}", fontsize=style.SMALL, weight="bold", color=style.INK, zorder=9)  # type: ignore[call-arg]
     if not story.has_angles:
@@ -54,21 +57,6 @@ def space(axes: Axes, story: WalkStory) -> None:
 def connected_pieces(points: Array) -> list[Array]:
     """Return the segments (2, D) between points (K, D), for separate colours."""
     return list(np.stack([points[:-1], points[1:]], axis=1))
-
-
-def _together(points: Array) -> list[list[int]]:
-    """Return indices of points (k, 2) in groups that share a label.
-
-    Points of a group are within a small distance on the page.
-    """
-    groups: list[list[int]] = []
-    for k, point in enumerate(points):
-        near = (g for g in groups if np.abs(points[g[0]] - point).max() < _TOGETHER)
-        group = next(near, None)
-        if group is None:
-            groups.append(group := [])
-        group.append(k)
-    return groups
 
 
 def _base_orbits(story: WalkStory) -> list[tuple[Array, str]]:

@@ -21,8 +21,7 @@ from dpcontrol.pages.panels import badge, bare, mark_times, quiet
 from dpcontrol.pages.story import story as draw_story
 from dpcontrol.pages.story import story_height
 from dpcontrol.pages.walk_space import TIME, connected_pieces, space
-from dpcontrol.pages.walk_story import WalkStory
-from dpcontrol.pages.walk_symbols import symbol_words
+from dpcontrol.pages.walk_story import WalkStory, symbol_words
 from dpcontrol.walks.shadowing import ShadowingOrbit
 
 
