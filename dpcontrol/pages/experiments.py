@@ -85,7 +85,6 @@ def _swing_map(axes: Axes, swings: list, pair: tuple) -> None:
                     fontsize=style.TEXT,
                 )
         bar = axes.figure.colorbar(dots, ax=axes)
-        bar.ax.tick_params(labelsize=style.SMALL)
         bar.ax.set_title("digits", fontsize=style.SMALL)
         labels = ("inner arm let go at (degrees)", "outer arm (degrees)")
     quiet(axes, "Free swings from rest; 1, 2: the best pair; crosses magnify errors", x=labels[0], y=labels[1])

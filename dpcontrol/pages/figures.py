@@ -21,10 +21,9 @@ from dpcontrol.pages.paper.connections import (
     homoclinics_page,
     repeated_page,
 )
-from dpcontrol.pages.paper.families import families_page
 from dpcontrol.pages.paper.graph import graph_page
 from dpcontrol.pages.paper.landscapes import landscape_page
-from dpcontrol.pages.paper.lyapunov_orbits import lyapunov_orbits_page
+from dpcontrol.pages.paper.lyapunov_orbits import families_page, lyapunov_orbits_page
 from dpcontrol.pages.paper.returning import returning_page
 from dpcontrol.pages.paper.shadowing import shadowing_page
 from dpcontrol.pages.paper.three_body import three_body_homoclinics_page, three_body_page

@@ -20,6 +20,7 @@ from textwrap import wrap
 from typing import Any
 
 import numpy as np
+from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure, SubFigure
@@ -158,20 +159,19 @@ class Page:
         result.text(self.verdict, colour=style.verdict_colour(self.good), size=style.VERDICT)
         rows = [*head.rows, *result.rows, *self.rows]
         heights = [height for height, _ in rows]
-        figure = new_figure(self.width, sum(heights) + _EDGE)
-        # The last part is the page's lower edge.
-        parts = figure.subfigures(len(rows) + 1, 1, squeeze=False, height_ratios=[*heights, _EDGE])[:, 0]
-        for part, (_, draw) in zip(parts, rows, strict=False):
-            part.set_facecolor("none")
-            draw(part)
-        if self.title:
-            parts[0].texts[0].set_weight("bold")
-        if self.about and self.title:
-            look: dict[str, Any] = {"fontsize": style.SMALL, "color": style.MARK}
+        with rc_context(style.PRINTED):
+            figure = new_figure(self.width, sum(heights) + _EDGE)
+            # The last part is the page's lower edge.
+            parts = figure.subfigures(len(rows) + 1, 1, squeeze=False, height_ratios=[*heights, _EDGE])[:, 0]
+            for part, (_, draw) in zip(parts, rows, strict=False):
+                part.set_facecolor("none")
+                draw(part)
+            if self.title:
+                parts[0].texts[0].set_weight("bold")
             used = text_width(self.title, 1.1 * style.TITLE) + text_width(self.about, style.SMALL) + 4 * _EDGE
-            if used < self.width:
-                parts[0].text(1 - _EDGE / self.width, 0.5, self.about, ha="right", va="center", **look)
-        settle(figure)
+            if self.title and used < self.width:
+                parts[0].text(1 - _EDGE / self.width, 0.5, self.about, ha="right", va="center", color=style.MARK)
+            settle(figure)
         return figure
 
 
@@ -218,7 +218,7 @@ def table(rows: Sequence[Sequence[str]], *, heading: Sequence[str] = (), title: 
 
     def draw(axes: Axes) -> None:
         axes.axis("off")
-        axes.set_title(title, loc="left", fontsize=style.HEAD, color=style.INK)
+        axes.set_title(title, loc="left")
         every = [heading, *rows] if heading else list(rows)
         widths = [max(text_width(text, style.TEXT) for text in column) for column in zip(*every, strict=True)]
         at = 0.0
@@ -404,9 +404,8 @@ def key(axes: Axes, entries: Iterable[tuple[str, str | dict[str, Any]]]) -> None
         raise ValueError(f"{len(handles)} entries are too many for a key: label them directly")
     if handles:
         axes.legend(
-            handles=handles, fontsize=style.SMALL, frameon=False, ncols=len(handles), loc="lower left",
-            bbox_to_anchor=(0.0, 1.0), borderpad=0.0, borderaxespad=0.25, handlelength=1.3, handletextpad=0.4,
-            columnspacing=1.2,
+            handles=handles, ncols=len(handles), loc="lower left", bbox_to_anchor=(0.0, 1.0), borderaxespad=0.25,
+            handlelength=1.3, handletextpad=0.4, columnspacing=1.2,
         ).set_gid(_KEY)  # fmt: skip
 
 

@@ -24,7 +24,7 @@ from dpcontrol.walks.atlas import Atlas
 
 
 def quiet(axes: Axes, title: str = "", *, x: str = "", y: str = "") -> None:
-    """Set a panel's title, axis labels, and plain frame and grid.
+    """Set a panel's title and axis labels.
 
     Args:
         axes: panel to label.
@@ -33,16 +33,8 @@ def quiet(axes: Axes, title: str = "", *, x: str = "", y: str = "") -> None:
         y: label of the y axis.
     """
     if title:
-        axes.set_title(title, loc="left", fontsize=style.HEAD, color=style.INK, pad=4)
-    axes.set_xlabel(x, fontsize=style.SMALL, color=style.NOTE, labelpad=1)
-    axes.set_ylabel(y, fontsize=style.SMALL, color=style.NOTE, labelpad=1)
-    axes.tick_params(labelsize=style.SMALL, colors=style.NOTE, length=2.5)
-    axes.tick_params(which="minor", labelsize=style.SMALL)
-    axes.grid(color=style.GRID, linewidth=0.7)
-    axes.set_axisbelow(True)
-    for side, spine in axes.spines.items():
-        spine.set_visible(side in ("left", "bottom"))
-        spine.set_color(style.FAINT)
+        axes.set_title(title, loc="left")
+    axes.set(xlabel=x, ylabel=y)
 
 
 def bare(axes: Axes, title: str = "") -> None:
@@ -53,7 +45,7 @@ def bare(axes: Axes, title: str = "") -> None:
         title: title of the panel.
     """
     axes.axis("off")
-    axes.set_title(title, loc="left", fontsize=style.HEAD, color=style.INK, pad=4)
+    axes.set_title(title, loc="left")
 
 
 def empty(axes: Axes, title: str, text: str) -> None:
@@ -79,12 +71,11 @@ def quiet_space(axes: Axes, of: System | Atlas, *, steps: tuple[float | None, fl
         steps: tick distances of x and y, half turns; None adapts to the data.
     """
     for k, (which, step) in enumerate(zip("xy", steps, strict=True)):
-        getattr(axes, f"set_{which}label")(of.labels[k], fontsize=style.SMALL)
+        getattr(axes, f"set_{which}label")(of.labels[k])
         if np.isfinite(of.periods[k]):
             angle_axis(axes, which, step=step)
     axes.set_zlabel(of.labels[len(of.labels) // 2], fontsize=style.SMALL)  # type: ignore[attr-defined]
     axes.view_init(elev=22, azim=-122)  # type: ignore[attr-defined]
-    axes.tick_params(labelsize=style.SMALL, colors=style.CART)
 
 
 def quiet_plane(axes: Axes, of: System | Atlas, columns: tuple[int, int] = (0, 1), title: str = "") -> None:
@@ -205,9 +196,8 @@ def name_curves(axes: Axes, names: list[tuple[float, str, str]]) -> None:
         names: height of the curve's end in data, text and colour of each name.
     """
     lines = [Line2D([], [], color=colour, label=text) for _, text, colour in sorted(names, reverse=True)]
-    look: dict[str, Any] = {"loc": "center left", "bbox_to_anchor": (1.0, 0.5), "handlelength": 0.8, "borderpad": 0.0}
-    look |= {"fontsize": style.SMALL, "labelcolor": "linecolor", "frameon": False, "borderaxespad": 0.4}
-    axes.legend(handles=lines, **look)
+    place: dict[str, Any] = {"loc": "center left", "bbox_to_anchor": (1.0, 0.5), "borderaxespad": 0.4}
+    axes.legend(handles=lines, handlelength=0.8, labelcolor="linecolor", **place)
 
 
 def name_rows(axes: Axes, names: Sequence[str]) -> None:

@@ -54,7 +54,7 @@ def _rate(axes: Axes, found: Preflight) -> None:
     axes.plot([share.rate, share.rate], [-0.5, 0.5], color=colour, linewidth=2.5, clip_on=False)
     axes.set(xlim=(0, 1), ylim=(-0.5, 0.5), yticks=[])
     axes.xaxis.set_major_formatter(PercentFormatter(1.0))
-    axes.tick_params(labelsize=style.SMALL, colors=style.NOTE, length=2)
+    axes.grid(False)
     axes.spines[:].set_visible(False)
 
 

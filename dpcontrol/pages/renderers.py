@@ -9,6 +9,10 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from matplotlib import rc_context
+
+from dpcontrol.pages import style
+
 RENDERERS = {
     "dpcontrol.logs.reader.RunLog": "page:draw_log",
     "dpcontrol.judge.run_view.RunView": "page:draw",
@@ -87,9 +91,8 @@ def new_axes(width: float, height: float) -> Any:
         width: width in inches.
         height: height in inches.
     """
-    figure = renderer("layout:new_figure")(width, height)
-    figure.set_layout_engine("constrained")
-    return figure.add_subplot()
+    with rc_context(style.PRINTED):
+        return renderer("layout:new_figure")(width, height).add_subplot()
 
 
 def renderer(place: str) -> Callable[..., Any]:

@@ -26,7 +26,7 @@ from dpcontrol.orbits.orbit import PeriodicOrbit
 from dpcontrol.orbits.rotating import RotatingFamily, RotatingOrbit
 from dpcontrol.orbits.tube import Tube
 from dpcontrol.pages import orbits, style
-from dpcontrol.pages.atlas_cuts import draw_cuts
+from dpcontrol.pages.atlas_panels import draw_cuts
 from dpcontrol.pages.atlas_parts import BRANCHES
 from dpcontrol.pages.charts import draw_chart
 from dpcontrol.pages.page import draw

@@ -80,13 +80,10 @@ def story(axes: Axes, view: RunView, *, span: Range | None = None, width: float 
     axes.set_xlim(begin, end)
     axes.set_ylim(-0.08, len(rows) + 0.02)
     axes.set_yticks([place + _TALL / 2 for place in range(len(rows))], [strip.name for strip in reversed(rows)])
-    axes.tick_params(labelsize=style.SMALL, colors=style.NOTE, length=2.5)
     axes.tick_params(axis="y", length=0)
-    unit = " (s)" if view.arm_lengths else ""
-    axes.set_xlabel(f"time{unit}", fontsize=style.SMALL, color=style.NOTE, loc="left", labelpad=0)
-    for side, spine in axes.spines.items():
-        spine.set_visible(side == "bottom")
-        spine.set_color(style.FAINT)
+    axes.set_xlabel("time (s)" if view.arm_lengths else "time", loc="left", labelpad=0)
+    axes.spines["left"].set_visible(False)
+    axes.grid(False)
 
 
 def _part(axes: Axes, part: Span, place: int, clock: _Clock, *, marks: list[float], mode: bool) -> None:

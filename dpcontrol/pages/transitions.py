@@ -87,8 +87,8 @@ def _cell(
     (half, high), n = box, len(arm_lengths)
     axes.set(xlim=(-half, half), ylim=(-high, high), xticks=[], yticks=[])
     axes.set_aspect("equal")
-    for spine in axes.spines.values():
-        spine.set_color(style.FAINT)
+    axes.spines[:].set_visible(True)
+    axes.grid(False)
     axes.set_title(title, fontsize=style.HEAD, color=style.INK)
     upright = {"rotation": 0, "ha": "right", "va": "center"}
     axes.set_ylabel(name.replace("-", "\n"), fontsize=style.HEAD, color=style.INK, **upright)

@@ -7,8 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from dpcontrol.pages import style
-from dpcontrol.pages.atlas_cuts import draw_cuts
-from dpcontrol.pages.atlas_flights import draw_angles, row_of, space_panel
+from dpcontrol.pages.atlas_panels import draw_angles, draw_cuts, row_of, space_panel
 from dpcontrol.pages.atlas_parts import colours, connections_of, kind_of, one_of_each, section_place
 from dpcontrol.pages.gallery import IDENTIFIED, Gallery, PaperFigure
 from dpcontrol.pages.layout import MOST_IN_KEY, Page, Panel
@@ -82,7 +81,7 @@ def heteroclinics_page(gallery: Gallery) -> PaperFigure:
     for letters, (source, target) in zip(("abcd", "efgh"), PAIRS, strict=True):
         kind, shown = kind_of(atlas, source, target), atlas.between(source, target)[:4]
         numbers = {c.name: letter for c, letter in zip(shown, letters, strict=False)}
-        cuts, *flights = row_of(atlas, kind, shown, numbers=numbers, share=1.9)
+        cuts, *flights = row_of(atlas, kind, shown, numbers=numbers)
         page.row(cuts, Panel(partial(_zoom, atlas=atlas, kind=kind), 0.6), *flights, height=3.7)
         counts.append(f"{kind.count} from {source} to {target}")
     return PaperFigure(

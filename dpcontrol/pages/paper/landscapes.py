@@ -74,7 +74,7 @@ def _relief(axes: Axes, system: System, field: Field) -> None:
         if system.si:
             angle_axis(axes, which, step=1.0)
         getattr(axes, f"set_{which}label")(label.partition(" ")[0], fontsize=style.SMALL, labelpad=-4)
-    axes.tick_params(labelsize=style.SMALL, pad=-2)
+    axes.tick_params(pad=-2)
     axes.locator_params(axis="z", nbins=4)  # type: ignore[arg-type]
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from dpcontrol.pages import style
-from dpcontrol.pages.atlas_cuts import draw_cuts
+from dpcontrol.pages.atlas_panels import draw_cuts
 from dpcontrol.pages.atlas_parts import colours, connections_of, kind_of, placed
 from dpcontrol.pages.gallery import Gallery, PaperFigure
 from dpcontrol.pages.layout import Draw, Page, Panel

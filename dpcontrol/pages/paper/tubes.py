@@ -4,8 +4,7 @@ from functools import partial
 from typing import Any
 
 from dpcontrol.pages import style
-from dpcontrol.pages.atlas_cuts import draw_cuts
-from dpcontrol.pages.atlas_flights import space_panel
+from dpcontrol.pages.atlas_panels import draw_cuts, space_panel
 from dpcontrol.pages.atlas_parts import connections_of, kind_of
 from dpcontrol.pages.gallery import IDENTIFIED, Gallery, PaperFigure
 from dpcontrol.pages.layout import Draw, Page, Panel
