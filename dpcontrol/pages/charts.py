@@ -162,7 +162,7 @@ def draw_plane(axes: Axes, runs: list[tuple[Plane, str]], *, tubes: bool = True)
             entries.append((text, {"color": colour, "linewidth": 1.5}))
     for colour, points in first.orbits:
         # An equilibrium is a single point.
-        look = {"linewidth": 3.2} if len(points) > 3 else {"marker": "D", "markersize": 8}
+        look: dict[str, Any] = {"linewidth": 3.2} if len(points) > 3 else {"marker": "D", "markersize": 8}
         axes.plot(*(points * _UNIT).T, color=colour, zorder=1.5, alpha=0.75 if tubes else 0.4, **look)
     for plane, colour in runs:
         (start, end), face = plane.ends * _UNIT, style.PAPER

@@ -40,10 +40,10 @@ def draw_comparison(comparison: RunComparison) -> Figure:
         page.text(run.view.verdict, colour=style.verdict_colour(run.view.good), size=style.TEXT)
         height = story_height(run.view, span=comparison.span)
         if height:
-            page.strip(partial(story, view=run.view, span=comparison.span), height=height)
+            page.row(partial(story, view=run.view, span=comparison.span), height=height)
         if len(runs) <= _FILMED:
             height = film_height(run.view, frames, width=style.WIDTH)
-            page.strip(partial(draw_film, view=run.view, times=frames), height=height)
+            page.row(partial(draw_film, view=run.view, times=frames), height=height)
     charts = compared_charts(comparison)
     half = (len(charts) + 1) // 2
     columns = [
@@ -110,8 +110,17 @@ def _chart(comparison: RunComparison, every: list[Chart | None], key: str, title
     lines: list[Line] = []
     for k, (run, own) in enumerate(zip(comparison.runs, every, strict=True)):
         shown = [line for line in own.lines if line.key.startswith(prefix)] if own else []
-        lines += [replace(line, key="0_reference", name=f"reference of {run.name}", label="the first's reference",
-                          colour=style.REFERENCE) for line in shown if line.role == "reference" and k == 0]  # fmt: skip
+        lines += [
+            replace(
+                line,
+                key="0_reference",
+                name=f"reference of {run.name}",
+                label="the first's reference",
+                colour=style.REFERENCE,
+            )
+            for line in shown
+            if line.role == "reference" and k == 0
+        ]
         parts = [line for line in shown if line.role == "run"]
         if parts:
             values = parts[0].values if len(parts) == 1 else np.max([np.abs(line.values) for line in parts], axis=0)

@@ -60,10 +60,10 @@ class Film:
         self.rows: NDArray[np.int64] = np.where(near & posed, rows, -1)
         page = Page("", width=_INCHES)
         page.text(cropped(view.title, style.VERDICT, _INCHES - 0.4), colour=style.INK, size=style.VERDICT)
-        page.strip(self._draw_scene, height=_SCENE)
+        page.row(self._draw_scene, height=_SCENE)
         if story_rows(view):
             strip = partial(story, view=view, span=stretch, width=_INCHES)
-            page.strip(strip, height=story_height(view, span=stretch))
+            page.row(strip, height=story_height(view, span=stretch))
         figure = page.figure()
         figure.set_dpi(_PIXELS)
         self._canvas: Any = figure.canvas
@@ -181,8 +181,8 @@ def write_film(
 
 def _write_gif(film: Film, file: Path, progress: Progress) -> None:
     # One palette serves all frames: colours do not flicker, and static parts are stored once.
-    sheet = Image.fromarray(np.concatenate([film.frame(k) for k in np.linspace(0, len(film.times) - 1, 4).astype(int)]))
-    palette = sheet.quantize(_COLOURS, method=Image.Quantize.FASTOCTREE)
+    samples = [np.asarray(film.frame(k)) for k in np.linspace(0, len(film.times) - 1, 4).astype(int)]
+    palette = Image.fromarray(np.concatenate(samples)).quantize(_COLOURS, method=Image.Quantize.FASTOCTREE)
     frames = (frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in film.frames(progress))
     next(frames).save(file, save_all=True, append_images=frames, duration=1000 // RATE, loop=0, optimize=False)
 

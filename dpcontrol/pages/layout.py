@@ -2,7 +2,7 @@
 
 A page has rows of panels, strips and tables below a title and a verdict.
 
-    Page("Outer turn", "completed", good=True).row(angles, rates).strip(modes).table(rows).figure()
+    Page("Outer turn", "completed", good=True).row(angles, rates, height=2.0).table(rows).figure()
 
 A panel is a function that draws on given axes. The engine sizes and aligns panels by matplotlib's constrained layout,
 wraps titles to the width of their panel, and places keys below them. No page chooses coordinates.
@@ -109,15 +109,6 @@ class Page:
             row = panels[first : first + across]
             self.row(*row, *[bare] * (across - len(row)), height=height)
         return self
-
-    def strip(self, draw: Draw, *, height: float) -> "Page":
-        """Add one panel as wide as the page, without frame.
-
-        Args:
-            draw: function that draws on axes.
-            height: height of the panel, inches.
-        """
-        return self.row(Panel(draw), height=height)
 
     def table(self, rows: Sequence[Sequence[str]], *, heading: Sequence[str] = (), height: float = 0.0) -> "Page":
         """Add a table of texts, below an optional heading.
@@ -226,10 +217,16 @@ def table(rows: Sequence[Sequence[str]], *, heading: Sequence[str] = (), title: 
             for row, texts in enumerate(every):
                 head = bool(heading) and row == 0
                 axes.annotate(
-                    texts[column], (0, 1), xycoords="axes fraction", xytext=(72 * at, -72 * row * _height(style.TEXT)),
-                    textcoords="offset points", va="top", fontsize=style.SMALL if head else style.TEXT,
-                    color=style.NOTE if head or column == 0 else style.INK, annotation_clip=False,
-                ).set_in_layout(False)  # fmt: skip
+                    texts[column],
+                    (0, 1),
+                    xycoords="axes fraction",
+                    xytext=(72 * at, -72 * row * _height(style.TEXT)),
+                    textcoords="offset points",
+                    va="top",
+                    fontsize=style.SMALL if head else style.TEXT,
+                    color=style.NOTE if head or column == 0 else style.INK,
+                    annotation_clip=False,
+                ).set_in_layout(False)
             at += width + 0.25
 
     return draw
@@ -404,9 +401,15 @@ def key(axes: Axes, entries: Iterable[tuple[str, str | dict[str, Any]]]) -> None
         raise ValueError(f"{len(handles)} entries are too many for a key: label them directly")
     if handles:
         axes.legend(
-            handles=handles, ncols=len(handles), loc="lower left", bbox_to_anchor=(0.0, 1.0), borderaxespad=0.25,
-            handlelength=1.3, handletextpad=0.4, columnspacing=1.2,
-        ).set_gid(_KEY)  # fmt: skip
+            handles=handles,
+            ncols=len(handles),
+            loc="lower left",
+            bbox_to_anchor=(0.0, 1.0),
+            borderaxespad=0.25,
+            handlelength=1.3,
+            handletextpad=0.4,
+            columnspacing=1.2,
+        ).set_gid(_KEY)
 
 
 MOST_IN_KEY = 4
@@ -452,17 +455,21 @@ def _turn_aside(axes: Axes, labels: list[Any]) -> None:
     """Move labels round their points, and away from them, until they cover neither marks nor other labels."""
     taken = [box for line in axes.lines if labels and line.get_marker() not in ("None", "") for box in _marks(line)]
     for label in labels:
-        for x, y in (*_PLACES, _PLACES[0]):
-            label.set_position((x, y))
-            label.set(ha=_ASIDE[np.sign(x)][0], va=_ASIDE[np.sign(y)][1])
-            box = label.get_window_extent()
-            inside = axes.bbox.contains(box.x0, box.y0) and axes.bbox.contains(box.x1, box.y1)
-            if inside and not box.count_overlaps(taken):
-                break
-        taken.append(box)
-        if max(abs(x), abs(y)) > _LED:
+        boxes = ((place, _box_at(label, place)) for place in _PLACES)
+        inside = ((place, box) for place, box in boxes if all(axes.bbox.contains(*end) for end in (box.min, box.max)))
+        place = next((place for place, box in inside if not box.count_overlaps(taken)), _PLACES[0])
+        taken.append(_box_at(label, place))
+        if max(map(abs, place)) > _LED:
             line = {"arrowstyle": "-", "color": label.get_color(), "linewidth": 0.5, "shrinkA": 1, "shrinkB": 3}
-            axes.annotate("", label.xy, xytext=(x, y), textcoords="offset points", arrowprops=line)
+            axes.annotate("", label.xy, xytext=place, textcoords="offset points", arrowprops=line)
+
+
+def _box_at(label: Any, place: tuple[float, float]) -> Bbox:
+    """Move a label and return its box."""
+    x, y = np.sign(place)
+    label.set_position(place)
+    label.set(ha=_ASIDE[x][0], va=_ASIDE[y][1])
+    return label.get_window_extent()
 
 
 def _marks(line: Line2D) -> list[Bbox]:

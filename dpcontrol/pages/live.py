@@ -203,15 +203,23 @@ class ShownState:
         times, measured, estimate, reference, control, truth = np.split(rows, sizes, axis=1)
         states = {"estimate": estimate, "reference": reference} | ({"truth": truth} if truth.size else {})
         log = replace(
-            start, time=times[:, 0], measured=measured, states=states, events=events,
+            start,
+            time=times[:, 0],
+            measured=measured,
+            states=states,
+            events=events,
             controls=dict(zip(start.controls, control.T, strict=True)),
-        )  # fmt: skip
+        )
         view, planned = series_of(log), self.planned.source
         # Means of the NIS need more rows than arrive at once.
         return replace(
-            view, limits=start.limits, plan=self.planned.plan, title=f"{self.planned.title}, live", nis=None,
+            view,
+            limits=start.limits,
+            plan=self.planned.plan,
+            title=f"{self.planned.title}, live",
+            nis=None,
             energy=None if planned is None else planned.energies(view.state),
-        )  # fmt: skip
+        )
 
 
 def messages(stream: IO[bytes], viewer: "subprocess.Popen[Any] | None") -> Iterator[tuple[Array, tuple[Event, ...]]]:

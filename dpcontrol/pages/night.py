@@ -17,9 +17,13 @@ from dpcontrol.pages.layout import Page, Panel
 from dpcontrol.pages.panels import Bar, bars, empty, name_curves, quiet
 
 _COLOURS = {
-    ITINERARY: style.MODES["holding"], CALMING: style.MODES["saturated"], STARTING: style.MODES["pulsing"],
-    BETWEEN: style.MODES["tracking"], UNKNOWN: style.INK, STOPPED: style.PAPER,
-}  # fmt: skip
+    ITINERARY: style.MODES["holding"],
+    CALMING: style.MODES["saturated"],
+    STARTING: style.MODES["pulsing"],
+    BETWEEN: style.MODES["tracking"],
+    UNKNOWN: style.INK,
+    STOPPED: style.PAPER,
+}
 _ROW = 1800.0
 """Duration of a row of the strip, s, short enough to show absences of seconds; longer in long nights."""
 _ROWS = 32
@@ -38,15 +42,19 @@ def draw_night(night: Night) -> Figure:
     names = night.estimated
     zeros = [name for name in names if name.startswith("zero_")]
     page = Page(night.folder.name, night.sentence)
-    page.strip(partial(_draw_strip, night=night, row=row, rows=rows), height=1.0 + 0.36 * rows)
+    page.row(partial(_draw_strip, night=night, row=row, rows=rows), height=1.0 + 0.36 * rows)
     causes = Panel(partial(draw_causes, night=night), 1.1)
     page.row(Panel(partial(_draw_times, night=night)), causes, partial(_draw_returns, night=night), height=2.1)
     return page.row(
         partial(_draw_drift, night=night, title="Encoder zeros, change since the first file", names=zeros),
-        partial(_draw_drift, night=night, title="Other parameters, change since the first file",
-                names=[name for name in names if name not in zeros]),
+        partial(
+            _draw_drift,
+            night=night,
+            title="Other parameters, change since the first file",
+            names=[name for name in names if name not in zeros],
+        ),
         height=2.3,
-    ).figure()  # fmt: skip
+    ).figure()
 
 
 _FALLS: dict[str, str] = {

@@ -60,11 +60,11 @@ def draw(view: RunView) -> Figure:
     if uses := limit_uses(view):
         page.row(partial(_uses, uses=uses), height=_AROUND + _USE * len(uses))
     if story_height(view):
-        page.strip(partial(story, view=view), height=story_height(view))
+        page.row(partial(story, view=view), height=story_height(view))
     if view.arm_lengths:
         times = film_times(view, frames=_FRAMES)
         height = film_height(view, times, width=style.WIDTH)
-        page.strip(partial(draw_film, view=view, times=times), height=height)
+        page.row(partial(draw_film, view=view, times=times), height=height)
     columns = [Stack(column, share=1.05) for column in (left, right) if column]
     lists = _lists(view)
     height = _TALL * max(half, 4)

@@ -147,9 +147,17 @@ def badge(axes: Axes, number: int, x: float, y: float, *, size: float = style.SM
         size: size of the text, points.
     """
     axes.text(
-        x, y, str(number), ha="center", va="center_baseline", fontsize=size, color="white", zorder=6, clip_on=False,
+        x,
+        y,
+        str(number),
+        ha="center",
+        va="center_baseline",
+        fontsize=size,
+        color="white",
+        zorder=6,
+        clip_on=False,
         bbox={"boxstyle": "circle,pad=0.25", "facecolor": style.INK, "edgecolor": "none"},
-    )  # fmt: skip
+    )
 
 
 def draw_fading(axes: Axes, path: Array, colour: str, *, shades: tuple[float, float], linewidth: float) -> None:
@@ -266,6 +274,15 @@ def name_point(axes: Axes, text: str, at: tuple[float, float], colour: str, *, w
         weight: weight of its letters.
     """
     axes.annotate(
-        text, at, xytext=(5, 5), textcoords="offset points", fontsize=style.SMALL, color=colour, weight=weight,
-        zorder=7, path_effects=[withStroke(linewidth=2.5, foreground=style.PAPER)], gid=BESIDE, in_layout=False,
-    )  # fmt: skip
+        text,
+        at,
+        xytext=(5, 5),
+        textcoords="offset points",
+        fontsize=style.SMALL,
+        color=colour,
+        weight=weight,
+        zorder=7,
+        path_effects=[withStroke(linewidth=2.5, foreground=style.PAPER)],
+        gid=BESIDE,
+        in_layout=False,
+    )

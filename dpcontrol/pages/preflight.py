@@ -22,7 +22,7 @@ def draw_preflight(found: Preflight) -> Figure:
     """Return a preflight's page as a figure."""
     title = f"Before the first run: {found.itinerary}"
     page = Page(title, found.status, found.likely, about=f"model {found.model}", width=_WIDTH)
-    page.text(found.advice, colour=style.INK, size=style.TEXT).strip(partial(_rate, found=found), height=0.4)
+    page.text(found.advice, colour=style.INK, size=style.TEXT).row(partial(_rate, found=found), height=0.4)
     page.text("The bench as described", colour=style.INK, size=style.HEAD)
     text = partial(cropped, size=style.TEXT)
     page.table([(one.name, text(one.value, width=2.4), text(one.source, width=4.0)) for one in found.known])
@@ -39,7 +39,7 @@ def draw_preflight(found: Preflight) -> Figure:
             "green: the bench as described. Red: border with its 95 % interval."
         )
     if found.changes:
-        page.strip(partial(_changes, found=found), height=0.75 + 0.19 * len(found.changes))
+        page.row(partial(_changes, found=found), height=0.75 + 0.19 * len(found.changes))
     else:
         page.text("No change was tried, because no run failed or none was compared.")
     for note in found.notes:

@@ -132,11 +132,17 @@ def _arm_lines(view: RunView, values: Array, width: float, reach: Array | None =
     """Return a line for each arm's angle, column of the values (K, …); `reach` has the half widths of their bands."""
     return tuple(
         Line(
-            f"arm_{arm + 1}", f"arm {arm + 1}", f"θ{style.number(arm)}", view.time, values[:, arm],
-            style.arm_colour(arm), width, reach=None if reach is None else reach[:, arm],
+            f"arm_{arm + 1}",
+            f"arm {arm + 1}",
+            f"θ{style.number(arm)}",
+            view.time,
+            values[:, arm],
+            style.arm_colour(arm),
+            width,
+            reach=None if reach is None else reach[:, arm],
         )
         for arm in range(view.arms)
-    )  # fmt: skip
+    )
 
 
 def _tracking_error(view: RunView) -> Chart | None:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.ticker import MaxNLocator
+from numpy.typing import ArrayLike
 
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.parts import Later
@@ -61,7 +62,7 @@ class Sheet:
         margin = 0.1 * max(wide, scale * tall) * np.array([1.0, 1 / scale]) + 1e-3
         return cls(low - margin, high + margin, scale, turning, dark)
 
-    def drawn(self, points: Array) -> Array:
+    def drawn(self, points: ArrayLike) -> Array:
         """Return points (…, 2) as drawn."""
         return np.asarray(points) * [1.0, -self.scale]
 

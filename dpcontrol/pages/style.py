@@ -6,10 +6,10 @@ A colour has one meaning. The roles in `ROLES` remain distinct for people with d
 `SERIES` numbers items without a role, such as the runs of a comparison.
 """
 
+from typing import Any
+
 WIDTH = 11.7
 """Width of a page, inches: A4 in landscape or A3 in portrait. Pages are printed at this size."""
-HEIGHT = 16.5
-"""Greatest height of a page that is printed at its size, inches: A3 in portrait."""
 TITLE, VERDICT, HEAD, TEXT, SMALL = 15.0, 11.0, 9.5, 9.0, 8.0
 """Type scale in points: title of a page, its verdict, title of a panel, text, and the smallest text."""
 
@@ -27,7 +27,7 @@ INK, NOTE, MARK, FAINT, GRID, PAPER = "#22262b", "#555c64", "#7a828b", "#c9ced4"
 """Neutral colours: text, remarks, marks, areas, grid lines, background."""
 CART = "#5b6470"
 """The cart's body."""
-PRINTED = {
+PRINTED: Any = {
     "font.size": SMALL,
     "axes.titlesize": HEAD,
     "axes.titlecolor": INK,

@@ -63,10 +63,16 @@ def draw_transitions(reference: Reference) -> Figure:
     )
     for source in names:
         row = [
-            partial(_cell, motion=motions.get((source, target)), arm_lengths=arm_lengths, box=(half, high),
-                    title=target if source == names[0] else "", name=source if target == names[0] else "")
+            partial(
+                _cell,
+                motion=motions.get((source, target)),
+                arm_lengths=arm_lengths,
+                box=(half, high),
+                title=target if source == names[0] else "",
+                name=source if target == names[0] else "",
+            )
             for target in names
-        ]  # fmt: skip
+        ]
         page.row(*row, height=cell * high / half + 0.3 + 0.2 * (source == names[0]))
     return page.figure()
 
@@ -89,7 +95,7 @@ def _cell(
     axes.set_aspect("equal")
     axes.spines[:].set_visible(True)
     axes.grid(False)
-    axes.set_title(title, fontsize=style.HEAD, color=style.INK)
+    axes.set_title(title, loc="center")
     upright = {"rotation": 0, "ha": "right", "va": "center"}
     axes.set_ylabel(name.replace("-", "\n"), fontsize=style.HEAD, color=style.INK, **upright)
     if motion is None:

@@ -155,10 +155,16 @@ class WalkStory:
     def nearness(self) -> Chart:
         """Return the distances between the orbit and the periodic orbits."""
         lines = tuple(
-            Line(saddle, saddle, saddle, self.times, np.maximum(curve.distances(self.states)[1], 1e-16),
-                 style.saddle_colour(saddle))
+            Line(
+                saddle,
+                saddle,
+                saddle,
+                self.times,
+                np.maximum(curve.distances(self.states)[1], 1e-16),
+                style.saddle_colour(saddle),
+            )
             for saddle, curve in self.curves.items()
-        )  # fmt: skip
+        )
         title = "Distance from the periodic orbits (scaled); wobbles are counted below the dashed line"
         level = LevelLine("", "", NEAR, style.MARK, "named")
         return Chart("", title, "", lines, levels=(level,), log=True)

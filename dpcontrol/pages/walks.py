@@ -75,7 +75,7 @@ def draw_walk(orbit: ShadowingOrbit, *, arm_lengths: tuple[float, ...] | None, m
     walk = WalkStory(orbit, arm_lengths)
     view = walk.view(model)
     page = Page(view.title, view.verdict)
-    page.strip(partial(draw_story, view=view), height=story_height(view))
+    page.row(partial(draw_story, view=view), height=story_height(view))
     across = film_shape(len(orbit.symbol_times))[1]
     for first, times, height in [] if arm_lengths is None else _film_rows(walk, view):
         film = Panel(partial(_film, view=view, first=first, times=times), len(times))

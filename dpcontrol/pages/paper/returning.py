@@ -29,9 +29,12 @@ def returning_search(system: System) -> ConnectionSearch:
     """
     orbit = lyapunov_orbit(system, "down-up", energy=SENSES_ENERGY)
     return find_connections(
-        orbit, orbit, hits=(1, 2), section=system.named_sections["aligned"],
+        orbit,
+        orbit,
+        hits=(1, 2),
+        section=system.named_sections["aligned"],
         settings=search_settings(longest=_RETURN_FLIGHT),
-    )  # fmt: skip
+    )
 
 
 def returning_page(gallery: Gallery) -> PaperFigure:

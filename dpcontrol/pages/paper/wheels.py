@@ -264,9 +264,13 @@ def _colours(points: Array) -> Array:
 
 
 def _drawn(
-    orbit: LyapunovOrbit, section: Section, outlines: tuple[Outline, ...], points: Array,
-    runs: dict[int, list[Return]], stays: tuple[RotatingOrbit, ...],
-) -> Figure:  # fmt: skip
+    orbit: LyapunovOrbit,
+    section: Section,
+    outlines: tuple[Outline, ...],
+    points: Array,
+    runs: dict[int, list[Return]],
+    stays: tuple[RotatingOrbit, ...],
+) -> Figure:
     """Return a figure of the start and its returns: forward above, backward below."""
     system, colours, direction = orbit.system, _colours(points), _inner(outlines)[0].direction
     marks = np.array([section_points(system, section, kept.state) for kept in stays]).reshape(-1, 2)
