@@ -400,6 +400,8 @@ def key(axes: Axes, entries: Iterable[tuple[str, str | dict[str, Any]]]) -> None
     if len(handles) > MOST_IN_KEY:
         raise ValueError(f"{len(handles)} entries are too many for a key: label them directly")
     if handles:
+        # Pages place key and title by their widths; a panel alone has the key below its title.
+        axes.set_title(axes.get_title(loc="left"), loc="left", pad=6 + style.SMALL * _LINE)
         axes.legend(
             handles=handles,
             ncols=len(handles),

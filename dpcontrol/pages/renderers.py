@@ -96,6 +96,6 @@ def new_axes(width: float, height: float) -> Any:
 
 
 def renderer(place: str) -> Callable[..., Any]:
-    """Return the function at `module:function` in this package."""
+    """Return the function at `module:function` in this package, with the settings of pages."""
     module, _, name = place.partition(":")
-    return getattr(import_module(f"dpcontrol.pages.{module}"), name)
+    return rc_context(style.PRINTED)(getattr(import_module(f"dpcontrol.pages.{module}"), name))
