@@ -89,7 +89,8 @@ def write_atlas_recording(atlas: Atlas, path: Path) -> None:
             for tube in tubes_of_cut(atlas, cut):
                 side, way = "stable" if tube.stable else "unstable", "plus" if tube.branch > 0 else "minus"
                 home = f"{_tube_path(cut)}/{side}_{way}"
-                space.curves(home, tube.strands, tube.colour, 0.4)
+                pale = [(*style.rgb(tube.colour), 110)]
+                space.curves(home, tube.strands, tube.colour, 0.4, colors=pale)
                 space.curves(f"{home}/cut", tube.ends, style.CUT, 0.8)
         for orbit in atlas.orbits:
             lifts = {(0,) * rate} | {c.winding for c in atlas.connections if c.target == orbit.saddle}

@@ -210,9 +210,10 @@ def draw_pendulum(recording: rr.RecordingStream, home: str, view: RunView) -> No
             look = rr.LineStrips3D.from_fields(colors=[style.rgb(colour)], radii=radius * reach / 2)
             columns = rr.LineStrips3D.columns(strips=list(points[:, arm : arm + 2]))
             follow(recording, f"{home}/{name}/arm_{arm + 1}", look, time, columns)
+    tip = style.rgb(style.arm_colour(view.arms - 1))
     length, tips = round(_TRACE_SECONDS * TRACE_RATE), arms[:, -1] + [0.0, -0.05, 0.0]
     columns = rr.LineStrips3D.columns(strips=[tips[max(0, k - length) : k + 1] for k in range(len(rows))])
-    look = rr.LineStrips3D.from_fields(colors=[style.rgb(style.arm_colour(view.arms - 1))], radii=[-1.5])
+    look = rr.LineStrips3D.from_fields(colors=[tip], radii=rr.Radius.ui_points(1.5))
     follow(recording, f"{home}/tip", look, time, columns)
     if view.has_cart:
         _track(recording, home, view, reach=reach)

@@ -317,9 +317,13 @@ def _cut(axes: Axes, *, points: Array, colours: Array, outlines: tuple[Outline, 
         colour = style.STABLE if outline.stable else style.UNSTABLE
         opacity = 1.0 if outline.direction == _inner(outlines)[0].direction else 0.25
         axes.plot(*closed.T, color=colour, lw=1.1, alpha=opacity, zorder=3)
-    for places, look in ((points, {"s": 3.0, "c": colours}), (marks, {"s": 80.0, "c": style.INK, "marker": "*"})):
-        q, p = places.T
-        axes.scatter(q - _TURN * np.rint(q / _TURN), p, linewidths=0, zorder=2 + 4 * (places is marks), **look)
+    axes.scatter(*_near_zero(points).T, s=3.0, c=colours, linewidths=0)
+    axes.plot(*_near_zero(marks).T, "*", color=style.INK, markersize=9, markeredgecolor="white", zorder=6)
+
+
+def _near_zero(points: Array) -> Array:
+    """Return points (K, 2) with q within half a turn of zero."""
+    return points - np.outer(_TURN * np.rint(points[:, 0] / _TURN), [1.0, 0.0])
 
 
 def _phase_plane(axes: Axes, *, arm: int, stays: tuple[RotatingOrbit, ...]) -> None:
