@@ -76,12 +76,8 @@ def draw_walk(orbit: ShadowingOrbit, *, arm_lengths: tuple[float, ...] | None, m
     view = walk.view(model)
     page = Page(view.title, view.verdict)
     page.row(partial(draw_story, view=view), height=story_height(view))
-    across = film_shape(len(orbit.symbol_times))[1]
-    for first, times, height in [] if arm_lengths is None else _film_rows(walk, view):
-        film = Panel(partial(_film, view=view, first=first, times=times), len(times))
-        # A last row with fewer symbols is shorter in proportion.
-        rest = [Panel(bare, across - len(times))] if len(times) < across else []
-        page.row(film, *rest, height=height)
+    if arm_lengths is not None:
+        _add_film(page, walk, view)
     charts = [partial(_chart, chart=chart, view=view, orbit=orbit) for chart in (walk.coordinates(), walk.nearness())]
     plain = [] if walk.arm_lengths is not None else [Panel(partial(plane, story=walk), share=2.6)]
     shown = Stack([Panel(partial(space, story=walk), share=3.9, space=True), *plain], share=0.75)
@@ -103,33 +99,21 @@ def _chart(axes: Axes, chart: Chart, view: RunView, orbit: ShadowingOrbit) -> No
     mark_times(axes, list(orbit.symbol_times))
 
 
-def film_shape(count: int) -> tuple[int, int, int]:
-    """Return rows, symbols per row and poses per symbol of a film.
-
-    The film has `count` symbols.
-    """
-    count = min(count, FILM_SYMBOLS)
+def _add_film(page: Page, walk: WalkStory, view: RunView) -> None:
+    """Add rows of a film, with some poses about each symbol's crossing."""
+    orbit, count = walk.orbit, min(len(walk.orbit.symbol_times), FILM_SYMBOLS)
     poses = 9 if count == 1 else 7 if count == 2 else 5 if count <= 6 else 3 if count <= 16 else 1
-    rows = int(np.ceil(count * poses / 18))
-    return rows, int(np.ceil(count / rows)), poses
-
-
-def _film_rows(story: WalkStory, view: RunView) -> list[tuple[int, NDArray[np.float64], float]]:
-    """Return the film's rows.
-
-    A row has its first symbol's index, times (symbols, poses) in s about each, and inches.
-    """
-    orbit = story.orbit
-    _, across, poses = film_shape(len(orbit.symbol_times))
+    across = int(np.ceil(count / np.ceil(count * poses / 18)))
     share = np.linspace(-0.55, 0.55, poses) if poses > 1 else np.zeros(1)
     spans = np.array([[c.time_in if s > 0 else c.time_out for s in share] for c in orbit.connections])
-    every = (orbit.symbol_times[:, None] + share * spans)[:FILM_SYMBOLS]
-    rows = []
-    for first in range(0, len(every), across):
+    every = (orbit.symbol_times[:, None] + share * spans)[:count]
+    for first in range(0, count, across):
         times = every[first : first + across]
-        wide = style.WIDTH * len(times) / across
-        rows.append((first, times, film_height(view, times.ravel(), width=wide) + 0.15))
-    return rows
+        film = Panel(partial(_film, view=view, first=first, times=times), len(times))
+        # A last row with fewer symbols is shorter in proportion.
+        rest = [Panel(bare, across - len(times))] if len(times) < across else []
+        height = film_height(view, times.ravel(), width=style.WIDTH * len(times) / across)
+        page.row(film, *rest, height=height + 0.15)
 
 
 def _list(walk: WalkStory, view: RunView) -> list[tuple[str, ...]]:

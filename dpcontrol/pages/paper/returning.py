@@ -47,9 +47,10 @@ def returning_page(gallery: Gallery) -> PaperFigure:
     back = [c for c in search.connections if not any(c.winding)]
     shades, orbit = _by_flight(back), search.source.sample()
     curves = [(shades[c.name], c.sample(900)) for c in back if c.sense > 0]
+    flights = partial(_flights, system=system, curves=curves, orbit=orbit)
     page = Page("Homoclinic orbits of Down-Up that return through θ₁ = θ₂ the other way, at 0.2 J").row(
-        Panel(partial(_space, system=system, curves=curves, orbit=orbit), 1.5, space=True),
-        partial(_plane, system=system, curves=curves, orbit=orbit),
+        Panel(flights, 1.5, space=True),
+        flights,
         partial(_cuts, search=search, back=back, shades=shades),
         height=4.8,
     )
@@ -70,18 +71,17 @@ Curves = list[tuple[str, Array]]
 """Colours and states of flights."""
 
 
-def _space(axes: Axes, system: System, curves: Curves, orbit: Array) -> None:
+def _flights(axes: Axes, system: System, curves: Curves, orbit: Array) -> None:
+    """Draw flights and their orbit in space or in the plane of the angles, by the axes' kind."""
+    space = axes.name == "3d"
+    shown = slice(0, 3 if space else 2)
     for colour, states in curves:
-        axes.plot(*states[:, :3].T, color=colour, linewidth=1.0)
-    axes.plot(*orbit[:, :3].T, color=style.saddle_colour("down-up"), linewidth=2.6, zorder=10)
-    quiet_space(axes, system)
-    axes.set_title("a  in (θ₁, θ₂, ω₁)", loc="left")
-
-
-def _plane(axes: Axes, system: System, curves: Curves, orbit: Array) -> None:
-    for colour, states in curves:
-        axes.plot(*states[:, :2].T, color=colour, linewidth=1.1)
-    axes.plot(*orbit[:, :2].T, color=style.saddle_colour("down-up"), linewidth=3)
+        axes.plot(*states[:, shown].T, color=colour, linewidth=1.0)
+    axes.plot(*orbit[:, shown].T, color=style.saddle_colour("down-up"), linewidth=2.8)
+    if space:
+        quiet_space(axes, system)
+        axes.set_title("a  in (θ₁, θ₂, ω₁)", loc="left")
+        return
     for turn in (0, 1):
         axes.axline((0, 2 * np.pi * turn), slope=1, color=style.MARK, linestyle=style.DOTTED, linewidth=0.9, zorder=1)
     quiet_plane(axes, system, title="b  in the plane of the angles")
