@@ -13,8 +13,7 @@ from matplotlib.figure import Figure
 
 from dpcontrol.foundation.document import counted
 from dpcontrol.pages import style
-from dpcontrol.pages.atlas_cuts import draw_cuts
-from dpcontrol.pages.atlas_flights import draw_space
+from dpcontrol.pages.atlas_panels import draw_cuts, draw_space
 from dpcontrol.pages.atlas_parts import connections_of
 from dpcontrol.pages.layout import Page, Panel, Stack, key
 from dpcontrol.walks.atlas import Atlas

@@ -103,8 +103,8 @@ def tubes_of_cut(atlas: Atlas, cut: AtlasCut) -> list[TubePart]:
     return parts
 
 
-def kind_of(atlas: Atlas, source: str, target: str) -> AtlasKind | None:
-    """Return the last kind searched between two saddles, or None.
+def kind_of(atlas: Atlas, source: str, target: str) -> AtlasKind:
+    """Return the last kind searched between two saddles.
 
     A search ends with the first kind that has connections.
 
@@ -113,8 +113,7 @@ def kind_of(atlas: Atlas, source: str, target: str) -> AtlasKind | None:
         source: saddle that the connections leave.
         target: saddle that they join.
     """
-    kinds = [kind for kind in atlas.kinds if (kind.source, kind.target) == (source, target)]
-    return kinds[-1] if kinds else None
+    return [kind for kind in atlas.kinds if (kind.source, kind.target) == (source, target)][-1]
 
 
 def connections_of(atlas: Atlas, kind: AtlasKind) -> tuple[AtlasConnection, ...]:

@@ -1,8 +1,9 @@
-"""An atlas as a Rerun recording."""
+"""An atlas as a Rerun recording: tubes, orbits and flights in space, and the cuts of each kind of connection."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -10,16 +11,6 @@ import numpy as np
 
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.pages import style
-from dpcontrol.pages.atlas_blueprint import (
-    TIMELINE,
-    ShownTubes,
-    atlas_blueprint,
-    atlas_summary,
-    kind_path,
-    path_name,
-    saddle_path,
-    section_frame,
-)
 from dpcontrol.pages.atlas_parts import (
     BRANCHES,
     colours,
@@ -29,10 +20,46 @@ from dpcontrol.pages.atlas_parts import (
     section_place,
     tubes_of_cut,
 )
-from dpcontrol.pages.rerun_recording import reading_lines, recording_to, rr
-from dpcontrol.walks.atlas import Atlas, AtlasConnection, AtlasKind, section_axes
+from dpcontrol.pages.rerun_recording import page, recording_to, summary_view
+from dpcontrol.pages.sheet import DARK, Sheet, rr, rrb
+from dpcontrol.walks.atlas import Atlas, AtlasCut, AtlasKind, section_axes
 
+TIMELINE = "time_from_section"
+"""Time from the section crossing, s, the same for all flights."""
 _MOMENTS = 240
+
+
+@dataclass(frozen=True, eq=False)
+class _Space:
+    """The atlas's states as points of a recording: (first coordinate, second, scaled first rate).
+
+    Attributes:
+        recording: recording to extend.
+        picked: indices of the shown coordinates.
+        factor: scale of the rate.
+    """
+
+    recording: rr.RecordingStream
+    picked: list[int]
+    factor: float
+
+    def places(self, states: Array) -> Array:
+        """Return positions (…, 3) of states (…, N)."""
+        return states[..., self.picked] * [1, 1, self.factor]
+
+    def curves(self, home: str, curves: Sequence[Array], colour: str, width: float, **look: Any) -> None:
+        """Record curves (K, N) under a path.
+
+        Args:
+            home: path in the recording.
+            curves: curves; none are skipped.
+            colour: colour of the curves.
+            width: width of the curves, points.
+            **look: further fields of Rerun's line strips.
+        """
+        if curves:
+            look = {"colors": [style.rgb(colour)], "radii": rr.Radius.ui_points(width), **look}
+            self.recording.log(home, rr.LineStrips3D([self.places(part) for part in curves], **look), static=True)
 
 
 def write_atlas_recording(atlas: Atlas, path: Path) -> None:
@@ -45,70 +72,130 @@ def write_atlas_recording(atlas: Atlas, path: Path) -> None:
     Raises:
         InputError: the recording cannot be written.
     """
-    shown = ShownTubes(atlas)
+    rate = len(atlas.periods) // 2
+    states = np.concatenate(
+        [o.samples for o in atlas.orbits] + [c.strands.reshape(-1, len(atlas.periods)) for c in atlas.cuts]
+    )
+    # Fast passages close to a body would otherwise flatten the rest.
+    low, high = np.quantile(states[:, [0, 1, rate]], [0.02, 0.98], axis=0)
+    size, spans = float(max((high - low)[:2])), np.maximum(high - low, 1e-12)
+    factor, kinds = size / float(spans[2]), [kind for kind in atlas.kinds if connections_of(atlas, kind)]
+    sheets = [_sheet(atlas, kind) for kind in kinds]
+    view = _blueprint(atlas, list(zip(kinds, sheets, strict=True)), centre=(low + high) / 2 * [1, 1, factor], size=size)
     name = f"{atlas.model} at {atlas.energy:g}{atlas.unit('J')}"
-    with recording_to(path, name, atlas_blueprint(atlas, shown), atlas_summary(atlas)) as recording:
+    with recording_to(path, name, view, _summary(atlas)) as recording:
+        space = _Space(recording, [0, 1, rate], factor)
         for cut in atlas.cuts:
             for tube in tubes_of_cut(atlas, cut):
                 side, way = "stable" if tube.stable else "unstable", "plus" if tube.branch > 0 else "minus"
-                word = f"{saddle_path(cut)}/{side}_{way}"
-                _space(recording, word, shown, tube.strands, tube.colour, width=0.4, alpha=110)
-                _space(recording, f"{word}/cut", shown, tube.ends, style.CUT, width=0.8)
+                home = f"{_tube_path(cut)}/{side}_{way}"
+                pale = [(*style.rgb(tube.colour), 110)]
+                space.curves(home, tube.strands, tube.colour, 0.4, colors=pale)
+                space.curves(f"{home}/cut", tube.ends, style.CUT, 0.8)
         for orbit in atlas.orbits:
-            lifts = {(0,) * shown.rate} | {c.winding for c in atlas.connections if c.target == orbit.saddle}
+            lifts = {(0,) * rate} | {c.winding for c in atlas.connections if c.target == orbit.saddle}
             copies = [placed(atlas, orbit, winding) for winding in sorted(lifts)]
             labels = [orbit.name, *[""] * (len(copies) - 1)]
-            home, colour = f"space/orbits/{path_name(orbit.name)}", style.saddle_colour(orbit.saddle)
-            _space(recording, home, shown, copies, colour, width=2.5, labels=labels)
-        for kind in atlas.kinds:
-            if connections_of(atlas, kind):
-                _section(recording, atlas, kind)
-                _flights(recording, shown, connections_of(atlas, kind), kind_path(kind))
+            colour = style.saddle_colour(orbit.saddle)
+            space.curves(f"space/orbits/{_path(orbit.name)}", copies, colour, 2.5, labels=labels)
+        for kind, sheet in zip(kinds, sheets, strict=True):
+            _connections(space, atlas, kind, sheet)
 
 
-def _space(
-    recording: rr.RecordingStream, home: str, shown: ShownTubes, curves: Sequence[Array], colour: str, *, width: float,
-    alpha: int = 255, **look: Any,
-) -> None:  # fmt: skip
-    if curves:
-        tints = [(*style.rgb(colour), alpha)]
-        places = [shown.places(states) for states in curves]
-        drawn = rr.LineStrips3D(places, colors=tints, radii=rr.Radius.ui_points(width), **look)
-        recording.log(home, drawn, static=True)
+def _path(name: str) -> str:
+    return "".join(letter if letter.isalnum() else "_" for letter in name)
 
 
-def _flights(
-    recording: rr.RecordingStream, shown: ShownTubes, connections: tuple[AtlasConnection, ...], key: str
-) -> None:
+def _kind_path(kind: AtlasKind) -> str:
+    return f"{_path(kind.source)}_to_{_path(kind.target)}_{kind.hits[0]}_{kind.hits[1]}"
+
+
+def _tube_path(cut: AtlasCut) -> str:
+    return f"space/tubes/{_path(cut.saddle)}/hit_{cut.hit}_{_path(cut.section.name)}"
+
+
+def _sheet(atlas: Atlas, kind: AtlasKind) -> Sheet:
+    turning = section_axes(atlas.cut(kind.source, kind.section, kind.hits[0]).section, atlas)[1] is not None
+    return Sheet.around([points for _, _, points in section_curves(atlas, kind)], turning=turning, dark=True)
+
+
+def _connections(space: _Space, atlas: Atlas, kind: AtlasKind, sheet: Sheet) -> None:
+    """Record the cuts of a kind, its connections as marks on them, and their flights, each with a moving dot."""
+    recording, home, connections = space.recording, f"sections/{_kind_path(kind)}", connections_of(atlas, kind)
+    sheet.grid(recording, home)
+    for side, name in ((False, "unstable"), (True, "stable")):
+        runs = [
+            (BRANCHES[side, sign], points) for stable, sign, points in section_curves(atlas, kind) if stable == side
+        ]
+        sheet.curves(recording, f"{home}/{name}", [points for _, points in runs], [colour for colour, _ in runs], 1.2)
     look = colours(connections)
     for k, c in enumerate(connections):
-        home = f"space/connections/{key}/{k + 1}_{path_name(c.name)}"
-        _space(recording, home, shown, [c.states], look[c.name], width=0.9, labels=[c.name], show_labels=False)
+        tint, radius = [style.rgb(look[c.name])], rr.Radius.ui_points(4)
+        # The viewer shows the path under the pointer, which therefore contains the name.
+        name = f"{k + 1}_{_path(c.name)}"
+        mark = rr.Points2D(sheet.drawn(section_place(atlas, c)[None]), colors=tint, labels=[str(k + 1)], radii=radius)
+        recording.log(f"{home}/connections/{name}", mark, static=True)
+        flight = f"space/connections/{_kind_path(kind)}/{name}"
+        space.curves(flight, [c.states], look[c.name], 0.9, labels=[c.name], show_labels=False)
         times = np.linspace(c.times[0], c.times[-1], _MOMENTS)
         states = np.stack([np.interp(times, c.times, column) for column in c.states.T], axis=1)
-        dot = rr.Points3D.from_fields(colors=[style.rgb(look[c.name])], radii=rr.Radius.ui_points(4))
-        recording.log(f"{home}/now", dot, static=True)
-        columns = rr.Points3D.columns(positions=shown.places(states))
-        recording.send_columns(f"{home}/now", indexes=[rr.TimeColumn(TIMELINE, duration=times)], columns=columns)
+        recording.log(f"{flight}/now", rr.Points3D.from_fields(colors=tint, radii=radius), static=True)
+        columns = rr.Points3D.columns(positions=space.places(states))
+        recording.send_columns(f"{flight}/now", indexes=[rr.TimeColumn(TIMELINE, duration=times)], columns=columns)
 
 
-def _section(recording: rr.RecordingStream, atlas: Atlas, kind: AtlasKind) -> None:
-    home = f"sections/{kind_path(kind)}"
-    height, box = section_frame(atlas, kind)
-    cut = atlas.cut(kind.source, kind.section, kind.hits[0])
-    turning = section_axes(cut.section, atlas)[1] is not None
-    reading_lines(recording, home, box, scale=height, turning=turning, dark=True)
-    for stable in (False, True):
-        runs = [(sign, points) for which, sign, points in section_curves(atlas, kind) if which == stable]
-        tints = [(*style.rgb(BRANCHES[stable, sign]), 255) for sign, _ in runs]
-        if runs:
-            strips = [points * [1.0, -height] for _, points in runs]
-            lines = rr.LineStrips2D(strips, colors=tints, radii=rr.Radius.ui_points(1.2))
-            recording.log(f"{home}/{'stable' if stable else 'unstable'}", lines, static=True)
-    connections = connections_of(atlas, kind)
-    look = colours(connections)
-    for k, c in enumerate(connections):
-        point, tint = section_place(atlas, c) * [1.0, -height], style.rgb(look[c.name])
-        mark = rr.Points2D([point], colors=[tint], labels=[str(k + 1)], radii=rr.Radius.ui_points(4))
-        # The viewer shows the path under the pointer, which therefore contains the name.
-        recording.log(f"{home}/connections/{k + 1}_{path_name(c.name)}", mark, static=True)
+def _blueprint(
+    atlas: Atlas, sections: Sequence[tuple[AtlasKind, Sheet]], *, centre: Array, size: float
+) -> rrb.Blueprint:
+    """Return the layout: space with the summary below, and a sheet for each kind of connection.
+
+    Only each saddle's tubes to one section are visible at first; all together would hide everything.
+    """
+    axes = ", ".join(atlas.labels[k].partition(" ")[0] for k in (0, 1, len(atlas.labels) // 2))
+    eye = centre + np.array([-1.0, -1.4, 0.8]) * size
+    own = {(k.source, k.section, k.hits[0]) for k in atlas.kinds if k.source == k.target}
+    hidden = [_tube_path(c) for c in atlas.cuts if own and (c.saddle, c.section.name, c.hit) not in own]
+    space = rrb.Spatial3DView(
+        name=f"Space ({axes}): orbits thick, tubes from them red, to them green, where these end golden",
+        origin="/space",
+        eye_controls=rrb.EyeControls3D(position=tuple(eye), look_target=tuple(centre), eye_up=(0.0, 0.0, 1.0)),
+        line_grid=False,
+        background=DARK,
+        overrides={path: rrb.EntityBehavior(visible=False) for path in hidden},
+    )
+    views = [sheet.view(f"/sections/{_kind_path(kind)}", name=_title(atlas, kind)) for kind, sheet in sections]
+    beside = [rrb.Grid(*views, grid_columns=1 if len(views) < 3 else 2)] if views else []
+    left = rrb.Vertical(space, summary_view(), row_shares=[3, 1])
+    return page([left, *beside], [1, 1], timeline=TIMELINE)
+
+
+def _title(atlas: Atlas, kind: AtlasKind) -> str:
+    coordinate, period = section_axes(atlas.cut(kind.source, kind.section, kind.hits[0]).section, atlas)
+    across = f"{'p/p₀' if period else 'momentum'} over {coordinate}"
+    return f"{kind.source} → {kind.target}: {across} at {kind.section}, hits {kind.hits[0]} and {kind.hits[1]}"
+
+
+def _summary(atlas: Atlas) -> str:
+    kinds = "\n".join(
+        f"| {k.source} → {k.target} | {list(k.hits)} | {k.count} | {'closed' if k.complete else 'open'} |"
+        for k in atlas.kinds
+    )
+    connections = "\n".join(
+        f"| {k + 1} | {c.name} | {c.transversality_angle:.2f} |"
+        for kind in atlas.kinds
+        for k, c in enumerate(connections_of(atlas, kind))
+    )
+    return f"""# {atlas.title}, {atlas.energy:g}{atlas.unit("J")}
+
+{atlas.status}
+
+| from → to | hits | count | cuts |
+|---|---|---|---|
+{kinds}
+
+Red: unstable tubes, green: stable ones, pale: the other branch; on the sections pale curves are crossed backward. \
+Connections carry their numbers in this list; a dot moves along each flight.
+
+| | connection | angle (°) |
+|---|---|---|
+{connections}"""

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from dpcontrol.judge.campaign import CampaignSummary, Group
 from dpcontrol.pages import style
 from dpcontrol.pages.layout import Page, Panel
-from dpcontrol.pages.panels import empty, name_curves, name_rows, quiet
+from dpcontrol.pages.panels import Bar, bars, empty, name_curves, name_rows, quiet
 
 _TITLES = {"max_cart_position": "Cart's largest distance (mm)", "rms_tracking_error": "Tracking (mrad rms)"}
 _MOST, _APART = 28, 6
@@ -84,17 +84,12 @@ def draw_groups(axes: Axes, summary: CampaignSummary) -> None:
     every = _bars_of(summary)
     shown = every[:_MOST]
     more = f"… and {len(every) - len(shown)} groups more" if len(every) > len(shown) else ""
-    quiet(axes, "Runs completed; lines: Wilson's 95 % interval", x=more)
     colours = _group_colours(summary, [group.family for group, _ in shown])
-    for k, ((group, _), colour) in enumerate(zip(shown, colours, strict=True)):
-        share = group.share
-        axes.barh(k, share.rate, color=colour, height=0.62, alpha=0.85)
-        axes.plot([share.low, share.high], [k, k], color=style.INK, linewidth=1.4)
-        axes.annotate(
-            f"{share.successes} of {share.runs}", (1.0, k), xytext=(5, 0), textcoords="offset points", va="center",
-            fontsize=style.SMALL, color=style.NOTE, annotation_clip=False,
-        )  # fmt: skip
-    name_rows(axes, [shorten(label, 44, placeholder=" …") for _, label in shown])
+    rows = [
+        Bar(label, g.share.rate, colour, (g.share.low, g.share.high), f"{g.share.successes} of {g.share.runs}")
+        for (g, label), colour in zip(shown, colours, strict=True)
+    ]
+    bars(axes, "Runs completed; lines: Wilson's 95 % interval", rows, x=more)
     axes.set_xlim(0, 1)
     axes.xaxis.set_major_formatter(PercentFormatter(1.0))
 
@@ -142,10 +137,7 @@ def _draw_symbols(axes: Axes, summary: CampaignSummary) -> None:
 
 
 def _draw_reasons(axes: Axes, summary: CampaignSummary) -> None:
-    quiet(axes, "Failed runs by cause")
-    shown = list(summary.reasons[:6])
     rest = sum(count for _, count in summary.reasons[6:])
-    shown += [("other reasons", rest)] if rest else []
-    axes.barh(range(len(shown)), [count for _, count in shown], color=style.LIMIT, alpha=0.7, height=0.62)
-    name_rows(axes, [shorten(text, 62, placeholder=" …") for text, _ in shown])
+    shown = [*summary.reasons[:6], *([("other reasons", rest)] if rest else [])]
+    bars(axes, "Failed runs by cause", [Bar(text, count, style.LIMIT) for text, count in shown])
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))

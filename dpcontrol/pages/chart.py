@@ -72,11 +72,9 @@ class Chart:
         bound: limit of the cart that the page's title names, or None.
         used: greatest use of it by a reference, or None for a run.
         note: rest of the page's title.
-        hint: rest of the viewer's title, which has no keys.
         prefixed: False if the unit gets no SI prefix.
         half_turns: True if a page ticks the axis in multiples of π.
         log: True for a logarithmic axis.
-        legend: True if the viewer shows a legend.
     """
 
     key: str
@@ -89,16 +87,14 @@ class Chart:
     bound: float | None = None
     used: float | None = None
     note: str = ""
-    hint: str = ""
     prefixed: bool = True
     half_turns: bool = False
     log: bool = False
-    legend: bool = False
 
     @property
     def named(self) -> str:
         """Title in the viewer."""
-        return f"{self.title}{f' ({self.unit})' if self.unit else ''}{self.hint}"
+        return f"{self.title}{f' ({self.unit})' if self.unit else ''}"
 
     def scaled(self) -> tuple[float, str]:
         """Return the factor and the title for a page.

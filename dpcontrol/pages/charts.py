@@ -1,4 +1,4 @@
-"""Charts over time and phase planes, drawn from their descriptions (`series`)."""
+"""Charts over time and phase planes, drawn from their descriptions (`run_charts`)."""
 
 from typing import Any
 
@@ -9,7 +9,7 @@ from matplotlib.ticker import LogLocator, MaxNLocator
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.judge.run_view import RunView
 from dpcontrol.pages import style
-from dpcontrol.pages.chart import Chart, LevelLine, Line
+from dpcontrol.pages.chart import Chart, Line
 from dpcontrol.pages.layout import MOST_IN_KEY, key
 from dpcontrol.pages.panels import label_in_pi, mark_times, name_curves, quiet
 from dpcontrol.pages.planes import Plane
@@ -37,19 +37,6 @@ def curve(view: RunView, time: Array, values: Array) -> tuple[Array, Array]:
     return np.insert(time, places, gaps), np.insert(values, places, np.nan)
 
 
-def _limit(axes: Axes, value: float) -> None:
-    """Draw a limit if the curves come near it.
-
-    The range beyond the limit is shaded.
-    """
-    low, high = axes.get_ylim()
-    if low - 0.35 * (high - low) < value < high + 0.35 * (high - low):
-        axes.axhline(value, color=style.LIMIT, linewidth=1.1, linestyle=style.DASHED)
-        low, high = min(low, 1.06 * value), max(high, 1.06 * value)
-        axes.axhspan(value, 1e3 * value, color=style.LIMIT, alpha=0.08, linewidth=0)
-    axes.set_ylim(low, high)
-
-
 _BROAD: dict[str, Any] = {"alpha": 0.3, "linewidth": 4.5}
 """Style of a reference behind the curve that follows it."""
 _UNIT = np.array([1 / np.pi, 1.0])
@@ -71,35 +58,19 @@ def draw_chart(axes: Axes, chart: Chart, view: RunView, *, span: Range | None = 
     axes.margins(x=0)
     entries: dict[str, dict] = {}
     ends: dict[str, tuple[float, str, str]] = {}
-    for line in chart.lines:
-        if line.role == "detail":
-            continue
+    for line in (line for line in chart.lines if line.role != "detail"):
         _line(axes, line, view, scale=scale)
         if line.label:
-            broad = line.role == "reference"
-            look = {"color": style.REFERENCE, **_BROAD, "alpha": 0.6} if broad else {"color": line.colour}
-            look |= {"linestyle": style.DASHED} if line.dashed else {}
-            entries[line.label] = {"linewidth": max(line.width, 1.5), **look}
             known = line.values[np.isfinite(line.values)]
+            look = {"color": style.REFERENCE, **_BROAD, "alpha": 0.6} if line.role == "reference" else {}
+            dashes = {"linestyle": style.DASHED} if line.dashed else {}
+            entries[line.label] = {"color": line.colour, "linewidth": max(line.width, 1.5)} | look | dashes
             ends[line.label] = (scale * float(known[-1]) if len(known) else 0.0, line.label, line.colour)
     for first, last in chart.cut:
         axes.axvspan(first, last, color=style.LIMIT, alpha=0.3, linewidth=0.8, zorder=0.5)
         entries["cut"] = {"color": style.LIMIT, "linewidth": 6, "alpha": 0.3}
     _axis(axes, chart, scale=scale)
-    band = [scale * level.value for level in chart.levels if level.kind == "band"]
-    if band:
-        axes.axhspan(min(band), max(band), color=style.MODES["holding"], alpha=0.35, linewidth=0)
-    for level in chart.levels:
-        if level.kind == "limit":
-            _limit(axes, scale * level.value)
-    low, high = axes.get_ylim()
-    named = [level for level in chart.levels if level.kind == "named" and low <= level.value <= high]
-    for level in named:
-        axes.axhline(level.value, color=level.colour, linewidth=1.0, linestyle=style.DASHED)
-        if len(named) <= MOST_IN_KEY:
-            _name_level(axes, level)
-    if len(named) > MOST_IN_KEY:
-        name_curves(axes, [(level.value, level.name, level.colour) for level in named])
+    _levels(axes, chart, scale=scale)
     if span is not None:
         axes.set_xlim(*span)
         mark_times(axes, [at for at, _ in view.plan.symbols if span[0] <= at <= span[1]])
@@ -110,26 +81,51 @@ def draw_chart(axes: Axes, chart: Chart, view: RunView, *, span: Range | None = 
         key(axes, sorted(entries.items(), key=lambda entry: "alpha" in entry[1]))
 
 
+def _levels(axes: Axes, chart: Chart, *, scale: float) -> None:
+    """Draw limits, which widen the axis if they are near its range, a band, and levels with their names."""
+    low, high = axes.get_ylim()
+    reach = 0.35 * (high - low)
+    limits = [scale * level.value for level in chart.levels if level.kind == "limit"]
+    near = [value for value in limits if low - reach < value < high + reach]
+    for value in near:
+        axes.axhline(value, color=style.LIMIT, linewidth=1.1, linestyle=style.DASHED)
+        axes.axhspan(value, 1e3 * value, color=style.LIMIT, alpha=0.08, linewidth=0)
+    band = [scale * level.value for level in chart.levels if level.kind == "band"]
+    if band:
+        axes.axhspan(min(band), max(band), color=style.MODES["holding"], alpha=0.35, linewidth=0)
+    low, high = min([low, *(1.06 * value for value in near)]), max([high, *(1.06 * value for value in near)])
+    axes.set_ylim(low, high)
+    named = [level for level in chart.levels if level.kind == "named" and low <= level.value <= high]
+    for level in named:
+        axes.axhline(level.value, color=level.colour, linewidth=1.0, linestyle=style.DASHED)
+        look = {"fontsize": style.SMALL, "color": level.colour, "ha": "right", "va": "center"}
+        if len(named) <= MOST_IN_KEY:
+            axes.text(1.0, level.value, level.name, transform=axes.get_yaxis_transform(), bbox=_PALE, **look)
+    if len(named) > MOST_IN_KEY:
+        name_curves(axes, [(level.value, level.name, level.colour) for level in named])
+
+
+_PALE = {"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 0.8}
+"""Box behind a name on a line."""
+
+
 def _line(axes: Axes, line: Line, view: RunView, *, scale: float) -> None:
-    if line.around and line.reach is not None:
+    time, values = curve(view, line.time, scale * line.values)
+    look: dict[str, Any] = {"color": line.colour, "linewidth": line.width, "linestyle": "-"}
+    if line.role == "reference":
+        look |= _BROAD
+    if line.dashed:
+        look["linestyle"] = (0, (5, 1.2))
+    if line.reach is not None and line.around:
         values, reach = scale * line.values, scale * line.reach
         axes.fill_between(line.time, values - reach, values + reach, color=line.colour, alpha=0.15, linewidth=0)
-        axes.plot(line.time, values, color=line.colour, linewidth=line.width)
-        return
-    time, values = curve(view, line.time, scale * line.values)
-    if line.role == "reference":
-        axes.plot(time, values, color=line.colour, **_BROAD)
-        return
-    faint = line.reach is not None
-    dashes = (0, (5, 1.2)) if line.dashed else "-"
-    axes.plot(
-        time, values, color=line.colour, linewidth=0.6 if faint else line.width, alpha=0.45 if faint else 1.0,
-        linestyle=dashes,
-    )  # fmt: skip
-    if line.reach is not None:
-        time, band = curve(view, line.time, scale * line.reach)
-        axes.fill_between(time, -band, band, color=line.colour, alpha=0.10, linewidth=0)
-        axes.plot(time, band, time, -band, color=line.colour, linewidth=1.1, zorder=3)
+        time = line.time
+    elif line.reach is not None:
+        rows, band = curve(view, line.time, scale * line.reach)
+        axes.fill_between(rows, -band, band, color=line.colour, alpha=0.10, linewidth=0)
+        axes.plot(rows, band, rows, -band, color=line.colour, linewidth=1.1, zorder=3)
+        look |= {"linewidth": 0.6, "alpha": 0.45}
+    axes.plot(time, values, **look)
 
 
 def _axis(axes: Axes, chart: Chart, *, scale: float) -> None:
@@ -143,16 +139,6 @@ def _axis(axes: Axes, chart: Chart, *, scale: float) -> None:
         axes.set_ylim(scale * chart.shown[0], scale * chart.shown[1])
 
 
-def _name_level(axes: Axes, level: LevelLine) -> None:
-    # Above the lower levels and below the upper, so that a name does not leave the panel.
-    upper = axes.transData.transform((0, level.value))[1] > axes.transAxes.transform((0, 0.5))[1]
-    axes.annotate(
-        level.name, (1.0, level.value), xycoords=("axes fraction", "data"), xytext=(-2, -2 if upper else 2),
-        textcoords="offset points", ha="right", va="top" if upper else "bottom", fontsize=style.SMALL,
-        color=level.colour, bbox={"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 0.8},
-    )  # fmt: skip
-
-
 def draw_plane(axes: Axes, runs: list[tuple[Plane, str]], *, tubes: bool = True) -> None:
     """Draw runs in one arm's phase plane.
 
@@ -164,7 +150,8 @@ def draw_plane(axes: Axes, runs: list[tuple[Plane, str]], *, tubes: bool = True)
         tubes: True to draw the tubes.
     """
     first, _ = runs[0]
-    quiet(axes, f"Arm {first.arm + 1}: ω{style.number(first.arm)} (rad/s) over θ{style.number(first.arm)}")
+    number, ends = style.number(first.arm), ", from ○ to ■" if len(runs) == 1 else ""
+    quiet(axes, f"Arm {first.arm + 1}: ω{number} (rad/s) over θ{number}{ends}")
     entries: list[tuple[str, dict]] = []
     if first.orbits:
         entries.append(("orbits", {"color": first.orbits[0][0], "linewidth": 3.2}))
@@ -174,24 +161,19 @@ def draw_plane(axes: Axes, runs: list[tuple[Plane, str]], *, tubes: bool = True)
             axes.plot(*_joined(first.cuts[stable]), color=colour, linewidth=1.8, zorder=2.5)
             entries.append((text, {"color": colour, "linewidth": 1.5}))
     for colour, points in first.orbits:
-        look = {"color": colour, "zorder": 1.5, "alpha": 0.75 if tubes else 0.4}
-        if len(points) > 3:
-            axes.plot(*(points * _UNIT).T, linewidth=3.2, **look)
-        else:
-            axes.plot(*(points[0] * _UNIT), "D", markersize=8, **look)
+        # An equilibrium is a single point.
+        look: dict[str, Any] = {"linewidth": 3.2} if len(points) > 3 else {"marker": "D", "markersize": 8}
+        axes.plot(*(points * _UNIT).T, color=colour, zorder=1.5, alpha=0.75 if tubes else 0.4, **look)
     for plane, colour in runs:
-        start, end = plane.ends * _UNIT
-        if plane.run:
-            axes.plot(*_joined(plane.run), color=colour, linewidth=1.1, zorder=3)
+        (start, end), face = plane.ends * _UNIT, style.PAPER
+        axes.plot(*_joined(plane.run), color=colour, linewidth=1.1, zorder=3)
         axes.plot(*end, "s", color=colour, markersize=5, zorder=4)
         if len(runs) == 1:
-            axes.plot(*start, "o", color=colour, markersize=5, zorder=4)
-            _name_ends(axes, start, end)
+            axes.plot(*start, "o", color=colour, markerfacecolor=face, markersize=6, zorder=5)
     axes.margins(x=0.04)
     axes.xaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 2.5, 5, 10]))
     label_in_pi(axes.xaxis)
-    if entries:
-        key(axes, entries)
+    key(axes, entries)
 
 
 def _joined(curves: list[Array]) -> Array:
@@ -202,18 +184,3 @@ def _joined(curves: list[Array]) -> Array:
     apart = np.full((1, 2), np.nan)
     parts = [part for points in curves for part in (points * _UNIT, apart)]
     return np.concatenate(parts).T if parts else np.zeros((2, 0))
-
-
-def _name_ends(axes: Axes, first: Array, last: Array) -> None:
-    """Label start and end at their marks.
-
-    They share one label if they are near each other.
-    """
-    spans = np.abs([np.diff(axes.get_xlim())[0], np.diff(axes.get_ylim())[0]]).clip(1e-9)
-    near = bool((np.abs(last - first) < np.array([0.16, 0.12]) * spans).all())
-    for text, place in [("start, end", first)] if near else [("start", first), ("end", last)]:
-        if np.isfinite(place).all():
-            axes.annotate(
-                text, tuple(place), xytext=(4, -4), textcoords="offset points", va="top", fontsize=style.SMALL,
-                color=style.INK, bbox={"facecolor": "white", "alpha": 0.75, "edgecolor": "none", "pad": 0.6}, zorder=5,
-            )  # fmt: skip

@@ -5,6 +5,7 @@ It shows charts over the common clock, phase planes, and the arms at the same in
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -12,14 +13,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from dpcontrol.foundation.arrays import Array
-from dpcontrol.judge.comparison import RunComparison
+from dpcontrol.judge.comparison import ComparedRun, RunComparison
 from dpcontrol.pages import style
-from dpcontrol.pages.chart import Chart
+from dpcontrol.pages.chart import Chart, Line
 from dpcontrol.pages.charts import draw_chart, draw_plane
-from dpcontrol.pages.compared_charts import compared_charts
 from dpcontrol.pages.filmstrip import draw_film, film_height, film_times
 from dpcontrol.pages.layout import Page, Stack
 from dpcontrol.pages.planes import plane
+from dpcontrol.pages.run_charts import charts as charts_of
 from dpcontrol.pages.story import story, story_height
 
 _FRAMES = 8
@@ -39,10 +40,10 @@ def draw_comparison(comparison: RunComparison) -> Figure:
         page.text(run.view.verdict, colour=style.verdict_colour(run.view.good), size=style.TEXT)
         height = story_height(run.view, span=comparison.span)
         if height:
-            page.strip(partial(story, view=run.view, span=comparison.span), height=height)
+            page.row(partial(story, view=run.view, span=comparison.span), height=height)
         if len(runs) <= _FILMED:
             height = film_height(run.view, frames, width=style.WIDTH)
-            page.strip(partial(draw_film, view=run.view, times=frames), height=height)
+            page.row(partial(draw_film, view=run.view, times=frames), height=height)
     charts = compared_charts(comparison)
     half = (len(charts) + 1) // 2
     columns = [
@@ -76,3 +77,75 @@ def _frames(comparison: RunComparison) -> Array:
     half = _FRAMES // 2
     later = film_times(longest, frames=_FRAMES - half)
     return np.sort(np.concatenate([np.linspace(begin, end, half + 1)[1:], later]))
+
+
+def compared_charts(comparison: RunComparison) -> tuple[Chart, ...]:
+    """Return the common charts with a line for each run.
+
+    The first run's reference and levels are included.
+    """
+    first = comparison.runs[0].view
+    every = [charts_of(run.view) for run in comparison.runs]
+    wanted = [
+        ("angles", f"angle_{arm + 1}", f"Arm {arm + 1}'s angle θ{style.number(arm)}", f"arm_{arm + 1}/")
+        for arm in range(min(first.arms, 2))
+    ]
+    wanted += [
+        ("cart", "cart", "Cart position", ""),
+        ("tracking_error", "tracking_error", "Tracking error, largest of the angles", ""),
+        ("acceleration", "acceleration", "Acceleration applied", "applied"),
+        ("energy", "energy", "Energy of the pendulum", ""),
+        ("nis", "nis", "NIS, means of 50 updates", ""),
+    ]
+    found = [_chart(comparison, [own.get(source) for own in every], *rest) for source, *rest in wanted]
+    return tuple(chart for chart in found if chart is not None and chart.lines)
+
+
+def _chart(comparison: RunComparison, every: list[Chart | None], key: str, title: str, prefix: str) -> Chart | None:
+    """Return one chart of all runs.
+
+    The chart has those of their lines whose keys start with `prefix`. Several such lines of a run, such as errors
+    of several arms, are replaced by their largest size at each time.
+    """
+    lines: list[Line] = []
+    for k, (run, own) in enumerate(zip(comparison.runs, every, strict=True)):
+        shown = [line for line in own.lines if line.key.startswith(prefix)] if own else []
+        lines += [
+            replace(
+                line,
+                key="0_reference",
+                name=f"reference of {run.name}",
+                label="the first's reference",
+                colour=style.REFERENCE,
+            )
+            for line in shown
+            if line.role == "reference" and k == 0
+        ]
+        parts = [line for line in shown if line.role == "run"]
+        if parts:
+            values = parts[0].values if len(parts) == 1 else np.max([np.abs(line.values) for line in parts], axis=0)
+            lines.append(Line(run_path(k, run), run.name, "", parts[0].time, values, style.RUNS[k], dashed=k > 0))
+    known = next((own for own in every if own), None)
+    if known is None:
+        return None
+    return replace(
+        known,
+        key=key,
+        title=title,
+        note="",
+        lines=tuple(lines),
+        levels=tuple(level for level in known.levels if level.kind == "limit" or key == "energy"),
+        cut=(),
+        shown=None,
+        log=False,
+    )
+
+
+def run_path(k: int, run: ComparedRun) -> str:
+    """Return the path of a run in a recording.
+
+    Args:
+        k: index of the run, from 0.
+        run: run of the comparison.
+    """
+    return f"{k + 1}_{'_'.join(''.join(c if c.isascii() and c.isalnum() else ' ' for c in run.name).split())}"

@@ -1,6 +1,8 @@
 """Planned experiments on one page: which recordings would identify the arms best."""
 
 from functools import partial
+from itertools import cycle
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -41,51 +43,42 @@ def _sines(axes: Axes, design: Design, swings: list) -> None:
     if best is not None:
         axes.axhline(best, color=style.INK, linewidth=1.5, linestyle=style.DASHED)
         ends.append((best, "best swing", style.INK))
-    for k, amplitude in enumerate(design.settings.amplitudes):
-        of = [e for e in design.experiments if e.kind == "cart" and e.amplitude == amplitude and e.usable]
-        colour = style.SERIES[k % len(style.SERIES)]
-        axes.plot([e.frequency for e in of], [e.information for e in of], "o-", markersize=4, color=colour)
-        if of:
-            ends.append((of[-1].information, f"{amplitude:g} m/s²", colour))
+    for amplitude, colour in zip(design.settings.amplitudes, cycle(style.SERIES), strict=False):
+        sines = [e for e in design.experiments if e.kind == "cart" and e.amplitude == amplitude and e.usable]
+        if sines:
+            frequencies, digits = zip(*((e.frequency, e.information) for e in sines), strict=True)
+            axes.plot(frequencies, digits, "o-", markersize=4, color=colour)
+            ends.append((digits[-1], f"{amplitude:g} m/s²", colour))
     name_curves(axes, ends)
 
 
 def _accuracy(axes: Axes, design: Design, pair: tuple) -> None:
     first, second = pair
+    places = np.arange(len(design.names))
     for k, matrix in enumerate((first.matrix, first.matrix + second.matrix)):
         values = np.sqrt(np.diag(np.linalg.pinv(matrix, hermitian=True)))
-        axes.barh(np.arange(len(values)) + 0.38 * k, values, height=0.36, color=(USED, LEFT)[k])
-    names = [n.partition("/")[0] for n in design.names]
-    axes.set_yticks(np.arange(len(names)) + 0.19, names, fontsize=style.SMALL)
+        axes.barh(places + 0.38 * k, values, height=0.36, color=(USED, LEFT)[k])
+    axes.set_yticks(places + 0.19, [name.partition("/")[0] for name in design.names])
     axes.set_xscale("log")
     axes.invert_yaxis()
     quiet(axes, f"Relative standard error from rounding alone. Grey: {first.text}. Colour: with {second.text}")
 
 
 def _swing_map(axes: Axes, swings: list, pair: tuple) -> None:
+    title = "Free swings from rest; 1, 2: the best pair; crosses magnify errors"
     if len(swings[0].angles) == 1:
         axes.plot([np.degrees(e.angles[0]) for e in swings], [e.information for e in swings], "o-", color=LINE)
-        labels = ("let go at (degrees)", "")
-    else:
-        shown = [e for e in swings if len(e.angles) == 2 or abs(e.angles[2]) < 1e-9]
-        usable = np.array([e.usable for e in shown])
-        x, y = (np.degrees([e.angles[k] for e in shown]) for k in range(2))
-        colours = np.array([e.information for e in shown])
-        dots = axes.scatter(x[usable], y[usable], c=colours[usable], s=150, marker="s", cmap="viridis")
-        axes.plot(x[~usable], y[~usable], "x", color=USED, markersize=6)
-        for number, one in enumerate(pair, start=1):
-            if one.kind == "swing":
-                axes.annotate(
-                    str(number),
-                    np.degrees(one.angles[:2]),
-                    color="white",
-                    ha="center",
-                    va="center",
-                    weight="bold",
-                    fontsize=style.TEXT,
-                )
-        bar = axes.figure.colorbar(dots, ax=axes)
-        bar.ax.tick_params(labelsize=style.SMALL)
-        bar.ax.set_title("digits", fontsize=style.SMALL)
-        labels = ("inner arm let go at (degrees)", "outer arm (degrees)")
-    quiet(axes, "Free swings from rest; 1, 2: the best pair; crosses magnify errors", x=labels[0], y=labels[1])
+        quiet(axes, title, x="let go at (degrees)")
+        return
+    shown = [e for e in swings if len(e.angles) == 2 or abs(e.angles[2]) < 1e-9]
+    x, y, digits, usable = np.array([(*np.degrees(e.angles[:2]), e.information, e.usable) for e in shown]).T
+    known = usable > 0
+    dots = axes.scatter(x[known], y[known], c=digits[known], s=150, marker="s", cmap="viridis")
+    axes.plot(x[~known], y[~known], "x", color=USED, markersize=6)
+    look: dict[str, Any] = {"color": "white", "ha": "center", "va": "center", "weight": "bold", "fontsize": style.TEXT}
+    for number, one in enumerate(pair, start=1):
+        if one.kind == "swing":
+            inner, outer = np.degrees(one.angles[:2])
+            axes.text(inner, outer, str(number), **look)
+    axes.figure.colorbar(dots, ax=axes).ax.set_title("digits", fontsize=style.SMALL)
+    quiet(axes, title, x="inner arm let go at (degrees)", y="outer arm (degrees)")

@@ -15,20 +15,21 @@ from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.pages.gallery import Gallery, PaperFigure
 from dpcontrol.pages.layout import save_figure
 from dpcontrol.pages.paper.branches import branches_page
-from dpcontrol.pages.paper.cuts import cuts_page
-from dpcontrol.pages.paper.families import families_page
+from dpcontrol.pages.paper.connections import (
+    HIGH,
+    LOW,
+    heteroclinic_orbits_page,
+    heteroclinics_page,
+    homoclinics_page,
+    repeated_page,
+)
 from dpcontrol.pages.paper.graph import graph_page
-from dpcontrol.pages.paper.heteroclinic_orbits import heteroclinic_orbits_page
-from dpcontrol.pages.paper.heteroclinics import heteroclinics_page
-from dpcontrol.pages.paper.homoclinics import high_page, low_page
 from dpcontrol.pages.paper.landscapes import landscape_page
-from dpcontrol.pages.paper.lyapunov_orbits import lyapunov_orbits_page
-from dpcontrol.pages.paper.repeated import draw_repeated
+from dpcontrol.pages.paper.lyapunov_orbits import families_page, lyapunov_orbits_page
 from dpcontrol.pages.paper.returning import returning_page
-from dpcontrol.pages.paper.senses import senses_page
 from dpcontrol.pages.paper.shadowing import shadowing_page
 from dpcontrol.pages.paper.three_body import three_body_homoclinics_page, three_body_page
-from dpcontrol.pages.paper.tubes import tubes_page
+from dpcontrol.pages.paper.tubes import cuts_page, senses_page, tubes_page
 from dpcontrol.pages.paper.up_up import up_up_page
 from dpcontrol.pages.paper.wheels import wheels_page
 
@@ -44,15 +45,15 @@ FIGURES: dict[str, Callable[[Gallery], PaperFigure]] = {
     "colour-wheels": partial(wheels_page, saddle="down-up"),
     "tubes-up-down": partial(senses_page, saddle="up-down"),
     "colour-wheels-up-down": partial(wheels_page, saddle="up-down"),
-    "homoclinics-low": low_page,
-    "homoclinics-high": high_page,
+    "homoclinics-low": partial(homoclinics_page, energy=-0.07, saddles=("down-up",), about=LOW),
+    "homoclinics-high": partial(homoclinics_page, energy=0.2, saddles=("down-up", "up-down"), about=HIGH),
     "heteroclinics": heteroclinics_page,
     "heteroclinic-orbits": heteroclinic_orbits_page,
     "branches": branches_page,
     "graph": graph_page,
     "shadowing": shadowing_page,
-    "double-homoclinics": partial(draw_repeated, turns=2),
-    "triple-homoclinics": partial(draw_repeated, turns=3),
+    "double-homoclinics": partial(repeated_page, turns=2),
+    "triple-homoclinics": partial(repeated_page, turns=3),
     "returning-homoclinics": returning_page,
     "up-up": up_up_page,
 }

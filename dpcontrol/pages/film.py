@@ -6,8 +6,6 @@ Static parts (title, track, limits, the story over time) are drawn once as on a 
 over them: the pose of the arms as in a filmstrip, a cursor in the story, the time and the last symbol.
 """
 
-import errno
-import subprocess
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -62,10 +60,10 @@ class Film:
         self.rows: NDArray[np.int64] = np.where(near & posed, rows, -1)
         page = Page("", width=_INCHES)
         page.text(cropped(view.title, style.VERDICT, _INCHES - 0.4), colour=style.INK, size=style.VERDICT)
-        page.strip(self._draw_scene, height=_SCENE)
+        page.row(self._draw_scene, height=_SCENE)
         if story_rows(view):
             strip = partial(story, view=view, span=stretch, width=_INCHES)
-            page.strip(strip, height=story_height(view, span=stretch))
+            page.row(strip, height=story_height(view, span=stretch))
         figure = page.figure()
         figure.set_dpi(_PIXELS)
         self._canvas: Any = figure.canvas
@@ -185,11 +183,10 @@ def write_film(
 
 def _write_gif(film: Film, file: Path, progress: Progress) -> None:
     # One palette serves all frames: colours do not flicker, and static parts are stored once.
-    samples = [film.frame(k) for k in np.linspace(0, len(film.times) - 1, 4).astype(int)]
-    sheet = Image.fromarray(np.concatenate([np.asarray(sample) for sample in samples]))
-    palette = sheet.quantize(_COLOURS, method=Image.Quantize.FASTOCTREE)
-    first, *rest = (frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in film.frames(progress))
-    first.save(file, save_all=True, append_images=rest, duration=1000 // RATE, loop=0, optimize=False)
+    samples = [np.asarray(film.frame(k)) for k in np.linspace(0, len(film.times) - 1, 4).astype(int)]
+    palette = Image.fromarray(np.concatenate(samples)).quantize(_COLOURS, method=Image.Quantize.FASTOCTREE)
+    frames = (frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in film.frames(progress))
+    next(frames).save(file, save_all=True, append_images=frames, duration=1000 // RATE, loop=0, optimize=False)
 
 
 def _write_webp(film: Film, file: Path, progress: Progress) -> None:
@@ -198,18 +195,14 @@ def _write_webp(film: Film, file: Path, progress: Progress) -> None:
 
 
 def _write_mp4(film: Film, file: Path, progress: Progress) -> None:
-    program = part("imageio_ffmpeg").get_ffmpeg_exe()
-    # H.264 requires even sizes. Time and program are omitted, so that the same film has the same bytes.
-    width, height = (length // 2 * 2 for length in film.frame(0).size)
-    given = f"-f rawvideo -pix_fmt rgb24 -s {width}x{height} -r {RATE} -i - -c:v libx264 -pix_fmt yuv420p -crf 20"
-    exact = "-fflags +bitexact -flags:v +bitexact -map_metadata -1 -threads 1"
-    command = [program, "-y", "-loglevel", "quiet", *given.split(), *exact.split(), str(file)]
-    with subprocess.Popen(command, stdin=subprocess.PIPE) as encoder:
-        assert encoder.stdin is not None
-        for frame in film.frames(progress):
-            encoder.stdin.write(frame.crop((0, 0, width, height)).tobytes())
-    if encoder.returncode:
-        raise OSError(errno.EIO, "ffmpeg could not write all frames, as on a full disk")
+    # Time and program are omitted, so that the same film has the same bytes. H.264 requires even sizes.
+    exact = ["-crf", "20", "-fflags", "+bitexact", "-flags:v", "+bitexact", "-map_metadata", "-1", "-threads", "1"]
+    look = {"fps": RATE, "codec": "libx264", "quality": None, "macro_block_size": 2, "output_params": exact}
+    writer = part("imageio_ffmpeg").write_frames(str(file), film.frame(0).size, **look)
+    writer.send(None)
+    for frame in film.frames(progress):
+        writer.send(frame.tobytes())
+    writer.close()
 
 
 _WRITERS = {".gif": _write_gif, ".webp": _write_webp, ".mp4": _write_mp4}

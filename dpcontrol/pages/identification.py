@@ -93,8 +93,9 @@ def _correlation(axes: Axes, found: Identification) -> None:
     names = [name.partition("/")[0] for name in found.names]
     axes.set_xticks(range(len(names)), names, rotation=90, fontsize=style.SMALL)
     axes.set_yticks(range(len(names)), names, fontsize=style.SMALL)
-    axes.set_title("Correlation of the errors", fontsize=style.HEAD, loc="left")
-    axes.figure.colorbar(image, ax=axes, shrink=0.8).ax.tick_params(labelsize=style.SMALL)
+    axes.set_title("Correlation of the errors", loc="left")
+    axes.figure.colorbar(image, ax=axes, shrink=0.8)
+    axes.grid(False)
 
 
 def _profile(axes: Axes, curve: LossProfile) -> None:

@@ -2,7 +2,7 @@
 
 A page has rows of panels, strips and tables below a title and a verdict.
 
-    Page("Outer turn", "completed", good=True).row(angles, rates).strip(modes).table(rows).figure()
+    Page("Outer turn", "completed", good=True).row(angles, rates, height=2.0).table(rows).figure()
 
 A panel is a function that draws on given axes. The engine sizes and aligns panels by matplotlib's constrained layout,
 wraps titles to the width of their panel, and places keys below them. No page chooses coordinates.
@@ -15,12 +15,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cache
 from io import BytesIO
-from itertools import pairwise
 from pathlib import Path
 from textwrap import wrap
 from typing import Any
 
 import numpy as np
+from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure, SubFigure
@@ -28,12 +28,12 @@ from matplotlib.font_manager import FontProperties
 from matplotlib.lines import Line2D
 from matplotlib.text import Text
 from matplotlib.textpath import TextPath
-from matplotlib.transforms import Bbox, BboxBase
+from matplotlib.transforms import Bbox
 
 from dpcontrol.foundation.errors import InputError, printable
 from dpcontrol.foundation.files import whole_file
 from dpcontrol.pages import style
-from dpcontrol.pages.panels import BESIDE, DIRECT, bare
+from dpcontrol.pages.panels import BESIDE, bare
 
 Draw = Callable[[Any], None]
 _DPI = 150
@@ -110,15 +110,6 @@ class Page:
             self.row(*row, *[bare] * (across - len(row)), height=height)
         return self
 
-    def strip(self, draw: Draw, *, height: float) -> "Page":
-        """Add one panel as wide as the page, without frame.
-
-        Args:
-            draw: function that draws on axes.
-            height: height of the panel, inches.
-        """
-        return self.row(Panel(draw), height=height)
-
     def table(self, rows: Sequence[Sequence[str]], *, heading: Sequence[str] = (), height: float = 0.0) -> "Page":
         """Add a table of texts, below an optional heading.
 
@@ -159,20 +150,19 @@ class Page:
         result.text(self.verdict, colour=style.verdict_colour(self.good), size=style.VERDICT)
         rows = [*head.rows, *result.rows, *self.rows]
         heights = [height for height, _ in rows]
-        figure = new_figure(self.width, sum(heights) + _EDGE)
-        # The last part is the page's lower edge.
-        parts = figure.subfigures(len(rows) + 1, 1, squeeze=False, height_ratios=[*heights, _EDGE])[:, 0]
-        for part, (_, draw) in zip(parts, rows, strict=False):
-            part.set_facecolor("none")
-            draw(part)
-        if self.title:
-            parts[0].texts[0].set_weight("bold")
-        if self.about and self.title:
-            look: dict[str, Any] = {"fontsize": style.SMALL, "color": style.MARK}
+        with rc_context(style.PRINTED):
+            figure = new_figure(self.width, sum(heights) + _EDGE)
+            # The last part is the page's lower edge.
+            parts = figure.subfigures(len(rows) + 1, 1, squeeze=False, height_ratios=[*heights, _EDGE])[:, 0]
+            for part, (_, draw) in zip(parts, rows, strict=False):
+                part.set_facecolor("none")
+                draw(part)
+            if self.title:
+                parts[0].texts[0].set_weight("bold")
             used = text_width(self.title, 1.1 * style.TITLE) + text_width(self.about, style.SMALL) + 4 * _EDGE
-            if used < self.width:
-                parts[0].text(1 - _EDGE / self.width, 0.5, self.about, ha="right", va="center", **look)
-        settle(figure)
+            if self.title and used < self.width:
+                parts[0].text(1 - _EDGE / self.width, 0.5, self.about, ha="right", va="center", color=style.MARK)
+            settle(figure)
         return figure
 
 
@@ -219,7 +209,7 @@ def table(rows: Sequence[Sequence[str]], *, heading: Sequence[str] = (), title: 
 
     def draw(axes: Axes) -> None:
         axes.axis("off")
-        axes.set_title(title, loc="left", fontsize=style.HEAD, color=style.INK)
+        axes.set_title(title, loc="left")
         every = [heading, *rows] if heading else list(rows)
         widths = [max(text_width(text, style.TEXT) for text in column) for column in zip(*every, strict=True)]
         at = 0.0
@@ -227,10 +217,16 @@ def table(rows: Sequence[Sequence[str]], *, heading: Sequence[str] = (), title: 
             for row, texts in enumerate(every):
                 head = bool(heading) and row == 0
                 axes.annotate(
-                    texts[column], (0, 1), xycoords="axes fraction", xytext=(72 * at, -72 * row * _height(style.TEXT)),
-                    textcoords="offset points", va="top", fontsize=style.SMALL if head else style.TEXT,
-                    color=style.NOTE if head or column == 0 else style.INK, annotation_clip=False,
-                ).set_in_layout(False)  # fmt: skip
+                    texts[column],
+                    (0, 1),
+                    xycoords="axes fraction",
+                    xytext=(72 * at, -72 * row * _height(style.TEXT)),
+                    textcoords="offset points",
+                    va="top",
+                    fontsize=style.SMALL if head else style.TEXT,
+                    color=style.NOTE if head or column == 0 else style.INK,
+                    annotation_clip=False,
+                ).set_in_layout(False)
             at += width + 0.25
 
     return draw
@@ -370,16 +366,9 @@ def wrapped(text: str, size: float, width: float) -> list[str]:
         size: size of the text, points.
         width: width of the lines, inches.
     """
-    space, lines, used = text_width("n n", size) - text_width("nn", size), [""] if text else [], 0.0
-    for word in text.split(" "):
-        for part in [word] if text_width(word, size) <= width else wrap(word, 20):
-            wide = text_width(part, size) + space
-            if used and used + wide > width:
-                lines.append("")
-                used = 0.0
-            lines[-1:] = [f"{lines[-1]} {part}" if used else part]
-            used += wide
-    return lines
+    # The factor allows for lines with wider letters than the text's mean.
+    share = 0.93 * width / max(text_width(text, size), 1e-9)
+    return wrap(text, max(int(share * len(text)), 8)) if share < 0.93 else [text] * bool(text)
 
 
 def cropped(text: str, size: float, width: float) -> str:
@@ -411,11 +400,18 @@ def key(axes: Axes, entries: Iterable[tuple[str, str | dict[str, Any]]]) -> None
     if len(handles) > MOST_IN_KEY:
         raise ValueError(f"{len(handles)} entries are too many for a key: label them directly")
     if handles:
+        # Pages place key and title by their widths; a panel alone has the key below its title.
+        axes.set_title(axes.get_title(loc="left"), loc="left", pad=6 + style.SMALL * _LINE)
         axes.legend(
-            handles=handles, fontsize=style.SMALL, frameon=False, ncols=len(handles), loc="lower left",
-            bbox_to_anchor=(0.0, 1.0), borderpad=0.0, borderaxespad=0.25, handlelength=1.3, handletextpad=0.4,
+            handles=handles,
+            ncols=len(handles),
+            loc="lower left",
+            bbox_to_anchor=(0.0, 1.0),
+            borderaxespad=0.25,
+            handlelength=1.3,
+            handletextpad=0.4,
             columnspacing=1.2,
-        ).set_gid(_KEY)  # fmt: skip
+        ).set_gid(_KEY)
 
 
 MOST_IN_KEY = 4
@@ -423,9 +419,9 @@ MOST_IN_KEY = 4
 
 
 def settle(figure: Figure) -> None:
-    """Arrange titles, keys and direct labels.
+    """Arrange titles, keys and labels of points.
 
-    Titles are wrapped to the widths of their panels and moved above keys. Direct labels are moved apart.
+    Titles are wrapped to the widths of their panels and moved above keys.
     """
     _literal_texts(figure)
     with missing_glyphs_as_boxes():
@@ -446,12 +442,12 @@ def settle(figure: Figure) -> None:
         if title:
             lines = wrapped(title, style.HEAD, max(inches, 0.8)) if axes.name != "3d" else [title]
             axes.set_title("\n".join(lines), loc="left", fontsize=style.HEAD, color=style.INK, pad=pad)
-        _spread(axes, [text for text in axes.texts if text.get_gid() == DIRECT])
         _turn_aside(axes, [text for text in axes.texts if text.get_gid() == BESIDE and text.get_text()])
 
 
-_SIDES = ((1, 1), (1, -1), (-1, 1), (-1, -1), (1, 0), (-1, 0), (0, 1), (0, -1))
-_PLACES = [(away * x, away * y) for away in (5.0, 10.0, 16.0, 24.0, 34.0, 46.0, 60.0) for x, y in _SIDES]
+_PLACES = [
+    (away * x, away * y) for away in (5, 10, 16, 24, 34, 46, 60) for x in (1, -1, 0) for y in (1, -1, 0) if x or y
+]
 """Tried places of a label beside its point, points."""
 _LED = 10.0
 """Distance beyond which a line connects a point and its label, points."""
@@ -459,11 +455,11 @@ _LED = 10.0
 
 def _turn_aside(axes: Axes, labels: list[Any]) -> None:
     """Move labels round their points, and away from them, until they cover neither marks nor other labels."""
-    taken = [box for line in axes.lines if labels for box in _marks(line)]
+    taken = [box for line in axes.lines if labels and line.get_marker() not in ("None", "") for box in _marks(line)]
     for label in labels:
         boxes = ((place, _box_at(label, place)) for place in _PLACES)
-        free = (place for place, box in boxes if _inside(box, axes.bbox) and not box.count_overlaps(taken))
-        place = next(free, _PLACES[0])
+        inside = ((place, box) for place, box in boxes if all(axes.bbox.contains(*end) for end in (box.min, box.max)))
+        place = next((place for place, box in inside if not box.count_overlaps(taken)), _PLACES[0])
         taken.append(_box_at(label, place))
         if max(map(abs, place)) > _LED:
             line = {"arrowstyle": "-", "color": label.get_color(), "linewidth": 0.5, "shrinkA": 1, "shrinkB": 3}
@@ -474,37 +470,15 @@ def _box_at(label: Any, place: tuple[float, float]) -> Bbox:
     """Move a label and return its box."""
     x, y = np.sign(place)
     label.set_position(place)
-    label.set(ha={1: "left", 0: "center", -1: "right"}[x], va={1: "bottom", 0: "center", -1: "top"}[y])
+    label.set(ha=_ASIDE[x][0], va=_ASIDE[y][1])
     return label.get_window_extent()
 
 
-def _inside(box: Bbox, frame: BboxBase) -> bool:
-    return frame.x0 <= box.x0 and frame.y0 <= box.y0 and box.x1 <= frame.x1 and box.y1 <= frame.y1
-
-
 def _marks(line: Line2D) -> list[Bbox]:
-    if line.get_marker() in ("None", "", None):
-        return []
+    """Return the boxes of a line's marks, pixels."""
     half = (line.get_markersize() / 2 + 1) * line.get_figure(root=True).dpi / 72  # type: ignore[union-attr]
-    spots = line.get_transform().transform(line.get_xydata())
-    return [Bbox([spot - half, spot + half]) for spot in spots]
+    return [Bbox([spot - half, spot + half]) for spot in line.get_transform().transform(line.get_xydata())]
 
 
-def _spread(axes: Axes, labels: list[Any]) -> None:
-    """Move direct labels apart so that they do not overlap.
-
-    They move up, and down from the panel's upper edge.
-    """
-    step = _height(style.SMALL) * axes.get_figure(root=True).dpi  # type: ignore[union-attr]
-    low, high = axes.transAxes.transform([(0, 0), (0, 1)])[:, 1]
-    heights = [float(axes.transData.transform((0, label.xy[1]))[1]) for label in labels]
-    places = np.array([min(max(height, low), high) for height in heights])
-    order = np.argsort(places)
-    for before, after in pairwise(order):
-        places[after] = max(places[after], places[before] + step)
-    if len(order) and places[order[-1]] > high:
-        places[order[-1]] = high
-        for after, before in pairwise(order[::-1]):
-            places[before] = min(places[before], places[after] - step)
-    for label, place in zip(labels, places, strict=True):
-        label.xycoords, label.xy = "axes fraction", (1.0, (place - low) / (high - low))
+_ASIDE = {1: ("left", "bottom"), -1: ("right", "top"), 0: ("center", "center")}
+"""Alignments of a label by the side of its point."""

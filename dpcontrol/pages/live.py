@@ -13,7 +13,6 @@ import os
 import pickle
 import select
 import socket
-import struct
 import subprocess
 import sys
 import tempfile
@@ -21,7 +20,9 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from queue import SimpleQueue
+from threading import Thread
+from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -41,7 +42,6 @@ _MOST = getattr(select, "PIPE_BUF", 512)
 """Largest atomic write to a pipe, bytes."""
 _ROOM = 1 << 20
 """Capacity of the pipe, bytes, on systems that can set it: a minute of rows."""
-_HEAD = struct.Struct("<I")
 _PAUSE = 0.1
 """Time between two reads of the pipe, s."""
 _TAIL = 20
@@ -83,8 +83,7 @@ class LiveView(LoopSink):
         program = [sys.executable, "-m", __name__, name, self._viewer]
         window = subprocess.Popen(program, stdin=subprocess.PIPE, start_new_session=True, **quiet)
         assert window.stdin is not None
-        self.process = window.pid
-        self._pipe = os.dup(window.stdin.fileno())
+        self.process, self._pipe = window.pid, os.dup(window.stdin.fileno())
         window.stdin.close()
         # The process outlives the run and is not waited for.
         window.returncode = 0
@@ -125,14 +124,10 @@ class LiveView(LoopSink):
         if self._pipe < 0:
             return
         self._sent += 1
-        body = pickle.dumps(content, protocol=pickle.HIGHEST_PROTOCOL)
-        message = _HEAD.pack(len(body)) + body
-        if len(message) > _MOST:
-            # A longer message might be written in part.
-            self._dropped += 1
-            return
+        message = pickle.dumps(content, protocol=pickle.HIGHEST_PROTOCOL)
         try:
-            os.write(self._pipe, message)
+            # A longer message might be written in part.
+            self._dropped += len(message) > _MOST or not os.write(self._pipe, message)
         except BlockingIOError:
             self._dropped += 1
         except OSError:
@@ -179,22 +174,23 @@ class ShownState:
             events: new events.
         """
         from dpcontrol.pages import rerun_recording as recorded
-        from dpcontrol.pages.check_charts import check_charts
-        from dpcontrol.pages.motion_charts import motion_charts
+        from dpcontrol.pages.planes import plane
+        from dpcontrol.pages.run_charts import charts
         from dpcontrol.pages.strips import strips
 
         first, both = not len(self.tail), rows if not len(self.tail) else np.concatenate([self.tail, rows])
         view, drawn = self._view(rows, events), self._view(both, ())
         if first:
-            self.recording.send_blueprint(recorded.blueprint(view, growing=True), make_active=True)
+            sheets = [recorded.phase_plane(plane(view, arm)) for arm in range(view.arms)]
+            self.recording.send_blueprint(recorded.blueprint(view, sheets, growing=True), make_active=True)
             self.recording.send_recording_name(view.title)
             recorded.record_strips(self.recording, "", strips(self.planned), self.planned)
-            recorded.record_planes(self.recording, "phase_planes", view)
-        for chart in (*motion_charts(view), *check_charts(view)):
-            recorded.record_chart(self.recording, "plots", chart, view)
+            recorded.record_planes(self.recording, recorded.PLANES, view, sheets)
+        for chart in charts(view).values():
+            recorded.record_chart(self.recording, chart, view)
         modes = [strip for strip in strips(view, until=float(view.time[-1])) if strip.key == "mode"]
         recorded.record_strips(self.recording, "", modes, view)
-        recorded.record_places(self.recording, "phase_planes", view)
+        recorded.record_places(self.recording, recorded.PLANES, view)
         recorded.draw_pendulum(self.recording, recorded.SCENE, drawn)
         recorded.record_events(self.recording, view)
         self.tail = both[-_TAIL:]
@@ -207,45 +203,53 @@ class ShownState:
         times, measured, estimate, reference, control, truth = np.split(rows, sizes, axis=1)
         states = {"estimate": estimate, "reference": reference} | ({"truth": truth} if truth.size else {})
         log = replace(
-            start, time=times[:, 0], measured=measured, states=states, events=events,
+            start,
+            time=times[:, 0],
+            measured=measured,
+            states=states,
+            events=events,
             controls=dict(zip(start.controls, control.T, strict=True)),
-        )  # fmt: skip
+        )
         view, planned = series_of(log), self.planned.source
         # Means of the NIS need more rows than arrive at once.
         return replace(
-            view, limits=start.limits, plan=self.planned.plan, title=f"{self.planned.title}, live", nis=None,
+            view,
+            limits=start.limits,
+            plan=self.planned.plan,
+            title=f"{self.planned.title}, live",
+            nis=None,
             energy=None if planned is None else planned.energies(view.state),
-        )  # fmt: skip
+        )
 
 
-def messages(pipe: int, viewer: "subprocess.Popen[Any] | None") -> Iterator[tuple[Array, tuple[Event, ...]]]:
+def messages(stream: IO[bytes], viewer: "subprocess.Popen[Any] | None") -> Iterator[tuple[Array, tuple[Event, ...]]]:
     """Yield rows (K, D) and events as they arrive.
 
-    The end is the closing of the pipe or the viewer.
+    The end is the closing of the stream or the viewer.
 
     Args:
-        pipe: file descriptor of the pipe.
+        stream: pickles of rows and events.
         viewer: process of the viewer; None if it was not opened here.
     """
-    kept, closed = b"", False
-    while not closed and (viewer is None or viewer.poll() is None):
-        ready, _, _ = select.select([pipe], [], [], _PAUSE)
-        if not ready:
-            continue
-        content = os.read(pipe, _ROOM)
-        kept, closed = kept + content, not content
-        rows: list[Any] = []
-        events: list[Any] = []
-        while len(kept) >= _HEAD.size:
-            end = _HEAD.size + _HEAD.unpack_from(kept)[0]
-            if len(kept) < end:
-                break
-            item, kept = pickle.loads(kept[_HEAD.size : end]), kept[end:]
-            (events if isinstance(item, Event) else rows).append(item)
-        if rows or events:
-            yield np.array(rows).reshape(len(rows), -1), tuple(events)
-        # Rows that arrived in the meantime are shown together.
+    queue: SimpleQueue[Any] = SimpleQueue()
+    Thread(target=_receive, args=(stream, queue), daemon=True).start()
+    items: list[Any] = []
+    while not any(item is None for item in items) and (viewer is None or viewer.poll() is None):
+        # Rows that arrive in the meantime are shown together.
         time.sleep(_PAUSE)
+        items = [queue.get() for _ in range(queue.qsize())]
+        rows = [item for item in items if isinstance(item, np.ndarray)]
+        events = tuple(item for item in items if isinstance(item, Event))
+        if rows or events:
+            yield np.array(rows).reshape(len(rows), -1), events
+
+
+def _receive(stream: IO[bytes], queue: "SimpleQueue[Any]") -> None:
+    """Move pickles from a stream to a queue, whose last item is None."""
+    with contextlib.suppress(EOFError, pickle.UnpicklingError):
+        while True:
+            queue.put(pickle.load(stream))
+    queue.put(None)
 
 
 def _opened(address: str) -> "tuple[str, subprocess.Popen[Any] | None]":
@@ -278,13 +282,15 @@ def show(file: Path, address: str) -> None:
         Path("/proc/self/autogroup").write_text("19")
     start: RunLog = pickle.loads(file.read_bytes())
     file.unlink()
+    # The interpreter's own stream would be locked by the receiving thread at the end.
+    stream = os.fdopen(sys.stdin.fileno(), "rb", closefd=False)
     address, viewer = _opened(address)
     import rerun as rr
 
     recording = rr.RecordingStream("dpcontrol")
     recording.connect_grpc(address)
     shown, events = ShownState.of(recording, start), ()
-    for rows, more in messages(sys.stdin.fileno(), viewer):
+    for rows, more in messages(stream, viewer):
         events += more
         if len(rows):
             shown.add(rows, events)

@@ -14,12 +14,16 @@ from dpcontrol.foundation.units import prefixed
 from dpcontrol.judge.night import BETWEEN, CALMING, ITINERARY, STARTING, STOPPED, UNKNOWN, Night
 from dpcontrol.pages import style
 from dpcontrol.pages.layout import Page, Panel
-from dpcontrol.pages.panels import empty, name_curves, name_rows, quiet
+from dpcontrol.pages.panels import Bar, bars, empty, name_curves, quiet
 
 _COLOURS = {
-    ITINERARY: style.MODES["holding"], CALMING: style.MODES["saturated"], STARTING: style.MODES["pulsing"],
-    BETWEEN: style.MODES["tracking"], UNKNOWN: style.INK, STOPPED: style.PAPER,
-}  # fmt: skip
+    ITINERARY: style.MODES["holding"],
+    CALMING: style.MODES["saturated"],
+    STARTING: style.MODES["pulsing"],
+    BETWEEN: style.MODES["tracking"],
+    UNKNOWN: style.INK,
+    STOPPED: style.PAPER,
+}
 _ROW = 1800.0
 """Duration of a row of the strip, s, short enough to show absences of seconds; longer in long nights."""
 _ROWS = 32
@@ -38,15 +42,19 @@ def draw_night(night: Night) -> Figure:
     names = night.estimated
     zeros = [name for name in names if name.startswith("zero_")]
     page = Page(night.folder.name, night.sentence)
-    page.strip(partial(_draw_strip, night=night, row=row, rows=rows), height=1.0 + 0.36 * rows)
+    page.row(partial(_draw_strip, night=night, row=row, rows=rows), height=1.0 + 0.36 * rows)
     causes = Panel(partial(draw_causes, night=night), 1.1)
     page.row(Panel(partial(_draw_times, night=night)), causes, partial(_draw_returns, night=night), height=2.1)
     return page.row(
         partial(_draw_drift, night=night, title="Encoder zeros, change since the first file", names=zeros),
-        partial(_draw_drift, night=night, title="Other parameters, change since the first file",
-                names=[name for name in names if name not in zeros]),
+        partial(
+            _draw_drift,
+            night=night,
+            title="Other parameters, change since the first file",
+            names=[name for name in names if name not in zeros],
+        ),
         height=2.3,
-    ).figure()  # fmt: skip
+    ).figure()
 
 
 _FALLS: dict[str, str] = {
@@ -63,54 +71,44 @@ _FALLS: dict[str, str] = {
 
 
 def _draw_strip(axes: Axes, night: Night, row: float, rows: int) -> None:
-    quiet(axes)
-    scale = 60.0
-    for span in night.spans:
-        first = span.first
-        while first < span.end - 1e-9:
-            k = int(first / row + 1e-9)
-            end = min(span.end, (k + 1) * row)
+    quiet(axes, "Rows of up to half an hour, with the share on the itinerary; triangles are falls", x="minutes")
+    for k in range(rows):
+        begin, known, on = k * row, 0.0, 0.0
+        for span in night.spans:
+            first, last = max(span.first, begin), min(span.end, begin + row)
+            if last <= first:
+                continue
             # The edge keeps short absences visible.
-            colour, edge = _COLOURS[span.kind], 0.0 if span.kind in (ITINERARY, STOPPED) else 0.8
-            axes.barh(k, (end - first) / scale, left=(first - k * row) / scale, height=0.78, color=colour,
-                      edgecolor=colour, linewidth=edge)  # fmt: skip
-            first = end
+            edge = 0.0 if span.kind in (ITINERARY, STOPPED) else 0.8
+            look = {"facecolor": _COLOURS[span.kind], "edgecolor": _COLOURS[span.kind], "linewidth": edge}
+            axes.broken_barh([((first - begin) / 60, (last - first) / 60)], (k - 0.39, 0.78), **look)
+            known += (last - first) * (span.kind != UNKNOWN)
+            on += (last - first) * (span.kind == ITINERARY)
+        text = f"{on / known:.0%}" if known else ""
+        axes.text(1.008, k, text, transform=axes.get_yaxis_transform(), va="center", fontsize=style.SMALL)
     for fall in night.falls:
         k = min(int(fall.time / row), rows - 1)
-        axes.plot((fall.time - k * row) / scale, k - 0.42, marker="v", markersize=4.5, clip_on=False,
-                  color=_FALLS.get(fall.cause, style.INK), linewidth=0)  # fmt: skip
-    for k in range(rows):
-        within = [(max(s.first, k * row), min(s.end, (k + 1) * row), s.kind) for s in night.spans]
-        total = sum(max(b - a, 0.0) for a, b, kind in within if kind != UNKNOWN)
-        on = sum(max(b - a, 0.0) for a, b, kind in within if kind == ITINERARY)
-        if total:
-            axes.text(
-                1.008, k, f"{on / total:.0%}", transform=axes.get_yaxis_transform(), va="center", fontsize=style.SMALL
-            )
+        look = {"color": _FALLS.get(fall.cause, style.INK), "markersize": 4.5, "clip_on": False}
+        axes.plot((fall.time - k * row) / 60, k - 0.42, "v", **look)
     minutes = [round(k * row / 60) for k in range(rows)]
-    labels = [f"{m // 60}:{m % 60:02d} h" if row >= _ROW else f"{m} min" for m in minutes]
-    axes.set_yticks(range(rows), labels)
-    axes.set(xlim=(0, row / scale), ylim=(rows - 0.5, -0.65))
-    axes.set_xlabel("minutes", fontsize=style.SMALL)
-    title = "Half an hour and less a row, with the share of it on the itinerary; triangles are falls"
-    axes.set_title(title if row > 600 else "The run, with the share on the itinerary; triangles are falls", loc="left")
+    axes.set_yticks(range(rows), [f"{m // 60}:{m % 60:02d} h" if row >= _ROW else f"{m} min" for m in minutes])
+    axes.set(xlim=(0, row / 60), ylim=(rows - 0.5, -0.65))
 
 
 def _draw_times(axes: Axes, night: Night) -> None:
     spent = {kind: sum(s.end - s.first for s in night.spans if s.kind == kind) for kind in _COLOURS if kind != STOPPED}
     spent = {kind: time for kind, time in spent.items() if time}
     scale, unit = (1 / 3600, "hours") if max(spent.values(), default=0.0) > 3600 else (1 / 60, "minutes")
-    quiet(axes, f"Time by activity ({unit}), in the strip's colours")
-    axes.barh(range(len(spent)), [scale * t for t in spent.values()], color=[_COLOURS[k] for k in spent], height=0.6)
-    name_rows(axes, list(spent))
+    rows = [Bar(kind, scale * time, _COLOURS[kind]) for kind, time in spent.items()]
+    bars(axes, f"Time by activity ({unit}), in the strip's colours", rows)
 
 
 def _draw_returns(axes: Axes, night: Night) -> None:
-    quiet(axes, "Time from the fall back onto the itinerary", x="s", y="share of falls within")
     returns = np.sort(night.returns)
     if not len(returns):
         empty(axes, "Time from the fall back onto the itinerary", "no falls")
         return
+    quiet(axes, "Time from the fall back onto the itinerary", x="s", y="share of falls within")
     shares = np.arange(1, len(returns) + 1) / len(returns)
     axes.step(np.r_[0, returns], np.r_[0, shares], where="post", color=style.ARMS[0])
     # The curve leaves the upper left and the lower right free.
@@ -122,11 +120,8 @@ def _draw_returns(axes: Axes, night: Night) -> None:
 
 
 def draw_causes(axes: Axes, night: Night) -> None:
-    quiet(axes, "Falls by cause, in the triangles' colours")
-    causes = night.causes
-    axes.barh(range(len(causes)), list(causes.values()), color=[_FALLS.get(c, style.INK) for c in causes], height=0.6,
-              alpha=0.8)  # fmt: skip
-    name_rows(axes, list(causes))
+    rows = [Bar(cause, count, _FALLS.get(cause, style.INK)) for cause, count in night.causes.items()]
+    bars(axes, "Falls by cause, in the triangles' colours", rows)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
 
 

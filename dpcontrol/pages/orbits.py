@@ -16,10 +16,9 @@ from matplotlib.figure import Figure
 from dpcontrol.orbits.family import LyapunovFamily
 from dpcontrol.pages import style
 from dpcontrol.pages.layout import Page
-from dpcontrol.pages.panels import angle_axis, name_curves, quiet
+from dpcontrol.pages.panels import name_curves, name_point, quiet, quiet_plane
 
 _SHAPES = 12
-SAMPLES = 300
 _SHADES = colormaps["viridis"]
 
 
@@ -59,10 +58,7 @@ def _against_energy(axes: Axes, families: Sequence[LyapunovFamily], *, multiplie
             orbit = event.orbit
             value = float(np.abs(orbit.floquet_multipliers[0])) if multipliers else orbit.period
             axes.plot(orbit.energy, value, "x", color=style.LIMIT, ms=7)
-            axes.annotate(
-                event.kind, (orbit.energy, value), xytext=(4, 4), textcoords="offset points", fontsize=style.SMALL,
-                color=style.LIMIT,
-            )  # fmt: skip
+            name_point(axes, event.kind, (orbit.energy, value), style.LIMIT, weight="normal")
     if multipliers:
         axes.set_yscale("log")
     name_curves(axes, ends)
@@ -79,16 +75,12 @@ def _shapes(axes: Axes, family: LyapunovFamily, scale: Normalize) -> None:
     amplitude = np.sqrt(np.abs(family.energies - birth))
     wanted = np.linspace(amplitude.min(), amplitude.max(), _SHAPES)
     chosen = [family.members[k] for k in dict.fromkeys(int(np.argmin(np.abs(amplitude - a))) for a in wanted)]
-    curves = [system.propagator.sample(o.state, np.linspace(0.0, o.period, SAMPLES)) for o in chosen]
-    arm = int(np.argmax(np.ptp(curves[-1][:, :n], axis=0)))
-    columns = [arm, n + arm] if system.si else [0, 1]
+    arm = int(np.argmax(np.ptp(chosen[-1].sample()[:, :n], axis=0)))
+    columns = (arm, n + arm) if system.si else (0, 1)
     # Small orbits are drawn on top, because they lie within the large ones.
-    for orbit, curve in zip(chosen[::-1], curves[::-1], strict=True):
-        axes.plot(*curve[:, columns].T, color=_SHADES(scale(orbit.energy)), linewidth=1.3)
-    axes.plot(*system.equilibrium(family.saddle)[columns], "+", color=style.LIMIT, markersize=9, zorder=5)
-    quiet(axes, f"Orbits about {family.saddle}", x=system.labels[columns[0]], y=system.labels[columns[1]])
-    if np.isfinite(system.periods[columns[0]]):
-        angle_axis(axes, "x")
+    for orbit in reversed(chosen):
+        axes.plot(*orbit.sample(300)[:, columns].T, color=_SHADES(scale(orbit.energy)), linewidth=1.3)
+    axes.plot(*system.equilibrium(family.saddle)[list(columns)], "+", color=style.LIMIT, markersize=9, zorder=5)
+    quiet_plane(axes, system, columns, f"Orbits about {family.saddle}")
     bar = axes.figure.colorbar(ScalarMappable(scale, _SHADES), ax=axes, fraction=0.05, pad=0.03)
-    bar.ax.tick_params(labelsize=style.SMALL)
     bar.ax.set_title(system.unit("J", "{}") or "energy", fontsize=style.SMALL)

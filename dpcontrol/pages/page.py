@@ -1,4 +1,4 @@
-"""A motion on one page, drawn by matplotlib from its story (`series`).
+"""A motion on one page, drawn by matplotlib from its story (`run_charts`).
 
 The motion is a run, a recording, a reference or an orbit.
 
@@ -26,13 +26,11 @@ from dpcontrol.logs import RunLog
 from dpcontrol.pages import style
 from dpcontrol.pages.chart import Chart
 from dpcontrol.pages.charts import draw_chart, draw_plane
-from dpcontrol.pages.check_charts import check_charts
 from dpcontrol.pages.filmstrip import draw_film, film_height, film_times
 from dpcontrol.pages.layout import Page, Panel, Stack, cropped, list_panel
-from dpcontrol.pages.motion_charts import motion_charts
-from dpcontrol.pages.panels import quiet
+from dpcontrol.pages.panels import Bar, bars
 from dpcontrol.pages.planes import plane
-from dpcontrol.pages.series import extra_charts
+from dpcontrol.pages.run_charts import check_charts, extra_charts, motion_charts
 from dpcontrol.pages.story import story, story_height
 from dpcontrol.references.trajectory import LimitUse
 
@@ -84,11 +82,11 @@ def draw(view: RunView) -> Figure:
     if uses := limit_uses(view):
         page.row(partial(_uses, uses=uses), height=_AROUND + _USE * len(uses))
     if story_height(view):
-        page.strip(partial(story, view=view), height=story_height(view))
+        page.row(partial(story, view=view), height=story_height(view))
     if view.arm_lengths:
         times = film_times(view, frames=_FRAMES)
         height = film_height(view, times, width=style.WIDTH)
-        page.strip(partial(draw_film, view=view, times=times), height=height)
+        page.row(partial(draw_film, view=view, times=times), height=height)
     columns = [Stack(column, share=1.05) for column in (left, right) if column]
     lists = _lists(view)
     height = _TALL * max(half, 4)
@@ -102,15 +100,13 @@ def _uses(axes: Axes, uses: Sequence[LimitUse]) -> None:
 
     The largest share is at the top.
     """
-    quiet(axes, "Largest values, as shares of their limits")
-    for k, use in enumerate(uses):
-        axes.barh(k, min(use.share, _FULL), color=style.LIMIT if use.share > _NEAR else style.CART, height=0.6)
-        axes.text(_FULL + 0.02, k, use.sentence, va="center", fontsize=style.SMALL, color=style.INK)
+    rows = [
+        Bar(use.name, min(use.share, _FULL), style.LIMIT if use.share > _NEAR else style.CART, note=use.sentence)
+        for use in uses
+    ]
+    bars(axes, "Largest values, as shares of their limits", rows)
     axes.axvline(1.0, color=style.LIMIT, linewidth=1.1, linestyle=style.DASHED, zorder=0.5)
-    axes.set_yticks(range(len(uses)), [use.name for use in uses])
-    axes.set_ylim(len(uses) - 0.5, -0.5)
-    axes.set_xlim(0, 1.35)
-    axes.set_xticks([0, 0.25, 0.5, 0.75, 1.0])
+    axes.set(xlim=(0, _FULL), xticks=[0, 0.25, 0.5, 0.75, 1.0])
     axes.xaxis.set_major_formatter(PercentFormatter(1.0))
 
 

@@ -4,12 +4,16 @@ They are frames, axes in units of π, badges, marks and direct labels.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from textwrap import shorten
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.collections import LineCollection
 from matplotlib.colors import to_rgba
+from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FuncFormatter, MultipleLocator
 
@@ -20,7 +24,7 @@ from dpcontrol.walks.atlas import Atlas
 
 
 def quiet(axes: Axes, title: str = "", *, x: str = "", y: str = "") -> None:
-    """Set a panel's title, axis labels, and plain frame and grid.
+    """Set a panel's title and axis labels.
 
     Args:
         axes: panel to label.
@@ -29,16 +33,8 @@ def quiet(axes: Axes, title: str = "", *, x: str = "", y: str = "") -> None:
         y: label of the y axis.
     """
     if title:
-        axes.set_title(title, loc="left", fontsize=style.HEAD, color=style.INK, pad=4)
-    axes.set_xlabel(x, fontsize=style.SMALL, color=style.NOTE, labelpad=1)
-    axes.set_ylabel(y, fontsize=style.SMALL, color=style.NOTE, labelpad=1)
-    axes.tick_params(labelsize=style.SMALL, colors=style.NOTE, length=2.5)
-    axes.tick_params(which="minor", labelsize=style.SMALL)
-    axes.grid(color=style.GRID, linewidth=0.7)
-    axes.set_axisbelow(True)
-    for side, spine in axes.spines.items():
-        spine.set_visible(side in ("left", "bottom"))
-        spine.set_color(style.FAINT)
+        axes.set_title(title, loc="left")
+    axes.set(xlabel=x, ylabel=y)
 
 
 def bare(axes: Axes, title: str = "") -> None:
@@ -49,7 +45,7 @@ def bare(axes: Axes, title: str = "") -> None:
         title: title of the panel.
     """
     axes.axis("off")
-    axes.set_title(title, loc="left", fontsize=style.HEAD, color=style.INK, pad=4)
+    axes.set_title(title, loc="left")
 
 
 def empty(axes: Axes, title: str, text: str) -> None:
@@ -75,12 +71,26 @@ def quiet_space(axes: Axes, of: System | Atlas, *, steps: tuple[float | None, fl
         steps: tick distances of x and y, half turns; None adapts to the data.
     """
     for k, (which, step) in enumerate(zip("xy", steps, strict=True)):
-        getattr(axes, f"set_{which}label")(of.labels[k], fontsize=style.SMALL)
+        getattr(axes, f"set_{which}label")(of.labels[k])
         if np.isfinite(of.periods[k]):
             angle_axis(axes, which, step=step)
     axes.set_zlabel(of.labels[len(of.labels) // 2], fontsize=style.SMALL)  # type: ignore[attr-defined]
     axes.view_init(elev=22, azim=-122)  # type: ignore[attr-defined]
-    axes.tick_params(labelsize=style.SMALL, colors=style.CART)
+
+
+def quiet_plane(axes: Axes, of: System | Atlas, columns: tuple[int, int] = (0, 1), title: str = "") -> None:
+    """Label a panel that shows two entries of states, angles in multiples of π.
+
+    Args:
+        axes: panel to label.
+        of: system or atlas with the labels.
+        columns: indices of the entries.
+        title: title of the panel.
+    """
+    quiet(axes, title, x=of.labels[columns[0]], y=of.labels[columns[1]])
+    for column, which in zip(columns, "xy", strict=True):
+        if np.isfinite(of.periods[column]):
+            angle_axis(axes, which)
 
 
 def angle_axis(axes: Axes, which: str, *, step: float | None = None) -> None:
@@ -137,9 +147,17 @@ def badge(axes: Axes, number: int, x: float, y: float, *, size: float = style.SM
         size: size of the text, points.
     """
     axes.text(
-        x, y, str(number), ha="center", va="center_baseline", fontsize=size, color="white", zorder=6, clip_on=False,
+        x,
+        y,
+        str(number),
+        ha="center",
+        va="center_baseline",
+        fontsize=size,
+        color="white",
+        zorder=6,
+        clip_on=False,
         bbox={"boxstyle": "circle,pad=0.25", "facecolor": style.INK, "edgecolor": "none"},
-    )  # fmt: skip
+    )
 
 
 def draw_fading(axes: Axes, path: Array, colour: str, *, shades: tuple[float, float], linewidth: float) -> None:
@@ -179,19 +197,15 @@ def wrapped_runs(curve: Array, periods: tuple[float | None, ...]) -> list[Array]
 
 
 def name_curves(axes: Axes, names: list[tuple[float, str, str]]) -> None:
-    """Label curves directly at the right end of a panel.
-
-    The labels take the place of a key. The layout engine moves apart labels that would overlap.
+    """Name curves at the right of a panel, in the order of their ends.
 
     Args:
         axes: panel with the curves.
-        names: height of the curve's end in data, text and colour of each label.
+        names: height of the curve's end in data, text and colour of each name.
     """
-    for height, text, colour in names:
-        axes.annotate(
-            text, (1.0, height), xycoords=("axes fraction", "data"), xytext=(4, 0), textcoords="offset points",
-            va="center", fontsize=style.SMALL, color=colour, annotation_clip=False,
-        ).set_gid(DIRECT)  # fmt: skip
+    lines = [Line2D([], [], color=colour, label=text) for _, text, colour in sorted(names, reverse=True)]
+    place: dict[str, Any] = {"loc": "center left", "bbox_to_anchor": (1.0, 0.5), "borderaxespad": 0.4}
+    axes.legend(handles=lines, handlelength=0.8, labelcolor="linecolor", **place)
 
 
 def name_rows(axes: Axes, names: Sequence[str]) -> None:
@@ -205,7 +219,46 @@ def name_rows(axes: Axes, names: Sequence[str]) -> None:
     axes.set_ylim(max(len(names) - 0.4, 0.6), -0.6)
 
 
-DIRECT, BESIDE = "direct label", "label beside a point"
+@dataclass(frozen=True)
+class Bar:
+    """A row of a bar chart.
+
+    Attributes:
+        name: name of the row.
+        value: length of the bar.
+        colour: colour of the bar.
+        interval: ends of a line over the bar, or none.
+        note: text at the right of the panel.
+    """
+
+    name: str
+    value: float
+    colour: str
+    interval: tuple[float, ...] = ()
+    note: str = ""
+
+
+def bars(axes: Axes, title: str, rows: Sequence[Bar], *, x: str = "") -> None:
+    """Draw a bar chart, the first row at the top.
+
+    Args:
+        axes: panel to draw on.
+        title: title of the panel.
+        rows: bars.
+        x: label of the x axis.
+    """
+    quiet(axes, title, x=x)
+    for k, bar in enumerate(rows):
+        axes.barh(k, bar.value, color=bar.colour, height=0.62, alpha=0.85)
+        axes.plot(bar.interval, [k] * len(bar.interval), color=style.INK, linewidth=1.4)
+        look = {"xytext": (5, 0), "textcoords": "offset points", "va": "center", "fontsize": style.SMALL}
+        axes.annotate(
+            bar.note, (1.0, k), xycoords=("axes fraction", "data"), color=style.NOTE, annotation_clip=False, **look
+        )
+    name_rows(axes, [shorten(bar.name, 52, placeholder=" …") for bar in rows])
+
+
+BESIDE = "label beside a point"
 
 
 def name_point(axes: Axes, text: str, at: tuple[float, float], colour: str, *, weight: str = "bold") -> None:
@@ -221,6 +274,15 @@ def name_point(axes: Axes, text: str, at: tuple[float, float], colour: str, *, w
         weight: weight of its letters.
     """
     axes.annotate(
-        text, at, xytext=(5, 5), textcoords="offset points", fontsize=style.SMALL, color=colour, weight=weight,
-        zorder=7, path_effects=[withStroke(linewidth=2.5, foreground=style.PAPER)], gid=BESIDE, in_layout=False,
-    )  # fmt: skip
+        text,
+        at,
+        xytext=(5, 5),
+        textcoords="offset points",
+        fontsize=style.SMALL,
+        color=colour,
+        weight=weight,
+        zorder=7,
+        path_effects=[withStroke(linewidth=2.5, foreground=style.PAPER)],
+        gid=BESIDE,
+        in_layout=False,
+    )

@@ -114,11 +114,12 @@ def open_viewer(recording: Path, *, temporary: Path | None = None) -> None:
     if not Path(recording).is_file():
         raise InputError(f"there is no recording {recording}; write one with `dpcontrol review LOG --save {recording}`")
     viewer, environment = viewer_command(str(recording))
-    silent = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
     watch = subprocess.Popen(
-        [sys.executable, "-I", "-c", _WATCH, str(temporary or ""), *viewer], start_new_session=True,
-        env=environment, **silent,
-    )  # fmt: skip
+        [sys.executable, "-I", "-c", _WATCH, str(temporary or ""), *viewer],
+        start_new_session=True,
+        env=environment,
+        **dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL),
+    )
     with contextlib.suppress(subprocess.TimeoutExpired):
         if watch.wait(_STARTED):
             raise InputError(f"the viewer ended at once; {REVIEW_REMEDY}")

@@ -2,7 +2,6 @@
 
 import math
 from functools import partial
-from textwrap import shorten
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -12,7 +11,7 @@ from dpcontrol.foundation.statistics import wilson
 from dpcontrol.judge.preflight import HazardBorder, Preflight, shown_number
 from dpcontrol.pages import style
 from dpcontrol.pages.layout import Page, cropped
-from dpcontrol.pages.panels import name_rows, quiet
+from dpcontrol.pages.panels import Bar, bars, quiet
 
 _WIDTH = 8.27
 """A4 in portrait, inches."""
@@ -23,20 +22,14 @@ def draw_preflight(found: Preflight) -> Figure:
     """Return a preflight's page as a figure."""
     title = f"Before the first run: {found.itinerary}"
     page = Page(title, found.status, found.likely, about=f"model {found.model}", width=_WIDTH)
-    page.text(found.advice, colour=style.INK, size=style.TEXT).strip(partial(_rate, found=found), height=0.4)
-    known = [(one.name, cropped(one.value, style.TEXT, 2.4), one.source) for one in found.known]
+    page.text(found.advice, colour=style.INK, size=style.TEXT).row(partial(_rate, found=found), height=0.4)
     page.text("The bench as described", colour=style.INK, size=style.HEAD)
-    page.table([(name, value, cropped(source, style.TEXT, 4.0)) for name, value, source in known])
+    text = partial(cropped, size=style.TEXT)
+    page.table([(one.name, text(one.value, width=2.4), text(one.source, width=4.0)) for one in found.known])
     page.text("Endings of failed runs, share of all runs", colour=style.INK, size=style.HEAD)
-    endings = [
-        (
-            f"{one.runs / found.share.runs:.1%}",
-            cropped(one.cause, style.TEXT, 1.6),
-            cropped(one.example, style.TEXT, 5.0),
-        )
-        for one in found.endings[:_REASONS]
-    ]
-    page.table(endings or [("", "none: every run completed", "")])
+    runs, endings = found.share.runs, found.endings[:_REASONS]
+    rows = [(f"{e.runs / runs:.1%}", text(e.cause, width=1.6), text(e.example, width=5.0)) for e in endings]
+    page.table(rows or [("", "none: every run completed", "")])
     if found.borders:
         title = "Borders: half as many runs complete as on the bench as described"
         page.text(title, colour=style.INK, size=style.HEAD)
@@ -46,7 +39,7 @@ def draw_preflight(found: Preflight) -> Figure:
             "green: the bench as described. Red: border with its 95 % interval."
         )
     if found.changes:
-        page.strip(partial(_changes, found=found), height=0.75 + 0.19 * len(found.changes))
+        page.row(partial(_changes, found=found), height=0.75 + 0.19 * len(found.changes))
     else:
         page.text("No change was tried, because no run failed or none was compared.")
     for note in found.notes:
@@ -61,7 +54,7 @@ def _rate(axes: Axes, found: Preflight) -> None:
     axes.plot([share.rate, share.rate], [-0.5, 0.5], color=colour, linewidth=2.5, clip_on=False)
     axes.set(xlim=(0, 1), ylim=(-0.5, 0.5), yticks=[])
     axes.xaxis.set_major_formatter(PercentFormatter(1.0))
-    axes.tick_params(labelsize=style.SMALL, colors=style.NOTE, length=2)
+    axes.grid(False)
     axes.spines[:].set_visible(False)
 
 
@@ -98,12 +91,9 @@ def _border(axes: Axes, border: HazardBorder) -> None:
 
 
 def _changes(axes: Axes, found: Preflight) -> None:
-    quiet(axes, "Gain of each change, on the same seeds; lines: two standard errors", x="points of all runs")
-    for k, one in enumerate(found.changes):
-        gain, reach = 100 * one.gain, 200 * one.error
-        sure = gain > reach
-        axes.barh(k, gain, color=style.GOOD if sure else style.FAINT, height=0.6)
-        axes.plot([gain - reach, gain + reach], [k, k], color=style.INK, linewidth=0.9)
+    rows = [
+        Bar(one.text, gain, style.GOOD if gain > reach else style.FAINT, (gain - reach, gain + reach))
+        for one, gain, reach in ((one, 100 * one.gain, 200 * one.error) for one in found.changes)
+    ]
+    bars(axes, "Gain of each change, on the same seeds; lines: two standard errors", rows, x="points of all runs")
     axes.axvline(0, color=style.MARK, linewidth=0.8)
-    name_rows(axes, [shorten(change.text, 52, placeholder=" …") for change in found.changes])
-    axes.tick_params(axis="y", labelsize=style.SMALL, length=0)

@@ -1,7 +1,5 @@
 """Ranges of axes and times, and rows that suffice for curves."""
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -48,37 +46,6 @@ def extreme_rows(values: Array, *, bins: int) -> NDArray[np.int64]:
         block = np.where(np.isfinite(block), block, 0.0)
     ends = np.sort(np.stack([block.argmin(axis=1), block.argmax(axis=1)], axis=1), axis=1)
     return np.unique(np.concatenate([(ends + size * np.arange(len(block))[:, None]).ravel(), [len(values) - 1]]))
-
-
-_LABELLED = 5.5
-"""Greatest number of labels on a plot of the viewer; with more steps only every tenth is labelled."""
-_EDGE = 0.06
-"""Share of a plot at its edges that truncates labels."""
-
-
-def ticked(low: float, high: float) -> Range:
-    """Return bounds near these with at least two labels.
-
-    The viewer labels multiples of a power of ten.
-
-    The bound is extended to the nearer next multiple, or to both if they are equally near.
-
-    Args:
-        low: lower bound, in any unit.
-        high: upper bound, in the same unit.
-    """
-    step = 10.0 ** math.ceil(math.log10(max(high - low, 1e-12) / _LABELLED))
-    margin = _EDGE * (high - low)
-    first, last = math.ceil((low + margin) / step), math.floor((high - margin) / step)
-    if last > first:
-        return low, high
-    if last < first:
-        first, last = last, first
-    else:
-        down, up = low - (first - 1) * step, (last + 1) * step - high
-        first, last = first - (down < 1.01 * up), last + (up < 1.01 * down)
-    margin = _EDGE * (max(high, last * step) - min(low, first * step))
-    return min(low, first * step - margin), max(high, last * step + margin)
 
 
 def padded(values: Array) -> Range:

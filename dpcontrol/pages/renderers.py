@@ -9,6 +9,10 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from matplotlib import rc_context
+
+from dpcontrol.pages import style
+
 RENDERERS = {
     "dpcontrol.logs.reader.RunLog": "page:draw_log",
     "dpcontrol.judge.run_view.RunView": "page:draw",
@@ -27,7 +31,7 @@ RENDERERS = {
 PANELS: dict[str, str] = {
     "dpcontrol.orbits.lyapunov.LyapunovOrbit": "single:orbit",
     "dpcontrol.orbits.rotating.RotatingOrbit": "single:orbit",
-    "dpcontrol.references.sustained.SustainedOrbit": "single:sustained",
+    "dpcontrol.references.sustained.SustainedOrbit": "single:angles",
     "dpcontrol.orbits.family.LyapunovFamily": "single:family",
     "dpcontrol.orbits.rotating.RotatingFamily": "single:family",
     "dpcontrol.orbits.tube.Tube": "single:tube",
@@ -41,8 +45,8 @@ PANELS: dict[str, str] = {
     "dpcontrol.walks.shadowing.ShadowingOrbit": "single:walk",
     "dpcontrol.walks.edges.Edges": "single:edges",
     "dpcontrol.walks.atlas.Atlas": "single:atlas",
-    "dpcontrol.plans.plan.Plan": "single:plan",
-    "dpcontrol.logs.reader.RunLog": "single:log",
+    "dpcontrol.plans.plan.Plan": "single:angles",
+    "dpcontrol.logs.reader.RunLog": "single:angles",
     "dpcontrol.judge.campaign.CampaignSummary": "campaign:draw_groups",
     "dpcontrol.judge.night.Night": "night:draw_causes",
     "dpcontrol.judge.comparison.RunComparison": "single:comparison",
@@ -88,12 +92,11 @@ def new_axes(width: float, height: float) -> Any:
         width: width in inches.
         height: height in inches.
     """
-    figure = renderer("layout:new_figure")(width, height)
-    figure.set_layout_engine("constrained")
-    return figure.add_subplot()
+    with rc_context(style.PRINTED):
+        return renderer("layout:new_figure")(width, height).add_subplot()
 
 
 def renderer(place: str) -> Callable[..., Any]:
-    """Return the function at `module:function` in this package."""
+    """Return the function at `module:function` in this package, with the settings of pages."""
     module, _, name = place.partition(":")
-    return getattr(import_module(f"dpcontrol.pages.{module}"), name)
+    return rc_context(style.PRINTED)(getattr(import_module(f"dpcontrol.pages.{module}"), name))

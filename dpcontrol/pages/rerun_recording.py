@@ -1,11 +1,8 @@
-"""A motion as a Rerun recording, built from its story (`series`).
+"""A motion as a Rerun recording with its layout: scene, strips, charts (`run_charts`), phase planes and events.
 
-The motion is a run, a recording or a reference. The layout of the recording is built here too.
-
-The viewer can also open a log itself, in its default layout. Times are durations from the start. In the scene x points
-right and z up.
-In the phase planes the viewer's y points down and its scales are equal: a rate of 10 rad/s is drawn as long as an angle
-of 2 rad.
+The motion is a run, a recording or a reference. The viewer can also open a log itself, in its default layout. Times are
+durations from the start. In the scene x points right and z up. In phase planes a rate of 10 rad/s is drawn as long as
+an angle of 2 rad.
 """
 
 from __future__ import annotations
@@ -13,41 +10,41 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.files import whole_file
-from dpcontrol.foundation.parts import Later
 from dpcontrol.judge.run_view import RunView
 from dpcontrol.pages import style
 from dpcontrol.pages.chart import Chart, Line
-from dpcontrol.pages.check_charts import check_charts
-from dpcontrol.pages.motion_charts import motion_charts
 from dpcontrol.pages.planes import Plane, arm_points, plane
-from dpcontrol.pages.ranges import extreme_rows, gap_times, padded, ticked
-from dpcontrol.pages.series import extra_charts
-from dpcontrol.pages.strips import Span, Strip, strips
-
-if TYPE_CHECKING:
-    import rerun as rr
-    import rerun.blueprint as rrb
-else:
-    rr, rrb = Later("rerun"), Later("rerun.blueprint")
-
+from dpcontrol.pages.ranges import extreme_rows, gap_times, padded
+from dpcontrol.pages.run_charts import check_charts, extra_charts, motion_charts
+from dpcontrol.pages.sheet import PAPER, Sheet, rr, rrb
+from dpcontrol.pages.strips import Strip, strips
 
 TIMELINE = "message_log_time"
 """Timeline of the log's messages, a duration from the start; derived series use the same."""
 TRACE_RATE = 50.0
 """Rate of recorded poses and positions, Hz, sufficient for viewing."""
+SCENE, SUMMARY, PLANES, PLOTS = "scene", "summary", "phase_planes", "plots"
+"""Paths in a recording."""
 _BINS = 30_000
 """Number of bins of a long curve; the least and the greatest value of each are recorded."""
 _ON_THE_WAY = "on the way"
-
-
+_RATE = 0.2
+"""Drawn length of 1 rad/s in a phase plane; an angle of 1 rad is 1 long."""
+_EACH = 2
+"""Every second strand of a tube suffices, and is faster to draw without a graphics card."""
+_TUBES = (
+    (False, style.UNSTABLE, style.PALE_UNSTABLE, "tubes_from"),
+    (True, style.STABLE, style.PALE_STABLE, "tubes_to"),
+)
+"""Stability, colours of the cut and of the strands (the viewer's thin lines are opaque), and name."""
+_TRACE_SECONDS = 0.4
 _NO_GAPS: Array = np.zeros(0)
 
 
@@ -70,45 +67,40 @@ def trace_rows(view: RunView) -> NDArray[np.int64]:
     return np.arange(0, len(view.time), max(1, round(view.rate_hz / TRACE_RATE)))
 
 
-def record_chart(recording: rr.RecordingStream, home: str, chart: Chart, view: RunView) -> None:
-    """Record a chart's lines and levels under `home` and its key.
+def record_chart(recording: rr.RecordingStream, chart: Chart, view: RunView) -> None:
+    """Record a chart's lines and levels.
 
     Args:
         recording: recording to extend.
-        home: parent path.
         chart: chart to record, skipped without a key.
         view: run with time range and gaps.
     """
     if not chart.key:
         return
-    home = f"{home}/{chart.key}"
+    ends = view.time[[0, -1]]
+    levels = [Line(x.key, x.name, "", ends, np.full(2, x.value), x.colour, 1.0) for x in chart.levels]
     for line in chart.lines:
-        _line(recording, f"{home}/{line.key}", line, gaps=gap_times(view))
-    for level in chart.levels:
-        ends = np.array([view.time[0], view.time[-1]])
-        _line(
-            recording, f"{home}/{level.key}", Line("", level.name, "", ends, np.full(2, level.value), level.colour, 1.0)
-        )
+        _line(recording, f"{PLOTS}/{chart.key}/{line.key}", line, gaps=gap_times(view))
+    for line in levels:
+        _line(recording, f"{PLOTS}/{chart.key}/{line.key}", line)
 
 
 def _line(recording: rr.RecordingStream, path: str, line: Line, *, gaps: Array = _NO_GAPS) -> None:
-    """Record a line under a path, with its band, if any.
-
-    Long lines are reduced to their extremes.
+    """Record a line under a path, with its band, if any; long lines are reduced to their extremes.
 
     Ink becomes pale on the viewer's dark plots, and a reference grey. Lines are interrupted at `gaps`, times in s.
     """
     tint = style.rgb(style.ON_DARK.get(style.REFERENCE if line.role == "reference" else line.colour, line.colour))
     rows = extreme_rows(line.values, bins=_BINS)
+    values, time = line.values[rows], line.time[rows]
     look: rr.SeriesLines | rr.Measurements
     if line.reach is None:
         look = rr.SeriesLines(colors=[tint], names=[line.name], widths=[line.width])
-        columns = rr.Scalars.columns(scalars=line.values[rows])
+        columns = rr.Scalars.columns(scalars=values)
     else:
         look = rr.Measurements.from_fields(names=[line.name], colors=[tint], widths=[line.width])
         # The viewer's band is one standard deviation of the given values.
-        columns = rr.Measurements.columns(values=line.values[rows], variances=line.reach[rows] ** 2)
-    time = line.time[rows]
+        columns = rr.Measurements.columns(values=values, variances=line.reach[rows] ** 2)
     if len(time):
         # At an empty row the viewer ends one line and begins another.
         gaps = gaps[(time[0] < gaps) & (gaps < time[-1])]
@@ -128,81 +120,59 @@ def record_strips(recording: rr.RecordingStream, home: str, strips: Sequence[Str
         view: run with the time range.
     """
     for strip in strips:
-        changes, colours = _changes(strip.spans, view)
+        changes, colours = _changes(strip, view)
         if not changes:
             continue
-        path = f"{home}/{strip.key}"
         # All modes are listed, because another part of the run may follow.
         colours |= style.MODES if strip.key == "mode" else {}
-        values = list(colours) if strip.key == "mode" else list(dict.fromkeys(name for _, name in changes))
-        tints = [(*style.rgb(colours[value]), 255) for value in values]
+        look = rr.StateConfiguration(
+            values=list(colours), colors=[(*style.rgb(colour), 255) for colour in colours.values()]
+        )
         columns = rr.StateChange.columns(state=[name for _, name in changes])
-        look = rr.StateConfiguration(values=values, colors=tints)
-        follow(recording, path, look, np.array([at for at, _ in changes]), columns)
+        follow(recording, f"{home}/{strip.key}", look, np.array([at for at, _ in changes]), columns)
 
 
-def _changes(spans: Sequence[Span], view: RunView) -> tuple[list[tuple[float, str]], dict[str, str]]:
-    """Return spans as changes of a state, and colours by name.
-
-    Gaps between stays are "on the way".
-    """
+def _changes(strip: Strip, view: RunView) -> tuple[list[tuple[float, str]], dict[str, str]]:
+    """Return the spans of a strip as changes of a state, and colours by name; between stays it is "on the way"."""
     begin, end = view.time_range
-    changes: list[tuple[float, str]] = []
-    colours = {_ON_THE_WAY: style.FAINT}
-    for span in spans:
-        if span.kind == "transfer":
-            continue
+    states: dict[float, str] = {}
+    colours: dict[str, str] = {}
+    for span in (span for span in strip.spans if span.kind != "transfer"):
         text = f"not planned: {span.text}" if span.kind == "astray" else span.text
+        states = {at: state for at, state in states.items() if at < span.first} | {max(span.first, begin): text}
         colours[text] = span.colour
-        at = max(span.first, begin)
-        if changes and changes[-1][0] >= at:
-            changes.pop()
-        changes.append((at, text))
-        if span.kind in ("stay", "astray"):
-            changes.append((span.last, _ON_THE_WAY))
-    # The last stay extends to the end of the run or the plan.
-    if changes and changes[-1][1] == _ON_THE_WAY and changes[-1][0] > end - 2 / view.rate_hz:
-        changes.pop()
-    return changes, colours
+        # The last stay extends to the end of the run or the plan.
+        if span.kind in ("stay", "astray") and span.last <= end - 2 / view.rate_hz:
+            states[span.last] = _ON_THE_WAY
+            colours[_ON_THE_WAY] = style.FAINT
+    return sorted(states.items()), colours
 
 
-Box = tuple[float, float, float, float]
-"""Bounds as drawn: least and greatest x, least and greatest y."""
-
-_RATE = 0.2
-_SCALE = np.array([1.0, -_RATE])
-_GRID, _DARK_GRID = (226, 229, 233), (52, 56, 62)
-_EACH = 2
-"""Every second strand of a tube suffices, and is faster to draw without a graphics card."""
-_TUBES = (
-    (False, style.UNSTABLE, style.PALE_UNSTABLE, "tubes_from"),
-    (True, style.STABLE, style.PALE_STABLE, "tubes_to"),
-)
-"""Stability, colours of the cut and of the strands (the viewer's thin lines are opaque), and name."""
-_FAR = 60.0
-"""Limits in rad and rad/s beyond which the view is not widened."""
+def phase_plane(*planes: Plane) -> Sheet:
+    """Return the sheet around phase planes of one arm."""
+    curves = [points for plane in planes for _, points in plane.orbits]
+    curves += [points for plane in planes for some in (plane.run, *plane.strands.values()) for points in some]
+    return Sheet.around(curves, scale=_RATE)
 
 
-def record_planes(recording: rr.RecordingStream, home: str, view: RunView, *, boxes: list[Box] | None = None) -> None:
+def record_planes(recording: rr.RecordingStream, home: str, view: RunView, sheets: Sequence[Sheet]) -> None:
     """Record the phase plane of each arm under `home/arm_K`.
-
-    Grid lines cross its box.
 
     Args:
         recording: recording to extend.
         home: parent path.
         view: run to record.
-        boxes: box of each arm; fitted to the run by default.
+        sheets: sheet of each arm.
     """
-    for arm in range(view.arms):
+    for arm, sheet in enumerate(sheets):
         at, shown = f"{home}/arm_{arm + 1}", plane(view, arm)
-        reading_lines(recording, at, boxes[arm] if boxes else bounds(shown), scale=_RATE)
+        sheet.grid(recording, at)
         for stable, colour, pale, name in _TUBES:
-            strands = shown.strands[stable][::_EACH]
-            _strips(recording, f"{at}/{name}", strands, [pale] * len(strands), width=0.5)
-            _strips(recording, f"{at}/{name}/cut", shown.cuts[stable], [colour] * len(shown.cuts[stable]), width=1.2)
-        _strips(recording, f"{at}/orbits", [p for _, p in shown.orbits], [c for c, _ in shown.orbits], width=1.8)
-        _strips(recording, f"{at}/run", shown.run, [style.INK] * len(shown.run), width=0.7)
+            strands, cuts = shown.strands[stable][::_EACH], shown.cuts[stable]
+            sheet.curves(recording, f"{at}/{name}", strands, [pale] * len(strands), 0.5)
+            sheet.curves(recording, f"{at}/{name}/cut", cuts, [colour] * len(cuts), 1.2)
+        sheet.curves(recording, f"{at}/orbits", [p for _, p in shown.orbits], [c for c, _ in shown.orbits], 1.8)
+        sheet.curves(recording, f"{at}/run", shown.run, [style.INK] * len(shown.run), 0.7)
     record_places(recording, home, view)
 
 
@@ -217,169 +187,86 @@ def record_places(recording: rr.RecordingStream, home: str, view: RunView) -> No
     rows = trace_rows(view)
     for arm in range(view.arms):
         look = rr.Points2D.from_fields(colors=[style.rgb(style.LIMIT)], radii=rr.Radius.ui_points(5))
-        columns = rr.Points2D.columns(positions=view.state[rows][:, [arm, view.arms + arm]] * _SCALE)
+        columns = rr.Points2D.columns(positions=view.state[rows][:, [arm, view.arms + arm]] * [1.0, -_RATE])
         follow(recording, f"{home}/arm_{arm + 1}/now", look, view.time[rows], columns)
 
 
-def bounds(*planes: Plane) -> Box:
-    """Return the drawn bounds of phase planes, without far outliers."""
-    parts = [points for plane in planes for _, points in plane.orbits]
-    parts += [points for plane in planes for some in (plane.run, *plane.strands.values()) for points in some]
-    every = np.concatenate([part * _SCALE for part in parts]) if parts else np.zeros((1, 2))
-    near = np.isfinite(every).all(axis=1) & (np.abs(every[:, 1]) < _FAR)
-    every = every[near] if near.any() else np.zeros((1, 2))
-    low, high = every.min(axis=0), every.max(axis=0)
-    margin = 0.08 * float(max(high - low)) + 1e-3
-    low, high = low - margin, high + margin
-    return float(low[0]), float(high[0]), float(low[1]), float(high[1])
-
-
-def _strips(recording: rr.RecordingStream, at: str, strips: list[Array], colours: list[str], *, width: float) -> None:
-    if strips:
-        tints = [(*style.rgb(colour), 255) for colour in colours]
-        drawn = rr.LineStrips2D([s * _SCALE for s in strips], colors=tints, radii=rr.Radius.ui_points(width))
-        recording.log(at, drawn, static=True)
-
-
-def reading_lines(
-    recording: rr.RecordingStream, at: str, box: Box, *, scale: float, turning: bool = True, dark: bool = False
-) -> None:
-    """Draw grid lines with labels.
-
-    They are at round values across, and at multiples of π or round values along. Bounds of more than fifty turns, or
-    of a height without measure, get none.
-
-    Args:
-        recording: recording to extend.
-        at: parent path.
-        box: bounds as drawn.
-        scale: drawn length of one unit across.
-        turning: True if x is an angle.
-        dark: True for a dark background.
-    """
-    left, right, top, bottom = box
-    unit = np.pi if turning else 1.0
-    if right - left > 100 * np.pi or not bottom - top < 1e100 * scale:
-        return
-    strips, places, labels = [], [], []
-    for k in _round_values(left / unit, right / unit, integer=turning):
-        strips.append([(k * unit, top), (k * unit, bottom)])
-        places.append((k * unit, bottom - 0.04 * (bottom - top)))
-        labels.append(style.in_pi(k) if turning else f"{k + 0.0:.6g}")
-    for k in _round_values(-bottom / scale, -top / scale):
-        strips.append([(left, -scale * k), (right, -scale * k)])
-        places.append((left + 0.06 * (right - left), -scale * k))
-        labels.append(f"{k + 0.0:.6g}")
-    if strips:
-        look = {"colors": [_DARK_GRID if dark else _GRID], "radii": rr.Radius.ui_points(0.5), "draw_order": -10.0}
-        recording.log(f"{at}/grid", rr.LineStrips2D(strips, **look), static=True)  # type: ignore[arg-type]
-        ink = (154, 163, 173) if dark else (70, 76, 84)
-        names = rr.Points2D(places, labels=labels, colors=[ink], radii=rr.Radius.ui_points(1.0), show_labels=True)
-        recording.log(f"{at}/grid/names", names, static=True)
-
-
-def _round_values(low: float, high: float, *, integer: bool = False) -> Array:
-    values = np.asarray(MaxNLocator(6, steps=[1, 2, 5, 10], integer=integer).tick_values(low, high))
-    return values[(low <= values) & (values <= high)]
-
-
-_TRACE_SECONDS = 0.4
-_DEPTH = -0.05
-
-
 def draw_pendulum(recording: rr.RecordingStream, home: str, view: RunView) -> None:
-    """Draw the moving arms, the reference, the cart and the track.
-
-    The reference is grey, behind the arms. The track ends at the limits.
+    """Draw the moving arms with their tip's path, the reference grey behind them, the cart, and the track.
 
     Args:
         recording: recording to extend.
         home: parent path.
         view: run to record.
     """
-    rows = trace_rows(view)
-    reach = sum(view.arm_lengths)
-    if view.has_cart:
-        _track(recording, home, view, reach=reach)
-    shown = [("arms", view.state, 0.0, 0.028)]
-    shown += [("reference", view.reference, 0.03, 0.05)] if view.reference is not None else []
-    for name, states, depth, radius in shown:
-        points = _points(states[rows], view) + np.array([0.0, depth, 0.0])
+    rows, reach = trace_rows(view), sum(view.arm_lengths)
+    time, arms = view.time[rows], _points(view.state[rows], view, 0.0)
+    shown = [("arms", arms, 0.028)]
+    if view.reference is not None:
+        shown.append(("reference", _points(view.reference[rows], view, 0.03), 0.05))
+    for name, points, radius in shown:
         for arm in range(view.arms):
             colour = style.arm_colour(arm) if name == "arms" else style.REFERENCE
             look = rr.LineStrips3D.from_fields(colors=[style.rgb(colour)], radii=radius * reach / 2)
             columns = rr.LineStrips3D.columns(strips=list(points[:, arm : arm + 2]))
-            follow(recording, f"{home}/{name}/arm_{arm + 1}", look, view.time[rows], columns)
-    length = round(_TRACE_SECONDS * TRACE_RATE)
-    tips = _points(view.state[rows], view)[:, -1] + np.array([0.0, _DEPTH, 0.0])
-    strips = [tips[max(0, k - length) : k + 1] for k in range(len(rows))]
-    look = rr.LineStrips3D.from_fields(
-        colors=[style.rgb(style.arm_colour(view.arms - 1))], radii=rr.Radius.ui_points(1.5)
-    )
-    follow(recording, f"{home}/tip", look, view.time[rows], rr.LineStrips3D.columns(strips=strips))
+            follow(recording, f"{home}/{name}/arm_{arm + 1}", look, time, columns)
+    tip = style.rgb(style.arm_colour(view.arms - 1))
+    length, tips = round(_TRACE_SECONDS * TRACE_RATE), arms[:, -1] + [0.0, -0.05, 0.0]
+    columns = rr.LineStrips3D.columns(strips=[tips[max(0, k - length) : k + 1] for k in range(len(rows))])
+    look = rr.LineStrips3D.from_fields(colors=[tip], radii=rr.Radius.ui_points(1.5))
+    follow(recording, f"{home}/tip", look, time, columns)
     if view.has_cart:
-        centres = np.column_stack([view.pivot[rows], np.full(len(rows), 0.02), np.zeros(len(rows))])
-        size = [[0.13 * reach, 0.02, 0.05 * reach]]
-        box = rr.Boxes3D.from_fields(half_sizes=size, colors=[style.rgb(style.CART)], fill_mode="solid")
-        follow(recording, f"{home}/cart", box, view.time[rows], rr.Boxes3D.columns(centers=centres))
+        _track(recording, home, view, reach=reach)
+        size, look = [[0.13 * reach, 0.02, 0.05 * reach]], {"colors": [style.rgb(style.CART)], "fill_mode": "solid"}
+        columns = rr.Boxes3D.columns(centers=arms[:, 0] + [0.0, 0.02, 0.0])
+        follow(recording, f"{home}/cart", rr.Boxes3D.from_fields(half_sizes=size, **look), time, columns)
 
 
 def _track(recording: rr.RecordingStream, home: str, view: RunView, *, reach: float) -> None:
+    """Draw the track, which ends at the limits."""
     finite = np.abs(view.pivot[np.isfinite(view.pivot)])
-    end = view.limits[0] if view.limits else max(float(finite.max()) if finite.size else 0.0, reach)
+    end = view.limits[0] if view.limits else max(finite.max(initial=0.0), reach)
     rail = [[(-end, 0.05, 0.0), (end, 0.05, 0.0)]]
     stops = [[(x, 0.05, -0.06 * reach), (x, 0.05, 0.06 * reach)] for x in (-end, end)]
     tints = [style.rgb(style.FAINT), style.rgb(style.LIMIT), style.rgb(style.LIMIT)]
     recording.log(f"{home}/track", rr.LineStrips3D(rail + stops, colors=tints, radii=0.012 * reach), static=True)
 
 
-def _points(states: Array, view: RunView) -> Array:
-    """Return pivot, elbows and tip of states (K, …).
-
-    The points (K, n+1, 3) are in m.
-    """
+def _points(states: Array, view: RunView, depth: float) -> Array:
+    """Return pivot, elbows and tip (K, n+1, 3) of states (K, …) at a depth, m."""
     points = arm_points(states[:, : view.arms], view.arm_lengths)
     pivot = states[:, 2 * view.arms] if view.has_cart else np.zeros(len(states))
-    return np.stack([points[..., 0] + pivot[:, None], np.zeros(points.shape[:2]), points[..., 1]], axis=-1)
+    return np.stack([points[..., 0] + pivot[:, None], np.full(points.shape[:2], depth), points[..., 1]], axis=-1)
 
 
-PAPER = [250, 251, 252]
-SUMMARY = "summary"
-
-
-def blueprint(view: RunView, *, growing: bool = False) -> rrb.Blueprint:
+def blueprint(view: RunView, sheets: Sequence[Sheet], *, growing: bool = False) -> rrb.Blueprint:
     """Return the blueprint of a recording.
 
     Args:
         view: the recorded run.
+        sheets: phase planes.
         growing: True if more data will follow: axes adapt, and the viewer follows the latest time.
     """
-    grey = f": {view.against} grey" if view.reference is not None else ""
     middle, checks = plots(motion_charts(view), growing=growing), plots(check_charts(view), growing=growing)
     if len(checks) == 1 and len(middle) > 2:
         middle, checks = [*middle, *checks], []
-    shares = [2.0] * len(middle)
-    shown = {strip.key: strip.name or "symbols" for strip in strips(view)}
-    if shown:
-        words = ["itinerary as planned and done" if view.done else "itinerary as planned"] if "asked" in shown else []
-        words += [name for name in shown.values() if name not in ("asked", "done")]
-        contents = [f"+ /{key}" for key in shown]
-        middle.insert(0, rrb.StateTimelineView(name=", ".join(words).capitalize(), contents=contents))
-        shares.insert(0, 2.2)
+    if shown := {strip.key: strip.name or "symbols" for strip in strips(view)}:
+        name = ", ".join(shown.values()).capitalize()
+        middle.insert(0, rrb.StateTimelineView(name=name, contents=[f"+ /{key}" for key in shown]))
     planes = [
-        plane_view(arm, "/phase_planes", bounds(plane(view, arm)), name=f"Arm {arm + 1}: rate over angle")
-        for arm in range(min(view.arms, 2))
+        sheet.view(f"/{PLANES}/arm_{arm + 1}", name=f"Arm {arm + 1}: rate over angle")
+        for arm, sheet in enumerate(sheets[:2])
     ]
     texts: list[rrb.View] = [summary_view()]
     if view.events:
         columns = rrb.TextLogColumns(text_log_columns=["loglevel", "body"])
         texts.append(rrb.TextLogView(name="Events", origin="/rosout", columns=columns))
-    scene = scene_view(view, name=f"Scene{grey}")
+    scene = scene_view(view, name="Scene" if view.reference is None else f"Scene: {view.against} grey")
     left = rrb.Vertical(scene, rrb.Horizontal(*planes), rrb.Horizontal(*texts), row_shares=[4, 4, 2.4])
     beside: list[rrb.Container] = [rrb.Vertical(*checks, name="Checks")] if checks else []
     if extras := plots(extra_charts(view)):
         beside = [rrb.Tabs(*beside, rrb.Vertical(*extras, name="Estimated parameters"), active_tab=0)]
-    return page([left, rrb.Vertical(*middle, row_shares=shares), *beside], [5, 4.3, 3.7], growing=growing)
+    return page([left, rrb.Vertical(*middle), *beside], [5, 4.3, 3.7], growing=growing)
 
 
 def page(
@@ -393,10 +280,9 @@ def page(
         timeline: name of the timeline.
         growing: True to follow the latest time.
     """
-    playing: dict[str, Any] = {"play_state": "following"} if growing else {}
     return rrb.Blueprint(
         rrb.Horizontal(*columns, column_shares=shares[: len(columns)]),
-        rrb.TimePanel(state="collapsed", timeline=timeline, **playing),
+        rrb.TimePanel(state="collapsed", timeline=timeline, play_state="following" if growing else None),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
         auto_views=False,
@@ -404,7 +290,7 @@ def page(
     )
 
 
-def scene_view(view: RunView, *, home: str = "/scene", name: str = "Scene") -> rrb.View:
+def scene_view(view: RunView, *, home: str = f"/{SCENE}", name: str = "Scene") -> rrb.View:
     """Return the view of the pendulum in space, seen from the front.
 
     Args:
@@ -412,17 +298,10 @@ def scene_view(view: RunView, *, home: str = "/scene", name: str = "Scene") -> r
         home: path of the scene.
         name: title of the view.
     """
-    reach = sum(view.arm_lengths)
-    distance = max(2.4 * reach, 1.9 * view.limits[0] if view.limits else 0.0)
+    distance = max(2.4 * sum(view.arm_lengths), 1.9 * view.limits[0] if view.limits else 0.0)
     eye = rrb.EyeControls3D(position=(0.0, -distance, 0.0), look_target=(0.0, 0.0, 0.0), eye_up=(0.0, 0.0, 1.0))
-    return rrb.Spatial3DView(
-        name=name,
-        origin="/",
-        contents=[f"+ {home}/**"],
-        eye_controls=eye,
-        line_grid=False,
-        background=PAPER,
-    )
+    look = {"eye_controls": eye, "line_grid": False, "background": PAPER}
+    return rrb.Spatial3DView(name=name, origin="/", contents=[f"+ {home}/**"], **look)
 
 
 def summary_view() -> rrb.View:
@@ -430,41 +309,18 @@ def summary_view() -> rrb.View:
     return rrb.TextDocumentView(name="Summary", origin=f"/{SUMMARY}")
 
 
-def plane_view(arm: int, home: str, box: Box, *, name: str, free: float = 0.1) -> rrb.View:
-    """Return the view of an arm's phase plane.
-
-    Args:
-        arm: index of the arm, from 0.
-        home: parent path.
-        box: bounds as drawn.
-        name: title of the view.
-        free: margin for labels, as a share of the box.
-    """
-    left, right, top, bottom = box
-    wide, high = free * (right - left), free * (bottom - top)
-    return rrb.Spatial2DView(
-        name=name,
-        origin=f"{home}/arm_{arm + 1}",
-        visual_bounds=rrb.VisualBounds2D(x_range=(left - wide, right + wide), y_range=(top - high, bottom + high)),
-        background=PAPER,
-    )
-
-
 def plots(charts: Sequence[Chart], *, growing: bool = False) -> list[rrb.View]:
     """Return the views of charts.
-
-    Named levels or several runs have a legend.
 
     Args:
         charts: charts to show; those without a key are omitted.
         growing: as in `blueprint`.
     """
-    corner = rrb.Corner2D.RightTop
     return [
         rrb.TimeSeriesView(
             name=chart.named,
-            origin=f"/plots/{chart.key}",
-            plot_legend=rrb.PlotLegend(visible=chart.legend, corner=corner if chart.legend else None),
+            origin=f"/{PLOTS}/{chart.key}",
+            plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.RightTop),
             axis_y=rrb.ScalarAxis(range=None if growing else _shown(chart)),
         )
         for chart in charts
@@ -472,19 +328,8 @@ def plots(charts: Sequence[Chart], *, growing: bool = False) -> list[rrb.View]:
     ]
 
 
-def _shown(chart: Chart) -> tuple[float, float] | None:
-    """Return the initial range of a chart in the viewer.
-
-    The result is None for an empty chart.
-    """
-    if chart.shown:
-        return ticked(*chart.shown)
-    values = np.concatenate([line.values for line in chart.lines])
-    return ticked(*padded(values)) if np.isfinite(values).any() else None
-
-
-_APPLICATION = "dpcontrol"
-SCENE = "scene"
+def _shown(chart: Chart) -> tuple[float, float]:
+    return chart.shown or padded(np.concatenate([line.values for line in chart.lines]))
 
 
 def write_recording(view: RunView, path: Path) -> None:
@@ -497,20 +342,19 @@ def write_recording(view: RunView, path: Path) -> None:
     Raises:
         InputError: the recording cannot be written.
     """
-    with recording_to(path, view.title, blueprint(view), _summary(view)) as recording:
+    sheets = [phase_plane(plane(view, arm)) for arm in range(view.arms)]
+    with recording_to(path, view.title, blueprint(view, sheets), _summary(view)) as recording:
         record_strips(recording, "", strips(view), view)
         for chart in (*motion_charts(view), *check_charts(view), *extra_charts(view)):
-            record_chart(recording, "plots", chart, view)
-        record_planes(recording, "phase_planes", view)
+            record_chart(recording, chart, view)
+        record_planes(recording, PLANES, view, sheets)
         draw_pendulum(recording, SCENE, view)
         record_events(recording, view)
 
 
 @contextmanager
 def recording_to(path: Path, name: str, view: rrb.Blueprint, summary: str) -> Iterator[rr.RecordingStream]:
-    """Yield a recording with blueprint and summary.
-
-    It becomes the file `path` if the block ends without an error.
+    """Yield a recording with blueprint and summary, which becomes a file if the block ends without an error.
 
     Args:
         path: file, `*.rrd`.
@@ -522,15 +366,15 @@ def recording_to(path: Path, name: str, view: rrb.Blueprint, summary: str) -> It
         InputError: it cannot be written.
     """
     with whole_file(Path(path), suffix=".rrd") as temporary:
-        recording = rr.RecordingStream(_APPLICATION, send_properties=True)
+        recording = rr.RecordingStream("dpcontrol", send_properties=True)
         # The recording stays in memory until it is complete, because the viewer's writer can hang on a full disk.
-        kept = recording.memory_recording()
+        memory = recording.memory_recording()
         recording.send_blueprint(view, make_active=False)
         recording.send_recording_name(name)
         recording.log(SUMMARY, rr.TextDocument(summary, media_type="text/markdown"), static=True)
         yield recording
         recording.flush()
-        temporary.write_bytes(kept.drain_as_bytes())
+        temporary.write_bytes(memory.drain_as_bytes())
 
 
 def record_events(recording: rr.RecordingStream, view: RunView) -> None:
@@ -541,19 +385,15 @@ def record_events(recording: rr.RecordingStream, view: RunView) -> None:
         view: run with the events.
     """
     if view.events:
-        columns = rr.TextLog.columns(
-            text=[f"[{event.name}] {event.text}" for event in view.events],
-            level=[event.level.upper() for event in view.events],
-        )
+        texts, levels = zip(*((f"[{e.name}] {e.text}", e.level.upper()) for e in view.events), strict=True)
         index = rr.TimeColumn(TIMELINE, duration=[event.time for event in view.events])
-        recording.send_columns("rosout", indexes=[index], columns=columns)
+        recording.send_columns("rosout", indexes=[index], columns=rr.TextLog.columns(text=texts, level=levels))
 
 
 def _summary(view: RunView) -> str:
     rows = [f"**{view.verdict}**" if view.verdict else "", ""]
     for i, (name, at, done) in enumerate(view.symbols):
-        seen = "" if done is None else f", done at {done:.3f} s"
-        rows.append(f"{i + 1}. {name}: planned at {at:.3f} s{seen}")
+        rows.append(f"{i + 1}. {name}: planned at {at:.3f} s{'' if done is None else f', done at {done:.3f} s'}")
     if view.plan.orbits:
         flown = "the reference" if view.what == "reference" else "the run"
         rows += [

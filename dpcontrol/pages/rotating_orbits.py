@@ -16,8 +16,7 @@ from matplotlib.ticker import SymmetricalLogLocator
 from dpcontrol.orbits.rotating import RotatingFamilies, RotatingFamily, RotatingOrbit
 from dpcontrol.pages import style
 from dpcontrol.pages.layout import Page, Stack, key
-from dpcontrol.pages.orbits import SAMPLES
-from dpcontrol.pages.panels import angle_axis, quiet
+from dpcontrol.pages.panels import quiet, quiet_plane
 
 KINDS = {
     "elliptic": style.GOOD,
@@ -66,11 +65,8 @@ def _rotations(axes: Axes, families: Sequence[RotatingFamily]) -> None:
     for family in families:
         for k in np.unique(np.rint(np.linspace(0, len(family.members) - 1, _ROTATING_SHAPES)).astype(int)):
             orbit = family.members[k]
-            states = orbit.system.propagator.sample(orbit.state, np.linspace(0.0, orbit.period, SAMPLES))
-            axes.plot(states[:, 0], states[:, 1], color=KINDS[orbit.kind], linewidth=1.0)
-    quiet(axes, "Some of the orbits over one period", x="θ₁ (rad)", y="θ₂ (rad)")
-    angle_axis(axes, "x")
-    angle_axis(axes, "y")
+            axes.plot(*orbit.sample(300)[:, :2].T, color=KINDS[orbit.kind], linewidth=1.0)
+    quiet_plane(axes, families[0].members[0].system, title="Some of the orbits over one period")
 
 
 def _runs(members: Sequence[RotatingOrbit]) -> list[tuple[str, list[RotatingOrbit]]]:

@@ -12,7 +12,6 @@ from matplotlib.figure import Figure
 
 from dpcontrol.bifurcations.bifurcations import BifurcationSearch, branch_diagram
 from dpcontrol.dynamics.chain import ArmChainParameters
-from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.document import counted
 from dpcontrol.judge.comparison import RunComparison
@@ -27,13 +26,13 @@ from dpcontrol.orbits.orbit import PeriodicOrbit
 from dpcontrol.orbits.rotating import RotatingFamily, RotatingOrbit
 from dpcontrol.orbits.tube import Tube
 from dpcontrol.pages import orbits, style
-from dpcontrol.pages.atlas_cuts import draw_cuts
+from dpcontrol.pages.atlas_panels import draw_cuts
 from dpcontrol.pages.atlas_parts import BRANCHES
 from dpcontrol.pages.charts import draw_chart
 from dpcontrol.pages.page import draw
-from dpcontrol.pages.panels import angle_axis, quiet
+from dpcontrol.pages.panels import Bar, bars, quiet, quiet_plane
 from dpcontrol.pages.paper.branches import draw_momentum_branches
-from dpcontrol.pages.series import charts
+from dpcontrol.pages.run_charts import charts
 from dpcontrol.pages.walk_story import WalkStory
 from dpcontrol.pages.walks import draw_walk
 from dpcontrol.pages.walks import plane as walk_plane
@@ -47,19 +46,6 @@ from dpcontrol.tubes.symmetric import SymmetricSearch
 from dpcontrol.walks.atlas import Atlas
 from dpcontrol.walks.edges import Edges
 from dpcontrol.walks.shadowing import ShadowingOrbit
-
-
-def _plane(axes: Axes, system: System, columns: tuple[int, int], title: str) -> None:
-    """Label axes that show two entries of a system's states."""
-    quiet(axes, title, x=system.labels[columns[0]], y=system.labels[columns[1]])
-    for k, which in zip(columns, "xy", strict=True):
-        if np.isfinite(system.periods[k]):
-            angle_axis(axes, which)
-
-
-def _rings(axes: Axes, orbit: PeriodicOrbit, turns: Array | None = None) -> None:
-    states = orbit.sample() + (0.0 if turns is None else turns)
-    axes.plot(*states[:, :2].T, color=style.saddle_colour(orbit.saddle), linewidth=2.5)
 
 
 def orbit(axes: Axes, found: LyapunovOrbit | RotatingOrbit) -> None:
@@ -76,17 +62,8 @@ def orbit(axes: Axes, found: LyapunovOrbit | RotatingOrbit) -> None:
     columns = (arm, n + arm) if found.system.si else (0, 1)
     axes.plot(*states[:, list(columns)].T, color=style.saddle_colour(found.name), linewidth=1.8)
     energy = f"{found.energy:g}{found.system.unit('J')}"
-    _plane(axes, found.system, columns, f"{found.name} at {energy}, period {found.period:.4g}{found.system.unit('s')}")
-
-
-def sustained(axes: Axes, found: SustainedOrbit) -> None:
-    """Draw the angles of a sustained orbit over one period.
-
-    Args:
-        axes: panel to draw on.
-        found: orbit to draw.
-    """
-    _angles(axes, sustained_view(found, found.arms.length))
+    title = f"{found.name} at {energy}, period {found.period:.4g}{found.system.unit('s')}"
+    quiet_plane(axes, found.system, columns, title)
 
 
 def family(axes: Axes, found: LyapunovFamily | RotatingFamily) -> None:
@@ -108,7 +85,7 @@ def family_page(found: LyapunovFamily) -> Figure:
 
 
 def tube(axes: Axes, found: Tube) -> None:
-    """Draw the trajectories of a tube in the plane of positions.
+    """Draw the trajectories of a tube and its orbit in the plane of positions.
 
     Args:
         axes: panel to draw on.
@@ -118,9 +95,13 @@ def tube(axes: Axes, found: Tube) -> None:
     for k, strand in enumerate(strands):
         branch = found.branches[k * len(found.branches) // len(strands)]
         axes.plot(*strand[:, :2].T, color=BRANCHES[found.stable, branch], linewidth=0.5, alpha=0.8)
-    _rings(axes, found.orbit)
+    _ring(axes, found.orbit)
     kind = "stable" if found.stable else "unstable"
-    _plane(axes, found.orbit.system, (0, 1), f"{kind} tube of {found.orbit.name}")
+    quiet_plane(axes, found.orbit.system, title=f"{kind} tube of {found.orbit.name}")
+
+
+def _ring(axes: Axes, orbit: PeriodicOrbit, shift: Array | float = 0.0) -> None:
+    axes.plot(*(orbit.sample() + shift)[:, :2].T, color=style.saddle_colour(orbit.saddle), linewidth=2.5)
 
 
 def _curves(axes: Axes, pieces: tuple[Piece, ...], stable: bool) -> None:
@@ -166,10 +147,10 @@ def connection(axes: Axes, found: Connection) -> None:
         found: connection to draw.
     """
     system = found.source.system
-    _rings(axes, found.source)
-    _rings(axes, found.target, np.asarray(found.orbit.end.turns) * system.turn_lengths)
+    _ring(axes, found.source)
+    _ring(axes, found.target, np.asarray(found.orbit.end.turns) * system.turn_lengths)
     axes.plot(*found.sample(600)[:, :2].T, color=style.INK, linewidth=1.0)
-    _plane(axes, system, (0, 1), found.name)
+    quiet_plane(axes, system, title=found.name)
 
 
 def symmetric(axes: Axes, found: SymmetricSearch) -> None:
@@ -180,8 +161,9 @@ def symmetric(axes: Axes, found: SymmetricSearch) -> None:
         found: search to draw.
     """
     for one in found.connections:
-        axes.plot(*one.sample(600)[:, :2].T, linewidth=1.0, label=f"{one.source.energy:.6g}")
-        _plane(axes, one.source.system, (0, 1), f"{found.saddle}: {counted(len(found.connections), 'connection')}")
+        axes.plot(*one.sample(600)[:, :2].T, linewidth=1.0)
+        title = f"{found.saddle}: {counted(len(found.connections), 'connection')}"
+        quiet_plane(axes, one.source.system, title=title)
 
 
 def bifurcations(axes: Axes, found: BifurcationSearch) -> None:
@@ -207,11 +189,11 @@ def proof(axes: Axes, found: Any) -> None:
         axes: panel to draw on.
         found: proof to draw.
     """
-    bounds = {name.replace("_", " "): size for name, value in found.figures.items() if 0 < (size := _size(value)) < 1}
-    axes.barh(list(bounds), list(bounds.values()), color=style.GOOD if found.proved else style.LIMIT, height=0.6)
+    colour = style.GOOD if found.proved else style.LIMIT
+    sizes = {name.replace("_", " "): _size(value) for name, value in found.figures.items()}
+    title = f"{found.kind}: {'proved' if found.proved else 'not proved'}"
+    bars(axes, title, [Bar(name, size, colour) for name, size in sizes.items() if 0 < size < 1])
     axes.set_xscale("log")
-    axes.invert_yaxis()
-    quiet(axes, f"{found.kind}: {'proved' if found.proved else 'not proved'}")
 
 
 def _size(value: object) -> float:
@@ -232,8 +214,7 @@ def polished(axes: Axes, found: Polished) -> None:
         axes: panel to draw on.
         found: both plans.
     """
-    axes.bar([side.name for side in found.sides], [side.effort for side in found.sides], color=style.ARMS[0], width=0.5)
-    quiet(axes, found.status, y="effort (m²/s³)")
+    bars(axes, found.status, [Bar(side.name, side.effort, style.ARMS[0]) for side in found.sides], x="effort (m²/s³)")
 
 
 def walk(axes: Axes, found: ShadowingOrbit) -> None:
@@ -246,11 +227,10 @@ def walk(axes: Axes, found: ShadowingOrbit) -> None:
         found: orbit of the walk.
     """
     story = _story(found)
-    if not story.has_angles:
+    if story.has_angles:
+        draw_chart(axes, story.coordinates(), story.view(found.system.name))
+    else:
         walk_plane(axes, story)
-        return
-    draw_chart(axes, story.coordinates(), story.view(found.system.name))
-    axes.set_xlabel(f"time{found.system.unit('s', ' ({})')}")
 
 
 def _story(found: ShadowingOrbit) -> WalkStory:
@@ -290,29 +270,29 @@ def atlas(axes: Axes, found: Atlas) -> None:
         draw_cuts(axes, found, max(found.kinds, key=lambda kind: kind.count), legend=False)
 
 
-def _angles(axes: Axes, view: RunView) -> None:
-    draw_chart(axes, charts(view)["angles"], view)
-    axes.set_xlabel("time (s)")
+def view_of(found: Plan | RunLog | SustainedOrbit) -> RunView:
+    """Return the data to draw of a plan, a log or a sustained orbit."""
+    if isinstance(found, Plan):
+        return reference_view(found.reference, found.file)
+    if isinstance(found, SustainedOrbit):
+        return sustained_view(found, found.arms.length)
+    return run_view(found) if "reference.npz" in found.attachments else series_of(found)
 
 
-def plan_view(found: Plan) -> RunView:
-    """Return the data to draw of a plan."""
-    return reference_view(found.reference, found.file)
-
-
-def plan(axes: Axes, found: Plan) -> None:
-    """Draw the angles of a plan.
+def angles(axes: Axes, found: Plan | RunLog | SustainedOrbit) -> None:
+    """Draw the angles of a plan, a log or a sustained orbit over time.
 
     Args:
         axes: panel to draw on.
-        found: plan to draw.
+        found: motion to draw.
     """
-    _angles(axes, plan_view(found))
+    view = view_of(found)
+    draw_chart(axes, charts(view)["angles"], view)
 
 
 def plan_page(found: Plan) -> Figure:
     """Return the page of a plan."""
-    return draw(plan_view(found))
+    return draw(view_of(found))
 
 
 def comparison(axes: Axes, found: RunComparison) -> None:
@@ -328,16 +308,6 @@ def comparison(axes: Axes, found: RunComparison) -> None:
     quiet(axes, found.title, x="time (s)", y="angles (rad)")
 
 
-def log(axes: Axes, found: RunLog) -> None:
-    """Draw the angles of a log.
-
-    Args:
-        axes: panel to draw on.
-        found: log to draw.
-    """
-    _angles(axes, run_view(found) if "reference.npz" in found.attachments else series_of(found))
-
-
 def whole_preflight(axes: Axes, found: Preflight) -> None:
     """Draw the shares of completed runs and of each other ending.
 
@@ -345,12 +315,9 @@ def whole_preflight(axes: Axes, found: Preflight) -> None:
         axes: panel to draw on.
         found: preflight to draw.
     """
-    names = ["completed", *(one.cause for one in found.endings)]
-    counts = np.array([found.share.successes, *(one.runs for one in found.endings)])
-    colours = [style.GOOD, *[style.LIMIT] * len(found.endings)]
-    axes.barh(names, counts / found.share.runs, color=colours, height=0.6)
-    axes.invert_yaxis()
-    quiet(axes, f"{found.status}", x="share of runs that end so")
+    rows = [Bar("completed", found.share.rate, style.GOOD)]
+    rows += [Bar(one.cause, one.runs / found.share.runs, style.LIMIT) for one in found.endings]
+    bars(axes, found.status, rows, x="share of runs that end so")
 
 
 def recording(axes: Axes, found: Recording) -> None:

@@ -3,8 +3,6 @@
 They show planned and flown stays, symbols, and the controller's modes.
 """
 
-from dataclasses import dataclass
-
 from matplotlib.axes import Axes
 
 from dpcontrol.judge.run_view import RunView
@@ -42,20 +40,9 @@ def story_height(view: RunView, *, span: Range | None = None) -> float:
     return _AROUND + _ROW * len(rows) if rows else 0.0
 
 
-@dataclass(frozen=True)
-class _Clock:
-    """The time range of a story, s, and its scale.
-
-    The scale `second` is the time per inch, s.
-    """
-
-    begin: float
-    end: float
-    second: float
-
-    def width(self, text: str) -> float:
-        """Return the time that a text takes, s."""
-        return (text_width(text, style.SMALL) + 0.08) * self.second
+def _width(text: str, second: float) -> float:
+    """Return the time that a text takes, s, at a scale of `second` seconds per inch."""
+    return (text_width(text, style.SMALL) + 0.08) * second
 
 
 def story(axes: Axes, view: RunView, *, span: Range | None = None, width: float = style.WIDTH) -> None:
@@ -69,67 +56,73 @@ def story(axes: Axes, view: RunView, *, span: Range | None = None, width: float 
     """
     rows = story_rows(view, span=span)
     begin, end = span or view.span
-    clock = _Clock(begin, end, (end - begin) / (width - 1.2))
+    second = (end - begin) / (width - 1.2)
     marks = {"done": [done for _, _, done in view.symbols if done is not None]}
     if rows:
         marks[rows[0].name] = [planned for _, planned, _ in view.symbols]
     for place, strip in enumerate(reversed(rows)):
         for part in strip.spans:
-            _part(axes, part, place, clock, marks=marks.get(strip.name, []), mode=strip.name == "controller")
-    _numbers(axes, view, [strip.name for strip in rows], clock)
+            _part(axes, part, place, second, marks=marks.get(strip.name, []), mode=strip.name == "controller")
+    _numbers(axes, view, [strip.name for strip in rows], (begin, end), second)
     axes.set_xlim(begin, end)
     axes.set_ylim(-0.08, len(rows) + 0.02)
     axes.set_yticks([place + _TALL / 2 for place in range(len(rows))], [strip.name for strip in reversed(rows)])
-    axes.tick_params(labelsize=style.SMALL, colors=style.NOTE, length=2.5)
     axes.tick_params(axis="y", length=0)
-    unit = " (s)" if view.arm_lengths else ""
-    axes.set_xlabel(f"time{unit}", fontsize=style.SMALL, color=style.NOTE, loc="left", labelpad=0)
-    for side, spine in axes.spines.items():
-        spine.set_visible(side == "bottom")
-        spine.set_color(style.FAINT)
+    axes.set_xlabel("time (s)" if view.arm_lengths else "time", loc="left", labelpad=0)
+    axes.spines["left"].set_visible(False)
+    axes.grid(False)
 
 
-def _part(axes: Axes, part: Span, place: int, clock: _Clock, *, marks: list[float], mode: bool) -> None:
+def _part(axes: Axes, part: Span, place: int, second: float, *, marks: list[float], mode: bool) -> None:
     """Draw a span of a strip, with its text if possible.
 
     The text needs room between the symbols' marks, s.
     """
     # A mode of one tick, as at an end, is widened to remain visible.
-    width = max(part.last - part.first, (0.06 if part.kind == "mode" else 0.04) * clock.second)
+    width = max(part.last - part.first, (0.06 if part.kind == "mode" else 0.04) * second)
     first = part.last - width if part.kind == "mode" else part.first
     look = {"astray": _WRONG, "transfer": _BETWEEN, "ended": _BETWEEN}.get(part.kind, {"facecolor": part.colour})
     axes.broken_barh([(first, width)], (place, _TALL), linewidth=0, **look)  # type: ignore[arg-type]
     text = "" if part.kind == "ended" and mode else part.text
     text = f"the run ended at {part.first:.2f} s" if part.kind == "ended" and not mode else text
-    middle, wide = first + width / 2, clock.width(text)
-    marked = any(abs(at - middle) < wide / 2 + 0.1 * clock.second for at in marks)
+    middle, wide = first + width / 2, _width(text, second)
+    marked = any(abs(at - middle) < wide / 2 + 0.1 * second for at in marks)
     if not text or marked or width < wide:
         return
     colour = {"stay": style.PAPER, "astray": style.LIMIT, "mode": style.INK}.get(part.kind, style.NOTE)
     box = None if part.kind in ("stay", "mode") else {"facecolor": "white", "edgecolor": "none", "pad": 1.0}
     axes.text(
-        middle, place + _TALL / 2, text, ha="center", va="center_baseline", fontsize=style.SMALL,
-        color=colour, bbox=box, clip_on=True, zorder=4,
-    )  # fmt: skip
+        middle,
+        place + _TALL / 2,
+        text,
+        ha="center",
+        va="center_baseline",
+        fontsize=style.SMALL,
+        color=colour,
+        bbox=box,
+        clip_on=True,
+        zorder=4,
+    )
 
 
-def _numbers(axes: Axes, view: RunView, rows: list[str], clock: _Clock) -> None:
+def _numbers(axes: Axes, view: RunView, rows: list[str], span: Range, second: float) -> None:
     """Number the symbols at their planned and actual times.
 
     They are named above if there is room.
     """
-    free, last = clock.begin, -1e9
+    begin, end = span
+    free, last = begin, -1e9
     for i, (name, planned, done) in enumerate(view.symbols):
         for row, moment in ((rows[0], planned), ("done", done)):
-            if row in rows and moment is not None and clock.begin <= moment <= clock.end:
+            if row in rows and moment is not None and begin <= moment <= end:
                 place = len(rows) - 1 - rows.index(row)
                 axes.plot([moment, moment], [place, place + _TALL], color=style.INK, linewidth=1.4, zorder=4.5)
-                if row == rows[0] and moment - last > 0.2 * clock.second:
+                if row == rows[0] and moment - last > 0.2 * second:
                     badge(axes, i + 1, moment, place + _TALL / 2)
                     last = moment
-        half = clock.width(name) / 2
-        left = min(max(planned - half, clock.begin), clock.end - 2 * half)
-        if left > free and clock.begin <= planned <= clock.end:
+        half = _width(name, second) / 2
+        left = min(max(planned - half, begin), end - 2 * half)
+        if left > free and begin <= planned <= end:
             look = {"ha": "center", "va": "bottom", "fontsize": style.SMALL, "color": style.INK}
             axes.text(left + half, len(rows) - 0.02, name, **look)  # type: ignore[arg-type]
             free = left + 2 * half

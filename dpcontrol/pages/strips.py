@@ -72,9 +72,11 @@ def strips(view: RunView, *, until: float | None = None) -> tuple[Strip, ...]:
 
 
 _MOTIONS = {
-    RESUME: ("itinerary", style.MODES["holding"]), LAP: ("itinerary", style.MODES["holding"]),
-    RETURN: ("return", style.MODES["saturated"]), START: ("start", style.MODES["pulsing"]),
-}  # fmt: skip
+    RESUME: ("itinerary", style.MODES["holding"]),
+    LAP: ("itinerary", style.MODES["holding"]),
+    RETURN: ("return", style.MODES["saturated"]),
+    START: ("start", style.MODES["pulsing"]),
+}
 """Activity of a run after an event, and its colour."""
 
 

@@ -6,10 +6,10 @@ A colour has one meaning. The roles in `ROLES` remain distinct for people with d
 `SERIES` numbers items without a role, such as the runs of a comparison.
 """
 
+from typing import Any
+
 WIDTH = 11.7
 """Width of a page, inches: A4 in landscape or A3 in portrait. Pages are printed at this size."""
-HEIGHT = 16.5
-"""Greatest height of a page that is printed at its size, inches: A3 in portrait."""
 TITLE, VERDICT, HEAD, TEXT, SMALL = 15.0, 11.0, 9.5, 9.0, 8.0
 """Type scale in points: title of a page, its verdict, title of a panel, text, and the smallest text."""
 
@@ -27,6 +27,33 @@ INK, NOTE, MARK, FAINT, GRID, PAPER = "#22262b", "#555c64", "#7a828b", "#c9ced4"
 """Neutral colours: text, remarks, marks, areas, grid lines, background."""
 CART = "#5b6470"
 """The cart's body."""
+PRINTED: Any = {
+    "font.size": SMALL,
+    "axes.titlesize": HEAD,
+    "axes.titlecolor": INK,
+    "axes.titlelocation": "left",
+    "axes.titlepad": 4,
+    "axes.labelsize": SMALL,
+    "axes.labelcolor": NOTE,
+    "axes.labelpad": 1,
+    "axes.edgecolor": FAINT,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": GRID,
+    "grid.linewidth": 0.7,
+    "xtick.color": NOTE,
+    "ytick.color": NOTE,
+    "xtick.labelsize": SMALL,
+    "ytick.labelsize": SMALL,
+    "xtick.major.size": 2.5,
+    "ytick.major.size": 2.5,
+    "legend.fontsize": SMALL,
+    "legend.frameon": False,
+    "legend.borderpad": 0.0,
+}
+"""Settings of matplotlib for pages: plain frames and grids."""
 ON_DARK = {PLANT: "#f0f3f6", REFERENCE: "#6e7681", UNSTABLE: "#e0566a", "#124f62": "#2f9bb5", "#6310b2": "#a371f7"}
 """Colours of the viewer's dark plots that are too dark or too similar there."""
 MODES = {

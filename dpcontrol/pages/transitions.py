@@ -63,10 +63,16 @@ def draw_transitions(reference: Reference) -> Figure:
     )
     for source in names:
         row = [
-            partial(_cell, motion=motions.get((source, target)), arm_lengths=arm_lengths, box=(half, high),
-                    title=target if source == names[0] else "", name=source if target == names[0] else "")
+            partial(
+                _cell,
+                motion=motions.get((source, target)),
+                arm_lengths=arm_lengths,
+                box=(half, high),
+                title=target if source == names[0] else "",
+                name=source if target == names[0] else "",
+            )
             for target in names
-        ]  # fmt: skip
+        ]
         page.row(*row, height=cell * high / half + 0.3 + 0.2 * (source == names[0]))
     return page.figure()
 
@@ -87,9 +93,9 @@ def _cell(
     (half, high), n = box, len(arm_lengths)
     axes.set(xlim=(-half, half), ylim=(-high, high), xticks=[], yticks=[])
     axes.set_aspect("equal")
-    for spine in axes.spines.values():
-        spine.set_color(style.FAINT)
-    axes.set_title(title, fontsize=style.HEAD, color=style.INK)
+    axes.spines[:].set_visible(True)
+    axes.grid(False)
+    axes.set_title(title, loc="center")
     upright = {"rotation": 0, "ha": "right", "va": "center"}
     axes.set_ylabel(name.replace("-", "\n"), fontsize=style.HEAD, color=style.INK, **upright)
     if motion is None:

@@ -14,13 +14,29 @@ from dpcontrol.judge.run_view import PlanView, RunView, Stay
 from dpcontrol.orbits.manifold import OrbitCurve
 from dpcontrol.pages import style
 from dpcontrol.pages.chart import Chart, LevelLine, Line
-from dpcontrol.pages.walk_symbols import Wobble, symbol_text
+from dpcontrol.tubes.connections import Connection
 from dpcontrol.walks.shadowing import ShadowingOrbit
 
 NEAR = 1e-3
 """Scaled distance from a periodic orbit at which flights end and wobbles begin, as for connection times."""
 _PER_PERIOD = 120
 _MOST_SAMPLES = 40_000
+
+
+@dataclass(frozen=True)
+class Wobble:
+    """A period near a periodic orbit, with its number of wraps.
+
+    It lasts from start to end (s) about `saddle`.
+
+    `closing` marks a closed walk's stop between its last and its first symbol.
+    """
+
+    start: float
+    end: float
+    saddle: str
+    wraps: int
+    closing: bool = False
 
 
 @dataclass(frozen=True)
@@ -139,10 +155,40 @@ class WalkStory:
     def nearness(self) -> Chart:
         """Return the distances between the orbit and the periodic orbits."""
         lines = tuple(
-            Line(saddle, saddle, saddle, self.times, np.maximum(curve.distances(self.states)[1], 1e-16),
-                 style.saddle_colour(saddle))
+            Line(
+                saddle,
+                saddle,
+                saddle,
+                self.times,
+                np.maximum(curve.distances(self.states)[1], 1e-16),
+                style.saddle_colour(saddle),
+            )
             for saddle, curve in self.curves.items()
-        )  # fmt: skip
+        )
         title = "Distance from the periodic orbits (scaled); wobbles are counted below the dashed line"
         level = LevelLine("", "", NEAR, style.MARK, "named")
         return Chart("", title, "", lines, levels=(level,), log=True)
+
+
+def symbol_text(connection: Connection) -> str:
+    """Return a connection's symbol, such as "down-up > up-down -"."""
+    sense = "+" if connection.sense > 0 else "-"
+    source, target = connection.source.saddle, connection.target.saddle
+    return f"{source} {sense}" if source == target else f"{source} > {target} {sense}"
+
+
+def symbol_words(connection: Connection) -> str:
+    """Return a description of the motion during a symbol."""
+    source, target = connection.source.saddle, connection.target.saddle
+    if source != target:
+        return f"crosses from {source} to {target}"
+    if not np.isfinite(connection.source.system.periods).any():
+        return f"leaves {source} and comes back"
+    count = len(connection.winding)
+    arms = ("inner arm", "outer arm") if count == 2 else [f"arm {k + 1}" for k in range(count)]
+    turns = []
+    for arm, count in zip(arms, connection.winding, strict=True):
+        if count:
+            often = {1: "once", 2: "twice"}.get(abs(count), f"{abs(count)} times")
+            turns.append(f"{arm} turns {often} {'counter-clockwise' if count > 0 else 'clockwise'}")
+    return ", ".join(turns) or f"swings away from {source} and back"

@@ -44,7 +44,9 @@ def texts_of(figure: Figure) -> list[tuple[Text, Bbox]]:
             continue
         if text.axes is not None and not text.axes.axison and text in _decorations(text.axes):
             continue
-        if text.axes is not None and text.get_clip_on() and not _inside(text, renderer):
+        # Keys lie outside their panel and are not clipped, since they have no box to clip to.
+        clipped = text.get_clip_on() and text.get_clip_box() is not None
+        if text.axes is not None and clipped and not _inside(text, renderer):
             continue
         box = _box(text, renderer)
         found.append((text, Bbox(box.get_points() * 72 / figure.dpi)))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from dpcontrol.judge.of_log import run_view
-from dpcontrol.pages.series import extra_charts
+from dpcontrol.pages.run_charts import extra_charts
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import make_plan
 from dpcontrol.runs.run import Run, run_plan

@@ -52,7 +52,7 @@ class Kept:
 
     def __init__(self, start) -> None:
         reading, writing = os.pipe()
-        self.reading, self.view = reading, LiveView(start, viewer=NOWHERE)
+        self.reading, self.view = os.fdopen(reading, "rb"), LiveView(start, viewer=NOWHERE)
         os.set_blocking(writing, False)
         fcntl.fcntl(writing, fcntl.F_SETPIPE_SZ, 1 << 20)
         self.view._pipe = writing

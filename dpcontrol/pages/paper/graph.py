@@ -2,6 +2,7 @@
 
 from functools import partial
 from itertools import permutations
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -10,7 +11,7 @@ from matplotlib.patches import Circle, FancyArrowPatch
 from dpcontrol.pages import style
 from dpcontrol.pages.gallery import Gallery, PaperFigure
 from dpcontrol.pages.layout import Page, Panel
-from dpcontrol.walks.atlas import Atlas, walks
+from dpcontrol.walks.atlas import Atlas, AtlasConnection, walks
 
 GRAPH_ENERGIES = (-0.07, 0.2)
 _RADIUS = 0.45
@@ -41,61 +42,43 @@ def graph_page(gallery: Gallery) -> PaperFigure:
 
 
 def _graph(axes: Axes, atlas: Atlas) -> None:
-    places = {orbit.name: (3.9 * k, 0.0) for k, orbit in enumerate(atlas.orbits)}
+    places = {orbit.name: 3.9 * k for k, orbit in enumerate(atlas.orbits)}
+    middle, look = 3.9 * (len(places) - 1) / 2, {"ha": "center", "va": "center", "fontsize": style.SMALL}
     for orbit in atlas.orbits:
-        x, y = places[orbit.name]
-        axes.add_patch(Circle((x, y), _RADIUS, color=style.saddle_colour(orbit.saddle), zorder=5))
-        axes.text(
-            x, y, orbit.name, ha="center", va="center", color="white", fontsize=style.SMALL, weight="bold", zorder=6
-        )
+        x, colour = places[orbit.name], style.saddle_colour(orbit.saddle)
+        axes.add_patch(Circle((x, 0.0), _RADIUS, color=colour, zorder=5))
+        axes.text(x, 0.0, orbit.name, color="white", weight="bold", zorder=6, **look)
         for sign in (1, -1):
             loops = [c for c in atlas.between(orbit.saddle, orbit.saddle) if c.sense == sign]
-            loops.sort(key=lambda c: not c.symmetric)
-            for k, c in enumerate(loops):
-                size = 0.4 + 0.12 * k
-                _loop(axes, x, y + sign * _RADIUS * 0.85, sign, size, dashed=not c.symmetric, saddle=orbit.saddle)
+            for k, c in enumerate(sorted(loops, key=lambda c: not c.symmetric)):
+                _loop(axes, (x, sign * 0.85 * _RADIUS), sign * (0.4 + 0.12 * k), colour, _line(c))
             if loops:
-                top = y + sign * (_RADIUS + 2 * (0.4 + 0.12 * (len(loops) - 1)) + 0.12)
                 turning = "outer" if loops[0].winding[1] else "inner"
-                axes.text(x, top, f"{len(loops)}: {turning} arm {sign:+d} turn", ha="center", va="center",
-                          fontsize=style.TEXT, color=style.INK)  # fmt: skip
+                text, top = f"{len(loops)}: {turning} arm {sign:+d} turn", _RADIUS + 0.68 + 0.24 * len(loops)
+                axes.text(x, sign * top, text, color=style.INK, **look)
     for source, target in permutations(places, 2):
-        found = atlas.between(source, target)
-        for k, c in enumerate(found):
-            bend = -(0.1 + 0.16 * k)
-            (x0, _), (x1, _) = places[source], places[target]
-            step = np.sign(x1 - x0) * _RADIUS
-            axes.add_patch(
-                FancyArrowPatch(
-                    (x0 + step, 0), (x1 - step, 0), connectionstyle=f"arc3,rad={bend}", arrowstyle="-|>",
-                    mutation_scale=13, color=style.saddle_colour(source), linewidth=1.4,
-                    linestyle="-" if c.symmetric else (0, (5, 2)), shrinkA=4, shrinkB=4,
-                )
-            )  # fmt: skip
-        if found:
-            side = 1 if places[target][0] > places[source][0] else -1
-            axes.text(
-                1.95,
-                side * 1.28,
-                f"{len(found)}: {source} → {target}",
-                ha="center",
-                fontsize=style.TEXT,
-                color=style.INK,
-            )
-    middle = 3.9 * (len(places) - 1) / 2
+        connections, side = atlas.between(source, target), np.sign(places[target] - places[source])
+        ends = [(places[source] + side * _RADIUS, 0.0), (places[target] - side * _RADIUS, 0.0)]
+        for k, c in enumerate(connections):
+            look_of = {"color": style.saddle_colour(source), "linewidth": 1.4, "linestyle": _line(c)}
+            bend = f"arc3,rad={-(0.1 + 0.16 * k)}"
+            axes.add_patch(FancyArrowPatch(*ends, connectionstyle=bend, arrowstyle="-|>", mutation_scale=13, **look_of))
+        if connections:
+            text = f"{len(connections)}: {source} → {target}"
+            axes.text(middle, side * 1.28, text, color=style.INK, **look)
     axes.set(xlim=(-1.6, 2 * middle + 1.6), ylim=(-3.0, 3.35), aspect="equal")
     axes.axis("off")
     axes.text(middle, 3.2, f"{atlas.energy:g} J", ha="center", fontsize=style.VERDICT, color=style.INK)
 
 
-def _loop(axes: Axes, x: float, y: float, sign: int, size: float, *, dashed: bool, saddle: str) -> None:
-    """Draw an arrow from a node to itself.
+def _line(connection: AtlasConnection) -> Any:
+    return "-" if connection.symmetric else (0, (5, 2))
 
-    It is an ellipse that touches the node, with a head at its end.
-    """
+
+def _loop(axes: Axes, at: tuple[float, float], size: float, colour: str, line: Any) -> None:
+    """Draw an arrow from a node to itself: an ellipse that touches the node, with a head at its end."""
     t = np.linspace(0.02, 0.98, 120) * 2 * np.pi
-    px, py = x - 0.55 * size * np.sin(t), y + sign * size * (1 - np.cos(t))
-    colour = style.saddle_colour(saddle)
-    axes.plot(px, py, color=colour, linewidth=1.3, linestyle=(0, (5, 2)) if dashed else "-", zorder=3)
-    axes.annotate("", (px[-12], py[-12]), (px[-18], py[-18]),
-                  arrowprops={"arrowstyle": "-|>", "color": colour, "mutation_scale": 10})  # fmt: skip
+    x, y = at[0] - 0.55 * abs(size) * np.sin(t), at[1] + size * (1 - np.cos(t))
+    axes.plot(x, y, color=colour, linewidth=1.3, linestyle=line, zorder=3)
+    head = {"arrowstyle": "-|>", "color": colour, "mutation_scale": 10}
+    axes.annotate("", (x[-12], y[-12]), (x[-18], y[-18]), arrowprops=head)

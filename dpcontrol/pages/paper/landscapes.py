@@ -4,16 +4,18 @@ The regions are at energies between the critical points.
 """
 
 from functools import partial
+from itertools import product
 
 import numpy as np
 from matplotlib.axes import Axes
 
+from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.orbits.lyapunov import equilibria
 from dpcontrol.pages import style
 from dpcontrol.pages.gallery import IDENTIFIED, Gallery, PaperFigure
 from dpcontrol.pages.layout import Page, Panel
-from dpcontrol.pages.panels import angle_axis, name_point, quiet
+from dpcontrol.pages.panels import angle_axis, name_point, quiet_plane
 
 LANDSCAPES = {"three-body": (-1.523, -1.5195, -1.51, -1.5005), "lab": (-0.3, -0.07, 0.2, 0.55)}
 """Energies, one between the heights of adjacent critical points."""
@@ -42,12 +44,8 @@ def landscape_page(gallery: Gallery) -> PaperFigure:
             height = float(system.numeric.hamiltonian(np.array([*top, 0.0, 0.0])))
             points |= {n: (top * (1, sign), height, "maximum") for n, sign in (("L4", 1), ("L5", -1))}
         field = first, second, potential
-        regions = [
-            partial(_hill, field=field, energy=energy, points=points, angular=angular,
-                    title=_opened(points, energy, f"{energy:g}{system.unit('J')}"))
-            for energy in energies
-        ]  # fmt: skip
-        page.row(Panel(partial(_relief, field=field, angular=angular), 1.35, space=True), *regions, height=3.0)
+        regions = [partial(_hill, system=system, field=field, energy=energy, points=points) for energy in energies]
+        page.row(Panel(partial(_relief, system=system, field=field), 1.35, space=True), *regions, height=3.0)
         listed = ", ".join(f"{n} {p[1]:+.4f}{system.unit('J')}" for n, p in points.items())
         words.append(f"{'Pendulum' if angular else 'Three bodies'}: {listed}.")
     return PaperFigure(
@@ -65,50 +63,43 @@ Points = dict[str, tuple[Array, float, str]]
 Field = tuple[Array, Array, Array]
 
 
-def _relief(axes: Axes, field: Field, *, angular: bool) -> None:
+def _relief(axes: Axes, system: System, field: Field) -> None:
     first, second, potential = field
     # The wells of the primaries are bottomless.
-    shown = np.maximum(potential, potential.min() if angular else -1.62)
+    shown = np.maximum(potential, potential.min() if system.si else -1.62)
     axes.plot_surface(first, second, shown, cmap="viridis", linewidth=0, rcount=90, ccount=90, alpha=0.95)  # type: ignore[attr-defined]
     axes.view_init(elev=38, azim=-60)  # type: ignore[attr-defined]
-    axes.set_title("double pendulum: energy at rest (J)" if angular else "three bodies: energy at rest", loc="left")
-    for which, label in (("x", "θ₁"), ("y", "θ₂")) if angular else (("x", "x"), ("y", "y")):
-        if angular:
+    axes.set_title("double pendulum: energy at rest (J)" if system.si else "three bodies: energy at rest", loc="left")
+    for which, label in zip("xy", system.labels, strict=False):
+        if system.si:
             angle_axis(axes, which, step=1.0)
-        getattr(axes, f"set_{which}label")(label, fontsize=style.SMALL, labelpad=-4)
-    axes.tick_params(labelsize=style.SMALL, pad=-2)
+        getattr(axes, f"set_{which}label")(label.partition(" ")[0], fontsize=style.SMALL, labelpad=-4)
+    axes.tick_params(pad=-2)
     axes.locator_params(axis="z", nbins=4)  # type: ignore[arg-type]
 
 
-def _hill(axes: Axes, field: Field, energy: float, points: Points, *, angular: bool, title: str) -> None:
-    _region(axes, field, energy, points, angular=angular)
-    quiet(axes, title, x="θ₁" if angular else "x", y="θ₂" if angular else "y")
-    axes.grid(False)
-    axes.set_aspect("equal")
-    if angular:
-        angle_axis(axes, "x", step=1.0)
-        angle_axis(axes, "y", step=1.0)
-
-
-def _region(axes: Axes, field: Field, energy: float, points: Points, *, angular: bool) -> None:
-    first, second, potential = field
+def _hill(axes: Axes, system: System, field: Field, energy: float, points: Points) -> None:
     # At collisions of two bodies the energy has no lower bound.
-    potential = np.maximum(potential, -10.0)
-    axes.contourf(first, second, potential, levels=[potential.min() - 1, energy], colors=[_REACHED])
-    axes.contourf(first, second, potential, levels=[energy, potential.max() + 1], colors=[_FORBIDDEN])
-    axes.contour(first, second, potential, levels=[energy], colors=[style.INK], linewidths=1.0, linestyles="solid")
+    potential = np.maximum(field[2], -10.0)
+    levels = [potential.min() - 1, energy, potential.max() + 1]
+    axes.contourf(*field[:2], potential, levels=levels, colors=[_REACHED, _FORBIDDEN])
+    axes.contour(*field[:2], potential, levels=[energy], colors=[style.INK], linewidths=1.0, linestyles="solid")
     for name, (place, height, kind) in points.items():
         mark = "o" if kind == "centre" else ("s" if kind.startswith("index-1") else "^")
-        for a in {-np.pi, np.pi} if angular and place[0] else {place[0]}:
-            for b in {-np.pi, np.pi} if angular and place[1] else {place[1]}:
-                axes.plot(a, b, mark, color=style.GOOD if height <= energy else style.LIMIT, clip_on=False,
-                          markersize=6 if angular else 4.5)  # fmt: skip
-                if not angular:
-                    name_point(axes, name, (float(a), float(b)), style.INK)
+        # An angle of half a turn is at both edges.
+        edges = [{-np.pi, np.pi} if system.si and q else {q} for q in place]
+        look = {"color": style.GOOD if height <= energy else style.LIMIT, "markersize": 6 if system.si else 4.5}
+        for x, y in product(*edges):
+            axes.plot(x, y, mark, clip_on=False, **look)
+        if not system.si:
+            name_point(axes, name, (float(place[0]), float(place[1])), style.INK)
+    quiet_plane(axes, system, title=_opened(points, energy, f"{energy:g}{system.unit('J')}"))
+    axes.grid(False)
+    axes.set_aspect("equal")
 
 
 def _opened(points: Points, energy: float, text: str) -> str:
-    above = [name for name, (_, height, kind) in points.items() if kind != "centre"]
+    above = [name for name, (_, _, kind) in points.items() if kind != "centre"]
     reached = [name for name in above if points[name][1] <= energy]
     if len(reached) == len(above):
         return f"{text}: everything reached"

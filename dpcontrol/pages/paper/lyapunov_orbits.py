@@ -1,21 +1,24 @@
-"""Lyapunov orbits of different sizes, and the arms along one of them."""
+"""Lyapunov orbits of different sizes, the arms along one of them, and the families against energy."""
 
+from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
 from matplotlib.axes import Axes
 
-from dpcontrol.dynamics.system import System
-from dpcontrol.foundation.arrays import Array
-from dpcontrol.orbits.lyapunov import lyapunov_orbit
+from dpcontrol.orbits.family import lyapunov_family
+from dpcontrol.orbits.lyapunov import LyapunovOrbit, equilibria, lyapunov_orbit
 from dpcontrol.pages import style
 from dpcontrol.pages.gallery import IDENTIFIED, Gallery, PaperFigure
 from dpcontrol.pages.layout import Page, Panel
-from dpcontrol.pages.panels import angle_axis, quiet
+from dpcontrol.pages.orbits import draw_families
+from dpcontrol.pages.panels import bare, name_curves, quiet_plane
+from dpcontrol.pages.planes import arm_points
 
 _SIZES = (0.002, 0.02, 0.06, 0.12, 0.2)
 """Energies of the drawn Lyapunov orbits above the saddle, J."""
 _POSES = 7
+_HIGHEST = 0.45
 
 
 def lyapunov_orbits_page(gallery: Gallery) -> PaperFigure:
@@ -27,13 +30,9 @@ def lyapunov_orbits_page(gallery: Gallery) -> PaperFigure:
     page = Page("Lyapunov orbits of the lab pendulum, in the phase plane of either arm")
     for saddle in ("down-up", "up-down"):
         birth = float(system.numeric.hamiltonian(system.equilibria[saddle]))
-        curves: list[tuple[float, Array]] = []
-        for above in _SIZES:
-            orbit = lyapunov_orbit(system, saddle, energy=birth + above)
-            curves.append((birth + above, system.propagator.sample(orbit.state, np.linspace(0.0, orbit.period, 400))))
-        planes = [partial(_orbits, curves=curves, saddle=saddle, system=system, arm=arm) for arm in (0, 1)]
-        page.row(*planes, Panel(partial(_motion, system=system, energy=curves[2][0], states=curves[2][1]), 0.8),
-                 height=3.4)  # fmt: skip
+        orbits = [lyapunov_orbit(system, saddle, energy=birth + above) for above in _SIZES]
+        planes = [partial(_orbits, orbits=orbits, arm=arm) for arm in (0, 1)]
+        page.row(*planes, Panel(partial(_motion, orbit=orbits[2]), 0.8), height=3.4)
     return PaperFigure(
         page.figure(),
         f"Lyapunov orbits about Down-Up (above) and Up-Down (below), {', '.join(f'{a:g}' for a in _SIZES)} J above "
@@ -44,39 +43,43 @@ def lyapunov_orbits_page(gallery: Gallery) -> PaperFigure:
     )
 
 
-def _orbits(axes: Axes, curves: list[tuple[float, Array]], saddle: str, system: System, arm: int) -> None:
-    """Draw orbits in the phase plane of an arm.
-
-    The inner arm's panel has labels with their energies, from the top.
-    """
-    number = style.number(arm)
-    for k, (energy, states) in enumerate(curves):
-        colour = style.SERIES[k]
-        axes.plot(states[:, arm], states[:, 2 + arm], color=colour, linewidth=1.4)
-        if arm == 0:
-            key_text = f"{energy:.3g} J"
-            axes.annotate(
-                key_text, (1.0, 1.0 - 0.09 * k), xycoords="axes fraction", xytext=(4, 0), textcoords="offset points",
-                va="top", fontsize=style.SMALL, color=colour, annotation_clip=False,
-            )  # fmt: skip
+def _orbits(axes: Axes, orbits: Sequence[LyapunovOrbit], arm: int) -> None:
+    """Draw orbits in the phase plane of an arm, whose energies are named beside the inner arm's."""
+    saddle, system = orbits[0].saddle, orbits[0].system
+    for orbit, colour in zip(orbits, style.SERIES, strict=False):
+        axes.plot(*orbit.sample(400)[:, [arm, 2 + arm]].T, color=colour, linewidth=1.4)
     axes.plot(system.equilibria[saddle][arm], 0, "+", color=style.LIMIT, markersize=9)
-    quiet(axes, "" if arm else f"about {saddle}", x=f"θ{number} (rad)", y=f"ω{number} (rad/s)")
-    angle_axis(axes, "x")
+    quiet_plane(axes, system, (arm, 2 + arm), "" if arm else f"about {saddle}")
+    if arm == 0:
+        named = zip(orbits, style.SERIES, strict=False)
+        name_curves(axes, [(orbit.energy, f"{orbit.energy:.3g} J", colour) for orbit, colour in named])
 
 
-def _motion(axes: Axes, system: System, energy: float, states: Array) -> None:
-    """Draw the arms to scale at some times of half a period."""
-    arms = system.model.arms.length if hasattr(system, "model") else (1.0, 1.0)  # type: ignore[attr-defined]
-    for share in np.linspace(0, 0.5, _POSES):
-        # Half a period leads from rest on one side to rest on the other.
-        first, second = states[round((share + 0.25) * (len(states) - 1)), :2]
-        joint = arms[0] * np.array([np.sin(first), -np.cos(first)])
-        tip = joint + arms[1] * np.array([np.sin(second), -np.cos(second)])
-        for begin, end, arm in ((np.zeros(2), joint, 0), (joint, tip, 1)):
-            axes.plot(*np.column_stack([begin, end]), color=style.arm_colour(arm), linewidth=3,
-                      alpha=0.2 + 1.6 * share, solid_capstyle="round")  # fmt: skip
+def _motion(axes: Axes, orbit: LyapunovOrbit) -> None:
+    """Draw the arms to scale at some times of half a period, which leads from rest on one side to rest on the other."""
+    lengths = orbit.system.model.arms.length if hasattr(orbit.system, "model") else (1.0, 1.0)  # type: ignore[attr-defined]
+    states = orbit.states(orbit.period * np.linspace(0.25, 0.75, _POSES))
+    for points, shade in zip(arm_points(states[:, :2], lengths), np.linspace(0.2, 1.0, _POSES), strict=True):
+        for arm in (0, 1):
+            look = {"color": style.arm_colour(arm), "linewidth": 3, "alpha": shade, "solid_capstyle": "round"}
+            axes.plot(*points[arm : arm + 2].T, **look)
     axes.plot(0, 0, "o", color=style.INK, markersize=6)
     axes.set_aspect("equal")
     axes.margins(0.15)
-    axes.axis("off")
-    axes.set_title(f"the motion at {energy:.3g} J", loc="left")
+    bare(axes, f"the motion at {orbit.energy:.3g} J")
+
+
+def families_page(gallery: Gallery) -> PaperFigure:
+    """Draw the families about Down-Up and Up-Down up to 0.45 J."""
+    system = gallery.system("lab")
+    births = {name: point.energy for name, point in equilibria(system).items() if point.kind.startswith("index-1")}
+    families = [lyapunov_family(system, name, energies=(birth + 1e-4, _HIGHEST)) for name, birth in births.items()]
+    ends = "; ".join(f"{family.saddle}: {family.status}" for family in families)
+    return PaperFigure(
+        draw_families(families, "Families of Lyapunov orbits of the lab pendulum"),
+        "Lyapunov orbits about each saddle from their birth at the saddle (cross) upwards in energy: their shapes in "
+        "the phase plane of the hanging arm, their periods and their unstable multipliers. The hanging arm swings most "
+        f"while the other balances. A multiplier is the growth of a deviation in one period. {ends}.",
+        "Each family is continued up to 0.45 J instead of being computed at chosen energies, which gives "
+        "periods and multipliers against energy. Parameters are the rig's identified ones.",
+    )

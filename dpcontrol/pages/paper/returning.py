@@ -13,8 +13,8 @@ from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.pages import style
 from dpcontrol.pages.gallery import IDENTIFIED, Gallery, PaperFigure
 from dpcontrol.pages.layout import Page, Panel, key
-from dpcontrol.pages.panels import angle_axis, quiet, quiet_space, wrapped_runs
-from dpcontrol.pages.paper.senses import SENSES_ENERGY
+from dpcontrol.pages.panels import angle_axis, quiet, quiet_plane, quiet_space, wrapped_runs
+from dpcontrol.pages.paper.tubes import SENSES_ENERGY
 from dpcontrol.tubes.connections import ConnectionSearch, find_connections
 from dpcontrol.tubes.intersections import search_settings
 
@@ -29,9 +29,12 @@ def returning_search(system: System) -> ConnectionSearch:
     """
     orbit = lyapunov_orbit(system, "down-up", energy=SENSES_ENERGY)
     return find_connections(
-        orbit, orbit, hits=(1, 2), section=system.named_sections["aligned"],
+        orbit,
+        orbit,
+        hits=(1, 2),
+        section=system.named_sections["aligned"],
         settings=search_settings(longest=_RETURN_FLIGHT),
-    )  # fmt: skip
+    )
 
 
 def returning_page(gallery: Gallery) -> PaperFigure:
@@ -42,18 +45,13 @@ def returning_page(gallery: Gallery) -> PaperFigure:
     system = gallery.system("lab")
     search = returning_search(system)
     back = [c for c in search.connections if not any(c.winding)]
-    orbit = search.source
-    page = Page("Homoclinic orbits of Down-Up that return through θ₁ = θ₂ the other way, at 0.2 J")
-    shades = _by_flight(back)
-    closed = system.propagator.sample(orbit.state, np.linspace(0, orbit.period, 200))
-    curves = []
-    for c in (c for c in back if c.sense > 0):
-        times = np.linspace(float(c.orbit.times[0]), float(c.orbit.times[-1]), 900)
-        curves.append((shades[c.name], c.orbit.sample(times)))
-    page.row(
-        Panel(partial(_returning_space, system=system, curves=curves, closed=closed), 1.5, space=True),
-        partial(_returning_plane, curves=curves, closed=closed),
-        partial(_returning_cuts, search=search, back=back, shades=shades),
+    shades, orbit = _by_flight(back), search.source.sample()
+    curves = [(shades[c.name], c.sample(900)) for c in back if c.sense > 0]
+    flights = partial(_flights, system=system, curves=curves, orbit=orbit)
+    page = Page("Homoclinic orbits of Down-Up that return through θ₁ = θ₂ the other way, at 0.2 J").row(
+        Panel(flights, 1.5, space=True),
+        flights,
+        partial(_cuts, search=search, back=back, shades=shades),
         height=4.8,
     )
     whole = "" if search.complete else "at least "
@@ -73,28 +71,23 @@ Curves = list[tuple[str, Array]]
 """Colours and states of flights."""
 
 
-def _returning_space(axes: Axes, system: System, curves: Curves, closed: Array) -> None:
+def _flights(axes: Axes, system: System, curves: Curves, orbit: Array) -> None:
+    """Draw flights and their orbit in space or in the plane of the angles, by the axes' kind."""
+    space = axes.name == "3d"
+    shown = slice(0, 3 if space else 2)
     for colour, states in curves:
-        axes.plot(*states[:, :3].T, color=colour, linewidth=1.0)
-    axes.plot(*closed[:, :3].T, color=style.saddle_colour("down-up"), linewidth=2.6, zorder=10)
-    quiet_space(axes, system)
-    axes.set_title("a  in (θ₁, θ₂, ω₁)", loc="left")
-
-
-def _returning_plane(axes: Axes, curves: Curves, closed: Array) -> None:
-    for colour, states in curves:
-        axes.plot(states[:, 0], states[:, 1], color=colour, linewidth=1.1)
-    axes.plot(closed[:, 0], closed[:, 1], color=style.saddle_colour("down-up"), linewidth=3)
-    reach = np.array(axes.get_xlim())
+        axes.plot(*states[:, shown].T, color=colour, linewidth=1.0)
+    axes.plot(*orbit[:, shown].T, color=style.saddle_colour("down-up"), linewidth=2.8)
+    if space:
+        quiet_space(axes, system)
+        axes.set_title("a  in (θ₁, θ₂, ω₁)", loc="left")
+        return
     for turn in (0, 1):
-        axes.plot(reach, reach + 2 * np.pi * turn, color=style.MARK, linestyle=style.DOTTED, linewidth=0.9, zorder=1)
-    axes.set_xlim(*reach)
-    quiet(axes, "b  in the plane of the angles", x="θ₁", y="θ₂")
-    for which in "xy":
-        angle_axis(axes, which, step=1.0)
+        axes.axline((0, 2 * np.pi * turn), slope=1, color=style.MARK, linestyle=style.DOTTED, linewidth=0.9, zorder=1)
+    quiet_plane(axes, system, title="b  in the plane of the angles")
 
 
-def _returning_cuts(axes: Axes, search: ConnectionSearch, back: Sequence, shades: dict[str, str]) -> None:
+def _cuts(axes: Axes, search: ConnectionSearch, back: Sequence, shades: dict[str, str]) -> None:
     quiet(axes, "c  cuts on θ₁ = θ₂ + 2πk", x="θ₁ on the section (rad)", y="p / p₀")
     for cut, colour, sign in ((search.cuts[0], style.UNSTABLE, 1), (search.cuts[1], style.STABLE, -1)):
         for piece in cut.pieces:
@@ -109,14 +102,7 @@ def _returning_cuts(axes: Axes, search: ConnectionSearch, back: Sequence, shades
 
 
 def _by_flight(connections: Sequence) -> dict[str, str]:
-    """Return a colour for each connection by name.
-
-    Symmetric images have equal durations and share one.
-    """
-    lengths: list[float] = []
-    for c in sorted(connections, key=lambda c: c.time_in + c.time_out):
-        if not lengths or c.time_in + c.time_out - lengths[-1] > 1e-6:
-            lengths.append(c.time_in + c.time_out)
-    shades = style.CONNECTIONS
-    return {c.name: shades[int(np.argmin(np.abs(np.array(lengths) - c.time_in - c.time_out))) % len(shades)]
-            for c in connections}  # fmt: skip
+    """Return a colour for each connection by name; symmetric images have equal durations and share one."""
+    lengths = {c.name: round(c.time_in + c.time_out, 5) for c in connections}
+    order = sorted(set(lengths.values()))
+    return {name: style.CONNECTIONS[order.index(length) % len(style.CONNECTIONS)] for name, length in lengths.items()}

@@ -5,14 +5,13 @@ from functools import partial
 import numpy as np
 from matplotlib.axes import Axes
 
-from dpcontrol.foundation.arrays import Array
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.pages import style
 from dpcontrol.pages.gallery import IDENTIFIED, Gallery, PaperFigure
 from dpcontrol.pages.layout import Page, key
-from dpcontrol.pages.panels import angle_axis, quiet, wrapped_runs
+from dpcontrol.pages.panels import angle_axis, quiet, quiet_plane, wrapped_runs
 from dpcontrol.tubes.connections import find_connections
-from dpcontrol.walks.shadowing import WalkSolver
+from dpcontrol.walks.shadowing import ShadowingOrbit, WalkSolver
 
 
 def shadowing_page(gallery: Gallery) -> PaperFigure:
@@ -31,17 +30,15 @@ def shadowing_page(gallery: Gallery) -> PaperFigure:
         "b  a double homoclinic orbit beside it": solver.solve(once * 2, solver.least(once * 2), lead_in=1, lead_out=1),
         "c  a periodic orbit beside it": solver.solve(once, solver.least(once, periodic=True), periodic=True),
     }
-    page = Page("One homoclinic orbit of Down-Up at -0.07 J, and orbits that shadow it")
     words, above, below = [], [], []
     for title, found in shapes.items():
         assert found.converged, found.status
-        times = np.linspace(0.0, found.duration, 1500)
-        above.append(partial(_outer_arm, states=found.states(times), title=title))
-        below.append(partial(_both_arms, times=times, states=found.states(times)))
+        above.append(partial(_outer_arm, orbit=found, title=title))
+        below.append(partial(_both_arms, orbit=found))
         words.append(f"{title[0]} {found.duration:.2f} s, residual {found.residual:.0e}")
-    page.row(*above, height=3.2).row(*below, height=3.0)
+    page = Page("One homoclinic orbit of Down-Up at -0.07 J, and orbits that shadow it")
     return PaperFigure(
-        page.figure(),
+        page.row(*above, height=3.2).row(*below, height=3.0).figure(),
         "Above, the outer arm in its phase plane; below, both angles against time. The homoclinic orbit leaves the "
         "Lyapunov orbit, turns the outer arm once and returns. Beside it lie an orbit that does this twice, "
         "with the fewest sufficient wobbles between, and a periodic one that repeats it with as many wobbles in each "
@@ -50,20 +47,17 @@ def shadowing_page(gallery: Gallery) -> PaperFigure:
     )
 
 
-def _outer_arm(axes: Axes, states: Array, title: str) -> None:
-    """Draw the outer arm in its phase plane.
-
-    Its angle is within the turn about upright.
-    """
-    for part in wrapped_runs(np.column_stack([states[:, 1] - np.pi, states[:, 3]]), (2 * np.pi, None)):
+def _outer_arm(axes: Axes, orbit: ShadowingOrbit, title: str) -> None:
+    """Draw the outer arm in its phase plane, with its angle within the turn about upright."""
+    for part in wrapped_runs(orbit.sample(1500)[:, [1, 3]] - [np.pi, 0.0], (2 * np.pi, None)):
         axes.plot(part[:, 0] + np.pi, part[:, 1], color=style.arm_colour(1), linewidth=1.1)
-    quiet(axes, title, x="θ₂ modulo a turn (rad)", y="ω₂ (rad/s)")
-    angle_axis(axes, "x")
+    quiet_plane(axes, orbit.system, (1, 3), title)
 
 
-def _both_arms(axes: Axes, times: Array, states: Array) -> None:
+def _both_arms(axes: Axes, orbit: ShadowingOrbit) -> None:
     for arm in (0, 1):
-        axes.plot(times, states[:, arm], color=style.arm_colour(arm), linewidth=1.2)
+        times, angles = np.linspace(0.0, orbit.duration, 1500), orbit.sample(1500)[:, arm]
+        axes.plot(times, angles, color=style.arm_colour(arm), linewidth=1.2)
     quiet(axes, "Angles (rad)", x="time (s)")
     key(axes, [("θ₁", style.arm_colour(0)), ("θ₂", style.arm_colour(1))])
     angle_axis(axes, "y", step=1.0)

@@ -28,21 +28,14 @@ def up_up_states(system: System) -> Array:
     rising = np.argsort(np.real(values))[-2:]
     plane = np.real(vectors[:, rising]) / np.linalg.norm(np.real(vectors[:, rising]), axis=0)
     # The slow direction grows less until the fast one has left; a logarithmic scale covers all ratios of both.
-    fast, slow = _spread(_SEEDS)
-    seeds = top + _OFF * np.column_stack([slow, fast]) @ plane.T
-    section = system.sections["down-up", "down-up"]
-    met = system.propagator.crossings(seeds, section, longest=_FALL / float(np.sort(np.real(values))[-2]))
-    return np.array([one.state for one in met if one is not None])
-
-
-def _spread(count: int) -> tuple[Array, Array]:
-    """Return components along the fast and the slow direction.
-
-    They have both signs of each, with ratios from 1e-6 to 1e6.
-    """
-    ratio = np.logspace(-6, 6, count // 4)
+    ratio = np.logspace(-6, 6, _SEEDS // 4)
     fast, slow = ratio / np.hypot(1, ratio), 1 / np.hypot(1, ratio)
-    return np.concatenate([fast, fast, -fast, -fast]), np.concatenate([slow, -slow, slow, -slow])
+    seeds = np.concatenate([np.column_stack([a * slow, b * fast]) for a in (1, -1) for b in (1, -1)])
+    section = system.sections["down-up", "down-up"]
+    met = system.propagator.crossings(
+        top + _OFF * seeds @ plane.T, section, longest=_FALL / float(np.sort(np.real(values))[-2])
+    )
+    return np.array([one.state for one in met if one is not None])
 
 
 def up_up_page(gallery: Gallery) -> PaperFigure:

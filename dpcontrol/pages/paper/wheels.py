@@ -16,7 +16,7 @@ Source: Koon, Lo, Marsden, Ross, Heteroclinic connections between periodic orbit
 celestial mechanics (2000), section 4; Kaheman et al. (2023), section 3.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -36,8 +36,8 @@ from dpcontrol.orbits.rotating import RotatingOrbit, rotating_orbits
 from dpcontrol.orbits.tube import Tube
 from dpcontrol.pages import style
 from dpcontrol.pages.gallery import IDENTIFIED, Gallery, PaperFigure
-from dpcontrol.pages.layout import Page, Panel
-from dpcontrol.pages.panels import angle_axis, quiet
+from dpcontrol.pages.layout import Draw, Page
+from dpcontrol.pages.panels import quiet, quiet_plane
 
 WHEEL_ENERGIES = {"down-up": -0.06985, "up-down": 0.2}
 _RETURNS = 3
@@ -203,7 +203,7 @@ def kept_inside(orbit: LyapunovOrbit, section: Section, outlines: tuple[Outline,
     arm, (unstable, stable) = _turning(orbit), _inner(outlines)
     kept = []
     for candidate in rotating_orbits(orbit.system, arm, orbit.energy, sense=unstable.direction):
-        states = orbit.system.propagator.sample(candidate.state, np.linspace(0.0, candidate.period, 400))
+        states = candidate.sample(400)
         point = section_points(orbit.system, section, candidate.state)[None]
         # An orbit that turns back crosses more than once.
         onward = np.all(np.diff(states[:, arm - 1]) * unstable.direction > 0)
@@ -263,60 +263,41 @@ def _colours(points: Array) -> Array:
     return hsv_to_rgb(np.column_stack([hue, 0.12 + 0.88 * radius / radius.max(), np.full(len(hue), 0.93)]))
 
 
-@dataclass(frozen=True)
-class _Panel:
-    """Points of one panel, and what all panels show beside them.
-
-    Attributes:
-        points: points (K, 2), q and p/p₀.
-        ways: directions of crossing (K,).
-        colours: colours (K, 3).
-        outlines: closed cuts of both tubes.
-        direction: direction of the start's crossing.
-        marks: points (M, 2) of periodic orbits.
-    """
-
-    points: Array
-    ways: Array
-    colours: Array
-    outlines: tuple[Outline, ...]
-    direction: int
-    marks: Array
-
-
 def _drawn(
-    orbit: LyapunovOrbit, section: Section, outlines: tuple[Outline, ...], points: Array,
-    runs: dict[int, list[Return]], stays: tuple[RotatingOrbit, ...],
-) -> Figure:  # fmt: skip
+    orbit: LyapunovOrbit,
+    section: Section,
+    outlines: tuple[Outline, ...],
+    points: Array,
+    runs: dict[int, list[Return]],
+    stays: tuple[RotatingOrbit, ...],
+) -> Figure:
     """Return a figure of the start and its returns: forward above, backward below."""
     system, colours, direction = orbit.system, _colours(points), _inner(outlines)[0].direction
     marks = np.array([section_points(system, section, kept.state) for kept in stays]).reshape(-1, 2)
-    first = _Panel(points, np.full(len(points), direction), colours, outlines, direction, marks)
+    panel = partial(_cut, outlines=outlines, marks=marks)
+    start = partial(panel, points=points, colours=colours, title=f"start: {len(points)} points")
     page = Page(f"Inside both tubes of {orbit.saddle} at {orbit.energy:g} J (branch +1), cut on {section.name}").text(
         "Hue: angle about the middle at the start; saturation: distance from it. Pale dots cross the section against "
         "the start's direction. Dark red: cut of the unstable tube. Green: of the stable tube. Pale: cuts crossed "
         "against the start's direction." + (" Star: periodic orbit." if stays else ""),
         size=style.TEXT,
     )
-    seen = [outline.vertices - (_TURN * outline.turns, 0.0) for outline in outlines]
     for sign, word in ((1, "forward"), (-1, "backward")):
-        q = "q (rad)" if sign < 0 else ""
-        row = [Panel(partial(_cut, shown=first, title=f"start: {len(points)} points", labels=(q, "p / p₀")))]
+        row: list[Draw] = [start]
         for k, back in enumerate(runs[sign]):
             landed = section_points(system, section, back.states)
-            seen.append(_within_half_a_turn(landed))
             ways = np.sign(system.numeric.rate(back.states) @ np.asarray(section.normal))
-            shown = replace(first, points=landed, ways=ways, colours=colours[back.start])
+            shades = np.column_stack([colours[back.start], np.where(ways == direction, 1.0, 0.3)])
             title = f"return {k + 1} {word}: {_share_inside(landed, ways, outlines):.0%} in unstable cuts"
-            row.append(Panel(partial(_cut, shown=shown, title=title, labels=(q, ""))))
+            row.append(partial(panel, points=landed, colours=shades, title=title))
         if stays:
-            row.append(Panel(partial(_phase_plane, arm=0 if sign > 0 else 1, stays=stays)))
+            row.append(partial(_phase_plane, arm=0 if sign > 0 else 1, stays=stays))
         page.row(*row, height=3.2)
     figure = page.figure()
-    wide, high = 1.08 * np.abs(np.vstack(seen)).max(axis=0)
-    for axes in figure.axes:
-        if axes.get_label() == "cut":
-            axes.set(xlim=(-min(np.pi, wide), min(np.pi, wide)), ylim=(-high, high))
+    cuts = [axes for axes in figure.axes if axes.get_label() == "cut"]
+    wide, high = 1.08 * np.max([np.abs(axes.dataLim.get_points()) for axes in cuts], axis=(0, 1))
+    for axes in cuts:
+        axes.set(xlim=(-min(np.pi, wide), min(np.pi, wide)), ylim=(-high, high))
     return figure
 
 
@@ -326,33 +307,29 @@ def _share_inside(points: Array, ways: Array, outlines: tuple[Outline, ...]) -> 
     return float(np.any([o.contains(points) & (ways == o.direction) for o in unstable], axis=0).mean())
 
 
-def _within_half_a_turn(points: Array) -> Array:
-    return points - np.column_stack([_TURN * np.rint(points[:, 0] / _TURN), np.zeros(len(points))])
-
-
-def _cut(axes: Axes, *, shown: _Panel, title: str, labels: tuple[str, str]) -> None:
-    """Draw points on the section, pale if they cross it against the start's direction."""
+def _cut(axes: Axes, *, points: Array, colours: Array, outlines: tuple[Outline, ...], marks: Array, title: str) -> None:
+    """Draw points (K, 2) on the section in their colours, over the tubes' cuts; stars mark periodic orbits."""
     axes.set_label("cut")
-    quiet(axes, title, x=labels[0], y=labels[1])
+    quiet(axes, title, x="q (rad)", y="p / p₀")
     axes.grid(False)
-    for outline in shown.outlines:
+    for outline in outlines:
         closed = np.vstack([outline.vertices, outline.vertices[:1]]) - (_TURN * outline.turns, 0.0)
         colour = style.STABLE if outline.stable else style.UNSTABLE
-        opacity = 1.0 if outline.direction == shown.direction else 0.25
+        opacity = 1.0 if outline.direction == _inner(outlines)[0].direction else 0.25
         axes.plot(*closed.T, color=colour, lw=1.1, alpha=opacity, zorder=3)
-    for way, opacity in ((-shown.direction, 0.3), (shown.direction, 1.0)):
-        mine = shown.ways == way
-        points = _within_half_a_turn(shown.points[mine])
-        axes.scatter(*points.T, s=3.0, c=shown.colours[mine], alpha=opacity, linewidths=0)
-    axes.plot(*_within_half_a_turn(shown.marks).T, "*", color=style.INK, markersize=9, mec="white", zorder=6)
+    axes.scatter(*_near_zero(points).T, s=3.0, c=colours, linewidths=0)
+    axes.plot(*_near_zero(marks).T, "*", color=style.INK, markersize=9, markeredgecolor="white", zorder=6)
+
+
+def _near_zero(points: Array) -> Array:
+    """Return points (K, 2) with q within half a turn of zero."""
+    return points - np.outer(_TURN * np.rint(points[:, 0] / _TURN), [1.0, 0.0])
 
 
 def _phase_plane(axes: Axes, *, arm: int, stays: tuple[RotatingOrbit, ...]) -> None:
     """Draw orbits in the phase plane of an arm."""
     for kept in stays:
-        states = kept.system.propagator.sample(kept.state, np.linspace(0.0, kept.period, 400))
+        states = kept.sample(400)
         axes.plot(states[:, arm], states[:, 2 + arm], color=style.arm_colour(arm), linewidth=1.5)
-    number = style.number(arm)
     title = f"periodic orbit, {stays[0].period:.3f} s" if len(stays) == 1 else "periodic orbits"
-    quiet(axes, "" if arm else title, x=f"θ{number} (rad)", y=f"ω{number} (rad/s)")
-    angle_axis(axes, "x")
+    quiet_plane(axes, stays[0].system, (arm, 2 + arm), "" if arm else title)

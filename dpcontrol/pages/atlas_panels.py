@@ -1,4 +1,4 @@
-"""Connections in space and over time."""
+"""Panels of an atlas: cuts of the tubes on a section, connections in space, in the plane and over time."""
 
 from __future__ import annotations
 
@@ -10,11 +10,73 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from dpcontrol.pages import style
-from dpcontrol.pages.atlas_cuts import draw_cuts
-from dpcontrol.pages.atlas_parts import colours, connections_of, placed, tubes_of_cut
+from dpcontrol.pages.atlas_parts import (
+    BRANCHES,
+    colours,
+    connections_of,
+    placed,
+    section_curves,
+    section_place,
+    tubes_of_cut,
+)
 from dpcontrol.pages.layout import Panel, Stack, key
-from dpcontrol.pages.panels import angle_axis, quiet, quiet_space
-from dpcontrol.walks.atlas import Atlas, AtlasConnection, AtlasCut, AtlasKind
+from dpcontrol.pages.panels import angle_axis, mark_times, name_point, quiet, quiet_plane, quiet_space
+from dpcontrol.walks.atlas import Atlas, AtlasConnection, AtlasCut, AtlasKind, section_axes
+
+
+def draw_cuts(
+    axes: Axes,
+    atlas: Atlas,
+    kind: AtlasKind,
+    *,
+    shown: tuple[AtlasConnection, ...] | None = None,
+    numbers: dict[str, str] | None = None,
+    legend: bool = True,
+    sense: int | None = None,
+    title: str = "",
+) -> None:
+    """Draw both tubes' cuts of a kind and mark its connections.
+
+    Args:
+        axes: panel.
+        atlas: with the kind.
+        kind: of connections.
+        shown: marked connections, all by default.
+        numbers: labels by connection name.
+        legend: True adds a key.
+        sense: drawn crossings, None for both.
+        title: title of the panel.
+    """
+    section = atlas.cut(kind.source, kind.section, kind.hits[0]).section
+    coordinate, period = section_axes(section, atlas)
+    for is_stable, direction, points in section_curves(atlas, kind):
+        if sense not in (None, direction):
+            continue
+        line = "-" if direction > 0 or sense else (0, (4, 1.6))
+        axes.plot(*points.T, color=BRANCHES[is_stable, 1], linewidth=1.3, linestyle=line, zorder=2)
+    connections = connections_of(atlas, kind) if shown is None else shown
+    look = colours(connections)
+    for c in connections:
+        place = section_place(atlas, c)
+        axes.plot(*place, "o", color=look[c.name], markeredgecolor="white", markersize=7, zorder=4)
+        if numbers and c.name in numbers:
+            name_point(axes, numbers[c.name], (float(place[0]), float(place[1])), look[c.name])
+    label = f"{coordinate} on the section" + (" (rad)" if period else "")
+    quiet(axes, title, x=label, y="p / p₀" if period else "momentum")
+    if period:
+        angle_axis(axes, "x")
+    if legend:
+        every = len(connections_of(atlas, kind))
+        marked = f"{len(connections)} of {every} connections" if len(connections) < every else "connections"
+        key(axes, [*_LINES, (marked, {"color": style.INK, "marker": "o", "linestyle": ""})])
+
+
+_LINES: list[tuple[str, str | dict[str, Any]]] = [
+    ("tube out", style.UNSTABLE),
+    ("tube in", style.STABLE),
+    ("backward", {"color": style.CART, "linestyle": (0, (4, 1.6))}),
+]
+"""Key of the lines in a panel of cuts."""
 
 
 def row_of(
@@ -25,11 +87,8 @@ def row_of(
     numbers: dict[str, str],
     marked: tuple[AtlasConnection, ...] | None = None,
     flat: bool = False,
-    share: float = 1.65,
 ) -> list[Panel | Stack]:
-    """Return a row of panels: cuts and flights.
-
-    The cuts are those of a kind; the flights of `shown` have their numbers.
+    """Return a row of panels: the cuts of a kind, and the flights of `shown` with their numbers.
 
     Args:
         atlas: with the kind.
@@ -38,23 +97,23 @@ def row_of(
         numbers: labels by connection name.
         marked: connections on the cuts; all by default.
         flat: True to stack the flights.
-        share: width of the flights relative to the cuts.
     """
     look = colours(connections_of(atlas, kind) if marked is None else marked)
-
-    def flight(axes: Axes, connection: AtlasConnection, labelled: bool) -> None:
-        draw_flight(axes, atlas, connection, look[connection.name], labelled=labelled)
-        turns = ", ".join(f"{turn:+d}" if turn else "0" for turn in connection.winding)
-        axes.set_title(f"{numbers[connection.name]}  {connection.transversality_angle:.1f}° [{turns}]", loc="left")
-
+    flights = []
+    for c in shown:
+        turns = ", ".join(f"{turn:+d}" if turn else "0" for turn in c.winding)
+        title = f"{numbers[c.name]}  {c.transversality_angle:.1f}° [{turns}]"
+        flights.append(partial(draw_flight, atlas=atlas, connection=c, colour=look[c.name], title=title))
     cuts = Panel(partial(draw_cuts, atlas=atlas, kind=kind, shown=marked, numbers=numbers), 1.0)
-    flights = [partial(flight, connection=c, labelled=k == 0 or flat) for k, c in enumerate(shown)]
-    if flat:
-        return [cuts, Stack(flights, share)]
-    return [cuts, *(Panel(draw, share / max(len(flights), 1)) for draw in flights)]
+    stacked = [Stack(flights, _FLIGHTS)] if flat else [Panel(draw, _FLIGHTS / max(len(flights), 1)) for draw in flights]
+    return [cuts, *stacked]
 
 
-def draw_flight(axes: Axes, atlas: Atlas, connection: AtlasConnection, colour: str, *, labelled: bool = True) -> None:
+_FLIGHTS = 1.75
+"""Width of all flights in a row, relative to the cuts."""
+
+
+def draw_flight(axes: Axes, atlas: Atlas, connection: AtlasConnection, colour: str, *, title: str) -> None:
     """Draw a flight with both orbits in the plane of coordinates.
 
     It starts at its source's named position.
@@ -64,23 +123,15 @@ def draw_flight(axes: Axes, atlas: Atlas, connection: AtlasConnection, colour: s
         atlas: atlas with the connection.
         connection: connection to draw.
         colour: colour of the flight.
-        labelled: True to label the vertical axis.
+        title: title of the panel.
     """
     for saddle, winding in ((connection.source, ()), (connection.target, connection.winding)):
         orbit = next(o for o in atlas.orbits if o.saddle == saddle)
-        closed = placed(atlas, orbit, winding)
-        axes.plot(closed[:, 0], closed[:, 1], color=style.saddle_colour(saddle), linewidth=3.5, alpha=0.45, zorder=1)
-        centre = next(p.state for p in atlas.points if p.name == saddle) + closed[0] - orbit.samples[0]
-        axes.plot(centre[0], centre[1], "+", color=style.INK, markersize=7, zorder=1)
-    axes.plot(connection.states[:, 0], connection.states[:, 1], color=colour, linewidth=1.3, zorder=3)
+        look = {"color": style.saddle_colour(saddle), "linewidth": 3.5, "alpha": 0.45}
+        axes.plot(*placed(atlas, orbit, winding)[:, :2].T, zorder=1, **look)
+    axes.plot(*connection.states[:, :2].T, color=colour, linewidth=1.3, zorder=3)
     axes.plot(*connection.state[:2], "o", color=colour, markeredgecolor="white", markersize=6, zorder=4)
-    quiet(axes)
-    x, y = (label.partition(" ")[0] for label in atlas.labels[:2])
-    axes.set_xlabel(x, fontsize=style.SMALL)
-    axes.set_ylabel(y if labelled else "", fontsize=style.SMALL)
-    for which, period in zip("xy", atlas.periods, strict=False):
-        if np.isfinite(period):
-            angle_axis(axes, which, step=1.0)
+    quiet_plane(axes, atlas, title=title)
     # Turns of the inner arm alone are wide and flat, so their panels are lower.
     flat = connection.source == connection.target and not connection.winding[-1]
     axes.set_aspect("equal", adjustable="box" if flat else "datalim", anchor="W")
@@ -97,9 +148,7 @@ def draw_angles(axes: Axes, atlas: Atlas, connection: AtlasConnection, *, title:
     """
     for arm in range(len(atlas.periods) // 2):
         axes.plot(connection.times, connection.states[:, arm], color=style.arm_colour(arm), linewidth=1.3)
-    for time in (-connection.time_out, connection.time_in):
-        if np.isfinite(time):
-            axes.axvline(time, color=style.REFERENCE, linewidth=0.9, linestyle=style.DOTTED)
+    mark_times(axes, [time for time in (-connection.time_out, connection.time_in) if np.isfinite(time)])
     quiet(axes, title)
     axes.margins(x=0)
     angle_axis(axes, "y", step=1.0)

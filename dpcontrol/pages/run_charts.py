@@ -1,0 +1,247 @@
+"""Charts of a motion over time: the motion, the drive, the errors, a reference's mesh, and the estimated parameters."""
+
+from typing import Any
+
+import numpy as np
+
+from dpcontrol.control.estimator_settings import MEANS_OF, mean_band, means_of
+from dpcontrol.foundation.arrays import Array
+from dpcontrol.judge.run_view import ACTUAL, RunView, clean
+from dpcontrol.logs import Extras
+from dpcontrol.pages import style
+from dpcontrol.pages.chart import Chart, LevelLine, Line
+from dpcontrol.pages.ranges import padded, spans
+
+_DRIVEN = {
+    "feedforward": ("plan", style.REFERENCE, 3.0, "reference"),
+    "command": ("command", style.COMMAND, 1.0, "detail"),
+    "applied": ("applied", style.COMMAND, 1.3, "run"),
+    ACTUAL: ("plant", style.PLANT, 1.0, "run"),
+}
+"""Accelerations in drawing order: name, colour, width, role."""
+_NIS_LOST = 10.0
+"""Multiple of the expected NIS above which an estimate is lost."""
+_EXTRA_CHARTS = (
+    ("zero_", "zeros", "Encoder zeros", "rad"),
+    ("disturbance_", "disturbances", "Disturbances", "rad/s²"),
+    ("drive", "drive", "Drive's error", "m/s²"),
+    ("friction_", "friction", "Friction's errors", "share"),
+    ("dry_", "dry", "Dry friction not in the model, of gravity", "share"),
+    ("", "parameters", "Model's errors", "share"),
+)
+"""Extras that share a chart: beginning of their names, the chart's key, title and unit."""
+
+
+def motion_charts(view: RunView) -> tuple[Chart, ...]:
+    """Return the charts of angles and rates, and, if they exist, of cart and acceleration."""
+    n, by = view.arms, ", by differences" if view.differenced else ""
+    # An estimate's key takes the room of the longer title.
+    title = "Angles" if view.what == "estimate" else "Angles from hanging"
+    charts = [
+        Chart("angles", title, "rad", _of_arms(view, 0, "θ"), half_turns=True),
+        Chart("rates", "Rates", "rad/s", _of_arms(view, n, "ω"), note=by),
+    ]
+    if view.has_cart:
+        lines = _followed(view, 2 * n, "", view.what, style.PLANT)
+        charts.append(Chart("cart", "Cart position", "m", lines, shown=_shown(lines), **_limit(view, 0)))
+    if view.control is not None:
+        charts.append(_acceleration(view, view.control))
+    return tuple(charts)
+
+
+def _of_arms(view: RunView, first: int, symbol: str) -> tuple[Line, ...]:
+    """Return the lines of all arms for the columns from `first` on."""
+    return tuple(
+        line
+        for arm in range(view.arms)
+        for line in _followed(
+            view, first + arm, f"arm_{arm + 1}/", f"{symbol}{style.number(arm)} {view.what}", style.arm_colour(arm)
+        )
+    )
+
+
+def _followed(view: RunView, column: int, key: str, label: str, colour: str) -> tuple[Line, ...]:
+    """Return one column of reference, estimate and state; the estimate is a detail beside the plant."""
+    time, lines = view.time, []
+    if view.reference is not None:
+        values, look = view.reference[:, column], {"width": 3.0, "role": "reference"}
+        lines.append(Line(f"{key}1_reference", view.against, view.against, time, values, colour, **look))
+    if view.estimate is not None and view.what != "estimate":
+        values = view.estimate[:, column]
+        lines.append(Line(f"{key}2_estimate", "estimate", "", time, values, style.INK, 1.0, role="detail"))
+    return (*lines, Line(f"{key}3_{view.what}", label, label, time, view.state[:, column], colour))
+
+
+def _shown(lines: tuple[Line, ...]) -> tuple[float, float]:
+    return padded(np.concatenate([line.values for line in lines if line.role != "detail"]))
+
+
+def _limit(view: RunView, which: int) -> dict[str, Any]:
+    """Return fields of a chart: a limit of the cart as levels, and its use by a reference.
+
+    Args:
+        view: run or reference.
+        which: 0 for position, 1 for velocity, 2 for acceleration.
+    """
+    used = None if view.source is None else view.source.uses[which].largest
+    if view.limits is None:
+        return {"used": used}
+    bound = view.limits[which]
+    ends = (("limit_lower", "lower limit", -bound), ("limit_upper", "upper limit", bound))
+    return {"bound": bound, "used": used, "levels": tuple(LevelLine(*end, style.LIMIT, "limit") for end in ends)}
+
+
+def _acceleration(view: RunView, control: dict[str, Array]) -> Chart:
+    lines = tuple(
+        Line(key, name, name, view.time, control[key], colour, width, role=role)
+        for key, (name, colour, width, role) in _DRIVEN.items()
+        if key in control
+    )
+    cut = tuple(spans(view.time, control.get("saturated", np.zeros(0)) > 0))
+    return Chart("acceleration", "Acceleration", "m/s²", lines, cut=cut, shown=_shown(lines), **_limit(view, 2))
+
+
+def check_charts(view: RunView) -> tuple[Chart, ...]:
+    """Return the charts of the run's quality, as far as known: errors, energy and NIS, or a reference's mesh."""
+    of_reference = () if view.source is None else _source_charts(view)
+    charts = (*of_reference[:1], _tracking_error(view), _estimation_error(view), _energy(view), _nis(view))
+    return tuple(chart for chart in (*charts, *of_reference[1:]) if chart is not None)
+
+
+def _source_charts(view: RunView) -> tuple[Chart, ...]:
+    """Return a reference's cart velocity, which has a limit, its mesh intervals, and its errors between nodes."""
+    source = view.source
+    assert source is not None
+    speed = (Line("cart", "cart", "", view.time, view.state[:, -1], style.PLANT),)
+    velocity = Chart("velocity", "Cart velocity", "m/s", speed, shown=_shown(speed), **_limit(view, 1))
+    lengths, stairs = np.diff(source.mesh), np.repeat(source.mesh, 2)[1:-1]
+    line = Line("", "", "", stairs, np.repeat(lengths, 2), style.REFERENCE, 1.1)
+    title = f"Mesh: length of {len(lengths)} intervals of {source.method.name}"
+    mesh = Chart("", title, "s", (line,), shown=(0.0, 1.15 * float(lengths.max())))
+    title = "Error between nodes, measured again (scaled)"
+    if source.errors is None:
+        return velocity, mesh, Chart("", f"{title}: the arms are not known", "", ())
+    errors = np.where(np.isfinite(source.errors), np.maximum(source.errors, 1e-17), np.nan)
+    line = Line("", "", "", stairs, np.repeat(errors, 2), style.REFERENCE, 1.1)
+    stored = source.max_error_between_nodes
+    levels = (LevelLine("", "largest, as stored", stored, style.LIMIT, "named"),) if 0 < stored < np.inf else ()
+    return velocity, mesh, Chart("", title, "", (line,), levels=levels, log=True)
+
+
+def _arm_lines(view: RunView, values: Array, width: float, reach: Array | None = None) -> tuple[Line, ...]:
+    """Return a line for each arm's angle, column of the values (K, …); `reach` has the half widths of their bands."""
+    return tuple(
+        Line(
+            f"arm_{arm + 1}",
+            f"arm {arm + 1}",
+            f"θ{style.number(arm)}",
+            view.time,
+            values[:, arm],
+            style.arm_colour(arm),
+            width,
+            reach=None if reach is None else reach[:, arm],
+        )
+        for arm in range(view.arms)
+    )
+
+
+def _tracking_error(view: RunView) -> Chart | None:
+    if view.reference is None:
+        return None
+    lines = _arm_lines(view, view.state - view.reference, 1.1)
+    note = f": {view.what} minus {view.against}"
+    return Chart("tracking_error", f"{view.error_name} of the angles", "rad", lines, note=note)
+
+
+def _estimation_error(view: RunView) -> Chart | None:
+    """Return the chart of the estimate's error with ±2σ; for an unknown error of ±2σ alone."""
+    error, reach = view.error, None if view.sigma is None else 2 * view.sigma
+    if error is None and reach is None:
+        return None
+    # The large errors at the start are omitted.
+    sizes = [np.abs(part[:, : view.arms]) for part in (reach, error) if part is not None]
+    most = max((1.6 * float(np.nanquantile(clean(part), 0.97)) for part in sizes if np.isfinite(part).any()), default=0)
+    return Chart(
+        "estimation_error" if error is not None and reach is not None else "",
+        "Estimation error of the angles" if error is not None else "Estimate's ±2σ",
+        "rad",
+        _arm_lines(view, np.full_like(view.state, np.nan) if error is None else error, 1.0, reach),
+        shown=(-(most or 1e-6), most or 1e-6),
+        note=", lines ±2σ" if error is not None else "; the truth is not known",
+    )
+
+
+def _energy(view: RunView) -> Chart | None:
+    energy = None if view.energy is None else clean(np.asarray(view.energy, dtype=float))
+    if energy is None or not np.isfinite(energy).any():
+        return None
+    saddles = view.plan.saddle_energies
+    levels = [LevelLine(n.replace("-", "_"), n, v, style.saddle_colour(n), "named") for n, v in saddles.items()]
+    line = Line("pendulum", "pendulum", "", view.time, energy, style.PLANT, 1.1)
+    # The extremes are omitted: they result from the initial error.
+    low, high = (float(value) for value in np.nanquantile(energy, [0.005, 0.995]))
+    low = max((level for level in saddles.values() if level <= low), default=low)
+    high = min((level for level in saddles.values() if level >= high), default=high)
+    look: dict[str, Any] = {"shown": padded(np.array([low, high])), "note": ", dashed: the saddles'" * bool(levels)}
+    return Chart("energy", "Energy of the pendulum", "J", (line,), tuple(levels), prefixed=False, **look)
+
+
+def _nis(view: RunView) -> Chart | None:
+    """Return the chart of means of the NIS over windows, with the 95 % range of a consistent estimator."""
+    if view.nis is None:
+        return None
+    known, (low, high) = np.isfinite(view.nis), mean_band(view.sensors)
+    means = means_of(view.nis[known])
+    line = Line("mean", f"mean of {MEANS_OF} updates", "", means_of(view.time[known]), means, style.ESTIMATE, 1.0)
+    levels = (("least", "least for 95 %", low), ("greatest", "greatest for 95 %", high))
+    highest = float(np.nanquantile(means, 0.98)) if len(means) else 0.0
+    # A lost estimate would compress the rest of the axis.
+    lost = highest > _NIS_LOST * view.sensors
+    return Chart(
+        "nis",
+        f"NIS, means of {MEANS_OF} updates",
+        "",
+        (line,),
+        levels=tuple(LevelLine(*level, style.GOOD, "band") for level in levels),
+        shown=(0.0, _NIS_LOST * view.sensors if lost else max(1.15 * highest, 1.6 * view.sensors)),
+        log=lost,
+        note=f"; band for 95 %: {low:.1f} to {high:.1f}",
+    )
+
+
+def extra_charts(view: RunView) -> tuple[Chart, ...]:
+    """Return the charts of the estimated parameters ±2σ, with the truth if it is known."""
+    if view.extras is None:
+        return ()
+    left, charts = list(view.extras.names), []
+    for begins, *chart in _EXTRA_CHARTS:
+        names = [name for name in left if name.startswith(begins)]
+        left = [name for name in left if name not in names]
+        charts += [_extra_chart(view, view.extras, names, *chart)] if names else []
+    return tuple(charts)
+
+
+def _extra_chart(view: RunView, extras: Extras, names: list[str], key: str, title: str, unit: str) -> Chart:
+    lines: list[Line] = []
+    reaches: list[Array] = []
+    for k, name in enumerate(names):
+        column, colour = extras.names.index(name), style.RUNS[k % len(style.RUNS)]
+        values, reach = clean(extras.values[:, column]), 2 * clean(extras.sigmas[:, column])
+        label = name.replace("_", " ") if len(names) > 1 or name != key else ""
+        lines.append(Line(name, f"{name} ±2σ", label, extras.time, values, colour, reach=reach, around=True))
+        # The prior at the start is omitted.
+        late = slice(len(values) // 4, None)
+        reaches += [values, values[late] + reach[late], values[late] - reach[late]]
+        if name in view.extra_truth:
+            truth = np.broadcast_to(view.extra_truth[name], extras.time.shape)
+            lines.append(Line(f"{name}_truth", f"{name} true", "true", extras.time, truth, colour, 1.1, dashed=True))
+            reaches.append(truth)
+    every = np.concatenate(reaches)
+    known = every[np.isfinite(every)]
+    shown = padded(np.quantile(known, [0.01, 0.99])) if known.size else None
+    return Chart(key, title, unit, tuple(lines), shown=shown, note=", ±2σ")
+
+
+def charts(view: RunView) -> dict[str, Chart]:
+    """Return the charts of motion and quality by key."""
+    return {chart.key: chart for chart in (*motion_charts(view), *check_charts(view))}
