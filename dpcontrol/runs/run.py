@@ -697,9 +697,7 @@ def stored_settings(values: Mapping[str, Any], file: str) -> LoopSettings:
     for name, kind in {**BENCH, "supervisor": SupervisorSettings}.items():
         if name in own:
             part = dict(own.pop(name))
-            blows = (
-                {"explicit": tuple(Push(**blow) for blow in part.pop("explicit", ()))} if name == "disturbances" else {}
-            )
+            blows = [decode(Push, blow, Place(file, "run.blows")) for blow in part.pop("explicit", ())]
             parts[name] = decode(kind, part, Place(file, name))
             if blows:
                 parts[name] = replace(parts[name], explicit=tuple(blows))
