@@ -8,7 +8,7 @@ import dpcontrol
 ROOT = Path(dpcontrol.__file__).parent
 
 USES = {
-    "cli/verbs.py": "marks the default in an option's help",
+    "cli/commands.py": "reads the arguments of a docstring, and marks their defaults for the help",
     "control/export.py": "takes apart C that casadi generated, and the linker's list of sizes",
     "dynamics/system.py": "names of a user's system",
     "foundation/cache.py": "names of files in the cache's folder",

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import pytest
 from command_line import Ended, dpcontrol
 
-from dpcontrol.cli.main import VERBS
+from dpcontrol.cli.verbs import VERBS
 from dpcontrol.pages.figures import FIGURES
 
 ROOT = Path(__file__).parents[1]

@@ -6,27 +6,25 @@ the docstring. `settings` becomes an option for each common setting and --set. T
 """
 
 import inspect
-import json
 import math
 import os
 import re
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
 from types import NoneType, UnionType
-from typing import Annotated, Any, Literal, NamedTuple, Union, get_args, get_origin
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 import click
 
 from dpcontrol.cli.completion import COMPLETERS
+from dpcontrol.cli.output import Call, prints_on_stderr, show
+from dpcontrol.cli.verbs import Verb
 from dpcontrol.foundation.checked import annotations_of
-from dpcontrol.foundation.errors import GoalMissed, InputError, printable
+from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import Output
 from dpcontrol.foundation.interrupts import forget_interrupts
-from dpcontrol.words.table import Line, TextTable, drawn_to
 
 OPTIONS, SETTINGS, OUTPUT = "Options", "Run settings", "Output"
 """Headings of the help."""
@@ -34,34 +32,6 @@ COMMON = {"mismatch"}
 """Parameters that are also settings with an option."""
 ALWAYS_OUTPUT = {"force", "yes", "live", "write"}
 """Flags that concern the output."""
-
-
-class Verb(NamedTuple):
-    """A verb of the command line.
-
-    Attributes:
-        summary: its line in the list of verbs.
-        function: name of its function in `dpcontrol.api`.
-        example: a command line for the help.
-        note: further text beside the example.
-        names: options of parameters whose name on the command line differs, such as {"source": "--from"}.
-    """
-
-    summary: str
-    function: str
-    example: str
-    note: str = ""
-    names: Mapping[str, str | tuple[str, ...]] = {}
-
-
-@dataclass
-class Call:
-    """Output options of one call of the program; `aside` is open while the verb works."""
-
-    as_json: bool = False
-    debug: bool = False
-    shown: bool = False
-    aside: ExitStack = field(default_factory=ExitStack)
 
 
 class Option(click.Option):
@@ -124,7 +94,7 @@ def command(name: str, verb: Verb) -> click.Command:
             values["progress"] = True
         with call.aside:
             if as_json:
-                call.aside.enter_context(_prints_on_stderr())
+                call.aside.enter_context(prints_on_stderr())
             result = function(**values)
             drawn = getattr(result, "picture", values.get("picture"))
             show(result, {"picture": drawn} if "picture" in given else {})
@@ -308,29 +278,17 @@ class Number(click.ParamType):
         return number
 
 
-class SettingOption(Option):
-    """The option of one setting, whose help is that of the setting."""
-
-    def __init__(self, path: str) -> None:
-        from dpcontrol.plans.overrides import option_of
-
-        self.path = path
-        name = path.rpartition(".")[2]
-        super().__init__([option_of(path), name], group=SETTINGS, shell_complete=COMPLETERS.get(("", name)))
-
-    def get_help_record(self, ctx: click.Context) -> tuple[str, str]:
-        """Return the option, and help, unit and choices of its setting."""
-        from dpcontrol.plans.overrides import paths
-
-        leaf = paths()[self.path]
-        kind = {str: "TEXT", int: "INTEGER"}.get(leaf.hint, "FLOAT")
-        return f"{self.opts[0]} {kind}", f"{leaf.sentence} [default: the itinerary's]"
-
-
 def _setting_options() -> Iterator[Option]:
-    from dpcontrol.plans.overrides import NAMED
+    from dpcontrol.plans.overrides import NAMED, option_of
 
-    yield from map(SettingOption, NAMED)
+    for path, text in NAMED.items():
+        name = path.rpartition(".")[2]
+        yield Option(
+            [option_of(path), name],
+            group=SETTINGS,
+            help=f"{text} [default: the itinerary's]",
+            shell_complete=COMPLETERS.get(("", name)),
+        )
     yield Option(
         ["--set", "settings"],
         type=Parser("path=value", _setting, "drive.lag=0.005"),
@@ -374,33 +332,6 @@ def _over(given: Sequence[tuple[str, str]]) -> dict[str, list[Any]] | None:
     return varied or None
 
 
-def show(result: Any, also: Mapping[str, Any]) -> None:
-    """Print a result as one JSON document at full precision, or as lines and tables.
-
-    Args:
-        result: result of a public function, a mapping, or a sequence of results.
-        also: further entries of the document.
-
-    Raises:
-        GoalMissed: the goal of the verb was missed, with the reason.
-    """
-    from dpcontrol.words.texts import text_of
-
-    call = click.get_current_context().ensure_object(Call)
-    call.shown = True
-    call.aside.close()
-    if call.as_json:
-        print_json({**(result.document() if hasattr(result, "document") else result), **also})
-        call.aside.enter_context(_prints_on_stderr())
-    else:
-        for line in result.lines() if hasattr(result, "lines") else text_of(result):
-            _print(line)
-        for line in drawn_to(also.get("picture")):
-            _print(line)
-    if missed := getattr(result, "missed", ""):
-        raise GoalMissed(missed)
-
-
 def _serve(server: Any) -> None:
     """Serve until the server ends or Ctrl-C."""
     # A reader behind a pipe waits for the address.
@@ -410,72 +341,3 @@ def _serve(server: Any) -> None:
             server.serve()
         except KeyboardInterrupt:
             forget_interrupts()
-
-
-@contextmanager
-def _prints_on_stderr() -> Iterator[None]:
-    """Move what users' objects and workers print from stdout to stderr, so that stdout holds only the document."""
-    with redirect_stdout(sys.stderr), ExitStack() as stack:
-        # Either stream may be closed.
-        with suppress(OSError):
-            before = os.dup(1)
-            stack.callback(os.close, before)
-            os.dup2(2, 1)
-            stack.callback(os.dup2, before, 1)
-            if sys.__stdout__ is not None:
-                stack.callback(sys.__stdout__.flush)
-        yield
-
-
-def print_json(document: Mapping[str, Any]) -> None:
-    """Print the one JSON document of a call.
-
-    Args:
-        document: nested mappings, lists, arrays and scalars.
-    """
-    from dpcontrol.foundation.document import plain
-
-    click.echo(printable(json.dumps(plain(document), indent=1, ensure_ascii=False), json=True))
-
-
-def print_message(text: str) -> None:
-    """Print a line on stderr, beside the answer.
-
-    Args:
-        text: one line.
-    """
-    # The exit code remains if stderr is full, or its terminal is closed.
-    with suppress(OSError):
-        click.echo(printable(text), err=True)
-
-
-def _print(line: Line) -> None:
-    if isinstance(line, str):
-        click.echo(printable(line))
-        return
-    from rich.console import Console
-
-    console = Console()
-    if isinstance(line, TextTable):
-        # A narrow terminal wraps lines, but a narrow table would omit names and digits.
-        Console(width=max(console.width, 130) if console.is_terminal else 200).print(_rich_table(line))
-        return
-    from rich.markdown import Markdown
-
-    Console(width=min(console.width, 126) if console.is_terminal else 126).print(Markdown(line.text))
-
-
-def _rich_table(shown: TextTable) -> Any:
-    """Return a table for the terminal; brackets in its cells are not markup."""
-    from rich.table import Table
-    from rich.text import Text
-
-    def texts(cells: Iterable[str]) -> Iterator[Text]:
-        return (Text(printable(cell)) for cell in cells)
-
-    table = Table(title=Text(printable(shown.title)) if shown.title else None, title_justify="left", title_style="bold")
-    for k, column in enumerate(texts(shown.columns)):
-        table.add_column(column, justify="left" if k == 0 else "right", no_wrap=True)
-    for row in shown.rows:
-        table.add_row(*texts(row))
-    return table

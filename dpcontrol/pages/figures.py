@@ -15,7 +15,7 @@ from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.pages.gallery import Gallery, PaperFigure
 from dpcontrol.pages.layout import save_figure
 from dpcontrol.pages.paper.branches import branches_page
-from dpcontrol.pages.paper.connections import (
+from dpcontrol.pages.paper.connecting import (
     HIGH,
     LOW,
     heteroclinic_orbits_page,

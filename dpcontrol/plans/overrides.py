@@ -15,11 +15,22 @@ from typing import Annotated, Any
 from dpcontrol.foundation.errors import InputError, Mistakes
 from dpcontrol.foundation.settings import Leaf, Setting, leaves_of, nearest
 
-NAMED = (
-    "mismatch", "initial_error", "drive.lag", "drive.delay", "sensors.counts", "travel", "controller", "estimator",
-    "rate", "supervisor.on_fall",
-)  # fmt: skip
-"""Paths that have an option of the command line each; `--set` takes every path."""
+NAMED = {
+    "mismatch": "Largest relative error of the plant's parameters.",
+    "initial_error": "Largest error of each initial angle, rad.",
+    "drive.lag": "Time constant of the drive's velocity loop, s.",
+    "drive.delay": "Delay from a reading to its command, also fractions, periods.",
+    "sensors.counts": "Encoder counts per turn of a joint.",
+    "travel": "Largest distance of the cart from the centre, m.",
+    "controller": "Law: tvlqr, adaptive, ogy, ogy-classic, lqr, feedforward.",
+    "estimator": "Filter: ekf, ukf.",
+    "rate": "Rate of the loop, Hz.",
+    "supervisor.on_fall": "Action after a fall: stop, resume, restart.",
+}
+"""Paths that have an option of the command line each, with its help; `--set` takes every path.
+
+The help is that of the declarations, which import the dynamics and would make `--help` slow.
+"""
 OBJECTS = ("controller", "estimator", "plant")
 """Settings that may be objects of the user."""
 NOT_OF_LOOP = (*OBJECTS, "seconds")

@@ -11,7 +11,8 @@ import pytest
 from click.shell_completion import ShellComplete
 from command_line import dpcontrol, dpcontrol_program
 
-from dpcontrol.cli.main import VERBS, cli
+from dpcontrol.cli.main import cli
+from dpcontrol.cli.verbs import VERBS
 from dpcontrol.loop.controllers import CONTROLLERS
 
 LONG = [pytest.param(verb, marks=pytest.mark.slow) for verb in ("demo", "run", "review")]

@@ -236,3 +236,7 @@ def test_a_list_is_written_with_or_without_brackets_and_varied_in_brackets() -> 
     assert values_in("[0.1,0.2],0.3,[0.2, 0.1]") == ["[0.1,0.2]", "0.3", "[0.2, 0.1]"]
     with pytest.raises(InputError, match="play holds 'x': must be a number, 0 to 1 rad"):
         parsed("play", "[1,x")
+
+
+def test_options_of_settings_have_the_help_of_their_declarations() -> None:
+    assert {path: paths()[path].sentence for path in NAMED} == NAMED
