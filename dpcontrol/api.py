@@ -3298,7 +3298,7 @@ def _scene(itinerary: Plan | str) -> Itinerary:
     return load_itinerary(itinerary) if isinstance(itinerary, str) else itinerary.itinerary
 
 
-def _closed(itinerary: Plan | str, settings: Mapping[str, Any], *, yes: bool, progress: Reporting) -> ClosedLoop:
+def _closed(itinerary: Plan | str, settings: Mapping[str, Any], *, yes: bool, progress: Progress) -> ClosedLoop:
     from dpcontrol.runs.closed_loop import ClosedLoop
 
     # A wrong setting is reported before the plan is computed.
