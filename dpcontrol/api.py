@@ -3299,13 +3299,13 @@ def _scene(itinerary: Plan | str) -> Itinerary:
 
 
 def _closed(itinerary: Plan | str, settings: Mapping[str, Any], *, yes: bool, progress: Progress) -> ClosedLoop:
+    from dpcontrol.plans.plan import make_plan
     from dpcontrol.runs.closed_loop import ClosedLoop
 
     # A wrong setting is reported before the plan is computed.
-    _scene(itinerary).with_run(settings)
-    return ClosedLoop(
-        plan(itinerary, yes=yes, progress=progress) if isinstance(itinerary, str) else itinerary, settings
-    )
+    scene = _scene(itinerary).with_run(settings)
+    planned = make_plan(scene, yes=yes, progress=progress) if isinstance(itinerary, str) else itinerary
+    return ClosedLoop(planned, settings)
 
 
 def _linked(
