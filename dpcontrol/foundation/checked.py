@@ -41,13 +41,16 @@ def checked(function: Function) -> Function:
 
     @wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:
-        signature, hints = inspect.signature(function), annotations_of(function)
+        signature, hints = _signature(function), annotations_of(function)
         for name, value in signature.bind(*args, **kwargs).arguments.items():
             if name in hints and signature.parameters[name].kind is not inspect.Parameter.VAR_KEYWORD:
                 check(name, value, hints[name])
         return function(*args, **kwargs)
 
     return call  # type: ignore[return-value]
+
+
+_signature = cache(inspect.signature)
 
 
 @cache
