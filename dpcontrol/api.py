@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from dpcontrol.dynamics.system import System as System
     from dpcontrol.foundation.cache import CacheContents
     from dpcontrol.foundation.config import Configuration
-    from dpcontrol.foundation.guide import Page
+    from dpcontrol.foundation.guide import GuidePage
     from dpcontrol.identification.fit import Design
     from dpcontrol.identification.identify import Identification
     from dpcontrol.identification.replay import Replay
@@ -3010,7 +3010,7 @@ def draw_charts(
 
 
 @checked
-def read_guide(topic: str | None = None) -> Page:
+def read_guide(topic: str | None = None) -> GuidePage:
     """Show a page of the guide, or list its pages.
 
     Args:

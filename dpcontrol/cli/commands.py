@@ -258,7 +258,7 @@ PARSERS: Mapping[str, click.ParamType] = {
     "hits": Parser("n[,m]", _hits, "1 or 1,2, numbers from 1 to 9"),
     "wraps": Parser("n,n,…", lambda text: tuple(map(int, text.replace(",", " ").split())), "2,3,2"),
     "repairs": Parser("name,…", lambda text: [one.strip() for one in text.split(",") if one.strip()], "nan,gaps"),
-    "over": Parser("path=v1,v2,…", _setting, "mismatch=0.05,0.1"),
+    "over": Parser("path=v1,v2,…", _setting, "PATH=VALUE,VALUE,…, as in mismatch=0.05,0.1"),
 }
 """Readers of parameters with a form of their own, by name."""
 
@@ -291,10 +291,10 @@ def _setting_options() -> Iterator[Option]:
         )
     yield Option(
         ["--set", "settings"],
-        type=Parser("path=value", _setting, "drive.lag=0.005"),
+        type=Parser("path=value", _setting, "PATH=VALUE, as in drive.lag=0.005"),
         multiple=True,
         group=SETTINGS,
-        help="Any setting by its path, or by the unique last part; repeatable. See `dpcontrol guide settings`.",
+        help="Any setting by its path or unique last part; repeatable. See `dpcontrol guide settings`. [default: none]",
         shell_complete=COMPLETERS["", "over"],
     )
 

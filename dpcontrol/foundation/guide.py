@@ -20,7 +20,7 @@ def topics() -> dict[str, str]:
     return dict(re.findall(r"^- \[([\w-]+)\]\(\1\.md\): (.+)$", index, re.MULTILINE))
 
 
-class Page(str):
+class GuidePage(str):
     """A page of the guide in Markdown.
 
     Attributes:
@@ -37,7 +37,7 @@ class Page(str):
         return {**shown, "topics": [{"topic": name, "about": about} for name, about in self.topics.items()]}
 
 
-def page(topic: str | None = None) -> Page:
+def page(topic: str | None = None) -> GuidePage:
     """Return a page of the guide.
 
     Args:
@@ -49,6 +49,6 @@ def page(topic: str | None = None) -> Page:
     pages = topics()
     if topic is not None and topic not in pages:
         raise InputError(f"the guide has no page {topic!r}; {suggest(topic, pages)}")
-    text = Page((GUIDE / f"{topic or 'README'}.md").read_text(encoding="utf-8"))
+    text = GuidePage((GUIDE / f"{topic or 'README'}.md").read_text(encoding="utf-8"))
     text.topic, text.topics = topic, pages
     return text

@@ -37,7 +37,7 @@ def page(text: Any) -> Iterator[Line]:
     """Yield a page of the guide, or the list of its pages.
 
     Args:
-        text: a `Page`.
+        text: a `GuidePage`.
     """
     if text.topic is not None:
         yield Markdown(text)

@@ -25,7 +25,7 @@ LINES = {
     # Values out of range, no numbers, or of too many digits.
     "run outer-turn --mismatch 2": "mismatch",
     "run outer-turn --seed -1": "seed",
-    "export outer-turn --clock nan --out c": "--clock = nan",
+    "export outer-turn --clock nan --out c": "clock = nan",
     "connect lab --from down-up --to down-up --energy sNaN": "--energy sNaN",
     "walk lab --energy -0.07 --random 2 --lengths 1 99999999999999999999": "lengths",
     "import --simulated lab --swings 0": "swings = 0",
@@ -43,10 +43,10 @@ LINES = {
     "orbit lab --saddle down-up --sustained": "needs saddle and energy",
     "import": "give a file",
     "identify": "at least one log",
-    "run": "--from",
-    "run outer-turn --real-time": "--real-time",
+    "run": "give an itinerary, or as source a log",
+    "run outer-turn --real-time": "real_time",
     "run outer-turn --rig tcp://x:1": "udp://HOST:PORT",
-    "commission outer-turn --rig udp://127.0.0.1:1 --fault zeros-off": "--rig",
+    "commission outer-turn --rig udp://127.0.0.1:1 --fault zeros-off": "rig = udp://127.0.0.1:1",
     "campaign outer-turn --over mismatch": "PATH=VALUE",
     "campaign outer-turn --over mismatch=0.1 --over mismatch=0.2": "twice",
     "campaign outer-turn --standard --over lag=0.1": "lag",
@@ -57,7 +57,7 @@ LINES = {
     "run outer-turn --out turn.txt": ".mcap",
     "campaign outer-turn --out table.csv": ".parquet",
     "report turn.mcap --picture page.jpg": ".png",
-    "preflight outer-turn --picture page.svg": "--picture",
+    "preflight outer-turn --picture page.gif": "picture = page.gif",
 }
 """Command lines, and what the message must name."""
 
