@@ -76,11 +76,11 @@ def flown(name: str, seeds: Sequence[int]) -> list[Run]:
 
 
 # %%
-NAMES = ("outer-turn", "cross", "round-trip-from-rest")
+NAMES = ("outer-turn", "cross")
 if __name__ == "__main__":
-    figure = Figure(figsize=(7, 7), layout="constrained")
-    for axes, name in zip(figure.subplots(3), NAMES, strict=True):
-        (run,) = flown(name, [1])
+    runs = {name: flown(name, [1])[0] for name in NAMES}
+    figure = Figure(figsize=(7, 5), layout="constrained")
+    for axes, (name, run) in zip(figure.subplots(len(runs)), runs.items(), strict=True):
         print(name, run.status)
         axes.plot(run.log.time, run.log.states["truth"][:, :2])
         axes.plot(run.log.time, run.log.states["reference"][:, :2], "k:", linewidth=0.8)

@@ -288,27 +288,28 @@ def simulated_swings(values: Array, carts: Array, period: float, arms: ArmChainP
     """
     n, model = arms.count, modes(arms)
     sums = sums_of(n)
-    ratios, viscous, dry, place, speed = (part[:, :, None] for part in np.split(values, 5, axis=1))
+    ratios, viscous, dry, place, speed = np.split(values.T, 5)
     mass = sums.T @ arms.mass_in_line @ sums
     shapes = sums.T @ arms.mass_in_line @ model.vectors
-    inverse = np.linalg.inv(mass + period * np.eye(n) * viscous)
-    stiffness = shapes @ ((model.frequencies[:, None] * np.exp(ratios)) ** 2 * shapes.T)
-    keeps, pulls = inverse @ mass, period * inverse @ stiffness
+    inverse = np.linalg.inv(mass + period * np.eye(n) * viscous.T[:, :, None])
+    stiffness = shapes @ ((model.frequencies[:, None] * np.exp(ratios.T[:, :, None])) ** 2 * shapes.T)
+    step = np.concatenate([inverse @ mass, -period * inverse @ stiffness, -inverse], axis=2)
     jumps = np.diff(carts, prepend=carts[0], n=2) / period
     pushes = jumps[:, None, None] * (np.linalg.inv(sums) @ model.shapes.sum(axis=1))[:, None]
-    limit, held, out = period * dry, np.zeros_like(dry), np.empty((len(carts), *place.shape))
-    columns, sizes = [inverse[:, :, j : j + 1] for j in range(n)], [inverse[:, j : j + 1, j : j + 1] for j in range(n)]
+    # Sets lie side by side in each row, because numpy needs most of its time to begin an operation.
+    most, least, held = list(period * dry), list(-period * dry), [*np.zeros_like(dry)]
+    columns = [inverse[:, :, j].T.copy() for j in range(n)]
+    sizes, out = [columns[j][j] for j in range(n)], np.empty((len(carts), *place.shape))
     out[0] = place
     for k, push in enumerate(pushes, start=1):
-        speed = keeps @ (speed - push) - pulls @ place - inverse @ held
+        speed = (step @ np.concatenate([speed - push, place, held]).T[:, :, None])[:, :, 0].T.copy()
         for j in [*range(n)] * _SWEEPS:
-            torque = held[:, j : j + 1] + speed[:, j : j + 1] / sizes[j]
-            torque = np.maximum(np.minimum(torque, limit[:, j : j + 1]), -limit[:, j : j + 1])
-            speed = speed - columns[j] * (torque - held[:, j : j + 1])
-            held[:, j : j + 1] = torque
+            torque = np.maximum(np.minimum(held[j] + speed[j] / sizes[j], most[j]), least[j])
+            speed -= columns[j] * (torque - held[j])
+            held[j] = torque
         place = place + period * speed
         out[k] = place
-    return (sums @ out)[..., 0].transpose(1, 0, 2)
+    return (sums @ out).transpose(2, 0, 1)
 
 
 def _coarse_guess(costs: Callable[[Array], Array], guess: Array, n: int) -> Array:

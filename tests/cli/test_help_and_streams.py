@@ -15,7 +15,6 @@ from dpcontrol.cli.main import cli
 from dpcontrol.cli.verbs import VERBS
 from dpcontrol.loop.controllers import CONTROLLERS
 
-LONG = [pytest.param(verb, marks=pytest.mark.slow) for verb in ("demo", "run", "review")]
 ITINERARIES = Path(__file__).parents[2] / "itineraries"
 HEAVY = {"casadi", "heyoka", "rerun", "scipy", "matplotlib", "numpy"}
 LOADED = """
@@ -49,7 +48,9 @@ def test_help_lists_every_verb_with_a_summary_and_the_exit_codes() -> None:
     assert re.search(r"0 done,\s+1\s+goal\s+missed.*2\s+bad\s+input", shown.stdout, re.DOTALL)
 
 
-@pytest.mark.parametrize("verb", ["model", "orbit", "connect", "plan", "score", *LONG])
+@pytest.mark.parametrize(
+    "verb", ["model", "orbit", "connect", "plan", "score", pytest.param("run", marks=pytest.mark.slow)]
+)
 def test_the_example_in_a_verbs_help_runs(verb: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     shown = dpcontrol(verb, "--help")
     assert shown.code == 0
@@ -77,7 +78,8 @@ def test_the_example_in_a_verbs_help_runs(verb: str, tmp_path: Path, monkeypatch
 )
 def test_json_is_one_document_on_stdout_and_progress_goes_to_stderr(line: str, progress: str, tmp_path: Path) -> None:
     if "whole.mcap" in line:
-        assert dpcontrol("run", "hold-down-down", "--out", tmp_path / "whole.mcap").code == 0
+        hold = ("run", "hold-down-down", "--set", "seconds=1")
+        assert dpcontrol(*hold, "--out", tmp_path / "whole.mcap").code == 0
     ended = dpcontrol_program(*line.split(), "--json", folder=tmp_path)
     assert ended.code == (1 if "feedforward" in line else 0)
     assert isinstance(ended.document, dict)

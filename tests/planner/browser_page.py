@@ -24,7 +24,7 @@ class Page:
         end = time.monotonic() + PATIENCE
         while not condition(state := self.state):
             assert time.monotonic() < end, (state["busy"], state.get("message"))
-            time.sleep(0.02)
+            time.sleep(0.1)
         return state
 
     def idle(self) -> dict[str, Any]:

@@ -101,6 +101,7 @@ def test_the_example_flies_counts_and_leaves_as_c_that_replays_its_run(
     monkeypatch.setenv("MPLBACKEND", "Agg")
     made = runpy.run_module("dpcontrol.examples.integral_action", run_name="__main__")
     assert "16 of 16 runs completed" in capsys.readouterr().out
+    assert (tmp_path / "integral-action.png").stat().st_size > 10_000
     alone, integral = (run.log.states["truth"][-500:, 4].mean() for run in made["runs"].values())
     # At rest the command is zero: K₁ b + K₂ b + K_x x = 0, both arms off by the tilt b.
     gain = made["gains"](1e-9)

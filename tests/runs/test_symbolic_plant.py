@@ -102,6 +102,7 @@ def test_the_examples_run_and_count(
     assert first.converged
     # Unmodelled effects cost feedback.
     assert np.abs(last.log.controls["feedback"]).mean() > 1.2 * np.abs(first.log.controls["feedback"]).mean()
+    assert (tmp_path / f"{name.replace('_', '-')}.png").stat().st_size > 10_000
 
 
 @pytest.mark.slow
