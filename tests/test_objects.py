@@ -3,6 +3,7 @@
 import json
 import pkgutil
 from importlib import import_module
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from scipy.integrate import solve_ivp
 import dpcontrol as dp
 from dpcontrol.foundation.shown import Shown
 from dpcontrol.orbits.family import lyapunov_family
+from dpcontrol.runs import preflight
 from tests.pages.test_night import night
 
 FLOWN = 1e-7
@@ -59,9 +61,15 @@ def slow_results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     folder = tmp_path_factory.mktemp("logs")
     campaign = loop.campaign(runs=2, out=folder / "two.parquet")
     logs = [loop.run(seed=seed, log=folder / f"{seed}.mcap").log.path for seed in (1, 2)]
+    hazards, changes = preflight.hazards, preflight.changes
+    with pytest.MonkeyPatch.context() as patch:
+        # The border of lag and one kind of change: each of the others takes seconds of runs.
+        patch.setattr(preflight, "hazards", lambda plan, scene, **most: hazards(plan, scene, **most)[1:2])
+        patch.setattr(preflight, "changes", lambda scene: islice(changes(scene), 1))
+        checked = loop.preflight(runs=16, workers=1)
     return {
         "campaign": campaign,
-        "preflight": loop.preflight(runs=16, workers=1),
+        "preflight": checked,
         "identification": dp.identify(swings, model="lab"),
         "summary": dp.open_campaign(folder / "two.parquet"),
         "comparison": dp.compare_logs(logs),

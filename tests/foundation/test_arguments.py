@@ -38,8 +38,8 @@ def test_signatures_are_imported_without_numpy_and_pydantic():
 
 @pytest.mark.slow
 def test_values_of_options_are_one_a_list_or_an_array():
+    loop, alone = dp.closed_loop("hold-down-down", settings={"seconds": 1.0}), dp.CampaignSettings(runs=1, workers=1)
     one, listed, array = (
-        dp.campaign("hold-down-down", runs=1, over={"lag": lag}, workers=1)
-        for lag in (0.002, [0.002], np.array([0.002]))
+        loop.campaign(over={"lag": lag}, settings=alone) for lag in (0.002, [0.002], np.array([0.002]))
     )
     assert one.rows == listed.rows == array.rows

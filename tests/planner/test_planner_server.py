@@ -194,6 +194,7 @@ def test_an_unsupported_model_and_a_used_port_are_refused(address: str) -> None:
 
 def test_work_can_be_cancelled_and_a_dead_process_restarted(page: Page) -> None:
     page.until("atlas")
+    page.send({"do": "set", "values": {"start": "orbit", "finish": "orbit"}})
     # No other test plans this walk, whose plan would then be read at once.
     for symbol in ("down-up +", "down-up -", "down-up -"):
         page.send({"do": "append", "symbol": symbol})
