@@ -8,9 +8,7 @@ On systems without a package, or installations without an extra, everything that
 """
 
 import importlib
-import platform
 from collections.abc import Callable
-from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 from typing import Any
 
@@ -95,6 +93,10 @@ def versions() -> dict[str, str]:
 
     The result is "" if not installed.
     """
+    # Imported here because the help of verbs needs none of them.
+    import platform
+    from importlib.metadata import PackageNotFoundError, version
+
     found = {"dpcontrol": VERSION, "python": platform.python_version(), "system": platform.platform()}
     for name in _DISTRIBUTIONS:
         try:
