@@ -2453,8 +2453,8 @@ def open_night(folder: Place) -> Night:
         InputError: the folder has no long run, or a file is damaged.
 
     Examples:
-        >>> dp.open_night(night_folder).falls
-        ()
+        >>> len(dp.open_night(night_folder).falls)
+        0
     """
     from dpcontrol.judge.night import read_night
 

@@ -5,12 +5,13 @@ import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_origin
 
 import numpy as np
 import pytest
 
 import dpcontrol as dp
+from dpcontrol import api
 from dpcontrol.foundation.parts import PartMissing
 from tests.test_objects import results_of_functions
 
@@ -80,6 +81,7 @@ BY_NAME: dict[str, Any] = {
 GOOD: dict[str, dict[str, Any]] = {
     "connections": {"source": "$orbit"},
     "prove": {"found": "$orbit"},
+    "prove_statement": {"statement": "orbit", "saddle": "down-up", "energy": -0.07},
     "refine": {"found": "$connection"},
     "rotating_families": {"energies": (0.29, 0.31)},
     "rotating_orbits": {"energy": 0.3},
@@ -135,6 +137,12 @@ def calls(things: dict[str, Any]) -> dict[str, tuple[Callable[..., Any], dict[st
     return found
 
 
+def written(annotation: Any) -> str:
+    """Return an annotation as text, with the aliases of the public functions written out."""
+    aliases = {name: str(kind) for name, kind in vars(api).items() if get_origin(kind) is not None}
+    return re.sub(r"\w+", lambda word: aliases.get(word[0], word[0]), str(annotation))
+
+
 def wrong_calls(things: dict[str, Any]) -> list[tuple[str, str, Any]]:
     """Return (function, parameter, value) for each value that a parameter cannot be."""
     return [
@@ -142,7 +150,7 @@ def wrong_calls(things: dict[str, Any]) -> list[tuple[str, str, Any]]:
         for name, (function, _) in calls(things).items()
         for key, parameter in inspect.signature(function).parameters.items()
         for value, fits in WRONG
-        if not re.search(fits, str(parameter.annotation))
+        if not re.search(fits, written(parameter.annotation))
         # The former sample(times) still works, with a warning.
         and not (name.endswith(".sample") and isinstance(value, (list, tuple, np.ndarray)))
     ]

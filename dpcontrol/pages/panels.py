@@ -78,7 +78,9 @@ def quiet_space(axes: Axes, of: System | Atlas, *, steps: tuple[float | None, fl
     axes.view_init(elev=22, azim=-122)  # type: ignore[attr-defined]
 
 
-def quiet_plane(axes: Axes, of: System | Atlas, columns: tuple[int, int] = (0, 1), title: str = "") -> None:
+def quiet_plane(
+    axes: Axes, of: System | Atlas, columns: tuple[int, int] = (0, 1), title: str = "", *, step: float | None = None
+) -> None:
     """Label a panel that shows two entries of states, angles in multiples of π.
 
     Args:
@@ -86,11 +88,12 @@ def quiet_plane(axes: Axes, of: System | Atlas, columns: tuple[int, int] = (0, 1
         of: system or atlas with the labels.
         columns: indices of the entries.
         title: title of the panel.
+        step: tick distance of angles, half turns; adapted to the data by default.
     """
     quiet(axes, title, x=of.labels[columns[0]], y=of.labels[columns[1]])
     for column, which in zip(columns, "xy", strict=True):
         if np.isfinite(of.periods[column]):
-            angle_axis(axes, which)
+            angle_axis(axes, which, step=step)
 
 
 def angle_axis(axes: Axes, which: str, *, step: float | None = None) -> None:

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.cache import cache_file, keep, kept
 from dpcontrol.foundation.causes import ReferenceCause
+from dpcontrol.foundation.checked import checked
 from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.foundation.files import content_hash, write_whole
@@ -80,6 +81,7 @@ class Plan(ByReference, Timed, Documented):
         """Why there is no final plan, or ""."""
         return "" if self.final.converged else f"{self.itinerary.name}: {self.final.status}"
 
+    @checked
     def written_to(self, file: Path) -> "Plan":
         """Write the final plan to a file, and return this one with its name.
 

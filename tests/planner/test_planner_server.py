@@ -213,7 +213,7 @@ def test_work_can_be_cancelled_and_a_dead_process_restarted(page: Page) -> None:
     while not (state := page.until("state"))["retry"]:
         pass
     assert "ended (signal" in state["message"]["text"]
-    page.send({"do": "retry"})
-    while not (state := page.until("state"))["plan"]:
-        pass
+    state = page.send({"do": "retry"})
+    while not state["plan"]:
+        state = page.until("state")
     assert state["plan"]["converged"]

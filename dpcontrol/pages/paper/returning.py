@@ -84,7 +84,7 @@ def _flights(axes: Axes, system: System, curves: Curves, orbit: Array) -> None:
         return
     for turn in (0, 1):
         axes.axline((0, 2 * np.pi * turn), slope=1, color=style.MARK, linestyle=style.DOTTED, linewidth=0.9, zorder=1)
-    quiet_plane(axes, system, title="b  in the plane of the angles")
+    quiet_plane(axes, system, title="b  in the plane of the angles", step=1.0)
 
 
 def _cuts(axes: Axes, search: ConnectionSearch, back: Sequence, shades: dict[str, str]) -> None:
