@@ -145,6 +145,6 @@ def test_the_verb_prints_the_family_and_draws_it(tmp_path):
     picture = tmp_path / "family.png"
     line = ["orbit", "lab", "--saddle", "up-down", "--energies", "0.1", "0.2"]
     document = dpcontrol(*line, "--picture", picture, "--json").document
-    assert [e["kind"] for e in document["ends"]] == ["saddle", "energy bound"]
+    assert [end["cause"] for end in document["ends"]] == ["saddle", "energy_bound"]
     assert document["family"][-1]["period"] == pytest.approx(LYAPUNOV_ORBITS["lab", "up-down", 0.2][1], abs=STATE)
     assert picture.read_bytes().startswith(b"\x89PNG")

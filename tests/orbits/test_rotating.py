@@ -196,7 +196,7 @@ def test_the_verb_follows_their_families_and_draws_them(tmp_path):
     for family in shown["families"]:
         energies = [member["energy"] for member in family["members"]]
         assert (min(energies), max(energies)) == (0.19, 0.21)
-        assert all("reached the bound" in end for end in family["ends"])
+        assert [end["cause"] for end in family["ends"]] == ["energy_bound", "energy_bound"]
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
