@@ -234,12 +234,13 @@ def _extra_chart(view: RunView, extras: Extras, names: list[str], key: str, titl
         reaches += [values, values[late] + reach[late], values[late] - reach[late]]
         if name in view.extra_truth:
             truth = np.broadcast_to(view.extra_truth[name], extras.time.shape)
-            lines.append(Line(f"{name}_truth", f"{name} true", "true", extras.time, truth, colour, 1.1, dashed=True))
+            lines.append(Line(f"{name}_truth", f"{name} true", "", extras.time, truth, colour, 1.1, dashed=True))
             reaches.append(truth)
     every = np.concatenate(reaches)
     known = every[np.isfinite(every)]
     shown = padded(np.quantile(known, [0.01, 0.99])) if known.size else None
-    return Chart(key, title, unit, tuple(lines), shown=shown, note=", ±2σ")
+    dashed = ", dashed: true" if any(line.dashed for line in lines) else ""
+    return Chart(key, title, unit, tuple(lines), shown=shown, note=f", ±2σ{dashed}")
 
 
 def charts(view: RunView) -> dict[str, Chart]:
