@@ -1122,7 +1122,7 @@ def launch(
         with chosen_name(log or True, repeated_log(Path(source))) as file:
             return repeat(source, str(file), force=force, progress=progress)
     if itinerary is None:
-        raise InputError("itinerary: give an itinerary, or as source a log to repeat")
+        raise InputError("itinerary is missing: give one, or with source a log to repeat")
     if hours is None and (resume or keep_every != 1 or file_minutes != 10.0):
         raise InputError("resume, keep_every and file_minutes apply to long runs: give hours")
     if program is not None and (hours is not None or live):
@@ -2408,7 +2408,7 @@ def commission(
         found = commission_rig(
             scene, bench, practice=practice, faults=faults, switches=switches, notify=lambda text: report(text, 0.0)
         )
-    found = replace(found, itinerary=scene.name, bench=getattr(bench, "address", getattr(bench, "name", "")))
+    found = replace(found, itinerary=scene.name, bench="" if bench is None else bench.name)
     return written(found, scene) if write else found
 
 

@@ -69,13 +69,13 @@ def command(name: str, verb: Verb) -> click.Command:
     function = getattr(api, verb.function)
     parameters = inspect.signature(function).parameters
     hints, (text, helps) = annotations_of(inspect.unwrap(function)), described(function)
-    given = {one.name for one in parameters.values()} - {"progress"}
+    given = parameters.keys() - {"progress"}
     offered = given - (COMMON if "settings" in given else set())
     params = [
         param
-        for one in parameters.values()
-        if one.name in offered
-        for param in _parameters(name, verb, one, hints[one.name], helps.get(one.name, ""))
+        for key, parameter in parameters.items()
+        if key in offered
+        for param in _parameters(name, verb, parameter, hints[key], helps.get(key, ""))
     ]
     params.append(Option(["--json", "as_json"], is_flag=True, group=OUTPUT, help="One JSON document on stdout."))
 
@@ -86,9 +86,9 @@ def command(name: str, verb: Verb) -> click.Command:
             values["settings"] = _settings(values)
         if "over" in parameters:
             values["over"] = _over(values["over"])
-        for one in parameters.values():
-            if one.name in values and (output := _output(hints[one.name])) is not None:
-                values[one.name] = _checked_output(one.name, output, values)
+        for key in parameters:
+            if key in values and (output := _output(hints[key])) is not None:
+                values[key] = _checked_output(key, output, values)
         values = {key: value for key, value in values.items() if value is not None and key in given}
         if "progress" in parameters:
             values["progress"] = True
@@ -213,7 +213,7 @@ def _checked_output(name: str, output: Output, values: Mapping[str, Any]) -> Pat
     for key, value in values.items():
         for one in value if isinstance(value, tuple) else (value,):
             if key != name and isinstance(one, str | Path) and os.path.isfile(one):
-                checked_other_file(file, one, what=f"the input {one}", option=f"--{name}")
+                checked_other_file(file, one, what=f"the input {one}", option=name)
     (checked_folder if output.folder else checked_target)(file)
     return file
 

@@ -41,8 +41,8 @@ class Output:
 
     Attributes:
         endings: allowed endings of the name, or () for any.
-        free: True if the command line takes the next free name in the folder of logs when none is given; True as the
-            argument of the function does the same.
+        free: True if a command line without this option writes to the next free name in the folder of logs, as the
+            function does for the argument True.
         folder: True for a folder.
     """
 

@@ -50,9 +50,9 @@ class Report(Documented):
     """A page on a log, a long run or a campaign.
 
     Attributes:
-        result: `Score` of a log or `Unscored`, `Night` of a long run, or `CampaignSummary`.
+        result: `Score` or `Unscored` of a log, `Night` of a long run, or `CampaignSummary`.
         page: file of the page.
-        margins: margins of gain, delay and lag along the reference of a log, if they were asked for.
+        margins: margins of gain, delay and lag along the reference of a log, if requested.
     """
 
     KEYS: ClassVar[str] = "**result.document margins? picture=page"

@@ -46,11 +46,11 @@ class Plan(ByReference, Timed, Documented):
     There is no file if the reference did not converge, or the cache is not writable.
 
     Attributes:
-        file: its file in the cache, or the one that was asked for.
-        cached: True if it was cached before.
-        polished: the plan as one optimisation problem, a `Polished`, if it was asked for.
-        margins: margins of gain, delay and lag, if they were asked for.
-        energies: chart of the effort over energies, if it was asked for.
+        file: requested file, otherwise the one in the cache.
+        cached: True if the plan was in the cache.
+        polished: `Polished` plan of one optimisation problem, if requested.
+        margins: margins of gain, delay and lag, if requested.
+        energies: chart of the effort over energies, if requested.
     """
 
     KEYS: ClassVar[str] = (

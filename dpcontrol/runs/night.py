@@ -491,11 +491,10 @@ def name_check(
         night: settings of a long run, None for a single one.
         resume: True to continue the long run there.
         free: True if free names are tried.
-        force: True to replace what is there.
+        force: True to replace an existing log or long run.
         yes: accept a cost beyond the limits.
     """
-    made_by = getattr(bench, "address", getattr(bench, "name", None))
-    record = run_record(itinerary, rig=made_by)
+    record = run_record(itinerary, rig=None if bench is None else bench.name)
 
     def check(file: Path) -> None:
         if night is None:

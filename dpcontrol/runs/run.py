@@ -919,6 +919,11 @@ class RigLink:
         if self.address != OWN_BENCH:
             parse_address(self.address)
 
+    @property
+    def name(self) -> str:
+        """Name of the bench in logs: its address."""
+        return self.address
+
     @contextmanager
     def connected(
         self, itinerary: Itinerary, recipe: BenchRecipe, *, ticks: int, what: str, loop: ControlLoop | None = None

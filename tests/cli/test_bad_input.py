@@ -43,7 +43,7 @@ LINES = {
     "orbit lab --saddle down-up --sustained": "needs saddle and energy",
     "import": "give a file",
     "identify": "at least one log",
-    "run": "give an itinerary, or as source a log",
+    "run": "itinerary is missing",
     "run outer-turn --real-time": "real_time",
     "run outer-turn --rig tcp://x:1": "udp://HOST:PORT",
     "commission outer-turn --rig udp://127.0.0.1:1 --fault zeros-off": "rig = udp://127.0.0.1:1",
