@@ -35,6 +35,7 @@ although no extremum crosses the section, and the equations are  off Fix R = 0, 
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import groupby, pairwise
 from typing import Annotated, Any, ClassVar, NamedTuple
 
@@ -43,6 +44,7 @@ from scipy.optimize import brentq
 
 from dpcontrol.bifurcations.links import (
     UNSOLVED,
+    Gap,
     Link,
     LinkProblem,
     Path,
@@ -58,6 +60,7 @@ from dpcontrol.bifurcations.links import (
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.causes import GapCause
 from dpcontrol.foundation.checked import Between, check, numbers
 from dpcontrol.foundation.document import Documented, fields_of
 from dpcontrol.foundation.errors import InputError
@@ -395,12 +398,12 @@ class Interval:
 
     Attributes:
         changes: located events.
-        reasons: sentences on failures.
+        gaps: causes of unexplained changes.
         runs: connections that were followed.
     """
 
     changes: tuple[Change, ...]
-    reasons: tuple[str, ...]
+    gaps: tuple[Gap, ...]
     runs: tuple[Branch, ...]
 
     @property
@@ -534,8 +537,8 @@ class Sweep:
             if any(amended):
                 return self.between(low, high)
             if missed:
-                reason = f"continuation meets {len(missed)} connections that the searches do not find"
-                interval = replace(interval, reasons=(*interval.reasons, reason))
+                gap = Gap(self.problem.system, GapCause.UNSEARCHED, counts=(len(missed),))
+                interval = replace(interval, gaps=(*interval.gaps, gap))
             self._intervals[low, high] = interval
         return self._intervals[low, high]
 
@@ -583,39 +586,39 @@ class Sweep:
                 lost.discard(k)
                 missed.append(arrived)
         changes: list[Change] = []
-        reasons: list[str] = []
+        gaps: list[Gap] = []
         for left, start, goal in ((lost, before, after), (born, after, before)):
             while left:
                 k = min(left)
                 left.discard(k)
                 path = follow(self.problem, start.points[k].link, start.energy, goal.energy)
-                if path.outcome == "lost":
-                    reasons.append(path.reason)
+                if path.gap is not None:
+                    gaps.append(path.gap)
                     continue
                 end = path.points[-1]
-                arrived = self.among(end.link, (goal if path.outcome == "reached" else start).points)
-                if path.outcome == "back" and arrived is not None:
+                arrived = self.among(end.link, (start if path.returned else goal).points)
+                if path.returned and arrived is not None:
                     left.discard(arrived)
-                elif path.outcome == "reached" and arrived is not None and goal is after:
+                elif not path.returned and arrived is not None and goal is after:
                     born.discard(arrived)
                 elif arrived is None and self.count(end) == self.crossings:
                     missed.append(end)
-                self._along(path, changes, reasons)
+                self._along(path, changes, gaps)
                 runs += self._runs(path.points)
-        return Interval(tuple(self._distinct(changes)), tuple(reasons), tuple(runs)), missed
+        return Interval(tuple(self._distinct(changes)), tuple(gaps), tuple(runs)), missed
 
-    def _along(self, path: Path, changes: list[Change], reasons: list[str]) -> None:
+    def _along(self, path: Path, changes: list[Change], gaps: list[Gap]) -> None:
         """Add the turns and touches along a path."""
-        points, unit = path.points, self.problem.system.unit("J")
+        points, gap = path.points, partial(Gap, self.problem.system)
         counts = [self.count(p) for p in points]
         for k in range(len(points) - 1):
             if k in path.turns:
                 event = locate_turn(self.problem, path, k)
                 if event is None:
-                    reasons.append(f"a turn in energy near {points[k].energy:.9g}{unit} could not be located")
+                    gaps.append(gap(GapCause.TURN, (points[k].energy,)))
                     continue
                 if counts[k] != counts[k + 1]:
-                    reasons.append(f"a touch of the section next to the turn at {event.energy:.9g}{unit}")
+                    gaps.append(gap(GapCause.TOUCH_AT_TURN, (event.energy,)))
                 if counts[k] == self.crossings:
                     # The partners are on the side from which the path came.
                     came_from = points[k].energy if points[k].energy != event.energy else points[k - 1].energy
@@ -624,10 +627,8 @@ class Sweep:
                 touches = locate_graze(self.problem, self.section, points[k], points[k + 1])
                 gain = (counts[k + 1] == self.crossings) - (counts[k] == self.crossings)
                 if gain and not touches:
-                    reasons.append(
-                        f"crossings change from {counts[k]} to {counts[k + 1]} between {points[k].energy:.9g} and "
-                        f"{points[k + 1].energy:.9g}{unit} without a located touch"
-                    )
+                    energies = points[k].energy, points[k + 1].energy
+                    gaps.append(gap(GapCause.TOUCH, energies, (counts[k], counts[k + 1])))
                 elif gain:
                     rising = 1 if points[k + 1].energy > points[k].energy else -1
                     # Of several touches, the one next to the required count changed it.
@@ -697,6 +698,24 @@ class Bifurcation(Mark):
 
 
 @dataclass(frozen=True)
+class UnexplainedChange:
+    """A change of the count between two energies, J, that located events do not explain."""
+
+    energies: tuple[float, float]
+    gaps: tuple[Gap, ...]
+
+    @property
+    def causes(self) -> list[GapCause]:
+        """Causes of the gaps."""
+        return [gap.cause for gap in self.gaps]
+
+    @property
+    def reason(self) -> str:
+        """The gaps as sentences."""
+        return "; ".join(gap.status for gap in self.gaps)
+
+
+@dataclass(frozen=True)
 class BifurcationSearch(Shown, Documented):
     """Bifurcations in order of energy, with the counts they explain.
 
@@ -705,7 +724,7 @@ class BifurcationSearch(Shown, Documented):
     `runs` has one of each pair of connections.
 
     Attributes:
-        unexplained: (low, high, reason) of energy intervals without a located event.
+        unexplained: changes of the count between energies without a located event.
         complete: True if there are none and every search was complete.
         scatters_from: J, or None.
         runs: connections that were followed.
@@ -715,7 +734,7 @@ class BifurcationSearch(Shown, Documented):
 
     KEYS: ClassVar[str] = (
         "events:energy,kind,state,count_below,count_above,at_least,symmetric,winding,residual,point "
-        "counts:energy,count,complete,caveat unexplained=gaps:energies,reason scatters_from complete status "
+        "counts:energy,count,complete,caveat unexplained:energies,causes,reason scatters_from complete status "
         "section=section.name from=source to=target hits=crossings energies"
     )
 
@@ -726,7 +745,7 @@ class BifurcationSearch(Shown, Documented):
     crossings: int
     events: tuple[Bifurcation, ...]
     counts: tuple[Found, ...]
-    unexplained: tuple[tuple[float, float, str], ...]
+    unexplained: tuple[UnexplainedChange, ...]
     runs: tuple[Branch, ...]
     scatters_from: float | None
     born: float | None
@@ -749,11 +768,6 @@ class BifurcationSearch(Shown, Documented):
 
     def __repr__(self) -> str:
         return f"<bifurcations: {self.status}>"
-
-    @property
-    def gaps(self) -> list[tuple[tuple[float, float], str]]:
-        """Energies of unexplained intervals, and the reasons."""
-        return [((low, high), reason) for low, high, reason in self.unexplained]
 
 
 def find_bifurcations(
@@ -810,7 +824,7 @@ def find_bifurcations(
     progress("bifurcations", 1.0)
     counts = tuple(sweep.search(energy) for energy in grid)
     pairs = list(pairwise(grid))
-    unexplained = tuple((a, b, _why(sweep, a, b)) for a, b in pairs if not _adds_up(sweep, a, b))
+    unexplained = tuple(_unexplained(sweep, a, b) for a, b in pairs if not _adds_up(sweep, a, b))
     events = _with_counts(sweep, [c for a, b in pairs for c in sweep.between(a, b).changes], counts)
     scatters_from = next((c.energy for k, c in enumerate(counts) if not any(d.complete for d in counts[k:])), None)
     return BifurcationSearch(
@@ -833,13 +847,15 @@ def _adds_up(sweep: Sweep, low: float, high: float) -> bool:
     interval = sweep.between(low, high)
     # Searches are read last, because continuation may have added to them.
     before, after = sweep.search(low), sweep.search(high)
-    return not interval.reasons and len(before.points) + interval.gain == len(after.points)
+    return not interval.gaps and len(before.points) + interval.gain == len(after.points)
 
 
-def _why(sweep: Sweep, low: float, high: float) -> str:
+def _unexplained(sweep: Sweep, low: float, high: float) -> UnexplainedChange:
     interval, before, after = sweep.between(low, high), sweep.search(low), sweep.search(high)
-    counts = f"the count changes from {before.count} to {after.count}, but located events account for "
-    return "; ".join([counts + f"{interval.gain * after.weight:+d}", *interval.reasons[:2]])
+    counts = before.count, after.count, interval.gain * after.weight
+    return UnexplainedChange(
+        (low, high), (Gap(sweep.problem.system, GapCause.COUNT, counts=counts), *interval.gaps[:2])
+    )
 
 
 def _with_counts(sweep: Sweep, changes: Sequence[Change], counts: Sequence[Found]) -> tuple[Bifurcation, ...]:

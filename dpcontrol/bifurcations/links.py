@@ -33,7 +33,7 @@ import numpy as np
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
-from dpcontrol.foundation.causes import OrbitCause
+from dpcontrol.foundation.causes import GapCause, OrbitCause
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.shown import Brief
 from dpcontrol.orbits.lyapunov import (
@@ -45,6 +45,7 @@ from dpcontrol.orbits.lyapunov import (
     symmetric_shooting,
 )
 from dpcontrol.orbits.manifold import UnstableManifold
+from dpcontrol.words.searches import Concluded
 
 
 @dataclass(frozen=True)
@@ -357,18 +358,39 @@ _AT_REST = 1e-7  # step of Newton's method in units of the weights
 
 
 @dataclass(frozen=True)
+class Gap(Concluded):
+    """Why a change of the number of connections is not explained by an event.
+
+    Attributes:
+        energies: energies that the cause concerns, J.
+        counts: numbers of connections or crossings that the cause concerns.
+        duration: flight of a connection that could not be followed, s.
+        error: message of the numerical method.
+    """
+
+    system: System
+    cause: GapCause
+    energies: tuple[float, ...] = ()
+    counts: tuple[int, ...] = ()
+    duration: float = np.nan
+    error: str = ""
+
+
+@dataclass(frozen=True)
 class Path:
     """A connection followed in energy.
 
     Attributes:
-        outcome: "reached" (the goal), "back" (at the start) or "lost".
+        points: the connection at each step.
         turns: indices of points before a fold in energy.
+        returned: True if the path came back to its start, False if it reached the goal.
+        gap: why the path was lost, or None.
     """
 
     points: tuple[PathPoint, ...]
     turns: tuple[int, ...]
-    outcome: str
-    reason: str
+    returned: bool = False
+    gap: Gap | None = None
 
 
 def carry(problem: LinkProblem, point: PathPoint, goal: float, *, smallest: float = 1 / 32) -> PathPoint | None:
@@ -456,11 +478,11 @@ def follow(problem: LinkProblem, link: Link, start: float, goal: float, *, steps
                     raise ArithmeticError("Newton's method fails at the smallest step")
                 continue
             energy = arrived.energy
-            for bound, outcome in ((goal, "reached"), (start, "back")):
+            for bound, returned in ((goal, False), (start, True)):
                 if (energy - bound) * (bound - points[-1].energy) >= 0 and points[-1].energy != bound:
                     share = (bound - points[-1].energy) / (energy - points[-1].energy)
                     points.append(problem.solved(link.at((here + share * (arrived.coordinates - here))[:3]), bound))
-                    return Path(tuple(points), tuple(turns), outcome, "")
+                    return Path(tuple(points), tuple(turns), returned)
             following = _tangent(problem, arrived.link, energy, weights, tangent)
             if following[3] * tangent[3] < 0:
                 turns.append(len(points) - 1)
@@ -469,14 +491,11 @@ def follow(problem: LinkProblem, link: Link, start: float, goal: float, *, steps
             length = min(1.4 * length, 0.5)
         raise ArithmeticError(f"the goal was not reached in {steps} steps")
     except UNSOLVED as error:
-        reason = f"a connection could not be matched: {error}"
+        gap = Gap(problem.system, GapCause.UNMATCHED, error=str(error))
         if points:
-            last, unit = points[-1], problem.system.unit
-            reason = (
-                f"a connection with a flight of {last.link.duration:.3g}{unit('s')} could not be followed beyond "
-                f"{last.energy:.9g}{unit('J')}: {error}"
-            )
-        return Path(tuple(points), tuple(turns), "lost", reason)
+            last = points[-1]
+            gap = replace(gap, cause=GapCause.UNFOLLOWED, energies=(last.energy,), duration=last.link.duration)
+        return Path(tuple(points), tuple(turns), gap=gap)
 
 
 def halfway(problem: LinkProblem, first: PathPoint, second: PathPoint) -> PathPoint | None:

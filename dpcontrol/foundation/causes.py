@@ -78,6 +78,18 @@ class CutCause(StrEnum):
     NEVER_ARRIVES = auto()
 
 
+class GapCause(StrEnum):
+    """Why a change of the number of connections is not explained by events."""
+
+    COUNT = auto()
+    TURN = auto()
+    TOUCH_AT_TURN = auto()
+    TOUCH = auto()
+    UNMATCHED = auto()
+    UNFOLLOWED = auto()
+    UNSEARCHED = auto()
+
+
 class BranchCause(StrEnum):
     """Why the refinement of one branch of a cut stopped early."""
 

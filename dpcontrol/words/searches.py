@@ -10,6 +10,7 @@ from dpcontrol.foundation.causes import (
     CutCause,
     DepartureCause,
     FamilyEndCause,
+    GapCause,
     GridCause,
     ObstacleCause,
     OpenEndCause,
@@ -167,7 +168,8 @@ def caveat_sentence(r: Any) -> str:
 def bifurcations_sentence(r: Any) -> str:
     """Return the outcome of a search for bifurcations."""
     found, unit = counted(len(r.events), "event"), r.system.unit("J")
-    gaps = "; ".join(f"{low:.6g} to {high:.6g}{unit}, {why}" for low, high, why in r.unexplained[:5])
+    shown = [(*change.energies, change.reason) for change in r.unexplained[:5]]
+    gaps = "; ".join(f"{low:.6g} to {high:.6g}{unit}, {reason}" for low, high, reason in shown)
     single = [c for c in r.counts if not c.complete and (r.scatters_from is None or c.energy < r.scatters_from)]
     single_at = "; ".join(f"at {c.energy:.6g}{unit} {c.caveat}" for c in single[:3])
     begin = f"{r.counts[0].energy:.6g}{unit}, just above the higher saddle's energy of {r.born or 0:.6g}{unit}"
@@ -317,6 +319,23 @@ SENTENCES: Mapping[type[StrEnum], Mapping[Any, Callable[[Any], str]]] = {
             f"no trajectory of the tube reaches crossing {r.hit} of {r.section.name} within {r.longest:g} periods",
             *["allow longer flights, or use another energy"] * any(end.later for end in r.open_ends),
         ),
+    },
+    GapCause: {
+        GapCause.COUNT: lambda r: (
+            f"the count changes from {r.counts[0]} to {r.counts[1]}, but located events account for {r.counts[2]:+d}"
+        ),
+        GapCause.TURN: lambda r: f"a turn in energy near {_joule(r, r.energies[0], 9)} could not be located",
+        GapCause.TOUCH_AT_TURN: lambda r: f"a touch of the section next to the turn at {_joule(r, r.energies[0], 9)}",
+        GapCause.TOUCH: lambda r: (
+            f"crossings change from {r.counts[0]} to {r.counts[1]} between {r.energies[0]:.9g} and "
+            f"{_joule(r, r.energies[1], 9)} without a located touch"
+        ),
+        GapCause.UNMATCHED: lambda r: f"a connection could not be matched: {r.error}",
+        GapCause.UNFOLLOWED: lambda r: (
+            f"a connection with a flight of {_second(r, r.duration)} could not be followed beyond "
+            f"{_joule(r, r.energies[0], 9)}: {r.error}"
+        ),
+        GapCause.UNSEARCHED: lambda r: f"continuation meets {r.counts[0]} connections that the searches do not find",
     },
     BranchCause: {
         BranchCause.SCATTERS: lambda r: (

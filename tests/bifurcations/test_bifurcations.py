@@ -232,7 +232,7 @@ def test_continuation_finds_a_connection_that_a_search_misses(system, monkeypatc
     interval = sweep.between(low, high)
     assert sweep.search(high).count == whole.count
     assert not interval.changes
-    assert not interval.reasons
+    assert not interval.gaps
     assert len(interval.runs) == len(whole.points)
 
 
@@ -252,7 +252,7 @@ def test_a_path_passes_a_fold_and_returns_as_the_partner(system, events):
     start, goal = SADDLE_NODE[1], SADDLE_NODE[0]
     first, second = sweep.search(start).points
     path = follow(sweep.problem, first.link, start, goal)
-    assert path.outcome == "back"
+    assert path.returned
     energies = np.array([p.energy for p in path.points])
     (turn,) = path.turns
     # The path reaches the fold, does not go below it, and returns.

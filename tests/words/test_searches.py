@@ -11,6 +11,7 @@ from dpcontrol.foundation.causes import (
     BranchCause,
     CutCause,
     FamilyEndCause,
+    GapCause,
     GridCause,
     ObstacleCause,
     OrbitCause,
@@ -94,6 +95,16 @@ def test_each_cause_of_a_finding_has_a_sentence() -> None:
                 )
             },
             ["branch +1 scatters before crossing 1", "--longest"],
+        ),
+        (
+            GapCause.TOUCH,
+            {"counts": (1, 2), "energies": (0.1, 0.2), "system": JOULE},
+            ["crossings change from 1 to 2 between 0.1 and 0.2 J"],
+        ),
+        (
+            GapCause.UNFOLLOWED,
+            {"duration": 2.5, "energies": (0.1,), "system": OWN_UNITS, "error": "no"},
+            ["a flight of 2.5 could not be followed beyond 0.1: no"],
         ),
         (ReferenceCause.SOLVER, {"answer": "no", "obstacle": Obstacle(ObstacleCause.FRICTION, share=0.5)}, ["50%"]),
         (GridCause.TIME, GRID | {"beyond": SimpleNamespace(energy=-0.95)}, ["at least 0 between", "before -0.95 J"]),
