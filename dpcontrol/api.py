@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from dpcontrol.bench.run import DrawnCharts
     from dpcontrol.bifurcations.bifurcations import BifurcationSearch
     from dpcontrol.control.export import ControllerSource
+    from dpcontrol.control.flight import Flight as Flight
     from dpcontrol.control.symbolic import Setpoint as Setpoint
     from dpcontrol.control.symbolic import SymbolicLaw as SymbolicLaw
     from dpcontrol.dynamics.chain import ArmChainParameters
@@ -1003,6 +1004,7 @@ def run(
     *,
     mismatch: float | None = None,
     plant: Place | None = None,
+    start: Sequence[float] | str | None = None,
     seed: Seed = 0,
     settings: Mapping[str, object] | None = None,
     rig: Rig | RigLink | str | None = None,
@@ -1018,6 +1020,8 @@ def run(
         itinerary: plan, or name or path of an itinerary.
         mismatch: largest relative error of the plant's parameters (default: the itinerary's).
         plant: name or path of a model for a plant with other arms (default: the same arms).
+        start: state (N,) from which a flight leads to the first stop, or "anywhere" for a random one within
+            `initial_error` and the like (default: as planned).
         seed: seed of the random numbers (default: 0).
         settings: run settings by path, such as {"drive.lag": 0.005} (default: none).
         rig: object with `read()`, `command(acceleration)` and `stop()`, address of a bench in real time, or link of
@@ -1039,10 +1043,52 @@ def run(
         >>> dp.run("outer-turn", mismatch=0.02, seed=3).converged
         True
     """
-    chosen = _settings(settings, mismatch=mismatch, plant=plant)
+    chosen = _settings(settings, mismatch=mismatch, plant=plant, start=start)
     with reporting(progress, "run") as report:
         loop = _closed(itinerary, chosen, yes=yes, progress=part_of(report, 0.0, 0.5))
         return loop.run(seed=seed, rig=rig, log=log, force=force, live=live, progress=part_of(report, 0.5, 1.0))
+
+
+@checked
+def flight(
+    model: Model | ArmChainParameters | Plan | str,
+    state: Sequence[float],
+    target: str | LyapunovOrbit | SustainedOrbit | Plan,
+    *,
+    limits: Limits | None = None,
+) -> Flight:
+    """Return a short motion of the cart that carries the arms from any state to a target.
+
+    At its end, the law that holds the target takes over. The flight uses two thirds of the greatest acceleration, 80 %
+    of the greatest speed, and leaves up to 7 cm of the track free at each end, so that feedback can follow it.
+
+    Args:
+        model: model, its name, arms, or a plan, whose model and limits are used.
+        state: state (N,): angles, rad, rates, rad/s, and position and velocity of the cart, m and m/s.
+        target: name of an equilibrium such as "up-up", an orbit (any phase), or a plan (its first stop).
+        limits: limits of the cart (default: the plan's, or those of `Limits`).
+
+    Returns:
+        The flight, which samples and draws itself, and tells its cause if it misses the target.
+
+    Raises:
+        InputError: a state of another length, or an unknown equilibrium.
+        GoalMissed: the target cannot be held.
+
+    Examples:
+        >>> dp.flight("lab", [0, 0, 0, 0, 0, 0], "up-up").converged
+        True
+    """
+    from dpcontrol.dynamics.chain import ArmChainParameters
+    from dpcontrol.plans.plan import Plan
+    from dpcontrol.references.problem import Limits
+    from dpcontrol.runs.flights import plan_flight
+
+    if isinstance(model, Plan):
+        arms, limits = model.itinerary.model.arms, limits or model.reference.limits
+    else:
+        arms = model if isinstance(model, ArmChainParameters) else _model(model).arms
+    return plan_flight(arms, state, target, limits or Limits())
 
 
 @checked
@@ -1071,8 +1117,8 @@ def launch(
 
     The itinerary is planned first if its plan is not cached. The run is missed (exit code 1) if it is not completed. A
     rig has no true state, so there it is missed if the run ended early, or if by the estimate a symbol was not done.
-    For hours, the itinerary is repeated, seamlessly if its end meets its start, and otherwise from rest. After a fall,
-    the arms are calmed and the symbol is repeated, except with another `on_fall`.
+    For hours, the itinerary is repeated, seamlessly if its end meets its start, and otherwise after a flight to it.
+    After a fall, the arms fly back and the symbol is repeated, except with another `on_fall`.
 
     Args:
         itinerary: plan, or name or path of an itinerary.
@@ -3335,4 +3381,7 @@ def _settings(settings: Mapping[str, object] | None, **named: object) -> dict[st
 
     if isinstance(named.get("plant"), Path):
         named["plant"] = str(named["plant"])
+    start: Any = named.get("start")
+    if hasattr(start, "tolist"):
+        named["start"] = start.tolist()
     return {**canonical(settings or {}), **canonical(named)}

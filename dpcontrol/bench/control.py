@@ -33,7 +33,7 @@ from dpcontrol.control.estimator_settings import (
     nees,
     share_inside,
 )
-from dpcontrol.control.interface import Controller, Estimate, Estimator, SampledModel
+from dpcontrol.control.interface import Controller, Estimate, Estimator, SampledModel, sampled_model
 from dpcontrol.control.lqr import HoldSettings, hold_controller
 from dpcontrol.control.ogy import ClassicOgySettings, OgySettings, ogy_controller
 from dpcontrol.control.periodic import orbit_controller
@@ -51,7 +51,7 @@ from dpcontrol.judge.score import Flown, verdict_on
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.bench import SensorSettings
 from dpcontrol.loop.controllers import ADAPTIVE_ESTIMATORS, ESTIMATORS, make_estimator
-from dpcontrol.loop.loop import LoopSettings, sampled_model
+from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.loop.protocols import Reading
 from dpcontrol.loop.result import BatchRun, Ending
 from dpcontrol.orbits.lyapunov import lyapunov_orbit

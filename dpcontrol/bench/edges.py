@@ -26,6 +26,7 @@ from scipy.optimize import brentq
 from dpcontrol.bench.chart import Attempt, Border, EdgeChart, EdgeMap, find_border, half_of, measured_maps
 from dpcontrol.bench.control import RATE, held_orbit, keeps
 from dpcontrol.control.estimator_settings import EkfSettings
+from dpcontrol.control.interface import sampled_model
 from dpcontrol.control.lqr import HoldController, HoldSettings, hold_controller
 from dpcontrol.control.margins import SHAKEN
 from dpcontrol.control.ogy import OgyController, OgySettings, ogy_controller
@@ -36,7 +37,7 @@ from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.progress import Progress
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.bench import DriveSettings, SensorSettings
-from dpcontrol.loop.loop import LoopSettings, sampled_model
+from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.loop.result import BatchRun, Ending
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.model import load_model

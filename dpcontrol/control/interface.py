@@ -18,6 +18,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from dpcontrol.dynamics.chain import ArmChainParameters, Level, arm_chain_equations
 from dpcontrol.dynamics.compiled import Compiled
 from dpcontrol.dynamics.equations import Equations
 from dpcontrol.foundation.arrays import Array
@@ -333,6 +334,11 @@ class GainSchedule(Brief):
     law: Any = None
     """A user's law (`dpcontrol.control.symbolic`) that acts in addition to the gains."""
 
+    @property
+    def shortened(self) -> "GainSchedule":
+        """The schedule without its rows."""
+        return replace(self, rows=self.rows[:0], references=self.references[:0])
+
     def turned(self, turns: Array) -> "GainSchedule":
         """Return the schedule with turns added to all its angles.
 
@@ -478,3 +484,20 @@ class SampledModel:
         base = np.repeat((self.parameters if parameters is None else parameters)[:, None], count, axis=1)
         _, a, b = self._function.map(count)(states.T, np.asarray(commands)[None, :], base)
         return np.array(a).T.reshape(count, n, n).transpose(0, 2, 1), np.array(b).T.reshape(count, n)
+
+
+def sampled_model(parameters: ArmChainParameters, rate: float, lag: float = 0.0) -> SampledModel:
+    """Return the cart-level model of these arms between ticks.
+
+    It always has dry friction, possibly zero, for a filter that estimates it.
+
+    Args:
+        parameters: parameters of the arms.
+        rate: rate of the ticks, Hz.
+        lag: time constant of the drive, s, default 0.
+    """
+    parameters = replace(parameters, coulomb=parameters.coulomb or (0.0,) * parameters.count)
+    equations = arm_chain_equations(parameters.count, Level.CART, friction=parameters.friction)
+    # A step of one period does not resolve a faster reversal.
+    eased = replace(parameters, smoothing=max(parameters.smoothing, parameters.coulomb_acceleration / rate))
+    return SampledModel(equations, eased.base(), period=1 / rate, lag=lag)

@@ -112,6 +112,7 @@ class HoldController(Brief):
         ticks: number of periods.
         drive_gain: gain on the cart's acceleration, for a lagging drive.
         extra_gains: gains (E,) on the estimator's extras `names`.
+        cost: matrix P (N, N) of the cost-to-go.
     """
 
     kind: str
@@ -122,6 +123,7 @@ class HoldController(Brief):
     drive_gain: float | None = None
     extra_gains: Array | None = None
     names: tuple[str, ...] = ()
+    cost: Array | None = None
 
     @property
     def first_state(self) -> Array:
@@ -291,7 +293,10 @@ def hold_controller(
         raise GoalMissed(f"the equilibrium cannot be held: the best loop's largest multiplier is {slowest:.6g}")
     text = f"slowest motion dies out in {-model.period / np.log(slowest):.3g} s, assumed damping {damping:.3g}"
     drive = float(gains[-1]) if model.lag else None
-    found = HoldController(settings.kind, x, gains[: len(x)], max(round(seconds / model.period), 1), text, drive)
+    size = len(x)
+    found = HoldController(
+        settings.kind, x, gains[:size], max(round(seconds / model.period), 1), text, drive, cost=cost[:size, :size]
+    )
     if extras is None:
         return found
     pushes = cost @ np.pad(extras.effects, ((0, len(b) - len(x)), (0, 0)))

@@ -450,23 +450,56 @@ def tracking_controller(
     states, commands, drive = _at_ticks(reference, model)
     if isinstance(settings, FeedforwardSettings):
         gains = np.zeros((len(commands), model.dimension + (model.lag > 0)))
-        known = _by_time(reference, model, commands, drive, gains)
+        known = _by_time(model, commands, drive, gains, reference.limits.acceleration)
         return TrackingController(settings.kind, states, **known, status=f"feedforward over {len(commands)} ticks")
+    law = tracked(states, commands, drive, model=model, settings=settings, most=reference.limits.acceleration)
+    if settings.schedule == "phase":
+        return phase_controller(
+            settings.kind, states=states, feedforward=law.feedforward, gains=law.gains, period=model.period
+        )
+    return law
+
+
+def tracked(
+    states: Array, commands: Array, drive: Array, *, model: SampledModel, settings: TvlqrSettings, most: float,
+    terminal: Array | None = None, coarse: SampledModel | None = None,
+) -> TrackingController:  # fmt: skip
+    """Return the controller for states and inputs at the model's ticks.
+
+    Args:
+        states: states (K+1, N).
+        commands: mean accelerations (K,) of the cart in the periods, m/s².
+        drive: accelerations (K+1,) of the cart at the ticks, m/s².
+        model: model of arms and drive from tick to tick.
+        settings: weights of the law.
+        most: greatest acceleration of the cart, m/s².
+        terminal: cost-to-go P (N, N) at the end, default that of the model frozen there.
+        coarse: model over several ticks, for which the gains are computed, default `model`. They change slowly.
+
+    Raises:
+        GoalMissed: the end cannot be stabilised, or the gains are infinite.
+    """
+    timed, coarse = model, coarse or model
+    every = round(coarse.period / timed.period)
+    known, model = (states, commands), coarse
+    last = len(commands)
+    commands = np.add.reduceat(commands, range(0, last, every)) / np.minimum(every, last - np.arange(0, last, every))
+    states = np.concatenate([states[:-1:every], states[-1:]])
     diagonal, effort = settings.weights(model.arms, model.period)
     a, b = model.lagging(*model.linearised(states[:-1], commands))
-    terminal = terminal_cost(a[-1], b[-1], weights=_widened(np.diag(diagonal), model), effort=effort)
+    if terminal is None:
+        terminal = terminal_cost(a[-1], b[-1], weights=_widened(np.diag(diagonal), model), effort=effort)
+    else:
+        terminal = _widened(terminal, model)
     weights = _widened(closing_weights(settings, states, model), model)
     gains, *_ = riccati_gains(a, b, weights=weights, effort=effort, terminal=terminal)
     if not np.isfinite(gains).all():
         raise GoalMissed(
             "the controller's gains became infinite; increase the weight of the effort or shorten the period"
         )
-    known = _by_time(reference, model, commands, drive, gains)
-    if settings.schedule == "phase":
-        return phase_controller(
-            settings.kind, states=states, feedforward=known["feedforward"], gains=known["gains"], period=model.period
-        )
-    return TrackingController(settings.kind, states, **known, status=f"gains for {len(commands)} ticks")
+    gains = np.repeat(gains, every, axis=0)[:last]
+    fields = _by_time(timed, known[1], drive, gains, most)
+    return TrackingController(settings.kind, known[0], **fields, status=f"gains for {last} ticks")
 
 
 def _at_ticks(reference: Reference, model: SampledModel) -> tuple[Array, Array, Array]:
@@ -494,7 +527,7 @@ def _widened(weights: Array, model: SampledModel) -> Array:
     return np.pad(weights, [(0, 0)] * (weights.ndim - 2) + [(0, 1), (0, 1)]) if model.lag else weights
 
 
-def _by_time(reference: Reference, model: SampledModel, commands: Array, drive: Array, gains: Array) -> dict[str, Any]:
+def _by_time(model: SampledModel, commands: Array, drive: Array, gains: Array, most: float) -> dict[str, Any]:
     """Return the fields of a law by time.
 
     Feedforward, gains (K, N), and data of a lagging drive.
@@ -503,14 +536,16 @@ def _by_time(reference: Reference, model: SampledModel, commands: Array, drive: 
     """
     if not model.lag:
         return {"feedforward": commands, "gains": gains}
-    keeps, most = model.lag_keeps, reference.limits.acceleration
+    keeps = model.lag_keeps
     led = np.clip((drive[1:] - keeps * drive[:-1]) / (1 - keeps), -most, most)
     on_drive = np.append(gains[:, -1], gains[-1, -1])
     return {"feedforward": led, "gains": gains[:, :-1], "drive": np.stack([drive, on_drive], axis=1)}
 
 
-def costs_to_go(reference: Reference, model: SampledModel, settings: QuadraticWeights) -> tuple[Array, Array]:
-    """Return states (K+1, N) and P (K+1, N, N) at the ticks.
+def costs_to_go(
+    reference: Reference, model: SampledModel, settings: QuadraticWeights
+) -> tuple[Array, Array, Array, Array]:
+    """Return states (K+1, N), inputs (K,), gains (K, N) and P (K+1, N, N) at the ticks.
 
     P is that of the cost-to-go eᵀPe.
 
@@ -527,8 +562,8 @@ def costs_to_go(reference: Reference, model: SampledModel, settings: QuadraticWe
     a, b = model.linearised(states[:-1], commands)
     diagonal, effort = settings.weights(model.arms, model.period)
     terminal = terminal_cost(a[-1], b[-1], weights=np.diag(diagonal), effort=effort)
-    *_, costs = riccati_gains(a, b, weights=diagonal, effort=effort, terminal=terminal)
-    return states, costs
+    gains, _, costs = riccati_gains(a, b, weights=diagonal, effort=effort, terminal=terminal)
+    return states, commands, gains, costs
 
 
 def extra_jacobians(
@@ -695,7 +730,7 @@ def adaptive_controller(
             "the controller's gains became infinite; increase the weight of the effort or shorten the period"
         )
     return AdaptiveController(
-        settings.kind, states, **_by_time(reference, model, commands, drive, gains),
+        settings.kind, states, **_by_time(model, commands, drive, gains, reference.limits.acceleration),
         status=f"gains for {len(commands)} ticks, on the state and on {', '.join(names)}",
         extra_gains=extra_gains, pair_gains=pair_gains, names=names, shares=shares, trust=settings.trust,
     )  # fmt: skip

@@ -173,6 +173,13 @@ class DepartureCause(StrEnum):
     WRAPS = auto()
 
 
+class FlightCause(StrEnum):
+    """How the search for a flight ended."""
+
+    REACHED = auto()
+    MISSED = auto()
+
+
 class Cause(StrEnum):
     """Cause of a fall, of a run's end or of another event in its log."""
 
@@ -202,8 +209,9 @@ class Cause(StrEnum):
     BEGUN = "begun"
     JOINED = "on the itinerary"
     LAP_DONE = "lap done"
-    RESTED = "at rest"
-    STARTED = "from rest"
+    FLOWN = "flight planned"
+    MISSED = "flight missed its place"
+    ANYWHERE = "from anywhere"
     CLOCKLESS = "no clock"
     LATE = "deadline missed"
     CUT = "command cut"

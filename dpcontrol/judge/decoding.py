@@ -127,6 +127,17 @@ def decode_run(time: Array, angles: Array, plan: Reference) -> Decoded:
     return Decoded(tuple(visits), crossings, _wraps(crossings, due, content), lost)
 
 
+def stays(plan: Reference) -> tuple[tuple[float, float], ...]:
+    """Return begin and end of the reference's stay at each stop, s.
+
+    Args:
+        plan: reference of the plan.
+    """
+    times = np.arange(0.0, plan.duration, _GRID)
+    angles = plan.state(plan.mesh[0] + times)[:, : len(plan.content.stops[0].angles)]
+    return tuple((visit.first * _GRID, visit.last * _GRID) for visit in decode_run(times, angles, plan).visits)
+
+
 def _due(plan: Reference, arms: int) -> list[float]:
     """Return the reference's time of each section crossing, s.
 

@@ -27,14 +27,14 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.settings import check_names
 from dpcontrol.foundation.shown import Shown, pandas_classes
 from dpcontrol.logs.container import partials_of
-from dpcontrol.logs.layout import CATCH, LAP, REST, RESUME, RETURN, START, Event
+from dpcontrol.logs.layout import CATCH, FLIGHT, LAP, RESUME, RETURN, Event
 from dpcontrol.logs.reader import read_log
 from dpcontrol.logs.rolling import Digest, digest_of_log
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-ITINERARY, CALMING, STARTING = "on the itinerary", "arms calmed", "rising"
+ITINERARY, BRAKING, FLYING = "on the itinerary", "braking", "in flight"
 BETWEEN, UNKNOWN = "between repetitions", "no log"
 """Kinds of spans, as displayed."""
 STOPPED = "ended"
@@ -253,7 +253,7 @@ class Night(Shown, Documented):
             "return_median": quantiles[0], "return_99": quantiles[1],
             "not_back": sum(fall.back is None for fall in _firsts(self.falls, self.spans)),
             "stop_hits": self.stop_hits, "max_cart_position": self.cart, "rms_tracking_error": self.tracking,
-            "seconds": {kind: self._time(kind) for kind in (ITINERARY, CALMING, STARTING, BETWEEN)},
+            "seconds": {kind: self._time(kind) for kind in (ITINERARY, BRAKING, FLYING, BETWEEN)},
             "not_logged": lost, "endings": [picked(end, "time", "text", "cause") for end in self.endings],
             "drift": [asdict(drift) for drift in self.drifts],
             "memory_growth": self.memory_growth, "deadlines": self.deadlines, "partials": list(self.partials),
@@ -319,10 +319,10 @@ def followed(digests: Sequence[Digest]) -> tuple[list[NightSpan], list[Fall], li
             elif name == RETURN:
                 left = len(falls) if left is None else left
                 falls.append(Fall(time, event.cause or UNKNOWN_CAUSE, event.text))
-                turn(time, CALMING, falls[left].cause)
-            elif name == START and kind not in (STOPPED, ITINERARY):
-                turn(time, BETWEEN if kind == BETWEEN else STARTING, cause)
-            elif name not in (REST, START):
+                turn(time, BRAKING, falls[left].cause)
+            elif name == FLIGHT and kind not in (STOPPED, ITINERARY):
+                turn(time, kind if kind == BETWEEN else FLYING if event.level == "info" else BRAKING, cause)
+            elif name != FLIGHT:
                 if name != "finished":
                     endings.append(event)
                 turn(time, STOPPED)

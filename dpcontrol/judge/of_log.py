@@ -35,8 +35,8 @@ from dpcontrol.judge.score import (
     Flown,
     arms_in,
     counted,
-    flights_of,
     lacking,
+    legs_of,
     plan_of,
     score,
     spliced,
@@ -191,12 +191,10 @@ def _with_falls(log: RunLog, states: Array, plan: Reference, planned: PlanView) 
 
     Both are on the clock of the run.
     """
-    n, flights = len(log.arm_lengths), flights_of(log)
-    flown = Flown(
-        log.time, states, log.reference[:, :n], log.control["applied"], log.rate_hz, log.limits, flights=flights
-    )
+    n, legs = len(log.arm_lengths), legs_of(log)
+    flown = Flown(log.time, states, log.reference[:, :n], log.control["applied"], log.rate_hz, log.limits, legs=legs)
     run = spliced(flown, plan)
-    rows = np.concatenate([rows for rows, _ in counted(flights, rate_hz=log.rate_hz)])
+    rows = np.concatenate([rows for rows, _ in counted(legs, rate_hz=log.rate_hz)])
     decoded = decode_run(run.time, run.angles, plan)
 
     def clock(time: float) -> float:

@@ -4,14 +4,13 @@ from dpcontrol.control.interface import Mode
 from dpcontrol.logs.container import partials_of
 from dpcontrol.logs.layout import (
     CATCH,
+    FLIGHT,
     LAP,
     LEVELS,
-    REST,
     RESUME,
     RETURN,
-    START,
     Event,
-    Flight,
+    Leg,
     control_fields,
     joint_names,
 )

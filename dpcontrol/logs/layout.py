@@ -548,13 +548,11 @@ def record_type(message: Message) -> np.dtype:
     return np.dtype({"names": list(places), "formats": formats, "offsets": offsets, "itemsize": size})
 
 
-RETURN, REST, START, RESUME, LAP, CATCH = "return", "at rest", "start", "resume", "lap", "catch"
-"""Names of the events for leaving and rejoining the itinerary. The first event of a log is also a start
-and describes the controller.
-"""
+RETURN, FLIGHT, RESUME, LAP, CATCH = "return", "flight", "resume", "lap", "catch"
+"""Names of the events for leaving and rejoining the itinerary."""
 
 
-class Flight(NamedTuple):
+class Leg(NamedTuple):
     """Ticks `first` to `end` of a run on its itinerary.
 
     They start at time `at` s of the planned reference.

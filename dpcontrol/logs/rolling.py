@@ -27,13 +27,13 @@ import numpy as np
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError, remark
 from dpcontrol.foundation.files import write_whole
-from dpcontrol.logs.layout import LAP, LEVELS, REST, RESUME, RETURN, START, Event
+from dpcontrol.logs.layout import FLIGHT, LAP, LEVELS, RESUME, RETURN, Event
 from dpcontrol.logs.reader import RunLog
 from dpcontrol.logs.writer import LogWriter
 
 NIGHT_METADATA = "night"
 """Metadata record of each file, in JSON: its position in the night, see `RollingLog`."""
-_RECORDED = (RETURN, REST, START, RESUME, LAP)
+_RECORDED = (RETURN, FLIGHT, RESUME, LAP)
 _LEAST_LEVEL = LEVELS["error"]
 _DEADLINES = "deadlines_"
 _SOON = 1e-6

@@ -5,21 +5,21 @@ recovery, ticker and bench when they are first needed. Single runs, runs in lock
 use these parts.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from dpcontrol.control.calming import CalmingSettings, calming_controller
 from dpcontrol.control.estimator_settings import Augment, EkfSettings, FilterSettings
 from dpcontrol.control.handover import NearestKeeper
-from dpcontrol.control.interface import MANY, Controller, GainSchedule, Mode, SampledModel, schedule_of
-from dpcontrol.control.lqr import HoldController, HoldSettings
+from dpcontrol.control.interface import MANY, Controller, Mode, SampledModel, sampled_model, schedule_of
+from dpcontrol.control.lqr import HoldController, HoldSettings, hold_controller
 from dpcontrol.control.margins import Margins, NominalLoop, margins_of
 from dpcontrol.control.tick import TickProgram, whole_periods
-from dpcontrol.control.tracking import TvlqrSettings, costs_to_go
+from dpcontrol.control.tracking import TvlqrSettings
 from dpcontrol.dynamics.chain import ArmChainParameters, Uncertainty
 from dpcontrol.dynamics.compiled import VECTOR
 from dpcontrol.foundation.errors import InputError
@@ -27,20 +27,25 @@ from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.loop.bench import BenchDraw, SensorSettings, StreamReader
 from dpcontrol.loop.controllers import make_controller, make_estimator, nearest_keeper
 from dpcontrol.loop.lockstep import Lockstep
-from dpcontrol.loop.loop import ControlLoop, LoopSettings, sampled_model
+from dpcontrol.loop.loop import ControlLoop, LoopSettings
 from dpcontrol.loop.own import OwnEstimator, OwnLaw
-from dpcontrol.loop.recovery import RETURN_SECONDS, FallRecovery, Reach, RecoveryPlan, StartController, started
+from dpcontrol.loop.pilots import Briefing, DirectPilot, pilot_beside
+from dpcontrol.loop.recovery import (
+    RESTING,
+    FallRecovery,
+    RecoveryPlan,
+    braking_controller,
+    padded_controller,
+)
 from dpcontrol.loop.result import BatchRun, LoopResult, LoopSink
 from dpcontrol.loop.simulated import BatchBench, Encoders, SimulatedRig
+from dpcontrol.loop.targets import goal_of, reached, rest_goal
 from dpcontrol.loop.ticker import Ticker
-from dpcontrol.references.content import PlanStart
 from dpcontrol.references.problem import Limits
-from dpcontrol.references.reference import Reference, joined
+from dpcontrol.references.reference import Reference
 
 _PLACES = 100.0
 """Sampling rate of the reference for catching a run, Hz."""
-_ONWARD = 4.0
-"""Preview of a start's gains after it joins the itinerary, s. The gains do not depend on anything later."""
 _HELD = 10.0
 """Simulated duration of a hold when its margins are computed, s."""
 
@@ -58,6 +63,8 @@ class Assembly:
     """Controller that replaces the one of the settings."""
     believed_delay: float | None = None
     """Delay that the loop assumes, in periods; None for the drive's delay."""
+    stays: tuple[tuple[float, float], ...] = ()
+    """Begin and end of the stay at each stop, s, for runs that return to it."""
     base: "Assembly | None" = None
     """Assembly whose fallback and recovery this one uses."""
 
@@ -129,81 +136,44 @@ class Assembly:
 
     @cached_property
     def recovery(self) -> RecoveryPlan | None:
-        """The recovery from falls, using the reference's starts.
-
-        The result is None if falls end runs.
+        """The recovery from falls and the start from any state, or None if falls end runs that start as planned.
 
         Raises:
-            InputError: the reference has no starts, or the controller has no time-indexed gains.
-            GoalMissed: no controller exists for a start.
+            InputError: the stays at the stops are unknown, or the controller has no time-indexed gains.
+            GoalMissed: a stop or rest cannot be held.
         """
-        return self.planned_recovery() if self.base is None else self.base.recovery
-
-    def planned_recovery(self, *, later: bool = False) -> RecoveryPlan | None:
-        """Return `recovery`, which a run may extend.
-
-        Args:
-            later: True if starts may be added while the itinerary runs, default False.
-        """
-        reference, settings = self.reference, self.settings
-        s = settings.supervisor
-        if s.on_fall == "stop":
+        if self.base is not None:
+            return self.base.recovery
+        s, anywhere = self.settings.supervisor, self.settings.start != "planned"
+        if s.on_fall == "stop" and not anywhere:
             return None
-        main = schedule_of(self.controller, whole_periods(settings.drive.delay)[1])
+        main = schedule_of(self.controller, whole_periods(self.settings.drive.delay)[1])
         if main is None or main.law is not None:
+            asks = "run: start" if anywhere else f'supervisor: on_fall = "{s.on_fall}"'
             raise InputError(
-                f'supervisor: on_fall = "{s.on_fall}": {self.controller.kind} as set here has no gains '
-                'by time, so it cannot resume at a start; use "adaptive", "lqr" or "tvlqr" by time, without keep'
+                f"{asks}: {self.controller.kind} as set here has no gains by time, so it cannot resume at a stop; use "
+                '"adaptive", "lqr" or "tvlqr" by time, without keep'
             )
-        content = reference.content
-        if not content.starts and not later:
-            raise InputError(
-                f'supervisor: on_fall = "{s.on_fall}": the reference was planned without ways from rest to its stops; '
-                "plan the itinerary again with that setting"
+        model, limits, content = self.model, self.limits, self.reference.content
+        every = max(1, round(self.settings.rate / _PLACES))
+        sampled = sampled_model(self.arms, self.settings.rate / every)
+        reach, targets = reached(self.reference, sampled, TvlqrSettings(), every=every, limits=limits)
+        stops = [
+            goal_of(
+                reach, targets, main, begin=begin, end=end, period=content.orbit(stop).period, rate=self.settings.rate
             )
-        ways = [self.start(start, main) for start in content.starts]
-        model, limits = self.model, self.limits
-        reaction = (settings.drive.delay + 1) / settings.rate + settings.known_lag
-        calming = calming_controller(model, limits, CalmingSettings(), reaction=reaction, seconds=RETURN_SECONDS)
+            for stop, (begin, end) in zip(content.stops, self.stays, strict=True)
+        ]
+        rest = hold_controller(np.zeros(model.dimension), model, HoldSettings(damping=0.0), seconds=4 * RESTING)
+        goals = (*stops, rest_goal(rest, main, limits))
+        briefing = Briefing(self.arms, self.settings.rate, model.lag, limits, goals)
         last = content.orbit(content.stops[-1])
-        every = max(1, round(settings.rate / _PLACES))
-        reach = costs_to_go(reference, sampled_model(self.arms, settings.rate / every), TvlqrSettings())
         return RecoveryPlan(
-            calming, ways, tuple(stop.saddle for stop in content.stops),
-            tuple(symbol.text for symbol in content.symbols), limits,
-            last.curve[:, : model.arms], last.period, main,
-            Reach(every, *reach), s.on_fall == "restart", s.attempts,
+            model, padded_controller(braking_controller(model), main), briefing, DirectPilot(briefing),
+            tuple(stop.saddle for stop in content.stops), tuple(symbol.text for symbol in content.symbols),
+            last.curve[:, : model.arms], last.period, main, reach, s.on_fall == "restart",
+            1 if s.on_fall == "stop" else s.attempts, anywhere,
         )  # fmt: skip
-
-    def start(self, start: PlanStart, main: GainSchedule) -> StartController:
-        """Return a controller from rest to a stop and along the reference.
-
-        Args:
-            start: transfer from rest to a stop, and the place at which it joins the reference.
-            main: gains of the whole reference.
-
-        Raises:
-            GoalMissed: no controller exists for the start.
-        """
-        # Runs without recovery do not need the code that finds references.
-        from dpcontrol.references.find import tail
-
-        settings = self.settings
-        turns = 2 * np.pi * np.array(start.turns, dtype=float)
-        gains, ticks = main, 0
-        lead_in = self.reference.lead_in(start)
-        if lead_in is not None:
-            ticks = round(lead_in.duration * settings.rate)
-            onward = tail(self.reference, start.at, seconds=_ONWARD, turns=turns)
-            law = TvlqrSettings() if isinstance(settings.controller, HoldSettings) else settings.controller
-            flown = make_controller(
-                joined([lead_in, onward])[0], self.arms, self.model, settings=law, estimator=settings.estimator
-            )
-            before = schedule_of(flown, whole_periods(settings.drive.delay)[1])
-            assert before is not None
-            gains = before
-        whole = started(gains, main, lead_in=ticks, place=round(start.at * settings.rate), turns=turns)
-        return StartController(start.stop, start.at, ticks, turns, whole)
 
     def ticker(self, *, runs: int = 1) -> Ticker:
         """Return controller, estimator and supervisor for one or more runs.
@@ -247,6 +217,15 @@ class Assembly:
             "trust": trust, "mode": Mode.TRACKING, "scale": settings.sensors.cart_resolution,
             "drive_noise": settings.drive.command_noise,
         }  # fmt: skip
+
+    @contextmanager
+    def recovery_beside(self) -> Iterator[RecoveryPlan | None]:
+        """Return the recovery with a pilot in a second process, for a bench in real time; None without recovery."""
+        if self.recovery is None:
+            yield None
+            return
+        with pilot_beside(self.recovery.briefing) as pilot:
+            yield replace(self.recovery, pilot=pilot)
 
     def loop(
         self,
@@ -321,9 +300,11 @@ class Assembly:
             sink=sink, rate_noise=draw.reader("rate_noise", lambda rows: rows[:, :, None]), recovery=recovery,
             until=until, keep=keep, progress=progress,
         )  # fmt: skip
+        start = self.settings.start
         rig = SimulatedRig(
-            draw, self.settings.bench, limits=self.limits, start=self.controller.first_state, queued=loop.queued
-        )
+            draw, self.settings.bench, limits=self.limits,
+            start=self.controller.first_state if isinstance(start, str) else np.array(start), queued=loop.queued,
+        )  # fmt: skip
         return replace(loop.run(rig), plant=draw.plant.arms, hardest=rig.hardest)
 
     @property

@@ -439,6 +439,7 @@ class MechanicsSettings(Settings, table="mechanics"):
         kinetic: torque of a sliding joint as a share of that.
         initial_rate: bound of each uniform initial rate, rad/s.
         initial_cart: initial position of the cart, m.
+        initial_position, initial_velocity: bounds of its uniform random additions: m and m/s.
         known_belt: belt frequency assumed by the loop, by default the true one, 0 to ignore it, Hz.
         known_play: play assumed by the loop, by default the true one, 0 to ignore it, rad.
     """
@@ -482,6 +483,14 @@ class MechanicsSettings(Settings, table="mechanics"):
     ] = 0.0
     initial_cart: Annotated[
         float, Setting(least=-100, most=100, unit="m", usual=(0.0, 5.0), help="Initial position of the cart.")
+    ] = 0.0
+    initial_position: Annotated[
+        float,
+        Setting(least=0, most=100, unit="m", usual=(0.0, 5.0), help="Largest random initial distance of the cart."),
+    ] = 0.0
+    initial_velocity: Annotated[
+        float,
+        Setting(least=0, most=100, unit="m/s", usual=(0.0, 10.0), help="Largest random initial speed of the cart."),
     ] = 0.0
     known_belt: Annotated[
         float,
@@ -561,7 +570,7 @@ class BenchSettings:
 # The order is that of the seed's streams: append only, because any other change alters the runs of old seeds.
 _STREAMS = ("plant", "initial_error", "zero_errors", "command_noise", "ages", "dropped", "missed", "noise",
             "rate_noise", "pushes", "knocks", "model", "zero_drift", "random_blows",
-            "initial_rate", "play")  # fmt: skip
+            "initial_rate", "play", "initial_position", "initial_velocity")  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -632,6 +641,7 @@ class BenchDraw(Brief):
         plant: parameters of the arms.
         initial_error: errors (n,) of the initial angles, rad.
         initial_rate: initial rates (n,), rad/s.
+        initial_cart: initial position and velocity (2,) of the cart, m and m/s.
         zeros: zero errors (n,) of the encoders, rad.
         drift: drift (n,) of these errors, rad/s.
         blows: blows by tick.
@@ -656,6 +666,7 @@ class BenchDraw(Brief):
     plant: PlantParameters
     initial_error: Array
     initial_rate: Array
+    initial_cart: Array
     zeros: Array
     drift: Array
     streams: Mapping[str, Stream]
@@ -801,6 +812,10 @@ def draw_bench(
         plant=settings.plant(true_arms, within("play", 0.5 if settings.mechanics.play else 0.0)),
         initial_error=within("initial_error", unlike.initial_error),
         initial_rate=within("initial_rate", settings.mechanics.initial_rate),
+        initial_cart=np.array([
+            settings.mechanics.initial_cart + within("initial_position", settings.mechanics.initial_position)[0],
+            within("initial_velocity", settings.mechanics.initial_velocity)[0],
+        ]),
         zeros=within("zero_errors", sensors.zero_error),
         drift=np.copysign(sensors.zero_drift / 3600, within("zero_drift", sensors.zero_drift)),
         streams=streams,

@@ -22,14 +22,13 @@ import numpy as np
 
 from dpcontrol.control.estimator_settings import EkfSettings, EstimatorSettings
 from dpcontrol.control.handover import NearestKeeper
-from dpcontrol.control.interface import SampledModel
 from dpcontrol.control.tick import KnownMechanics, Outcome
 from dpcontrol.control.tracking import TvlqrSettings
-from dpcontrol.dynamics.chain import ArmChainParameters, Level, Uncertainty, arm_chain_equations
+from dpcontrol.dynamics.chain import ArmChainParameters, Uncertainty
 from dpcontrol.foundation.causes import Cause
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress, no_progress
-from dpcontrol.foundation.settings import Setting, Settings
+from dpcontrol.foundation.settings import Setting, Settings, suggest
 from dpcontrol.logs import Event
 from dpcontrol.loop.bench import (
     BenchDraw,
@@ -222,7 +221,7 @@ class ControlLoop:
         self.progress("run", 1.0)
         kept = Ticks.joined([*self._full, self._rows.between(0, done - self._first)])
         result = LoopResult(self.end, kept, late, elapsed, np.array(thinking))
-        return result if recovery is None else replace(result, falls=recovery.falls, flights=recovery.flights(done))
+        return result if recovery is None else replace(result, falls=recovery.falls, legs=recovery.legs(done))
 
     def _fail(self, k: int, failure: ArithmeticError) -> None:
         """Record a failure that ends the run at tick k.
@@ -336,6 +335,7 @@ class LoopSettings(Settings, table="run"):
     Attributes:
         seed: seed of the random numbers.
         rate: rate of the loop, Hz.
+        start: "planned", or "anywhere" or a state (N,), from which a flight leads to the first stop.
         initial_error: largest initial error of each angle, rad.
         mismatch: largest relative error of the plant's parameters.
         model_uncertainty: factor on the standard errors in the model's file, from which the plant is drawn as well.
@@ -350,6 +350,10 @@ class LoopSettings(Settings, table="run"):
     rate: Annotated[
         float, Setting(least=1, most=10_000, unit="Hz", usual=(20.0, 20_000.0), help="Rate of the loop.")
     ] = 1000.0
+    start: Annotated[
+        str | tuple[float, ...],
+        Setting(help='"planned", or "anywhere" or a state, from which a flight leads to the first stop.'),
+    ] = "planned"
     initial_error: Annotated[
         float, Setting(least=0, most=np.pi, unit="rad", usual=(0.0, 1.0), help="Largest error of each initial angle.")
     ] = 0.0
@@ -395,9 +399,13 @@ class LoopSettings(Settings, table="run"):
 
         The keeper of stops must fit the controller, and a plant is drawn in one way.
         """
+        if isinstance(self.start, str) and self.start not in ("planned", "anywhere"):
+            raise self.refusal("start", f"{suggest(self.start, ('planned', 'anywhere'))}, or a state")
         if self.plant is not None and self.model_uncertainty:
             raise self.refusal("model_uncertainty", "the plant's arms differ from the model's; use a mismatch")
-        mechanics = replace(self.mechanics, initial_rate=0.0, initial_cart=0.0)
+        mechanics = replace(
+            self.mechanics, initial_rate=0.0, initial_cart=0.0, initial_position=0.0, initial_velocity=0.0
+        )
         built_in = self.drive.lag or self.drive.cart_mass or self.disturbances.tilt or mechanics != MechanicsSettings()
         if self._own_plant and (built_in or self.model_uncertainty):
             raise InputError(
@@ -507,20 +515,3 @@ class LoopSettings(Settings, table="run"):
             planned: limits of the plan, whose travel the settings can replace.
         """
         return replace(planned, position=self.travel) if self.travel else planned
-
-
-def sampled_model(parameters: ArmChainParameters, rate: float, lag: float = 0.0) -> SampledModel:
-    """Return the cart-level model of these arms between ticks.
-
-    It always has dry friction, possibly zero, for a filter that estimates it.
-
-    Args:
-        parameters: parameters of the arms.
-        rate: rate of the ticks, Hz.
-        lag: time constant of the drive, s, default 0.
-    """
-    parameters = replace(parameters, coulomb=parameters.coulomb or (0.0,) * parameters.count)
-    equations = arm_chain_equations(parameters.count, Level.CART, friction=parameters.friction)
-    # A step of one period does not resolve a faster reversal.
-    eased = replace(parameters, smoothing=max(parameters.smoothing, parameters.coulomb_acceleration / rate))
-    return SampledModel(equations, eased.base(), period=1 / rate, lag=lag)

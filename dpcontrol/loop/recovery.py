@@ -1,11 +1,14 @@
-"""Recovery from a fall: calm the arms, start again, resume.
+"""Recovery from a fall: brake the cart, fly back to a stop, resume.
 
 A run is a sequence of motions on one rig. One `Ticker` controls them all without interruption, so its filter and its
 pending commands continue from one motion to the next:
 
     itinerary   the plan's reference from some time onward
-    return      brake and calm the arms until they hang at rest
-    start       from rest to a stop, by a planned transfer
+    brake       the cart brakes towards the middle of its track until the estimate is reliable and a flight is planned
+    flight      from the present state to a place of a stop, or to rest (`dpcontrol.control.flight`)
+
+A flight is planned for the state that the braking law leads to within `THINKING` s, so that a bench in real time can
+plan it in a second process. After two flights that failed, the next one leads to rest.
 
 A run may be caught before it falls. If the state is far from the reference and an earlier point is much nearer, the
 itinerary resumes there. Such a point can be another phase or round of an orbit, or lie on the tube that leads to it.
@@ -19,9 +22,8 @@ Flying a section again costs time, so V is multiplied by (1 + back/`_WORTH`) for
 After a fall, the run repeats the failed symbol from the preceding stop. Completed symbols remain completed.
 """
 
-import math
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import partial
@@ -29,27 +31,34 @@ from typing import Any
 
 import numpy as np
 
-from dpcontrol.control.calming import CalmingController
-from dpcontrol.control.interface import Controller, GainSchedule, whole_turns
+from dpcontrol.control.flight import BRAKING_GAINS, JOINED
+from dpcontrol.control.interface import Controller, GainSchedule, SampledModel, whole_turns
+from dpcontrol.control.lqr import HoldController
 from dpcontrol.control.tick import BRAKING, Report
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.causes import Cause
 from dpcontrol.foundation.shown import Brief
-from dpcontrol.logs import CATCH, LAP, REST, RESUME, RETURN, START, Event, Flight
+from dpcontrol.logs import CATCH, FLIGHT, LAP, RESUME, RETURN, Event, Leg
+from dpcontrol.loop.pilots import THINKING, Briefing, Course, Pilot, Request
+from dpcontrol.loop.targets import Goal, Reach, padded
 from dpcontrol.loop.ticker import Ticker
 from dpcontrol.references.problem import Limits
 
-RETURN_SECONDS = 15.0
-"""Time limit of a return before it restarts, s; returns from states after a fall take at most 6 s."""
+_SETTLING = 0.03
+"""Time for a restarted filter to estimate the rates, s."""
+_BRAKING_SECONDS = 15.0
+"""Time limit of braking before it restarts, s."""
+_TRIES = 2
+"""Flights to a stop that may fail before one leads to rest."""
+_SLOWER, _MOST_THINKING = 1.5, 0.6
+"""Factor on the time for a search after a late answer, and its limit, s."""
+_MOST_TRIES = 20
+"""Flights after a fall that may fail before the run ends."""
+RESTING = 0.3
+"""Time at rest before the flight from there to a stop is planned, s."""
 FOLLOWED = 0.15
 """Mean distance below which a run follows its reference, rad. A run also has to have followed `_BEFORE` s earlier."""
 _BEFORE = 0.5
-REST_ANGLE, REST_RATE, REST_CART = 0.05, 0.1, 0.01
-"""Bounds on the estimate for arms that hang at rest with the cart in the middle: rad, rad/s, and m or m/s."""
-_QUIET = 0.3
-"""Rate below which arms hang at rest if they keep it for `REST_SECONDS`, rad/s; swinging arms exceed it."""
-REST_SECONDS, FRESH_SECONDS = 0.3, 0.2
-"""Duration of rest, and the time for the restarted filter to estimate the rates, s."""
 _TRIED = 0.3
 """Observation time of a restarted filter before its estimate is used, s."""
 _STUCK = 20.0
@@ -60,8 +69,8 @@ _EVERY = 10
 """Ticks between checks of the hold."""
 _FAR, _NEARER = 10.0, 0.5
 """Cost-to-go at which the search for another place starts, and the fraction of it that the place must not exceed."""
-_NEAR, _WORTH = 0.8, 1.0
-"""Maximum angle of an arm from a candidate place, rad, and the interval back that doubles its cost, s."""
+_WORTH = 1.0
+"""Interval back that doubles the cost of a place, s."""
 _LOOKS, _DRIFTS = 0.1, 0.005
 """Interval between checks that a stopped cart stays still, s, and the velocity that counts as drift, m/s."""
 _FAST = 0.9
@@ -77,17 +86,17 @@ class Motion(StrEnum):
     """The present motion of a run."""
 
     ITINERARY = "itinerary"
-    RETURN = "return"
-    START = "start"
+    BRAKE = "brake"
+    FLIGHT = "flight"
 
 
-def calming_bounds(limits: Limits) -> Mapping[str, float]:
-    """Return the bounds that differ during a return.
+def braking_bounds(limits: Limits) -> Mapping[str, float]:
+    """Return the bounds that differ while the cart brakes.
 
     They replace those of a flight (`tick.Numbers`).
 
-    Any distance from rest is allowed, and the filter may restart without limit. The law keeps the cart on its track.
-    The supervisor intervenes only if nothing but maximum braking remains.
+    Any distance from rest is allowed, and the filter may restart without limit. The supervisor intervenes only if
+    nothing but maximum braking remains.
 
     Args:
         limits: the cart's limits.
@@ -98,23 +107,24 @@ def calming_bounds(limits: Limits) -> Mapping[str, float]:
     }  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False)
-class StartController(Brief):
-    """A transfer onto the itinerary and its continuation.
+def braking_controller(model: SampledModel) -> HoldController:
+    """Return the law that brakes the cart towards the middle of its track, whatever the arms do.
 
-    It starts from rest or from a nearby state.
+    Args:
+        model: model of arms and drive from tick to tick.
     """
+    gain = np.zeros(model.dimension)
+    gain[-2:] = BRAKING_GAINS
+    ticks = max(round(_BRAKING_SECONDS / model.period), 1)
+    return HoldController("brake", np.zeros(model.dimension), gain, ticks, "", 0.0 if model.lag else None)
 
-    stop: int
-    """Index of the stop of the walk."""
-    at: float
-    """Time of the plan's reference at which the start joins, s."""
-    lead_in: int
-    """Ticks before it joins."""
-    turns: Array
-    """Whole turns (n,) between the plan's reference and this one, rad."""
+
+@dataclass(frozen=True, eq=False)
+class ScheduledController(Brief):
+    """A gain schedule as a controller."""
+
     gains: GainSchedule
-    kind: str = "start"
+    kind: str
 
     @property
     def first_state(self) -> Array:
@@ -135,87 +145,29 @@ class StartController(Brief):
         return self.gains
 
 
-def started(before: GainSchedule, main: GainSchedule, *, lead_in: int, place: int, turns: Array) -> GainSchedule:
-    """Return one gain schedule followed by another.
+def padded_controller(law: HoldController, main: GainSchedule) -> ScheduledController:
+    """Return a hold with the columns of another law's gains.
 
     Args:
-        before: gains of the first ticks.
-        main: gains of the rest.
-        lead_in: number of ticks of `before`.
-        place: tick of `main` that follows.
-        turns: angles (n,) subtracted from those of `main`, rad.
+        law: the hold.
+        main: gains with all columns.
     """
-    rest = main.turned(-turns)
-    return replace(
-        main,
-        rows=np.concatenate([before.rows[:lead_in], rest.rows[place:]]),
-        references=np.concatenate([before.references[:lead_in], rest.references[place:]]),
-        queued=before.queued if lead_in else main.queued,
-    )
-
-
-@dataclass(frozen=True, eq=False)
-class Reach(Brief):
-    """Places of a reference, `every` ticks apart.
-
-    States (M, N) and cost-to-go matrices P (M, N, N).
-    """
-
-    every: int
-    states: Array
-    costs: Array
-
-    def cost(self, state: Array, place: int) -> float:
-        """Return the cost-to-go to a place, modulo whole turns.
-
-        Args:
-            state: state (N,).
-            place: index of the place.
-        """
-        away = self._away(state, slice(place, place + 1))[0]
-        return float(away @ self.costs[place] @ away)
-
-    def nearest(self, state: Array, last: int, *, worth: float) -> tuple[int, float]:
-        """Return the place with the least cost, and that cost.
-
-        The cost is infinite if no place is near. It doubles `worth` places earlier.
-
-        Args:
-            state: state (N,).
-            last: index of the last place that is considered.
-            worth: number of places after which the cost doubles.
-        """
-        away = self._away(state, slice(last + 1))
-        # Quadratic forms for all places would take longer than a tick.
-        near = np.flatnonzero(np.abs(away[:, : len(state) // 2 - 1]).max(axis=1) < _NEAR)
-        if not near.size:
-            return last, math.inf
-        costs = np.einsum("ki,kij,kj->k", away[near], self.costs[near], away[near]) * (1 + (last - near) / worth)
-        least = int(np.argmin(costs))
-        return int(near[least]), float(costs[least])
-
-    def _away(self, state: Array, places: slice) -> Array:
-        n = len(state) // 2 - 1
-        away = state - self.states[places]
-        away[:, :n] -= whole_turns(away[:, :n])
-        return away
+    return ScheduledController(padded(law.schedule(0), main), law.kind)
 
 
 @dataclass(frozen=True, eq=False)
 class RecoveryPlan(Brief):
-    """Data shared by all recoveries of an itinerary.
+    """Data shared by all recoveries of an itinerary."""
 
-    Starts may be appended during a run.
-    """
-
-    calming: CalmingController
-    starts: list[StartController]
-    """Ways from rest to the stops, in order."""
+    model: SampledModel
+    braking: ScheduledController
+    briefing: Briefing
+    """Limits, and the goals of the stops, in order, and at last of rest."""
+    pilot: Pilot
     names: tuple[str, ...]
     """Names of the stops."""
     symbols: tuple[str, ...]
     """Texts of the symbols, one fewer than the names."""
-    limits: Limits
     path: Array
     """Path (M, n) of the last stop's orbit modulo whole turns, rad."""
     period: float
@@ -227,10 +179,22 @@ class RecoveryPlan(Brief):
     """True if the itinerary restarts after a fall."""
     attempts: int = 10
     """Maximum attempts per symbol; 0 for no limit."""
-    ready: Callable[[], bool] = lambda: True
-    """Called when the arms hang at rest; False if no start is available yet."""
+    anywhere: bool = False
+    """True if the run begins with a flight."""
+
+    @property
+    def goals(self) -> tuple[Goal, ...]:
+        """Goals of the stops, and at last of rest."""
+        return self.briefing.goals
+
+    @property
+    def limits(self) -> Limits:
+        """Limits of the cart."""
+        return self.briefing.limits
 
 
+_NEVER = -1
+"""Tick of the answer if no flight was asked for."""
 _event = partial(Event, 0.0)
 """An event whose time the loop sets: level, name, cause and figures."""
 
@@ -252,23 +216,26 @@ class FallRecovery:
         self._attempts: dict[int, int] = {}
         self._stop, self._lap, self._begins = 0, 1, False
         self._at, self._joins = 0.0, 0
-        self._followed, self._rested, self._lost_at = 0, 0, 0
-        self._calms, self._fresh, self._began, self._bounds = False, False, 0, dict[str, float]()
+        self._followed, self._lost_at, self._began = 0, 0, 0
+        self._reliable, self._asks, self._answers, self._tries = False, 0, _NEVER, 0
+        self._goal = 0
+        self._bounds = dict[str, float]()
+        self._course: Course
+        self._thinking = THINKING
         self._why, self._sensor = Cause.FINISHED, 0
-        self._flown: list[Flight] = []
-        self._quiet, self._quiet_ticks = 0, round(REST_SECONDS / plan.calming.period)
+        self._flown: list[Leg] = []
         self._meets: int | None = None
         self._seen = 0, 0.0
         self._arms = len(main.first_state) // 2 - 1
-        self._latest: deque[Array] = deque(maxlen=max(round(plan.period / plan.calming.period / _EVERY), 1))
+        self._latest: deque[Array] = deque(maxlen=max(round(plan.period / plan.model.period / _EVERY), 1))
 
-    def flights(self, end: int) -> tuple[Flight, ...]:
+    def legs(self, end: int) -> tuple[Leg, ...]:
         """Return the intervals on the itinerary up to the tick `end`.
 
         Args:
-            end: tick that ends a flight under way.
+            end: tick that ends a leg under way.
         """
-        under_way = [Flight(self._joins, end, self._at)] if self.motion is Motion.ITINERARY else []
+        under_way = [Leg(self._joins, end, self._at)] if self.motion is Motion.ITINERARY else []
         return (*self._flown, *under_way)
 
     def begin(self, ticker: Ticker) -> Event:
@@ -278,12 +245,16 @@ class FallRecovery:
             ticker: ticker of the run.
         """
         self._bounds = {
-            name: getattr(ticker.program.numbers, name).item(0) for name in calming_bounds(self._plan.limits)
+            name: getattr(ticker.program.numbers, name).item(0) for name in braking_bounds(self._plan.limits)
         }
         ticker.prepare_to_hold()
         if self.until:
             self._meets = meeting_tick(ticker.references, round(LAST_SECONDS / ticker.program.period))
-        return self._resumed()
+        if not self._plan.anywhere:
+            return self._resumed()
+        ticker.lose()
+        self._brake(-1, ticker)
+        return _event("info", RETURN, Cause.ANYWHERE)
 
     def _progress(self) -> Mapping[str, Any]:
         """Return the next symbol, 0 at the last stop, and the number of this attempt."""
@@ -309,7 +280,7 @@ class FallRecovery:
         """
         fastest, place = self._plan.limits.velocity, 2 * self._arms + 1
         speed = abs(report.state.item(place, 0))
-        if speed < _FAST * fastest or self.motion is Motion.RETURN:
+        if speed < _FAST * fastest or self.motion is not Motion.ITINERARY:
             return {}
         planned = abs(float(ticker.references[k - ticker.began, place]))
         if speed < planned + (1 - _FAST) * fastest:
@@ -319,7 +290,7 @@ class FallRecovery:
     def fell(
         self, k: int, cause: Cause, figures: Mapping[str, Any], ticker: Ticker, period: float
     ) -> Sequence[Event] | None:
-        """Begin a return after a fall at tick k.
+        """Begin to brake after a fall at tick k.
 
         Args:
             k: tick.
@@ -331,42 +302,43 @@ class FallRecovery:
         Returns:
             Events to log, or None if no attempt is left.
         """
-        plan = self._plan
-        if self.motion is not Motion.RETURN:
+        plan, before = self._plan, self.motion
+        if before is Motion.ITINERARY:
             self.falls += 1
-            if self.motion is Motion.ITINERARY:
-                self._flown.append(Flight(self._joins, k + 1, self._at))
-                good = self._at + (self._followed - self._joins) * period - _BEFORE
-                # Stops that no start leads to are skipped.
-                reached = [start.stop for start in plan.starts if start.at <= good]
-                self._stop = 0 if plan.restarts else max([self._stop, *reached])
+            self._flown.append(Leg(self._joins, k + 1, self._at))
+            good = self._at + (self._followed - self._joins) * period - _BEFORE
+            reached = [stop for stop, goal in enumerate(plan.goals[:-1]) if goal.at[0] <= good]
+            self._stop, self._tries = 0 if plan.restarts else max([self._stop, *reached]), 0
             tried = self._attempts[self._stop] = self._attempts.get(self._stop, 0) + 1
             if plan.attempts and tried >= plan.attempts:
-                self.motion = Motion.RETURN
+                self.motion = Motion.BRAKE
                 return None
-        logged = self.motion is not Motion.RETURN or k * period - self._began * period > 1.0
-        self.motion, self._why, self._began = Motion.RETURN, cause, k
+        elif before is Motion.FLIGHT:
+            self._tries += 1
+        logged = before is not Motion.BRAKE or (k - self._began) * period > 1.0
+        self._why = cause
         self._sensor = int(ticker.report.sensor.item(0))
-        self._rested, self._lost_at = k, k
         # After a fall, the parameter estimates may be wrong.
         ticker.lose()
-        if cause in (Cause.ESTIMATE_LOST, Cause.SILENT, Cause.STUCK):
-            # The cart stays still until the estimate is reliable again.
-            self._calm(k, ticker, still=True)
-        else:
-            self._calm(k, ticker)
+        # The cart stays still until the estimate is reliable again.
+        self._brake(k, ticker, still=cause in (Cause.ESTIMATE_LOST, Cause.SILENT, Cause.STUCK))
+        if self._tries >= _MOST_TRIES:
+            return None
         next_symbol = {"again": 0 if plan.restarts else self._stop + 1, "symbols": len(plan.symbols)}
-        return [_event("warn", RETURN, cause, {**figures, **next_symbol})] if logged else []
+        name = RETURN if before is Motion.ITINERARY else FLIGHT
+        return [_event("warn", name, cause, {**figures, **next_symbol})] if logged else []
 
-    def _calm(self, k: int, ticker: Ticker, *, still: bool = False) -> None:
-        """Calm the arms from the tick after k onward.
+    def _brake(self, k: int, ticker: Ticker, *, still: bool = False) -> None:
+        """Brake the cart from the tick after k onward.
 
-        With `still`, brake and hold the cart first.
+        With `still`, it comes to rest where it is.
         """
-        self._calms, self._rested, self._quiet, self._fresh = not still, k, k, False
+        self.motion, self._began, self._lost_at = Motion.BRAKE, k, k
+        self._reliable, self._answers = not still, _NEVER
+        self._asks = k + round(_SETTLING / self._plan.model.period)
         ticker.follow(
-            k + 1, self._plan.calming, lift=np.zeros(self._arms),
-            bounds=calming_bounds(self._plan.limits), uses_switch=False,
+            k + 1, self._plan.braking, lift=np.zeros(self._arms), bounds=braking_bounds(self._plan.limits),
+            uses_switch=False,
         )  # fmt: skip
         if still:
             ticker.brake(k + 1)
@@ -390,32 +362,98 @@ class FallRecovery:
             if self._meets is not None and round(self._at / period) + k + 1 - self._joins == self._meets:
                 return self._lapped(k, ticker.references[k + 1 - ticker.began], ticker)
             return () if k % _EVERY else self._caught(k, report, ticker, period)
-        if self.motion is Motion.START:
-            if k + 1 < self._joins:
-                return ()
-            self.motion, self._followed = Motion.ITINERARY, k
-            return [self._resumed()]
+        if self.motion is Motion.FLIGHT:
+            if k + 1 >= self._joins:
+                return self._arrived(k, report, ticker)
+            self._check(k, report, ticker)
+            return ()
         over = k + 2 == ticker.began + ticker.count
-        if not self._calms:
+        if not self._reliable:
             self._hold_still(k, report, ticker, period)
             if (reliable := self._is_reliable(k, report, ticker, period)) or over:
-                self._calm(k, ticker, still=not reliable)
+                self._brake(k, ticker, still=not reliable)
             return ()
-        for_s = self._at_rest(k, report, ticker) * period
-        if for_s < REST_SECONDS + FRESH_SECONDS:
-            if for_s >= REST_SECONDS and not self._fresh:
-                ticker.lose()
-                self._fresh = True
-            if over:
-                ticker.lose()
-                self._calm(k, ticker)
+        if k == self._answers:
+            return self._fly(k, report, ticker)
+        if over:
+            self._brake(k, ticker)
+        elif k >= self._asks and self._answers == _NEVER:
+            self._goal = -1 if self._tries and not self._tries % (_TRIES + 1) else self._stop
+            self._ask(k, report, ticker)
+        return ()
+
+    def _ask(self, k: int, report: Report, ticker: Ticker, *, course: Course | None = None) -> None:
+        """Ask for a flight from the state after some time of braking, or of the present flight."""
+        program, model = ticker.program, self._plan.model
+        ticks = max(round(self._thinking / model.period), 1)
+        self._answers = k + ticks
+        means, drive = program.acting_on_their_way()
+        mean = means[-1].item(0) if means else report.acting.item(0)
+        state = model.step(report.ahead[:, 0], mean)
+        if course is None:
+            program.memory.velocity[:] = state[-1]
+        self._plan.pilot.ask(
+            Request(state, drive.item(0), ticks, ticker.lead, self._goal, course, k + 1 + ticker.lead - ticker.began)
+        )
+
+    def _fly(self, k: int, report: Report, ticker: Ticker) -> Sequence[Event]:
+        """Follow the flight from tick k + 1, or ask again."""
+        plan = self._plan
+        answer = plan.pilot.answer()
+        if answer is None or answer.course is None:
+            # A late answer is for a state that has passed; a slow processor gets more time.
+            self._tries += answer is not None
+            self._thinking = min((1.0 if answer else _SLOWER) * self._thinking, _MOST_THINKING)
+            self._ask(k, report, ticker)
             return ()
-        if not self._plan.ready():
-            if over:
-                self._calm(k, ticker)
+        course = answer.course
+        self._follow(k, course, ticker)
+        duration = {"duration": course.duration, "waited": (k - self._began) * plan.model.period}
+        return [_event("info", FLIGHT, Cause.FLOWN, {**self._progress(), **self._stop_figures(), **duration})]
+
+    def _follow(self, k: int, course: Course, ticker: Ticker) -> None:
+        """Follow a flight from tick k + 1 on."""
+        law = padded(course.law.schedule(ticker.lead), self._plan.gains)
+        ticker.follow(k + 1, ScheduledController(law, "flight"), lift=np.zeros(self._arms), bounds=self._bounds)
+        self.motion, self._course = Motion.FLIGHT, course
+        self._joins, self._answers = k + 1 + course.law.ticks, _NEVER
+
+    def _check(self, k: int, report: Report, ticker: Ticker) -> None:
+        """Replace the present flight if it is going to miss its place, unless it is nearly over."""
+        if k == self._answers:
+            self._answers = _NEVER
+            if (answer := self._plan.pilot.answer()) is not None and answer.course is not None:
+                self._follow(k, answer.course, ticker)
+        elif self._answers == _NEVER and (self._joins - k) * ticker.program.period > 2 * self._thinking:
+            self._ask(k, report, ticker, course=self._course)
+
+    def _stop_figures(self) -> Mapping[str, Any]:
+        """Return number and name of the stop that the flight leads to, none for rest."""
+        return {"stop": self._goal + 1, "stop_name": self._plan.names[self._goal]} if self._goal >= 0 else {}
+
+    def _arrived(self, k: int, report: Report, ticker: Ticker) -> Sequence[Event]:
+        """Resume the itinerary after a flight, or plan another one."""
+        goal, place, n = self._plan.goals[self._goal], self._course.place, self._arms
+        away = report.state[:, 0] - goal.target.states[place]
+        turns = whole_turns(away[:n])
+        away[:n] -= turns
+        if not away @ goal.target.costs[place] @ away < JOINED:
+            self._tries += 1
+            self._brake(k, ticker)
+            return [_event("warn", FLIGHT, Cause.MISSED, self._stop_figures())]
+        if k + 1 == self._joins:
+            rows, references = goal.gains.rows[goal.ticks[place] :], goal.gains.references[goal.ticks[place] :]
+            law = ScheduledController(replace(goal.gains, rows=rows, references=references), self._main.kind)
+            ticker.follow(k + 1, law, lift=turns, bounds=self._bounds)
+        if self._goal < 0:
+            if k + 1 >= self._joins + round(RESTING / ticker.program.period):
+                self._tries += 1
+                self._goal = self._stop
+                self._brake(k, ticker)
             return ()
-        rested = _event("info", REST, Cause.RESTED, {"seconds": (k - self._began) * period})
-        return [rested, *self._start(k, report, ticker)]
+        self._at = float(goal.at[place])
+        self.motion, self._followed = Motion.ITINERARY, k
+        return [self._resumed()]
 
     def _caught(self, k: int, report: Report, ticker: Ticker, period: float) -> Sequence[Event]:
         """Resume from an earlier place if the state is near it.
@@ -434,18 +472,18 @@ class FallRecovery:
         if not least < _NEARER * own:
             return ()
         back, tick = (here - place) * reach.every * period, place * reach.every + 1
-        stop = max((start.stop for start in plan.starts if start.at <= tick * period), default=0)
+        stop = max((stop for stop, goal in enumerate(plan.goals[:-1]) if goal.at[0] <= tick * period), default=0)
         if back > plan.period:
             # A symbol, or a part of it, is repeated.
             if plan.attempts and self._attempts.get(stop, 0) + 2 > plan.attempts:
                 return ()
             self._attempts[stop] = self._attempts.get(stop, 0) + 1
-        self._flown.append(Flight(self._joins, k + 1, self._at))
+        self._flown.append(Leg(self._joins, k + 1, self._at))
         self._stop, self._at, self._joins, self._followed = stop, tick * period, k + 1, k
         self._near = False
         turns = whole_turns(state[:n] - reach.states[place, :n])
         rest = replace(plan.gains, rows=plan.gains.rows[tick:], references=plan.gains.references[tick:])
-        ticker.follow(k + 1, StartController(stop, self._at, 0, turns, rest), lift=turns, bounds=self._bounds)
+        ticker.follow(k + 1, ScheduledController(rest, self._main.kind), lift=turns, bounds=self._bounds)
         figures = {**self._progress(), "back": back, "least": least, "here": own}
         return [_event("warn", CATCH, Cause.JOINED, figures)]
 
@@ -481,44 +519,6 @@ class FallRecovery:
             self._lost_at = k
             ticker.lose()
         return bool(report.done.item(0)) and (k - self._lost_at) * period >= _TRIED
-
-    def _at_rest(self, k: int, report: Report, ticker: Ticker) -> int:
-        """Return the number of ticks at rest up to k.
-
-        At rest, the arms hang still and the cart is centred.
-        """
-        n = self._arms
-        state = report.state[:, 0].tolist()
-        if any(abs(rate) > _QUIET for rate in state[n : 2 * n]):
-            self._quiet = k
-        elif k - self._quiet == self._quiet_ticks and not self._fresh:
-            # The arms hang at rest. The filter may have estimated wrong zero errors during the swing and would
-            # correct them slowly.
-            ticker.lose()
-        moves = (
-            any(abs(math.remainder(angle, 2 * math.pi)) > REST_ANGLE for angle in state[:n])
-            or any(abs(rate) > REST_RATE for rate in state[n : 2 * n])
-            or any(abs(cart) > REST_CART for cart in state[2 * n :])
-        )
-        # A restarted filter needs time to find that the rates are small.
-        if moves and not self._fresh:
-            self._rested = k
-        return k - self._rested
-
-    def _start(self, k: int, report: Report, ticker: Ticker) -> list[Event]:
-        plan = self._plan
-        start = max((one for one in plan.starts if one.stop <= self._stop), key=lambda one: one.stop)
-        self._stop = start.stop
-        n = len(start.turns)
-        ticker.follow(k + 1, start, lift=whole_turns(report.state[:n, 0]), bounds=self._bounds)
-        self._at, self._joins = start.at, k + 1 + start.lead_in
-        self.motion = Motion.START
-        goal = {"stop": start.stop + 1, "stop_name": plan.names[start.stop]}
-        logged = [_event("info", START, Cause.STARTED, {**self._progress(), **goal})]
-        if start.lead_in == 0:
-            self.motion, self._followed = Motion.ITINERARY, k
-            logged.append(self._resumed())
-        return logged
 
     def _held(self, k: int, ticker: Ticker) -> Sequence[Event]:
         """Begin a return if the last stop was not held.
@@ -563,8 +563,8 @@ class FallRecovery:
             ticker.follow(k + 1, self._main, lift=turns, bounds=self._bounds)
             self._followed = k
             return [self._resumed()]
-        self.motion, self._began = Motion.RETURN, k
-        self._calm(k, ticker)
+        self._tries = 0
+        self._brake(k, ticker)
         return [_event("info", RETURN, Cause.LAP_DONE, {"lap": self._lap - 1})]
 
 

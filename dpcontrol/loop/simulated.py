@@ -383,7 +383,7 @@ class SimulatedBench:
         first = np.array(start if lanes is ONE else np.broadcast_to(start, (len(draws), 2 * n + 2)), dtype=float).T
         first[:n] += joined([d.initial_error for d in draws])
         first[n : 2 * n] += joined([d.initial_rate for d in draws])
-        first[2 * n] += settings.mechanics.initial_cart
+        first[2 * n :] += joined([d.initial_cart for d in draws])
         further = np.array([
             d.plant.own_states(state) for d, state in zip(draws, first.reshape(2 * n + 2, -1).T, strict=True)
         ]).T  # fmt: skip

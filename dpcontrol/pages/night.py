@@ -11,15 +11,15 @@ from matplotlib.ticker import MaxNLocator
 
 from dpcontrol.foundation.causes import Cause
 from dpcontrol.foundation.units import prefixed
-from dpcontrol.judge.night import BETWEEN, CALMING, ITINERARY, STARTING, STOPPED, UNKNOWN, Night
+from dpcontrol.judge.night import BETWEEN, BRAKING, FLYING, ITINERARY, STOPPED, UNKNOWN, Night
 from dpcontrol.pages import style
 from dpcontrol.pages.layout import Page, Panel
 from dpcontrol.pages.panels import Bar, bars, empty, name_curves, quiet
 
 _COLOURS = {
     ITINERARY: style.MODES["holding"],
-    CALMING: style.MODES["saturated"],
-    STARTING: style.MODES["pulsing"],
+    BRAKING: style.MODES["saturated"],
+    FLYING: style.MODES["pulsing"],
     BETWEEN: style.MODES["tracking"],
     UNKNOWN: style.INK,
     STOPPED: style.PAPER,

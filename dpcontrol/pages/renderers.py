@@ -32,6 +32,7 @@ PANELS: dict[str, str] = {
     "dpcontrol.orbits.lyapunov.LyapunovOrbit": "single:orbit",
     "dpcontrol.orbits.rotating.RotatingOrbit": "single:orbit",
     "dpcontrol.references.sustained.SustainedOrbit": "single:angles",
+    "dpcontrol.control.flight.Flight": "single:flight",
     "dpcontrol.orbits.family.LyapunovFamily": "single:family",
     "dpcontrol.orbits.rotating.RotatingFamily": "single:family",
     "dpcontrol.orbits.tube.Tube": "single:tube",

@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from dpcontrol.bifurcations.bifurcations import BifurcationSearch, branch_diagram
+from dpcontrol.control.flight import Flight
 from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.document import counted
@@ -288,6 +289,23 @@ def angles(axes: Axes, found: Plan | RunLog | SustainedOrbit) -> None:
     """
     view = view_of(found)
     draw_chart(axes, charts(view)["angles"], view)
+
+
+def flight(axes: Axes, found: Flight) -> None:
+    """Draw the angles of a flight in turns, and the cart's position as a share of its limit.
+
+    Args:
+        axes: panel to draw on.
+        found: flight to draw.
+    """
+    times = np.linspace(*found.time_range, 400)
+    states, arms = found.states(times), found.nodes.shape[1] // 2 - 1
+    for arm in range(arms):
+        axes.plot(times, states[:, arm] / (2 * np.pi), color=style.arm_colour(arm), label=f"arm {arm + 1}, turns")
+    limit = found.limits.position
+    axes.plot(times, states[:, -2] / limit, color=style.INK, linestyle="--", label=f"cart, shares of {limit:g} m")
+    axes.legend()
+    quiet(axes, found.status, x="s")
 
 
 def plan_page(found: Plan) -> Figure:

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 
 from dpcontrol.judge.run_view import RunView, Stay
-from dpcontrol.logs import LAP, RESUME, RETURN, START, Mode
+from dpcontrol.logs import FLIGHT, LAP, RESUME, RETURN, Mode
 from dpcontrol.pages import style
 
 
@@ -74,8 +74,8 @@ def strips(view: RunView, *, until: float | None = None) -> tuple[Strip, ...]:
 _MOTIONS = {
     RESUME: ("itinerary", style.MODES["holding"]),
     LAP: ("itinerary", style.MODES["holding"]),
-    RETURN: ("return", style.MODES["saturated"]),
-    START: ("start", style.MODES["pulsing"]),
+    RETURN: ("braking", style.MODES["saturated"]),
+    FLIGHT: ("flight", style.MODES["pulsing"]),
 }
 """Activity of a run after an event, and its colour."""
 
@@ -83,10 +83,9 @@ _MOTIONS = {
 def _motions(view: RunView) -> Iterator[Span]:
     """Yield the periods of a run by activity.
 
-    The run is on its itinerary, returns to rest, or starts again.
+    The run is on its itinerary, brakes after a fall, or flies back.
     """
-    # The first event of a log describes its controller.
-    changes = [event for event in view.events if event.name in _MOTIONS and (event.name, event.time) != (START, 0.0)]
+    changes = [event for event in view.events if event.name in _MOTIONS]
     if not any(event.name == RETURN for event in changes):
         return
     ends = [*(event.time for event in changes[1:]), view.time_range[1]]

@@ -490,6 +490,9 @@ def _itinerary(
     rest = {key: value for key, value in document.items() if key not in _TABLES}
     listed, head = rest.pop("parts", None), {key: rest.pop(key) for key in leaves_of(Header) if key in rest}
     part_keys = [key for kind in _PARTS.values() for key in leaves_of(kind)]
+    if head.get("start") == "anywhere":
+        tables["run"] = {"start": "anywhere", **tables["run"]}
+        head["start"] = "hold" if listed is None and "hold" in rest else "orbit"
     if listed is None:
         # The part reports a misspelling of its keys.
         head |= {key: rest.pop(key) for key in list(rest) if key not in part_keys and not nearest(key, part_keys)}

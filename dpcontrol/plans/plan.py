@@ -8,7 +8,7 @@ reference can be scored and reviewed without other files.
 
 import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from io import BytesIO
@@ -23,11 +23,11 @@ from dpcontrol.foundation.checked import checked
 from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.foundation.files import content_hash, write_whole
-from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress, part_of
+from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress
 from dpcontrol.foundation.shown import Timed, checked_times
 from dpcontrol.logs.layout import state_names
 from dpcontrol.plans.itinerary import HoldPart, Itinerary, WalkPart, stored_itinerary
-from dpcontrol.references.content import PlanContent, PlanStart
+from dpcontrol.references.content import PlanContent
 from dpcontrol.references.ending import ReferenceEnding
 from dpcontrol.references.problem import PLANNING
 from dpcontrol.references.reference import ByReference, Reference, load_reference, save_reference
@@ -257,14 +257,6 @@ def make_plan(
         InputError: the walk needs connections that do not exist at this energy, or the plan would take too long.
         GoalMissed: an orbit or the shadowing orbit did not converge.
     """
-    if itinerary.loop.supervisor.on_fall != "stop":
-        stops = replace(itinerary.loop, supervisor=replace(itinerary.loop.supervisor, on_fall="stop"))
-        whole, rest = part_of(progress, 0.0, 0.7), part_of(progress, 0.7, 1.0)
-        plan = make_plan(
-            replace(itinerary, loop=stops), orbits=orbits, progress=whole, fresh=fresh, workers=workers,
-            yes=yes,
-        )  # fmt: skip
-        return recoverable(replace(plan, itinerary=itinerary), fresh=fresh, progress=rest)
     if itinerary.stored is not None and not fresh:
         return replace(load_plan(itinerary.stored), itinerary=itinerary)
     file = cache_file("plans", itinerary.name, plan_key(itinerary))
@@ -294,65 +286,6 @@ def _cached(itinerary: Itinerary, content: bytes, file: Path) -> Plan:
     plan = reference.content
     origin = replace(plan.origin, scene=itinerary.text, scene_hash=content_hash(itinerary.text), plant=itinerary.plant)
     return Plan(itinerary, replace(reference, plan=replace(plan, origin=origin)), file, cached=True)
-
-
-def with_kept_starts(plan: Plan) -> Plan:
-    """Return a plan with cached transfers from rest.
-
-    They are added if its runs need them and those to all its stops are cached.
-
-    Args:
-        plan: plan of an itinerary.
-    """
-    scene = plan.itinerary
-    if scene.loop.supervisor.on_fall == "stop" or plan.content.starts or not plan.converged:
-        return plan
-    file = _starts_file(plan)
-    content = kept(file)
-    return plan if content is None else replace(_cached(scene, content, file), cached=plan.cached)
-
-
-def _starts_file(plan: Plan) -> Path:
-    scene = plan.itinerary
-    content = [plan_key(scene), scene.loop.travel, PLANNING]
-    if plan.content.polished:
-        content.append(content_hash(plan.archive))
-    return cache_file("plans", f"{scene.name}-starts", content_hash(json.dumps(content)))
-
-
-def recoverable(
-    plan: Plan,
-    *,
-    fresh: bool = False,
-    found: Callable[[PlanStart], None] | None = None,
-    progress: Progress = no_progress,
-) -> Plan:
-    """Return a plan with transfers from rest to its stops.
-
-    Transfers are added if its runs recover from falls.
-
-    Args:
-        plan: plan of an itinerary.
-        fresh: True to ignore the cache, default False.
-        found: receiver of each start that is not cached; see `planned_starts`.
-        progress: receiver of progress reports.
-
-    Raises:
-        GoalMissed: the first stop cannot be reached from rest.
-    """
-    scene = plan.itinerary
-    if scene.loop.supervisor.on_fall == "stop" or plan.content.starts or not plan.converged:
-        return plan
-    if not fresh and (cached := with_kept_starts(plan)).content.starts:
-        return cached
-    # A plan without starts does not need their search.
-    from dpcontrol.plans.starts import planned_starts
-
-    starts = planned_starts(scene, plan.reference, found=found, progress=progress)
-    reference = replace(plan.reference, plan=replace(plan.content, starts=starts))
-    plan = Plan(scene, reference, _starts_file(plan), cached=False)
-    keep(plan.file, plan.archive)
-    return plan
 
 
 def load_plan(file: Path) -> Plan:

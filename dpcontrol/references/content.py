@@ -1,8 +1,8 @@
 """A plan's content: symbols, stops, orbits and costs beside its reference.
 
-Planning makes it, and a reference's file stores it: the fields without arrays as JSON (`notes` of the header), and the
-arrays under the names `orbit_K`, the K-th orbit's curve, and `start_K_mesh`, `start_K_states` and `start_K_inputs`. So
-a log that holds the reference can be scored and reviewed without other files.
+Planning makes it, and a reference's file stores it: the fields without arrays as JSON (`notes` of the header), and
+the arrays under the names `orbit_K`, the K-th orbit's curve. So a log that holds the reference can be scored and
+reviewed without other files.
 """
 
 from collections.abc import Mapping
@@ -188,26 +188,6 @@ class StaySegment:
     rows: tuple[int, int]
 
 
-@dataclass(frozen=True, eq=False)
-class PlanStart:
-    """A transfer from hanging at rest to a stop, which joins the reference at `at` s, `turns` short of it.
-
-    A stop at rest needs no transfer.
-
-    Attributes:
-        status: result of the search.
-        mesh, states, inputs: the transfer's, as in a reference.
-    """
-
-    stop: int
-    at: float
-    turns: tuple[int, ...]
-    status: str
-    mesh: Array | None = None
-    states: Array | None = None
-    inputs: Array | None = None
-
-
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PlanContent:
     """Symbols, stops, orbits and costs of a plan.
@@ -220,7 +200,6 @@ class PlanContent:
         origin: inputs of the plan.
         costs: cost of each transfer.
         segments: stays and flights of a walk with kept stops, or the stay on one orbit.
-        starts: transfers from rest, for runs that recover from falls.
         polished: least scaled distance to each stop's orbit, of a plan re-optimised as a whole. Such a plan keeps
             crossings, windings and wraps, but can leave the neighbourhood of the orbits.
         key: hash of the plan's inputs.
@@ -243,7 +222,6 @@ class PlanContent:
     origin: Origin
     costs: tuple[TransferCost, ...] = ()
     segments: tuple[FlightSegment | StaySegment, ...] = ()
-    starts: tuple[PlanStart, ...] = ()
     polished: tuple[float, ...] = ()
     key: str = ""
 
@@ -317,7 +295,6 @@ class PlanContent:
 
 _KEYS = {"origin": "made_from", "costs": "taken", "segments": "program", "key": "plan"}
 """Fields with other names in the file."""
-_ARRAYS = ("mesh", "states", "inputs")
 
 
 def stored(content: PlanContent) -> tuple[dict[str, Any], dict[str, Array]]:
@@ -327,9 +304,6 @@ def stored(content: PlanContent) -> tuple[dict[str, Any], dict[str, Array]]:
         content: the content.
     """
     arrays = {f"orbit_{k}": orbit.curve for k, orbit in enumerate(content.orbits)}
-    for k, start in enumerate(content.starts):
-        parts = {f"start_{k}_{name}": getattr(start, name) for name in _ARRAYS}
-        arrays |= {name: part for name, part in parts.items() if part is not None}
     values = asdict(content, dict_factory=_plain)
     return {_KEYS.get(name, name): value for name, value in values.items()}, arrays
 
@@ -357,8 +331,8 @@ def restored(notes: Mapping[str, Any], arrays: Mapping[str, Array], *, arms: int
         values["segments"] = [{**stay, **whole}]
     for k, orbit in enumerate(values["orbits"]):
         orbit["curve"] = arrays[f"orbit_{k}"]
-    for k, start in enumerate(values.get("starts", ())):
-        start |= {name: arrays.get(f"start_{k}_{name}") for name in _ARRAYS}
+    # Plans of version 0.2 hold transfers from rest, which flights replace.
+    values.pop("starts", None)
     values["origin"]["parameters"] = ArmChainParameters(**frozen(values["origin"]["parameters"]))
     content: PlanContent = adapter(PlanContent).validate_python(values)
     if not content.fits(arms):

@@ -34,7 +34,7 @@ from dpcontrol.foundation.document import Documented, document_of, picked, plain
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import archive, write_archive
 from dpcontrol.foundation.parts import installed
-from dpcontrol.references.content import PlanContent, PlanStart, restored, stored
+from dpcontrol.references.content import PlanContent, restored, stored
 from dpcontrol.references.ending import ReferenceEnding
 from dpcontrol.references.method import Method, method_named
 from dpcontrol.references.problem import Limits, ReferenceProblem, state_scale
@@ -119,16 +119,6 @@ class Reference(Trajectory):
         if self.plan is None:
             raise InputError("the reference has no plan; plan an itinerary")
         return self.plan
-
-    def lead_in(self, start: PlanStart) -> "Reference | None":
-        """Return the transfer of a start, or None if its stop is at rest.
-
-        Args:
-            start: one of the plan's starts.
-        """
-        if start.mesh is None:
-            return None
-        return replace(self, **picked(start, "mesh", "states", "inputs"), plan=None)
 
     @property
     def max_cart_position(self) -> float:

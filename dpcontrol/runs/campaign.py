@@ -79,6 +79,7 @@ from dpcontrol.foundation.shown import Brief, Shown, pandas_classes
 from dpcontrol.foundation.statistics import Pairing, Share, paired, wilson
 from dpcontrol.foundation.version import VERSION
 from dpcontrol.judge.campaign import CampaignSummary, summary_of
+from dpcontrol.judge.decoding import stays
 from dpcontrol.judge.score import Flown, verdict_on
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.loop import LoopSettings
@@ -86,7 +87,7 @@ from dpcontrol.loop.own import OwnExpressions, OwnLaw
 from dpcontrol.loop.result import BatchRun, Ending
 from dpcontrol.plans.itinerary import Itinerary
 from dpcontrol.plans.overrides import canonical
-from dpcontrol.plans.plan import Plan, recoverable
+from dpcontrol.plans.plan import Plan
 from dpcontrol.references.reference import Reference, load_reference
 
 if TYPE_CHECKING:
@@ -176,7 +177,8 @@ class Job:
 
 @lru_cache(maxsize=8)
 def _prepared(archive: bytes, arms: ArmChainParameters, loop: LoopSettings) -> Assembly:
-    assembly = Assembly(load_reference(io.BytesIO(archive)), arms, loop)
+    reference = load_reference(io.BytesIO(archive))
+    assembly = Assembly(reference, arms, loop, stays=stays(reference))
     _ = assembly.controller, assembly.fallback
     return assembly
 
@@ -240,7 +242,7 @@ def _row(job: Job, reference: Reference, seed: int, run: BatchRun, *, path: str)
         rate_hz=loop.rate,
         limits=(limits.position, limits.velocity, limits.acceleration),
         end=None if run.ending is Ending.FINISHED else run.end,
-        flights=run.flights,
+        legs=run.legs,
         hardest=run.hardest,
     )
     verdict = verdict_on(flown, reference)
@@ -666,13 +668,8 @@ def run_campaign(
     itinerary = plan.itinerary
     plans = transitions_of(plan) if transitions else (plan.followed(),)
     announce(_cost(plans, cases, settings), yes=yes)
-    # One plan serves all cases, whether they end with a fall or recover.
-    recovers = [case.loop for case in cases if case.loop.supervisor.on_fall != "stop"]
-    if recovers and transitions:
+    if transitions and any(case.loop.supervisor.on_fall != "stop" for case in cases):
         raise InputError("transitions alone end with a fall: leave on_fall at stop, or run the whole itinerary")
-    if recovers:
-        scene = replace(itinerary, loop=recovers[0])
-        plan = replace(recoverable(replace(plan, itinerary=scene)), itinerary=itinerary)
     jobs = [job for one in (plans if transitions else (plan,)) for job in _jobs(one, cases, settings)]
     record = campaign_record(itinerary, cases, settings, transitions=transitions)
     if file is not None and not force:

@@ -22,7 +22,7 @@ from dpcontrol.judge.preflight import Preflight
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.own import OwnObject, names_file, own_object
 from dpcontrol.loop.protocols import UserRig
-from dpcontrol.plans.plan import Plan, recoverable, with_kept_starts
+from dpcontrol.plans.plan import Plan
 from dpcontrol.runs.campaign import (
     STANDARD_CAMPAIGN,
     Campaign,
@@ -118,15 +118,6 @@ class ClosedLoop(Timed):
         """
         return assembled(self.plan)
 
-    @cached_property
-    def _flown(self) -> tuple[Plan, Assembly]:
-        """The plan and its assembly.
-
-        The plan has transfers from rest if its runs need them.
-        """
-        plan = recoverable(self.plan.followed())
-        return plan, replace(self.assembly, reference=plan.reference, law=self.assembly.controller)
-
     @checked
     def run(
         self,
@@ -158,7 +149,7 @@ class ClosedLoop(Timed):
         """
         bench = bench_of(rig)
         link, own = (bench, None) if isinstance(bench, RigLink) else (None, bench)
-        plan, assembly = self._flown
+        plan, assembly = self.plan.followed(), self.assembly
         scene = replace(plan.itinerary, loop=replace(plan.itinerary.loop, seed=seed))
         plan, shown, out = replace(plan, itinerary=scene), live_view if live else None, _path(log)
         if program is not None and (link is None or link.address != OWN_BENCH):
@@ -215,7 +206,7 @@ class ClosedLoop(Timed):
         night_cost(scene, night, night_folder(out), real_time=link is not None, yes=yes)
         with reporting(progress, "night") as report:
             return run_night(
-                with_kept_starts(replace(self.plan, itinerary=scene)), out, night, link=link, resume=resume,
+                replace(self.plan, itinerary=scene), out, night, link=link, resume=resume,
                 force=force, live=live_view if live else None, progress=report,
             )  # fmt: skip
 

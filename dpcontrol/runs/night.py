@@ -2,8 +2,8 @@
 
 Runs continue through falls and interruptions, into a folder of logs.
 
-If the end of the itinerary meets its start, the next repetition follows at once. Otherwise it begins from rest. After a
-fall the arms are calmed and the failed symbol is repeated (`dpcontrol.loop.recovery`).
+If the end of the itinerary meets its start, the next repetition follows at once. Otherwise a flight leads to its start.
+After a fall the arms fly back to a stop and the failed symbol is repeated (`dpcontrol.loop.recovery`).
 
 A resumed night keeps its random draws: the same plant, the same encoders with their drift, and the blows and noise that
 the uninterrupted night would have had from that time on. Arms and cart start again from rest, as on a bench.
@@ -11,30 +11,20 @@ the uninterrupted night would have had from that time on. Arms and cart start ag
 On a bench in real time, over UDP, a thread writes the log because a disk can stall for seconds.
 """
 
-import math
-import multiprocessing
-import os
 import shutil
 import sys
-import threading
 import time
-import warnings
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from io import BytesIO
 from math import ceil
-from multiprocessing.connection import Connection
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated
 
 from dpcontrol.control.estimator_settings import extra_names
-from dpcontrol.control.interface import GainSchedule
-from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import GoalMissed, InputError, remark
 from dpcontrol.foundation.files import InTheWay
-from dpcontrol.foundation.processes import end_with_parent, ignoring_interrupts
 from dpcontrol.foundation.progress import MOST_SECONDS, Cost, Progress, no_progress
 from dpcontrol.foundation.settings import Setting, Settings
 from dpcontrol.judge.night import Night, read_night
@@ -44,13 +34,11 @@ from dpcontrol.logs.rolling import NIGHT_METADATA, RollingLog
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.loop.own import OwnObject
-from dpcontrol.loop.recovery import LAST_SECONDS, RecoveryPlan, meeting_tick
+from dpcontrol.loop.recovery import RecoveryPlan
 from dpcontrol.loop.result import LogSink, SinkBeside
-from dpcontrol.plans.itinerary import Itinerary, stored_itinerary
+from dpcontrol.plans.itinerary import Itinerary
 from dpcontrol.plans.overrides import canonical
-from dpcontrol.plans.plan import Plan, expected_seconds, make_plan, recoverable, with_kept_starts
-from dpcontrol.references.content import PlanStart
-from dpcontrol.references.reference import load_reference
+from dpcontrol.plans.plan import Plan, expected_seconds, make_plan
 from dpcontrol.runs.run import (
     LiveSink,
     RigLink,
@@ -158,7 +146,7 @@ def night_cost(
         night: duration and logs.
         folder: folder of the logs.
         pace: simulated ticks per second.
-        overhead: time of the start and of waiting for transfers from rest, s.
+        overhead: time of the start, s.
         real_time: True on a rig.
         yes: accept a cost beyond the limits.
 
@@ -190,8 +178,6 @@ def night_cost(
 def night_plan(itinerary: Itinerary, *, yes: bool = False, progress: Progress = no_progress) -> Plan:
     """Return the plan of a long run.
 
-    The plan has cached transfers from rest to its stops.
-
     Args:
         itinerary: itinerary of `night_itinerary`.
         yes: accept any duration, default False.
@@ -200,98 +186,7 @@ def night_plan(itinerary: Itinerary, *, yes: bool = False, progress: Progress = 
     Raises:
         InputError, GoalMissed: see `make_plan`.
     """
-    stops = replace(itinerary.loop, supervisor=replace(itinerary.loop.supervisor, on_fall="stop"))
-    plan = make_plan(replace(itinerary, loop=stops), yes=yes, progress=progress)
-    return with_kept_starts(replace(plan, itinerary=itinerary))
-
-
-@contextmanager
-def _starts_beside(plan: Plan, recovery: RecoveryPlan, *, waits: bool) -> Iterator[RecoveryPlan]:
-    """Plan transfers from rest in a separate process.
-
-    Each transfer to a stop is appended to the recovery plan.
-
-    Each transfer is cached, so a run that ends early loses none. With `waits`, a run that needs a transfer waits for
-    the first one, which only simulated time can. Otherwise its arms keep resting.
-    """
-    starts, first, problems = recovery.starts, threading.Event(), list[GoalMissed]()
-    context = multiprocessing.get_context("spawn")
-    here, there = context.Pipe(duplex=False)
-    scene = plan.itinerary
-    arguments = (there, scene.path, scene.loop, plan.archive, recovery.gains, 0 if waits else _GENTLE)
-    process = context.Process(target=_plan_starts, args=arguments, daemon=True)
-
-    def collect() -> None:
-        with suppress(EOFError, OSError):
-            while True:
-                one = here.recv()
-                if isinstance(one, str):
-                    remark(one)
-                elif isinstance(one, GoalMissed):
-                    problems.append(one)
-                else:
-                    starts.append(one)
-                    first.set()
-        first.set()
-
-    def ready() -> bool:
-        if waits:
-            first.wait()
-        if first.is_set() and not starts:
-            raise (
-                problems[0]
-                if problems
-                else GoalMissed(
-                    "the process that plans ways from rest ended without one; run the night again with more memory"
-                )
-            )
-        return bool(starts)
-
-    with ignoring_interrupts():
-        process.start()
-    there.close()
-    threading.Thread(target=collect, daemon=True).start()
-    try:
-        yield replace(recovery, ready=ready)
-    finally:
-        process.terminate()
-        process.join()
-
-
-_GENTLE = 10
-"""Niceness of planning beside a loop in real time."""
-
-
-def _plan_starts(
-    pipe: Connection, path: Path, loop: LoopSettings, archive: bytes, main: GainSchedule, nice: int
-) -> None:
-    """Send transfers from rest as they are found.
-
-    Remarks are sent as texts, and an error if the first stop cannot be reached.
-
-    path: path of the itinerary for messages. archive: archive of its plan.
-    """
-    end_with_parent()
-    if hasattr(os, "nice"):
-        os.nice(nice)
-    reference = load_reference(BytesIO(archive))
-    # The plan holds the texts of itinerary and model because their objects cannot be sent to another process.
-    itinerary = replace(stored_itinerary(path, reference), loop=loop)
-    assembly, sent = Assembly(reference, itinerary.model.arms, loop), list[int]()
-
-    def found(start: PlanStart) -> None:
-        pipe.send(assembly.start(start, main))
-        sent.append(start.stop)
-
-    warnings.showwarning = lambda message, *_, **__: pipe.send(str(message))
-    try:
-        known = recoverable(Plan(itinerary, reference, Path(), cached=True), found=found).reference
-    except GoalMissed as missed:
-        pipe.send(missed)
-        return
-    for start in () if sent else known.content.starts:
-        # Another process may have cached them by now.
-        found(start)
+    return make_plan(itinerary, yes=yes, progress=progress)
 
 
 def _gigabytes(size: float) -> str:
@@ -346,7 +241,7 @@ def run_night(
     place = _place(folder, {**run_metadata(scene), **made_by}, night, settings.rate, resume=resume, force=force)
     since, until = round(place.begin * settings.rate), round(night.hours * 3600 * settings.rate)
     assembly = assembled(plan)
-    recovery = assembly.planned_recovery(later=True)
+    recovery = assembly.recovery
     if recovery is None:
         raise InputError(
             f'{scene.path}: [supervisor] on_fall = "stop": a long run repeats its itinerary, from rest if necessary; '
@@ -362,13 +257,11 @@ def run_night(
         keep_every=night.keep_every, session=place.session, number=place.number, begin=place.begin,
         end=night.hours * 3600,
     )  # fmt: skip
-    beside = nullcontext(recovery) if recovery.starts else _starts_beside(plan, recovery, waits=link is None)
-    with rolling, beside as recovery:
+    with rolling:
         try:
             if link is None:
                 pace = _pace(plan, assembly, recovery)
-                waits = 0.0 if recovery.starts else _waits(settings, recovery.gains.references, until - since) / pace
-                overhead = time.monotonic() - began + waits
+                overhead = time.monotonic() - began
                 remark(night_cost(scene, night, folder, pace=pace, overhead=overhead, yes=True))
                 simulated = assembly.under(_since(settings, place.begin))
                 with watched(plan, LogSink(rolling), live=live) as sink:
@@ -382,7 +275,12 @@ def run_night(
                 remark(night_cost(scene, night, folder, real_time=True, yes=True))
                 ticks = until - since + round(_BRAKING * settings.rate)
                 recipe = replace(bench_recipe(plan, assembly), recovering=ticks)
-                with _switching_soon(), SinkBeside(LogSink(rolling)) as log, watched(plan, log, live=live) as sink:
+                with (
+                    assembly.recovery_beside() as recovery,
+                    _switching_soon(),
+                    SinkBeside(LogSink(rolling)) as log,
+                    watched(plan, log, live=live) as sink,
+                ):
                     on_rig = assembly.loop(
                         sink=sink, recovery=recovery, until=until - since, keep=False, progress=progress
                     )
@@ -400,8 +298,6 @@ def run_night(
 def _pace(plan: Plan, assembly: Assembly, recovery: RecoveryPlan) -> float:
     """Measure the ticks per second that this machine simulates and logs."""
     until = round(_TRIAL * assembly.settings.rate)
-    # A trial that waits for a transfer would measure its planning.
-    recovery = replace(recovery, ready=lambda: bool(recovery.starts))
     with TemporaryDirectory() as folder, log_writer(plan, Path(folder) / "trial.mcap") as writer:
         return until / assembly.simulate(sink=LogSink(writer), recovery=recovery, keep=False, until=until).elapsed
 
@@ -410,28 +306,6 @@ _TRIAL = 6.0
 """s, simulated."""
 
 
-def _waits(settings: LoopSettings, references: Array, ticks: int) -> float:
-    """Return a night's expected wait for its first transfer from rest.
-
-    The night's expected wait is that of a simulated night, in ticks.
-
-    The transfer is needed if laps begin from rest. It may be needed after a blow: the forecast is then the geometric
-    mean of a night with the wait and one without.
-
-    Args:
-        settings: settings of the loop.
-        references: states (K, N) of a lap.
-        ticks: ticks of the night.
-    """
-    blows = settings.disturbances.knocks_per_minute
-    if len(references) < ticks and meeting_tick(references, round(LAST_SECONDS * settings.rate)) is None:
-        return max(0.0, _START_TICKS - len(references))
-    first = 60 * settings.rate / blows if blows else math.inf
-    return math.sqrt(ticks * (ticks + max(0.0, _START_TICKS - first))) - ticks if first < ticks else 0.0
-
-
-_START_TICKS = 600_000
-"""Ticks that are simulated while one transfer from rest is planned."""
 _BRAKING = 2.0
 """Time that a bench must run beyond the end of a night, for braking the cart, s."""
 

@@ -438,7 +438,7 @@ def _noted(plan: Plan, motion: Reference) -> Reference:
         for cost, (begin, end) in zip(content.costs, content.transfers, strict=True)
     ]
     costs = transfer_costs(plan.itinerary.model.system, ways)
-    content = replace(content, symbols=symbols, costs=costs, starts=(), key=_key(plan))
+    content = replace(content, symbols=symbols, costs=costs, key=_key(plan))
     distances = nearness(replace(motion, plan=content))
     return replace(motion, plan=replace(content, polished=distances))
 

@@ -51,6 +51,7 @@ from dpcontrol.foundation.shipped import folders
 from dpcontrol.foundation.shown import Timed, checked_times
 from dpcontrol.foundation.toml import Place, decode, with_values
 from dpcontrol.foundation.version import VERSION
+from dpcontrol.judge.decoding import stays
 from dpcontrol.judge.score import (
     DRAWN_METADATA,
     HARDEST_METADATA,
@@ -87,7 +88,7 @@ from dpcontrol.loop.result import Ending, LogSink, LoopResult, LoopSink, Sinks, 
 from dpcontrol.plans.itinerary import Itinerary, planned_itinerary, setting_of
 from dpcontrol.plans.layout import BENCH
 from dpcontrol.plans.overrides import canonical, paths
-from dpcontrol.plans.plan import Plan, plan_key, recoverable
+from dpcontrol.plans.plan import Plan, plan_key
 from dpcontrol.rig.bench import BenchProcess, BenchRecipe, BenchServerSettings, RecordedRig, checked_faults
 from dpcontrol.rig.client import Deadlines, UdpRig, parse_address, real_time_priority, without_collecting
 from dpcontrol.rig.packets import shared_key
@@ -180,7 +181,7 @@ class Run(Timed):
             return why(
                 self.score(),
                 typed,
-                lambda one: run_plan(recoverable(one)).score(),
+                lambda one: run_plan(one).score(),
                 workers=workers,
                 yes=yes,
                 progress=report,
@@ -302,7 +303,8 @@ def assembled(plan: Plan) -> Assembly:
         GoalMissed: the plan did not converge.
     """
     scene = plan.itinerary
-    return Assembly(plan.followed().reference, scene.model.arms, scene.loop, scene.uncertainty)
+    reference = plan.followed().reference
+    return Assembly(reference, scene.model.arms, scene.loop, scene.uncertainty, stays=stays(reference))
 
 
 def run_plan(
@@ -331,7 +333,7 @@ def run_plan(
             drawn plant, or a live view has no display.
         GoalMissed: the plan did not converge, no controller can be made for it, or no plant drawn.
     """
-    plan = recoverable(plan.followed())
+    plan = plan.followed()
     scene, sink = plan.itinerary, _Events()
     assembly = assembly or assembled(plan)
 
@@ -339,7 +341,9 @@ def run_plan(
         if rig is None:
             return assembly.simulate(sink=sink, progress=progress)
         arms, period = scene.model.arms.count, 1 / scene.loop.rate
-        flown = assembly.loop(sink=sink, progress=progress).run(OwnRig(rig, arms=arms, period=period))
+        with assembly.recovery_beside() as recovery:
+            loop = assembly.loop(sink=sink, recovery=recovery, progress=progress)
+            flown = loop.run(OwnRig(rig, arms=arms, period=period))
         if not len(flown.ticks.times):
             raise GoalMissed(flown.reason)
         return flown
@@ -651,11 +655,7 @@ def _with_options(plan: Plan, scene: Itinerary, change: Mapping[str, Any]) -> Pl
     accounted = scene.with_run(own, seed=then.loop.seed).loop == then.loop
     chosen = scene.with_run({**own, **canonical(change)}, seed=then.loop.seed) if accounted else then.with_run(change)
     chosen.check_parts(then)
-    reference = plan.reference
-    if chosen.loop.travel != then.loop.travel:
-        # Starts are planned for the travel.
-        reference = replace(reference, plan=replace(reference.content, starts=()))
-    return replace(plan, itinerary=chosen, reference=reference)
+    return replace(plan, itinerary=chosen)
 
 
 def _with_settings(itinerary: Itinerary, log: RunLog, *, cannot: str) -> Itinerary:
@@ -866,7 +866,7 @@ def bench_recipe(plan: Plan, assembly: Assembly | None = None) -> BenchRecipe:
         itinerary.model.arms, loop, assembly.limits, controller.first_state,
         ticks=controller.ticks + round(_SPARE * loop.rate) + 1, uncertainty=itinerary.uncertainty,
         zeros=itinerary.zeros,
-        recovering=0 if loop.supervisor.on_fall == "stop" else round(_RECOVERING * loop.rate),
+        recovering=0 if assembly.recovery is None else round(_RECOVERING * loop.rate),
     )  # fmt: skip
 
 
@@ -1098,8 +1098,12 @@ def run_on_rig(plan: Plan, out: Path, link: RigLink, *, force: bool = False, liv
     check_replaced(out, run_record(itinerary, rig=link.address), force=force)
     # All components are built before the log is opened.
     _ = assembly.controller, assembly.fallback, assembly.recovery
-    with log_writer(plan, out) as writer, watched(plan, LogSink(writer), live=live) as sink:
-        loop, recipe = assembly.loop(sink=sink), bench_recipe(plan, assembly)
+    with (
+        assembly.recovery_beside() as recovery,
+        log_writer(plan, out) as writer,
+        watched(plan, LogSink(writer), live=live) as sink,
+    ):
+        loop, recipe = assembly.loop(sink=sink, recovery=recovery), bench_recipe(plan, assembly)
         with link.connected(itinerary, recipe, ticks=loop.count, what="the itinerary", loop=loop) as (rig, _):
             result = loop.run(rig)
         if not len(result.ticks.times):

@@ -10,6 +10,7 @@ from dpcontrol.foundation.causes import (
     CutCause,
     DepartureCause,
     FamilyEndCause,
+    FlightCause,
     GapCause,
     GridCause,
     ObstacleCause,
@@ -375,6 +376,14 @@ SENTENCES: Mapping[type[StrEnum], Mapping[Any, Callable[[Any], str]]] = {
             f"{_tubes(r)}"
         ),
         SearchCause.LAPS: _on_laps,
+    },
+    FlightCause: {
+        FlightCause.REACHED: lambda r: f"reaches {r.target} in {r.duration:.3f} s, cost-to-go {r.cost:.2g}",
+        FlightCause.MISSED: lambda r: _joined(
+            (True, f"misses {r.target}: the best flight of {r.duration:.3f} s ends at a cost-to-go of {r.cost:.3g}"),
+            (not r.remedy, "a track and an acceleration of twice the size do not help; give another target"),
+            (r.remedy, f"with a limit of {r.remedy[1]:g} on the {r.remedy[0]} one is found" if r.remedy else ""),
+        ),
     },
     ReferenceCause: {
         ReferenceCause.CONVERGED: lambda r: f"converged in {r.iterations} iterations; {_mesh(r)}",

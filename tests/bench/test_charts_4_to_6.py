@@ -16,9 +16,9 @@ from dpcontrol.bench.control import (
     swing,
 )
 from dpcontrol.control.estimator_settings import EkfSettings
+from dpcontrol.control.interface import sampled_model
 from dpcontrol.foundation.causes import Cause
 from dpcontrol.loop.controllers import make_estimator
-from dpcontrol.loop.loop import sampled_model
 from dpcontrol.loop.result import BatchRun, ended
 from dpcontrol.plans.model import load_model
 

@@ -17,8 +17,8 @@ import numpy as np
 from generated_scenes import Scene
 from scene_flights import Flown
 
+from dpcontrol.control.interface import sampled_model
 from dpcontrol.control.tracking import TvlqrSettings, tracking_controller
-from dpcontrol.loop.loop import sampled_model
 from dpcontrol.pages import style
 from dpcontrol.pages.layout import Page, save_figure
 from dpcontrol.plans.itinerary import load_itinerary

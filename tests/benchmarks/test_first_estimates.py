@@ -16,9 +16,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from dpcontrol.control.interface import sampled_model
 from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.loop.assembly import Assembly
-from dpcontrol.loop.loop import LoopSettings, sampled_model
+from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import make_plan
 from dpcontrol.references.reference import Reference

@@ -8,10 +8,10 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import solve_discrete_are
 from shadowing_stand_in import LAB
 
+from dpcontrol.control.interface import sampled_model
 from dpcontrol.control.lqr import ExtraEffects, HoldController, HoldSettings, hold_controller
 from dpcontrol.control.tracking import riccati_gains
 from dpcontrol.dynamics.chain import ArmChainParameters
-from dpcontrol.loop.loop import sampled_model
 from dpcontrol.references.problem import Limits
 
 GAIN = 1e-6  # Relative, of two solvers of one Riccati equation.

@@ -10,10 +10,9 @@ from shadowing_stand_in import LAB
 
 from dpcontrol.control.ekf import CompiledEkf
 from dpcontrol.control.estimator_settings import EkfSettings
-from dpcontrol.control.interface import clip_number
+from dpcontrol.control.interface import clip_number, sampled_model
 from dpcontrol.control.tick import LOST_AFTER_FALLBACK, Outcome, TickProgram
 from dpcontrol.loop.bench import DriveLimits, SensorSettings
-from dpcontrol.loop.loop import sampled_model
 from dpcontrol.references.problem import Limits
 
 EXACT = 1e-12  # Sums of a few numbers of order ten.

@@ -22,9 +22,10 @@ from command_line import dpcontrol
 from shadowing_stand_in import LAB, StandIn
 
 import dpcontrol as dp
+from dpcontrol.control.interface import sampled_model
 from dpcontrol.control.tracking import tracking_controller
 from dpcontrol.loop.assembly import Assembly
-from dpcontrol.loop.loop import ControlLoop, LoopSettings, sampled_model
+from dpcontrol.loop.loop import ControlLoop, LoopSettings
 from dpcontrol.loop.protocols import Reading
 from dpcontrol.loop.result import Ending
 from dpcontrol.loop.simulated import SimulatedRig

@@ -16,9 +16,10 @@ from library_program import LibraryProgram, library_ticker
 from shadowing_stand_in import LAB, StandIn
 
 from dpcontrol.control.export import ControllerSource, Unit, controller_source, controller_unit
+from dpcontrol.control.interface import sampled_model
 from dpcontrol.control.tracking import TrackingController, tracking_controller
 from dpcontrol.loop.assembly import Assembly
-from dpcontrol.loop.loop import LoopSettings, sampled_model
+from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.loop.simulated import SimulatedRig
 from dpcontrol.references.reference import Reference
 

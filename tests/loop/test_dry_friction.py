@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from shadowing_stand_in import LAB
 
+from dpcontrol.control.interface import sampled_model
 from dpcontrol.control.lqr import HoldController
 from dpcontrol.loop.assembly import Assembly
-from dpcontrol.loop.loop import sampled_model
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import make_plan
 

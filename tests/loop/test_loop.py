@@ -6,12 +6,13 @@ import pytest
 from shadowing_stand_in import DOWN_UP_LOW, LAB, UP_DOWN_HIGH, StandIn
 
 from dpcontrol.control.estimator_settings import EkfSettings
+from dpcontrol.control.interface import sampled_model
 from dpcontrol.control.tracking import TrackingController, tracking_controller
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs import Event
 from dpcontrol.logs.layout import control_fields
 from dpcontrol.loop.assembly import Assembly
-from dpcontrol.loop.loop import LoopSettings, sampled_model
+from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.loop.result import Ending, LoopResult, LoopSink, SinkBeside, Ticks
 from dpcontrol.references.problem import Limits
 from dpcontrol.references.reference import Reference

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from shadowing_stand_in import LAB, StandIn
 
-from dpcontrol.control.interface import Mode
+from dpcontrol.control.interface import Mode, sampled_model
 from dpcontrol.control.tracking import TrackingController, tracking_controller
 from dpcontrol.logs import Event
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.bench import DisturbanceSettings, DriveSettings, Push, SensorSettings, Unlike, draw_bench
-from dpcontrol.loop.loop import LoopSettings, sampled_model
+from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.loop.result import Ending, LoopResult, SupervisorSettings, Ticks
 from dpcontrol.loop.simulated import SimulatedRig
 from dpcontrol.references.reference import Reference

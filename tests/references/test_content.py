@@ -10,7 +10,7 @@ import pytest
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import Plan, make_plan
-from dpcontrol.references.content import FlightSegment, PlanContent, PlanStart, StaySegment, restored, stored
+from dpcontrol.references.content import FlightSegment, PlanContent, StaySegment, restored, stored
 from dpcontrol.references.reference import load_reference, save_reference
 
 
@@ -31,22 +31,13 @@ def values(content: PlanContent) -> dict[str, Any]:
 
 
 def test_what_is_written_is_read(plan: Plan) -> None:
-    turn = plan.reference
-    starts = (
-        PlanStart(0, 0.5, (0, 1), "found", turn.mesh, turn.states, turn.inputs),
-        PlanStart(1, 2.5, (0, 0), "at rest"),
-    )
     segments = (StaySegment("down-up", -0.07, 0, 0.7, (0.0,) * 6, 2, (0, 8)), FlightSegment("down-up +", (8, 20)))
-    content = replace(plan.content, starts=starts, segments=segments, polished=(0.1, 0.2), wraps=())
+    content = replace(plan.content, segments=segments, polished=(0.1, 0.2), wraps=())
     again = read_again(plan, content)
     assert values(again) == values(content)
     for field in fields(content):
-        if field.name not in ("orbits", "starts"):
+        if field.name != "orbits":
             assert getattr(again, field.name) == getattr(content, field.name), field.name
-    lead_in = replace(turn, plan=again).lead_in(again.starts[0])
-    assert lead_in is not None
-    np.testing.assert_array_equal(lead_in.states, turn.states)
-    assert turn.lead_in(again.starts[1]) is None
 
 
 def test_the_orbits_of_a_walk_close_after_their_period(plan: Plan) -> None:

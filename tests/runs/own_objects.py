@@ -5,9 +5,9 @@ import numpy as np
 import dpcontrol as dp
 from dpcontrol.control.ekf import CompiledEkf
 from dpcontrol.control.estimator_settings import EkfSettings
+from dpcontrol.control.interface import sampled_model
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.bench import SensorSettings
-from dpcontrol.loop.loop import sampled_model
 from dpcontrol.plans.model import load_model
 
 LAB = load_model("lab").arms

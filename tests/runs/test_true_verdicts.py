@@ -12,7 +12,7 @@ from dpcontrol.foundation.causes import Fault, ShortfallCause
 from dpcontrol.judge.decoding import shortfall
 from dpcontrol.judge.score import Flown, verdict_on
 from dpcontrol.plans.itinerary import load_itinerary
-from dpcontrol.plans.plan import Plan, make_plan, recoverable
+from dpcontrol.plans.plan import Plan, make_plan
 
 CROSS_AND_HOLD = """
 model = "lab"
@@ -93,7 +93,7 @@ def test_drawn_itineraries_are_judged_as_a_second_decoder_judges_them(seed: int,
 @pytest.mark.parametrize("on_fall", ["resume", "restart"])
 def test_runs_that_fall_and_go_on_are_judged_as_a_second_decoder_judges_them(on_fall: str, outer_turn: Plan) -> None:
     options = {"on_fall": on_fall, "knocks_per_minute": 20.0, "knock_impulse": 0.05, "travel": 0.8, "mismatch": 0.05}
-    plan = recoverable(replace(outer_turn, itinerary=outer_turn.itinerary.with_run(options)))
+    plan = replace(outer_turn, itinerary=outer_turn.itinerary.with_run(options))
     found = Comparison()
     found.add(plan, options, [0, 1], np.random.default_rng(0))
     assert not found.false

@@ -1,0 +1,448 @@
+"""Flights: motions of the cart that carry the arms from any state to a target in a short time.
+
+A target is one place or several, each with the cost-to-go of the law that takes over there. The planner minimises
+
+    J = T + r/2 ∫ u² dt + soft limits of the cart + w/2 V(x(T)),      V(x) = min (x - x*)ᵀ P (x - x*)   over the places
+
+by iLQR, a Gauss-Newton form of differential dynamic programming, with the input as a box. P is scaled so that V = 1
+where the law that takes over saturates. The length of a step is a further state that stays constant, so the final time
+T is free. Angles are compared modulo whole turns. A place on an orbit has a tangent t, along which the cost is
+minimised as well:
+
+    P := P - P t tᵀ P / (tᵀ P t)
+
+The search starts from motions of a braking cart of several durations. These guesses and the lengths of a line search
+are computed side by side in the lanes of a compiled step.
+
+Sources: Tassa, Erez & Todorov, Synthesis and stabilization of complex behaviors through online trajectory optimization
+(2012). Tassa, Mansard & Todorov, Control-limited differential dynamic programming (2014).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from dpcontrol.control.interface import SampledModel, whole_turns
+from dpcontrol.dynamics.compiled import Compiled, compiled_step, fixed_step
+from dpcontrol.dynamics.equations import runge_kutta_4
+from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.causes import FlightCause
+from dpcontrol.foundation.shown import Brief, Timed, checked_times
+from dpcontrol.references.problem import CART_VELOCITY_SCALE, RATE_SCALE, Limits
+from dpcontrol.words.searches import Concluded
+
+STEPS = 80
+"""Steps of a flight."""
+DURATIONS = np.linspace(0.5, 1.6, 8)
+"""Durations of the guesses, s."""
+BRAKING_GAINS = 40.0, 14.0
+"""Gains of the braking law on position and velocity of the cart, 1/s² and 1/s."""
+REACHED = 0.3
+"""Cost-to-go V at the end of a flight that converged."""
+JOINED = 4.0
+"""Cost-to-go at the end of a flight above which another one is planned."""
+_EFFORT = 1e-2
+"""Weight r of the squared acceleration, s⁴/m²; less leaves the feedback nothing."""
+_RESERVE_ACCELERATION, _RESERVE_SPEED, _RESERVE_TRACK = 2 / 3, 0.8, 0.07
+"""Shares of the greatest acceleration and speed in a flight, and the part of the track left free at its ends, m."""
+_TRACK_SHARE = 0.175
+"""Greatest share of half the track that is left free."""
+_NEAR_STOP = 0.03
+"""Part of the track at its ends into which a flight must not lead, m."""
+_SOFT_POSITION, _SOFT_VELOCITY = 0.01, 0.05
+"""Scales of the excess over a soft limit: m and m/s."""
+_LENGTHS = np.array([1.0, 0.2])
+"""Lengths of the line search."""
+_LONGER = 0.25
+"""Largest relative change of the duration in an iteration."""
+_SHORTEST, _LONGEST = 0.1, 5.0
+"""Bounds of the duration, s."""
+
+
+class Stage(NamedTuple):
+    """Iterations with one weight of the end and of the soft limits.
+
+    With `diagonal`, the end's cost is that of the scaled differences of angles, rates and cart.
+    """
+
+    iterations: int
+    end: float
+    soft: float
+    diagonal: bool = False
+
+
+STAGES = (Stage(25, 20.0, 1.0, diagonal=True), Stage(30, 20.0, 3.0), Stage(15, 60.0, 30.0))
+"""The search for a flight."""
+
+
+@dataclass(frozen=True, eq=False)
+class Target(Brief):
+    """Places (M, N) at which a law takes over, and its cost-to-go.
+
+    Attributes:
+        states: states (M, N).
+        costs: matrices P (M, N, N), scaled so that V = 1 where the law saturates.
+    """
+
+    states: Array
+    costs: Array
+
+    def nearest(self, states: Array, costs: Array | None = None) -> tuple[Array, NDArray[np.intp], Array]:
+        """Return the cost-to-go of the nearest place, its index and the difference from it.
+
+        Args:
+            states: states (S, N).
+            costs: other matrices (M, N, N), default those of the target.
+
+        Returns:
+            Costs (S,), indices (S,) and differences (S, N).
+        """
+        n = states.shape[1] // 2 - 1
+        away = states[:, None, :] - self.states
+        away[:, :, :n] -= whole_turns(away[:, :, :n])
+        costs = self.costs if costs is None else costs
+        values = np.einsum("smi,mij,smj->sm", away, costs, away, optimize=len(self.states) > 1)
+        place = np.argmin(values, axis=1)
+        rows = np.arange(len(states))
+        return values[rows, place], place, away[rows, place]
+
+
+@dataclass(frozen=True, eq=False)
+class Flights(Brief):
+    """Flights from S states, each in `STEPS` steps.
+
+    Attributes:
+        durations: durations (S,), s.
+        nodes: states (S, STEPS + 1, N) at the ends of the steps.
+        inputs: constant accelerations of the cart in each step (S, STEPS), m/s².
+        costs: cost-to-go V (S,) at the end.
+        places: indices (S,) of the target's places.
+        objectives: J (S,).
+    """
+
+    durations: Array
+    nodes: Array
+    inputs: Array
+    costs: Array
+    places: NDArray[np.intp]
+    objectives: Array
+
+
+class FlightPlanner:
+    """Plans flights of one model within limits of the cart.
+
+    Args:
+        model: model of arms and cart; its period does not matter.
+        limits: limits of the cart, of which the flights leave a reserve.
+    """
+
+    def __init__(self, model: SampledModel, limits: Limits) -> None:
+        equations = model.equations
+        self._n = n = equations.dimension
+        self._limits, self._most = limits, _RESERVE_ACCELERATION * limits.acceleration
+        track = limits.position - min(_RESERVE_TRACK, _TRACK_SHARE * limits.position)
+        x, h, u, p = equations.state, ca.SX.sym("step"), equations.inputs, equations.parameters
+        soft, most, z = ca.SX.sym("soft"), ca.SX.sym("most"), ca.vertcat(equations.state, h)
+        slope = equations.function()
+        following = runge_kutta_4(lambda state, _: slope(state, u, p), x, h)
+        accurate = fixed_step(equations)(x, u, h, p)
+        excess = ca.vertcat(
+            _beyond(x[n - 2], track) / _SOFT_POSITION,
+            _beyond(x[n - 1], _RESERVE_SPEED * limits.velocity) / _SOFT_VELOCITY,
+        )
+        cost = h * (1 + _EFFORT / 2 * u**2 + soft / 2 * ca.sumsqr(excess))
+        away, nominal, gains = ca.SX.sym("away"), ca.SX.sym("nominal", n + 1), ca.SX.sym("gains", n + 1)
+        command = ca.fmax(-most, ca.fmin(most, away + ca.dot(gains, z - nominal)))
+        flown = ca.substitute([accurate, cost], [u], [command])
+        names = ["moving", "away", "nominal", "gains", "soft", "most", "parameters"]
+        self._forward = Compiled(
+            ca.Function(
+                "flight_forward",
+                [z, away, nominal, gains, soft, most, p],
+                [ca.cse(ca.densify(ca.vertcat(flown[0], h, command, flown[1])))], names, ["out"],
+            )
+        )  # fmt: skip
+        self._backward = Compiled(_backward_step(following, cost, z, u, soft, most, p, excess))
+        self._parameters, self._step = model.parameters, compiled_step(equations)
+
+    def plan(self, states: Array, target: Target) -> Flights:
+        """Return flights from states to a target.
+
+        Args:
+            states: states (S, N).
+            target: places where a law takes over.
+        """
+        n, count, guesses = self._n, len(states), len(DURATIONS)
+        arms = n // 2 - 1
+        first = states.copy()
+        turns = whole_turns(first[:, :arms])
+        first[:, :arms] -= turns
+        start = np.repeat(first, guesses, axis=0).T
+        lanes = start.shape[1]
+        begin = np.vstack([start, np.tile(DURATIONS / STEPS, count)])
+        gains = np.zeros((STEPS, n + 1, lanes))
+        gains[:, n - 2], gains[:, n - 1] = -BRAKING_GAINS[0], -BRAKING_GAINS[1]
+        zeros = np.zeros((STEPS, n + 1, lanes))
+        nodes, inputs, _ = self._flown(begin, np.zeros((STEPS, lanes)), zeros, gains, STAGES[0].soft)
+        flights = self._searched(nodes, inputs, target, STAGES)
+        best = flights.objectives.reshape(count, guesses)
+        reached = np.isfinite(best) & (flights.costs.reshape(count, guesses) < REACHED)
+        chosen = np.argmin(np.where(reached, best, best + 1e6), axis=1) + guesses * np.arange(count)
+        flights = _selected(flights, chosen)
+        flights.nodes[:, :, :arms] += turns[:, None]
+        return flights
+
+    def lands(self, state: Array, nodes: Array, inputs: Array, gains: Array, step: float, target: Target) -> bool:
+        """Return True if feedback leads from a state near a flight to its target, within the limits.
+
+        Args:
+            state: state (N,).
+            nodes: states (K, N) of the flight at the begin of its last K steps.
+            inputs: its inputs (K,) there, m/s².
+            gains: gains (K, N) of the feedback that follows it.
+            step: length of its steps, s.
+            target: places where a law takes over.
+        """
+        n = self._n
+        nominal, feedback = np.full((len(inputs), n + 1, 1), step), np.zeros((len(inputs), n + 1, 1))
+        nominal[:, :n, 0], feedback[:, :n, 0] = nodes, -gains
+        begin = np.append(state, step)[:, None]
+        flown, _, _ = self._flown(begin, inputs[:, None], nominal, feedback, 0.0, most=self._limits.acceleration)
+        ends = target.nearest(flown[-1, :n].T)[0]
+        return bool(ends[0] < JOINED and np.abs(flown[:, n - 2]).max() < self._limits.position - _NEAR_STOP)
+
+    def states(self, flights: Flights, row: int, times: Array) -> tuple[Array, Array]:
+        """Return states (K, N) and inputs (K,) of a flight.
+
+        Args:
+            flights: flights of this planner.
+            row: index of the flight.
+            times: times (K,), from 0 to the duration, s.
+        """
+        duration, inputs = float(flights.durations[row]), flights.inputs[row]
+        count = len(inputs)
+        step = np.minimum((times / duration * count).astype(int), count - 1)
+        rows, where = np.empty((self._step.size_in, len(times))), self._step.slices
+        rows[where["state"]], rows[where["inputs"]] = flights.nodes[row, step].T, inputs[step]
+        rows[where["duration"]] = times - step * (duration / count)
+        rows[where["parameters"]] = self._parameters[:, None]
+        return self._step(rows, np.empty((self._step.size_out, len(times)))).T.copy(), inputs[step]
+
+    def _flown(
+        self, begin: Array, away: Array, nominal: Array, gains: Array, soft: float, *, most: float | None = None
+    ) -> tuple[Array, Array, Array]:
+        """Return nodes (STEPS+1, N+1, L), inputs (STEPS, L) and costs (L,) of motions from `begin` (N+1, L)."""
+        n, lanes, program, count = self._n, begin.shape[1], self._forward, len(away)
+        rows = np.empty((count, program.size_in, lanes))
+        rows[:, program.slices["away"].start] = away
+        rows[:, program.slices["nominal"]], rows[:, program.slices["gains"]] = nominal, gains
+        rows[:, program.slices["soft"]], rows[:, program.slices["most"]] = soft, most or self._most
+        rows[:, program.slices["parameters"]] = self._parameters[:, None]
+        out, machine = np.empty((count, program.size_out, lanes)), program.machine
+        now = begin
+        for k in range(count):
+            rows[k, : n + 1] = now
+            machine(rows[k], out[k])
+            now = out[k, : n + 1]
+        nodes = np.concatenate([begin[None], out[:, : n + 1]])
+        return nodes, out[:, n + 1], out[:, n + 2].sum(axis=0)
+
+    def _searched(self, nodes: Array, inputs: Array, target: Target, stages: Sequence[Stage]) -> Flights:
+        """Return the flights that the stages lead to from nominal motions."""
+        lanes, n, count = nodes.shape[2], self._n, len(inputs)
+        regularity = np.full(lanes, 1e-6)
+        total = np.full(lanes, np.inf)
+        for stage in stages:
+            weights = self._end_weights(stage, target)
+            still = np.zeros_like(nodes[:-1])
+            total = self._total(self._flown(nodes[0], inputs, nodes[:-1], still, stage.soft), target, weights)
+            for _ in range(stage.iterations):
+                forward, gains, slope, curvature = self._improved(nodes, inputs, target, weights, stage, regularity)
+                limit = _LONGER * nodes[0, n]
+                longer = np.clip(-slope / np.maximum(curvature, 1e-9), -limit, limit)
+                tried = len(_LENGTHS)
+                begin = np.tile(nodes[0], tried)
+                begin[n] += np.outer(_LENGTHS, longer).ravel()
+                begin[n] = np.clip(begin[n], _SHORTEST / STEPS, _LONGEST / STEPS)
+                away = (inputs[:, None] + _LENGTHS[:, None] * forward[:, None]).reshape(count, -1)
+                others = self._flown(begin, away, np.tile(nodes[:-1], tried), np.tile(gains, tried), stage.soft)
+                totals = self._total(others, target, weights).reshape(tried, lanes)
+                best = np.argmin(totals, axis=0)
+                better = totals[best, np.arange(lanes)] < total
+                picked = best * lanes + np.arange(lanes)
+                nodes = np.where(better, others[0][:, :, picked], nodes)
+                inputs = np.where(better, others[1][:, picked], inputs)
+                total = np.where(better, totals[best, np.arange(lanes)], total)
+                regularity = np.clip(np.where(better, regularity / 4, regularity * 10), 1e-9, 1e3)
+        costs, places, _ = target.nearest(nodes[-1, :n].T)
+        return Flights(count * nodes[0, n], nodes[:, :n].transpose(2, 0, 1), inputs.T.copy(), costs, places, total)
+
+    def _total(self, flown: tuple[Array, Array, Array], target: Target, weights: Array) -> Array:
+        """Return J (L,) of motions, infinite if they diverge."""
+        nodes, _, costs = flown
+        totals = costs + target.nearest(nodes[-1, : self._n].T, weights)[0] / 2
+        return np.where(np.isfinite(totals) & (totals > 0), totals, np.inf)
+
+    def _end_weights(self, stage: Stage, target: Target) -> Array:
+        """Return the matrices (M, N, N) of the end's cost in a stage."""
+        if not stage.diagonal:
+            return stage.end * target.costs
+        arms = self._n // 2 - 1
+        scale = np.array([1 / np.pi] * arms + [1 / RATE_SCALE] * arms + [1.0, 1 / CART_VELOCITY_SCALE])
+        return np.tile(stage.end * np.diag(scale**2), (len(target.states), 1, 1))
+
+    def _improved(
+        self, nodes: Array, inputs: Array, target: Target, weights: Array, stage: Stage, regularity: Array
+    ) -> tuple[Array, Array, Array, Array]:
+        """Return changes of inputs (STEPS, L), gains (STEPS, N+1, L), and slope and curvature (L,) by the duration."""
+        n, lanes, program = self._n, nodes.shape[2], self._backward
+        size = n + 1
+        rows = np.empty((program.size_in, lanes))
+        rows[program.slices["soft"]], rows[program.slices["most"]] = stage.soft, self._most
+        rows[program.slices["regularity"]] = regularity
+        rows[program.slices["parameters"]] = self._parameters[:, None]
+        _, place, away = target.nearest(nodes[-1, :n].T, weights)
+        hessian = np.zeros((size, size, lanes))
+        hessian[:n, :n] = weights[place].transpose(1, 2, 0)
+        gradient = np.zeros((size, lanes))
+        gradient[:n] = np.einsum("sij,sj->is", weights[place], away)
+        value = np.concatenate([gradient, hessian.reshape(size * size, lanes)])
+        into, moving, pushed = program.slices["value"], program.slices["moving"], program.slices["input"].start
+        out, machine = np.empty((len(inputs), program.size_out, lanes)), program.machine
+        for k in range(len(inputs) - 1, -1, -1):
+            rows[moving], rows[pushed], rows[into] = nodes[k], inputs[k], value
+            machine(rows, out[k])
+            value = out[k, size + 1 :]
+        return out[:, 0], out[:, 1 : size + 1], value[n], value[size + n * size + n]
+
+
+@dataclass(frozen=True, eq=False)
+class Flight(Concluded, Timed):
+    """A motion from a state to a target.
+
+    Attributes:
+        target: name of the target.
+        duration: duration, s.
+        cost: cost-to-go V at the end, 1 where the law that takes over saturates; a flight with less than 0.3 converged.
+        inputs: constant accelerations of the cart in equal steps (K,), m/s².
+        nodes: states (K+1, N) at the ends of the steps.
+        limits: limits of the cart, of which the flight leaves a reserve.
+        remedy: name and value of a limit with which a flight was found instead, or None.
+    """
+
+    target: str
+    duration: float
+    cost: float
+    inputs: Array
+    nodes: Array
+    limits: Limits
+    planner: FlightPlanner = field(repr=False)
+    remedy: tuple[str, float] | None = None
+
+    @property
+    def cause(self) -> FlightCause:
+        """How the search ended."""
+        return FlightCause.REACHED if self.cost < REACHED else FlightCause.MISSED
+
+    @property
+    def converged(self) -> bool:
+        """True if it ends where the law of the target takes over."""
+        return self.cause is FlightCause.REACHED
+
+    @property
+    def time_range(self) -> tuple[float, float]:
+        """First and last time, s."""
+        return 0.0, self.duration
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of the N entries of a state."""
+        arms = range(1, self.nodes.shape[1] // 2)
+        names = [f"{name}_{k}" for name in ("angle", "rate") for k in arms]
+        return (*names, "cart_position", "cart_velocity")
+
+    def states(self, times: Any = None) -> Array:
+        """Return the states at given times.
+
+        Args:
+            times: times (K,) from 0 to the duration, s; by default 200 over the whole flight.
+
+        Returns:
+            States (K, N): angles, rates, and the cart's position and velocity.
+
+        Raises:
+            InputError: the times are not finite numbers.
+        """
+        return self.sample() if times is None else self._at(checked_times(times))[0]
+
+    def input(self, times: Any) -> Array:
+        """Return the accelerations (K,) of the cart at given times, m/s².
+
+        Args:
+            times: times (K,) from 0 to the duration, s.
+
+        Raises:
+            InputError: the times are not finite numbers.
+        """
+        return self._at(checked_times(times))[1]
+
+    def _at(self, times: Array) -> tuple[Array, Array]:
+        flights = Flights(
+            np.array([self.duration]), self.nodes[None], self.inputs[None], np.array([self.cost]),
+            np.zeros(1, dtype=int), np.zeros(1),
+        )  # fmt: skip
+        return self.planner.states(flights, 0, np.clip(np.atleast_1d(times), 0.0, self.duration))
+
+    def document(self) -> dict[str, Any]:
+        """Return the flight as JSON values."""
+        own = {name: getattr(self, name) for name in ("target", "duration", "cost", "inputs", "nodes", "converged")}
+        return {**own, "cause": self.cause, "limits": self.limits.named()}
+
+
+def _beyond(value: ca.SX, limit: float) -> ca.SX:
+    """Return the signed excess of a value over a symmetric limit."""
+    return ca.if_else(value > limit, value - limit, ca.if_else(value < -limit, value + limit, 0))
+
+
+def _selected(flights: Flights, rows: Array) -> Flights:
+    return replace(flights, **{name: getattr(flights, name)[rows] for name in flights.__dataclass_fields__})
+
+
+def _backward_step(
+    following: ca.SX, cost: ca.SX, z: ca.SX, u: ca.SX, soft: ca.SX, most: ca.SX, parameters: ca.SX, excess: ca.SX
+) -> ca.Function:
+    """Return one step of the backward recursion.
+
+    Its outputs are the change of the input, the gains (N+1,), and gradient (N+1,) and Hessian ((N+1)²,) of the value.
+    """
+    size = z.shape[0]
+    h, n = z[size - 1], size - 1
+    gradient, hessian = ca.SX.sym("gradient", size), ca.SX.sym("hessian", size, size)
+    regularity = ca.SX.sym("regularity")
+    by_state = ca.vertcat(ca.jacobian(following, z), ca.horzcat(ca.SX.zeros(1, n), ca.SX.ones(1, 1)))
+    by_input = ca.vertcat(ca.jacobian(following, u), ca.SX.zeros(1, 1))
+    slopes = ca.jacobian(excess, z)
+    cost_hessian = h * soft * slopes.T @ slopes
+    cross = _EFFORT * u
+    q_z = ca.gradient(cost, z) + by_state.T @ gradient
+    q_u = ca.gradient(cost, u) + by_input.T @ gradient
+    pushed = by_input.T @ hessian
+    q_zz = cost_hessian + by_state.T @ hessian @ by_state
+    q_uz = pushed @ by_state + ca.horzcat(ca.SX.zeros(1, n), cross)
+    q_uu = h * _EFFORT + ca.fmax(pushed @ by_input, 0) + regularity
+    free = -q_u / q_uu
+    change = ca.fmax(-most - u, ca.fmin(most - u, free))
+    gains = ca.if_else(change == free, -q_uz / q_uu, ca.SX.zeros(1, size)).T
+    new_gradient = q_z + gains @ (q_uu @ change + q_u) + q_uz.T @ change
+    new_hessian = q_zz + q_uu * gains @ gains.T + gains @ q_uz + q_uz.T @ gains.T
+    out = ca.vertcat(change, gains, new_gradient, ca.vec((new_hessian + new_hessian.T) / 2))
+    value = ca.SX.sym("value", size + size * size)
+    out = ca.substitute(out, ca.vertcat(gradient, ca.vec(hessian)), value)
+    names = ["moving", "input", "value", "soft", "most", "regularity", "parameters"]
+    return ca.Function(
+        "flight_backward", [z, u, value, soft, most, regularity, parameters], [ca.cse(ca.densify(out))], names, ["out"]
+    )

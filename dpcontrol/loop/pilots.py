@@ -1,0 +1,242 @@
+"""Pilots: they plan the flights of a run, in the loop's program or in a second one.
+
+A request holds the state at the first command that is still free. The pilot predicts the state `THINKING` s later under
+the braking law or the flight under way, plans a flight from there and makes its gains. Work is counted in iterations,
+never in seconds, so runs repeat exactly.
+"""
+
+import multiprocessing
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from multiprocessing.connection import Connection
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from dpcontrol.control.flight import BRAKING_GAINS, REACHED, STEPS, FlightPlanner, Flights
+from dpcontrol.control.interface import clip_number, sampled_model
+from dpcontrol.control.tracking import TrackingController, TvlqrSettings, tracked
+from dpcontrol.dynamics.chain import ArmChainParameters
+from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.processes import end_with_parent, ignoring_interrupts
+from dpcontrol.foundation.shown import Brief
+from dpcontrol.loop.targets import Goal
+from dpcontrol.references.problem import Limits
+
+THINKING = 0.12
+"""Time for the search for a flight, s."""
+_LAW = TvlqrSettings(closing=1.0)
+"""Weights of the feedback along a flight."""
+_PATIENCE = 10.0
+"""Longest wait of a loop that runs faster than real time, s."""
+_GAINS = 125.0
+"""Rate at which the gains along a flight change, Hz."""
+
+
+@dataclass(frozen=True, eq=False)
+class Course(Brief):
+    """A flight and the law that follows it.
+
+    Attributes:
+        law: gains by the loop's ticks. Its first states are those on which pending commands act.
+        flights: the flight by its steps.
+        duration: duration of the flight, s.
+        place: index of the goal's place at its end.
+    """
+
+    law: TrackingController
+    flights: Flights
+    duration: float
+    place: int
+
+
+class Request(NamedTuple):
+    """A question for a flight.
+
+    state (N,): at the first tick whose command is free. push: acceleration of a lagging drive then, m/s². ticks: from
+    there to the flight. lead: ticks of pending commands. goal: index of the stop that it leads to, -1 for rest. course:
+    flight under way, which is replaced only if it misses its goal, or None. first: tick of its law at that state.
+    """
+
+    state: Array
+    push: float
+    ticks: int
+    lead: int
+    goal: int
+    course: Course | None
+    first: int
+
+
+class Answer(NamedTuple):
+    """A flight to follow, or None if none was found or the one under way reaches its goal."""
+
+    course: Course | None
+
+
+class Pilot(Protocol):
+    """A search for flights."""
+
+    def ask(self, request: Request) -> None:
+        """Begin to plan a flight.
+
+        Args:
+            request: states and goal.
+        """
+        ...
+
+    def answer(self) -> Answer | None:
+        """Return the answer to the last request, or None if it is not ready."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Briefing:
+    """What a pilot knows: model, limits and goals, in a form that can be sent to another program."""
+
+    arms: ArmChainParameters
+    rate: float
+    lag: float
+    limits: Limits
+    goals: tuple[Goal, ...]
+
+
+class DirectPilot:
+    """A search in this program, which waits for its result.
+
+    Args:
+        briefing: model, limits and goals.
+    """
+
+    def __init__(self, briefing: Briefing) -> None:
+        self.briefing, rate, lag = briefing, briefing.rate, briefing.lag
+        self._model = sampled_model(briefing.arms, rate, lag)
+        self._coarse = sampled_model(briefing.arms, rate / max(1, round(rate / _GAINS)), lag)
+        self._planner = FlightPlanner(self._model, briefing.limits)
+        self._answer: Answer | None = None
+
+    def ask(self, request: Request) -> None:
+        """Plan a flight.
+
+        Args:
+            request: states and goal.
+        """
+        goal, course = self.briefing.goals[request.goal], request.course
+        coming = self._predicted(request)
+        if course is not None and self._lands(course, coming[-1], request.first + request.ticks - request.lead, goal):
+            self._answer = Answer(None)
+            return
+        flights = self._planner.plan(coming[-1:], goal.target)
+        reached = flights.costs[0] < REACHED
+        self._answer = Answer(self._followed(coming[:-1], flights, goal) if reached else None)
+
+    def answer(self) -> Answer | None:
+        """Return the answer to the last request."""
+        return self._answer
+
+    def _predicted(self, request: Request) -> Array:
+        """Return the states (lead + 1, N) on which pending commands act, and in which the flight begins."""
+        model, most, push, path = self._model, self.briefing.limits.acceleration, request.push, [request.state]
+        share = model.lag / model.period * (1 - model.lag_keeps)
+        for tick in range(request.first, request.first + request.ticks):
+            state = path[-1]
+            if request.course is None:
+                command = -float(np.dot(BRAKING_GAINS, state[-2:]))
+            else:
+                law = request.course.law
+                at = min(tick, len(law.feedforward) - 1)
+                command = float(law.feedforward[at] + law.gains[at] @ (law.reference_states[at] - state))
+            command = clip_number(command, -most, most)
+            path.append(model.step(state, command + share * (push - command)))
+            push = command + model.lag_keeps * (push - command)
+        return np.array(path[-(request.lead + 1) :])
+
+    def _lands(self, course: Course, state: Array, elapsed: int, goal: Goal) -> bool:
+        """Return True if the law of a flight leads from a state at one of its ticks to the goal."""
+        flights, gains, period = course.flights, course.law.gains, self._model.period
+        step, pending = course.duration / STEPS, len(gains) - int(course.duration / period)
+        first = min(round(elapsed * period / step), STEPS - 1)
+        ticks = np.minimum(pending + (np.arange(first, STEPS) * step / period).astype(int), len(gains) - 1)
+        return self._planner.lands(
+            state, flights.nodes[0, first:-1], flights.inputs[0, first:], gains[ticks], step, goal.target
+        )
+
+    def _followed(self, coming: Array, flights: Flights, goal: Goal) -> Course:
+        """Return a flight with its law, after states (lead, N) on which pending commands act."""
+        period, duration, place = self._model.period, float(flights.durations[0]), int(flights.places[0])
+        times = period * np.arange(max(int(duration / period), 1) + 1, dtype=float)
+        states, inputs = self._planner.states(flights, 0, times)
+        moved = np.append(0.0, np.cumsum(flights.inputs[0]) * duration / STEPS)
+        commands = np.diff(np.interp(times, np.linspace(0.0, duration, STEPS + 1), moved)) / period
+        zeros = np.zeros(len(coming))
+        law = tracked(
+            np.concatenate([coming, states]), np.append(zeros, commands), np.append(zeros, inputs), model=self._model,
+            settings=_LAW, most=self.briefing.limits.acceleration, terminal=goal.terminal[place], coarse=self._coarse,
+        )  # fmt: skip
+        return Course(law, flights, duration, place)
+
+
+class _DistantPilot:
+    """A search in another program at the end of a pipe."""
+
+    def __init__(self, pipe: Connection) -> None:
+        self._pipe, self._number, self._asked = pipe, 0, 0.0
+
+    def ask(self, request: Request) -> None:
+        """Send a request.
+
+        Args:
+            request: states and goal.
+        """
+        self._number += 1
+        self._asked = time.monotonic()
+        self._pipe.send((self._number, request))
+
+    def answer(self) -> Answer | None:
+        """Return the answer to the last request, or None if it is not ready."""
+        # A loop that runs faster than real time waits.
+        patience = _PATIENCE if time.monotonic() - self._asked < THINKING / 2 else 0.0
+        while self._pipe.poll(patience):
+            number, answer = self._pipe.recv()
+            if number == self._number:
+                return answer
+        return None
+
+
+@contextmanager
+def pilot_beside(briefing: Briefing) -> Iterator[Pilot]:
+    """Start a pilot in a second process, for a bench in real time.
+
+    Args:
+        briefing: model, limits and goals.
+    """
+    context = multiprocessing.get_context("spawn")
+    here, there = context.Pipe()
+    # The gains of the goals stay here.
+    light = replace(briefing, goals=tuple(replace(goal, gains=goal.gains.shortened) for goal in briefing.goals))
+    process = context.Process(target=_serve, args=(there, light), daemon=True)
+    with ignoring_interrupts():
+        process.start()
+    there.close()
+    try:
+        # It is ready once its code is compiled.
+        here.recv()
+        yield _DistantPilot(here)
+    finally:
+        process.terminate()
+        process.join()
+
+
+def _serve(pipe: Connection, briefing: Briefing) -> None:
+    """Answer requests until the other end closes."""
+    end_with_parent()
+    pilot, size = DirectPilot(briefing), 2 * briefing.arms.count + 2
+    pilot.ask(Request(np.zeros(size), 0.0, 1, 0, 0, None, 0))
+    pipe.send("ready")
+    while True:
+        number, request = pipe.recv()
+        while pipe.poll():
+            number, request = pipe.recv()
+        pilot.ask(request)
+        pipe.send((number, pilot.answer()))

@@ -1,0 +1,193 @@
+"""Goals of flights: places where a law takes over, with its cost-to-go."""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dpcontrol.control.flight import Target
+from dpcontrol.control.interface import GainSchedule, SampledModel, whole_turns
+from dpcontrol.control.lqr import HoldController, QuadraticWeights
+from dpcontrol.control.tracking import costs_to_go, riccati_gains, terminal_cost
+from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.shown import Brief
+from dpcontrol.references.problem import Limits
+from dpcontrol.references.reference import Reference
+from dpcontrol.references.sustained import SustainedOrbit
+
+_SETTLES, _LEFT = 0.5, 1 / 3
+"""Part of a stay that follows a flight, s, and the least share of the acceleration that the feedback has there."""
+_NEAR = 0.8
+"""Maximum angle of an arm from a candidate place, rad."""
+PHASES, _PERIODS = 120, 12
+"""Phases of an orbit that are places, and periods after which its cost-to-go repeats."""
+
+
+@dataclass(frozen=True, eq=False)
+class Reach(Brief):
+    """Places of a reference, `every` ticks apart.
+
+    States (M, N) and cost-to-go matrices P (M, N, N).
+    """
+
+    every: int
+    states: Array
+    costs: Array
+
+    def cost(self, state: Array, place: int) -> float:
+        """Return the cost-to-go to a place, modulo whole turns.
+
+        Args:
+            state: state (N,).
+            place: index of the place.
+        """
+        away = self._away(state, slice(place, place + 1))[0]
+        return float(away @ self.costs[place] @ away)
+
+    def nearest(self, state: Array, last: int, *, worth: float) -> tuple[int, float]:
+        """Return the place with the least cost, and that cost.
+
+        The cost is infinite if no place is near. It doubles `worth` places earlier.
+
+        Args:
+            state: state (N,).
+            last: index of the last place that is considered.
+            worth: number of places after which the cost doubles.
+        """
+        away = self._away(state, slice(last + 1))
+        # Quadratic forms for all places would take longer than a tick.
+        near = np.flatnonzero(np.abs(away[:, : len(state) // 2 - 1]).max(axis=1) < _NEAR)
+        if not near.size:
+            return last, math.inf
+        costs = np.einsum("ki,kij,kj->k", away[near], self.costs[near], away[near]) * (1 + (last - near) / worth)
+        least = int(np.argmin(costs))
+        return int(near[least]), float(costs[least])
+
+    def _away(self, state: Array, places: slice) -> Array:
+        n = len(state) // 2 - 1
+        away = state - self.states[places]
+        away[:, :n] -= whole_turns(away[:, :n])
+        return away
+
+
+@dataclass(frozen=True, eq=False)
+class Goal(Brief):
+    """A target of flights and the law that takes over there.
+
+    Attributes:
+        target: places and their costs-to-go.
+        terminal: costs P (M, N, N) of the places in the units of the law.
+        ticks: tick (M,) of the law's gains at each place.
+        gains: gains of the law.
+        at: time (M,) of the plan's reference at each place, s; empty for rest.
+    """
+
+    target: Target
+    terminal: Array
+    ticks: Array
+    gains: GainSchedule
+    at: Array
+
+
+def reached(
+    reference: Reference, model: SampledModel, settings: QuadraticWeights, *, every: int, limits: Limits
+) -> tuple[Reach, Target]:
+    """Return the places of a reference by their costs-to-go, and as targets of flights.
+
+    Args:
+        reference: reference to follow.
+        model: model of arms and cart, with a period of `every` ticks.
+        settings: weights of the law.
+        every: ticks between two places.
+        limits: limits of the cart.
+    """
+    states, commands, gains, costs = costs_to_go(reference, model, settings)
+    levels = _levels(gains, costs[:-1], commands, limits)
+    return Reach(every, states, costs), Target(states, costs / np.append(levels, levels[-1])[:, None, None])
+
+
+def _levels(gains: Array, costs: Array, commands: Array, limits: Limits) -> Array:
+    """Return the costs-to-go (K,) at which laws with gains (K, N) and costs P (K, N, N) saturate."""
+    left = np.maximum(limits.acceleration - np.abs(commands), _LEFT * limits.acceleration)
+    return left**2 / np.einsum("ki,kij,kj->k", gains, np.linalg.inv(costs), gains)
+
+
+def hold_target(hold: HoldController, limits: Limits) -> Target:
+    """Return an equilibrium as a target.
+
+    Args:
+        hold: law that holds it.
+        limits: limits of the cart.
+    """
+    assert hold.cost is not None
+    level = _levels(hold.gain[None], hold.cost[None], np.zeros(1), limits)
+    return Target(hold.state[None], hold.cost[None] / level[:, None, None])
+
+
+def orbit_target(orbit: SustainedOrbit, model: SampledModel, settings: QuadraticWeights, limits: Limits) -> Target:
+    """Return all phases of an orbit as a target.
+
+    Args:
+        orbit: periodic orbit of pendulum and cart.
+        model: model whose period is a part of the orbit's, such as `orbit_model` makes.
+        settings: weights of the law that keeps it.
+        limits: limits of the cart.
+    """
+    times = model.period * np.arange(round(orbit.period / model.period))
+    states, commands = orbit.state(times), orbit.reference.input(times + model.period / 2)[:, 0]
+    a, b = model.linearised(states, commands)
+    diagonal, effort = settings.weights(model.arms, model.period)
+    terminal = terminal_cost(a[0], b[0], weights=np.diag(diagonal), effort=effort)
+    for _ in range(_PERIODS):
+        *_, costs = riccati_gains(a, b, weights=diagonal, effort=effort, terminal=terminal)
+        terminal = costs[0]
+    gains, _, costs = riccati_gains(a, b, weights=diagonal, effort=effort, terminal=terminal)
+    return Target(states, costs[:-1] / _levels(gains, costs[:-1], commands, limits)[:, None, None])
+
+
+def goal_of(
+    reach: Reach, targets: Target, main: GainSchedule, *, begin: float, end: float, period: float, rate: float
+) -> Goal:
+    """Return the goal of a stop: places early in its stay, so that the feedback settles before the stay ends.
+
+    Args:
+        reach: places of the reference.
+        targets: the same places as targets.
+        main: gains of the reference.
+        begin: begin of the stay, s.
+        end: end of the stay, s.
+        period: period of the stop's orbit, s.
+        rate: rate of the loop, Hz.
+    """
+    first, last = (math.ceil(begin * rate / reach.every), math.floor(max(begin, end - _SETTLES) * rate / reach.every))
+    last = min(max(first, last), first + math.ceil(period * rate / reach.every), len(reach.states) - 1)
+    places = np.arange(min(first, last), last + 1)
+    ticks = np.minimum(places * reach.every, len(main.rows) - 1)
+    target = Target(targets.states[places], targets.costs[places])
+    return Goal(target, reach.costs[places], ticks, main, ticks / rate)
+
+
+def rest_goal(hold: HoldController, main: GainSchedule, limits: Limits) -> Goal:
+    """Return the goal of arms that hang at rest.
+
+    Args:
+        hold: law that holds them there.
+        main: gains of the run's law, for their columns.
+        limits: limits of the cart.
+    """
+    assert hold.cost is not None
+    ticks = np.zeros(1, dtype=int)
+    return Goal(hold_target(hold, limits), hold.cost[None], ticks, padded(hold.schedule(0), main), np.empty(0))
+
+
+def padded(gains: GainSchedule, like: GainSchedule) -> GainSchedule:
+    """Return a gain schedule with the columns of another one; gains on extras that it lacks are zero.
+
+    Args:
+        gains: gains on the state.
+        like: gains with all columns.
+    """
+    n = gains.references.shape[1] // 2 - 1
+    missing = np.zeros((len(gains.rows), like.rows.shape[1] - gains.rows.shape[1]))
+    rows = np.hstack([gains.rows[:, :-n], missing, gains.rows[:, -n:]])
+    return replace(like, rows=rows, references=gains.references, queued=gains.queued, mode=gains.mode)

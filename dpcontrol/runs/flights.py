@@ -1,0 +1,81 @@
+"""A flight from any state of a model or a plan to a named target."""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dpcontrol.control.flight import Flight, FlightPlanner, Target
+from dpcontrol.control.interface import sampled_model
+from dpcontrol.control.lqr import HoldSettings, hold_controller
+from dpcontrol.control.tracking import TvlqrSettings
+from dpcontrol.dynamics.chain import ArmChainParameters, pendulum_system
+from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.settings import check_names
+from dpcontrol.loop.targets import PHASES, hold_target, orbit_target
+from dpcontrol.orbits.lyapunov import LyapunovOrbit, equilibria
+from dpcontrol.plans.plan import Plan
+from dpcontrol.references.problem import Limits
+from dpcontrol.references.sustained import SustainedOrbit, sustained_orbit
+from dpcontrol.runs.run import assembled
+
+RATE = 1000.0
+"""Rate of the law that holds an equilibrium, Hz."""
+_LONGER = 2.0
+"""Factor on a limit that is tried if no flight is found."""
+
+
+def plan_flight(
+    arms: ArmChainParameters, state: ArrayLike, target: str | LyapunovOrbit | SustainedOrbit | Plan, limits: Limits
+) -> Flight:
+    """Return a flight from a state to a target.
+
+    Args:
+        arms: the arms.
+        state: state (N,).
+        target: name of an equilibrium, an orbit, or a plan, to whose first stop the flight leads.
+        limits: limits of the cart.
+
+    Raises:
+        InputError: the state has another length or is not finite, or there is no such equilibrium.
+        GoalMissed: the target cannot be held.
+    """
+    size, state = 2 * arms.count + 2, np.asarray(state, dtype=float)
+    if state.shape != (size,) or not np.isfinite(state).all():
+        raise InputError(f"state: must be {size} finite numbers: angles, rates, and position and velocity of the cart")
+    flight = _flight(arms, state, target, limits)
+    for name in ("position", "acceleration") if not flight.converged else ():
+        wider = replace(limits, **{name: _LONGER * getattr(limits, name)})
+        if _flight(arms, state, target, wider).converged:
+            return replace(flight, remedy=(name, getattr(wider, name)))
+    return flight
+
+
+def _flight(
+    arms: ArmChainParameters, state: Array, target: str | LyapunovOrbit | SustainedOrbit | Plan, limits: Limits
+) -> Flight:
+    name, places = _places(arms, target, limits)
+    planner = FlightPlanner(sampled_model(arms, RATE), limits)
+    flights = planner.plan(state[None], places)
+    durations, nodes, inputs, costs = flights.durations, flights.nodes, flights.inputs, flights.costs
+    return Flight(name, float(durations[0]), float(costs[0]), inputs[0], nodes[0], limits, planner)
+
+
+def _places(
+    arms: ArmChainParameters, target: str | LyapunovOrbit | SustainedOrbit | Plan, limits: Limits
+) -> tuple[str, Target]:
+    if isinstance(target, Plan):
+        recovery = assembled(replace(target, itinerary=target.itinerary.with_run({"start": "anywhere"}))).recovery
+        assert recovery is not None
+        return f"{recovery.names[0]} of {target.itinerary.name}", recovery.goals[0].target
+    if isinstance(target, LyapunovOrbit):
+        target = sustained_orbit(target, arms, limits=limits)
+    if isinstance(target, SustainedOrbit):
+        model = sampled_model(arms, PHASES / target.period)
+        name = f"the orbit about {target.lyapunov.saddle} at {target.energy:g} J"
+        return name, orbit_target(target, model, TvlqrSettings(), limits)
+    points = equilibria(pendulum_system("pendulum", arms))
+    check_names("equilibrium", [target], points)
+    model = sampled_model(arms, RATE)
+    return target, hold_target(hold_controller(points[target].state, model, HoldSettings(), seconds=1.0), limits)
