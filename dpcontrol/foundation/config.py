@@ -15,7 +15,7 @@ from typing import Annotated, Any, NamedTuple
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.settings import Setting, Settings, leaves_of
-from dpcontrol.foundation.toml import Place, decode, read_toml
+from dpcontrol.foundation.toml import Place, read_toml, table_of
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,7 @@ def _read(path: Path, given: tuple[tuple[str, str], ...]) -> tuple[Config, froze
     """Return the configuration, and the names that the file gives."""
     values = read_toml(path)[0] if is_there(path) else {}
     if values:
-        decode(Config, values, Place(str(path)))
+        table_of(Config).read(values, Place(str(path)))
     own: dict[str, Any] = {}
     for name, text in given:
         try:

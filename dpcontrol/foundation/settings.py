@@ -56,6 +56,21 @@ def check_names(what: str, names: Iterable[str], known: Iterable[str]) -> None:
             raise InputError(f"unknown {what} {shortened(name)}: {suggest(name, known)}")
 
 
+def check_choice(key: str, value: Any, choices: Iterable[str]) -> None:
+    """Raise an error for a value that is none of the choices.
+
+    Args:
+        key: key of the value, for the message.
+        value: value given by the user.
+        choices: allowed values.
+
+    Raises:
+        InputError: the value is no choice; the message has the nearest spelling.
+    """
+    if value not in (known := list(choices)):
+        raise InputError(f"{key} = {shortened(value)}: {suggest(str(value), known)}", key=key)
+
+
 def nearest(value: str, choices: Iterable[str]) -> str:
     """Return the choice with the nearest spelling, ignoring case.
 
@@ -191,6 +206,11 @@ class Leaf:
     name: str
     annotation: Any
     default: Any
+
+    @property
+    def required(self) -> bool:
+        """True if the setting has no default."""
+        return self.default is MISSING
 
     @property
     def hint(self) -> Any:

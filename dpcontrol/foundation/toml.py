@@ -6,15 +6,14 @@ Each mistake in a file is one sentence with file, table, key, value and allowed 
 import json
 import re
 import tomllib
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import MISSING, dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, ClassVar
 
 from dpcontrol.foundation.errors import InputError, Mistakes, shortened
-from dpcontrol.foundation.settings import Leaf, leaves_of, nearest, suggest
-
-T = TypeVar("T")
+from dpcontrol.foundation.settings import Leaf, Setting, check_choice, leaves_of, nearest, suggest
 
 
 def read_toml(path: Path) -> tuple[dict[str, Any], str]:
@@ -134,6 +133,21 @@ class Place:
         table = f"[[{self.table}]] {self.number}," if self.number else f"[{self.table}]"
         return f"{self.file}:{f' {table}' if self.table else ''}"
 
+    def within(self, key: str) -> "Place":
+        """Return the place of a table in this one.
+
+        Args:
+            key: its key, "" for this table.
+        """
+        return Place(self.file, f"{self.table}.{key}" if self.table else key)
+
+    def __enter__(self) -> None:
+        """Begin a block whose mistakes are at this place."""
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        if isinstance(error, InputError):
+            raise error.under(f"{self} ", table=self.table) from error
+
     def error(self, key: str, value: Any, complaint: str) -> InputError:
         """Return the error of a key's value.
 
@@ -154,54 +168,106 @@ class Place:
         return InputError(sentence, where=f"{self} ", table=self.table, key=key)
 
 
-def table_values(
-    leaves: Mapping[str, Leaf], values: Mapping[str, Any], place: Place, *, also: Iterable[str] = ()
-) -> dict[str, Any]:
-    """Return the values of a table as its settings take them.
+@dataclass(frozen=True)
+class Table:
+    """A table of a file: its keys, and the function that makes an object of their values.
 
-    Args:
-        leaves: settings of the table by key.
-        values: values by key.
-        place: for messages.
-        also: further keys of the file, for suggestions.
-
-    Raises:
-        InputError: every unknown or missing key, and every value of another type or out of bounds.
+    Attributes:
+        keys: settings, tables, choices of tables and lists of tables by key.
+        make: function of the values by key and of the reader's context; its InputError is a mistake in the table.
+        required: True if the file must have it.
     """
-    read, mistakes, unknown = dict[str, Any](), Mistakes(), [key for key in values if key not in leaves]
-    misspelt = {nearest(key, leaves) for key in unknown}
-    for key, value in values.items():
-        with mistakes:
-            if key in unknown:
-                top = "" if place.table else "at the top level, "
-                known = sorted({*leaves, *also})
-                raise InputError(f"{top}the key {shortened(key)} is unknown: {suggest(key, known)}", key=key)
-            read[key] = leaves[key].read(value)
-    for key, leaf in leaves.items():
-        with mistakes:
-            if leaf.default is MISSING and key not in values and key not in misspelt:
-                raise InputError(f"the key {key!r} is missing", key=key)
-    try:
+
+    keys: Mapping[str, "Leaf | Table | Choice | Tables"]
+    make: Callable[[dict[str, Any], Any], Any] = lambda values, _: values
+    required: bool = False
+
+    def read(self, values: Any, place: Place, context: Any = None) -> Any:
+        """Return what the table makes of the values of a file.
+
+        Args:
+            values: values by key, where lists become tuples.
+            place: place of the table.
+            context: argument of the tables' functions.
+
+        Raises:
+            InputError: every unknown or missing key, and every value of another type or out of bounds.
+        """
+        if not isinstance(values, Mapping):
+            raise Place(place.file).error(place.table, values, f"must be a table, [{place.table}]")
+        read, mistakes, misspelt = dict[str, Any](), Mistakes(), {nearest(key, self.keys) for key in values}
+        for key, value in values.items():
+            with mistakes:
+                part = self.keys.get(key)
+                if part is None:
+                    at_top = "" if place.table else "at the top level, "
+                    known = suggest(key, sorted(filter(None, self.keys)))
+                    raise place.refusal(f"{at_top}the key {shortened(key)} is unknown: {known}", key)
+                if isinstance(part, Leaf):
+                    with place:
+                        read[key] = part.read(value)
+                else:
+                    read[key] = part.read(value, place.within(key), context)
+        for key, part in self.keys.items():
+            with mistakes:
+                if part.required and key not in values and key not in misspelt:
+                    raise place.refusal(f"the key {key!r} is missing", key)
         mistakes.report()
-    except InputError as error:
-        raise error.under(f"{place} ", table=place.table) from error
-    return read
+        with place:
+            return self.make(read, context)
 
 
-def decode(kind: type[T], values: Mapping[str, Any], place: Place, *, also: Iterable[str] = ()) -> T:
-    """Return settings of a dataclass from a table.
+@cache
+def table_of(kind: Any, *, required: bool = False) -> Table:
+    """Return the table of a settings dataclass.
 
     Args:
-        kind: dataclass derived from `Settings`.
-        values: values by key, where lists become tuples.
-        place: for messages.
-        also: further keys of the file, for suggestions.
-
-    Raises:
-        InputError: every unknown or missing key, and every value of another type or out of bounds.
+        kind: dataclass derived from `Settings`; one with a `kind` allows this key with its value.
+        required: True if the file must have the table.
     """
-    read = table_values(leaves_of(kind), values, place, also=also)
-    try:
-        return kind(**read)
-    except InputError as error:
-        raise error.under(f"{place} ", table=place.table) from error
+    name = getattr(kind, "kind", "")
+    of_kind = {"kind": Leaf("kind", Annotated[str, Setting(choices=(name,), help="Kind.")], name)} if name else {}
+    return Table({**of_kind, **leaves_of(kind)}, lambda values, _: kind(**values), required)
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A table of a file whose values decide its keys.
+
+    Attributes:
+        tables: the possible tables by name.
+        choose: function of the values, which returns one of the names.
+        key: key that has the name.
+    """
+
+    tables: Mapping[str, Table]
+    choose: Callable[[Mapping[str, Any]], Any]
+    key: str = "kind"
+    required: ClassVar[bool] = False
+
+    def read(self, values: Any, place: Place, context: Any = None) -> Any:
+        """Return what the chosen table makes of the values of a file; see `Table.read`."""
+        with place:
+            kind = self.choose(values) if isinstance(values, Mapping) else next(iter(self.tables))
+            check_choice(self.key, kind, self.tables)
+        return self.tables[kind].read(values, place, context)
+
+
+@dataclass(frozen=True)
+class Tables:
+    """A list of tables of a file, at least one."""
+
+    each: Table | Choice
+    required: bool = False
+
+    def read(self, values: Any, place: Place, context: Any = None) -> tuple[Any, ...]:
+        """Return what each table makes of its values; see `Table.read`."""
+        if not (isinstance(values, list) and values and all(isinstance(one, dict) for one in values)):
+            sentence = f"{place.table} = {shortened(values)}: must be tables, each under [[{place.table}]]"
+            raise InputError(sentence, where=f"{place.file}: ", key=place.table)
+        mistakes, read = Mistakes(), list[Any]()
+        for number, one in enumerate(values, start=1):
+            with mistakes:
+                read.append(self.each.read(one, replace(place, number=number), context))
+        mistakes.report()
+        return tuple(read)

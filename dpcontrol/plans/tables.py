@@ -3,16 +3,18 @@
 Both are made from the declarations of the settings.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import MISSING
-from typing import Annotated, Any
+from typing import Any
 
-from dpcontrol.foundation.settings import Leaf, Setting, leaves_of
+from dpcontrol.foundation.settings import Leaf, leaves_of
+from dpcontrol.foundation.toml import Choice, Table, Tables
 from dpcontrol.loop.bench import Push
 from dpcontrol.loop.controllers import CONTROLLERS, ESTIMATORS, KEEPERS
 from dpcontrol.loop.result import SupervisorSettings
+from dpcontrol.plans.itinerary import FILE, PART
 from dpcontrol.plans.layout import BENCH, KEEP, RUN, ZEROS, Header, HoldPart, OrbitPart, WalkPart
-from dpcontrol.plans.model import OPTIONAL, REQUIRED, Title
+from dpcontrol.plans.model import FILE as MODEL
 from dpcontrol.references.problem import Limits, ReferenceSettings
 
 _PAGE = """\
@@ -107,83 +109,32 @@ _DRAFT = "https://json-schema.org/draft/2020-12/schema"
 
 
 def _itinerary_schema() -> dict[str, Any]:
-    parts = [_object(leaves_of(kind)) for kind in (WalkPart, HoldPart, OrbitPart)]
-    part_keys = {key: value for part in reversed(parts) for key, value in part["properties"].items()}
-    run = _object({**{key: leaf for key, (_, leaf) in RUN.items()}, "zeros": ZEROS})
-    run["properties"]["blows"] = {
-        "type": "array",
-        "items": _object(leaves_of(Push)),
-        "description": "Blows at given times.",
-    }
-    alone = [*part_keys, "parts"]
-    tables = {
-        "limits": _object(leaves_of(Limits)),
-        "reference": _object(leaves_of(ReferenceSettings)),
-        "run": run,
-        "controller": _controller_schema(),
-        "estimator": {"anyOf": _kinds(ESTIMATORS, "ekf")},
-        "supervisor": _object(leaves_of(SupervisorSettings)),
-        "parts": {"type": "array", "items": {"anyOf": parts}, "minItems": 1},
-    }
-    return {
-        "$schema": _DRAFT,
-        "title": "Itinerary of dpcontrol",
-        "type": "object",
-        "properties": {**_object(leaves_of(Header))["properties"], **part_keys, **tables},
-        "anyOf": [
-            *({"required": part["required"], "properties": _absent(alone, part["properties"])} for part in parts),
-            {"required": ["parts"], "properties": _absent(part_keys)},
-        ],
-        "additionalProperties": False,
-    }
-
-
-def _absent(keys: Iterable[str], allowed: Iterable[str] = ()) -> dict[str, bool]:
-    """Return the schema of keys that must be absent, except those allowed."""
-    return {key: False for key in keys if key not in set(allowed)}
+    """Return the schema of a file with one part at its top level, or with [[parts]]."""
+    whole = {key: part for key, part in FILE.keys.items() if key not in ("", "parts")}
+    several = {"parts": Tables(PART, required=True)}
+    files = [Table({**whole, **keys}) for keys in (several, *(part.keys for part in PART.tables.values()))]
+    return {"$schema": _DRAFT, "title": "Itinerary of dpcontrol", "anyOf": [schema_of(file) for file in files]}
 
 
 def _model_schema() -> dict[str, Any]:
-    systems = []
-    for system, required in REQUIRED.items():
-        arms = system == "arm-chain"
-        made = _object(leaves_of(Title))
-        tables = {**required, **(OPTIONAL if arms else {})}
-        made["properties"] |= {name: _object(leaves_of(kind)) for name, kind in tables.items()}
-        made["properties"]["system"] = {"const": system, "default": "arm-chain"}
-        made["required"] += [*required, *(() if arms else ("system",))]
-        systems.append(made)
-    return {"$schema": _DRAFT, "title": "Model of dpcontrol", "anyOf": systems}
+    return {"$schema": _DRAFT, "title": "Model of dpcontrol", **schema_of(MODEL)}
 
 
-def _kinds(kinds: Mapping[str, type], default: str, keep: Mapping[str, Leaf] | None = None) -> list[dict[str, Any]]:
-    """Return the schemas of a table whose `kind` chooses its keys."""
-    made = []
-    for name, kind in kinds.items():
-        known = Leaf(
-            "kind", Annotated[str, Setting(choices=(name,), help="Kind.")], name if name == default else MISSING
-        )
-        made.append(_object({"kind": known, **leaves_of(kind), **(keep or {})}))
-    return made
+def schema_of(part: Leaf | Table | Choice | Tables) -> dict[str, Any]:
+    """Return the JSON Schema of a part of a file.
 
-
-def _controller_schema() -> dict[str, Any]:
-    """Return the schema of [controller].
-
-    Only TVLQR hands over to a keeper, and is then the default.
+    Args:
+        part: setting, table, choice of tables or list of tables.
     """
-    none, *laws = KEEPERS
-    alone = Leaf("keep", Annotated[str, Setting(choices=(none,), help=KEEP.bounds.help)], none)
-    keeping = Leaf("keep", Annotated[str, Setting(choices=tuple(laws), help=KEEP.bounds.help)], MISSING)
-    follow = _kinds(CONTROLLERS, "adaptive", {"keep": alone})
-    return {"anyOf": [*follow, *_kinds({"tvlqr": CONTROLLERS["tvlqr"]}, "tvlqr", {"keep": keeping})]}
-
-
-def _object(leaves: Mapping[str, Leaf]) -> dict[str, Any]:
-    """Return the schema of a table."""
+    if isinstance(part, Leaf):
+        return part.schema()
+    if isinstance(part, Choice):
+        return {"anyOf": [schema_of(table) for table in part.tables.values()]}
+    if isinstance(part, Tables):
+        return {"type": "array", "items": schema_of(part.each), "minItems": 1}
     return {
         "type": "object",
-        "properties": {key: leaf.schema() for key, leaf in leaves.items()},
-        "required": [key for key, leaf in leaves.items() if leaf.default is MISSING],
+        "properties": {key: schema_of(one) for key, one in part.keys.items()},
+        "required": [key for key, one in part.keys.items() if one.required],
         "additionalProperties": False,
     }
