@@ -110,19 +110,9 @@ def variable(name: str) -> str:
 def _read(path: Path, given: tuple[tuple[str, str], ...]) -> tuple[Config, frozenset[str]]:
     """Return the configuration, and the names that the file gives."""
     values = read_toml(path)[0] if is_there(path) else {}
-    if values:
-        table_of(Config).read(values, Place(str(path)))
-    own: dict[str, Any] = {}
-    for name, text in given:
-        try:
-            own[name] = int(text) if name == "workers" else text
-        except ValueError:
-            raise InputError(f"{variable(name)} = {text!r}: must be a whole number") from None
-    for name, value in own.items():
-        try:
-            Config(**{name: value})
-        except InputError as error:
-            raise InputError(f"{variable(name)}: {error}") from error
+    table_of(Config).read(values, Place(str(path)))
+    leaves = leaves_of(Config)
+    own = {name: leaves[name].read(text, key=variable(name), strict=False) for name, text in given}
     return Config(**{**values, **own}), frozenset(values)
 
 

@@ -12,7 +12,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from pathlib import Path
@@ -65,13 +65,10 @@ def in_processes(
         try:
             with ignoring_interrupts():
                 running = {pool.submit(function, pieces[k]): k for k in left}
-            while running:
-                finished, _ = wait(running, return_when=FIRST_COMPLETED)
-                for future in finished:
-                    k = running.pop(future)
-                    result = future.result()
-                    done.add(k)
-                    yield pieces[k], result
+            for future in as_completed(running):
+                k, result = running[future], future.result()
+                done.add(k)
+                yield pieces[k], result
             # At the end of a program, Python may use the pipes of processes that are still ending.
             pool.shutdown()
             return

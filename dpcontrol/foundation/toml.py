@@ -35,10 +35,6 @@ def read_toml(path: Path) -> tuple[dict[str, Any], str]:
     return parse_toml(text, str(path)), text
 
 
-_DEEPEST = 20
-"""Levels of tables and lists in a file; our own have four."""
-
-
 def parse_toml(text: str, file: str) -> dict[str, Any]:
     """Return the contents of TOML text.
 
@@ -50,15 +46,7 @@ def parse_toml(text: str, file: str) -> dict[str, Any]:
         InputError: the text is not TOML, with the line.
     """
     try:
-        document = tomllib.loads(text)
-        # Dotted keys nest without recursion of the parser.
-        level: list[Any] = [document]
-        for _ in range(_DEEPEST):
-            level = [one for part in level for one in (part.values() if isinstance(part, dict) else part)]
-            level = [one for one in level if isinstance(one, dict | list)]
-        if level:
-            raise RecursionError
-        return document
+        return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         # Before Python 3.14, the error has its line in the text only, or is at the end of the document.
         place = re.search(r"\(at line (\d+),", str(error))
