@@ -124,23 +124,14 @@ def _exit_after(sentinel: int) -> None:
 
 @contextmanager
 def ignoring_interrupts() -> Iterator[None]:
-    """Delay Ctrl-C until the block ends.
+    """Ignore Ctrl-C in the block, as processes that are started in it will do from then on.
 
-    Processes started in the block ignore it.
+    Only the main thread can do so.
     """
-    noted: list[int] = []
-    # Windows has no signal masks; there, the handler alone delays Ctrl-C.
-    masks = hasattr(signal, "pthread_sigmask")
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}) if masks else ()
-    # Another thread could receive the signal, and a process could be left half started.
     in_main = threading.current_thread() is threading.main_thread()
-    handler = signal.signal(signal.SIGINT, lambda number, _: noted.append(number)) if in_main else None
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN) if in_main else None
     try:
         yield
     finally:
         if in_main:
-            signal.signal(signal.SIGINT, handler)
-        if masks:
-            signal.pthread_sigmask(signal.SIG_SETMASK, before)
-    if noted:
-        signal.raise_signal(signal.SIGINT)
+            signal.signal(signal.SIGINT, before)

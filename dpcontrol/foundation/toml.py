@@ -3,7 +3,6 @@
 Each mistake in a file is one sentence with file, table, key, value and allowed range.
 """
 
-import json
 import re
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
@@ -56,7 +55,7 @@ def parse_toml(text: str, file: str) -> dict[str, Any]:
         raise InputError(f"{file} is not usable TOML: nested too deeply, or a number of too many digits") from error
 
 
-def with_values(text: str, table: str, values: Mapping[str, Any], *, file: str) -> str:
+def with_values(text: str, table: str, values: Mapping[str, Any]) -> str:
     """Return TOML text with keys of one table set.
 
     Comments, order, spacing and line ends are kept. New keys follow the table's last key, and a new table follows the
@@ -66,15 +65,9 @@ def with_values(text: str, table: str, values: Mapping[str, Any], *, file: str) 
         text: valid TOML.
         table: name of the table; "" for the top level.
         values: texts, numbers or lists of these, by key.
-        file: its name in messages.
-
-    Raises:
-        InputError: the text cannot be changed; the message has the lines to write by hand.
     """
     import tomlkit
 
-    before = tomllib.loads(text)
-    wanted = {**before, table: {**before.get(table, {}), **values}} if table else {**before, **values}
     document = tomlkit.parse(text)
     if table and table not in document:
         document[table] = tomlkit.table()
@@ -82,12 +75,7 @@ def with_values(text: str, table: str, values: Mapping[str, Any], *, file: str) 
     for key, value in values.items():
         edited[key] = _listed(value) if isinstance(value, list | tuple) else tomlkit.item(value)
     out = tomlkit.dumps(document)
-    out = out.replace("\r\n", "\n").replace("\n", "\r\n") if "\r\n" in text else out
-    if _as_text(tomllib.loads(out)) != _as_text(wanted):
-        shown = ", ".join(f"{key} = {value!r}" for key, value in values.items())
-        where = f"its [{table}]" if table else "it"
-        raise InputError(f"{file}: {where} could not be changed; write there {shown}")
-    return out
+    return out.replace("\r\n", "\n").replace("\n", "\r\n") if "\r\n" in text else out
 
 
 def _listed(values: Sequence[Any]) -> Any:
@@ -99,11 +87,6 @@ def _listed(values: Sequence[Any]) -> Any:
     lines = len(values) > 1 and all(isinstance(one, str) for one in values)
     inside = "".join(f"\n    {text}," for text in texts) + "\n" if lines else ", ".join(texts)
     return tomlkit.value(f"[{inside}]")
-
-
-def _as_text(values: Mapping[str, Any]) -> str:
-    """Return values as text, because NaN is not equal to itself."""
-    return json.dumps(values, default=str, sort_keys=True)
 
 
 @dataclass(frozen=True)

@@ -338,7 +338,7 @@ class Itinerary:
         stay = self.parts[0]
         if len(self.parts) > 1 or isinstance(stay, WalkPart) or self.stored is not None:
             raise InputError(f"seconds = {seconds:g}: {self.path} is not the file of one stay; change its [[parts]]")
-        text = with_values(self.text, "", {"seconds": seconds}, file=str(self.path))
+        text = with_values(self.text, "", {"seconds": seconds})
         return replace(self, text=text, parts=(replace(stay, seconds=seconds),))
 
     def check_parts(self, planned: "Itinerary") -> None:

@@ -653,7 +653,7 @@ def _serve(recipe: BenchRecipe, settings: BenchServerSettings, key: bytes, pipe:
     arms = recipe.parameters.count
     with UdpBench(
         recipe.rig, arms=arms, ticks=recipe.all_ticks, period=recipe.period, key=key, settings=settings,
-        recorded=max(recipe.ticks, _RECORDED), report=pipe.send,
+        recorded=max(recipe.ticks, _RECORDED),
     ) as bench:  # fmt: skip
         pipe.send(bench.address)
         bench.serve(runs=1)
@@ -688,31 +688,11 @@ class BenchProcess(AbstractContextManager["BenchProcess"]):
         if not self.address[1]:
             self._end()
             raise InputError("the example bench did not start; `dpcontrol rig` shows why")
-        self.messages: list[str] = []
         self.record: BenchRecord | None = None
-        """Messages and record of the run, available after the block."""
+        """Record of the run, available after `controlled_by`."""
 
     def __exit__(self, *_: object) -> None:
-        if self.began:
-            self._handle_packets(_END)
         self._end()
-
-    @property
-    def began(self) -> bool:
-        """True if a loop has begun its run."""
-        self._handle_packets(0.0)
-        return bool(self.messages)
-
-    def _handle_packets(self, wait: float) -> None:
-        """Receive messages of the bench for at most `wait` seconds."""
-        until = time.perf_counter() + wait
-        with suppress(EOFError, OSError):
-            while self._pipe.poll(max(until - time.perf_counter(), 0.0)):
-                heard = self._pipe.recv()
-                if isinstance(heard, BenchRecord):
-                    self.record = heard
-                elif heard is not None:
-                    self.messages.append(heard)
 
     def controlled_by(self, program: Path, *arguments: str) -> Deadlines | None:
         """Let a program control the run, and return its deadlines.
@@ -747,7 +727,9 @@ class BenchProcess(AbstractContextManager["BenchProcess"]):
             with suppress(subprocess.TimeoutExpired):
                 process.wait(_END)
             process.kill()
-        if not self.began:
+            with suppress(EOFError):
+                self.record = self._pipe.recv() if self._pipe.poll(_END) else None
+        if self.record is None:
             why = errors.strip().splitlines()[-1:] or ["it printed nothing"]
             raise InputError(f"{name} ended with {process.returncode} before a run began: {why[0]}")
         try:

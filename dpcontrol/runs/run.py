@@ -1056,7 +1056,7 @@ def measured_text(itinerary: Itinerary, values: Mapping[str, Any]) -> tuple[Path
     if path.is_relative_to(shipped.resolve()) and not path.is_relative_to(own.resolve()):
         path = own / path.name
     mark = "\ufeff" if text.startswith("\ufeff") else ""
-    return path, mark + with_values(text.removeprefix(mark), "run", values, file=str(itinerary.path))
+    return path, mark + with_values(text.removeprefix(mark), "run", values)
 
 
 def written(found: "Commissioning", itinerary: Itinerary) -> "Commissioning":
@@ -1153,7 +1153,7 @@ def _log_recorded(
     plan: Plan, out: Path, program: Path, assembly: Assembly, process: BenchProcess, kept: Deadlines | None
 ) -> Run:
     if process.record is None:
-        raise GoalMissed(f"the example bench did not end its run in order: {'; '.join(process.messages)}")
+        raise GoalMissed("the example bench did not end its run in order")
     with log_writer(plan, out, **drawn_metadata(plan.itinerary)) as writer:
         loop = assembly.loop(sink=LogSink(writer))
         rig = RecordedRig(process.record, loop.ticker.program)
