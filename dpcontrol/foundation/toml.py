@@ -189,16 +189,15 @@ class Table:
 
 
 @cache
-def table_of(kind: Any, *, required: bool = False) -> Table:
+def table_of(kind: Any) -> Table:
     """Return the table of a settings dataclass.
 
     Args:
         kind: dataclass derived from `Settings`; one with a `kind` allows this key with its value.
-        required: True if the file must have the table.
     """
     name = getattr(kind, "kind", "")
     of_kind = {"kind": Leaf("kind", Annotated[str, Setting(choices=(name,), help="Kind.")], name)} if name else {}
-    return Table({**of_kind, **leaves_of(kind)}, lambda values, _: kind(**values), required)
+    return Table({**of_kind, **leaves_of(kind)}, lambda values, _: kind(**values))
 
 
 @dataclass(frozen=True)
