@@ -102,22 +102,16 @@ def schema(of: str) -> dict[str, Any]:
     Args:
         of: "model" or "itinerary".
     """
-    return {"itinerary": _itinerary_schema, "model": _model_schema}[of]()
-
-
-_DRAFT = "https://json-schema.org/draft/2020-12/schema"
-
-
-def _itinerary_schema() -> dict[str, Any]:
-    """Return the schema of a file with one part at its top level, or with [[parts]]."""
+    if of == "model":
+        return {"$schema": _DRAFT, "title": "Model of dpcontrol", **schema_of(MODEL)}
+    # One part is at the top level, or several under [[parts]].
     whole = {key: part for key, part in FILE.keys.items() if key not in ("", "parts")}
     several = {"parts": Tables(PART, required=True)}
     files = [Table({**whole, **keys}) for keys in (several, *(part.keys for part in PART.tables.values()))]
     return {"$schema": _DRAFT, "title": "Itinerary of dpcontrol", "anyOf": [schema_of(file) for file in files]}
 
 
-def _model_schema() -> dict[str, Any]:
-    return {"$schema": _DRAFT, "title": "Model of dpcontrol", **schema_of(MODEL)}
+_DRAFT = "https://json-schema.org/draft/2020-12/schema"
 
 
 def schema_of(part: Leaf | Table | Choice | Tables) -> dict[str, Any]:

@@ -111,14 +111,13 @@ class BenchRecord:
         ended: cause of the end.
     """
 
-    fault: Event | None
-
     def __init__(self, ticks: int, arms: int, period: float) -> None:
         self.period, self.ticks, self.last = period, 0, -1
         self.positions, self.truth = np.full((ticks, arms + 1), np.nan), np.full((ticks, 2 * arms + 2), np.nan)
         self.sent, self.switch = np.zeros(ticks, dtype=bool), np.zeros(ticks, dtype=np.int8)
         self.commands, self.ages = np.full(ticks, np.nan), np.full(ticks, np.nan)
-        self.fault, self.fault_at, self.ended = None, ticks, ""
+        self.fault: Event | None = None
+        self.fault_at, self.ended = ticks, ""
 
     def read(self, k: int, reading: Reading, truth: Array | None, *, sent: bool) -> None:
         """Store the reading of tick k.
@@ -129,13 +128,10 @@ class BenchRecord:
             truth: true state (2n+2,), None if unknown.
             sent: True if the reading was sent.
         """
-        if k >= len(self.sent):
-            return
-        self.ticks, self.sent[k], self.switch[k] = k + 1, sent, reading.switch
-        self.positions[k] = reading.positions
-        self.ages[k] = math.nan if reading.age is None else reading.age
-        if truth is not None:
-            self.truth[k] = truth
+        if k < len(self.sent):
+            self.ticks, self.sent[k], self.switch[k] = k + 1, sent, reading.switch
+            self.positions[k], self.ages[k] = reading.positions, math.nan if reading.age is None else reading.age
+            self.truth[k] = math.nan if truth is None else truth
 
     def answered(self, k: int, command: float | None) -> None:
         """Store the command for the reading of tick k.
@@ -144,11 +140,9 @@ class BenchRecord:
             k: tick.
             command: command, m/s²; None if the cart had to stop.
         """
-        if k >= len(self.commands):
-            return
-        self.last = max(self.last, k)
-        if command is not None:
-            self.commands[k] = command
+        if k < len(self.commands):
+            self.last = max(self.last, k)
+            self.commands[k] = self.commands[k] if command is None else command
 
     @property
     def still_from(self) -> float:

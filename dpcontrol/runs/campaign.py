@@ -494,7 +494,7 @@ class Campaign(Shown):
         """Return a pandas table, one row for each run.
 
         Raises:
-            InputError: pandas is not installed.
+            PartMissing: pandas is not installed.
         """
         return pandas_classes()[0](self.table.to_pylist())
 

@@ -281,7 +281,7 @@ class Run(Timed):
             count: number of rows of interpolated states; None for one row per tick (see `RunLog.frame`).
 
         Raises:
-            InputError: pandas is not installed.
+            PartMissing: pandas is not installed.
         """
         return self.log.frame() if count is None else super().frame(count)
 
