@@ -1,23 +1,19 @@
-"""The guide's tables of settings and the files' JSON Schema.
-
-Both are made from the declarations of the settings.
-"""
+"""The guide's page on settings, from their declarations: `python tests/settings_page.py` writes it."""
 
 from collections.abc import Mapping
 from dataclasses import MISSING
+from pathlib import Path
 from typing import Any
 
 from dpcontrol.foundation.settings import Leaf, leaves_of
-from dpcontrol.foundation.toml import Choice, Table, Tables
 from dpcontrol.loop.bench import Push
 from dpcontrol.loop.controllers import CONTROLLERS, ESTIMATORS, KEEPERS
 from dpcontrol.loop.result import SupervisorSettings
-from dpcontrol.plans.itinerary import FILE, PART
 from dpcontrol.plans.layout import BENCH, KEEP, RUN, ZEROS, Header, HoldPart, OrbitPart, WalkPart
-from dpcontrol.plans.model import FILE as MODEL
 from dpcontrol.references.problem import Limits, ReferenceSettings
 
-_PAGE = """\
+PAGE = Path(__file__).parents[1] / "dpcontrol" / "guide" / "settings.md"
+INTRODUCTION = """\
 # Settings
 
 All settings of itineraries and runs, with their defaults and allowed values. This page is generated from the program.
@@ -57,7 +53,7 @@ def settings_page() -> str:
         ("[estimator]", "estimator.", {kind: leaves_of(filters) for kind, filters in ESTIMATORS.items()}),
         ("[supervisor]", "supervisor.", {"": leaves_of(SupervisorSettings)}),
     ]
-    return _PAGE + "".join(f"\n## {title}\n\n{_table(prefix, kinds)}" for title, prefix, kinds in tables)
+    return INTRODUCTION + "".join(f"\n## {title}\n\n{_table(prefix, kinds)}" for title, prefix, kinds in tables)
 
 
 def _table(prefix: str, kinds: Mapping[str, Mapping[str, Leaf]]) -> str:
@@ -96,39 +92,5 @@ def _shown(value: Any) -> str:
     return "none" if value in ("", None) else str(value)
 
 
-def schema(of: str) -> dict[str, Any]:
-    """Return the JSON Schema of model or itinerary files.
-
-    Args:
-        of: "model" or "itinerary".
-    """
-    if of == "model":
-        return {"$schema": _DRAFT, "title": "Model of dpcontrol", **schema_of(MODEL)}
-    # One part is at the top level, or several under [[parts]].
-    whole = {key: part for key, part in FILE.keys.items() if key not in ("", "parts")}
-    several = {"parts": Tables(PART, required=True)}
-    files = [Table({**whole, **keys}) for keys in (several, *(part.keys for part in PART.tables.values()))]
-    return {"$schema": _DRAFT, "title": "Itinerary of dpcontrol", "anyOf": [schema_of(file) for file in files]}
-
-
-_DRAFT = "https://json-schema.org/draft/2020-12/schema"
-
-
-def schema_of(part: Leaf | Table | Choice | Tables) -> dict[str, Any]:
-    """Return the JSON Schema of a part of a file.
-
-    Args:
-        part: setting, table, choice of tables or list of tables.
-    """
-    if isinstance(part, Leaf):
-        return part.schema()
-    if isinstance(part, Choice):
-        return {"anyOf": [schema_of(table) for table in part.tables.values()]}
-    if isinstance(part, Tables):
-        return {"type": "array", "items": schema_of(part.each), "minItems": 1}
-    return {
-        "type": "object",
-        "properties": {key: schema_of(one) for key, one in part.keys.items()},
-        "required": [key for key, one in part.keys.items() if one.required],
-        "additionalProperties": False,
-    }
+if __name__ == "__main__":
+    PAGE.write_text(settings_page(), encoding="utf-8")
