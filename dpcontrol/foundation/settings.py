@@ -222,13 +222,6 @@ class Leaf:
         """Declaration of the setting."""
         return self.annotation.__metadata__[-1]  # type: ignore[no-any-return]
 
-    @property
-    def sentence(self) -> str:
-        """Help with the unit or the choices."""
-        more = f": {', '.join(self.bounds.choices)}" if self.bounds.choices else ""
-        unit = f", {self.bounds.unit}" if self.bounds.unit else ""
-        return f"{self.bounds.help.removesuffix('.')}{more}{unit}."
-
     def read(self, value: Any, *, key: str = "", strict: bool = True) -> Any:
         """Return a value as the setting's type takes it: tuples for lists, and floats for whole numbers.
 

@@ -238,4 +238,7 @@ def test_a_list_is_written_with_or_without_brackets_and_varied_in_brackets() -> 
 
 
 def test_options_of_settings_have_the_help_of_their_declarations() -> None:
-    assert {path: paths()[path].sentence for path in NAMED} == NAMED
+    for path, text in NAMED.items():
+        bounds = paths()[path].bounds
+        more = f": {', '.join(bounds.choices)}" if bounds.choices else f", {bounds.unit}" if bounds.unit else ""
+        assert text == f"{bounds.help.removesuffix('.')}{more}."
