@@ -414,14 +414,11 @@ def archive_format(path: Path | str) -> str:
     The result is "" if it has none or is not readable.
 
     Args:
-        path: archive, or any other file.
+        path: archive (see `is_archive`). A log whose last bytes are an attached archive opens as that archive.
 
     Raises:
         InputError: it is not a regular file.
     """
-    if not is_archive(path):
-        # A log whose last bytes are an attached archive opens as that archive.
-        return ""
     import numpy as np
 
     try:
