@@ -166,7 +166,8 @@ class Table:
         """
         if not isinstance(values, Mapping):
             raise Place(place.file).error(place.table, values, f"must be a table, [{place.table}]")
-        read, mistakes, misspelt = dict[str, Any](), Mistakes(), {nearest(key, self.keys) for key in values}
+        read, mistakes = dict[str, Any](), Mistakes()
+        misspelt = {nearest(key, self.keys) for key in values if key not in self.keys}
         for key, value in values.items():
             with mistakes:
                 part = self.keys.get(key)
