@@ -1759,7 +1759,7 @@ def schema(of: Literal["itinerary", "model"]) -> dict[str, Any]:
         >>> dp.schema("model")["title"]
         'Model of dpcontrol'
     """
-    from dpcontrol.plans.tables import schema as schema_of
+    from dpcontrol.plans.schema import schema as schema_of
 
     return schema_of(of)
 

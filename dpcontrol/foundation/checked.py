@@ -88,12 +88,13 @@ def check(name: str, value: Any, hint: Any) -> None:
     Raises:
         InputError: names the argument, its value and the allowed values.
     """
-    if _fits(value, hint):
+    noun, fits = _kind(hint)
+    if fits(value):
         return
     texts = [text for part in (hint, *get_args(hint)) if get_origin(part) is Literal for text in get_args(part)]
     if isinstance(value, str) and texts and all(isinstance(text, str) for text in texts):
         raise InputError(f"{name} = {shortened(value)}: {suggest(value, texts)}")
-    raise InputError(f"{name} = {shortened(value)}: must be {_noun(hint)}")
+    raise InputError(f"{name} = {shortened(value)}: must be {noun}")
 
 
 def number(name: str, value: Any) -> float:
@@ -126,14 +127,14 @@ def numbers(name: str, values: Any, count: int) -> tuple[float, ...]:
 
 
 class _Kind(NamedTuple):
-    """Values that a plain type allows: their noun for messages, and their test."""
+    """Values that a type allows: their noun for messages, and their test."""
 
     noun: str
     fits: Callable[[Any], bool]
 
 
 @cache
-def _kinds() -> dict[Any, _Kind]:
+def _plain_kinds() -> dict[Any, _Kind]:
     """Return the values that each plain type allows.
 
     The import within the function keeps the signatures of public functions quick to import.
@@ -146,7 +147,6 @@ def _kinds() -> dict[Any, _Kind]:
     def is_array(value: Any) -> bool:
         return isinstance(value, np.ndarray) and value.dtype.kind in "iuf" and bool(np.isfinite(value).all())
 
-    anything = _Kind("", lambda _: True)
     return {
         float: _Kind("a finite number", lambda value: is_number(value, Real)),
         int: _Kind("a whole number", lambda value: is_number(value, Integral)),
@@ -155,33 +155,52 @@ def _kinds() -> dict[Any, _Kind]:
         Path: _Kind("the path of a file", lambda value: isinstance(value, Path) and _is_line(str(value))),
         np.ndarray: _Kind("an array of finite numbers", is_array),
         Callable: _Kind("a function", callable),
-        types.NoneType: _Kind("", lambda value: value is None),
-        None: _Kind("", lambda value: value is None),
-        Any: anything,
-        object: anything,
+        **dict.fromkeys((types.NoneType, None), _Kind("", lambda value: value is None)),
+        **dict.fromkeys((Any, object), _Kind("", lambda _: True)),
     }
 
 
-def _fits(value: Any, hint: Any) -> bool:
+@cache
+def _kind(hint: Any) -> _Kind:
+    """Return the values that a type allows."""
     kind, inner = get_origin(hint) or hint, get_args(hint)
     if kind in (Union, types.UnionType):
-        return any(_fits(value, part) for part in inner)
+        parts = [_kind(part) for part in inner]
+        nouns = dict.fromkeys(part.noun for part in parts if part.noun)
+        return _Kind(" or ".join(nouns), lambda value: any(part.fits(value) for part in parts))
     if kind is Annotated:
-        return _fits(value, inner[0]) and not (isinstance(inner[1], Between) and inner[1].complaint(value))
+        noun, fits = _kind(inner[0])
+        bounds = next((one for one in inner if isinstance(one, Between)), None)
+        if bounds is None:
+            return _Kind(noun, fits)
+        return _Kind(f"{noun}, {bounds.range}", lambda value: fits(value) and not bounds.complaint(value))
     if kind is Literal:
-        return any(type(value) is type(allowed) and value == allowed for allowed in inner)
+        typed = [(type(one), one) for one in inner]
+        return _Kind(", ".join(map(repr, inner)), lambda value: (type(value), value) in typed)
     if kind is Mapping:
-        return isinstance(value, Mapping) and all(
-            _fits(key, inner[0]) and _fits(entry, inner[1]) for key, entry in value.items()
+        key, entry = map(_kind, inner)
+        return _Kind(
+            "values by name",
+            lambda value: isinstance(value, Mapping) and all(key.fits(k) and entry.fits(v) for k, v in value.items()),
         )
     if kind in (Sequence, Collection, tuple):
-        entries = inner if kind is tuple and Ellipsis not in inner else inner[:1] * len(value) if is_list(value) else ()
-        return is_list(value) and len(value) == len(entries) and all(map(_fits, value, entries))
-    if kind in _kinds():
-        return _kinds()[kind].fits(value)
-    if getattr(kind, "_is_protocol", False):
-        return value is not None  # The object's methods are checked where they are called.
-    return not isinstance(kind, type) or isinstance(value, kind)
+        fixed = [_kind(part) for part in inner] if kind is tuple and Ellipsis not in inner else []
+        each, count = _kind(inner[0]), f"{len(fixed)} values" if fixed else "a list"
+
+        def fit(value: Any) -> bool:
+            entries = fixed or [each] * (len(value) if is_list(value) else 0)
+            return is_list(value) and len(value) == len(entries) and all(map(lambda k, v: k.fits(v), entries, value))
+
+        return _Kind(f"{count}, each {each.noun}" if each.noun else count, fit)
+    if kind in _plain_kinds():
+        return _plain_kinds()[kind]
+    name = getattr(kind, "__name__", str(kind))
+    # The methods of a protocol's object are checked where they are called.
+    checks = isinstance(kind, type) and not getattr(kind, "_is_protocol", False)
+    return _Kind(
+        f"{'an' if name[0] in 'AEIOU' else 'a'} {name}",
+        lambda value: isinstance(value, kind) if checks else value is not None or not isinstance(kind, type),
+    )
 
 
 def _is_line(text: str) -> bool:
@@ -199,22 +218,3 @@ def is_list(value: Any) -> bool:
     """
     ordered = isinstance(value, Collection) and not isinstance(value, str | bytes | Mapping | Set)
     return ordered and getattr(value, "ndim", 1) > 0
-
-
-def _noun(hint: Any) -> str:
-    """Return the values that a type allows, as a noun for messages."""
-    kind, inner = get_origin(hint) or hint, get_args(hint)
-    if kind in (Union, types.UnionType):
-        return " or ".join(dict.fromkeys(filter(None, map(_noun, inner))))
-    if kind is Annotated:
-        return f"{_noun(inner[0])}, {inner[1].range}" if isinstance(inner[1], Between) else _noun(inner[0])
-    if kind is Literal:
-        return ", ".join(map(repr, inner))
-    if kind is Mapping:
-        return "values by name"
-    if kind in (Sequence, Collection, tuple):
-        count = f"{len(inner)} values" if kind is tuple and Ellipsis not in inner else "a list"
-        each = _noun(inner[0])
-        return f"{count}, each {each}" if each else count
-    name = getattr(kind, "__name__", str(kind))
-    return _kinds()[kind].noun if kind in _kinds() else f"{'an' if name[0] in 'AEIOU' else 'a'} {name}"

@@ -8,14 +8,13 @@ the environment overrides the file, and the file overrides the default.
 
 import os
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
-from functools import cache
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.settings import Setting, Settings, leaves_of
-from dpcontrol.foundation.toml import Place, decode, read_toml
+from dpcontrol.foundation.toml import Place, read_toml, table_of
 
 
 @dataclass(frozen=True)
@@ -106,40 +105,13 @@ def variable(name: str) -> str:
     return f"DPCONTROL_{name.upper()}"
 
 
-@cache
-def _read(path: Path, given: tuple[tuple[str, str], ...]) -> tuple[Config, frozenset[str]]:
-    """Return the configuration, and the names that the file gives."""
-    values = read_toml(path)[0] if is_there(path) else {}
-    if values:
-        decode(Config, values, Place(str(path)))
-    own: dict[str, Any] = {}
-    for name, text in given:
-        try:
-            own[name] = int(text) if name == "workers" else text
-        except ValueError:
-            raise InputError(f"{variable(name)} = {text!r}: must be a whole number") from None
-    for name, value in own.items():
-        try:
-            Config(**{name: value})
-        except InputError as error:
-            raise InputError(f"{variable(name)}: {error}") from error
-    return Config(**{**values, **own}), frozenset(values)
-
-
 def configuration() -> Config:
     """Return the defaults from file and environment.
 
     Raises:
         InputError: a mistake in the file or in a variable.
     """
-    return _now()[0]
-
-
-def _now() -> tuple[Config, frozenset[str]]:
-    names = [one.name for one in fields(Config)]
-    return _read(
-        config_file(), tuple((name, os.environ[variable(name)]) for name in names if variable(name) in os.environ)
-    )
+    return Config(**{one.name: one.value for one in configured()})
 
 
 def configured() -> Iterator[Configured]:
@@ -148,12 +120,15 @@ def configured() -> Iterator[Configured]:
     Raises:
         InputError: a mistake in the file or in a variable.
     """
-    config, of_file = _now()
+    file = config_file()
+    values = read_toml(file)[0] if is_there(file) else {}
+    of_file = table_of(Config).read(values, Place(str(file)))
     for name, leaf in leaves_of(Config).items():
-        in_file = str(config_file()) if name in of_file else "default"
-        yield Configured(
-            name, getattr(config, name), variable(name) if variable(name) in os.environ else in_file, leaf.bounds.help
-        )
+        key = variable(name)
+        if key in os.environ:
+            yield Configured(name, leaf.read(os.environ[key], key=key, strict=False), key, leaf.bounds.help)
+        else:
+            yield Configured(name, getattr(of_file, name), str(file) if name in values else "default", leaf.bounds.help)
 
 
 def log_folder() -> Path:

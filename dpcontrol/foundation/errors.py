@@ -37,8 +37,6 @@ def shortened(value: Any) -> str:
     except ValueError:
         # Python cannot print whole numbers of more than 4,300 digits.
         return "a number of thousands of digits"
-    except Exception:  # noqa: BLE001 - the object is the user's, and so is its __repr__
-        return f"<{type(value).__name__}>"
     return text if len(text) <= 40 else f"{text[:40]}…"
 
 

@@ -9,13 +9,11 @@ Files of arrays with a JSON header (NumPy's .npz) are written atomically. Damage
 are read. Format: NumPy Enhancement Proposal 1, a zip archive of .npy files; `header` among them is a string of JSON.
 """
 
-import errno
 import hashlib
 import itertools
 import json
 import os
 import struct
-import tempfile
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -23,6 +21,7 @@ from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
+from secrets import token_hex
 from tokenize import TokenError
 from typing import IO, Annotated, Any, TypeVar
 
@@ -65,11 +64,7 @@ def checked_target(path: Path) -> Path:
         InputError: `path` is not a regular file, or its folder cannot be made or written to.
     """
     place = Path(os.path.realpath(path)) if path.is_symlink() else path
-    try:
-        wrong = place.exists() and not place.is_file()
-    except OSError as error:
-        raise unwritable(path, error) from error
-    if wrong:
+    if os.path.exists(place) and not os.path.isfile(place):
         raise InputError(f"cannot write {path}: it is a folder or no regular file; choose another file name")
     checked_folder(place.parent, path)
     return place
@@ -87,15 +82,10 @@ def checked_folder(folder: Path, path: Path | None = None) -> None:
     Raises:
         InputError: the folder is a file, or the system forbids it.
     """
-    path = path or folder
-    try:
-        there = next(one for one in (folder, *folder.parents, Path()) if os.path.lexists(one))
-        if not there.is_dir():
-            raise NotADirectoryError(errno.ENOTDIR, f"{there} is not a folder")
-        with tempfile.TemporaryFile(dir=there):
-            pass
-    except OSError as error:
-        raise unwritable(path, error) from error
+    there = next(one for one in (folder, *folder.parents, Path()) if os.path.lexists(one))
+    if not (there.is_dir() and os.access(there, os.W_OK)):
+        wrong = f"{there} is not a folder" if not there.is_dir() else f"permission denied in {there}"
+        raise InputError(f"cannot write {path or folder}: {wrong}; choose another file or folder")
 
 
 @contextmanager
@@ -322,21 +312,12 @@ def whole_file(path: Path, *, suffix: str = "") -> Iterator[Path]:
     """
     path = checked_target(Path(path))
     # A name of any length leaves room for additions.
-    prefix, suffix = f".{path.name[:40]}.", suffix or ".partial"
+    temporary = path.with_name(f".{path.name[:40]}.{token_hex(4)}{suffix or '.partial'}")
     made = missing_folders(path.parent)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(prefix=prefix, suffix=suffix, dir=path.parent)
-        os.close(handle)
-    except OSError as error:
-        remove_empty(made)
-        raise unwritable(path, error) from error
-    temporary = Path(name)
-    try:
+        temporary.touch(exist_ok=False)
         yield temporary
-        umask = os.umask(0)
-        os.umask(umask)
-        temporary.chmod(0o666 & ~umask)
         temporary.replace(path)
     except OSError as error:
         raise unwritable(path, error) from error
@@ -417,15 +398,12 @@ def write_archive(
         compressed: compress the arrays.
 
     Raises:
-        InputError: the file cannot be written, or the header is not plain JSON.
+        InputError: the file cannot be written.
     """
     # Verbs check their output before they import anything heavy.
     import numpy as np
 
-    try:
-        text = json.dumps(header, allow_nan=False)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"cannot write {path}: its notes are not plain JSON ({error})") from error
+    text = json.dumps(header, allow_nan=False)
     with nullcontext(path) if isinstance(path, BytesIO) else whole_file(Path(path), suffix=".npz") as temporary:
         (np.savez_compressed if compressed else np.savez)(temporary, header=np.array(text), **arrays)
 
@@ -436,14 +414,11 @@ def archive_format(path: Path | str) -> str:
     The result is "" if it has none or is not readable.
 
     Args:
-        path: archive, or any other file.
+        path: archive (see `is_archive`). A log whose last bytes are an attached archive opens as that archive.
 
     Raises:
         InputError: it is not a regular file.
     """
-    if not is_archive(path):
-        # A log whose last bytes are an attached archive opens as that archive.
-        return ""
     import numpy as np
 
     try:

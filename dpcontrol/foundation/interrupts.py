@@ -36,12 +36,10 @@ def interrupts() -> Iterator[None]:
     Only the main thread can set handlers; in others, those of Python remain.
     """
     _received.clear()
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = {number: signal.signal(number, _interrupted) for number in endings()}
+    in_main = threading.current_thread() is threading.main_thread()
+    before = {number: signal.signal(number, _interrupted) for number in endings()} if in_main else {}
     try:
-        with _as_interrupt(_received):
+        with _as_interrupt():
             yield
     finally:
         for number, handler in before.items():
@@ -55,36 +53,21 @@ def catching_interrupts() -> Iterator[None]:
     For compiled code that catches Ctrl-C and returns as if it had failed. It also works in programs without
     `interrupts`.
     """
-    before = signal.getsignal(signal.SIGINT)
-    if threading.current_thread() is not threading.main_thread() or not callable(before):
-        with _as_interrupt(_received):
-            yield
-        return
-    pressed: list[int] = []
-
-    def interrupted(number: int, frame: FrameType | None) -> None:
-        pressed.append(number)
-        before(number, frame)
-
-    signal.signal(signal.SIGINT, interrupted)
-    with _as_interrupt(pressed):
-        try:
-            yield
-        finally:
-            if not pressed:
-                signal.signal(signal.SIGINT, before)
+    alone = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    with interrupts() if alone else _as_interrupt():
+        yield
 
 
 @contextmanager
-def _as_interrupt(received: list[int]) -> Iterator[None]:
+def _as_interrupt() -> Iterator[None]:
     """Raise KeyboardInterrupt instead of another error, or of none, after an interrupt."""
     try:
         yield
     except Exception as error:
-        if received:
+        if _received:
             raise KeyboardInterrupt from error
         raise
-    if received:
+    if _received:
         raise KeyboardInterrupt
 
 

@@ -22,6 +22,7 @@ _NEEDED = {
     "save the recording in MATLAB as version 7",
     "rosbags": "ROS bags and MCAP files need rosbags; install it by `pip install 'dpcontrol[bags]'`, or save CSV",
     "pyarrow": "Parquet tables, as campaigns write them, need pyarrow; install it by `pip install 'dpcontrol[tables]'`",
+    "pandas": "tables need pandas; install it by `pip install 'dpcontrol[pandas]'`",
     "flint": "proofs need python-flint; install it by `pip install 'dpcontrol[proof]'`",
     "imageio_ffmpeg": "films as .mp4 need imageio-ffmpeg; install it by `pip install 'dpcontrol[film]'`, or choose "
     ".gif or .webp",

@@ -1,30 +1,24 @@
 """Parallel work in processes of this machine.
 
-Results arrive in any order. If a process dies, new processes are started and its piece is repeated. If the parent
-process dies, its workers end.
+Results arrive in any order. If a process dies, the work ends; its callers keep finished results. If the parent process
+dies, its workers end.
 """
 
-import inspect
 import multiprocessing
 import multiprocessing.connection
 import os
 import signal
-import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from pathlib import Path
 from typing import TypeVar
 
-from dpcontrol.foundation.errors import GoalMissed, InputError
+from dpcontrol.foundation.errors import GoalMissed
 
 Piece = TypeVar("Piece")
 Done = TypeVar("Done")
-
-ATTEMPTS = 4
-"""Attempts at a piece before the deaths of its processes end the work."""
 
 
 def processors() -> int:
@@ -47,64 +41,34 @@ def in_processes(
         remedy: end of the error message.
 
     Raises:
-        InputError: the call is at the top level of a script, which each process would run again.
-        GoalMissed: the process of a piece died repeatedly.
+        GoalMissed: a process died.
     """
     if workers == 1 or len(pieces) == 1:
         for piece in pieces:
             yield piece, function(piece)
         return
-    _check_script()
-    left = list(range(len(pieces)))
-    for _ in range(ATTEMPTS):
-        done: set[int] = set()
-        others = set(multiprocessing.active_children())
-        # Forked processes would share the threads of heyoka and casadi in an unknown state.
-        context = multiprocessing.get_context("spawn")
-        pool = ProcessPoolExecutor(workers, mp_context=context, initializer=end_with_parent)
-        try:
-            with ignoring_interrupts():
-                running = {pool.submit(function, pieces[k]): k for k in left}
-            while running:
-                finished, _ = wait(running, return_when=FIRST_COMPLETED)
-                for future in finished:
-                    k = running.pop(future)
-                    result = future.result()
-                    done.add(k)
-                    yield pieces[k], result
-            # At the end of a program, Python may use the pipes of processes that are still ending.
-            pool.shutdown()
-            return
-        except BrokenProcessPool:
-            left = [k for k in left if k not in done]
-        except BaseException:
-            for worker in set(multiprocessing.active_children()) - others:
-                worker.terminate()
-            raise
-        finally:
-            pool.shutdown(wait=False, cancel_futures=True)
-    raise GoalMissed(
-        f"workers died {ATTEMPTS} times, with {len(left)} unfinished jobs; is there enough memory? {remedy}"
-    )
-
-
-def _check_script() -> None:
-    """Reject a call at the top level of a script.
-
-    A test of `__name__` allows it. New processes import the script, and would make the same call.
-    """
-    main = sys.modules["__main__"]
-    file, frame = getattr(main, "__file__", None), inspect.currentframe()
-    while frame is not None and not (frame.f_globals is vars(main) and frame.f_code.co_name == "<module>"):
-        frame = frame.f_back
-    # Programs started by `python -m` are not imported again.
-    if frame is None or file is None or main.__spec__ is not None:
-        return
-    if not os.path.isfile(file) or "__main__" not in Path(file).read_text(encoding="utf-8", errors="replace"):
-        raise InputError(
-            f"{file}: this work starts processes, which import the script: save it in a file with its calls below "
-            '`if __name__ == "__main__":`, or give workers=1'
-        )
+    others = set(multiprocessing.active_children())
+    # Forked processes would share the threads of heyoka and casadi in an unknown state.
+    context = multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(workers, mp_context=context, initializer=end_with_parent)
+    try:
+        with ignoring_interrupts():
+            running = {pool.submit(function, piece): piece for piece in pieces}
+        for future in as_completed(running):
+            yield running[future], future.result()
+        # At the end of a program, Python may use the pipes of processes that are still ending.
+        pool.shutdown()
+    except BrokenProcessPool as error:
+        raise GoalMissed(
+            "a process died: is there enough memory? A script must call this below "
+            f'`if __name__ == "__main__":`, or with workers=1. {remedy}'
+        ) from error
+    except BaseException:
+        for worker in set(multiprocessing.active_children()) - others:
+            worker.terminate()
+        raise
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)
 
 
 def end_with_parent() -> None:
@@ -127,23 +91,14 @@ def _exit_after(sentinel: int) -> None:
 
 @contextmanager
 def ignoring_interrupts() -> Iterator[None]:
-    """Delay Ctrl-C until the block ends.
+    """Ignore Ctrl-C in the block, as processes that are started in it will do from then on.
 
-    Processes started in the block ignore it.
+    Only the main thread can do so.
     """
-    noted: list[int] = []
-    # Windows has no signal masks; there, the handler alone delays Ctrl-C.
-    masks = hasattr(signal, "pthread_sigmask")
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}) if masks else ()
-    # Another thread could receive the signal, and a process could be left half started.
     in_main = threading.current_thread() is threading.main_thread()
-    handler = signal.signal(signal.SIGINT, lambda number, _: noted.append(number)) if in_main else None
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN) if in_main else None
     try:
         yield
     finally:
         if in_main:
-            signal.signal(signal.SIGINT, handler)
-        if masks:
-            signal.pthread_sigmask(signal.SIG_SETMASK, before)
-    if noted:
-        signal.raise_signal(signal.SIGINT)
+            signal.signal(signal.SIGINT, before)

@@ -56,6 +56,21 @@ def check_names(what: str, names: Iterable[str], known: Iterable[str]) -> None:
             raise InputError(f"unknown {what} {shortened(name)}: {suggest(name, known)}")
 
 
+def check_choice(key: str, value: Any, choices: Iterable[str]) -> None:
+    """Raise an error for a value that is none of the choices.
+
+    Args:
+        key: key of the value, for the message.
+        value: value given by the user.
+        choices: allowed values.
+
+    Raises:
+        InputError: the value is no choice; the message has the nearest spelling.
+    """
+    if value not in (known := list(choices)):
+        raise InputError(f"{key} = {shortened(value)}: {suggest(str(value), known)}", key=key)
+
+
 def nearest(value: str, choices: Iterable[str]) -> str:
     """Return the choice with the nearest spelling, ignoring case.
 
@@ -193,6 +208,11 @@ class Leaf:
     default: Any
 
     @property
+    def required(self) -> bool:
+        """True if the setting has no default."""
+        return self.default is MISSING
+
+    @property
     def hint(self) -> Any:
         """Type of the values."""
         return self.annotation.__origin__
@@ -201,13 +221,6 @@ class Leaf:
     def bounds(self) -> Setting:
         """Declaration of the setting."""
         return self.annotation.__metadata__[-1]  # type: ignore[no-any-return]
-
-    @property
-    def sentence(self) -> str:
-        """Help with the unit or the choices."""
-        more = f": {', '.join(self.bounds.choices)}" if self.bounds.choices else ""
-        unit = f", {self.bounds.unit}" if self.bounds.unit else ""
-        return f"{self.bounds.help.removesuffix('.')}{more}{unit}."
 
     def read(self, value: Any, *, key: str = "", strict: bool = True) -> Any:
         """Return a value as the setting's type takes it: tuples for lists, and floats for whole numbers.

@@ -19,6 +19,7 @@ from dpcontrol.foundation.arrays import Array, checked_array
 from dpcontrol.foundation.checked import Count, checked
 from dpcontrol.foundation.document import plain
 from dpcontrol.foundation.errors import GoalMissed, InputError
+from dpcontrol.foundation.parts import part
 from dpcontrol.foundation.rendering import render, thumbnail
 
 if TYPE_CHECKING:
@@ -153,7 +154,7 @@ class Timed(Shown):
             Table with the index `time` (s) and a column for each entry of a state.
 
         Raises:
-            InputError: pandas is not installed.
+            PartMissing: pandas is not installed.
         """
         data_frame, index = pandas_classes()
         times = np.linspace(*self.time_range, count)
@@ -164,13 +165,10 @@ def pandas_classes() -> tuple[Any, Any]:
     """Return pandas' DataFrame and Index.
 
     Raises:
-        InputError: pandas is not installed.
+        PartMissing: pandas is not installed.
     """
-    try:
-        from pandas import DataFrame, Index
-    except ImportError as error:
-        raise InputError("tables need pandas; install it with `pip install pandas`") from error
-    return DataFrame, Index
+    pandas = part("pandas")
+    return pandas.DataFrame, pandas.Index
 
 
 def checked_times(times: Any) -> Array:

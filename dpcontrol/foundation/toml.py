@@ -3,18 +3,16 @@
 Each mistake in a file is one sentence with file, table, key, value and allowed range.
 """
 
-import json
 import re
 import tomllib
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import MISSING, dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, ClassVar
 
 from dpcontrol.foundation.errors import InputError, Mistakes, shortened
-from dpcontrol.foundation.settings import Leaf, leaves_of, nearest, suggest
-
-T = TypeVar("T")
+from dpcontrol.foundation.settings import Leaf, Setting, check_choice, leaves_of, nearest, suggest
 
 
 def read_toml(path: Path) -> tuple[dict[str, Any], str]:
@@ -36,10 +34,6 @@ def read_toml(path: Path) -> tuple[dict[str, Any], str]:
     return parse_toml(text, str(path)), text
 
 
-_DEEPEST = 20
-"""Levels of tables and lists in a file; our own have four."""
-
-
 def parse_toml(text: str, file: str) -> dict[str, Any]:
     """Return the contents of TOML text.
 
@@ -51,15 +45,7 @@ def parse_toml(text: str, file: str) -> dict[str, Any]:
         InputError: the text is not TOML, with the line.
     """
     try:
-        document = tomllib.loads(text)
-        # Dotted keys nest without recursion of the parser.
-        level: list[Any] = [document]
-        for _ in range(_DEEPEST):
-            level = [one for part in level for one in (part.values() if isinstance(part, dict) else part)]
-            level = [one for one in level if isinstance(one, dict | list)]
-        if level:
-            raise RecursionError
-        return document
+        return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         # Before Python 3.14, the error has its line in the text only, or is at the end of the document.
         place = re.search(r"\(at line (\d+),", str(error))
@@ -69,7 +55,7 @@ def parse_toml(text: str, file: str) -> dict[str, Any]:
         raise InputError(f"{file} is not usable TOML: nested too deeply, or a number of too many digits") from error
 
 
-def with_values(text: str, table: str, values: Mapping[str, Any], *, file: str) -> str:
+def with_values(text: str, table: str, values: Mapping[str, Any]) -> str:
     """Return TOML text with keys of one table set.
 
     Comments, order, spacing and line ends are kept. New keys follow the table's last key, and a new table follows the
@@ -79,15 +65,9 @@ def with_values(text: str, table: str, values: Mapping[str, Any], *, file: str) 
         text: valid TOML.
         table: name of the table; "" for the top level.
         values: texts, numbers or lists of these, by key.
-        file: its name in messages.
-
-    Raises:
-        InputError: the text cannot be changed; the message has the lines to write by hand.
     """
     import tomlkit
 
-    before = tomllib.loads(text)
-    wanted = {**before, table: {**before.get(table, {}), **values}} if table else {**before, **values}
     document = tomlkit.parse(text)
     if table and table not in document:
         document[table] = tomlkit.table()
@@ -95,12 +75,7 @@ def with_values(text: str, table: str, values: Mapping[str, Any], *, file: str) 
     for key, value in values.items():
         edited[key] = _listed(value) if isinstance(value, list | tuple) else tomlkit.item(value)
     out = tomlkit.dumps(document)
-    out = out.replace("\r\n", "\n").replace("\n", "\r\n") if "\r\n" in text else out
-    if _as_text(tomllib.loads(out)) != _as_text(wanted):
-        shown = ", ".join(f"{key} = {value!r}" for key, value in values.items())
-        where = f"its [{table}]" if table else "it"
-        raise InputError(f"{file}: {where} could not be changed; write there {shown}")
-    return out
+    return out.replace("\r\n", "\n").replace("\n", "\r\n") if "\r\n" in text else out
 
 
 def _listed(values: Sequence[Any]) -> Any:
@@ -112,11 +87,6 @@ def _listed(values: Sequence[Any]) -> Any:
     lines = len(values) > 1 and all(isinstance(one, str) for one in values)
     inside = "".join(f"\n    {text}," for text in texts) + "\n" if lines else ", ".join(texts)
     return tomlkit.value(f"[{inside}]")
-
-
-def _as_text(values: Mapping[str, Any]) -> str:
-    """Return values as text, because NaN is not equal to itself."""
-    return json.dumps(values, default=str, sort_keys=True)
 
 
 @dataclass(frozen=True)
@@ -133,6 +103,21 @@ class Place:
     def __str__(self) -> str:
         table = f"[[{self.table}]] {self.number}," if self.number else f"[{self.table}]"
         return f"{self.file}:{f' {table}' if self.table else ''}"
+
+    def within(self, key: str) -> "Place":
+        """Return the place of a table in this one.
+
+        Args:
+            key: its key, "" for this table.
+        """
+        return Place(self.file, f"{self.table}.{key}" if self.table else key)
+
+    def __enter__(self) -> None:
+        """Begin a block whose mistakes are at this place."""
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        if isinstance(error, InputError):
+            raise error.under(f"{self} ", table=self.table) from error
 
     def error(self, key: str, value: Any, complaint: str) -> InputError:
         """Return the error of a key's value.
@@ -154,54 +139,106 @@ class Place:
         return InputError(sentence, where=f"{self} ", table=self.table, key=key)
 
 
-def table_values(
-    leaves: Mapping[str, Leaf], values: Mapping[str, Any], place: Place, *, also: Iterable[str] = ()
-) -> dict[str, Any]:
-    """Return the values of a table as its settings take them.
+@dataclass(frozen=True)
+class Table:
+    """A table of a file: its keys, and the function that makes an object of their values.
 
-    Args:
-        leaves: settings of the table by key.
-        values: values by key.
-        place: for messages.
-        also: further keys of the file, for suggestions.
-
-    Raises:
-        InputError: every unknown or missing key, and every value of another type or out of bounds.
+    Attributes:
+        keys: settings, tables, choices of tables and lists of tables by key.
+        make: function of the values by key and of the reader's context; its InputError is a mistake in the table.
+        required: True if the file must have it.
     """
-    read, mistakes, unknown = dict[str, Any](), Mistakes(), [key for key in values if key not in leaves]
-    misspelt = {nearest(key, leaves) for key in unknown}
-    for key, value in values.items():
-        with mistakes:
-            if key in unknown:
-                top = "" if place.table else "at the top level, "
-                known = sorted({*leaves, *also})
-                raise InputError(f"{top}the key {shortened(key)} is unknown: {suggest(key, known)}", key=key)
-            read[key] = leaves[key].read(value)
-    for key, leaf in leaves.items():
-        with mistakes:
-            if leaf.default is MISSING and key not in values and key not in misspelt:
-                raise InputError(f"the key {key!r} is missing", key=key)
-    try:
+
+    keys: Mapping[str, "Leaf | Table | Choice | Tables"]
+    make: Callable[[dict[str, Any], Any], Any] = lambda values, _: values
+    required: bool = False
+
+    def read(self, values: Any, place: Place, context: Any = None) -> Any:
+        """Return what the table makes of the values of a file.
+
+        Args:
+            values: values by key, where lists become tuples.
+            place: place of the table.
+            context: argument of the tables' functions.
+
+        Raises:
+            InputError: every unknown or missing key, and every value of another type or out of bounds.
+        """
+        if not isinstance(values, Mapping):
+            raise Place(place.file).error(place.table, values, f"must be a table, [{place.table}]")
+        read, mistakes = dict[str, Any](), Mistakes()
+        misspelt = {nearest(key, self.keys) for key in values if key not in self.keys}
+        for key, value in values.items():
+            with mistakes:
+                part = self.keys.get(key)
+                if part is None:
+                    at_top = "" if place.table else "at the top level, "
+                    known = suggest(key, sorted(filter(None, self.keys)))
+                    raise place.refusal(f"{at_top}the key {shortened(key)} is unknown: {known}", key)
+                if isinstance(part, Leaf):
+                    with place:
+                        read[key] = part.read(value)
+                else:
+                    read[key] = part.read(value, place.within(key), context)
+        for key, part in self.keys.items():
+            with mistakes:
+                if part.required and key not in values and key not in misspelt:
+                    raise place.refusal(f"the key {key!r} is missing", key)
         mistakes.report()
-    except InputError as error:
-        raise error.under(f"{place} ", table=place.table) from error
-    return read
+        with place:
+            return self.make(read, context)
 
 
-def decode(kind: type[T], values: Mapping[str, Any], place: Place, *, also: Iterable[str] = ()) -> T:
-    """Return settings of a dataclass from a table.
+@cache
+def table_of(kind: Any) -> Table:
+    """Return the table of a settings dataclass.
 
     Args:
-        kind: dataclass derived from `Settings`.
-        values: values by key, where lists become tuples.
-        place: for messages.
-        also: further keys of the file, for suggestions.
-
-    Raises:
-        InputError: every unknown or missing key, and every value of another type or out of bounds.
+        kind: dataclass derived from `Settings`; one with a `kind` allows this key with its value.
     """
-    read = table_values(leaves_of(kind), values, place, also=also)
-    try:
-        return kind(**read)
-    except InputError as error:
-        raise error.under(f"{place} ", table=place.table) from error
+    name = getattr(kind, "kind", "")
+    of_kind = {"kind": Leaf("kind", Annotated[str, Setting(choices=(name,), help="Kind.")], name)} if name else {}
+    return Table({**of_kind, **leaves_of(kind)}, lambda values, _: kind(**values))
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A table of a file whose values decide its keys.
+
+    Attributes:
+        tables: the possible tables by name.
+        choose: function of the values, which returns one of the names.
+        key: key that has the name.
+    """
+
+    tables: Mapping[str, Table]
+    choose: Callable[[Mapping[str, Any]], Any]
+    key: str = "kind"
+    required: ClassVar[bool] = False
+
+    def read(self, values: Any, place: Place, context: Any = None) -> Any:
+        """Return what the chosen table makes of the values of a file; see `Table.read`."""
+        with place:
+            kind = self.choose(values) if isinstance(values, Mapping) else next(iter(self.tables))
+            check_choice(self.key, kind, self.tables)
+        return self.tables[kind].read(values, place, context)
+
+
+@dataclass(frozen=True)
+class Tables:
+    """A list of tables of a file, at least one."""
+
+    each: Table | Choice
+    required: bool = False
+
+    def read(self, values: Any, place: Place, context: Any = None) -> tuple[Any, ...]:
+        """Return what each table makes of its values; see `Table.read`."""
+        if not (isinstance(values, list) and values and all(isinstance(one, dict) for one in values)):
+            sentence = f"{place.table} = {shortened(values)}: must be tables, each under [[{place.table}]]"
+            raise InputError(sentence, where=f"{place.file}: ", key=place.table)
+        mistakes, read = Mistakes(), list[Any]()
+        for number, one in enumerate(values, start=1):
+            with mistakes:
+                read.append(self.each.read(one, replace(place, number=number), context))
+        mistakes.report()
+        return tuple(read)

@@ -37,7 +37,7 @@ robot excitation and identification (1997).
 
 from dataclasses import dataclass, replace
 from functools import cache
-from itertools import product
+from itertools import pairwise, product
 from typing import Annotated, Any, ClassVar, NamedTuple
 
 import casadi as ca
@@ -173,10 +173,25 @@ class Swing(Brief):
     """Sampling period, s."""
     group: int = 0
     """Index of the swings that share their encoders' zeros."""
-    accelerations: Array | None = None
-    """Of the cart (K,), m/s², or None if it is clamped."""
-    velocities: Array | None = None
-    """Of the cart (K,), m/s, or None."""
+    accelerations: Array | float = 0.0
+    """Of the cart (K,), m/s²; 0 if it is clamped."""
+    velocities: Array | float = 0.0
+    """Of the cart (K,), m/s."""
+
+    @property
+    def drive(self) -> Array:
+        """Accelerations and velocities of the cart (2, K)."""
+        return np.stack([np.broadcast_to(values, len(self.angles)) for values in (self.accelerations, self.velocities)])
+
+    def edges(self, length: float) -> NDArray[np.intp]:
+        """Return the rows at which windows of about `length` s begin and end.
+
+        Args:
+            length: duration of a window, s.
+        """
+        count = len(self.angles)
+        pieces = max(round((count - 1) / max(round(length / self.period), 2)), 1)
+        return np.linspace(0, count - 1, pieces + 1).round().astype(int)
 
 
 def filled(angles: Array) -> Array:
@@ -206,27 +221,17 @@ class Windows:
 
     def __init__(self, swings: list[Swing], model: Swings, length: float) -> None:
         self.swings, self.model = swings, model
-        self.of_swing: list[range] = []
-        self.first: list[int] = []
-        self.last: list[int] = []
-        for swing in swings:
-            count = len(swing.angles)
-            pieces = max(round((count - 1) / max(round(length / swing.period), 2)), 1)
-            edges = np.linspace(0, count - 1, pieces + 1).round().astype(int)
-            self.of_swing.append(range(len(self.first), len(self.first) + pieces))
-            self.first += edges[:-1].tolist()
-            self.last += edges[1:].tolist()
-        self.samples = max(b - a for a, b in zip(self.first, self.last, strict=True)) + 1
-        self.periods = np.concatenate(
-            [np.full(len(windows), s.period) for s, windows in zip(swings, self.of_swing, strict=True)]
-        )
+        edges = [swing.edges(length) for swing in swings]
+        counts = [len(rows) - 1 for rows in edges]
+        self.of_swing = [range(a, b) for a, b in pairwise(np.cumsum([0, *counts]).tolist())]
+        self.first, self.last = (np.concatenate(rows) for rows in zip(*((e[:-1], e[1:]) for e in edges), strict=True))
+        self.samples = int((self.last - self.first).max()) + 1
+        self.periods = np.repeat([swing.period for swing in swings], counts)
         self.drive = np.zeros((2, len(self.first), self.samples))
         for swing, windows in zip(swings, self.of_swing, strict=True):
             for w in windows:
                 rows = slice(self.first[w], self.last[w] + 1)
-                for row, values in enumerate((swing.accelerations, swing.velocities)):
-                    if values is not None:
-                        self.drive[row, w, : rows.stop - rows.start] = values[rows]
+                self.drive[:, w, : rows.stop - rows.start] = swing.drive[:, rows]
 
     def guess(self) -> Array:
         """Return starts (W, 2n) from the measured angles.

@@ -125,10 +125,14 @@ def fitted_path(model: Swings, swing: Swing, ratios: Array) -> FittedPath:
     fit = fitted(_SHORT)
     if not fit.converged:
         fit = fitted(_WHOLE, fit.window_starts[:1])
-    cart = [np.zeros(1) if values is None else values for values in (swing.accelerations, swing.velocities)]
     start, period = fit.window_starts[:1], np.array([swing.period])
     (path,), _ = model.flown(
-        start, ratios, period=period, samples=len(swing.angles), accelerations=cart[0], velocities=cart[1]
+        start,
+        ratios,
+        period=period,
+        samples=len(swing.angles),
+        accelerations=swing.accelerations,
+        velocities=swing.velocities,
     )
     known = np.isfinite(swing.angles)
     off = np.where(known, path[:, :n] - swing.angles, 0.0)

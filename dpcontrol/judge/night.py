@@ -267,7 +267,7 @@ class Night(Shown, Documented):
         estimated parameters.
 
         Raises:
-            InputError: pandas is not installed.
+            PartMissing: pandas is not installed.
         """
         data_frame, index = pandas_classes()
         rows = [

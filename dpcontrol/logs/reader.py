@@ -618,7 +618,7 @@ class RunLog(Shown):
         `extra.zero_1` and `sigma.zero_1` … hold the last logged values. `segment` numbers the segments of a recording.
 
         Raises:
-            InputError: pandas is not installed.
+            PartMissing: pandas is not installed.
         """
         data_frame, index = pandas_classes()
         columns: dict[str, Any] = {f"measured.{name}": self.measured[:, i] for i, name in enumerate(self.joint_names)}

@@ -494,7 +494,6 @@ class OwnRig:
             self.truth = own.numbers("truth", own.call("truth"), 2 * self._arms + 2)
         if not isinstance(value, Reading):
             return Reading(now, positions)
-        own.numbers("read", [value.switch, value.late, value.age or 0.0], 3)
         present = None if value.present is None else own.numbers("read", value.present, m) != 0
         return value._replace(time=now, positions=positions, present=present)
 

@@ -458,7 +458,7 @@ class Family(Shown, Generic[Member]):
         Energy, period and the largest multiplier's modulus.
 
         Raises:
-            InputError: pandas is not installed.
+            PartMissing: pandas is not installed.
         """
         sizes = np.abs(self.floquet_multipliers[:, 0])
         return pandas_classes()[0]({"energy": self.energies, "period": self.periods, "multiplier": sizes})

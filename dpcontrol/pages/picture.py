@@ -197,7 +197,7 @@ def opened(files: Sequence[Path], *, symbol: int = 1) -> Shown:
                 f"{other} is not a log: several files can be compared only if all are logs; review it alone"
             )
         return compare([run_view(read_log(file)) for file in files], symbol=symbol)
-    if archive_format(first) == FORMAT:
+    if is_archive(first) and archive_format(first) == FORMAT:
         return reference_view(load_reference(first), first)
     if is_archive(first):
         from dpcontrol.plans.atlas import load_atlas

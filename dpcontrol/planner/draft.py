@@ -130,7 +130,7 @@ class Draft:
         """
         if self.fixed and (not self.values or values.keys() & {"walk", "wraps"}):
             raise InputError(self.fixed)
-        return with_values(self.text, table, values, file=f"{_NAME}.toml")
+        return with_values(self.text, table, values)
 
     def appended(self, symbol: str) -> str:
         """Return the text with one more symbol, and the usual wraps before it.
@@ -187,7 +187,7 @@ def read_draft(text: str) -> Draft:
         if values.get("walk") == [] and not values.get("wraps") and "parts" not in values:
             # If the walk is empty, the other keys are validated with a placeholder symbol.
             begun = [f"{model.system.saddles[0]} +"]
-            itinerary_from(with_values(text, "", {"walk": begun}, file=f"{_NAME}.toml"), _NAME, model)
+            itinerary_from(with_values(text, "", {"walk": begun}), _NAME, model)
             return Draft(text, values, model, None, None)
         return Draft(text, values, model, itinerary_from(text, _NAME, model), None)
     except InputError as error:

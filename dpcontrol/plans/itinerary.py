@@ -20,10 +20,11 @@ from dpcontrol.control.estimator_settings import Augment, FilterSettings
 from dpcontrol.control.tracking import AdaptiveSettings, TvlqrSettings
 from dpcontrol.dynamics.chain import ArmChainParameters, Uncertainty
 from dpcontrol.dynamics.plant import check_component
-from dpcontrol.foundation.errors import InputError, Mistakes, remark, shortened, together
-from dpcontrol.foundation.settings import leaves_of, nearest, suggest
+from dpcontrol.dynamics.system import System
+from dpcontrol.foundation.errors import InputError, InputErrors, Mistakes, remark, shortened
+from dpcontrol.foundation.settings import check_choice, leaves_of, nearest
 from dpcontrol.foundation.shipped import find
-from dpcontrol.foundation.toml import Place, decode, parse_toml, read_toml, table_values, with_values
+from dpcontrol.foundation.toml import Choice, Place, Table, Tables, parse_toml, read_toml, table_of, with_values
 from dpcontrol.loop.bench import Push
 from dpcontrol.loop.controllers import CONTROLLERS, ESTIMATORS, estimators_of
 from dpcontrol.loop.loop import LoopSettings
@@ -40,42 +41,47 @@ from dpcontrol.references.problem import Limits, ReferenceSettings
 from dpcontrol.references.reference import Reference, load_reference
 from dpcontrol.walks.symbols import expanded, parse_walk
 
-_TABLES = ("limits", "reference", "run", "controller", "estimator", "supervisor")
 _PARTS: Mapping[str, type] = {"hold": HoldPart, "orbit": OrbitPart, "walk": WalkPart}
 """The kinds of parts, by the key that only they have."""
 
 
-def _part(values: Mapping[str, Any], model: Model, place: Place, *, also: Sequence[str] = ()) -> Part:
-    """Return one part of an itinerary.
+def _kind_of_part(values: Mapping[str, Any]) -> str:
+    """Return the key that only this kind of part has.
 
     Raises:
-        InputError: an impossible walk, wraps, energy or hold; names file, table, key, value and remedy.
+        InputError: the part has two of these keys.
     """
     keys = [key for key in _PARTS if key in values] or ["walk"]
     if len(keys) > 1:
-        raise place.refusal(f"{keys[0]}: this part has {keys[1]} as well; give each its own [[parts]]", keys[0])
-    part = decode(_PARTS[keys[0]], values, place, also=also)
+        raise InputError(f"{keys[0]}: this part has {keys[1]} as well; give each its own [[parts]]", key=keys[0])
+    return keys[0]
+
+
+def _part(part: Part, system: System) -> Part:
+    """Return a part whose names and energy are those of the model.
+
+    Raises:
+        InputError: an impossible walk, wraps, energy or hold.
+    """
+    points, saddles = equilibria(system), system.saddles
     if isinstance(part, HoldPart):
-        if part.hold not in (names := equilibria(model.system)):
-            raise place.error("hold", part.hold, suggest(part.hold, names))
+        check_choice("hold", part.hold, points)
         return part
-    saddles = model.system.saddles
-    if isinstance(part, OrbitPart) and part.orbit not in saddles:
-        raise place.error("orbit", part.orbit, suggest(part.orbit, saddles))
-    visited = [part.orbit] if isinstance(part, OrbitPart) else []
-    if isinstance(part, WalkPart):
+    if isinstance(part, OrbitPart):
+        check_choice("orbit", part.orbit, saddles)
+        visited = [part.orbit]
+    else:
         # A walk that is impossible at any energy is reported first.
-        part = _expanded(part, saddles, place)
+        part = _expanded(part, saddles)
         visited = [name for symbol in parse_walk(part.walk, saddles) for name in (symbol.source, symbol.target)]
-    points = equilibria(model.system)
     for saddle in visited:
         if part.energy <= points[saddle].energy:
             only = f"{saddle} has Lyapunov orbits only above its own {points[saddle].energy:.9g} J"
-            raise place.refusal(f"energy = {part.energy!r} J: {only}; choose a higher energy", "energy")
+            raise InputError(f"energy = {part.energy!r} J: {only}; choose a higher energy", key="energy")
     return part
 
 
-def _expanded(part: WalkPart, saddles: Sequence[str], place: Place) -> WalkPart:
+def _expanded(part: WalkPart, saddles: Sequence[str]) -> WalkPart:
     """Return a walk with its powers and repetitions written out.
 
     Raises:
@@ -85,82 +91,84 @@ def _expanded(part: WalkPart, saddles: Sequence[str], place: Place) -> WalkPart:
     try:
         symbols = parse_walk(walk, saddles)
     except InputError as error:
-        raise error.under(f"{place} walk: ", table=place.table, key="walk") from error
+        raise InputError(f"walk: {error}", key="walk") from error
     if repeat > 1 and symbols[0].source != symbols[-1].target:
         ends = f"the walk starts at {symbols[0].source} and ends at {symbols[-1].target}"
-        raise place.error("repeat", repeat, f"{ends}; only a walk that ends where it starts can be repeated")
+        only = f"{ends}; only a walk that ends where it starts can be repeated"
+        raise InputError(f"repeat = {repeat}: {only}", key="repeat")
     stops = len(walk) - (repeat == 1)
     if len(wraps) != stops:
         between = "between its symbols" + (", and from its last to its first" if repeat > 1 else "")
-        raise place.error("wraps", list(wraps), f"must be whole numbers, one for each of {stops} stops {between}")
+        many = f"must be whole numbers, one for each of {stops} stops {between}"
+        raise InputError(f"wraps = {shortened(list(wraps))}: {many}", key="wraps")
     walk, wraps = expanded(symbols, wraps)
     return replace(part, walk=walk * repeat, wraps=(wraps * repeat)[: len(walk) * repeat - 1])
 
 
-def read_run_settings(
-    tables: Mapping[str, Mapping[str, Any]], top: Place, *, plant: Model | None = None
-) -> tuple[LoopSettings, tuple[float, ...]]:
-    """Return the settings of an itinerary's runs, and the rig's zeros.
+def _law_table(kind: Any) -> Table:
+    """Return the table of a law, which makes its settings and the name of the law that keeps the stops."""
 
-    The seed is 0.
+    def made(values: dict[str, Any], _: object) -> tuple[Any, str]:
+        keep = values.pop("keep", "none")
+        return kind(**values), keep
 
-    Args:
-        tables: run, controller, estimator and supervisor of the file.
-        top: of the file.
-        plant: model of the plant's own arms, if the file names one.
-
-    Raises:
-        InputError: every mistake with file, table, key, value and allowed range.
-    """
-    run, law_keys = dict(tables.get("run", {})), dict(tables.get("controller", {}))
-    mistakes, given, blows = Mistakes(), dict[str, Any](), list[Push]()
-    place, keep = replace(top, table="run"), law_keys.pop("keep", "none")
-    law: Any = None
-    parts: dict[str, Any] = {"plant": None if plant is None else plant.arms}
-    struck = replace(top, table="run.blows")
-    for number, blow in enumerate(_listed(run.pop("blows"), struck, mistakes) if "blows" in run else (), start=1):
-        with mistakes:
-            blows.append(decode(Push, blow, replace(struck, number=number)))
-    with mistakes:
-        leaves = {"zeros": ZEROS, **{key: leaf for key, (_, leaf) in RUN.items()}}
-        given = table_values(leaves, run, place, also=["blows"])
-    with mistakes:
-        law_place = replace(top, table="controller")
-        table_values({"keep": KEEP}, {"keep": keep}, law_place)
-        law = _kind(law_keys, CONTROLLERS, "adaptive" if keep == "none" else "tvlqr", law_place)
-        if keep != "none" and not isinstance(law, TvlqrSettings):
-            raise law_place.error("keep", keep, f'the law between the stops must be kind = "tvlqr", not "{law.kind}"')
-    with mistakes:
-        filters = tables.get("estimator", {})
-        parts["estimator"] = _kind(filters, estimators_of(law), "ekf", replace(top, table="estimator"))
-    with mistakes:
-        supervisor = tables.get("supervisor", {})
-        parts["supervisor"] = decode(SupervisorSettings, supervisor, replace(top, table="supervisor"))
-    mistakes.report()
-    zeros, _ = given.pop("zeros", ()), given.pop("plant", None)
-    settings = {"disturbances.explicit": tuple(blows), **{RUN[key][0]: value for key, value in given.items()}}
-    try:
-        return LoopSettings(seed=0, keep=keep, controller=law, **parts).with_(settings), zeros
-    except InputError as error:
-        raise error.under(f"{place} ", table="run") from error
+    return Table({**table_of(kind).keys, "keep": KEEP}, made)
 
 
-def _listed(tables: Any, place: Place, mistakes: Mistakes) -> list[dict[str, Any]]:
-    """Return the tables of a list in a file, none if it is another value or empty."""
-    if isinstance(tables, list) and tables and all(isinstance(table, dict) for table in tables):
-        return tables
-    with mistakes:
-        sentence = f"{place.table} = {shortened(tables)}: must be tables, each under [[{place.table}]]"
-        raise InputError(sentence, where=f"{place.file}: ", key=place.table)
-    return []
+def _reference(values: dict[str, Any], _: object) -> ReferenceSettings:
+    settings = ReferenceSettings(**values)
+    method_named(settings.method)
+    return settings
 
 
-def _kind(values: Mapping[str, Any], kinds: Mapping[str, type], default: str, place: Place) -> Any:
-    """Return the settings of a controller or an estimator by its kind."""
-    kind = values.get("kind", default)
-    if not isinstance(kind, str) or kind not in kinds:
-        raise place.error("kind", kind, suggest(str(kind), kinds))
-    return decode(kinds[kind], {key: value for key, value in values.items() if key != "kind"}, place)
+def _part_table(kind: Any) -> Table:
+    """Return the table of a kind of part, which is checked if the model is known."""
+
+    def made(values: dict[str, Any], system: System | None) -> Part:
+        return kind(**values) if system is None else _part(kind(**values), system)
+
+    return Table(leaves_of(kind), made)
+
+
+_FILTERS = {kind: Table(table_of(settings).keys) for kind, settings in ESTIMATORS.items()}
+"""The tables of filters, whose defaults depend on the law."""
+BLOWS = Tables(table_of(Push))
+"""The list of blows."""
+PART = Choice({key: _part_table(kind) for key, kind in _PARTS.items()}, _kind_of_part)
+FILE = Table(
+    {
+        **leaves_of(Header),
+        "": PART,
+        "parts": Tables(PART),
+        "limits": table_of(Limits),
+        "reference": Table(leaves_of(ReferenceSettings), _reference),
+        "run": Table({**{key: leaf for key, (_, leaf) in RUN.items()}, "zeros": ZEROS, "blows": BLOWS}),
+        "controller": Choice({kind: _law_table(law) for kind, law in CONTROLLERS.items()}, lambda law: law.get("kind")),
+        "estimator": Choice(_FILTERS, lambda table: table.get("kind", "ekf")),
+        "supervisor": table_of(SupervisorSettings),
+    }
+)
+"""The file of an itinerary, in which the key "" has the keys of the only part."""
+
+
+def _completed(document: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a file's contents with the default law, and the keys of an only part under ""."""
+    controller, out = document.get("controller", {}), dict(document)
+    if document.get("start") == "anywhere" and isinstance(run := document.get("run", {}), dict):
+        out["run"] = {"start": "anywhere", **run}
+        out["start"] = "hold" if "hold" in document else "orbit"
+    if isinstance(controller, dict):
+        # Dry friction moves an arm that `adaptive` holds by twice as much.
+        kept = "adaptive" if controller.get("keep", "none") == "none" else "tvlqr"
+        held = out.get("start") == "hold" and "parts" not in document
+        out["controller"] = {"kind": "lqr" if held else kept, **controller}
+    if "parts" not in document:
+        keys = [key for kind in _PARTS.values() for key in leaves_of(kind)]
+        # The part reports a misspelling of its keys.
+        out[""] = {
+            key: out.pop(key) for key in document if key not in FILE.keys and (key in keys or nearest(key, keys))
+        }
+    return out
 
 
 def overridden(loop: LoopSettings, settings: Mapping[str, Any]) -> LoopSettings:
@@ -214,14 +222,13 @@ def _of_kind(role: str, value: Any, now: Any) -> Any:
     Raises:
         InputError: an unknown kind.
     """
-    kinds: Mapping[str, Any] = {"controller": CONTROLLERS, "estimator": ESTIMATORS}[role]
     if not isinstance(value, str) or names_file(value):
         own = own_object(role, value)
         if role == "estimator":
             return OwnEstimator(kind=own.name, own=own)
         return (OwnExpressions if own.symbolic else OwnLaw)(own.name, own)
-    if value not in kinds:
-        raise InputError(f"{role} = {value!r}: {suggest(value, kinds)}")
+    kinds: Mapping[str, Any] = {"controller": CONTROLLERS, "estimator": ESTIMATORS}[role]
+    check_choice(role, value, kinds)
     return now if value == now.kind else kinds[value]()
 
 
@@ -326,7 +333,7 @@ class Itinerary:
         itinerary = replace(itinerary, loop=loop if seed is None else replace(loop, seed=seed))
         _ = itinerary.uncertainty
         paths = (path.rpartition(".") for path in values)
-        itinerary.remark_on_rig([f"[{table if table in _TABLES else 'run'}] {key}" for table, _, key in paths])
+        itinerary.remark_on_rig([f"[{table if table in FILE.keys else 'run'}] {key}" for table, _, key in paths])
         return itinerary
 
     def _lasting(self, seconds: float) -> "Itinerary":
@@ -334,7 +341,7 @@ class Itinerary:
         stay = self.parts[0]
         if len(self.parts) > 1 or isinstance(stay, WalkPart) or self.stored is not None:
             raise InputError(f"seconds = {seconds:g}: {self.path} is not the file of one stay; change its [[parts]]")
-        text = with_values(self.text, "", {"seconds": seconds}, file=str(self.path))
+        text = with_values(self.text, "", {"seconds": seconds})
         return replace(self, text=text, parts=(replace(stay, seconds=seconds),))
 
     def check_parts(self, planned: "Itinerary") -> None:
@@ -485,66 +492,37 @@ def _itinerary(
     Raises:
         InputError: names every mistake.
     """
-    top, mistakes = Place(str(path)), Mistakes()
-    tables = {name: _table(document, name, top, mistakes) for name in _TABLES}
-    rest = {key: value for key, value in document.items() if key not in _TABLES}
-    listed, head = rest.pop("parts", None), {key: rest.pop(key) for key in leaves_of(Header) if key in rest}
-    part_keys = [key for kind in _PARTS.values() for key in leaves_of(kind)]
-    if head.get("start") == "anywhere":
-        tables["run"] = {"start": "anywhere", **tables["run"]}
-        head["start"] = "hold" if listed is None and "hold" in rest else "orbit"
-    if listed is None:
-        # The part reports a misspelling of its keys.
-        head |= {key: rest.pop(key) for key in list(rest) if key not in part_keys and not nearest(key, part_keys)}
-    header, limits, reference, loop, zeros = Header(), Limits(), ReferenceSettings(), None, ()
+    top, mistakes, content = Place(str(path)), Mistakes(), dict[str, Any]()
+    document = _completed(document)
     with mistakes:
-        header = decode(Header, head if listed is None else head | rest, top, also=[*_TABLES, *part_keys, "parts"])
-    with mistakes:
-        model = model or _named_model(header.model, where=f"{top} model", at=("", "model"), beside=path.parent)
+        name = str(document.get("model", "lab"))
+        model = model or _named_model(name, where=f"{top} model", at=("", "model"), beside=path.parent)
         _ = model.arms  # an itinerary needs arms on a cart
-    parts = list[Part]()
-    if model is not None and listed is None:
-        with mistakes:
-            parts.append(_part(rest, model, top, also=[*leaves_of(Header), *_TABLES, "parts"]))
-    elif model is not None:
-        for number, values in enumerate(_listed(listed, replace(top, table="parts"), mistakes), start=1):
-            with mistakes:
-                parts.append(_part(values, model, replace(top, table="parts", number=number)))
     with mistakes:
-        limits = decode(Limits, tables["limits"], replace(top, table="limits"))
-    with mistakes:
-        reference = _reference(tables["reference"], replace(top, table="reference"))
-    if listed is None and head.get("start") == "hold":
-        # Dry friction moves an arm that `adaptive` holds by twice as much.
-        tables["controller"] = {"kind": "lqr", **tables["controller"]}
-    run = replace(top, table="run")
-    with mistakes:
-        if plant is None and model is not None and (named := tables["run"].get("plant")):
-            plant = own_plant(str(named), model.arms, where=f"{run} plant", beside=path.parent)
-    with mistakes:
-        loop, zeros = read_run_settings(tables, top, plant=plant)
-        if zeros and model is not None and len(zeros) != model.arms.count:
-            raise run.refusal(f"zeros has {len(zeros)} values; give one for each of {model.arms.count} arms", "zeros")
+        content = FILE.read(document, top, None if model is None else model.system)
     mistakes.report()
     assert model is not None
-    assert loop is not None
-    finish = head.get("finish", header.start if header.start == "hold" else "orbit")
+    run, place, (law, keep) = content.get("run", {}), replace(top, table="run"), content["controller"]
+    if plant is None and (named := run.get("plant")):
+        plant = own_plant(named, model.arms, where=f"{place} plant", beside=path.parent)
+    if (zeros := run.get("zeros", ())) and len(zeros) != model.arms.count:
+        raise place.refusal(f"zeros has {len(zeros)} values; give one for each of {model.arms.count} arms", "zeros")
+    given, settings = content.get("estimator", {}), {RUN[key][0]: value for key, value in run.items() if key in RUN}
+    settings |= {"plant": None if plant is None else plant.arms, "disturbances.explicit": run.get("blows", ())}
+    supervisor = content.get("supervisor", SupervisorSettings())
+    with replace(top, table="estimator"):
+        filters = estimators_of(law)[given.get("kind", "ekf")](**given)
+    with place:
+        loop = LoopSettings(seed=0, keep=keep, controller=law, estimator=filters, supervisor=supervisor).with_(settings)
+    start, parts = content.get("start", "orbit"), content.get("parts") or (content[""],)
     itinerary = Itinerary(
-        path.stem, path, header.title or path.stem, model, tuple(parts), header.start, finish, limits, reference, loop,
-        text, loop.keep != "none", zeros, plant="" if plant is None else plant.text,
+        path.stem, path, content.get("title") or path.stem, model, parts, start,
+        content.get("finish", start if start == "hold" else "orbit"), content.get("limits", Limits()),
+        content.get("reference", ReferenceSettings()), loop, text, loop.keep != "none", zeros,
+        plant="" if plant is None else plant.text,
     )  # fmt: skip
     _check_together(itinerary)
     return itinerary
-
-
-def _table(document: Mapping[str, Any], name: str, top: Place, mistakes: Mistakes) -> dict[str, Any]:
-    """Return a table of a file, empty if it lacks it or if it is another value."""
-    table = document.get(name, {})
-    with mistakes:
-        if not isinstance(table, dict):
-            raise top.error(name, table, f"must be a table, [{name}]")
-        return table
-    return {}
 
 
 def _check_together(itinerary: Itinerary) -> None:
@@ -588,7 +566,7 @@ def _named_model(name: str, *, where: str, at: tuple[str, str], beside: Path | N
         return load_model(str(own) if own is not None and name.endswith(".toml") and own.is_file() else name)
     except InputError as error:
         table, key = at
-        raise together(
+        raise InputErrors(
             [InputError(f"{where} = {name!r}: {mistake}", table=table, key=key) for mistake in error.errors]
         ) from error
 
@@ -612,12 +590,3 @@ def own_plant(name: str, arms: ArmChainParameters, *, where: str, beside: Path |
             "a plant of as many arms"
         )
     return own
-
-
-def _reference(values: Mapping[str, Any], place: Place) -> ReferenceSettings:
-    settings = decode(ReferenceSettings, values, place)
-    try:
-        method_named(settings.method)
-    except InputError as error:
-        raise error.under(f"{place} ", table=place.table, key="method") from error
-    return settings

@@ -5,10 +5,10 @@ A model file of identified arms gives the source and the uncertainty of each num
 
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import MISSING, dataclass, fields, replace
 from decimal import Decimal
 from fractions import Fraction
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -26,18 +26,15 @@ from dpcontrol.dynamics.chain import (
 from dpcontrol.dynamics.system import System, ThreeBodyParameters, three_body_system
 from dpcontrol.foundation.checked import checked
 from dpcontrol.foundation.document import Documented
-from dpcontrol.foundation.errors import InputError, Mistakes, remark
+from dpcontrol.foundation.errors import InputError, remark
 from dpcontrol.foundation.files import in_the_way, write_whole
-from dpcontrol.foundation.settings import Setting, Settings, leaves_of, nearest
+from dpcontrol.foundation.settings import Leaf, Setting, leaves_of
 from dpcontrol.foundation.shipped import find
-from dpcontrol.foundation.toml import Place, decode, parse_toml, read_toml
+from dpcontrol.foundation.toml import Choice, Place, Table, parse_toml, read_toml
 from dpcontrol.orbits.lyapunov import Equilibrium
 
 if TYPE_CHECKING:
     from dpcontrol.identification.identify import Identification
-
-
-SYSTEMS = ("arm-chain", "three-body")
 
 
 @dataclass(frozen=True)
@@ -223,84 +220,50 @@ def model_from(text: str, name: str) -> Model:
     return _model(parse_toml(text, str(file)), text, file)
 
 
-@dataclass(frozen=True)
-class Title(Settings):
-    """The top level of a model's file."""
-
-    title: Annotated[str, Setting(help="Title of pages and logs.")]
-    system: Annotated[str, Setting(choices=SYSTEMS, help="System that the parameters belong to.")] = "arm-chain"
-
-
 _ARMS, _BODIES = leaves_of(ArmChainParameters), leaves_of(ThreeBodyParameters)
 """Parameters, whose declarations the tables of a file share."""
 
 
-@dataclass(frozen=True)
-class _Sourced(Settings):
-    """A table with the source of its numbers."""
-
-    source: Annotated[str, Setting(help="Source of the numbers.")]
-
-
-@dataclass(frozen=True)
-class _Arms(_Sourced, table="arms"):
-    """Inertial parameters, one number for each arm from the pivot outwards."""
-
-    mass: Annotated[tuple[float, ...], _ARMS["mass"].bounds]
-    centre_of_mass: Annotated[tuple[float, ...], _ARMS["centre_of_mass"].bounds]
-    length: Annotated[tuple[float, ...], _ARMS["length"].bounds]
-    inertia: Annotated[tuple[float, ...], _ARMS["inertia"].bounds]
+def _sourced(*leaves: Leaf, required: bool = True) -> Table:
+    """Return a table of these settings and the source of their numbers."""
+    source = Leaf("source", Annotated[str, Setting(help="Source of the numbers.")], MISSING)
+    return Table({leaf.name: leaf for leaf in (source, *leaves)}, required=required)
 
 
-@dataclass(frozen=True)
-class _Gravity(_Sourced, table="gravity"):
-    """The gravity in which the arms swing."""
-
-    acceleration: Annotated[float, _ARMS["gravity"].bounds]
-
-
-@dataclass(frozen=True)
-class _Friction(_Sourced, table="friction"):
-    """Friction of the joints, one number for each."""
-
-    viscous: Annotated[tuple[float, ...], _ARMS["viscous"].bounds]
-    coulomb: Annotated[tuple[float, ...], _ARMS["coulomb"].bounds] = ()
-    quadratic: Annotated[tuple[float, ...], _ARMS["quadratic"].bounds] = ()
-    smoothing: Annotated[float | None, _ARMS["smoothing"].bounds] = None
+def _file(system: str, default: Any, tables: Mapping[str, Table]) -> Table:
+    """Return the table of a model's file."""
+    choice = Setting(choices=(system,), help="System that the parameters belong to.")
+    title = Leaf("title", Annotated[str, Setting(help="Title of pages and logs.")], MISSING)
+    return Table({"title": title, "system": Leaf("system", Annotated[str, choice], default), **tables})
 
 
-@dataclass(frozen=True)
-class _Encoders(_Sourced, table="encoders"):
-    """Encoders of recordings."""
-
-    zeros: Annotated[
-        tuple[float, ...],
-        Setting(unit="rad", usual=(0.0, 2 * np.pi), help="Recorded angles at which the true ones are zero."),
-    ]
-
-
-@dataclass(frozen=True)
-class _Uncertain(_Sourced, table="uncertainty"):
-    """Uncertainty of the identified ratios."""
-
-    names: Annotated[tuple[str, ...], Setting(help="Names of the ratios.")]
-    covariance: Annotated[tuple[float, ...], Setting(help="Covariance of the ratios, row by row.")]
-
-
-@dataclass(frozen=True)
-class _Primaries(_Sourced, table="primaries"):
-    """The two heavy bodies of a restricted three-body problem."""
-
-    mass_ratio: Annotated[float, _BODIES["mass_ratio"].bounds]
-
-
-REQUIRED: dict[str, dict[str, type]] = {
-    "arm-chain": {"arms": _Arms, "gravity": _Gravity, "friction": _Friction},
-    "three-body": {"primaries": _Primaries},
-}
-"""The tables of a model's file, by system."""
-OPTIONAL: dict[str, type] = {"encoders": _Encoders, "uncertainty": _Uncertain}
-"""Further tables of arms."""
+_INERTIAL = ("mass", "centre_of_mass", "length", "inertia")
+_SHOWN_ZEROS = Setting(unit="rad", usual=(0.0, 2 * np.pi), help="Recorded angles at which the true ones are zero.")
+FILE = Choice(
+    {
+        "arm-chain": _file(
+            "arm-chain",
+            "arm-chain",
+            {
+                "arms": _sourced(*(_ARMS[name] for name in _INERTIAL)),
+                "gravity": _sourced(replace(_ARMS["gravity"], name="acceleration")),
+                "friction": _sourced(*(_ARMS[name] for name in ("viscous", "coulomb", "quadratic", "smoothing"))),
+                "encoders": _sourced(
+                    Leaf("zeros", Annotated[tuple[float, ...], _SHOWN_ZEROS], MISSING), required=False
+                ),
+                "uncertainty": _sourced(
+                    Leaf("names", Annotated[tuple[str, ...], Setting(help="Names of the ratios.")], MISSING),
+                    Leaf("covariance", Annotated[tuple[float, ...], Setting(help="Covariance, row by row.")], MISSING),
+                    required=False,
+                ),
+            },
+        ),
+        "three-body": _file("three-body", MISSING, {"primaries": _sourced(_BODIES["mass_ratio"])}),
+    },
+    lambda values: values.get("system", "arm-chain"),
+    key="system",
+)
+"""The file of a model."""
 
 
 def _model(document: Mapping[str, Any], text: str, path: Path) -> Model:
@@ -309,62 +272,35 @@ def _model(document: Mapping[str, Any], text: str, path: Path) -> Model:
     Raises:
         InputError: names every mistake.
     """
-    top, mistakes, found = Place(str(path)), Mistakes(), dict[str, Any]()
-    system = document.get("system", "arm-chain")
-    required = REQUIRED.get(str(system), {})
-    kinds = {**required, **(OPTIONAL if system == "arm-chain" else {})}
-    known = kinds or {name: _Sourced for tables in REQUIRED.values() for name in tables} | OPTIONAL
-    with mistakes:
-        found["title"] = decode(
-            Title, {key: value for key, value in document.items() if key not in known}, top, also=known
-        ).title
-    for name, kind in kinds.items():
-        with mistakes:
-            if name not in document and name in required:
-                close = nearest(name, [key for key in document if key not in known])
-                raise InputError(
-                    f"{top} the key {name!r} is missing{f'; is {close!r} a misspelling of it?' if close else ''}"
-                )
-            values = document.get(name, {})
-            if not isinstance(values, dict):
-                raise top.error(name, values, f"must be a table, [{name}]")
-            found[name] = decode(kind, values, replace(top, table=name)) if name in document else None
-    mistakes.report()
-    title, sources = found.pop("title"), {name: one.source for name, one in found.items() if one is not None}
-    if system == "three-body":
-        parameters = ThreeBodyParameters(mass_ratio=found["primaries"].mass_ratio)
-        return Model(path.stem, path, title, parameters, sources, text)
-    arms, friction, encoders, uncertain = (found[name] for name in ("arms", "friction", "encoders", "uncertainty"))
-    laws: dict[str, Any] = {law.value: getattr(friction, law.value) for law in Friction}
-    if friction.smoothing is not None:
-        if not any(laws.values()):
-            raise InputError(
-                f"{top} [friction] smoothing: there is neither coulomb nor quadratic friction to smooth; give one or "
-                "leave it out"
-            )
-        laws["smoothing"] = friction.smoothing
-    columns = {key: getattr(arms, key) for key in ("mass", "centre_of_mass", "length", "inertia")}
+    top = Place(str(path))
+    values = FILE.read(document, top)
+    sources = {name: table["source"] for name, table in values.items() if isinstance(table, dict)}
+    model = partial(Model, path.stem, path, values["title"], sources=sources, text=text)
+    if "primaries" in values:
+        return model(parameters=ThreeBodyParameters(mass_ratio=values["primaries"]["mass_ratio"]))
+    columns = {key: values["arms"][key] for key in _INERTIAL}
+    friction = {key: value for key, value in values["friction"].items() if key != "source"}
+    if "smoothing" in friction and not any(friction.get(law.value) for law in Friction):
+        nothing = "there is neither coulomb nor quadratic friction to smooth; give one or leave it out"
+        raise replace(top, table="friction").refusal(f"smoothing: {nothing}", "smoothing")
     try:
-        chain = ArmChainParameters(**columns, gravity=found["gravity"].acceleration, viscous=friction.viscous, **laws)
+        chain = ArmChainParameters(**columns, gravity=values["gravity"]["acceleration"], **friction)
         remarks = oddities(chain)
     except InputError as error:
-        tables = {"acceleration": "gravity", "smoothing": "friction", "viscous": "friction"}
-        table = tables.get(error.errors[0].key) or ("friction" if error.errors[0].key in laws else "arms")
+        key = error.errors[0].key
+        table = "gravity" if key == "acceleration" else "friction" if key in friction else "arms"
         raise error.under(f"{top} [{table}] ", table=table) from error
-    zeros = () if encoders is None else encoders.zeros
-    try:
-        remarks += tuple(leaves_of(_Encoders)["zeros"].bounds.oddities("zeros", zeros))
-    except InputError as error:
-        raise InputError(f"{top} [encoders] {error}") from error
-    if zeros and len(zeros) != chain.count:
-        raise InputError(f"{top} [encoders] zeros has {len(zeros)} values; give one for each arm")
-    uncertainty = None if uncertain is None else Uncertainty(uncertain.names, uncertain.covariance)
-    if uncertainty is not None:
-        try:
+    zeros = values.get("encoders", {}).get("zeros", ())
+    with replace(top, table="encoders"):
+        remarks += tuple(_SHOWN_ZEROS.oddities("zeros", zeros))
+        if zeros and len(zeros) != chain.count:
+            raise InputError(f"zeros has {len(zeros)} values; give one for each arm", key="zeros")
+    uncertainty = None
+    if "uncertainty" in values:
+        uncertainty = Uncertainty(values["uncertainty"]["names"], values["uncertainty"]["covariance"])
+        with replace(top, table="uncertainty"):
             uncertainty.check(chain)
-        except InputError as error:
-            raise InputError(f"{top} [uncertainty] {error}") from error
-    return Model(path.stem, path, title, chain, sources, text, zeros, uncertainty, remarks)
+    return model(parameters=chain, encoder_zeros=zeros, uncertainty=uncertainty, remarks=remarks)
 
 
 def model_text(found: "Identification", *, title: str, logs: Sequence[str], starting_model: str) -> str:
@@ -395,7 +331,7 @@ def model_text(found: "Identification", *, title: str, logs: Sequence[str], star
         "",
         "[arms]   # the nearest to the starting model's with the identified ratios",
         f"source = {quoted(f'{of}: only ratios to {unit_name(arms.count)}; the rest as in {starting_model}')}",
-        *(f"{name} = {_numbers(getattr(arms, name))}" for name in ("mass", "centre_of_mass", "length", "inertia")),
+        *(f"{name} = {_numbers(getattr(arms, name))}" for name in _INERTIAL),
         "",
         "[gravity]",
         f"source = {quoted(f'Taken from the model {starting_model}; a clamped cart does not determine it')}",

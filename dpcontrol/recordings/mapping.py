@@ -11,7 +11,7 @@ of a table without a header have their numbers, from 1.
 """
 
 from collections import Counter
-from dataclasses import dataclass, replace
+from dataclasses import MISSING, dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -19,10 +19,10 @@ import numpy as np
 from pydantic import BeforeValidator
 
 from dpcontrol.foundation.arrays import Array
-from dpcontrol.foundation.errors import InputError, Mistakes
-from dpcontrol.foundation.settings import Setting, Settings, suggest
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.settings import Leaf, Setting, Settings, suggest
 from dpcontrol.foundation.shipped import MAPPINGS, mappings
-from dpcontrol.foundation.toml import Place, decode, read_toml
+from dpcontrol.foundation.toml import Place, Table, read_toml, table_of
 
 ANGLE_UNITS = {"rad": 1.0, "deg": np.pi / 180, "turns": 2 * np.pi, "counts": 0.0}
 RATE_UNITS = {"rad/s": 1.0, "deg/s": np.pi / 180, "turns/s": 2 * np.pi, "rpm": np.pi / 30, "counts/s": 0.0}
@@ -32,20 +32,6 @@ ZEROS = {"hanging": 0.0, "upright": np.pi}
 _LARGEST_ZERO = 100.0
 NAMED = BeforeValidator(lambda value: str(value) if type(value) is int else value)
 """Conversion of a column's number, in a table without a header, to its name."""
-
-
-@dataclass(frozen=True)
-class _Top(Settings):
-    """The top level of a mapping's file."""
-
-    arm_lengths: Annotated[
-        tuple[float, ...], Setting(above=0, most=100, unit="m", help="Lengths of the arms, for pictures.")
-    ]
-    title: Annotated[str, Setting(help="What the mapping reads.")] = ""
-
-    def _check_together(self) -> None:
-        if not self.arm_lengths:
-            raise self.refusal("arm_lengths", "give the length of each arm, m")
 
 
 @dataclass(frozen=True)
@@ -141,7 +127,15 @@ class _Cart(Settings, table="cart"):
     command: Annotated[str, NAMED, Setting(help="Column of the commanded acceleration, m/s².")] = ""
 
 
+_LENGTHS = Setting(above=0, most=100, unit="m", help="Lengths of the arms, for pictures.")
 _TABLES = {"time": _Time, "sampling": _Sampling, "cells": _Cells, "angles": _Angles, "rates": _Rates, "cart": _Cart}
+_FILE = Table(
+    {
+        "arm_lengths": Leaf("arm_lengths", Annotated[tuple[float, ...], _LENGTHS], MISSING),
+        "title": Leaf("title", Annotated[str, Setting(help="What the mapping reads.")], ""),
+        **{name: table_of(table) for name, table in _TABLES.items()},
+    }
+)
 
 
 @dataclass(frozen=True)
@@ -225,19 +219,12 @@ def load_mapping(name: str) -> Mapping:
             raise InputError(
                 f"there is no mapping named {name!r}; {suggest(name, known)}; the path of a TOML file works"
             )
-    document, top, mistakes = read_toml(path)[0], Place(str(path)), Mistakes()
-    found: dict[str, Any] = {}
-    with mistakes:
-        rest = {key: value for key, value in document.items() if key not in _TABLES}
-        found["arm_lengths"] = decode(_Top, rest, top, also=_TABLES).arm_lengths
-    for table, kind in _TABLES.items():
-        with mistakes:
-            values = document.get(table, {})
-            if not isinstance(values, dict):
-                raise top.error(table, values, f"must be a table, [{table}]")
-            found[table] = decode(kind, values, replace(top, table=table))
-    mistakes.report()
-    mapping = Mapping(path.stem, **found)
+    top = Place(str(path))
+    found = _FILE.read(read_toml(path)[0], top)
+    found.pop("title", None)
+    if not found["arm_lengths"]:
+        raise top.error("arm_lengths", [], "give the length of each arm, m")
+    mapping = Mapping(path.stem, **{name: kind() for name, kind in _TABLES.items()} | found)
     _check(mapping, top)
     return mapping
 

@@ -122,7 +122,7 @@ class Recording(Timed):
                 column `segment` that `dpcontrol import` reads from CSV.
 
         Raises:
-            InputError: pandas is not installed.
+            PartMissing: pandas is not installed.
         """
         if count is not None:
             return super().frame(count)

@@ -9,8 +9,7 @@ at once, as physics would not wait. Between ticks it sleeps in `select`, which r
 last `spin` seconds of a period it polls.
 
 The bench serves one run at a time, which begins with START. It answers HELLO but does not reserve anything.
-`dpcontrol.rig.packets` defines the packets. A run receives only its own loop's packets, through a connected socket. A
-flood of other packets therefore neither delays a tick nor displaces a command. They are counted in the remaining time.
+`dpcontrol.rig.packets` defines the packets. Packets of other senders are counted, and do not act on a run.
 The example bench of a run has its own process, so bench and loop share neither interpreter nor core. If another program
 is the loop, its log is made from the bench's record of the run. `RecordedRig` replays that program's readings to the
 Python loop and compares the commands of both.
@@ -28,7 +27,7 @@ import socket
 import subprocess
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack, nullcontext, suppress
+from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -74,10 +73,8 @@ _STILL = 1e-9
 """Velocity below which a cart counts as still, m/s."""
 _LEAVING = 2.0
 """Silence after which a loop counts as disconnected and the next one can connect, s."""
-_REFUSE_EVERY = 0.05
-"""Minimum interval between refusals, s. It prevents a HELLO with a forged sender from causing a flood."""
-_AT_ONCE, _STRANGERS_AT_ONCE = 64, 16
-"""Packets that are read before the clock is checked: the loop's, and others."""
+_AT_ONCE = 64
+"""Packets that are read before the clock is checked."""
 
 
 @dataclass(frozen=True)
@@ -114,14 +111,13 @@ class BenchRecord:
         ended: cause of the end.
     """
 
-    fault: Event | None
-
     def __init__(self, ticks: int, arms: int, period: float) -> None:
         self.period, self.ticks, self.last = period, 0, -1
         self.positions, self.truth = np.full((ticks, arms + 1), np.nan), np.full((ticks, 2 * arms + 2), np.nan)
         self.sent, self.switch = np.zeros(ticks, dtype=bool), np.zeros(ticks, dtype=np.int8)
         self.commands, self.ages = np.full(ticks, np.nan), np.full(ticks, np.nan)
-        self.fault, self.fault_at, self.ended = None, ticks, ""
+        self.fault: Event | None = None
+        self.fault_at, self.ended = ticks, ""
 
     def read(self, k: int, reading: Reading, truth: Array | None, *, sent: bool) -> None:
         """Store the reading of tick k.
@@ -132,13 +128,10 @@ class BenchRecord:
             truth: true state (2n+2,), None if unknown.
             sent: True if the reading was sent.
         """
-        if k >= len(self.sent):
-            return
-        self.ticks, self.sent[k], self.switch[k] = k + 1, sent, reading.switch
-        self.positions[k] = reading.positions
-        self.ages[k] = math.nan if reading.age is None else reading.age
-        if truth is not None:
-            self.truth[k] = truth
+        if k < len(self.sent):
+            self.ticks, self.sent[k], self.switch[k] = k + 1, sent, reading.switch
+            self.positions[k], self.ages[k] = reading.positions, math.nan if reading.age is None else reading.age
+            self.truth[k] = math.nan if truth is None else truth
 
     def answered(self, k: int, command: float | None) -> None:
         """Store the command for the reading of tick k.
@@ -147,11 +140,9 @@ class BenchRecord:
             k: tick.
             command: command, m/s²; None if the cart had to stop.
         """
-        if k >= len(self.commands):
-            return
-        self.last = max(self.last, k)
-        if command is not None:
-            self.commands[k] = command
+        if k < len(self.commands):
+            self.last = max(self.last, k)
+            self.commands[k] = self.commands[k] if command is None else command
 
     @property
     def still_from(self) -> float:
@@ -264,7 +255,7 @@ class UdpBench(AbstractContextManager["UdpBench"]):
         self._key, self._settings = key, settings or BenchServerSettings()
         self._recorded = min(ticks, ticks if recorded is None else recorded)
         where = checked_host(host, port, key=key, insecure=insecure)
-        self._secret, self._refused_at = secrets.token_bytes(16), -math.inf
+        self._secret = secrets.token_bytes(16)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             self._socket.bind(where)
@@ -338,15 +329,11 @@ class UdpBench(AbstractContextManager["UdpBench"]):
         with without_collecting(), real_time_priority() if self._settings.real_time else nullcontext():
             talk = Talk(Role.BENCH, session, key=self._key)
             talk.unpack(data)
-            with ExitStack() as stack:
-                sockets = [(self._socket, _AT_ONCE)]
-                if own := _connected_socket(self._socket, sender):
-                    sockets = [(stack.enter_context(own), _AT_ONCE), (self._socket, _STRANGERS_AT_ONCE)]
-                run = _BenchRun(
-                    sockets, sender, rig, talk, ticks=self._ticks, settings=self._settings, busy=self._busy,
-                    record=self.record,
-                )  # fmt: skip
-                ended = run.go()
+            run = _BenchRun(
+                self._socket, sender, rig, talk, ticks=self._ticks, settings=self._settings, busy=self._busy,
+                record=self.record,
+            )  # fmt: skip
+            ended = run.go()
         self.record.ended = run.silence or ended
         self._report(f"run ended: {ended}; {run.sentence}")
         return True
@@ -360,9 +347,6 @@ class UdpBench(AbstractContextManager["UdpBench"]):
 
     def _busy(self, data: bytes, sender: Any) -> None:
         """Refuse a loop that requests a run during another."""
-        if time.perf_counter() - self._refused_at < _REFUSE_EVERY:
-            return
-        self._refused_at = time.perf_counter()
         with suppress(ValueError):
             heard = packets.unpacked(data, Role.LOOP, key=self._key)
             if heard.kind is Kind.HELLO:
@@ -374,46 +358,25 @@ class UdpBench(AbstractContextManager["UdpBench"]):
             self._socket.sendto(data, sender)
 
 
-def _connected_socket(shared: socket.socket, client: Any) -> socket.socket | None:
-    """Return a socket at the same address for `client` only.
-
-    The result is None if not supported.
-    """
-    own = socket.socket(shared.family, socket.SOCK_DGRAM)
-    try:
-        # Only set after the bind of the other one, which has checked that the port is free.
-        shared.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEPORT, 1)
-        own.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEPORT, 1)
-        own.bind(shared.getsockname())
-        own.connect(client)
-        shared.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEPORT, 0)
-    except (OSError, AttributeError):
-        own.close()
-        return None
-    own.setblocking(False)
-    return own
-
-
 class _BenchRun:
     """One run of the bench for one loop.
 
     Args:
-        sockets: sockets with the packets to read before each clock check; the first one also sends.
+        sock: socket of the bench.
         busy: receives packets of other senders.
         record: filled during the run.
     """
 
     def __init__(
-        self, sockets: list[tuple[socket.socket, int]], client: Any, rig: Rig, talk: Talk, *, ticks: int,
+        self, sock: socket.socket, client: Any, rig: Rig, talk: Talk, *, ticks: int,
         settings: BenchServerSettings, busy: Callable[[bytes, Any], None], record: BenchRecord,
     ) -> None:  # fmt: skip
-        self._sockets, self._client, self._rig, self._talk, self._settings = sockets, client, rig, talk, settings
+        self._socket, self._client, self._rig, self._talk, self._settings = sock, client, rig, talk, settings
         self._busy, self._record = busy, record
         self._ticks, self._tick = ticks, -1
         self._heard, self._held, self._fresh = -1, 0, True
         self._silent, self._stopped, self._over, self._ignored = 0, False, "", 0
         self._condition, self._text = Condition.WELL, ""
-        self._behind = 0
         self.silence = ""
         """Sentence on a cart stopped because of the loop's silence."""
 
@@ -421,8 +384,7 @@ class _BenchRun:
     def sentence(self) -> str:
         """Summary of ticks and packets."""
         return (
-            f"{self._tick + 1} ticks, {self._behind} of them at least a period late; a command was repeated "
-            f"{self._held} times; {self._ignored} packets were rejected"
+            f"{self._tick + 1} ticks; a command was repeated {self._held} times; {self._ignored} packets were rejected"
         )
 
     def go(self) -> str:
@@ -436,9 +398,7 @@ class _BenchRun:
             self._handle_packets()
             if self._over:
                 return self._over
-            late = clock() - due
-            self._behind += late > period
-            self._silent += late <= period
+            self._silent += clock() - due <= period
             if k and not self._fresh and not self._stopped:
                 self._held += 1
             self._fresh = False
@@ -477,25 +437,23 @@ class _BenchRun:
     def _wait(self, due: float) -> None:
         """Wait until `due` and handle packets: asleep, then polling."""
         clock, spin = time.perf_counter, self._settings.spin
-        sockets = [sock for sock, _ in self._sockets]
         while (left := due - clock() - spin) > 0:
-            if select.select(sockets, [], [], left)[0]:
+            if select.select([self._socket], [], [], left)[0]:
                 self._handle_packets()
         while clock() < due:
             pass
 
     def _handle_packets(self) -> None:
         """Handle a few received packets without delaying a tick."""
-        for sock, most in self._sockets:
-            for _ in range(most):
-                try:
-                    data, sender = sock.recvfrom(LARGEST)
-                except OSError:
-                    # No more packets, or a loop that has disconnected, which the system reports once.
-                    break
-                if sender == self._client:
-                    self._receive(data)
-                    continue
+        for _ in range(_AT_ONCE):
+            try:
+                data, sender = self._socket.recvfrom(LARGEST)
+            except OSError:
+                # No more packets, or a loop that has disconnected, which the system reports once.
+                return
+            if sender == self._client:
+                self._receive(data)
+            else:
                 self._ignored += 1
                 self._busy(data, sender)
 
@@ -538,7 +496,7 @@ class _BenchRun:
     def _send(self, message: Packet) -> None:
         # A packet that cannot be sent counts as lost; the loop notices.
         with suppress(OSError):
-            self._sockets[0][0].sendto(self._talk.pack(message), self._client)
+            self._socket.sendto(self._talk.pack(message), self._client)
 
 
 _START = 120.0
@@ -689,7 +647,7 @@ def _serve(recipe: BenchRecipe, settings: BenchServerSettings, key: bytes, pipe:
     arms = recipe.parameters.count
     with UdpBench(
         recipe.rig, arms=arms, ticks=recipe.all_ticks, period=recipe.period, key=key, settings=settings,
-        recorded=max(recipe.ticks, _RECORDED), report=pipe.send,
+        recorded=max(recipe.ticks, _RECORDED),
     ) as bench:  # fmt: skip
         pipe.send(bench.address)
         bench.serve(runs=1)
@@ -724,31 +682,11 @@ class BenchProcess(AbstractContextManager["BenchProcess"]):
         if not self.address[1]:
             self._end()
             raise InputError("the example bench did not start; `dpcontrol rig` shows why")
-        self.messages: list[str] = []
         self.record: BenchRecord | None = None
-        """Messages and record of the run, available after the block."""
+        """Record of the run, available after `controlled_by`."""
 
     def __exit__(self, *_: object) -> None:
-        if self.began:
-            self._handle_packets(_END)
         self._end()
-
-    @property
-    def began(self) -> bool:
-        """True if a loop has begun its run."""
-        self._handle_packets(0.0)
-        return bool(self.messages)
-
-    def _handle_packets(self, wait: float) -> None:
-        """Receive messages of the bench for at most `wait` seconds."""
-        until = time.perf_counter() + wait
-        with suppress(EOFError, OSError):
-            while self._pipe.poll(max(until - time.perf_counter(), 0.0)):
-                heard = self._pipe.recv()
-                if isinstance(heard, BenchRecord):
-                    self.record = heard
-                elif heard is not None:
-                    self.messages.append(heard)
 
     def controlled_by(self, program: Path, *arguments: str) -> Deadlines | None:
         """Let a program control the run, and return its deadlines.
@@ -783,7 +721,9 @@ class BenchProcess(AbstractContextManager["BenchProcess"]):
             with suppress(subprocess.TimeoutExpired):
                 process.wait(_END)
             process.kill()
-        if not self.began:
+            with suppress(EOFError):
+                self.record = self._pipe.recv() if self._pipe.poll(_END) else None
+        if self.record is None:
             why = errors.strip().splitlines()[-1:] or ["it printed nothing"]
             raise InputError(f"{name} ended with {process.returncode} before a run began: {why[0]}")
         try:

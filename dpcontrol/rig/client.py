@@ -18,7 +18,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import asdict, dataclass, fields
-from typing import Annotated
+from typing import Annotated, NoReturn
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -135,8 +135,8 @@ _UNKNOWN = Welcome(0, math.nan, 0)
 """Bench that has not answered, whose readings are all rejected."""
 _OLDEST = 1.0
 """Maximum age of a reading, s; older ones count as of unknown age."""
-_MOST_REFUSED = 256
-"""Consecutive refused packets before the loop checks its clock."""
+_MOST_PACKETS = 256
+"""Packets that are read before the loop checks its clock."""
 
 
 @dataclass(frozen=True)
@@ -210,7 +210,7 @@ class UdpRig(AbstractContextManager["UdpRig"]):
         # Packets that arrive during a stall should wait there.
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
         self._socket.setblocking(False)
-        self._waiting: dict[int, ReadingPacket] = {}
+        self._early: ReadingPacket | None = None
         self._tick, self._begin = -1, math.inf
         self._stopped, self._problem = False, ""
         self._worst = 0.0
@@ -299,92 +299,89 @@ class UdpRig(AbstractContextManager["UdpRig"]):
 
     def _introduced(self) -> Welcome:
         """Return the bench's welcome."""
+        heard = self._answer(packets.HELLO, Kind.WELCOME)
+        if heard is None:
+            raise InputError(
+                f"rig {self.address}: no bench responded for {self._settings.answer:g} s{self._problem}; start one "
+                "with `dpcontrol rig` of this version, and give both the same key, if any"
+            )
+        if not isinstance(heard.content, Welcome):
+            raise InputError(f"rig {self.address}: {heard.content}")
+        if not 0 < heard.content.period <= _LONGEST_PERIOD:
+            raise InputError(
+                f"rig {self.address} announces a period of {heard.content.period:g} s: it must be above 0 and "
+                f"at most {_LONGEST_PERIOD:g} s; fix the bench"
+            )
+        return heard.content
+
+    def _answer(self, message: Packet, kind: Kind) -> ReceivedPacket | None:
+        """Repeat a message until a packet of this kind or BYE comes; return it, or None if the time is over."""
         until = time.perf_counter() + self._settings.answer
-        while (now := time.perf_counter()) < until:
-            self._send(packets.HELLO)
-            waited = now + _REQUEST_INTERVAL
-            while (now := time.perf_counter()) < waited:
-                heard = self._received(waited - now)
-                if heard is None:
-                    continue
-                if isinstance(heard.content, Welcome):
-                    if 0 < heard.content.period <= _LONGEST_PERIOD:
-                        return heard.content
-                    raise InputError(
-                        f"rig {self.address} announces a period of {heard.content.period:g} s: it must be above 0 and "
-                        f"at most {_LONGEST_PERIOD:g} s; fix the bench"
-                    )
-                if heard.kind is Kind.BYE:
-                    raise InputError(f"rig {self.address}: {heard.content}")
-        raise InputError(
-            f"rig {self.address}: no bench responded for {self._settings.answer:g} s{self._problem}; start one with "
-            "`dpcontrol rig` of this version, and give both the same key, if any"
-        )
+        while time.perf_counter() < until:
+            self._send(message)
+            for heard in self._arrivals(time.perf_counter() + _REQUEST_INTERVAL):
+                if heard.kind in (kind, Kind.BYE):
+                    return heard
+        return None
 
     def _packet_of(self, k: int) -> ReadingPacket | None:
-        """Return the reading of tick k, or None.
-
-        The result is None if the reading is lost or overdue.
-        """
-        waiting, settings, period = self._waiting, self._settings, self.period
-        if k in waiting:
-            return waiting.pop(k)
-        if waiting:
-            return None
+        """Return the reading of tick k, or None if it is lost or overdue."""
+        early, self._early = self._early, None
         if k == 0:
             self._last_packet = time.perf_counter()
-            self._send(packets.start(self._queued))
-        while True:
-            now = time.perf_counter()
-            due = self._begin + k * period if k else now
-            heard = self._received(max(due + settings.patience - now, 0.0))
-            content = heard.content if heard else None
-            now = time.perf_counter()
-            if isinstance(content, ReadingPacket):
-                self._last_packet = now
-                tick = content.tick
-                # The earliest arrival of any reading on the bench's clock, which may run slightly slower.
-                self._begin = min(self._begin + _DRIFT * period, now - tick * period)
-                if tick == k:
-                    return content
-                if tick > k:
-                    waiting[tick] = content
-                    return None
-                self._stale += 1
-            elif heard and heard.kind is Kind.BYE:
-                raise ArithmeticError(f"the bench ended the run: {content}")
-            elif now - self._last_packet > (settings.silence if k else settings.answer):
-                raise ArithmeticError(
-                    f"the bench at {self.address} does not respond: received nothing from it for "
-                    f"{now - self._last_packet:.3g} s{self._problem}"
-                )
-            elif k == 0:
-                # The first reading may take longer, and START may have been lost.
-                self._send(packets.start(self._queued))
-            elif now >= due + settings.patience:
-                return None
+            heard = self._answer(packets.start(self._queued), Kind.READING)
+            early = self._lost_contact() if heard is None else self._taken(heard)
+        elif early is None:
+            early = self._awaited(k)
+        if early is not None and early.tick > k:
+            self._early = early
+            return None
+        return early
 
-    def _received(self, wait: float) -> ReceivedPacket | None:
-        """Return the next valid packet, or None.
+    def _awaited(self, k: int) -> ReadingPacket | None:
+        """Return the first reading of tick k or a later one, or None if none comes in time."""
+        for heard in self._arrivals(self._begin + k * self.period + self._settings.patience):
+            packet = self._taken(heard)
+            if packet is not None and packet.tick >= k:
+                return packet
+            self._stale += packet is not None
+        if time.perf_counter() - self._last_packet > self._settings.silence:
+            self._lost_contact()
+        return None
 
-        The result is None if none arrives within `wait` s.
-        """
-        until = time.perf_counter() + wait
+    def _taken(self, heard: ReceivedPacket) -> ReadingPacket | None:
+        """Return the reading in a packet, from whose arrival the ticks are counted."""
+        if heard.kind is Kind.BYE:
+            raise ArithmeticError(f"the bench ended the run: {heard.content}")
+        if not isinstance(heard.content, ReadingPacket):
+            return None
+        self._last_packet = now = time.perf_counter()
+        # The earliest arrival of any reading on the bench's clock, which may run slightly slower.
+        self._begin = min(self._begin + _DRIFT * self.period, now - heard.content.tick * self.period)
+        return heard.content
+
+    def _lost_contact(self) -> NoReturn:
+        raise ArithmeticError(
+            f"the bench at {self.address} does not respond: received nothing from it for "
+            f"{time.perf_counter() - self._last_packet:.3g} s{self._problem}"
+        )
+
+    def _arrivals(self, until: float) -> Iterator[ReceivedPacket]:
+        """Yield the valid packets that wait already or arrive until a time, s."""
         try:
-            for _ in range(_MOST_REFUSED):
+            for _ in range(_MOST_PACKETS):
                 try:
                     heard = self._accepted(self._socket.recv(LARGEST))
                 except BlockingIOError:
                     if not select.select([self._socket], [], [], max(until - time.perf_counter(), 0.0))[0]:
-                        return None
+                        return
                     continue
                 if heard is not None:
-                    return heard
+                    yield heard
         except OSError as error:
             self._problem = f" ({error.strerror or error})"
             # No program listens there now, but a restarted bench might.
-            time.sleep(min(wait, _REQUEST_INTERVAL))
-        return None
+            time.sleep(max(min(until - time.perf_counter(), _REQUEST_INTERVAL), 0.0))
 
     def _accepted(self, data: bytes) -> ReceivedPacket | None:
         """Return a valid, new packet of this run's bench, or None.

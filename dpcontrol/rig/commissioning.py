@@ -109,11 +109,6 @@ class Finding:
         return _GRADES.get(self.cause, Grade.WRONG)
 
     @property
-    def mended(self) -> bool:
-        """True if the scene's [run] can fix it."""
-        return self.cause is Cause.DIFFERS
-
-    @property
     def sentence(self) -> str:
         """The finding in words."""
         return told(self.step, self.cause, self.figures, self.changes)[0]
@@ -151,7 +146,8 @@ class Commissioning(Documented):
     @property
     def blocking(self) -> tuple[Finding, ...]:
         """Faults of the rig itself, which invalidate the measurements."""
-        return tuple(f for f in self.wrong if not f.mended)
+        # The scene's [run] can fix what differs from it.
+        return tuple(f for f in self.wrong if f.cause is not Cause.DIFFERS)
 
     @property
     def changes(self) -> dict[str, Any]:

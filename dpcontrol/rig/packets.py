@@ -253,10 +253,8 @@ def unpacked(data: bytes, role: Role, *, key: bytes = b"") -> ReceivedPacket:
     if len(data) < _HEAD.size:
         raise ValueError(f"a packet of {len(data)} bytes has no head")
     magic, version, number, count, session, sequence = _HEAD.unpack_from(data)
-    if magic != MAGIC:
-        raise ValueError(f"a packet that begins with {magic!r} is not from a bench")
-    if version != VERSION:
-        raise ValueError(f"the packet's version is {version}, this program uses {VERSION}")
+    if (magic, version) != (MAGIC, VERSION):
+        raise ValueError(f"a packet that begins with {magic!r}, {version} is not of version {VERSION} of the protocol")
     if key:
         data, seal = data[:-_SEAL], data[-_SEAL:]
         if not hmac.compare_digest(seal, _seal(data, role, key)):

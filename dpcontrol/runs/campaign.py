@@ -339,7 +339,7 @@ def run_locally(jobs: Sequence[Job], workers: int) -> Iterator[tuple[Job, list[R
 
     Raises:
         InputError: see `run_job`.
-        GoalMissed: see `run_job`; also if a job's worker died repeatedly.
+        GoalMissed: see `run_job`; also if a job's process died.
     """
     return in_processes(
         run_job, jobs, workers,
@@ -496,7 +496,7 @@ class Campaign(Shown):
         """Return a pandas table, one row for each run.
 
         Raises:
-            InputError: pandas is not installed.
+            PartMissing: pandas is not installed.
         """
         return pandas_classes()[0](self.table.to_pylist())
 
@@ -658,7 +658,7 @@ def run_campaign(
 
     Raises:
         InputError: the file cannot be written, no cluster answers, or the settings do not fit the plan.
-        GoalMissed: the plan did not converge, or workers died repeatedly.
+        GoalMissed: the plan did not converge, or a process died.
     """
     part("pyarrow")
     if file is not None:

@@ -239,7 +239,7 @@ class ClosedLoop(Timed):
 
         Raises:
             InputError: an unknown option or impossible value, or the file cannot be written.
-            GoalMissed: there is no reference to follow, or workers died repeatedly.
+            GoalMissed: there is no reference to follow, or a process died.
         """
         scene, own = self.planned.itinerary, settings or (STANDARD_CAMPAIGN if standard else CampaignSettings(runs))
         cases = asked_cases(scene, fixed=self.options, over=over or {}, standard=standard, transitions=transitions)

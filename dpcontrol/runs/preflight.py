@@ -522,7 +522,7 @@ def preflight(
 
     Raises:
         InputError: an impossible setting, or it would take too long.
-        GoalMissed: the plan did not converge, no controller can be made for it, or workers died repeatedly.
+        GoalMissed: the plan did not converge, no controller can be made for it, or a process died.
     """
     began, options, settings = time.perf_counter(), options or {}, settings or PreflightSettings()
     scene, known = with_known_errors(plan.followed().itinerary, options)

@@ -160,7 +160,7 @@ def why(
 
     Raises:
         InputError: it would take too long, or the completion of the run is unknown.
-        GoalMissed: no controller can be made for the run, or workers died repeatedly.
+        GoalMissed: no controller can be made for the run, or a process died.
     """
     if failed.completed is None:
         raise InputError(f"{failed.log}: {failed.reason}; give the log as `dpcontrol run` wrote it")

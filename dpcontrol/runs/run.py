@@ -49,7 +49,7 @@ from dpcontrol.foundation.progress import Progress, Reporting, no_progress, repo
 from dpcontrol.foundation.settings import frozen
 from dpcontrol.foundation.shipped import folders
 from dpcontrol.foundation.shown import Timed, checked_times
-from dpcontrol.foundation.toml import Place, decode, with_values
+from dpcontrol.foundation.toml import Place, table_of, with_values
 from dpcontrol.foundation.version import VERSION
 from dpcontrol.judge.decoding import stays
 from dpcontrol.judge.score import (
@@ -80,12 +80,11 @@ from dpcontrol.logs import (
 )
 from dpcontrol.logs.layout import state_names
 from dpcontrol.loop.assembly import Assembly
-from dpcontrol.loop.bench import Push
 from dpcontrol.loop.controllers import CONTROLLERS, estimators_of, filter_of, law_of
 from dpcontrol.loop.loop import ControlLoop, LoopSettings
 from dpcontrol.loop.own import OwnLaw, OwnObject, OwnRig
 from dpcontrol.loop.result import Ending, LogSink, LoopResult, LoopSink, Sinks, SupervisorSettings, Ticks
-from dpcontrol.plans.itinerary import Itinerary, planned_itinerary, setting_of
+from dpcontrol.plans.itinerary import BLOWS, Itinerary, planned_itinerary, setting_of
 from dpcontrol.plans.layout import BENCH
 from dpcontrol.plans.overrides import canonical, paths
 from dpcontrol.plans.plan import Plan, plan_key
@@ -283,7 +282,7 @@ class Run(Timed):
             count: number of rows of interpolated states; None for one row per tick (see `RunLog.frame`).
 
         Raises:
-            InputError: pandas is not installed.
+            PartMissing: pandas is not installed.
         """
         return self.log.frame() if count is None else super().frame(count)
 
@@ -686,24 +685,24 @@ def stored_settings(values: Mapping[str, Any], file: str) -> LoopSettings:
         InputError: an unknown setting or an impossible value.
         LookupError: a user's object, which the log does not hold.
     """
-    own, parts = dict(values), dict[str, Any]()
-    kinds: Mapping[str, Any] = CONTROLLERS
+    top, own, kinds = Place(file), dict(values), dict[str, Any](CONTROLLERS)
     for name in ("controller", "estimator"):
-        part = dict(own.pop(name))
-        if part["kind"] not in kinds:
-            raise LookupError(f"{name} = {part['kind']} is a user's object, which is not in the log")
-        parts[name] = decode(kinds[part.pop("kind")], part, Place(file, name))
-        kinds = estimators_of(parts["controller"])
+        kind = own[name]["kind"]
+        if kind not in kinds:
+            raise LookupError(f"{name} = {kind} is a user's object, which is not in the log")
+        own[name] = table_of(kinds[kind]).read(own[name], top.within(name))
+        kinds = estimators_of(own["controller"])
+    blows = values.get("disturbances", {}).get("explicit")
+    if "disturbances" in own:
+        own["disturbances"] = {key: value for key, value in own["disturbances"].items() if key != "explicit"}
     for name, kind in {**BENCH, "supervisor": SupervisorSettings}.items():
         if name in own:
-            part = dict(own.pop(name))
-            blows = [decode(Push, blow, Place(file, "run.blows")) for blow in part.pop("explicit", ())]
-            parts[name] = decode(kind, part, Place(file, name))
-            if blows:
-                parts[name] = replace(parts[name], explicit=tuple(blows))
+            own[name] = table_of(kind).read(own[name], top.within(name))
     if own.get("plant") is not None:
         own["plant"] = ArmChainParameters(**frozen(own["plant"]))
-    return LoopSettings(**own, **parts)
+    return LoopSettings(**own).with_(
+        {"disturbances.explicit": BLOWS.read(blows, Place(file, "run.blows"))} if blows else {}
+    )
 
 
 _CHECKED_TICKS = 4000
@@ -1057,7 +1056,7 @@ def measured_text(itinerary: Itinerary, values: Mapping[str, Any]) -> tuple[Path
     if path.is_relative_to(shipped.resolve()) and not path.is_relative_to(own.resolve()):
         path = own / path.name
     mark = "\ufeff" if text.startswith("\ufeff") else ""
-    return path, mark + with_values(text.removeprefix(mark), "run", values, file=str(itinerary.path))
+    return path, mark + with_values(text.removeprefix(mark), "run", values)
 
 
 def written(found: "Commissioning", itinerary: Itinerary) -> "Commissioning":
@@ -1158,7 +1157,7 @@ def _log_recorded(
     plan: Plan, out: Path, program: Path, assembly: Assembly, process: BenchProcess, kept: Deadlines | None
 ) -> Run:
     if process.record is None:
-        raise GoalMissed(f"the example bench did not end its run in order: {'; '.join(process.messages)}")
+        raise GoalMissed("the example bench did not end its run in order")
     with log_writer(plan, out, **drawn_metadata(plan.itinerary)) as writer:
         loop = assembly.loop(sink=LogSink(writer))
         rig = RecordedRig(process.record, loop.ticker.program)

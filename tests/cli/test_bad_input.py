@@ -90,7 +90,7 @@ MODEL = {
     "arms of unequal count": ("viscous = [0.000237142782693581, ", "viscous = [", "viscous"),
     "too many digits": ("acceleration = 9.8085802336215", "acceleration = 1" + 400 * "0", "acceleration = 1000000"),
     "nested too deeply": ('title = "', "x = " + 5000 * "[" + '\ntitle = "', "nested"),
-    "nested too deeply by dots": ('title = "', "x." * 3000 + 'y = 1\ntitle = "', "nested"),
+    "nested too deeply by dots": ('title = "', "x." * 3000 + 'y = 1\ntitle = "', "the key 'x' is unknown"),
 }
 """(text, its replacement, what the message must name)."""
 

@@ -29,11 +29,8 @@ def sources() -> dict[str, tuple[object, str]]:
 
 
 def test_each_source_has_priority_over_the_next(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from dpcontrol.foundation import config
-
     assert sources()["logs"] == ("logs", "default")
     file.write_bytes(b'\xef\xbb\xbflogs = "of-file"\r\nworkers = 2\r\n')
-    config._read.cache_clear()
     assert sources()["logs"] == ("of-file", str(file))
     monkeypatch.setenv("DPCONTROL_LOGS", "of-environment")
     assert sources()["logs"] == ("of-environment", "DPCONTROL_LOGS")

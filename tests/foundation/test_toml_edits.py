@@ -25,7 +25,7 @@ VALUES = {"delay": 2.5, "zeros": [0.03, -0.02]}
 
 def test_a_key_keeps_its_place_and_comment_and_a_new_one_follows_the_last() -> None:
     lines = SCENE.splitlines()
-    changed = with_values(SCENE, "run", VALUES, file="a.toml").splitlines()
+    changed = with_values(SCENE, "run", VALUES).splitlines()
     assert changed[4] == "delay = 2.5        # samples # as the drive's manual says"
     assert changed[6] == "zeros = [0.03, -0.02]"
     assert changed[:4] + changed[5:6] + changed[7:] == lines[:4] + lines[5:]
@@ -45,9 +45,9 @@ def test_a_key_keeps_its_place_and_comment_and_a_new_one_follows_the_last() -> N
 def test_edited_text_parses_to_the_old_keys_with_the_new_values(text: str) -> None:
     for end in ("\n", "\r\n"):
         before = text.replace("\n", end)
-        after = with_values(before, "run", VALUES, file="a.toml")
+        after = with_values(before, "run", VALUES)
         was = tomllib.loads(before)
         assert tomllib.loads(after) == {**was, "run": {**was.get("run", {}), **VALUES}}
         if end in before:
             assert after.count("\n") == after.count(end)
-        assert with_values(after, "run", VALUES, file="a.toml") == after
+        assert with_values(after, "run", VALUES) == after

@@ -7,19 +7,18 @@ import pytest
 from shadowing_stand_in import LAB
 
 from dpcontrol.control.tick import KnownMechanics
-from dpcontrol.foundation.toml import Place, parse_toml
 from dpcontrol.loop.bench import BenchSettings, MechanicsSettings, draw_bench
 from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.loop.simulated import SimulatedRig
-from dpcontrol.plans.itinerary import read_run_settings
+from dpcontrol.plans.itinerary import itinerary_from
+from dpcontrol.plans.model import load_model
 from dpcontrol.references.problem import Limits
 
 LIMITS = Limits(position=0.4, velocity=3.0, acceleration=30.0)
 
 
 def read(text: str) -> MechanicsSettings:
-    document = parse_toml(f"[run]\n{text}\n", "scene.toml")
-    return read_run_settings(document, Place("scene.toml"))[0].mechanics
+    return itinerary_from(f'hold = "up-up"\nstart = "hold"\n[run]\n{text}\n', "scene", load_model("lab")).loop.mechanics
 
 
 def test_play_and_stiction_are_one_number_for_all_arms_or_one_for_each() -> None:

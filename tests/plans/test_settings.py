@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 from command_line import dpcontrol
 from jsonschema import Draft202012Validator
+from settings_page import PAGE, settings_page
 
 import dpcontrol as dp
 from dpcontrol.foundation.errors import InputError
@@ -18,7 +19,6 @@ from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.plans.itinerary import itinerary_from, load_itinerary, setting_of
 from dpcontrol.plans.model import load_model
 from dpcontrol.plans.overrides import NAMED, parsed, paths, typed, values_in
-from dpcontrol.plans.tables import settings_page
 from dpcontrol.runs.campaign import cases_of
 from dpcontrol.runs.run import stored_settings
 
@@ -44,8 +44,7 @@ LAB = folders("models")[1].joinpath("lab.toml").read_text()
 
 @pytest.mark.slow
 def test_the_guides_page_on_settings_is_the_one_that_the_declarations_give() -> None:
-    page = Path(dp.__file__).parent / "guide" / "settings.md"
-    assert page.read_text() == settings_page()
+    assert PAGE.read_text() == settings_page()
     assert all(f"`{path}`" in settings_page() for path in paths())
 
 
@@ -239,4 +238,7 @@ def test_a_list_is_written_with_or_without_brackets_and_varied_in_brackets() -> 
 
 
 def test_options_of_settings_have_the_help_of_their_declarations() -> None:
-    assert {path: paths()[path].sentence for path in NAMED} == NAMED
+    for path, text in NAMED.items():
+        bounds = paths()[path].bounds
+        more = f": {', '.join(bounds.choices)}" if bounds.choices else f", {bounds.unit}" if bounds.unit else ""
+        assert text == f"{bounds.help.removesuffix('.')}{more}."

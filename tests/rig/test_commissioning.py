@@ -280,7 +280,7 @@ def test_the_play_of_each_encoder_is_measured(play: tuple[float, float], seed: i
     found = commissioned(rig)
     finding = next(f for f in found.findings if f.step == "play")
     assert finding.verdict is Grade.WRONG
-    assert finding.mended
+    assert finding.cause is Cause.DIFFERS
     assert found.changes["play"] == pytest.approx(play, rel=0.15, abs=1e-3)
     assert [value == 0 for value in found.changes["play"]] == [value == 0 for value in play]
     # With this setting, the rig agrees with [run].

@@ -14,7 +14,7 @@ import pytest
 from scipy.stats import norm
 
 from dpcontrol.control.tracking import TvlqrSettings
-from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.statistics import paired, wilson
 from dpcontrol.plans.itinerary import Itinerary, load_itinerary
 from dpcontrol.plans.plan import make_plan
@@ -161,10 +161,11 @@ def test_a_killed_process_changes_nothing_in_the_table(
             os.kill(process.pid, signal.SIGKILL)
 
     cases = cases_of(turn, fixed=HARD, over={})
-    run_campaign(
-        make_plan(turn), cases, file, settings=CampaignSettings(runs=16, workers=2, batch=4, replayed=1), progress=kill
-    )
+    settings = CampaignSettings(runs=16, workers=2, batch=4, replayed=1)
+    with pytest.raises(GoalMissed, match="run the same command again"):
+        run_campaign(make_plan(turn), cases, file, settings=settings, progress=kill)
     assert killed
+    run_campaign(make_plan(turn), cases, file, settings=settings)
     assert read_rows(file)[0] == undisturbed
 
 
