@@ -11,6 +11,7 @@ of a table without a header have their numbers, from 1.
 """
 
 from collections import Counter
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -167,6 +168,19 @@ class Mapping:
     def period(self) -> float:
         """Time between samples, s; 0 if not given."""
         return self.sampling.period or (1 / self.sampling.rate if self.sampling.rate else 0.0)
+
+    def restricted(self, columns: Collection[str]) -> "Mapping":
+        """Return the mapping of these columns only.
+
+        Args:
+            columns: names of columns.
+        """
+        angles, rates = (
+            replace(table, columns=tuple(name for name in table.columns if name in columns))
+            for table in (self.angles, self.rates)
+        )
+        cart = self.cart if self.cart.position in columns else replace(self.cart, position="")
+        return replace(self, angles=angles, rates=rates, cart=cart)
 
     def absolute_angles(self, values: Array) -> Array:
         """Return absolute angles (K, n), rad, of file values.

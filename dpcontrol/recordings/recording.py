@@ -423,8 +423,8 @@ def cart_motion(part: Recording) -> CartMotion | None:
     return CartMotion(position, velocity, acceleration, False)
 
 
-def smoothed_derivative(values: Array, period: float, order: int = 1) -> Array:
-    """Return the derivative of samples (K, …) by cubics through 20 ms.
+def smoothed_derivative(values: Array, period: float, order: int = 1, *, window: float = _SMOOTHED) -> Array:
+    """Return the derivative of samples (K, …) by cubics through a window.
 
     The derivative is zero for fewer than five samples.
 
@@ -432,11 +432,12 @@ def smoothed_derivative(values: Array, period: float, order: int = 1) -> Array:
         values: samples (K, …).
         period: sampling period, s.
         order: order of the derivative, default 1.
+        window: length of the window, s.
     """
     # The import is slow, and models not derived from recordings do not need it.
     from scipy.signal import savgol_filter
 
-    width = min(max(round(_SMOOTHED / period) | 1, 5), (len(values) - 1) | 1)
+    width = min(max(round(window / period) | 1, 5), (len(values) - 1) | 1)
     if width < 5:
         return np.zeros_like(values)
     return np.asarray(savgol_filter(values, width, 3, deriv=order, delta=period, axis=0), dtype=np.float64)
