@@ -504,6 +504,11 @@ class TickLayout:
         return found
 
     @cached_property
+    def kinds(self) -> dict[str, str]:
+        """Type of each topic's messages."""
+        return {topic: kind for topic, (kind, _) in self.schemas.items()}
+
+    @cached_property
     def channels(self) -> dict[str, int]:
         """Channel number of each topic."""
         return {topic: number for number, topic in enumerate(self.schemas, start=1)}
@@ -533,6 +538,15 @@ class TickLayout:
             header["channel"] = self.channels[topic]
             records.append(header.tobytes() + message.data)
         return b"".join(records)
+
+
+def extras_of(described: Mapping[str, str]) -> tuple[str, ...]:
+    """Return the names of the estimated parameters.
+
+    Args:
+        described: values of the layout record.
+    """
+    return tuple(described.get(EXTRAS_KEY, "").split())
 
 
 def record_type(message: Message) -> np.dtype:
