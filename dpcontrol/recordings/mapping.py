@@ -30,9 +30,17 @@ RATE_UNITS = {"rad/s": 1.0, "deg/s": np.pi / 180, "turns/s": 2 * np.pi, "rpm": n
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 LENGTH_UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}
 ZEROS = {"hanging": 0.0, "upright": np.pi}
-_LARGEST_ZERO = 100.0
 NAMED = BeforeValidator(lambda value: str(value) if type(value) is int else value)
 """Conversion of a column's number, in a table without a header, to its name."""
+
+
+def _listed(value: Any) -> tuple[Any, ...]:
+    """Return one value for all arms, or one for each, as numbers."""
+    values = value if isinstance(value, list | tuple) else [value]
+    return tuple(ZEROS.get(one, one) if isinstance(one, str) else one for one in values)
+
+
+LISTED = BeforeValidator(_listed)
 
 
 @dataclass(frozen=True)
@@ -84,45 +92,26 @@ class _Angles(Settings, table="angles"):
 
     columns: Annotated[tuple[Annotated[str, NAMED], ...], Setting(help="Columns of the angles.")] = ()
     unit: Annotated[str, Setting(choices=tuple(ANGLE_UNITS), help="Unit of the angles.")] = "rad"
-    counts_per_turn: Annotated[
-        int | tuple[int, ...] | None, Setting(least=1, help="Counts of an encoder in a turn.")
-    ] = None
-    sign: Annotated[float | tuple[float, ...], Setting(help="1 for counter-clockwise, -1 for clockwise.")] = 1.0
+    counts_per_turn: Annotated[tuple[int, ...], LISTED, Setting(least=1, help="Counts of an encoder in a turn.")] = ()
+    sign: Annotated[tuple[float, ...], LISTED, Setting(help="1 for counter-clockwise, -1 for clockwise.")] = (1.0,)
     zero: Annotated[
-        Any, Setting(unit="rad", help='Readings of hanging arms; "hanging" for 0, "upright" for half a turn.')
-    ] = "hanging"
+        tuple[float, ...],
+        LISTED,
+        Setting(least=-100, most=100, unit="rad", help='Readings of hanging arms; "hanging" for 0, "upright" for π.'),
+    ] = (0.0,)
     relative: Annotated[bool, Setting(help="Whether each angle counts from the next inner arm.")] = False
 
     def _check_together(self) -> None:
-        if any(abs(one) != 1 for one in self.signs):
+        if any(abs(one) != 1 for one in self.sign):
             raise self.refusal("sign", "must be 1, counter-clockwise, or -1, clockwise")
-        for one in self.zeros:
-            if isinstance(one, bool) or not isinstance(one, int | float) or not abs(one) <= _LARGEST_ZERO:
-                raise self.refusal("zero", "must be 'hanging', 'upright' or an angle in rad, or a list of these")
         for key, values in self.by_arm.items():
-            if len(values) not in ({1, len(self.columns)} if self.columns else range(1, 100)):
+            if len(values) > 1 and self.columns and len(values) != len(self.columns):
                 raise self.refusal(key, f"give one value, or one for each of {len(self.columns)} angles")
 
     @property
-    def by_arm(self) -> dict[str, tuple[Any, ...]]:
-        """Values of the keys that can be lists."""
-        return {"counts_per_turn": self.counts, "sign": self.signs, "zero": self.zeros}
-
-    @property
-    def counts(self) -> tuple[int, ...]:
-        """Counts in a turn, for all arms or for each."""
-        return self.counts_per_turn if isinstance(self.counts_per_turn, tuple) else (self.counts_per_turn or 1,)
-
-    @property
-    def signs(self) -> tuple[float, ...]:
-        """Signs, one for all arms or one for each."""
-        return self.sign if isinstance(self.sign, tuple) else (self.sign,)
-
-    @property
-    def zeros(self) -> tuple[Any, ...]:
-        """Readings of hanging arms, rad, one for all or one for each."""
-        given = self.zero if isinstance(self.zero, list | tuple) else [self.zero]
-        return tuple(ZEROS.get(one) if isinstance(one, str) else one for one in given)
+    def by_arm(self) -> dict[str, tuple[float, ...]]:
+        """Values for all arms, or for each, by key."""
+        return {"counts_per_turn": self.counts_per_turn or (1,), "sign": self.sign, "zero": self.zero}
 
 
 @dataclass(frozen=True)
@@ -190,7 +179,7 @@ class Mapping:
         Args:
             values: values (K, n) in the file's unit and directions.
         """
-        return self._turned(values, ANGLE_UNITS[self.angles.unit], self.angles.zeros)
+        return self._turned(values, ANGLE_UNITS[self.angles.unit], self.angles.zero)
 
     def absolute_rates(self, values: Array) -> Array:
         """Return absolute rates (K, n), rad/s, of file values.
@@ -201,9 +190,8 @@ class Mapping:
         return self._turned(values, RATE_UNITS[self.rates.unit], (0.0,))
 
     def _turned(self, values: Array, unit: float, zeros: tuple[float, ...]) -> Array:
-        n = values.shape[1]
-        scale = unit or 2 * np.pi / _each(self.angles.counts, n)
-        turned = (values * scale - _each(zeros, n)) * _each(self.angles.signs, n)
+        scale = unit or 2 * np.pi / np.array(self.angles.counts_per_turn)
+        turned = (values * scale - np.array(zeros)) * np.array(self.angles.sign)
         return np.cumsum(turned, axis=1) if self.angles.relative else turned
 
     def lengths(self, arms: int) -> tuple[float, ...]:
@@ -216,10 +204,6 @@ class Mapping:
         """
         given = self.arm_lengths[:arms]
         return given + (self.arm_lengths[-1],) * (arms - len(given))
-
-
-def _each(values: tuple[float, ...], arms: int) -> Array:
-    return np.full(arms, values[0]) if len(values) == 1 else np.array(values[:arms])
 
 
 def load_mapping(name: str) -> Mapping:
@@ -240,41 +224,38 @@ def load_mapping(name: str) -> Mapping:
                 f"there is no mapping named {name!r}; {suggest(name, known)}; the path of a TOML file works"
             )
     document, top, mistakes = read_toml(path)[0], Place(str(path)), Mistakes()
+    tables = {"": {key: value for key, value in document.items() if key not in _TABLES}}
     found: dict[str, Any] = {}
-    with mistakes:
-        rest = {key: value for key, value in document.items() if key not in _TABLES}
-        found["arm_lengths"] = decode(_Top, rest, top, also=_TABLES).arm_lengths
-    for table, kind in _TABLES.items():
+    for table, kind in {"": _Top, **_TABLES}.items():
         with mistakes:
-            values = document.get(table, {})
+            values = tables.get(table, document.get(table, {}))
             if not isinstance(values, dict):
                 raise top.error(table, values, f"must be a table, [{table}]")
-            found[table] = decode(kind, values, replace(top, table=table))
+            found[table] = decode(kind, values, replace(top, table=table), also=() if table else _TABLES)
     mistakes.report()
-    mapping = Mapping(path.stem, **found)
-    _check(mapping, top)
+    mapping = Mapping(path.stem, found.pop("").arm_lengths, **found)
+    for complaint, wrong in _rules(mapping).items():
+        if wrong:
+            raise InputError(f"{top} {complaint}")
     return mapping
 
 
-def _check(mapping: Mapping, top: Place) -> None:
-    """Reject tables that do not fit together.
-
-    Raises:
-        InputError: names file, table and key.
-    """
+def _rules(mapping: Mapping) -> dict[str, bool]:
+    """Return whether tables break the rules by which they fit together, by complaint."""
     columns, rates, cells = mapping.angles.columns, mapping.rates.columns, mapping.cells
-    if not cells.states and not columns:
-        raise InputError(f"{top} [angles] columns = []: name one column for each arm, inner arm first")
-    if cells.states and (columns or rates or mapping.cart.position or mapping.cart.command):
-        raise InputError(f"{top} [cells] states: rows of cells replace all columns of a recording; name no others")
-    if len(cells.time) not in (0, len(cells.states)):
-        raise InputError(f"{top} [cells] time = {list(cells.time)}: give one name for each of `states`, or none")
-    if rates and len(rates) != len(columns):
-        raise InputError(f"{top} [rates] columns: {len(rates)} rates for {len(columns)} angles; give as many")
-    for name, times in Counter(mapping.named).items():
-        if times > 1:
-            raise InputError(f"{top} [angles] columns: {name!r} is named twice; a column has one meaning")
-    if not (mapping.time.column or cells.time or mapping.period or mapping.sampling.variable):
-        raise InputError(f"{top} neither [time] column nor [sampling] period is given; give one of them")
-    if "counts" in (mapping.angles.unit, *mapping.rates.unit.split("/")) and mapping.angles.counts_per_turn is None:
-        raise InputError(f"{top} [angles] a unit is counts but counts_per_turn is missing; add it")
+    twice = [name for name, times in Counter(mapping.named).items() if times > 1]
+    clocks = (mapping.time.column, cells.time, mapping.period, mapping.sampling.variable)
+    counted = "counts" in (mapping.angles.unit, *mapping.rates.unit.split("/"))
+    return {
+        "[angles] columns = []: name one column for each arm, inner arm first": not cells.states and not columns,
+        "[cells] states: rows of cells replace all columns of a recording; name no others": bool(cells.states)
+        and bool(columns or rates or mapping.cart.position or mapping.cart.command),
+        f"[cells] time = {list(cells.time)}: give one name for each of `states`, or none": len(cells.time)
+        not in (0, len(cells.states)),
+        f"[rates] columns: {len(rates)} rates for {len(columns)} angles; give as many": len(rates)
+        not in (0, len(columns)),
+        f"[angles] columns: {twice} is named twice; a column has one meaning": bool(twice),
+        "neither [time] column nor [sampling] period is given; give one of them": not any(clocks),
+        "[angles] a unit is counts but counts_per_turn is missing; add it": counted
+        and not mapping.angles.counts_per_turn,
+    }
