@@ -143,11 +143,6 @@ class MessageReader:
         (content,) = self.take("s", 1, *self.take("I", 4))
         return content.rstrip(b"\0").decode()
 
-    def doubles(self) -> tuple[float, ...]:
-        """Return a sequence of float64."""
-        (count,) = self.take("I", 4)
-        return self.take("d", 8, count) if count else ()
-
 
 def joint_state(names: Sequence[str], *, velocities: bool) -> Message:
     """Return sensor_msgs/JointState.

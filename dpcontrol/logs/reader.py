@@ -418,8 +418,8 @@ class RunLog(Shown):
 
         Every log has `measured`.
         """
-        found = {*self.states} | ({"control"} if self.controls else set())
-        return frozenset(found | ({"rates"} if self.rates is not None else set()))
+        present = {"control": bool(self.controls), "rates": self.rates is not None}
+        return frozenset({*self.states, *(part for part, there in present.items() if there)})
 
     @property
     def truth(self) -> Array | None:
@@ -451,20 +451,15 @@ class RunLog(Shown):
         Raises:
             InputError: no controller ran.
         """
-        if not self.controls:
-            raise self._lacks(layout.CONTROL)
-        return self.controls
+        return self.controls or self._state("control")
 
-    def _state(self, part: str) -> Array:
+    def _state(self, part: str) -> Any:
         if part not in self.states:
-            raise self._lacks(layout.STATE_TOPICS[part])
+            raise InputError(
+                f"{self.path} has no {layout.STATE_TOPICS.get(part, layout.CONTROL)}: it is a recording, not a run, or "
+                f"another program has left the topic out; {_AS_WRITTEN}"
+            )
         return self.states[part]
-
-    def _lacks(self, topic: str) -> InputError:
-        return InputError(
-            f"{self.path} has no {topic}: it is a recording, not a run, or another program has left the topic out; "
-            f"{_AS_WRITTEN}"
-        )
 
     def frame(self) -> "DataFrame":
         """Return a pandas table with one row per tick.
@@ -479,18 +474,19 @@ class RunLog(Shown):
             InputError: pandas is not installed.
         """
         data_frame, index = pandas_classes()
-        columns: dict[str, Any] = {f"measured.{name}": self.measured[:, i] for i, name in enumerate(self.joint_names)}
+        states = layout.state_names(len(self.arm_lengths), has_cart=self.has_cart)
+        groups: dict[str, tuple[Sequence[str], Array]] = {"measured": (self.joint_names, self.measured)}
         if self.rates is not None:
-            columns |= {f"rates.{name}": self.rates[:, i] for i, name in enumerate(self.joint_names)}
-        names = layout.state_names(len(self.arm_lengths), has_cart=self.has_cart)
-        for part, values in self.states.items():
-            columns |= {f"{part}.{name}": values[:, i] for i, name in enumerate(names)}
-        columns |= {f"control.{name}": values for name, values in self.controls.items()}
+            groups["rates"] = (self.joint_names, self.rates)
+        groups |= {part: (states, values) for part, values in self.states.items()}
+        groups["control"] = (tuple(self.controls), np.transpose(list(self.controls.values())))
         if self.extras is not None:
             last = np.searchsorted(self.extras.time, self.time, side="right") - 1
             for of, values in (("extra", self.extras.values), ("sigma", self.extras.sigmas)):
-                held = np.where((last >= 0)[:, None], values[last], np.nan)
-                columns |= {f"{of}.{name}": held[:, i] for i, name in enumerate(self.extras.names)}
+                groups[of] = (self.extras.names, np.where((last >= 0)[:, None], values[last], np.nan))
+        columns: dict[str, Any] = {
+            f"{of}.{name}": values[:, i] for of, (names, values) in groups.items() for i, name in enumerate(names)
+        }
         if self.segments:
             columns["segment"] = segment_numbers(self.segments, len(self.time))
         return data_frame(columns, index=index(self.time, name="time"))
@@ -698,12 +694,15 @@ def check_replaced(
     except InputError as error:
         raise in_the_way(path, "is not a complete log") from error
     there = file.values(layout.RUN_RECORD)
-    if "rig" in file.values(layout.RESULT_RECORD) or "rig" in there:
-        raise in_the_way(path, "is a log from a rig")
-    if file.values(layout.RECOVERY_RECORD).get("source") != (recovers and recovers.name):
-        raise in_the_way(path, "holds another log")
-    if differing := _differing(metadata, there):
-        raise in_the_way(path, f"holds another log (not the same: {differing})")
+    differing = _differing(metadata, there)
+    reasons = {
+        "is a log from a rig": "rig" in {**file.values(layout.RESULT_RECORD), **there},
+        "holds another log": file.values(layout.RECOVERY_RECORD).get("source") != (recovers and recovers.name),
+        f"holds another log (not the same: {differing})": bool(differing),
+    }
+    for reason, applies in reasons.items():
+        if applies:
+            raise in_the_way(path, reason)
 
 
 def _differing(metadata: Mapping[str, str], there: Mapping[str, str], *, also: tuple[str, ...] = ()) -> str:
@@ -711,7 +710,7 @@ def _differing(metadata: Mapping[str, str], there: Mapping[str, str], *, also: t
 
     Incidental keys and those in `also` are not compared.
     """
-    names = [k for k in {**metadata, **there} if k not in (*_INCIDENTAL, *also)]
+    names = [name for name in {**metadata, **there} if name not in (*_INCIDENTAL, *also)]
     return ", ".join(name for name in names if metadata.get(name) != there.get(name))
 
 
@@ -860,15 +859,17 @@ def compare_messages(one: Path | str, other: Path | str) -> Comparison:
     if sides[0].tick != sides[1].tick:
         return Comparison(0, f"{one} and {other} do not have the same topics")
     whole = all(side.is_native and not side.values(layout.RECOVERY_RECORD).get(layout.LOST) for side in sides)
-    logs = []
-    for side in sides:
-        with side.decoding():
-            topics = by_topic(side.messages())
-        logs.append({name: set(zip(topic.times, topic.bodies, strict=True)) for name, topic in topics.items()})
-    same = 0
+    first, second = map(_message_sets, sides)
+    same = sum(len(messages & second.get(name, set())) for name, messages in first.items())
     for name in sides[0].tick.schemas:
-        messages, others = (topics.get(name, set()) for topics in logs)
-        same += len(messages & others)
+        messages, others = first.get(name, set()), second.get(name, set())
         if differing := messages ^ others if whole else messages - others:
             return Comparison(same, f"the message of {name} at {min(differing)[0] / 1e9:.3f} s differs")
     return Comparison(same, None)
+
+
+def _message_sets(side: VerifiedFile) -> dict[str, set[tuple[int, bytes]]]:
+    """Return time, ns, and content of all messages by topic."""
+    with side.decoding():
+        topics = by_topic(side.messages())
+    return {name: set(zip(topic.times, topic.bodies, strict=True)) for name, topic in topics.items()}
