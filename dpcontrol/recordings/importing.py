@@ -20,8 +20,8 @@ import struct
 import zlib
 from collections.abc import Collection, Iterator, Sequence
 from collections.abc import Mapping as Columns
-from dataclasses import replace
-from itertools import pairwise
+from dataclasses import dataclass, replace
+from itertools import chain, pairwise, zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -172,8 +172,9 @@ def _samples(where: str, mapping: Mapping, values: Columns[str, Array], time: Ar
 def _recording(path: Path, mapping: Mapping, stretches: list[Samples], *, repairs: frozenset[str]) -> Recording:
     """Return the recording of stretches, after all checks."""
     counts = {stretch.arms for stretch in stretches}
-    if len(counts) > 1:
-        raise InputError(f"{path}: some cells have {min(counts)} arms, others {max(counts)}; all must have the same")
+    if len(counts) != 1:
+        shown = " and ".join(map(str, sorted(counts))) or "no"
+        raise InputError(f"{path}: its cells have {shown} arms; all must have the same number")
     parts: list[Samples] = []
     notes: list[str] = []
     for stretch in stretches:
@@ -306,73 +307,53 @@ def _numbers(cells: Sequence[Any], name: str, path: Path) -> Array:
 
 def _of_matlab(path: Path, given: Mapping | None) -> tuple[Mapping, list[Samples]]:
     """Return the mapping, with the file's period if it holds one, and the stretches."""
-    variables = read_matlab(path)
-    mapping = given or _fitting(variables, path)
+    file = MatlabFile(path, read_matlab(path))
+    mapping = given or _fitting(file)
     if name := mapping.sampling.variable:
-        period = float(numbers(find(variables, name, file=path), name, file=path)[0]) * TIME_UNITS[mapping.time.unit]
+        period = float(file.column(name)[0]) * TIME_UNITS[mapping.time.unit]
         if not 1e-6 <= period <= 1:
             raise InputError(f"{path}: {name} is {period:.6g} s; a sampling period is 1e-6 to 1 s")
         mapping = replace(mapping, sampling=replace(mapping.sampling, period=period))
     if mapping.cells.states:
-        return mapping, list(_cells(path, mapping, variables))
-    columns = {name: column(variables, name, file=path) for name in mapping.named}
-    return mapping, _segments(path, mapping, columns)
+        return mapping, list(_cells(file, mapping))
+    return mapping, _segments(path, mapping, {name: file.column(name) for name in mapping.named})
 
 
-def _fitting(variables: Columns[str, Any], path: Path) -> Mapping:
+def _fitting(file: "MatlabFile") -> Mapping:
     """Return the first known mapping whose columns all exist.
 
     Raises:
         InputError: there is none; lists the variables.
     """
     for mapping in map(load_mapping, _KNOWN):
-        wanted = (*mapping.cells.states[:1], *mapping.named, *filter(None, [mapping.sampling.variable]))
-        if all(_found(variables, name)[0] is not None for name in wanted):
+        states = [f"{name}{{1}}" for name in mapping.cells.states[:1]]
+        wanted = (*states, *mapping.named, *filter(None, [mapping.sampling.variable]))
+        if all(file.find(name) is not None for name in wanted):
             return mapping
     raise InputError(
-        f"{path}: no shipped mapping fits its variables {', '.join(list(variables)[:12])}; give a mapping that names "
-        "columns (for time series NAME.Time and NAME.Data): --mapping"
+        f"{file.path}: no shipped mapping fits its variables {', '.join(list(file.values)[:12])}; give a mapping that "
+        "names columns (for time series NAME.Time and NAME.Data): --mapping"
     )
 
 
-def _cells(path: Path, mapping: Mapping, variables: Columns[str, Any]) -> Iterator[Samples]:
+def _cells(file: "MatlabFile", mapping: Mapping) -> Iterator[Samples]:
     """Yield the samples of each cell."""
-    for k, name in enumerate(mapping.cells.states):
-        # Only the first exists in every file: a data set may have no validation part.
-        if k and name not in variables:
-            continue
-        times_name = mapping.cells.time[k] if mapping.cells.time else ""
-        cells, times = (find(variables, one, file=path) if one else None for one in (name, times_name))
-        if not isinstance(cells, list) or (times_name and (not isinstance(times, list) or len(times) != len(cells))):
-            raise InputError(
-                f"{path}: {name} and {times_name or 'its times'} are no cell arrays with as many cells; give a mapping "
-                "that names this file's columns: --mapping"
-            )
-        for index, cell in enumerate(cells):
-            where, values = f"{path}: {name}{{{index + 1}}}", _array(cell)
-            if values.dtype.kind not in "fiu" or values.ndim != 2 or values.size == 0 or len(values) % 2:
+    for states, times in zip_longest(mapping.cells.states, mapping.cells.time, fillvalue=""):
+        cells = [name for name in file.values if re.fullmatch(rf"{re.escape(states)}\{{\d+\}}", name)]
+        for number, cell in enumerate(cells, start=1):
+            name, values = f"{states}{{{number}}}", file.values[cell]
+            time = file.column(f"{times}{{{number}}}") if times else None
+            angles, rates = np.array_split(np.atleast_2d(values).T.astype(float), 2, axis=1)
+            if name != cell or angles.shape != rates.shape or (time is not None and len(time) != len(angles)):
                 raise InputError(
-                    f"{where} is {_described(values)}; a cell holds an even number of rows, angles then rates, and a "
-                    "column for each sample"
+                    f"{file.path}: {name} is not a matrix with an even number of rows, angles then rates, and a column "
+                    "for each sample, or has not as many times"
                 )
-            time = numbers(times[index], f"{times_name}{{{index + 1}}}", file=path) if times else None
-            if time is not None and len(time) != values.shape[1]:
-                raise InputError(f"{where} is {_described(values)}, but has {len(time)} times; give as many")
-            angles, rates = np.hsplit(values.T.astype(float), 2)
-            yield _samples(where, mapping, {ANGLE: angles, RATE: rates}, time)
+            yield _samples(f"{file.path}: {name}", mapping, {ANGLE: angles, RATE: rates}, time)
 
 
-def _array(value: Any) -> NDArray[Any]:
-    """Return numbers as an array, and other values as an array of objects."""
-    return np.empty(len(value), object) if isinstance(value, dict | list) else np.asarray(value)
-
-
-def _described(array: NDArray[Any]) -> str:
-    """Return shape and kind of an array, for messages."""
-    return f"{' x '.join(map(str, array.shape))} of kind {array.dtype}"
-
-
-_STEP = re.compile(r"\.?([A-Za-z]\w*)|\{(\d+)\}|\((\d+),:\)|\(:,(\d+)\)")
+_LINE = re.compile(r"(.*)\((?:(\d+),:|:,(\d+))\)")
+"""Row or column of a matrix."""
 _MOST_SAMPLES = 10**8
 _OCTAVE = (b"# Created by Octave", b"Octave-1-", b"\x89HDF\r\n\x1a\n")
 """Beginnings of Octave's text, binary and HDF5 files; MATLAB's HDF5 begins with a header of its own."""
@@ -380,8 +361,58 @@ _PACKED = 15
 """Type of compressed elements in a version 5 file."""
 
 
-def read_matlab(path: Path) -> dict[str, Any]:
-    """Return the variables of a MATLAB file by name: structs and objects as dictionaries, cell arrays as lists.
+@dataclass(frozen=True)
+class MatlabFile:
+    """The numbers of a MATLAB file.
+
+    Attributes:
+        path: the file.
+        values: arrays of numbers by name in MATLAB's notation, such as `data{2}.Values.Data`.
+    """
+
+    path: Path
+    values: Columns[str, NDArray[Any]]
+
+    def find(self, name: str) -> NDArray[Any] | None:
+        """Return the array of a name, or None.
+
+        Case is ignored. Of a signal logged by Simulink (structure with time, time series), it is the array of values.
+
+        Args:
+            name: a variable with optional fields, cells `{i}` and a row `(i,:)` or column `(:,i)`.
+        """
+        if (line := _LINE.fullmatch(name)) and (matrix := self.find(line[1])) is not None and matrix.ndim == 2:
+            return dict(enumerate(matrix if line[2] else matrix.T, start=1)).get(int(line[2] or line[3]))
+        folded = {held.casefold(): held for held in self.values}
+        suffixes = ("", ".signals.values", ".data")
+        held = next(
+            (folded[name.casefold() + suffix] for suffix in suffixes if name.casefold() + suffix in folded), None
+        )
+        return None if held is None else self.values[held]
+
+    def column(self, name: str) -> Array:
+        """Return one row or column of real numbers as (K,).
+
+        Args:
+            name: see `find`.
+
+        Raises:
+            InputError: there is no such array, or it has another shape.
+        """
+        array = self.find(name)
+        if array is None:
+            raise InputError(
+                f"{self.path}: there are no numbers {name}; {suggest(name, self.values)}; check the mapping"
+            )
+        if max(array.shape, default=1) != array.size:
+            raise InputError(
+                f"{self.path}: {name} is of shape {array.shape}; a column is one row or column, as in {name}(1,:)"
+            )
+        return array.reshape(-1).astype(float)
+
+
+def read_matlab(path: Path) -> dict[str, NDArray[Any]]:
+    """Return the arrays of numbers in a MATLAB file by name, such as `data{2}.Values.Data`.
 
     Args:
         path: file of any version.
@@ -400,7 +431,8 @@ def read_matlab(path: Path) -> dict[str, Any]:
         variables = {} if hdf5 else loadmat(path)
         if hdf5 or "__function_workspace__" in variables:
             variables = _with_objects(path)
-        return {name: _plain(value) for name, value in variables.items() if not name.startswith("__")}
+        named = (_arrays(value, name) for name, value in variables.items() if not name.startswith("__"))
+        return dict(chain.from_iterable(named))
     except UNREADABLE as error:
         raise InputError(
             f"cannot read {path} as a MATLAB file ({_reason(error)}); check the name, or save or copy it again"
@@ -443,122 +475,36 @@ def _with_objects(path: Path) -> dict[str, Any]:
         raise ValueError(str(error)) from error
 
 
-def _plain(value: Any) -> Any:
-    """Return structs and objects as dictionaries, cell arrays and arrays of structs as lists, and numbers as they are.
+def _arrays(value: Any, name: str, owner: str = "") -> Iterator[tuple[str, NDArray[Any]]]:
+    """Yield the arrays of numbers in a variable, with their names.
 
-    The times of a time series, which MATLAB does not store where they are even, are added.
+    The cells of a cell array of objects within an object are also those of the object. The times of a time series,
+    which MATLAB does not store where they are even, are added.
+
+    Args:
+        value: variable, or a part of it.
+        name: its name.
+        owner: the name of the variable or cell that holds it.
     """
     value = getattr(value, "properties", value)
     if isinstance(value, np.ndarray) and value.dtype.names:
-        value = [{name: one[name] for name in value.dtype.names} for one in value.reshape(-1, order="F")]
+        value = [{field: one[field] for field in value.dtype.names} for one in value.reshape(-1, order="F")]
         value = value[0] if len(value) == 1 else value
     if isinstance(value, np.ndarray) and value.dtype == object:
         value = list(value.reshape(-1, order="F"))
+        value = value[0] if len(value) == 1 and isinstance(value[0], np.void) else value
     if isinstance(value, list):
-        return [_plain(one) for one in value]
-    if not isinstance(value, dict):
-        return value
-    fields = {str(name).rstrip("_"): _plain(one) for name, one in value.items()}
-    if "TimeInfo" in fields and not np.size(fields.get("Time", ())):
-        parts = [_member(fields["TimeInfo"], name) for name in ("Time", "Start", "Increment", "Length")]
-        times, start, increment, length = (np.ravel(() if part is None else part) for part in parts)
-        # Start and increment are empty for uneven times.
-        if not times.size and start.size == increment.size == length.size == 1 and 0 < length[0] < _MOST_SAMPLES:
-            times = start + increment * np.arange(int(length[0]))
-        fields["Time"] = times
-    return fields
-
-
-def column(variables: Columns[str, Any], name: str, *, file: Path) -> Array:
-    """Return the numbers (K,) at `name`.
-
-    For a signal logged by Simulink (structure with time, time series) the values are returned.
-
-    Args:
-        variables: variables of the file by name.
-        name: a variable with optional fields, cells `{i}` and rows `(i,:)`.
-        file: the file, for messages.
-
-    Raises:
-        InputError: `name` does not exist, or is not one row or column of real numbers.
-    """
-    value = find(variables, name, file=file)
-    for inner in (_member(_member(value, "signals"), "values"), _member(value, "Data")):
-        value = value if inner is None else inner
-    return numbers(value, name, file=file)
-
-
-def find(variables: Columns[str, Any], name: str, *, file: Path) -> Any:
-    """Return the object of any kind at `name`.
-
-    Args:
-        variables: variables of the file by name.
-        name: a variable with optional fields, cells `{i}` and rows `(i,:)`.
-        file: the file, for messages.
-
-    Raises:
-        InputError: `name` does not exist; reports the first missing part.
-    """
-    if not re.fullmatch(f"[A-Za-z]({_STEP.pattern}|\\w)*", name):
-        raise InputError(f"{name!r} names no column of {file}: write a variable, its fields, cells {{i}} or rows (i,:)")
-    value, done, holder = _found(variables, name)
-    if value is None:
-        there = f"; {done or 'the file'} holds {', '.join(list(holder)[:12]) or 'no fields'}"
-        raise InputError(f"{file}: there is no {name}{there}; check the mapping")
-    return value
-
-
-def _found(variables: Columns[str, Any], name: str) -> tuple[Any, str, Columns[str, Any]]:
-    """Return the object at `name` or None, the name of the last object on the way, and its fields."""
-    value: Any = variables
-    done = ""
-    for step in _STEP.finditer(name):
-        member, cell, row, line = step.groups()
-        if member:
-            following = _member(value, member)
-        elif cell:
-            following = dict(enumerate(_cell_list(value), start=1)).get(int(cell))
-        elif isinstance(value, np.ndarray) and value.ndim == 2:
-            following = dict(enumerate(value if row else value.T, start=1)).get(int(row or line))
-        else:
-            following = None
-        if following is None:
-            return None, done, value if isinstance(value, dict) else {}
-        value, done = following, done + step.group()
-    return value, done, {}
-
-
-def _member(value: Any, name: str) -> Any:
-    """Return a field of a struct or an object, ignoring case, or None."""
-    fields = value[0] if isinstance(value, list) and len(value) == 1 else value
-    if not isinstance(fields, dict):
-        return None
-    return fields.get(name, {key.casefold(): held for key, held in fields.items()}.get(name.casefold()))
-
-
-def _cell_list(value: Any) -> list[Any]:
-    """Return the cells of a cell array, or of the first cell array of objects in an object."""
-    if isinstance(value, dict):
-        inner = (_cell_list(held) for held in value.values() if isinstance(held, dict | list))
-        return next((cells for cells in inner if cells and all(isinstance(one, dict) for one in cells)), [])
-    return value if isinstance(value, list) else []
-
-
-def numbers(value: Any, name: str, *, file: Path) -> Array:
-    """Return one row or column of real numbers as (K,).
-
-    Args:
-        value: object of any kind.
-        name: its name, for messages.
-        file: the file, for messages.
-
-    Raises:
-        InputError: the value has another kind or shape, or is empty.
-    """
-    array = _array(value)
-    if array.dtype.kind not in "fiu" or array.size == 0 or max(array.shape, default=1) != array.size:
-        raise InputError(
-            f"{file}: {name} is {_described(array)}; a column is one row or column of real numbers, as in {name}(1,:) "
-            f"(save those of an object as x = {name})"
-        )
-    return array.reshape(-1).astype(float)
+        for number, one in enumerate(value, start=1):
+            for holder in {name, owner or name} if hasattr(one, "properties") else (name,):
+                yield from _arrays(one, f"{holder}{{{number}}}")
+    elif isinstance(value, dict):
+        held = {}
+        for field, one in value.items():
+            held |= _arrays(one, f"{name}.{str(field).rstrip('_')}", owner or name)
+        yield from held.items()
+        even = [held.get(f"{name}.TimeInfo.{field}", np.empty(0)) for field in ("Start", "Increment", "Length")]
+        if f"{name}.Time" not in held and all(part.size == 1 for part in even):
+            start, increment, length = np.concatenate(even, axis=None)
+            yield f"{name}.Time", start + increment * np.arange(min(length, _MOST_SAMPLES))
+    elif np.size(value) and np.asarray(value).dtype.kind in "fiu":
+        yield name, np.asarray(value)
