@@ -7,13 +7,10 @@ elsewhere, and two chunks can be swapped without invalidating their checksums. T
 from front to back and compares the checksums of the data section and of each chunk; that of the summary is compared
 here.
 
-The messages of a tick are contiguous, and the layout in the log's metadata gives their lengths. One look per tick finds
-them all, and one copy extracts the numbers of thousands of ticks. The messages of a log that another program has
-rewritten are read by topic (`dpcontrol.logs.rewritten`).
+The messages of a log that another program has rewritten are read by topic (`dpcontrol.logs.rewritten`).
 Source: the MCAP format specification, version 0.
 """
 
-import struct
 import zlib
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
@@ -39,7 +36,7 @@ from dpcontrol.foundation.errors import InputError, remark
 from dpcontrol.foundation.files import UNREADABLE, checked_size, checked_source, in_the_way
 from dpcontrol.foundation.shown import Brief, Shown, pandas_classes
 from dpcontrol.logs import layout
-from dpcontrol.logs.container import MAGIC, partials_of, unsealed
+from dpcontrol.logs.container import MAGIC, located, partials_of, unsealed
 from dpcontrol.logs.layout import Event, TickLayout, logged_event
 from dpcontrol.logs.rewritten import Batch, by_topic, ticks_in
 
@@ -47,8 +44,6 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 
-_RECORD = struct.Struct("<BQH")
-"""Head of a record: opcode, length and, for a message, its channel."""
 _TOGETHER = 200
 """Number of chunks that are read in one step."""
 LARGEST_CHUNK, LARGEST_LOG = 1 << 28, 1 << 33
@@ -235,74 +230,18 @@ _FOOTER = 37
 """Length of the footer with the file's last bytes."""
 
 
-def scan(data: bytes, tick: TickLayout) -> tuple[list[int], dict[int, list[int]]]:
-    """Return the offsets of whole ticks in records, and those of all other messages by channel.
-
-    Args:
-        data: records of one chunk or more.
-        tick: layout of the ticks.
-
-    Raises:
-        ValueError: the records are not contiguous.
-    """
-    ticks: list[int] = []
-    others: dict[int, list[int]] = defaultdict(list)
-    template = tick.block_template
-    beginning, size = template[: _RECORD.size], len(template)
-    place, whole, unpack = 0, len(data), _RECORD.unpack_from
-    while place < whole:
-        if data.startswith(beginning, place):
-            ticks.append(place)
-            place += size
-            continue
-        opcode, length, channel = unpack(data, place)
-        if opcode == Opcode.MESSAGE:
-            others[channel].append(place)
-        place += layout.LENGTH_FROM + length
-    if place != whole:
-        raise ValueError("a record runs over the end of its chunk")
-    return ticks, others
-
-
 def _batches(file: VerifiedFile) -> Iterator[Batch]:
     """Yield the messages of a native log in order, many chunks at a time."""
-    tick, chunks = file.tick, file.records[Chunk]
+    chunks = file.records[Chunk]
     for first in range(0, len(chunks), _TOGETHER):
         data = b"".join(map(unpacked, chunks[first : first + _TOGETHER]))
-        ticks, others = scan(data, tick)
-        block = gathered(data, ticks, tick.block_type)
-        tables = {topic: block[topic] for topic in tick.messages}
-        if any((table["channel"] != tick.channels[topic]).any() for topic, table in tables.items()):
-            raise ValueError("a tick lacks a message")
-        for topic, number in tick.channels.items():
-            if topic not in tables:
-                kind = layout.record_type(tick.extras_message) if topic == layout.EXTRAS else layout.RECORD_HEADER
-                tables[topic] = gathered(data, others[number], kind)
+        found = located(data, file.tick)
         events = []
-        for start, head in zip(others[tick.channels[layout.EVENTS]], tables[layout.EVENTS], strict=True):
+        for start, head in zip(*found[layout.EVENTS], strict=True):
             end = start + layout.LENGTH_FROM + int(head["length"])
             events.append((int(head["log_time"]), data[start + layout.RECORD_HEADER.itemsize : end]))
-        yield Batch(tables, {topic: table["log_time"] for topic, table in tables.items()}, tick.kinds, events)
-
-
-def gathered(data: bytes, offsets: list[int], kind: np.dtype) -> NDArray:
-    """Return a copy of records of one type.
-
-    Args:
-        data: bytes with the records.
-        offsets: places of the records, in increasing order.
-        kind: structured type of a record.
-
-    Raises:
-        ValueError: a record extends beyond the end.
-    """
-    if not offsets:
-        return np.empty(0, kind)
-    if offsets[-1] + kind.itemsize > len(data):
-        raise ValueError("a message is too short")
-    # A view at every byte, so that fancy indexing copies whole records.
-    everywhere = np.ndarray((len(data) - kind.itemsize + 1,), f"V{kind.itemsize}", buffer=data, strides=(1,))
-    return everywhere[np.array(offsets)].view(kind)
+        tables = {topic: part.records for topic, part in found.items()}
+        yield Batch(tables, {topic: table["log_time"] for topic, table in tables.items()}, file.tick.kinds, events)
 
 
 _SLOWEST, _FASTEST = 1e-6, 1e9

@@ -21,9 +21,8 @@ from dataclasses import dataclass, field
 from io import BytesIO, FileIO
 from itertools import count, pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-import numpy as np
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Chunk, Metadata
@@ -34,16 +33,14 @@ from dpcontrol.foundation.files import checked_other_file, whole_file
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.version import PROGRAM
 from dpcontrol.logs import layout
-from dpcontrol.logs.container import SUFFIX, ChunkMessages, McapFile, sealed, unsealed
+from dpcontrol.logs.container import SUFFIX, McapFile, located, sealed, unsealed
 from dpcontrol.logs.layout import LENGTH_FROM, TickLayout
 from dpcontrol.logs.reader import (
     MALFORMED,
     check_replaced,
     described_layout,
-    gathered,
     read_log,
     recorded_bytes,
-    scan,
     unpacked,
 )
 from dpcontrol.logs.writer import CHUNK_SECONDS
@@ -119,23 +116,13 @@ def salvage(data: bytes, *, progress: Progress = no_progress) -> Salvage:
     return found
 
 
-@dataclass(frozen=True)
-class SoundChunk:
-    """A sound chunk.
+class SoundChunk(NamedTuple):
+    """A chunk whose checksum agrees: numbers of its first tick and after its last, time of the last, s, and records."""
 
-    Attributes:
-        data: its message records.
-        messages: times and places of the messages, by channel.
-        first: number of its first tick.
-        end: number after its last tick.
-        end_s: time of its last tick, s, or 0 if it has none.
-    """
-
-    data: bytes
-    messages: list[ChunkMessages]
     first: int
     end: int
     end_s: float
+    data: bytes
 
 
 _AFTER_ALL = 1 << 32
@@ -144,21 +131,13 @@ _AFTER_ALL = 1 << 32
 
 def _sound_chunk(data: bytes, tick: TickLayout) -> SoundChunk:
     """Return a chunk as it is written again, without schemas and channels."""
-    ticks, others = scan(data, tick)
-    start = min([*ticks[:1], *(places[0] for places in others.values())])
-    block = gathered(data, ticks, tick.block_type)
-    measured, offsets = block[layout.MEASURED], np.array(ticks, np.int64) - start
-    messages = [
-        ChunkMessages(tick.channels[topic], block[topic]["log_time"].astype(np.int64), offsets + place)
-        for topic, place in tick.block_offsets.items()
-    ]
-    for channel, places in others.items():
-        times = gathered(data, places, layout.RECORD_HEADER)["log_time"].astype(np.int64)
-        messages.append(ChunkMessages(channel, times, np.array(places) - start))
-    if not ticks:
-        return SoundChunk(data[start:], messages, _AFTER_ALL, _AFTER_ALL, 0.0)
+    found = located(data, tick)
+    messages = data[min(int(part.offsets[0]) for part in found.values() if len(part.offsets)) :]
+    measured = found[layout.MEASURED].records
+    if not len(measured):
+        return SoundChunk(_AFTER_ALL, _AFTER_ALL, 0.0, messages)
     first, last = measured["sequence"][[0, -1]].tolist()
-    return SoundChunk(data[start:], messages, first, last + 1, float(measured["log_time"][-1]) / 1e9)
+    return SoundChunk(first, last + 1, float(measured["log_time"][-1]) / 1e9, messages)
 
 
 @dataclass(frozen=True)
@@ -217,7 +196,7 @@ def recover(
     try:
         found = salvage(data, progress=progress)
         tick = described_layout(path, found.metadata.get(layout.LAYOUT_RECORD, {}))
-        pieces = sorted((_sound_chunk(data, tick) for data in found.chunks), key=lambda piece: piece.first)
+        pieces = sorted((_sound_chunk(data, tick) for data in found.chunks), key=lambda chunk: chunk.first)
         if any(after.first < before.end for before, after in pairwise(pieces)):
             raise _several_logs()
         done = _account(path, _free_name(path) if out is None else Path(out), found, pieces)
@@ -289,9 +268,9 @@ def _write(found: Salvage, tick: TickLayout, pieces: Sequence[SoundChunk], done:
                 file.add_metadata(name, sealed(name, values))
             for name in done.attachments:
                 file.add_attachment(name, found.attachments[name])
-            file.add_channels(tick.schemas, latched=layout.LATCHED)
+            file.add_channels(tick)
             for piece in pieces:
-                file.add_chunk(piece.data, piece.messages)
+                file.add_chunk(piece.data)
             if result is not None:
                 file.add_metadata(layout.RESULT_RECORD, sealed(layout.RESULT_RECORD, result))
             file.finish()

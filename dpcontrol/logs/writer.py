@@ -39,7 +39,7 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import checked_target, missing_folders, remove_empty, unwritable
 from dpcontrol.foundation.version import PROGRAM
 from dpcontrol.logs import layout
-from dpcontrol.logs.container import ChunkMessages, McapFile, open_partial, sealed
+from dpcontrol.logs.container import McapFile, open_partial, sealed
 from dpcontrol.logs.layout import Event, TickLayout
 
 WORLD = "world"
@@ -250,10 +250,8 @@ class ChunkEncoder:
         self._pose_bytes = np.add.outer(pose_starts, np.arange(7 * 8))
         self._last_due = -1
 
-    def encode(
-        self, times: NDArray[np.int64], rows: Mapping[str, Row], notes: Sequence[Note]
-    ) -> tuple[bytes, list[ChunkMessages]]:
-        """Return the bytes of a chunk and its messages' offsets.
+    def encode(self, times: NDArray[np.int64], rows: Mapping[str, Row], notes: Sequence[Note]) -> bytes:
+        """Return the bytes of a chunk.
 
         Messages are in order of arrival.
 
@@ -262,33 +260,13 @@ class ChunkEncoder:
             rows: (K, width) of the measured positions and of each logged part.
             notes: single messages to insert.
         """
-        count, channels = len(times), self.tick.channels
-        block = self._fill(times, rows)
-        due = self._due(times)
+        block, due = self._fill(times, rows), self._due(times)
         slow = [*self._transform_notes(due, times, rows), *self._extra_notes(due, times, rows)]
-        marks = sorted([*notes, *slow], key=lambda note: note.row)
-        pieces, done, length, before = [], 0, 0, np.zeros(count, np.int64)
-        single: dict[str, list[tuple[int, int]]] = {}
-        for note in marks:
-            if note.row > done:
-                pieces.append(block[done : note.row].tobytes())
-                length += len(pieces[-1])
-                done = note.row
-            record = self._record(note)
-            single.setdefault(note.topic, []).append((note.time_ns, length))
-            pieces.append(record)
-            length += len(record)
-            before[note.row :] += len(record)
-        pieces.append(block[done:].tobytes())
-        places = before + block.itemsize * np.arange(count)
-        messages = [
-            ChunkMessages(channel=channels[topic], times=times, offsets=places + offset)
-            for topic, offset in self.tick.block_offsets.items()
-        ]
-        for topic, entries in single.items():
-            when, offsets = np.array(entries, np.int64).T
-            messages.append(ChunkMessages(channel=channels[topic], times=when, offsets=offsets))
-        return b"".join(pieces), messages
+        pieces, done = [], 0
+        for note in sorted([*notes, *slow], key=lambda note: note.row):
+            pieces += [block[done : note.row].tobytes(), self._record(note)]
+            done = note.row
+        return b"".join([*pieces, block[done:].tobytes()])
 
     def _fill(self, times: NDArray[np.int64], rows: Mapping[str, Row]) -> NDArray:
         count = len(times)
@@ -639,7 +617,7 @@ class LogWriter:
             **({layout.EXTRAS_KEY: " ".join(tick.extras)} if tick.extras else {}),
         }
         file.add_metadata(layout.LAYOUT_RECORD, sealed(layout.LAYOUT_RECORD, described))
-        file.add_channels(tick.schemas, latched=layout.LATCHED)
+        file.add_channels(tick)
         times, _ = self._buffer.ticks()
         first = int(times[0]) if len(times) else 0
         for topic in (topic for topic in tick.channels if topic in layout.LATCHED):
@@ -661,7 +639,7 @@ class LogWriter:
         try:
             if self._encoder is None:
                 self._encoder = self._prepare(self._file)
-            self._file.add_chunk(*self._encoder.encode(*self._buffer.ticks(), self._notes))
+            self._file.add_chunk(self._encoder.encode(*self._buffer.ticks(), self._notes))
         except OSError as error:
             raise unwritable(self.path, error) from error
         self._notes.clear()
