@@ -193,12 +193,6 @@ REFERENCE_PREFIX = "reference/"
 _SECOND = 1_000_000_000
 _HEAD = struct.Struct("<BQHIQQ")
 _STAMP = np.dtype([("sec", "<i4"), ("nanosec", "<u4")])
-_TICK_HEAD = np.dtype(
-    [("sequence", "<u4"), ("log_time", "<u8"), ("publish_time", "<u8"), ("encapsulation", "V4"), *_STAMP.descr]
-)
-"""Bytes that all messages of a tick share, from the record's sequence to the message's stamp."""
-_UNSTAMPED = _TICK_HEAD.fields["encapsulation"][1]  # type: ignore[index]
-"""Length of that part in messages without a stamp."""
 
 Row = NDArray[np.float64]
 
@@ -221,22 +215,12 @@ class ChunkEncoder:
     Args:
         tick: layout of the ticks.
         arm_lengths: (n,) in m.
-        rows: greatest number of ticks in a chunk.
     """
 
-    def __init__(self, tick: TickLayout, arm_lengths: Sequence[float], *, rows: int):
+    def __init__(self, tick: TickLayout, arm_lengths: Sequence[float]):
         self.tick = tick
         self._lengths = tuple(arm_lengths)
         self._counts = dict.fromkeys(tick.channels, 0)
-        # The views are created once: for twenty ticks they cost more than copying the data.
-        block = self._block = np.frombuffer(bytearray(tick.block_template * rows), tick.block_type)
-        self._rooms = [
-            (block[topic][field][:, joints], part, columns) for topic, field, joints, part, columns in tick.rooms
-        ]
-        raw, self._heads = block.view(np.uint8).reshape(rows, -1), []
-        for topic, offset in tick.block_offsets.items():
-            first = offset + layout.RECORD_HEADER.fields["sequence"][1]  # type: ignore[index]
-            self._heads.append(raw[:, first : first + (_UNSTAMPED if topic == layout.CONTROL else _TICK_HEAD.itemsize)])
         self._ticks = 0
         prefixes = ("", REFERENCE_PREFIX) if "reference" in tick.parts else ("",)
         frames = [
@@ -269,33 +253,30 @@ class ChunkEncoder:
         return b"".join([*pieces, block[done:].tobytes()])
 
     def _fill(self, times: NDArray[np.int64], rows: Mapping[str, Row]) -> NDArray:
-        count = len(times)
-        head = np.empty(count, _TICK_HEAD)
-        head["sequence"] = np.arange(self._ticks, self._ticks + count)
-        head["log_time"] = head["publish_time"] = times
-        head["encapsulation"] = layout.ENCAPSULATION
-        head["sec"], head["nanosec"] = np.divmod(times, _SECOND)
+        """Return the messages of ticks: copies of the template with numbers."""
+        tick, count = self.tick, len(times)
+        block = np.frombuffer(bytearray(tick.block_template * count), tick.block_type)
+        seconds, nanoseconds = np.divmod(times, _SECOND)
+        for topic, message in tick.messages.items():
+            records = block[topic]
+            records["sequence"] = np.arange(self._ticks, self._ticks + count)
+            records["log_time"] = records["publish_time"] = times
+            if "stamp.sec" in message.fields:
+                records["stamp.sec"], records["stamp.nanosec"] = seconds, nanoseconds
+        for topic, field, joints, part, columns in tick.rooms:
+            block[topic][field][:, joints] = rows[part][:, columns]
         self._ticks += count
-        raw = head.view(np.uint8).reshape(count, _TICK_HEAD.itemsize)
-        for into in self._heads:
-            into[:count] = raw[:, : into.shape[1]]
-        for into, part, columns in self._rooms:
-            into[:count] = rows[part][:, columns]
-        return self._block[:count]
+        return block
 
     def _robot(self, rows: Mapping[str, Row]) -> Row:
         """Return the states for /tf.
 
         Truth, estimate or measured positions, in that order of preference.
         """
-        for part in ("truth", "estimate"):
-            if part in rows:
-                return rows[part]
         measured, arms = rows["measured"], self.tick.arms
         states = np.zeros((len(measured), self.tick.widths["truth"]))
-        states[:, :arms] = measured[:, :arms]
-        states[:, 2 * arms : 2 * arms + 1] = measured[:, arms:]
-        return states
+        states[:, :arms], states[:, 2 * arms : 2 * arms + 1] = measured[:, :arms], measured[:, arms:]
+        return rows.get("truth", rows.get("estimate", states))
 
     def _due(self, times: NDArray[np.int64]) -> list[int]:
         """Return the rows at which messages of the slow rate are due."""
@@ -627,7 +608,7 @@ class LogWriter:
                 self._lengths, has_cart=tick.has_cart, limits=self._limits, prefix=prefix, ghost=ghost
             )
             self._notes.insert(0, Note(0, topic, first, layout.string(text)))
-        return ChunkEncoder(tick, self._lengths, rows=self._buffer.size)
+        return ChunkEncoder(tick, self._lengths)
 
     def _write_chunk(self) -> None:
         if self._file is None:
