@@ -17,9 +17,9 @@ import struct
 import zlib
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from io import BytesIO, FileIO
-from itertools import count, pairwise
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -53,44 +53,21 @@ _BEGINNING = re.compile(
 _KINDS: dict[int, Any] = {Opcode.CHUNK: Chunk, Opcode.ATTACHMENT: Attachment, Opcode.METADATA: Metadata}
 
 
-@dataclass
-class Salvage:
+class Salvage(NamedTuple):
     """The records of a file whose checksums agree.
 
     Attributes:
-        metadata: values by name of the record, without their checksums.
-        attachments: content by name.
         chunks: unpacked content of the chunks, each once, as keys.
+        attachments: content by name.
+        metadata: values by name of the record, without their checksums.
     """
 
-    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
-    attachments: dict[str, bytes] = field(default_factory=dict)
-    chunks: dict[bytes, None] = field(default_factory=dict)
-
-    def add(self, body: bytes, record: Any) -> None:
-        """Add a record.
-
-        Args:
-            body: content of the record.
-            record: the same, parsed.
-
-        Raises:
-            Exception: one of `MALFORMED`: its checksum is missing or differs.
-        """
-        match record:
-            case Chunk() if record.uncompressed_crc:
-                self.chunks[unpacked(record)] = None
-            case Attachment() if zlib.crc32(body[:-4]) == int.from_bytes(body[-4:], "little"):
-                self.attachments[record.name] = record.data
-            case Metadata() if (values := unsealed(record.name, record.metadata)) is not None:
-                if self.metadata.setdefault(record.name, values) != values:
-                    raise _several_logs()
-            case _:
-                raise ValueError("the checksum of a record is missing or differs")
+    chunks: dict[bytes, None]
+    attachments: dict[str, bytes]
+    metadata: dict[str, dict[str, str]]
 
 
-def _several_logs() -> InputError:
-    return InputError("it holds pieces of several logs that cannot be told apart; recover each log separately")
+_SEVERAL = "it holds pieces of several logs that cannot be told apart; recover each log separately"
 
 
 def salvage(data: bytes, *, progress: Progress = no_progress) -> Salvage:
@@ -103,17 +80,30 @@ def salvage(data: bytes, *, progress: Progress = no_progress) -> Salvage:
     Raises:
         InputError: the records are those of several logs.
     """
-    found, place = Salvage(), 0
+    found, place = Salvage({}, {}, {}), 0
     while (match := _BEGINNING.search(data, place)) is not None:
         place = match.start() + 1
         opcode, length = struct.unpack_from("<BQ", data, match.start())
         end = match.start() + LENGTH_FROM + length
         body = data[match.start() + LENGTH_FROM : end]
         with suppress(*MALFORMED):
-            found.add(body, _KINDS[opcode].read(ReadDataStream(BytesIO(body))))
+            match _KINDS[opcode].read(ReadDataStream(BytesIO(body))):
+                case Chunk(uncompressed_crc=checksum) as chunk if checksum:
+                    found.chunks[unpacked(chunk)] = None
+                case Attachment(name=name, data=content) if _is_sealed(body):
+                    found.attachments[name] = content
+                case Metadata(name=name, metadata=record) if (values := unsealed(name, record)) is not None:
+                    if found.metadata.setdefault(name, values) != values:
+                        raise InputError(_SEVERAL)
+                case _:
+                    continue
             place = end
             progress("reading valid records", end / len(data))
     return found
+
+
+def _is_sealed(attachment: bytes) -> bool:
+    return zlib.crc32(attachment[:-4]) == int.from_bytes(attachment[-4:], "little")
 
 
 class SoundChunk(NamedTuple):
@@ -198,7 +188,7 @@ def recover(
         tick = described_layout(path, found.metadata.get(layout.LAYOUT_RECORD, {}))
         pieces = sorted((_sound_chunk(data, tick) for data in found.chunks), key=lambda chunk: chunk.first)
         if any(after.first < before.end for before, after in pairwise(pieces)):
-            raise _several_logs()
+            raise InputError(_SEVERAL)
         done = _account(path, _free_name(path) if out is None else Path(out), found, pieces)
     except (InputError, *MALFORMED) as error:
         raise InputError(
@@ -215,12 +205,9 @@ def _free_name(path: Path) -> Path:
 
     The log's name if it is free, or a similar free name.
     """
-    named = re.sub(r"(\.\d+-\d+)?\.partial$", "", path.name)
-    if path.suffix == SUFFIX and not path.with_name(named).exists():
-        return path.with_name(named)
-    stem = named.removesuffix(".mcap")
-    names = (path.with_name(f"{stem}-recovered{f'-{k}' if k > 1 else ''}.mcap") for k in count(1))
-    return next(name for name in names if not name.exists())
+    stem = re.sub(r"\.mcap((\.\d+-\d+)?\.partial)?$", "", path.name)
+    endings = ("" if path.suffix == SUFFIX else "-recovered", "-recovered", *(f"-recovered-{k}" for k in range(2, 999)))
+    return next(name for ending in endings if not (name := path.with_name(f"{stem}{ending}.mcap")).exists())
 
 
 def _account(path: Path, log: Path, found: Salvage, pieces: Sequence[SoundChunk]) -> Recovery:

@@ -463,14 +463,16 @@ class LogWriter:
             for name, data in self._attachments.items():
                 self._file.add_attachment(name, data)
         except OSError as error:
-            if self._stream is not None:
-                # The file is still empty.
-                self._stream.close()
-                self.partial.unlink(missing_ok=True)
-                self._stream = self._file = None
-            remove_empty(self._made)
+            self._discard()
             raise unwritable(self.path, error) from error
         return self
+
+    def _discard(self) -> None:
+        """Remove a file without ticks, and the folders made for it."""
+        if self._stream is not None:
+            self._stream.close()
+            self.partial.unlink(missing_ok=True)
+        remove_empty(self._made)
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -506,8 +508,7 @@ class LogWriter:
         """
         if self._encoder is None and not self._buffer.filled:
             # A run that failed before its first tick leaves nothing to keep.
-            self.partial.unlink(missing_ok=True)
-            remove_empty(self._made)
+            self._discard()
             return
         if not self._torn:
             # If this also fails, the current exception already reports the first error.
