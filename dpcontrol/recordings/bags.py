@@ -14,6 +14,7 @@ another topic does not cover are left out, and a remark gives their duration.
 """
 
 from collections.abc import Collection, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.foundation.arrays import Array
-from dpcontrol.foundation.errors import InputError, remark
+from dpcontrol.foundation.errors import InputError, PartMissing, remark
 from dpcontrol.foundation.files import checked_size, is_bag_folder
 from dpcontrol.foundation.parts import part
 from dpcontrol.foundation.settings import suggest
@@ -46,6 +47,28 @@ def is_bag(path: Path) -> bool:
     return path.suffix.lower() in (".bag", ".mcap") or is_bag_folder(path)
 
 
+@contextmanager
+def reading(path: Path, kind: str) -> Iterator[None]:
+    """Report any error of a library that reads a file.
+
+    Args:
+        path: the file.
+        kind: its kind for the message, such as "a table".
+
+    Raises:
+        InputError: the file cannot be read.
+    """
+    try:
+        yield
+    except (InputError, PartMissing):
+        raise
+    except Exception as error:
+        reason = next(iter(str(error).strip().splitlines()), type(error).__name__)[:200]
+        raise InputError(
+            f"cannot read {path} as {kind} ({reason}); check the name, or record, save or copy it again"
+        ) from error
+
+
 def read_bag(path: Path, columns: Sequence[str], *, optional: Collection[str] = ()) -> dict[str, Array]:
     """Return the named columns (K,) of a bag, in the time that all of their topics cover.
 
@@ -63,17 +86,12 @@ def read_bag(path: Path, columns: Sequence[str], *, optional: Collection[str] = 
     rosbags, types = part("rosbags.highlevel"), part("rosbags.typesys")
     # rosbags compares the checksums of chunks only.
     record = open_mcap(path).values(RUN_RECORD) if path.is_file() and path.suffix.lower() == ".mcap" else {}
-    try:
+    with reading(path, "a bag"):
         store = types.get_typestore(types.Stores.ROS2_HUMBLE)
         with rosbags.AnyReader([path], default_typestore=store) as bag:
             named = [name for name in columns if name not in (LOG_TIME, SEGMENT)]
             topics = {name: _topic(name, sorted(bag.topics), path) for name in named}
             tables = {topic: _table(bag, topic, columns) for topic in topics.values()}
-    except Exception as error:
-        if isinstance(error, InputError):
-            raise
-        reason = next(iter(str(error).splitlines()), type(error).__name__)[:200]
-        raise InputError(f"{path} is not a readable bag ({reason}); record or convert it again") from error
     moments = tables[topics[named[0]]][LOG_TIME]
     found = {LOG_TIME: moments}
     if segments := segments_in(record.get("segments", ""), len(moments)):

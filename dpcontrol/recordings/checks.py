@@ -40,6 +40,9 @@ _SPIKE = 10.0
 """Limit of a rate's distance from the median of five, rad/s; four times the change of any arm in two samples."""
 _MOST_LEFT_OUT = 0.05
 
+_LARGEST = 1e9
+"""Limit of every measurement. A larger one is damage in any unit."""
+
 Marks = NDArray[np.bool_]
 
 
@@ -222,9 +225,9 @@ REPAIRS = {
     ),
     "nan": Repair(
         f"fill up to {_FILLED_IN_A_ROW} missing samples in a row, cut the segment at longer holes",
-        "{column} is not finite",
+        f"{{column}} is not finite, or above {_LARGEST:g}",
         "filled between their neighbours, or cut out",
-        lambda samples, period: ~np.isfinite(samples.values),
+        lambda samples, period: ~(np.abs(samples.values) <= _LARGEST),
         _filled,
     ),
     "gaps": Repair(
@@ -308,8 +311,6 @@ def sound_segments(samples: Samples, *, period: float, repairs: frozenset[str]) 
 
 _FASTEST = 80.0
 """Limit of the angle rate, rad/s, above any bench. A swing exceeds it if radians and degrees are confused."""
-_LARGEST = 1e9
-"""Limit of every measurement. A larger one is damage in any unit."""
 _AGREES = 0.15
 """Tolerance for the slope of derivative over rate, as a share of one: filters lag and damp."""
 _FALLS_UP = 0.5
@@ -333,13 +334,6 @@ def check_plausible(segments: Sequence[Samples], spacing: float, *, file: str) -
     Raises:
         InputError: reports the contradiction, its size and the likely cause.
     """
-    for segment in segments:
-        if (large := np.abs(segment.values) > _LARGEST).any():
-            row, column = np.argwhere(large)[0]
-            raise InputError(
-                f"{segment.at(row)}: {segment.names[column]} is {segment.values[row, column]:.4g}, which no "
-                f"bench reaches in any unit (at most {_LARGEST:g}); look for a damaged value"
-            )
     angles = [segment.values[:, : segment.arms] for segment in segments]
     derivative = np.concatenate([smoothed_derivative(part, spacing, window=_WINDOW) for part in angles])
     fastest = float(np.percentile(np.abs(derivative), 99))

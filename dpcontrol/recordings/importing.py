@@ -30,11 +30,11 @@ from numpy.typing import NDArray
 
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import UNREADABLE, checked_size, checked_source
+from dpcontrol.foundation.files import checked_size, checked_source
 from dpcontrol.foundation.parts import part as package
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.settings import suggest
-from dpcontrol.recordings.bags import is_bag, read_bag
+from dpcontrol.recordings.bags import is_bag, read_bag, reading
 from dpcontrol.recordings.checks import (
     ANGLE,
     CART,
@@ -229,12 +229,8 @@ def read_table(path: Path, columns: Sequence[str], *, optional: Collection[str] 
     Raises:
         InputError: the file cannot be read, is not a table, lacks a column, or holds text in place of numbers.
     """
-    try:
+    with reading(path, "a table"):
         names, cells = _parquet(path, columns) if path.suffix.lower() == ".parquet" else _text(path)
-    except (*UNREADABLE, csv.Error) as error:
-        raise InputError(
-            f"cannot read {path} as a table ({_reason(error)}); check the name, or save the recording again"
-        ) from error
     for name in columns:
         if names.count(name) > 1:
             raise InputError(f"{path}: {names.count(name)} columns are called {name!r}; rename all but one")
@@ -246,21 +242,13 @@ def read_table(path: Path, columns: Sequence[str], *, optional: Collection[str] 
     return {name: _numbers(cells[name], name, path) for name in columns if name in names}
 
 
-def _reason(error: BaseException) -> str:
-    return next(iter(str(error).strip().splitlines()), type(error).__name__)
-
-
 def _parquet(path: Path, columns: Sequence[str]) -> tuple[list[str], dict[str, Any]]:
-    arrow = package("pyarrow")
     # pyarrow takes a name such as s3:table.parquet for an address.
     with path.open("rb") as stream:
-        try:
-            file = package("pyarrow.parquet").ParquetFile(stream)
-            checked_size(8.0 * file.metadata.num_rows * len(columns))
-            names = list(file.schema_arrow.names)
-            table = file.read(columns=[name for name in columns if names.count(name) == 1])
-        except arrow.ArrowException as error:
-            raise ValueError(_reason(error)) from error
+        file = package("pyarrow.parquet").ParquetFile(stream)
+        checked_size(8.0 * file.metadata.num_rows * len(columns))
+        names = list(file.schema_arrow.names)
+        table = file.read(columns=[name for name in columns if names.count(name) == 1])
     return names, {name: table.column(name).to_numpy() for name in table.column_names}
 
 
@@ -422,7 +410,7 @@ def read_matlab(path: Path) -> dict[str, NDArray[Any]]:
     """
     from scipy.io import loadmat
 
-    try:
+    with reading(path, "a MATLAB file"):
         data = path.read_bytes()
         hdf5 = b"MATLAB 7.3" in data[:128] or b"\x89HDF\r\n\x1a\n" in data[:600]
         checked_size(_hdf5_size(path) if hdf5 else _unpacked_size(data))
@@ -430,13 +418,9 @@ def read_matlab(path: Path) -> dict[str, NDArray[Any]]:
             raise InputError(f"{path} is not a MATLAB file but one of Octave; save it in Octave with `save -v7`")
         variables = {} if hdf5 else loadmat(path)
         if hdf5 or "__function_workspace__" in variables:
-            variables = _with_objects(path)
+            variables = package("matio").load_from_mat(str(path), raw_data=True) or {}
         named = (_arrays(value, name) for name, value in variables.items() if not name.startswith("__"))
         return dict(chain.from_iterable(named))
-    except UNREADABLE as error:
-        raise InputError(
-            f"cannot read {path} as a MATLAB file ({_reason(error)}); check the name, or save or copy it again"
-        ) from error
 
 
 def _unpacked_size(data: bytes) -> int:
@@ -464,15 +448,6 @@ def _hdf5_size(path: Path) -> int:
     with package("h5py").File(path) as file:
         file.visititems(lambda _, item: sizes.append(getattr(item, "nbytes", 0)))
     return sum(sizes)
-
-
-def _with_objects(path: Path) -> dict[str, Any]:
-    # Takes half a second to import, and most files do not need it.
-    matio = package("matio")
-    try:
-        return matio.load_from_mat(str(path), raw_data=True) or {}
-    except package("matio.utils.matclass").MatReadError as error:
-        raise ValueError(str(error)) from error
 
 
 def _arrays(value: Any, name: str, owner: str = "") -> Iterator[tuple[str, NDArray[Any]]]:

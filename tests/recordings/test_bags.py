@@ -188,13 +188,13 @@ def test_a_log_is_imported_with_all_its_arms(tmp_path: Path, arms: int, has_rate
 @pytest.mark.parametrize(
     ("mistake", "said"),
     [
-        ("encoding", "is not a readable bag .*protobuf"),
+        ("encoding", "as a bag .*protobuf"),
         ("field", "/encoders.dat.1. holds no numbers in any message; did you mean '/encoders.data.1.'"),
         ("topic", "no topic holds the column '/encoder.data.1.'; did you mean"),
         ("no shared time", "/rail begins when /encoders has ended"),
-        ("damage", "is not a readable bag"),
+        ("damage", "cannot read .* as a bag"),
         ("no MCAP", "is not an MCAP file"),
-        ("no bag", "is not a readable bag"),
+        ("no bag", "cannot read .* as a bag"),
     ],
 )
 def test_files_that_cannot_be_imported_are_refused_with_the_cause(tmp_path: Path, mistake: str, said: str) -> None:

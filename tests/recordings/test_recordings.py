@@ -249,7 +249,7 @@ def _uneven(columns: dict[str, Any]) -> None:
 @pytest.mark.parametrize(
     ("fault", "repair", "said"),
     [
-        (_missing, "nan", "row 101 (t = 0.1 s): angle 2 is not finite (5 such rows)"),
+        (_missing, "nan", "row 101 (t = 0.1 s): angle 2 is not finite, or above 1e+09 (5 such rows)"),
         (_repeated, "time", "row 101 (t = 0.099 s): the time is missing or not later than before"),
         (_backward, "time", "row 101 (t = 0.097 s): the time is missing or not later than before"),
         (_gap, "gaps", "row 100 (t = 0.099 s): samples are missing after it"),
