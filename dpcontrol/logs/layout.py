@@ -23,7 +23,6 @@ import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import accumulate
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -109,39 +108,24 @@ class Message:
         self.number("<u4", rest, name=f"{name}.nanosec")
 
 
-class MessageReader:
-    """Reads the values of a CDR message in sequence.
+def texts_in(data: bytes, place: int, count: int) -> list[str]:
+    """Return the strings of a message that follow each other.
 
     Args:
-        data: the message.
+        data: message in CDR.
+        place: end of what precedes them.
+        count: number of strings.
+
+    Raises:
+        struct.error: the message ends before.
     """
-
-    def __init__(self, data: bytes) -> None:
-        self._data, self._place = data, len(ENCAPSULATION)
-        self._order = "<" if data[1:2] == b"\x01" else ">"
-
-    def take(self, form: str, size: int, count: int = 1) -> tuple[Any, ...]:
-        """Return numbers, starting at the next aligned offset.
-
-        Args:
-            form: format of a number, as in `struct`.
-            size: bytes of a number.
-            count: how many, default 1.
-
-        Raises:
-            ValueError: the message ends before.
-        """
-        self._place += -(self._place - len(ENCAPSULATION)) % size
-        if self._place + size * count > len(self._data):
-            raise ValueError(f"it ends after {len(self._data)} bytes")
-        values = struct.unpack_from(f"{self._order}{count}{form}", self._data, self._place)
-        self._place += size * count
-        return values
-
-    def text(self) -> str:
-        """Return a string."""
-        (content,) = self.take("s", 1, *self.take("I", 4))
-        return content.rstrip(b"\0").decode()
+    texts = []
+    for _ in range(count):
+        place += -(place - len(ENCAPSULATION)) % 4
+        (length,) = struct.unpack_from("<I", data, place)
+        place += 4 + length
+        texts.append(data[place - length : place].rstrip(b"\0").decode())
+    return texts
 
 
 def joint_state(names: Sequence[str], *, velocities: bool) -> Message:
@@ -248,12 +232,10 @@ def logged_event(time: float, data: bytes) -> Event:
         data: message in CDR.
 
     Raises:
-        ValueError: the message has a different layout.
+        LookupError, struct.error, ValueError: the message has a different layout.
     """
-    message = MessageReader(data)
-    message.take("I", 4, 2)
-    level = _LEVEL_NAMES.get(message.take("B", 1)[0], "info")
-    name, words, figures, cause = (message.text() for _ in range(4))
+    level = _LEVEL_NAMES.get(data[_LEVEL], "info")
+    name, words, figures, cause = texts_in(data, _LEVEL + 1, 4)
     # Other programs log their functions and files there.
     if cause not in _CAUSES or not words:
         return Event(time, level, name, words=words)
@@ -311,8 +293,6 @@ TRANSFORMS = "/tf"
 ROBOT = "/robot_description"
 GHOST = "/reference/robot_description"
 EVENTS = "/rosout"
-MEASURED_CHANNEL = 1
-"""Channel number of /joint_states, which is the first topic of every log."""
 LATCHED = frozenset({ROBOT, GHOST})
 """Topics with one message at the start, delivered to late subscribers."""
 
@@ -331,6 +311,8 @@ UNITS = {
 
 LEVELS = {"debug": 10, "info": 20, "warn": 30, "error": 40, "fatal": 50}
 """Levels of an event, with their numbers in rcl_interfaces/Log."""
+_LEVEL = 12
+"""Place of the level in rcl_interfaces/Log, after its stamp."""
 _LEVEL_NAMES = {number: name for name, number in LEVELS.items()}
 
 FORMAT = "2"
@@ -511,16 +493,12 @@ class TickLayout:
     @cached_property
     def block_type(self) -> np.dtype:
         """Structured type of a tick: a field for each topic, in order."""
-        formats = [record_type(message) for message in self.messages.values()]
-        offsets = list(self.block_offsets.values())
-        size = len(self.block_template)
-        return np.dtype({"names": list(self.messages), "formats": formats, "offsets": offsets, "itemsize": size})
+        return np.dtype([(topic, record_type(message)) for topic, message in self.messages.items()])
 
     @cached_property
     def block_offsets(self) -> dict[str, int]:
         """Byte offset of each topic's message within a tick."""
-        sizes = [record_type(message).itemsize for message in self.messages.values()]
-        return dict(zip(self.messages, (0, *accumulate(sizes)), strict=False))
+        return {topic: int(self.block_type.fields[topic][1]) for topic in self.messages}  # type: ignore[index]
 
     @cached_property
     def block_template(self) -> bytes:

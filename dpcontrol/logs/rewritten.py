@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.logs import layout
-from dpcontrol.logs.layout import Message, MessageReader, TickLayout
+from dpcontrol.logs.layout import Message, TickLayout, texts_in
 
 _ARM = re.compile(r'<box size="\S+ \S+ (\S+)"/></geometry><material name="arm"/>')
 """Shape of an arm in the robot description."""
@@ -50,7 +50,6 @@ class Topic:
 
     name: str
     schema: str
-    definition: bytes
     times: list[int] = field(default_factory=list)
     bodies: list[bytes] = field(default_factory=list)
 
@@ -91,7 +90,7 @@ def by_topic(messages: Iterable[tuple[Any, Any, Any]]) -> dict[str, Topic]:
     found: dict[str, Topic] = {}
     for schema, channel, message in messages:
         if schema is not None and channel.message_encoding == "cdr":
-            topic = found.setdefault(channel.topic, Topic(channel.topic, schema.name, schema.data))
+            topic = found.setdefault(channel.topic, Topic(channel.topic, schema.name))
             topic.times.append(message.log_time)
             topic.bodies.append(message.data)
     measured = found.get(layout.MEASURED)
@@ -153,4 +152,4 @@ def _layout(topics: Mapping[str, Topic], extras: tuple[str, ...]) -> TickLayout:
 def _drawn_lengths(topics: Mapping[str, Topic]) -> list[str]:
     """Return the arm lengths drawn in the robot description, m, which have six digits, or none."""
     robot = topics.get(layout.ROBOT)
-    return [] if robot is None else _ARM.findall(MessageReader(robot.bodies[0]).text())
+    return [] if robot is None else _ARM.findall(texts_in(robot.bodies[0], 4, 1)[0])

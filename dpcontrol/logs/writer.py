@@ -352,13 +352,9 @@ class TickBuffer:
             given: rows (K, …) by name, None for missing parts.
 
         Raises:
-            ValueError: rows of another shape, decreasing times, or a part in some ticks only.
+            ValueError: decreasing times, or a part in some ticks only.
         """
         rows = {name: values for name, values in given.items() if values is not None}
-        for name, values in rows.items():
-            expected = (len(times), self._rooms[name].shape[1])
-            if np.shape(values) != expected:
-                raise ValueError(f"{name}: expected rows of shape {expected}, got {np.shape(values)}")
         if len(times) and not (times[0] >= self.last and (np.diff(times) >= 0).all()):
             raise ValueError("the times of ticks must not decrease")
         parts = frozenset(rows) - {"measured", "extras"}
@@ -438,8 +434,6 @@ class LogWriter:
         self._metadata = sealed(layout.RUN_RECORD, dict(metadata or {}))
         self._attachments = dict(attachments or {})
         self._rate = float(rate_hz)
-        if not self._lengths or not self._rate > 0:
-            raise ValueError(f"a log needs arms and a positive rate; got {len(self._lengths)} arms at {rate_hz} Hz")
         self.extras = tuple(extras)
         tick = TickLayout(len(self._lengths), has_cart, frozenset(layout.PARTS), self.extras)
         self._buffer = TickBuffer(tick, size=max(1, round(CHUNK_SECONDS * self._rate)))
@@ -551,8 +545,6 @@ class LogWriter:
             InputError: the file cannot be written.
         """
         times = np.asarray(time_s, float)
-        if (extras is None) == bool(self.extras):
-            raise ValueError(f"extras: the log was opened for {list(self.extras)}, and every tick has them or none")
         rows = self._buffer.checked(
             times,
             {"measured": measured, "rates": rates, "estimate": estimate, "reference": reference, "truth": truth,
@@ -580,8 +572,6 @@ class LogWriter:
         Args:
             event: the event.
         """
-        if event.level not in layout.LEVELS:
-            raise ValueError(f"event level {event.level!r}: must be one of {', '.join(layout.LEVELS)}")
         self._notes.append(Note(self._buffer.filled, layout.EVENTS, round(event.time * 1e9), layout.log(event)))
 
     def _prepare(self, file: McapFile) -> ChunkEncoder:
