@@ -120,28 +120,29 @@ def robot_description(
     # The ghost swings just behind the robot; in one plane the two would flicker.
     depth = 1.5 * _THICKNESS if ghost else 0.0
     frames = link_frames(len(arm_lengths), has_cart=has_cart, prefix=prefix)
-    visuals = _visuals(arm_lengths, reach=reach)
-    if ghost or not has_cart:
-        visuals["base"] = []
-    joints = _joints(arm_lengths, reach=reach, speed=speed, prefix=prefix)
+    visuals = _visuals(arm_lengths, reach=reach, drawn=not ghost and has_cart, has_cart=has_cart)
+    rail = f'<limit lower="{-reach:g}" upper="{reach:g}" velocity="{speed:g}" effort="0"/>'
+    joints = [("prismatic", f'<axis xyz="1 0 0"/>{rail}')] if has_cart else []
+    for i, length in enumerate(arm_lengths, start=1):
+        origin = f'<origin xyz="0 0 {-length:g}" rpy="0 0 0"/>'
+        mimic = f'<mimic joint="{prefix}arm_{i}" multiplier="-1" offset="0"/>'
+        joints += [("continuous", _AXIS), ("continuous", origin + _AXIS + mimic)]
     lines = ['<?xml version="1.0"?>', f'<robot name="{"reference_" if ghost else ""}pendulum">']
     lines += [f'  <material name="{prefix}{part}"><color rgba="{colour}"/></material>' for part, colour in ink.items()]
-    for _, link in frames:
-        lines.append(f'  <link name="{link}">')
-        lines += [
+    for (_, link), shapes in zip(frames, visuals, strict=True):
+        drawn = [
             f'    <visual><origin xyz="{x:g} {y + depth:g} {z:g}" rpy="{turn}"/><geometry>{shape}</geometry>'
             f'<material name="{prefix}{part}"/></visual>'
-            for (shape, turn), (x, y, z), part in visuals[link.removeprefix(prefix)]
+            for (shape, turn), (x, y, z), part in shapes
         ]
-        lines.append("  </link>")
-    for parent, child in frames[1:]:
-        kind, body = joints[child.removeprefix(prefix)]
-        name = child.removesuffix("_link")
+        lines += [f'  <link name="{link}">', *drawn, "  </link>"]
+    for (parent, child), (kind, body) in zip(frames[1:], joints, strict=False):
         ends = f'<parent link="{parent}"/><child link="{child}"/>'
-        lines.append(f'  <joint name="{name}" type="{kind}">{ends}{body}</joint>')
+        lines.append(f'  <joint name="{child.removesuffix("_link")}" type="{kind}">{ends}{body}</joint>')
     return "\n".join([*lines, "</robot>"]) + "\n"
 
 
+_AXIS = '<axis xyz="0 -1 0"/>'
 _Visual = tuple[tuple[str, str], tuple[float, float, float], str]
 """Shape and its turn, place (x, y, z) in m, and the material."""
 
@@ -154,8 +155,8 @@ def _disc(radius: float) -> tuple[str, str]:
     return f'<cylinder radius="{radius:g}" length="{1.4 * _THICKNESS:g}"/>', "1.5707963 0 0"
 
 
-def _visuals(arm_lengths: Sequence[float], *, reach: float) -> dict[str, list[_Visual]]:
-    """Return the shapes of each link."""
+def _visuals(arm_lengths: Sequence[float], *, reach: float, drawn: bool, has_cart: bool) -> list[list[_Visual]]:
+    """Return the shapes of each link, of the track only if it is drawn."""
     wide, stop, hub = 0.06, reach + 0.05, _disc(1.3 * _THICKNESS)
     track: list[_Visual] = [(_box(2 * reach + 0.1, wide, 0.01), (0, 0.06, -0.02), "track")]
     track += [(_box(_THICKNESS, wide, 0.03), (x, 0.06, 0), "track") for x in (-stop, stop)]
@@ -163,30 +164,14 @@ def _visuals(arm_lengths: Sequence[float], *, reach: float) -> dict[str, list[_V
         (_box(0.1, wide, 0.03), (0, 0.06, 0), "cart"),
         (_disc(0.6 * _THICKNESS), (0, 0.02, 0), "cart"),
     ]
-    found = {"base": track, "cart_link": cart}
-    for i, length in enumerate(arm_lengths, start=1):
+    found = [track if drawn else [], *([cart] if has_cart else [])]
+    for i, length in enumerate(arm_lengths):
         # Each arm swings in front of the previous one, as on the rig, so it is drawn in full.
-        y = -1.6 * _THICKNESS * (i - 1)
-        found[f"arm_{i}_link"] = [
-            (_box(1.6 * _THICKNESS, _THICKNESS, length), (0, y, -length / 2), "arm"),
-            (hub, (0, y, 0), "cart"),
-            (hub, (0, y, -length), "tip" if i == len(arm_lengths) else "cart"),
-        ]
-        found[f"elbow_{i}_link"] = []
-    return found
-
-
-def _joints(arm_lengths: Sequence[float], *, reach: float, speed: float, prefix: str) -> dict[str, tuple[str, str]]:
-    """Return type and body of each link's joint to its parent."""
-    axis = '<axis xyz="0 -1 0"/>'
-    limit = f'<limit lower="{-reach:g}" upper="{reach:g}" velocity="{speed:g}" effort="0"/>'
-    found = {"cart_link": ("prismatic", f'<axis xyz="1 0 0"/>{limit}')}
-    for i, length in enumerate(arm_lengths, start=1):
-        origin = f'<origin xyz="0 0 {-length:g}" rpy="0 0 0"/>'
-        mimic = f'<mimic joint="{prefix}arm_{i}" multiplier="-1" offset="0"/>'
-        found[f"arm_{i}_link"] = ("continuous", axis)
-        found[f"elbow_{i}_link"] = ("continuous", origin + axis + mimic)
-    return found
+        y = -1.6 * _THICKNESS * i
+        end = "tip" if i + 1 == len(arm_lengths) else "cart"
+        arm = (_box(1.6 * _THICKNESS, _THICKNESS, length), (0, y, -length / 2), "arm")
+        found += [[arm, (hub, (0, y, 0), "cart"), (hub, (0, y, -length), end)], []]
+    return found[:-1]
 
 
 REFERENCE_PREFIX = "reference/"
@@ -443,7 +428,6 @@ class LogWriter:
         self._encoder: ChunkEncoder | None = None
         self._file: McapFile | None = None
         self._stream: FileIO | None = None
-        self._torn = False
         self._made: list[Path] = []
 
     def __enter__(self) -> "LogWriter":
@@ -496,18 +480,14 @@ class LogWriter:
         self.partial.replace(self.path)
 
     def _give_up(self, error: BaseException) -> None:
-        """Keep the written part and note its path.
-
-        No chunk follows one that was cut short.
-        """
+        """Keep the written part and note its path."""
         if self._encoder is None and not self._buffer.filled:
             # A run that failed before its first tick leaves nothing to keep.
             self._discard()
             return
-        if not self._torn:
-            # If this also fails, the current exception already reports the first error.
-            with suppress(InputError):
-                self._write_chunk()
+        # If this also fails, the current exception already reports the first error.
+        with suppress(InputError):
+            self._write_chunk()
         if self.partial.exists():
             error.add_note(
                 f"{self.partial} keeps the run up to {self._buffer.last:.3f} s at most; "
@@ -607,7 +587,6 @@ class LogWriter:
         count = self._buffer.filled
         if not count and not self._notes:
             return
-        self._torn = True
         try:
             if self._encoder is None:
                 self._encoder = self._prepare(self._file)
@@ -617,4 +596,3 @@ class LogWriter:
         self._notes.clear()
         self._ticks += count
         self._buffer.filled = 0
-        self._torn = False

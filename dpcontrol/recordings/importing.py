@@ -175,12 +175,8 @@ def _recording(path: Path, mapping: Mapping, stretches: list[Samples], *, repair
     if len(counts) != 1:
         shown = " and ".join(map(str, sorted(counts))) or "no"
         raise InputError(f"{path}: its cells have {shown} arms; all must have the same number")
-    parts: list[Samples] = []
-    notes: list[str] = []
-    for stretch in stretches:
-        sound, repaired = sound_segments(stretch, period=mapping.period, repairs=repairs)
-        parts += sound
-        notes += repaired
+    repaired = [sound_segments(stretch, period=mapping.period, repairs=repairs) for stretch in stretches]
+    parts, notes = [part for found, _ in repaired for part in found], [note for _, told in repaired for note in told]
     spacing = mapping.period or float(np.median(np.concatenate([np.diff(part.time) for part in parts])))
     if not 1e-6 <= spacing <= 0.1:
         raise InputError(

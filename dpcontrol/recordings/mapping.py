@@ -52,10 +52,6 @@ class _Top(Settings):
     ]
     title: Annotated[str, Setting(help="What the mapping reads.")] = ""
 
-    def _check_together(self) -> None:
-        if not self.arm_lengths:
-            raise self.refusal("arm_lengths", "give the length of each arm, m")
-
 
 @dataclass(frozen=True)
 class _Time(Settings, table="time"):
@@ -100,13 +96,6 @@ class _Angles(Settings, table="angles"):
         Setting(least=-100, most=100, unit="rad", help='Readings of hanging arms; "hanging" for 0, "upright" for π.'),
     ] = (0.0,)
     relative: Annotated[bool, Setting(help="Whether each angle counts from the next inner arm.")] = False
-
-    def _check_together(self) -> None:
-        if any(abs(one) != 1 for one in self.sign):
-            raise self.refusal("sign", "must be 1, counter-clockwise, or -1, clockwise")
-        for key, values in self.by_arm.items():
-            if len(values) > 1 and self.columns and len(values) != len(self.columns):
-                raise self.refusal(key, f"give one value, or one for each of {len(self.columns)} angles")
 
     @property
     def by_arm(self) -> dict[str, tuple[float, ...]]:
@@ -245,11 +234,19 @@ def _rules(mapping: Mapping) -> dict[str, bool]:
     columns, rates, cells = mapping.angles.columns, mapping.rates.columns, mapping.cells
     twice = [name for name, times in Counter(mapping.named).items() if times > 1]
     clocks = (mapping.time.column, cells.time, mapping.period, mapping.sampling.variable)
+    unequal = [
+        key for key, values in mapping.angles.by_arm.items() if len(values) not in (1, len(columns) or len(values))
+    ]
     counted = "counts" in (mapping.angles.unit, *mapping.rates.unit.split("/"))
     return {
         "[angles] columns = []: name one column for each arm, inner arm first": not cells.states and not columns,
         "[cells] states: rows of cells replace all columns of a recording; name no others": bool(cells.states)
         and bool(columns or rates or mapping.cart.position or mapping.cart.command),
+        "arm_lengths = []: give the length of each arm, m": not mapping.arm_lengths,
+        "[angles] sign: must be 1, counter-clockwise, or -1, clockwise": any(
+            abs(one) != 1 for one in mapping.angles.sign
+        ),
+        f"[angles] {', '.join(unequal)}: give one value, or one for each of {len(columns)} angles": bool(unequal),
         f"[cells] time = {list(cells.time)}: give one name for each of `states`, or none": len(cells.time)
         not in (0, len(cells.states)),
         f"[rates] columns: {len(rates)} rates for {len(columns)} angles; give as many": len(rates)
