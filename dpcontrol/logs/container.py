@@ -46,7 +46,6 @@ from mcap.records import (
     MetadataIndex,
     Schema,
     Statistics,
-    SummaryOffset,
 )
 from numpy.typing import NDArray
 
@@ -115,11 +114,12 @@ def located(data: bytes, tick: TickLayout) -> dict[str, Located]:
         if opcode == Opcode.MESSAGE:
             others[channel].append(place)
         place += LENGTH_FROM + length
-    block = _gathered(data, ticks, tick.block_type)
-    starts = np.array(ticks, np.int64)
+    if place != whole:
+        raise ValueError("a record runs over the end of its chunk")
+    block, starts = _gathered(data, ticks, tick.block_type), np.array(ticks, np.int64)
     found = {topic: Located(starts + offset, block[topic]) for topic, offset in tick.block_offsets.items()}
-    if place != whole or any((part.records["channel"] != tick.channels[topic]).any() for topic, part in found.items()):
-        raise ValueError("a tick lacks a message, or a record runs over the end of its chunk")
+    if any((part.records["channel"] != tick.channels[topic]).any() for topic, part in found.items()):
+        raise ValueError("a tick lacks a message")
     for topic, number in tick.channels.items():
         if topic not in found:
             kind = record_type(tick.extras_message) if topic == EXTRAS else RECORD_HEADER
@@ -131,8 +131,6 @@ def _gathered(data: bytes, offsets: list[int], kind: np.dtype) -> NDArray[Any]:
     """Return a copy of records of one type at increasing offsets."""
     if not offsets:
         return np.empty(0, kind)
-    if offsets[-1] + kind.itemsize > len(data):
-        raise ValueError("a message is too short")
     # A view at every byte, so that fancy indexing copies whole records.
     everywhere = np.ndarray((len(data) - kind.itemsize + 1,), f"V{kind.itemsize}", buffer=data, strides=(1,))
     return everywhere[np.array(offsets)].view(kind)
@@ -285,8 +283,13 @@ class McapFile:
         )  # fmt: skip
         self._write(b"".join(written))
 
-    def _statistics(self) -> Statistics:
-        return Statistics(
+    def finish(self) -> None:
+        """Write the end of the data, the summary and the footer."""
+        self._write(b"".join(self._unwritten))
+        self._unwritten.clear()
+        # The checksum of the data section covers everything before this record.
+        self._write(_bytes_of(DataEnd(data_section_crc=self._crc)))
+        statistics = Statistics(
             attachment_count=len(self._attachments), channel_count=len(self._channels),
             channel_message_counts=dict(self._counts), chunk_count=len(self._chunks),
             message_count=sum(self._counts.values()), metadata_count=len(self._metadata),
@@ -294,34 +297,13 @@ class McapFile:
             message_end_time=max((chunk.message_end_time for chunk in self._chunks), default=0),
             schema_count=len(self._schemas),
         )  # fmt: skip
-
-    def finish(self) -> None:
-        """Write the end of the data, the summary and the footer."""
-        self._write(b"".join(self._unwritten))
-        self._unwritten.clear()
-        # The checksum of the data section covers everything before this record.
-        self._write(_bytes_of(DataEnd(data_section_crc=self._crc)))
-        start = self._position
-        groups = {
-            Opcode.SCHEMA: map(_bytes_of, self._schemas), Opcode.CHANNEL: map(_bytes_of, self._channels),
-            Opcode.STATISTICS: [_bytes_of(self._statistics())],
-            Opcode.CHUNK_INDEX: map(_chunk_index_bytes, self._chunks),
-            Opcode.ATTACHMENT_INDEX: map(_bytes_of, self._attachments),
-            Opcode.METADATA_INDEX: map(_bytes_of, self._metadata),
-        }  # fmt: skip
-        summary, places = bytearray(), bytearray()
-        for opcode, records in groups.items():
-            if group := b"".join(records):
-                offset = SummaryOffset(group_opcode=opcode, group_start=start + len(summary), group_length=len(group))
-                places += _bytes_of(offset)
-                summary += group
-        offset_start = start + len(summary)
-        summary += places
+        single = [*self._schemas, *self._channels, statistics, *self._attachments, *self._metadata]
+        summary = b"".join([*map(_bytes_of, single), *map(_chunk_index_bytes, self._chunks)])
         # The footer's checksum covers the summary and the footer up to the checksum itself.
-        head = struct.pack("<BQQQ", Opcode.FOOTER, 20, start, offset_start)
-        crc = zlib.crc32(head, zlib.crc32(summary))
-        footer = Footer(summary_start=start, summary_offset_start=offset_start, summary_crc=crc)
-        self._write(bytes(summary) + _bytes_of(footer) + MAGIC)
+        head = struct.pack("<BQQQ", Opcode.FOOTER, 20, self._position, 0)
+        checksum = zlib.crc32(head, zlib.crc32(summary))
+        footer = Footer(summary_start=self._position, summary_offset_start=0, summary_crc=checksum)
+        self._write(summary + _bytes_of(footer) + MAGIC)
 
 
 SUFFIX = ".partial"
@@ -338,8 +320,6 @@ def open_partial(path: Path) -> tuple[Path, FileIO]:
     Raises:
         OSError: the file cannot be created.
     """
-    if not path.name:
-        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
     for name in (path.name, *(f"{path.name}.{os.getpid()}-{k}" for k in range(1, 99))):
         with suppress(FileExistsError):
             return path.with_name(name + SUFFIX), FileIO(path.with_name(name + SUFFIX), "xb")

@@ -74,7 +74,11 @@ class VerifiedFile:
         try:
             yield
         except MALFORMED as error:
-            raise _damaged(self.path, error) from error
+            said = next(iter(str(error).splitlines()), type(error).__name__)
+            raise InputError(
+                f"{self.path} is damaged ({said}); copy it again from its source, write it again with the program that "
+                f"wrote it, or {_recover(self.path)}"
+            ) from error
 
     def values(self, name: str) -> dict[str, str]:
         """Return the values of a metadata record.
@@ -165,14 +169,6 @@ def recorded_bytes(path: Path) -> bytes:
 
 def _recover(path: Path) -> str:
     return f"`dpcontrol recover {path}` rebuilds a log from the rest"
-
-
-def _damaged(path: Path, reason: object) -> InputError:
-    said = next(iter(str(reason).splitlines()), type(reason).__name__)
-    return InputError(
-        f"{path} is damaged ({said}); copy it again from its source, write it again with the program that wrote it, "
-        f"or {_recover(path)}"
-    )
 
 
 def open_verified(path: Path) -> VerifiedFile:
@@ -762,12 +758,10 @@ def summarise(path: Path | str) -> LogSummary:
 
 
 def _topic(topic: str, kind: str, times: NDArray) -> TopicSummary:
-    units = layout.UNITS.get(topic, "")
-    if not len(times):
-        return TopicSummary(topic, kind, units, 0, None, None, None)
-    first, last = int(times.min()), int(times.max())
-    rate = (len(times) - 1) * 1e9 / (last - first) if last > first else None
-    return TopicSummary(topic, kind, units, len(times), first / 1e9, last / 1e9, rate)
+    first, last = (float(end(times)) / 1e9 if len(times) else None for end in (np.min, np.max))
+    span = 0.0 if first is None or last is None else last - first
+    rate = (len(times) - 1) / span if span > 0 else None
+    return TopicSummary(topic, kind, layout.UNITS.get(topic, ""), len(times), first, last, rate)
 
 
 @dataclass(frozen=True)

@@ -247,7 +247,6 @@ def _account(path: Path, log: Path, found: Salvage, pieces: Sequence[SoundChunk]
 def _write(found: Salvage, tick: TickLayout, pieces: Sequence[SoundChunk], done: Recovery) -> None:
     """Write the new log, read it back, and move it to its final name."""
     records = {**found.metadata, layout.RECOVERY_RECORD: {layout.LOST: done.lost, "source": done.source.name}}
-    result = records.pop(layout.RESULT_RECORD, None)
     with whole_file(done.log) as temporary:
         with FileIO(temporary, "wb") as stream:
             file = McapFile(stream, library=PROGRAM)
@@ -258,8 +257,6 @@ def _write(found: Salvage, tick: TickLayout, pieces: Sequence[SoundChunk], done:
             file.add_channels(tick)
             for piece in pieces:
                 file.add_chunk(piece.data)
-            if result is not None:
-                file.add_metadata(layout.RESULT_RECORD, sealed(layout.RESULT_RECORD, result))
             file.finish()
             os.fsync(stream.fileno())
         if len(read_log(temporary).time) != done.ticks:

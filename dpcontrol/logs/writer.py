@@ -177,8 +177,6 @@ def _visuals(arm_lengths: Sequence[float], *, reach: float, drawn: bool, has_car
 REFERENCE_PREFIX = "reference/"
 _SECOND = 1_000_000_000
 _HEAD = struct.Struct("<BQHIQQ")
-_STAMP = np.dtype([("sec", "<i4"), ("nanosec", "<u4")])
-
 Row = NDArray[np.float64]
 
 
@@ -211,12 +209,8 @@ class ChunkEncoder:
         frames = [
             frame for prefix in prefixes for frame in link_frames(tick.arms, has_cart=tick.has_cart, prefix=prefix)
         ]
-        message = layout.transforms(frames)
-        self._template = np.frombuffer(message.data, np.uint8)
-        stamp_starts = [message.fields[f"{i}.stamp.sec"][1] for i in range(len(frames))]
-        pose_starts = [message.fields[f"{i}.pose"][1] for i in range(len(frames))]
-        self._stamp_bytes = np.add.outer(stamp_starts, np.arange(_STAMP.itemsize))
-        self._pose_bytes = np.add.outer(pose_starts, np.arange(7 * 8))
+        self._transforms = layout.transforms(frames)
+        self._transforms_type = layout.record_type(self._transforms)
         self._last_due = -1
 
     def encode(self, times: NDArray[np.int64], rows: Mapping[str, Row], notes: Sequence[Note]) -> bytes:
@@ -271,7 +265,7 @@ class ChunkEncoder:
         return chosen
 
     def _extra_notes(self, chosen: list[int], times: NDArray[np.int64], rows: Mapping[str, Row]) -> list[Note]:
-        if not self.tick.extras:
+        if "extras" not in rows:
             return []
         numbers = rows["extras"].astype("<f8", copy=False)
         return [
@@ -288,14 +282,14 @@ class ChunkEncoder:
             return []
         states = states.reshape(len(chosen) * len(robots), -1)
         poses = link_poses(states, arm_lengths=self._lengths, has_cart=self.tick.has_cart)
-        stamps = np.empty(len(chosen), _STAMP)
-        stamps["sec"], stamps["nanosec"] = np.divmod(times[chosen], _SECOND)
-        # All stamps and poses are written byte by byte in one step; thirty single columns cost more than the rest.
-        records = np.tile(self._template, (len(chosen), 1))
-        records[:, self._stamp_bytes] = stamps.view(np.uint8).reshape(len(chosen), 1, _STAMP.itemsize)
-        records[:, self._pose_bytes] = poses.view(np.uint8).reshape(len(chosen), *self._pose_bytes.shape)
+        seconds, nanoseconds = np.divmod(times[chosen], _SECOND)
+        template = bytes(layout.RECORD_HEADER.itemsize) + self._transforms.data
+        records = np.frombuffer(bytearray(template * len(chosen)), self._transforms_type)
+        for i, pose in enumerate(poses.reshape(len(chosen), -1, 7).swapaxes(0, 1)):
+            records[f"{i}.stamp.sec"], records[f"{i}.stamp.nanosec"] = seconds, nanoseconds
+            records[f"{i}.pose"] = pose
         return [
-            Note(row, layout.TRANSFORMS, time, record.tobytes())
+            Note(row, layout.TRANSFORMS, time, record.tobytes()[layout.RECORD_HEADER.itemsize :])
             for row, time, record in zip(chosen, times[chosen].tolist(), records, strict=True)
         ]
 
@@ -342,10 +336,9 @@ class TickBuffer:
         rows = {name: values for name, values in given.items() if values is not None}
         if len(times) and not (times[0] >= self.last and (np.diff(times) >= 0).all()):
             raise ValueError("the times of ticks must not decrease")
-        parts = frozenset(rows) - {"measured", "extras"}
+        parts = frozenset(rows) - {"measured"}
         if self.parts is not None and parts != self.parts:
-            names = (part for part in layout.PARTS if part in parts ^ self.parts)
-            raise ValueError(f"{', '.join(names)} must be given in every tick of a run or in none")
+            raise ValueError(f"{', '.join(parts ^ self.parts)} must be given in every tick of a run or in none")
         self.parts = parts
         return rows
 
@@ -371,9 +364,8 @@ class TickBuffer:
 
         Both are views, valid until the next tick.
         """
-        names = {"measured", *({"extras"} & self._rooms.keys())} | (self.parts or frozenset())
         times = np.rint(self._time[: self.filled] * 1e9).astype(np.int64)
-        return times, {name: self._rooms[name][: self.filled] for name in names}
+        return times, {name: self._rooms[name][: self.filled] for name in {"measured", *(self.parts or ())}}
 
 
 CHUNK_SECONDS = 0.02
@@ -556,7 +548,9 @@ class LogWriter:
 
     def _prepare(self, file: McapFile) -> ChunkEncoder:
         # This waits for the first chunk, because the contents of a tick are unknown before.
-        tick = TickLayout(len(self._lengths), self._has_cart, self._buffer.parts or frozenset(), self.extras)
+        tick = TickLayout(
+            len(self._lengths), self._has_cart, (self._buffer.parts or frozenset()) - {"extras"}, self.extras
+        )
         described = {
             "format": layout.FORMAT,
             "arm_lengths": " ".join(repr(length) for length in self._lengths),

@@ -299,10 +299,8 @@ def sound_segments(samples: Samples, *, period: float, repairs: frozenset[str]) 
             pieces = repair.mend(segment, marks, period)
             long = [piece for piece in pieces if len(piece.time) >= FEWEST_SAMPLES]
             sound += long
-            few = (
-                f", and {len(pieces) - len(long)} pieces of too few samples dropped" if len(long) < len(pieces) else ""
-            )
-            notes.append(f"{samples.where}: {count} rows {repair.note}{few}")
+            short = f", and {len(pieces) - len(long)} pieces of too few samples dropped" if long != pieces else ""
+            notes.append(f"{samples.where}: {count} rows {repair.note}{short}")
         segments = sound
     if not segments:
         raise InputError(f"{samples.where} has too few samples: a segment needs {FEWEST_SAMPLES} or more")
@@ -473,8 +471,7 @@ def _difference(recording: Recording, arms: ArmChainParameters, order: tuple[int
     )
     # The steps of relative encoders add up in an outer arm's angle.
     changes = np.abs(np.diff(recording.angles, axis=0))
-    steps = np.min(changes, axis=0, where=changes > 1e-12, initial=np.inf)
-    steps[np.isinf(steps)] = 0.0
+    steps = np.nan_to_num(np.min(changes, axis=0, where=changes > 1e-12, initial=np.inf), posinf=0.0)
     blurred = steps * np.sqrt(0.5 * np.arange(1, n + 1)) / _STEP**2
     largest = max(float(np.linalg.norm(measured)), float(np.linalg.norm(predicted)), 1e-300)
     return np.sqrt(max(float(apart @ apart - blurred @ blurred), 0.0)) / largest, measured, predicted

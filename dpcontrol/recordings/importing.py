@@ -268,9 +268,9 @@ def _text(path: Path) -> tuple[list[str], dict[str, Sequence[str]]]:
         names = [str(number) for number in range(1, len(names) + 1)]
     else:
         del table[0]
-    for row, cells in enumerate(table, start=1):
-        if len(cells) != len(names):
-            raise ValueError(f"row {row} has {len(cells)} cells, the first line {len(names)}")
+    uneven = [row for row, cells in enumerate(table, start=1) if len(cells) != len(names)]
+    if uneven:
+        raise ValueError(f"row {uneven[0]} has {len(table[uneven[0] - 1])} cells, the first line {len(names)}")
     return names, dict(zip(names, zip(*table, strict=True), strict=False))
 
 

@@ -191,8 +191,7 @@ class Mapping:
         Args:
             arms: number of arms.
         """
-        given = self.arm_lengths[:arms]
-        return given + (self.arm_lengths[-1],) * (arms - len(given))
+        return (*self.arm_lengths, *arms * self.arm_lengths[-1:])[:arms]
 
 
 def load_mapping(name: str) -> Mapping:
