@@ -13,6 +13,7 @@ The topic of the first column sets the sample times. Values of other topics are 
 another topic does not cover are left out, and a remark gives their duration.
 """
 
+import re
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -32,8 +33,6 @@ from dpcontrol.logs.reader import open_mcap, segment_numbers, segments_in
 
 LOG_TIME, SEGMENT = "log_time", "segment"
 """Names of the columns of recording times, and of the segments' numbers."""
-_JOINT_FIELDS = ("position", "velocity", "effort")
-_SHOWN_FIELDS = 30
 
 
 def is_bag(path: Path) -> bool:
@@ -91,7 +90,7 @@ def read_bag(path: Path, columns: Sequence[str], *, optional: Collection[str] = 
         with rosbags.AnyReader([path], default_typestore=store) as bag:
             named = [name for name in columns if name not in (LOG_TIME, SEGMENT)]
             topics = {name: _topic(name, sorted(bag.topics), path) for name in named}
-            tables = {topic: _table(bag, topic, columns) for topic in topics.values()}
+            tables = {topic: _table(bag, topic, [k for k in named if topics[k] == topic]) for topic in topics.values()}
     moments = tables[topics[named[0]]][LOG_TIME]
     found = {LOG_TIME: moments}
     if segments := segments_in(record.get("segments", ""), len(moments)):
@@ -100,8 +99,7 @@ def read_bag(path: Path, columns: Sequence[str], *, optional: Collection[str] = 
         if name in tables[topic]:
             found[name] = np.interp(moments, tables[topic][LOG_TIME], tables[topic][name], left=np.nan, right=np.nan)
         elif name not in optional:
-            hint = suggest(name, tables[topic])
-            raise InputError(f"{path}: {name} holds no numbers in any message; {hint}; check file and mapping")
+            raise InputError(f"{path}: {name} holds no numbers in any message; check file and mapping")
     covered = _covered(path, moments, {topic: table[LOG_TIME] for topic, table in tables.items()})
     return {name: values[covered] for name, values in found.items() if name in columns}
 
@@ -130,34 +128,29 @@ def _topic(name: str, topics: Sequence[str], path: Path) -> str:
     return max(fitting, key=len)
 
 
-def _table(bag: Any, topic: str, columns: Collection[str]) -> dict[str, Array]:
-    """Return the numbers of a topic by name (K,), in order of time: the columns, and the first fields for messages."""
-    about = bag.topics[topic]
-    checked_size(8.0 * about.msgcount * (len(columns) + 1))
+def _table(bag: Any, topic: str, names: Sequence[str]) -> dict[str, Array]:
+    """Return the times of a topic's messages, s, in order, and its columns (K,) that hold numbers."""
+    connections, start = bag.topics[topic].connections, bag.start_time
+    checked_size(8.0 * bag.topics[topic].msgcount * (len(names) + 1))
     rows = []
-    for connection, time, data in bag.messages(about.connections):
-        numbers = dict(_numbers(bag.deserialize(data, connection.msgtype), topic, bag.start_time))
-        wanted = columns if rows else [*columns, *list(numbers)[:_SHOWN_FIELDS]]
+    for connection, time, data in bag.messages(connections):
+        message = bag.deserialize(data, connection.msgtype)
         # In double precision today's clock times resolve 0.2 µs; times since the start resolve far less than 1 ns.
-        rows.append({LOG_TIME: (time - bag.start_time) / 1e9, **{k: v for k, v in numbers.items() if k in wanted}})
-    rows.sort(key=lambda row: row[LOG_TIME])
-    names = dict.fromkeys(name for row in rows for name in row)
-    return {name: np.array([row.get(name, np.nan) for row in rows]) for name in names}
+        rows.append([(time - start) / 1e9, *(_number(message, name.removeprefix(topic), start) for name in names)])
+    if not rows:
+        raise ValueError(f"{topic} has no messages")
+    columns = dict(zip((LOG_TIME, *names), np.array(sorted(rows, key=lambda row: row[0])).T, strict=True))
+    return {name: values for name, values in columns.items() if not np.isnan(values).all()}
 
 
-def _numbers(value: Any, name: str, start: int) -> Iterator[tuple[str, float]]:
-    """Yield the columns in a message, or in a part of it, with their numbers; times are seconds since `start` ns."""
-    if isinstance(value, int | float | np.number):
-        yield name, float(value)
-    elif hasattr(value, "nanosec"):
-        yield name, (value.sec * 10**9 + value.nanosec - start) / 1e9
-    elif isinstance(value, list | np.ndarray):
-        for index, one in enumerate(value):
-            yield from _numbers(one, f"{name}[{index}]", start)
-    elif hasattr(value, "__dict__"):
-        for key, one in vars(value).items():
-            yield from _numbers(one, f"{name}.{key}", start)
-            joints = getattr(value, "name", None) if key in _JOINT_FIELDS else None
-            if isinstance(joints, list) and np.size(one) == len(joints):
-                for joint, number in zip(joints, one, strict=True):
-                    yield from _numbers(number, f"{name}/{joint}/{key}", start)
+def _number(message: Any, path: str, start: int) -> float:
+    """Return the number at the end of a path, NaN if there is none; times are seconds since `start` ns."""
+    joint, _, field = path[1:].rpartition("/")
+    try:
+        if joint:
+            return float(getattr(message, field)[list(message.name).index(joint)])
+        for step in re.findall(r"\w+", path):
+            message = message[int(step)] if step.isdigit() else getattr(message, step)
+        return (message.sec * 10**9 + message.nanosec - start) / 1e9 if hasattr(message, "nanosec") else float(message)
+    except (AttributeError, LookupError, TypeError, ValueError):
+        return np.nan
