@@ -192,23 +192,16 @@ def test_a_log_is_imported_with_all_its_arms(tmp_path: Path, arms: int, has_rate
         ("field", "/encoders.dat.1. holds no numbers in any message"),
         ("topic", "no topic holds the column '/encoder.data.1.'; did you mean"),
         ("no shared time", "/rail begins when /encoders has ended"),
-        ("damage", "cannot read .* as a bag"),
-        ("no MCAP", "is not an MCAP file"),
-        ("no bag", "cannot read .* as a bag"),
     ],
 )
 def test_files_that_cannot_be_imported_are_refused_with_the_cause(tmp_path: Path, mistake: str, said: str) -> None:
-    file = tmp_path / ("rig.bag" if mistake == "no bag" else "rig.mcap")
+    file = tmp_path / "rig.mcap"
     second = {"field": "/encoders.dat[1]", "topic": "/encoder.data[1]"}.get(mistake, "/encoders.data[1]")
     mapping = encoder_mapping(tmp_path / "bench.toml", second=second)
     if mistake == "no shared time":
         mapping = two_topics(file, late=2.0)
-    elif mistake in ("no MCAP", "no bag"):
-        file.write_bytes(b"no bag at all" * 50)
     else:
-        data = bytearray(encoders(file, "protobuf" if mistake == "encoding" else "ros2msg").read_bytes())
-        data[len(data) // 3] ^= 4 * (mistake == "damage")
-        file.write_bytes(data)
+        encoders(file, "protobuf" if mistake == "encoding" else "ros2msg")
     with pytest.raises(InputError, match=said):
         import_recording(file, mapping)
 
