@@ -24,7 +24,7 @@ import struct
 import zlib
 from collections.abc import Mapping
 from contextlib import suppress
-from io import FileIO, RawIOBase
+from io import FileIO
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -81,14 +81,14 @@ _RECORD = struct.Struct("<BQH")
 """Head of a record: opcode, length and, for a message, its channel."""
 
 
-class Located(NamedTuple):
+class LocatedMessages(NamedTuple):
     """Offsets (K,) of the messages of one topic in a chunk, and copies of their records (K,)."""
 
     offsets: NDArray[np.int64]
     records: NDArray[Any]
 
 
-def located(data: bytes, tick: TickLayout) -> dict[str, Located]:
+def located(data: bytes, tick: TickLayout) -> dict[str, LocatedMessages]:
     """Return the messages in the records of chunks, by topic.
 
     Topics with ticks and the extras have whole records, other topics the heads of their records.
@@ -117,13 +117,13 @@ def located(data: bytes, tick: TickLayout) -> dict[str, Located]:
     if place != whole:
         raise ValueError("a record runs over the end of its chunk")
     block, starts = _gathered(data, ticks, tick.block_type), np.array(ticks, np.int64)
-    found = {topic: Located(starts + offset, block[topic]) for topic, offset in tick.block_offsets.items()}
+    found = {topic: LocatedMessages(starts + offset, block[topic]) for topic, offset in tick.block_offsets.items()}
     if any((part.records["channel"] != tick.channels[topic]).any() for topic, part in found.items()):
         raise ValueError("a tick lacks a message")
     for topic, number in tick.channels.items():
         if topic not in found:
             kind = record_type(tick.extras_message) if topic == EXTRAS else RECORD_HEADER
-            found[topic] = Located(np.array(others[number], np.int64), _gathered(data, others[number], kind))
+            found[topic] = LocatedMessages(np.array(others[number], np.int64), _gathered(data, others[number], kind))
     return found
 
 
@@ -171,8 +171,8 @@ class McapFile:
         library: name of the writing program.
     """
 
-    def __init__(self, stream: RawIOBase, *, library: str):
-        self._stream = stream
+    def __init__(self, stream: FileIO, *, library: str):
+        self.stream = stream
         self._position = 0
         self._crc = 0
         self._compressor = zstandard.ZstdCompressor(level=_COMPRESSION)
@@ -191,7 +191,7 @@ class McapFile:
         rest = memoryview(data)
         # An unbuffered stream may accept only a part, for example on a nearly full disk.
         while rest:
-            rest = rest[self._stream.write(rest) or 0 :]
+            rest = rest[self.stream.write(rest) or 0 :]
         self._position += len(data)
 
     def add_metadata(self, name: str, data: Mapping[str, str]) -> None:
@@ -235,10 +235,8 @@ class McapFile:
                 schemas[name] = Schema(id=len(schemas) + 1, name=name, encoding="ros2msg", data=definition)
                 self._unwritten.append(_bytes_of(schemas[name]))
             quality = {"offered_qos_profiles": _LATCHED_QOS} if topic in LATCHED else {}
-            channel = Channel(
-                id=tick.channels[topic], topic=topic, message_encoding="cdr", metadata=quality,
-                schema_id=schemas[name].id,
-            )  # fmt: skip
+            number, schema = tick.channels[topic], schemas[name].id
+            channel = Channel(id=number, topic=topic, message_encoding="cdr", metadata=quality, schema_id=schema)
             self._channels.append(channel)
             self._unwritten.append(_bytes_of(channel))
         self._schemas = list(schemas.values())
@@ -284,7 +282,7 @@ class McapFile:
         self._write(b"".join(written))
 
     def finish(self) -> None:
-        """Write the end of the data, the summary and the footer."""
+        """Write the end of the data, the summary and the footer, and close the stream when they are on the disk."""
         self._write(b"".join(self._unwritten))
         self._unwritten.clear()
         # The checksum of the data section covers everything before this record.
@@ -304,6 +302,8 @@ class McapFile:
         checksum = zlib.crc32(head, zlib.crc32(summary))
         footer = Footer(summary_start=self._position, summary_offset_start=0, summary_crc=checksum)
         self._write(summary + _bytes_of(footer) + MAGIC)
+        os.fsync(self.stream.fileno())
+        self.stream.close()
 
 
 SUFFIX = ".partial"

@@ -11,7 +11,6 @@ records. Source: the MCAP format specification, version 0.
 """
 
 import json
-import os
 import re
 import struct
 import zlib
@@ -248,16 +247,14 @@ def _write(found: Salvage, tick: TickLayout, pieces: Sequence[SoundChunk], done:
     """Write the new log, read it back, and move it to its final name."""
     records = {**found.metadata, layout.RECOVERY_RECORD: {layout.LOST: done.lost, "source": done.source.name}}
     with whole_file(done.log) as temporary:
-        with FileIO(temporary, "wb") as stream:
-            file = McapFile(stream, library=PROGRAM)
-            for name, values in records.items():
-                file.add_metadata(name, sealed(name, values))
-            for name in done.attachments:
-                file.add_attachment(name, found.attachments[name])
-            file.add_channels(tick)
-            for piece in pieces:
-                file.add_chunk(piece.data)
-            file.finish()
-            os.fsync(stream.fileno())
+        file = McapFile(FileIO(temporary, "wb"), library=PROGRAM)
+        for name, values in records.items():
+            file.add_metadata(name, sealed(name, values))
+        for name in done.attachments:
+            file.add_attachment(name, found.attachments[name])
+        file.add_channels(tick)
+        for piece in pieces:
+            file.add_chunk(piece.data)
+        file.finish()
         if len(read_log(temporary).time) != done.ticks:
             raise InputError(f"{done.source} cannot be recovered: the rebuilt log differs")

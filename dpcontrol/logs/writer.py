@@ -22,7 +22,6 @@ Source: the URDF specification (joint, mimic, origin).
 """
 
 import json
-import os
 import struct
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -447,28 +446,26 @@ class LogWriter:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self._stream is None or self._file is None:
+        if self._file is None:
             return
         try:
             if error is None:
-                self._finish(self._file, self._stream)
+                self._finish(self._file)
             else:
                 self._give_up(error)
         except OSError as failure:
             raise unwritable(self.path, failure) from failure
         finally:
-            self._stream.close()
-            self._stream = self._file = None
+            self._file.stream.close()
+            self._file = None
 
-    def _finish(self, file: McapFile, stream: FileIO) -> None:
+    def _finish(self, file: McapFile) -> None:
         if self._encoder is None:
             self._encoder = self._prepare(file)
         self._write_chunk()
         values = {**self._result, layout.TICKS: str(self._ticks)}
         file.add_metadata(layout.RESULT_RECORD, sealed(layout.RESULT_RECORD, values))
         file.finish()
-        os.fsync(stream.fileno())
-        stream.close()
         self.partial.replace(self.path)
 
     def _give_up(self, error: BaseException) -> None:

@@ -484,12 +484,7 @@ def random_swings(arms: ArmChainParameters, *, swings: int, seconds: float, seed
         seconds: duration of each swing, s.
         seed: seed of the random numbers.
         name: name of the recording.
-
-    Raises:
-        InputError: the seed is negative.
     """
-    if seed < 0:
-        raise InputError(f"seed = {seed}: must be zero or positive")
     random = np.random.default_rng(seed)
     zeros = random.uniform(-_ZEROS, _ZEROS, arms.count)
     starts = list(random.uniform(-_REACH, _REACH, (swings, arms.count)))
