@@ -171,22 +171,6 @@ def _recover(path: Path) -> str:
     return f"`dpcontrol recover {path}` rebuilds a log from the rest"
 
 
-def open_verified(path: Path) -> VerifiedFile:
-    """Read a log, compare its checksums and find its tick layout.
-
-    Args:
-        path: the log.
-
-    Raises:
-        InputError: the file is missing, no MCAP file, without its end, damaged or not a log of this program.
-    """
-    file = open_mcap(path)
-    with file.decoding():
-        # Evaluated once here, so that later uses cannot fail.
-        _ = file.tick
-    return file
-
-
 def open_mcap(path: Path) -> VerifiedFile:
     """Read an MCAP file of any contents, and compare its checksums.
 
@@ -575,7 +559,7 @@ def read_log(path: Path | str) -> RunLog:
         limits, lengths = (tuple(float(text) for text in described[key].split()) for key in ("limits", "arm_lengths"))
     metadata = found.metadata
     ticks, rate = metadata.pop(layout.TICKS, None), file.values(layout.LAYOUT_RECORD).get("rate_hz")
-    columns = np.ascontiguousarray(rows["control"].T) if "control" in rows else ()
+    columns = rows["control"].T if "control" in rows else ()
     extras, count = rows.get("extras", np.empty((0, 1))), len(tick.extras)
     return RunLog(
         path=file.path,
@@ -625,7 +609,7 @@ def check_replaced(
     if force or not path.is_file():
         return
     try:
-        file = open_verified(path)
+        file = open_mcap(path)
     except InputError as error:
         raise in_the_way(path, "is not a complete log") from error
     there = file.values(layout.RUN_RECORD)
@@ -660,7 +644,7 @@ def check_same_run(path: Path, metadata: Mapping[str, str], *, also: tuple[str, 
     Raises:
         InputError: the log is not readable, or entries differ.
     """
-    if differing := _differing(metadata, open_verified(path).values(layout.RUN_RECORD), also=also):
+    if differing := _differing(metadata, open_mcap(path).values(layout.RUN_RECORD), also=also):
         raise InputError(
             f"{path} is of another run (not the same: {differing}); go on with the command and the options that made it"
         )
@@ -788,7 +772,7 @@ def compare_messages(one: Path | str, other: Path | str) -> Comparison:
     Raises:
         InputError: a log is missing, damaged or not of this program.
     """
-    sides = [open_verified(Path(path)) for path in (one, other)]
+    sides = [open_mcap(Path(path)) for path in (one, other)]
     if sides[0].tick != sides[1].tick:
         return Comparison(0, f"{one} and {other} do not have the same topics")
     whole = all(side.is_native and not side.values(layout.RECOVERY_RECORD).get(layout.LOST) for side in sides)

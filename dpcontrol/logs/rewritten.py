@@ -64,12 +64,10 @@ class Topic:
         """
         kind, start = layout.record_type(message), layout.RECORD_HEADER.itemsize
         data, size = b"".join(self.bodies), len(message.data)
-        if any(len(body) != size for body in self.bodies):
-            raise ValueError(f"a message of {self.name} is not as long as those of a log")
         if len(set(zip(self.times, self.bodies, strict=True))) > len(set(self.times)):
             raise ValueError(f"{self.name} has different messages at one time, as of two runs")
         raw = np.zeros((len(self.times), kind.itemsize), np.uint8)
-        raw[:, start:] = np.frombuffer(data, np.uint8).reshape(-1, size)
+        raw[:, start:] = np.frombuffer(data, np.uint8).reshape(len(raw), size)
         blank, table = raw.copy(), raw.view(kind)[:, 0]
         for name in message.fields:
             blank.view(kind)[name] = 0
