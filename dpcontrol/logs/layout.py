@@ -23,6 +23,7 @@ import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -334,6 +335,7 @@ LOST = "lost"
 
 PARTS = ("rates", "estimate", "reference", "truth", "control")
 """Optional parts of a tick; a log has each part in every tick or in none."""
+_FIELDS = ("position", "velocity")
 STATE_TOPICS = {"estimate": ESTIMATE, "reference": REFERENCE, "truth": TRUTH}
 
 RECORD_HEADER = np.dtype(
@@ -433,19 +435,16 @@ class TickLayout:
         All are slices, because indexing by number is too slow for the few ticks of a chunk.
         """
         n, every = self.arms, slice(None)
-        arms_and_cart = [(slice(n), slice(n), slice(n, 2 * n))]
-        if self.has_cart:
-            arms_and_cart.append((slice(n, n + 1), slice(2 * n, 2 * n + 1), slice(2 * n + 1, 2 * n + 2)))
-        found = [(MEASURED, "position", every, "measured", every)]
-        if "rates" in self.parts:
-            found.append((MEASURED, "velocity", every, "rates", every))
-        for part, topic in STATE_TOPICS.items():
-            for joints, positions, velocities in arms_and_cart if part in self.parts else ():
-                found.append((topic, "position", joints, part, positions))
-                found.append((topic, "velocity", joints, part, velocities))
-        if "control" in self.parts:
-            found.append((CONTROL, "row", every, "control", every))
-        return tuple(found)
+        arms = (slice(n), slice(n), slice(n, 2 * n))
+        cart = (slice(n, n + 1), slice(2 * n, 2 * n + 1), slice(2 * n + 1, 2 * n + 2))
+        found = [
+            (MEASURED, "position", every, "measured", every),
+            (MEASURED, "velocity", every, "rates", every),
+            (CONTROL, "row", every, "control", every),
+        ]
+        for (part, topic), (joints, *columns) in product(STATE_TOPICS.items(), (arms, cart)[: 1 + self.has_cart]):
+            found += [(topic, name, joints, part, place) for name, place in zip(_FIELDS, columns, strict=True)]
+        return tuple(room for room in found if room[3] in {"measured", *self.parts})
 
     @cached_property
     def messages(self) -> dict[str, Message]:

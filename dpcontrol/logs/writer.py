@@ -310,63 +310,6 @@ def slow_numbers(times: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.floor(times * (layout.SLOW_RATE / _SECOND) + 1e-6).astype(np.int64)
 
 
-class TickBuffer:
-    """Room for `size` ticks of a layout with all parts.
-
-    The first tick decides which parts a log has.
-    """
-
-    def __init__(self, tick: TickLayout, *, size: int) -> None:
-        self.size, self.filled, self.last = size, 0, 0.0
-        self.parts: frozenset[str] | None = None
-        self._time = np.zeros(size)
-        self._rooms = {name: np.zeros((size, width)) for name, width in tick.widths.items()}
-
-    def checked(self, times: Row, given: Mapping[str, Row | None]) -> dict[str, Row]:
-        """Return the given rows (K, …) of `measured` and parts, by name.
-
-        Args:
-            times: times (K,), s.
-            given: rows (K, …) by name, None for missing parts.
-
-        Raises:
-            ValueError: decreasing times, or a part in some ticks only.
-        """
-        rows = {name: values for name, values in given.items() if values is not None}
-        if len(times) and not (times[0] >= self.last and (np.diff(times) >= 0).all()):
-            raise ValueError("the times of ticks must not decrease")
-        parts = frozenset(rows) - {"measured"}
-        if self.parts is not None and parts != self.parts:
-            raise ValueError(f"{', '.join(parts ^ self.parts)} must be given in every tick of a run or in none")
-        self.parts = parts
-        return rows
-
-    def put(self, times: Row, rows: Mapping[str, Row], *, since: int) -> int:
-        """Copy as many rows as fit; return their number.
-
-        Args:
-            times: times (K,), s.
-            rows: rows (K, …) by name.
-            since: first row to copy.
-        """
-        count = min(self.size - self.filled, len(times) - since)
-        into, taken = slice(self.filled, self.filled + count), slice(since, since + count)
-        self._time[into] = times[taken]
-        for name, values in rows.items():
-            self._rooms[name][into] = values[taken]
-        self.filled += count
-        self.last = float(times[since + count - 1])
-        return count
-
-    def ticks(self) -> tuple[NDArray[np.int64], dict[str, Row]]:
-        """Return the times (K,) in ns and the rows of the parts.
-
-        Both are views, valid until the next tick.
-        """
-        times = np.rint(self._time[: self.filled] * 1e9).astype(np.int64)
-        return times, {name: self._rooms[name][: self.filled] for name in {"measured", *(self.parts or ())}}
-
-
 CHUNK_SECONDS = 0.02
 """Duration of a chunk, s. A killed run loses at most this much and one tick."""
 
@@ -412,7 +355,11 @@ class LogWriter:
         self._rate = float(rate_hz)
         self.extras = tuple(extras)
         tick = TickLayout(len(self._lengths), has_cart, frozenset(layout.PARTS), self.extras)
-        self._buffer = TickBuffer(tick, size=max(1, round(CHUNK_SECONDS * self._rate)))
+        self._size, self._filled, self._last = max(1, round(CHUNK_SECONDS * self._rate)), 0, 0.0
+        # The first tick decides which of these parts the log has.
+        self._parts: frozenset[str] | None = None
+        self._rooms = {name: np.zeros((self._size, width)) for name, width in tick.widths.items()}
+        self._times = np.zeros(self._size)
         self._ticks = 0
         self._notes: list[Note] = []
         self._result: dict[str, str] = {}
@@ -470,18 +417,17 @@ class LogWriter:
 
     def _give_up(self, error: BaseException) -> None:
         """Keep the written part and note its path."""
-        if self._encoder is None and not self._buffer.filled:
+        if self._encoder is None and not self._filled:
             # A run that failed before its first tick leaves nothing to keep.
             self._discard()
             return
         # If this also fails, the current exception already reports the first error.
         with suppress(InputError):
             self._write_chunk()
-        if self.partial.exists():
-            error.add_note(
-                f"{self.partial} keeps the run up to {self._buffer.last:.3f} s at most; "
-                f"`dpcontrol recover {self.partial}` makes a log of it"
-            )
+        error.add_note(
+            f"{self.partial} keeps the run up to {self._last:.3f} s at most; "
+            f"`dpcontrol recover {self.partial}` makes a log of it"
+        )
 
     def ticks(
         self,
@@ -514,15 +460,24 @@ class LogWriter:
             InputError: the file cannot be written.
         """
         times = np.asarray(time_s, float)
-        rows = self._buffer.checked(
-            times,
-            {"measured": measured, "rates": rates, "estimate": estimate, "reference": reference, "truth": truth,
-             "control": control, "extras": extras},
-        )  # fmt: skip
-        done = 0
+        given = {
+            "measured": measured, "rates": rates, "estimate": estimate, "reference": reference, "truth": truth,
+            "control": control, "extras": extras,
+        }  # fmt: skip
+        rows = {name: values for name, values in given.items() if values is not None}
+        if (np.diff(times, prepend=self._last) < 0).any():
+            raise ValueError("the times of ticks must not decrease")
+        if self._parts is not None and self._parts != rows.keys():
+            raise ValueError(f"{', '.join(self._parts ^ rows.keys())} must be given in every tick of a run or in none")
+        self._parts, done = frozenset(rows), 0
         while done < len(times):
-            done += self._buffer.put(times, rows, since=done)
-            if self._buffer.filled == self._buffer.size:
+            count = min(self._size - self._filled, len(times) - done)
+            into, taken = slice(self._filled, self._filled + count), slice(done, done + count)
+            self._times[into] = times[taken]
+            for name, values in rows.items():
+                self._rooms[name][into] = values[taken]
+            self._filled, self._last, done = self._filled + count, float(times[done + count - 1]), done + count
+            if self._filled == self._size:
                 self._write_chunk()
 
     def result(self, **values: str) -> None:
@@ -541,13 +496,12 @@ class LogWriter:
         Args:
             event: the event.
         """
-        self._notes.append(Note(self._buffer.filled, layout.EVENTS, round(event.time * 1e9), layout.log(event)))
+        self._notes.append(Note(self._filled, layout.EVENTS, round(event.time * 1e9), layout.log(event)))
 
     def _prepare(self, file: McapFile) -> ChunkEncoder:
         # This waits for the first chunk, because the contents of a tick are unknown before.
-        tick = TickLayout(
-            len(self._lengths), self._has_cart, (self._buffer.parts or frozenset()) - {"extras"}, self.extras
-        )
+        parts = (self._parts or frozenset()) & set(layout.PARTS)
+        tick = TickLayout(len(self._lengths), self._has_cart, parts, self.extras)
         described = {
             "format": layout.FORMAT,
             "arm_lengths": " ".join(repr(length) for length in self._lengths),
@@ -561,8 +515,7 @@ class LogWriter:
         }
         file.add_metadata(layout.LAYOUT_RECORD, sealed(layout.LAYOUT_RECORD, described))
         file.add_channels(tick)
-        times, _ = self._buffer.ticks()
-        first = int(times[0]) if len(times) else 0
+        first = round(self._times[0] * 1e9)
         for topic in (topic for topic in tick.channels if topic in layout.LATCHED):
             ghost = topic == layout.GHOST
             prefix = REFERENCE_PREFIX if ghost else ""
@@ -575,15 +528,17 @@ class LogWriter:
     def _write_chunk(self) -> None:
         if self._file is None:
             raise ValueError(f"the log {self.path} is not open: use LogWriter in a with statement")
-        count = self._buffer.filled
+        count = self._filled
         if not count and not self._notes:
             return
+        times = np.rint(self._times[:count] * 1e9).astype(np.int64)
+        rows = {name: self._rooms[name][:count] for name in self._parts or {"measured"}}
         try:
             if self._encoder is None:
                 self._encoder = self._prepare(self._file)
-            self._file.add_chunk(self._encoder.encode(*self._buffer.ticks(), self._notes))
+            self._file.add_chunk(self._encoder.encode(times, rows, self._notes))
         except OSError as error:
             raise unwritable(self.path, error) from error
         self._notes.clear()
         self._ticks += count
-        self._buffer.filled = 0
+        self._filled = 0
