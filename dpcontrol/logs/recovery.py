@@ -179,8 +179,8 @@ def recover(
     with suppress(InputError):
         # A readable log may be one that another program has rewritten.
         log = read_log(path)
-        end, kept = float(log.time[-1]), tuple(log.attachments)
-        return Recovery(path, path, len(log.time), end, end_known=log.end_s is not None, attachments=kept)
+        end_known, kept = log.end_s is not None, tuple(log.attachments)
+        return Recovery(path, path, len(log.time), float(log.time[-1]), end_known=end_known, attachments=kept)
     data = recorded_bytes(path)
     try:
         found = salvage(data, progress=progress)

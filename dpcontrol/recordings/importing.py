@@ -256,8 +256,8 @@ def _text(path: Path) -> tuple[list[str], dict[str, Sequence[str]]]:
     with path.open(encoding="utf-8-sig", newline="") as stream:
         # NumPy writes a header as a comment.
         lines = [line.removeprefix("#") for line in stream if line.strip()]
-    if not lines:
-        raise ValueError("it is empty")
+    if len(lines) < 2:
+        raise ValueError("it has no rows")
     # Commas beside another separator are decimal points.
     mark = next((mark for mark in ";\t," if mark in lines[0]), "")
     table = list(csv.reader(lines, delimiter=mark)) if mark else [line.split() for line in lines]
@@ -463,7 +463,6 @@ def _arrays(value: Any, name: str, owner: str = "") -> Iterator[tuple[str, NDArr
         value = value[0] if len(value) == 1 else value
     if isinstance(value, np.ndarray) and value.dtype == object:
         value = list(value.reshape(-1, order="F"))
-        value = value[0] if len(value) == 1 and isinstance(value[0], np.void) else value
     if isinstance(value, list):
         for number, one in enumerate(value, start=1):
             for holder in {name, owner or name} if hasattr(one, "properties") else (name,):

@@ -99,6 +99,7 @@ MAKERS: dict[str, Maker] = {
     "an empty cell": table(lambda columns, random: columns["angle_1"].__setitem__(int(random.integers(300)), "")),
     "columns swapped": table(lambda columns, _: columns.update(time=columns["angle_1"], angle_1=columns["time"])),
     "a column renamed": table(lambda columns, _: columns.update({"angle_x": columns.pop("angle_1")})),
+    "no rows": table(lambda columns, _: columns.update({name: [] for name in columns})),
     "too short": table(lambda columns, _: columns.update({name: part[:9] for name, part in columns.items()})),
     "parquet cut": cut_parquet,
 }
