@@ -1,9 +1,10 @@
-"""Write an MCAP file chunk by chunk.
+"""Write an MCAP file chunk by chunk, and find the messages in a chunk.
 
-The chunks are blocks of prepared message records.
+The chunks are blocks of prepared message records. The messages of a tick are contiguous, and the layout in the log's
+metadata gives their lengths. One look per tick finds them all, and one copy extracts the numbers of thousands of ticks.
 
 The writer of the mcap package takes one message at a time, 3–4 µs each: more than the control loop costs. Here a chunk
-is passed as a whole, with the times and offsets of its messages as arrays. All other records come from that package.
+is passed as a whole, and the times and offsets of its messages are arrays. All other records come from that package.
 
 A growing log is named `NAME.mcap.partial` and lies beside its final path. A killed run leaves this file, which is never
 overwritten or removed. A later run of the same log uses a different name, and `dpcontrol recover` rebuilds a log from
@@ -21,11 +22,11 @@ import mimetypes
 import os
 import struct
 import zlib
-from collections.abc import Iterable, Mapping, Set
+from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass
-from io import FileIO, RawIOBase
+from io import FileIO
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 import zstandard
@@ -35,6 +36,7 @@ from mcap.records import (
     Attachment,
     AttachmentIndex,
     Channel,
+    Chunk,
     ChunkIndex,
     DataEnd,
     Footer,
@@ -44,9 +46,10 @@ from mcap.records import (
     MetadataIndex,
     Schema,
     Statistics,
-    SummaryOffset,
 )
 from numpy.typing import NDArray
+
+from dpcontrol.logs.layout import EXTRAS, LATCHED, LENGTH_FROM, RECORD_HEADER, TickLayout, record_type
 
 _COMPRESSION = 1
 """Level of zstd. Higher levels take far longer and save little, because noise does not compress."""
@@ -70,23 +73,67 @@ _LATCHED_QOS = """\
 """
 """Quality of service of a latched topic, in the numbers of ROS 2's rmw_qos_profile_t. Some readers reject an
 incomplete profile."""
-CHUNK_HEAD = struct.Struct("<QQQI8sQ")
-"""Head of a chunk: first and last time, unpacked size and checksum, compression, packed bytes."""
-ZSTD = b"\x04\x00\x00\x00zstd"
 _ENTRY_BYTES = 16
 """Entry of a message index: time in ns and offset, 8 bytes each."""
 
 
-@dataclass(frozen=True)
-class ChunkMessages:
-    """Messages of one channel in a chunk.
+_RECORD = struct.Struct("<BQH")
+"""Head of a record: opcode, length and, for a message, its channel."""
 
-    Times (K,) are in ns; offsets (K,) are those of their records.
-    """
 
-    channel: int
-    times: NDArray[np.int64]
+class LocatedMessages(NamedTuple):
+    """Offsets (K,) of the messages of one topic in a chunk, and copies of their records (K,)."""
+
     offsets: NDArray[np.int64]
+    records: NDArray[Any]
+
+
+def located(data: bytes, tick: TickLayout) -> dict[str, LocatedMessages]:
+    """Return the messages in the records of chunks, by topic.
+
+    Topics with ticks and the extras have whole records, other topics the heads of their records.
+
+    Args:
+        data: records of one chunk or more.
+        tick: layout of the ticks.
+
+    Raises:
+        ValueError: the records are not those of a log with this layout.
+    """
+    ticks: list[int] = []
+    others: dict[int, list[int]] = {number: [] for number in tick.channels.values()}
+    template = tick.block_template
+    beginning, size = template[: _RECORD.size], len(template)
+    place, whole, unpack = 0, len(data), _RECORD.unpack_from
+    while place < whole:
+        if data.startswith(beginning, place):
+            ticks.append(place)
+            place += size
+            continue
+        opcode, length, channel = unpack(data, place)
+        if opcode == Opcode.MESSAGE:
+            others[channel].append(place)
+        place += LENGTH_FROM + length
+    if place != whole:
+        raise ValueError("a record runs over the end of its chunk")
+    block, starts = _gathered(data, ticks, tick.block_type), np.array(ticks, np.int64)
+    found = {topic: LocatedMessages(starts + offset, block[topic]) for topic, offset in tick.block_offsets.items()}
+    if any((part.records["channel"] != tick.channels[topic]).any() for topic, part in found.items()):
+        raise ValueError("a tick lacks a message")
+    for topic, number in tick.channels.items():
+        if topic not in found:
+            kind = record_type(tick.extras_message) if topic == EXTRAS else RECORD_HEADER
+            found[topic] = LocatedMessages(np.array(others[number], np.int64), _gathered(data, others[number], kind))
+    return found
+
+
+def _gathered(data: bytes, offsets: list[int], kind: np.dtype) -> NDArray[Any]:
+    """Return a copy of records of one type at increasing offsets."""
+    if not offsets:
+        return np.empty(0, kind)
+    # A view at every byte, so that fancy indexing copies whole records.
+    everywhere = np.ndarray((len(data) - kind.itemsize + 1,), f"V{kind.itemsize}", buffer=data, strides=(1,))
+    return everywhere[np.array(offsets)].view(kind)
 
 
 def _bytes_of(record: McapRecord) -> bytes:
@@ -124,8 +171,8 @@ class McapFile:
         library: name of the writing program.
     """
 
-    def __init__(self, stream: RawIOBase, *, library: str):
-        self._stream = stream
+    def __init__(self, stream: FileIO, *, library: str):
+        self.stream = stream
         self._position = 0
         self._crc = 0
         self._compressor = zstandard.ZstdCompressor(level=_COMPRESSION)
@@ -144,7 +191,7 @@ class McapFile:
         rest = memoryview(data)
         # An unbuffered stream may accept only a part, for example on a nearly full disk.
         while rest:
-            rest = rest[self._stream.write(rest) or 0 :]
+            rest = rest[self.stream.write(rest) or 0 :]
         self._position += len(data)
 
     def add_metadata(self, name: str, data: Mapping[str, str]) -> None:
@@ -175,70 +222,72 @@ class McapFile:
         self._attachments.append(index)
         self._write(record)
 
-    def add_channels(self, topics: Mapping[str, tuple[str, bytes]], *, latched: Set[str] = frozenset()) -> None:
-        """Register the channels of CDR messages, numbered from 1.
-
-        The order is that of `topics`.
+    def add_channels(self, tick: TickLayout) -> None:
+        """Register the channels of a log, written with the next chunk.
 
         Args:
-            topics: schema name and definition by topic; written with the next chunk.
-            latched: topics whose last message is delivered to late subscribers.
+            tick: layout of the ticks.
         """
-        for number, (topic, (name, definition)) in enumerate(topics.items(), start=1):
-            known = next((record for record in self._schemas if record.name == name), None)
-            if known is None:
-                known = Schema(id=len(self._schemas) + 1, name=name, encoding="ros2msg", data=definition)
-                self._schemas.append(known)
-                self._unwritten.append(_bytes_of(known))
-            quality = {"offered_qos_profiles": _LATCHED_QOS} if topic in latched else {}
-            channel = Channel(id=number, topic=topic, message_encoding="cdr", metadata=quality, schema_id=known.id)
+        self._tick = tick
+        schemas: dict[str, Schema] = {}
+        for topic, (name, definition) in tick.schemas.items():
+            if name not in schemas:
+                schemas[name] = Schema(id=len(schemas) + 1, name=name, encoding="ros2msg", data=definition)
+                self._unwritten.append(_bytes_of(schemas[name]))
+            quality = {"offered_qos_profiles": _LATCHED_QOS} if topic in LATCHED else {}
+            number, schema = tick.channels[topic], schemas[name].id
+            channel = Channel(id=number, topic=topic, message_encoding="cdr", metadata=quality, schema_id=schema)
             self._channels.append(channel)
-            self._counts[number] = 0
             self._unwritten.append(_bytes_of(channel))
+        self._schemas = list(schemas.values())
+        self._counts = dict.fromkeys(tick.channels.values(), 0)
 
-    def add_chunk(self, data: bytes, messages: Iterable[ChunkMessages]) -> None:
+    def add_chunk(self, data: bytes) -> None:
         """Write one compressed chunk with its indexes, and flush it.
 
         Args:
             data: message records of the chunk.
-            messages: times and places of the messages, by channel.
         """
-        messages = [part for part in messages if len(part.times)]
+        messages = {topic: part for topic, part in located(data, self._tick).items() if len(part.offsets)}
         head = b"".join(self._unwritten)
         self._unwritten.clear()
         content = head + data
-        packed = self._compressor.compress(content)
         # The entries of all channels are built together and then split.
-        times = np.concatenate([part.times for part in messages])
-        entries = np.empty((len(times), 2), "<u8")
-        entries[:, 0] = times
-        entries[:, 1] = np.concatenate([part.offsets for part in messages])
-        entries[:, 1] += len(head)
-        content_index, cut = entries.tobytes(), 0
+        times = np.concatenate([part.records["log_time"] for part in messages.values()])
+        offsets = np.concatenate([part.offsets for part in messages.values()]) + len(head)
+        entries, cut = np.column_stack([times, offsets.astype("<u8")]).tobytes(), 0
         start, end = int(times.min()), int(times.max())
-        body = CHUNK_HEAD.pack(start, end, len(content), zlib.crc32(content), ZSTD, len(packed)) + packed
-        written = [struct.pack("<BQ", Opcode.CHUNK, len(body)) + body]
-        offsets, length = {}, len(written[0])
-        for part in messages:
-            size = _ENTRY_BYTES * len(part.times)
-            index = struct.pack("<BQHI", Opcode.MESSAGE_INDEX, 6 + size, part.channel, size)
-            offsets[part.channel] = self._position + length
+        packed = Chunk(
+            compression="zstd", data=self._compressor.compress(content), message_end_time=end, message_start_time=start,
+            uncompressed_crc=zlib.crc32(content), uncompressed_size=len(content),
+        )  # fmt: skip
+        written = [_bytes_of(packed)]
+        places, length = {}, len(written[0])
+        for topic, part in messages.items():
+            number, size = self._tick.channels[topic], _ENTRY_BYTES * len(part.offsets)
+            index = struct.pack("<BQHI", Opcode.MESSAGE_INDEX, 6 + size, number, size)
+            places[number] = self._position + length
             length += len(index) + size
-            written += [index, content_index[cut : cut + size]]
+            written += [index, entries[cut : cut + size]]
             cut += size
-            self._counts[part.channel] += len(part.times)
+            self._counts[number] += len(part.offsets)
         self._chunks.append(
             ChunkIndex(
                 message_start_time=start, message_end_time=end, chunk_start_offset=self._position,
-                chunk_length=len(written[0]), message_index_offsets=offsets,
-                message_index_length=length - len(written[0]), compression="zstd", compressed_size=len(packed),
+                chunk_length=len(written[0]), message_index_offsets=places,
+                message_index_length=length - len(written[0]), compression="zstd", compressed_size=len(packed.data),
                 uncompressed_size=len(content),
             )
         )  # fmt: skip
         self._write(b"".join(written))
 
-    def _statistics(self) -> Statistics:
-        return Statistics(
+    def finish(self) -> None:
+        """Write the end of the data, the summary and the footer, and close the stream when they are on the disk."""
+        self._write(b"".join(self._unwritten))
+        self._unwritten.clear()
+        # The checksum of the data section covers everything before this record.
+        self._write(_bytes_of(DataEnd(data_section_crc=self._crc)))
+        statistics = Statistics(
             attachment_count=len(self._attachments), channel_count=len(self._channels),
             channel_message_counts=dict(self._counts), chunk_count=len(self._chunks),
             message_count=sum(self._counts.values()), metadata_count=len(self._metadata),
@@ -246,34 +295,15 @@ class McapFile:
             message_end_time=max((chunk.message_end_time for chunk in self._chunks), default=0),
             schema_count=len(self._schemas),
         )  # fmt: skip
-
-    def finish(self) -> None:
-        """Write the end of the data, the summary and the footer."""
-        self._write(b"".join(self._unwritten))
-        self._unwritten.clear()
-        # The checksum of the data section covers everything before this record.
-        self._write(_bytes_of(DataEnd(data_section_crc=self._crc)))
-        start = self._position
-        groups = {
-            Opcode.SCHEMA: map(_bytes_of, self._schemas), Opcode.CHANNEL: map(_bytes_of, self._channels),
-            Opcode.STATISTICS: [_bytes_of(self._statistics())],
-            Opcode.CHUNK_INDEX: map(_chunk_index_bytes, self._chunks),
-            Opcode.ATTACHMENT_INDEX: map(_bytes_of, self._attachments),
-            Opcode.METADATA_INDEX: map(_bytes_of, self._metadata),
-        }  # fmt: skip
-        summary, places = bytearray(), bytearray()
-        for opcode, records in groups.items():
-            if group := b"".join(records):
-                offset = SummaryOffset(group_opcode=opcode, group_start=start + len(summary), group_length=len(group))
-                places += _bytes_of(offset)
-                summary += group
-        offset_start = start + len(summary)
-        summary += places
+        single = [*self._schemas, *self._channels, statistics, *self._attachments, *self._metadata]
+        summary = b"".join([*map(_bytes_of, single), *map(_chunk_index_bytes, self._chunks)])
         # The footer's checksum covers the summary and the footer up to the checksum itself.
-        head = struct.pack("<BQQQ", Opcode.FOOTER, 20, start, offset_start)
-        crc = zlib.crc32(head, zlib.crc32(summary))
-        footer = Footer(summary_start=start, summary_offset_start=offset_start, summary_crc=crc)
-        self._write(bytes(summary) + _bytes_of(footer) + MAGIC)
+        head = struct.pack("<BQQQ", Opcode.FOOTER, 20, self._position, 0)
+        checksum = zlib.crc32(head, zlib.crc32(summary))
+        footer = Footer(summary_start=self._position, summary_offset_start=0, summary_crc=checksum)
+        self._write(summary + _bytes_of(footer) + MAGIC)
+        os.fsync(self.stream.fileno())
+        self.stream.close()
 
 
 SUFFIX = ".partial"
@@ -290,8 +320,6 @@ def open_partial(path: Path) -> tuple[Path, FileIO]:
     Raises:
         OSError: the file cannot be created.
     """
-    if not path.name:
-        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
     for name in (path.name, *(f"{path.name}.{os.getpid()}-{k}" for k in range(1, 99))):
         with suppress(FileExistsError):
             return path.with_name(name + SUFFIX), FileIO(path.with_name(name + SUFFIX), "xb")

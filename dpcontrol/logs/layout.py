@@ -23,7 +23,7 @@ import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import accumulate
+from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -109,44 +109,24 @@ class Message:
         self.number("<u4", rest, name=f"{name}.nanosec")
 
 
-class MessageReader:
-    """Reads the values of a CDR message in sequence.
+def texts_in(data: bytes, place: int, count: int) -> list[str]:
+    """Return the strings of a message that follow each other.
 
     Args:
-        data: the message.
+        data: message in CDR.
+        place: end of what precedes them.
+        count: number of strings.
+
+    Raises:
+        struct.error: the message ends before.
     """
-
-    def __init__(self, data: bytes) -> None:
-        self._data, self._place = data, len(ENCAPSULATION)
-        self._order = "<" if data[1:2] == b"\x01" else ">"
-
-    def take(self, form: str, size: int, count: int = 1) -> tuple[Any, ...]:
-        """Return numbers, starting at the next aligned offset.
-
-        Args:
-            form: format of a number, as in `struct`.
-            size: bytes of a number.
-            count: how many, default 1.
-
-        Raises:
-            ValueError: the message ends before.
-        """
-        self._place += -(self._place - len(ENCAPSULATION)) % size
-        if self._place + size * count > len(self._data):
-            raise ValueError(f"it ends after {len(self._data)} bytes")
-        values = struct.unpack_from(f"{self._order}{count}{form}", self._data, self._place)
-        self._place += size * count
-        return values
-
-    def text(self) -> str:
-        """Return a string."""
-        (content,) = self.take("s", 1, *self.take("I", 4))
-        return content.rstrip(b"\0").decode()
-
-    def doubles(self) -> tuple[float, ...]:
-        """Return a sequence of float64."""
-        (count,) = self.take("I", 4)
-        return self.take("d", 8, count) if count else ()
+    texts = []
+    for _ in range(count):
+        place += -(place - len(ENCAPSULATION)) % 4
+        (length,) = struct.unpack_from("<I", data, place)
+        place += 4 + length
+        texts.append(data[place - length : place].rstrip(b"\0").decode())
+    return texts
 
 
 def joint_state(names: Sequence[str], *, velocities: bool) -> Message:
@@ -253,12 +233,10 @@ def logged_event(time: float, data: bytes) -> Event:
         data: message in CDR.
 
     Raises:
-        ValueError: the message has a different layout.
+        LookupError, struct.error, ValueError: the message has a different layout.
     """
-    message = MessageReader(data)
-    message.take("I", 4, 2)
-    level = _LEVEL_NAMES.get(message.take("B", 1)[0], "info")
-    name, words, figures, cause = (message.text() for _ in range(4))
+    level = _LEVEL_NAMES.get(data[_LEVEL], "info")
+    name, words, figures, cause = texts_in(data, _LEVEL + 1, 4)
     # Other programs log their functions and files there.
     if cause not in _CAUSES or not words:
         return Event(time, level, name, words=words)
@@ -316,8 +294,6 @@ TRANSFORMS = "/tf"
 ROBOT = "/robot_description"
 GHOST = "/reference/robot_description"
 EVENTS = "/rosout"
-MEASURED_CHANNEL = 1
-"""Channel number of /joint_states, which is the first topic of every log."""
 LATCHED = frozenset({ROBOT, GHOST})
 """Topics with one message at the start, delivered to late subscribers."""
 
@@ -336,6 +312,8 @@ UNITS = {
 
 LEVELS = {"debug": 10, "info": 20, "warn": 30, "error": 40, "fatal": 50}
 """Levels of an event, with their numbers in rcl_interfaces/Log."""
+_LEVEL = 12
+"""Place of the level in rcl_interfaces/Log, after its stamp."""
 _LEVEL_NAMES = {number: name for name, number in LEVELS.items()}
 
 FORMAT = "2"
@@ -357,6 +335,7 @@ LOST = "lost"
 
 PARTS = ("rates", "estimate", "reference", "truth", "control")
 """Optional parts of a tick; a log has each part in every tick or in none."""
+_FIELDS = ("position", "velocity")
 STATE_TOPICS = {"estimate": ESTIMATE, "reference": REFERENCE, "truth": TRUTH}
 
 RECORD_HEADER = np.dtype(
@@ -456,19 +435,16 @@ class TickLayout:
         All are slices, because indexing by number is too slow for the few ticks of a chunk.
         """
         n, every = self.arms, slice(None)
-        arms_and_cart = [(slice(n), slice(n), slice(n, 2 * n))]
-        if self.has_cart:
-            arms_and_cart.append((slice(n, n + 1), slice(2 * n, 2 * n + 1), slice(2 * n + 1, 2 * n + 2)))
-        found = [(MEASURED, "position", every, "measured", every)]
-        if "rates" in self.parts:
-            found.append((MEASURED, "velocity", every, "rates", every))
-        for part, topic in STATE_TOPICS.items():
-            for joints, positions, velocities in arms_and_cart if part in self.parts else ():
-                found.append((topic, "position", joints, part, positions))
-                found.append((topic, "velocity", joints, part, velocities))
-        if "control" in self.parts:
-            found.append((CONTROL, "row", every, "control", every))
-        return tuple(found)
+        arms = (slice(n), slice(n), slice(n, 2 * n))
+        cart = (slice(n, n + 1), slice(2 * n, 2 * n + 1), slice(2 * n + 1, 2 * n + 2))
+        found = [
+            (MEASURED, "position", every, "measured", every),
+            (MEASURED, "velocity", every, "rates", every),
+            (CONTROL, "row", every, "control", every),
+        ]
+        for (part, topic), (joints, *columns) in product(STATE_TOPICS.items(), (arms, cart)[: 1 + self.has_cart]):
+            found += [(topic, name, joints, part, place) for name, place in zip(_FIELDS, columns, strict=True)]
+        return tuple(room for room in found if room[3] in {"measured", *self.parts})
 
     @cached_property
     def messages(self) -> dict[str, Message]:
@@ -504,6 +480,11 @@ class TickLayout:
         return found
 
     @cached_property
+    def kinds(self) -> dict[str, str]:
+        """Type of each topic's messages."""
+        return {topic: kind for topic, (kind, _) in self.schemas.items()}
+
+    @cached_property
     def channels(self) -> dict[str, int]:
         """Channel number of each topic."""
         return {topic: number for number, topic in enumerate(self.schemas, start=1)}
@@ -511,16 +492,12 @@ class TickLayout:
     @cached_property
     def block_type(self) -> np.dtype:
         """Structured type of a tick: a field for each topic, in order."""
-        formats = [record_type(message) for message in self.messages.values()]
-        offsets = list(self.block_offsets.values())
-        size = len(self.block_template)
-        return np.dtype({"names": list(self.messages), "formats": formats, "offsets": offsets, "itemsize": size})
+        return np.dtype([(topic, record_type(message)) for topic, message in self.messages.items()])
 
     @cached_property
     def block_offsets(self) -> dict[str, int]:
         """Byte offset of each topic's message within a tick."""
-        sizes = [record_type(message).itemsize for message in self.messages.values()]
-        return dict(zip(self.messages, (0, *accumulate(sizes)), strict=False))
+        return {topic: int(self.block_type.fields[topic][1]) for topic in self.messages}  # type: ignore[index]
 
     @cached_property
     def block_template(self) -> bytes:
@@ -533,6 +510,15 @@ class TickLayout:
             header["channel"] = self.channels[topic]
             records.append(header.tobytes() + message.data)
         return b"".join(records)
+
+
+def extras_of(described: Mapping[str, str]) -> tuple[str, ...]:
+    """Return the names of the estimated parameters.
+
+    Args:
+        described: values of the layout record.
+    """
+    return tuple(described.get(EXTRAS_KEY, "").split())
 
 
 def record_type(message: Message) -> np.dtype:

@@ -3,31 +3,31 @@
 Summaries are by topic, comparisons message by message.
 
 No record is trusted before the checksums agree. Checking indexes and single chunks is not enough: an index can point
-elsewhere, and two chunks can be swapped without invalidating their checksums. The file is therefore read from front to
-back, and the checksums of the whole data section and of the summary are compared first.
+elsewhere, and two chunks can be swapped without invalidating their checksums. The mcap package therefore reads the file
+from front to back and compares the checksums of the data section and of each chunk; that of the summary is compared
+here.
 
-Messages are found by walking the chunks' records. The messages of a tick are contiguous, and the layout in the log's
-metadata gives their lengths. One look per tick finds them all, and one copy extracts the numbers of thousands of ticks.
+The messages of a log that another program has rewritten are read by topic (`dpcontrol.logs.rewritten`).
 Source: the MCAP format specification, version 0.
 """
 
-import struct
 import zlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from functools import cached_property
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import zstandard
-from lz4.frame import LZ4FrameDecompressor
-from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
+from mcap.reader import NonSeekingReader
 from mcap.records import Attachment, Channel, Chunk, DataEnd, Footer, Header, Metadata, Schema
+from mcap.stream_reader import StreamReader, get_chunk_data_stream
 from numpy.typing import NDArray
 
 from dpcontrol.foundation.arrays import Array
@@ -36,35 +36,22 @@ from dpcontrol.foundation.errors import InputError, remark
 from dpcontrol.foundation.files import UNREADABLE, checked_size, checked_source, in_the_way
 from dpcontrol.foundation.shown import Brief, Shown, pandas_classes
 from dpcontrol.logs import layout
-from dpcontrol.logs.container import CHUNK_HEAD, MAGIC, partials_of, unsealed
+from dpcontrol.logs.container import MAGIC, located, partials_of, unsealed
 from dpcontrol.logs.layout import Event, TickLayout, logged_event
-from dpcontrol.logs.rewritten import Rewritten, by_topic, found_in, mixed
+from dpcontrol.logs.rewritten import Batch, by_topic, ticks_in
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
 
-_T = TypeVar("_T")
-_RECORD = struct.Struct("<BQH")
-"""Head of a record: opcode, length and, for a message, its channel."""
-_MESSAGE = struct.Struct("<HIQQ")
-"""Head of a message's body: channel, sequence, log time and publish time; the data follow."""
-_BATCH_BYTES = 4_000_000
+_TOGETHER = 200
+"""Number of chunks that are read in one step."""
 LARGEST_CHUNK, LARGEST_LOG = 1 << 28, 1 << 33
 """Greatest unpacked size of a chunk and of a log, bytes: five hours at 1 kHz."""
 _AGAIN = "make it again with `dpcontrol run`"
 _AS_WRITTEN = "give the log as `dpcontrol run` wrote it"
 MALFORMED = (*UNREADABLE, McapError, zstandard.ZstdError)
 """Exceptions raised when a malformed record is parsed."""
-_PARSED: dict[int, Any] = {
-    Opcode.HEADER: Header,
-    Opcode.METADATA: Metadata,
-    Opcode.ATTACHMENT: Attachment,
-    Opcode.SCHEMA: Schema,
-    Opcode.CHANNEL: Channel,
-    Opcode.DATA_END: DataEnd,
-    Opcode.FOOTER: Footer,
-}
 
 
 @dataclass
@@ -73,48 +60,13 @@ class VerifiedFile:
 
     Attributes:
         path: file that was read.
-        library: the program that wrote it.
-        has_checksum: True if the data section has a checksum.
-        metadata: text by key, by record name.
-        attachments: content by name.
-        schemas: by number; those within chunks are added while `messages` runs.
-        channels: by number, like `schemas`.
-        chunks: the chunks' records, still packed.
-        loose: messages outside of chunks.
+        data: its bytes.
+        records: records outside of chunks, and packed chunks, by type.
     """
 
     path: Path
-    library: str = ""
-    has_checksum: bool = False
-    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
-    attachments: dict[str, bytes] = field(default_factory=dict)
-    schemas: dict[int, Schema] = field(default_factory=dict)
-    channels: dict[int, Channel] = field(default_factory=dict)
-    chunks: list[memoryview] = field(default_factory=list)
-    loose: list[memoryview] = field(default_factory=list)
-
-    def note(self, opcode: int, body: memoryview | bytes) -> None:
-        """Store a record; kinds that are not needed are skipped.
-
-        Args:
-            opcode: kind of the record.
-            body: content of the record.
-        """
-        match parsed(opcode, body):
-            case Header(library=library):
-                self.library = library
-            case Metadata(name=name, metadata=values):
-                self.metadata[name] = values
-            case Attachment(name=name, data=data):
-                self.attachments[name] = data
-            case Schema() as schema:
-                self.schemas[schema.id] = schema
-            case Channel() as channel:
-                self.channels[channel.id] = channel
-            case None if opcode == Opcode.CHUNK:
-                self.chunks.append(memoryview(body))
-            case None if opcode == Opcode.MESSAGE:
-                self.loose.append(memoryview(body))
+    data: bytes
+    records: Mapping[type, list[Any]]
 
     @contextmanager
     def decoding(self) -> Iterator[None]:
@@ -122,7 +74,11 @@ class VerifiedFile:
         try:
             yield
         except MALFORMED as error:
-            raise _damaged(self.path, error) from error
+            said = next(iter(str(error).splitlines()), type(error).__name__)
+            raise InputError(
+                f"{self.path} is damaged ({said}); copy it again from its source, write it again with the program that "
+                f"wrote it, or {_recover(self.path)}"
+            ) from error
 
     def values(self, name: str) -> dict[str, str]:
         """Return the values of a metadata record.
@@ -132,7 +88,13 @@ class VerifiedFile:
         Args:
             name: name of the record.
         """
-        return unsealed(name, self.metadata.get(name, {})) or {}
+        found = {record.name: record.metadata for record in self.records[Metadata]}
+        return unsealed(name, found.get(name, {})) or {}
+
+    @property
+    def attachments(self) -> dict[str, bytes]:
+        """Content of the attachments, by name."""
+        return {record.name: record.data for record in self.records[Attachment]}
 
     @cached_property
     def tick(self) -> TickLayout:
@@ -142,87 +104,48 @@ class VerifiedFile:
     @property
     def is_native(self) -> bool:
         """True if this program wrote the file and its channels are those of its layout."""
-        if not (self.library.startswith("dpcontrol ") and self.has_checksum and self.values(layout.LAYOUT_RECORD)):
+        own = self.library.startswith("dpcontrol ") and self.records[DataEnd][0].data_section_crc
+        if not own or not self.values(layout.LAYOUT_RECORD):
             return False
-        declared = {c.topic: (c.id, self.schemas[c.schema_id].data) for c in self.channels.values()}
+        schemas = {schema.id: schema.data for schema in self.records[Schema]}
+        declared = {channel.topic: (channel.id, schemas[channel.schema_id]) for channel in self.records[Channel]}
         return declared == {name: (number, self.tick.schemas[name][1]) for name, number in self.tick.channels.items()}
 
     @property
-    def writer(self) -> str:
-        """Phrase on the writing program, for messages."""
-        return f" (written by {self.library})" if self.library else ""
+    def library(self) -> str:
+        """The program that wrote the file."""
+        return self.records[Header][0].library
 
-    def messages(self) -> Iterator[tuple[int, int, bytes]]:
-        """Yield channel, time in ns and body of every message.
-
-        Schemas and channels are stored as they are found.
+    def messages(self) -> Iterator[Any]:
+        """Return schema, channel and record of every message.
 
         Raises:
             Exception: one of `MALFORMED`.
         """
-        for chunk in self.chunks:
-            data = unpacked(chunk)
-            for opcode, start, end in records_in(data):
-                if opcode == Opcode.MESSAGE:
-                    yield _message(data[start:end])
-                elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                    self.note(opcode, data[start:end])
-        for body in self.loose:
-            yield _message(bytes(body))
-
-    def batches(self) -> "Iterator[Batch]":
-        """Yield the messages of a native log in order, several chunks at a time.
-
-        Raises:
-            Exception: one of `MALFORMED`.
-        """
-        pending, size = [], 0
-        for k, chunk in enumerate(self.chunks, start=1):
-            pending.append(unpacked(chunk))
-            size += len(pending[-1])
-            if size >= _BATCH_BYTES or k == len(self.chunks):
-                yield Batch(b"".join(pending), self.tick)
-                pending, size = [], 0
+        return NonSeekingReader(BytesIO(self.data), validate_crcs=True).iter_messages(log_time_order=False)
 
 
-def _message(body: bytes) -> tuple[int, int, bytes]:
-    channel, _, time, _ = _MESSAGE.unpack_from(body)
-    return channel, time, body[_MESSAGE.size :]
+class _Records(StreamReader):
+    """Reads all records but indexes of messages, whose entries the mcap package reads one by one."""
+
+    def _read_record(self, opcode: int, length: int) -> Any:
+        if opcode != Opcode.MESSAGE_INDEX:
+            return super()._read_record(opcode, length)
+        self._stream.read(length)
+        return None
 
 
-def unpacked(chunk: memoryview) -> bytes:
+def unpacked(chunk: Chunk) -> bytes:
     """Return the records in a chunk after checking its checksum.
 
     Args:
-        chunk: body of the chunk's record.
+        chunk: the chunk.
 
     Raises:
         Exception: one of `MALFORMED`: the chunk does not unpack, or its checksum differs.
     """
-    _, _, size, checksum, _, _ = CHUNK_HEAD.unpack_from(chunk)
-    checked_size(size, most=LARGEST_CHUNK)
-    found = Chunk.read(ReadDataStream(BytesIO(chunk)))
-    content = found.data
-    if found.compression == "zstd":
-        content = zstandard.decompress(content, size)
-    elif found.compression:
-        # The function of the lz4 package would unpack everything, regardless of the declared size.
-        content = LZ4FrameDecompressor().decompress(content, max_length=size + 1)
-    # Other programs may omit the checksum, which is then zero.
-    if len(content) != size or (checksum and zlib.crc32(content) != checksum):
-        raise ValueError("the checksum or the size of a chunk differs")
-    return content
-
-
-def parsed(opcode: int, body: memoryview | bytes) -> Any:
-    """Return the parsed record, or None for other kinds.
-
-    Args:
-        opcode: kind of the record.
-        body: content of the record.
-    """
-    kind = _PARSED.get(opcode)
-    return kind.read(ReadDataStream(BytesIO(body))) if kind else None
+    stream, size = get_chunk_data_stream(chunk, validate_crc=True)
+    return stream.read(size)
 
 
 def recorded_bytes(path: Path) -> bytes:
@@ -244,51 +167,8 @@ def recorded_bytes(path: Path) -> bytes:
         raise InputError(f"cannot read {path}: {error.strerror or error}; give the path of a .mcap file") from error
 
 
-def records_in(data: memoryview | bytes, place: int = 0) -> Iterator[tuple[int, int, int]]:
-    """Yield opcode, start and end of each record's body; contiguous records fill the data.
-
-    Args:
-        data: the records.
-        place: start of the first record.
-
-    Raises:
-        ValueError: the last record runs over the end.
-    """
-    whole = len(data)
-    while place < whole:
-        opcode, start = data[place], place + layout.LENGTH_FROM
-        place = start + int.from_bytes(data[place + 1 : start], "little")
-        if place > whole:
-            raise ValueError("a record runs over the end")
-        yield opcode, start, place
-
-
 def _recover(path: Path) -> str:
     return f"`dpcontrol recover {path}` rebuilds a log from the rest"
-
-
-def _damaged(path: Path, reason: object) -> InputError:
-    said = next(iter(str(reason).splitlines()), type(reason).__name__)
-    return InputError(
-        f"{path} is damaged ({said}); copy it again from its source, write it again with the program that wrote it, "
-        f"or {_recover(path)}"
-    )
-
-
-def open_verified(path: Path) -> VerifiedFile:
-    """Read a log, compare its checksums and find its tick layout.
-
-    Args:
-        path: the log.
-
-    Raises:
-        InputError: the file is missing, no MCAP file, without its end, damaged or not a log of this program.
-    """
-    file = open_mcap(path)
-    with file.decoding():
-        # Evaluated once here, so that later uses cannot fail.
-        _ = file.tick
-    return file
 
 
 def open_mcap(path: Path) -> VerifiedFile:
@@ -311,138 +191,37 @@ def open_mcap(path: Path) -> VerifiedFile:
             f"{path} has no end: the run was interrupted or the copy is incomplete; copy it again from its source, "
             f"or {_recover(path)}"
         )
-    file, view = VerifiedFile(path), memoryview(data)
+    file, stream = VerifiedFile(path, data, defaultdict(list)), BytesIO(data)
     with file.decoding():
-        records = list(records_in(view[: -len(MAGIC)], len(MAGIC)))
-        file.has_checksum = _check(view, records)
-        for opcode, start, end in records:
-            file.note(opcode, view[start:end])
-        checked_size(sum(CHUNK_HEAD.unpack_from(chunk)[2] for chunk in file.chunks), most=LARGEST_LOG)
+        for record in _Records(stream, emit_chunks=True, validate_crcs=True).records:
+            file.records[type(record)].append(record)
+        footer = file.records[Footer][0]
+        # Without a summary, its checksum is that of the footer, which ends 12 bytes before the file.
+        summary = data[footer.summary_start or len(data) - _FOOTER : -12]
+        if stream.read(1) or footer.summary_crc not in (0, zlib.crc32(summary)):
+            raise ValueError("the checksum of the summary differs")
+        sizes = [chunk.uncompressed_size for chunk in file.records[Chunk]]
+        checked_size(max(sizes, default=0), most=LARGEST_CHUNK)
+        checked_size(sum(sizes), most=LARGEST_LOG)
     return file
 
 
-def _check(view: memoryview, records: list[tuple[int, int, int]]) -> bool:
-    """Compare both checksums of a file; return True if the data section has one.
-
-    Raises:
-        Exception: one of `MALFORMED`: a checksum differs, or the closing records are not readable.
-    """
-    closing = [(start, end) for opcode, start, end in records if opcode == Opcode.DATA_END]
-    start, end = closing[0]
-    stored = parsed(Opcode.DATA_END, view[start:end]).data_section_crc
-    _, at, last = records[-1]
-    footer: Footer = parsed(records[-1][0], view[at:last])
-    data, summary = view[: start - layout.LENGTH_FROM], view[footer.summary_start or at - layout.LENGTH_FROM : last - 4]
-    if stored not in (0, zlib.crc32(data)) or footer.summary_crc not in (0, zlib.crc32(summary)):
-        raise ValueError("a checksum differs")
-    return stored != 0
+_FOOTER = 37
+"""Length of the footer with the file's last bytes."""
 
 
-class Batch:
-    """Records of several chunks.
-
-    Attributes:
-        ticks: offsets (K,) of whole ticks.
-        others: offsets of all other messages by channel.
-
-    Args:
-        data: the records.
-        tick: layout of the ticks.
-
-    Raises:
-        ValueError: the records are not contiguous.
-    """
-
-    def __init__(self, data: bytes, tick: TickLayout) -> None:
-        self.data = data
-        self.ticks: list[int] = []
-        self.others: dict[int, list[int]] = {}
-        template = tick.block_template
-        beginning, size = template[: _RECORD.size], len(template)
-        place, whole, unpack = 0, len(data), _RECORD.unpack_from
-        while place < whole:
-            if data.startswith(beginning, place):
-                self.ticks.append(place)
-                place += size
-                continue
-            opcode, length, channel = unpack(data, place)
-            if opcode == Opcode.MESSAGE:
-                self.others.setdefault(channel, []).append(place)
-            place += layout.LENGTH_FROM + length
-        if place != whole:
-            raise ValueError("a record runs over the end of its chunk")
-
-    def times(self, tick: TickLayout) -> dict[str, NDArray]:
-        """Return the times (K,) of each topic's messages, ns.
-
-        Args:
-            tick: layout of the ticks.
-        """
-        found = dict.fromkeys(tick.messages, gathered(self.data, self.ticks, layout.RECORD_HEADER)["log_time"])
-        for topic in tick.channels.keys() - found.keys():
-            places = self.others.get(tick.channels[topic], [])
-            found[topic] = gathered(self.data, places, layout.RECORD_HEADER)["log_time"]
-        return found
-
-    def extras(self, tick: TickLayout) -> Array:
-        """Return the rows of the estimated parameters.
-
-        A row has the time, s, then standard deviations and values.
-
-        Args:
-            tick: layout of the ticks.
-
-        Raises:
-            ValueError: a message differs from the layout.
-        """
-        kind = layout.record_type(tick.extras_message)
-        found = gathered(self.data, self.others.get(tick.channels[layout.EXTRAS], []), kind)
-        if (found["length"] != kind.itemsize - layout.LENGTH_FROM).any():
-            raise ValueError(f"a message of {layout.EXTRAS} has another length")
-        return np.column_stack([found["log_time"] / 1e9, found["row"]])
-
-    def rows(self, tick: TickLayout) -> dict[str, Array]:
-        """Return the ticks' times (K,) in s, and rows by part.
-
-        Rows are (K, width).
-
-        Args:
-            tick: layout of the ticks.
-
-        Raises:
-            ValueError: the messages of a tick differ from the layout.
-        """
-        ticks = gathered(self.data, self.ticks, tick.block_type)
-        times = ticks[layout.MEASURED]["log_time"]
-        for topic, message in tick.messages.items():
-            length = layout.record_type(message).itemsize - layout.LENGTH_FROM
-            due = {"opcode": Opcode.MESSAGE, "length": length, "channel": tick.channels[topic], "log_time": times}
-            if any((ticks[topic][name] != value).any() for name, value in due.items()):
-                raise ValueError(f"a tick lacks its message of {topic}, or that has another time")
-        found = {part: np.empty((len(ticks), tick.widths[part])) for part in ("measured", *tick.parts)}
-        for topic, field_name, joints, part, columns in tick.rooms:
-            found[part][:, columns] = ticks[topic][field_name][:, joints]
-        return {"time": times / 1e9, **found}
-
-
-def gathered(data: bytes, offsets: list[int], kind: np.dtype) -> NDArray:
-    """Return a copy of records of one type.
-
-    Args:
-        data: bytes with the records.
-        offsets: places of the records, in increasing order.
-        kind: structured type of a record.
-
-    Raises:
-        ValueError: a record extends beyond the end.
-    """
-    if not offsets:
-        return np.empty(0, kind)
-    if offsets[-1] + kind.itemsize > len(data):
-        raise ValueError("a message is too short")
-    # A view at every byte, so that fancy indexing copies whole records.
-    everywhere = np.ndarray((len(data) - kind.itemsize + 1,), f"V{kind.itemsize}", buffer=data, strides=(1,))
-    return everywhere[np.array(offsets)].view(kind)
+def _batches(file: VerifiedFile) -> Iterator[Batch]:
+    """Yield the messages of a native log in order, many chunks at a time."""
+    chunks = file.records[Chunk]
+    for first in range(0, len(chunks), _TOGETHER):
+        data = b"".join(map(unpacked, chunks[first : first + _TOGETHER]))
+        found = located(data, file.tick)
+        events = []
+        for start, head in zip(*found[layout.EVENTS], strict=True):
+            end = start + layout.LENGTH_FROM + int(head["length"])
+            events.append((int(head["log_time"]), data[start + layout.RECORD_HEADER.itemsize : end]))
+        tables = {topic: part.records for topic, part in found.items()}
+        yield Batch(tables, {topic: table["log_time"] for topic, table in tables.items()}, file.tick.kinds, events)
 
 
 _SLOWEST, _FASTEST = 1e-6, 1e9
@@ -464,13 +243,11 @@ def described_layout(path: Path, described: Mapping[str, str]) -> TickLayout:
             f"{layout.LAYOUT_RECORD} is of layout {described.get('format', 'none')}); read it with the version that "
             "wrote it, or make a recording of it with `dpcontrol import`"
         )
-    parts = frozenset(described["parts"].split())
-    if not parts <= set(layout.PARTS):
-        raise ValueError(f"unknown parts {sorted(parts)}")
-    if not _SLOWEST <= float(described["rate_hz"]) <= _FASTEST:
-        raise ValueError(f"the tick rate in its layout is {described['rate_hz']} Hz")
-    extras = tuple(described.get(layout.EXTRAS_KEY, "").split())
-    return TickLayout(len(described["arm_lengths"].split()), described["has_cart"] == "1", parts, extras)
+    parts, lengths = frozenset(described["parts"].split()), [float(text) for text in described["arm_lengths"].split()]
+    sound = parts <= set(layout.PARTS) and all(0 < length < np.inf for length in lengths)
+    if not sound or not _SLOWEST <= float(described["rate_hz"]) <= _FASTEST:
+        raise ValueError("its layout has unknown parts, or impossible lengths or rates")
+    return TickLayout(len(lengths), described["has_cart"] == "1", parts, layout.extras_of(described))
 
 
 @dataclass(frozen=True, eq=False)
@@ -560,8 +337,8 @@ class RunLog(Shown):
 
         Every log has `measured`.
         """
-        found = {*self.states} | ({"control"} if self.controls else set())
-        return frozenset(found | ({"rates"} if self.rates is not None else set()))
+        present = {"control": bool(self.controls), "rates": self.rates is not None}
+        return frozenset({*self.states, *(part for part, there in present.items() if there)})
 
     @property
     def truth(self) -> Array | None:
@@ -593,20 +370,15 @@ class RunLog(Shown):
         Raises:
             InputError: no controller ran.
         """
-        if not self.controls:
-            raise self._lacks(layout.CONTROL)
-        return self.controls
+        return self.controls or self._state("control")
 
-    def _state(self, part: str) -> Array:
+    def _state(self, part: str) -> Any:
         if part not in self.states:
-            raise self._lacks(layout.STATE_TOPICS[part])
+            raise InputError(
+                f"{self.path} has no {layout.STATE_TOPICS.get(part, layout.CONTROL)}: it is a recording, not a run, or "
+                f"another program has left the topic out; {_AS_WRITTEN}"
+            )
         return self.states[part]
-
-    def _lacks(self, topic: str) -> InputError:
-        return InputError(
-            f"{self.path} has no {topic}: it is a recording, not a run, or another program has left the topic out; "
-            f"{_AS_WRITTEN}"
-        )
 
     def frame(self) -> "DataFrame":
         """Return a pandas table with one row per tick.
@@ -621,18 +393,19 @@ class RunLog(Shown):
             PartMissing: pandas is not installed.
         """
         data_frame, index = pandas_classes()
-        columns: dict[str, Any] = {f"measured.{name}": self.measured[:, i] for i, name in enumerate(self.joint_names)}
+        states = layout.state_names(len(self.arm_lengths), has_cart=self.has_cart)
+        groups: dict[str, tuple[Sequence[str], Array]] = {"measured": (self.joint_names, self.measured)}
         if self.rates is not None:
-            columns |= {f"rates.{name}": self.rates[:, i] for i, name in enumerate(self.joint_names)}
-        names = layout.state_names(len(self.arm_lengths), has_cart=self.has_cart)
-        for part, values in self.states.items():
-            columns |= {f"{part}.{name}": values[:, i] for i, name in enumerate(names)}
-        columns |= {f"control.{name}": values for name, values in self.controls.items()}
+            groups["rates"] = (self.joint_names, self.rates)
+        groups |= {part: (states, values) for part, values in self.states.items()}
+        groups["control"] = (tuple(self.controls), np.transpose(list(self.controls.values())))
         if self.extras is not None:
             last = np.searchsorted(self.extras.time, self.time, side="right") - 1
             for of, values in (("extra", self.extras.values), ("sigma", self.extras.sigmas)):
-                held = np.where((last >= 0)[:, None], values[last], np.nan)
-                columns |= {f"{of}.{name}": held[:, i] for i, name in enumerate(self.extras.names)}
+                groups[of] = (self.extras.names, np.where((last >= 0)[:, None], values[last], np.nan))
+        columns: dict[str, Any] = {
+            f"{of}.{name}": values[:, i] for of, (names, values) in groups.items() for i, name in enumerate(names)
+        }
         if self.segments:
             columns["segment"] = segment_numbers(self.segments, len(self.time))
         return data_frame(columns, index=index(self.time, name="time"))
@@ -665,6 +438,108 @@ def segment_numbers(segments: Sequence[tuple[int, int]], rows: int) -> NDArray[n
     return np.searchsorted([first for first, _ in segments], np.arange(rows), side="right") - 1
 
 
+_LATEST = np.iinfo(np.int64).max
+"""ns: viewers and arrays of times hold signed nanoseconds."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Contents:
+    """A log that was read: its file, layout and description, and its messages.
+
+    Attributes:
+        rows: time (N,), s, and rows (N, …) of measured positions, parts and extras (M, …).
+        times: times of all messages of each topic, ns.
+        kinds: type of each topic.
+        events: in the order of logging.
+    """
+
+    file: VerifiedFile
+    tick: TickLayout
+    described: Mapping[str, str]
+    rows: dict[str, Array]
+    times: dict[str, NDArray]
+    kinds: dict[str, str]
+    events: tuple[Event, ...]
+
+    @property
+    def metadata(self) -> dict[str, str]:
+        """The caller's text from the start and the end of the log."""
+        return {**self.file.values(layout.RESULT_RECORD), **self.file.values(layout.RUN_RECORD)}
+
+    @property
+    def recovered(self) -> str | None:
+        """Losses that `dpcontrol recover` reported, or None."""
+        return self.file.values(layout.RECOVERY_RECORD).get(layout.LOST) or None
+
+
+def _read(path: Path) -> _Contents:
+    """Read a log by the template of its ticks, or by topics if another program has rewritten it."""
+    file = open_mcap(path)
+    with file.decoding():
+        if file.is_native:
+            tick, described, batches = file.tick, file.values(layout.LAYOUT_RECORD), _batches(file)
+        else:
+            tick, described, batches = _rewritten(file)
+        parts = ((_rows(one, tick), one.times, one.kinds, one.events) for one in batches)
+        rows, times, kinds, events = zip(*parts, strict=True)
+        found = _Contents(
+            file=file,
+            tick=tick,
+            described=described,
+            rows=_joined(rows),
+            times=_joined(times),
+            kinds=kinds[0],
+            events=tuple(logged_event(time / 1e9, body) for part in events for time, body in part),
+        )
+        if any((moments > _LATEST).any() for moments in found.times.values()):
+            raise ValueError(f"a message is later than {_LATEST / 1e9:.3g} s")
+    return found
+
+
+def _joined(parts: Sequence[dict[str, NDArray]]) -> dict[str, NDArray]:
+    # Each array is removed from its part as it is joined, so that a long log is held only once.
+    found = {name: np.concatenate([part.pop(name) for part in parts]) for name in list(parts[0])}
+    for array in found.values():
+        array.flags.writeable = False
+    return found
+
+
+def _rows(batch: Batch, tick: TickLayout) -> dict[str, Array]:
+    """Return the ticks' times (K,), s, and rows (K, …) by part."""
+    tables, widths = batch.tables, tick.widths
+    found = {part: np.empty((len(tables[layout.MEASURED]), widths[part])) for part in ("measured", *tick.parts)}
+    for topic, field_name, joints, part, columns in tick.rooms:
+        found[part][:, columns] = tables[topic][field_name][:, joints]
+    found["time"] = tables[layout.MEASURED]["log_time"] / 1e9
+    if tick.extras:
+        extras = tables[layout.EXTRAS]
+        found["extras"] = np.column_stack([extras["log_time"] / 1e9, extras["row"]])
+    return found
+
+
+def _rewritten(file: VerifiedFile) -> tuple[TickLayout, dict[str, str], list[Batch]]:
+    """Return layout, description and messages of a log that another program has rewritten, with a remark.
+
+    Raises:
+        InputError: the file holds no run, or several.
+    """
+    try:
+        topics, described = by_topic(file.messages()), file.values(layout.LAYOUT_RECORD)
+        whole = described_layout(file.path, described) if described else None
+        tick, described, batch = ticks_in(topics, described)
+    except MALFORMED as error:
+        raise InputError(
+            f"{file.path} (written by {file.library or 'another program'}) is not a log of `dpcontrol run`: {error}; "
+            f"{_AS_WRITTEN}, or make a recording of it with `dpcontrol import`"
+        ) from error
+    left_out = ", ".join(topic for topic in (whole.schemas if whole else ()) if topic not in topics)
+    remark(
+        f"{file.path} was rewritten by {file.library or 'another program'} and is read by its topics; its integrity "
+        f"cannot be checked{f', and it lacks {left_out}' if left_out else ''}"
+    )
+    return tick, described, [batch]
+
+
 def read_log(path: Path | str) -> RunLog:
     """Return the run in a log.
 
@@ -676,42 +551,38 @@ def read_log(path: Path | str) -> RunLog:
     Raises:
         InputError: the file is missing, empty, cut off, damaged, not an MCAP file or not a log of a run.
     """
-    return _read(Path(path), _decode, _decode_rewritten)
-
-
-def _read(path: Path, native: Callable[[VerifiedFile], _T], rewritten: Callable[[VerifiedFile, Rewritten], _T]) -> _T:
-    """Read a log by the function for native or for rewritten ones."""
-    file = open_mcap(path)
+    found = _read(Path(path))
+    file, tick, rows, described = found.file, found.tick, found.rows, found.described
+    if not len(rows["time"]):
+        raise InputError(f"{file.path} holds no ticks: the run ended before its first; {_AGAIN}")
     with file.decoding():
-        return native(file) if file.is_native else rewritten(file, _rewritten(file))
-
-
-def _rewritten(file: VerifiedFile) -> Rewritten:
-    """Return a log that another program has rewritten, with a warning.
-
-    Raises:
-        InputError: the file holds no run, or several.
-    """
-    try:
-        topics = by_topic(file.messages(), file.channels, file.schemas)
-        described = file.values(layout.LAYOUT_RECORD)
-        found = found_in(topics, described)
-        if found is None:
-            raise ValueError(f"it lacks {layout.MEASURED} as {layout.JOINT_STATE[0]} in cdr")
-        whole = described_layout(file.path, described) if described else found.tick
-    except MALFORMED as error:
-        raise InputError(
-            f"{file.path}{file.writer} is not a log of `dpcontrol run`: {error}; {_AS_WRITTEN}, or make a recording of "
-            "it with `dpcontrol import`"
-        ) from error
-    if name := mixed(topics):
-        raise InputError(f"{file.path}: {name} has different messages at one time, as of two runs; give one run's log")
-    left_out = ", ".join(topic for topic in whole.schemas if topic not in found.tick.schemas.keys() & topics.keys())
-    remark(
-        f"{file.path} was rewritten by {file.library or 'another program'} and is read by its topics; its integrity "
-        f"cannot be checked{f', and it lacks {left_out}' if left_out else ''}"
+        limits, lengths = (tuple(float(text) for text in described[key].split()) for key in ("limits", "arm_lengths"))
+    metadata = found.metadata
+    ticks, rate = metadata.pop(layout.TICKS, None), file.values(layout.LAYOUT_RECORD).get("rate_hz")
+    columns = rows["control"].T if "control" in rows else ()
+    extras, count = rows.get("extras", np.empty((0, 1))), len(tick.extras)
+    return RunLog(
+        path=file.path,
+        time=rows["time"],
+        measured=rows["measured"],
+        rates=rows.get("rates"),
+        states={part: rows[part] for part in layout.STATE_TOPICS if part in rows},
+        controls=dict(zip(tick.fields, columns, strict=False)),
+        events=found.events,
+        metadata={**metadata, "program": described["program"]},
+        attachments=file.attachments,
+        joint_names=tick.names,
+        arm_lengths=lengths,
+        has_cart=tick.has_cart,
+        rate_hz=float(described["rate_hz"]),
+        limits=(limits[0], limits[1], limits[2]) if limits else None,
+        recovered=found.recovered,
+        extras=Extras(tick.extras, extras[:, 0], extras[:, 1 + count :], extras[:, 1 : 1 + count])
+        if len(extras)
+        else None,
+        rewritten=not file.is_native,
+        end_s=(int(ticks) - 1) / float(rate) if ticks and rate else None,
     )
-    return found
 
 
 _INCIDENTAL = ("version", "commit", "plan", "plant_parameters", "drawn")
@@ -738,16 +609,19 @@ def check_replaced(
     if force or not path.is_file():
         return
     try:
-        file = open_verified(path)
+        file = open_mcap(path)
     except InputError as error:
         raise in_the_way(path, "is not a complete log") from error
     there = file.values(layout.RUN_RECORD)
-    if "rig" in file.values(layout.RESULT_RECORD) or "rig" in there:
-        raise in_the_way(path, "is a log from a rig")
-    if file.values(layout.RECOVERY_RECORD).get("source") != (recovers and recovers.name):
-        raise in_the_way(path, "holds another log")
-    if differing := _differing(metadata, there):
-        raise in_the_way(path, f"holds another log (not the same: {differing})")
+    differing = _differing(metadata, there)
+    reasons = {
+        "is a log from a rig": "rig" in {**file.values(layout.RESULT_RECORD), **there},
+        "holds another log": file.values(layout.RECOVERY_RECORD).get("source") != (recovers and recovers.name),
+        f"holds another log (not the same: {differing})": bool(differing),
+    }
+    for reason, applies in reasons.items():
+        if applies:
+            raise in_the_way(path, reason)
 
 
 def _differing(metadata: Mapping[str, str], there: Mapping[str, str], *, also: tuple[str, ...] = ()) -> str:
@@ -755,7 +629,7 @@ def _differing(metadata: Mapping[str, str], there: Mapping[str, str], *, also: t
 
     Incidental keys and those in `also` are not compared.
     """
-    names = [k for k in {**metadata, **there} if k not in (*_INCIDENTAL, *also)]
+    names = [name for name in {**metadata, **there} if name not in (*_INCIDENTAL, *also)]
     return ", ".join(name for name in names if metadata.get(name) != there.get(name))
 
 
@@ -770,100 +644,10 @@ def check_same_run(path: Path, metadata: Mapping[str, str], *, also: tuple[str, 
     Raises:
         InputError: the log is not readable, or entries differ.
     """
-    if differing := _differing(metadata, open_verified(path).values(layout.RUN_RECORD), also=also):
+    if differing := _differing(metadata, open_mcap(path).values(layout.RUN_RECORD), also=also):
         raise InputError(
             f"{path} is of another run (not the same: {differing}); go on with the command and the options that made it"
         )
-
-
-def _decode(file: VerifiedFile) -> RunLog:
-    tick = file.tick
-    events: list[Event] = []
-    extras: list[Array] = []
-    rows: dict[str, list[Array]] = {name: [] for name in ("time", "measured", *tick.parts)}
-    for batch in file.batches():
-        for name, values in batch.rows(tick).items():
-            rows[name].append(values)
-        if tick.extras:
-            extras.append(batch.extras(tick))
-        events += [_event(batch.data, offset) for offset in batch.others.get(tick.channels[layout.EVENTS], ())]
-    if not sum(map(len, rows["time"])):
-        raise InputError(f"{file.path} holds no ticks: the run ended before its first; {_AGAIN}")
-    # Each part is removed from the mapping as it is joined, so that a long log is held only once.
-    whole = {name: _frozen(np.concatenate(rows.pop(name))) for name in list(rows)}
-    described = file.metadata[layout.LAYOUT_RECORD]
-    return _run_log(file, tick, described, rows=whole, events=events, extras=_extras(tick.extras, extras))
-
-
-def _decode_rewritten(file: VerifiedFile, found: Rewritten) -> RunLog:
-    events = [logged_event(time / 1e9, body) for time, body in found.events]
-    extras = _extras(found.tick.extras, found.extras)
-    whole = {name: _frozen(values) for name, values in found.rows.items()}
-    log = _run_log(file, found.tick, found.described, rows=whole, events=events, extras=extras)
-    return replace(log, rewritten=True)
-
-
-def _extras(names: tuple[str, ...], rows: list[Array]) -> Extras | None:
-    """Return the extras in rows (time, standard deviations, values).
-
-    The result is None if there are no rows.
-    """
-    if not sum(map(len, rows)):
-        return None
-    whole = _frozen(np.concatenate(rows))
-    return Extras(names, whole[:, 0], whole[:, 1 + len(names) :], whole[:, 1 : 1 + len(names)])
-
-
-def _event(data: bytes, offset: int) -> Event:
-    head = np.frombuffer(data, layout.RECORD_HEADER, count=1, offset=offset)[0]
-    end = offset + layout.LENGTH_FROM + int(head["length"])
-    return logged_event(int(head["log_time"]) / 1e9, data[offset + layout.RECORD_HEADER.itemsize : end])
-
-
-_LATEST = float(np.iinfo(np.int64).max) / 1e9
-"""s: viewers and arrays of times hold signed nanoseconds."""
-
-
-def _run_log(
-    file: VerifiedFile,
-    tick: TickLayout,
-    described: Mapping[str, str],
-    *,
-    rows: dict[str, Array],
-    events: list[Event],
-    extras: Extras | None,
-) -> RunLog:
-    limits = tuple(float(text) for text in described["limits"].split())
-    columns = _frozen(np.ascontiguousarray(rows.pop("control").T)) if "control" in rows else ()
-    metadata = {**file.values(layout.RESULT_RECORD), **file.values(layout.RUN_RECORD)}
-    ticks, rate = metadata.pop(layout.TICKS, None), file.values(layout.LAYOUT_RECORD).get("rate_hz")
-    lengths = tuple(float(text) for text in described["arm_lengths"].split())
-    if not all(0 < length < np.inf for length in lengths) or any(event.time >= _LATEST for event in events):
-        raise ValueError(f"arms are {described['arm_lengths']} m long, or an event is later than {_LATEST:.3g} s")
-    return RunLog(
-        path=file.path,
-        time=rows["time"],
-        measured=rows["measured"],
-        rates=rows.get("rates"),
-        states={part: rows[part] for part in layout.STATE_TOPICS if part in rows},
-        controls=dict(zip(tick.fields, columns, strict=False)),
-        events=tuple(events),
-        metadata={**metadata, "program": described["program"]},
-        attachments=file.attachments,
-        joint_names=tick.names,
-        arm_lengths=lengths,
-        has_cart=tick.has_cart,
-        rate_hz=float(described["rate_hz"]),
-        limits=(limits[0], limits[1], limits[2]) if limits else None,
-        recovered=file.values(layout.RECOVERY_RECORD).get(layout.LOST) or None,
-        extras=extras,
-        end_s=(int(ticks) - 1) / float(rate) if ticks and rate else None,
-    )
-
-
-def _frozen(array: NDArray[np.float64]) -> NDArray[np.float64]:
-    array.flags.writeable = False
-    return array
 
 
 @dataclass(frozen=True)
@@ -935,53 +719,33 @@ def summarise(path: Path | str) -> LogSummary:
     Raises:
         InputError: the file is missing, cut off, damaged or not a log of this program.
     """
-    return _read(Path(path), _summary_of_native, _summary_of_rewritten)
-
-
-def _summary_of_native(file: VerifiedFile) -> LogSummary:
-    batches = [batch.times(file.tick) for batch in file.batches()]
-    times = {topic: np.concatenate([batch[topic] for batch in batches]) for topic in file.tick.schemas}
-    topics = [_topic(topic, kind, times[topic]) for topic, (kind, _) in file.tick.schemas.items()]
-    return _summary(file, file.tick, file.metadata[layout.LAYOUT_RECORD], topics)
-
-
-def _summary_of_rewritten(file: VerifiedFile, found: Rewritten) -> LogSummary:
-    # Without metadata the layout lacks topics whose names of fields were there.
-    kinds = {topic: kind for topic, (kind, _) in found.tick.schemas.items()}
-    kinds |= {name: topic.schema for name, topic in found.topics.items()}
-    times = {name: np.array(topic.times) for name, topic in found.topics.items()}
-    topics = [_topic(name, kind, times.get(name, np.empty(0))) for name, kind in kinds.items()]
-    return replace(_summary(file, found.tick, found.described, topics), rewritten=True)
-
-
-def _summary(
-    file: VerifiedFile, tick: TickLayout, described: Mapping[str, str], topics: Sequence[TopicSummary]
-) -> LogSummary:
+    found = _read(Path(path))
+    file, described = found.file, found.described
+    topics = [_topic(topic, kind, found.times.get(topic, np.empty(0))) for topic, kind in found.kinds.items()]
     begin = min((topic.first_s for topic in topics if topic.first_s is not None), default=0.0)
     return LogSummary(
         log=str(file.path),
-        size=file.path.stat().st_size,
+        size=len(file.data),
         format=described["format"],
         program=described["program"],
         duration=max((topic.last_s for topic in topics if topic.last_s is not None), default=0.0) - begin,
         rate_hz=float(described["rate_hz"]),
-        joints=tick.names,
-        parts=tuple(part for part in layout.PARTS if part in tick.parts),
+        joints=found.tick.names,
+        parts=tuple(part for part in layout.PARTS if part in found.tick.parts),
         topics=tuple(topics),
         attachments={name: len(data) for name, data in file.attachments.items()},
-        metadata={**file.values(layout.RESULT_RECORD), **file.values(layout.RUN_RECORD)},
-        recovered=file.values(layout.RECOVERY_RECORD).get(layout.LOST) or None,
+        metadata=found.metadata,
+        recovered=found.recovered,
         partials=tuple(str(other) for other in partials_of(file.path)),
+        rewritten=not file.is_native,
     )
 
 
 def _topic(topic: str, kind: str, times: NDArray) -> TopicSummary:
-    units = layout.UNITS.get(topic, "")
-    if not len(times):
-        return TopicSummary(topic, kind, units, 0, None, None, None)
-    first, last = int(times.min()), int(times.max())
-    rate = (len(times) - 1) * 1e9 / (last - first) if last > first else None
-    return TopicSummary(topic, kind, units, len(times), first / 1e9, last / 1e9, rate)
+    first, last = (float(end(times)) / 1e9 if len(times) else None for end in (np.min, np.max))
+    span = 0.0 if first is None or last is None else last - first
+    rate = (len(times) - 1) / span if span > 0 else None
+    return TopicSummary(topic, kind, layout.UNITS.get(topic, ""), len(times), first, last, rate)
 
 
 @dataclass(frozen=True)
@@ -1008,19 +772,21 @@ def compare_messages(one: Path | str, other: Path | str) -> Comparison:
     Raises:
         InputError: a log is missing, damaged or not of this program.
     """
-    sides = [open_verified(Path(path)) for path in (one, other)]
+    sides = [open_mcap(Path(path)) for path in (one, other)]
     if sides[0].tick != sides[1].tick:
         return Comparison(0, f"{one} and {other} do not have the same topics")
     whole = all(side.is_native and not side.values(layout.RECOVERY_RECORD).get(layout.LOST) for side in sides)
-    logs = []
-    for side in sides:
-        with side.decoding():
-            topics = by_topic(side.messages(), side.channels, side.schemas)
-        logs.append({name: set(zip(topic.times, topic.bodies, strict=True)) for name, topic in topics.items()})
-    same = 0
+    first, second = map(_message_sets, sides)
+    same = sum(len(messages & second.get(name, set())) for name, messages in first.items())
     for name in sides[0].tick.schemas:
-        messages, others = (topics.get(name, set()) for topics in logs)
-        same += len(messages & others)
+        messages, others = first.get(name, set()), second.get(name, set())
         if differing := messages ^ others if whole else messages - others:
             return Comparison(same, f"the message of {name} at {min(differing)[0] / 1e9:.3f} s differs")
     return Comparison(same, None)
+
+
+def _message_sets(side: VerifiedFile) -> dict[str, set[tuple[int, bytes]]]:
+    """Return time, ns, and content of all messages by topic."""
+    with side.decoding():
+        topics = by_topic(side.messages())
+    return {name: set(zip(topic.times, topic.bodies, strict=True)) for name, topic in topics.items()}

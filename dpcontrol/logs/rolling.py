@@ -19,6 +19,7 @@ import os
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -59,7 +60,7 @@ class Digest:
         squares: sum of squared angle errors against the reference on the itinerary, rad².
         followed: number of ticks in that sum.
         extras: mean on the itinerary and last standard deviation of each estimated parameter.
-        memory: resident memory of the process at the end, bytes.
+        memory: resident memory of the process at the end, bytes; NaN if the system does not report it.
         size: size of the file, bytes; zero if it could not be written.
         loss: reason for a missing file, or "".
         deadlines: deadline statistics by name, on a rig at the end of a session.
@@ -79,7 +80,7 @@ class Digest:
     squares: float = 0.0
     followed: int = 0
     extras: dict[str, tuple[float, float]] = field(default_factory=dict)
-    memory: float = 0.0
+    memory: float = math.nan
     size: int = 0
     loss: str = ""
     deadlines: dict[str, float] = field(default_factory=dict)
@@ -87,7 +88,7 @@ class Digest:
     def __post_init__(self) -> None:
         """Initialise the running sums."""
         self._now_on = self.on
-        self._sums: Array = np.zeros(0)
+        self._sums: Array | float = 0.0
         self._counted = 0
 
     def text(self) -> str:
@@ -154,10 +155,9 @@ class Digest:
             self.followed += len(times)
         # Estimates between a fall and the restart of the filter are meaningless.
         if self._now_on and extras is not None and extras.size:
-            sums = extras.sum(axis=0)
-            self._sums = sums if not self._counted else self._sums + sums
+            self._sums = self._sums + extras.sum(axis=0)
             self._counted += len(extras)
-            self._last_sigmas = extras[-1]
+            self._last = extras[-1]
 
     def add_result(self, values: Mapping[str, str]) -> None:
         """Add the results of a session at its end.
@@ -165,8 +165,8 @@ class Digest:
         Args:
             values: results by name, as text.
         """
-        own = {name.removeprefix(_DEADLINES): value for name, value in values.items() if name.startswith(_DEADLINES)}
-        self.deadlines = {name: float(value) for name, value in own.items()}
+        own = {name: float(value) for name, value in values.items() if name.startswith(_DEADLINES)}
+        self.deadlines = {name.removeprefix(_DEADLINES): value for name, value in own.items()}
 
     def close(self, names: tuple[str, ...]) -> None:
         """Complete the digest at the end of the file.
@@ -174,24 +174,12 @@ class Digest:
         Args:
             names: names of the extras.
         """
-        if self._counted and names:
-            sigmas, means = self._last_sigmas[: len(names)], self._sums[len(names) :] / self._counted
-            self.extras = {
-                name: (float(mean), float(sigma)) for name, mean, sigma in zip(names, means, sigmas, strict=True)
-            }
-        self.memory = resident_memory()
-
-
-def resident_memory() -> float:
-    """Return the resident memory of this process, bytes.
-
-    The result is NaN if the system does not report it.
-    """
-    try:
-        pages = int(Path("/proc/self/statm").read_text(encoding="utf-8").split()[1])
-    except (OSError, ValueError, IndexError):
-        return math.nan
-    return float(pages * os.sysconf("SC_PAGE_SIZE"))
+        if self._counted:
+            means = np.asarray(self._sums)[len(names) :] / self._counted
+            self.extras = dict(zip(names, zip(means.tolist(), self._last.tolist(), strict=False), strict=True))
+        with suppress(OSError, ValueError, IndexError):
+            pages = int(Path("/proc/self/statm").read_text(encoding="utf-8").split()[1])
+            self.memory = float(pages * os.sysconf("SC_PAGE_SIZE"))
 
 
 def digest_of_log(log: RunLog, *, size: int) -> Digest:
@@ -212,24 +200,18 @@ def digest_of_log(log: RunLog, *, size: int) -> Digest:
             f"{log.path} is not a log of a long run; give a folder that `dpcontrol run --hours` made"
         ) from (error)
     digest.limit = 0.0 if log.limits is None else log.limits[0]
-    state, period, done = log.truth if log.truth is not None else log.estimate, 1 / log.rate_hz, 0
-    both = None if log.extras is None else np.concatenate([log.extras.sigmas, log.extras.values], axis=1)
-
-    def take(first: int, until: int) -> None:
-        extras = None
-        if log.extras is not None and both is not None and until > first:
-            span = np.searchsorted(log.extras.time, [log.time[first] - _SOON, log.time[until - 1] + _SOON])
-            extras = both[span[0] : span[1]]
-        rows = slice(first, until)
-        digest.add_ticks(log.time[rows], period, state[rows], log.reference[rows], extras)
-
-    for event in log.events:
-        until = int(np.searchsorted(log.time, event.time - _SOON))
-        take(done, until)
-        digest.add_event(event)
-        done = max(done, until)
-    take(done, len(log.time))
-    digest.close(() if log.extras is None else log.extras.names)
+    state, extras = log.estimate if log.truth is None else log.truth, log.extras
+    places = np.searchsorted(log.time, [*(event.time - _SOON for event in log.events), np.inf])
+    edges = [0, *np.maximum.accumulate(places).tolist()]
+    for (first, until), event in zip(pairwise(edges), [*log.events, None], strict=True):
+        rows, estimated = slice(first, until), None
+        if extras is not None and until > first:
+            span = np.searchsorted(extras.time, [log.time[first] - _SOON, log.time[until - 1] + _SOON])
+            estimated = np.hstack([extras.sigmas[slice(*span)], extras.values[slice(*span)]])
+        digest.add_ticks(log.time[rows], 1 / log.rate_hz, state[rows], log.reference[rows], estimated)
+        if event is not None:
+            digest.add_event(event)
+    digest.close(() if extras is None else extras.names)
     digest.add_result(log.metadata)
     digest.memory, digest.size = math.nan, size
     return digest
@@ -276,10 +258,9 @@ class RollingLog:
     ) -> None:
         self.folder, self.name, self.extras = folder, name, extras
         self._make, self._seconds, self._keep_every, self._begin = make, seconds, keep_every, begin
-        self._period = 1 / rate_hz
+        self._period, self._end = 1 / rate_hz, end
         self._writer: LogWriter | None = None
         self._digest = Digest(number, session, limit=limit)
-        self._end, self._until = end, 0.0
         self._file_ends(begin)
 
     def path(self, number: int, suffix: str = ".mcap") -> Path:
@@ -297,8 +278,7 @@ class RollingLog:
 
     def __exit__(self, *_: object) -> None:
         # An interrupted night also leaves complete files.
-        self._finish(self._writer, self._digest)
-        self._writer = None
+        self._finish()
 
     def ticks(self, time_s: Any, **parts: Array | None) -> None:
         """Log K periods of the loop; see `LogWriter.ticks`.
@@ -316,7 +296,7 @@ class RollingLog:
             rows: dict[str, Any] = {n: None if part is None else part[done:until] for n, part in parts.items()}
             state = rows["estimate"] if rows.get("truth") is None else rows["truth"]
             self._digest.add_ticks(times[done:until], self._period, state, rows["reference"], rows.get("extras"))
-            self._try(lambda writer, span=slice(done, until), own=rows: writer.ticks(times[span], **own))
+            self._attempt(lambda writer, span=slice(done, until), own=rows: writer.ticks(times[span], **own))
             done = until
 
     def event(self, event: Event) -> None:
@@ -329,7 +309,7 @@ class RollingLog:
         if event.time >= self._until - _SOON:
             self._roll(event.time)
         self._digest.add_event(event)
-        self._try(lambda writer: writer.event(event))
+        self._attempt(lambda writer: writer.event(event))
 
     def result(self, **values: str) -> None:
         """Record the results of the run in the last file.
@@ -338,11 +318,10 @@ class RollingLog:
             **values: results by name.
         """
         self._digest.add_result(values)
-        self._try(lambda writer: writer.result(**values))
+        self._attempt(lambda writer: writer.result(**values))
 
     def _roll(self, now: float) -> None:
-        writer, self._writer = self._writer, None
-        self._finish(writer, self._digest)
+        self._finish()
         self._thin(self._digest.number - 1)
         self._digest = self._digest.following(self._digest.number + 1)
         self._file_ends(now)
@@ -357,48 +336,38 @@ class RollingLog:
 
     def _open(self) -> None:
         digest = self._digest
-        path = self.path(digest.number)
         place = {"number": digest.number, "session": digest.session, "on": digest.on}
-        writer = self._make(path, {NIGHT_METADATA: json.dumps(place)})
-        writer.__enter__()
-        self._writer = writer
+        self._writer = self._make(self.path(digest.number), {NIGHT_METADATA: json.dumps(place)}).__enter__()
 
-    def _try(self, write: Callable[[LogWriter], None]) -> None:
+    def _attempt(self, write: Callable[[LogWriter], None]) -> None:
+        """Write to the current file, if there is one; after an error the night continues without it."""
         if self._writer is None:
             return
         try:
             write(self._writer)
-        except InputError as error:
+        except (InputError, OSError) as error:
+            with suppress(InputError, OSError):
+                self._writer.__exit__(type(error), error, None)
+            self._writer = None
             self._lose(error)
 
-    def _lose(self, error: InputError) -> None:
-        """Continue without a log until the next file."""
-        writer, self._writer = self._writer, None
+    def _lose(self, error: Exception) -> None:
         self._digest.loss = str(error)
-        if writer is not None:
-            with suppress(InputError, OSError):
-                writer.__exit__(type(error), error, None)
         until = f"up to {self._until / 60:g} minutes at least" if self._until < math.inf else "to its end"
         remark(f"{error}; the run goes on, without a log {until}")
 
-    def _finish(self, writer: LogWriter | None, digest: Digest) -> None:
-        """Finish a file and write its digest."""
+    def _finish(self) -> None:
+        """Finish the current file and write its digest; a file without ticks is discarded."""
+        digest = self._digest
         path = self.path(digest.number)
-        if writer is not None and not digest.ticks:
-            # A file without ticks is discarded.
-            nothing = InputError(f"{path}: no ticks to log")
-            writer.__exit__(InputError, nothing, None)
-        elif writer is not None:
-            try:
-                writer.__exit__(None, None, None)
-                digest.size = path.stat().st_size
-            except (InputError, OSError) as error:
-                digest.loss = str(error if isinstance(error, InputError) else f"cannot finish {path}: {error}")
-                remark(f"{digest.loss}; the run goes on")
+        nothing = None if digest.ticks else InputError(f"{path}: no ticks to log")
+        self._attempt(lambda writer: writer.__exit__(nothing and InputError, nothing, None))
         digest.close(self.extras)
         if digest.ticks:
+            digest.size = 0 if self._writer is None else path.stat().st_size
             with suppress(InputError):
                 write_whole(self.path(digest.number, ".json"), digest.text())
+        self._writer = None
 
     def _thin(self, number: int) -> None:
         """Delete a file unless it must be kept.

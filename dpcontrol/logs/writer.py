@@ -22,7 +22,6 @@ Source: the URDF specification (joint, mimic, origin).
 """
 
 import json
-import os
 import struct
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -39,7 +38,7 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import checked_target, missing_folders, remove_empty, unwritable
 from dpcontrol.foundation.version import PROGRAM
 from dpcontrol.logs import layout
-from dpcontrol.logs.container import ChunkMessages, McapFile, open_partial, sealed
+from dpcontrol.logs.container import McapFile, open_partial, sealed
 from dpcontrol.logs.layout import Event, TickLayout
 
 WORLD = "world"
@@ -120,28 +119,29 @@ def robot_description(
     # The ghost swings just behind the robot; in one plane the two would flicker.
     depth = 1.5 * _THICKNESS if ghost else 0.0
     frames = link_frames(len(arm_lengths), has_cart=has_cart, prefix=prefix)
-    visuals = _visuals(arm_lengths, reach=reach)
-    if ghost or not has_cart:
-        visuals["base"] = []
-    joints = _joints(arm_lengths, reach=reach, speed=speed, prefix=prefix)
+    visuals = _visuals(arm_lengths, reach=reach, drawn=not ghost and has_cart, has_cart=has_cart)
+    rail = f'<limit lower="{-reach:g}" upper="{reach:g}" velocity="{speed:g}" effort="0"/>'
+    joints = [("prismatic", f'<axis xyz="1 0 0"/>{rail}')] if has_cart else []
+    for i, length in enumerate(arm_lengths, start=1):
+        origin = f'<origin xyz="0 0 {-length:g}" rpy="0 0 0"/>'
+        mimic = f'<mimic joint="{prefix}arm_{i}" multiplier="-1" offset="0"/>'
+        joints += [("continuous", _AXIS), ("continuous", origin + _AXIS + mimic)]
     lines = ['<?xml version="1.0"?>', f'<robot name="{"reference_" if ghost else ""}pendulum">']
     lines += [f'  <material name="{prefix}{part}"><color rgba="{colour}"/></material>' for part, colour in ink.items()]
-    for _, link in frames:
-        lines.append(f'  <link name="{link}">')
-        lines += [
+    for (_, link), shapes in zip(frames, visuals, strict=True):
+        drawn = [
             f'    <visual><origin xyz="{x:g} {y + depth:g} {z:g}" rpy="{turn}"/><geometry>{shape}</geometry>'
             f'<material name="{prefix}{part}"/></visual>'
-            for (shape, turn), (x, y, z), part in visuals[link.removeprefix(prefix)]
+            for (shape, turn), (x, y, z), part in shapes
         ]
-        lines.append("  </link>")
-    for parent, child in frames[1:]:
-        kind, body = joints[child.removeprefix(prefix)]
-        name = child.removesuffix("_link")
+        lines += [f'  <link name="{link}">', *drawn, "  </link>"]
+    for (parent, child), (kind, body) in zip(frames[1:], joints, strict=False):
         ends = f'<parent link="{parent}"/><child link="{child}"/>'
-        lines.append(f'  <joint name="{name}" type="{kind}">{ends}{body}</joint>')
+        lines.append(f'  <joint name="{child.removesuffix("_link")}" type="{kind}">{ends}{body}</joint>')
     return "\n".join([*lines, "</robot>"]) + "\n"
 
 
+_AXIS = '<axis xyz="0 -1 0"/>'
 _Visual = tuple[tuple[str, str], tuple[float, float, float], str]
 """Shape and its turn, place (x, y, z) in m, and the material."""
 
@@ -154,8 +154,8 @@ def _disc(radius: float) -> tuple[str, str]:
     return f'<cylinder radius="{radius:g}" length="{1.4 * _THICKNESS:g}"/>', "1.5707963 0 0"
 
 
-def _visuals(arm_lengths: Sequence[float], *, reach: float) -> dict[str, list[_Visual]]:
-    """Return the shapes of each link."""
+def _visuals(arm_lengths: Sequence[float], *, reach: float, drawn: bool, has_cart: bool) -> list[list[_Visual]]:
+    """Return the shapes of each link, of the track only if it is drawn."""
     wide, stop, hub = 0.06, reach + 0.05, _disc(1.3 * _THICKNESS)
     track: list[_Visual] = [(_box(2 * reach + 0.1, wide, 0.01), (0, 0.06, -0.02), "track")]
     track += [(_box(_THICKNESS, wide, 0.03), (x, 0.06, 0), "track") for x in (-stop, stop)]
@@ -163,43 +163,19 @@ def _visuals(arm_lengths: Sequence[float], *, reach: float) -> dict[str, list[_V
         (_box(0.1, wide, 0.03), (0, 0.06, 0), "cart"),
         (_disc(0.6 * _THICKNESS), (0, 0.02, 0), "cart"),
     ]
-    found = {"base": track, "cart_link": cart}
-    for i, length in enumerate(arm_lengths, start=1):
+    found = [track if drawn else [], *([cart] if has_cart else [])]
+    for i, length in enumerate(arm_lengths):
         # Each arm swings in front of the previous one, as on the rig, so it is drawn in full.
-        y = -1.6 * _THICKNESS * (i - 1)
-        found[f"arm_{i}_link"] = [
-            (_box(1.6 * _THICKNESS, _THICKNESS, length), (0, y, -length / 2), "arm"),
-            (hub, (0, y, 0), "cart"),
-            (hub, (0, y, -length), "tip" if i == len(arm_lengths) else "cart"),
-        ]
-        found[f"elbow_{i}_link"] = []
-    return found
-
-
-def _joints(arm_lengths: Sequence[float], *, reach: float, speed: float, prefix: str) -> dict[str, tuple[str, str]]:
-    """Return type and body of each link's joint to its parent."""
-    axis = '<axis xyz="0 -1 0"/>'
-    limit = f'<limit lower="{-reach:g}" upper="{reach:g}" velocity="{speed:g}" effort="0"/>'
-    found = {"cart_link": ("prismatic", f'<axis xyz="1 0 0"/>{limit}')}
-    for i, length in enumerate(arm_lengths, start=1):
-        origin = f'<origin xyz="0 0 {-length:g}" rpy="0 0 0"/>'
-        mimic = f'<mimic joint="{prefix}arm_{i}" multiplier="-1" offset="0"/>'
-        found[f"arm_{i}_link"] = ("continuous", axis)
-        found[f"elbow_{i}_link"] = ("continuous", origin + axis + mimic)
-    return found
+        y = -1.6 * _THICKNESS * i
+        end = "tip" if i + 1 == len(arm_lengths) else "cart"
+        arm = (_box(1.6 * _THICKNESS, _THICKNESS, length), (0, y, -length / 2), "arm")
+        found += [[arm, (hub, (0, y, 0), "cart"), (hub, (0, y, -length), end)], []]
+    return found[:-1]
 
 
 REFERENCE_PREFIX = "reference/"
 _SECOND = 1_000_000_000
 _HEAD = struct.Struct("<BQHIQQ")
-_STAMP = np.dtype([("sec", "<i4"), ("nanosec", "<u4")])
-_TICK_HEAD = np.dtype(
-    [("sequence", "<u4"), ("log_time", "<u8"), ("publish_time", "<u8"), ("encapsulation", "V4"), *_STAMP.descr]
-)
-"""Bytes that all messages of a tick share, from the record's sequence to the message's stamp."""
-_UNSTAMPED = _TICK_HEAD.fields["encapsulation"][1]  # type: ignore[index]
-"""Length of that part in messages without a stamp."""
-
 Row = NDArray[np.float64]
 
 
@@ -221,39 +197,23 @@ class ChunkEncoder:
     Args:
         tick: layout of the ticks.
         arm_lengths: (n,) in m.
-        rows: greatest number of ticks in a chunk.
     """
 
-    def __init__(self, tick: TickLayout, arm_lengths: Sequence[float], *, rows: int):
+    def __init__(self, tick: TickLayout, arm_lengths: Sequence[float]):
         self.tick = tick
         self._lengths = tuple(arm_lengths)
         self._counts = dict.fromkeys(tick.channels, 0)
-        # The views are created once: for twenty ticks they cost more than copying the data.
-        block = self._block = np.frombuffer(bytearray(tick.block_template * rows), tick.block_type)
-        self._rooms = [
-            (block[topic][field][:, joints], part, columns) for topic, field, joints, part, columns in tick.rooms
-        ]
-        raw, self._heads = block.view(np.uint8).reshape(rows, -1), []
-        for topic, offset in tick.block_offsets.items():
-            first = offset + layout.RECORD_HEADER.fields["sequence"][1]  # type: ignore[index]
-            self._heads.append(raw[:, first : first + (_UNSTAMPED if topic == layout.CONTROL else _TICK_HEAD.itemsize)])
         self._ticks = 0
         prefixes = ("", REFERENCE_PREFIX) if "reference" in tick.parts else ("",)
         frames = [
             frame for prefix in prefixes for frame in link_frames(tick.arms, has_cart=tick.has_cart, prefix=prefix)
         ]
-        message = layout.transforms(frames)
-        self._template = np.frombuffer(message.data, np.uint8)
-        stamp_starts = [message.fields[f"{i}.stamp.sec"][1] for i in range(len(frames))]
-        pose_starts = [message.fields[f"{i}.pose"][1] for i in range(len(frames))]
-        self._stamp_bytes = np.add.outer(stamp_starts, np.arange(_STAMP.itemsize))
-        self._pose_bytes = np.add.outer(pose_starts, np.arange(7 * 8))
+        self._transforms = layout.transforms(frames)
+        self._transforms_type = layout.record_type(self._transforms)
         self._last_due = -1
 
-    def encode(
-        self, times: NDArray[np.int64], rows: Mapping[str, Row], notes: Sequence[Note]
-    ) -> tuple[bytes, list[ChunkMessages]]:
-        """Return the bytes of a chunk and its messages' offsets.
+    def encode(self, times: NDArray[np.int64], rows: Mapping[str, Row], notes: Sequence[Note]) -> bytes:
+        """Return the bytes of a chunk.
 
         Messages are in order of arrival.
 
@@ -262,62 +222,39 @@ class ChunkEncoder:
             rows: (K, width) of the measured positions and of each logged part.
             notes: single messages to insert.
         """
-        count, channels = len(times), self.tick.channels
-        block = self._fill(times, rows)
-        due = self._due(times)
+        block, due = self._fill(times, rows), self._due(times)
         slow = [*self._transform_notes(due, times, rows), *self._extra_notes(due, times, rows)]
-        marks = sorted([*notes, *slow], key=lambda note: note.row)
-        pieces, done, length, before = [], 0, 0, np.zeros(count, np.int64)
-        single: dict[str, list[tuple[int, int]]] = {}
-        for note in marks:
-            if note.row > done:
-                pieces.append(block[done : note.row].tobytes())
-                length += len(pieces[-1])
-                done = note.row
-            record = self._record(note)
-            single.setdefault(note.topic, []).append((note.time_ns, length))
-            pieces.append(record)
-            length += len(record)
-            before[note.row :] += len(record)
-        pieces.append(block[done:].tobytes())
-        places = before + block.itemsize * np.arange(count)
-        messages = [
-            ChunkMessages(channel=channels[topic], times=times, offsets=places + offset)
-            for topic, offset in self.tick.block_offsets.items()
-        ]
-        for topic, entries in single.items():
-            when, offsets = np.array(entries, np.int64).T
-            messages.append(ChunkMessages(channel=channels[topic], times=when, offsets=offsets))
-        return b"".join(pieces), messages
+        pieces, done = [], 0
+        for note in sorted([*notes, *slow], key=lambda note: note.row):
+            pieces += [block[done : note.row].tobytes(), self._record(note)]
+            done = note.row
+        return b"".join([*pieces, block[done:].tobytes()])
 
     def _fill(self, times: NDArray[np.int64], rows: Mapping[str, Row]) -> NDArray:
-        count = len(times)
-        head = np.empty(count, _TICK_HEAD)
-        head["sequence"] = np.arange(self._ticks, self._ticks + count)
-        head["log_time"] = head["publish_time"] = times
-        head["encapsulation"] = layout.ENCAPSULATION
-        head["sec"], head["nanosec"] = np.divmod(times, _SECOND)
+        """Return the messages of ticks: copies of the template with numbers."""
+        tick, count = self.tick, len(times)
+        block = np.frombuffer(bytearray(tick.block_template * count), tick.block_type)
+        seconds, nanoseconds = np.divmod(times, _SECOND)
+        for topic, message in tick.messages.items():
+            records = block[topic]
+            records["sequence"] = np.arange(self._ticks, self._ticks + count)
+            records["log_time"] = records["publish_time"] = times
+            if "stamp.sec" in message.fields:
+                records["stamp.sec"], records["stamp.nanosec"] = seconds, nanoseconds
+        for topic, field, joints, part, columns in tick.rooms:
+            block[topic][field][:, joints] = rows[part][:, columns]
         self._ticks += count
-        raw = head.view(np.uint8).reshape(count, _TICK_HEAD.itemsize)
-        for into in self._heads:
-            into[:count] = raw[:, : into.shape[1]]
-        for into, part, columns in self._rooms:
-            into[:count] = rows[part][:, columns]
-        return self._block[:count]
+        return block
 
     def _robot(self, rows: Mapping[str, Row]) -> Row:
         """Return the states for /tf.
 
         Truth, estimate or measured positions, in that order of preference.
         """
-        for part in ("truth", "estimate"):
-            if part in rows:
-                return rows[part]
         measured, arms = rows["measured"], self.tick.arms
         states = np.zeros((len(measured), self.tick.widths["truth"]))
-        states[:, :arms] = measured[:, :arms]
-        states[:, 2 * arms : 2 * arms + 1] = measured[:, arms:]
-        return states
+        states[:, :arms], states[:, 2 * arms : 2 * arms + 1] = measured[:, :arms], measured[:, arms:]
+        return rows.get("truth", rows.get("estimate", states))
 
     def _due(self, times: NDArray[np.int64]) -> list[int]:
         """Return the rows at which messages of the slow rate are due."""
@@ -327,7 +264,7 @@ class ChunkEncoder:
         return chosen
 
     def _extra_notes(self, chosen: list[int], times: NDArray[np.int64], rows: Mapping[str, Row]) -> list[Note]:
-        if not self.tick.extras:
+        if "extras" not in rows:
             return []
         numbers = rows["extras"].astype("<f8", copy=False)
         return [
@@ -344,14 +281,14 @@ class ChunkEncoder:
             return []
         states = states.reshape(len(chosen) * len(robots), -1)
         poses = link_poses(states, arm_lengths=self._lengths, has_cart=self.tick.has_cart)
-        stamps = np.empty(len(chosen), _STAMP)
-        stamps["sec"], stamps["nanosec"] = np.divmod(times[chosen], _SECOND)
-        # All stamps and poses are written byte by byte in one step; thirty single columns cost more than the rest.
-        records = np.tile(self._template, (len(chosen), 1))
-        records[:, self._stamp_bytes] = stamps.view(np.uint8).reshape(len(chosen), 1, _STAMP.itemsize)
-        records[:, self._pose_bytes] = poses.view(np.uint8).reshape(len(chosen), *self._pose_bytes.shape)
+        seconds, nanoseconds = np.divmod(times[chosen], _SECOND)
+        template = bytes(layout.RECORD_HEADER.itemsize) + self._transforms.data
+        records = np.frombuffer(bytearray(template * len(chosen)), self._transforms_type)
+        for i, pose in enumerate(poses.reshape(len(chosen), -1, 7).swapaxes(0, 1)):
+            records[f"{i}.stamp.sec"], records[f"{i}.stamp.nanosec"] = seconds, nanoseconds
+            records[f"{i}.pose"] = pose
         return [
-            Note(row, layout.TRANSFORMS, time, record.tobytes())
+            Note(row, layout.TRANSFORMS, time, record.tobytes()[layout.RECORD_HEADER.itemsize :])
             for row, time, record in zip(chosen, times[chosen].tolist(), records, strict=True)
         ]
 
@@ -371,69 +308,6 @@ def slow_numbers(times: NDArray[np.int64]) -> NDArray[np.int64]:
         times: times (K,), ns.
     """
     return np.floor(times * (layout.SLOW_RATE / _SECOND) + 1e-6).astype(np.int64)
-
-
-class TickBuffer:
-    """Room for `size` ticks of a layout with all parts.
-
-    The first tick decides which parts a log has.
-    """
-
-    def __init__(self, tick: TickLayout, *, size: int) -> None:
-        self.size, self.filled, self.last = size, 0, 0.0
-        self.parts: frozenset[str] | None = None
-        self._time = np.zeros(size)
-        self._rooms = {name: np.zeros((size, width)) for name, width in tick.widths.items()}
-
-    def checked(self, times: Row, given: Mapping[str, Row | None]) -> dict[str, Row]:
-        """Return the given rows (K, …) of `measured` and parts, by name.
-
-        Args:
-            times: times (K,), s.
-            given: rows (K, …) by name, None for missing parts.
-
-        Raises:
-            ValueError: rows of another shape, decreasing times, or a part in some ticks only.
-        """
-        rows = {name: values for name, values in given.items() if values is not None}
-        for name, values in rows.items():
-            expected = (len(times), self._rooms[name].shape[1])
-            if np.shape(values) != expected:
-                raise ValueError(f"{name}: expected rows of shape {expected}, got {np.shape(values)}")
-        if len(times) and not (times[0] >= self.last and (np.diff(times) >= 0).all()):
-            raise ValueError("the times of ticks must not decrease")
-        parts = frozenset(rows) - {"measured", "extras"}
-        if self.parts is not None and parts != self.parts:
-            names = (part for part in layout.PARTS if part in parts ^ self.parts)
-            raise ValueError(f"{', '.join(names)} must be given in every tick of a run or in none")
-        self.parts = parts
-        return rows
-
-    def put(self, times: Row, rows: Mapping[str, Row], *, since: int) -> int:
-        """Copy as many rows as fit; return their number.
-
-        Args:
-            times: times (K,), s.
-            rows: rows (K, …) by name.
-            since: first row to copy.
-        """
-        count = min(self.size - self.filled, len(times) - since)
-        into, taken = slice(self.filled, self.filled + count), slice(since, since + count)
-        self._time[into] = times[taken]
-        for name, values in rows.items():
-            self._rooms[name][into] = values[taken]
-        self.filled += count
-        self.last = float(times[since + count - 1])
-        return count
-
-    def ticks(self) -> tuple[NDArray[np.int64], dict[str, Row]]:
-        """Return the times (K,) in ns and the rows of the parts.
-
-        Both are views, valid until the next tick.
-        """
-        names = {"measured", *({"extras"} & self._rooms.keys())} | (self.parts or frozenset())
-        times = np.rint(self._time[: self.filled] * 1e9).astype(np.int64)
-        return times, {name: self._rooms[name][: self.filled] for name in names}
 
 
 CHUNK_SECONDS = 0.02
@@ -479,18 +353,19 @@ class LogWriter:
         self._metadata = sealed(layout.RUN_RECORD, dict(metadata or {}))
         self._attachments = dict(attachments or {})
         self._rate = float(rate_hz)
-        if not self._lengths or not self._rate > 0:
-            raise ValueError(f"a log needs arms and a positive rate; got {len(self._lengths)} arms at {rate_hz} Hz")
         self.extras = tuple(extras)
         tick = TickLayout(len(self._lengths), has_cart, frozenset(layout.PARTS), self.extras)
-        self._buffer = TickBuffer(tick, size=max(1, round(CHUNK_SECONDS * self._rate)))
+        self._size, self._filled, self._last = max(1, round(CHUNK_SECONDS * self._rate)), 0, 0.0
+        # The first tick decides which of these parts the log has.
+        self._parts: frozenset[str] | None = None
+        self._rooms = {name: np.zeros((self._size, width)) for name, width in tick.widths.items()}
+        self._times = np.zeros(self._size)
         self._ticks = 0
         self._notes: list[Note] = []
         self._result: dict[str, str] = {}
         self._encoder: ChunkEncoder | None = None
         self._file: McapFile | None = None
         self._stream: FileIO | None = None
-        self._torn = False
         self._made: list[Path] = []
 
     def __enter__(self) -> "LogWriter":
@@ -504,61 +379,55 @@ class LogWriter:
             for name, data in self._attachments.items():
                 self._file.add_attachment(name, data)
         except OSError as error:
-            if self._stream is not None:
-                # The file is still empty.
-                self._stream.close()
-                self.partial.unlink(missing_ok=True)
-                self._stream = self._file = None
-            remove_empty(self._made)
+            self._discard()
             raise unwritable(self.path, error) from error
         return self
+
+    def _discard(self) -> None:
+        """Remove a file without ticks, and the folders made for it."""
+        if self._stream is not None:
+            self._stream.close()
+            self.partial.unlink(missing_ok=True)
+        remove_empty(self._made)
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self._stream is None or self._file is None:
+        if self._file is None:
             return
         try:
             if error is None:
-                self._finish(self._file, self._stream)
+                self._finish(self._file)
             else:
                 self._give_up(error)
         except OSError as failure:
             raise unwritable(self.path, failure) from failure
         finally:
-            self._stream.close()
-            self._stream = self._file = None
+            self._file.stream.close()
+            self._file = None
 
-    def _finish(self, file: McapFile, stream: FileIO) -> None:
+    def _finish(self, file: McapFile) -> None:
         if self._encoder is None:
             self._encoder = self._prepare(file)
         self._write_chunk()
         values = {**self._result, layout.TICKS: str(self._ticks)}
         file.add_metadata(layout.RESULT_RECORD, sealed(layout.RESULT_RECORD, values))
         file.finish()
-        os.fsync(stream.fileno())
-        stream.close()
         self.partial.replace(self.path)
 
     def _give_up(self, error: BaseException) -> None:
-        """Keep the written part and note its path.
-
-        No chunk follows one that was cut short.
-        """
-        if self._encoder is None and not self._buffer.filled:
+        """Keep the written part and note its path."""
+        if self._encoder is None and not self._filled:
             # A run that failed before its first tick leaves nothing to keep.
-            self.partial.unlink(missing_ok=True)
-            remove_empty(self._made)
+            self._discard()
             return
-        if not self._torn:
-            # If this also fails, the current exception already reports the first error.
-            with suppress(InputError):
-                self._write_chunk()
-        if self.partial.exists():
-            error.add_note(
-                f"{self.partial} keeps the run up to {self._buffer.last:.3f} s at most; "
-                f"`dpcontrol recover {self.partial}` makes a log of it"
-            )
+        # If this also fails, the current exception already reports the first error.
+        with suppress(InputError):
+            self._write_chunk()
+        error.add_note(
+            f"{self.partial} keeps the run up to {self._last:.3f} s at most; "
+            f"`dpcontrol recover {self.partial}` makes a log of it"
+        )
 
     def ticks(
         self,
@@ -591,17 +460,24 @@ class LogWriter:
             InputError: the file cannot be written.
         """
         times = np.asarray(time_s, float)
-        if (extras is None) == bool(self.extras):
-            raise ValueError(f"extras: the log was opened for {list(self.extras)}, and every tick has them or none")
-        rows = self._buffer.checked(
-            times,
-            {"measured": measured, "rates": rates, "estimate": estimate, "reference": reference, "truth": truth,
-             "control": control, "extras": extras},
-        )  # fmt: skip
-        done = 0
+        given = {
+            "measured": measured, "rates": rates, "estimate": estimate, "reference": reference, "truth": truth,
+            "control": control, "extras": extras,
+        }  # fmt: skip
+        rows = {name: values for name, values in given.items() if values is not None}
+        if (np.diff(times, prepend=self._last) < 0).any():
+            raise ValueError("the times of ticks must not decrease")
+        if self._parts is not None and self._parts != rows.keys():
+            raise ValueError(f"{', '.join(self._parts ^ rows.keys())} must be given in every tick of a run or in none")
+        self._parts, done = frozenset(rows), 0
         while done < len(times):
-            done += self._buffer.put(times, rows, since=done)
-            if self._buffer.filled == self._buffer.size:
+            count = min(self._size - self._filled, len(times) - done)
+            into, taken = slice(self._filled, self._filled + count), slice(done, done + count)
+            self._times[into] = times[taken]
+            for name, values in rows.items():
+                self._rooms[name][into] = values[taken]
+            self._filled, self._last, done = self._filled + count, float(times[done + count - 1]), done + count
+            if self._filled == self._size:
                 self._write_chunk()
 
     def result(self, **values: str) -> None:
@@ -620,13 +496,12 @@ class LogWriter:
         Args:
             event: the event.
         """
-        if event.level not in layout.LEVELS:
-            raise ValueError(f"event level {event.level!r}: must be one of {', '.join(layout.LEVELS)}")
-        self._notes.append(Note(self._buffer.filled, layout.EVENTS, round(event.time * 1e9), layout.log(event)))
+        self._notes.append(Note(self._filled, layout.EVENTS, round(event.time * 1e9), layout.log(event)))
 
     def _prepare(self, file: McapFile) -> ChunkEncoder:
         # This waits for the first chunk, because the contents of a tick are unknown before.
-        tick = TickLayout(len(self._lengths), self._has_cart, self._buffer.parts or frozenset(), self.extras)
+        parts = (self._parts or frozenset()) & set(layout.PARTS)
+        tick = TickLayout(len(self._lengths), self._has_cart, parts, self.extras)
         described = {
             "format": layout.FORMAT,
             "arm_lengths": " ".join(repr(length) for length in self._lengths),
@@ -639,9 +514,8 @@ class LogWriter:
             **({layout.EXTRAS_KEY: " ".join(tick.extras)} if tick.extras else {}),
         }
         file.add_metadata(layout.LAYOUT_RECORD, sealed(layout.LAYOUT_RECORD, described))
-        file.add_channels(tick.schemas, latched=layout.LATCHED)
-        times, _ = self._buffer.ticks()
-        first = int(times[0]) if len(times) else 0
+        file.add_channels(tick)
+        first = round(self._times[0] * 1e9)
         for topic in (topic for topic in tick.channels if topic in layout.LATCHED):
             ghost = topic == layout.GHOST
             prefix = REFERENCE_PREFIX if ghost else ""
@@ -649,22 +523,22 @@ class LogWriter:
                 self._lengths, has_cart=tick.has_cart, limits=self._limits, prefix=prefix, ghost=ghost
             )
             self._notes.insert(0, Note(0, topic, first, layout.string(text)))
-        return ChunkEncoder(tick, self._lengths, rows=self._buffer.size)
+        return ChunkEncoder(tick, self._lengths)
 
     def _write_chunk(self) -> None:
         if self._file is None:
             raise ValueError(f"the log {self.path} is not open: use LogWriter in a with statement")
-        count = self._buffer.filled
+        count = self._filled
         if not count and not self._notes:
             return
-        self._torn = True
+        times = np.rint(self._times[:count] * 1e9).astype(np.int64)
+        rows = {name: self._rooms[name][:count] for name in self._parts or {"measured"}}
         try:
             if self._encoder is None:
                 self._encoder = self._prepare(self._file)
-            self._file.add_chunk(*self._encoder.encode(*self._buffer.ticks(), self._notes))
+            self._file.add_chunk(self._encoder.encode(times, rows, self._notes))
         except OSError as error:
             raise unwritable(self.path, error) from error
         self._notes.clear()
         self._ticks += count
-        self._buffer.filled = 0
-        self._torn = False
+        self._filled = 0

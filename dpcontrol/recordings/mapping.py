@@ -11,7 +11,8 @@ of a table without a header have their numbers, from 1.
 """
 
 from collections import Counter
-from dataclasses import MISSING, dataclass
+from collections.abc import Collection
+from dataclasses import MISSING, dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -29,9 +30,17 @@ RATE_UNITS = {"rad/s": 1.0, "deg/s": np.pi / 180, "turns/s": 2 * np.pi, "rpm": n
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 LENGTH_UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}
 ZEROS = {"hanging": 0.0, "upright": np.pi}
-_LARGEST_ZERO = 100.0
 NAMED = BeforeValidator(lambda value: str(value) if type(value) is int else value)
 """Conversion of a column's number, in a table without a header, to its name."""
+
+
+def _listed(value: Any) -> tuple[Any, ...]:
+    """Return one value for all arms, or one for each, as numbers."""
+    values = value if isinstance(value, list | tuple) else [value]
+    return tuple(ZEROS.get(one, one) if isinstance(one, str) else one for one in values)
+
+
+LISTED = BeforeValidator(_listed)
 
 
 @dataclass(frozen=True)
@@ -69,45 +78,19 @@ class _Angles(Settings, table="angles"):
 
     columns: Annotated[tuple[Annotated[str, NAMED], ...], Setting(help="Columns of the angles.")] = ()
     unit: Annotated[str, Setting(choices=tuple(ANGLE_UNITS), help="Unit of the angles.")] = "rad"
-    counts_per_turn: Annotated[
-        int | tuple[int, ...] | None, Setting(least=1, help="Counts of an encoder in a turn.")
-    ] = None
-    sign: Annotated[float | tuple[float, ...], Setting(help="1 for counter-clockwise, -1 for clockwise.")] = 1.0
+    counts_per_turn: Annotated[tuple[int, ...], LISTED, Setting(least=1, help="Counts of an encoder in a turn.")] = ()
+    sign: Annotated[tuple[float, ...], LISTED, Setting(help="1 for counter-clockwise, -1 for clockwise.")] = (1.0,)
     zero: Annotated[
-        Any, Setting(unit="rad", help='Readings of hanging arms; "hanging" for 0, "upright" for half a turn.')
-    ] = "hanging"
+        tuple[float, ...],
+        LISTED,
+        Setting(least=-100, most=100, unit="rad", help='Readings of hanging arms; "hanging" for 0, "upright" for π.'),
+    ] = (0.0,)
     relative: Annotated[bool, Setting(help="Whether each angle counts from the next inner arm.")] = False
 
-    def _check_together(self) -> None:
-        if any(abs(one) != 1 for one in self.signs):
-            raise self.refusal("sign", "must be 1, counter-clockwise, or -1, clockwise")
-        for one in self.zeros:
-            if isinstance(one, bool) or not isinstance(one, int | float) or not abs(one) <= _LARGEST_ZERO:
-                raise self.refusal("zero", "must be 'hanging', 'upright' or an angle in rad, or a list of these")
-        for key, values in self.by_arm.items():
-            if len(values) not in ({1, len(self.columns)} if self.columns else range(1, 100)):
-                raise self.refusal(key, f"give one value, or one for each of {len(self.columns)} angles")
-
     @property
-    def by_arm(self) -> dict[str, tuple[Any, ...]]:
-        """Values of the keys that can be lists."""
-        return {"counts_per_turn": self.counts, "sign": self.signs, "zero": self.zeros}
-
-    @property
-    def counts(self) -> tuple[int, ...]:
-        """Counts in a turn, for all arms or for each."""
-        return self.counts_per_turn if isinstance(self.counts_per_turn, tuple) else (self.counts_per_turn or 1,)
-
-    @property
-    def signs(self) -> tuple[float, ...]:
-        """Signs, one for all arms or one for each."""
-        return self.sign if isinstance(self.sign, tuple) else (self.sign,)
-
-    @property
-    def zeros(self) -> tuple[Any, ...]:
-        """Readings of hanging arms, rad, one for all or one for each."""
-        given = self.zero if isinstance(self.zero, list | tuple) else [self.zero]
-        return tuple(ZEROS.get(one) if isinstance(one, str) else one for one in given)
+    def by_arm(self) -> dict[str, tuple[float, ...]]:
+        """Values for all arms, or for each, by key."""
+        return {"counts_per_turn": self.counts_per_turn or (1,), "sign": self.sign, "zero": self.zero}
 
 
 @dataclass(frozen=True)
@@ -127,8 +110,10 @@ class _Cart(Settings, table="cart"):
     command: Annotated[str, NAMED, Setting(help="Column of the commanded acceleration, m/s².")] = ""
 
 
-_LENGTHS = Setting(above=0, most=100, unit="m", help="Lengths of the arms, for pictures.")
 _TABLES = {"time": _Time, "sampling": _Sampling, "cells": _Cells, "angles": _Angles, "rates": _Rates, "cart": _Cart}
+
+
+_LENGTHS = Setting(above=0, most=100, unit="m", help="Lengths of the arms, for pictures.")
 _FILE = Table(
     {
         "arm_lengths": Leaf("arm_lengths", Annotated[tuple[float, ...], _LENGTHS], MISSING),
@@ -162,6 +147,19 @@ class Mapping:
         """Time between samples, s; 0 if not given."""
         return self.sampling.period or (1 / self.sampling.rate if self.sampling.rate else 0.0)
 
+    def restricted(self, columns: Collection[str]) -> "Mapping":
+        """Return the mapping of these columns only.
+
+        Args:
+            columns: names of columns.
+        """
+        angles, rates = (
+            replace(table, columns=tuple(name for name in table.columns if name in columns))
+            for table in (self.angles, self.rates)
+        )
+        cart = self.cart if self.cart.position in columns else replace(self.cart, position="")
+        return replace(self, angles=angles, rates=rates, cart=cart)
+
     def absolute_angles(self, values: Array) -> Array:
         """Return absolute angles (K, n), rad, of file values.
 
@@ -170,7 +168,7 @@ class Mapping:
         Args:
             values: values (K, n) in the file's unit and directions.
         """
-        return self._turned(values, ANGLE_UNITS[self.angles.unit], self.angles.zeros)
+        return self._turned(values, ANGLE_UNITS[self.angles.unit], self.angles.zero)
 
     def absolute_rates(self, values: Array) -> Array:
         """Return absolute rates (K, n), rad/s, of file values.
@@ -181,9 +179,8 @@ class Mapping:
         return self._turned(values, RATE_UNITS[self.rates.unit], (0.0,))
 
     def _turned(self, values: Array, unit: float, zeros: tuple[float, ...]) -> Array:
-        n = values.shape[1]
-        scale = unit or 2 * np.pi / _each(self.angles.counts, n)
-        turned = (values * scale - _each(zeros, n)) * _each(self.angles.signs, n)
+        scale = unit or 2 * np.pi / np.array(self.angles.counts_per_turn)
+        turned = (values * scale - np.array(zeros)) * np.array(self.angles.sign)
         return np.cumsum(turned, axis=1) if self.angles.relative else turned
 
     def lengths(self, arms: int) -> tuple[float, ...]:
@@ -194,12 +191,7 @@ class Mapping:
         Args:
             arms: number of arms.
         """
-        given = self.arm_lengths[:arms]
-        return given + (self.arm_lengths[-1],) * (arms - len(given))
-
-
-def _each(values: tuple[float, ...], arms: int) -> Array:
-    return np.full(arms, values[0]) if len(values) == 1 else np.array(values[:arms])
+        return (*self.arm_lengths, *arms * self.arm_lengths[-1:])[:arms]
 
 
 def load_mapping(name: str) -> Mapping:
@@ -222,32 +214,37 @@ def load_mapping(name: str) -> Mapping:
     top = Place(str(path))
     found = _FILE.read(read_toml(path)[0], top)
     found.pop("title", None)
-    if not found["arm_lengths"]:
-        raise top.error("arm_lengths", [], "give the length of each arm, m")
     mapping = Mapping(path.stem, **{name: kind() for name, kind in _TABLES.items()} | found)
-    _check(mapping, top)
+    for complaint, wrong in _rules(mapping).items():
+        if wrong:
+            raise InputError(f"{top} {complaint}")
     return mapping
 
 
-def _check(mapping: Mapping, top: Place) -> None:
-    """Reject tables that do not fit together.
-
-    Raises:
-        InputError: names file, table and key.
-    """
+def _rules(mapping: Mapping) -> dict[str, bool]:
+    """Return whether tables break the rules by which they fit together, by complaint."""
     columns, rates, cells = mapping.angles.columns, mapping.rates.columns, mapping.cells
-    if not cells.states and not columns:
-        raise InputError(f"{top} [angles] columns = []: name one column for each arm, inner arm first")
-    if cells.states and (columns or rates or mapping.cart.position or mapping.cart.command):
-        raise InputError(f"{top} [cells] states: rows of cells replace all columns of a recording; name no others")
-    if len(cells.time) not in (0, len(cells.states)):
-        raise InputError(f"{top} [cells] time = {list(cells.time)}: give one name for each of `states`, or none")
-    if rates and len(rates) != len(columns):
-        raise InputError(f"{top} [rates] columns: {len(rates)} rates for {len(columns)} angles; give as many")
-    for name, times in Counter(mapping.named).items():
-        if times > 1:
-            raise InputError(f"{top} [angles] columns: {name!r} is named twice; a column has one meaning")
-    if not (mapping.time.column or cells.time or mapping.period or mapping.sampling.variable):
-        raise InputError(f"{top} neither [time] column nor [sampling] period is given; give one of them")
-    if "counts" in (mapping.angles.unit, *mapping.rates.unit.split("/")) and mapping.angles.counts_per_turn is None:
-        raise InputError(f"{top} [angles] a unit is counts but counts_per_turn is missing; add it")
+    twice = [name for name, times in Counter(mapping.named).items() if times > 1]
+    clocks = (mapping.time.column, cells.time, mapping.period, mapping.sampling.variable)
+    unequal = [
+        key for key, values in mapping.angles.by_arm.items() if len(values) not in (1, len(columns) or len(values))
+    ]
+    counted = "counts" in (mapping.angles.unit, *mapping.rates.unit.split("/"))
+    return {
+        "[angles] columns = []: name one column for each arm, inner arm first": not cells.states and not columns,
+        "[cells] states: rows of cells replace all columns of a recording; name no others": bool(cells.states)
+        and bool(columns or rates or mapping.cart.position or mapping.cart.command),
+        "arm_lengths = []: give the length of each arm, m": not mapping.arm_lengths,
+        "[angles] sign: must be 1, counter-clockwise, or -1, clockwise": any(
+            abs(one) != 1 for one in mapping.angles.sign
+        ),
+        f"[angles] {', '.join(unequal)}: give one value, or one for each of {len(columns)} angles": bool(unequal),
+        f"[cells] time = {list(cells.time)}: give one name for each of `states`, or none": len(cells.time)
+        not in (0, len(cells.states)),
+        f"[rates] columns: {len(rates)} rates for {len(columns)} angles; give as many": len(rates)
+        not in (0, len(columns)),
+        f"[angles] columns: {twice} is named twice; a column has one meaning": bool(twice),
+        "neither [time] column nor [sampling] period is given; give one of them": not any(clocks),
+        "[angles] a unit is counts but counts_per_turn is missing; add it": counted
+        and not mapping.angles.counts_per_turn,
+    }

@@ -325,27 +325,24 @@ def recording_of(log: RunLog) -> Recording:
     Raises:
         InputError: segments and samples of the log do not match.
     """
-    n, k = len(log.arm_lengths), len(log.time)
-    if (back := np.flatnonzero(np.diff(log.time) < 0)).size:
+    n, steps, period = len(log.arm_lengths), np.diff(log.time), 1 / log.rate_hz
+    if (back := np.flatnonzero(steps < 0)).size:
         raise InputError(
             f"{log.path}: its time runs backward after {log.time[back[0]]:.3f} s; record it again, or import the "
             "original with `--repair time`"
         )
-    metadata, segments = {"title": log.path.stem, "source": log.path.name}, ((0, k),)
-    command = log.controls.get("applied")
-    if log.metadata.get("kind") in (KIND, REPLAYED):
-        metadata, segments = {"title": log.path.stem, "source": "", **log.metadata}, log.segments
+    is_recording = log.metadata.get("kind") in (KIND, REPLAYED)
+    metadata = {"title": log.path.stem, "source": "" if is_recording else log.path.name}
+    segments, command = ((0, len(log.time)),), log.controls.get("applied")
+    if is_recording:
+        segments, metadata = log.segments, {**metadata, **log.metadata}
         command = log.controls.get("command") if metadata.get("command") else None
-    if not segments:
-        raise InputError(f"{log.path}: its segments do not fit its {k} samples; import the recording again")
-    period = _period(log)
-    for first, end in segments:
-        span, steps = log.time[end - 1] - log.time[first], end - 1 - first
-        if not 0 < period < np.inf or not 0.5 <= (span + period) / ((steps + 1) * period) <= 2:
-            raise InputError(
-                f"{log.path}: its {end - first} samples from {log.time[first]:.6g} s on take {span:.6g} s, but their "
-                f"nominal period is {period:g} s; import the recording again"
-            )
+    means = [float(np.mean(steps[first : end - 1])) / period for first, end in segments if end - first > 1]
+    if not segments or any(not 0.5 <= mean <= 2 for mean in means):
+        raise InputError(
+            f"{log.path}: its segments do not fit its {len(log.time)} samples, or these have not the nominal period of "
+            f"{period:g} s; import the recording again"
+        )
     return Recording(
         name=metadata["title"],
         source=metadata["source"],
@@ -359,13 +356,6 @@ def recording_of(log: RunLog) -> Recording:
         command=command,
         notes=tuple(log.metadata.get("notes", "").splitlines()),
     )
-
-
-def _period(log: RunLog) -> float:
-    try:
-        return float(log.metadata["sampling_period"])
-    except (KeyError, ValueError):
-        return 1 / log.rate_hz
 
 
 STILL = 1e-3
@@ -423,8 +413,8 @@ def cart_motion(part: Recording) -> CartMotion | None:
     return CartMotion(position, velocity, acceleration, False)
 
 
-def smoothed_derivative(values: Array, period: float, order: int = 1) -> Array:
-    """Return the derivative of samples (K, …) by cubics through 20 ms.
+def smoothed_derivative(values: Array, period: float, order: int = 1, *, window: float = _SMOOTHED) -> Array:
+    """Return the derivative of samples (K, …) by cubics through a window.
 
     The derivative is zero for fewer than five samples.
 
@@ -432,11 +422,12 @@ def smoothed_derivative(values: Array, period: float, order: int = 1) -> Array:
         values: samples (K, …).
         period: sampling period, s.
         order: order of the derivative, default 1.
+        window: length of the window, s.
     """
     # The import is slow, and models not derived from recordings do not need it.
     from scipy.signal import savgol_filter
 
-    width = min(max(round(_SMOOTHED / period) | 1, 5), (len(values) - 1) | 1)
+    width = min(max(round(window / period) | 1, 5), (len(values) - 1) | 1)
     if width < 5:
         return np.zeros_like(values)
     return np.asarray(savgol_filter(values, width, 3, deriv=order, delta=period, axis=0), dtype=np.float64)
@@ -493,12 +484,7 @@ def random_swings(arms: ArmChainParameters, *, swings: int, seconds: float, seed
         seconds: duration of each swing, s.
         seed: seed of the random numbers.
         name: name of the recording.
-
-    Raises:
-        InputError: the seed is negative.
     """
-    if seed < 0:
-        raise InputError(f"seed = {seed}: must be zero or positive")
     random = np.random.default_rng(seed)
     zeros = random.uniform(-_ZEROS, _ZEROS, arms.count)
     starts = list(random.uniform(-_REACH, _REACH, (swings, arms.count)))

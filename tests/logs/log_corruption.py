@@ -1,7 +1,5 @@
 """Damage to a log's bytes, drawn from a seed: what disks, copies and people do to files."""
 
-from collections.abc import Iterator
-
 import numpy as np
 from mcap.opcode import Opcode
 
@@ -17,17 +15,11 @@ def records(data: bytes) -> list[tuple[int, int, int]]:
     return found
 
 
-def corruptions(data: bytes, *, count: int, seed: int) -> Iterator[tuple[str, bytes]]:
-    """Yield `count` damaged copies of a whole file, with the kind of the damage; kinds take turns."""
+def damaged(data: bytes, kind: str, seed: int) -> bytes:
+    """Return a damaged copy of a whole file."""
     rng = np.random.default_rng(seed)
     chunks = [(a, b) for opcode, a, b in records(data) if opcode == Opcode.CHUNK]
     closing = next(a for opcode, a, _ in records(data) if opcode == Opcode.DATA_END)
-    for k in range(count):
-        kind = KINDS[k % len(KINDS)]
-        yield kind, _damaged(data, kind, rng, chunks=chunks, closing=closing)
-
-
-def _damaged(data: bytes, kind: str, rng: np.random.Generator, *, chunks: list[tuple[int, int]], closing: int) -> bytes:
     changed = bytearray(data)
     place = int(rng.integers(len(data)))
     span = int(min(2 ** rng.uniform(0, 13), len(data) - place))

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
-from log_corruption import KINDS, corruptions
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs import Recovery, RunLog, read_log, recover
@@ -57,28 +56,23 @@ def is_honest(done: Recovery, found: RunLog, log: RunLog) -> None:
         is_same(found, log)
 
 
-def endure(whole: RunLog, folder: Path, *, count: int, seed: int) -> dict[str, list[str]]:
-    """Read and recover damaged copies; return for each kind of damage how they ended."""
-    ends: dict[str, list[str]] = {kind: [] for kind in KINDS}
+def endure(whole: RunLog, folder: Path, data: bytes) -> str:
+    """Read and recover a damaged copy of a log; return how it ended."""
     bad, out = folder / "bad.mcap", folder / "out.mcap"
-    for kind, data in corruptions(whole.path.read_bytes(), count=count, seed=seed):
-        bad.write_bytes(data)
-        as_read = tried(read_log, bad)
-        if as_read is not None:
-            is_same(as_read, whole)
-            ends[kind].append("harmless")
-            continue
-        done = tried(lambda path: recover(path, out), bad)
-        if done is None:
-            assert not out.exists()
-            ends[kind].append("refused")
-            continue
-        found = read_log(out)
-        is_part_of(found, whole)
-        is_honest(done, found, whole)
-        ends[kind].append("partly" if done.lost else "wholly")
-        out.unlink()
-    return ends
+    bad.write_bytes(data)
+    out.unlink(missing_ok=True)
+    as_read = tried(read_log, bad)
+    if as_read is not None:
+        is_same(as_read, whole)
+        return "harmless"
+    done = tried(lambda path: recover(path, out), bad)
+    if done is None:
+        assert not out.exists()
+        return "refused"
+    found = read_log(out)
+    is_part_of(found, whole)
+    is_honest(done, found, whole)
+    return "partly" if done.lost else "wholly"
 
 
 def tried(function: Callable[[Path], Result], path: Path) -> Result | None:

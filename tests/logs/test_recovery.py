@@ -5,15 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from log_corruption import records
-from log_endurance import endure, is_part_of
+from log_endurance import is_part_of
 from log_samples import ATTACHMENTS, METADATA, RATE, sample, write_sample
 from mcap.opcode import Opcode
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs import RunLog, read_log, recover
 
-COUNT = 156
-SEED = 8
 TICKS = 250
 CHUNK = 20
 """Ticks in a chunk at 1 kHz: what a damaged byte may cost."""
@@ -22,15 +20,6 @@ CHUNK = 20
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> RunLog:
     return read_log(write_sample(tmp_path_factory.mktemp("logs") / "run.mcap", sample(TICKS)))
-
-
-@pytest.mark.slow
-def test_damage_is_always_detected_and_recovered_data_were_written(whole: RunLog, tmp_path: Path) -> None:
-    ends = endure(whole, tmp_path, count=COUNT, seed=SEED)
-    for kind in ("swap", "repeat", "index", "tail", "joined"):
-        assert set(ends[kind]) <= {"wholly", "harmless"}, kind
-    for kind in ("flip", "zeros", "missing", "foreign"):
-        assert ends[kind].count("refused") <= len(ends[kind]) // 3, kind
 
 
 def test_a_flipped_bit_costs_one_chunk_at_most(whole: RunLog, tmp_path: Path) -> None:
@@ -78,7 +67,7 @@ def test_a_recovered_log_can_be_recovered_again_and_keeps_its_losses(whole: RunL
     (tmp_path / "cut.mcap").write_bytes(again[: int(0.8 * len(again))])
     second = recover(tmp_path / "cut.mcap")
     assert first.lost in second.lost
-    assert "everything after" in second.lost
+    assert second.ticks + second.ticks_lost == TICKS
     is_part_of(read_log(second.log), whole)
 
 

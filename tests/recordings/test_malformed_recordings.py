@@ -11,11 +11,13 @@ import pyarrow.parquet as pq
 import pytest
 from bench_recordings import rig_variables, table_columns, write_csv, write_mat
 from command_line import dpcontrol
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.recordings.importing import import_recording
 
-SEEDS = 2
+EXAMPLES = 60
 LONGEST = 600  # characters of a sentence, the file's path left out: what fits a terminal's few lines
 Random = np.random.Generator
 Maker = Callable[[Path, Random], Path]
@@ -83,6 +85,8 @@ MAKERS: dict[str, Maker] = {
     "garbage for MATLAB 5": garbage(".mat", b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM"),
     "garbage for HDF5": garbage(".mat", b"MATLAB 7.3 MAT-file".ljust(512) + b"\x89HDF\r\n\x1a\n"),
     "garbage for a table": garbage(".csv"),
+    "garbage for a bag": garbage(".bag", b"#ROSBAG V2.0\n"),
+    "garbage for MCAP": garbage(".mcap", b"\x89MCAP0\r\n"),
     "huge": huge,
     "transposed": cell("Y_id", lambda values, _: values.T),
     "rates first": cell("Y_id", lambda values, _: values[[2, 3, 0, 1]]),
@@ -95,6 +99,7 @@ MAKERS: dict[str, Maker] = {
     "an empty cell": table(lambda columns, random: columns["angle_1"].__setitem__(int(random.integers(300)), "")),
     "columns swapped": table(lambda columns, _: columns.update(time=columns["angle_1"], angle_1=columns["time"])),
     "a column renamed": table(lambda columns, _: columns.update({"angle_x": columns.pop("angle_1")})),
+    "no rows": table(lambda columns, _: columns.update({name: [] for name in columns})),
     "too short": table(lambda columns, _: columns.update({name: part[:9] for name, part in columns.items()})),
     "parquet cut": cut_parquet,
 }
@@ -106,14 +111,17 @@ def is_one_clear_sentence(message: str, file: Path) -> bool:
     return str(file) in message and "\n" not in message and len(rest) <= LONGEST and len(rest.split()) >= 5
 
 
-@pytest.mark.parametrize("name", MAKERS)
-def test_malformed_recordings_get_one_sentence_each_and_write_nothing(name: str, tmp_path: Path) -> None:
-    for seed in range(SEEDS):
-        file = MAKERS[name](tmp_path, np.random.default_rng(seed))
-        with pytest.raises(InputError) as refused:
-            import_recording(file)
-        assert is_one_clear_sentence(str(refused.value), file), refused.value
-        assert [*tmp_path.iterdir()] == [file]
+@settings(derandomize=True, deadline=None, max_examples=EXAMPLES, suppress_health_check=list(HealthCheck))
+@given(name=st.sampled_from(sorted(MAKERS)), seed=st.integers(0, 2**32 - 1))
+def test_a_malformed_recording_gets_one_sentence_and_writes_nothing(
+    tmp_path_factory: pytest.TempPathFactory, name: str, seed: int
+) -> None:
+    folder = tmp_path_factory.mktemp("malformed")
+    file = MAKERS[name](folder, np.random.default_rng(seed))
+    with pytest.raises(InputError) as refused:
+        import_recording(file)
+    assert is_one_clear_sentence(str(refused.value), file), refused.value
+    assert [*folder.iterdir()] == [file]
 
 
 MAPPING = """title = "a rig"
