@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from dpcontrol.control.interface import SampledModel, whole_turns
 from dpcontrol.dynamics.compiled import Compiled, compiled_step, fixed_step
-from dpcontrol.dynamics.equations import runge_kutta_4
+from dpcontrol.dynamics.equations import Equations, runge_kutta_4
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.causes import FlightCause
 from dpcontrol.foundation.shown import Brief, Timed, checked_times
@@ -142,31 +142,9 @@ class FlightPlanner:
 
     def __init__(self, model: SampledModel, limits: Limits) -> None:
         equations = model.equations
-        self._n = n = equations.dimension
-        self._limits, self._most = limits, _RESERVE_ACCELERATION * limits.acceleration
-        track = limits.position - min(_RESERVE_TRACK, _TRACK_SHARE * limits.position)
-        x, h, u, p = equations.state, ca.SX.sym("step"), equations.inputs, equations.parameters
-        soft, most, z = ca.SX.sym("soft"), ca.SX.sym("most"), ca.vertcat(equations.state, h)
-        slope = equations.function()
-        following = runge_kutta_4(lambda state, _: slope(state, u, p), x, h)
-        accurate = fixed_step(equations)(x, u, h, p)
-        excess = ca.vertcat(
-            _beyond(x[n - 2], track) / _SOFT_POSITION,
-            _beyond(x[n - 1], _RESERVE_SPEED * limits.velocity) / _SOFT_VELOCITY,
-        )
-        cost = h * (1 + _EFFORT / 2 * u**2 + soft / 2 * ca.sumsqr(excess))
-        away, nominal, gains = ca.SX.sym("away"), ca.SX.sym("nominal", n + 1), ca.SX.sym("gains", n + 1)
-        command = ca.fmax(-most, ca.fmin(most, away + ca.dot(gains, z - nominal)))
-        flown = ca.substitute([accurate, cost], [u], [command])
-        names = ["moving", "away", "nominal", "gains", "soft", "most", "parameters"]
-        self._forward = Compiled(
-            ca.Function(
-                "flight_forward",
-                [z, away, nominal, gains, soft, most, p],
-                [ca.cse(ca.densify(ca.vertcat(flown[0], h, command, flown[1])))], names, ["out"],
-            )
-        )  # fmt: skip
-        self._backward = Compiled(_backward_step(following, cost, z, u, soft, most, p, excess))
+        self._n, self._limits, self._most = equations.dimension, limits, _RESERVE_ACCELERATION * limits.acceleration
+        step = _step(equations, limits)
+        self._forward, self._backward = Compiled(step.forward()), Compiled(step.backward())
         self._parameters, self._step = model.parameters, compiled_step(equations)
 
     def plan(self, states: Array, target: Target) -> Flights:
@@ -392,9 +370,13 @@ class Flight(Concluded, Timed):
 
     def _at(self, times: Array) -> tuple[Array, Array]:
         flights = Flights(
-            np.array([self.duration]), self.nodes[None], self.inputs[None], np.array([self.cost]),
-            np.zeros(1, dtype=int), np.zeros(1),
-        )  # fmt: skip
+            np.array([self.duration]),
+            self.nodes[None],
+            self.inputs[None],
+            np.array([self.cost]),
+            np.zeros(1, dtype=int),
+            np.zeros(1),
+        )
         return self.planner.states(flights, 0, np.clip(np.atleast_1d(times), 0.0, self.duration))
 
     def document(self) -> dict[str, Any]:
@@ -412,37 +394,78 @@ def _selected(flights: Flights, rows: Array) -> Flights:
     return replace(flights, **{name: getattr(flights, name)[rows] for name in flights.__dataclass_fields__})
 
 
-def _backward_step(
-    following: ca.SX, cost: ca.SX, z: ca.SX, u: ca.SX, soft: ca.SX, most: ca.SX, parameters: ca.SX, excess: ca.SX
-) -> ca.Function:
-    """Return one step of the backward recursion.
+@dataclass(frozen=True)
+class _Step:
+    """One step of a motion, symbolically.
 
-    Its outputs are the change of the input, the gains (N+1,), and gradient (N+1,) and Hessian ((N+1)²,) of the value.
+    The state is that of the equations and the length of the step. `accurate` is the next state for motions, `following`
+    a cheaper one for derivatives. `excess` is the scaled excess over the soft limits.
     """
-    size = z.shape[0]
-    h, n = z[size - 1], size - 1
-    gradient, hessian = ca.SX.sym("gradient", size), ca.SX.sym("hessian", size, size)
-    regularity = ca.SX.sym("regularity")
-    by_state = ca.vertcat(ca.jacobian(following, z), ca.horzcat(ca.SX.zeros(1, n), ca.SX.ones(1, 1)))
-    by_input = ca.vertcat(ca.jacobian(following, u), ca.SX.zeros(1, 1))
-    slopes = ca.jacobian(excess, z)
-    cost_hessian = h * soft * slopes.T @ slopes
-    cross = _EFFORT * u
-    q_z = ca.gradient(cost, z) + by_state.T @ gradient
-    q_u = ca.gradient(cost, u) + by_input.T @ gradient
-    pushed = by_input.T @ hessian
-    q_zz = cost_hessian + by_state.T @ hessian @ by_state
-    q_uz = pushed @ by_state + ca.horzcat(ca.SX.zeros(1, n), cross)
-    q_uu = h * _EFFORT + ca.fmax(pushed @ by_input, 0) + regularity
-    free = -q_u / q_uu
-    change = ca.fmax(-most - u, ca.fmin(most - u, free))
-    gains = ca.if_else(change == free, -q_uz / q_uu, ca.SX.zeros(1, size)).T
-    new_gradient = q_z + gains @ (q_uu @ change + q_u) + q_uz.T @ change
-    new_hessian = q_zz + q_uu * gains @ gains.T + gains @ q_uz + q_uz.T @ gains.T
-    out = ca.vertcat(change, gains, new_gradient, ca.vec((new_hessian + new_hessian.T) / 2))
-    value = ca.SX.sym("value", size + size * size)
-    out = ca.substitute(out, ca.vertcat(gradient, ca.vec(hessian)), value)
-    names = ["moving", "input", "value", "soft", "most", "regularity", "parameters"]
-    return ca.Function(
-        "flight_backward", [z, u, value, soft, most, regularity, parameters], [ca.cse(ca.densify(out))], names, ["out"]
+
+    moving: ca.SX
+    input: ca.SX
+    soft: ca.SX
+    most: ca.SX
+    parameters: ca.SX
+    accurate: ca.SX
+    following: ca.SX
+    cost: ca.SX
+    excess: ca.SX
+
+    def forward(self) -> ca.Function:
+        """Return the step under feedback: (moving, input, cost) from an input, a nominal state and gains about it."""
+        size, z = self.moving.shape[0], self.moving
+        away, nominal, gains = ca.SX.sym("away"), ca.SX.sym("nominal", size), ca.SX.sym("gains", size)
+        command = ca.fmax(-self.most, ca.fmin(self.most, away + ca.dot(gains, z - nominal)))
+        following, cost = ca.substitute([self.accurate, self.cost], [self.input], [command])
+        out = ca.cse(ca.densify(ca.vertcat(following, z[size - 1], command, cost)))
+        names = ["moving", "away", "nominal", "gains", "soft", "most", "parameters"]
+        inputs = [z, away, nominal, gains, self.soft, self.most, self.parameters]
+        return ca.Function("flight_forward", inputs, [out], names, ["out"])
+
+    def backward(self) -> ca.Function:
+        """Return one step of the backward recursion.
+
+        Its outputs are the change of the input, the gains (N+1,), and gradient (N+1,) and Hessian ((N+1)²,) of the
+        value.
+        """
+        z, u, most = self.moving, self.input, self.most
+        size = z.shape[0]
+        h, n = z[size - 1], size - 1
+        gradient, hessian = ca.SX.sym("gradient", size), ca.SX.sym("hessian", size, size)
+        regularity = ca.SX.sym("regularity")
+        by_state = ca.vertcat(ca.jacobian(self.following, z), ca.horzcat(ca.SX.zeros(1, n), ca.SX.ones(1, 1)))
+        by_input = ca.vertcat(ca.jacobian(self.following, u), ca.SX.zeros(1, 1))
+        slopes = ca.jacobian(self.excess, z)
+        q_z = ca.gradient(self.cost, z) + by_state.T @ gradient
+        q_u = ca.gradient(self.cost, u) + by_input.T @ gradient
+        pushed = by_input.T @ hessian
+        q_zz = h * self.soft * slopes.T @ slopes + by_state.T @ hessian @ by_state
+        q_uz = pushed @ by_state + ca.horzcat(ca.SX.zeros(1, n), _EFFORT * u)
+        q_uu = h * _EFFORT + ca.fmax(pushed @ by_input, 0) + regularity
+        free = -q_u / q_uu
+        change = ca.fmax(-most - u, ca.fmin(most - u, free))
+        gains = ca.if_else(change == free, -q_uz / q_uu, ca.SX.zeros(1, size)).T
+        new_gradient = q_z + gains @ (q_uu @ change + q_u) + q_uz.T @ change
+        new_hessian = q_zz + q_uu * gains @ gains.T + gains @ q_uz + q_uz.T @ gains.T
+        out = ca.vertcat(change, gains, new_gradient, ca.vec((new_hessian + new_hessian.T) / 2))
+        value = ca.SX.sym("value", size + size * size)
+        out = ca.cse(ca.densify(ca.substitute(out, ca.vertcat(gradient, ca.vec(hessian)), value)))
+        names = ["moving", "input", "value", "soft", "most", "regularity", "parameters"]
+        inputs = [z, u, value, self.soft, most, regularity, self.parameters]
+        return ca.Function("flight_backward", inputs, [out], names, ["out"])
+
+
+def _step(equations: Equations, limits: Limits) -> _Step:
+    """Return the step of a motion with its cost."""
+    n, x, u, p = equations.dimension, equations.state, equations.inputs, equations.parameters
+    h, soft, slope = ca.SX.sym("step"), ca.SX.sym("soft"), equations.function()
+    track = limits.position - min(_RESERVE_TRACK, _TRACK_SHARE * limits.position)
+    excess = ca.vertcat(
+        _beyond(x[n - 2], track) / _SOFT_POSITION,
+        _beyond(x[n - 1], _RESERVE_SPEED * limits.velocity) / _SOFT_VELOCITY,
     )
+    following = runge_kutta_4(lambda state, _: slope(state, u, p), x, h)
+    cost = h * (1 + _EFFORT / 2 * u**2 + soft / 2 * ca.sumsqr(excess))
+    accurate = fixed_step(equations)(x, u, h, p)
+    return _Step(ca.vertcat(x, h), u, soft, ca.SX.sym("most"), p, accurate, following, cost, excess)

@@ -46,7 +46,7 @@ Source: Hauser & Hindman, Manoeuvre regulation from trajectory tracking, NOLCOS 
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import combinations_with_replacement
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -447,29 +447,44 @@ def tracking_controller(
         InputError: the reference did not converge or has another number of states than the model.
         GoalMissed: the reference's end cannot be stabilised.
     """
-    states, commands, drive = _at_ticks(reference, model)
+    path = _at_ticks(reference, model)
+    most = reference.limits.acceleration
     if isinstance(settings, FeedforwardSettings):
-        gains = np.zeros((len(commands), model.dimension + (model.lag > 0)))
-        known = _by_time(model, commands, drive, gains, reference.limits.acceleration)
-        return TrackingController(settings.kind, states, **known, status=f"feedforward over {len(commands)} ticks")
-    law = tracked(states, commands, drive, model=model, settings=settings, most=reference.limits.acceleration)
+        gains = np.zeros((len(path.commands), model.dimension + (model.lag > 0)))
+        known, status = _by_time(model, path, gains, most), f"feedforward over {len(path.commands)} ticks"
+        return TrackingController(settings.kind, path.states, **known, status=status)
+    law = tracked(path, model, settings, most=most)
     if settings.schedule == "phase":
         return phase_controller(
-            settings.kind, states=states, feedforward=law.feedforward, gains=law.gains, period=model.period
+            settings.kind, states=path.states, feedforward=law.feedforward, gains=law.gains, period=model.period
         )
     return law
 
 
+class Path(NamedTuple):
+    """A motion at the loop's ticks.
+
+    States (K+1, N), mean accelerations (K,) of the cart in the periods and its accelerations (K+1,) at the ticks, m/s².
+    """
+
+    states: Array
+    commands: Array
+    drive: Array
+
+
 def tracked(
-    states: Array, commands: Array, drive: Array, *, model: SampledModel, settings: TvlqrSettings, most: float,
-    terminal: Array | None = None, coarse: SampledModel | None = None,
-) -> TrackingController:  # fmt: skip
-    """Return the controller for states and inputs at the model's ticks.
+    path: Path,
+    model: SampledModel,
+    settings: TvlqrSettings,
+    *,
+    most: float,
+    terminal: Array | None = None,
+    coarse: SampledModel | None = None,
+) -> TrackingController:
+    """Return the controller for a motion at the model's ticks.
 
     Args:
-        states: states (K+1, N).
-        commands: mean accelerations (K,) of the cart in the periods, m/s².
-        drive: accelerations (K+1,) of the cart at the ticks, m/s².
+        path: states and inputs.
         model: model of arms and drive from tick to tick.
         settings: weights of the law.
         most: greatest acceleration of the cart, m/s².
@@ -479,33 +494,29 @@ def tracked(
     Raises:
         GoalMissed: the end cannot be stabilised, or the gains are infinite.
     """
-    timed, coarse = model, coarse or model
-    every = round(coarse.period / timed.period)
-    known, model = (states, commands), coarse
-    last = len(commands)
-    commands = np.add.reduceat(commands, range(0, last, every)) / np.minimum(every, last - np.arange(0, last, every))
-    states = np.concatenate([states[:-1:every], states[-1:]])
-    diagonal, effort = settings.weights(model.arms, model.period)
-    a, b = model.lagging(*model.linearised(states[:-1], commands))
+    coarse = coarse or model
+    every, last = round(coarse.period / model.period), len(path.commands)
+    begins = np.arange(0, last, every)
+    commands = np.add.reduceat(path.commands, begins) / np.minimum(every, last - begins)
+    states = np.concatenate([path.states[:-1:every], path.states[-1:]])
+    diagonal, effort = settings.weights(model.arms, coarse.period)
+    a, b = coarse.lagging(*coarse.linearised(states[:-1], commands))
     if terminal is None:
-        terminal = terminal_cost(a[-1], b[-1], weights=_widened(np.diag(diagonal), model), effort=effort)
+        terminal = terminal_cost(a[-1], b[-1], weights=_widened(np.diag(diagonal), coarse), effort=effort)
     else:
-        terminal = _widened(terminal, model)
-    weights = _widened(closing_weights(settings, states, model), model)
+        terminal = _widened(terminal, coarse)
+    weights = _widened(closing_weights(settings, states, coarse), coarse)
     gains, *_ = riccati_gains(a, b, weights=weights, effort=effort, terminal=terminal)
     if not np.isfinite(gains).all():
         raise GoalMissed(
             "the controller's gains became infinite; increase the weight of the effort or shorten the period"
         )
-    gains = np.repeat(gains, every, axis=0)[:last]
-    fields = _by_time(timed, known[1], drive, gains, most)
-    return TrackingController(settings.kind, known[0], **fields, status=f"gains for {last} ticks")
+    known = _by_time(model, path, np.repeat(gains, every, axis=0)[:last], most)
+    return TrackingController(settings.kind, path.states, **known, status=f"gains for {last} ticks")
 
 
-def _at_ticks(reference: Reference, model: SampledModel) -> tuple[Array, Array, Array]:
-    """Return states (K+1, N) and inputs at a model's ticks.
-
-    The inputs are means (K,) over the periods, and values (K+1,) at the ticks.
+def _at_ticks(reference: Reference, model: SampledModel) -> Path:
+    """Return a reference at a model's ticks.
 
     Raises:
         InputError: the reference did not converge or has another number of states than the model.
@@ -516,7 +527,7 @@ def _at_ticks(reference: Reference, model: SampledModel) -> tuple[Array, Array, 
     times = reference.mesh[0] + model.period * np.arange(count + 1)
     # The input in the middle of a period; a constant input then errs only by the square of the period.
     commands = reference.input(times[:-1] + model.period / 2)[:, 0]
-    return reference.state(times), commands, reference.input(times)[:, 0]
+    return Path(reference.state(times), commands, reference.input(times)[:, 0])
 
 
 def _widened(weights: Array, model: SampledModel) -> Array:
@@ -527,7 +538,7 @@ def _widened(weights: Array, model: SampledModel) -> Array:
     return np.pad(weights, [(0, 0)] * (weights.ndim - 2) + [(0, 1), (0, 1)]) if model.lag else weights
 
 
-def _by_time(model: SampledModel, commands: Array, drive: Array, gains: Array, most: float) -> dict[str, Any]:
+def _by_time(model: SampledModel, path: Path, gains: Array, most: float) -> dict[str, Any]:
     """Return the fields of a law by time.
 
     Feedforward, gains (K, N), and data of a lagging drive.
@@ -535,8 +546,8 @@ def _by_time(model: SampledModel, commands: Array, drive: Array, gains: Array, m
     The drive's command leads so that its acceleration equals the reference's at the ticks.
     """
     if not model.lag:
-        return {"feedforward": commands, "gains": gains}
-    keeps = model.lag_keeps
+        return {"feedforward": path.commands, "gains": gains}
+    keeps, drive = model.lag_keeps, path.drive
     led = np.clip((drive[1:] - keeps * drive[:-1]) / (1 - keeps), -most, most)
     on_drive = np.append(gains[:, -1], gains[-1, -1])
     return {"feedforward": led, "gains": gains[:, :-1], "drive": np.stack([drive, on_drive], axis=1)}
@@ -730,7 +741,7 @@ def adaptive_controller(
             "the controller's gains became infinite; increase the weight of the effort or shorten the period"
         )
     return AdaptiveController(
-        settings.kind, states, **_by_time(model, commands, drive, gains, reference.limits.acceleration),
+        settings.kind, states, **_by_time(model, Path(states, commands, drive), gains, reference.limits.acceleration),
         status=f"gains for {len(commands)} ticks, on the state and on {', '.join(names)}",
         extra_gains=extra_gains, pair_gains=pair_gains, names=names, shares=shares, trust=settings.trust,
     )  # fmt: skip

@@ -159,10 +159,8 @@ class Assembly:
         sampled = sampled_model(self.arms, self.settings.rate / every)
         reach, targets = reached(self.reference, sampled, TvlqrSettings(), every=every, limits=limits)
         stops = [
-            goal_of(
-                reach, targets, main, begin=begin, end=end, period=content.orbit(stop).period, rate=self.settings.rate
-            )
-            for stop, (begin, end) in zip(content.stops, self.stays, strict=True)
+            goal_of(reach, targets, main, stay=stay, period=content.orbit(stop).period, rate=self.settings.rate)
+            for stop, stay in zip(content.stops, self.stays, strict=True)
         ]
         rest = hold_controller(np.zeros(model.dimension), model, HoldSettings(damping=0.0), seconds=4 * RESTING)
         goals = (*stops, rest_goal(rest, main, limits))
@@ -302,9 +300,12 @@ class Assembly:
         )  # fmt: skip
         start = self.settings.start
         rig = SimulatedRig(
-            draw, self.settings.bench, limits=self.limits,
-            start=self.controller.first_state if isinstance(start, str) else np.array(start), queued=loop.queued,
-        )  # fmt: skip
+            draw,
+            self.settings.bench,
+            limits=self.limits,
+            start=self.controller.first_state if isinstance(start, str) else np.array(start),
+            queued=loop.queued,
+        )
         return replace(loop.run(rig), plant=draw.plant.arms, hardest=rig.hardest)
 
     @property

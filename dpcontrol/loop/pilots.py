@@ -17,7 +17,7 @@ import numpy as np
 
 from dpcontrol.control.flight import BRAKING_GAINS, REACHED, STEPS, FlightPlanner, Flights
 from dpcontrol.control.interface import clip_number, sampled_model
-from dpcontrol.control.tracking import TrackingController, TvlqrSettings, tracked
+from dpcontrol.control.tracking import Path, TrackingController, TvlqrSettings, tracked
 from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.processes import end_with_parent, ignoring_interrupts
@@ -170,10 +170,9 @@ class DirectPilot:
         moved = np.append(0.0, np.cumsum(flights.inputs[0]) * duration / STEPS)
         commands = np.diff(np.interp(times, np.linspace(0.0, duration, STEPS + 1), moved)) / period
         zeros = np.zeros(len(coming))
-        law = tracked(
-            np.concatenate([coming, states]), np.append(zeros, commands), np.append(zeros, inputs), model=self._model,
-            settings=_LAW, most=self.briefing.limits.acceleration, terminal=goal.terminal[place], coarse=self._coarse,
-        )  # fmt: skip
+        path = Path(np.concatenate([coming, states]), np.append(zeros, commands), np.append(zeros, inputs))
+        most, terminal = self.briefing.limits.acceleration, goal.terminal[place]
+        law = tracked(path, self._model, _LAW, most=most, terminal=terminal, coarse=self._coarse)
         return Course(law, flights, duration, place)
 
 

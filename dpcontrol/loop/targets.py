@@ -146,7 +146,7 @@ def orbit_target(orbit: SustainedOrbit, model: SampledModel, settings: Quadratic
 
 
 def goal_of(
-    reach: Reach, targets: Target, main: GainSchedule, *, begin: float, end: float, period: float, rate: float
+    reach: Reach, targets: Target, main: GainSchedule, *, stay: tuple[float, float], period: float, rate: float
 ) -> Goal:
     """Return the goal of a stop: places early in its stay, so that the feedback settles before the stay ends.
 
@@ -154,11 +154,11 @@ def goal_of(
         reach: places of the reference.
         targets: the same places as targets.
         main: gains of the reference.
-        begin: begin of the stay, s.
-        end: end of the stay, s.
+        stay: begin and end of the stay, s.
         period: period of the stop's orbit, s.
         rate: rate of the loop, Hz.
     """
+    begin, end = stay
     first, last = (math.ceil(begin * rate / reach.every), math.floor(max(begin, end - _SETTLES) * rate / reach.every))
     last = min(max(first, last), first + math.ceil(period * rate / reach.every), len(reach.states) - 1)
     places = np.arange(min(first, last), last + 1)
