@@ -55,7 +55,7 @@ GROUPS = {
     ),
     "api-loop": (
         "Closed loop",
-        ["closed_loop", "ClosedLoop", "export", "rig_link", "start_bench", "commission", "preflight"],
+        ["closed_loop", "ClosedLoop", "flight", "export", "rig_link", "start_bench", "commission", "preflight"],
     ),
     "api-runs": (
         "Runs and campaigns",

@@ -395,7 +395,7 @@ def _selected(flights: Flights, rows: Array) -> Flights:
 
 
 @dataclass(frozen=True)
-class _Step:
+class _FlightStep:
     """One step of a motion, symbolically.
 
     The state is that of the equations and the length of the step. `accurate` is the next state for motions, `following`
@@ -456,7 +456,7 @@ class _Step:
         return ca.Function("flight_backward", inputs, [out], names, ["out"])
 
 
-def _step(equations: Equations, limits: Limits) -> _Step:
+def _step(equations: Equations, limits: Limits) -> _FlightStep:
     """Return the step of a motion with its cost."""
     n, x, u, p = equations.dimension, equations.state, equations.inputs, equations.parameters
     h, soft, slope = ca.SX.sym("step"), ca.SX.sym("soft"), equations.function()
@@ -468,4 +468,4 @@ def _step(equations: Equations, limits: Limits) -> _Step:
     following = runge_kutta_4(lambda state, _: slope(state, u, p), x, h)
     cost = h * (1 + _EFFORT / 2 * u**2 + soft / 2 * ca.sumsqr(excess))
     accurate = fixed_step(equations)(x, u, h, p)
-    return _Step(ca.vertcat(x, h), u, soft, ca.SX.sym("most"), p, accurate, following, cost, excess)
+    return _FlightStep(ca.vertcat(x, h), u, soft, ca.SX.sym("most"), p, accurate, following, cost, excess)

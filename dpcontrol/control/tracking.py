@@ -461,7 +461,7 @@ def tracking_controller(
     return law
 
 
-class Path(NamedTuple):
+class TickedMotion(NamedTuple):
     """A motion at the loop's ticks.
 
     States (K+1, N), mean accelerations (K,) of the cart in the periods and its accelerations (K+1,) at the ticks, m/s².
@@ -473,7 +473,7 @@ class Path(NamedTuple):
 
 
 def tracked(
-    path: Path,
+    path: TickedMotion,
     model: SampledModel,
     settings: TvlqrSettings,
     *,
@@ -515,7 +515,7 @@ def tracked(
     return TrackingController(settings.kind, path.states, **known, status=f"gains for {last} ticks")
 
 
-def _at_ticks(reference: Reference, model: SampledModel) -> Path:
+def _at_ticks(reference: Reference, model: SampledModel) -> TickedMotion:
     """Return a reference at a model's ticks.
 
     Raises:
@@ -527,7 +527,7 @@ def _at_ticks(reference: Reference, model: SampledModel) -> Path:
     times = reference.mesh[0] + model.period * np.arange(count + 1)
     # The input in the middle of a period; a constant input then errs only by the square of the period.
     commands = reference.input(times[:-1] + model.period / 2)[:, 0]
-    return Path(reference.state(times), commands, reference.input(times)[:, 0])
+    return TickedMotion(reference.state(times), commands, reference.input(times)[:, 0])
 
 
 def _widened(weights: Array, model: SampledModel) -> Array:
@@ -538,7 +538,7 @@ def _widened(weights: Array, model: SampledModel) -> Array:
     return np.pad(weights, [(0, 0)] * (weights.ndim - 2) + [(0, 1), (0, 1)]) if model.lag else weights
 
 
-def _by_time(model: SampledModel, path: Path, gains: Array, most: float) -> dict[str, Any]:
+def _by_time(model: SampledModel, path: TickedMotion, gains: Array, most: float) -> dict[str, Any]:
     """Return the fields of a law by time.
 
     Feedforward, gains (K, N), and data of a lagging drive.
@@ -740,8 +740,9 @@ def adaptive_controller(
         raise GoalMissed(
             "the controller's gains became infinite; increase the weight of the effort or shorten the period"
         )
+    most = reference.limits.acceleration
     return AdaptiveController(
-        settings.kind, states, **_by_time(model, Path(states, commands, drive), gains, reference.limits.acceleration),
+        settings.kind, states, **_by_time(model, TickedMotion(states, commands, drive), gains, most),
         status=f"gains for {len(commands)} ticks, on the state and on {', '.join(names)}",
         extra_gains=extra_gains, pair_gains=pair_gains, names=names, shares=shares, trust=settings.trust,
     )  # fmt: skip

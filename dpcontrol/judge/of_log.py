@@ -36,10 +36,10 @@ from dpcontrol.judge.score import (
     arms_in,
     counted,
     lacking,
-    legs_of,
     plan_of,
     score,
     spliced,
+    stretches_of,
 )
 from dpcontrol.logs import RunLog
 from dpcontrol.logs.layout import SLOW_RATE
@@ -191,10 +191,11 @@ def _with_falls(log: RunLog, states: Array, plan: Reference, planned: PlanView) 
 
     Both are on the clock of the run.
     """
-    n, legs = len(log.arm_lengths), legs_of(log)
-    flown = Flown(log.time, states, log.reference[:, :n], log.control["applied"], log.rate_hz, log.limits, legs=legs)
+    n, stretches = len(log.arm_lengths), stretches_of(log)
+    applied = log.control["applied"]
+    flown = Flown(log.time, states, log.reference[:, :n], applied, log.rate_hz, log.limits, stretches=stretches)
     run = spliced(flown, plan)
-    rows = np.concatenate([rows for rows, _ in counted(legs, rate_hz=log.rate_hz)])
+    rows = np.concatenate([rows for rows, _ in counted(stretches, rate_hz=log.rate_hz)])
     decoded = decode_run(run.time, run.angles, plan)
 
     def clock(time: float) -> float:

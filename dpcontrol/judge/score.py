@@ -27,7 +27,7 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.settings import frozen
 from dpcontrol.foundation.shown import Brief
 from dpcontrol.judge.decoding import FOLLOWS, NEAR_LAST_ORBIT, Decoded, decode_run, last_gap
-from dpcontrol.logs import CATCH, LAP, RESUME, RETURN, Event, Leg, RunLog
+from dpcontrol.logs import CATCH, LAP, RESUME, RETURN, Event, RunLog, Stretch
 from dpcontrol.logs.layout import CONTROL, ESTIMATE, REFERENCE
 from dpcontrol.logs.rolling import NIGHT_METADATA
 from dpcontrol.loop.result import Ending, inside_95
@@ -288,7 +288,7 @@ class Flown(Brief):
         applied: (K,) acceleration of the cart, m/s².
         end: event of a run's end before that of its reference, or None.
         limits: of the cart in this run: position m, velocity m/s, acceleration m/s². None without a cart.
-        legs: periods on the itinerary. Empty for a run that could not recover and was on it throughout.
+        stretches: periods on the itinerary. Empty for a run that could not recover and was on it throughout.
         hardest: greatest acceleration applied by a simulated drive, m/s². None if only `applied` is known.
     """
 
@@ -299,7 +299,7 @@ class Flown(Brief):
     rate_hz: float
     limits: tuple[float, float, float] | None
     end: Event | None = None
-    legs: tuple[Leg, ...] = ()
+    stretches: tuple[Stretch, ...] = ()
     hardest: float | None = None
 
     @property
@@ -308,21 +308,21 @@ class Flown(Brief):
         return self.states[:, : self.reference_angles.shape[1]]
 
 
-def counted(legs: Sequence[Leg], *, rate_hz: float) -> list[tuple[NDArray[np.intp], Array]]:
-    """Return the ticks of each leg that count, and their times.
+def counted(stretches: Sequence[Stretch], *, rate_hz: float) -> list[tuple[NDArray[np.intp], Array]]:
+    """Return the ticks of each stretch that count, and their times.
 
-    Times are those of the plan's reference, s. No leg is omitted.
+    Times are those of the plan's reference, s. No stretch is omitted.
 
-    Ticks after the restart point of a later leg do not count.
+    Ticks after the restart point of a later stretch do not count.
 
     Args:
-        legs: legs in order.
+        stretches: stretches in order.
         rate_hz: rate of the ticks, Hz.
     """
-    again, out = [leg.at for leg in legs], []
-    for k, leg in enumerate(legs):
-        rows = np.arange(leg.first, leg.end)
-        times = leg.at + (rows - leg.first) / rate_hz
+    again, out = [stretch.at for stretch in stretches], []
+    for k, stretch in enumerate(stretches):
+        rows = np.arange(stretch.first, stretch.end)
+        times = stretch.at + (rows - stretch.first) / rate_hz
         mine = times < min(again[k + 1 :], default=np.inf)
         if mine.any():
             out.append((rows[mine], times[mine]))
@@ -332,16 +332,16 @@ def counted(legs: Sequence[Leg], *, rate_hz: float) -> list[tuple[NDArray[np.int
 def spliced(flown: Flown, plan: Reference) -> Flown:
     """Return the counted part of a run on the plan's clock.
 
-    It consists of each leg up to the restart of a later one.
+    It consists of each stretch up to the restart of a later one.
 
-    Symbols completed before a fall remain completed; of a repeated part the last leg counts.
+    Symbols completed before a fall remain completed; of a repeated part the last stretch counts.
 
     Args:
-        flown: run with legs.
+        flown: run with stretches.
         plan: reference of the plan.
     """
     n, pieces = flown.reference_angles.shape[1], []
-    for rows, times in counted(flown.legs, rate_hz=flown.rate_hz):
+    for rows, times in counted(flown.stretches, rate_hz=flown.rate_hz):
         turns = flown.reference_angles[rows[0]] - plan.state(plan.mesh[0] + times[0])[:n]
         turns = np.rint(turns / (2 * np.pi)) * 2 * np.pi
         states = flown.states[rows]
@@ -350,7 +350,7 @@ def spliced(flown: Flown, plan: Reference) -> Flown:
     if not pieces:
         return flown
     time, states, references, applied = (np.concatenate(parts) for parts in zip(*pieces, strict=True))
-    return replace(flown, time=time, states=states, reference_angles=references, applied=applied, legs=())
+    return replace(flown, time=time, states=states, reference_angles=references, applied=applied, stretches=())
 
 
 def verdict_on(flown: Flown, plan: Reference) -> Verdict:
@@ -360,7 +360,7 @@ def verdict_on(flown: Flown, plan: Reference) -> Verdict:
         flown: basis of the verdict.
         plan: reference of the plan.
     """
-    if flown.legs:
+    if flown.stretches:
         verdict = verdict_on(spliced(flown, plan), plan)
         beyond = _limits(flown) if verdict.completed else None
         return verdict if beyond is None else replace(verdict, fault=beyond[0], figures=beyond[1])
@@ -389,11 +389,11 @@ def score(log: RunLog) -> Score:
         rate_hz=log.rate_hz,
         limits=log.limits if log.has_cart else None,
         end=bad[-1] if bad else None,
-        legs=legs_of(log),
+        stretches=stretches_of(log),
         hardest=_hardest(log),
     )
     verdict = verdict_on(flown, plan)
-    judged = spliced(flown, plan) if flown.legs else flown
+    judged = spliced(flown, plan) if flown.stretches else flown
     away = judged.angles - judged.reference_angles
     falls = sum(event.name == RETURN and event.level == "warn" for event in log.events)
     factor, seed = _noted(log, "real_time_factor", float), _noted(log, "seed", int)
@@ -419,7 +419,7 @@ def score(log: RunLog) -> Score:
         thinking=_thinking(log),
         falls=falls,
         returned=_returned(log.events),
-        attempts=_attempts(log, verdict.symbols, len(plan.content.symbols)) if flown.legs else (),
+        attempts=_attempts(log, verdict.symbols, len(plan.content.symbols)) if flown.stretches else (),
         catches=sum(event.name == CATCH for event in log.events),
         judged_by="estimate" if log.truth is None else "truth",
         whole=part is None,
@@ -466,7 +466,7 @@ def _hardest(log: RunLog) -> float | None:
     return float(np.minimum(np.abs(log.control["applied"][:-1]), real).max())
 
 
-def legs_of(log: RunLog) -> tuple[Leg, ...]:
+def stretches_of(log: RunLog) -> tuple[Stretch, ...]:
     """Return the last lap's periods on the itinerary, from events.
 
     Without recovery the result is empty.
@@ -474,22 +474,22 @@ def legs_of(log: RunLog) -> tuple[Leg, ...]:
     Args:
         log: log of a run.
     """
-    legs: list[Leg] = []
-    under_way: Leg | None = None
+    stretches: list[Stretch] = []
+    under_way: Stretch | None = None
     for event in log.events:
         tick = round((event.time - float(log.time[0])) * log.rate_hz) if len(log.time) else 0
         if event.name in (RESUME, LAP, CATCH):
             if event.cause != Cause.JOINED:
                 raise InputError(f"{log.path} does not tell where its run joined the itinerary; run it again")
             if event.name == LAP:
-                legs.clear()
+                stretches.clear()
             elif under_way is not None:
-                legs.append(under_way._replace(end=tick))
-            under_way = Leg(tick, len(log.time), float(event.figures["at"]))
+                stretches.append(under_way._replace(end=tick))
+            under_way = Stretch(tick, len(log.time), float(event.figures["at"]))
         elif event.name == RETURN and under_way is not None:
-            legs.append(under_way._replace(end=min(tick + 1, len(log.time))))
+            stretches.append(under_way._replace(end=min(tick + 1, len(log.time))))
             under_way = None
-    return (*legs, *([under_way] if under_way is not None and under_way.first < len(log.time) else ()))
+    return (*stretches, *([under_way] if under_way is not None and under_way.first < len(log.time) else ()))
 
 
 def _returned(events: Sequence[Event]) -> tuple[float, ...]:

@@ -10,7 +10,7 @@ from dpcontrol.logs.layout import (
     RESUME,
     RETURN,
     Event,
-    Leg,
+    Stretch,
     control_fields,
     joint_names,
 )

@@ -538,7 +538,7 @@ RETURN, FLIGHT, RESUME, LAP, CATCH = "return", "flight", "resume", "lap", "catch
 """Names of the events for leaving and rejoining the itinerary."""
 
 
-class Leg(NamedTuple):
+class Stretch(NamedTuple):
     """Ticks `first` to `end` of a run on its itinerary.
 
     They start at time `at` s of the planned reference.

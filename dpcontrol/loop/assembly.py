@@ -16,7 +16,7 @@ import numpy as np
 from dpcontrol.control.estimator_settings import Augment, EkfSettings, FilterSettings
 from dpcontrol.control.handover import NearestKeeper
 from dpcontrol.control.interface import MANY, Controller, Mode, SampledModel, sampled_model, schedule_of
-from dpcontrol.control.lqr import HoldController, HoldSettings, hold_controller
+from dpcontrol.control.lqr import HoldController, HoldSettings, QuadraticWeights, hold_controller
 from dpcontrol.control.margins import Margins, NominalLoop, margins_of
 from dpcontrol.control.tick import TickProgram, whole_periods
 from dpcontrol.control.tracking import TvlqrSettings
@@ -157,7 +157,9 @@ class Assembly:
         model, limits, content = self.model, self.limits, self.reference.content
         every = max(1, round(self.settings.rate / _PLACES))
         sampled = sampled_model(self.arms, self.settings.rate / every)
-        reach, targets = reached(self.reference, sampled, TvlqrSettings(), every=every, limits=limits)
+        law = self.settings.controller
+        weights = law if isinstance(law, QuadraticWeights) else TvlqrSettings()
+        reach, targets = reached(self.reference, sampled, weights, every=every, limits=limits)
         stops = [
             goal_of(reach, targets, main, stay=stay, period=content.orbit(stop).period, rate=self.settings.rate)
             for stop, stay in zip(content.stops, self.stays, strict=True)

@@ -221,7 +221,7 @@ class ControlLoop:
         self.progress("run", 1.0)
         kept = Ticks.joined([*self._full, self._rows.between(0, done - self._first)])
         result = LoopResult(self.end, kept, late, elapsed, np.array(thinking))
-        return result if recovery is None else replace(result, falls=recovery.falls, legs=recovery.legs(done))
+        return result if recovery is None else replace(result, falls=recovery.falls, stretches=recovery.stretches(done))
 
     def _fail(self, k: int, failure: ArithmeticError) -> None:
         """Record a failure that ends the run at tick k.

@@ -17,12 +17,12 @@ import numpy as np
 
 from dpcontrol.control.flight import BRAKING_GAINS, REACHED, STEPS, FlightPlanner, Flights
 from dpcontrol.control.interface import clip_number, sampled_model
-from dpcontrol.control.tracking import Path, TrackingController, TvlqrSettings, tracked
+from dpcontrol.control.tracking import TickedMotion, TrackingController, TvlqrSettings, tracked
 from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.processes import end_with_parent, ignoring_interrupts
 from dpcontrol.foundation.shown import Brief
-from dpcontrol.loop.targets import Goal
+from dpcontrol.loop.targets import FlightGoal
 from dpcontrol.references.problem import Limits
 
 THINKING = 0.12
@@ -99,7 +99,7 @@ class Briefing:
     rate: float
     lag: float
     limits: Limits
-    goals: tuple[Goal, ...]
+    goals: tuple[FlightGoal, ...]
 
 
 class DirectPilot:
@@ -152,7 +152,7 @@ class DirectPilot:
             push = command + model.lag_keeps * (push - command)
         return np.array(path[-(request.lead + 1) :])
 
-    def _lands(self, course: Course, state: Array, elapsed: int, goal: Goal) -> bool:
+    def _lands(self, course: Course, state: Array, elapsed: int, goal: FlightGoal) -> bool:
         """Return True if the law of a flight leads from a state at one of its ticks to the goal."""
         flights, gains, period = course.flights, course.law.gains, self._model.period
         step, pending = course.duration / STEPS, len(gains) - int(course.duration / period)
@@ -162,7 +162,7 @@ class DirectPilot:
             state, flights.nodes[0, first:-1], flights.inputs[0, first:], gains[ticks], step, goal.target
         )
 
-    def _followed(self, coming: Array, flights: Flights, goal: Goal) -> Course:
+    def _followed(self, coming: Array, flights: Flights, goal: FlightGoal) -> Course:
         """Return a flight with its law, after states (lead, N) on which pending commands act."""
         period, duration, place = self._model.period, float(flights.durations[0]), int(flights.places[0])
         times = period * np.arange(max(int(duration / period), 1) + 1, dtype=float)
@@ -170,7 +170,7 @@ class DirectPilot:
         moved = np.append(0.0, np.cumsum(flights.inputs[0]) * duration / STEPS)
         commands = np.diff(np.interp(times, np.linspace(0.0, duration, STEPS + 1), moved)) / period
         zeros = np.zeros(len(coming))
-        path = Path(np.concatenate([coming, states]), np.append(zeros, commands), np.append(zeros, inputs))
+        path = TickedMotion(np.concatenate([coming, states]), np.append(zeros, commands), np.append(zeros, inputs))
         most, terminal = self.briefing.limits.acceleration, goal.terminal[place]
         law = tracked(path, self._model, _LAW, most=most, terminal=terminal, coarse=self._coarse)
         return Course(law, flights, duration, place)

@@ -38,9 +38,9 @@ from dpcontrol.control.tick import BRAKING, Report
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.causes import Cause
 from dpcontrol.foundation.shown import Brief
-from dpcontrol.logs import CATCH, FLIGHT, LAP, RESUME, RETURN, Event, Leg
+from dpcontrol.logs import CATCH, FLIGHT, LAP, RESUME, RETURN, Event, Stretch
 from dpcontrol.loop.pilots import THINKING, Briefing, Course, Pilot, Request
-from dpcontrol.loop.targets import Goal, Reach, padded
+from dpcontrol.loop.targets import FlightGoal, Reach, padded
 from dpcontrol.loop.ticker import Ticker
 from dpcontrol.references.problem import Limits
 
@@ -183,7 +183,7 @@ class RecoveryPlan(Brief):
     """True if the run begins with a flight."""
 
     @property
-    def goals(self) -> tuple[Goal, ...]:
+    def goals(self) -> tuple[FlightGoal, ...]:
         """Goals of the stops, and at last of rest."""
         return self.briefing.goals
 
@@ -223,19 +223,19 @@ class FallRecovery:
         self._course: Course
         self._thinking = THINKING
         self._why, self._sensor = Cause.FINISHED, 0
-        self._flown: list[Leg] = []
+        self._flown: list[Stretch] = []
         self._meets: int | None = None
         self._seen = 0, 0.0
         self._arms = len(main.first_state) // 2 - 1
         self._latest: deque[Array] = deque(maxlen=max(round(plan.period / plan.model.period / _EVERY), 1))
 
-    def legs(self, end: int) -> tuple[Leg, ...]:
+    def stretches(self, end: int) -> tuple[Stretch, ...]:
         """Return the intervals on the itinerary up to the tick `end`.
 
         Args:
-            end: tick that ends a leg under way.
+            end: tick that ends a stretch under way.
         """
-        under_way = [Leg(self._joins, end, self._at)] if self.motion is Motion.ITINERARY else []
+        under_way = [Stretch(self._joins, end, self._at)] if self.motion is Motion.ITINERARY else []
         return (*self._flown, *under_way)
 
     def begin(self, ticker: Ticker) -> Event:
@@ -305,7 +305,7 @@ class FallRecovery:
         plan, before = self._plan, self.motion
         if before is Motion.ITINERARY:
             self.falls += 1
-            self._flown.append(Leg(self._joins, k + 1, self._at))
+            self._flown.append(Stretch(self._joins, k + 1, self._at))
             good = self._at + (self._followed - self._joins) * period - _BEFORE
             reached = [stop for stop, goal in enumerate(plan.goals[:-1]) if goal.at[0] <= good]
             self._stop, self._tries = 0 if plan.restarts else max([self._stop, *reached]), 0
@@ -478,7 +478,7 @@ class FallRecovery:
             if plan.attempts and self._attempts.get(stop, 0) + 2 > plan.attempts:
                 return ()
             self._attempts[stop] = self._attempts.get(stop, 0) + 1
-        self._flown.append(Leg(self._joins, k + 1, self._at))
+        self._flown.append(Stretch(self._joins, k + 1, self._at))
         self._stop, self._at, self._joins, self._followed = stop, tick * period, k + 1, k
         self._near = False
         turns = whole_turns(state[:n] - reach.states[place, :n])

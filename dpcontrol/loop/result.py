@@ -23,7 +23,7 @@ from dpcontrol.foundation.causes import Cause
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.settings import Setting, Settings
 from dpcontrol.foundation.shown import Brief
-from dpcontrol.logs import Event, Leg, LogWriter
+from dpcontrol.logs import Event, LogWriter, Stretch
 from dpcontrol.logs.rolling import RollingLog
 from dpcontrol.loop.protocols import Reading, UserRig
 
@@ -368,7 +368,7 @@ class LoopResult(Ended):
         thinking: computing time (K,) of controller and estimator, s.
         plant: simulated parameters, if any.
         falls: falls with or without recovery.
-        legs: intervals on the itinerary, if recovery was possible.
+        stretches: intervals on the itinerary, if recovery was possible.
         hardest: largest acceleration of a simulated drive, m/s².
     """
 
@@ -378,7 +378,7 @@ class LoopResult(Ended):
     thinking: Array
     plant: ArmChainParameters | None = None
     falls: int = 0
-    legs: tuple[Leg, ...] = ()
+    stretches: tuple[Stretch, ...] = ()
     hardest: float | None = None
 
     @property
@@ -433,7 +433,7 @@ class BatchRun(Ended):
 
     Units are SI.
 
-    times (K,). truth (K, 2n+2). references (K, n): angles. applied (K,). falls, legs and hardest: see `LoopResult`.
+    times (K,). truth (K, 2n+2). references (K, n): angles. applied (K,). Others: see `LoopResult`.
     """
 
     times: Array
@@ -443,7 +443,7 @@ class BatchRun(Ended):
     nis_inside_95: float
     rms_feedback: float
     falls: int = 0
-    legs: tuple[Leg, ...] = ()
+    stretches: tuple[Stretch, ...] = ()
     hardest: float | None = None
 
     @classmethod
@@ -462,7 +462,7 @@ class BatchRun(Ended):
         angles = ticks.references[:, : ticks.measured.shape[1] - 1]
         return cls(
             result.end, ticks.times, ticks.truth, angles, ticks.control[:, 3], result.nis_inside_95,
-            result.rms_feedback, result.falls, result.legs, result.hardest,
+            result.rms_feedback, result.falls, result.stretches, result.hardest,
         )  # fmt: skip
 
 

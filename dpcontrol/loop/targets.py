@@ -71,7 +71,7 @@ class Reach(Brief):
 
 
 @dataclass(frozen=True, eq=False)
-class Goal(Brief):
+class FlightGoal(Brief):
     """A target of flights and the law that takes over there.
 
     Attributes:
@@ -147,7 +147,7 @@ def orbit_target(orbit: SustainedOrbit, model: SampledModel, settings: Quadratic
 
 def goal_of(
     reach: Reach, targets: Target, main: GainSchedule, *, stay: tuple[float, float], period: float, rate: float
-) -> Goal:
+) -> FlightGoal:
     """Return the goal of a stop: places early in its stay, so that the feedback settles before the stay ends.
 
     Args:
@@ -164,10 +164,10 @@ def goal_of(
     places = np.arange(min(first, last), last + 1)
     ticks = np.minimum(places * reach.every, len(main.rows) - 1)
     target = Target(targets.states[places], targets.costs[places])
-    return Goal(target, reach.costs[places], ticks, main, ticks / rate)
+    return FlightGoal(target, reach.costs[places], ticks, main, ticks / rate)
 
 
-def rest_goal(hold: HoldController, main: GainSchedule, limits: Limits) -> Goal:
+def rest_goal(hold: HoldController, main: GainSchedule, limits: Limits) -> FlightGoal:
     """Return the goal of arms that hang at rest.
 
     Args:
@@ -177,7 +177,7 @@ def rest_goal(hold: HoldController, main: GainSchedule, limits: Limits) -> Goal:
     """
     assert hold.cost is not None
     ticks = np.zeros(1, dtype=int)
-    return Goal(hold_target(hold, limits), hold.cost[None], ticks, padded(hold.schedule(0), main), np.empty(0))
+    return FlightGoal(hold_target(hold, limits), hold.cost[None], ticks, padded(hold.schedule(0), main), np.empty(0))
 
 
 def padded(gains: GainSchedule, like: GainSchedule) -> GainSchedule:

@@ -242,7 +242,7 @@ def _row(job: Job, reference: Reference, seed: int, run: BatchRun, *, path: str)
         rate_hz=loop.rate,
         limits=(limits.position, limits.velocity, limits.acceleration),
         end=None if run.ending is Ending.FINISHED else run.end,
-        legs=run.legs,
+        stretches=run.stretches,
         hardest=run.hardest,
     )
     verdict = verdict_on(flown, reference)

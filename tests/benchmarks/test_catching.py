@@ -58,7 +58,7 @@ def test_two_blows_are_recovered_from(name: str, impulse: float) -> None:
         flown = Flown(
             time=run.times, states=run.truth, reference_angles=run.references, applied=run.applied,
             rate_hz=settings.rate, limits=(limits.position, limits.velocity, limits.acceleration),
-            end=None if result.ending is Ending.FINISHED else result.end, flights=result.flights,
+            end=None if result.ending is Ending.FINISHED else result.end, stretches=result.stretches,
         )  # fmt: skip
         done += verdict_on(flown, plan.reference).completed
         falls, catches = falls + result.falls, catches + len(told.times(CATCH))

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from dpcontrol.foundation.causes import Cause
-from dpcontrol.judge.night import BETWEEN, CALMING, ITINERARY, STARTING, UNKNOWN, Night, followed
+from dpcontrol.judge.night import BETWEEN, BRAKING, FLYING, ITINERARY, UNKNOWN, Night, followed
 from dpcontrol.logs import Event
 from dpcontrol.logs.rolling import Digest
 
@@ -26,16 +26,15 @@ def digest(number: int, first: float, events: Events, *, on: bool = True, zero: 
 
 def night(folder: Path = Path("turn-0")) -> Night:
     """Two files, one missing, a fourth; two falls before one way back, a sensor that sticks, laps of both kinds."""
-    rest = ("info", "at rest", Cause.RESTED)
-    start = ("info", "start", Cause.STARTED)
+    flight = ("info", "flight", Cause.FLOWN)
     first: Events = [
         (0.0, "info", "start", Cause.BEGUN), (0.0, "info", "resume", Cause.JOINED), (50.0, "info", "lap", Cause.JOINED),
-        (100.0, "warn", "return", Cause.TRACKING_LOST), (107.0, *rest), (107.0, *start),
-        (108.0, "warn", "return", Cause.TRACKING_LOST), (116.0, *rest), (116.0, *start),
+        (100.0, "warn", "return", Cause.TRACKING_LOST), (107.0, *flight),
+        (108.0, "warn", "flight", Cause.TRACKING_LOST), (116.0, *flight),
         (120.0, "info", "resume", Cause.JOINED),
     ]  # fmt: skip
     second: Events = [
-        (700.0, "info", "return", Cause.LAP_DONE), (706.0, *rest), (706.0, *start),
+        (700.0, "info", "return", Cause.LAP_DONE), (706.0, *flight),
         (710.0, "info", "lap", Cause.JOINED), (1195.0, "warn", "return", Cause.STUCK),
     ]  # fmt: skip
     third: Events = [
@@ -51,18 +50,18 @@ def night(folder: Path = Path("turn-0")) -> Night:
 
 def test_uptime_is_the_time_between_joining_and_leaving() -> None:
     told = night()
-    times = {kind: told._time(kind) for kind in (ITINERARY, CALMING, STARTING, BETWEEN, UNKNOWN)}
+    times = {kind: told._time(kind) for kind in (ITINERARY, BRAKING, FLYING, BETWEEN, UNKNOWN)}
     on = 100 + (700 - 120) + (1195 - 710) + 599.999
-    assert times == pytest.approx({ITINERARY: on, CALMING: 15 + 5, STARTING: 5, BETWEEN: 10, UNKNOWN: 600}, abs=0.01)
+    assert times == pytest.approx({ITINERARY: on, BRAKING: 15 + 5, FLYING: 5, BETWEEN: 10, UNKNOWN: 600}, abs=0.01)
     assert told.uptime == pytest.approx(on / 1800, abs=1e-4)
     assert told.known == pytest.approx(1800)
 
 
-def test_two_falls_before_the_way_back_are_one_absence() -> None:
+def test_a_flight_that_fails_is_no_second_fall() -> None:
     told = night()
-    assert [fall.back for fall in told.falls] == [20.0, None, None]
-    assert told.causes == {"tracking lost": 2, "sensor stuck": 1}
-    assert told.falls_per_hour == pytest.approx(6.0)
+    assert [fall.back for fall in told.falls] == [20.0, None]
+    assert told.causes == {"tracking lost": 1, "sensor stuck": 1}
+    assert told.falls_per_hour == pytest.approx(4.0)
     assert told.repetitions == 2
     document = told.document()
     assert (document["return_median"], document["return_99"]) == (20.0, 20.0)

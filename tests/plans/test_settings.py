@@ -78,6 +78,8 @@ def value_of(path: str) -> Any:
     """Return a value of a setting that differs from its default."""
     leaf = paths()[path]
     others = [choice for choice in leaf.bounds.choices if choice != leaf.default]
+    if path == "start":
+        return (0.1, 0.2, 3.0, 4.0, 0.0, 0.0)
     if isinstance(leaf.default, tuple):
         return ("zeros",)
     if others:

@@ -5,15 +5,10 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from dpcontrol.foundation.errors import InputError, Remark
 from dpcontrol.logs import read_log
-from dpcontrol.loop.assembly import Assembly
-from dpcontrol.loop.bench import DisturbanceSettings, Push
-from dpcontrol.loop.recovery import FRESH_SECONDS, REST_ANGLE, REST_RATE, REST_SECONDS, StartController
-from dpcontrol.loop.result import Ending
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import make_plan
 from dpcontrol.runs.night import (
@@ -53,38 +48,6 @@ def test_the_cost_of_a_night_is_stated_and_too_much_is_refused(tmp_path: Path) -
     assert thinned.disk(1000.0) < NightSettings(hours=18.0).disk(1000.0) / 10
     with pytest.raises(InputError, match="are free there"):
         night_cost(TURN, NightSettings(hours=9_999.0), folder, yes=True)
-
-
-@pytest.mark.slow
-def test_arms_rest_until_there_is_a_way_to_start_again() -> None:
-    blow = (Push(1.0, 1, 0.1),)
-    scene = night_itinerary(TURN.with_run(BENCH, seed=5), given={})
-    scene = replace(scene, loop=replace(scene.loop, disturbances=DisturbanceSettings(explicit=blow)))
-    plan = make_plan(scene)
-    arms, loop = scene.model.arms, scene.loop
-    controller = Assembly(plan.reference, arms, loop).controller
-    known = Assembly(plan.reference, arms, loop, law=controller).recovery
-    assert known is not None
-    starts, asked = list[StartController](), []
-
-    def ready() -> bool:
-        asked.append(len(starts))
-        if len(asked) < 2000:
-            return False
-        starts.extend(known.starts)
-        return True
-
-    later = replace(known, starts=starts, ready=ready)
-    ended = Assembly(plan.reference, arms, loop, law=controller).simulate(recovery=later, until=16_000)
-    assert ended.ending is Ending.FINISHED
-    assert ended.falls == 1
-    # They rest two seconds longer than a start needs, with a request in each tick.
-    assert asked == [0] * 2000
-    assert ended.ticks.truth is not None
-    angles, rates = ended.ticks.truth[:, :2], ended.ticks.truth[:, 2:4]
-    rests = (np.abs(np.sin(angles)).max(axis=1) < REST_ANGLE) & (np.abs(rates).max(axis=1) < REST_RATE)
-    changes = np.flatnonzero(np.diff(rests, prepend=False, append=False))
-    assert np.diff(changes)[::2].max() > 1e3 * (2.0 + REST_SECONDS + FRESH_SECONDS)
 
 
 @pytest.mark.slow

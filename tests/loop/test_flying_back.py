@@ -70,7 +70,7 @@ def test_a_fallen_run_flies_back_and_continues_to_its_end(ready) -> None:
     assert (told.names[:2], told.names[-2:]) == (["resume", "return"], ["flight", "resume"])
     assert result.falls >= 1
     # Between the fall and the second leg is the flight; a catch divides a leg without a gap.
-    first, second, *_ = result.legs
+    first, second, *_ = result.stretches
     assert 0 < second.first - first.end < 2500
     assert np.abs(result.ticks.truth[:, 4]).max() < 0.8
 
@@ -152,7 +152,7 @@ def test_a_run_that_errs_is_caught_where_an_earlier_place_is_nearer(ready) -> No
     assert result.falls == 0
     (caught,) = told.of("catch")
     assert (caught.figures["symbol"], caught.figures["symbols"]) == (1, 1)
-    before, after = result.legs
+    before, after = result.stretches
     assert after.first == before.end
     # An orbit's period before, or nearly so.
     assert 0.3 < before.at + (before.end - before.first) * 1e-3 - after.at < 0.9
