@@ -33,6 +33,21 @@ def plans_of_this_session_only(tmp_path_factory: pytest.TempPathFactory) -> Iter
         yield
 
 
+@pytest.fixture(scope="session", autouse=True)
+def one_processor_for_each_worker() -> Iterator[None]:
+    """Let work that takes a process per processor stay in this process, if other workers take the other processors.
+
+    New processes would import everything again, for several seconds each. Tests of processes give their number.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        for module in PARALLEL if "PYTEST_XDIST_WORKER" in os.environ else ():
+            patch.setattr(f"dpcontrol.{module}.processors", lambda: 1)
+        yield
+
+
+PARALLEL = ("plans.transfers", "runs.campaign", "runs.polish", "runs.preflight", "runs.remedies")
+"""Modules that ask for the number of processors."""
+
 PLATFORM_REASONS = (
     # Another system than Linux.
     "is POSIX's", "are POSIX's", "is Linux's", "names of macOS are UTF-8",
