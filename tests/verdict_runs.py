@@ -63,18 +63,18 @@ def runs(itinerary: Itinerary, reference: Reference, options: Mapping[str, Any],
         end = None if run.ending is Ending.FINISHED else run.end
         flown = Flown(
             time=run.times, states=run.truth, reference_angles=run.references, applied=run.applied, rate_hz=loop.rate,
-            limits=bounds, end=end, flights=run.flights,
+            limits=bounds, end=end, legs=run.legs,
         )  # fmt: skip
         yield Case(f"seed {seed}, {options}", flown, None)
 
 
 def counted_states(flown: Flown, plan: Plan) -> Array:
     """Return the relevant true states of a run with falls, each flight up to the next restart."""
-    if not flown.flights:
+    if not flown.legs:
         return flown.states
     n, out = plan.arms, []
-    for k, flight in enumerate(flown.flights):
-        later = min((f.at for f in flown.flights[k + 1 :]), default=np.inf)
+    for k, flight in enumerate(flown.legs):
+        later = min((f.at for f in flown.legs[k + 1 :]), default=np.inf)
         count = round(min(flight.end - flight.first, (later - flight.at) * plan.rate))
         if count <= 0:
             continue
@@ -91,7 +91,7 @@ def disagreement(case: Case, reference: Reference, plan: Plan) -> str:
     verdict = verdict_on(case.flown, reference)
     states = counted_states(case.flown, plan)
     found = faults(plan, states, case.accelerations)
-    if case.flown.flights:
+    if case.flown.legs:
         found += [
             f"{name} beyond its limit in a return"
             for at, name, bound in ((-2, "position", plan.limits[0]), (-1, "velocity", plan.limits[1]))
@@ -179,7 +179,7 @@ class Comparison:
             if not verdict_on(case.flown, reference).completed:
                 continue
             self.completed += 1
-            if made or case.flown.flights:
+            if made or case.flown.legs:
                 continue
             made = True
             for mutant in mutants(case, read, random):
