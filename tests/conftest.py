@@ -33,6 +33,21 @@ def plans_of_this_session_only(tmp_path_factory: pytest.TempPathFactory) -> Iter
         yield
 
 
+@pytest.fixture(scope="session", autouse=True)
+def one_processor_for_each_worker() -> Iterator[None]:
+    """Let work that takes a process per processor stay in this process, if other workers take the other processors.
+
+    New processes would import everything again, for several seconds each. Tests of processes give their number.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        for module in PARALLEL if "PYTEST_XDIST_WORKER" in os.environ else ():
+            patch.setattr(f"dpcontrol.{module}.processors", lambda: 1)
+        yield
+
+
+PARALLEL = ("plans.transfers", "runs.campaign", "runs.polish", "runs.preflight", "runs.remedies")
+"""Modules that ask for the number of processors."""
+
 PLATFORM_REASONS = (
     # Another system than Linux.
     "is POSIX's", "are POSIX's", "is Linux's", "names of macOS are UTF-8",
@@ -68,13 +83,14 @@ def pytest_make_collect_report() -> Iterator[Any]:
 
 
 LONGEST = (
-    "test_generated_scenes", "test_readme", "test_numbers_of_arms",
-    "test_recovery_on_the_bench", "test_compilers_and_targets",
-    "test_exported_controller", "test_fuzz", "test_run_verb", "test_bifurcations", "test_own_systems", "test_figures",
-    "test_extended", "test_batch", "test_walk_verb", "test_campaign", "test_kept_walks", "test_without_heyoka",
-    "test_atlas", "test_parts", "test_demo_and_review_verbs", "test_help_and_streams", "test_identification",
-    "test_hostile_packets", "test_two_turns", "test_named_symbols", "test_honest_searches", "test_replay", "test_api",
-    "test_udp_program", "test_log_verbs",
+    "test_readme", "test_proved_connections", "test_true_verdicts", "test_api_examples", "test_commissioning",
+    "test_recovery_on_the_bench", "test_legibility", "test_generated_scenes", "test_compilers_and_targets",
+    "test_certificates", "test_exported_controller", "test_notebooks", "test_numbers_of_arms", "test_objects",
+    "test_proved_orbits", "test_examples", "test_parts", "test_without_heyoka", "test_batch", "test_fuzz",
+    "test_run_verb", "test_bifurcations", "test_own_systems", "test_figures", "test_extended", "test_walk_verb",
+    "test_campaign", "test_kept_walks", "test_atlas", "test_demo_and_review_verbs", "test_help_and_streams",
+    "test_identification", "test_hostile_packets", "test_two_turns", "test_named_symbols", "test_honest_searches",
+    "test_replay", "test_api", "test_udp_program", "test_log_verbs",
 )  # fmt: skip
 """Modules that take longest, slow tests or others: begun first, so that all workers end together."""
 

@@ -1,4 +1,4 @@
-"""Executes the notebooks in dpcontrol/examples; as a script, it writes their outputs: `python tests/notebooks.py`."""
+"""Writes the outputs of the notebooks in dpcontrol/examples: `python tests/notebooks.py`."""
 
 import os
 import sys

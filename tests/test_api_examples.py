@@ -3,15 +3,35 @@
 import doctest
 import inspect
 import json
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
 
 import dpcontrol as dp
+from dpcontrol.control import export
 from dpcontrol.plans.atlas import make_atlas
+from dpcontrol.proofs import prove
 
 pytestmark = pytest.mark.slow
 FUNCTIONS = [name for name in dp.__all__ if inspect.isfunction(getattr(dp, name))]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def briefly() -> Iterator[None]:
+    """Prove an orbit once for all examples of proofs, and do not compile exported code to measure it."""
+    proofs: dict[float, prove.Proof] = {}
+    prove_orbit = prove.prove_orbit
+
+    def proved(orbit: Any, **settings: Any) -> prove.Proof:
+        if orbit.energy not in proofs:
+            proofs[orbit.energy] = prove_orbit(orbit, **settings)
+        return proofs[orbit.energy]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(prove, "prove_orbit", proved)
+        patch.setattr(export, "_measured", lambda files: (None, None))
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -21,7 +41,7 @@ def names(example: dict[str, Any]) -> dict[str, Any]:
     values["campaign_file"] = values["log"].with_name("campaign.parquet")
     dp.campaign(values["reference"], runs=4, mismatch=0.02, workers=1, out=values["campaign_file"])
     values["night_folder"] = values["log"].with_name("night")
-    dp.closed_loop("turn-from-rest").night(0.005, values["night_folder"])
+    dp.closed_loop("turn-from-rest").night(0.001, values["night_folder"])
     values["certificate_file"] = values["log"].with_name("proof.json")
     proof = dp.prove(values["orbit"])
     values["certificate_file"].write_text(json.dumps(proof.certificate), encoding="utf-8")

@@ -11,14 +11,17 @@ import os
 import re
 import shlex
 import tomllib
+from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
 from command_line import Ended, dpcontrol
+from once import time_once
 
 from dpcontrol.cli.verbs import VERBS
 from dpcontrol.pages.figures import FIGURES
+from dpcontrol.runs import preflight
 
 ROOT = Path(__file__).parents[1]
 GUIDE = ROOT / "dpcontrol" / "guide"
@@ -126,6 +129,18 @@ def in_the_folder(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("dpcontrol.pages.picture.viewer_program", lambda: Path("/bin/true"))
 
 
+@pytest.fixture
+def briefly(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Time the work of a chart once, and let a preflight seek one border and try three changes, as one of each shows.
+
+    Each further border or change takes seconds of runs; test_preflight has all of them.
+    """
+    time_once(monkeypatch)
+    hazards, changes = preflight.hazards, preflight.changes
+    monkeypatch.setattr(preflight, "hazards", lambda plan, scene, **most: hazards(plan, scene, **most)[1:2])
+    monkeypatch.setattr(preflight, "changes", lambda scene: islice(changes(scene), 3))
+
+
 def expected(line: str) -> re.Pattern[str]:
     """Return a pattern for a line of a page, in which … matches anything and spaces may vary."""
     words = [".*?".join(map(re.escape, word.split("…"))) for word in line.split()]
@@ -166,6 +181,7 @@ def test_the_pages_show_every_verb_at_work() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("briefly")
 @pytest.mark.parametrize("section", cases())
 def test_the_blocks_of_a_section_run_and_print_the_shown_output(section: Section) -> None:
     for command in makers("\n".join(block.text for block in section.blocks)):

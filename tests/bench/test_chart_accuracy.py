@@ -1,15 +1,11 @@
 """The charts' accuracy, without their times: schemes keep their orders, truths are true."""
 
-import importlib
-import pkgutil
-
 import numpy as np
 import pytest
+from once import time_once
 from scipy.integrate import solve_ivp
 
-import dpcontrol.bench
 from dpcontrol.bench.chart import CHARTS, GROUPS
-from dpcontrol.bench.measure import TimedWork
 from dpcontrol.bench.propagation import (
     Stepper,
     buffered_rate,
@@ -105,14 +101,5 @@ def test_a_tighter_tolerance_is_nearer_and_the_default_is_at_rounding(work):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in CHARTS if name not in (*GROUPS["edges"], IN_THE_GUIDE)])
 def test_each_quick_chart_has_its_defaults(name, monkeypatch):
-    def once(functions, *_, worth=lambda key, result: True, **__):
-        found = {key: TimedWork(1.0, function()) for key, function in functions.items()}
-        for key, timed in found.items():
-            worth(key, timed.result)
-        return found
-
-    for found in pkgutil.iter_modules(dpcontrol.bench.__path__, "dpcontrol.bench."):
-        holder = importlib.import_module(found.name)
-        if hasattr(holder, "timed_in_turns"):
-            monkeypatch.setattr(holder, "timed_in_turns", once)
+    time_once(monkeypatch)
     assert any(panel.defaults for panel in CHARTS[name](True, no_progress).parts)

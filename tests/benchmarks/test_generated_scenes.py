@@ -25,7 +25,7 @@ from dpcontrol.plans.plan import make_plan
 
 PLANNED, COMPLETED = 0.8, 0.97
 """Shares of the scenes that are planned, and of their runs that are completed, at least."""
-SLOW_SCENES, SLOW_RUNS, SLOW_LIMIT = (0, 2, 3, 5, 7), 2, 80.0
+SLOW_SCENES, SLOW_RUNS, SLOW_LIMIT = (0, 2, 3), 2, 80.0
 """Scenes of the slow test, which are planned in seconds."""
 ENDS = 0.07
 """rad: how far a reference may be off its last orbit. Runs are allowed 0.1 rad, and track within some 0.02 rad."""
@@ -71,7 +71,7 @@ def test_the_files_of_forty_scenes_are_accepted_and_reproducible(tmp_path: Path)
 
 
 @pytest.mark.slow
-def test_five_generated_scenes_are_planned_and_completed(tmp_path: Path) -> None:
+def test_three_generated_scenes_are_planned_and_completed(tmp_path: Path) -> None:
     flights = _flown(tmp_path, SLOW_SCENES, runs=SLOW_RUNS, limit=SLOW_LIMIT)
     _check(flights, tmp_path, risk=0.01, searches=False)
 

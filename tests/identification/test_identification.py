@@ -18,7 +18,7 @@ MEDIAN, WORST = 1.6e-3, 3.6e-3
 # For all ratios with 40,000 counts. Independent rounding would give 0.03 % for friction.
 RATIO_ERROR = 2e-3
 COVERED = 0.9
-RUNS = 10
+RUNS = 6
 TWO_SIDED_95 = 1.96
 
 LAB = load_model("lab").arms
@@ -38,8 +38,8 @@ def recorded(
 
 
 @pytest.fixture(scope="module")
-def ten_runs() -> list[tuple[Identification, np.ndarray]]:
-    """True and identified arms: ten with errors up to 5 %, from eight swings of 8 s with four held out."""
+def runs() -> list[tuple[Identification, np.ndarray]]:
+    """True and identified arms: six with errors up to 5 %, from eight swings of 8 s with four held out."""
     out = []
     for seed in range(RUNS):
         arms = RUBBING.mismatched(0.05, np.random.default_rng(100 + seed))
@@ -51,15 +51,15 @@ def ten_runs() -> list[tuple[Identification, np.ndarray]]:
 
 
 @pytest.mark.slow
-def test_true_ratios_and_zeros_lie_inside_the_95_percent_region_which_is_not_too_wide(ten_runs) -> None:
-    apart = [np.abs(found.values - truth) / found.errors for found, truth in ten_runs]
+def test_true_ratios_and_zeros_lie_inside_the_95_percent_region_which_is_not_too_wide(runs) -> None:
+    apart = [np.abs(found.values - truth) / found.errors for found, truth in runs]
     assert np.mean(np.array(apart) <= TWO_SIDED_95) >= COVERED
     assert 0.15 < np.median(np.square(apart)) < 1.5
 
 
 @pytest.mark.slow
-def test_true_ratios_are_recovered_including_friction(ten_runs) -> None:
-    for found, truth in ten_runs:
+def test_true_ratios_are_recovered_including_friction(runs) -> None:
+    for found, truth in runs:
         ratios = len(base_ratios(found.arms))
         assert np.abs(found.values[:ratios] / truth[:ratios] - 1).max() < RATIO_ERROR
         assert np.abs(found.values[:INERTIAL] / truth[:INERTIAL] - 1).max() < RATIO_ERROR / 100
@@ -67,7 +67,7 @@ def test_true_ratios_are_recovered_including_friction(ten_runs) -> None:
 
 
 @pytest.mark.slow
-def test_less_motion_gives_less_accurate_friction_with_a_remark(ten_runs) -> None:
+def test_less_motion_gives_less_accurate_friction_with_a_remark(runs) -> None:
     arms = RUBBING.mismatched(0.05, np.random.default_rng(100))
     recording, zeros = recorded(arms, 0)
     few = identify([recording], LAB, settings=IdentificationSettings(zeros="free", laws=ALL_LAWS))

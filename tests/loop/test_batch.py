@@ -42,25 +42,22 @@ def with_mechanics(**values: Any) -> LoopSettings:
 
 KEPT_UP = {
     "as it is": BASE,
-    "delay of 1.4 periods": with_drive(delay=1.4),
-    "lag and 1.6 periods": with_drive(lag=0.005, delay=1.6),
-    "heavy cart": with_drive(lag=0.002, cart_mass=4.0, cart_viscous=1.0),
-    "noisy, weak, jerky drive": with_drive(command_noise=0.3, response=0.95, jerk=2000.0),
-    "pushes and knocks": replace(
-        BASE, disturbances=DisturbanceSettings(pushes=3, push_impulse=2e-4, knocks=2, knock_velocity=0.02)
+    "lag, 1.6 periods and a heavy cart": with_drive(lag=0.005, delay=1.6, cart_mass=4.0, cart_viscous=1.0),
+    "noisy, weak, jerky drive, pushes and knocks": replace(
+        with_drive(command_noise=0.3, response=0.95, jerk=2000.0),
+        disturbances=DisturbanceSettings(pushes=3, push_impulse=2e-4, knocks=2, knock_velocity=0.02),
     ),
-    "readings of unknown age, and a delay of 1.4 periods": replace(
-        with_sensors(jitter=7e-4), drive=DriveSettings(delay=1.4, lag=0.005, cart_mass=4.0)
+    "readings of unknown age, some missing, and a delay of 1.4 periods": replace(
+        with_sensors(jitter=7e-4, dropout=0.1), drive=DriveSettings(delay=1.4, lag=0.005)
     ),
-    "some readings missing": with_sensors(dropout=0.1),
     "zeros that are estimated": replace(with_sensors(zero_error=0.02), estimator=EkfSettings(augment=("zeros",))),
     "gains by phase": replace(BASE, mismatch=0.02, controller=TvlqrSettings(schedule="phase"), sensors=SMOOTH),
     "a delay too long to unroll": with_drive(delay=10.0),
     "lag that the controller knows of": replace(with_drive(lag=0.02), drive_lag=0.02),
     "belt that the controller knows of": with_mechanics(belt=15.0, belt_scale="cart"),
-    "play": with_mechanics(play=(0.01, 0.006)),
-    "stiction and a cable": with_mechanics(stiction=5e-4, cable_torque=2e-3, cable_stiffness=1e-3),
-    "another start": with_mechanics(initial_rate=0.1, initial_cart=0.01),
+    "play, stiction, a cable and another start": with_mechanics(
+        play=(0.01, 0.006), stiction=5e-4, cable_torque=2e-3, cable_stiffness=1e-3, initial_rate=0.1, initial_cart=0.01
+    ),
 }
 """Bench and loop of runs that come to their end."""
 

@@ -13,8 +13,6 @@ import numpy as np
 import pytest
 from command_line import dpcontrol
 
-import dpcontrol as dp
-
 pytest.importorskip("flint")
 
 from dpcontrol.proofs.balls import NotClosed, flint, symmetric, working
@@ -130,15 +128,6 @@ def test_the_check_runs_without_the_search(lab: dict[str, Any], tmp_path: Path) 
     assert done.returncode == 0, done.stderr
 
 
-@pytest.mark.slow
-def test_the_check_confirms_a_certificate(lab: dict[str, Any], tmp_path: Path) -> None:
-    file = tmp_path / "proof.json"
-    file.write_text(json.dumps(lab), encoding="utf-8")
-    ended = dpcontrol("prove", "check", file)
-    assert ended.code == 0, ended.stderr
-    assert "exactly one orbit of the double pendulum closes after passing its 8 sections once" in ended.stdout
-
-
 def test_the_trace_of_a_long_product_is_enclosed_sharply() -> None:
     """Derivatives grow five times along one direction that turns, in coordinates that are not orthogonal."""
     generator = np.random.default_rng(4)
@@ -181,6 +170,7 @@ def test_a_corrupted_file_is_rejected_by_its_digest_with_exit_code_1(
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("remembered")
 @pytest.mark.parametrize("name", [*UNREADABLE, *UNTRUE])
 def test_inconsistent_content_and_false_statements_are_rejected_despite_a_valid_digest(
     lab: dict[str, Any], name: str
@@ -211,12 +201,10 @@ def test_the_check_confirms_a_walk_and_rejects_false_symbols(
 
 
 @pytest.mark.slow
-def test_the_check_confirms_three_bodies_and_rejects_another_mass(tmp_path: Path) -> None:
-    orbit = dp.orbit(dp.load_model("three-body"), "L1", energy=-1.515)
-    proof = dp.prove(orbit)
-    assert proof.certificate is not None, proof.status
-    assert "exactly one orbit of the three bodies closes" in str(check(proof.certificate).statement)
-    assert rejected(corrupted(proof.certificate, put("system", "mass_ratio", 0, by="1e-9"), sealed=True))
+def test_the_check_confirms_three_bodies_and_rejects_another_mass(certificates: dict[str, dict[str, Any]]) -> None:
+    content = certificates["three bodies"]
+    assert "exactly one orbit of the three bodies closes" in str(check(content).statement)
+    assert rejected(corrupted(content, put("system", "mass_ratio", 0, by="1e-9"), sealed=True))
 
 
 def test_files_other_than_certificates_are_bad_input_and_incomplete_ones_are_rejected(tmp_path: Path) -> None:

