@@ -378,7 +378,7 @@ class FallRecovery:
         if over:
             self._brake(k, ticker)
         elif k >= self._asks and self._answers == _NEVER:
-            self._goal = -1 if self._tries and not self._tries % (_TRIES + 1) else self._stop
+            self._goal = -1 if self._tries % (_TRIES + 1) == _TRIES else self._stop
             self._ask(k, report, ticker)
         return ()
 
