@@ -150,8 +150,8 @@ class Assembly:
         start, size = self.settings.start, self.model.dimension
         if not isinstance(start, str) and (len(start) != size or not np.isfinite(start).all()):
             raise InputError(
-                f"run: start = {list(start)}: must be {size} finite numbers: angles, rates, and the cart's position and "
-                "velocity"
+                f"run: start = {list(start)}: must be {size} finite numbers: angles, rates, and the cart's position "
+                "and velocity"
             )
         main = schedule_of(self.controller, whole_periods(self.settings.drive.delay)[1])
         if main is None or main.law is not None:
