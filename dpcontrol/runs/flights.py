@@ -1,6 +1,7 @@
 """A flight from any state of a model or a plan to a named target."""
 
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -52,11 +53,16 @@ def plan_flight(
     return flight
 
 
+@lru_cache(maxsize=4)
+def _planner(arms: ArmChainParameters, limits: Limits) -> FlightPlanner:
+    return FlightPlanner(sampled_model(arms, RATE), limits)
+
+
 def _flight(
     arms: ArmChainParameters, state: Array, target: str | LyapunovOrbit | SustainedOrbit | Plan, limits: Limits
 ) -> Flight:
     name, places = _places(arms, target, limits)
-    planner = FlightPlanner(sampled_model(arms, RATE), limits)
+    planner = _planner(arms, limits)
     flights = planner.plan(state[None], places)
     durations, nodes, inputs, costs = flights.durations, flights.nodes, flights.inputs, flights.costs
     return Flight(name, float(durations[0]), float(costs[0]), inputs[0], nodes[0], limits, planner)
