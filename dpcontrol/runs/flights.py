@@ -81,7 +81,13 @@ def _places(
         model = sampled_model(arms, PHASES / target.period)
         name = f"the orbit about {target.lyapunov.saddle} at {target.energy:g} J"
         return name, orbit_target(target, model, TvlqrSettings(), limits)
+    return target, _held(arms, target, limits)
+
+
+@lru_cache(maxsize=16)
+def _held(arms: ArmChainParameters, name: str, limits: Limits) -> Target:
     points = equilibria(pendulum_system("pendulum", arms))
-    check_names("equilibrium", [target], points)
-    model = sampled_model(arms, RATE)
-    return target, hold_target(hold_controller(points[target].state, model, HoldSettings(), seconds=1.0), limits)
+    check_names("equilibrium", [name], points)
+    return hold_target(
+        hold_controller(points[name].state, sampled_model(arms, RATE), HoldSettings(), seconds=1.0), limits
+    )
