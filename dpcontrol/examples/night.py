@@ -1,7 +1,7 @@
 # %% [markdown]
 # # Recovery after a fall
-# Two blows on the arms exceed the law's limits. The supervisor calms the arms, the pendulum swings up from rest again,
-# and the failed symbol is repeated. `dpcontrol run turn-from-rest --hours 8` does so for a night.
+# Two blows on the arms exceed the law's limits. A flight carries the arms back to a stop, and the failed symbol is
+# repeated. `dpcontrol run turn-from-rest --hours 8` does so for a night.
 
 # %%
 import dpcontrol as dp

@@ -355,7 +355,7 @@ class LoopSettings(Settings, table="run"):
         Setting(help='"planned", or "anywhere" or a state, from which a flight leads to the first stop.'),
     ] = "planned"
     initial_error: Annotated[
-        float, Setting(least=0, most=np.pi, unit="rad", usual=(0.0, 1.0), help="Largest error of each initial angle.")
+        float, Setting(least=0, most=np.pi, unit="rad", usual=(0.0, 3.2), help="Largest error of each initial angle.")
     ] = 0.0
     mismatch: Annotated[float, Setting(least=0, most=0.9, help="Largest relative error of the plant's parameters.")] = (
         0.0

@@ -107,8 +107,8 @@ class SupervisorSettings(Settings, table="supervisor"):
         braking: share of the largest acceleration that stopping assumes. The actual braking is harder.
         margin: free track that must remain after stopping, m.
         hold: "nearest" to hold the nearest orbit or equilibrium once if tracking is lost, "none" to stop.
-        on_fall: action after a fall: "stop" ends the run, "resume" starts from rest and repeats the failed symbol,
-            "restart" begins the itinerary again.
+        on_fall: action after a fall: "stop" ends the run, "resume" flies back to a stop and repeats the failed
+            symbol, "restart" flies to the first stop and begins the itinerary again.
         attempts: attempts of one symbol until the run ends.
     """
 

@@ -68,7 +68,12 @@ class Header(Settings):
 
     title: Annotated[str, Setting(help="Title of pages and logs; by default the file's name.")] = ""
     model: Annotated[str, Setting(help="Model, by name or path.")] = "lab"
-    start: Annotated[str, Setting(choices=ENDS, help="State at the start.")] = "orbit"
+    start: Annotated[
+        str,
+        Setting(
+            choices=(*ENDS, "anywhere"), help='State at the start; "anywhere": of a run that begins with a flight.'
+        ),
+    ] = "orbit"
     finish: Annotated[str, Setting(choices=ENDS, help='State at the end; after start = "hold" by default "hold".')] = (
         "orbit"
     )

@@ -59,7 +59,7 @@ _SPEED = 12_000
 _MEMORY, _MEMORY_A_TICK, _MEMORY_A_STOP = 3.5e8, 3900, 210
 """Memory of a night of any length, bytes, and bytes for each tick of its itinerary: gains and latest rows.
 
-Each stop with a transfer from rest takes as many again.
+Each stop takes as many again.
 """
 MOST_DISK = 2e10
 """Bytes of logs above which a night needs confirmation."""
@@ -244,7 +244,7 @@ def run_night(
     recovery = assembly.recovery
     if recovery is None:
         raise InputError(
-            f'{scene.path}: [supervisor] on_fall = "stop": a long run repeats its itinerary, from rest if necessary; '
+            f'{scene.path}: [supervisor] on_fall = "stop": a long run repeats its itinerary, by flights if necessary; '
             f'use on_fall = "resume" or "restart"'
         )
 
