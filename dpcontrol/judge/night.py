@@ -26,6 +26,7 @@ from dpcontrol.foundation.document import Documented, picked
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.settings import check_names
 from dpcontrol.foundation.shown import Shown, pandas_classes
+from dpcontrol.judge.score import ENDINGS
 from dpcontrol.logs.container import partials_of
 from dpcontrol.logs.layout import CATCH, FLIGHT, LAP, RESUME, RETURN, Event
 from dpcontrol.logs.reader import read_log
@@ -322,7 +323,7 @@ def followed(digests: Sequence[Digest]) -> tuple[list[NightSpan], list[Fall], li
                 turn(time, BRAKING, falls[left].cause)
             elif name == FLIGHT and kind not in (STOPPED, ITINERARY):
                 turn(time, kind if kind == BETWEEN else FLYING if event.level == "info" else BRAKING, cause)
-            elif name != FLIGHT:
+            elif name in ENDINGS:
                 if name != "finished":
                     endings.append(event)
                 turn(time, STOPPED)

@@ -427,7 +427,7 @@ def score(log: RunLog) -> Score:
     )
 
 
-_ENDINGS = frozenset(ending.value for ending in Ending)
+ENDINGS = frozenset(ending.value for ending in Ending)
 
 
 def _part(log: RunLog, flown: Flown, plan: Reference) -> FaultFigures | None:
@@ -444,7 +444,7 @@ def _part(log: RunLog, flown: Flown, plan: Reference) -> FaultFigures | None:
     first, last, slack = float(log.time[0]), float(log.time[-1]), 1.5 / log.rate_hz
     noted = plan.duration if log.end_s is None else log.end_s
     # A rig's clock differs from the nominal one, so the event counts first.
-    end = max((event.time for event in log.events if event.name in _ENDINGS), default=noted)
+    end = max((event.time for event in log.events if event.name in ENDINGS), default=noted)
     if first <= slack and last >= end - slack:
         return None
     covers = {"first": first, "last": last, "lasted": noted if first > noted else max(end, last)}

@@ -500,7 +500,8 @@ class LoopSettings(Settings, table="run"):
         faults = sensors.missed_counts or np.isfinite(sensors.stuck_at)
         hands_over = self.keep != "none" or supervisor.hold != "none" or supervisor.resynchronise
         compiled = isinstance(self.estimator, EkfSettings) and not isinstance(self.controller, OwnLaw)
-        return compiled and self._own_plant is None and not faults and not hands_over and supervisor.on_fall == "stop"
+        returns = supervisor.on_fall != "stop" or self.start != "planned"
+        return compiled and self._own_plant is None and not faults and not hands_over and not returns
 
     @property
     def own(self) -> tuple[OwnObject, ...]:

@@ -5,6 +5,7 @@ the braking law or the flight under way, plans a flight from there and makes its
 never in seconds, so runs repeat exactly.
 """
 
+import math
 import multiprocessing
 import time
 from collections.abc import Iterator
@@ -58,6 +59,7 @@ class Request(NamedTuple):
     state (N,): at the first tick whose command is free. push: acceleration of a lagging drive then, m/s². ticks: from
     there to the flight. lead: ticks of pending commands. goal: index of the stop that it leads to, -1 for rest. course:
     flight under way, which is replaced only if it misses its goal, or None. first: tick of its law at that state.
+    latest: time of the plan's reference after which no place is joined, s.
     """
 
     state: Array
@@ -67,6 +69,7 @@ class Request(NamedTuple):
     goal: int
     course: Course | None
     first: int
+    latest: float
 
 
 class Answer(NamedTuple):
@@ -122,7 +125,7 @@ class DirectPilot:
         Args:
             request: states and goal.
         """
-        goal, course = self.briefing.goals[request.goal], request.course
+        goal, course = self.briefing.goals[request.goal].until(request.latest), request.course
         coming = self._predicted(request)
         if course is not None and self._lands(course, coming[-1], request.first + request.ticks - request.lead, goal):
             self._answer = Answer(None)
@@ -231,7 +234,7 @@ def _serve(pipe: Connection, briefing: Briefing) -> None:
     """Answer requests until the other end closes."""
     end_with_parent()
     pilot, size = DirectPilot(briefing), 2 * briefing.arms.count + 2
-    pilot.ask(Request(np.zeros(size), 0.0, 1, 0, 0, None, 0))
+    pilot.ask(Request(np.zeros(size), 0.0, 1, 0, 0, None, 0, math.inf))
     pipe.send("ready")
     while True:
         number, request = pipe.recv()

@@ -22,6 +22,7 @@ Flying a section again costs time, so V is multiplied by (1 + back/`_WORTH`) for
 After a fall, the run repeats the failed symbol from the preceding stop. Completed symbols remain completed.
 """
 
+import math
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -221,6 +222,7 @@ class FallRecovery:
         self._goal = 0
         self._bounds = dict[str, float]()
         self._course: Course
+        self._good = math.inf
         self._thinking = THINKING
         self._why, self._sensor = Cause.FINISHED, 0
         self._flown: list[Stretch] = []
@@ -306,7 +308,8 @@ class FallRecovery:
         if before is Motion.ITINERARY:
             self.falls += 1
             self._flown.append(Stretch(self._joins, k + 1, self._at))
-            good = self._at + (self._followed - self._joins) * period - _BEFORE
+            # Up to then the run is judged; a place after it would leave a gap.
+            self._good = good = self._at + (self._followed - self._joins) * period - _BEFORE
             reached = [stop for stop, goal in enumerate(plan.goals[:-1]) if goal.at[0] <= good]
             self._stop, self._tries = 0 if plan.restarts else max([self._stop, *reached]), 0
             tried = self._attempts[self._stop] = self._attempts.get(self._stop, 0) + 1
@@ -393,7 +396,16 @@ class FallRecovery:
         if course is None:
             program.memory.velocity[:] = state[-1]
         self._plan.pilot.ask(
-            Request(state, drive.item(0), ticks, ticker.lead, self._goal, course, k + 1 + ticker.lead - ticker.began)
+            Request(
+                state,
+                drive.item(0),
+                ticks,
+                ticker.lead,
+                self._goal,
+                course,
+                k + 1 + ticker.lead - ticker.began,
+                self._good,
+            )
         )
 
     def _fly(self, k: int, report: Report, ticker: Ticker) -> Sequence[Event]:
@@ -551,6 +563,7 @@ class FallRecovery:
     def _lapped(self, k: int, state: Array, ticker: Ticker) -> Sequence[Event]:
         """Begin another lap after tick k, with the reference at `state` (N,)."""
         self._lap, self._begins = self._lap + 1, True
+        self._good = math.inf
         # A run is judged by its last lap.
         self._flown.clear()
         self._attempts.clear()

@@ -88,6 +88,16 @@ class FlightGoal(Brief):
     gains: GainSchedule
     at: Array
 
+    def until(self, latest: float) -> "FlightGoal":
+        """Return the goal with the places up to a time, at least the first.
+
+        Args:
+            latest: time of the plan's reference, s.
+        """
+        count = max(1, int(np.searchsorted(self.at, latest, side="right")))
+        target = Target(self.target.states[:count], self.target.costs[:count])
+        return replace(self, target=target)
+
 
 def reached(
     reference: Reference, model: SampledModel, settings: QuadraticWeights, *, every: int, limits: Limits

@@ -126,7 +126,7 @@ def parsed(name: str, text: str) -> Any:
     if path in OBJECTS:
         return text
     leaf, value = paths()[path], text
-    if "tuple" in str(leaf.hint) and (text[:1] == "[" or "," in text or "str" in str(leaf.hint)):
+    if "tuple" in str(leaf.hint) and (text[:1] == "[" or "," in text or "tuple[str" in str(leaf.hint)):
         value = [entry.strip(" \"'") for entry in text.removeprefix("[").removesuffix("]").rstrip(", ").split(",")]
     return leaf.read(value, key=name, strict=False)
 

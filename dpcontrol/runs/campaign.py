@@ -204,7 +204,7 @@ def _assembled(job: Job) -> Assembly:
     decisive = LoopSettings(
         seed=0, rate=loop.rate, drive_lag=loop.known_lag, keep=loop.keep, controller=loop.controller,
         estimator=loop.estimator,
-        supervisor=loop.supervisor,
+        supervisor=loop.supervisor, start=loop.start,
     )  # fmt: skip
     return replace(_prepared(job.reference, job.arms, decisive).under(loop), uncertainty=job.uncertainty)
 

@@ -45,6 +45,11 @@ def plan_flight(
     size, state = 2 * arms.count + 2, np.asarray(state, dtype=float)
     if state.shape != (size,) or not np.isfinite(state).all():
         raise InputError(f"state: must be {size} finite numbers: angles, rates, and position and velocity of the cart")
+    if max(abs(state[-2]) / limits.position, abs(state[-1]) / limits.velocity) > 1:
+        raise InputError(
+            f"state: the cart is at {state[-2]:g} m with {state[-1]:g} m/s: must be within ±{limits.position:g} m and "
+            f"±{limits.velocity:g} m/s; give wider limits"
+        )
     flight = _flight(arms, state, target, limits)
     for name in ("position", "acceleration") if not flight.converged else ():
         wider = replace(limits, **{name: _LONGER * getattr(limits, name)})
