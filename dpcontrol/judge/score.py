@@ -418,7 +418,7 @@ def score(log: RunLog) -> Score:
         nis_means=nis_means(log.control["nis"], log.measured.shape[1]),
         thinking=_thinking(log),
         falls=falls,
-        returned=_returned(log.events),
+        returned=returns(log.events),
         attempts=_attempts(log, verdict.symbols, len(plan.content.symbols)) if flown.stretches else (),
         catches=sum(event.name == CATCH for event in log.events),
         judged_by="estimate" if log.truth is None else "truth",
@@ -492,8 +492,12 @@ def stretches_of(log: RunLog) -> tuple[Stretch, ...]:
     return (*stretches, *([under_way] if under_way is not None and under_way.first < len(log.time) else ()))
 
 
-def _returned(events: Sequence[Event]) -> tuple[float, ...]:
-    """Return the time from each departure to the return to the itinerary, s."""
+def returns(events: Sequence[Event]) -> tuple[float, ...]:
+    """Return the time from each departure to the return to the itinerary, s.
+
+    Args:
+        events: events of a run.
+    """
     times, left = list[float](), None
     for event in events:
         if event.name == RETURN and event.cause != Cause.LAP_DONE:

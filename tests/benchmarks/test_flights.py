@@ -13,6 +13,7 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
+from dpcontrol.judge.score import returns
 from dpcontrol.logs import Event
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.result import Ending, LoopSink
@@ -64,13 +65,14 @@ def assembly(target: str, track: float, acceleration: float, options: tuple[tupl
 
 
 def flown(case: tuple[str, float, Mapping[str, float], int]) -> tuple[float, bool]:
-    """The time of the return in s, infinite without one, and whether the cart met its end stop."""
+    """The longest return in s, infinite if the run is not back to its end, and whether the cart met its end stop."""
     target, track, options, seed = case
     own = {name: value for name, value in options.items() if name != "acceleration"}
     parts, sink = assembly(target, track, options.get("acceleration", 30.0), tuple(own.items())), Events()
     result = parts.under(replace(parts.settings, seed=seed)).simulate(sink=sink)
-    back = [event.time for event in sink.events if event.name == "resume"]
-    return (back[-1] if back and result.ending is Ending.FINISHED else np.inf), result.ending is Ending.CART_STOP
+    returned = returns(sink.events)
+    done = result.ending is Ending.FINISHED and returned
+    return (max(returned) if done else np.inf), result.ending is Ending.CART_STOP
 
 
 def row(target: str, track: float, options: Mapping[str, float]) -> tuple[float, float, float, int]:
