@@ -2983,9 +2983,9 @@ def draw_figures(
     """Draw the computational figures of the paper, each a PNG with a caption and the differences.
 
     Names: energy-landscape, three-body-homoclinics, three-body, lyapunov-orbits, families, tubes, tubes-down-up, cuts,
-    colour-wheels, tubes-up-down, colour-wheels-up-down, homoclinics-low, homoclinics-high, heteroclinics,
-    heteroclinic-orbits, branches, graph, shadowing, double-homoclinics, triple-homoclinics, returning-homoclinics,
-    up-up. Without a name, all are drawn. Atlases are cached by content.
+    tubes-up-down, homoclinics-low, homoclinics-high, heteroclinics, heteroclinic-orbits, branches, graph, shadowing,
+    double-homoclinics, triple-homoclinics, returning-homoclinics, up-up. Without a name, all are drawn. Atlases are
+    cached by content.
 
     Args:
         names: figures, such as "tubes" (default: all).

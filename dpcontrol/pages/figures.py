@@ -31,7 +31,6 @@ from dpcontrol.pages.paper.shadowing import shadowing_page
 from dpcontrol.pages.paper.three_body import three_body_homoclinics_page, three_body_page
 from dpcontrol.pages.paper.tubes import cuts_page, senses_page, tubes_page
 from dpcontrol.pages.paper.up_up import up_up_page
-from dpcontrol.pages.paper.wheels import wheels_page
 
 FIGURES: dict[str, Callable[[Gallery], PaperFigure]] = {
     "energy-landscape": landscape_page,
@@ -42,9 +41,7 @@ FIGURES: dict[str, Callable[[Gallery], PaperFigure]] = {
     "tubes": tubes_page,
     "tubes-down-up": partial(senses_page, saddle="down-up"),
     "cuts": cuts_page,
-    "colour-wheels": partial(wheels_page, saddle="down-up"),
     "tubes-up-down": partial(senses_page, saddle="up-down"),
-    "colour-wheels-up-down": partial(wheels_page, saddle="up-down"),
     "homoclinics-low": partial(homoclinics_page, energy=-0.07, saddles=("down-up",), about=LOW),
     "homoclinics-high": partial(homoclinics_page, energy=0.2, saddles=("down-up", "up-down"), about=HIGH),
     "heteroclinics": heteroclinics_page,
