@@ -6,7 +6,6 @@ from collections.abc import Iterable, Sequence
 from functools import partial
 from typing import Any
 
-import numpy as np
 from matplotlib.axes import Axes
 
 from dpcontrol.pages import style
@@ -20,7 +19,7 @@ from dpcontrol.pages.atlas_parts import (
     tubes_of_cut,
 )
 from dpcontrol.pages.layout import Panel, Stack, key
-from dpcontrol.pages.panels import angle_axis, mark_times, name_point, quiet, quiet_plane, quiet_space
+from dpcontrol.pages.panels import angle_axis, name_point, quiet, quiet_plane, quiet_space
 from dpcontrol.walks.atlas import Atlas, AtlasConnection, AtlasCut, AtlasKind, section_axes
 
 
@@ -135,23 +134,6 @@ def draw_flight(axes: Axes, atlas: Atlas, connection: AtlasConnection, colour: s
     # Turns of the inner arm alone are wide and flat, so their panels are lower.
     flat = connection.source == connection.target and not connection.winding[-1]
     axes.set_aspect("equal", adjustable="box" if flat else "datalim", anchor="W")
-
-
-def draw_angles(axes: Axes, atlas: Atlas, connection: AtlasConnection, *, title: str) -> None:
-    """Draw both angles over time, with the section crossing at zero.
-
-    Args:
-        axes: panel to draw on.
-        atlas: atlas with the connection.
-        connection: connection to draw.
-        title: title of the panel.
-    """
-    for arm in range(len(atlas.periods) // 2):
-        axes.plot(connection.times, connection.states[:, arm], color=style.arm_colour(arm), linewidth=1.3)
-    mark_times(axes, [time for time in (-connection.time_out, connection.time_in) if np.isfinite(time)])
-    quiet(axes, title)
-    axes.margins(x=0)
-    angle_axis(axes, "y", step=1.0)
 
 
 def draw_space(

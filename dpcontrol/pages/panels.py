@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from textwrap import shorten
 from typing import Any
 
+import networkx as nx
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
@@ -259,6 +260,43 @@ def bars(axes: Axes, title: str, rows: Sequence[Bar], *, x: str = "") -> None:
             bar.note, (1.0, k), xycoords=("axes fraction", "data"), color=style.NOTE, annotation_clip=False, **look
         )
     name_rows(axes, [shorten(bar.name, 52, placeholder=" …") for bar in rows])
+
+
+def draw_graph(axes: Axes, graph: "nx.MultiDiGraph[str]", title: str) -> None:
+    """Draw a connection graph: orbits with an arrow for each pair that is connected, and the numbers of connections.
+
+    Args:
+        axes: panel to draw on.
+        graph: orbits as nodes, connections as edges.
+        title: title of the panel.
+    """
+    places = nx.circular_layout(graph, scale=1.3)
+    for name, place in places.items():
+        disc = {"boxstyle": "circle,pad=0.7", "facecolor": style.saddle_colour(name), "edgecolor": "none"}
+        axes.text(
+            float(place[0]),
+            float(place[1]),
+            name,
+            ha="center",
+            va="center",
+            color=style.PAPER,
+            weight="bold",
+            bbox=disc,
+            zorder=5,
+        )
+    for source, target in dict.fromkeys(graph.edges()):
+        connections = [data["connection"] for data in graph.get_edge_data(source, target).values()]
+        ends, bend, shrink = np.array([places[source], places[target]]), 0.25, 28.0
+        middle = ends.mean(axis=0) + 0.18 * (ends[1] - ends[0])[::-1] * (1, -1)
+        if source == target:
+            ends, bend, shrink = ends + np.array([(-0.12, 0.38), (0.12, 0.38)]), -3.5, 0.0
+            middle = places[source] + (0.0, 0.95)
+        look = {"connectionstyle": f"arc3,rad={bend}", "color": style.CART, "shrinkA": shrink, "shrinkB": shrink}
+        axes.annotate("", ends[1], ends[0], arrowprops={"arrowstyle": "-|>", **look})
+        text = f"{len(connections)}, {sum(c.symmetric for c in connections)} symmetric"
+        axes.text(float(middle[0]), float(middle[1]), text, ha="center", va="center", color=style.INK)
+    bare(axes, title)
+    axes.set(xlim=(-2.2, 2.2), ylim=(-1.5, 1.5), aspect="equal")
 
 
 BESIDE = "label beside a point"

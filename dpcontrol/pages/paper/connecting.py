@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from dpcontrol.pages import style
-from dpcontrol.pages.atlas_panels import draw_angles, draw_cuts, row_of, space_panel
+from dpcontrol.pages.atlas_panels import draw_cuts, row_of, space_panel
 from dpcontrol.pages.atlas_parts import colours, connections_of, kind_of, one_of_each, section_place
 from dpcontrol.pages.gallery import IDENTIFIED, Gallery, PaperFigure
 from dpcontrol.pages.layout import MOST_IN_KEY, Page, Panel
@@ -128,7 +128,7 @@ def heteroclinic_orbits_page(gallery: Gallery) -> PaperFigure:
 
 
 def repeated_page(gallery: Gallery, *, turns: int) -> PaperFigure:
-    """Draw connections of Down-Up at -0.07 J that turn the outer arm several times, also over time.
+    """Draw connections of Down-Up at -0.07 J that turn the outer arm several times.
 
     Args:
         gallery: data sources.
@@ -145,10 +145,8 @@ def repeated_page(gallery: Gallery, *, turns: int) -> PaperFigure:
         lengths.setdefault(round(c.time_in + c.time_out, 4), c)
     kept = list(lengths.values())[:_REPEATED] or [c for c in connections if c.sense > 0][:_REPEATED]
     names = {c.name: letter for c, letter in zip(kept, "abc", strict=False)}
-    angles = "{}: θ₁ blue, θ₂ orange, against time (s)"
-    panels = [partial(draw_angles, atlas=atlas, connection=c, title=angles.format(names[c.name])) for c in kept]
     page = Page(f"{title} homoclinic connections of Down-Up at {ENERGY:g} J (hits {[turns, 1]})")
-    page.row(*row_of(atlas, kind, kept, numbers=names, marked=tuple(kept)), height=4.4).row(*panels, height=2.6)
+    page.row(*row_of(atlas, kind, kept, numbers=names, marked=tuple(kept)), height=4.4)
     windings = [tuple(abs(int(turn)) for turn in c.winding) for c in connections]
     counts = ", ".join(
         f"{windings.count(w)} {f'of winding ±{list(w)}' if any(w) else 'without winding'}"
@@ -161,8 +159,7 @@ def repeated_page(gallery: Gallery, *, turns: int) -> PaperFigure:
         f"Above, left: the cuts of the unstable tube at its {ordinal} crossing of θ₂ = 2πk and of the stable tube at "
         "its first one back. Right: the connections as flights in the plane of the angles, with the "
         f"outer arm turning {times} before the arms settle about Down-Up again, {number} turns on (dot: the section at "
-        "time zero). Below: both angles against time; dotted lines mark where the flight leaves one orbit and joins "
-        f"the other. {'In all' if resolved else 'At least'} {len(connections)} connections were found at these hits: "
+        f"time zero). {'In all' if resolved else 'At least'} {len(connections)} connections were found at these hits: "
         f"{counts}; those of smaller winding turn there and back. The cut is in pieces, torn apart where the tube "
         f"passes near the orbit again{'' if resolved else torn}.",
         "The paper cuts them on θ₂ = 4π and 6π; here the section is that of the single ones, θ₂ = 2πk, at later hits. "
