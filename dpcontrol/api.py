@@ -2614,7 +2614,7 @@ def review(
     It shows the arms with the reference as a ghost, the planned and the actual itinerary, angles, rates, command,
     errors, energy, and phase planes with the tubes. Recordings from the bench open too. Several logs open side by side,
     delayed so that all cross the section of symbol N at the same time. An atlas (.npz) opens as tubes, orbits and
-    flights, with numbered connections on its cuts. A reference (.npz) opens as motion, command and limits.
+    flights in space. A reference (.npz) opens as motion, command and limits.
 
     With --save, --picture or --film, no viewer opens. A film shows the arms on their cart, the reference, the path of
     the tip and the itinerary.

@@ -1,6 +1,7 @@
 """A filmstrip: arms on their cart at several times, side by side."""
 
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.judge.run_view import RunView
 from dpcontrol.pages import style
+from dpcontrol.pages.layout import Page
 from dpcontrol.pages.panels import draw_fading
 from dpcontrol.pages.planes import arm_points
 from dpcontrol.pages.ranges import Range
@@ -37,7 +39,7 @@ def draw_film(axes: Axes, view: RunView, times: Array) -> None:
     axes.set(xlim=horizontal, ylim=vertical)
     rows = film_rows(view, times)
     for i, (time, row) in enumerate(zip(times, rows, strict=True)):
-        at = frame_position(view, i)
+        at = i * _FRAME_STEP * reach
         if not view.time[0] <= time <= view.time[-1]:
             look = {"ha": "center", "va": "center", "fontsize": style.SMALL, "color": style.MARK}
             axes.text(at, 0, f"no data at\n{time:.2f} s", **look)
@@ -86,16 +88,6 @@ def draw_pose(axes: Axes, view: RunView, row: int, *, since: int, at: float, thi
         axes.plot(shift + ghost[:, 0], ghost[:, 1], **look)
 
 
-def frame_position(view: RunView, frame: int) -> float:
-    """Return the drawn position of the pivot of a frame, m.
-
-    Args:
-        view: motion in the film.
-        frame: number of the frame, from 0.
-    """
-    return frame * _FRAME_STEP * sum(view.arm_lengths)
-
-
 def film_extent(view: RunView, times: Array) -> tuple[Range, Range]:
     """Return the x and y limits in m for `draw_film`.
 
@@ -116,16 +108,16 @@ def film_extent(view: RunView, times: Array) -> tuple[Range, Range]:
     return (-0.53 * step, (len(times) - 0.47) * step), (low - 0.62 * reach, high + 0.1 * reach)
 
 
-def film_height(view: RunView, times: Array, *, width: float) -> float:
-    """Return the height of a film of this width at equal scales.
+def add_film(page: Page, view: RunView, times: Array) -> None:
+    """Add a filmstrip to a page, as high as equal scales require.
 
     Args:
+        page: page to extend.
         view: motion in the film.
         times: (K,) s of the frames.
-        width: width of the film, in the height's unit.
     """
     (left, right), (low, high) = film_extent(view, times)
-    return width * (high - low) / (right - left)
+    page.row(partial(draw_film, view=view, times=times), height=page.width * (high - low) / (right - left))
 
 
 def film_rows(view: RunView, times: Array) -> NDArray[np.int64]:

@@ -26,7 +26,7 @@ from dpcontrol.logs import RunLog
 from dpcontrol.pages import style
 from dpcontrol.pages.chart import Chart
 from dpcontrol.pages.charts import draw_chart, draw_plane
-from dpcontrol.pages.filmstrip import draw_film, film_height, film_times
+from dpcontrol.pages.filmstrip import add_film, film_times
 from dpcontrol.pages.layout import Page, Panel, Stack, cropped, list_panel
 from dpcontrol.pages.panels import Bar, bars
 from dpcontrol.pages.planes import plane
@@ -84,9 +84,7 @@ def draw(view: RunView) -> Figure:
     if story_height(view):
         page.row(partial(story, view=view), height=story_height(view))
     if view.arm_lengths:
-        times = film_times(view, frames=_FRAMES)
-        height = film_height(view, times, width=style.WIDTH)
-        page.row(partial(draw_film, view=view, times=times), height=height)
+        add_film(page, view, film_times(view, frames=_FRAMES))
     columns = [Stack(column, share=1.05) for column in (left, right) if column]
     lists = _lists(view)
     height = _TALL * max(half, 4)

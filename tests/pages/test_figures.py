@@ -75,7 +75,7 @@ def test_the_recording_of_an_atlas_is_verified_by_the_viewers_own_tool_and_holds
             [str(program), *verb, str(tmp_path / "a.rrd")], capture_output=True, text=True, timeout=60, check=False
         )
         assert done.returncode == 0, done.stderr
-    for path in ("/space/orbits/down_up", "/space/tubes/down_up/hit_1", "/sections/down_up_to_down_up_1_1"):
+    for path in ("/space/orbits/down_up", "/space/tubes/down_up/hit_1", "/space/connections/down_up_to_down_up_1_1"):
         assert path in done.stdout
     assert done.stdout.count("/now") >= len(low.connections)
 
