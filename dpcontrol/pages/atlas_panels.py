@@ -18,7 +18,7 @@ from dpcontrol.pages.atlas_parts import (
     section_place,
     tubes_of_cut,
 )
-from dpcontrol.pages.layout import Panel, Stack, key
+from dpcontrol.pages.layout import Panel, key
 from dpcontrol.pages.panels import angle_axis, name_point, quiet, quiet_plane, quiet_space
 from dpcontrol.walks.atlas import Atlas, AtlasConnection, AtlasCut, AtlasKind, section_axes
 
@@ -85,8 +85,7 @@ def row_of(
     *,
     numbers: dict[str, str],
     marked: tuple[AtlasConnection, ...] | None = None,
-    flat: bool = False,
-) -> list[Panel | Stack]:
+) -> list[Panel]:
     """Return a row of panels: the cuts of a kind, and the flights of `shown` with their numbers.
 
     Args:
@@ -95,7 +94,6 @@ def row_of(
         shown: connections with a panel each.
         numbers: labels by connection name.
         marked: connections on the cuts; all by default.
-        flat: True to stack the flights.
     """
     look = colours(connections_of(atlas, kind) if marked is None else marked)
     flights = []
@@ -104,8 +102,7 @@ def row_of(
         title = f"{numbers[c.name]}  {c.transversality_angle:.1f}° [{turns}]"
         flights.append(partial(draw_flight, atlas=atlas, connection=c, colour=look[c.name], title=title))
     cuts = Panel(partial(draw_cuts, atlas=atlas, kind=kind, shown=marked, numbers=numbers), 1.0)
-    stacked = [Stack(flights, _FLIGHTS)] if flat else [Panel(draw, _FLIGHTS / max(len(flights), 1)) for draw in flights]
-    return [cuts, *stacked]
+    return [cuts, *(Panel(draw, _FLIGHTS / max(len(flights), 1)) for draw in flights)]
 
 
 _FLIGHTS = 1.75

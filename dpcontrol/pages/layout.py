@@ -222,20 +222,6 @@ def table(rows: Sequence[Sequence[str]], *, heading: Sequence[str] = (), title: 
     return draw
 
 
-def list_panel(rows: Sequence[Sequence[str]], *, heading: Sequence[str], title: str) -> Panel:
-    """Return a table with a title, as a panel.
-
-    The share of the panel is its height in inches.
-
-    Args:
-        rows: texts by row.
-        heading: texts above the columns.
-        title: title of the panel.
-    """
-    height = (len(rows) + 1) * _height(style.TEXT) + 2 * _height(style.HEAD) + _EDGE
-    return Panel(table(rows, heading=heading, title=title), share=height)
-
-
 class ShownFigure(Figure):
     """A figure displayed by notebook cells, and elsewhere by `show`.
 

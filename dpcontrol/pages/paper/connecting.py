@@ -1,6 +1,5 @@
 """Connections of the pendulum's orbits: homoclinic ones of one to three turns, and heteroclinic ones."""
 
-from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
@@ -8,7 +7,7 @@ from matplotlib.axes import Axes
 
 from dpcontrol.pages import style
 from dpcontrol.pages.atlas_panels import draw_cuts, row_of, space_panel
-from dpcontrol.pages.atlas_parts import colours, connections_of, kind_of, one_of_each, section_place
+from dpcontrol.pages.atlas_parts import connections_of, kind_of, section_place
 from dpcontrol.pages.gallery import IDENTIFIED, Gallery, PaperFigure
 from dpcontrol.pages.layout import MOST_IN_KEY, Page, Panel
 from dpcontrol.pages.panels import quiet
@@ -18,59 +17,6 @@ from dpcontrol.walks.atlas import Atlas, AtlasConnection, AtlasKind
 PAIRS = (("down-up", "up-down"), ("up-down", "down-up"))
 _MOST, _REPEATED = 5, 3
 _TURNS = {2: ("Double", "second", "twice", "two"), 3: ("Triple", "third", "three times", "three")}
-
-
-def homoclinics_page(gallery: Gallery, *, energy: float, saddles: Sequence[str], about: tuple[str, str]) -> PaperFigure:
-    """Draw the homoclinic connections of saddles with one turn, a row for each.
-
-    Args:
-        gallery: data sources.
-        energy: energy of the orbits, J.
-        saddles: saddles of the orbits.
-        about: beginning of the caption, and the differences from the paper.
-    """
-    atlas = gallery.atlas("lab", energy, (1, 1))
-    page, words = Page(f"Homoclinic connections at {atlas.energy:g} J (first hits)"), []
-    for saddle in saddles:
-        kind, connections = kind_of(atlas, saddle, saddle), atlas.between(saddle, saddle)
-        kept = one_of_each(connections)[:_MOST]
-        # Flights are tall if the outer arm turns, and wide if the inner one does.
-        flat = not kept[0].winding[1]
-        panels = row_of(atlas, kind, kept, numbers=_numbered(connections, kept), flat=flat)
-        page.row(*panels, height=1.0 + 0.9 * len(kept) if flat else 3.8)
-        symmetric = sum(c.symmetric for c in connections)
-        words.append(
-            f"{saddle}: {kind.count} connections ({symmetric} symmetric, {kind.count - symmetric} in mirror pairs), "
-            f"largest residual {max(c.residual for c in connections):.0e}, "
-            f"cuts {'closed' if kind.complete else 'open in places'}"
-        )
-    return PaperFigure(
-        page.figure(),
-        f"{about[0]} Left: the cuts of the unstable (red) and stable (green) tube; dots of one colour are one "
-        "connection and its mirror images. Right: one flight of each colour, of positive sense, in the plane of the "
-        "angles, and the angle between the cuts. Pale curves are its two orbits, the dot its section crossing. "
-        f"{'; '.join(words)}.",
-        about[1],
-    )
-
-
-LOW = (
-    "Below the energy of Up-Down only the outer arm can turn over.",
-    "The search finds intersections without windows set by hand: in each sense two symmetric connections "
-    "and a mirror pair, all counted on the torus of angles. Section coordinates are canonical.",
-)
-HIGH = (
-    "At this energy both saddles have orbits: the outer arm turns about Down-Up, the inner arm about Up-Down.",
-    "Counts are of first hits on these sections, both senses and mirror images included; cuts that graze the "
-    "section are open there, and crossings beyond their ends belong to later hits.",
-)
-
-
-def _numbered(connections: Sequence[AtlasConnection], kept: Sequence[AtlasConnection]) -> dict[str, str]:
-    """Return the number of each connection by name, shared by those of one colour; `kept` has one of each colour."""
-    look = colours(tuple(connections))
-    number = {look[c.name]: str(k + 1) for k, c in enumerate(kept)}
-    return {c.name: number[look[c.name]] for c in connections if look[c.name] in number and np.isfinite(c.point[1])}
 
 
 def heteroclinics_page(gallery: Gallery) -> PaperFigure:

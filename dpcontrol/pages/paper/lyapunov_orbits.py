@@ -6,12 +6,10 @@ from functools import partial
 import numpy as np
 from matplotlib.axes import Axes
 
-from dpcontrol.orbits.family import lyapunov_family
-from dpcontrol.orbits.lyapunov import LyapunovOrbit, equilibria, lyapunov_orbit
+from dpcontrol.orbits.lyapunov import LyapunovOrbit, lyapunov_orbit
 from dpcontrol.pages import style
 from dpcontrol.pages.gallery import IDENTIFIED, Gallery, PaperFigure
 from dpcontrol.pages.layout import Page, Panel
-from dpcontrol.pages.orbits import draw_families
 from dpcontrol.pages.panels import bare, name_curves, quiet_plane
 from dpcontrol.pages.planes import arm_points
 
@@ -67,19 +65,3 @@ def _motion(axes: Axes, orbit: LyapunovOrbit) -> None:
     axes.set_aspect("equal")
     axes.margins(0.15)
     bare(axes, f"the motion at {orbit.energy:.3g} J")
-
-
-def families_page(gallery: Gallery) -> PaperFigure:
-    """Draw the families about Down-Up and Up-Down up to 0.45 J."""
-    system = gallery.system("lab")
-    births = {name: point.energy for name, point in equilibria(system).items() if point.kind.startswith("index-1")}
-    families = [lyapunov_family(system, name, energies=(birth + 1e-4, _HIGHEST)) for name, birth in births.items()]
-    ends = "; ".join(f"{family.saddle}: {family.status}" for family in families)
-    return PaperFigure(
-        draw_families(families, "Families of Lyapunov orbits of the lab pendulum"),
-        "Lyapunov orbits about each saddle from their birth at the saddle (cross) upwards in energy: their shapes in "
-        "the phase plane of the hanging arm, their periods and their unstable multipliers. The hanging arm swings most "
-        f"while the other balances. A multiplier is the growth of a deviation in one period. {ends}.",
-        "Each family is continued up to 0.45 J instead of being computed at chosen energies, which gives "
-        "periods and multipliers against energy. Parameters are the rig's identified ones.",
-    )
