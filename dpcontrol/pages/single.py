@@ -247,7 +247,7 @@ def walk(axes: Axes, found: ShadowingOrbit) -> None:
     """
     story = _story(found)
     if story.has_angles:
-        draw_chart(axes, story.coordinates(), story.view(found.system.name))
+        angles(axes, story.view(found.system.name))
     else:
         walk_plane(axes, story)
 
@@ -292,14 +292,14 @@ def view_of(found: Plan | RunLog | SustainedOrbit) -> RunView:
     return run_view(found) if "reference.npz" in found.attachments else series_of(found)
 
 
-def angles(axes: Axes, found: Plan | RunLog | SustainedOrbit) -> None:
-    """Draw the angles of a plan, a log or a sustained orbit over time.
+def angles(axes: Axes, found: Plan | RunLog | SustainedOrbit | RunView) -> None:
+    """Draw the angles of a plan, a log, a sustained orbit or a view over time.
 
     Args:
         axes: panel to draw on.
         found: motion to draw.
     """
-    view = view_of(found)
+    view = found if isinstance(found, RunView) else view_of(found)
     draw_chart(axes, charts(view)["angles"], view)
 
 

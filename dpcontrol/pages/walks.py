@@ -20,9 +20,10 @@ from dpcontrol.pages.charts import draw_chart
 from dpcontrol.pages.filmstrip import add_film, film_times
 from dpcontrol.pages.layout import Page, Panel, Stack
 from dpcontrol.pages.panels import badge, mark_times, quiet, quiet_space
+from dpcontrol.pages.run_charts import charts
 from dpcontrol.pages.story import story as draw_story
 from dpcontrol.pages.story import story_height
-from dpcontrol.pages.walk_story import WalkStory, symbol_words
+from dpcontrol.pages.walk_story import WalkStory, symbol_text
 from dpcontrol.walks.shadowing import ShadowingOrbit
 
 TIME = colormaps["viridis"]
@@ -72,9 +73,10 @@ def draw_walk(orbit: ShadowingOrbit, *, arm_lengths: tuple[float, ...] | None, m
     page.row(partial(draw_story, view=view), height=story_height(view))
     if arm_lengths is not None:
         add_film(page, view, film_times(view, frames=_FRAMES))
-    charts = [partial(_chart, chart=chart, view=view, orbit=orbit) for chart in (walk.coordinates(), walk.nearness())]
+    shown = [*([charts(view)["angles"]] if walk.has_angles else []), walk.nearness()]
+    panels = [partial(_chart, chart=chart, view=view, orbit=orbit) for chart in shown]
     shape = partial(space, story=walk) if walk.has_angles else partial(plane, story=walk)
-    page.row(Stack(charts), Panel(shape, 0.75, space=walk.has_angles), height=4.4)
+    page.row(Stack(panels), Panel(shape, 0.75, space=walk.has_angles), height=4.4)
     heading = ("", "symbol", f"at{orbit.system.unit('s', ' ({})')}", "connection")
     return page.table(_list(walk, view), heading=heading).figure()
 
@@ -89,7 +91,7 @@ def _list(walk: WalkStory, view: RunView) -> list[tuple[str, ...]]:
     """Return each symbol's number, description and time, and its connection's name."""
     chain = walk.orbit.connections
     rows = [
-        (str(k + 1), symbol_words(connection), f"{at:.3f}", connection.name)
+        (str(k + 1), symbol_text(connection), f"{at:.3f}", connection.name)
         for k, (connection, (_, at, _)) in enumerate(zip(chain, view.symbols, strict=True))
     ]
     if len(rows) > _LISTED:
