@@ -1,6 +1,5 @@
 """A filmstrip: arms on their cart at several times, side by side."""
 
-from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -130,39 +129,24 @@ def film_rows(view: RunView, times: Array) -> NDArray[np.int64]:
     return np.searchsorted(view.time, times).clip(0, len(view.time) - 1)
 
 
-def film_times(view: RunView, *, frames: int, until: float = np.inf) -> Array:
-    """Return (frames,) times in s for a filmstrip.
+def film_times(view: RunView, *, frames: int) -> Array:
+    """Return (frames,) times in s for a filmstrip, about the symbols' crossings, otherwise evenly.
 
-    They are distributed among the symbols' crossings, otherwise evenly.
-
-    On either side of a crossing they span a third of the period of a simple pendulum as long as all arms. For a run
-    that failed, the last quarter of the frames covers its end.
+    On either side of a crossing they span a third of the period of a simple pendulum as long as all arms. The end of a
+    run that failed counts as a crossing.
 
     Args:
         view: motion in the film.
         frames: number of frames.
-        until: latest time, s; the end by default.
     """
-    time = view.time[view.time <= until]
-    if view.good is False and frames > 3 and time[-1] > time[0]:
-        last = frames // 4
-        # A run that ended at once gets no more than its share.
-        length = min(0.2 * last, (time[-1] - time[0]) * last / frames)
-        ending = np.linspace(time[-1] - length, time[-1], last + 1)
-        before = film_times(replace(view, good=None), frames=frames - last, until=ending[0])
-        return np.concatenate([before, ending[1:]])
-    moments = np.array([done or planned for _, planned, done in view.symbols])
-    moments = moments[(moments >= time[0]) & (moments <= time[-1])] if len(moments) else moments
-    if not len(moments):
-        return np.linspace(time[0], time[-1], frames)
-    moments = moments[np.linspace(0, len(moments) - 1, min(len(moments), frames)).astype(int)]
+    begin, end = view.time_range
     half = 0.33 * 2 * np.pi * np.sqrt(sum(view.arm_lengths) / 9.81)
-    parts = []
-    for i, moment in enumerate(moments):
-        share = frames // len(moments) + (i < frames % len(moments))
-        parts.append(
-            moment + half * np.linspace(-1, 1, share)
-            if share > 2
-            else np.linspace(moment - half / 2, moment, share + 1)[1:]
-        )
-    return np.sort(np.clip(np.concatenate(parts), time[0], time[-1]))
+    moments = [done or planned for _, planned, done in view.symbols if begin <= (done or planned) <= end]
+    if view.good is False:
+        moments.append(end - half)
+    if not moments:
+        return np.linspace(begin, end, frames)
+    chosen = np.array(moments)[np.linspace(0, len(moments) - 1, min(len(moments), frames)).astype(int)]
+    shares = [len(part) for part in np.array_split(np.arange(frames), len(chosen))]
+    parts = [moment + half * np.linspace(-1, 1, n + 2)[1:-1] for moment, n in zip(chosen, shares, strict=True)]
+    return np.sort(np.clip(np.concatenate(parts), begin, end))

@@ -11,7 +11,6 @@ from typing import Any
 import networkx as nx
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.axis import Axis
 from matplotlib.collections import LineCollection
 from matplotlib.colors import to_rgba
 from matplotlib.lines import Line2D
@@ -108,25 +107,12 @@ def angle_axis(axes: Axes, which: str, *, step: float | None = None) -> None:
     axis = axes.xaxis if which == "x" else axes.yaxis
     if step is None:
         low, high = axis.get_view_interval()
-        span = (high - low) / np.pi
-        step = next((s for s in (0.05, 0.1, 0.25, 0.5, 1.0, 2.0) if span / s <= 5), 4.0)
+        # A fifth of the range, rounded up to 1, 2 or 5 times a power of ten.
+        wanted = (high - low) / np.pi / 5
+        power = 10.0 ** np.floor(np.log10(wanted))
+        step = float(power) * next(factor for factor in (1.0, 2.0, 5.0, 10.0) if wanted <= factor * power)
     axis.set_major_locator(MultipleLocator(step * np.pi))
     axis.set_major_formatter(FuncFormatter(lambda value, _: style.in_pi(value / np.pi)))
-
-
-def label_in_pi(axis: Axis) -> None:
-    """Label an axis of half turns with enough digits.
-
-    The digits distinguish its ends.
-    """
-
-    def text(value: float, _: object) -> str:
-        low, high = axis.get_view_interval()
-        largest = max(abs(low), abs(high))
-        finest = np.log10(largest / (high - low)) if high > low else 0.0
-        return style.in_pi(value, digits=3 + max(0, int(np.ceil(finest))))
-
-    axis.set_major_formatter(FuncFormatter(text))
 
 
 def mark_times(axes: Axes, moments: list[float]) -> None:

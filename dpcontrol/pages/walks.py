@@ -8,9 +8,7 @@ from functools import partial
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
-from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.judge.run_view import RunView
@@ -27,6 +25,8 @@ from dpcontrol.pages.walk_story import WalkStory, symbol_text
 from dpcontrol.walks.shadowing import ShadowingOrbit
 
 TIME = colormaps["viridis"]
+_DOTS = 15_000
+"""Number of dots of an orbit whose colour is the time."""
 
 
 def plane(axes: Axes, story: WalkStory) -> None:
@@ -44,9 +44,8 @@ def plane(axes: Axes, story: WalkStory) -> None:
         centre = curve.orbit.centre
         axes.plot(*centre[:2], "+", color=style.INK, markersize=8)
         axes.annotate(f" {saddle}", (float(centre[0]), float(centre[1])), fontsize=style.SMALL, color=style.INK)
-    colours = TIME(story.times[:-1] / story.orbit.duration)
-    axes.add_collection(LineCollection(connected_pieces(story.states[:, :2]), colors=colours, linewidths=1.2, zorder=3))
-    axes.autoscale_view()
+    times = np.linspace(0.0, story.orbit.duration, _DOTS)
+    axes.scatter(*story.orbit.states(times)[:, :2].T, c=times, cmap=TIME, s=1.5, zorder=3, rasterized=True)
     for k, state in enumerate(story.crossings):
         badge(axes, k + 1, float(state[0]), float(state[1]))
     axes.set_aspect("equal", adjustable="datalim")
@@ -111,20 +110,13 @@ def space(axes: Axes, story: WalkStory) -> None:
     picked = [0, 1, story.states.shape[1] // 2]
     for copy, saddle in _base_orbits(story):
         axes.plot(*copy[:, picked].T, color=style.saddle_colour(saddle), linewidth=4.0, alpha=0.4)
-    path = story.states[:, picked]
-    colours = TIME(story.times[:-1] / story.orbit.duration)
-    axes.add_collection3d(Line3DCollection(connected_pieces(path), colors=colours, linewidths=1.1))  # type: ignore[attr-defined]
-    axes.auto_scale_xyz(*path.T)  # type: ignore[attr-defined]
+    times = np.linspace(0.0, story.orbit.duration, _DOTS)
+    axes.scatter(*story.orbit.states(times)[:, picked].T, c=times, cmap=TIME, s=1.0, rasterized=True)
     for point, time in zip(story.crossings[:, picked], story.orbit.symbol_times, strict=True):
         axes.plot(*point[:, None], "o", color=TIME(time / story.orbit.duration), markersize=5, markeredgecolor="white")
     quiet_space(axes, story.orbit.system, steps=(None, None))
     axes.set_box_aspect((1, 1, 0.85), zoom=1.06)  # type: ignore[attr-defined]
     axes.set_title("The orbit, angles with whole turns counted; dark to light: time", loc="left")
-
-
-def connected_pieces(points: Array) -> list[Array]:
-    """Return the segments (2, D) between points (K, D), for separate colours."""
-    return list(np.stack([points[:-1], points[1:]], axis=1))
 
 
 def _base_orbits(story: WalkStory) -> list[tuple[Array, str]]:
