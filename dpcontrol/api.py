@@ -2982,12 +2982,12 @@ def draw_figures(
 ) -> DrawnFigures:
     """Draw the computational figures of the paper, each a PNG with a caption and the differences.
 
-    Names: energy-landscape, three-body-homoclinics, three-body, lyapunov-orbits, tubes, tubes-down-up, cuts,
-    tubes-up-down, heteroclinics, heteroclinic-orbits, branches, graph, shadowing, double-homoclinics,
-    triple-homoclinics, returning-homoclinics, up-up. Without a name, all are drawn. Atlases are cached by content.
+    Names: energy-landscape, three-body-homoclinics, three-body, lyapunov-orbits, tubes-down-up, cuts, tubes-up-down,
+    heteroclinics, branches, graph, shadowing, double-homoclinics, triple-homoclinics, returning-homoclinics, up-up.
+    Without a name, all are drawn. Atlases are cached by content.
 
     Args:
-        names: figures, such as "tubes" (default: all).
+        names: figures, such as "cuts" (default: all).
         folder: folder for the pictures and captions.json (default: figures).
         progress: reports, see `dpcontrol.api`.
 

@@ -16,7 +16,6 @@ from dpcontrol.pages.gallery import Gallery, PaperFigure
 from dpcontrol.pages.layout import save_figure
 from dpcontrol.pages.paper.branches import branches_page
 from dpcontrol.pages.paper.connecting import (
-    heteroclinic_orbits_page,
     heteroclinics_page,
     repeated_page,
 )
@@ -26,7 +25,7 @@ from dpcontrol.pages.paper.lyapunov_orbits import lyapunov_orbits_page
 from dpcontrol.pages.paper.returning import returning_page
 from dpcontrol.pages.paper.shadowing import shadowing_page
 from dpcontrol.pages.paper.three_body import three_body_homoclinics_page, three_body_page
-from dpcontrol.pages.paper.tubes import cuts_page, senses_page, tubes_page
+from dpcontrol.pages.paper.tubes import cuts_page, senses_page
 from dpcontrol.pages.paper.up_up import up_up_page
 
 FIGURES: dict[str, Callable[[Gallery], PaperFigure]] = {
@@ -34,12 +33,10 @@ FIGURES: dict[str, Callable[[Gallery], PaperFigure]] = {
     "three-body-homoclinics": three_body_homoclinics_page,
     "three-body": three_body_page,
     "lyapunov-orbits": lyapunov_orbits_page,
-    "tubes": tubes_page,
     "tubes-down-up": partial(senses_page, saddle="down-up"),
     "cuts": cuts_page,
     "tubes-up-down": partial(senses_page, saddle="up-down"),
     "heteroclinics": heteroclinics_page,
-    "heteroclinic-orbits": heteroclinic_orbits_page,
     "branches": branches_page,
     "graph": graph_page,
     "shadowing": shadowing_page,

@@ -15,7 +15,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import to_rgba
 from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
-from matplotlib.ticker import FuncFormatter, MultipleLocator
+from matplotlib.ticker import FuncFormatter, MaxNLocator
 
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
@@ -60,7 +60,7 @@ def empty(axes: Axes, title: str, text: str) -> None:
     axes.text(0.0, 0.9, text, transform=axes.transAxes, va="top", fontsize=style.TEXT, color=style.NOTE)
 
 
-def quiet_space(axes: Axes, of: System | Atlas, *, steps: tuple[float | None, float | None] = (1.0, 1.0)) -> None:
+def quiet_space(axes: Axes, of: System | Atlas) -> None:
     """Label the axes of a panel in space.
 
     They are (first coordinate, second, first rate).
@@ -68,19 +68,17 @@ def quiet_space(axes: Axes, of: System | Atlas, *, steps: tuple[float | None, fl
     Args:
         axes: panel in space.
         of: system or atlas with the labels.
-        steps: tick distances of x and y, half turns; None adapts to the data.
     """
-    for k, (which, step) in enumerate(zip("xy", steps, strict=True)):
+    for k, which in enumerate("xy"):
         getattr(axes, f"set_{which}label")(of.labels[k])
         if np.isfinite(of.periods[k]):
-            angle_axis(axes, which, step=step)
+            angle_axis(axes, which)
+    axes.locator_params(nbins=4)
     axes.set_zlabel(of.labels[len(of.labels) // 2], fontsize=style.SMALL)  # type: ignore[attr-defined]
     axes.view_init(elev=22, azim=-122)  # type: ignore[attr-defined]
 
 
-def quiet_plane(
-    axes: Axes, of: System | Atlas, columns: tuple[int, int] = (0, 1), title: str = "", *, step: float | None = None
-) -> None:
+def quiet_plane(axes: Axes, of: System | Atlas, columns: tuple[int, int] = (0, 1), title: str = "") -> None:
     """Label a panel that shows two entries of states, angles in multiples of π.
 
     Args:
@@ -88,30 +86,29 @@ def quiet_plane(
         of: system or atlas with the labels.
         columns: indices of the entries.
         title: title of the panel.
-        step: tick distance of angles, half turns; adapted to the data by default.
     """
     quiet(axes, title, x=of.labels[columns[0]], y=of.labels[columns[1]])
     for column, which in zip(columns, "xy", strict=True):
         if np.isfinite(of.periods[column]):
-            angle_axis(axes, which, step=step)
+            angle_axis(axes, which)
 
 
-def angle_axis(axes: Axes, which: str, *, step: float | None = None) -> None:
+class _HalfTurns(MaxNLocator):
+    """Round multiples of half a turn, as many as the axis has room for."""
+
+    def tick_values(self, vmin: float, vmax: float) -> Any:
+        return np.pi * np.asarray(super().tick_values(vmin / np.pi, vmax / np.pi))
+
+
+def angle_axis(axes: Axes, which: str) -> None:
     """Tick the "x" or "y" axis in multiples of π.
 
     Args:
         axes: panel with the axis.
         which: "x" or "y".
-        step: tick distance, half turns; adapted to the data by default.
     """
     axis = axes.xaxis if which == "x" else axes.yaxis
-    if step is None:
-        low, high = axis.get_view_interval()
-        # A fifth of the range, rounded up to 1, 2 or 5 times a power of ten.
-        wanted = (high - low) / np.pi / 5
-        power = 10.0 ** np.floor(np.log10(wanted))
-        step = float(power) * next(factor for factor in (1.0, 2.0, 5.0, 10.0) if wanted <= factor * power)
-    axis.set_major_locator(MultipleLocator(step * np.pi))
+    axis.set_major_locator(_HalfTurns("auto", steps=[1, 2, 2.5, 5, 10]))
     axis.set_major_formatter(FuncFormatter(lambda value, _: style.in_pi(value / np.pi)))
 
 

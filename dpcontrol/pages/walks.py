@@ -114,7 +114,7 @@ def space(axes: Axes, story: WalkStory) -> None:
     axes.scatter(*story.orbit.states(times)[:, picked].T, c=times, cmap=TIME, s=1.0, rasterized=True)
     for point, time in zip(story.crossings[:, picked], story.orbit.symbol_times, strict=True):
         axes.plot(*point[:, None], "o", color=TIME(time / story.orbit.duration), markersize=5, markeredgecolor="white")
-    quiet_space(axes, story.orbit.system, steps=(None, None))
+    quiet_space(axes, story.orbit.system)
     axes.set_box_aspect((1, 1, 0.85), zoom=1.06)  # type: ignore[attr-defined]
     axes.set_title("The orbit, angles with whole turns counted; dark to light: time", loc="left")
 

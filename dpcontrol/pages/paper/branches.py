@@ -52,15 +52,16 @@ def _angle_branches(axes: Axes, diagram: BranchDiagram) -> None:
 
 
 def draw_momentum_branches(axes: Axes, diagram: BranchDiagram) -> None:
-    """Draw connections by momentum and energy, with their bifurcations and counts.
+    """Draw connections by momentum and energy, with their bifurcations and the first and last count.
 
     Args:
         axes: panel to draw on.
         diagram: branches to draw.
     """
-    quiet(axes, x="energy (J)", y="p / p₀")
+    (_, first, _), (_, last, complete) = diagram.counts[0], diagram.counts[-1]
+    count = f"{first} to {'' if complete else 'at least '}{last} connections"
+    quiet(axes, x=f"energy (J): {count}", y="p / p₀")
     _branches(axes, diagram, 1)
-    _counts(axes, diagram)
 
 
 def _branches(axes: Axes, diagram: BranchDiagram, coordinate: int) -> None:
@@ -89,25 +90,6 @@ def _wrapped(points: Array) -> Array:
     return np.column_stack([angles, points[:, 1]])
 
 
-def _counts(axes: Axes, diagram: BranchDiagram) -> None:
-    """Write along the lower edge the number of connections between consecutive events."""
-    shown, last, span = -1, -np.inf, diagram.counts[-1][0] - diagram.counts[0][0]
-    look = {
-        "xycoords": ("data", "axes fraction"),
-        "textcoords": "offset points",
-        "fontsize": style.SMALL,
-        "color": style.CART,
-    }
-    for energy, count, complete in diagram.counts:
-        room = energy - last > 0.05 * span and diagram.counts[-1][0] - energy > 0.1 * span
-        if count != shown and room:
-            axes.annotate(f"{'' if complete else '≥'}{count}", (energy, 0.0), xytext=(2, 3), **look)
-            shown, last = count, energy
-    energy, count, complete = diagram.counts[-1]
-    if count != shown:
-        axes.annotate(f"{'' if complete else '≥'}{count}", (energy, 0.0), xytext=(-2, 3), ha="right", **look)
-
-
 def pair_name(diagram: BranchDiagram) -> str:
     return f"{diagram.source} to {'itself' if diagram.source == diagram.target else diagram.target}"
 
@@ -121,7 +103,7 @@ def branch_caption(diagrams: list[BranchDiagram]) -> str:
     return (
         "The section crossing of each connection, as energy grows: its angle there (above) and the momentum across "
         "(below). Each curve is a connection followed by continuation, also round folds; marks are events, each "
-        "solved separately. Numbers along the lower edge count all connections on the torus; curves show one "
+        "solved separately. The numbers below count all connections on the torus; curves show one "
         "sense, whose mirror images under (θ, ω) → (-θ, -ω) are the other. Shaded, or above the last energy: "
         "trajectories of a tube pass by another orbit and scatter before they arrive, connections accumulate, and "
         f"those found are some of them. {words}. Changes of the numbers without a located cause: "

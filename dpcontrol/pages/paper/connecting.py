@@ -5,11 +5,10 @@ from functools import partial
 import numpy as np
 from matplotlib.axes import Axes
 
-from dpcontrol.pages import style
-from dpcontrol.pages.atlas_panels import draw_cuts, row_of, space_panel
+from dpcontrol.pages.atlas_panels import draw_cuts, row_of
 from dpcontrol.pages.atlas_parts import connections_of, kind_of, section_place
-from dpcontrol.pages.gallery import IDENTIFIED, Gallery, PaperFigure
-from dpcontrol.pages.layout import MOST_IN_KEY, Page, Panel
+from dpcontrol.pages.gallery import Gallery, PaperFigure
+from dpcontrol.pages.layout import Page, Panel
 from dpcontrol.pages.panels import quiet
 from dpcontrol.pages.paper.tubes import ENERGY, SADDLE, SENSES_ENERGY
 from dpcontrol.walks.atlas import Atlas, AtlasConnection, AtlasKind
@@ -50,27 +49,6 @@ def _zoom(axes: Axes, atlas: Atlas, kind: AtlasKind) -> None:
     draw_cuts(axes, atlas, kind, legend=False)
     axes.set(xlim=(middle[0] - reach[0], middle[0] + reach[0]), ylim=(middle[1] - reach[1], middle[1] + reach[1]))
     quiet(axes, "the middle enlarged")
-
-
-def heteroclinic_orbits_page(gallery: Gallery) -> PaperFigure:
-    """Draw the heteroclinic connections at 0.2 J and both Lyapunov orbits in (θ₁, θ₂, ω₁)."""
-    atlas = gallery.atlas("lab", SENSES_ENERGY, (1, 1))
-    words, spaces = [], []
-    for letter, (source, target) in zip("ab", PAIRS, strict=True):
-        # One of each pair of reflections is drawn.
-        kept = [c for c in connections_of(atlas, kind_of(atlas, source, target)) if c.sense > 0]
-        flights = [(c, style.SERIES[k % len(style.SERIES)]) for k, c in enumerate(kept)]
-        looks = [(f"{c.transversality_angle:.1f}°", colour) for c, colour in flights[:MOST_IN_KEY]]
-        spaces.append(space_panel(f"{letter}  {source} → {target}", looks, atlas=atlas, cuts=(), flights=flights))
-        words.append(f"{len(kept)} from {source} to {target}")
-    return PaperFigure(
-        Page(f"Heteroclinic orbits in (θ₁, θ₂, ω₁) at {SENSES_ENERGY:g} J").row(*spaces, height=5.4).figure(),
-        f"The heteroclinic connections at {SENSES_ENERGY:g} J whose difference of angles grows on the section θ₁ = θ₂ "
-        f"({' and '.join(words)}; each has a reflection). They lead from one Lyapunov orbit to the other, "
-        "or to its thin copy whole turns away, and are labelled with the angle between the tubes. Those of b are those "
-        "of a, run backward in time.",
-        f"The paper draws one direction. {IDENTIFIED}",
-    )
 
 
 def repeated_page(gallery: Gallery, *, turns: int) -> PaperFigure:
