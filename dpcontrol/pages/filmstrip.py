@@ -12,7 +12,6 @@ from dpcontrol.foundation.arrays import Array
 from dpcontrol.judge.run_view import RunView
 from dpcontrol.pages import style
 from dpcontrol.pages.layout import Page
-from dpcontrol.pages.panels import draw_fading
 from dpcontrol.pages.planes import arm_points
 from dpcontrol.pages.ranges import Range
 
@@ -55,8 +54,8 @@ def draw_film(axes: Axes, view: RunView, times: Array) -> None:
     axes.axis("off")
 
 
-def draw_pose(axes: Axes, view: RunView, row: int, *, since: int, at: float, thick: float) -> None:
-    """Draw the arms at a tick on their cart, with the grey reference behind them and the tip's fading path.
+def draw_pose(axes: Axes, view: RunView, row: int, *, since: int, at: float, thick: float, shade: float = 1.0) -> None:
+    """Draw the arms at a tick on their cart, with the grey reference behind them and the tip's path.
 
     Args:
         axes: panel to draw on.
@@ -65,21 +64,23 @@ def draw_pose(axes: Axes, view: RunView, row: int, *, since: int, at: float, thi
         since: first tick of the tip's path.
         at: drawn position of the pivot, m.
         thick: width of the arms, points.
+        shade: opacity of the arms and the cart.
     """
+    look: dict[str, Any]
     arms, reach, pivot = view.arms, sum(view.arm_lengths), view.pivot
     tip = style.arm_colour(arms - 1)
     if view.has_cart:
-        axes.add_patch(
-            Rectangle((at - 0.13 * reach, -0.05 * reach), 0.26 * reach, 0.1 * reach, color=style.CART, zorder=2)
-        )
+        corner, look = (at - 0.13 * reach, -0.05 * reach), {"color": style.CART, "alpha": shade, "zorder": 2}
+        axes.add_patch(Rectangle(corner, 0.26 * reach, 0.1 * reach, **look))
     points = arm_points(view.state[since : row + 1, :arms], view.arm_lengths)
     points[..., 0] += at + (pivot[since : row + 1] - pivot[row])[:, None]
-    draw_fading(axes, points[:, -1], tip, shades=(0.0, 0.6), linewidth=thick / 2)
+    axes.plot(*points[:, -1].T, color=tip, linewidth=thick / 2, alpha=0.4)
     for arm in range(arms):
-        look: dict[str, Any] = {"color": style.arm_colour(arm), "linewidth": thick, "solid_capstyle": "round"}
-        axes.plot(*points[-1, arm : arm + 2].T, **look, zorder=3)
-    axes.plot(*points[-1, :-1].T, "o", color=style.INK, markersize=1.2 * thick, zorder=4)
-    axes.plot(*points[-1, -1], "o", color=tip, markersize=2.0 * thick, zorder=4)
+        look = {"color": style.arm_colour(arm), "alpha": shade, "solid_capstyle": "round", "zorder": 3}
+        # Outer arms are drawn narrower, so that overlapping arms remain visible.
+        axes.plot(*points[-1, arm : arm + 2].T, linewidth=thick * (1 - 0.4 * arm / arms), **look)
+    axes.plot(*points[-1, :-1].T, "o", color=style.INK, markersize=1.2 * thick, alpha=shade, zorder=4)
+    axes.plot(*points[-1, -1], "o", color=tip, markersize=2.0 * thick, alpha=shade, zorder=4)
     if view.reference is not None:
         ghost = arm_points(view.reference[row : row + 1, :arms], view.arm_lengths)[0]
         shift = at + (view.reference[row, 2 * arms] - pivot[row] if view.has_cart else 0.0)

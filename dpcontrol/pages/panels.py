@@ -11,8 +11,6 @@ from typing import Any
 import networkx as nx
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
-from matplotlib.colors import to_rgba
 from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FuncFormatter, MaxNLocator
@@ -145,22 +143,6 @@ def badge(axes: Axes, number: int, x: float, y: float, *, size: float = style.SM
         clip_on=False,
         bbox={"boxstyle": "circle,pad=0.25", "facecolor": style.INK, "edgecolor": "none"},
     )
-
-
-def draw_fading(axes: Axes, path: Array, colour: str, *, shades: tuple[float, float], linewidth: float) -> None:
-    """Draw a path whose opacity changes evenly from its beginning to its end.
-
-    Args:
-        axes: panel to draw on.
-        path: points (K, 2).
-        colour: colour of the path.
-        shades: opacity at the beginning and at the end.
-        linewidth: width of the path, points.
-    """
-    steps = np.stack([path[:-1], path[1:]], axis=1)
-    colours = np.tile(to_rgba(colour), (len(steps), 1))
-    colours[:, 3] = np.linspace(*shades, len(steps))
-    axes.add_collection(LineCollection(list(steps), colors=colours, linewidths=linewidth))  # type: ignore[arg-type]
 
 
 def wrapped_runs(curve: Array, periods: tuple[float | None, ...]) -> list[Array]:
