@@ -1699,43 +1699,23 @@ def picture(
         >>> len(dp.picture(walk).axes) > 1
         True
     """
-    from dpcontrol.dynamics.chain import ArmChainParameters
-    from dpcontrol.judge.of_log import reference_view, run_view
-    from dpcontrol.pages.atlas import draw_atlas
-    from dpcontrol.pages.layout import save_figure
-    from dpcontrol.pages.page import draw
-    from dpcontrol.pages.walk_story import WalkStory
-    from dpcontrol.pages.walks import draw_walk
-    from dpcontrol.plans.model import ModelSystem
     from dpcontrol.plans.plan import Plan
-    from dpcontrol.runs.run import Run
-    from dpcontrol.walks.shadowing import ShadowingOrbit
 
     if transitions and not isinstance(result, Plan):
         raise InputError("transitions = True draws the transfers of a plan: give one")
-    view: Any = result
-    if isinstance(result, Run | Plan):
-        plan = isinstance(result, Plan)
-        view = reference_view(result.reference, result.file) if plan else run_view(result.log)
-        figure = draw(view)
-    elif isinstance(result, ShadowingOrbit):
-        system = result.connections[0].source.system
-        arms = system.model.parameters if isinstance(system, ModelSystem) else None
-        lengths = arms.length if isinstance(arms, ArmChainParameters) else None
-        figure = draw_walk(result, arm_lengths=lengths, model=system.name)
-        view = WalkStory(result, lengths).view(system.name)
-    else:
-        figure = draw_atlas(result)
     if transitions and isinstance(result, Plan):
         from dpcontrol.pages.transitions import draw_transitions
 
         figure = draw_transitions(result.reference)
+    else:
+        figure = render(result)
     if film is not None:
         from dpcontrol.pages.film import write_film
+        from dpcontrol.pages.single import view_of
 
-        write_film(view, film)
+        write_film(view_of(result), film)
     if file is not None:
-        save_figure(figure, file)
+        _save(figure, file)
     return figure
 
 

@@ -78,7 +78,7 @@ def draw_pose(axes: Axes, view: RunView, row: int, *, since: int, at: float, thi
     for arm in range(arms):
         look = {"color": style.arm_colour(arm), "alpha": shade, "solid_capstyle": "round", "zorder": 3}
         # Outer arms are drawn narrower, so that overlapping arms remain visible.
-        axes.plot(*points[-1, arm : arm + 2].T, linewidth=thick * (1 - 0.4 * arm / arms), **look)
+        axes.plot(*points[-1, arm : arm + 2].T, linewidth=thick * (1 - 0.8 * arm / arms), **look)
     axes.plot(*points[-1, :-1].T, "o", color=style.INK, markersize=1.2 * thick, alpha=shade, zorder=4)
     axes.plot(*points[-1, -1], "o", color=tip, markersize=2.0 * thick, alpha=shade, zorder=4)
     if view.reference is not None:

@@ -19,7 +19,7 @@ from dpcontrol.foundation.document import counted
 from dpcontrol.judge.comparison import RunComparison
 from dpcontrol.judge.of_log import reference_view, run_view, sustained_view
 from dpcontrol.judge.preflight import Preflight
-from dpcontrol.judge.run_view import RunView, series_of
+from dpcontrol.judge.run_view import series_of
 from dpcontrol.logs import RunLog
 from dpcontrol.orbits.cut import Cut, Piece
 from dpcontrol.orbits.family import LyapunovFamily
@@ -247,7 +247,7 @@ def walk(axes: Axes, found: ShadowingOrbit) -> None:
     """
     story = _story(found)
     if story.has_angles:
-        angles(axes, story.view(found.system.name))
+        angles(axes, found)
     else:
         walk_plane(axes, story)
 
@@ -283,23 +283,30 @@ def atlas(axes: Axes, found: Atlas) -> None:
         draw_cuts(axes, found, max(found.kinds, key=lambda kind: kind.count), legend=False)
 
 
-def view_of(found: Plan | RunLog | SustainedOrbit) -> RunView:
-    """Return the data to draw of a plan, a log or a sustained orbit."""
-    if isinstance(found, Plan):
-        return reference_view(found.reference, found.file)
-    if isinstance(found, SustainedOrbit):
-        return sustained_view(found, found.arms.length)
-    return run_view(found) if "reference.npz" in found.attachments else series_of(found)
+def view_of(found: Any) -> Any:
+    """Return the motion to draw of a run, a plan, a log, a sustained orbit or a walk, or the object itself."""
+    found = getattr(found, "log", found)
+    match found:
+        case Plan():
+            return reference_view(found.reference, found.file)
+        case SustainedOrbit():
+            return sustained_view(found, found.arms.length)
+        case ShadowingOrbit():
+            return _story(found).view(found.system.name)
+        case RunLog():
+            return run_view(found) if "reference.npz" in found.attachments else series_of(found)
+        case _:
+            return found
 
 
-def angles(axes: Axes, found: Plan | RunLog | SustainedOrbit | RunView) -> None:
-    """Draw the angles of a plan, a log, a sustained orbit or a view over time.
+def angles(axes: Axes, found: Plan | RunLog | SustainedOrbit | ShadowingOrbit) -> None:
+    """Draw the angles of a plan, a log, a sustained orbit or a walk over time.
 
     Args:
         axes: panel to draw on.
         found: motion to draw.
     """
-    view = found if isinstance(found, RunView) else view_of(found)
+    view = view_of(found)
     draw_chart(axes, charts(view)["angles"], view)
 
 

@@ -1,17 +1,11 @@
 """Connections of the pendulum's orbits: homoclinic ones of one to three turns, and heteroclinic ones."""
 
-from functools import partial
-
-import numpy as np
-from matplotlib.axes import Axes
-
-from dpcontrol.pages.atlas_panels import draw_cuts, row_of
-from dpcontrol.pages.atlas_parts import connections_of, kind_of, section_place
+from dpcontrol.pages.atlas_panels import row_of
+from dpcontrol.pages.atlas_parts import kind_of
 from dpcontrol.pages.gallery import Gallery, PaperFigure
-from dpcontrol.pages.layout import Page, Panel
-from dpcontrol.pages.panels import quiet
+from dpcontrol.pages.layout import Page
 from dpcontrol.pages.paper.tubes import ENERGY, SADDLE, SENSES_ENERGY
-from dpcontrol.walks.atlas import Atlas, AtlasConnection, AtlasKind
+from dpcontrol.walks.atlas import AtlasConnection
 
 PAIRS = (("down-up", "up-down"), ("up-down", "down-up"))
 _MOST, _REPEATED = 5, 3
@@ -26,12 +20,11 @@ def heteroclinics_page(gallery: Gallery) -> PaperFigure:
     for letters, (source, target) in zip(("abcd", "efgh"), PAIRS, strict=True):
         kind, shown = kind_of(atlas, source, target), atlas.between(source, target)[:4]
         numbers = {c.name: letter for c, letter in zip(shown, letters, strict=False)}
-        cuts, *flights = row_of(atlas, kind, shown, numbers=numbers)
-        page.row(cuts, Panel(partial(_zoom, atlas=atlas, kind=kind), 0.6), *flights, height=3.7)
+        page.row(*row_of(atlas, kind, shown, numbers=numbers), height=3.7)
         counts.append(f"{kind.count} from {source} to {target}")
     return PaperFigure(
         page.figure(),
-        "On the section both arms are aligned, θ₁ = θ₂ + 2πk. Left, with a part enlarged: the unstable tube "
+        "On the section both arms are aligned, θ₁ = θ₂ + 2πk. Left: the unstable tube "
         "(red) of the source orbit meets the stable tube (green) of the target orbit. Right: the flights "
         "in the plane of the angles, from the source's named position; pale teal is the orbit about Down-Up, pale "
         f"violet that about Up-Down. {' and '.join(counts)}; those in one direction are those in the other, "
@@ -40,15 +33,6 @@ def heteroclinics_page(gallery: Gallery) -> PaperFigure:
         "0.1754 J. Here both directions are drawn, and each connection with its reflection; the unstable tube's cut is "
         "open where its trajectories graze the section.",
     )
-
-
-def _zoom(axes: Axes, atlas: Atlas, kind: AtlasKind) -> None:
-    """Draw the neighbourhood of the connections of positive sense enlarged."""
-    places = np.array([section_place(atlas, c) for c in connections_of(atlas, kind) if c.sense > 0])
-    middle, reach = places.mean(axis=0), 1.2 * np.ptp(places, axis=0) + np.array([0.08, 0.05])
-    draw_cuts(axes, atlas, kind, legend=False)
-    axes.set(xlim=(middle[0] - reach[0], middle[0] + reach[0]), ylim=(middle[1] - reach[1], middle[1] + reach[1]))
-    quiet(axes, "the middle enlarged")
 
 
 def repeated_page(gallery: Gallery, *, turns: int) -> PaperFigure:
