@@ -45,7 +45,7 @@ def draw_film(axes: Axes, view: RunView, times: Array) -> None:
         if view.has_cart:
             axes.plot([at - 0.98 * reach, at + 0.98 * reach], [0, 0], color=style.FAINT, linewidth=2.5, zorder=1)
         before = max(1, round((_TRACE if i else 0.1) * view.rate_hz))
-        draw_pose(axes, view, row, since=max(rows[i - 1] if i else 0, row - before), at=at, thick=2.6)
+        draw_pose(axes, view, (max(rows[i - 1] if i else 0, row - before), row), at=at, thick=2.6)
         cart = f"\ncart {round(1000 * float(pivot[row])):+d} mm" if np.isfinite(pivot[row]) else "\nlost"
         text = f"{view.time[row]:.2f} s{cart if view.has_cart else ''}"
         look = {"ha": "center", "va": "top", "fontsize": style.SMALL, "color": style.NOTE, "linespacing": 1.25}
@@ -54,19 +54,21 @@ def draw_film(axes: Axes, view: RunView, times: Array) -> None:
     axes.axis("off")
 
 
-def draw_pose(axes: Axes, view: RunView, row: int, *, since: int, at: float, thick: float, shade: float = 1.0) -> None:
+def draw_pose(
+    axes: Axes, view: RunView, ticks: tuple[int, int], *, at: float, thick: float, shade: float = 1.0
+) -> None:
     """Draw the arms at a tick on their cart, with the grey reference behind them and the tip's path.
 
     Args:
         axes: panel to draw on.
         view: motion to draw.
-        row: tick of the pose.
-        since: first tick of the tip's path.
+        ticks: first tick of the tip's path, and tick of the pose.
         at: drawn position of the pivot, m.
         thick: width of the arms, points.
         shade: opacity of the arms and the cart.
     """
     look: dict[str, Any]
+    since, row = ticks
     arms, reach, pivot = view.arms, sum(view.arm_lengths), view.pivot
     tip = style.arm_colour(arms - 1)
     if view.has_cart:

@@ -236,19 +236,9 @@ def draw_graph(axes: Axes, graph: "nx.MultiDiGraph[str]", title: str) -> None:
         title: title of the panel.
     """
     places = nx.circular_layout(graph, scale=1.3)
-    for name, place in places.items():
-        disc = {"boxstyle": "circle,pad=0.7", "facecolor": style.saddle_colour(name), "edgecolor": "none"}
-        axes.text(
-            float(place[0]),
-            float(place[1]),
-            name,
-            ha="center",
-            va="center",
-            color=style.PAPER,
-            weight="bold",
-            bbox=disc,
-            zorder=5,
-        )
+    for name, (x, y) in places.items():
+        axes.plot(x, y, "o", color=style.saddle_colour(name), markersize=50)
+        axes.text(x, y, name, ha="center", va="center", color=style.PAPER, weight="bold")
     for source, target in dict.fromkeys(graph.edges()):
         connections = [data["connection"] for data in graph.get_edge_data(source, target).values()]
         ends, bend, shrink = np.array([places[source], places[target]]), 0.25, 28.0

@@ -96,7 +96,7 @@ def _cell(axes: Axes, view: RunView, transfer: Range | None, box: Range, *, titl
     axes.axhline(0.0, color=style.GRID, linewidth=1.0, zorder=0)
     for share in np.linspace(0, 1, _POSES) if len(rows) > 1 else (1.0,):
         k, shade = round(share * (len(rows) - 1)), _FAINTEST + (1 - _FAINTEST) * share**2
-        draw_pose(axes, view, rows[k], since=rows[0] if share == 1 else rows[k], at=cart[k], thick=2.4, shade=shade)
+        draw_pose(axes, view, (rows[0 if share == 1 else k], rows[k]), at=cart[k], thick=2.4, shade=shade)
     if len(rows) > 1:
         text = f"{transfer[1] - transfer[0]:.3g} s, {100 * np.abs(cart).max():.0f} cm"
         axes.set_xlabel(text, fontsize=style.SMALL, color=style.NOTE, labelpad=2)
