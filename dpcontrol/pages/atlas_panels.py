@@ -128,9 +128,7 @@ def draw_flight(axes: Axes, atlas: Atlas, connection: AtlasConnection, colour: s
     axes.plot(*connection.states[:, :2].T, color=colour, linewidth=1.3, zorder=3)
     axes.plot(*connection.state[:2], "o", color=colour, markeredgecolor="white", markersize=6, zorder=4)
     quiet_plane(axes, atlas, title=title)
-    # Turns of the inner arm alone are wide and flat, so their panels are lower.
-    flat = connection.source == connection.target and not connection.winding[-1]
-    axes.set_aspect("equal", adjustable="box" if flat else "datalim", anchor="W")
+    axes.set_aspect("equal", adjustable="datalim")
 
 
 def draw_space(
