@@ -80,6 +80,9 @@ def draw(view: RunView) -> Figure:
         page.row(partial(_uses, uses=uses), height=_AROUND + _USE * len(uses))
     if story_height(view):
         page.row(partial(story, view=view), height=story_height(view))
+    symbols = enumerate(view.symbols, start=1)
+    times = [f"{k} at {at:.2f}{'' if done is None else f' ({done:.2f})'}" for k, (_, at, done) in symbols]
+    page.text(f"Symbols as planned (and done), s: {', '.join(times)}" if times else "")
     if view.arm_lengths:
         add_film(page, view, film_times(view, frames=_FRAMES))
     columns = [Stack(column, share=1.05) for column in (left, right) if column]
