@@ -1699,43 +1699,23 @@ def picture(
         >>> len(dp.picture(walk).axes) > 1
         True
     """
-    from dpcontrol.dynamics.chain import ArmChainParameters
-    from dpcontrol.judge.of_log import reference_view, run_view
-    from dpcontrol.pages.atlas import draw_atlas
-    from dpcontrol.pages.layout import save_figure
-    from dpcontrol.pages.page import draw
-    from dpcontrol.pages.walk_story import WalkStory
-    from dpcontrol.pages.walks import draw_walk
-    from dpcontrol.plans.model import ModelSystem
     from dpcontrol.plans.plan import Plan
-    from dpcontrol.runs.run import Run
-    from dpcontrol.walks.shadowing import ShadowingOrbit
 
     if transitions and not isinstance(result, Plan):
         raise InputError("transitions = True draws the transfers of a plan: give one")
-    view: Any = result
-    if isinstance(result, Run | Plan):
-        plan = isinstance(result, Plan)
-        view = reference_view(result.reference, result.file) if plan else run_view(result.log)
-        figure = draw(view)
-    elif isinstance(result, ShadowingOrbit):
-        system = result.connections[0].source.system
-        arms = system.model.parameters if isinstance(system, ModelSystem) else None
-        lengths = arms.length if isinstance(arms, ArmChainParameters) else None
-        figure = draw_walk(result, arm_lengths=lengths, model=system.name)
-        view = WalkStory(result, lengths).view(system.name)
-    else:
-        figure = draw_atlas(result)
     if transitions and isinstance(result, Plan):
         from dpcontrol.pages.transitions import draw_transitions
 
         figure = draw_transitions(result.reference)
+    else:
+        figure = render(result)
     if film is not None:
         from dpcontrol.pages.film import write_film
+        from dpcontrol.pages.single import view_of
 
-        write_film(view, film)
+        write_film(view_of(result), film)
     if file is not None:
-        save_figure(figure, file)
+        _save(figure, file)
     return figure
 
 
@@ -2614,7 +2594,7 @@ def review(
     It shows the arms with the reference as a ghost, the planned and the actual itinerary, angles, rates, command,
     errors, energy, and phase planes with the tubes. Recordings from the bench open too. Several logs open side by side,
     delayed so that all cross the section of symbol N at the same time. An atlas (.npz) opens as tubes, orbits and
-    flights, with numbered connections on its cuts. A reference (.npz) opens as motion, command and limits.
+    flights in space. A reference (.npz) opens as motion, command and limits.
 
     With --save, --picture or --film, no viewer opens. A film shows the arms on their cart, the reference, the path of
     the tip and the itinerary.
@@ -2982,13 +2962,12 @@ def draw_figures(
 ) -> DrawnFigures:
     """Draw the computational figures of the paper, each a PNG with a caption and the differences.
 
-    Names: energy-landscape, three-body-homoclinics, three-body, lyapunov-orbits, families, tubes, tubes-down-up, cuts,
-    colour-wheels, tubes-up-down, colour-wheels-up-down, homoclinics-low, homoclinics-high, heteroclinics,
-    heteroclinic-orbits, branches, graph, shadowing, double-homoclinics, triple-homoclinics, returning-homoclinics,
-    up-up. Without a name, all are drawn. Atlases are cached by content.
+    Names: energy-landscape, three-body-homoclinics, three-body, lyapunov-orbits, tubes-down-up, cuts, tubes-up-down,
+    heteroclinics, branches, graph, shadowing, double-homoclinics, triple-homoclinics, returning-homoclinics, up-up.
+    Without a name, all are drawn. Atlases are cached by content.
 
     Args:
-        names: figures, such as "tubes" (default: all).
+        names: figures, such as "cuts" (default: all).
         folder: folder for the pictures and captions.json (default: figures).
         progress: reports, see `dpcontrol.api`.
 

@@ -200,7 +200,7 @@ GROUPS = {
         "figures": Verb(
             "Draw the computational figures of the paper, with captions.",
             "draw_figures",
-            "dpcontrol figures tubes heteroclinics --out pictures",
+            "dpcontrol figures cuts heteroclinics --out pictures",
             names={"folder": "--out"},
         ),
         "bench": Verb(

@@ -24,7 +24,7 @@ def tube(axes: Axes) -> None:
         axes.plot(strand[:, 1], strand[:, 3], color=style.UNSTABLE, linewidth=0.5, alpha=0.6)
     samples = atlas.orbits[0].samples
     axes.plot(samples[:, 1], samples[:, 3], color=style.INK, linewidth=2)
-    angle_axis(axes, "x", step=0.5)
+    angle_axis(axes, "x")
 
 
 def section(axes: Axes) -> None:

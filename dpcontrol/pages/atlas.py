@@ -6,7 +6,6 @@ All orbits and tubes in space are followed by the cuts of each kind of connectio
 from __future__ import annotations
 
 from functools import partial
-from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -15,7 +14,7 @@ from dpcontrol.foundation.document import counted
 from dpcontrol.pages import style
 from dpcontrol.pages.atlas_panels import draw_cuts, draw_space
 from dpcontrol.pages.atlas_parts import connections_of
-from dpcontrol.pages.layout import Page, Panel, Stack, key
+from dpcontrol.pages.layout import Page, Panel, Stack
 from dpcontrol.walks.atlas import Atlas
 
 
@@ -44,9 +43,6 @@ def draw_atlas(atlas: Atlas) -> Figure:
 
 def _draw_whole(axes: Axes, atlas: Atlas) -> None:
     draw_space(axes, atlas, atlas.cuts, flights=[(c, style.INK) for c in atlas.connections])
-    looks: list[tuple[str, str | dict[str, Any]]] = [("tubes out", style.UNSTABLE), ("tubes in", style.STABLE)]
-    looks += [("cuts", style.CUT), ("connections", style.INK)]
-    key(axes, looks)
     for k, orbit in enumerate(atlas.orbits):
         look = {"fontsize": style.SMALL, "color": style.saddle_colour(orbit.saddle), "weight": "bold"}
         axes.text2D(0.0, 0.04 * k, f"orbit about {orbit.name}", transform=axes.transAxes, **look)  # type: ignore[attr-defined]

@@ -6,7 +6,6 @@ from collections.abc import Iterable, Sequence
 from functools import partial
 from typing import Any
 
-import numpy as np
 from matplotlib.axes import Axes
 
 from dpcontrol.pages import style
@@ -19,8 +18,8 @@ from dpcontrol.pages.atlas_parts import (
     section_place,
     tubes_of_cut,
 )
-from dpcontrol.pages.layout import Panel, Stack, key
-from dpcontrol.pages.panels import angle_axis, mark_times, name_point, quiet, quiet_plane, quiet_space
+from dpcontrol.pages.layout import Panel, key
+from dpcontrol.pages.panels import angle_axis, name_point, quiet, quiet_plane, quiet_space
 from dpcontrol.walks.atlas import Atlas, AtlasConnection, AtlasCut, AtlasKind, section_axes
 
 
@@ -86,8 +85,7 @@ def row_of(
     *,
     numbers: dict[str, str],
     marked: tuple[AtlasConnection, ...] | None = None,
-    flat: bool = False,
-) -> list[Panel | Stack]:
+) -> list[Panel]:
     """Return a row of panels: the cuts of a kind, and the flights of `shown` with their numbers.
 
     Args:
@@ -96,7 +94,6 @@ def row_of(
         shown: connections with a panel each.
         numbers: labels by connection name.
         marked: connections on the cuts; all by default.
-        flat: True to stack the flights.
     """
     look = colours(connections_of(atlas, kind) if marked is None else marked)
     flights = []
@@ -105,8 +102,7 @@ def row_of(
         title = f"{numbers[c.name]}  {c.transversality_angle:.1f}° [{turns}]"
         flights.append(partial(draw_flight, atlas=atlas, connection=c, colour=look[c.name], title=title))
     cuts = Panel(partial(draw_cuts, atlas=atlas, kind=kind, shown=marked, numbers=numbers), 1.0)
-    stacked = [Stack(flights, _FLIGHTS)] if flat else [Panel(draw, _FLIGHTS / max(len(flights), 1)) for draw in flights]
-    return [cuts, *stacked]
+    return [cuts, *(Panel(draw, _FLIGHTS / max(len(flights), 1)) for draw in flights)]
 
 
 _FLIGHTS = 1.75
@@ -131,27 +127,8 @@ def draw_flight(axes: Axes, atlas: Atlas, connection: AtlasConnection, colour: s
         axes.plot(*placed(atlas, orbit, winding)[:, :2].T, zorder=1, **look)
     axes.plot(*connection.states[:, :2].T, color=colour, linewidth=1.3, zorder=3)
     axes.plot(*connection.state[:2], "o", color=colour, markeredgecolor="white", markersize=6, zorder=4)
-    quiet_plane(axes, atlas, title=title, step=1.0)
-    # Turns of the inner arm alone are wide and flat, so their panels are lower.
-    flat = connection.source == connection.target and not connection.winding[-1]
-    axes.set_aspect("equal", adjustable="box" if flat else "datalim", anchor="W")
-
-
-def draw_angles(axes: Axes, atlas: Atlas, connection: AtlasConnection, *, title: str) -> None:
-    """Draw both angles over time, with the section crossing at zero.
-
-    Args:
-        axes: panel to draw on.
-        atlas: atlas with the connection.
-        connection: connection to draw.
-        title: title of the panel.
-    """
-    for arm in range(len(atlas.periods) // 2):
-        axes.plot(connection.times, connection.states[:, arm], color=style.arm_colour(arm), linewidth=1.3)
-    mark_times(axes, [time for time in (-connection.time_out, connection.time_in) if np.isfinite(time)])
-    quiet(axes, title)
-    axes.margins(x=0)
-    angle_axis(axes, "y", step=1.0)
+    quiet_plane(axes, atlas, title=title)
+    axes.set_aspect("equal", adjustable="datalim")
 
 
 def draw_space(
@@ -159,16 +136,15 @@ def draw_space(
     atlas: Atlas,
     cuts: Iterable[AtlasCut],
     *,
-    one_colour: str | None = None,
     flights: Sequence[tuple[AtlasConnection, str]] = (),
-    steps: tuple[float, float] = (1.0, 1.0),
     sense: int | None = None,
     saddles: tuple[str, ...] | None = None,
+    title: str = "",
 ) -> None:
     """Draw the tubes of cuts, all orbits, and flights in space.
 
-    Ticks of x and y are `steps` half turns apart. Orbits have `one_colour`, by default their saddle's. `sense` selects
-    branches by the sense of their final crossings; None draws both. `saddles` selects orbits; None draws all.
+    `sense` selects branches by the sense of their final crossings; None draws both. `saddles` selects orbits; None
+    draws all.
 
     Flights start at their source's named position. If they end whole turns away, the target orbit is drawn there.
 
@@ -176,11 +152,10 @@ def draw_space(
         axes: panel in space.
         atlas: with the orbits.
         cuts: of tubes.
-        one_colour: of all orbits.
         flights: connections with their colours.
-        steps: half turns.
         sense: 1, -1 or None.
         saddles: of the orbits.
+        title: of the panel.
     """
     picked = [0, 1, len(atlas.periods) // 2]
     for tube in (part for cut in cuts for part in tubes_of_cut(atlas, cut) if sense in (None, part.sense)):
@@ -192,28 +167,12 @@ def draw_space(
     for c, colour in flights:
         axes.plot(*c.states[:, picked].T, color=colour, linewidth=0.9, alpha=0.9, zorder=8)
     for orbit in (o for o in atlas.orbits if saddles is None or o.saddle in saddles):
-        colour = one_colour or style.saddle_colour(orbit.saddle)
+        colour = style.saddle_colour(orbit.saddle)
         axes.plot(*placed(atlas, orbit)[:, picked].T, color=colour, linewidth=2.5, zorder=10)
         for winding in (w for saddle, w in ends if saddle == orbit.saddle and orbit.family == 0):
             axes.plot(*placed(atlas, orbit, winding)[:, picked].T, color=colour, linewidth=1.6, alpha=0.6, zorder=9)
-    quiet_space(axes, atlas, steps=steps)
-
-
-def space_panel(
-    title: str, entries: Iterable[tuple[str, str | dict[str, Any]]], *, share: float = 1.0, **drawn: Any
-) -> Panel:
-    """Return a panel in space with a title and a key.
-
-    Args:
-        title: title of the panel.
-        entries: entries of the key.
-        share: width of the panel in its row.
-        **drawn: arguments of `draw_space`.
-    """
-
-    def draw(axes: Axes) -> None:
-        draw_space(axes, **drawn)
-        axes.set_title(title, loc="left")
-        key(axes, entries)
-
-    return Panel(draw, share, space=True)
+    quiet_space(axes, atlas)
+    axes.set_title(title, loc="left")
+    looks: list[tuple[str, str | dict[str, Any]]] = [("tubes out", style.UNSTABLE), ("tubes in", style.STABLE)]
+    looks += [("cuts", style.CUT), *([("connections", style.INK)] if flights else [])]
+    key(axes, looks)

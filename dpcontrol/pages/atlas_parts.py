@@ -168,15 +168,3 @@ def placed(atlas: Atlas, orbit: AtlasOrbit, winding: Sequence[int] = ()) -> Arra
     turns = np.zeros(len(atlas.periods))
     turns[: len(winding)] = winding
     return np.vstack([orbit.samples, orbit.samples[:1]]) + turns * atlas.turn_lengths
-
-
-def one_of_each(connections: tuple[AtlasConnection, ...]) -> list[AtlasConnection]:
-    """Return one connection of positive sense for each colour.
-
-    The others are its images.
-    """
-    look, kept = colours(connections), {}
-    for c in connections:
-        if c.sense > 0:
-            kept.setdefault(look[c.name], c)
-    return list(kept.values())

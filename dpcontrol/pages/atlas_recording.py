@@ -1,4 +1,4 @@
-"""An atlas as a Rerun recording: tubes, orbits and flights in space, and the cuts of each kind of connection."""
+"""An atlas as a Rerun recording: tubes, orbits and flights in space."""
 
 from __future__ import annotations
 
@@ -11,18 +11,10 @@ import numpy as np
 
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.pages import style
-from dpcontrol.pages.atlas_parts import (
-    BRANCHES,
-    colours,
-    connections_of,
-    placed,
-    section_curves,
-    section_place,
-    tubes_of_cut,
-)
+from dpcontrol.pages.atlas_parts import colours, connections_of, placed, tubes_of_cut
 from dpcontrol.pages.rerun_recording import page, recording_to, summary_view
-from dpcontrol.pages.sheet import DARK, Sheet, rr, rrb
-from dpcontrol.walks.atlas import Atlas, AtlasCut, AtlasKind, section_axes
+from dpcontrol.pages.sheet import DARK, rr, rrb
+from dpcontrol.walks.atlas import Atlas, AtlasCut, AtlasKind
 
 TIMELINE = "time_from_section"
 """Time from the section crossing, s, the same for all flights."""
@@ -79,9 +71,8 @@ def write_atlas_recording(atlas: Atlas, path: Path) -> None:
     # Fast passages close to a body would otherwise flatten the rest.
     low, high = np.quantile(states[:, [0, 1, rate]], [0.02, 0.98], axis=0)
     size, spans = float(max((high - low)[:2])), np.maximum(high - low, 1e-12)
-    factor, kinds = size / float(spans[2]), [kind for kind in atlas.kinds if connections_of(atlas, kind)]
-    sheets = [_sheet(atlas, kind) for kind in kinds]
-    view = _blueprint(atlas, list(zip(kinds, sheets, strict=True)), centre=(low + high) / 2 * [1, 1, factor], size=size)
+    factor = size / float(spans[2])
+    view = _blueprint(atlas, centre=(low + high) / 2 * [1, 1, factor], size=size)
     name = f"{atlas.model} at {atlas.energy:g}{atlas.unit('J')}"
     with recording_to(path, name, view, _summary(atlas)) as recording:
         space = _Space(recording, [0, 1, rate], factor)
@@ -98,56 +89,37 @@ def write_atlas_recording(atlas: Atlas, path: Path) -> None:
             labels = [orbit.name, *[""] * (len(copies) - 1)]
             colour = style.saddle_colour(orbit.saddle)
             space.curves(f"space/orbits/{_path(orbit.name)}", copies, colour, 2.5, labels=labels)
-        for kind, sheet in zip(kinds, sheets, strict=True):
-            _connections(space, atlas, kind, sheet)
+        for kind in atlas.kinds:
+            _connections(space, atlas, kind)
 
 
 def _path(name: str) -> str:
     return "".join(letter if letter.isalnum() else "_" for letter in name)
 
 
-def _kind_path(kind: AtlasKind) -> str:
-    return f"{_path(kind.source)}_to_{_path(kind.target)}_{kind.hits[0]}_{kind.hits[1]}"
-
-
 def _tube_path(cut: AtlasCut) -> str:
     return f"space/tubes/{_path(cut.saddle)}/hit_{cut.hit}_{_path(cut.section.name)}"
 
 
-def _sheet(atlas: Atlas, kind: AtlasKind) -> Sheet:
-    turning = section_axes(atlas.cut(kind.source, kind.section, kind.hits[0]).section, atlas)[1] is not None
-    return Sheet.around([points for _, _, points in section_curves(atlas, kind)], turning=turning, dark=True)
-
-
-def _connections(space: _Space, atlas: Atlas, kind: AtlasKind, sheet: Sheet) -> None:
-    """Record the cuts of a kind, its connections as marks on them, and their flights, each with a moving dot."""
-    recording, home, connections = space.recording, f"sections/{_kind_path(kind)}", connections_of(atlas, kind)
-    sheet.grid(recording, home)
-    for side, name in ((False, "unstable"), (True, "stable")):
-        runs = [
-            (BRANCHES[side, sign], points) for stable, sign, points in section_curves(atlas, kind) if stable == side
-        ]
-        sheet.curves(recording, f"{home}/{name}", [points for _, points in runs], [colour for colour, _ in runs], 1.2)
+def _connections(space: _Space, atlas: Atlas, kind: AtlasKind) -> None:
+    """Record the flights of a kind, each with a moving dot."""
+    home = f"space/connections/{_path(kind.source)}_to_{_path(kind.target)}_{kind.hits[0]}_{kind.hits[1]}"
+    connections = connections_of(atlas, kind)
     look = colours(connections)
     for k, c in enumerate(connections):
-        tint, radius = [style.rgb(look[c.name])], rr.Radius.ui_points(4)
         # The viewer shows the path under the pointer, which therefore contains the name.
-        name = f"{k + 1}_{_path(c.name)}"
-        mark = rr.Points2D(sheet.drawn(section_place(atlas, c)[None]), colors=tint, labels=[str(k + 1)], radii=radius)
-        recording.log(f"{home}/connections/{name}", mark, static=True)
-        flight = f"space/connections/{_kind_path(kind)}/{name}"
+        flight, recording = f"{home}/{k + 1}_{_path(c.name)}", space.recording
         space.curves(flight, [c.states], look[c.name], 0.9, labels=[c.name], show_labels=False)
         times = np.linspace(c.times[0], c.times[-1], _MOMENTS)
         states = np.stack([np.interp(times, c.times, column) for column in c.states.T], axis=1)
-        recording.log(f"{flight}/now", rr.Points3D.from_fields(colors=tint, radii=radius), static=True)
+        dot = rr.Points3D.from_fields(colors=[style.rgb(look[c.name])], radii=rr.Radius.ui_points(4))
+        recording.log(f"{flight}/now", dot, static=True)
         columns = rr.Points3D.columns(positions=space.places(states))
         recording.send_columns(f"{flight}/now", indexes=[rr.TimeColumn(TIMELINE, duration=times)], columns=columns)
 
 
-def _blueprint(
-    atlas: Atlas, sections: Sequence[tuple[AtlasKind, Sheet]], *, centre: Array, size: float
-) -> rrb.Blueprint:
-    """Return the layout: space with the summary below, and a sheet for each kind of connection.
+def _blueprint(atlas: Atlas, *, centre: Array, size: float) -> rrb.Blueprint:
+    """Return the layout: space with the summary beside it.
 
     Only each saddle's tubes to one section are visible at first; all together would hide everything.
     """
@@ -163,16 +135,7 @@ def _blueprint(
         background=DARK,
         overrides={path: rrb.EntityBehavior(visible=False) for path in hidden},
     )
-    views = [sheet.view(f"/sections/{_kind_path(kind)}", name=_title(atlas, kind)) for kind, sheet in sections]
-    beside = [rrb.Grid(*views, grid_columns=1 if len(views) < 3 else 2)] if views else []
-    left = rrb.Vertical(space, summary_view(), row_shares=[3, 1])
-    return page([left, *beside], [1, 1], timeline=TIMELINE)
-
-
-def _title(atlas: Atlas, kind: AtlasKind) -> str:
-    coordinate, period = section_axes(atlas.cut(kind.source, kind.section, kind.hits[0]).section, atlas)
-    across = f"{'p/p₀' if period else 'momentum'} over {coordinate}"
-    return f"{kind.source} → {kind.target}: {across} at {kind.section}, hits {kind.hits[0]} and {kind.hits[1]}"
+    return page([space, summary_view()], [3, 1], timeline=TIMELINE)
 
 
 def _summary(atlas: Atlas) -> str:
@@ -193,8 +156,7 @@ def _summary(atlas: Atlas) -> str:
 |---|---|---|---|
 {kinds}
 
-Red: unstable tubes, green: stable ones, pale: the other branch; on the sections pale curves are crossed backward. \
-Connections carry their numbers in this list; a dot moves along each flight.
+Red: unstable tubes, green: stable ones, pale: the other branch. A dot moves along each flight.
 
 | | connection | angle (°) |
 |---|---|---|

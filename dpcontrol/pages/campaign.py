@@ -54,12 +54,12 @@ def _draw_spread(axes: Axes, summary: CampaignSummary, name: str, title: str) ->
         empty(axes, title, f"the table has no {name}")
         return
     quiet(axes, f"{title}: median, middle half and range; failed red")
-    for k, (_, values, colour) in enumerate(rows):
-        low, first, middle, third, high = 1e3 * np.quantile(values, (0.0, 0.25, 0.5, 0.75, 1.0))
-        axes.plot([low, high], [k, k], color=colour, linewidth=1.2)
-        axes.barh(k, third - first, left=first, color=colour, height=0.62, alpha=0.6)
-        axes.plot(middle, k, "|", color=style.INK, markersize=9)
-    name_rows(axes, [shorten(label, 40, placeholder=" …") for label, _, _ in rows])
+    names, values, colours = zip(*rows, strict=True)
+    look = {"orientation": "horizontal", "whis": (0, 100), "positions": range(len(rows)), "patch_artist": True}
+    boxes = axes.boxplot([1e3 * part for part in values], medianprops={"color": style.INK}, **look)["boxes"]
+    for box, colour in zip(boxes, colours, strict=True):
+        box.set(facecolor=colour, alpha=0.6)
+    name_rows(axes, [shorten(name, 40, placeholder=" …") for name in names])
 
 
 def _group_colours(summary: CampaignSummary, labels: Sequence[str]) -> list[str]:

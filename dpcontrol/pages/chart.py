@@ -112,4 +112,4 @@ class Chart:
         if self.bound is not None:
             used = "" if self.used is None else f"{scale * self.used:.3g} of "
             bound = f", {used}±{scale * self.bound:.4g}{' used' if used else ''}"
-        return 1 / np.pi if self.half_turns else scale, f"{self.title}{f' ({unit})' if unit else ''}{bound}{self.note}"
+        return scale, f"{self.title}{f' ({unit})' if unit else ''}{bound}{self.note}"

@@ -4,14 +4,14 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import LogLocator, MaxNLocator
+from matplotlib.ticker import LogLocator
 
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.judge.run_view import RunView
 from dpcontrol.pages import style
 from dpcontrol.pages.chart import Chart, Line
 from dpcontrol.pages.layout import MOST_IN_KEY, key
-from dpcontrol.pages.panels import label_in_pi, mark_times, name_curves, quiet
+from dpcontrol.pages.panels import angle_axis, mark_times, name_curves, quiet
 from dpcontrol.pages.planes import Plane
 from dpcontrol.pages.ranges import Range, extreme_rows, gap_times
 
@@ -39,7 +39,6 @@ def curve(view: RunView, time: Array, values: Array) -> tuple[Array, Array]:
 
 _BROAD: dict[str, Any] = {"alpha": 0.3, "linewidth": 4.5}
 """Style of a reference behind the curve that follows it."""
-_UNIT = np.array([1 / np.pi, 1.0])
 
 
 def draw_chart(axes: Axes, chart: Chart, view: RunView, *, span: Range | None = None) -> None:
@@ -130,8 +129,7 @@ def _line(axes: Axes, line: Line, view: RunView, *, scale: float) -> None:
 
 def _axis(axes: Axes, chart: Chart, *, scale: float) -> None:
     if chart.half_turns:
-        axes.yaxis.set_major_locator(MaxNLocator(5, integer=True))
-        label_in_pi(axes.yaxis)
+        angle_axis(axes, "y")
     if chart.log:
         axes.set_yscale("log")
         axes.yaxis.set_major_locator(LogLocator(base=10, numticks=6))
@@ -163,24 +161,23 @@ def draw_plane(axes: Axes, runs: list[tuple[Plane, str]], *, tubes: bool = True)
     for colour, points in first.orbits:
         # An equilibrium is a single point.
         look: dict[str, Any] = {"linewidth": 3.2} if len(points) > 3 else {"marker": "D", "markersize": 8}
-        axes.plot(*(points * _UNIT).T, color=colour, zorder=1.5, alpha=0.75 if tubes else 0.4, **look)
+        axes.plot(*points.T, color=colour, zorder=1.5, alpha=0.75 if tubes else 0.4, **look)
     for plane, colour in runs:
-        (start, end), face = plane.ends * _UNIT, style.PAPER
+        (start, end), face = plane.ends, style.PAPER
         axes.plot(*_joined(plane.run), color=colour, linewidth=1.1, zorder=3)
         axes.plot(*end, "s", color=colour, markersize=5, zorder=4)
         if len(runs) == 1:
             axes.plot(*start, "o", color=colour, markerfacecolor=face, markersize=6, zorder=5)
     axes.margins(x=0.04)
-    axes.xaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 2.5, 5, 10]))
-    label_in_pi(axes.xaxis)
+    angle_axis(axes, "x")
     key(axes, entries)
 
 
 def _joined(curves: list[Array]) -> Array:
-    """Return curves (K, 2) as one (2, M) in page units.
+    """Return curves (K, 2) as one (2, M).
 
     The curves are separated by nan.
     """
     apart = np.full((1, 2), np.nan)
-    parts = [part for points in curves for part in (points * _UNIT, apart)]
+    parts = [part for points in curves for part in (points, apart)]
     return np.concatenate(parts).T if parts else np.zeros((2, 0))

@@ -12,12 +12,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from dpcontrol.foundation.arrays import Array
 from dpcontrol.judge.comparison import ComparedRun, RunComparison
 from dpcontrol.pages import style
 from dpcontrol.pages.chart import Chart, Line
 from dpcontrol.pages.charts import draw_chart, draw_plane
-from dpcontrol.pages.filmstrip import draw_film, film_height, film_times
+from dpcontrol.pages.filmstrip import add_film, film_times
 from dpcontrol.pages.layout import Page, Stack
 from dpcontrol.pages.planes import plane
 from dpcontrol.pages.run_charts import charts as charts_of
@@ -34,7 +33,8 @@ def draw_comparison(comparison: RunComparison) -> Figure:
     """Return the page of a comparison as a figure."""
     runs = comparison.runs
     page = Page(comparison.title, comparison.status)
-    frames = _frames(comparison)
+    # All films have the times of the run that ends first.
+    frames = film_times(min((run.view for run in runs), key=lambda view: view.time_range[1]), frames=_FRAMES)
     for run, colour in zip(runs, style.RUNS, strict=False):
         page.text(run.name, colour=colour, size=style.HEAD)
         page.text(run.view.verdict, colour=style.verdict_colour(run.view.good), size=style.TEXT)
@@ -42,8 +42,7 @@ def draw_comparison(comparison: RunComparison) -> Figure:
         if height:
             page.row(partial(story, view=run.view, span=comparison.span), height=height)
         if len(runs) <= _FILMED:
-            height = film_height(run.view, frames, width=style.WIDTH)
-            page.row(partial(draw_film, view=run.view, times=frames), height=height)
+            add_film(page, run.view, frames)
     charts = compared_charts(comparison)
     half = (len(charts) + 1) // 2
     columns = [
@@ -60,23 +59,6 @@ def draw_comparison(comparison: RunComparison) -> Figure:
 def _draw(axes: Axes, chart: Chart, comparison: RunComparison) -> None:
     draw_chart(axes, chart, comparison.runs[0].view, span=comparison.span)
     axes.axvline(comparison.moment, color=style.INK, linewidth=1.0, linestyle=style.DOTTED)
-
-
-def _frames(comparison: RunComparison) -> Array:
-    """Return the times of all films, about the symbols.
-
-    If the first run ends early, half of them lie before its end.
-
-    The longest run supplies the symbol times.
-    """
-    longest = max((run.view for run in comparison.runs), key=lambda view: view.time_range[1])
-    begin, end = min((run.view.time_range for run in comparison.runs), key=lambda span: span[1])
-    chosen = film_times(longest, frames=_FRAMES)
-    if (chosen <= end).mean() >= 0.5:
-        return chosen
-    half = _FRAMES // 2
-    later = film_times(longest, frames=_FRAMES - half)
-    return np.sort(np.concatenate([np.linspace(begin, end, half + 1)[1:], later]))
 
 
 def compared_charts(comparison: RunComparison) -> tuple[Chart, ...]:

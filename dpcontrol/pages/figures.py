@@ -16,39 +16,27 @@ from dpcontrol.pages.gallery import Gallery, PaperFigure
 from dpcontrol.pages.layout import save_figure
 from dpcontrol.pages.paper.branches import branches_page
 from dpcontrol.pages.paper.connecting import (
-    HIGH,
-    LOW,
-    heteroclinic_orbits_page,
     heteroclinics_page,
-    homoclinics_page,
     repeated_page,
 )
 from dpcontrol.pages.paper.graph import graph_page
 from dpcontrol.pages.paper.landscapes import landscape_page
-from dpcontrol.pages.paper.lyapunov_orbits import families_page, lyapunov_orbits_page
+from dpcontrol.pages.paper.lyapunov_orbits import lyapunov_orbits_page
 from dpcontrol.pages.paper.returning import returning_page
 from dpcontrol.pages.paper.shadowing import shadowing_page
 from dpcontrol.pages.paper.three_body import three_body_homoclinics_page, three_body_page
-from dpcontrol.pages.paper.tubes import cuts_page, senses_page, tubes_page
+from dpcontrol.pages.paper.tubes import cuts_page, senses_page
 from dpcontrol.pages.paper.up_up import up_up_page
-from dpcontrol.pages.paper.wheels import wheels_page
 
 FIGURES: dict[str, Callable[[Gallery], PaperFigure]] = {
     "energy-landscape": landscape_page,
     "three-body-homoclinics": three_body_homoclinics_page,
     "three-body": three_body_page,
     "lyapunov-orbits": lyapunov_orbits_page,
-    "families": families_page,
-    "tubes": tubes_page,
     "tubes-down-up": partial(senses_page, saddle="down-up"),
     "cuts": cuts_page,
-    "colour-wheels": partial(wheels_page, saddle="down-up"),
     "tubes-up-down": partial(senses_page, saddle="up-down"),
-    "colour-wheels-up-down": partial(wheels_page, saddle="up-down"),
-    "homoclinics-low": partial(homoclinics_page, energy=-0.07, saddles=("down-up",), about=LOW),
-    "homoclinics-high": partial(homoclinics_page, energy=0.2, saddles=("down-up", "up-down"), about=HIGH),
     "heteroclinics": heteroclinics_page,
-    "heteroclinic-orbits": heteroclinic_orbits_page,
     "branches": branches_page,
     "graph": graph_page,
     "shadowing": shadowing_page,
@@ -95,7 +83,7 @@ def draw_figures(
 ) -> DrawnFigures:
     """Draw figures to NAME.png in a folder.
 
-    Their captions are written to captions.json there. Captions of figures drawn there earlier are kept.
+    Their captions are written to captions.json there.
 
     Args:
         names: names of the figures; all if empty.
@@ -120,16 +108,6 @@ def draw_figures(
         save_figure(page.figure, file)
         drawn.append(Drawn(name, file, page.caption, page.differs, time.perf_counter() - began))
     captions = Path(folder) / CAPTIONS
-    _write_captions(captions, drawn)
+    words = {d.name: {"file": d.file.name, "caption": d.caption, "differs": d.differs} for d in drawn}
+    write_whole(captions, json.dumps(words, indent=1, ensure_ascii=False) + "\n")
     return DrawnFigures(tuple(drawn), captions)
-
-
-def _write_captions(file: Path, drawn: Sequence[Drawn]) -> None:
-    try:
-        known = json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        known = {}
-    words = known if isinstance(known, dict) else {}
-    words |= {d.name: {"file": d.file.name, "caption": d.caption, "differs": d.differs} for d in drawn}
-    ordered = {name: words[name] for name in FIGURES if name in words}
-    write_whole(file, json.dumps(ordered, indent=1, ensure_ascii=False) + "\n")

@@ -119,7 +119,7 @@ class Film:
         since = max(since, int(view.breaks[view.breaks <= row].max(initial=0)))
         unit = float(np.ptp(scene.transData.transform([(0.0, 0.0), (1.0, 0.0)])[:, 0])) * 72 / _PIXELS
         thick = 0.055 * sum(view.arm_lengths) * unit
-        draw_pose(scene, view, row, since=since, at=float(self.pivots[row]), thick=thick)
+        draw_pose(scene, view, (since, row), at=float(self.pivots[row]), thick=thick)
 
     def frames(self, progress: Progress = no_progress) -> Iterator[Image.Image]:
         """Yield the frames in order.

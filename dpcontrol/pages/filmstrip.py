@@ -1,6 +1,6 @@
 """A filmstrip: arms on their cart at several times, side by side."""
 
-from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.judge.run_view import RunView
 from dpcontrol.pages import style
-from dpcontrol.pages.panels import draw_fading
+from dpcontrol.pages.layout import Page
 from dpcontrol.pages.planes import arm_points
 from dpcontrol.pages.ranges import Range
 
@@ -37,7 +37,7 @@ def draw_film(axes: Axes, view: RunView, times: Array) -> None:
     axes.set(xlim=horizontal, ylim=vertical)
     rows = film_rows(view, times)
     for i, (time, row) in enumerate(zip(times, rows, strict=True)):
-        at = frame_position(view, i)
+        at = i * _FRAME_STEP * reach
         if not view.time[0] <= time <= view.time[-1]:
             look = {"ha": "center", "va": "center", "fontsize": style.SMALL, "color": style.MARK}
             axes.text(at, 0, f"no data at\n{time:.2f} s", **look)
@@ -45,7 +45,7 @@ def draw_film(axes: Axes, view: RunView, times: Array) -> None:
         if view.has_cart:
             axes.plot([at - 0.98 * reach, at + 0.98 * reach], [0, 0], color=style.FAINT, linewidth=2.5, zorder=1)
         before = max(1, round((_TRACE if i else 0.1) * view.rate_hz))
-        draw_pose(axes, view, row, since=max(rows[i - 1] if i else 0, row - before), at=at, thick=2.6)
+        draw_pose(axes, view, (max(rows[i - 1] if i else 0, row - before), row), at=at, thick=2.6)
         cart = f"\ncart {round(1000 * float(pivot[row])):+d} mm" if np.isfinite(pivot[row]) else "\nlost"
         text = f"{view.time[row]:.2f} s{cart if view.has_cart else ''}"
         look = {"ha": "center", "va": "top", "fontsize": style.SMALL, "color": style.NOTE, "linespacing": 1.25}
@@ -54,46 +54,40 @@ def draw_film(axes: Axes, view: RunView, times: Array) -> None:
     axes.axis("off")
 
 
-def draw_pose(axes: Axes, view: RunView, row: int, *, since: int, at: float, thick: float) -> None:
-    """Draw the arms at a tick on their cart, with the grey reference behind them and the tip's fading path.
+def draw_pose(
+    axes: Axes, view: RunView, ticks: tuple[int, int], *, at: float, thick: float, shade: float = 1.0
+) -> None:
+    """Draw the arms at a tick on their cart, with the grey reference behind them and the tip's path.
 
     Args:
         axes: panel to draw on.
         view: motion to draw.
-        row: tick of the pose.
-        since: first tick of the tip's path.
+        ticks: first tick of the tip's path, and tick of the pose.
         at: drawn position of the pivot, m.
         thick: width of the arms, points.
+        shade: opacity of the arms and the cart.
     """
+    look: dict[str, Any]
+    since, row = ticks
     arms, reach, pivot = view.arms, sum(view.arm_lengths), view.pivot
     tip = style.arm_colour(arms - 1)
     if view.has_cart:
-        axes.add_patch(
-            Rectangle((at - 0.13 * reach, -0.05 * reach), 0.26 * reach, 0.1 * reach, color=style.CART, zorder=2)
-        )
+        corner, look = (at - 0.13 * reach, -0.05 * reach), {"color": style.CART, "alpha": shade, "zorder": 2}
+        axes.add_patch(Rectangle(corner, 0.26 * reach, 0.1 * reach, **look))
     points = arm_points(view.state[since : row + 1, :arms], view.arm_lengths)
     points[..., 0] += at + (pivot[since : row + 1] - pivot[row])[:, None]
-    draw_fading(axes, points[:, -1], tip, shades=(0.0, 0.6), linewidth=thick / 2)
+    axes.plot(*points[:, -1].T, color=tip, linewidth=thick / 2, alpha=0.4)
     for arm in range(arms):
-        look: dict[str, Any] = {"color": style.arm_colour(arm), "linewidth": thick, "solid_capstyle": "round"}
-        axes.plot(*points[-1, arm : arm + 2].T, **look, zorder=3)
-    axes.plot(*points[-1, :-1].T, "o", color=style.INK, markersize=1.2 * thick, zorder=4)
-    axes.plot(*points[-1, -1], "o", color=tip, markersize=2.0 * thick, zorder=4)
+        look = {"color": style.arm_colour(arm), "alpha": shade, "solid_capstyle": "round", "zorder": 3}
+        # Outer arms are drawn narrower, so that overlapping arms remain visible.
+        axes.plot(*points[-1, arm : arm + 2].T, linewidth=thick * (1 - 0.8 * arm / arms), **look)
+    axes.plot(*points[-1, :-1].T, "o", color=style.INK, markersize=1.2 * thick, alpha=shade, zorder=4)
+    axes.plot(*points[-1, -1], "o", color=tip, markersize=2.0 * thick, alpha=shade, zorder=4)
     if view.reference is not None:
         ghost = arm_points(view.reference[row : row + 1, :arms], view.arm_lengths)[0]
         shift = at + (view.reference[row, 2 * arms] - pivot[row] if view.has_cart else 0.0)
         look = {"color": style.REFERENCE, "linewidth": 2.0 * thick, "solid_capstyle": "round", "zorder": 1.5}
         axes.plot(shift + ghost[:, 0], ghost[:, 1], **look)
-
-
-def frame_position(view: RunView, frame: int) -> float:
-    """Return the drawn position of the pivot of a frame, m.
-
-    Args:
-        view: motion in the film.
-        frame: number of the frame, from 0.
-    """
-    return frame * _FRAME_STEP * sum(view.arm_lengths)
 
 
 def film_extent(view: RunView, times: Array) -> tuple[Range, Range]:
@@ -116,16 +110,16 @@ def film_extent(view: RunView, times: Array) -> tuple[Range, Range]:
     return (-0.53 * step, (len(times) - 0.47) * step), (low - 0.62 * reach, high + 0.1 * reach)
 
 
-def film_height(view: RunView, times: Array, *, width: float) -> float:
-    """Return the height of a film of this width at equal scales.
+def add_film(page: Page, view: RunView, times: Array) -> None:
+    """Add a filmstrip to a page, as high as equal scales require.
 
     Args:
+        page: page to extend.
         view: motion in the film.
         times: (K,) s of the frames.
-        width: width of the film, in the height's unit.
     """
     (left, right), (low, high) = film_extent(view, times)
-    return width * (high - low) / (right - left)
+    page.row(partial(draw_film, view=view, times=times), height=page.width * (high - low) / (right - left))
 
 
 def film_rows(view: RunView, times: Array) -> NDArray[np.int64]:
@@ -138,39 +132,24 @@ def film_rows(view: RunView, times: Array) -> NDArray[np.int64]:
     return np.searchsorted(view.time, times).clip(0, len(view.time) - 1)
 
 
-def film_times(view: RunView, *, frames: int, until: float = np.inf) -> Array:
-    """Return (frames,) times in s for a filmstrip.
+def film_times(view: RunView, *, frames: int) -> Array:
+    """Return (frames,) times in s for a filmstrip, about the symbols' crossings, otherwise evenly.
 
-    They are distributed among the symbols' crossings, otherwise evenly.
-
-    On either side of a crossing they span a third of the period of a simple pendulum as long as all arms. For a run
-    that failed, the last quarter of the frames covers its end.
+    On either side of a crossing they span a third of the period of a simple pendulum as long as all arms. The end of a
+    run that failed counts as a crossing.
 
     Args:
         view: motion in the film.
         frames: number of frames.
-        until: latest time, s; the end by default.
     """
-    time = view.time[view.time <= until]
-    if view.good is False and frames > 3 and time[-1] > time[0]:
-        last = frames // 4
-        # A run that ended at once gets no more than its share.
-        length = min(0.2 * last, (time[-1] - time[0]) * last / frames)
-        ending = np.linspace(time[-1] - length, time[-1], last + 1)
-        before = film_times(replace(view, good=None), frames=frames - last, until=ending[0])
-        return np.concatenate([before, ending[1:]])
-    moments = np.array([done or planned for _, planned, done in view.symbols])
-    moments = moments[(moments >= time[0]) & (moments <= time[-1])] if len(moments) else moments
-    if not len(moments):
-        return np.linspace(time[0], time[-1], frames)
-    moments = moments[np.linspace(0, len(moments) - 1, min(len(moments), frames)).astype(int)]
+    begin, end = view.time_range
     half = 0.33 * 2 * np.pi * np.sqrt(sum(view.arm_lengths) / 9.81)
-    parts = []
-    for i, moment in enumerate(moments):
-        share = frames // len(moments) + (i < frames % len(moments))
-        parts.append(
-            moment + half * np.linspace(-1, 1, share)
-            if share > 2
-            else np.linspace(moment - half / 2, moment, share + 1)[1:]
-        )
-    return np.sort(np.clip(np.concatenate(parts), time[0], time[-1]))
+    moments = [done or planned for _, planned, done in view.symbols if begin <= (done or planned) <= end]
+    if view.good is False:
+        moments.append(end - half)
+    if not moments:
+        return np.linspace(begin, end, frames)
+    chosen = np.array(moments)[np.linspace(0, len(moments) - 1, min(len(moments), frames)).astype(int)]
+    shares = [len(part) for part in np.array_split(np.arange(frames), len(chosen))]
+    parts = [moment + half * np.linspace(-1, 1, n + 2)[1:-1] for moment, n in zip(chosen, shares, strict=True)]
+    return np.sort(np.clip(np.concatenate(parts), begin, end))

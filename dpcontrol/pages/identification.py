@@ -30,9 +30,7 @@ def draw_identification(
     """
     page = Page(title)
     candidates = 1.0 + 0.2 * (len(found.candidates) + 1)
-    page.row(
-        Panel(partial(draw_candidates, found=found), 1.4), partial(_segments, found=found), height=max(candidates, 2.4)
-    )
+    page.row(partial(draw_candidates, found=found), height=candidates)
     correlation = Panel(partial(_correlation, found=found), 0.9)
     page.row(Panel(partial(_errors, found=found), 1.4), correlation, height=0.9 + max(2.4, 0.19 * len(found.names)))
     page.grid([partial(_profile, curve=curve) for curve in curves], across=_PER_ROW, height=1.9)
@@ -60,17 +58,6 @@ def draw_candidates(axes: Axes, found: Identification) -> None:
     axes.invert_yaxis()
     axes.set_xlim(left=0.0)
     quiet(axes, "Terms tried; the chosen ones in colour", x="error (mrad): each segment left out, and | all together")
-
-
-def _segments(axes: Axes, found: Identification) -> None:
-    """Draw the error of each segment, fitted or left out."""
-    index = np.array([s.index for s in found.segments])
-    used = np.array([s.used for s in found.segments])
-    rms = 1e3 * np.array([s.rms for s in found.segments])
-    axes.bar(index[used], rms[used], color=USED)
-    axes.bar(index[~used], rms[~used], color=LEFT)
-    key(axes, [("used", {"color": USED, "linewidth": 6}), ("left out", {"color": LEFT, "linewidth": 6})])
-    quiet(axes, "Error of each segment (mrad, rms)", x="segment")
 
 
 def _errors(axes: Axes, found: Identification) -> None:

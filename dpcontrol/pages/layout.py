@@ -199,8 +199,6 @@ def _grid(part: SubFigure, items: Sequence[Panel | Draw], *, across: bool) -> No
 def table(rows: Sequence[Sequence[str]], *, heading: Sequence[str] = (), title: str = "") -> Draw:
     """Return a panel with a table of texts.
 
-    Columns are as wide as their longest text.
-
     Args:
         rows: texts by row.
         heading: texts above the columns; none by default.
@@ -208,42 +206,20 @@ def table(rows: Sequence[Sequence[str]], *, heading: Sequence[str] = (), title: 
     """
 
     def draw(axes: Axes) -> None:
-        axes.axis("off")
-        axes.set_title(title, loc="left")
-        every = [heading, *rows] if heading else list(rows)
-        widths = [max(text_width(text, style.TEXT) for text in column) for column in zip(*every, strict=True)]
-        at = 0.0
-        for column, width in enumerate(widths):
-            for row, texts in enumerate(every):
-                head = bool(heading) and row == 0
-                axes.annotate(
-                    texts[column],
-                    (0, 1),
-                    xycoords="axes fraction",
-                    xytext=(72 * at, -72 * row * _height(style.TEXT)),
-                    textcoords="offset points",
-                    va="top",
-                    fontsize=style.SMALL if head else style.TEXT,
-                    color=style.NOTE if head or column == 0 else style.INK,
-                    annotation_clip=False,
-                ).set_in_layout(False)
-            at += width + 0.25
+        bare(axes, title)
+        every = [[f"{text}\N{EM SPACE}" for text in row] for row in ([heading, *rows] if heading else rows)]
+        shown = axes.table(every, loc="upper left", cellLoc="left", edges="open")
+        shown.auto_set_font_size(False)
+        shown.auto_set_column_width(range(len(every[0])))
+        shown.set_in_layout(False)
+        for (row, column), cell in shown.get_celld().items():
+            cell.PAD = 0.0
+            head = bool(heading) and row == 0
+            cell.set_text_props(
+                fontsize=style.SMALL if head else style.TEXT, color=style.NOTE if head or column == 0 else style.INK
+            )
 
     return draw
-
-
-def list_panel(rows: Sequence[Sequence[str]], *, heading: Sequence[str], title: str) -> Panel:
-    """Return a table with a title, as a panel.
-
-    The share of the panel is its height in inches.
-
-    Args:
-        rows: texts by row.
-        heading: texts above the columns.
-        title: title of the panel.
-    """
-    height = (len(rows) + 1) * _height(style.TEXT) + 2 * _height(style.HEAD) + _EDGE
-    return Panel(table(rows, heading=heading, title=title), share=height)
 
 
 class ShownFigure(Figure):

@@ -1,11 +1,9 @@
 """Show a run live in a Rerun viewer.
 
-The loop sends rows through a pipe to a separate process.
+The loop sends rows through a pipe to a separate process, which records them for the viewer.
 
 The loop never waits. Fifty times a second it writes a row of some 300 bytes to a non-blocking pipe, and drops the row
-if the pipe is full. Run as a program, this module is the receiving process. Its arguments are a file with the run's
-fixed data and the address of a viewer; for an empty address it opens a viewer. It shows rows until the pipe or the
-viewer is closed. Failures of this process do not affect the run.
+if the pipe is full. The process shows rows until the pipe or the viewer is closed. Its failures do not affect the run.
 """
 
 import contextlib
@@ -15,14 +13,13 @@ import select
 import socket
 import subprocess
 import sys
-import tempfile
 import time
-from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
 from pathlib import Path
-from queue import SimpleQueue
-from threading import Thread
-from typing import IO, TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -38,12 +35,12 @@ if TYPE_CHECKING:
 
 RATE = 50.0
 """Rate of the displayed rows, Hz."""
-_MOST = getattr(select, "PIPE_BUF", 512)
-"""Largest atomic write to a pipe, bytes."""
-_ROOM = 1 << 20
-"""Capacity of the pipe, bytes, on systems that can set it: a minute of rows."""
+_MOST = getattr(select, "PIPE_BUF", 512) - 4
+"""Largest atomic message in a pipe, bytes; its length takes four more."""
 _PAUSE = 0.1
 """Time between two reads of the pipe, s."""
+_LAST = 5.0
+"""Longest time to show the last rows after a run, s."""
 _TAIL = 20
 """Rows drawn again with the next ones, so that the tip's path has no gaps."""
 _MEMORY = "1GB"
@@ -70,35 +67,23 @@ class LiveView(LoopSink):
             raise InputError("a live view needs pipes as Linux and macOS have them; review the log after the run")
         if not viewer:
             check_viewer(LIVE_REMEDY)
-        self._start, self._viewer = start, viewer
         self._every, self._left = max(1, round(start.rate_hz / RATE)), 0
-        self._pipe = -1
         self._sent = self._dropped = 0
+        context = get_context("spawn")
+        self._reading, self.pipe = context.Pipe(duplex=False)
+        self.process = context.Process(target=_run, args=(start, viewer, self._reading), daemon=True)
 
     def __enter__(self) -> "LiveView":
-        handle, name = tempfile.mkstemp(prefix="dpcontrol-live-")
-        with os.fdopen(handle, "wb") as file:
-            pickle.dump(self._start, file)
-        quiet: dict[str, Any] = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-        program = [sys.executable, "-m", __name__, name, self._viewer]
-        window = subprocess.Popen(program, stdin=subprocess.PIPE, start_new_session=True, **quiet)
-        assert window.stdin is not None
-        self.process, self._pipe = window.pid, os.dup(window.stdin.fileno())
-        window.stdin.close()
-        # The process outlives the run and is not waited for.
-        window.returncode = 0
-        os.set_blocking(self._pipe, False)
-        with contextlib.suppress(ImportError, AttributeError, OSError):
-            import fcntl
-
-            fcntl.fcntl(self._pipe, fcntl.F_SETPIPE_SZ, _ROOM)
+        self.process.start()
+        self._reading.close()
+        os.set_blocking(self.pipe.fileno(), False)
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self._pipe < 0:
+        if self.pipe.closed:
             remark("the live view ended before the run; the log is complete")
-        else:
-            os.close(self._pipe)
+        self.pipe.close()
+        self.process.join(_LAST)
         if self._dropped:
             remark(f"the live view was behind: {self._dropped:,} of {self._sent:,} rows were left out; the log has all")
 
@@ -121,185 +106,129 @@ class LiveView(LoopSink):
         self._send(event)
 
     def _send(self, content: Array | Event) -> None:
-        if self._pipe < 0:
+        if self.pipe.closed:
             return
         self._sent += 1
         message = pickle.dumps(content, protocol=pickle.HIGHEST_PROTOCOL)
         try:
             # A longer message might be written in part.
-            self._dropped += len(message) > _MOST or not os.write(self._pipe, message)
+            if len(message) > _MOST:
+                raise BlockingIOError
+            self.pipe.send_bytes(message)
         except BlockingIOError:
             self._dropped += 1
         except OSError:
-            os.close(self._pipe)
-            self._pipe = -1
+            self.pipe.close()
 
 
-@dataclass
-class ShownState:
-    """The displayed part of a run.
+Part = tuple[Array, tuple[Event, ...]]
+"""Rows (K, D) and events that arrived together.
 
-    It holds recording, log before the first row, plan and last rows (K, D).
-
-    A row holds the time in s, measurement, estimate, reference, the columns of `control_fields` and, if known, the
-    true state; units as in `Ticks`.
-    """
-
-    recording: "rr.RecordingStream"
-    start: RunLog
-    planned: RunView
-    tail: Array = field(default_factory=lambda: np.zeros((0, 0)))
-
-    @classmethod
-    def of(cls, recording: "rr.RecordingStream", start: RunLog) -> "ShownState":
-        """Return the initial view, without flight data.
-
-        It shows the plan with its orbits and tubes.
-
-        Args:
-            recording: recording of the viewer.
-            start: log before the first row.
-        """
-        from dpcontrol.judge.of_log import reference_view
-        from dpcontrol.judge.score import plan_of
-
-        planned = reference_view(plan_of(start), start.path)
-        return cls(recording, replace(start, rate_hz=RATE, extras=None), planned)
-
-    def add(self, rows: Array, events: tuple[Event, ...]) -> None:
-        """Show new rows and events.
-
-        Args:
-            rows: (K, D) new rows.
-            events: new events.
-        """
-        from dpcontrol.pages import rerun_recording as recorded
-        from dpcontrol.pages.planes import plane
-        from dpcontrol.pages.run_charts import charts
-        from dpcontrol.pages.strips import strips
-
-        first, both = not len(self.tail), rows if not len(self.tail) else np.concatenate([self.tail, rows])
-        view, drawn = self._view(rows, events), self._view(both, ())
-        if first:
-            sheets = [recorded.phase_plane(plane(view, arm)) for arm in range(view.arms)]
-            self.recording.send_blueprint(recorded.blueprint(view, sheets, growing=True), make_active=True)
-            self.recording.send_recording_name(view.title)
-            recorded.record_strips(self.recording, "", strips(self.planned), self.planned)
-            recorded.record_planes(self.recording, recorded.PLANES, view, sheets)
-        for chart in charts(view).values():
-            recorded.record_chart(self.recording, chart, view)
-        modes = [strip for strip in strips(view, until=float(view.time[-1])) if strip.key == "mode"]
-        recorded.record_strips(self.recording, "", modes, view)
-        recorded.record_places(self.recording, recorded.PLANES, view)
-        recorded.draw_pendulum(self.recording, recorded.SCENE, drawn)
-        recorded.record_events(self.recording, view)
-        self.tail = both[-_TAIL:]
-
-    def _view(self, rows: Array, events: tuple[Event, ...]) -> RunView:
-        """Return rows as a `RunView`."""
-        start, n = self.start, len(self.start.arm_lengths)
-        width = 2 * n + 2
-        sizes = np.cumsum([1, n + 1, width, width, len(start.controls)])
-        times, measured, estimate, reference, control, truth = np.split(rows, sizes, axis=1)
-        states = {"estimate": estimate, "reference": reference} | ({"truth": truth} if truth.size else {})
-        log = replace(
-            start,
-            time=times[:, 0],
-            measured=measured,
-            states=states,
-            events=events,
-            controls=dict(zip(start.controls, control.T, strict=True)),
-        )
-        view, planned = series_of(log), self.planned.source
-        # Means of the NIS need more rows than arrive at once.
-        return replace(
-            view,
-            limits=start.limits,
-            plan=self.planned.plan,
-            title=f"{self.planned.title}, live",
-            nis=None,
-            energy=None if planned is None else planned.energies(view.state),
-        )
+A row holds the time in s, measurement, estimate, reference, the columns of `control_fields` and, if known, the true
+state; units as in `Ticks`.
+"""
 
 
-def messages(stream: IO[bytes], viewer: "subprocess.Popen[Any] | None") -> Iterator[tuple[Array, tuple[Event, ...]]]:
-    """Yield rows (K, D) and events as they arrive.
-
-    The end is the closing of the stream or the viewer.
+def parts_of(pipe: Connection, open_: Callable[[], bool] = lambda: True) -> Iterator[Part]:
+    """Yield rows and events as they arrive, until the pipe is closed.
 
     Args:
-        stream: pickles of rows and events.
-        viewer: process of the viewer; None if it was not opened here.
+        pipe: reading end of the pipe.
+        open_: returns False when the viewer was closed.
     """
-    queue: SimpleQueue[Any] = SimpleQueue()
-    Thread(target=_receive, args=(stream, queue), daemon=True).start()
-    items: list[Any] = []
-    while not any(item is None for item in items) and (viewer is None or viewer.poll() is None):
+    going = True
+    while going and open_():
         # Rows that arrive in the meantime are shown together.
         time.sleep(_PAUSE)
-        items = [queue.get() for _ in range(queue.qsize())]
+        items: list[Any] = []
+        with contextlib.suppress(EOFError):
+            going = False
+            while pipe.poll():
+                items.append(pipe.recv())
+            going = True
         rows = [item for item in items if isinstance(item, np.ndarray)]
-        events = tuple(item for item in items if isinstance(item, Event))
-        if rows or events:
-            yield np.array(rows).reshape(len(rows), -1), events
+        if items:
+            yield np.array(rows).reshape(len(rows), -1), tuple(item for item in items if isinstance(item, Event))
 
 
-def _receive(stream: IO[bytes], queue: "SimpleQueue[Any]") -> None:
-    """Move pickles from a stream to a queue, whose last item is None."""
-    with contextlib.suppress(EOFError, pickle.UnpicklingError):
-        while True:
-            queue.put(pickle.load(stream))
-    queue.put(None)
-
-
-def _opened(address: str) -> "tuple[str, subprocess.Popen[Any] | None]":
-    """Return the address of a viewer and its process.
-
-    If no address is given, a viewer is opened.
-    """
-    if address:
-        return address, None
-    from dpcontrol.pages.picture import viewer_command
-
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    silent: dict[str, Any] = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
-    command, environment = viewer_command("--port", str(port), "--memory-limit", _MEMORY, "--hide-welcome-screen")
-    return f"rerun+http://127.0.0.1:{port}/proxy", subprocess.Popen(command, env=environment, **silent)
-
-
-def show(file: Path, address: str) -> None:
-    """Show the data on standard input.
+def show(recording: "rr.RecordingStream", start: RunLog, parts: Iterable[Part]) -> None:
+    """Show the plan of a run with its orbits and tubes, and the run as it arrives.
 
     Args:
-        file: pickled log before its first row, deleted after reading.
-        address: address of an open viewer; "" opens one.
+        recording: recording of the viewer.
+        start: log before the first row.
+        parts: rows and events.
     """
-    with contextlib.suppress(AttributeError, OSError):
-        os.nice(10)
-        # Linux weighs sessions by this, not by their niceness.
-        Path("/proc/self/autogroup").write_text("19")
-    start: RunLog = pickle.loads(file.read_bytes())
-    file.unlink()
-    # The interpreter's own stream would be locked by the receiving thread at the end.
-    stream = os.fdopen(sys.stdin.fileno(), "rb", closefd=False)
-    address, viewer = _opened(address)
+    from dpcontrol.judge.of_log import reference_view
+    from dpcontrol.judge.score import plan_of
+    from dpcontrol.pages import rerun_recording as recorded
+    from dpcontrol.pages.planes import plane
+    from dpcontrol.pages.run_charts import charts
+    from dpcontrol.pages.strips import strips
+
+    planned, log = reference_view(plan_of(start), start.path), replace(start, rate_hz=RATE, extras=None)
+    tail, waiting = None, ()
+    for rows, events in parts:
+        waiting += events
+        if not len(rows):
+            continue
+        view = _view(log, planned, rows, waiting)
+        if tail is None:
+            sheets = [recorded.phase_plane(plane(view, arm)) for arm in range(view.arms)]
+            recording.send_blueprint(recorded.blueprint(view, sheets, growing=True), make_active=True)
+            recording.send_recording_name(view.title)
+            recorded.record_strips(recording, "", strips(planned), planned)
+            recorded.record_planes(recording, recorded.PLANES, view, sheets)
+        for chart in charts(view).values():
+            recorded.record_chart(recording, chart, view)
+        modes = [strip for strip in strips(view, until=float(view.time[-1])) if strip.key == "mode"]
+        recorded.record_strips(recording, "", modes, view)
+        recorded.record_places(recording, recorded.PLANES, view)
+        both = rows if tail is None else np.concatenate([tail, rows])
+        recorded.draw_pendulum(recording, recorded.SCENE, _view(log, planned, both, ()))
+        recorded.record_events(recording, view)
+        tail, waiting = both[-_TAIL:], ()
+
+
+def _view(start: RunLog, planned: RunView, rows: Array, events: tuple[Event, ...]) -> RunView:
+    """Return rows as a `RunView`."""
+    n = len(start.arm_lengths)
+    width = 2 * n + 2
+    sizes = np.cumsum([1, n + 1, width, width, len(start.controls)])
+    times, measured, estimate, reference, control, truth = np.split(rows, sizes, axis=1)
+    states = {"estimate": estimate, "reference": reference} | ({"truth": truth} if truth.size else {})
+    controls = dict(zip(start.controls, control.T, strict=True))
+    log = replace(start, time=times[:, 0], measured=measured, states=states, events=events, controls=controls)
+    view = series_of(log)
+    energy = None if planned.source is None else planned.source.energies(view.state)
+    # Means of the NIS need more rows than arrive at once.
+    live = {"plan": planned.plan, "title": f"{planned.title}, live", "nis": None, "energy": energy}
+    return replace(view, limits=start.limits, **live)
+
+
+def _run(start: RunLog, address: str, pipe: Connection) -> None:
+    """Show the rows in a pipe in the viewer at an address; "" opens one. This is the separate process."""
     import rerun as rr
 
+    from dpcontrol.pages.picture import viewer_command
+
+    # Ctrl-C ends the run, and neither this process nor the viewer.
+    os.setsid()
+    os.nice(10)
+    with contextlib.suppress(OSError):
+        # Linux weighs sessions by this, not by their niceness.
+        Path("/proc/self/autogroup").write_text("19")
+    viewer = None
+    if not address:
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            port = str(free.getsockname()[1])
+        silent: dict[str, Any] = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
+        command, environment = viewer_command("--port", port, "--memory-limit", _MEMORY, "--hide-welcome-screen")
+        viewer = subprocess.Popen(command, env=environment, **silent)
+        address = f"rerun+http://127.0.0.1:{port}/proxy"
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stderr.fileno())
     recording = rr.RecordingStream("dpcontrol")
     recording.connect_grpc(address)
-    shown, events = ShownState.of(recording, start), ()
-    for rows, more in messages(stream, viewer):
-        events += more
-        if len(rows):
-            shown.add(rows, events)
-            events = ()
-    recording.flush(timeout_sec=5.0)
-
-
-if __name__ == "__main__":
-    try:
-        show(Path(sys.argv[1]), sys.argv[2])
-    except (InputError, OSError, KeyboardInterrupt):
-        sys.exit(1)
+    show(recording, start, parts_of(pipe, lambda: viewer is None or viewer.poll() is None))
+    recording.flush(timeout_sec=_LAST)

@@ -104,19 +104,15 @@ def _draw_times(axes: Axes, night: Night) -> None:
 
 
 def _draw_returns(axes: Axes, night: Night) -> None:
-    returns = np.sort(night.returns)
+    returns = night.returns
     if not len(returns):
         empty(axes, "Time from the fall back onto the itinerary", "no falls")
         return
-    quiet(axes, "Time from the fall back onto the itinerary", x="s", y="share of falls within")
-    shares = np.arange(1, len(returns) + 1) / len(returns)
-    axes.step(np.r_[0, returns], np.r_[0, shares], where="post", color=style.ARMS[0])
-    # The curve leaves the upper left and the lower right free.
-    for share, name, height, side in ((0.5, "median", 0.88, "right"), (0.99, "99 %", 0.05, "left")):
-        value = float(np.quantile(returns, share))
-        axes.axvline(value, color=style.MARK, linewidth=0.8, linestyle=":")
-        axes.text(value, height, f" {name} {value:.1f} s ", fontsize=style.SMALL, color=style.NOTE, ha=side)
-    axes.set(xlim=(0, 1.3 * returns[-1]), ylim=(0, 1.03))
+    median, late = np.quantile(returns, (0.5, 0.99))
+    times = f"s; median {median:.1f}, 99 % within {late:.1f}"
+    quiet(axes, "Time from the fall back onto the itinerary", x=times, y="share of falls within")
+    axes.ecdf(returns, color=style.ARMS[0])
+    axes.set(xlim=(0, 1.3 * max(returns)), ylim=(0, 1.03))
 
 
 def draw_causes(axes: Axes, night: Night) -> None:

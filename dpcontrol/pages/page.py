@@ -3,8 +3,7 @@
 The motion is a run, a recording, a reference or an orbit.
 
 The top shows the verdict, the closest approach to failing, the filter, and the largest values against their limits.
-Below are the itinerary as planned and done, and a film of the arms. Phase planes, charts over time, symbols and events
-follow.
+Below are the itinerary as planned and done, and a film of the arms. Phase planes and charts over time follow.
 """
 
 from collections.abc import Sequence
@@ -26,8 +25,8 @@ from dpcontrol.logs import RunLog
 from dpcontrol.pages import style
 from dpcontrol.pages.chart import Chart
 from dpcontrol.pages.charts import draw_chart, draw_plane
-from dpcontrol.pages.filmstrip import draw_film, film_height, film_times
-from dpcontrol.pages.layout import Page, Panel, Stack, cropped, list_panel
+from dpcontrol.pages.filmstrip import add_film, film_times
+from dpcontrol.pages.layout import Page, Stack
 from dpcontrol.pages.panels import Bar, bars
 from dpcontrol.pages.planes import plane
 from dpcontrol.pages.run_charts import check_charts, extra_charts, motion_charts
@@ -41,8 +40,6 @@ _AROUND, _USE = 0.5, 0.2
 """Heights of the frame of the bars of limits and of a bar, inches."""
 _NEAR, _FULL = 0.9, 1.05
 """Share of a limit from which on its bar is red, and the longest bar."""
-_LISTED = 7
-"""Most symbols and most events in a list."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,16 +80,13 @@ def draw(view: RunView) -> Figure:
         page.row(partial(_uses, uses=uses), height=_AROUND + _USE * len(uses))
     if story_height(view):
         page.row(partial(story, view=view), height=story_height(view))
+    symbols = enumerate(view.symbols, start=1)
+    times = [f"{k} at {at:.2f}{'' if done is None else f' ({done:.2f})'}" for k, (_, at, done) in symbols]
+    page.text(f"Symbols as planned (and done), s: {', '.join(times)}" if times else "")
     if view.arm_lengths:
-        times = film_times(view, frames=_FRAMES)
-        height = film_height(view, times, width=style.WIDTH)
-        page.row(partial(draw_film, view=view, times=times), height=height)
+        add_film(page, view, film_times(view, frames=_FRAMES))
     columns = [Stack(column, share=1.05) for column in (left, right) if column]
-    lists = _lists(view)
-    height = _TALL * max(half, 4)
-    share = (height - sum(panel.share for panel in lists)) / max(len(planes), 1)
-    columns.append(Stack([*(Panel(each, share) for each in planes), *lists]))
-    return page.row(*columns, height=height).figure()
+    return page.row(*columns, Stack(planes), height=_TALL * max(half, 3)).figure()
 
 
 def _uses(axes: Axes, uses: Sequence[LimitUse]) -> None:
@@ -115,34 +109,6 @@ def _chart(axes: Axes, chart: Chart, view: RunView, *, last: bool) -> None:
     if not last:
         axes.set_xlabel("")
         axes.tick_params(labelbottom=False)
-
-
-def _lists(view: RunView) -> list[Panel]:
-    """Return tables of symbols with their times, and of events."""
-    symbols = [
-        (str(k + 1), cropped(name, style.TEXT, 1.4), f"{at:.2f}", "" if done is None else f"{done:.2f}")
-        for k, (name, at, done) in enumerate(view.symbols)
-    ]
-    events = [(f"{event.time:.2f}", cropped(event.text, style.TEXT, 2.7)) for event in view.events]
-    found = []
-    if symbols:
-        heading = ("", "symbol", "planned", "done")
-        found.append(list_panel(_some(symbols), heading=heading, title="Itinerary (s)"))
-    if events:
-        found.append(list_panel(_some(events), heading=("at (s)", "event"), title="Events"))
-    return found
-
-
-def _some(rows: Sequence[tuple[str, ...]]) -> list[tuple[str, ...]]:
-    """Return rows, or the first and the last of many.
-
-    The start states the kind of run, the end its result.
-    """
-    if len(rows) <= _LISTED:
-        return list(rows)
-    left = len(rows) - _LISTED + 1
-    gap = ("", f"… {left} more …", *("" for _ in rows[0][2:]))
-    return [rows[0], gap, *rows[left + 1 :]]
 
 
 def draw_log(log: RunLog) -> Figure:

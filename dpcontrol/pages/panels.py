@@ -8,14 +8,12 @@ from dataclasses import dataclass
 from textwrap import shorten
 from typing import Any
 
+import networkx as nx
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.axis import Axis
-from matplotlib.collections import LineCollection
-from matplotlib.colors import to_rgba
 from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
-from matplotlib.ticker import FuncFormatter, MultipleLocator
+from matplotlib.ticker import FuncFormatter, MaxNLocator
 
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
@@ -60,7 +58,7 @@ def empty(axes: Axes, title: str, text: str) -> None:
     axes.text(0.0, 0.9, text, transform=axes.transAxes, va="top", fontsize=style.TEXT, color=style.NOTE)
 
 
-def quiet_space(axes: Axes, of: System | Atlas, *, steps: tuple[float | None, float | None] = (1.0, 1.0)) -> None:
+def quiet_space(axes: Axes, of: System | Atlas) -> None:
     """Label the axes of a panel in space.
 
     They are (first coordinate, second, first rate).
@@ -68,19 +66,17 @@ def quiet_space(axes: Axes, of: System | Atlas, *, steps: tuple[float | None, fl
     Args:
         axes: panel in space.
         of: system or atlas with the labels.
-        steps: tick distances of x and y, half turns; None adapts to the data.
     """
-    for k, (which, step) in enumerate(zip("xy", steps, strict=True)):
+    for k, which in enumerate("xy"):
         getattr(axes, f"set_{which}label")(of.labels[k])
         if np.isfinite(of.periods[k]):
-            angle_axis(axes, which, step=step)
+            angle_axis(axes, which)
+    axes.locator_params(nbins=4)
     axes.set_zlabel(of.labels[len(of.labels) // 2], fontsize=style.SMALL)  # type: ignore[attr-defined]
     axes.view_init(elev=22, azim=-122)  # type: ignore[attr-defined]
 
 
-def quiet_plane(
-    axes: Axes, of: System | Atlas, columns: tuple[int, int] = (0, 1), title: str = "", *, step: float | None = None
-) -> None:
+def quiet_plane(axes: Axes, of: System | Atlas, columns: tuple[int, int] = (0, 1), title: str = "") -> None:
     """Label a panel that shows two entries of states, angles in multiples of π.
 
     Args:
@@ -88,44 +84,30 @@ def quiet_plane(
         of: system or atlas with the labels.
         columns: indices of the entries.
         title: title of the panel.
-        step: tick distance of angles, half turns; adapted to the data by default.
     """
     quiet(axes, title, x=of.labels[columns[0]], y=of.labels[columns[1]])
     for column, which in zip(columns, "xy", strict=True):
         if np.isfinite(of.periods[column]):
-            angle_axis(axes, which, step=step)
+            angle_axis(axes, which)
 
 
-def angle_axis(axes: Axes, which: str, *, step: float | None = None) -> None:
+class _HalfTurns(MaxNLocator):
+    """Round multiples of half a turn, as many as the axis has room for."""
+
+    def tick_values(self, vmin: float, vmax: float) -> Any:
+        return np.pi * np.asarray(super().tick_values(vmin / np.pi, vmax / np.pi))
+
+
+def angle_axis(axes: Axes, which: str) -> None:
     """Tick the "x" or "y" axis in multiples of π.
 
     Args:
         axes: panel with the axis.
         which: "x" or "y".
-        step: tick distance, half turns; adapted to the data by default.
     """
     axis = axes.xaxis if which == "x" else axes.yaxis
-    if step is None:
-        low, high = axis.get_view_interval()
-        span = (high - low) / np.pi
-        step = next((s for s in (0.05, 0.1, 0.25, 0.5, 1.0, 2.0) if span / s <= 5), 4.0)
-    axis.set_major_locator(MultipleLocator(step * np.pi))
+    axis.set_major_locator(_HalfTurns("auto", steps=[1, 2, 2.5, 5, 10]))
     axis.set_major_formatter(FuncFormatter(lambda value, _: style.in_pi(value / np.pi)))
-
-
-def label_in_pi(axis: Axis) -> None:
-    """Label an axis of half turns with enough digits.
-
-    The digits distinguish its ends.
-    """
-
-    def text(value: float, _: object) -> str:
-        low, high = axis.get_view_interval()
-        largest = max(abs(low), abs(high))
-        finest = np.log10(largest / (high - low)) if high > low else 0.0
-        return style.in_pi(value, digits=3 + max(0, int(np.ceil(finest))))
-
-    axis.set_major_formatter(FuncFormatter(text))
 
 
 def mark_times(axes: Axes, moments: list[float]) -> None:
@@ -161,22 +143,6 @@ def badge(axes: Axes, number: int, x: float, y: float, *, size: float = style.SM
         clip_on=False,
         bbox={"boxstyle": "circle,pad=0.25", "facecolor": style.INK, "edgecolor": "none"},
     )
-
-
-def draw_fading(axes: Axes, path: Array, colour: str, *, shades: tuple[float, float], linewidth: float) -> None:
-    """Draw a path whose opacity changes evenly from its beginning to its end.
-
-    Args:
-        axes: panel to draw on.
-        path: points (K, 2).
-        colour: colour of the path.
-        shades: opacity at the beginning and at the end.
-        linewidth: width of the path, points.
-    """
-    steps = np.stack([path[:-1], path[1:]], axis=1)
-    colours = np.tile(to_rgba(colour), (len(steps), 1))
-    colours[:, 3] = np.linspace(*shades, len(steps))
-    axes.add_collection(LineCollection(list(steps), colors=colours, linewidths=linewidth))  # type: ignore[arg-type]
 
 
 def wrapped_runs(curve: Array, periods: tuple[float | None, ...]) -> list[Array]:
@@ -259,6 +225,33 @@ def bars(axes: Axes, title: str, rows: Sequence[Bar], *, x: str = "") -> None:
             bar.note, (1.0, k), xycoords=("axes fraction", "data"), color=style.NOTE, annotation_clip=False, **look
         )
     name_rows(axes, [shorten(bar.name, 52, placeholder=" …") for bar in rows])
+
+
+def draw_graph(axes: Axes, graph: "nx.MultiDiGraph[str]", title: str) -> None:
+    """Draw a connection graph: orbits with an arrow for each pair that is connected, and the numbers of connections.
+
+    Args:
+        axes: panel to draw on.
+        graph: orbits as nodes, connections as edges.
+        title: title of the panel.
+    """
+    places = nx.circular_layout(graph, scale=1.3)
+    for name, (x, y) in places.items():
+        axes.plot(x, y, "o", color=style.saddle_colour(name), markersize=50)
+        axes.text(x, y, name, ha="center", va="center", color=style.PAPER, weight="bold")
+    for source, target in dict.fromkeys(graph.edges()):
+        connections = [data["connection"] for data in graph.get_edge_data(source, target).values()]
+        ends, bend, shrink = np.array([places[source], places[target]]), 0.25, 28.0
+        middle = ends.mean(axis=0) + 0.18 * (ends[1] - ends[0])[::-1] * (1, -1)
+        if source == target:
+            ends, bend, shrink = ends + np.array([(-0.12, 0.38), (0.12, 0.38)]), -3.5, 0.0
+            middle = places[source] + (0.0, 0.95)
+        look = {"connectionstyle": f"arc3,rad={bend}", "color": style.CART, "shrinkA": shrink, "shrinkB": shrink}
+        axes.annotate("", ends[1], ends[0], arrowprops={"arrowstyle": "-|>", **look})
+        text = f"{len(connections)}, {sum(c.symmetric for c in connections)} symmetric"
+        axes.text(float(middle[0]), float(middle[1]), text, ha="center", va="center", color=style.INK)
+    bare(axes, title)
+    axes.set(xlim=(-2.2, 2.2), ylim=(-1.5, 1.5), aspect="equal")
 
 
 BESIDE = "label beside a point"

@@ -46,18 +46,6 @@ _LOOPBACK = ("--bind", "127.0.0.1")
 """Setting that restricts the viewer to connections from this computer."""
 _STARTED = 1.0
 """Time after which a running viewer has found its display, s."""
-_WATCH = """
-import shutil, subprocess, sys
-folder, *viewer = sys.argv[1:]
-try:
-    code = subprocess.call(viewer)
-finally:
-    if folder:
-        shutil.rmtree(folder, ignore_errors=True)
-sys.exit(code != 0)
-"""
-"""A program that waits for the end of the viewer and removes its temporary folder."""
-
 
 REVIEW_REMEDY = "write a file with --picture FILE.png or --save FILE.rrd"
 LIVE_REMEDY = "leave out --live, and draw the log with `dpcontrol review LOG --picture FILE.png`"
@@ -99,38 +87,10 @@ def viewer_command(*arguments: str) -> tuple[list[str], dict[str, str]]:
     return [str(check_viewer()), *arguments, *_LOOPBACK], {**os.environ, **_QUIET}
 
 
-def open_viewer(recording: Path, *, temporary: Path | None = None) -> None:
-    """Open a recording in a separate viewer.
+def view_in_window(shown: Any, name: str) -> Path:
+    """Open a separate viewer on a review and return the name of its recording, which is not kept.
 
     The viewer outlives this process and accepts local connections only.
-
-    Args:
-        recording: the recording.
-        temporary: folder to remove when the viewer is closed.
-
-    Raises:
-        InputError: the recording, the viewer or the display is missing, or the viewer ended at once.
-    """
-    if not Path(recording).is_file():
-        raise InputError(f"there is no recording {recording}; write one with `dpcontrol review LOG --save {recording}`")
-    viewer, environment = viewer_command(str(recording))
-    watch = subprocess.Popen(
-        [sys.executable, "-I", "-c", _WATCH, str(temporary or ""), *viewer],
-        start_new_session=True,
-        env=environment,
-        **dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL),
-    )
-    with contextlib.suppress(subprocess.TimeoutExpired):
-        if watch.wait(_STARTED):
-            raise InputError(f"the viewer ended at once; {REVIEW_REMEDY}")
-    # The viewer runs on independently and is not waited for.
-    watch.returncode = 0
-
-
-def view_in_window(shown: Any, name: str) -> Path:
-    """Open a viewer on a review and return its recording.
-
-    The recording is removed when the viewer is closed or fails.
 
     Args:
         shown: run, reference, comparison or atlas.
@@ -140,15 +100,19 @@ def view_in_window(shown: Any, name: str) -> Path:
         InputError: the viewer or the display is missing, or the viewer ended at once.
         PartMissing: rerun-sdk is not installed.
     """
-    check_viewer()
-    folder = Path(tempfile.mkdtemp(prefix="dpcontrol-"))
-    recording = folder / f"{name[:40]}.rrd"
-    try:
+    command, environment = viewer_command("-")
+    silent: dict[str, Any] = dict.fromkeys(("stdout", "stderr"), subprocess.DEVNULL)
+    # The viewer keeps its open file when the folder is removed; Windows keeps the folder instead.
+    with tempfile.TemporaryDirectory(prefix="dpcontrol-", ignore_cleanup_errors=True) as folder:
+        recording = Path(folder) / f"{name[:40]}.rrd"
         record(shown, recording)
-        open_viewer(recording, temporary=folder)
-    except BaseException:
-        shutil.rmtree(folder, ignore_errors=True)
-        raise
+        with recording.open("rb") as content:
+            viewer = subprocess.Popen(command, stdin=content, start_new_session=True, env=environment, **silent)
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        if viewer.wait(_STARTED):
+            raise InputError(f"the viewer ended at once; {REVIEW_REMEDY}")
+    # The viewer runs on independently and is not waited for.
+    viewer.returncode = 0
     return recording
 
 

@@ -22,7 +22,7 @@ def draw_preflight(found: Preflight) -> Figure:
     """Return a preflight's page as a figure."""
     title = f"Before the first run: {found.itinerary}"
     page = Page(title, found.status, found.likely, about=f"model {found.model}", width=_WIDTH)
-    page.text(found.advice, colour=style.INK, size=style.TEXT).row(partial(_rate, found=found), height=0.4)
+    page.text(found.advice, colour=style.INK, size=style.TEXT)
     page.text("The bench as described", colour=style.INK, size=style.HEAD)
     text = partial(cropped, size=style.TEXT)
     page.table([(one.name, text(one.value, width=2.4), text(one.source, width=4.0)) for one in found.known])
@@ -45,17 +45,6 @@ def draw_preflight(found: Preflight) -> Figure:
     for note in found.notes:
         page.text(f"Mind: {note}")
     return page.figure()
-
-
-def _rate(axes: Axes, found: Preflight) -> None:
-    share, colour = found.share, style.verdict_colour(found.likely)
-    axes.barh(0, 1, color=style.GRID, height=1)
-    axes.barh(0, share.high - share.low, left=share.low, color=colour, alpha=0.35, height=1)
-    axes.plot([share.rate, share.rate], [-0.5, 0.5], color=colour, linewidth=2.5, clip_on=False)
-    axes.set(xlim=(0, 1), ylim=(-0.5, 0.5), yticks=[])
-    axes.xaxis.set_major_formatter(PercentFormatter(1.0))
-    axes.grid(False)
-    axes.spines[:].set_visible(False)
 
 
 _REASONS = 5

@@ -270,7 +270,11 @@ def blueprint(view: RunView, sheets: Sequence[Sheet], *, growing: bool = False) 
 
 
 def page(
-    columns: Sequence[rrb.Container], shares: Sequence[float], *, timeline: str = TIMELINE, growing: bool = False
+    columns: Sequence[rrb.Container | rrb.View],
+    shares: Sequence[float],
+    *,
+    timeline: str = TIMELINE,
+    growing: bool = False,
 ) -> rrb.Blueprint:
     """Return a blueprint of columns of views, without side panels.
 

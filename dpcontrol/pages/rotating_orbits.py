@@ -5,7 +5,6 @@ It shows trace and period against energy, and the orbits.
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from itertools import groupby, pairwise
 from operator import attrgetter
 
 import numpy as np
@@ -38,9 +37,9 @@ def draw_rotating_families(found: RotatingFamilies) -> Figure:
 def _against_energy(axes: Axes, families: Sequence[RotatingFamily], value: Callable[[RotatingOrbit], float]) -> None:
     """Draw a value of the orbits against energy, coloured by stability."""
     for family in families:
-        # Adjacent runs share a member to join lines of two kinds.
-        for kind, members in _runs(family.members):
-            axes.plot([m.energy for m in members], [*map(value, members)], color=KINDS[kind], linewidth=1.6)
+        for kind, colour in KINDS.items():
+            values = [value(member) if member.kind == kind else np.nan for member in family.members]
+            axes.plot([member.energy for member in family.members], values, color=colour, linewidth=1.6)
         for orbit in (*(change.orbit for change in family.changes), *family.folds):
             axes.plot(orbit.energy, value(orbit), "o", color=style.INK, markersize=4)
 
@@ -67,10 +66,3 @@ def _rotations(axes: Axes, families: Sequence[RotatingFamily]) -> None:
             orbit = family.members[k]
             axes.plot(*orbit.sample(300)[:, :2].T, color=KINDS[orbit.kind], linewidth=1.0)
     quiet_plane(axes, families[0].members[0].system, title="Some of the orbits over one period")
-
-
-def _runs(members: Sequence[RotatingOrbit]) -> list[tuple[str, list[RotatingOrbit]]]:
-    runs = [(kind, list(group)) for kind, group in groupby(members, key=lambda m: m.kind)]
-    for (_, before), (_, after) in pairwise(runs):
-        before.append(after[0])
-    return runs

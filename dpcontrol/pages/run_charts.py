@@ -109,23 +109,20 @@ def check_charts(view: RunView) -> tuple[Chart, ...]:
 
 
 def _source_charts(view: RunView) -> tuple[Chart, ...]:
-    """Return a reference's cart velocity, which has a limit, its mesh intervals, and its errors between nodes."""
+    """Return a reference's cart velocity, which has a limit, and its errors between nodes on its mesh."""
     source = view.source
     assert source is not None
     speed = (Line("cart", "cart", "", view.time, view.state[:, -1], style.PLANT),)
     velocity = Chart("velocity", "Cart velocity", "m/s", speed, shown=_shown(speed), **_limit(view, 1))
-    lengths, stairs = np.diff(source.mesh), np.repeat(source.mesh, 2)[1:-1]
-    line = Line("", "", "", stairs, np.repeat(lengths, 2), style.REFERENCE, 1.1)
-    title = f"Mesh: length of {len(lengths)} intervals of {source.method.name}"
-    mesh = Chart("", title, "s", (line,), shown=(0.0, 1.15 * float(lengths.max())))
-    title = "Error between nodes, measured again (scaled)"
+    stairs = np.repeat(source.mesh, 2)[1:-1]
+    title = f"Error between nodes of {len(source.mesh) - 1} intervals of {source.method.name} (scaled)"
     if source.errors is None:
-        return velocity, mesh, Chart("", f"{title}: the arms are not known", "", ())
+        return velocity, Chart("", f"{title}: the arms are not known", "", ())
     errors = np.where(np.isfinite(source.errors), np.maximum(source.errors, 1e-17), np.nan)
     line = Line("", "", "", stairs, np.repeat(errors, 2), style.REFERENCE, 1.1)
     stored = source.max_error_between_nodes
     levels = (LevelLine("", "largest, as stored", stored, style.LIMIT, "named"),) if 0 < stored < np.inf else ()
-    return velocity, mesh, Chart("", title, "", (line,), levels=levels, log=True)
+    return velocity, Chart("", title, "", (line,), levels=levels, log=True)
 
 
 def _arm_lines(view: RunView, values: Array, width: float, reach: Array | None = None) -> tuple[Line, ...]:

@@ -28,39 +28,32 @@ _FAR = np.array([300.0, 300.0])
 
 @dataclass(frozen=True, eq=False)
 class Sheet:
-    """A part of a plane of data.
+    """A part of a phase plane, with an angle in rad as x.
 
     Attributes:
         low: least x and y.
         high: greatest x and y.
         scale: drawn length of a unit of y, whose unit of x is 1.
-        turning: True if x is an angle in rad.
-        dark: True for a dark background.
     """
 
     low: Array
     high: Array
     scale: float
-    turning: bool = True
-    dark: bool = False
 
     @classmethod
-    def around(cls, curves: Sequence[Array], *, scale: float = 0.0, turning: bool = True, dark: bool = False) -> Sheet:
+    def around(cls, curves: Sequence[Array], *, scale: float) -> Sheet:
         """Return a sheet around curves (K, 2), without far outliers.
 
         Args:
             curves: curves to show.
-            scale: as in the class; by default the sheet is drawn two thirds as high as wide.
-            turning: as in the class.
-            dark: as in the class.
+            scale: as in the class.
         """
         every = np.concatenate([np.zeros((0, 2)), *curves])
         near = every[(np.abs(every) < _FAR).all(axis=1)]
         low, high = (near.min(axis=0), near.max(axis=0)) if len(near) else (np.zeros(2), np.zeros(2))
         wide, tall = np.maximum(high - low, 1e-12)
-        scale = scale or 2 / 3 * wide / tall
         margin = 0.1 * max(wide, scale * tall) * np.array([1.0, 1 / scale]) + 1e-3
-        return cls(low - margin, high + margin, scale, turning, dark)
+        return cls(low - margin, high + margin, scale)
 
     def drawn(self, points: ArrayLike) -> Array:
         """Return points (…, 2) as drawn."""
@@ -83,19 +76,19 @@ class Sheet:
             recording.log(home, rr.LineStrips2D([self.drawn(curve) for curve in curves], **look), static=True)
 
     def grid(self, recording: rr.RecordingStream, home: str) -> None:
-        """Record grid lines with labels at round values, along an angle at multiples of π.
+        """Record grid lines with labels at round rates and at angles that are multiples of π.
 
         Args:
             recording: recording to extend.
             home: parent path.
         """
-        unit, (left, bottom), (right, top) = np.pi if self.turning else 1.0, self.low, self.high
-        across, up = _round_values(left / unit, right / unit, integer=self.turning), _round_values(bottom, top)
-        lines = [[(k * unit, bottom), (k * unit, top)] for k in across] + [[(left, k), (right, k)] for k in up]
-        places = [(k * unit, bottom + 0.04 * (top - bottom)) for k in across]
-        places += [(left + 0.06 * (right - left), k) for k in up]
-        labels = [style.in_pi(k) if self.turning else f"{k + 0.0:.6g}" for k in across] + [f"{k + 0.0:.6g}" for k in up]
-        pale, ink = ((52, 56, 62), (154, 163, 173)) if self.dark else ((226, 229, 233), (70, 76, 84))
+        (left, bottom), (right, top) = self.low, self.high
+        across, up = np.pi * _round_values(left / np.pi, right / np.pi, integer=True), _round_values(bottom, top)
+        lines = [[(x, bottom), (x, top)] for x in across] + [[(left, y), (right, y)] for y in up]
+        places = [(x, bottom + 0.04 * (top - bottom)) for x in across]
+        places += [(left + 0.06 * (right - left), y) for y in up]
+        labels = [style.in_pi(x / np.pi) for x in across] + [f"{y + 0.0:.6g}" for y in up]
+        pale, ink = (226, 229, 233), (70, 76, 84)
         if lines:
             thin = rr.Radius.ui_points(0.5)
             grid = rr.LineStrips2D([self.drawn(line) for line in lines], colors=[pale], radii=thin, draw_order=-10.0)
@@ -112,8 +105,7 @@ class Sheet:
         """
         (left, top), (right, bottom) = self.drawn([(self.low[0], self.high[1]), (self.high[0], self.low[1])])
         bounds = rrb.VisualBounds2D(x_range=(left, right), y_range=(top, bottom))
-        background = DARK if self.dark else PAPER
-        return rrb.Spatial2DView(name=name, origin=origin, visual_bounds=bounds, background=background)
+        return rrb.Spatial2DView(name=name, origin=origin, visual_bounds=bounds, background=PAPER)
 
 
 def _round_values(low: float, high: float, *, integer: bool = False) -> Array:

@@ -3,9 +3,10 @@
 It is the most informative chart of the result.
 """
 
+from collections.abc import Iterable, Sequence
+from itertools import cycle
 from typing import Any
 
-import networkx as nx
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -18,7 +19,7 @@ from dpcontrol.foundation.document import counted
 from dpcontrol.judge.comparison import RunComparison
 from dpcontrol.judge.of_log import reference_view, run_view, sustained_view
 from dpcontrol.judge.preflight import Preflight
-from dpcontrol.judge.run_view import RunView, series_of
+from dpcontrol.judge.run_view import series_of
 from dpcontrol.logs import RunLog
 from dpcontrol.orbits.cut import Cut, Piece
 from dpcontrol.orbits.family import LyapunovFamily
@@ -31,7 +32,7 @@ from dpcontrol.pages.atlas_panels import draw_cuts
 from dpcontrol.pages.atlas_parts import BRANCHES
 from dpcontrol.pages.charts import draw_chart
 from dpcontrol.pages.page import draw
-from dpcontrol.pages.panels import Bar, bars, quiet, quiet_plane
+from dpcontrol.pages.panels import Bar, bars, draw_graph, quiet, quiet_plane, wrapped_runs
 from dpcontrol.pages.paper.branches import draw_momentum_branches
 from dpcontrol.pages.run_charts import charts
 from dpcontrol.pages.walk_story import WalkStory
@@ -105,11 +106,12 @@ def _ring(axes: Axes, orbit: PeriodicOrbit, shift: Array | float = 0.0) -> None:
     axes.plot(*(orbit.sample() + shift)[:, :2].T, color=style.saddle_colour(orbit.saddle), linewidth=2.5)
 
 
-def _curves(axes: Axes, pieces: tuple[Piece, ...], stable: bool) -> None:
+def _curves(axes: Axes, pieces: Iterable[Piece], *, stable: bool, period: float = np.inf) -> None:
     for piece in pieces:
         points = np.vstack([piece.points, piece.points[:1]]) if piece.closed else piece.points
         line = "-" if piece.direction > 0 else "--"
-        axes.plot(*points.T, color=BRANCHES[stable, 1], linewidth=1.3, linestyle=line, zorder=2)
+        for run in wrapped_runs(points, (period if np.isfinite(period) else None, None)):
+            axes.plot(*run.T, color=BRANCHES[stable, 1], linewidth=1.3, linestyle=line, zorder=2)
 
 
 def cut(axes: Axes, found: Cut) -> None:
@@ -119,25 +121,44 @@ def cut(axes: Axes, found: Cut) -> None:
         axes: panel to draw on.
         found: cut to draw.
     """
-    _curves(axes, found.pieces, found.stable)
+    _curves(axes, found.pieces, stable=found.stable)
     quiet(axes, f"crossing {found.hit} of {found.section.name}", x="q", y="p / p₀")
 
 
-def search(axes: Axes, found: ConnectionSearch) -> None:
+def search(axes: Axes, found: ConnectionSearch, shown: Sequence[Connection] | None = None) -> None:
     """Draw the cuts of both tubes and the connections.
 
     Args:
         axes: panel to draw on.
         found: search to draw.
+        shown: marked connections; all by default.
     """
-    tubes = (found.source.manifold(), found.target.manifold(stable=True))
-    for side, own in zip(tubes, found.cuts, strict=True):
-        pieces = tuple(side.placed(piece, own.section) for piece in own.pieces)
-        _curves(axes, pieces, side.stable)
-    for connection in found.connections:
-        axes.plot(*connection.place, "o", color=style.INK, markeredgecolor="white", markersize=6, zorder=4)
-    title = f"{found.source.saddle} → {found.target.saddle}: {counted(len(found.connections), 'connection')}"
-    quiet(axes, f"{title} on {found.cuts[0].section.name}", x="q", y="p / p₀")
+    shown = found.connections if shown is None else shown
+    section = found.cuts[0].section
+    period = float(found.source.system.periods[int(np.argmax(np.abs(section.position)))])
+    for side, cut in zip((found.source.manifold(), found.target.manifold(stable=True)), found.cuts, strict=True):
+        _curves(axes, (side.placed(piece, section) for piece in cut.pieces), stable=side.stable, period=period)
+    for q, p in (connection.place for connection in shown):
+        turns = np.rint(q / period)
+        axes.plot(
+            q - (turns and turns * period), p, "o", color=style.INK, markeredgecolor="white", markersize=6, zorder=4
+        )
+    title = f"{found.source.saddle} → {found.target.saddle}: {counted(len(shown), 'connection')}"
+    quiet(axes, f"{title} on {section.name}", x="q", y="p / p₀")
+
+
+def flights(axes: Axes, connections: Sequence[Connection]) -> None:
+    """Draw connections and their orbits in the plane of positions.
+
+    Args:
+        axes: panel to draw on.
+        connections: connections of one source and one target.
+    """
+    for connection, colour in zip(connections, cycle(style.SERIES), strict=False):
+        turn_lengths = connection.source.system.turn_lengths
+        _ring(axes, connection.source)
+        _ring(axes, connection.target, np.asarray(connection.orbit.end.turns) * turn_lengths)
+        axes.plot(*connection.sample(600)[:, :2].T, color=colour, linewidth=1.0)
 
 
 def connection(axes: Axes, found: Connection) -> None:
@@ -147,11 +168,8 @@ def connection(axes: Axes, found: Connection) -> None:
         axes: panel to draw on.
         found: connection to draw.
     """
-    system = found.source.system
-    _ring(axes, found.source)
-    _ring(axes, found.target, np.asarray(found.orbit.end.turns) * system.turn_lengths)
-    axes.plot(*found.sample(600)[:, :2].T, color=style.INK, linewidth=1.0)
-    quiet_plane(axes, system, title=found.name)
+    flights(axes, [found])
+    quiet_plane(axes, found.source.system, title=found.name)
 
 
 def symmetric(axes: Axes, found: SymmetricSearch) -> None:
@@ -161,10 +179,10 @@ def symmetric(axes: Axes, found: SymmetricSearch) -> None:
         axes: panel to draw on.
         found: search to draw.
     """
-    for one in found.connections:
-        axes.plot(*one.sample(600)[:, :2].T, linewidth=1.0)
+    flights(axes, found.connections)
+    if found.connections:
         title = f"{found.saddle}: {counted(len(found.connections), 'connection')}"
-        quiet_plane(axes, one.source.system, title=title)
+        quiet_plane(axes, found.connections[0].source.system, title=title)
 
 
 def bifurcations(axes: Axes, found: BifurcationSearch) -> None:
@@ -229,7 +247,7 @@ def walk(axes: Axes, found: ShadowingOrbit) -> None:
     """
     story = _story(found)
     if story.has_angles:
-        draw_chart(axes, story.coordinates(), story.view(found.system.name))
+        angles(axes, found)
     else:
         walk_plane(axes, story)
 
@@ -251,13 +269,7 @@ def edges(axes: Axes, found: Edges) -> None:
         axes: panel to draw on.
         found: edges of the graph.
     """
-    graph = found.graph()
-    places = nx.circular_layout(graph)
-    nx.draw_networkx(graph, places, ax=axes, node_color="white", edgecolors=style.INK, node_size=2400, font_size=8)
-    counts = {pair: str(graph.number_of_edges(*pair)) for pair in {(a, b) for a, b, _ in graph.edges}}
-    nx.draw_networkx_edge_labels(graph, places, counts, ax=axes, font_size=8)
-    axes.set_title(f"{found.system.name} at {found.energy:g}{found.system.unit('J')}", loc="left", fontsize=9.5)
-    axes.margins(0.3)
+    draw_graph(axes, found.graph(), f"{found.system.name} at {found.energy:g}{found.system.unit('J')}")
 
 
 def atlas(axes: Axes, found: Atlas) -> None:
@@ -271,17 +283,24 @@ def atlas(axes: Axes, found: Atlas) -> None:
         draw_cuts(axes, found, max(found.kinds, key=lambda kind: kind.count), legend=False)
 
 
-def view_of(found: Plan | RunLog | SustainedOrbit) -> RunView:
-    """Return the data to draw of a plan, a log or a sustained orbit."""
-    if isinstance(found, Plan):
-        return reference_view(found.reference, found.file)
-    if isinstance(found, SustainedOrbit):
-        return sustained_view(found, found.arms.length)
-    return run_view(found) if "reference.npz" in found.attachments else series_of(found)
+def view_of(found: Any) -> Any:
+    """Return the motion to draw of a run, a plan, a log, a sustained orbit or a walk, or the object itself."""
+    found = getattr(found, "log", found)
+    match found:
+        case Plan():
+            return reference_view(found.reference, found.file)
+        case SustainedOrbit():
+            return sustained_view(found, found.arms.length)
+        case ShadowingOrbit():
+            return _story(found).view(found.system.name)
+        case RunLog():
+            return run_view(found) if "reference.npz" in found.attachments else series_of(found)
+        case _:
+            return found
 
 
-def angles(axes: Axes, found: Plan | RunLog | SustainedOrbit) -> None:
-    """Draw the angles of a plan, a log or a sustained orbit over time.
+def angles(axes: Axes, found: Plan | RunLog | SustainedOrbit | ShadowingOrbit) -> None:
+    """Draw the angles of a plan, a log, a sustained orbit or a walk over time.
 
     Args:
         axes: panel to draw on.

@@ -127,14 +127,13 @@ def number(i: int) -> str:
     return str(i + 1).translate(_SUBSCRIPTS)
 
 
-def in_pi(half_turns: float, *, digits: int = 3) -> str:
+def in_pi(half_turns: float) -> str:
     """Return half turns as an angle in units of π.
 
     Args:
         half_turns: angle, half turns.
-        digits: number of significant digits.
     """
     if abs(half_turns) < 1e-9:
         return "0"
-    text = f"{half_turns:.{digits}g}"
+    text = f"{half_turns:.6g}"
     return {"1": "π", "-1": "−π"}.get(text, f"{text}π".replace("-", "−"))

@@ -127,30 +127,10 @@ class WalkStory:
         )
 
     def _verdict(self) -> str:
-        orbit, estimate = self.orbit, self.orbit.estimate
-        parts = [f"{'period' if orbit.periodic else 'lasts'} {orbit.duration:.3f}{orbit.system.unit('s')}"]
-        parts.append(f"largest gap at a node {orbit.residual:.1e}")
-        if estimate is not None and estimate.radius is not None:
-            parts.append(f"Kantorovich radius without rounding {estimate.radius:.1e}")
-        if estimate is not None and estimate.multipliers is not None:
-            sign = "−" if estimate.multipliers.sign < 0 else ""
-            parts.append(f"unstable multiplier {sign}exp({estimate.multipliers.log_unstable:.4g})")
-        if orbit.wraps:
-            parts.append(f"wraps {list(orbit.wraps_realised)} as asked")
-        return "; ".join(parts)
-
-    def coordinates(self) -> Chart:
-        """Return the angles over time, whole turns counted.
-
-        A system without angles has positions.
-        """
-        names = self.orbit.system.coordinates if self.arm_lengths is None else ("θ₁ inner arm", "θ₂ outer arm")
-        lines = tuple(
-            Line(name, name, name, self.times, self.states[:, k], style.arm_colour(k))
-            for k, name in zip(range(self.states.shape[1] // 2), names, strict=False)
-        )
-        title = "Position" if self.arm_lengths is None else "Angles from hanging, whole turns counted"
-        return Chart("", title, "", lines, half_turns=self.arm_lengths is not None)
+        orbit = self.orbit
+        kind, wraps = "period" if orbit.periodic else "lasts", list(orbit.wraps_realised)
+        duration = f"{kind} {orbit.duration:.3f}{orbit.system.unit('s')}"
+        return f"{duration}; largest gap at a node {orbit.residual:.1e}; wraps {wraps}"
 
     def nearness(self) -> Chart:
         """Return the distances between the orbit and the periodic orbits."""
@@ -175,20 +155,3 @@ def symbol_text(connection: Connection) -> str:
     sense = "+" if connection.sense > 0 else "-"
     source, target = connection.source.saddle, connection.target.saddle
     return f"{source} {sense}" if source == target else f"{source} > {target} {sense}"
-
-
-def symbol_words(connection: Connection) -> str:
-    """Return a description of the motion during a symbol."""
-    source, target = connection.source.saddle, connection.target.saddle
-    if source != target:
-        return f"crosses from {source} to {target}"
-    if not np.isfinite(connection.source.system.periods).any():
-        return f"leaves {source} and comes back"
-    count = len(connection.winding)
-    arms = ("inner arm", "outer arm") if count == 2 else [f"arm {k + 1}" for k in range(count)]
-    turns = []
-    for arm, count in zip(arms, connection.winding, strict=True):
-        if count:
-            often = {1: "once", 2: "twice"}.get(abs(count), f"{abs(count)} times")
-            turns.append(f"{arm} turns {often} {'counter-clockwise' if count > 0 else 'clockwise'}")
-    return ", ".join(turns) or f"swings away from {source} and back"

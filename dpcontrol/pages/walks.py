@@ -8,30 +8,25 @@ from functools import partial
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
-from mpl_toolkits.mplot3d.art3d import Line3DCollection
-from mpl_toolkits.mplot3d.proj3d import proj_transform
-from numpy.typing import NDArray
 
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.judge.run_view import RunView
 from dpcontrol.pages import style
 from dpcontrol.pages.chart import Chart
 from dpcontrol.pages.charts import draw_chart
-from dpcontrol.pages.filmstrip import draw_film, film_height, frame_position
+from dpcontrol.pages.filmstrip import add_film, film_times
 from dpcontrol.pages.layout import Page, Panel, Stack
-from dpcontrol.pages.panels import badge, bare, mark_times, quiet, quiet_space
+from dpcontrol.pages.panels import badge, mark_times, quiet, quiet_space
+from dpcontrol.pages.run_charts import charts
 from dpcontrol.pages.story import story as draw_story
 from dpcontrol.pages.story import story_height
-from dpcontrol.pages.walk_story import WalkStory, symbol_words
+from dpcontrol.pages.walk_story import WalkStory, symbol_text
 from dpcontrol.walks.shadowing import ShadowingOrbit
 
-NAMED = 20
-"""Greatest number of symbols with numbers in space."""
 TIME = colormaps["viridis"]
-_TOGETHER = 0.015
-"""In units of the projection, whose page is about 0.2 wide."""
+_DOTS = 15_000
+"""Number of dots of an orbit whose colour is the time."""
 
 
 def plane(axes: Axes, story: WalkStory) -> None:
@@ -49,9 +44,8 @@ def plane(axes: Axes, story: WalkStory) -> None:
         centre = curve.orbit.centre
         axes.plot(*centre[:2], "+", color=style.INK, markersize=8)
         axes.annotate(f" {saddle}", (float(centre[0]), float(centre[1])), fontsize=style.SMALL, color=style.INK)
-    colours = TIME(story.times[:-1] / story.orbit.duration)
-    axes.add_collection(LineCollection(connected_pieces(story.states[:, :2]), colors=colours, linewidths=1.2, zorder=3))
-    axes.autoscale_view()
+    times = np.linspace(0.0, story.orbit.duration, _DOTS)
+    axes.scatter(*story.orbit.states(times)[:, :2].T, c=times, cmap=TIME, s=1.5, zorder=3, rasterized=True)
     for k, state in enumerate(story.crossings):
         badge(axes, k + 1, float(state[0]), float(state[1]))
     axes.set_aspect("equal", adjustable="datalim")
@@ -61,7 +55,7 @@ def plane(axes: Axes, story: WalkStory) -> None:
 
 _LISTED = 16
 """Most symbols in the list; beyond that the numbers over time must do."""
-FILM_SYMBOLS = 48
+_FRAMES = 12
 
 
 def draw_walk(orbit: ShadowingOrbit, *, arm_lengths: tuple[float, ...] | None, model: str) -> Figure:
@@ -77,20 +71,13 @@ def draw_walk(orbit: ShadowingOrbit, *, arm_lengths: tuple[float, ...] | None, m
     page = Page(view.title, view.verdict)
     page.row(partial(draw_story, view=view), height=story_height(view))
     if arm_lengths is not None:
-        _add_film(page, walk, view)
-    charts = [partial(_chart, chart=chart, view=view, orbit=orbit) for chart in (walk.coordinates(), walk.nearness())]
-    plain = [] if walk.arm_lengths is not None else [Panel(partial(plane, story=walk), share=2.6)]
-    shown = Stack([Panel(partial(space, story=walk), share=3.9, space=True), *plain], share=0.75)
-    page.row(Stack(charts), shown, height=4.4 + 2.6 * len(plain))
+        add_film(page, view, film_times(view, frames=_FRAMES))
+    shown = [*([charts(view)["angles"]] if walk.has_angles else []), walk.nearness()]
+    panels = [partial(_chart, chart=chart, view=view, orbit=orbit) for chart in shown]
+    shape = partial(space, story=walk) if walk.has_angles else partial(plane, story=walk)
+    page.row(Stack(panels), Panel(shape, 0.75, space=walk.has_angles), height=4.4)
     heading = ("", "symbol", f"at{orbit.system.unit('s', ' ({})')}", "connection")
     return page.table(_list(walk, view), heading=heading).figure()
-
-
-def _film(axes: Axes, view: RunView, first: int, times: NDArray[np.float64]) -> None:
-    draw_film(axes, view, times.ravel())
-    reach = sum(view.arm_lengths)
-    for k in range(len(times)):
-        badge(axes, first + k + 1, frame_position(view, k * times.shape[1]) - 0.6 * reach, axes.get_ylim()[1])
 
 
 def _chart(axes: Axes, chart: Chart, view: RunView, orbit: ShadowingOrbit) -> None:
@@ -99,28 +86,11 @@ def _chart(axes: Axes, chart: Chart, view: RunView, orbit: ShadowingOrbit) -> No
     mark_times(axes, list(orbit.symbol_times))
 
 
-def _add_film(page: Page, walk: WalkStory, view: RunView) -> None:
-    """Add rows of a film, with some poses about each symbol's crossing."""
-    orbit, count = walk.orbit, min(len(walk.orbit.symbol_times), FILM_SYMBOLS)
-    poses = 9 if count == 1 else 7 if count == 2 else 5 if count <= 6 else 3 if count <= 16 else 1
-    across = int(np.ceil(count / np.ceil(count * poses / 18)))
-    share = np.linspace(-0.55, 0.55, poses) if poses > 1 else np.zeros(1)
-    spans = np.array([[c.time_in if s > 0 else c.time_out for s in share] for c in orbit.connections])
-    every = (orbit.symbol_times[:, None] + share * spans)[:count]
-    for first in range(0, count, across):
-        times = every[first : first + across]
-        film = Panel(partial(_film, view=view, first=first, times=times), len(times))
-        # A last row with fewer symbols is shorter in proportion.
-        rest = [Panel(bare, across - len(times))] if len(times) < across else []
-        height = film_height(view, times.ravel(), width=style.WIDTH * len(times) / across)
-        page.row(film, *rest, height=height + 0.15)
-
-
 def _list(walk: WalkStory, view: RunView) -> list[tuple[str, ...]]:
     """Return each symbol's number, description and time, and its connection's name."""
     chain = walk.orbit.connections
     rows = [
-        (str(k + 1), symbol_words(connection), f"{at:.3f}", connection.name)
+        (str(k + 1), symbol_text(connection), f"{at:.3f}", connection.name)
         for k, (connection, (_, at, _)) in enumerate(zip(chain, view.symbols, strict=True))
     ]
     if len(rows) > _LISTED:
@@ -140,33 +110,13 @@ def space(axes: Axes, story: WalkStory) -> None:
     picked = [0, 1, story.states.shape[1] // 2]
     for copy, saddle in _base_orbits(story):
         axes.plot(*copy[:, picked].T, color=style.saddle_colour(saddle), linewidth=4.0, alpha=0.4)
-    path = story.states[:, picked]
-    colours = TIME(story.times[:-1] / story.orbit.duration)
-    axes.add_collection3d(Line3DCollection(connected_pieces(path), colors=colours, linewidths=1.1))  # type: ignore[attr-defined]
-    axes.auto_scale_xyz(*path.T)  # type: ignore[attr-defined]
-    points = story.crossings[:, picked]
-    for point, time in zip(points, story.orbit.symbol_times, strict=True):
+    times = np.linspace(0.0, story.orbit.duration, _DOTS)
+    axes.scatter(*story.orbit.states(times)[:, picked].T, c=times, cmap=TIME, s=1.0, rasterized=True)
+    for point, time in zip(story.crossings[:, picked], story.orbit.symbol_times, strict=True):
         axes.plot(*point[:, None], "o", color=TIME(time / story.orbit.duration), markersize=5, markeredgecolor="white")
-    quiet_space(axes, story.orbit.system, steps=(None, None))
+    quiet_space(axes, story.orbit.system)
     axes.set_box_aspect((1, 1, 0.85), zoom=1.06)  # type: ignore[attr-defined]
-    if len(points) <= NAMED:
-        # Points that are near each other on the page share a label.
-        seen = np.column_stack(proj_transform(*points.T, axes.get_proj())[:2])  # type: ignore[attr-defined]
-        groups: dict[tuple[float, ...], list[int]] = {}
-        for k, place in enumerate(np.rint(seen / _TOGETHER)):
-            groups.setdefault(tuple(place), []).append(k)
-        for members in groups.values():
-            text = ", ".join(str(k + 1) for k in members)
-            axes.text(*points[members[0]], f"  {text}", fontsize=style.SMALL, weight="bold", color=style.INK, zorder=9)  # type: ignore[call-arg]
-    if not story.has_angles:
-        axes.locator_params(nbins=4)
-    how = ", angles with whole turns counted" if story.has_angles else " and its first rate"
-    axes.set_title(f"The orbit{how}; dark to light: time", loc="left")
-
-
-def connected_pieces(points: Array) -> list[Array]:
-    """Return the segments (2, D) between points (K, D), for separate colours."""
-    return list(np.stack([points[:-1], points[1:]], axis=1))
+    axes.set_title("The orbit, angles with whole turns counted; dark to light: time", loc="left")
 
 
 def _base_orbits(story: WalkStory) -> list[tuple[Array, str]]:

@@ -6,14 +6,11 @@ import subprocess
 import numpy as np
 import pytest
 
-from dpcontrol.orbits.cut import section_points, tube_cut
-from dpcontrol.orbits.lyapunov import lyapunov_orbit
-from dpcontrol.orbits.manifold import UnstableManifold
 from dpcontrol.pages.atlas_parts import connections_of, kind_of, stable_direction
 from dpcontrol.pages.atlas_recording import write_atlas_recording
 from dpcontrol.pages.figures import draw_figures
 from dpcontrol.pages.gallery import Gallery
-from dpcontrol.pages.paper import up_up, wheels
+from dpcontrol.pages.paper import up_up
 from dpcontrol.pages.paper.returning import returning_search
 from dpcontrol.pages.picture import viewer_program
 from dpcontrol.plans.atlas import AtlasSettings, compute_atlas, make_atlas, make_branches
@@ -25,7 +22,6 @@ FEW_ENERGIES = {
     ("down-up", "up-down"): (0.1880, 0.1890),
 }
 """In J, about a first event of each kind of connection: whole sweeps take minutes."""
-ROUNDING = 1e-9
 LEAST_BYTES = 20_000  # of a PNG: empty axes of these sizes take about 8,000
 
 
@@ -79,29 +75,9 @@ def test_the_recording_of_an_atlas_is_verified_by_the_viewers_own_tool_and_holds
             [str(program), *verb, str(tmp_path / "a.rrd")], capture_output=True, text=True, timeout=60, check=False
         )
         assert done.returncode == 0, done.stderr
-    for path in ("/space/orbits/down_up", "/space/tubes/down_up/hit_1", "/sections/down_up_to_down_up_1_1"):
+    for path in ("/space/orbits/down_up", "/space/tubes/down_up/hit_1", "/space/connections/down_up_to_down_up_1_1"):
         assert path in done.stdout
     assert done.stdout.count("/now") >= len(low.connections)
-
-
-@pytest.mark.slow
-def test_wheels_hold_points_of_both_tubes_and_the_orbits_that_stay():
-    """An independent check of staying: three laps of a periodic orbit end where it began."""
-    page = wheels.wheels_page(GALLERY, saddle="down-up")
-    panels = page.figure.axes
-    assert len(panels) == 10  # the start and three returns, forward and backward; two phase planes
-    (stars,) = (line.get_xdata() for line in panels[0].lines if line.get_marker() == "*")
-    system = load_model("lab").system
-    section = system.sections["down-up", "down-up"]
-    orbit = lyapunov_orbit(system, "down-up", energy=wheels.WHEEL_ENERGIES["down-up"])
-    manifold = UnstableManifold(orbit)
-    outlines = wheels.outlines_of(tube_cut(manifold, section), manifold)
-    kept = wheels.kept_inside(orbit, section, outlines)
-    assert len(kept) == len(stars)
-    for one in kept:
-        assert section_points(system, section, one.state)[0] == pytest.approx(0.0, abs=ROUNDING)
-        later = system.propagator.flow(one.state, one.period)
-        assert later - one.state == pytest.approx([0.0, 2 * np.pi, 0.0, 0.0], abs=1e-7)
 
 
 @pytest.mark.slow

@@ -1,11 +1,11 @@
 """A run shown while it happens: what is shown, and that nothing that becomes of it touches the run."""
 
-import contextlib
 import fcntl
 import os
 import signal
 import subprocess
 from dataclasses import replace
+from multiprocessing import Pipe
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +16,7 @@ from dpcontrol.foundation.errors import Remark
 from dpcontrol.foundation.rendering import live_view
 from dpcontrol.logs import Event
 from dpcontrol.pages import live
-from dpcontrol.pages.live import LiveView, ShownState, messages
+from dpcontrol.pages.live import LiveView, parts_of, show
 from dpcontrol.pages.picture import viewer_program
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import make_plan
@@ -43,41 +43,30 @@ def watched(monkeypatch):
     monkeypatch.setattr(live, "LiveView", Elsewhere)
     yield views
     for view in views:
-        with contextlib.suppress(ProcessLookupError):
-            os.kill(view.process, signal.SIGKILL)
-
-
-class Kept:
-    """A sink that keeps what a live view would send."""
-
-    def __init__(self, start) -> None:
-        reading, writing = os.pipe()
-        self.reading, self.view = os.fdopen(reading, "rb"), LiveView(start, viewer=NOWHERE)
-        os.set_blocking(writing, False)
-        fcntl.fcntl(writing, fcntl.F_SETPIPE_SZ, 1 << 20)
-        self.view._pipe = writing
+        view.process.kill()
 
 
 @pytest.mark.slow
 def test_sent_data_arrive_as_rows_at_fifty_hertz_and_are_drawn(plan, tmp_path: Path) -> None:
     log = runs.run_plan(plan).log
     start = replace(log, time=log.time[:0])
-    sink = Kept(start)
+    reading, writing = Pipe(duplex=False)
+    fcntl.fcntl(writing.fileno(), fcntl.F_SETPIPE_SZ, 1 << 20)
+    view = LiveView(start, viewer=NOWHERE)
+    view.pipe = writing
     rows = runs.Ticks(
         log.time, log.measured, log.estimate, log.reference, log.truth, np.column_stack(list(log.controls.values()))
     )
     for first in range(0, 2000, 7):
-        sink.view.ticks(rows.between(first, first + 7))
-        sink.view.event(Event(log.time[first], "info", "test", words="an event"))
-    os.close(sink.view._pipe)
+        view.ticks(rows.between(first, first + 7))
+        view.event(Event(log.time[first], "info", "test", words="an event"))
+    writing.close()
     recording = rr.RecordingStream("test")
-    kept = recording.memory_recording()
-    shown, count = ShownState.of(recording, start), 0
-    for got, events in messages(sink.reading, None):
-        shown.add(got, events)
-        np.testing.assert_allclose(np.diff(got[:, 0]), 0.02, atol=1e-9)
-        count += len(got)
-    assert count == len(range(0, first + 7, 20))
+    kept, parts = recording.memory_recording(), list(parts_of(reading))
+    show(recording, start, parts)
+    times = np.concatenate([got[:, 0] for got, _ in parts if len(got)])
+    np.testing.assert_allclose(np.diff(times), 0.02, atol=1e-9)
+    assert len(times) == len(range(0, first + 7, 20))
     file = tmp_path / "live.rrd"
     file.write_bytes(kept.drain_as_bytes())
     stats = subprocess.run([viewer_program(), "rrd", "stats", file], capture_output=True, text=True).stdout
@@ -86,14 +75,14 @@ def test_sent_data_arrive_as_rows_at_fifty_hertz_and_are_drawn(plan, tmp_path: P
 
 
 def killed(view: LiveView) -> None:
-    os.kill(view.process, signal.SIGKILL)
-    os.waitpid(view.process, 0)
+    view.process.kill()
+    view.process.join()
 
 
 def stopped(view: LiveView) -> None:
-    os.kill(view.process, signal.SIGSTOP)
+    os.kill(view.process.pid, signal.SIGSTOP)
     # No more room than a page: what does not fit is dropped.
-    fcntl.fcntl(view._pipe, fcntl.F_SETPIPE_SZ, 4096)
+    fcntl.fcntl(view.pipe.fileno(), fcntl.F_SETPIPE_SZ, 4096)
 
 
 @pytest.mark.slow

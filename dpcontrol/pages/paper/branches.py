@@ -52,15 +52,16 @@ def _angle_branches(axes: Axes, diagram: BranchDiagram) -> None:
 
 
 def draw_momentum_branches(axes: Axes, diagram: BranchDiagram) -> None:
-    """Draw connections by momentum and energy, with their bifurcations and counts.
+    """Draw connections by momentum and energy, with their bifurcations and the first and last count.
 
     Args:
         axes: panel to draw on.
         diagram: branches to draw.
     """
-    quiet(axes, x="energy (J)", y="p / p₀")
+    (_, first, _), (_, last, complete) = diagram.counts[0], diagram.counts[-1]
+    count = f"{first} to {'' if complete else 'at least '}{last} connections"
+    quiet(axes, x=f"energy (J): {count}", y="p / p₀")
     _branches(axes, diagram, 1)
-    _counts(axes, diagram)
 
 
 def _branches(axes: Axes, diagram: BranchDiagram, coordinate: int) -> None:
@@ -89,63 +90,25 @@ def _wrapped(points: Array) -> Array:
     return np.column_stack([angles, points[:, 1]])
 
 
-def _counts(axes: Axes, diagram: BranchDiagram) -> None:
-    """Write along the lower edge the number of connections between consecutive events."""
-    shown, last, span = -1, -np.inf, diagram.counts[-1][0] - diagram.counts[0][0]
-    look = {
-        "xycoords": ("data", "axes fraction"),
-        "textcoords": "offset points",
-        "fontsize": style.SMALL,
-        "color": style.CART,
-    }
-    for energy, count, complete in diagram.counts:
-        room = energy - last > 0.05 * span and diagram.counts[-1][0] - energy > 0.1 * span
-        if count != shown and room:
-            axes.annotate(f"{'' if complete else '≥'}{count}", (energy, 0.0), xytext=(2, 3), **look)
-            shown, last = count, energy
-    energy, count, complete = diagram.counts[-1]
-    if count != shown:
-        axes.annotate(f"{'' if complete else '≥'}{count}", (energy, 0.0), xytext=(-2, 3), ha="right", **look)
-
-
 def pair_name(diagram: BranchDiagram) -> str:
     return f"{diagram.source} to {'itself' if diagram.source == diagram.target else diagram.target}"
 
 
 def branch_caption(diagrams: list[BranchDiagram]) -> str:
-    words = []
-    for d in diagrams:
-        counted = {kind: sum(m.kind == kind for m in d.marks) for kind in MARKS}
-        kinds = ", ".join(f"{n} {kind}{'s' if n > 1 else ''}" for kind, n in counted.items() if n)
-        (begin, first, _), (end, last, whole) = d.counts[0], d.counts[-1]
-        least = "" if whole else "at least "
-        words.append(
-            f"{pair_name(d)}: {first} connections at {begin:.4f} J and {least}{last} at {end:.4f} J by {kinds}"
-        )
-    unexplained = sum(d.unexplained for d in diagrams)
-    causes = (
-        f"{unexplained} changes of the numbers have no located cause"
-        if unexplained
-        else "Every change of the numbers has a located cause"
+    words = "; ".join(
+        f"{pair_name(d)}: {d.counts[0][1]} connections at {d.counts[0][0]:.4f} J and "
+        f"{'' if d.counts[-1][2] else 'at least '}{d.counts[-1][1]} at {d.counts[-1][0]:.4f} J by {len(d.marks)} events"
+        for d in diagrams
     )
     return (
         "The section crossing of each connection, as energy grows: its angle there (above) and the momentum across "
         "(below). Each curve is a connection followed by continuation, also round folds; marks are events, each "
-        "solved separately. Numbers along the lower edge count all connections on the torus; curves show one "
-        f"sense, whose mirror images under (θ, ω) → (-θ, -ω) are the other. {_scattering(diagrams)}"
-        f"{'; '.join(words)}. {causes}."
-    )
-
-
-def _scattering(diagrams: list[BranchDiagram]) -> str:
-    what = (
+        "solved separately. The numbers below count all connections on the torus; curves show one "
+        "sense, whose mirror images under (θ, ω) → (-θ, -ω) are the other. Shaded, or above the last energy: "
         "trajectories of a tube pass by another orbit and scatter before they arrive, connections accumulate, and "
-        "those found are some of them"
+        f"those found are some of them. {words}. Changes of the numbers without a located cause: "
+        f"{sum(d.unexplained for d in diagrams)}."
     )
-    if any(d.scatters_from is not None for d in diagrams):
-        return f"Shaded: {what}. "
-    highest = diagrams[2].counts[-1][0]
-    return f"Those between different saddles are drawn up to {highest:.3f} J; from about 0.237 J on {what}. "
 
 
 def branch_differences(diagrams: list[BranchDiagram]) -> str:

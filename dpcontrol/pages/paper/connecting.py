@@ -1,76 +1,15 @@
 """Connections of the pendulum's orbits: homoclinic ones of one to three turns, and heteroclinic ones."""
 
-from collections.abc import Sequence
-from functools import partial
-
-import numpy as np
-from matplotlib.axes import Axes
-
-from dpcontrol.pages import style
-from dpcontrol.pages.atlas_panels import draw_angles, draw_cuts, row_of, space_panel
-from dpcontrol.pages.atlas_parts import colours, connections_of, kind_of, one_of_each, section_place
-from dpcontrol.pages.gallery import IDENTIFIED, Gallery, PaperFigure
-from dpcontrol.pages.layout import MOST_IN_KEY, Page, Panel
-from dpcontrol.pages.panels import quiet
+from dpcontrol.pages.atlas_panels import row_of
+from dpcontrol.pages.atlas_parts import kind_of
+from dpcontrol.pages.gallery import Gallery, PaperFigure
+from dpcontrol.pages.layout import Page
 from dpcontrol.pages.paper.tubes import ENERGY, SADDLE, SENSES_ENERGY
-from dpcontrol.walks.atlas import Atlas, AtlasConnection, AtlasKind
+from dpcontrol.walks.atlas import AtlasConnection
 
 PAIRS = (("down-up", "up-down"), ("up-down", "down-up"))
 _MOST, _REPEATED = 5, 3
 _TURNS = {2: ("Double", "second", "twice", "two"), 3: ("Triple", "third", "three times", "three")}
-
-
-def homoclinics_page(gallery: Gallery, *, energy: float, saddles: Sequence[str], about: tuple[str, str]) -> PaperFigure:
-    """Draw the homoclinic connections of saddles with one turn, a row for each.
-
-    Args:
-        gallery: data sources.
-        energy: energy of the orbits, J.
-        saddles: saddles of the orbits.
-        about: beginning of the caption, and the differences from the paper.
-    """
-    atlas = gallery.atlas("lab", energy, (1, 1))
-    page, words = Page(f"Homoclinic connections at {atlas.energy:g} J (first hits)"), []
-    for saddle in saddles:
-        kind, connections = kind_of(atlas, saddle, saddle), atlas.between(saddle, saddle)
-        kept = one_of_each(connections)[:_MOST]
-        # Flights are tall if the outer arm turns, and wide if the inner one does.
-        flat = not kept[0].winding[1]
-        panels = row_of(atlas, kind, kept, numbers=_numbered(connections, kept), flat=flat)
-        page.row(*panels, height=1.0 + 0.9 * len(kept) if flat else 3.8)
-        symmetric = sum(c.symmetric for c in connections)
-        words.append(
-            f"{saddle}: {kind.count} connections ({symmetric} symmetric, {kind.count - symmetric} in mirror pairs), "
-            f"largest residual {max(c.residual for c in connections):.0e}, "
-            f"cuts {'closed' if kind.complete else 'open in places'}"
-        )
-    return PaperFigure(
-        page.figure(),
-        f"{about[0]} Left: the cuts of the unstable (red) and stable (green) tube; dots of one colour are one "
-        "connection and its mirror images. Right: one flight of each colour, of positive sense, in the plane of the "
-        "angles, and the angle between the cuts. Pale curves are its two orbits, the dot its section crossing. "
-        f"{'; '.join(words)}.",
-        about[1],
-    )
-
-
-LOW = (
-    "Below the energy of Up-Down only the outer arm can turn over.",
-    "The search finds intersections without windows set by hand: in each sense two symmetric connections "
-    "and a mirror pair, all counted on the torus of angles. Section coordinates are canonical.",
-)
-HIGH = (
-    "At this energy both saddles have orbits: the outer arm turns about Down-Up, the inner arm about Up-Down.",
-    "Counts are of first hits on these sections, both senses and mirror images included; cuts that graze the "
-    "section are open there, and crossings beyond their ends belong to later hits.",
-)
-
-
-def _numbered(connections: Sequence[AtlasConnection], kept: Sequence[AtlasConnection]) -> dict[str, str]:
-    """Return the number of each connection by name, shared by those of one colour; `kept` has one of each colour."""
-    look = colours(tuple(connections))
-    number = {look[c.name]: str(k + 1) for k, c in enumerate(kept)}
-    return {c.name: number[look[c.name]] for c in connections if look[c.name] in number and np.isfinite(c.point[1])}
 
 
 def heteroclinics_page(gallery: Gallery) -> PaperFigure:
@@ -81,12 +20,11 @@ def heteroclinics_page(gallery: Gallery) -> PaperFigure:
     for letters, (source, target) in zip(("abcd", "efgh"), PAIRS, strict=True):
         kind, shown = kind_of(atlas, source, target), atlas.between(source, target)[:4]
         numbers = {c.name: letter for c, letter in zip(shown, letters, strict=False)}
-        cuts, *flights = row_of(atlas, kind, shown, numbers=numbers)
-        page.row(cuts, Panel(partial(_zoom, atlas=atlas, kind=kind), 0.6), *flights, height=3.7)
+        page.row(*row_of(atlas, kind, shown, numbers=numbers), height=3.7)
         counts.append(f"{kind.count} from {source} to {target}")
     return PaperFigure(
         page.figure(),
-        "On the section both arms are aligned, θ₁ = θ₂ + 2πk. Left, with a part enlarged: the unstable tube "
+        "On the section both arms are aligned, θ₁ = θ₂ + 2πk. Left: the unstable tube "
         "(red) of the source orbit meets the stable tube (green) of the target orbit. Right: the flights "
         "in the plane of the angles, from the source's named position; pale teal is the orbit about Down-Up, pale "
         f"violet that about Up-Down. {' and '.join(counts)}; those in one direction are those in the other, "
@@ -97,38 +35,8 @@ def heteroclinics_page(gallery: Gallery) -> PaperFigure:
     )
 
 
-def _zoom(axes: Axes, atlas: Atlas, kind: AtlasKind) -> None:
-    """Draw the neighbourhood of the connections of positive sense enlarged."""
-    places = np.array([section_place(atlas, c) for c in connections_of(atlas, kind) if c.sense > 0])
-    middle, reach = places.mean(axis=0), 1.2 * np.ptp(places, axis=0) + np.array([0.08, 0.05])
-    draw_cuts(axes, atlas, kind, legend=False)
-    axes.set(xlim=(middle[0] - reach[0], middle[0] + reach[0]), ylim=(middle[1] - reach[1], middle[1] + reach[1]))
-    quiet(axes, "the middle enlarged")
-
-
-def heteroclinic_orbits_page(gallery: Gallery) -> PaperFigure:
-    """Draw the heteroclinic connections at 0.2 J and both Lyapunov orbits in (θ₁, θ₂, ω₁)."""
-    atlas = gallery.atlas("lab", SENSES_ENERGY, (1, 1))
-    words, spaces = [], []
-    for letter, (source, target) in zip("ab", PAIRS, strict=True):
-        # One of each pair of reflections is drawn.
-        kept = [c for c in connections_of(atlas, kind_of(atlas, source, target)) if c.sense > 0]
-        flights = [(c, style.SERIES[k % len(style.SERIES)]) for k, c in enumerate(kept)]
-        looks = [(f"{c.transversality_angle:.1f}°", colour) for c, colour in flights[:MOST_IN_KEY]]
-        spaces.append(space_panel(f"{letter}  {source} → {target}", looks, atlas=atlas, cuts=(), flights=flights))
-        words.append(f"{len(kept)} from {source} to {target}")
-    return PaperFigure(
-        Page(f"Heteroclinic orbits in (θ₁, θ₂, ω₁) at {SENSES_ENERGY:g} J").row(*spaces, height=5.4).figure(),
-        f"The heteroclinic connections at {SENSES_ENERGY:g} J whose difference of angles grows on the section θ₁ = θ₂ "
-        f"({' and '.join(words)}; each has a reflection). They lead from one Lyapunov orbit to the other, "
-        "or to its thin copy whole turns away, and are labelled with the angle between the tubes. Those of b are those "
-        "of a, run backward in time.",
-        f"The paper draws one direction. {IDENTIFIED}",
-    )
-
-
 def repeated_page(gallery: Gallery, *, turns: int) -> PaperFigure:
-    """Draw connections of Down-Up at -0.07 J that turn the outer arm several times, also over time.
+    """Draw connections of Down-Up at -0.07 J that turn the outer arm several times.
 
     Args:
         gallery: data sources.
@@ -145,10 +53,8 @@ def repeated_page(gallery: Gallery, *, turns: int) -> PaperFigure:
         lengths.setdefault(round(c.time_in + c.time_out, 4), c)
     kept = list(lengths.values())[:_REPEATED] or [c for c in connections if c.sense > 0][:_REPEATED]
     names = {c.name: letter for c, letter in zip(kept, "abc", strict=False)}
-    angles = "{}: θ₁ blue, θ₂ orange, against time (s)"
-    panels = [partial(draw_angles, atlas=atlas, connection=c, title=angles.format(names[c.name])) for c in kept]
     page = Page(f"{title} homoclinic connections of Down-Up at {ENERGY:g} J (hits {[turns, 1]})")
-    page.row(*row_of(atlas, kind, kept, numbers=names, marked=tuple(kept)), height=4.4).row(*panels, height=2.6)
+    page.row(*row_of(atlas, kind, kept, numbers=names, marked=tuple(kept)), height=4.4)
     windings = [tuple(abs(int(turn)) for turn in c.winding) for c in connections]
     counts = ", ".join(
         f"{windings.count(w)} {f'of winding ±{list(w)}' if any(w) else 'without winding'}"
@@ -161,8 +67,7 @@ def repeated_page(gallery: Gallery, *, turns: int) -> PaperFigure:
         f"Above, left: the cuts of the unstable tube at its {ordinal} crossing of θ₂ = 2πk and of the stable tube at "
         "its first one back. Right: the connections as flights in the plane of the angles, with the "
         f"outer arm turning {times} before the arms settle about Down-Up again, {number} turns on (dot: the section at "
-        "time zero). Below: both angles against time; dotted lines mark where the flight leaves one orbit and joins "
-        f"the other. {'In all' if resolved else 'At least'} {len(connections)} connections were found at these hits: "
+        f"time zero). {'In all' if resolved else 'At least'} {len(connections)} connections were found at these hits: "
         f"{counts}; those of smaller winding turn there and back. The cut is in pieces, torn apart where the tube "
         f"passes near the orbit again{'' if resolved else torn}.",
         "The paper cuts them on θ₂ = 4π and 6π; here the section is that of the single ones, θ₂ = 2πk, at later hits. "

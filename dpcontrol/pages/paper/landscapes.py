@@ -15,7 +15,7 @@ from dpcontrol.orbits.lyapunov import equilibria
 from dpcontrol.pages import style
 from dpcontrol.pages.gallery import IDENTIFIED, Gallery, PaperFigure
 from dpcontrol.pages.layout import Page, Panel
-from dpcontrol.pages.panels import angle_axis, name_point, quiet_plane
+from dpcontrol.pages.panels import name_point, quiet_plane
 
 LANDSCAPES = {"three-body": (-1.523, -1.5195, -1.51, -1.5005), "lab": (-0.3, -0.07, 0.2, 0.55)}
 """Energies, one between the heights of adjacent critical points."""
@@ -45,7 +45,7 @@ def landscape_page(gallery: Gallery) -> PaperFigure:
             points |= {n: (top * (1, sign), height, "maximum") for n, sign in (("L4", 1), ("L5", -1))}
         field = first, second, potential
         regions = [partial(_hill, system=system, field=field, energy=energy, points=points) for energy in energies]
-        page.row(Panel(partial(_relief, system=system, field=field), 1.35, space=True), *regions, height=3.0)
+        page.row(Panel(partial(_landscape, system=system, field=field), 1.35), *regions, height=3.0)
         listed = ", ".join(f"{n} {p[1]:+.4f}{system.unit('J')}" for n, p in points.items())
         words.append(f"{'Pendulum' if angular else 'Three bodies'}: {listed}.")
     return PaperFigure(
@@ -63,19 +63,15 @@ Points = dict[str, tuple[Array, float, str]]
 Field = tuple[Array, Array, Array]
 
 
-def _relief(axes: Axes, system: System, field: Field) -> None:
+def _landscape(axes: Axes, system: System, field: Field) -> None:
     first, second, potential = field
     # The wells of the primaries are bottomless.
     shown = np.maximum(potential, potential.min() if system.si else -1.62)
-    axes.plot_surface(first, second, shown, cmap="viridis", linewidth=0, rcount=90, ccount=90, alpha=0.95)  # type: ignore[attr-defined]
-    axes.view_init(elev=38, azim=-60)  # type: ignore[attr-defined]
-    axes.set_title("double pendulum: energy at rest (J)" if system.si else "three bodies: energy at rest", loc="left")
-    for which, label in zip("xy", system.labels, strict=False):
-        if system.si:
-            angle_axis(axes, which, step=1.0)
-        getattr(axes, f"set_{which}label")(label.partition(" ")[0], fontsize=style.SMALL, labelpad=-4)
-    axes.tick_params(pad=-2)
-    axes.locator_params(axis="z", nbins=4)  # type: ignore[arg-type]
+    heights = axes.contourf(first, second, shown, levels=30, cmap="viridis")
+    axes.figure.colorbar(heights, ax=axes)
+    title = "double pendulum: energy at rest (J)" if system.si else "three bodies: energy at rest"
+    quiet_plane(axes, system, title=title)
+    axes.set_aspect("equal")
 
 
 def _hill(axes: Axes, system: System, field: Field, energy: float, points: Points) -> None:
@@ -93,14 +89,6 @@ def _hill(axes: Axes, system: System, field: Field, energy: float, points: Point
             axes.plot(x, y, mark, clip_on=False, **look)
         if not system.si:
             name_point(axes, name, (float(place[0]), float(place[1])), style.INK)
-    quiet_plane(axes, system, title=_opened(points, energy, f"{energy:g}{system.unit('J')}"))
+    quiet_plane(axes, system, title=f"{energy:g}{system.unit('J')}")
     axes.grid(False)
     axes.set_aspect("equal")
-
-
-def _opened(points: Points, energy: float, text: str) -> str:
-    above = [name for name, (_, _, kind) in points.items() if kind != "centre"]
-    reached = [name for name in above if points[name][1] <= energy]
-    if len(reached) == len(above):
-        return f"{text}: everything reached"
-    return f"{text}: {'no saddle reached' if not reached else ', '.join(reached) + ' open'}"

@@ -6,10 +6,10 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
-from dpcontrol.pages import style
+from dpcontrol.pages import single, style
 from dpcontrol.pages.gallery import IDENTIFIED, Gallery, PaperFigure
-from dpcontrol.pages.layout import Page, key
-from dpcontrol.pages.panels import angle_axis, quiet, quiet_plane, wrapped_runs
+from dpcontrol.pages.layout import Page
+from dpcontrol.pages.panels import quiet_plane, wrapped_runs
 from dpcontrol.tubes.connections import find_connections
 from dpcontrol.walks.shadowing import ShadowingOrbit, WalkSolver
 
@@ -34,7 +34,7 @@ def shadowing_page(gallery: Gallery) -> PaperFigure:
     for title, found in shapes.items():
         assert found.converged, found.status
         above.append(partial(_outer_arm, orbit=found, title=title))
-        below.append(partial(_both_arms, orbit=found))
+        below.append(partial(single.walk, found=found))
         words.append(f"{title[0]} {found.duration:.2f} s, residual {found.residual:.0e}")
     page = Page("One homoclinic orbit of Down-Up at -0.07 J, and orbits that shadow it")
     return PaperFigure(
@@ -52,13 +52,3 @@ def _outer_arm(axes: Axes, orbit: ShadowingOrbit, title: str) -> None:
     for part in wrapped_runs(orbit.sample(1500)[:, [1, 3]] - [np.pi, 0.0], (2 * np.pi, None)):
         axes.plot(part[:, 0] + np.pi, part[:, 1], color=style.arm_colour(1), linewidth=1.1)
     quiet_plane(axes, orbit.system, (1, 3), title)
-
-
-def _both_arms(axes: Axes, orbit: ShadowingOrbit) -> None:
-    for arm in (0, 1):
-        times, angles = np.linspace(0.0, orbit.duration, 1500), orbit.sample(1500)[:, arm]
-        axes.plot(times, angles, color=style.arm_colour(arm), linewidth=1.2)
-    quiet(axes, "Angles (rad)", x="time (s)")
-    key(axes, [("θ₁", style.arm_colour(0)), ("θ₂", style.arm_colour(1))])
-    angle_axis(axes, "y", step=1.0)
-    axes.margins(x=0)
