@@ -51,6 +51,7 @@ def results_of_functions() -> dict[str, Any]:
         "night": night(),
         "rotating orbit": dp.rotating_orbits(lab, "outer", energy=0.3)[0],
         "recording": dp.swings(lab, count=2, seconds=1.5),
+        "flight": dp.flight(lab, [0.5, -1.0, 3.0, 2.0, 0.1, -0.5], "up-up"),
     }
 
 
@@ -92,10 +93,10 @@ CLASSES = {
     "orbit": "LyapunovOrbit", "family": "LyapunovFamily", "tube": "Tube", "cut": "Cut", "search": "ConnectionSearch",
     "connection": "Connection", "walk": "ShadowingOrbit", "graph": "Edges", "atlas": "Atlas", "plan": "Plan",
     "loop": "ClosedLoop", "run": "Run", "log": "RunLog", "night": "Night", "recording": "Recording",
-    "rotating orbit": "RotatingOrbit",
+    "rotating orbit": "RotatingOrbit", "flight": "Flight",
 }  # fmt: skip
 """Class of each result above."""
-TIMED = ("orbit", "rotating orbit", "connection", "walk", "plan", "loop", "run", "recording")
+TIMED = ("orbit", "rotating orbit", "connection", "walk", "plan", "loop", "run", "recording", "flight")
 BASES = {"Shown", "Timed", "Family", "HyperbolicOrbit", "Periodic", "PeriodicOrbit"}
 
 
