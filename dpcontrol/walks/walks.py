@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from dpcontrol.dynamics.propagator import Exact, Section, digits
 from dpcontrol.dynamics.system import System, momentum_scale
 from dpcontrol.foundation.arrays import Array
-from dpcontrol.foundation.document import Documented, picked, plain
+from dpcontrol.foundation.document import Documented, document_of, picked
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.files import write_archive
 from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress
@@ -339,17 +339,6 @@ def _matrix(edges: Edges) -> tuple[list[str], NDArray[np.object_]]:
     return names, counts
 
 
-def counted(total: int) -> str:
-    """Return a number of walks as text.
-
-    Examples are "1,234" and "about 10^47".
-
-    Args:
-        total: the number, of any length.
-    """
-    return f"{total:,}" if total < 10**12 else f"about 10^{int(total.bit_length() * math.log10(2))}"
-
-
 def count_walks(edges: Edges, length: int, *, source: str | None = None, target: str | None = None) -> int:
     """Return the number of walks of given length.
 
@@ -370,26 +359,6 @@ def count_walks(edges: Edges, length: int, *, source: str | None = None, target:
     return int(power[np.ix_(rows, columns)].sum())
 
 
-def all_walks(edges: Edges, length: int, *, source: str | None = None, target: str | None = None) -> Iterator[Walk]:
-    """Yield every walk of given length.
-
-    Args:
-        edges: connections at one energy.
-        length: number of symbols.
-        source: name of the first stop, or None for any.
-        target: name of the last stop, or None for any.
-
-    Raises:
-        InputError: a length below one, or a saddle without an orbit.
-    """
-    _check(edges, length, source, target)
-    graph = edges.graph()
-    named = {c.name: c for c in edges.connections}
-    for start in edges.orbits if source is None else (source,):
-        for names in walks(graph, start, target=target, length=length):
-            yield tuple(named[name] for name in names)
-
-
 def listed(
     edges: Edges, length: int, *, source: str | None = None, target: str | None = None, periodic: bool = False
 ) -> list[Walk]:
@@ -407,12 +376,15 @@ def listed(
     """
     total = count_walks(edges, length, source=source, target=target)
     if total > LISTED:
+        count = f"{total:,}" if total < 10**12 else f"about 10^{int(total.bit_length() * math.log10(2))}"
         raise InputError(
-            f"length = {length}: there are {counted(total)} such walks, and {LISTED:,} can be listed; draw some with "
+            f"length = {length}: there are {count} such walks, and {LISTED:,} can be listed; draw some with "
             "--random (random_walks in Python)"
         )
-    chains = all_walks(edges, length, source=source, target=target)
-    return [chain for chain in chains if not periodic or is_closed(chain)]
+    graph, connections = edges.graph(), {c.name: c for c in edges.connections}
+    names = (n for a in edges.orbits if source in (None, a) for n in walks(graph, a, target=target, length=length))
+    chains = (tuple(connections[name] for name in walk) for walk in names)
+    return [chain for chain in chains if not periodic or chain[0].source.saddle == chain[-1].target.saddle]
 
 
 def random_walk(edges: Edges, length: int, generator: np.random.Generator, *, periodic: bool = False) -> Walk:
@@ -461,15 +433,6 @@ def _check(edges: Edges, length: int, source: str | None, target: str | None) ->
         if saddle is not None and saddle not in edges.orbits:
             reasons = [why for name, why in edges.absent if name == saddle]
             raise InputError(f"{saddle!r}: {reasons[0] if reasons else suggest(saddle, edges.orbits)}")
-
-
-def is_closed(chain: Sequence[Connection]) -> bool:
-    """Return True if a walk ends where it starts.
-
-    Args:
-        chain: connections of the walk.
-    """
-    return chain[0].source.saddle == chain[-1].target.saddle
 
 
 FORMAT = 1
@@ -601,25 +564,6 @@ def drawn_requests(
     return requests
 
 
-def request(
-    chain: Walk, *, wraps: Sequence[int] | None, extra: int, periodic: bool, leads: tuple[int, int] = (2, 2)
-) -> WalkRequest:
-    """Return a request with given or fewest wraps.
-
-    Args:
-        chain: connections of the walk.
-        wraps: periods at each stop; None for the fewest.
-        extra: periods at each stop above the fewest.
-        periodic: True for a closed walk.
-        leads: periods on the first and the last orbit.
-
-    Raises:
-        InputError: a wrong number of wraps, or a periodic walk with different ends.
-    """
-    stops = check_stops(chain, wraps, periodic=periodic)
-    return WalkRequest(chain, periodic, None if wraps is None else tuple(wraps), (extra,) * stops, *leads)
-
-
 @dataclass(frozen=True)
 class WalkSelection:
     """Walks of a graph, selected in one of four ways, and their wraps.
@@ -699,16 +643,29 @@ class WalkSelection:
         Raises:
             InputError: no such walk, or too many.
         """
-        settings: dict[str, Any] = {"periodic": self.periodic, "leads": self.leads}
         if self.random is not None:
-            extra = {"lengths": self.lengths, "extra": self.extra_wraps, "seed": self.seed}
-            return tuple(drawn_requests(edges, self.random, **extra, **settings))
+            return tuple(
+                drawn_requests(
+                    edges,
+                    self.random,
+                    lengths=self.lengths,
+                    extra=self.extra_wraps,
+                    seed=self.seed,
+                    periodic=self.periodic,
+                    leads=self.leads,
+                )
+            )
         if self.length is None:
             walks = [resolve(self.symbols, edges) if self.symbols else through(self.through, edges)]
         else:
             walks = listed(edges, self.length, source=self.source, target=self.target, periodic=self.periodic)
             self._announce(len(walks), self.length, "length", solve=solve, yes=yes)
-        return tuple(request(walk, wraps=self.wraps, extra=self.extra_wraps[0], **settings) for walk in walks)
+        wraps = None if self.wraps is None else tuple(self.wraps)
+        stops = [check_stops(walk, wraps, periodic=self.periodic) for walk in walks]
+        return tuple(
+            WalkRequest(walk, self.periodic, wraps, (self.extra_wraps[0],) * count, *self.leads)
+            for walk, count in zip(walks, stops, strict=True)
+        )
 
 
 @dataclass(frozen=True)
@@ -788,9 +745,10 @@ def solve_walks(
     answers: list[WalkAnswer] = []
     files: list[Path | None] = []
     for k, answer in enumerate(solved(walks.walks, solver)):
-        if energy is not None:
+        if energy is not None and answer.orbit is not None and answer.converged:
             progress("refining in 113-bit arithmetic", (k + 0.5) / count)
-            answer = refined_answer(answer, energy=energy, parameters=parameters)
+            refined = refine(answer.orbit.shot.solution, energy=energy, parameters=parameters)
+            answer = replace(answer, refined=refined)
         file = None if folder is None or not answer.converged else folder / f"walk-{k + 1}.npz"
         if file is not None and answer.orbit is not None:
             save_walk(file, edges.system.name, answer.orbit, refined=answer.refined)
@@ -857,35 +815,14 @@ def _solve_request(request: WalkRequest, solver: WalkSolver) -> WalkAnswer:
     return WalkAnswer(request, least, orbit, seconds, None if orbit.converged else solver.advice(orbit))
 
 
-def refined_answer(answer: WalkAnswer, *, energy: Exact, parameters: Sequence[Exact] | None) -> WalkAnswer:
-    """Return the result with its orbit, if any, refined in 113-bit arithmetic.
-
-    The attribute `seconds` still refers to the orbit in double precision.
-
-    Args:
-        answer: result in double precision.
-        energy: exact value, J.
-        parameters: exact values (p,) of the equations' parameters.
-
-    Raises:
-        GoalMissed: a periodic orbit cannot be refined, or the machine has no 113-bit floating-point type.
-    """
-    if answer.orbit is None or not answer.converged:
-        return answer
-    refined = refine(answer.orbit.shot.solution, energy=energy, parameters=parameters)
-    return replace(answer, refined=refined)
+_ESTIMATE = (
+    "condition kantorovich radius energy_error departure stops multipliers?:log_unstable,log_stable,sign,reciprocity"
+)
+"""Entries of an error estimate, with logarithms of a periodic orbit's Floquet multipliers."""
 
 
 def _estimate(orbit: ShadowingOrbit) -> dict[str, Any] | None:
-    """Return the error estimate, with logarithms of a periodic orbit's Floquet multipliers."""
-    estimate = orbit.estimate
-    if estimate is None:
-        return None
-    document = picked(estimate, "condition", "kantorovich", "radius", "energy_error", "departure", "stops")
-    if estimate.multipliers is not None:
-        numbers = ("log_unstable", "log_stable", "sign", "reciprocity")
-        document["multipliers"] = picked(estimate.multipliers, *numbers)
-    return document
+    return None if orbit.estimate is None else document_of(orbit.estimate, _ESTIMATE)
 
 
 def save_walk(path: Path, model: str, orbit: ShadowingOrbit, *, refined: ExtendedOrbit | None = None) -> None:
@@ -915,7 +852,7 @@ def save_walk(path: Path, model: str, orbit: ShadowingOrbit, *, refined: Extende
         "wraps": list(orbit.wraps),
         "wraps_realised": list(orbit.wraps_realised),
         **picked(orbit, "periodic", "lead_in", "lead_out", "duration", "residual", "status"),
-        "certificate": plain(_estimate(orbit)),
+        "certificate": _estimate(orbit),
     }
     turn = orbit.orbit.turn
     arrays: dict[str, Any] = {
