@@ -128,9 +128,8 @@ class HazardBorder(Documented):
 
         At slowly falling shares it is wider.
         """
-        if self.border is None or self.low is None or self.high is None:
-            return False
-        return max(self.low, self.high) <= _NEAR * self.border and min(self.low, self.high) >= self.border / _NEAR
+        ends = (self.low or math.nan, self.high or math.nan)
+        return all(1 / _NEAR <= end / (self.border or math.nan) <= _NEAR for end in ends)
 
     @property
     def sentence(self) -> str:
@@ -166,8 +165,8 @@ class Improvement(Documented):
     @property
     def gain(self) -> float:
         """Increase of the share of completed runs."""
-        up = (1 - self.rate) * self.rescued / self.failing if self.failing else 0.0
-        return up - (self.rate * self.lost / self.completing if self.completing else 0.0)
+        up = (1 - self.rate) * self.rescued / max(self.failing, 1)
+        return up - self.rate * self.lost / max(self.completing, 1)
 
     @property
     def error(self) -> float:
@@ -175,13 +174,9 @@ class Improvement(Documented):
 
         Two more of each kind keep it above zero (Agresti and Coull, 1998).
         """
-        variance = 0.0
-        up, down = (1 - self.rate, self.rescued, self.failing), (self.rate, self.lost, self.completing)
-        for weight, hits, count in (up, down):
-            if count:
-                share = (hits + 2) / (count + 4)
-                variance += weight**2 * share * (1 - share) / (count + 4)
-        return math.sqrt(variance)
+        groups = ((1 - self.rate, self.rescued, self.failing), (self.rate, self.lost, self.completing))
+        shares = [(weight, (hits + 2) / (count + 4), count + 4) for weight, hits, count in groups if count]
+        return math.sqrt(sum(weight**2 * share * (1 - share) / count for weight, share, count in shares))
 
 
 @dataclass(frozen=True)

@@ -238,17 +238,13 @@ class RunView(Brief):
         Args:
             seconds: delay, s.
         """
-
-        def clock(time: float) -> float:
-            return time + seconds
-
         return replace(
             self,
             time=self.time + seconds,
             extras=None if self.extras is None else replace(self.extras, time=self.extras.time + seconds),
-            events=tuple(replace(event, time=clock(event.time)) for event in self.events),
-            plan=self.plan.timed(clock),
-            done=timed(self.done, clock),
+            events=tuple(replace(event, time=event.time + seconds) for event in self.events),
+            plan=self.plan.timed(seconds.__add__),
+            done=timed(self.done, seconds.__add__),
             crossings=tuple(None if at is None else at + seconds for at in self.crossings),
         )
 
@@ -266,7 +262,9 @@ def series_of(log: RunLog) -> RunView:
         reference = None
     breaks = np.flatnonzero(np.diff(log.time) > 1.5 / log.rate_hz) + 1
     state, what = (estimate, "estimate") if truth is None else (truth, "plant")
-    if state is None or (what == "estimate" and _repeats_measurement(state, log.measured, n)):
+    # An estimate may merely repeat the measured angles, without rates.
+    repeats = estimate is not None and np.array_equal(estimate[:, :n], log.measured[:, :n])
+    if state is None or (what == "estimate" and repeats and not state[:, n : 2 * n].any()):
         state, what, estimate = _measured(log, breaks), "measured", None
     control = {name: clean(values) for name, values in log.controls.items()}
     sigma = None
@@ -333,11 +331,6 @@ def clean(values: Array) -> Array:
     with np.errstate(invalid="ignore"):
         sound = np.abs(values) < LARGEST
     return values if sound.all() else np.where(sound, values, np.nan)
-
-
-def _repeats_measurement(state: Array, measured: Array, arms: int) -> bool:
-    """True if an estimate merely repeats the measured angles, without rates."""
-    return np.array_equal(state[:, :arms], measured[:, :arms]) and not state[:, arms : 2 * arms].any()
 
 
 def _measured(log: RunLog, breaks: NDArray[np.int64]) -> Array:
