@@ -16,7 +16,6 @@ import numpy as np
 from dpcontrol.bifurcations.bifurcations import Sweep, SweepSettings
 from dpcontrol.bifurcations.links import PathPoint, carry, first_crossing
 from dpcontrol.dynamics.system import System
-from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError, remark
 from dpcontrol.foundation.progress import Progress, no_progress, part_of

@@ -319,13 +319,10 @@ def through(stops: Sequence[str], edges: Edges) -> Walk:
             place = f"{edges.energy:g}{edges.system.unit('J')}"
             raise InputError(f"{stop!r} has no orbit at {place}: {suggest(stop, edges.orbits)}")
     for here, there in pairwise(stops):
-        if here == there:
-            path = [here, there] if graph.has_edge(here, there) else []
-        else:
-            path = nx.shortest_path(graph, here, there) if nx.has_path(graph, here, there) else []
-        if not path:
+        if not (graph.has_edge(here, there) or (here != there and nx.has_path(graph, here, there))):
             place = f"{edges.energy:g}{edges.system.unit('J')}"
             raise InputError(f"no walk at {place} leads from {here} to {there}; try a higher energy")
+        path = [here, there] if here == there else nx.shortest_path(graph, here, there)
         chain += [choose(way, edges.between(way.source, way.target)) for way in ways(path)]
     return tuple(chain)
 
@@ -471,6 +468,7 @@ class WalkAnswer:
         seconds: solution time, s, without the search for the fewest wraps.
         advice: wraps that suffice, or none, if the orbit was not found.
         refined: orbit in extended precision, if requested.
+        file: file of the orbit, if it was saved.
     """
 
     request: WalkRequest
@@ -479,6 +477,7 @@ class WalkAnswer:
     seconds: float
     advice: FewestWraps | None = None
     refined: ExtendedOrbit | None = None
+    file: Path | None = None
 
     @property
     def status(self) -> str:
@@ -495,20 +494,13 @@ class WalkAnswer:
     def document(self) -> dict[str, Any]:
         """Return the document printed by `dpcontrol walk --solve --json`."""
         orbit, refined = self.orbit, self.refined
-        own = ("wraps", "wraps_realised", "residual", "duration")
-        found: dict[str, Any] = dict.fromkeys(own) if orbit is None else picked(orbit, *own)
-        document = {
-            **self.request.document(),
-            "least_wraps": self.least,
-            **found,
-            "iterations": None if orbit is None else orbit.orbit.iterations,
-            **picked(self, "seconds", "converged", "status"),
-        }
+        document = {**self.request.document(), **document_of(self, "least_wraps=least seconds converged status file")}
         if orbit is None:
-            return document
+            return document | dict.fromkeys(("wraps", "wraps_realised", "residual", "duration", "iterations"))
+        figures = "wraps wraps_realised residual duration iterations=orbit.iterations symbol_times"
+        document |= document_of(orbit, figures) | {"certificate": _estimate(orbit)}
         if not orbit.periodic and len(orbit.walk) > 1:
             document["edge"] = composed(orbit.walk, orbit.wraps)
-        document |= {"symbol_times": orbit.symbol_times, "certificate": _estimate(orbit)}
         if refined is not None:
             # Strings of digits replace doubles; times start at the first symbol's section.
             document |= {
@@ -683,14 +675,12 @@ class SolvedWalks(Documented):
     """Walks of a graph with their orbits.
 
     Attributes:
-        files: file of each orbit, or None.
         least_seen: fewest sufficient wraps between two connections, by their names.
         picture, film: files that show the orbit, if they were written.
     """
 
     edges: Edges
     answers: tuple[WalkAnswer, ...]
-    files: tuple[Path | None, ...]
     least_seen: Mapping[tuple[str, str], int]
     picture: Path | str | None = None
     film: Path | str | None = None
@@ -711,9 +701,7 @@ class SolvedWalks(Documented):
         """Return the document printed by `dpcontrol walk --solve --json`."""
         return {
             "energy": self.edges.energy,
-            "walks": [
-                {**answer.document(), "file": file} for answer, file in zip(self.answers, self.files, strict=True)
-            ],
+            "walks": [answer.document() for answer in self.answers],
             "least_seen": [{"before": a, "after": b, "wraps": n} for (a, b), n in sorted(self.least_seen.items())],
             "notes": self.edges.notes,
             **picked(self, "picture", "film", "status"),
@@ -743,19 +731,18 @@ def solve_walks(
     """
     edges, solver, count = walks.edges, WalkSolver(walks.edges.connections), len(walks.walks)
     answers: list[WalkAnswer] = []
-    files: list[Path | None] = []
     for k, answer in enumerate(solved(walks.walks, solver)):
         if energy is not None and answer.orbit is not None and answer.converged:
             progress("refining in 113-bit arithmetic", (k + 0.5) / count)
             refined = refine(answer.orbit.shot.solution, energy=energy, parameters=parameters)
             answer = replace(answer, refined=refined)
-        file = None if folder is None or not answer.converged else folder / f"walk-{k + 1}.npz"
-        if file is not None and answer.orbit is not None:
+        if folder is not None and answer.orbit is not None and answer.converged:
+            file = folder / f"walk-{k + 1}.npz"
             save_walk(file, edges.system.name, answer.orbit, refined=answer.refined)
+            answer = replace(answer, file=file)
         answers.append(answer)
-        files.append(file)
         progress("walks", (k + 1) / count)
-    return SolvedWalks(edges, tuple(answers), tuple(files), solver.least_seen)
+    return SolvedWalks(edges, tuple(answers), solver.least_seen)
 
 
 _DRAWN, _SOLVED_SYMBOL, _SOLVED_WRAP, _TRIED = 5e-4, 0.05, 0.01, 0.002
