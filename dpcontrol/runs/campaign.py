@@ -50,6 +50,7 @@ import shutil
 import threading
 import time
 import warnings
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, lru_cache
@@ -227,7 +228,6 @@ def _assembled(job: Job) -> Assembly:
 
 
 def _row(job: Job, reference: Reference, seed: int, run: BatchRun, *, path: str) -> Row:
-    n = reference.states.shape[-1] // 2 - 1
     loop = job.case.loop
     limits = loop.limits(reference.limits)
     flown = Flown(
@@ -242,8 +242,7 @@ def _row(job: Job, reference: Reference, seed: int, run: BatchRun, *, path: str)
         hardest=run.hardest,
     )
     verdict = verdict_on(flown, reference)
-    symbols = reference.content.symbols
-    undone = symbols[verdict.symbols].text if verdict.symbols < len(symbols) else ""
+    symbols = [symbol.text for symbol in reference.content.symbols]
     away = flown.angles - flown.reference_angles
     return {
         "itinerary": job.itinerary,
@@ -255,13 +254,13 @@ def _row(job: Job, reference: Reference, seed: int, run: BatchRun, *, path: str)
         "completed": verdict.completed,
         "symbols_completed": verdict.symbols,
         "symbols_total": len(symbols),
-        "symbol": undone,
+        "symbol": [*symbols, ""][verdict.symbols],
         "ending": run.ending.value,
         "cause": verdict.cause,
         "reason": "" if verdict.completed else verdict.reason,
         "simulated_seconds": float(run.times[-1]),
         "rms_tracking_error": math.sqrt(float(np.mean(away**2))),
-        "max_cart_position": float(np.abs(run.truth[:, 2 * n]).max()),
+        "max_cart_position": float(np.abs(run.truth[:, -2]).max()),
         "rms_cart_acceleration": math.sqrt(float(np.mean(run.applied**2))),
         "rms_feedback": run.rms_feedback,
         "nis_inside_95": run.nis_inside_95,
@@ -548,9 +547,8 @@ def _shown(values: Sequence[Any]) -> list[Any]:
     out: list[Any] = []
     for given in values:
         # Numbers of numpy are shown as Python's, and lists as the command line takes them.
-        value = given.item() if isinstance(given, np.generic) else given
+        value = "as the scene" if given is None else given.item() if isinstance(given, np.generic) else given
         value = f"[{','.join(map(str, value))}]" if is_list(value) else value
-        value = "as the scene" if value is None else value
         plain = isinstance(value, int | float | str)
         name = value if plain else getattr(value, "__name__", type(value).__name__)
         same = 0 if plain else sum(str(one).partition(" ")[0] == name for one in out)
@@ -635,13 +633,12 @@ def run_campaign(
         checked_target(file)
         checked_folder(parts_of(file))
     began = time.perf_counter()
-    itinerary = plan.itinerary
     plans = transitions_of(plan) if transitions else (plan.followed(),)
     announce(_cost(plans, cases, settings), yes=yes)
     if transitions and any(case.loop.supervisor.on_fall != "stop" for case in cases):
         raise InputError("transitions alone end with a fall: leave on_fall at stop, or run the whole itinerary")
     jobs = [job for one in (plans if transitions else (plan,)) for job in _jobs(one, cases, settings)]
-    record = campaign_record(itinerary, cases, settings, transitions=transitions)
+    record = campaign_record(plan.itinerary, cases, settings, transitions=transitions)
     if file is not None and not force:
         check_table(file, record)
     schema, parts = _schema(cases, record), None if file is None else parts_of(file)
@@ -664,11 +661,11 @@ def run_campaign(
     if file is not None and parts is not None:
         _write(file, table)
         shutil.rmtree(parts, ignore_errors=True)
-    found = _summary(itinerary.name, cases, table, seconds=time.perf_counter() - began, file=file)
     alone = {
         content.itinerary: (content.symbols[0].source, content.symbols[0].target, float(np.ptp(content.transfers[0])))
         for content in (one.content for one in plans if transitions)
     }
+    found = _summary(plan.itinerary.name, cases, table, seconds=time.perf_counter() - began, file=file)
     return replace(found, alone=alone)
 
 
@@ -779,10 +776,7 @@ def _summary(name: str, cases: Sequence[Case], table: "pa.Table", *, seconds: fl
     def of(case: Case) -> NDArray[np.bool_]:
         return pc.equal(table["case"], case.label).to_numpy()
 
-    results = tuple(
-        CaseResult(case, _share(done[mine]), table.filter(pa.array(mine & ~done)))
-        for case, mine in ((case, of(case)) for case in cases)
-    )
+    results = tuple(CaseResult(c, _share(done[of(c)]), table.filter(pa.array(of(c) & ~done))) for c in cases)
     pairs = tuple(
         (a.label, b.label, paired(done[of(a)], done[of(b)]))
         for a, b in itertools.combinations(cases if len(cases) <= MOST_PAIRED else (), 2)
@@ -804,12 +798,8 @@ def standard_cases(itinerary: Itinerary, *, fixed: Mapping[str, Any], controller
         controllers: kinds of controllers, or users' laws.
 
     Raises:
-        InputError: an unknown controller, or None.
+        InputError: an unknown controller.
     """
-    if any(one is None for one in controllers):
-        raise InputError(
-            "controllers: None is no law; give names of controllers or own laws, or no list for this loop's"
-        )
     cases = []
     for controller, shown in zip(controllers, _shown(controllers), strict=True):
         for kind in STANDARD:
@@ -877,14 +867,12 @@ def standard_scores(results: Sequence[CaseResult]) -> tuple[StandardScore, ...]:
     Args:
         results: results of all cases of `standard_cases`.
     """
-    counts: dict[str, dict[str, list[int]]] = {}
+    counts: dict[str, dict[str, Counter[str]]] = {}
     for result in results:
-        values = dict(result.case.values)
-        sums = counts.setdefault(str(values["controller"]), {}).setdefault(str(values["kind"]), [0, 0])
-        sums[0] += result.completed.successes
-        sums[1] += result.completed.runs
-    scores = []
-    for controller, kinds in counts.items():
-        shares = {name: wilson(*pair) for name, pair in kinds.items()}
-        scores.append(StandardScore(controller, shares, sum(s.rate for s in shares.values()) / len(shares)))
-    return tuple(scores)
+        values, share = dict(result.case.values), result.completed
+        sums = counts.setdefault(str(values["controller"]), {}).setdefault(str(values["kind"]), Counter())
+        sums.update(successes=share.successes, runs=share.runs)
+    shares = {name: {kind: wilson(**sums) for kind, sums in kinds.items()} for name, kinds in counts.items()}
+    return tuple(
+        StandardScore(name, kinds, sum(s.rate for s in kinds.values()) / len(kinds)) for name, kinds in shares.items()
+    )

@@ -25,7 +25,6 @@ import math
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
@@ -459,13 +458,12 @@ def preflight(
     seeds = range(settings.first_seed, settings.first_seed + amounts.rate)
     case, arms = Case("preflight", (), loop), scene.model.arms
     job = Job(name, plan.archive, arms, case, tuple(seeds), "compiled", uncertainty, replayed=0)
-    run = partial(in_processes, _do, remedy="Finished jobs are kept: run the same command again, with fewer --workers")
 
     # At most the memory of a campaign's jobs.
     most = max(min(MOST_TICKS // ticks, 256), 1)
     size = min(128 if amounts.rate > _FEW else 64, most)
     jobs = [replace(job, seeds=job.seeds[k : k + size]) for k in range(0, amounts.rate, size)]
-    parts = _all(run(jobs, workers=workers), len(jobs), "rate", part_of(progress, 0.0, 0.15))
+    parts = _all(jobs, workers, "rate", part_of(progress, 0.0, 0.15))
     ordered = sorted(row for part in parts for row in part)
     completed = [row.completed for row in ordered]
     share = wilson(sum(completed), len(completed), confidence=settings.confidence)
@@ -477,7 +475,7 @@ def preflight(
         tasks += _trials(scene, job, completed, amounts.change, most)
     else:
         notes.append("these runs go one after the other, not side by side: borders and changes with --runs only")
-    found = list(_all(run(tasks, workers=workers), len(tasks), "borders and changes", part_of(progress, 0.15, 1.0)))
+    found = list(_all(tasks, workers, "borders and changes", part_of(progress, 0.15, 1.0)))
     return Preflight(
         itinerary=name,
         title=scene.title,
@@ -493,10 +491,11 @@ def preflight(
     )
 
 
-def _all(pieces: Any, count: int, what: str, progress: Progress) -> Any:
-    """Yield the result of each piece, and report their number."""
-    for k, (_, done) in enumerate(pieces, 1):
-        progress(f"{what}: {k} of {count}", k / count)
+def _all(tasks: Sequence[Job | _Task], workers: int, what: str, progress: Progress) -> Iterator[Any]:
+    """Yield the result of each task, and report their number."""
+    remedy = "Finished jobs are kept: run the same command again, with fewer --workers"
+    for k, (_, done) in enumerate(in_processes(_do, tasks, workers, remedy=remedy), 1):
+        progress(f"{what}: {k} of {len(tasks)}", k / len(tasks))
         yield done
 
 

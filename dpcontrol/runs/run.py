@@ -1050,20 +1050,16 @@ def measured_text(itinerary: Itinerary, values: Mapping[str, Any]) -> tuple[Path
         values: values by key of [run].
 
     Raises:
-        InputError: the file cannot be read, or its text cannot be changed.
+        InputError: its text cannot be changed.
     """
     if itinerary.stored is not None:
         raise InputError(f"{itinerary.stored} is a plan and is not changed; give the itinerary's .toml")
-    try:
-        text = itinerary.path.read_bytes().decode()
-    except OSError as error:
-        raise InputError(f"cannot read {itinerary.path}: {error.strerror or error}; check the file") from error
+    text = itinerary.path.read_bytes().decode("utf-8-sig")
     own, shipped = folders("itineraries")
     path = itinerary.path.resolve()
     if path.is_relative_to(shipped.resolve()) and not path.is_relative_to(own.resolve()):
         path = own / path.name
-    mark = "\ufeff" if text.startswith("\ufeff") else ""
-    return path, mark + with_values(text.removeprefix(mark), "run", values)
+    return path, with_values(text, "run", values)
 
 
 def written(found: "Commissioning", itinerary: Itinerary) -> "Commissioning":

@@ -136,10 +136,11 @@ class SymbolBranches:
             if carried is None:
                 return None
             state = first_crossing(self._sweep.problem, carried.link, energy, self._sweep.section)
-            fitting = [c for c in self.connections(energy) if c.sense == connection.sense and state is not None]
-            for c in fitting:
+            if state is None:
+                return None
+            for c in self.connections(energy):
                 there = c if image is connection else mirrored(c)
-                if float(self.system.scaled_distance(state, there.state)) < _SAME:
+                if c.sense == connection.sense and self.system.scaled_distance(state, there.state) < _SAME:
                     return c
             return None
         return None

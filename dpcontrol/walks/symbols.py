@@ -31,10 +31,7 @@ def composed(walk: Sequence[str], wraps: Sequence[int]) -> str:
         walk: names of the connections (k,).
         wraps: periods at each stop (k - 1,).
     """
-    parts = [f"({walk[0]})"]
-    for name, count in zip(walk[1:], wraps, strict=True):
-        parts.append(f"·{count}·({name})")
-    return "".join(parts)
+    return f"({walk[0]})" + "".join(f"·{count}·({name})" for name, count in zip(walk[1:], wraps, strict=True))
 
 
 _FULL = re.compile(

@@ -51,14 +51,7 @@ def as_connection(orbit: ShadowingOrbit) -> Connection:
 
     Args:
         orbit: converged orbit of an open walk.
-
-    Raises:
-        InputError: the orbit is periodic or has not converged.
     """
-    if orbit.periodic:
-        raise InputError("the orbit is periodic: only an open walk can become an edge of the graph")
-    if not orbit.converged:
-        raise InputError(f"the orbit has not converged and cannot become an edge of the graph: {orbit.status}")
     first, last = orbit.connections[0], orbit.connections[-1]
     source, target, section = first.source, last.target, first.section
     system = source.system
@@ -330,10 +323,8 @@ def through(stops: Sequence[str], edges: Edges) -> Walk:
 def _matrix(edges: Edges) -> tuple[list[str], NDArray[np.object_]]:
     """Return the saddles and the matrix of connection counts."""
     names = list(edges.orbits)
-    counts = np.zeros((len(names), len(names)), dtype=object)
-    for c in edges.connections:
-        counts[names.index(c.source.saddle), names.index(c.target.saddle)] += 1
-    return names, counts
+    # Whole numbers of Python have any length.
+    return names, nx.to_numpy_array(edges.graph(), nodelist=names, dtype=np.dtype(int)).astype(object)
 
 
 def count_walks(edges: Edges, length: int, *, source: str | None = None, target: str | None = None) -> int:
@@ -346,10 +337,10 @@ def count_walks(edges: Edges, length: int, *, source: str | None = None, target:
         target: name of the last stop, or None for any.
 
     Raises:
-        InputError: a length below one, or a saddle without an orbit.
+        InputError: a saddle without an orbit.
     """
     names, counts = _matrix(edges)
-    _check(edges, length, source, target)
+    _check(edges, source, target)
     power = np.linalg.matrix_power(counts, length)
     rows = [k for k, name in enumerate(names) if source in (None, name)]
     columns = [k for k, name in enumerate(names) if target in (None, name)]
@@ -369,7 +360,7 @@ def listed(
         periodic: closed walks only.
 
     Raises:
-        InputError: a length below one, a saddle without an orbit, or more walks than can be listed.
+        InputError: a saddle without an orbit, or more walks than can be listed.
     """
     total = count_walks(edges, length, source=source, target=target)
     if total > LISTED:
@@ -394,16 +385,15 @@ def random_walk(edges: Edges, length: int, generator: np.random.Generator, *, pe
         periodic: True for closed walks only.
 
     Raises:
-        InputError: a length below one, or no such walk.
+        InputError: there is no such walk.
     """
-    _check(edges, length, None, None)
     names, counts = _matrix(edges)
     powers = [np.linalg.matrix_power(counts, k) for k in range(length + 1)]
     onward = np.ones(len(names), dtype=object)
     first = np.array([powers[length][k, k] if periodic else (powers[length] @ onward)[k] for k in range(len(names))])
     if not first.sum():
-        what = f"no {'closed ' if periodic else ''}walk of {length} symbols"
-        raise InputError(f"{what} exists at {edges.energy:g}{edges.system.unit('J')}")
+        place, kind = f"{edges.energy:g}{edges.system.unit('J')}", "closed walk" if periodic else "walk"
+        raise InputError(f"no {kind} of {length} symbols exists at {place}")
     at = start = _drawn(first, generator)
     chain: list[Connection] = []
     for left in range(length - 1, -1, -1):
@@ -423,9 +413,7 @@ def _drawn(weights: NDArray[np.object_], generator: np.random.Generator) -> int:
     return int(generator.choice(len(shares), p=shares / shares.sum()))
 
 
-def _check(edges: Edges, length: int, source: str | None, target: str | None) -> None:
-    if length < 1:
-        raise InputError(f"length = {length}: must be at least one symbol")
+def _check(edges: Edges, source: str | None, target: str | None) -> None:
     for saddle in (source, target):
         if saddle is not None and saddle not in edges.orbits:
             reasons = [why for name, why in edges.absent if name == saddle]
@@ -786,8 +774,7 @@ def solved(requests: Sequence[WalkRequest], solver: WalkSolver) -> Iterator[Walk
 
 
 def _solve_request(request: WalkRequest, solver: WalkSolver) -> WalkAnswer:
-    least: tuple[int, ...] | None = None
-    wraps = request.wraps
+    least, wraps = None, request.wraps
     if wraps is None:
         fewest = solver.fewest(request.chain, periodic=request.periodic)
         if fewest.failed is not None:
