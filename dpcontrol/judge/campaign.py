@@ -92,9 +92,7 @@ class CampaignSummary(Shown, Documented):
     @property
     def status(self) -> str:
         """The result in one line."""
-        share, rest = self.share, f"; {self.unknown} without a verdict" if self.unknown else ""
-        chance = f"{share.rate:.1%} ({share.low:.1%} to {share.high:.1%} with 95 % confidence)"
-        return f"{share.successes} of {share.runs} runs completed: {chance}{rest}"
+        return self.share.sentence() + (f"; {self.unknown} without a verdict" if self.unknown else "")
 
     @property
     def good(self) -> bool | None:

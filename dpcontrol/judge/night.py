@@ -39,8 +39,6 @@ ITINERARY, BRAKING, FLYING = "on the itinerary", "braking", "in flight"
 BETWEEN, UNKNOWN = "between repetitions", "no log"
 """Kinds of spans, as displayed."""
 STOPPED = "ended"
-UNKNOWN_CAUSE = "unknown"
-"""Cause of a fall in a log that has only its text."""
 _SHORT = 0.05
 """Share of the longest file's time below which a mean does not count: estimates drift while the cart is at rest."""
 _GAP = 0.5
@@ -309,7 +307,7 @@ def followed(digests: Sequence[Digest]) -> tuple[list[NightSpan], list[Fall], li
                 turn(time, BETWEEN)
             elif name == RETURN:
                 left = len(falls) if left is None else left
-                falls.append(Fall(time, event.cause or UNKNOWN_CAUSE, event.text))
+                falls.append(Fall(time, event.cause, event.text))
                 turn(time, BRAKING, falls[left].cause)
             elif name == FLIGHT and kind not in (STOPPED, ITINERARY):
                 turn(time, kind if kind == BETWEEN else FLYING if event.level == "info" else BRAKING, cause)
@@ -333,8 +331,7 @@ def read_night(folder: Path) -> Night:
         InputError: the folder holds none, or one of its files is damaged or from another run.
     """
     folder = Path(folder)
-    digests = [*_digests(folder)]
-    if not digests:
+    if not (digests := [*_digests(folder)]):
         raise InputError(
             f"cannot read {folder}: it is a folder without logs of a long run; give a log, or a folder that "
             "`dpcontrol run --hours` made"

@@ -246,13 +246,9 @@ def plan_view(plan: Reference, *, system: System | None) -> PlanView:
 
 def _outside(transfers: tuple[tuple[float, float], ...], first: float, last: float) -> Iterator[tuple[float, float]]:
     """Yield the parts of a time range that no transfer covers."""
-    for begin, end in transfers:
-        if begin > first and begin < last:
-            yield first, begin
-        if end > first and begin < last:
-            first = end
-    if first < last:
-        yield first, last
+    within = [way for way in transfers if way[1] > first and way[0] < last]
+    edges = [first, *(time for way in within for time in way), last]
+    yield from ((a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if a < b)
 
 
 def _placed_orbits(content: PlanContent) -> tuple[PlanOrbit, ...]:

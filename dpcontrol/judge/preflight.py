@@ -109,14 +109,6 @@ class HazardBorder(Documented):
         return "none" if math.isinf(self.set) else f"{shown_number(self.set)} {self.unit}"
 
     @property
-    def order(self) -> tuple[bool, float, str]:
-        """Sort key that puts the nearest border first.
-
-        Those without a margin are last.
-        """
-        return self.margin is None, self.margin or 0.0, self.name
-
-    @property
     def interval(self) -> str:
         """The border's 95 % interval, as text; "…" for an unknown end."""
         ends = ("" if end is None else shown_number(end) for end in (self.low, self.high))
@@ -226,9 +218,7 @@ class Preflight(Shown, Documented):
     @property
     def status(self) -> str:
         """Sentence on the share of completed runs."""
-        s = self.share
-        band = f"{s.low:.1%} to {s.high:.1%} with {self.confidence:.0%} confidence"
-        return f"{s.successes} of {s.runs} runs completed: {s.rate:.1%} ({band})"
+        return self.share.sentence(self.confidence)
 
     @property
     def advice(self) -> str:

@@ -428,9 +428,7 @@ class Campaign(Shown):
     @property
     def status(self) -> str:
         """Success rate in one sentence."""
-        share = self.completed
-        band = f"{share.low:.1%} to {share.high:.1%}"
-        return f"{share.successes} of {share.runs} runs completed, {share.rate:.1%} (95 %: {band})"
+        return self.completed.sentence()
 
     @cached_property
     def summary(self) -> CampaignSummary:

@@ -94,22 +94,27 @@ def changes(scene: Itinerary) -> Iterator[Sequence[SceneChange]]:
         if one.removed:
             tried.append(SceneChange(f"no {one.name}", {one.setting: one.nothing}))
         yield tried
-    if drive.lag and loop.drive_lag != drive.lag:
-        known = "a controller with the drive's lag"
-        yield (SceneChange(known, {"drive_lag": drive.lag}, "give the controller the drive's lag"),)
-    if finer := 4 * _fewest_counts(scene):
-        yield (SceneChange(f"{finer} counts a turn", {"counts": finer}, "finer encoders: four times the counts"),)
-    if loop.rate < _QUICK:
-        # The delay stays the same in seconds.
-        delay = {"delay": _short(drive.delay * _QUICK / loop.rate)} if drive.delay else {}
-        yield (SceneChange(f"a rate of {_QUICK:g} Hz", {"rate": _QUICK, **delay}),)
-    if loop.estimator.kind != "ekf":
-        yield (SceneChange("the ekf as the estimator", {"estimator": "ekf"}),)
-    if loop.keep != "none":
-        yield (SceneChange("no keeper of the stops", {"keep": "none"}),)
-    elif scene.stay is None:
-        other = "tvlqr" if loop.controller.kind == "adaptive" else "adaptive"
-        yield (SceneChange(f"{other} as the law", {"controller": other}, f"another law: {other}"),)
+    counts = 4 * _fewest_counts(scene)
+    # The delay stays the same in seconds.
+    delay = {"delay": _short(drive.delay * _QUICK / loop.rate)} if drive.delay else {}
+    law = "tvlqr" if loop.controller.kind == "adaptive" else "adaptive"
+    others = (
+        (
+            drive.lag and loop.drive_lag != drive.lag,
+            SceneChange(
+                "a controller with the drive's lag", {"drive_lag": drive.lag}, "give the controller the drive's lag"
+            ),
+        ),
+        (counts, SceneChange(f"{counts} counts a turn", {"counts": counts}, "finer encoders: four times the counts")),
+        (loop.rate < _QUICK, SceneChange(f"a rate of {_QUICK:g} Hz", {"rate": _QUICK, **delay})),
+        (loop.estimator.kind != "ekf", SceneChange("the ekf as the estimator", {"estimator": "ekf"})),
+        (loop.keep != "none", SceneChange("no keeper of the stops", {"keep": "none"})),
+        (
+            loop.keep == "none" and scene.stay is None,
+            SceneChange(f"{law} as the law", {"controller": law}, f"another law: {law}"),
+        ),
+    )
+    yield from ((change,) for helps, change in others if helps)
 
 
 def _short(value: float) -> float:
@@ -454,10 +459,9 @@ def preflight(
     workers, count = settings.workers or processors(), amounts.runs if searches else amounts.rate
     work = f"up to {count:,} runs of {ticks / loop.rate:.1f} s"
     announce(Cost(work, count * ticks * tick / workers, 4e8 * workers, f"preflight of {name}"), yes=yes)
-    uncertainty = scene.model.identified_uncertainty if loop.model_uncertainty else None
-    seeds = range(settings.first_seed, settings.first_seed + amounts.rate)
-    case, arms = Case("preflight", (), loop), scene.model.arms
-    job = Job(name, plan.archive, arms, case, tuple(seeds), "compiled", uncertainty, replayed=0)
+    seeds = tuple(range(settings.first_seed, settings.first_seed + amounts.rate))
+    case = Case("preflight", (), loop)
+    job = Job(name, plan.archive, scene.model.arms, case, seeds, "compiled", scene.uncertainty, replayed=0)
 
     # At most the memory of a campaign's jobs.
     most = max(min(MOST_TICKS // ticks, 256), 1)
@@ -476,6 +480,7 @@ def preflight(
     else:
         notes.append("these runs go one after the other, not side by side: borders and changes with --runs only")
     found = list(_all(tasks, workers, "borders and changes", part_of(progress, 0.15, 1.0)))
+    borders = [b for b in found if isinstance(b, HazardBorder)]
     return Preflight(
         itinerary=name,
         title=scene.title,
@@ -485,7 +490,7 @@ def preflight(
         known=tuple(known),
         notes=tuple(notes),
         endings=endings(ordered),
-        borders=tuple(sorted((b for b in found if isinstance(b, HazardBorder)), key=lambda b: b.order)),
+        borders=tuple(sorted(borders, key=lambda b: (b.margin is None, b.margin or 0.0, b.name))),
         changes=tuple(sorted((c for c in found if isinstance(c, Improvement)), key=lambda c: (-c.gain, c.text))),
         seconds=time.perf_counter() - began,
     )
@@ -578,16 +583,20 @@ _MECHANICS = ("belt", "play", "cable_torque", "cable_stiffness", "stiction", "in
 
 
 def _notes(scene: Itinerary, loop: LoopSettings) -> list[str]:
-    notes = []
-    if scene.start == "orbit":
-        notes.append('start = "orbit": runs begin at the orbit\'s exact rates, which a rig cannot; plan from "rest"')
     measured = {"lag": loop.drive.lag, "zero_error": loop.sensors.zero_error}
-    if unmeasured := [name for name, value in measured.items() if not value]:
-        notes.append(
+    unmeasured = [name for name, value in measured.items() if not value]
+    notes = (
+        (
+            scene.start == "orbit",
+            'start = "orbit": runs begin at the orbit\'s exact rates, which a rig cannot; plan from "rest"',
+        ),
+        (
+            unmeasured,
             f"{' and '.join(unmeasured)} = 0 in [run]: a bench is never ideal; measure it with `dpcontrol commission "
-            f"{scene.name} --rig ADDRESS --write`, or give an estimate"
-        )
-    return notes
+            f"{scene.name} --rig ADDRESS --write`, or give an estimate",
+        ),
+    )
+    return [note for holds, note in notes if holds]
 
 
 def _searches(

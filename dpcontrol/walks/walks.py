@@ -305,15 +305,13 @@ def through(stops: Sequence[str], edges: Edges) -> Walk:
     """
     if len(stops) < 2:
         raise InputError(f"stops = {list(stops)}: must have at least two, for the start and the end")
-    graph = edges.graph()
+    graph, place = edges.graph(), f"{edges.energy:g}{edges.system.unit('J')}"
     chain: list[Connection] = []
     for stop in stops:
         if stop not in graph:
-            place = f"{edges.energy:g}{edges.system.unit('J')}"
             raise InputError(f"{stop!r} has no orbit at {place}: {suggest(stop, edges.orbits)}")
     for here, there in pairwise(stops):
         if not (graph.has_edge(here, there) or (here != there and nx.has_path(graph, here, there))):
-            place = f"{edges.energy:g}{edges.system.unit('J')}"
             raise InputError(f"no walk at {place} leads from {here} to {there}; try a higher energy")
         path = [here, there] if here == there else nx.shortest_path(graph, here, there)
         chain += [choose(way, edges.between(way.source, way.target)) for way in ways(path)]
