@@ -1298,7 +1298,7 @@ def campaign(
     """
     from dpcontrol.foundation.config import log_folder
     from dpcontrol.foundation.files import chosen_name
-    from dpcontrol.runs.campaign import CampaignSettings, asked_cases, campaign_record, check_parts
+    from dpcontrol.runs.campaign import CampaignSettings, asked_cases, campaign_record, check_table
 
     # Check for the writer of the table before the plan, which can take minutes.
     part("pyarrow")
@@ -1311,7 +1311,7 @@ def campaign(
 
     def check(file: Path) -> None:
         if not force:
-            check_parts(file, record)
+            check_table(file, record)
 
     named = log_folder() / f"{scene.name}{'-transitions' if transitions else ''}.parquet"
     with chosen_name(out, named, check) as file, reporting(progress, "campaign") as report:

@@ -37,6 +37,15 @@ class Share:
         """The interval's ends."""
         return self.low, self.high
 
+    def sentence(self, confidence: float = 0.95) -> str:
+        """Return the share with its interval, as a sentence.
+
+        Args:
+            confidence: probability of the interval.
+        """
+        band = f"{self.low:.1%} to {self.high:.1%} with {confidence:.0%} confidence"
+        return f"{self.successes} of {self.runs} runs completed: {self.rate:.1%} ({band})"
+
 
 def wilson(successes: int, runs: int, *, confidence: float = 0.95) -> Share:
     """Return the share with Wilson's interval.

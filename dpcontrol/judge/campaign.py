@@ -87,14 +87,12 @@ class CampaignSummary(Shown, Documented):
     levels: tuple[Group, ...]
     failed_symbols: tuple[tuple[str, int, int], ...]
     reasons: tuple[tuple[str, int], ...]
-    spreads: dict[str, dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]]
+    spreads: dict[str, dict[str, tuple[NDArray[np.float64], ...]]]
 
     @property
     def status(self) -> str:
         """The result in one line."""
-        share, rest = self.share, f"; {self.unknown} without a verdict" if self.unknown else ""
-        chance = f"{share.rate:.1%} ({share.low:.1%} to {share.high:.1%} with 95 % confidence)"
-        return f"{share.successes} of {share.runs} runs completed: {chance}{rest}"
+        return self.share.sentence() + (f"; {self.unknown} without a verdict" if self.unknown else "")
 
     @property
     def good(self) -> bool | None:
@@ -161,9 +159,13 @@ def summary_of(columns: dict[str, list[Any]], path: Path) -> CampaignSummary:
     done = np.array(table["completed"], dtype=bool)
     families = [name for name in _WHAT if name in table and len(set(table[name])) > 1]
     standard = _KIND in table and _LEVEL in table
-    if not standard and _CASE in table and _merged(table):
+    measured = [table[name] for name in (*_WHAT, "mismatch") if name in table]
+    places = set(zip(*measured, strict=True)) or {()}
+    # Groups and levels do not separate all cases.
+    if not standard and _CASE in table and len(set(zip(*measured, table[_CASE], strict=True))) > len(places):
         families.append(_CASE)
     axis = _LEVEL if standard else "mismatch"
+    causes = table.get("cause") or table.get("ending") or [""] * len(done)
     groups = _groups(table, [*families, _KIND] if standard else families, done)
     alone = _groups(table, families, done)
     return CampaignSummary(
@@ -175,19 +177,12 @@ def summary_of(columns: dict[str, list[Any]], path: Path) -> CampaignSummary:
         axis=axis,
         levels=_levels(_numbers(table, axis), alone, done),
         failed_symbols=_symbols(table, alone, done),
-        reasons=_reasons(table, done),
+        reasons=tuple(Counter(str(causes[k] or "not named") for k in np.flatnonzero(~done)).most_common()),
         spreads=_spreads(table, alone, done),
     )
 
 
 Rows = NDArray[np.bool_]
-
-
-def _merged(table: dict[str, list[Any]]) -> bool:
-    """True if groups and levels do not separate all cases."""
-    columns = [table[name] for name in (*_WHAT, "mismatch") if name in table]
-    places = list(zip(*columns, strict=True)) if columns else [()] * len(table[_CASE])
-    return len(set(zip(places, table[_CASE], strict=True))) > len(set(places))
 
 
 def _groups(table: dict[str, list[Any]], columns: list[str], done: Rows) -> list[tuple[Group, Rows]]:
@@ -196,11 +191,8 @@ def _groups(table: dict[str, list[Any]], columns: list[str], done: Rows) -> list
     The rows (K,) of each group follow.
     """
     keys = [tuple(str(table[name][k]) for name in columns) for k in range(len(done))]
-    found = []
-    for key in sorted(set(keys)):
-        mine = np.array([other == key for other in keys])
-        found.append((Group(dict(zip(columns, key, strict=True)), _share(done, mine)), mine))
-    return found
+    rows = {key: np.array([other == key for other in keys]) for key in sorted(set(keys))}
+    return [(Group(dict(zip(columns, key, strict=True)), _share(done, mine)), mine) for key, mine in rows.items()]
 
 
 def _columns(path: Path) -> dict[str, list[Any]]:
@@ -266,23 +258,15 @@ def _symbols(
     return tuple((label, symbol, count) for label, some in counts for symbol, count in sorted(some.items()))
 
 
-def _reasons(table: dict[str, list[Any]], done: Rows) -> tuple[tuple[str, int], ...]:
-    causes = table.get("cause") or table.get("ending") or [""] * len(done)
-    counts = Counter(str(causes[k] or "not named") for k in np.flatnonzero(~done))
-    return tuple(counts.most_common())
-
-
 def _spreads(
     table: dict[str, list[Any]], groups: list[tuple[Group, Rows]], done: Rows
-) -> dict[str, dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]]:
-    found = {}
-    for name in SPREADS:
-        values = _numbers(table, name)
-        if values is not None:
-            known = np.isfinite(values)
-            found[name] = {
-                group.family: (values[mine & known & done], values[mine & known & ~done])
-                for group, mine in groups
-                if (mine & known).any()
-            }
-    return found
+) -> dict[str, dict[str, tuple[NDArray[np.float64], ...]]]:
+    columns = {name: values for name in SPREADS if (values := _numbers(table, name)) is not None}
+    return {
+        name: {
+            group.family: tuple(values[mine & np.isfinite(values) & rows] for rows in (done, ~done))
+            for group, mine in groups
+            if np.isfinite(values[mine]).any()
+        }
+        for name, values in columns.items()
+    }

@@ -79,24 +79,21 @@ def compare(runs: Sequence[RunView], *, symbol: int = 1) -> RunComparison:
     Raises:
         InputError: there are too many runs, their pendulums differ, or the symbol is missing in all.
     """
-    if not runs:
-        raise InputError("logs = []: give one at least")
-    if len(runs) > MOST:
-        raise InputError(f"{len(runs)} logs are too many for one picture: compare up to {MOST}")
+    if not 1 <= len(runs) <= MOST:
+        raise InputError(f"{len(runs)} logs: one picture compares 1 to {MOST}")
     if len({view.arms for view in runs}) > 1:
         raise InputError("the logs are of pendulums with different numbers of arms: compare those that have the same")
     most = max(len(view.symbols) for view in runs)
     if not 1 <= symbol <= max(most, 1):
         raise InputError(f"--align {symbol}: these runs have symbols 1 to {most}" if most else "no log has symbols")
     moments = [_moment(view, symbol - 1) for view in runs]
-    latest = max(moment for moment, _ in moments)
-    names = [view.path.stem for view in runs]
-    compared = []
-    for k, (view, (moment, alignment)) in enumerate(zip(runs, moments, strict=True)):
-        delay = latest - moment
-        name = names[k] if names.count(names[k]) == 1 else f"{names[k]} ({k + 1})"
-        compared.append(ComparedRun(name, view.delayed(delay), delay, alignment))
-    return RunComparison(tuple(compared), symbol, latest)
+    latest, names = max(moments)[0], [view.path.stem for view in runs]
+    names = [name if names.count(name) == 1 else f"{name} ({k})" for k, name in enumerate(names, 1)]
+    compared = tuple(
+        ComparedRun(name, view.delayed(latest - moment), latest - moment, alignment)
+        for name, view, (moment, alignment) in zip(names, runs, moments, strict=True)
+    )
+    return RunComparison(compared, symbol, latest)
 
 
 def _moment(view: RunView, k: int) -> tuple[float, str]:

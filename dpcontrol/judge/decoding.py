@@ -166,13 +166,11 @@ def _crossings(
     after, late = float(time[0]), 0.0
     for symbol, at in zip(plan.content.symbols, planned, strict=True):
         due = at + late
-        if symbol.section is None:
-            crossings.append(None)
-            continue
-        seen = crossing(time, angles, symbol, plan, between=(after, due))
-        after = max(due, after) if seen is None else seen
-        crossings.append(after)
-        late = after - at if carries else 0.0
+        if symbol.section is not None:
+            seen = crossing(time, angles, symbol, plan, between=(after, due))
+            after = max(due, after) if seen is None else seen
+            late = after - at if carries else 0.0
+        crossings.append(None if symbol.section is None else after)
     return tuple(crossings)
 
 
@@ -255,15 +253,11 @@ def _spans(
     """
     begins, ends, arrivals = [0.0], [], [0.0]
     for symbol, at in zip(content.symbols, due, strict=True):
-        if symbol.section is None:
-            way = next(((a, b) for a, b in content.transfers if a <= at <= b), (at, at))
-            ends.append(way[0])
-            begins.append(way[1])
-            arrivals.append(way[1])
-        else:
-            ends.append(at)
-            begins.append(at)
-            arrivals.append(at + symbol.time_in)
+        ways = content.transfers if symbol.section is None else ()
+        begin, end = next(((a, b) for a, b in ways if a <= at <= b), (at, at))
+        ends.append(begin)
+        begins.append(end)
+        arrivals.append(end if symbol.section is None else at + symbol.time_in)
     return list(zip(begins, [*ends, duration], strict=True)), arrivals
 
 
@@ -279,8 +273,7 @@ def _visit(angles: Array, inside: NDArray[np.intp], stop: PlanStop, content: Pla
     others = [np.asarray(content.saddles[name].angles) for name in {s.saddle for s in content.stops}]
     nearest = np.min([np.square((seen - o + np.pi) % (2 * np.pi) - np.pi).sum(axis=1) for o in others], axis=0)
     near = inside[away <= nearest + 1e-6]
-    if not near.size:
-        near = inside[[int(np.argmin(away))]]
+    near = near if near.size else inside[[int(np.argmin(away))]]
     return Visit(place, int(near[0]), int(near[-1]))
 
 
@@ -294,9 +287,9 @@ def _wraps(crossings: tuple[float | None, ...], due: Sequence[float], content: P
         planned = planned_wraps(content, k)
         if arrived is None or left is None or planned is None:
             counts.append(None)
-            continue
-        longer = (left - arrived) - (due[k + 1] - due[k])
-        counts.append(round(planned) + round(longer / _period(content, k + 1)))
+        else:
+            longer = (left - arrived) - (due[k + 1] - due[k])
+            counts.append(round(planned) + round(longer / _period(content, k + 1)))
     return tuple(counts)
 
 

@@ -24,27 +24,25 @@ def limit_uses(view: RunView) -> tuple[LimitUse, ...]:
     Args:
         view: data of the run.
     """
-    found: list[LimitUse] = []
-    counts = np.ones(len(view.time), dtype=bool)
-    if view.control is not None and "mode" in view.control:
-        counts = ~np.isin(view.control["mode"], (Mode.STOPPED, Mode.ABORTED))
-
-    def add(name: str, values: Array, limit: float, unit: str, scale: float = 1.0) -> None:
-        sizes = np.where(counts, np.abs(values), np.nan)
+    n, control = view.arms, view.control or {}
+    follows = ~np.isin(control.get("mode", np.zeros(len(view.time))), (Mode.STOPPED, Mode.ABORTED))
+    compared: list[tuple[str, Array, float, str, float]] = []
+    if view.limits is not None and view.has_cart:
+        position, velocity, acceleration = view.limits
+        compared += [
+            ("cart position", view.state[:, 2 * n], position, "mm", 1000.0),
+            ("cart velocity", view.state[:, 2 * n + 1], velocity, "m/s", 1.0),
+            *([("acceleration", control["applied"], acceleration, "m/s²", 1.0)] if "applied" in control else []),
+        ]
+    if view.reference is not None and view.against == "reference":
+        away = np.abs(view.state[:, :n] - view.reference[:, :n])
+        compared.append(("arm from the reference", away.max(axis=1), FOLLOWS, "rad", 1.0))
+    found = []
+    for name, values, limit, unit, scale in compared:
+        sizes = np.where(follows, np.abs(values), np.nan)
         if np.isfinite(sizes).any() and limit > 0 and np.isfinite(limit):
             row = int(np.nanargmax(sizes))
             found.append(LimitUse(name, unit, scale * limit, scale * float(sizes[row]), float(view.time[row])))
-
-    n = view.arms
-    if view.limits is not None and view.has_cart:
-        position, velocity, acceleration = view.limits
-        add("cart position", view.state[:, 2 * n], position, "mm", 1000.0)
-        add("cart velocity", view.state[:, 2 * n + 1], velocity, "m/s")
-        if view.control is not None and "applied" in view.control:
-            add("acceleration", view.control["applied"], acceleration, "m/s²")
-    if view.reference is not None and view.against == "reference":
-        away = np.abs(view.state[:, :n] - view.reference[:, :n])
-        add("arm from the reference", away.max(axis=1), FOLLOWS, "rad")
     return tuple(sorted(found, key=lambda use: -use.share))
 
 

@@ -39,8 +39,6 @@ ITINERARY, BRAKING, FLYING = "on the itinerary", "braking", "in flight"
 BETWEEN, UNKNOWN = "between repetitions", "no log"
 """Kinds of spans, as displayed."""
 STOPPED = "ended"
-UNKNOWN_CAUSE = "unknown"
-"""Cause of a fall in a log that has only its text."""
 _SHORT = 0.05
 """Share of the longest file's time below which a mean does not count: estimates drift while the cart is at rest."""
 _GAP = 0.5
@@ -103,8 +101,7 @@ class Night(Shown, Documented):
     @property
     def failure(self) -> str:
         """Reason why the night ended before its planned time, or ""."""
-        last = [end.text for end in self.endings if end.time >= self.digests[-1].first]
-        return last[-1] if last else ""
+        return next((end.text for end in reversed(self.endings) if end.time >= self.digests[-1].first), "")
 
     @property
     def missed(self) -> str:
@@ -185,20 +182,17 @@ class Night(Shown, Documented):
         check_names("parameter", [name], self.estimated)
         own = [digest for digest in self.digests if name in digest.extras]
         least = _SHORT * max(digest.end - digest.first for digest in own)
-        hours, values = np.array(
-            [((d.first + d.end) / 7200, d.extras[name][0]) for d in own if d.end - d.first >= least]
-        ).T
-        return hours, values
+        long = [digest for digest in own if digest.end - digest.first >= least]
+        return np.array([(d.first + d.end) / 7200 for d in long]), np.array([d.extras[name][0] for d in long])
 
     @property
     def drifts(self) -> tuple[Drift, ...]:
         """Courses of the estimated parameters."""
-        out = []
-        for name in self.estimated:
-            hours, values = self.course(name)
-            slope = float(np.polyfit(hours, values, 1)[0]) if len(values) > 1 else math.nan
-            out.append(Drift(name, float(values[0]), float(values[-1]), slope))
-        return tuple(out)
+        courses = {name: self.course(name) for name in self.estimated}
+        return tuple(
+            Drift(name, float(m[0]), float(m[-1]), float(np.polyfit(hours, m, 1)[0]) if len(m) > 1 else math.nan)
+            for name, (hours, m) in courses.items()
+        )
 
     @property
     def memory_growth(self) -> float:
@@ -228,11 +222,9 @@ class Night(Shown, Documented):
     @property
     def sentence(self) -> str:
         """Summary of the night in one line."""
-        hours = self.known / 3600
-        returns = self.returns
-        back = ""
-        if len(returns):
-            median, slowest = np.quantile(returns, [0.5, 0.99])
+        hours, back = self.known / 3600, ""
+        if len(self.returns):
+            median, slowest = np.quantile(self.returns, [0.5, 0.99])
             back = f", back on it after {median:.1f} s in the median, 99 % within {slowest:.1f} s"
         caught = f"caught {self.catches} time{'s' * (self.catches > 1)}, " if self.catches else ""
         return (
@@ -242,8 +234,10 @@ class Night(Shown, Documented):
 
     def document(self) -> dict[str, Any]:
         """Return the output of `dpcontrol score FOLDER --json`."""
-        returns = self.returns
-        quantiles = np.quantile(returns, [0.5, 0.99]).tolist() if len(returns) else [None, None]
+        quantiles = np.quantile(self.returns, [0.5, 0.99]).tolist() if len(self.returns) else [None, None]
+        # Falls that took the run off its itinerary.
+        ends = [span.end for span in self.spans if span.kind == ITINERARY]
+        left = [fall for fall in self.falls if np.isclose(ends, fall.time, rtol=0, atol=1e-6).any()]
         lost = [picked(span, "first", "end") for span in self.unlogged]
         return {
             "log": self.folder, "hours": self.known / 3600, "files": len(self.digests),
@@ -252,7 +246,7 @@ class Night(Shown, Documented):
             "uptime": self.uptime, "repetitions": self.repetitions, "falls": len(self.falls),
             "catches": self.catches, "falls_per_hour": self.falls_per_hour, "causes": self.causes,
             "return_median": quantiles[0], "return_99": quantiles[1],
-            "not_back": sum(fall.back is None for fall in _firsts(self.falls, self.spans)),
+            "not_back": sum(fall.back is None for fall in left),
             "stop_hits": self.stop_hits, "max_cart_position": self.cart, "rms_tracking_error": self.tracking,
             "seconds": {kind: self._time(kind) for kind in (ITINERARY, BRAKING, FLYING, BETWEEN)},
             "not_logged": lost, "endings": [picked(end, "time", "text", "cause") for end in self.endings],
@@ -280,12 +274,6 @@ class Night(Shown, Documented):
             for digest in self.digests
         ]
         return data_frame(rows, index=index([digest.first for digest in self.digests], name="time"))
-
-
-def _firsts(falls: Sequence[Fall], spans: Sequence[NightSpan]) -> list[Fall]:
-    """Return the falls that took a run off its itinerary."""
-    ends = [span.end for span in spans if span.kind == ITINERARY]
-    return [fall for fall in falls if any(abs(fall.time - end) < 1e-6 for end in ends)]
 
 
 def followed(digests: Sequence[Digest]) -> tuple[list[NightSpan], list[Fall], list[Event]]:
@@ -319,7 +307,7 @@ def followed(digests: Sequence[Digest]) -> tuple[list[NightSpan], list[Fall], li
                 turn(time, BETWEEN)
             elif name == RETURN:
                 left = len(falls) if left is None else left
-                falls.append(Fall(time, event.cause or UNKNOWN_CAUSE, event.text))
+                falls.append(Fall(time, event.cause, event.text))
                 turn(time, BRAKING, falls[left].cause)
             elif name == FLIGHT and kind not in (STOPPED, ITINERARY):
                 turn(time, kind if kind == BETWEEN else FLYING if event.level == "info" else BRAKING, cause)
@@ -343,8 +331,7 @@ def read_night(folder: Path) -> Night:
         InputError: the folder holds none, or one of its files is damaged or from another run.
     """
     folder = Path(folder)
-    digests = [*_digests(folder)]
-    if not digests:
+    if not (digests := [*_digests(folder)]):
         raise InputError(
             f"cannot read {folder}: it is a folder without logs of a long run; give a log, or a folder that "
             "`dpcontrol run --hours` made"

@@ -133,8 +133,7 @@ def _at(curves: Iterable[TubeCurve], section: Section, *, lift: Array, height: f
 
     They are moved by whole turns (n,).
     """
-    move = np.concatenate([lift, np.zeros_like(lift)])
-    normal = np.asarray(section.normal)
+    move, normal = np.pad(lift, (0, len(lift))), np.asarray(section.normal)
     for curve in curves:
         strands, cut = curve.strands + move, curve.cut + move
         kept = np.abs(strands[:, -1] @ normal - height) < _HEIGHT
@@ -163,8 +162,7 @@ def run_view(log: RunLog) -> RunView:
         view = replace(view, energy=system.numeric.hamiltonian(states[:, : 2 * n]))
     if states is None or lacking(log):
         return replace(view, verdict=_without_plan(log))
-    plan = plan_of(log)
-    verdict = score(log)
+    plan, verdict = plan_of(log), score(log)
     planned = plan_view(plan, system=system)
     if verdict.falls or verdict.catches:
         planned, decoded = _with_falls(log, states, plan, planned)
@@ -248,13 +246,9 @@ def plan_view(plan: Reference, *, system: System | None) -> PlanView:
 
 def _outside(transfers: tuple[tuple[float, float], ...], first: float, last: float) -> Iterator[tuple[float, float]]:
     """Yield the parts of a time range that no transfer covers."""
-    for begin, end in transfers:
-        if begin > first and begin < last:
-            yield first, begin
-        if end > first and begin < last:
-            first = end
-    if first < last:
-        yield first, last
+    within = [way for way in transfers if way[1] > first and way[0] < last]
+    edges = [first, *(time for way in within for time in way), last]
+    yield from ((a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if a < b)
 
 
 def _placed_orbits(content: PlanContent) -> tuple[PlanOrbit, ...]:
@@ -263,7 +257,7 @@ def _placed_orbits(content: PlanContent) -> tuple[PlanOrbit, ...]:
     for stop in content.stops:
         lift = content.lift(stop)
         for k in stop.orbits:
-            curve = content.orbits[k].curve + np.concatenate([lift, np.zeros_like(lift)])
+            curve = content.orbits[k].curve + np.pad(lift, (0, len(lift)))
             placed[(k, *np.rint(lift).tolist())] = replace(content.orbits[k], curve=curve)
     return tuple(placed.values())
 
@@ -290,14 +284,12 @@ def true_extras(log: RunLog, view: RunView) -> dict[str, Array | float]:
         log: log of a run.
         view: data of that run.
     """
-    found: dict[str, Array | float] = {}
     if log.extras is None:
-        return found
-    try:
-        zeros = np.cumsum(np.asarray(json.loads(log.metadata[DRAWN_METADATA])["zeros"], dtype=float))
-    except (KeyError, TypeError, ValueError, RecursionError):
-        zeros = np.zeros(0)
-    found |= {f"zero_{i}": float(zero) for i, zero in enumerate(zeros, start=1)}
+        return {}
+    drawn = json.loads(log.metadata.get(DRAWN_METADATA, "{}"))
+    found: dict[str, Array | float] = {
+        f"zero_{i}": float(zero) for i, zero in enumerate(np.cumsum(drawn.get("zeros", [])), start=1)
+    }
     model, plant = arms_in(log, MODEL_METADATA), arms_in(log, PLANT_METADATA)
     if model is not None and plant is not None and model.count == plant.count:
         found |= _relative_errors(model, plant)

@@ -109,14 +109,6 @@ class HazardBorder(Documented):
         return "none" if math.isinf(self.set) else f"{shown_number(self.set)} {self.unit}"
 
     @property
-    def order(self) -> tuple[bool, float, str]:
-        """Sort key that puts the nearest border first.
-
-        Those without a margin are last.
-        """
-        return self.margin is None, self.margin or 0.0, self.name
-
-    @property
     def interval(self) -> str:
         """The border's 95 % interval, as text; "…" for an unknown end."""
         ends = ("" if end is None else shown_number(end) for end in (self.low, self.high))
@@ -128,9 +120,8 @@ class HazardBorder(Documented):
 
         At slowly falling shares it is wider.
         """
-        if self.border is None or self.low is None or self.high is None:
-            return False
-        return max(self.low, self.high) <= _NEAR * self.border and min(self.low, self.high) >= self.border / _NEAR
+        ends = (self.low or math.nan, self.high or math.nan)
+        return all(1 / _NEAR <= end / (self.border or math.nan) <= _NEAR for end in ends)
 
     @property
     def sentence(self) -> str:
@@ -166,8 +157,8 @@ class Improvement(Documented):
     @property
     def gain(self) -> float:
         """Increase of the share of completed runs."""
-        up = (1 - self.rate) * self.rescued / self.failing if self.failing else 0.0
-        return up - (self.rate * self.lost / self.completing if self.completing else 0.0)
+        up = (1 - self.rate) * self.rescued / max(self.failing, 1)
+        return up - self.rate * self.lost / max(self.completing, 1)
 
     @property
     def error(self) -> float:
@@ -175,13 +166,9 @@ class Improvement(Documented):
 
         Two more of each kind keep it above zero (Agresti and Coull, 1998).
         """
-        variance = 0.0
-        up, down = (1 - self.rate, self.rescued, self.failing), (self.rate, self.lost, self.completing)
-        for weight, hits, count in (up, down):
-            if count:
-                share = (hits + 2) / (count + 4)
-                variance += weight**2 * share * (1 - share) / (count + 4)
-        return math.sqrt(variance)
+        groups = ((1 - self.rate, self.rescued, self.failing), (self.rate, self.lost, self.completing))
+        shares = [(weight, (hits + 2) / (count + 4), count + 4) for weight, hits, count in groups if count]
+        return math.sqrt(sum(weight**2 * share * (1 - share) / count for weight, share, count in shares))
 
 
 @dataclass(frozen=True)
@@ -231,9 +218,7 @@ class Preflight(Shown, Documented):
     @property
     def status(self) -> str:
         """Sentence on the share of completed runs."""
-        s = self.share
-        band = f"{s.low:.1%} to {s.high:.1%} with {self.confidence:.0%} confidence"
-        return f"{s.successes} of {s.runs} runs completed: {s.rate:.1%} ({band})"
+        return self.share.sentence(self.confidence)
 
     @property
     def advice(self) -> str:

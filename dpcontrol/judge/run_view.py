@@ -238,17 +238,13 @@ class RunView(Brief):
         Args:
             seconds: delay, s.
         """
-
-        def clock(time: float) -> float:
-            return time + seconds
-
         return replace(
             self,
             time=self.time + seconds,
             extras=None if self.extras is None else replace(self.extras, time=self.extras.time + seconds),
-            events=tuple(replace(event, time=clock(event.time)) for event in self.events),
-            plan=self.plan.timed(clock),
-            done=timed(self.done, clock),
+            events=tuple(replace(event, time=event.time + seconds) for event in self.events),
+            plan=self.plan.timed(seconds.__add__),
+            done=timed(self.done, seconds.__add__),
             crossings=tuple(None if at is None else at + seconds for at in self.crossings),
         )
 
@@ -266,14 +262,13 @@ def series_of(log: RunLog) -> RunView:
         reference = None
     breaks = np.flatnonzero(np.diff(log.time) > 1.5 / log.rate_hz) + 1
     state, what = (estimate, "estimate") if truth is None else (truth, "plant")
-    if state is None or (what == "estimate" and _repeats_measurement(state, log.measured, n)):
+    # An estimate may merely repeat the measured angles, without rates.
+    repeats = estimate is not None and np.array_equal(estimate[:, :n], log.measured[:, :n])
+    if state is None or (what == "estimate" and repeats and not state[:, n : 2 * n].any()):
         state, what, estimate = _measured(log, breaks), "measured", None
     control = {name: clean(values) for name, values in log.controls.items()}
-    sigma = None
-    if "sigma_1" in control:
-        sigma = np.column_stack([control[f"sigma_{i + 1}"] for i in range(state.shape[1])])
-        sigma = sigma if np.nan_to_num(sigma).any() else None
-    nis = control.get("nis")
+    names, nis = [f"sigma_{i + 1}" for i in range(state.shape[1])], control.get("nis")
+    sigma = np.column_stack([control[name] for name in names]) if "sigma_1" in control else None
     driven = any(np.nan_to_num(control[name]).any() for name in _DRIVEN if name in control)
     if truth is not None and log.has_cart and "applied" in control and len(log.time) > 1:
         control[ACTUAL] = _cart_acceleration(truth[:, 2 * n + 1], log.time)
@@ -294,7 +289,7 @@ def series_of(log: RunLog) -> RunView:
         estimate=estimate,
         reference=reference,
         error=None if truth is None or estimate is None else estimate - truth,
-        sigma=sigma,
+        sigma=None if sigma is None or not np.nan_to_num(sigma).any() else sigma,
         control=control if driven or busy else None,
         nis=nis if nis is not None and np.isfinite(nis).any() else None,
         sensors=n if replayed else log.measured.shape[1],
@@ -316,8 +311,7 @@ def _cart_acceleration(velocity: Array, time: Array) -> Array:
     steps = np.diff(time)
     with np.errstate(invalid="ignore", divide="ignore"):
         mean = np.where(steps > 0, np.diff(velocity) / steps, np.nan)
-    usual = float(np.nanquantile(np.abs(mean), 0.99)) if np.isfinite(mean).any() else 0.0
-    with np.errstate(invalid="ignore"):
+        usual = float(np.nanquantile(np.abs(mean), 0.99)) if np.isfinite(mean).any() else 0.0
         mean = np.where(np.abs(mean) <= 5 * usual + 1e-9, mean, np.nan)
     return np.append(mean, mean[-1])
 
@@ -335,11 +329,6 @@ def clean(values: Array) -> Array:
     return values if sound.all() else np.where(sound, values, np.nan)
 
 
-def _repeats_measurement(state: Array, measured: Array, arms: int) -> bool:
-    """True if an estimate merely repeats the measured angles, without rates."""
-    return np.array_equal(state[:, :arms], measured[:, :arms]) and not state[:, arms : 2 * arms].any()
-
-
 def _measured(log: RunLog, breaks: NDArray[np.int64]) -> Array:
     """Return measured positions in state order.
 
@@ -349,10 +338,9 @@ def _measured(log: RunLog, breaks: NDArray[np.int64]) -> Array:
     positions = clean(log.measured)
     rates = log.rates
     if rates is None:
-        edges = [0, *breaks.tolist(), len(log.time)]
         parts = [
             np.gradient(positions[a:b], log.time[a:b], axis=0) if b - a > 1 else np.zeros((b - a, size))
-            for a, b in pairwise(edges)
+            for a, b in pairwise([0, *breaks.tolist(), len(log.time)])
         ]
         rates = np.concatenate(parts)
     rates = clean(rates)

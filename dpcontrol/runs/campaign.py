@@ -50,8 +50,8 @@ import shutil
 import threading
 import time
 import warnings
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -89,6 +89,7 @@ from dpcontrol.plans.itinerary import Itinerary
 from dpcontrol.plans.overrides import canonical
 from dpcontrol.plans.plan import Plan
 from dpcontrol.references.reference import Reference, load_reference
+from dpcontrol.runs.troubles import LEVELS, STANDARD
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -194,7 +195,24 @@ def run_job(job: Job) -> list[Row]:
         GoalMissed: no controller can be made for it.
     """
     with _ONE_AT_A_TIME:
-        return _rows(job)
+        loop, assembly = job.case.loop, _assembled(job)
+        reference = assembly.reference
+        mismatches = job.mismatches or (loop.mismatch,) * len(job.seeds)
+
+        def tick_by_tick(seed: int, mismatch: float) -> Row:
+            result = assembly.simulate(draw=assembly.draw(seed=seed, mismatch=mismatch))
+            return _row(job, reference, seed, BatchRun.of(result), path="ticks")
+
+        if job.path == "ticks" or not assembly.lockstep:
+            return [tick_by_tick(seed, mismatch) for seed, mismatch in zip(job.seeds, mismatches, strict=True)]
+        runs = assembly.batch(job.seeds, mismatches=mismatches)
+        rows = [_row(job, reference, seed, run, path="compiled") for seed, run in zip(job.seeds, runs, strict=True)]
+        failed = [pair for pair in zip(rows, mismatches, strict=True) if not pair[0]["completed"]]
+        for row, mismatch in failed[: job.replayed]:
+            # A listed failure should also fail when its seed is run separately. For laws with internal timing,
+            # rounding decides a few runs.
+            row["replays"] = not tick_by_tick(row["seed"], mismatch)["completed"]
+        return rows
 
 
 def _assembled(job: Job) -> Assembly:
@@ -209,29 +227,7 @@ def _assembled(job: Job) -> Assembly:
     return replace(_prepared(job.reference, job.arms, decisive).under(loop), uncertainty=job.uncertainty)
 
 
-def _rows(job: Job) -> list[Row]:
-    loop, assembly = job.case.loop, _assembled(job)
-    reference = assembly.reference
-    mismatches = job.mismatches or (loop.mismatch,) * len(job.seeds)
-
-    def tick_by_tick(seed: int, mismatch: float) -> Row:
-        result = assembly.simulate(draw=assembly.draw(seed=seed, mismatch=mismatch))
-        return _row(job, reference, seed, BatchRun.of(result), path="ticks")
-
-    if job.path == "ticks" or not assembly.lockstep:
-        return [tick_by_tick(seed, mismatch) for seed, mismatch in zip(job.seeds, mismatches, strict=True)]
-    runs = assembly.batch(job.seeds, mismatches=mismatches)
-    rows = [_row(job, reference, seed, run, path="compiled") for seed, run in zip(job.seeds, runs, strict=True)]
-    failed = [pair for pair in zip(rows, mismatches, strict=True) if not pair[0]["completed"]]
-    for row, mismatch in failed[: job.replayed]:
-        # A listed failure should also fail when its seed is run separately. For laws with internal timing, rounding
-        # decides a few runs.
-        row["replays"] = not tick_by_tick(row["seed"], mismatch)["completed"]
-    return rows
-
-
 def _row(job: Job, reference: Reference, seed: int, run: BatchRun, *, path: str) -> Row:
-    n = reference.states.shape[-1] // 2 - 1
     loop = job.case.loop
     limits = loop.limits(reference.limits)
     flown = Flown(
@@ -246,8 +242,7 @@ def _row(job: Job, reference: Reference, seed: int, run: BatchRun, *, path: str)
         hardest=run.hardest,
     )
     verdict = verdict_on(flown, reference)
-    symbols = reference.content.symbols
-    undone = symbols[verdict.symbols].text if verdict.symbols < len(symbols) else ""
+    symbols = [symbol.text for symbol in reference.content.symbols]
     away = flown.angles - flown.reference_angles
     return {
         "itinerary": job.itinerary,
@@ -259,13 +254,13 @@ def _row(job: Job, reference: Reference, seed: int, run: BatchRun, *, path: str)
         "completed": verdict.completed,
         "symbols_completed": verdict.symbols,
         "symbols_total": len(symbols),
-        "symbol": undone,
+        "symbol": [*symbols, ""][verdict.symbols],
         "ending": run.ending.value,
         "cause": verdict.cause,
         "reason": "" if verdict.completed else verdict.reason,
         "simulated_seconds": float(run.times[-1]),
         "rms_tracking_error": math.sqrt(float(np.mean(away**2))),
-        "max_cart_position": float(np.abs(run.truth[:, 2 * n]).max()),
+        "max_cart_position": float(np.abs(run.truth[:, -2]).max()),
         "rms_cart_acceleration": math.sqrt(float(np.mean(run.applied**2))),
         "rms_feedback": run.rms_feedback,
         "nis_inside_95": run.nis_inside_95,
@@ -275,24 +270,14 @@ def _row(job: Job, reference: Reference, seed: int, run: BatchRun, *, path: str)
 
 
 METADATA = b"dpcontrol.campaign"
-"""Key of the file's own metadata: JSON with the settings, version and commit."""
-RECORD = "campaign.json"
-"""File with the same metadata beside the finished jobs of an interrupted campaign."""
+"""Key of the metadata of a table and of each finished job: JSON with the settings and the version."""
 
 
-def _schema(extra: Sequence[str], metadata: Mapping[str, Any] | None = None) -> "pa.Schema":
-    fields = [(name, pa.type_for_alias(kind)) for name, kind in {**COLUMNS, **dict.fromkeys(extra, "double")}.items()]
-    return pa.schema(fields, metadata={METADATA: json.dumps(metadata or {}).encode()})
-
-
-def _table(rows: Iterable[Row], extra: Sequence[str]) -> "pa.Table":
-    """Return rows as columns, in a tenth of the memory.
-
-    Args:
-        rows: rows of runs.
-        extra: names of further columns of numbers.
-    """
-    return pa.Table.from_pylist(list(rows), schema=_schema(extra))
+def _schema(cases: Sequence[Case], record: Mapping[str, Any]) -> "pa.Schema":
+    """Return the columns of a campaign's tables, with those of the varied numbers, and their metadata."""
+    varied = dict.fromkeys((name for case in cases for name in _numbers(case)), "double")
+    fields = [(name, pa.type_for_alias(kind)) for name, kind in {**COLUMNS, **varied}.items()]
+    return pa.schema(fields, metadata={METADATA: json.dumps(record).encode()})
 
 
 def _write(path: Path, table: "pa.Table") -> None:
@@ -317,15 +302,6 @@ def _read(path: Path) -> "pa.Table | None":
     except (pa.ArrowException, OSError, ValueError):
         return None
     return table if set(COLUMNS) <= set(table.column_names) else None
-
-
-def _kept(part: Path, extra: Sequence[str]) -> "pa.Table | None":
-    """Return a finished job's rows, or None.
-
-    The finished job's rows are None if they are absent, damaged or have other columns.
-    """
-    table = _read(part)
-    return table if table is not None and table.schema.equals(_schema(extra)) else None
 
 
 def run_locally(jobs: Sequence[Job], workers: int) -> Iterator[tuple[Job, list[Row]]]:
@@ -452,19 +428,12 @@ class Campaign(Shown):
     @property
     def status(self) -> str:
         """Success rate in one sentence."""
-        share = self.completed
-        band = f"{share.low:.1%} to {share.high:.1%}"
-        return f"{share.successes} of {share.runs} runs completed, {share.rate:.1%} (95 %: {band})"
-
-    @property
-    def place(self) -> Path:
-        """The file of the table, or the itinerary's name without one."""
-        return self.file or Path(self.itinerary)
+        return self.completed.sentence()
 
     @cached_property
     def summary(self) -> CampaignSummary:
         """Success rates by group, and causes of failure."""
-        return summary_of(self.table.to_pydict(), self.place)
+        return summary_of(self.table.to_pydict(), self.file or Path(self.itinerary))
 
     @property
     def rows(self) -> tuple[Row, ...]:
@@ -475,10 +444,8 @@ class Campaign(Shown):
     def transitions(self) -> tuple["Transition", ...]:
         """Transitions that were run separately, in order, case by case."""
         rows: dict[tuple[str, str], list[Row]] = {}
-        for row in self.rows:
+        for row in self.rows if self.alone else ():
             rows.setdefault((row["itinerary"], row["case"]), []).append(row)
-        if not self.alone:
-            return ()
         return tuple(
             Transition(
                 name,
@@ -578,9 +545,8 @@ def _shown(values: Sequence[Any]) -> list[Any]:
     out: list[Any] = []
     for given in values:
         # Numbers of numpy are shown as Python's, and lists as the command line takes them.
-        value = given.item() if isinstance(given, np.generic) else given
+        value = "as the scene" if given is None else given.item() if isinstance(given, np.generic) else given
         value = f"[{','.join(map(str, value))}]" if is_list(value) else value
-        value = "as the scene" if value is None else value
         plain = isinstance(value, int | float | str)
         name = value if plain else getattr(value, "__name__", type(value).__name__)
         same = 0 if plain else sum(str(one).partition(" ")[0] == name for one in out)
@@ -665,20 +631,17 @@ def run_campaign(
         checked_target(file)
         checked_folder(parts_of(file))
     began = time.perf_counter()
-    itinerary = plan.itinerary
     plans = transitions_of(plan) if transitions else (plan.followed(),)
     announce(_cost(plans, cases, settings), yes=yes)
     if transitions and any(case.loop.supervisor.on_fall != "stop" for case in cases):
         raise InputError("transitions alone end with a fall: leave on_fall at stop, or run the whole itinerary")
     jobs = [job for one in (plans if transitions else (plan,)) for job in _jobs(one, cases, settings)]
-    record = campaign_record(itinerary, cases, settings, transitions=transitions)
+    record = campaign_record(plan.itinerary, cases, settings, transitions=transitions)
     if file is not None and not force:
         check_table(file, record)
-    extra = tuple(dict.fromkeys(name for case in cases for name in _numbers(case)))
-    parts = None if file is None else parts_of(file)
-    kept: dict[str, Any] = {}
-    if parts is not None:
-        kept = {job.key: rows for job in jobs if (rows := _kept(parts / f"{job.key}.parquet", extra)) is not None}
+    schema, parts = _schema(cases, record), None if file is None else parts_of(file)
+    stored = {} if parts is None else {job.key: _read(parts / f"{job.key}.parquet") for job in jobs}
+    kept = {key: table for key, table in stored.items() if table is not None and table.schema.equals(schema)}
     if left := [job for job in jobs if job.key not in kept]:
         laws = {job.case.loop.controller.kind: job for job in reversed(left)}
         # If one of several laws does not fit the plan, no run begins.
@@ -687,57 +650,48 @@ def run_campaign(
         # Objects of a script or a notebook cannot be sent to other processes.
         workers = 1 if any(case.loop.own for case in cases) else settings.workers or processors()
         for job, rows in run_locally(left, workers):
-            kept[job.key] = _table(({**row, **_numbers(job.case)} for row in rows), extra)
+            numbers = _numbers(job.case)
+            kept[job.key] = pa.Table.from_pylist([{**row, **numbers} for row in rows], schema=schema)
             if parts is not None:
-                if not (parts / RECORD).exists():
-                    write_whole(parts / RECORD, json.dumps(record))
                 _write(parts / f"{job.key}.parquet", kept[job.key])
             progress(f"{len(kept)} of {len(jobs)} jobs", len(kept) / len(jobs))
-    metadata = _schema(extra, record).metadata
-    table = pa.concat_tables(kept[job.key] for job in jobs).replace_schema_metadata(metadata)
+    table = pa.concat_tables(kept[job.key] for job in jobs).replace_schema_metadata(schema.metadata)
     if file is not None and parts is not None:
         _write(file, table)
         shutil.rmtree(parts, ignore_errors=True)
-    found = _summary(itinerary.name, cases, table, seconds=time.perf_counter() - began, file=file)
     alone = {
         content.itinerary: (content.symbols[0].source, content.symbols[0].target, float(np.ptp(content.transfers[0])))
         for content in (one.content for one in plans if transitions)
     }
+    found = _summary(plan.itinerary.name, cases, table, seconds=time.perf_counter() - began, file=file)
     return replace(found, alone=alone)
 
 
 def check_table(file: Path, record: Mapping[str, Any]) -> None:
-    """Reject an existing file unless it belongs to the same campaign.
+    """Reject an existing table and finished jobs unless they belong to the same campaign.
 
-    The file may hold part of this campaign.
-
-    Args:
-        file: Parquet file of the table.
-        record: metadata that identify the campaign, see `campaign_record`.
-
-    Raises:
-        InTheWay: another file is there.
-    """
-    if not file.is_file():
-        return
-    if (table := _read(file)) is None:
-        raise in_the_way(file, "is no table of a campaign, or was changed after it was written")
-    _check_same(file, record, json.loads((table.schema.metadata or {}).get(METADATA, b"{}")))
-
-
-def check_parts(file: Path, record: Mapping[str, Any]) -> None:
-    """Reject a file and stored jobs of another campaign.
+    They may hold part of this campaign.
 
     Args:
         file: Parquet file of the table.
         record: metadata that identify the campaign, see `campaign_record`.
 
     Raises:
-        InTheWay: they are of another campaign.
+        InTheWay: another file is there, or seeds that this campaign does not run.
     """
-    check_table(file, record)
-    with suppress(OSError, ValueError):
-        _check_same(file, record, json.loads((parts_of(file) / RECORD).read_bytes()))
+    own = record["settings"]
+    for place in (file, *[*parts_of(file).glob("*.parquet")][:1]):
+        if (table := _read(place)) is None:
+            if place is file and file.is_file():
+                raise in_the_way(file, "is no table of a campaign, or was changed after it was written")
+            continue
+        there = json.loads((table.schema.metadata or {}).get(METADATA, b"{}"))
+        other = there.get("settings", {"first_seed": -1, "runs": 0, "path": ""})
+        ends = [settings["first_seed"] + settings["runs"] for settings in (own, other)]
+        covered = own["first_seed"] <= other["first_seed"] and ends[1] <= ends[0]
+        same = all(there.get(key) == record.get(key) for key in _DECISIVE) and other["path"] == own["path"]
+        if not same or not covered:
+            raise in_the_way(file, "holds another campaign, or more runs of this one")
 
 
 def parts_of(file: Path) -> Path:
@@ -750,20 +704,6 @@ def parts_of(file: Path) -> Path:
 
 
 _DECISIVE = ("itinerary", "model", "scene_hash", "model_hash", "cases", "transitions")
-
-
-def _check_same(file: Path, record: Mapping[str, Any], there: Mapping[str, Any]) -> None:
-    """Reject another campaign, or seeds that this one does not run.
-
-    Raises:
-        InTheWay: the recorded campaign differs.
-    """
-    own, other = record["settings"], there.get("settings", {})
-    first, runs = other.get("first_seed", -1), other.get("runs", 0)
-    covered = own["first_seed"] <= first and first + runs <= own["first_seed"] + own["runs"]
-    same = all(there.get(key) == record.get(key) for key in _DECISIVE) and other.get("path") == own["path"]
-    if not same or not covered:
-        raise in_the_way(file, "holds another campaign, or more runs of this one")
 
 
 _PACES = {"compiled": 100.0, "ticks": 5.0}
@@ -834,10 +774,7 @@ def _summary(name: str, cases: Sequence[Case], table: "pa.Table", *, seconds: fl
     def of(case: Case) -> NDArray[np.bool_]:
         return pc.equal(table["case"], case.label).to_numpy()
 
-    results = tuple(
-        CaseResult(case, _share(done[mine]), table.filter(pa.array(mine & ~done)))
-        for case, mine in ((case, of(case)) for case in cases)
-    )
+    results = tuple(CaseResult(c, _share(done[of(c)]), table.filter(pa.array(of(c) & ~done))) for c in cases)
     pairs = tuple(
         (a.label, b.label, paired(done[of(a)], done[of(b)]))
         for a, b in itertools.combinations(cases if len(cases) <= MOST_PAIRED else (), 2)
@@ -850,57 +787,6 @@ def _share(done: NDArray[np.bool_]) -> Share:
     return wilson(int(done.sum()), len(done))
 
 
-LEVELS = 21
-
-
-@dataclass(frozen=True)
-class Trouble:
-    """A setting that the standard score raises level by level.
-
-    The setting it raises, its values by level, and accompanying settings.
-
-    in_periods: True if the values are in s and the setting in periods.
-    """
-
-    name: str
-    setting: str
-    values: tuple[float, ...]
-    besides: tuple[tuple[str, float], ...] = ()
-    in_periods: bool = False
-
-    def level(self, k: int, *, rate: float) -> dict[str, float]:
-        """Return settings by path for a level.
-
-        Args:
-            k: level, 0 to 20.
-            rate: rate of the loop, Hz.
-        """
-        value = self.values[k] * rate if self.in_periods else self.values[k]
-        return {self.setting: value, **dict(self.besides)}
-
-
-def _evenly(first: float, last: float) -> tuple[float, ...]:
-    return tuple(np.linspace(first, last, LEVELS).tolist())
-
-
-def _by_ratio(first: float, last: float) -> tuple[float, ...]:
-    return tuple(np.geomspace(first, last, LEVELS).tolist())
-
-
-STANDARD = (
-    Trouble("model error", "mismatch", _evenly(0.0, 0.25)),
-    Trouble("velocity noise", "sensors.rate_noise", _evenly(0.0, 3.0)),
-    Trouble("command noise", "command_noise", _evenly(0.0, 75.0)),
-    Trouble("response", "response", _evenly(0.1, 2.0)),
-    Trouble("delay", "delay", _evenly(0.0, 0.3), in_periods=True),
-    Trouble("pushes", "push_impulse", _evenly(0.0, 0.012), (("pushes", 3),)),
-    Trouble("quantisation", "counts", tuple(round(v) for v in _by_ratio(40_000, 16))),
-    Trouble("acceleration limit", "acceleration", _by_ratio(30.0, 0.3)),
-    Trouble("encoder zeros", "zero_error", _evenly(0.0, 0.5)),
-)
-"""Nine kinds; SI units, encoders in counts per turn."""
-
-
 def standard_cases(itinerary: Itinerary, *, fixed: Mapping[str, Any], controllers: Sequence[Any]) -> tuple[Case, ...]:
     """Return the cases of every controller, kind and level.
 
@@ -910,23 +796,20 @@ def standard_cases(itinerary: Itinerary, *, fixed: Mapping[str, Any], controller
         controllers: kinds of controllers, or users' laws.
 
     Raises:
-        InputError: an unknown controller, or None.
+        InputError: an unknown controller.
     """
-    if any(one is None for one in controllers):
-        raise InputError(
-            "controllers: None is no law; give names of controllers or own laws, or no list for this loop's"
-        )
     cases = []
     for controller, shown in zip(controllers, _shown(controllers), strict=True):
         for kind in STANDARD:
             for k in range(LEVELS):
-                level = {"controller": controller, **kind.level(k, rate=itinerary.loop.rate)}
+                value = kind.levels[k] * (itinerary.loop.rate if kind.in_periods else 1)
+                level = {"controller": controller, kind.setting: value, **dict(kind.besides)}
                 with warnings.catch_warnings():
                     # The levels are far beyond usual values.
                     warnings.simplefilter("ignore", Remark)
                     (case,) = cases_of(itinerary, fixed={**canonical(fixed), **canonical(level)}, over={})
-                label = f"{shown}, {kind.name} {k} of {LEVELS - 1}"
-                named = (("controller", shown), ("kind", kind.name), ("level", float(k)))
+                label = f"{shown}, {kind.score} {k} of {LEVELS - 1}"
+                named = (("controller", shown), ("kind", kind.score), ("level", float(k)))
                 cases.append(Case(label, named, case.loop))
     return tuple(cases)
 
@@ -982,14 +865,12 @@ def standard_scores(results: Sequence[CaseResult]) -> tuple[StandardScore, ...]:
     Args:
         results: results of all cases of `standard_cases`.
     """
-    counts: dict[str, dict[str, list[int]]] = {}
+    counts: dict[str, dict[str, Counter[str]]] = {}
     for result in results:
-        values = dict(result.case.values)
-        sums = counts.setdefault(str(values["controller"]), {}).setdefault(str(values["kind"]), [0, 0])
-        sums[0] += result.completed.successes
-        sums[1] += result.completed.runs
-    scores = []
-    for controller, kinds in counts.items():
-        shares = {name: wilson(*pair) for name, pair in kinds.items()}
-        scores.append(StandardScore(controller, shares, sum(s.rate for s in shares.values()) / len(shares)))
-    return tuple(scores)
+        values, share = dict(result.case.values), result.completed
+        sums = counts.setdefault(str(values["controller"]), {}).setdefault(str(values["kind"]), Counter())
+        sums.update(successes=share.successes, runs=share.runs)
+    shares = {name: {kind: wilson(**sums) for kind, sums in kinds.items()} for name, kinds in counts.items()}
+    return tuple(
+        StandardScore(name, kinds, sum(s.rate for s in kinds.values()) / len(kinds)) for name, kinds in shares.items()
+    )

@@ -393,14 +393,11 @@ def _crossed(robust: Reference, motion: Reference) -> _Crossed:
             events.append(_events([symbol for symbol, _ in walk], angles[inside]))
     halves: list[int | None] = []
     for k, (arrived, left) in enumerate(pairwise(times)):
-        if content.wraps[k] is None:
-            halves.append(None)
-            continue
         stop = content.stops[k + 1]
         # The arm that swings farther on the stop's orbit counts its wobbles.
         arm = int(np.argmax(np.ptp(content.orbit(stop).curve[:, :n], axis=0)))
         above = angles[(grid >= arrived) & (grid <= left), arm] > stop.angles[arm]
-        halves.append(int(np.count_nonzero(above[1:] != above[:-1])))
+        halves.append(None if content.wraps[k] is None else int(np.count_nonzero(above[1:] != above[:-1])))
     return _Crossed(times, events, halves)
 
 
@@ -410,10 +407,9 @@ def _events(walk: list[PlanSymbol], angles: Array) -> list[tuple[int, int, int]]
     Each is section, turn and direction. The angles are (K, n).
     """
     events = list[tuple[int, int, int, int]]()
-    values: dict[tuple[float, ...], float] = {}
-    for symbol in walk:
-        if symbol.section is not None:
-            values.setdefault(symbol.section.normal, symbol.section.value)
+    # The first value of each normal counts.
+    sections = [symbol.section for symbol in reversed(walk) if symbol.section is not None]
+    values = {section.normal: section.value for section in sections}
     for number, (normal, value) in enumerate(values.items(), start=1):
         turn = np.floor((angles @ np.asarray(normal[: angles.shape[1]]) - value) / (2 * np.pi)).astype(int)
         for row in np.flatnonzero(np.diff(turn)):
@@ -471,8 +467,7 @@ def _sides(plans: list[tuple[str, Plan]], runs: int, workers: int, progress: Pro
         )
         for name, plan in plans for mismatch in MISMATCHES
     }  # fmt: skip
-    done: dict[str, int] = {}
-    work = list(jobs.values())
+    done, work = dict[str, int](), list(jobs.values())
     for count, (job, ended) in enumerate(in_processes(_completed, work, workers, remedy="Polish it again"), start=1):
         progress(f"flown {count} of {len(work)}", count / len(work))
         done[job.key] = ended

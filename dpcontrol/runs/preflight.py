@@ -25,7 +25,6 @@ import math
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
@@ -46,6 +45,7 @@ from dpcontrol.plans.itinerary import Itinerary, overridden, setting_of
 from dpcontrol.plans.overrides import canonical, typed
 from dpcontrol.plans.plan import Plan
 from dpcontrol.runs.campaign import MOST_TICKS, Case, Job, run_job
+from dpcontrol.runs.troubles import TROUBLES, Trouble
 
 RUNNING = 2
 """Version of runs, part of the cache keys: raise it whenever a seed of a campaign ends in another way."""
@@ -61,60 +61,6 @@ class SceneChange:
     text: str
     options: Mapping[str, Any]
     advice: str = ""
-
-
-@dataclass(frozen=True)
-class _Trouble:
-    """A setting of the bench that can be reduced.
-
-    It is named by its path in a run's settings.
-
-    Attributes:
-        what: name in a sentence.
-        remedy: how a laboratory halves it.
-        nothing: value without the trouble.
-        halves, removed: True if half of it, or its absence, is tried.
-    """
-
-    setting: str
-    what: str
-    remedy: str = ""
-    nothing: float = 0.0
-    halves: bool = True
-    removed: bool = True
-
-
-_TROUBLES = (
-    _Trouble("mismatch", "mismatch", "identify the arms"),
-    _Trouble("model_uncertainty", "model uncertainty", "identify the arms"),
-    _Trouble("initial_error", "initial error", "hold the arms still at the start"),
-    _Trouble("lag", "drive lag", "tune a stiffer velocity loop", removed=False),
-    _Trouble("delay", "delay", "answer sooner"),
-    _Trouble("friction", "friction error", nothing=1.0),
-    _Trouble("response", "response error", nothing=1.0),
-    _Trouble("command_noise", "command noise", "use a quieter drive"),
-    _Trouble("cart_mass", "cart mass", halves=False),
-    _Trouble("jerk", "jerk limit", nothing=math.inf, halves=False),
-    _Trouble("zero_error", "zero error", "set the encoders' zeros"),
-    _Trouble("zero_drift", "zero drift"),
-    _Trouble("noise", "encoder noise", "use quieter encoders"),
-    _Trouble("sensors.rate_noise", "rate noise"),
-    _Trouble("missed_counts", "missed counts"),
-    _Trouble("dropout", "dropouts"),
-    _Trouble("jitter", "jitter"),
-    _Trouble("stuck_at", "stuck sensor", nothing=math.inf, halves=False),
-    _Trouble("stiction", "stiction", "loosen the joints"),
-    _Trouble("cable_torque", "cable torque"),
-    _Trouble("cable_stiffness", "cable stiffness"),
-    _Trouble("initial_rate", "initial rates"),
-    _Trouble("initial_cart", "initial cart offset"),
-    _Trouble("play", "play", "use encoders with less play"),
-    _Trouble("belt", "belt", halves=False),
-    _Trouble("tilt", "tilt", "level the track"),
-    _Trouble("push_impulse", "impulse of the pushes"),
-    _Trouble("knock_velocity", "velocity of the knocks"),
-    _Trouble("knock_impulse", "impulse of the random blows"),
-)
 
 
 def _fewest_counts(scene: Itinerary) -> int:
@@ -135,36 +81,40 @@ def changes(scene: Itinerary) -> Iterator[Sequence[SceneChange]]:
         SceneChange(f"a travel of ±{wide:g} m", {"travel": wide}, f"more travel: ±{wide:g} m"),
         *(SceneChange(f"a travel of ±{more:g} m", {"travel": more}) for more in wider),
     )
-    for one in _TROUBLES:
-        value = setting_of(loop, one.setting)
+    for one in TROUBLES:
+        value, tried = setting_of(loop, one.setting), []
         if value == one.nothing or (one.setting == "knock_impulse" and not loop.disturbances.knocks_per_minute):
             continue
-        tried = []
         if one.halves:
             smaller = (
                 tuple(_short(v / 2) for v in value) if isinstance(value, tuple) else _short((value + one.nothing) / 2)
             )
-            half, text = {one.setting: smaller}, f"half the {one.what}"
+            half, text = {one.setting: smaller}, f"half the {one.name}"
             tried.append(SceneChange(text, half, one.remedy and f"{one.remedy}: {text}"))
         if one.removed:
-            tried.append(SceneChange(f"no {one.what}", {one.setting: one.nothing}))
+            tried.append(SceneChange(f"no {one.name}", {one.setting: one.nothing}))
         yield tried
-    if drive.lag and loop.drive_lag != drive.lag:
-        known = "a controller with the drive's lag"
-        yield (SceneChange(known, {"drive_lag": drive.lag}, "give the controller the drive's lag"),)
-    if finer := 4 * _fewest_counts(scene):
-        yield (SceneChange(f"{finer} counts a turn", {"counts": finer}, "finer encoders: four times the counts"),)
-    if loop.rate < _QUICK:
-        # The delay stays the same in seconds.
-        delay = {"delay": _short(drive.delay * _QUICK / loop.rate)} if drive.delay else {}
-        yield (SceneChange(f"a rate of {_QUICK:g} Hz", {"rate": _QUICK, **delay}),)
-    if loop.estimator.kind != "ekf":
-        yield (SceneChange("the ekf as the estimator", {"estimator": "ekf"}),)
-    if loop.keep != "none":
-        yield (SceneChange("no keeper of the stops", {"keep": "none"}),)
-    elif scene.stay is None:
-        other = "tvlqr" if loop.controller.kind == "adaptive" else "adaptive"
-        yield (SceneChange(f"{other} as the law", {"controller": other}, f"another law: {other}"),)
+    counts = 4 * _fewest_counts(scene)
+    # The delay stays the same in seconds.
+    delay = {"delay": _short(drive.delay * _QUICK / loop.rate)} if drive.delay else {}
+    law = "tvlqr" if loop.controller.kind == "adaptive" else "adaptive"
+    others = (
+        (
+            drive.lag and loop.drive_lag != drive.lag,
+            SceneChange(
+                "a controller with the drive's lag", {"drive_lag": drive.lag}, "give the controller the drive's lag"
+            ),
+        ),
+        (counts, SceneChange(f"{counts} counts a turn", {"counts": counts}, "finer encoders: four times the counts")),
+        (loop.rate < _QUICK, SceneChange(f"a rate of {_QUICK:g} Hz", {"rate": _QUICK, **delay})),
+        (loop.estimator.kind != "ekf", SceneChange("the ekf as the estimator", {"estimator": "ekf"})),
+        (loop.keep != "none", SceneChange("no keeper of the stops", {"keep": "none"})),
+        (
+            loop.keep == "none" and scene.stay is None,
+            SceneChange(f"{law} as the law", {"controller": law}, f"another law: {law}"),
+        ),
+    )
+    yield from ((change,) for helps, change in others if helps)
 
 
 def _short(value: float) -> float:
@@ -211,23 +161,22 @@ class RunEnd(NamedTuple):
 
 @dataclass(frozen=True)
 class Hazard:
-    """A trouble with its border: name, run setting and accompanying settings.
+    """A trouble whose border is sought.
 
     Attributes:
+        trouble: row of the table.
+        name: name of the border.
         set: the bench's present value.
         first, end: first and last value of the search.
-        falling: True if less is worse.
-        shown: factor from the setting to the display in `unit`.
         step: resolution of values.
+        besides: further settings.
     """
 
+    trouble: Trouble
     name: str
-    setting: str
-    unit: str
     set: float
     first: float
     end: float
-    falling: bool = False
     shown: float = 1.0
     step: float = 0.0
     besides: tuple[tuple[str, Any], ...] = ()
@@ -242,7 +191,7 @@ class Hazard:
             The place, minus infinity if there is no trouble.
         """
         none = value == 0 or math.isinf(value)
-        return -math.inf if none else -math.log(value) if self.falling else math.log(value)
+        return -math.inf if none else -math.log(value) if self.trouble.falling else math.log(value)
 
     def value(self, place: float) -> float:
         """Return the value at a place.
@@ -250,55 +199,35 @@ class Hazard:
         Args:
             place: place on the scale of severity.
         """
-        value = math.exp(-place if self.falling else place)
+        value = math.exp(-place if self.trouble.falling else place)
         return max(round(value / self.step), 1) * self.step if self.step else value
 
-    def options(self, value: float) -> dict[str, Any]:
-        """Return the run settings of a value.
-
-        Args:
-            value: value of the setting.
-        """
-        return {self.setting: int(value) if self.setting == "counts" else value, **dict(self.besides)}
-
 
 @dataclass(frozen=True)
-class _Search:
-    """Search for a border.
+class _Task:
+    """Search for a border or trial of a change.
 
-    Job of the present bench, with the seeds and their endings.
-
-    block: seeds of the first block. most: largest number at once.
+    Attributes:
+        of: hazard or change.
+        job: seeds of the present bench, or of the changed one.
+        completed: endings of these seeds on the present bench.
+        most: largest number of seeds at once.
+        block: seeds of the first block of a search.
+        rate: share of completed runs on the present bench.
     """
 
-    hazard: Hazard
+    of: Hazard | SceneChange
     job: Job
     completed: tuple[bool, ...]
-    block: int
     most: int
+    block: int = 0
+    rate: float = 0.0
 
 
-@dataclass(frozen=True)
-class _Trial:
-    """Trial of a change.
-
-    Job of the changed bench, with the seeds, their former endings and the most at once.
-    """
-
-    change: SceneChange
-    job: Job
-    completed: tuple[bool, ...]
-    rate: float
-    most: int
-
-
-_Task = Job | _Search | _Trial
-
-
-def _do(task: _Task) -> "tuple[RunEnd, ...] | HazardBorder | Improvement":
+def _do(task: Job | _Task) -> "tuple[RunEnd, ...] | HazardBorder | Improvement":
     if isinstance(task, Job):
         return outcomes(task, len(task.seeds))
-    return _border(task) if isinstance(task, _Search) else _change(task)
+    return _change(task, task.of) if isinstance(task.of, SceneChange) else _border(task, task.of)
 
 
 def outcomes(job: Job, most: int) -> tuple[RunEnd, ...]:
@@ -319,10 +248,6 @@ def outcomes(job: Job, most: int) -> tuple[RunEnd, ...]:
     return rows
 
 
-def _with(job: Job, loop: LoopSettings, seeds: Sequence[int]) -> Job:
-    return replace(job, case=replace(job.case, loop=loop), seeds=tuple(seeds))
-
-
 _SURE = 0.98
 """Confidence required to assign a value to one side of the border."""
 _NARROW = math.log(1.3)
@@ -330,26 +255,26 @@ _NARROW = math.log(1.3)
 _MOST_VALUES = 8
 
 
-def _border(search: _Search) -> HazardBorder:
+def _border(search: _Task, hazard: Hazard) -> HazardBorder:
     """Return the border of a hazard.
 
     The value that halves the present number of completed runs.
     """
-    hazard = search.hazard
     points: dict[float, ShareAt] = {}
 
     def share(place: float) -> float:
         value = hazard.value(place)
         if value not in points:
-            points[value] = _point(search, value)
+            points[value] = _point(search, hazard, value)
         return points[value].share
 
     def found(at: Sequence[float | None]) -> HazardBorder:
-        ends = [None if p is None else hazard.shown * math.exp(-p if hazard.falling else p) for p in at]
+        trouble = hazard.trouble
+        ends = [None if p is None else hazard.shown * math.exp(-p if trouble.falling else p) for p in at]
         shown = [replace(p, value=hazard.shown * p.value) for p in points.values()]
         return HazardBorder(
-            hazard.name, hazard.setting, hazard.unit, hazard.shown * hazard.set, border=ends[0], low=ends[1],
-            high=ends[2], end=hazard.shown * hazard.end, falling=hazard.falling,
+            hazard.name, trouble.setting, trouble.unit, hazard.shown * hazard.set, border=ends[0], low=ends[1],
+            high=ends[2], end=hazard.shown * hazard.end, falling=trouble.falling,
             points=tuple(sorted(shown, key=lambda p: p.value)),
         )  # fmt: skip
 
@@ -374,21 +299,22 @@ def _border(search: _Search) -> HazardBorder:
             break
         good, bad = (place, bad) if share(place) >= 0.5 else (good, place)
     for value in {hazard.value(place) for place in (good, bad) if place != own and math.isfinite(place)}:
-        points[value] = _point(search, value, until_clear=False)
+        points[value] = _point(search, hazard, value, until_clear=False)
     return found(_read_off(hazard, list(points.values())))
 
 
-def _point(search: _Search, value: float, *, until_clear: bool = True) -> ShareAt:
+def _point(search: _Task, hazard: Hazard, value: float, *, until_clear: bool = True) -> ShareAt:
     """Run a value until its side of the border is clear.
 
     It runs on blocks of seeds, or on all seeds.
     """
     job = search.job
-    loop = overridden(job.case.loop, search.hazard.options(value))
+    loop = overridden(job.case.loop, {hazard.trouble.setting: value, **dict(hazard.besides)})
     done = of = used = 0
     while used < len(job.seeds):
         block = slice(used, len(job.seeds) if used else min(search.block, len(job.seeds)))
-        done += sum(row.completed for row in outcomes(_with(job, loop, job.seeds[block]), search.most))
+        seeds = replace(job, case=replace(job.case, loop=loop), seeds=job.seeds[block])
+        done += sum(row.completed for row in outcomes(seeds, search.most))
         of += sum(search.completed[block])
         used = block.stop
         seen = wilson(min(done, of), of, confidence=_SURE)
@@ -428,10 +354,9 @@ def _crossing(x: NDArray[np.float64], falls: NDArray[np.float64]) -> float | Non
     return float(x[k - 1] + along * (x[k] - x[k - 1]))
 
 
-def _change(trial: _Trial) -> Improvement:
-    done = [row.completed for row in outcomes(trial.job, trial.most)]
-    before, change = trial.completed, trial.change
-    pairs = paired(before, done)
+def _change(trial: _Task, change: SceneChange) -> Improvement:
+    before = trial.completed
+    pairs = paired(before, [row.completed for row in outcomes(trial.job, trial.most)])
     return Improvement(
         change.advice, dict(change.options), pairs.only_second, before.count(False), pairs.only_first,
         before.count(True), trial.rate, typed(change.options),
@@ -534,20 +459,16 @@ def preflight(
     workers, count = settings.workers or processors(), amounts.runs if searches else amounts.rate
     work = f"up to {count:,} runs of {ticks / loop.rate:.1f} s"
     announce(Cost(work, count * ticks * tick / workers, 4e8 * workers, f"preflight of {name}"), yes=yes)
-    uncertainty = scene.model.identified_uncertainty if loop.model_uncertainty else None
-    seeds = range(settings.first_seed, settings.first_seed + amounts.rate)
-    case, arms = Case("preflight", (), loop), scene.model.arms
-    job = Job(name, plan.archive, arms, case, tuple(seeds), "compiled", uncertainty, replayed=0)
-    run = partial(in_processes, _do, remedy="Finished jobs are kept: run the same command again, with fewer --workers")
+    seeds = tuple(range(settings.first_seed, settings.first_seed + amounts.rate))
+    case = Case("preflight", (), loop)
+    job = Job(name, plan.archive, scene.model.arms, case, seeds, "compiled", scene.uncertainty, replayed=0)
 
     # At most the memory of a campaign's jobs.
     most = max(min(MOST_TICKS // ticks, 256), 1)
     size = min(128 if amounts.rate > _FEW else 64, most)
     jobs = [replace(job, seeds=job.seeds[k : k + size]) for k in range(0, amounts.rate, size)]
-    found_of: dict[int, RunEnd] = {}
-    for done in _all(run(jobs, workers=workers), len(jobs), "rate", part_of(progress, 0.0, 0.15)):
-        found_of |= {row.seed: row for row in done}
-    ordered = [found_of[seed] for seed in seeds]
+    parts = _all(jobs, workers, "rate", part_of(progress, 0.0, 0.15))
+    ordered = sorted(row for part in parts for row in part)
     completed = [row.completed for row in ordered]
     share = wilson(sum(completed), len(completed), confidence=settings.confidence)
     notes = _notes(scene, loop)
@@ -558,7 +479,8 @@ def preflight(
         tasks += _trials(scene, job, completed, amounts.change, most)
     else:
         notes.append("these runs go one after the other, not side by side: borders and changes with --runs only")
-    found = list(_all(run(tasks, workers=workers), len(tasks), "borders and changes", part_of(progress, 0.15, 1.0)))
+    found = list(_all(tasks, workers, "borders and changes", part_of(progress, 0.15, 1.0)))
+    borders = [b for b in found if isinstance(b, HazardBorder)]
     return Preflight(
         itinerary=name,
         title=scene.title,
@@ -568,16 +490,17 @@ def preflight(
         known=tuple(known),
         notes=tuple(notes),
         endings=endings(ordered),
-        borders=tuple(sorted((b for b in found if isinstance(b, HazardBorder)), key=lambda b: b.order)),
+        borders=tuple(sorted(borders, key=lambda b: (b.margin is None, b.margin or 0.0, b.name))),
         changes=tuple(sorted((c for c in found if isinstance(c, Improvement)), key=lambda c: (-c.gain, c.text))),
         seconds=time.perf_counter() - began,
     )
 
 
-def _all(pieces: Any, count: int, what: str, progress: Progress) -> Any:
-    """Yield the result of each piece, and report their number."""
-    for k, (_, done) in enumerate(pieces, 1):
-        progress(f"{what}: {k} of {count}", k / count)
+def _all(tasks: Sequence[Job | _Task], workers: int, what: str, progress: Progress) -> Iterator[Any]:
+    """Yield the result of each task, and report their number."""
+    remedy = "Finished jobs are kept: run the same command again, with fewer --workers"
+    for k, (_, done) in enumerate(in_processes(_do, tasks, workers, remedy=remedy), 1):
+        progress(f"{what}: {k} of {len(tasks)}", k / len(tasks))
         yield done
 
 
@@ -612,70 +535,73 @@ def with_known_errors(scene: Itinerary, options: Mapping[str, Any]) -> tuple[Iti
     chosen = scene.with_run(options)
     if identified and not {"mismatch", "model_uncertainty"} & given and not scene.loop.model_uncertainty:
         chosen = chosen.with_run({"model_uncertainty": 1.0, "mismatch": 0.0})
-    assumed = not chosen.loop.model_uncertainty and not chosen.loop.mismatch and "mismatch" not in given
-    if assumed and chosen.loop.plant is None:
-        chosen = chosen.with_run({"mismatch": ASSUMED_MISMATCH})
-    else:
-        assumed = False
+    drawn = chosen.loop.model_uncertainty or chosen.loop.mismatch or chosen.loop.plant is not None
+    assumed = not drawn and "mismatch" not in given
+    chosen = chosen.with_run({"mismatch": ASSUMED_MISMATCH}) if assumed else chosen
     loop, file = chosen.loop, f"[run] of {scene.path.name}"
 
     def of(*names: str) -> str:
         return "given" if any(name in given for name in names) else file
 
     drive, sensors, blows = loop.drive, loop.sensors, loop.disturbances
-    known = []
-    if loop.model_uncertainty:
-        source = f"identified: {scene.model.path.name}"
-        known.append(Assumption("arms", f"standard errors × {loop.model_uncertainty:g}", source))
-    if loop.plant is not None:
-        known.append(Assumption("plant", "other arms", of("plant")))
-    if loop.mismatch or not loop.model_uncertainty:
-        unknown = "" if identified else f"; {scene.model.path.name} has no [uncertainty]"
-        source = "assumed" if assumed else of("mismatch")
-        known.append(Assumption("arms", f"each parameter off by up to ±{loop.mismatch:.3g}", source + unknown))
     limit, counts = loop.travel or scene.limits.position, _fewest_counts(scene)
-    known += [
-        Assumption("start", f"each angle off by up to ±{loop.initial_error:g} rad", of("initial_error")),
-        Assumption("delay", f"{1e3 * drive.delay / loop.rate:.3g} ms at {loop.rate:g} Hz", of("delay")),
-        Assumption("lag", f"{1e3 * drive.lag:.3g} ms", of("lag")),
-        Assumption("encoders", f"{counts:,} counts a turn" if counts else "not rounded", of("counts")),
-        Assumption("zeros", f"off by up to ±{sensors.zero_error:g} rad", of("zero_error")),
-        Assumption("travel", f"±{limit:g} m", of("travel") if loop.travel else f"[limits] of {scene.path.name}"),
+    unknown = "" if identified else f"; {scene.model.path.name} has no [uncertainty]"
+    source = ("assumed" if assumed else of("mismatch")) + unknown
+    identified_by = f"identified: {scene.model.path.name}"
+    mechanics = {key: np.atleast_1d(getattr(loop.mechanics, key)) for key in _MECHANICS}
+    units = {key: leaves_of(MechanicsSettings)[key].bounds.unit for key in _MECHANICS}
+    rows = [
+        (loop.model_uncertainty, "arms", f"standard errors × {loop.model_uncertainty:g}", identified_by),
+        (loop.plant is not None, "plant", "other arms", of("plant")),
+        (
+            loop.mismatch or not loop.model_uncertainty,
+            "arms",
+            f"each parameter off by up to ±{loop.mismatch:.3g}",
+            source,
+        ),
+        (True, "start", f"each angle off by up to ±{loop.initial_error:g} rad", of("initial_error")),
+        (True, "delay", f"{1e3 * drive.delay / loop.rate:.3g} ms at {loop.rate:g} Hz", of("delay")),
+        (True, "lag", f"{1e3 * drive.lag:.3g} ms", of("lag")),
+        (True, "encoders", f"{counts:,} counts a turn" if counts else "not rounded", of("counts")),
+        (True, "zeros", f"off by up to ±{sensors.zero_error:g} rad", of("zero_error")),
+        (True, "travel", f"±{limit:g} m", of("travel") if loop.travel else f"[limits] of {scene.path.name}"),
+        (drive.command_noise, "command noise", f"{drive.command_noise:g} m/s²", of("command_noise")),
+        (sensors.noise, "encoder noise", f"{sensors.noise:g} rad", of("noise")),
+        (blows.tilt, "tilt", f"{blows.tilt:g} rad", of("tilt")),
+        (blows.pushes and blows.push_impulse, "blows", f"{blows.push_impulse:g} N m s", of("push_impulse")),
+        *(
+            (values.any(), key.replace("_", " "), f"{' and '.join(f'{v:g}' for v in values)} {units[key]}", of(key))
+            for key, values in mechanics.items()
+        ),
+        (True, "control", f"{loop.controller.kind} with {loop.estimator.kind}", of("controller", "estimator")),
     ]
-    others = {
-        "command noise": (drive.command_noise, "m/s²", "command_noise"),
-        "encoder noise": (sensors.noise, "rad", "noise"),
-        "tilt": (blows.tilt, "rad", "tilt"),
-        "blows": (blows.push_impulse if blows.pushes else 0.0, "N m s", "push_impulse"),
-    }
-    known += [Assumption(name, f"{value:g} {unit}", of(key)) for name, (value, unit, key) in others.items() if value]
-    for key in ("belt", "play", "cable_torque", "cable_stiffness", "stiction", "initial_rate", "initial_cart"):
-        if value := getattr(loop.mechanics, key):
-            shown = " and ".join(f"{one:g}" for one in (value if isinstance(value, tuple) else (value,)))
-            unit = leaves_of(MechanicsSettings)[key].bounds.unit
-            known.append(Assumption(key.replace("_", " "), f"{shown} {unit}", of(key)))
-    known.append(
-        Assumption("control", f"{loop.controller.kind} with {loop.estimator.kind}", of("controller", "estimator"))
-    )
-    return chosen, known
+    return chosen, [Assumption(*row) for listed, *row in rows if listed]
+
+
+_MECHANICS = ("belt", "play", "cable_torque", "cable_stiffness", "stiction", "initial_rate", "initial_cart")
+"""Settings of the mechanics that are listed if they are not zero."""
 
 
 def _notes(scene: Itinerary, loop: LoopSettings) -> list[str]:
-    notes = []
-    if scene.start == "orbit":
-        notes.append('start = "orbit": runs begin at the orbit\'s exact rates, which a rig cannot; plan from "rest"')
     measured = {"lag": loop.drive.lag, "zero_error": loop.sensors.zero_error}
-    if unmeasured := [name for name, value in measured.items() if not value]:
-        notes.append(
+    unmeasured = [name for name, value in measured.items() if not value]
+    notes = (
+        (
+            scene.start == "orbit",
+            'start = "orbit": runs begin at the orbit\'s exact rates, which a rig cannot; plan from "rest"',
+        ),
+        (
+            unmeasured,
             f"{' and '.join(unmeasured)} = 0 in [run]: a bench is never ideal; measure it with `dpcontrol commission "
-            f"{scene.name} --rig ADDRESS --write`, or give an estimate"
-        )
-    return notes
+            f"{scene.name} --rig ADDRESS --write`, or give an estimate",
+        ),
+    )
+    return [note for holds, note in notes if holds]
 
 
 def _searches(
     kinds: Sequence[Hazard], job: Job, completed: Sequence[bool], amounts: _Amounts, most: int, notes: list[str]
-) -> list[_Search]:
+) -> list[_Task]:
     """Return the searches for borders.
 
     Notes receives the reasons if there are none.
@@ -686,12 +612,11 @@ def _searches(
         return []
     # If few runs complete, more seeds give the same number of completed runs.
     count = min(math.ceil(amounts.border * max(1.0, 0.6 * len(completed) / done)), len(completed))
-    searches = []
-    for kind in kinds:
-        own = amounts.block if kind.setting == "delay" else count
-        seeds = replace(job, seeds=job.seeds[:own])
-        searches.append(_Search(kind, seeds, tuple(completed[:own]), amounts.block, most))
-    return searches
+    counts = [amounts.block if kind.trouble.in_periods else count for kind in kinds]
+    return [
+        _Task(kind, replace(job, seeds=job.seeds[:own]), tuple(completed[:own]), most, amounts.block)
+        for kind, own in zip(kinds, counts, strict=True)
+    ]
 
 
 _FEWEST = 8
@@ -709,46 +634,43 @@ def hazards(plan: Plan, scene: Itinerary, *, most_delay: float) -> list[Hazard]:
         scene: itinerary with known errors.
         most_delay: largest delay, in periods, that the computing time allows.
     """
-    loop, rate = scene.loop, scene.loop.rate
-    drive, sensors, blows, rig = loop.drive, loop.sensors, loop.disturbances, loop.mechanics
-    pushes = blows.pushes or 2
+    loop = scene.loop
+    own = isinstance(loop.plant, OwnPlant) and not loop.plant.own.symbolic
+    pushes, rig = loop.disturbances.pushes, loop.mechanics
+    travel, least = loop.limits(plan.reference.limits).position, plan.reference.max_cart_position
     # The loop's model of the bench stays unchanged.
     known = (("known_belt", loop.known_belt), ("known_play", rig.of_each("known_play", scene.model.arms.count)))
-    travel = loop.limits(plan.reference.limits).position
-    further = [
-        Hazard("cable torque", "cable_torque", "mN m", abs(rig.cable_torque), 0.05, 5.0, shown=1e3),
-        Hazard("cable stiffness", "cable_stiffness", "mN m/rad", rig.cable_stiffness, 0.02, 2.0, shown=1e3),
-        Hazard("first rates", "initial_rate", "rad/s", rig.initial_rate, 1.0, 30.0),
-        Hazard("cart at first", "initial_cart", "mm", abs(rig.initial_cart), 0.1, 1.0, shown=1e3),
-    ]
-    found = [
-        Hazard("delay", "delay", "ms", drive.delay, 0.01 * rate, max(min(0.04 * rate, most_delay), 2 * drive.delay, 2),
-               shown=1e3 / rate, step=1.0),
-        Hazard("lag", "lag", "ms", drive.lag, 0.02, 0.32, shown=1e3),
-        Hazard("mismatch", "mismatch", "%", loop.mismatch, 0.15, 0.9, shown=100.0),
-        Hazard(f"{pushes} blows", "push_impulse", "mN m s", blows.push_impulse if blows.pushes else 0.0, 0.005, 20.0,
-               shown=1e3, besides=(("pushes", pushes),)),
-        Hazard("zeros", "zero_error", "mrad", sensors.zero_error, 0.05, 0.8, shown=1e3),
-        Hazard("counts", "counts", "a turn", _fewest_counts(scene) or math.inf, 1000, 16, falling=True, step=1.0),
-        # A reference whose cart stays at the centre needs some travel as well.
-        Hazard("travel", "travel", "mm", travel, math.inf, max(plan.reference.max_cart_position, 1e-3 * travel),
-               falling=True, shown=1e3),
-        Hazard("belt", "belt", "Hz", rig.belt or math.inf, 40.0, 4.0, falling=True, besides=known),
-        Hazard("play", "play", "mrad", max(rig.of_each("play", scene.model.arms.count)), 0.01, 0.8, shown=1e3,
-               besides=known),
-        Hazard("stiction", "stiction", "mN m", max(rig.of_each("stiction", scene.model.arms.count)), 0.004, 0.5,
-               shown=1e3),
-        *(one for one in further if one.set),
-    ]  # fmt: skip
-    own = isinstance(loop.plant, OwnPlant) and not loop.plant.own.symbolic
-    return [one for one in found if not own or one.setting in _WITH_OWN_PLANT]
+    besides = {"push_impulse": (("pushes", pushes or 2),), "belt": known, "play": known}
+    present = {
+        "push_impulse": loop.disturbances.push_impulse if pushes else 0.0,
+        "counts": _fewest_counts(scene) or math.inf,
+        "travel": travel,
+        "belt": rig.belt or math.inf,
+    }
+    found = []
+    for one in TROUBLES:
+        value = present.get(one.setting, setting_of(loop, one.setting))
+        value = max(value) if isinstance(value, tuple) else value
+        if not one.border or not (one.always or value) or (own and one.setting not in _WITH_OWN_PLANT):
+            continue
+        first, end, shown = one.first, one.last, one.shown
+        if one.in_periods:
+            first, shown = first * loop.rate, shown / loop.rate
+            end = max(min(end * loop.rate, most_delay), 2 * value, 2)
+        elif one.setting == "travel":
+            # A reference whose cart stays at the centre needs some travel as well.
+            end = max(least, 1e-3 * travel)
+        step = 1.0 if one.in_periods or one.setting == "counts" else 0.0
+        name = one.border.format(pushes=pushes or 2)
+        found.append(Hazard(one, name, abs(value), first, end, shown, step, besides.get(one.setting, ())))
+    return found
 
 
 _WITH_OWN_PLANT = ("delay", "push_impulse", "zero_error", "counts", "travel", "initial_rate", "initial_cart")
 """Settings that remain if a user's plant replaces arms, cart and drive."""
 
 
-def _trials(scene: Itinerary, job: Job, completed: Sequence[bool], count: int, most: int) -> list[_Trial]:
+def _trials(scene: Itinerary, job: Job, completed: Sequence[bool], count: int, most: int) -> list[_Task]:
     """Return the changes to try, none if every run completes.
 
     Each kind is tried on `count` seeds.
@@ -758,10 +680,11 @@ def _trials(scene: Itinerary, job: Job, completed: Sequence[bool], count: int, m
     failing = [k for k, done in enumerate(completed) if not done][:count]
     completing = [k for k, done in enumerate(completed) if done][:count]
     chosen = sorted([*failing, *completing])
-    seeds, before = [job.seeds[k] for k in chosen], tuple(completed[k] for k in chosen)
+    seeds, before = tuple(job.seeds[k] for k in chosen), tuple(completed[k] for k in chosen)
     rate = sum(completed) / len(completed)
     advised = [change for group in changes(scene) for change in group if change.advice]
-    loops = [scene.with_run(change.options).loop for change in advised]
+    changed = [replace(job.case, loop=scene.with_run(change.options).loop) for change in advised]
     return [
-        _Trial(change, _with(job, loop, seeds), before, rate, most) for change, loop in zip(advised, loops, strict=True)
+        _Task(change, replace(job, case=case, seeds=seeds), before, most, rate=rate)
+        for change, case in zip(advised, changed, strict=True)
     ]

@@ -14,9 +14,9 @@ a remedy if it meets three conditions:
 Changes of one kind are tried from the smallest; the first remedy of a kind ends it.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any, ClassVar
 
 from dpcontrol.foundation.document import Documented
@@ -176,21 +176,17 @@ def why(
     cost = (tried + 1) * (each + _OVERHEAD) / workers if lockstep else (tried * 0.3 + 1) * each / workers
     announce(Cost(f"{tried} changes", cost, 4e8 * workers, f"--why of {scene.name}"), yes=yes)
 
-    def jobs(group: Sequence[SceneChange]) -> tuple[tuple[SceneChange, Job], ...]:
-        made = []
+    def jobs(group: Sequence[SceneChange]) -> Iterator[tuple[SceneChange, Job]]:
         for change in group:
-            try:
-                made.append((change, _job(typed(change.options), size)))
-            except InputError:
-                # The option contradicts the run's other settings.
-                continue
-        return tuple(made)
+            # The option may contradict the run's other settings.
+            with suppress(InputError):
+                yield change, _job(typed(change.options), size)
 
     progress("harmless changes", 0.0)
     before, _ = _tried(([(SceneChange("", {}), _job(plan, size))], ()))[0]
     null, trials = Completed(sum(before[:size]), sum(before[size:]), size), list[TriedChange]()
 
-    pieces: list[_Group] = [(made, before) for group in groups if (made := jobs(group))]
+    pieces: list[_Group] = [(made, before) for group in groups if (made := tuple(jobs(group)))]
     ended = in_processes(_tried, pieces, workers, remedy="Finished jobs are kept: run the same command again")
     for k, ((jobs_of, _), found) in enumerate(ended, 1):
         progress(f"changes: {k} of {len(pieces)} kinds", k / (len(pieces) + 1))
@@ -269,8 +265,9 @@ def _judged(
     """
     half = len(before) // 2
     counts = Completed(sum(done[:half]), sum(done[half:]), half) if len(done) == len(before) else None
-    tried = partial(TriedChange, change.text, typed_options(change.options), counts=counts)
-    if not (done and done[0] and _beats(done, before)):
-        return tried(completed=bool(done and done[0]), verdict=verdict)
-    score = alone(change.options)
-    return tried(completed=bool(score.completed), verdict=score.reason, helps=bool(score.completed))
+    completed = any(done[:1])
+    if helps := completed and _beats(done, before):
+        score = alone(change.options)
+        completed, verdict = bool(score.completed), score.reason
+    option = typed_options(change.options)
+    return TriedChange(change.text, option, completed, verdict, helps and completed, counts)

@@ -36,7 +36,7 @@ from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.cache import commit
 from dpcontrol.foundation.checked import Count, Workers, checked
 from dpcontrol.foundation.config import log_folder
-from dpcontrol.foundation.document import Documented, picked
+from dpcontrol.foundation.document import Documented, document_of, picked
 from dpcontrol.foundation.errors import GoalMissed, InputError, remark
 from dpcontrol.foundation.files import (
     checked_other_file,
@@ -223,10 +223,10 @@ class Run(Timed):
         Raises:
             InputError: the log carries no plan.
         """
-        document, deadlines = self._score.document(), self.deadlines
-        if deadlines is not None:
-            document |= {"ending": self.log.metadata["ending"], "deadlines": asdict(deadlines)}
-        return document if self.difference is None else {**document, "command_difference": self.difference}
+        keys = "**_score command_difference?=difference" + " ending=log.metadata.ending deadlines" * bool(
+            self.deadlines
+        )
+        return document_of(self, keys)
 
     def lines(self) -> "Iterable[Line]":
         """Return the score as lines of text."""
@@ -334,6 +334,7 @@ def run_plan(
     """
     plan = plan.followed()
     scene, sink = plan.itinerary, _Events()
+    made_by = _made_by(scene, None if rig is None else rig.name)
     assembly = assembly or assembled(plan)
 
     def run(sink: LoopSink) -> LoopResult:
@@ -350,9 +351,7 @@ def run_plan(
     if out is None:
         with watched(plan, sink, live=live) as sinks:
             result = run(sink=sinks)
-        made_by = _made_by(scene, None if rig is None else rig.name)
         return Run(_log_in_memory(plan, result.ticks, sink.kept, **made_by, **outcome(result)))
-    made_by = _made_by(scene, None if rig is None else rig.name)
     check_replaced(out, {**run_metadata(scene), **made_by}, force=force)
     with log_writer(plan, out, **made_by) as writer, watched(plan, LogSink(writer), live=live) as sinks:
         writer.result(**outcome(run(sink=sinks)))
@@ -405,13 +404,14 @@ def outcome(result: LoopResult) -> dict[str, str]:
     Args:
         result: result of the loop.
     """
-    noted = {"real_time_factor": repr(result.real_time_factor), "ending": result.ending.value}
-    if result.hardest is not None:
-        noted[HARDEST_METADATA] = repr(result.hardest)
-    if len(result.thinking):
-        quantiles = np.quantile(result.thinking, [0.5, 0.99]).tolist()
-        noted |= {name: repr(value) for name, value in zip(THINKING_METADATA, quantiles, strict=True)}
-    return noted
+    quantiles = np.quantile(result.thinking, [0.5, 0.99]).tolist() if len(result.thinking) else [None, None]
+    noted = {
+        "real_time_factor": result.real_time_factor,
+        HARDEST_METADATA: result.hardest,
+        **dict(zip(THINKING_METADATA, quantiles, strict=True)),
+    }
+    ending = {"ending": result.ending.value}
+    return ending | {name: repr(value) for name, value in noted.items() if value is not None}
 
 
 def drawn_metadata(itinerary: Itinerary) -> dict[str, str]:
@@ -685,16 +685,15 @@ def stored_settings(values: Mapping[str, Any], file: str) -> LoopSettings:
         InputError: an unknown setting or an impossible value.
         LookupError: a user's object, which the log does not hold.
     """
-    top, own, kinds = Place(file), dict(values), dict[str, Any](CONTROLLERS)
+    top, own, kinds = Place(file), {"disturbances": {}, **values}, dict[str, Any](CONTROLLERS)
     for name in ("controller", "estimator"):
         kind = own[name]["kind"]
         if kind not in kinds:
             raise LookupError(f"{name} = {kind} is a user's object, which is not in the log")
         own[name] = table_of(kinds[kind]).read(own[name], top.within(name))
         kinds = estimators_of(own["controller"])
-    blows = values.get("disturbances", {}).get("explicit")
-    if "disturbances" in own:
-        own["disturbances"] = {key: value for key, value in own["disturbances"].items() if key != "explicit"}
+    own["disturbances"] = dict(own["disturbances"])
+    blows = own["disturbances"].pop("explicit", None)
     for name, kind in {**BENCH, "supervisor": SupervisorSettings}.items():
         if name in own:
             own[name] = table_of(kind).read(own[name], top.within(name))
@@ -721,28 +720,37 @@ def check_exportable(itinerary: Itinerary) -> None:
         InputError: names the setting.
     """
     loop = itinerary.loop
-    if loop.keep != "none":
-        raise InputError(
-            f'run: keep = "{loop.keep}" has an internal clock that C export does not support; export without it'
-        )
-    if loop.supervisor.hold != "none":
-        raise InputError(
-            f'supervisor: hold = "{loop.supervisor.hold}" searches for an orbit to hold, which C export does not '
-            'support; export with hold = "none"'
-        )
-    if loop.supervisor.on_fall != "stop":
-        raise InputError(
-            f'supervisor: on_fall = "{loop.supervisor.on_fall}" changes the reference during a run and cannot be '
-            f'exported to C; export with on_fall = "stop"'
-        )
-    kind, by = loop.controller.kind, getattr(loop.controller, "schedule", "time")
-    if isinstance(loop.controller, OwnLaw):
-        raise InputError(f"controller = {kind}: Python code cannot be exported to C; use a dp.SymbolicLaw")
-    if not law_of(loop.controller).symbolic or by != "time":
-        what = f'schedule = "{by}"' if by != "time" else f'kind = "{kind}"'
-        raise InputError(f"controller: {what} has an internal clock that C export does not support; {LEAVING}")
-    if not filter_of(loop.estimator).symbolic:
-        raise InputError(f'estimator: kind = "{loop.estimator.kind}" cannot be exported to C; use "ekf"')
+    kind, by, supervisor = loop.controller.kind, getattr(loop.controller, "schedule", "time"), loop.supervisor
+    what = f'schedule = "{by}"' if by != "time" else f'kind = "{kind}"'
+    own = isinstance(loop.controller, OwnLaw)
+    refused = (
+        (
+            loop.keep != "none",
+            f'run: keep = "{loop.keep}" has an internal clock that C export does not support; export without it',
+        ),
+        (
+            supervisor.hold != "none",
+            f'supervisor: hold = "{supervisor.hold}" searches for an orbit to hold, which C export does not support; '
+            'export with hold = "none"',
+        ),
+        (
+            supervisor.on_fall != "stop",
+            f'supervisor: on_fall = "{supervisor.on_fall}" changes the reference during a run and cannot be exported '
+            'to C; export with on_fall = "stop"',
+        ),
+        (own, f"controller = {kind}: Python code cannot be exported to C; use a dp.SymbolicLaw"),
+        (
+            by != "time" or not (own or law_of(loop.controller).symbolic),
+            f"controller: {what} has an internal clock that C export does not support; {LEAVING}",
+        ),
+        (
+            not filter_of(loop.estimator).symbolic,
+            f'estimator: kind = "{loop.estimator.kind}" cannot be exported to C; use "ekf"',
+        ),
+    )
+    for wrong, sentence in refused:
+        if wrong:
+            raise InputError(sentence)
 
 
 def export_plan(
@@ -957,11 +965,10 @@ class RigLink:
             else:
                 where = parse_address(self.address)
             rig = stack.enter_context(UdpRig(where, key=key, insecure=self.insecure, **begun))
-            there = rig.welcome
+            there, own = rig.welcome, 1 / rig.welcome.period
             if there.arms != arms:
                 raise InputError(f"rig {rig.address} has {there.arms} arms, the itinerary's model {arms}")
             if abs(there.period * rate - 1) > 1e-6:
-                own = 1 / there.period
                 remedy = f"set rate = {own:g} in [run]" if loop is None else f"run with --rate {own:g}"
                 raise InputError(f"rig {rig.address} ticks at {own:g} Hz, the loop at {rate:g} Hz; {remedy}")
             if there.ticks < ticks:
@@ -1043,20 +1050,16 @@ def measured_text(itinerary: Itinerary, values: Mapping[str, Any]) -> tuple[Path
         values: values by key of [run].
 
     Raises:
-        InputError: the file cannot be read, or its text cannot be changed.
+        InputError: its text cannot be changed.
     """
     if itinerary.stored is not None:
         raise InputError(f"{itinerary.stored} is a plan and is not changed; give the itinerary's .toml")
-    try:
-        text = itinerary.path.read_bytes().decode()
-    except OSError as error:
-        raise InputError(f"cannot read {itinerary.path}: {error.strerror or error}; check the file") from error
+    text = itinerary.path.read_bytes().decode("utf-8-sig")
     own, shipped = folders("itineraries")
     path = itinerary.path.resolve()
     if path.is_relative_to(shipped.resolve()) and not path.is_relative_to(own.resolve()):
         path = own / path.name
-    mark = "\ufeff" if text.startswith("\ufeff") else ""
-    return path, mark + with_values(text.removeprefix(mark), "run", values)
+    return path, with_values(text, "run", values)
 
 
 def written(found: "Commissioning", itinerary: Itinerary) -> "Commissioning":

@@ -58,25 +58,13 @@ def walks(
         source: first node.
         target: last node; any by default.
         length: number of connections.
-
-    Raises:
-        InputError: an unknown node, or a length below one.
     """
-    for node in (source, *([] if target is None else [target])):
-        if node not in graph:
-            raise InputError(f"the graph has no orbit {node!r}; choose one of {', '.join(graph.nodes)}")
-    if length < 1:
-        raise InputError(f"length = {length}: a walk has at least one connection")
-    return _walks(graph, source, target, length)
-
-
-def _walks(graph: "nx.MultiDiGraph[str]", at: str, target: str | None, left: int) -> Iterator[tuple[str, ...]]:
-    if left == 0:
-        if target is None or at == target:
+    if length == 0:
+        if target in (None, source):
             yield ()
         return
-    for _, following, name in graph.out_edges(at, keys=True):
-        for rest in _walks(graph, following, target, left - 1):
+    for _, following, name in graph.out_edges(source, keys=True):
+        for rest in walks(graph, following, target=target, length=length - 1):
             yield (name, *rest)
 
 

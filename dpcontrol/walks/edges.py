@@ -426,22 +426,18 @@ def find_edges(
 def _with_rotating(edges: Edges, symbols: Sequence[Symbol], progress: Progress) -> Edges:
     """Add the rotating orbits that symbols name, and their connections."""
     orbits, searched, connections, incomplete = dict(edges.orbits), list(edges.searched), list(edges.connections), []
-    done: set[tuple[tuple[str, str], str | None]] = set()
-    for symbol in symbols:
-        pair = (symbol.source, symbol.target)
-        if not any(name in ROTATING for name in pair):
-            continue
+    wanted = [((s.source, s.target), s.section) for s in symbols if {s.source, s.target} & ROTATING.keys()]
+    for pair, section in dict.fromkeys(wanted):
         for name in pair:
             if name in ROTATING and name not in orbits:
                 orbits[name] = rotating_named(edges.system, name, edges.energy)
         # A missing saddle orbit is reported when the symbol is resolved.
-        if all(name in orbits for name in pair) and (pair, symbol.section) not in done:
+        if set(pair) <= orbits.keys():
             progress(f"connections {pair[0]} > {pair[1]}", 0.0)
-            search = rotating_connections(*(orbits[name] for name in pair), section=symbol.section)
+            search = rotating_connections(*(orbits[name] for name in pair), section=section)
             known = {c.name for c in connections}
             connections += [c for c in search.connections if c.name not in known]
             searched += [pair] * (pair not in searched)
-            done.add((pair, symbol.section))
             # The tube of a rotating orbit crosses the section without end, so the search is never complete.
             incomplete.append(search)
     incomplete = (*edges.incomplete, *incomplete)

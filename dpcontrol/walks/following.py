@@ -16,7 +16,6 @@ import numpy as np
 from dpcontrol.bifurcations.bifurcations import Sweep, SweepSettings
 from dpcontrol.bifurcations.links import PathPoint, carry, first_crossing
 from dpcontrol.dynamics.system import System
-from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError, remark
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
@@ -137,8 +136,13 @@ class SymbolBranches:
             if carried is None:
                 return None
             state = first_crossing(self._sweep.problem, carried.link, energy, self._sweep.section)
-            fitting = [c for c in self.connections(energy) if c.sense == connection.sense]
-            return self._nearest(state, fitting, flipped=image is not connection)
+            if state is None:
+                return None
+            for c in self.connections(energy):
+                there = c if image is connection else mirrored(c)
+                if c.sense == connection.sense and self.system.scaled_distance(state, there.state) < _SAME:
+                    return c
+            return None
         return None
 
     def _point(self, connection: Connection, energy: float) -> PathPoint | None:
@@ -149,15 +153,6 @@ class SymbolBranches:
                 return point
         return None
 
-    def _nearest(self, state: Array | None, among: list[Connection], *, flipped: bool) -> Connection | None:
-        if state is None:
-            return None
-        for c in among:
-            there = mirrored(c) if flipped else c
-            if float(self.system.scaled_distance(state, there.state)) < _SAME:
-                return c
-        return None
-
     def changes(self, low: float, high: float, *, progress: Progress = no_progress) -> tuple[SymbolChange, ...]:
         """Return the changes of selection between two energies.
 
@@ -166,26 +161,18 @@ class SymbolBranches:
             high: last energy, J.
             progress: called with a label and the completed share.
         """
-        grid, found = np.linspace(low, high, _GRID + 1).tolist(), []
-        absent = []
-        for k, energy in enumerate(grid):
-            progress(f"{self.symbol.text} at {energy:.4g} J", 0.5 * k / len(grid))
-            if self.chosen(energy) is None:
-                absent.append(f"{energy:.6g}{self.system.unit('J')}")
-        if absent:
+        grid, found, unit = np.linspace(low, high, _GRID + 1).tolist(), [], self.system.unit("J")
+        if absent := [f"{energy:.6g}{unit}" for energy in grid if self.chosen(energy) is None]:
             remark(
                 f'"{self.symbol.text}" selects no connection at {", ".join(absent)}: changes beside these energies are '
                 "not reported"
             )
         for k, (begin, end) in enumerate(pairwise(grid)):
-            progress(f"{self.symbol.text} from {begin:.4g} J", 0.5 + 0.5 * k / _GRID)
+            progress(f"{self.symbol.text} from {begin:.4g} J", k / _GRID)
             here, there = self.chosen(begin), self.chosen(end)
-            if here is None or there is None:
-                continue
-            if self._keeps(here, end):
+            if here is None or there is None or self._keeps(here, end):
                 continue
             energy, beyond = bisected(begin, end, lambda at, one=here: self._keeps(one, at))
-            known = self.followed(here, beyond)
             other = self.chosen(beyond)
             found.append(
                 SymbolChange(
@@ -194,8 +181,8 @@ class SymbolBranches:
                     abs(beyond - energy) / 2,
                     here.name,
                     there.name if other is None else other.name,
-                    known is None,
-                    self.system.unit("J"),
+                    self.followed(here, beyond) is None,
+                    unit,
                 )
             )
         progress(self.symbol.text, 1.0)

@@ -180,7 +180,9 @@ def first_guess(
             joints.append(len(durations))
             # The joint lasts for the rest of the stay, after whole steps.
             durations.append(_joint(chain[k - 1], connection, stays[k - 1], settings))
-        markers[len(owners) + back] = _level(connection, shift)
+        normal = np.asarray(connection.section.normal)
+        level = connection.section.level(connection.state) + float(normal @ shift)
+        markers[len(owners) + back] = normal, level
         states += [before[::-1] + shift, after[1:] + shift]
         durations += [early] * back + [late] * ahead
         owners += [k] * (back + ahead + 1)
@@ -238,13 +240,6 @@ def _joint(before: Connection, after: Connection, stay: float, settings: Shadowi
     step = before.target.period / settings.segments
     counts = _count(before, +1, stay, settings) + _count(after, -1, stay, settings)
     return before.time_in + stay + after.time_out - counts * step
-
-
-def _level(connection: Connection, shift: Array) -> tuple[Array, float]:
-    """Return the normal and the level of a lifted section."""
-    section = connection.section
-    normal = np.asarray(section.normal)
-    return normal, section.level(connection.state) + float(normal @ shift)
 
 
 @dataclass(frozen=True)
@@ -339,8 +334,8 @@ def realised_wraps(connections: Sequence[Connection], stays: Array) -> tuple[int
         stays: times (S,) between the section crossings on either side of each of the S stops, s.
     """
     counts = []
-    for k, seconds in enumerate(stays):
-        before, after = connections[k], connections[(k + 1) % len(connections)]
+    pairs = zip(connections, [*connections[1:], connections[0]], strict=True)
+    for seconds, (before, after) in zip(stays, pairs, strict=False):
         spare = seconds - before.time_in - after.time_out
         counts.append(round(float(spare) / before.target.period - phase_gap(before, after)))
     return tuple(counts)
@@ -375,7 +370,16 @@ def shadow(
     """
     settings = settings or ShadowingSettings()
     chain = tuple(connections)
-    _check(chain, wraps, lead_in, lead_out, periodic)
+    check_stops(chain, wraps, periodic=periodic)
+    for name, value in (*(("wraps", count) for count in wraps), ("lead_in", lead_in), ("lead_out", lead_out)):
+        if not 0 <= value <= MOST_WRAPS:
+            raise InputError(f"{name} = {value}: must be 0 to {MOST_WRAPS:,}")
+    if len(energies := {c.source.energy for c in chain}) > 1:
+        unit = chain[0].source.system.unit("J")
+        raise InputError(
+            f"the walk mixes energies {sorted(energies)}{unit}: an orbit has constant energy; join references of "
+            "different energies instead"
+        )
     guess = first_guess(chain, wraps, periodic=periodic, settings=settings, strands=strands)
     shot = solve_shooting(guess, settings.newton)
     return described(shot, chain, wraps, leads=(lead_in, lead_out), rivals=rivals)
@@ -518,23 +522,6 @@ def check_stops(chain: Sequence[Connection], wraps: Sequence[int] | None, *, per
             f"wraps = {list(wraps)}: a walk of {len(chain)} symbols has {stops} {kind}; give one integer for each"
         )
     return stops
-
-
-def _check(chain: tuple[Connection, ...], wraps: Sequence[int], lead_in: int, lead_out: int, periodic: bool) -> None:
-    if not chain:
-        raise InputError("walk = []: must have at least one symbol")
-    check_stops(chain, wraps, periodic=periodic)
-    for name, values in (("wraps", wraps), ("lead_in", (lead_in,)), ("lead_out", (lead_out,))):
-        for value in values:
-            if not 0 <= value <= MOST_WRAPS:
-                raise InputError(f"{name} = {value}: must be 0 to {MOST_WRAPS:,}")
-    energies = {c.source.energy for c in chain}
-    if len(energies) > 1:
-        unit = chain[0].source.system.unit("J")
-        raise InputError(
-            f"the walk mixes energies {sorted(energies)}{unit}: an orbit has constant energy; join references of "
-            "different energies instead"
-        )
 
 
 MOST = 12

@@ -19,6 +19,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.settings import suggest
 
 if TYPE_CHECKING:
     from dpcontrol.tubes.connections import Connection
@@ -31,10 +32,7 @@ def composed(walk: Sequence[str], wraps: Sequence[int]) -> str:
         walk: names of the connections (k,).
         wraps: periods at each stop (k - 1,).
     """
-    parts = [f"({walk[0]})"]
-    for name, count in zip(walk[1:], wraps, strict=True):
-        parts.append(f"·{count}·({name})")
-    return "".join(parts)
+    return f"({walk[0]})" + "".join(f"·{count}·({name})" for name, count in zip(walk[1:], wraps, strict=True))
 
 
 _FULL = re.compile(
@@ -117,14 +115,9 @@ def parse_symbol(text: str, saddles: Sequence[str]) -> Symbol:
     source = parts["source"]
     target = parts["target"] or source
     rotating = [str(name) for name in _ROTATING if str(replace(name, rank=1)) in saddles]
-    unknown = [name for name in (source, target) if name not in (*saddles, *rotating)]
-    spelt, meant = {name.casefold(): name for name in saddles}, text
-    for saddle in unknown:
-        if saddle.casefold() not in spelt:
-            raise InputError(f"{text!r}: {saddle!r} has no tubes; choose from {', '.join(saddles)}")
-        meant = meant.replace(saddle, spelt[saddle.casefold()])
-    if unknown:
-        raise InputError(f"{text!r}: the case of letters matters; write {meant!r}")
+    for name in (source, target):
+        if name not in (*saddles, *rotating):
+            raise InputError(f"{text!r}: {name!r} has no tubes; {suggest(name, saddles)}")
     sense = {"+": 1, "-": -1, None: None}[parts.get("sense")]
     if full is None and source == target and sense is None:
         raise InputError(f'{text!r} has no direction of rotation; write "{source} +" or "{source} -"')

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from dpcontrol.dynamics.propagator import Exact, Section, digits
 from dpcontrol.dynamics.system import System, momentum_scale
 from dpcontrol.foundation.arrays import Array
-from dpcontrol.foundation.document import Documented, picked, plain
+from dpcontrol.foundation.document import Documented, document_of, picked
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.files import write_archive
 from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress
@@ -51,14 +51,7 @@ def as_connection(orbit: ShadowingOrbit) -> Connection:
 
     Args:
         orbit: converged orbit of an open walk.
-
-    Raises:
-        InputError: the orbit is periodic or has not converged.
     """
-    if orbit.periodic:
-        raise InputError("the orbit is periodic: only an open walk can become an edge of the graph")
-    if not orbit.converged:
-        raise InputError(f"the orbit has not converged and cannot become an edge of the graph: {orbit.status}")
     first, last = orbit.connections[0], orbit.connections[-1]
     source, target, section = first.source, last.target, first.section
     system = source.system
@@ -312,20 +305,15 @@ def through(stops: Sequence[str], edges: Edges) -> Walk:
     """
     if len(stops) < 2:
         raise InputError(f"stops = {list(stops)}: must have at least two, for the start and the end")
-    graph = edges.graph()
+    graph, place = edges.graph(), f"{edges.energy:g}{edges.system.unit('J')}"
     chain: list[Connection] = []
     for stop in stops:
         if stop not in graph:
-            place = f"{edges.energy:g}{edges.system.unit('J')}"
             raise InputError(f"{stop!r} has no orbit at {place}: {suggest(stop, edges.orbits)}")
     for here, there in pairwise(stops):
-        if here == there:
-            path = [here, there] if graph.has_edge(here, there) else []
-        else:
-            path = nx.shortest_path(graph, here, there) if nx.has_path(graph, here, there) else []
-        if not path:
-            place = f"{edges.energy:g}{edges.system.unit('J')}"
+        if not (graph.has_edge(here, there) or (here != there and nx.has_path(graph, here, there))):
             raise InputError(f"no walk at {place} leads from {here} to {there}; try a higher energy")
+        path = [here, there] if here == there else nx.shortest_path(graph, here, there)
         chain += [choose(way, edges.between(way.source, way.target)) for way in ways(path)]
     return tuple(chain)
 
@@ -333,21 +321,8 @@ def through(stops: Sequence[str], edges: Edges) -> Walk:
 def _matrix(edges: Edges) -> tuple[list[str], NDArray[np.object_]]:
     """Return the saddles and the matrix of connection counts."""
     names = list(edges.orbits)
-    counts = np.zeros((len(names), len(names)), dtype=object)
-    for c in edges.connections:
-        counts[names.index(c.source.saddle), names.index(c.target.saddle)] += 1
-    return names, counts
-
-
-def counted(total: int) -> str:
-    """Return a number of walks as text.
-
-    Examples are "1,234" and "about 10^47".
-
-    Args:
-        total: the number, of any length.
-    """
-    return f"{total:,}" if total < 10**12 else f"about 10^{int(total.bit_length() * math.log10(2))}"
+    # Whole numbers of Python have any length.
+    return names, nx.to_numpy_array(edges.graph(), nodelist=names, dtype=np.dtype(int)).astype(object)
 
 
 def count_walks(edges: Edges, length: int, *, source: str | None = None, target: str | None = None) -> int:
@@ -360,34 +335,14 @@ def count_walks(edges: Edges, length: int, *, source: str | None = None, target:
         target: name of the last stop, or None for any.
 
     Raises:
-        InputError: a length below one, or a saddle without an orbit.
+        InputError: a saddle without an orbit.
     """
     names, counts = _matrix(edges)
-    _check(edges, length, source, target)
+    _check(edges, source, target)
     power = np.linalg.matrix_power(counts, length)
     rows = [k for k, name in enumerate(names) if source in (None, name)]
     columns = [k for k, name in enumerate(names) if target in (None, name)]
     return int(power[np.ix_(rows, columns)].sum())
-
-
-def all_walks(edges: Edges, length: int, *, source: str | None = None, target: str | None = None) -> Iterator[Walk]:
-    """Yield every walk of given length.
-
-    Args:
-        edges: connections at one energy.
-        length: number of symbols.
-        source: name of the first stop, or None for any.
-        target: name of the last stop, or None for any.
-
-    Raises:
-        InputError: a length below one, or a saddle without an orbit.
-    """
-    _check(edges, length, source, target)
-    graph = edges.graph()
-    named = {c.name: c for c in edges.connections}
-    for start in edges.orbits if source is None else (source,):
-        for names in walks(graph, start, target=target, length=length):
-            yield tuple(named[name] for name in names)
 
 
 def listed(
@@ -403,16 +358,19 @@ def listed(
         periodic: closed walks only.
 
     Raises:
-        InputError: a length below one, a saddle without an orbit, or more walks than can be listed.
+        InputError: a saddle without an orbit, or more walks than can be listed.
     """
     total = count_walks(edges, length, source=source, target=target)
     if total > LISTED:
+        count = f"{total:,}" if total < 10**12 else f"about 10^{int(total.bit_length() * math.log10(2))}"
         raise InputError(
-            f"length = {length}: there are {counted(total)} such walks, and {LISTED:,} can be listed; draw some with "
+            f"length = {length}: there are {count} such walks, and {LISTED:,} can be listed; draw some with "
             "--random (random_walks in Python)"
         )
-    chains = all_walks(edges, length, source=source, target=target)
-    return [chain for chain in chains if not periodic or is_closed(chain)]
+    graph, connections = edges.graph(), {c.name: c for c in edges.connections}
+    names = (n for a in edges.orbits if source in (None, a) for n in walks(graph, a, target=target, length=length))
+    chains = (tuple(connections[name] for name in walk) for walk in names)
+    return [chain for chain in chains if not periodic or chain[0].source.saddle == chain[-1].target.saddle]
 
 
 def random_walk(edges: Edges, length: int, generator: np.random.Generator, *, periodic: bool = False) -> Walk:
@@ -425,16 +383,15 @@ def random_walk(edges: Edges, length: int, generator: np.random.Generator, *, pe
         periodic: True for closed walks only.
 
     Raises:
-        InputError: a length below one, or no such walk.
+        InputError: there is no such walk.
     """
-    _check(edges, length, None, None)
     names, counts = _matrix(edges)
     powers = [np.linalg.matrix_power(counts, k) for k in range(length + 1)]
     onward = np.ones(len(names), dtype=object)
     first = np.array([powers[length][k, k] if periodic else (powers[length] @ onward)[k] for k in range(len(names))])
     if not first.sum():
-        what = f"no {'closed ' if periodic else ''}walk of {length} symbols"
-        raise InputError(f"{what} exists at {edges.energy:g}{edges.system.unit('J')}")
+        place, kind = f"{edges.energy:g}{edges.system.unit('J')}", "closed walk" if periodic else "walk"
+        raise InputError(f"no {kind} of {length} symbols exists at {place}")
     at = start = _drawn(first, generator)
     chain: list[Connection] = []
     for left in range(length - 1, -1, -1):
@@ -454,22 +411,11 @@ def _drawn(weights: NDArray[np.object_], generator: np.random.Generator) -> int:
     return int(generator.choice(len(shares), p=shares / shares.sum()))
 
 
-def _check(edges: Edges, length: int, source: str | None, target: str | None) -> None:
-    if length < 1:
-        raise InputError(f"length = {length}: must be at least one symbol")
+def _check(edges: Edges, source: str | None, target: str | None) -> None:
     for saddle in (source, target):
         if saddle is not None and saddle not in edges.orbits:
             reasons = [why for name, why in edges.absent if name == saddle]
             raise InputError(f"{saddle!r}: {reasons[0] if reasons else suggest(saddle, edges.orbits)}")
-
-
-def is_closed(chain: Sequence[Connection]) -> bool:
-    """Return True if a walk ends where it starts.
-
-    Args:
-        chain: connections of the walk.
-    """
-    return chain[0].source.saddle == chain[-1].target.saddle
 
 
 FORMAT = 1
@@ -508,6 +454,7 @@ class WalkAnswer:
         seconds: solution time, s, without the search for the fewest wraps.
         advice: wraps that suffice, or none, if the orbit was not found.
         refined: orbit in extended precision, if requested.
+        file: file of the orbit, if it was saved.
     """
 
     request: WalkRequest
@@ -516,6 +463,7 @@ class WalkAnswer:
     seconds: float
     advice: FewestWraps | None = None
     refined: ExtendedOrbit | None = None
+    file: Path | None = None
 
     @property
     def status(self) -> str:
@@ -532,20 +480,13 @@ class WalkAnswer:
     def document(self) -> dict[str, Any]:
         """Return the document printed by `dpcontrol walk --solve --json`."""
         orbit, refined = self.orbit, self.refined
-        own = ("wraps", "wraps_realised", "residual", "duration")
-        found: dict[str, Any] = dict.fromkeys(own) if orbit is None else picked(orbit, *own)
-        document = {
-            **self.request.document(),
-            "least_wraps": self.least,
-            **found,
-            "iterations": None if orbit is None else orbit.orbit.iterations,
-            **picked(self, "seconds", "converged", "status"),
-        }
+        document = {**self.request.document(), **document_of(self, "least_wraps=least seconds converged status file")}
         if orbit is None:
-            return document
+            return document | dict.fromkeys(("wraps", "wraps_realised", "residual", "duration", "iterations"))
+        figures = "wraps wraps_realised residual duration iterations=orbit.iterations symbol_times"
+        document |= document_of(orbit, figures) | {"certificate": _estimate(orbit)}
         if not orbit.periodic and len(orbit.walk) > 1:
             document["edge"] = composed(orbit.walk, orbit.wraps)
-        document |= {"symbol_times": orbit.symbol_times, "certificate": _estimate(orbit)}
         if refined is not None:
             # Strings of digits replace doubles; times start at the first symbol's section.
             document |= {
@@ -599,25 +540,6 @@ def drawn_requests(
         more = tuple(int(n) for n in generator.integers(extra[0], extra[1] + 1, stops))
         requests.append(WalkRequest(chain, periodic, None, more, *leads))
     return requests
-
-
-def request(
-    chain: Walk, *, wraps: Sequence[int] | None, extra: int, periodic: bool, leads: tuple[int, int] = (2, 2)
-) -> WalkRequest:
-    """Return a request with given or fewest wraps.
-
-    Args:
-        chain: connections of the walk.
-        wraps: periods at each stop; None for the fewest.
-        extra: periods at each stop above the fewest.
-        periodic: True for a closed walk.
-        leads: periods on the first and the last orbit.
-
-    Raises:
-        InputError: a wrong number of wraps, or a periodic walk with different ends.
-    """
-    stops = check_stops(chain, wraps, periodic=periodic)
-    return WalkRequest(chain, periodic, None if wraps is None else tuple(wraps), (extra,) * stops, *leads)
 
 
 @dataclass(frozen=True)
@@ -699,16 +621,29 @@ class WalkSelection:
         Raises:
             InputError: no such walk, or too many.
         """
-        settings: dict[str, Any] = {"periodic": self.periodic, "leads": self.leads}
         if self.random is not None:
-            extra = {"lengths": self.lengths, "extra": self.extra_wraps, "seed": self.seed}
-            return tuple(drawn_requests(edges, self.random, **extra, **settings))
+            return tuple(
+                drawn_requests(
+                    edges,
+                    self.random,
+                    lengths=self.lengths,
+                    extra=self.extra_wraps,
+                    seed=self.seed,
+                    periodic=self.periodic,
+                    leads=self.leads,
+                )
+            )
         if self.length is None:
             walks = [resolve(self.symbols, edges) if self.symbols else through(self.through, edges)]
         else:
             walks = listed(edges, self.length, source=self.source, target=self.target, periodic=self.periodic)
             self._announce(len(walks), self.length, "length", solve=solve, yes=yes)
-        return tuple(request(walk, wraps=self.wraps, extra=self.extra_wraps[0], **settings) for walk in walks)
+        wraps = None if self.wraps is None else tuple(self.wraps)
+        stops = [check_stops(walk, wraps, periodic=self.periodic) for walk in walks]
+        return tuple(
+            WalkRequest(walk, self.periodic, wraps, (self.extra_wraps[0],) * count, *self.leads)
+            for walk, count in zip(walks, stops, strict=True)
+        )
 
 
 @dataclass(frozen=True)
@@ -726,14 +661,12 @@ class SolvedWalks(Documented):
     """Walks of a graph with their orbits.
 
     Attributes:
-        files: file of each orbit, or None.
         least_seen: fewest sufficient wraps between two connections, by their names.
         picture, film: files that show the orbit, if they were written.
     """
 
     edges: Edges
     answers: tuple[WalkAnswer, ...]
-    files: tuple[Path | None, ...]
     least_seen: Mapping[tuple[str, str], int]
     picture: Path | str | None = None
     film: Path | str | None = None
@@ -754,9 +687,7 @@ class SolvedWalks(Documented):
         """Return the document printed by `dpcontrol walk --solve --json`."""
         return {
             "energy": self.edges.energy,
-            "walks": [
-                {**answer.document(), "file": file} for answer, file in zip(self.answers, self.files, strict=True)
-            ],
+            "walks": [answer.document() for answer in self.answers],
             "least_seen": [{"before": a, "after": b, "wraps": n} for (a, b), n in sorted(self.least_seen.items())],
             "notes": self.edges.notes,
             **picked(self, "picture", "film", "status"),
@@ -786,18 +717,18 @@ def solve_walks(
     """
     edges, solver, count = walks.edges, WalkSolver(walks.edges.connections), len(walks.walks)
     answers: list[WalkAnswer] = []
-    files: list[Path | None] = []
     for k, answer in enumerate(solved(walks.walks, solver)):
-        if energy is not None:
+        if energy is not None and answer.orbit is not None and answer.converged:
             progress("refining in 113-bit arithmetic", (k + 0.5) / count)
-            answer = refined_answer(answer, energy=energy, parameters=parameters)
-        file = None if folder is None or not answer.converged else folder / f"walk-{k + 1}.npz"
-        if file is not None and answer.orbit is not None:
+            refined = refine(answer.orbit.shot.solution, energy=energy, parameters=parameters)
+            answer = replace(answer, refined=refined)
+        if folder is not None and answer.orbit is not None and answer.converged:
+            file = folder / f"walk-{k + 1}.npz"
             save_walk(file, edges.system.name, answer.orbit, refined=answer.refined)
+            answer = replace(answer, file=file)
         answers.append(answer)
-        files.append(file)
         progress("walks", (k + 1) / count)
-    return SolvedWalks(edges, tuple(answers), tuple(files), solver.least_seen)
+    return SolvedWalks(edges, tuple(answers), solver.least_seen)
 
 
 _DRAWN, _SOLVED_SYMBOL, _SOLVED_WRAP, _TRIED = 5e-4, 0.05, 0.01, 0.002
@@ -841,8 +772,7 @@ def solved(requests: Sequence[WalkRequest], solver: WalkSolver) -> Iterator[Walk
 
 
 def _solve_request(request: WalkRequest, solver: WalkSolver) -> WalkAnswer:
-    least: tuple[int, ...] | None = None
-    wraps = request.wraps
+    least, wraps = None, request.wraps
     if wraps is None:
         fewest = solver.fewest(request.chain, periodic=request.periodic)
         if fewest.failed is not None:
@@ -857,35 +787,14 @@ def _solve_request(request: WalkRequest, solver: WalkSolver) -> WalkAnswer:
     return WalkAnswer(request, least, orbit, seconds, None if orbit.converged else solver.advice(orbit))
 
 
-def refined_answer(answer: WalkAnswer, *, energy: Exact, parameters: Sequence[Exact] | None) -> WalkAnswer:
-    """Return the result with its orbit, if any, refined in 113-bit arithmetic.
-
-    The attribute `seconds` still refers to the orbit in double precision.
-
-    Args:
-        answer: result in double precision.
-        energy: exact value, J.
-        parameters: exact values (p,) of the equations' parameters.
-
-    Raises:
-        GoalMissed: a periodic orbit cannot be refined, or the machine has no 113-bit floating-point type.
-    """
-    if answer.orbit is None or not answer.converged:
-        return answer
-    refined = refine(answer.orbit.shot.solution, energy=energy, parameters=parameters)
-    return replace(answer, refined=refined)
+_ESTIMATE = (
+    "condition kantorovich radius energy_error departure stops multipliers?:log_unstable,log_stable,sign,reciprocity"
+)
+"""Entries of an error estimate, with logarithms of a periodic orbit's Floquet multipliers."""
 
 
 def _estimate(orbit: ShadowingOrbit) -> dict[str, Any] | None:
-    """Return the error estimate, with logarithms of a periodic orbit's Floquet multipliers."""
-    estimate = orbit.estimate
-    if estimate is None:
-        return None
-    document = picked(estimate, "condition", "kantorovich", "radius", "energy_error", "departure", "stops")
-    if estimate.multipliers is not None:
-        numbers = ("log_unstable", "log_stable", "sign", "reciprocity")
-        document["multipliers"] = picked(estimate.multipliers, *numbers)
-    return document
+    return None if orbit.estimate is None else document_of(orbit.estimate, _ESTIMATE)
 
 
 def save_walk(path: Path, model: str, orbit: ShadowingOrbit, *, refined: ExtendedOrbit | None = None) -> None:
@@ -915,7 +824,7 @@ def save_walk(path: Path, model: str, orbit: ShadowingOrbit, *, refined: Extende
         "wraps": list(orbit.wraps),
         "wraps_realised": list(orbit.wraps_realised),
         **picked(orbit, "periodic", "lead_in", "lead_out", "duration", "residual", "status"),
-        "certificate": plain(_estimate(orbit)),
+        "certificate": _estimate(orbit),
     }
     turn = orbit.orbit.turn
     arrays: dict[str, Any] = {

@@ -309,10 +309,10 @@ def solved(found: Any) -> Iterator[Line]:
     Args:
         found: a `SolvedWalks`.
     """
-    for number, (answer, file) in enumerate(zip(found.answers, found.files, strict=True), start=1):
+    for number, answer in enumerate(found.answers, start=1):
         yield f"walk {number}: " + "  ".join(c.name for c in answer.request.chain)
         yield from _solution(answer) if answer.converged else [f"  {answer.status}"]
-        yield from [] if file is None else [f"  {file}"]
+        yield from [] if answer.file is None else [f"  {answer.file}"]
     yield from drawn_to(found.film)
     yield found.status
 

@@ -183,7 +183,7 @@ def test_the_standard_has_nine_kinds_of_twenty_one_levels_each(turn: Itinerary) 
     cases = standard_cases(turn, fixed={}, controllers=["tvlqr", "feedforward"])
     assert len(cases) == 2 * 9 * LEVELS == len({case.label for case in cases})
     by_kind = {
-        kind.name: [c.loop for c in cases[: 9 * LEVELS] if dict(c.values)["kind"] == kind.name] for kind in STANDARD
+        kind.score: [c.loop for c in cases[: 9 * LEVELS] if dict(c.values)["kind"] == kind.score] for kind in STANDARD
     }
     assert [loop.mismatch for loop in by_kind["model error"]] == pytest.approx(np.linspace(0, 0.25, 21))
     assert [loop.drive.delay for loop in by_kind["delay"]] == pytest.approx(np.linspace(0, 300, 21))

@@ -114,7 +114,7 @@ def test_plus_selects_the_most_transversal_symmetric_connection(turns):
     [
         ([], "at least one symbol"),
         (["down-up"], "is not a symbol"),
-        (["up-up +"], "has no tubes; choose from down-up, up-down"),
+        (["up-up +"], "has no tubes; .*down-up, up-down"),
         (["down-up +", "up-down +"], 'ends at down-up, symbol 2 .* put "down-up > up-down" between'),
     ],
 )
