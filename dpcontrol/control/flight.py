@@ -347,10 +347,10 @@ class Flight(Concluded, Timed):
         """Return the states at given times.
 
         Args:
-            times: times (K,) from 0 to the duration, s; by default 200 over the whole flight.
+            times: times (…) from 0 to the duration, s; by default 200 over the whole flight.
 
         Returns:
-            States (K, N): angles, rates, and the cart's position and velocity.
+            States (…, N): angles, rates, and the cart's position and velocity.
 
         Raises:
             InputError: the times are not finite numbers.
@@ -358,10 +358,10 @@ class Flight(Concluded, Timed):
         return self.sample() if times is None else self._at(checked_times(times))[0]
 
     def input(self, times: Any) -> Array:
-        """Return the accelerations (K,) of the cart at given times, m/s².
+        """Return the accelerations (…) of the cart at given times, m/s².
 
         Args:
-            times: times (K,) from 0 to the duration, s.
+            times: times (…) from 0 to the duration, s.
 
         Raises:
             InputError: the times are not finite numbers.
@@ -377,7 +377,8 @@ class Flight(Concluded, Timed):
             np.zeros(1, dtype=int),
             np.zeros(1),
         )
-        return self.planner.states(flights, 0, np.clip(np.atleast_1d(times), 0.0, self.duration))
+        states, inputs = self.planner.states(flights, 0, np.clip(times.ravel(), 0.0, self.duration))
+        return states.reshape(*times.shape, self.nodes.shape[1]), inputs.reshape(times.shape)
 
     def document(self) -> dict[str, Any]:
         """Return the flight as JSON values."""

@@ -381,7 +381,7 @@ SENTENCES: Mapping[type[StrEnum], Mapping[Any, Callable[[Any], str]]] = {
         FlightCause.REACHED: lambda r: f"reaches {r.target} in {r.duration:.3f} s, cost-to-go {r.cost:.2g}",
         FlightCause.MISSED: lambda r: _joined(
             (True, f"misses {r.target}: the best flight of {r.duration:.3f} s ends at a cost-to-go of {r.cost:.3g}"),
-            (not r.remedy, "a track and an acceleration of twice the size do not help; give another target"),
+            (not r.remedy, "neither a track nor an acceleration of twice the size helps; give another target"),
             (r.remedy, f"with a limit of {r.remedy[1]:g} on the {r.remedy[0]} one is found" if r.remedy else ""),
         ),
     },

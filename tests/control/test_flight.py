@@ -78,8 +78,8 @@ def test_a_flight_samples_itself_and_starts_at_its_state() -> None:
 
 
 def test_a_flight_that_misses_says_so() -> None:
-    weak = replace(LIMITS, acceleration=3.0, position=0.05)
-    flight = dp.flight("lab", [1.0, 2.0, 3.0, 4.0, 0.1, 0.2], "up-up", limits=weak)
+    weak = replace(LIMITS, acceleration=1.5, position=0.02)
+    flight = dp.flight("lab", [1.0, 2.0, 3.0, 4.0, 0.01, 0.1], "up-up", limits=weak)
     assert not flight.converged
     assert flight.cause is FlightCause.MISSED
     assert flight.cost > REACHED

@@ -62,7 +62,6 @@ def test_a_unit_slip_in_a_model_is_remarked_on_with_the_key_and_the_likely_unit(
         ("limits", "position = 40", "cm (0.4 m) or in mm (0.04 m)"),
         ("run", "travel = 400", "mm (0.4 m)"),
         ("run", "rate = 1", "kHz (1e+03 Hz)"),
-        ("run", "initial_error = 2.0", "degrees (0.0349 rad)"),
         ("run", "cart_resolution = 1.0", "µm (1e-06 m)"),
         ("run", "cart_mass = 1500", "g (1.5 kg)"),
         ("[run.blows]", "time = 1.0\nimpulse = 20", "mN m s (0.02 N m s)"),
