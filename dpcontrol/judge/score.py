@@ -27,7 +27,7 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.settings import frozen
 from dpcontrol.foundation.shown import Brief
 from dpcontrol.judge.decoding import FOLLOWS, NEAR_LAST_ORBIT, Decoded, decode_run, last_gap
-from dpcontrol.logs import CATCH, LAP, RESUME, RETURN, Event, RunLog, Stretch
+from dpcontrol.logs import CATCH, FLIGHT, LAP, RESUME, RETURN, Event, RunLog, Stretch
 from dpcontrol.logs.layout import CONTROL, ESTIMATE, REFERENCE
 from dpcontrol.logs.rolling import NIGHT_METADATA
 from dpcontrol.loop.result import Ending, inside_95
@@ -498,13 +498,17 @@ def returns(events: Sequence[Event]) -> tuple[float, ...]:
     Args:
         events: events of a run.
     """
-    times, left = list[float](), None
+    times, left, back = list[float](), 0.0, True
     for event in events:
-        if event.name == RETURN and event.cause != Cause.LAP_DONE:
-            left = event.time if left is None else left
-        elif event.name in (RESUME, LAP) and left is not None:
+        if event.name == RETURN and event.cause != Cause.LAP_DONE and back:
+            left, back = event.time, False
+        elif event.name == FLIGHT and event.level == "warn" and back and times:
+            # The law did not take over at the flight's end.
+            times.pop()
+            back = False
+        elif event.name in (RESUME, LAP) and not back:
             times.append(event.time - left)
-            left = None
+            back = True
     return tuple(times)
 
 

@@ -41,7 +41,7 @@ from dpcontrol.foundation.causes import Cause
 from dpcontrol.foundation.shown import Brief
 from dpcontrol.logs import CATCH, FLIGHT, LAP, RESUME, RETURN, Event, Stretch
 from dpcontrol.loop.pilots import THINKING, Briefing, Course, Pilot, Request
-from dpcontrol.loop.targets import FlightGoal, Reach, padded
+from dpcontrol.loop.targets import SETTLES, FlightGoal, Reach, padded
 from dpcontrol.loop.ticker import Ticker
 from dpcontrol.references.problem import Limits
 
@@ -222,7 +222,7 @@ class FallRecovery:
         self._goal = 0
         self._bounds = dict[str, float]()
         self._course: Course
-        self._good = math.inf
+        self._good, self._arrives = math.inf, False
         self._thinking = THINKING
         self._why, self._sensor = Cause.FINISHED, 0
         self._flown: list[Stretch] = []
@@ -306,10 +306,15 @@ class FallRecovery:
         """
         plan, before = self._plan, self.motion
         if before is Motion.ITINERARY:
-            self.falls += 1
             self._flown.append(Stretch(self._joins, k + 1, self._at))
             # Up to then the run is judged; a place after it would leave a gap.
-            self._good = good = self._at + (self._followed - self._joins) * period - _BEFORE
+            self._good = self._at + (self._followed - self._joins) * period - _BEFORE
+            if self._arrives and (k - self._joins) * period < 2 * SETTLES:
+                # The law did not take over, so the flight has failed.
+                before = Motion.FLIGHT
+        if before is Motion.ITINERARY:
+            self.falls += 1
+            good = self._good
             reached = [stop for stop, goal in enumerate(plan.goals[:-1]) if goal.at[0] <= good]
             self._stop, self._tries = 0 if plan.restarts else max([self._stop, *reached]), 0
             tried = self._attempts[self._stop] = self._attempts.get(self._stop, 0) + 1
@@ -464,7 +469,7 @@ class FallRecovery:
                 self._brake(k, ticker)
             return ()
         self._at = float(goal.at[place])
-        self.motion, self._followed = Motion.ITINERARY, k
+        self.motion, self._followed, self._arrives = Motion.ITINERARY, k, True
         return [self._resumed()]
 
     def _caught(self, k: int, report: Report, ticker: Ticker, period: float) -> Sequence[Event]:
@@ -492,7 +497,7 @@ class FallRecovery:
             self._attempts[stop] = self._attempts.get(stop, 0) + 1
         self._flown.append(Stretch(self._joins, k + 1, self._at))
         self._stop, self._at, self._joins, self._followed = stop, tick * period, k + 1, k
-        self._near = False
+        self._near = self._arrives = False
         turns = whole_turns(state[:n] - reach.states[place, :n])
         rest = replace(plan.gains, rows=plan.gains.rows[tick:], references=plan.gains.references[tick:])
         ticker.follow(k + 1, ScheduledController(rest, self._main.kind), lift=turns, bounds=self._bounds)
@@ -574,7 +579,7 @@ class FallRecovery:
         apart[:n] -= turns
         if np.abs(apart).max() <= _MEETS:
             ticker.follow(k + 1, self._main, lift=turns, bounds=self._bounds)
-            self._followed = k
+            self._followed, self._arrives = k, False
             return [self._resumed()]
         self._tries = 0
         self._brake(k, ticker)

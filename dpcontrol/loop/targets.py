@@ -15,7 +15,7 @@ from dpcontrol.references.problem import Limits
 from dpcontrol.references.reference import Reference
 from dpcontrol.references.sustained import SustainedOrbit
 
-_SETTLES, _LEFT = 0.5, 1 / 3
+SETTLES, _LEFT = 0.5, 1 / 3
 """Part of a stay that follows a flight, s, and the least share of the acceleration that the feedback has there."""
 _NEAR = 0.8
 """Maximum angle of an arm from a candidate place, rad."""
@@ -169,7 +169,7 @@ def goal_of(
         rate: rate of the loop, Hz.
     """
     begin, end = stay
-    first, last = (math.ceil(begin * rate / reach.every), math.floor(max(begin, end - _SETTLES) * rate / reach.every))
+    first, last = (math.ceil(begin * rate / reach.every), math.floor(max(begin, end - SETTLES) * rate / reach.every))
     last = min(max(first, last), first + math.ceil(period * rate / reach.every), len(reach.states) - 1)
     places = np.arange(min(first, last), last + 1)
     ticks = np.minimum(places * reach.every, len(main.rows) - 1)
