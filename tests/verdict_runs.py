@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from independent_decoder import LAST, Plan, faults, last_gap, plan_of
 
+from dpcontrol.judge.decoding import stays
 from dpcontrol.judge.score import Flown, verdict_on
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.result import BatchRun, Ending
@@ -54,7 +55,7 @@ def runs(itinerary: Itinerary, reference: Reference, options: Mapping[str, Any],
     """Fly these seeds."""
     scene = itinerary.with_run(options)
     loop, arms = scene.loop, scene.model.arms
-    assembly, limits = Assembly(reference, arms, loop), loop.limits(reference.limits)
+    assembly, limits = Assembly(reference, arms, loop, stays=stays(reference)), loop.limits(reference.limits)
     lockstep = assembly.lockstep
     draws = (assembly.draw(seed=seed) for seed in seeds)
     flights = assembly.batch(seeds) if lockstep else [BatchRun.of(assembly.simulate(draw=draw)) for draw in draws]

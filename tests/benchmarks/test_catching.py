@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from dpcontrol.judge.decoding import stays
 from dpcontrol.judge.score import Flown, verdict_on
 from dpcontrol.logs import CATCH, RESUME, RETURN
 from dpcontrol.loop import recovery
@@ -49,7 +50,7 @@ def test_two_blows_are_recovered_from(name: str, impulse: float) -> None:
     scene = load_itinerary(name).with_run({**TWICE, "push_impulse": impulse})
     plan = make_plan(scene)
     law = Assembly(plan.reference, scene.model.arms, scene.loop).controller
-    how = Assembly(plan.reference, scene.model.arms, scene.loop, law=law).recovery
+    how = Assembly(plan.reference, scene.model.arms, scene.loop, law=law, stays=stays(plan.reference)).recovery
     done, falls, catches, back = 0, 0, 0, list[float]()
     for seed in BLOWN:
         told, settings = Told(), replace(scene.loop, seed=seed)
@@ -76,7 +77,7 @@ def test_catching_spares_falls(monkeypatch) -> None:
     scene = night_itinerary(load_itinerary(ITINERARY).with_run(BENCH), given={})
     plan = make_plan(scene)
     scene = plan.followed().itinerary
-    assembly = Assembly(plan.reference, scene.model.arms, scene.loop)
+    assembly = Assembly(plan.reference, scene.model.arms, scene.loop, stays=stays(plan.reference))
     falls = {}
     for catches in (False, True):
         with monkeypatch.context() as patch:
