@@ -52,7 +52,7 @@ def test_review_without_files_opens_the_viewer_on_a_recording(
     opened = tmp_path / "opened"
     viewer = tmp_path / "viewer"
     called = 'echo "$CI $2 $3" > "$0.called"'
-    viewer.write_text(f'#!/bin/sh\n{called}\ncp "$1" "{opened}.part" && mv "{opened}.part" "{opened}"\n')
+    viewer.write_text(f'#!/bin/sh\n{called}\ncat > "{opened}.part" && mv "{opened}.part" "{opened}"\n')
     viewer.chmod(0o755)
     monkeypatch.setattr("dpcontrol.pages.picture.viewer_program", lambda: viewer)
     monkeypatch.setenv("DISPLAY", ":0")
