@@ -62,6 +62,17 @@ def test_a_period_differs_from_that_of_the_parameters_doubles_in_the_sixteenth_d
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("case", [("lab", "up-down", 0.49033), ("point-mass", "up-down", 0.69938)])
+def test_orbits_with_multipliers_near_1e11_are_proved_with_default_settings(case: tuple[str, str, float]) -> None:
+    orbit = dp.orbit(dp.load_model(case[0]), case[1], energy=case[2])
+    assert 5e10 < orbit.unstable_multiplier < 2e11
+    proof = dp.prove(orbit)
+    assert proof.proved, proof.status
+    assert near(proof.figures["period"], orbit.period, 1e-9)
+    assert near(proof.figures["multipliers"][0], orbit.unstable_multiplier, 1e-2)
+
+
+@pytest.mark.slow
 def test_orbits_of_three_bodies_and_a_users_hamiltonian_are_proved(proofs: dict[str, Proof]) -> None:
     def hamiltonian(q: Any, p: Any, c: Any) -> Any:
         (x, y), (px, py) = q, p
