@@ -172,7 +172,7 @@ def find_orbits(
         rotating: arm of the rotating orbits to find instead (default: none).
         sustained: orbit that the cart sustains against friction with the least effort instead.
         sections: resets of the input clock per period of the sustained orbit (default: 4).
-        energy: energy, J, zero at the pivot's height; three bodies: own units (default: none).
+        energy: energy, J, zero at the pivot's height, or in the three bodies' own units (default: none).
         energies: lowest and highest energy of a family, J (default: none).
         picture: picture to write, .png, .pdf or .svg (default: none).
         progress: reports, see `dpcontrol.api`.
@@ -342,7 +342,7 @@ def find_connections(
         model: model, its name, or a system.
         source: first saddle of the connections.
         target: last saddle of the connections.
-        energy: energy, J, zero at the pivot's height; three bodies: own units (default: none).
+        energy: energy, J, zero at the pivot's height, or in the three bodies' own units (default: none).
         energies: for three arms: lowest and highest energy of symmetric connections, J (default: none).
         family: with energies: family of orbits, slowest first (default: 0).
         hits: section crossings of the connections, of the unstable and the stable tube (default: 1, or those of name).
@@ -1021,7 +1021,7 @@ def run(
         mismatch: largest relative error of the plant's parameters (default: the itinerary's).
         plant: name or path of a model for a plant with other arms (default: the same arms).
         start: state (N,) from which a flight leads to the first stop, or "anywhere" for a random one within
-            `initial_error` and the like (default: as planned).
+            the bounds of the settings `initial_…` (default: as planned).
         seed: seed of the random numbers (default: 0).
         settings: run settings by path, such as {"drive.lag": 0.005} (default: none).
         rig: object with `read()`, `command(acceleration)` and `stop()`, address of a bench in real time, or link of
@@ -1214,8 +1214,8 @@ def export(
         itinerary: plan, or name or path of an itinerary.
         folder: folder to write, or NAME.fmu for a co-simulation unit (default: none).
         single: single precision.
-        clock: clock of a Cortex-M4, MHz; rates beyond its speed are rejected (default: not checked).
-        unit: co-simulation unit (FMI 2.0) for Simulink, Modelica tools, FMPy; the folder is then NAME.fmu.
+        clock: clock of a Cortex-M4 that must keep the rate, MHz (default: not checked).
+        unit: True for a co-simulation unit (FMI 2.0) for Simulink, Modelica tools and FMPy, NAME.fmu.
         settings: run settings by path, such as {"drive.lag": 0.005} (default: none).
         force: replacement of existing files with these names.
         yes: permission for work of more than an hour or 4 GB of memory.

@@ -56,12 +56,12 @@ class Digest:
         others: number of other events by name.
         repetitions: completed repetitions of the itinerary.
         cart: greatest distance of the cart from the centre, m.
-        limit: travel limit of the cart, m; zero if unknown.
+        limit: travel limit of the cart, m, or zero if unknown.
         squares: sum of squared angle errors against the reference on the itinerary, rad².
         followed: number of ticks in that sum.
         extras: mean on the itinerary and last standard deviation of each estimated parameter.
-        memory: resident memory of the process at the end, bytes; NaN if the system does not report it.
-        size: size of the file, bytes; zero if it could not be written.
+        memory: resident memory of the process at the end, bytes, or NaN if the system does not report it.
+        size: size of the file, bytes, or zero if it could not be written.
         loss: reason for a missing file, or "".
         deadlines: deadline statistics by name, on a rig at the end of a session.
     """

@@ -103,8 +103,8 @@ class Repair:
         help: what the repair does.
         fault: what is wrong with a sample, where {column} stands for the name of the column.
         note: what was done with the faulty rows.
-        find: marks the faults (K,) or (K, m); receives the samples and their period, s, or 0.
-        mend: returns the segments after the repair; receives the samples, the marks (K, m) and the period.
+        find: function of the samples and their period, s, or 0, that marks the faults (K,) or (K, m).
+        mend: function of the samples, the marks (K, m) and the period that returns the segments after the repair.
         most: greatest share of faulty rows that is repaired.
     """
 

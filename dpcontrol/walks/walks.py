@@ -706,8 +706,8 @@ def solve_walks(
 
     Args:
         walks: walks of one graph.
-        energy: exact energy, J, to refine the orbits in 113-bit arithmetic; not refined by default.
-        parameters: exact values (p,) of the equations' parameters; those of the system by default.
+        energy: exact energy, J, to refine the orbits in 113-bit arithmetic (default: not refined).
+        parameters: exact values (p,) of the equations' parameters (default: those of the system).
         folder: folder for the orbits that converge; none by default.
         progress: called with a label and the completed share.
 
