@@ -6,10 +6,7 @@ A target is one place or several, each with the cost-to-go of the law that takes
 
 by iLQR, a Gauss-Newton form of differential dynamic programming, with the input as a box. P is scaled so that V = 1
 where the law that takes over saturates. The length of a step is a further state that stays constant, so the final time
-T is free. Angles are compared modulo whole turns. A place on an orbit has a tangent t, along which the cost is
-minimised as well:
-
-    P := P - P t tᵀ P / (tᵀ P t)
+T is free. Angles are compared modulo whole turns.
 
 The search starts from motions of a braking cart of several durations. These guesses and the lengths of a line search
 are computed side by side in the lanes of a compiled step.
@@ -19,7 +16,7 @@ Sources: Tassa, Erez & Todorov, Synthesis and stabilization of complex behaviors
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -59,6 +56,8 @@ _LENGTHS = np.array([1.0, 0.2])
 """Lengths of the line search."""
 _LONGER = 0.25
 """Largest relative change of the duration in an iteration."""
+_FAILED = 1e6
+"""Addition to J of a flight that fails."""
 _SHORTEST, _LONGEST = 0.1, 5.0
 """Bounds of the duration, s."""
 
@@ -122,6 +121,7 @@ class Flights(Brief):
         costs: cost-to-go V (S,) at the end.
         places: indices (S,) of the target's places.
         objectives: J (S,).
+        inside: True (S,) for flights that keep the cart's limits.
     """
 
     durations: Array
@@ -130,6 +130,12 @@ class Flights(Brief):
     costs: Array
     places: NDArray[np.intp]
     objectives: Array
+    inside: NDArray[np.bool_]
+
+    @property
+    def reached(self) -> NDArray[np.bool_]:
+        """True (S,) for flights that end where the law of the target takes over, within the limits."""
+        return self.inside & (self.costs < REACHED)
 
 
 class FlightPlanner:
@@ -164,13 +170,12 @@ class FlightPlanner:
         begin = np.vstack([start, np.tile(DURATIONS / STEPS, count)])
         gains = np.zeros((STEPS, n + 1, lanes))
         gains[:, n - 2], gains[:, n - 1] = -BRAKING_GAINS[0], -BRAKING_GAINS[1]
-        zeros = np.zeros((STEPS, n + 1, lanes))
-        nodes, inputs, _ = self._flown(begin, np.zeros((STEPS, lanes)), zeros, gains, STAGES[0].soft)
+        nodes, inputs, _ = self._flown(begin, np.zeros((STEPS, lanes)), np.zeros_like(gains), gains, STAGES[0].soft)
         flights = self._searched(nodes, inputs, target, STAGES)
-        best = flights.objectives.reshape(count, guesses)
-        reached = np.isfinite(best) & (flights.costs.reshape(count, guesses) < REACHED)
-        chosen = np.argmin(np.where(reached, best, best + 1e6), axis=1) + guesses * np.arange(count)
-        flights = _selected(flights, chosen)
+        # Those that fail are compared by their cost as well.
+        best = (flights.objectives + _FAILED * ~flights.reached).reshape(count, guesses)
+        chosen = np.argmin(best, axis=1) + guesses * np.arange(count)
+        flights = replace(flights, **{one.name: getattr(flights, one.name)[chosen] for one in fields(flights)})
         flights.nodes[:, :, :arms] += turns[:, None]
         return flights
 
@@ -193,19 +198,19 @@ class FlightPlanner:
         ends = target.nearest(flown[-1, :n].T)[0]
         return bool(ends[0] < JOINED and np.abs(flown[:, n - 2]).max() < self._limits.position - _NEAR_STOP)
 
-    def states(self, flights: Flights, row: int, times: Array) -> tuple[Array, Array]:
-        """Return states (K, N) and inputs (K,) of a flight.
+    def states(self, nodes: Array, inputs: Array, duration: float, times: Array) -> tuple[Array, Array]:
+        """Return states (T, N) and inputs (T,) of a flight.
 
         Args:
-            flights: flights of this planner.
-            row: index of the flight.
-            times: times (K,), from 0 to the duration, s.
+            nodes: its states (K+1, N) at the ends of equal steps.
+            inputs: its inputs (K,) in the steps, m/s².
+            duration: its duration, s.
+            times: times (T,), from 0 to the duration, s.
         """
-        duration, inputs = float(flights.durations[row]), flights.inputs[row]
         count = len(inputs)
         step = np.minimum((times / duration * count).astype(int), count - 1)
         rows, where = np.empty((self._step.size_in, len(times))), self._step.slices
-        rows[where["state"]], rows[where["inputs"]] = flights.nodes[row, step].T, inputs[step]
+        rows[where["state"]], rows[where["inputs"]] = nodes[step].T, inputs[step]
         rows[where["duration"]] = times - step * (duration / count)
         rows[where["parameters"]] = self._parameters[:, None]
         return self._step(rows, np.empty((self._step.size_out, len(times)))).T.copy(), inputs[step]
@@ -236,8 +241,8 @@ class FlightPlanner:
         total = np.full(lanes, np.inf)
         for stage in stages:
             weights = self._end_weights(stage, target)
-            still = np.zeros_like(nodes[:-1])
-            total = self._total(self._flown(nodes[0], inputs, nodes[:-1], still, stage.soft), target, weights)
+            nominal = self._flown(nodes[0], inputs, nodes[:-1], np.zeros_like(nodes[:-1]), stage.soft)
+            total = self._total(nominal, target, weights)
             for _ in range(stage.iterations):
                 forward, gains, slope, curvature = self._improved(nodes, inputs, target, weights, stage, regularity)
                 limit = _LONGER * nodes[0, n]
@@ -257,7 +262,10 @@ class FlightPlanner:
                 total = np.where(better, totals[best, np.arange(lanes)], total)
                 regularity = np.clip(np.where(better, regularity / 4, regularity * 10), 1e-9, 1e3)
         costs, places, _ = target.nearest(nodes[-1, :n].T)
-        return Flights(count * nodes[0, n], nodes[:, :n].transpose(2, 0, 1), inputs.T.copy(), costs, places, total)
+        position, velocity = np.abs(nodes[1:, n - 2 : n]).max(axis=0)
+        inside = np.isfinite(total) & (position <= self._limits.position) & (velocity <= self._limits.velocity)
+        states = nodes[:, :n].transpose(2, 0, 1)
+        return Flights(count * nodes[0, n], states, inputs.T.copy(), costs, places, total, inside)
 
     def _total(self, flown: tuple[Array, Array, Array], target: Target, weights: Array) -> Array:
         """Return J (L,) of motions, infinite if they diverge."""
@@ -276,7 +284,7 @@ class FlightPlanner:
     def _improved(
         self, nodes: Array, inputs: Array, target: Target, weights: Array, stage: Stage, regularity: Array
     ) -> tuple[Array, Array, Array, Array]:
-        """Return changes of inputs (STEPS, L), gains (STEPS, N+1, L), and slope and curvature (L,) by the duration."""
+        """Return changes of inputs (STEPS, L), gains (STEPS, N+1, L), and J's slope and curvature (L,) by the step."""
         n, lanes, program = self._n, nodes.shape[2], self._backward
         size = n + 1
         rows = np.empty((program.size_in, lanes))
@@ -308,6 +316,7 @@ class Flight(Concluded, Timed):
         cost: cost-to-go V at the end, 1 where the law that takes over saturates; a flight with less than 0.3 converged.
         inputs: constant accelerations of the cart in equal steps (K,), m/s².
         nodes: states (K+1, N) at the ends of the steps.
+        cause: how the search ended.
         limits: limits of the cart, of which the flight leaves a reserve.
         remedy: name and value of a limit with which a flight was found instead, or None.
     """
@@ -317,14 +326,10 @@ class Flight(Concluded, Timed):
     cost: float
     inputs: Array
     nodes: Array
+    cause: FlightCause
     limits: Limits
     planner: FlightPlanner = field(repr=False)
     remedy: tuple[str, float] | None = None
-
-    @property
-    def cause(self) -> FlightCause:
-        """How the search ended."""
-        return FlightCause.REACHED if self.cost < REACHED else FlightCause.MISSED
 
     @property
     def converged(self) -> bool:
@@ -369,15 +374,8 @@ class Flight(Concluded, Timed):
         return self._at(checked_times(times))[1]
 
     def _at(self, times: Array) -> tuple[Array, Array]:
-        flights = Flights(
-            np.array([self.duration]),
-            self.nodes[None],
-            self.inputs[None],
-            np.array([self.cost]),
-            np.zeros(1, dtype=int),
-            np.zeros(1),
-        )
-        states, inputs = self.planner.states(flights, 0, np.clip(times.ravel(), 0.0, self.duration))
+        within = np.clip(times.ravel(), 0.0, self.duration)
+        states, inputs = self.planner.states(self.nodes, self.inputs, self.duration, within)
         return states.reshape(*times.shape, self.nodes.shape[1]), inputs.reshape(times.shape)
 
     def document(self) -> dict[str, Any]:
@@ -389,10 +387,6 @@ class Flight(Concluded, Timed):
 def _beyond(value: ca.SX, limit: float) -> ca.SX:
     """Return the signed excess of a value over a symmetric limit."""
     return ca.if_else(value > limit, value - limit, ca.if_else(value < -limit, value + limit, 0))
-
-
-def _selected(flights: Flights, rows: Array) -> Flights:
-    return replace(flights, **{name: getattr(flights, name)[rows] for name in flights.__dataclass_fields__})
 
 
 @dataclass(frozen=True)

@@ -334,11 +334,6 @@ class GainSchedule(Brief):
     law: Any = None
     """A user's law (`dpcontrol.control.symbolic`) that acts in addition to the gains."""
 
-    @property
-    def shortened(self) -> "GainSchedule":
-        """The schedule without its rows."""
-        return replace(self, rows=self.rows[:0], references=self.references[:0])
-
     def turned(self, turns: Array) -> "GainSchedule":
         """Return the schedule with turns added to all its angles.
 

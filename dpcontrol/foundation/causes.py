@@ -178,6 +178,7 @@ class FlightCause(StrEnum):
 
     REACHED = auto()
     MISSED = auto()
+    OUTSIDE = auto()
 
 
 class Cause(StrEnum):

@@ -34,12 +34,12 @@ from dpcontrol.loop.recovery import (
     RESTING,
     FallRecovery,
     RecoveryPlan,
+    ScheduledController,
     braking_controller,
-    padded_controller,
 )
 from dpcontrol.loop.result import BatchRun, LoopResult, LoopSink
 from dpcontrol.loop.simulated import BatchBench, Encoders, SimulatedRig
-from dpcontrol.loop.targets import goal_of, reached, rest_goal
+from dpcontrol.loop.targets import goal_of, padded, reached, rest_goal
 from dpcontrol.loop.ticker import Ticker
 from dpcontrol.references.problem import Limits
 from dpcontrol.references.reference import Reference
@@ -167,18 +167,19 @@ class Assembly:
         weights = law if isinstance(law, QuadraticWeights) else TvlqrSettings()
         reach, targets = reached(self.reference, sampled, weights, every=every, limits=limits)
         stops = [
-            goal_of(reach, targets, main, stay=stay, period=content.orbit(stop).period, rate=self.settings.rate)
+            goal_of(reach, targets, stay=stay, period=content.orbit(stop).period, rate=self.settings.rate)
             for stop, stay in zip(content.stops, self.stays, strict=True)
         ]
         rest = hold_controller(np.zeros(model.dimension), model, HoldSettings(damping=0.0), seconds=4 * RESTING)
-        goals = (*stops, rest_goal(rest, main, limits))
+        goals = (*stops, rest_goal(rest, limits))
         briefing = Briefing(self.arms, self.settings.rate, model.lag, limits, goals)
         last = content.orbit(content.stops[-1])
+        braking = ScheduledController(padded(braking_controller(model).schedule(0), main), "brake")
         return RecoveryPlan(
-            model, padded_controller(braking_controller(model), main), briefing, DirectPilot(briefing),
+            model, braking, briefing, DirectPilot(briefing),
             tuple(stop.saddle for stop in content.stops), tuple(symbol.text for symbol in content.symbols),
-            last.curve[:, : model.arms], last.period, main, reach, s.on_fall == "restart",
-            1 if s.on_fall == "stop" else s.attempts, anywhere,
+            last.curve[:, : model.arms], last.period, main, padded(rest.schedule(0), main), reach,
+            s.on_fall == "restart", 1 if s.on_fall == "stop" else s.attempts, anywhere,
         )  # fmt: skip
 
     def ticker(self, *, runs: int = 1) -> Ticker:

@@ -10,17 +10,18 @@ import multiprocessing
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from dpcontrol.control.flight import BRAKING_GAINS, REACHED, STEPS, FlightPlanner, Flights
+from dpcontrol.control.flight import BRAKING_GAINS, STEPS, FlightPlanner, Flights
 from dpcontrol.control.interface import clip_number, sampled_model
 from dpcontrol.control.tracking import TickedMotion, TrackingController, TvlqrSettings, tracked
 from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.foundation.processes import end_with_parent, ignoring_interrupts
 from dpcontrol.foundation.shown import Brief
 from dpcontrol.loop.targets import FlightGoal
@@ -131,8 +132,7 @@ class DirectPilot:
             self._answer = Answer(None)
             return
         flights = self._planner.plan(coming[-1:], goal.target)
-        reached = flights.costs[0] < REACHED
-        self._answer = Answer(self._followed(coming[:-1], flights, goal) if reached else None)
+        self._answer = Answer(self._followed(coming[:-1], flights, goal) if flights.reached[0] else None)
 
     def answer(self) -> Answer | None:
         """Return the answer to the last request."""
@@ -169,7 +169,7 @@ class DirectPilot:
         """Return a flight with its law, after states (lead, N) on which pending commands act."""
         period, duration, place = self._model.period, float(flights.durations[0]), int(flights.places[0])
         times = period * np.arange(max(int(duration / period), 1) + 1, dtype=float)
-        states, inputs = self._planner.states(flights, 0, times)
+        states, inputs = self._planner.states(flights.nodes[0], flights.inputs[0], duration, times)
         moved = np.append(0.0, np.cumsum(flights.inputs[0]) * duration / STEPS)
         commands = np.diff(np.interp(times, np.linspace(0.0, duration, STEPS + 1), moved)) / period
         zeros = np.zeros(len(coming))
@@ -180,7 +180,11 @@ class DirectPilot:
 
 
 class _DistantPilot:
-    """A search in another program at the end of a pipe."""
+    """A search in another program at the end of a pipe.
+
+    Raises:
+        GoalMissed: the other program ended.
+    """
 
     def __init__(self, pipe: Connection) -> None:
         self._pipe, self._number, self._asked = pipe, 0, 0.0
@@ -193,17 +197,28 @@ class _DistantPilot:
         """
         self._number += 1
         self._asked = time.monotonic()
-        self._pipe.send((self._number, request))
+        with _ended_told():
+            self._pipe.send((self._number, request))
 
     def answer(self) -> Answer | None:
         """Return the answer to the last request, or None if it is not ready."""
         # A loop that runs faster than real time waits.
         patience = _PATIENCE if time.monotonic() - self._asked < THINKING / 2 else 0.0
-        while self._pipe.poll(patience):
-            number, answer = self._pipe.recv()
-            if number == self._number:
-                return answer
+        with _ended_told():
+            while self._pipe.poll(patience):
+                number, answer = self._pipe.recv()
+                if number == self._number:
+                    return answer
         return None
+
+
+@contextmanager
+def _ended_told() -> Iterator[None]:
+    """Report the end of the other program."""
+    try:
+        yield
+    except (EOFError, OSError) as error:
+        raise GoalMissed("the process that plans flights ended; run again with more memory") from error
 
 
 @contextmanager
@@ -215,15 +230,14 @@ def pilot_beside(briefing: Briefing) -> Iterator[Pilot]:
     """
     context = multiprocessing.get_context("spawn")
     here, there = context.Pipe()
-    # The gains of the goals stay here.
-    light = replace(briefing, goals=tuple(replace(goal, gains=goal.gains.shortened) for goal in briefing.goals))
-    process = context.Process(target=_serve, args=(there, light), daemon=True)
+    process = context.Process(target=_serve, args=(there, briefing), daemon=True)
     with ignoring_interrupts():
         process.start()
     there.close()
     try:
         # It is ready once its code is compiled.
-        here.recv()
+        with _ended_told():
+            here.recv()
         yield _DistantPilot(here)
     finally:
         process.terminate()

@@ -41,7 +41,7 @@ from dpcontrol.foundation.causes import Cause
 from dpcontrol.foundation.shown import Brief
 from dpcontrol.logs import CATCH, FLIGHT, LAP, RESUME, RETURN, Event, Stretch
 from dpcontrol.loop.pilots import THINKING, Briefing, Course, Pilot, Request
-from dpcontrol.loop.targets import SETTLES, FlightGoal, Reach, padded
+from dpcontrol.loop.targets import SETTLES, Reach, padded
 from dpcontrol.loop.ticker import Ticker
 from dpcontrol.references.problem import Limits
 
@@ -146,16 +146,6 @@ class ScheduledController(Brief):
         return self.gains
 
 
-def padded_controller(law: HoldController, main: GainSchedule) -> ScheduledController:
-    """Return a hold with the columns of another law's gains.
-
-    Args:
-        law: the hold.
-        main: gains with all columns.
-    """
-    return ScheduledController(padded(law.schedule(0), main), law.kind)
-
-
 @dataclass(frozen=True, eq=False)
 class RecoveryPlan(Brief):
     """Data shared by all recoveries of an itinerary."""
@@ -175,6 +165,8 @@ class RecoveryPlan(Brief):
     """Period of that orbit, s."""
     gains: GainSchedule
     """Gains of the whole itinerary."""
+    rest: GainSchedule
+    """Gains that hold the arms at rest."""
     reach: Reach
     restarts: bool = False
     """True if the itinerary restarts after a fall."""
@@ -182,16 +174,6 @@ class RecoveryPlan(Brief):
     """Maximum attempts per symbol; 0 for no limit."""
     anywhere: bool = False
     """True if the run begins with a flight."""
-
-    @property
-    def goals(self) -> tuple[FlightGoal, ...]:
-        """Goals of the stops, and at last of rest."""
-        return self.briefing.goals
-
-    @property
-    def limits(self) -> Limits:
-        """Limits of the cart."""
-        return self.briefing.limits
 
 
 _NEVER = -1
@@ -247,7 +229,7 @@ class FallRecovery:
             ticker: ticker of the run.
         """
         self._bounds = {
-            name: getattr(ticker.program.numbers, name).item(0) for name in braking_bounds(self._plan.limits)
+            name: getattr(ticker.program.numbers, name).item(0) for name in braking_bounds(self._plan.briefing.limits)
         }
         ticker.prepare_to_hold()
         if self.until:
@@ -280,7 +262,7 @@ class FallRecovery:
             report: report of the tick.
             ticker: ticker of the run.
         """
-        fastest, place = self._plan.limits.velocity, 2 * self._arms + 1
+        fastest, place = self._plan.briefing.limits.velocity, 2 * self._arms + 1
         speed = abs(report.state.item(place, 0))
         if speed < _FAST * fastest or self.motion is not Motion.ITINERARY:
             return {}
@@ -314,8 +296,7 @@ class FallRecovery:
                 before = Motion.FLIGHT
         if before is Motion.ITINERARY:
             self.falls += 1
-            good = self._good
-            reached = [stop for stop, goal in enumerate(plan.goals[:-1]) if goal.at[0] <= good]
+            reached = [stop for stop, goal in enumerate(plan.briefing.goals[:-1]) if goal.at[0] <= self._good]
             self._stop, self._tries = 0 if plan.restarts else max([self._stop, *reached]), 0
             tried = self._attempts[self._stop] = self._attempts.get(self._stop, 0) + 1
             if plan.attempts and tried >= plan.attempts:
@@ -345,7 +326,7 @@ class FallRecovery:
         self._reliable, self._answers = not still, _NEVER
         self._asks = k + round(_SETTLING / self._plan.model.period)
         ticker.follow(
-            k + 1, self._plan.braking, lift=np.zeros(self._arms), bounds=braking_bounds(self._plan.limits),
+            k + 1, self._plan.braking, lift=np.zeros(self._arms), bounds=braking_bounds(self._plan.briefing.limits),
             uses_switch=False,
         )  # fmt: skip
         if still:
@@ -399,7 +380,7 @@ class FallRecovery:
         mean = means[-1].item(0) if means else report.acting.item(0)
         state = model.step(report.ahead[:, 0], mean)
         if course is None:
-            program.memory.velocity[:] = state[-1]
+            ticker.correct_velocity(state[-1])
         self._plan.pilot.ask(
             Request(
                 state,
@@ -415,8 +396,7 @@ class FallRecovery:
 
     def _fly(self, k: int, report: Report, ticker: Ticker) -> Sequence[Event]:
         """Follow the flight from tick k + 1, or ask again."""
-        plan = self._plan
-        answer = plan.pilot.answer()
+        answer = self._plan.pilot.answer()
         if answer is None or answer.course is None:
             # A late answer is for a state that has passed; a slow processor gets more time.
             self._tries += answer is not None
@@ -425,7 +405,7 @@ class FallRecovery:
             return ()
         course = answer.course
         self._follow(k, course, ticker)
-        duration = {"duration": course.duration, "waited": (k - self._began) * plan.model.period}
+        duration = {"duration": course.duration, "waited": (k - self._began) * self._plan.model.period}
         return [_event("info", FLIGHT, Cause.FLOWN, {**self._progress(), **self._stop_figures(), **duration})]
 
     def _follow(self, k: int, course: Course, ticker: Ticker) -> None:
@@ -450,7 +430,7 @@ class FallRecovery:
 
     def _arrived(self, k: int, report: Report, ticker: Ticker) -> Sequence[Event]:
         """Resume the itinerary after a flight, or plan another one."""
-        goal, place, n = self._plan.goals[self._goal], self._course.place, self._arms
+        goal, place, n = self._plan.briefing.goals[self._goal], self._course.place, self._arms
         away = report.state[:, 0] - goal.target.states[place]
         turns = whole_turns(away[:n])
         away[:n] -= turns
@@ -459,9 +439,10 @@ class FallRecovery:
             self._brake(k, ticker)
             return [_event("warn", FLIGHT, Cause.MISSED, self._stop_figures())]
         if k + 1 == self._joins:
-            rows, references = goal.gains.rows[goal.ticks[place] :], goal.gains.references[goal.ticks[place] :]
-            law = ScheduledController(replace(goal.gains, rows=rows, references=references), self._main.kind)
-            ticker.follow(k + 1, law, lift=turns, bounds=self._bounds)
+            gains = self._plan.rest if self._goal < 0 else self._plan.gains
+            tick = round(float(goal.at[place]) / ticker.program.period)
+            onward = replace(gains, rows=gains.rows[tick:], references=gains.references[tick:])
+            ticker.follow(k + 1, ScheduledController(onward, self._main.kind), lift=turns, bounds=self._bounds)
         if self._goal < 0:
             if k + 1 >= self._joins + round(RESTING / ticker.program.period):
                 self._tries += 1
@@ -489,7 +470,9 @@ class FallRecovery:
         if not least < _NEARER * own:
             return ()
         back, tick = (here - place) * reach.every * period, place * reach.every + 1
-        stop = max((stop for stop, goal in enumerate(plan.goals[:-1]) if goal.at[0] <= tick * period), default=0)
+        stop = max(
+            (stop for stop, goal in enumerate(plan.briefing.goals[:-1]) if goal.at[0] <= tick * period), default=0
+        )
         if back > plan.period:
             # A symbol, or a part of it, is repeated.
             if plan.attempts and self._attempts.get(stop, 0) + 2 > plan.attempts:
@@ -517,7 +500,7 @@ class FallRecovery:
         self._seen, drift = (k, cart), (cart - where) / since
         if since < 2 * _LOOKS and report.done.item(0) and abs(drift) > _DRIFTS:
             # Braking continues from the measured velocity instead of the commanded one.
-            ticker.program.memory.velocity[:] = drift
+            ticker.correct_velocity(drift)
 
     def _is_reliable(self, k: int, report: Report, ticker: Ticker, period: float) -> bool:
         """True if the cart is still and the filter is right.

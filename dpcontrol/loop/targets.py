@@ -72,20 +72,16 @@ class Reach(Brief):
 
 @dataclass(frozen=True, eq=False)
 class FlightGoal(Brief):
-    """A target of flights and the law that takes over there.
+    """A target of flights.
 
     Attributes:
         target: places and their costs-to-go.
-        terminal: costs P (M, N, N) of the places in the units of the law.
-        ticks: tick (M,) of the law's gains at each place.
-        gains: gains of the law.
-        at: time (M,) of the plan's reference at each place, s; empty for rest.
+        terminal: costs P (M, N, N) of the places in the units of the law that takes over there.
+        at: time (M,) at each place, s, on the clock of this law's gains.
     """
 
     target: Target
     terminal: Array
-    ticks: Array
-    gains: GainSchedule
     at: Array
 
     def until(self, latest: float) -> "FlightGoal":
@@ -95,8 +91,7 @@ class FlightGoal(Brief):
             latest: time of the plan's reference, s.
         """
         count = max(1, int(np.searchsorted(self.at, latest, side="right")))
-        target = Target(self.target.states[:count], self.target.costs[:count])
-        return replace(self, target=target)
+        return replace(self, target=Target(self.target.states[:count], self.target.costs[:count]))
 
 
 def reached(
@@ -139,7 +134,7 @@ def orbit_target(orbit: SustainedOrbit, model: SampledModel, settings: Quadratic
 
     Args:
         orbit: periodic orbit of pendulum and cart.
-        model: model whose period is a part of the orbit's, such as `orbit_model` makes.
+        model: model of arms and cart, with a period that divides the orbit's.
         settings: weights of the law that keeps it.
         limits: limits of the cart.
     """
@@ -155,39 +150,33 @@ def orbit_target(orbit: SustainedOrbit, model: SampledModel, settings: Quadratic
     return Target(states, costs[:-1] / _levels(gains, costs[:-1], commands, limits)[:, None, None])
 
 
-def goal_of(
-    reach: Reach, targets: Target, main: GainSchedule, *, stay: tuple[float, float], period: float, rate: float
-) -> FlightGoal:
+def goal_of(reach: Reach, targets: Target, *, stay: tuple[float, float], period: float, rate: float) -> FlightGoal:
     """Return the goal of a stop: places early in its stay, so that the feedback settles before the stay ends.
 
     Args:
         reach: places of the reference.
         targets: the same places as targets.
-        main: gains of the reference.
         stay: begin and end of the stay, s.
         period: period of the stop's orbit, s.
         rate: rate of the loop, Hz.
     """
     begin, end = stay
-    first, last = (math.ceil(begin * rate / reach.every), math.floor(max(begin, end - SETTLES) * rate / reach.every))
+    first, last = math.ceil(begin * rate / reach.every), math.floor(max(begin, end - SETTLES) * rate / reach.every)
     last = min(max(first, last), first + math.ceil(period * rate / reach.every), len(reach.states) - 1)
     places = np.arange(min(first, last), last + 1)
-    ticks = np.minimum(places * reach.every, len(main.rows) - 1)
     target = Target(targets.states[places], targets.costs[places])
-    return FlightGoal(target, reach.costs[places], ticks, main, ticks / rate)
+    return FlightGoal(target, reach.costs[places], places * reach.every / rate)
 
 
-def rest_goal(hold: HoldController, main: GainSchedule, limits: Limits) -> FlightGoal:
+def rest_goal(hold: HoldController, limits: Limits) -> FlightGoal:
     """Return the goal of arms that hang at rest.
 
     Args:
         hold: law that holds them there.
-        main: gains of the run's law, for their columns.
         limits: limits of the cart.
     """
     assert hold.cost is not None
-    ticks = np.zeros(1, dtype=int)
-    return FlightGoal(hold_target(hold, limits), hold.cost[None], ticks, padded(hold.schedule(0), main), np.empty(0))
+    return FlightGoal(hold_target(hold, limits), hold.cost[None], np.zeros(1))
 
 
 def padded(gains: GainSchedule, like: GainSchedule) -> GainSchedule:

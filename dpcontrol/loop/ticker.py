@@ -342,6 +342,14 @@ class Ticker:
         self.program.memory.stopped[:] = float(Outcome.TRACKING_LOST)
         self.freeze_reference(k)
 
+    def correct_velocity(self, velocity: float) -> None:
+        """Replace the cart's commanded velocity, from which limits and braking are computed.
+
+        Args:
+            velocity: velocity of the cart, m/s.
+        """
+        self.program.memory.velocity[:] = velocity
+
     def rehearse(self) -> None:
         """Run ticks and discard them, to load everything before the first deadline.
 

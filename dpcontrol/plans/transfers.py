@@ -112,24 +112,6 @@ _SEVERAL = 4
 """Number of transfers that justifies separate processes."""
 
 
-def kept_transfer(
-    itinerary: Itinerary, start: Array, ends: Sequence[Array], *, progress: Progress = no_progress
-) -> Reference:
-    """Return a transfer to one of several ends, cached if possible.
-
-    Args:
-        itinerary: arms, limits and settings of the reference.
-        start: state (N,) at the start.
-        ends: possible states (N,) at the end.
-        progress: receiver of progress reports.
-
-    Raises:
-        GoalMissed: there is none within the limits; the message has the cause.
-    """
-    wanted = Transfer.of(itinerary, "", start, ends)
-    return find_transfers([wanted], progress=progress)[wanted.key]
-
-
 def find_transfers(
     wanted: Sequence[Transfer],
     *,

@@ -6,12 +6,13 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dpcontrol.control.flight import Flight, FlightPlanner, Target
+from dpcontrol.control.flight import REACHED, Flight, FlightPlanner, Target
 from dpcontrol.control.interface import sampled_model
 from dpcontrol.control.lqr import HoldSettings, hold_controller
 from dpcontrol.control.tracking import TvlqrSettings
 from dpcontrol.dynamics.chain import ArmChainParameters, pendulum_system
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.causes import FlightCause
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.settings import check_names
 from dpcontrol.loop.targets import PHASES, hold_target, orbit_target
@@ -69,8 +70,10 @@ def _flight(
     name, places = _places(arms, target, limits)
     planner = _planner(arms, limits)
     flights = planner.plan(state[None], places)
-    durations, nodes, inputs, costs = flights.durations, flights.nodes, flights.inputs, flights.costs
-    return Flight(name, float(durations[0]), float(costs[0]), inputs[0], nodes[0], limits, planner)
+    cost = float(flights.costs[0])
+    missed = FlightCause.OUTSIDE if cost < REACHED else FlightCause.MISSED
+    cause = FlightCause.REACHED if flights.reached[0] else missed
+    return Flight(name, float(flights.durations[0]), cost, flights.inputs[0], flights.nodes[0], cause, limits, planner)
 
 
 def _places(
@@ -79,7 +82,7 @@ def _places(
     if isinstance(target, Plan):
         recovery = assembled(replace(target, itinerary=target.itinerary.with_run({"start": "anywhere"}))).recovery
         assert recovery is not None
-        return f"{recovery.names[0]} of {target.itinerary.name}", recovery.goals[0].target
+        return f"{recovery.names[0]} of {target.itinerary.name}", recovery.briefing.goals[0].target
     if isinstance(target, LyapunovOrbit):
         target = sustained_orbit(target, arms, limits=limits)
     if isinstance(target, SustainedOrbit):

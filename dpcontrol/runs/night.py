@@ -38,7 +38,7 @@ from dpcontrol.loop.recovery import RecoveryPlan
 from dpcontrol.loop.result import LogSink, SinkBeside
 from dpcontrol.plans.itinerary import Itinerary
 from dpcontrol.plans.overrides import canonical
-from dpcontrol.plans.plan import Plan, expected_seconds, make_plan
+from dpcontrol.plans.plan import Plan, expected_seconds
 from dpcontrol.runs.run import (
     LiveSink,
     RigLink,
@@ -173,20 +173,6 @@ def night_cost(
             "less, or give --yes (yes=True in Python)"
         )
     return text
-
-
-def night_plan(itinerary: Itinerary, *, yes: bool = False, progress: Progress = no_progress) -> Plan:
-    """Return the plan of a long run.
-
-    Args:
-        itinerary: itinerary of `night_itinerary`.
-        yes: accept any duration, default False.
-        progress: receiver of progress reports.
-
-    Raises:
-        InputError, GoalMissed: see `make_plan`.
-    """
-    return make_plan(itinerary, yes=yes, progress=progress)
 
 
 def _gigabytes(size: float) -> str:

@@ -54,6 +54,12 @@ def _joined(*clauses: tuple[object, str]) -> str:
     return "; ".join(text for holds, text in clauses if holds)
 
 
+def _missed(r: Any, text: str) -> str:
+    if r.remedy:
+        return f"{text}; with a limit of {r.remedy[1]:g} on the {r.remedy[0]} one is found"
+    return f"{text}; neither a track nor an acceleration of twice the size helps; give another target"
+
+
 def _cut(r: Any, *clauses: str) -> str:
     spent = f"partial: the cut reached its limit of {r.seconds:g} s of processor time: allow more seconds"
     return _joined(*((True, clause) for clause in clauses), (r.spent and math.isfinite(r.seconds), spent))
@@ -379,10 +385,11 @@ SENTENCES: Mapping[type[StrEnum], Mapping[Any, Callable[[Any], str]]] = {
     },
     FlightCause: {
         FlightCause.REACHED: lambda r: f"reaches {r.target} in {r.duration:.3f} s, cost-to-go {r.cost:.2g}",
-        FlightCause.MISSED: lambda r: _joined(
-            (True, f"misses {r.target}: the best flight of {r.duration:.3f} s ends at a cost-to-go of {r.cost:.3g}"),
-            (not r.remedy, "neither a track nor an acceleration of twice the size helps; give another target"),
-            (r.remedy, f"with a limit of {r.remedy[1]:g} on the {r.remedy[0]} one is found" if r.remedy else ""),
+        FlightCause.MISSED: lambda r: _missed(
+            r, f"misses {r.target}: the best flight of {r.duration:.3f} s ends at a cost-to-go of {r.cost:.3g}"
+        ),
+        FlightCause.OUTSIDE: lambda r: _missed(
+            r, f"misses {r.target}: the cart of the best flight passes its limits of position or velocity"
         ),
     },
     ReferenceCause: {
