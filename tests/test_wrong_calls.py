@@ -62,6 +62,7 @@ BY_NAME: dict[str, Any] = {
     **dict.fromkeys(("model", "name"), "lab"),
     **dict.fromkeys(("count", "hit", "index", "length"), 1),
     **dict.fromkeys(("folder", "section"), "no"),
+    "times": (0.0, 0.1),
     "arm": "outer",
     "energies": (-0.08, -0.07),
     "energy": -0.07,
@@ -80,6 +81,7 @@ BY_NAME: dict[str, Any] = {
 """Values of required arguments by name; $NAME stands for a result."""
 GOOD: dict[str, dict[str, Any]] = {
     "connections": {"source": "$orbit"},
+    "flight": {"model": "lab", "state": np.zeros(4), "target": "up-up"},
     "prove": {"found": "$orbit"},
     "prove_statement": {"statement": "orbit", "saddle": "down-up", "energy": -0.07},
     "refine": {"found": "$connection"},
