@@ -93,7 +93,7 @@ class Setting:
         least: smallest number.
         most: largest number.
         above: number that values must exceed.
-        choices: allowed texts.
+        choices: allowed texts, beside numbers where these have bounds.
         zero, infinite: meaning of 0 or infinity, which are then also allowed.
         unit: unit of the numbers.
         key: name in files, if it differs from the field's.
@@ -136,8 +136,9 @@ class Setting:
         Args:
             value: value in `unit`.
         """
-        if self.choices:
-            return "" if value in self.choices else suggest(str(value), self.choices)
+        if self.choices and not (self.bounded and isinstance(value, Real)):
+            more = f", or a number: {self.range}" if self.bounded else ""
+            return "" if value in self.choices else suggest(str(value), self.choices) + more
         if not isinstance(value, Real):
             return "must be a number" if self.bounded else ""
         number: Any = value
@@ -146,7 +147,7 @@ class Setting:
             or (bool(self.infinite) and number == math.inf)
             or (is_finite(number) and self.above < number and self.least <= number <= self.most)
         )
-        return "" if allowed else f"must be {self.range}"
+        return "" if allowed else f"must be {' or '.join([self.range, *map(repr, self.choices)])}"
 
     def oddities(self, key: str, value: Any) -> Iterator[str]:
         """Yield a sentence on each unusual number.

@@ -581,6 +581,7 @@ def _fault(flown: Flown, plan: Reference, decoded: Decoded) -> FaultFigures:
         "stay": "" if symbols else "orbit" if content.segments else "hold",
         "saddle": stops[-1].saddle,
         "lowest": stops[-1].saddle == content.rest,
+        "still": content.orbit(stops[-1]).multiplier == 1.0,
     }
     return Fault.NONE, done
 

@@ -3,7 +3,7 @@
 Either the file's top level gives one part's keys, or [[parts]] lists several:
 
     energy, walk, wraps, repeat, lead_in, lead_out      a walk
-    hold = "up-up", seconds = 2.0                       a stay at an equilibrium
+    hold = "up-up", seconds = 2.0, cart = 0.1           a stay at an equilibrium, its cart at a place
     orbit = "down-up", energy = -0.07, seconds = 60     a stay on a periodic orbit; the only part of its itinerary
 
 [run] lists the keys of sensors, drive, disturbances and mechanics side by side. [[run.blows]] lists blows at given
@@ -31,7 +31,7 @@ from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.loop.own import OwnEstimator, OwnExpressions, OwnLaw, OwnPlant, names_file, own_object
 from dpcontrol.loop.result import SupervisorSettings
 from dpcontrol.orbits.lyapunov import equilibria
-from dpcontrol.plans.layout import KEEP, RUN, ZEROS, Header, HoldPart, OrbitPart, Part, WalkPart
+from dpcontrol.plans.layout import GENTLE, KEEP, RUN, ZEROS, Header, HoldPart, OrbitPart, Pace, Part, WalkPart
 from dpcontrol.plans.model import Model, load_model, model_from, quoted
 from dpcontrol.plans.overrides import NOT_OF_LOOP, canonical, resolved
 from dpcontrol.plans.plausible import rig_oddities
@@ -160,7 +160,8 @@ def _completed(document: Mapping[str, Any]) -> dict[str, Any]:
     if isinstance(controller, dict):
         # Dry friction moves an arm that `adaptive` holds by twice as much.
         kept = "adaptive" if controller.get("keep", "none") == "none" else "tvlqr"
-        held = out.get("start") == "hold" and "parts" not in document
+        stays = document.get("finish") != "rest" and not document.get("cart")
+        held = out.get("start") == "hold" and "parts" not in document and stays
         out["controller"] = {"kind": "lqr" if held else kept, **controller}
     if "parts" not in document:
         keys = [key for kind in _PARTS.values() for key in leaves_of(kind)]
@@ -258,7 +259,9 @@ class Itinerary:
 
     Attributes:
         start, finish: "orbit" (on the first or last part's orbit, at its exact rates, which rigs cannot start from),
-            "rest" (hanging) or "hold" (at the equilibrium of the first or last part, for both ends or neither).
+            "rest" (hanging) or "hold" (at the equilibrium of the first or last part, or at the saddle of its orbit).
+            Runs start with the cart in the middle.
+        transfer: time of the transfers whose parts give none.
         keeps: True if the file plans stops as stays on sustained orbits. Other controllers follow the same reference.
         zeros: readings (n,) of a rig's hanging arms, rad, or none.
         stored: .npz file of its existing plan, if any.
@@ -280,12 +283,14 @@ class Itinerary:
     zeros: tuple[float, ...] = ()
     stored: Path | None = None
     plant: str = ""
+    transfer: Pace = GENTLE
 
     @property
     def stay(self) -> HoldPart | OrbitPart | None:
         """The equilibrium or orbit of an itinerary without transfers."""
         only = self.parts[0] if len(self.parts) == 1 else None
-        if isinstance(only, OrbitPart) or (isinstance(only, HoldPart) and self.start == "hold"):
+        stays = self.start == "hold" and self.finish != "rest"
+        if isinstance(only, OrbitPart) or (isinstance(only, HoldPart) and stays and not only.cart):
             return only
         return None
 
@@ -514,12 +519,12 @@ def _itinerary(
         filters = estimators_of(law)[given.get("kind", "ekf")](**given)
     with place:
         loop = LoopSettings(seed=0, keep=keep, controller=law, estimator=filters, supervisor=supervisor).with_(settings)
-    start, parts = content.get("start", "orbit"), content.get("parts") or (content[""],)
+    parts = content.get("parts") or (content[""],)
     itinerary = Itinerary(
-        path.stem, path, content.get("title") or path.stem, model, parts, start,
-        content.get("finish", start if start == "hold" else "orbit"), content.get("limits", Limits()),
+        path.stem, path, content.get("title") or path.stem, model, parts, content.get("start", "orbit"),
+        content.get("finish", "hold" if isinstance(parts[-1], HoldPart) else "orbit"), content.get("limits", Limits()),
         content.get("reference", ReferenceSettings()), loop, text, loop.keep != "none", zeros,
-        plant="" if plant is None else plant.text,
+        plant="" if plant is None else plant.text, transfer=content.get("transfer", GENTLE),
     )  # fmt: skip
     _check_together(itinerary)
     return itinerary
@@ -532,19 +537,18 @@ def _check_together(itinerary: Itinerary) -> None:
         InputError: names the first setting that does not fit.
     """
     top, (start, finish) = Place(str(itinerary.path)), (itinerary.start, itinerary.finish)
-    first, last, several = itinerary.parts[0], itinerary.parts[-1], len(itinerary.parts) > 1
-    holds = [isinstance(part, HoldPart) for part in (first, last)]
+    first, several = itinerary.parts[0], len(itinerary.parts) > 1
     orbits = not several and (start, finish) == ("orbit", "orbit")
     if any(isinstance(part, OrbitPart) for part in itinerary.parts) and not orbits:
         stays = "an itinerary that keeps an orbit has no [[parts]], start and finish; remove these"
         raise top.refusal(f"orbit: {stays}", "orbit")
-    if "hold" in (start, finish) and not (start == finish and all(holds)):
-        key = "start" if start == "hold" else "finish"
-        both = "is for start and finish together, and for holds as first and last part"
-        raise top.error(key, "hold", f'{both}; use "rest", or in simulation "orbit"')
-    for key, end, hold in zip(("start", "finish"), (start, finish), holds, strict=True):
-        if end == "orbit" and hold:
-            raise top.error(key, end, f"the part there is a hold without an orbit; {key} at rest")
+    if start == "orbit" and isinstance(first, HoldPart):
+        raise top.error("start", start, 'the first part is a hold without an orbit; set start = "hold" or "rest"')
+    for number, part in enumerate(itinerary.parts, start=1):
+        farthest = itinerary.limits.position
+        if isinstance(part, HoldPart) and abs(part.cart) >= farthest:
+            place = replace(top, table="parts", number=number) if several else top
+            raise place.error("cart", part.cart, f"must be within ±{farthest:g} m; give limits a longer position")
     keep, conservative = itinerary.loop.keep, itinerary.reference.level == "conservative"
     if conservative and (keep != "none" or not orbits):
         raise replace(top, table="reference").error(

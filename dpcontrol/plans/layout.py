@@ -8,7 +8,7 @@ once: in the dataclass of its part.
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 from dpcontrol.foundation.settings import Leaf, Setting, Settings, leaves_of
@@ -24,6 +24,12 @@ BENCH: Mapping[str, type] = {
 """The parts of the bench, which are fields of a run's settings."""
 ENDS = ("orbit", "rest", "hold")
 """Starts and finishes of an itinerary."""
+GENTLE, SHORTEST = "gentle", "shortest"
+"""Times of a transfer that are not given in seconds."""
+Pace = str | float
+"""Time of a transfer: `GENTLE`, `SHORTEST` or seconds."""
+_TIME = Setting(choices=(GENTLE, SHORTEST), above=0.0, most=600.0, unit="s", help="Time of the transfers.")
+_LEADING = Annotated[Pace, replace(_TIME, help="Time of the transfer that leads to the part; by default the file's.")]
 
 
 @dataclass(frozen=True)
@@ -39,6 +45,7 @@ class WalkPart(Settings):
     repeat: Annotated[int, Setting(least=1, most=10_000, help="Repetitions of a closed walk.")] = 1
     lead_in: Annotated[int, Setting(least=0, help="Wraps on the first orbit.")] = 2
     lead_out: Annotated[int, Setting(least=0, help="Wraps on the last orbit.")] = 2
+    transfer: _LEADING = ""
 
 
 @dataclass(frozen=True)
@@ -47,6 +54,8 @@ class HoldPart(Settings):
 
     hold: Annotated[str, Setting(help="Equilibrium to stay at.")]
     seconds: Annotated[float, Setting(least=0.5, most=3600, unit="s", help="Duration of the stay.")] = 2.0
+    cart: Annotated[float, Setting(least=-1e6, most=1e6, unit="m", help="Place of the cart, from the middle.")] = 0.0
+    transfer: _LEADING = ""
 
 
 @dataclass(frozen=True)
@@ -74,9 +83,8 @@ class Header(Settings):
             choices=(*ENDS, "anywhere"), help='State at the start; "anywhere": of a run that begins with a flight.'
         ),
     ] = "orbit"
-    finish: Annotated[str, Setting(choices=ENDS, help='State at the end; after start = "hold" by default "hold".')] = (
-        "orbit"
-    )
+    finish: Annotated[str, Setting(choices=ENDS, help='State at the end; after a hold by default "hold".')] = "orbit"
+    transfer: Annotated[Pace, _TIME] = GENTLE
 
 
 _ANGLES = Setting(unit="rad", usual=(0.0, 2 * math.pi), help="Readings of the rig's hanging arms.")

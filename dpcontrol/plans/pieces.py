@@ -25,6 +25,7 @@ from dpcontrol.foundation.version import PROGRAM
 from dpcontrol.orbits.lyapunov import LyapunovOrbit, equilibria, resting_place
 from dpcontrol.orbits.manifold import OrbitCurve
 from dpcontrol.plans.itinerary import Itinerary
+from dpcontrol.plans.layout import Pace
 from dpcontrol.plans.transfers import Transfer, find_transfers, turned
 from dpcontrol.references.content import (
     Origin,
@@ -57,6 +58,8 @@ class Goal(Brief):
         start, end: pendulum states (2n,) there.
         symbols: symbols of a walk, as the itinerary writes them.
         wraps: at the stop shared with the goal before, or None for a walk in one piece.
+        cart: place of the cart, m.
+        pace: time of the transfer that leads to it, "" for the itinerary's.
     """
 
     text: str
@@ -70,6 +73,8 @@ class Goal(Brief):
     begin: float = 0.0
     seconds: float = 0.0
     wraps: int | None = None
+    cart: float = 0.0
+    pace: Pace = ""
 
     @property
     def walk(self) -> ShadowingOrbit:
@@ -97,7 +102,12 @@ class SolvedPiece(Brief):
 
 
 def walk_goal(
-    orbit: ShadowingOrbit, symbols: tuple[str, ...], *, round_off: tuple[bool, bool], wraps: int | None = None
+    orbit: ShadowingOrbit,
+    symbols: tuple[str, ...],
+    *,
+    round_off: tuple[bool, bool],
+    wraps: int | None = None,
+    pace: Pace = "",
 ) -> Goal:
     """Return the goal of following a shadowing orbit from start to end.
 
@@ -107,6 +117,7 @@ def walk_goal(
         round_off: for start and end, True to extend it to phase zero of its periodic orbit, with the arms at the
             saddle's angles. Transfers reach these states more easily than those in mid-swing.
         wraps: wraps at the stop shared with the goal before, None for a walk in one piece.
+        pace: time of the transfer that leads to it, "" for the itinerary's.
     """
     system, chain = orbit.connections[0].source.system, orbit.connections
     n = system.dimension // 2
@@ -123,23 +134,25 @@ def walk_goal(
     ]
     return Goal(
         "walk", names, points[0], points[1], ends[0], ends[1], shadowing=orbit, symbols=symbols, begin=begin,
-        seconds=end - begin, wraps=wraps,
+        seconds=end - begin, wraps=wraps, pace=pace,
     )  # fmt: skip
 
 
-def stay_goal(itinerary: Itinerary, name: str, seconds: float) -> Goal:
+def stay_goal(itinerary: Itinerary, name: str, seconds: float, *, cart: float = 0.0, pace: Pace = "") -> Goal:
     """Return the goal of staying at an equilibrium.
 
     Args:
         itinerary: itinerary with the model.
         name: name of the equilibrium.
         seconds: duration of the stay, s.
+        cart: place of the cart, m.
+        pace: time of the transfer that leads to it, "" for the itinerary's.
     """
     system = itinerary.model.system
     state = system.equilibrium(name)
     angles = state[: len(state) // 2]
     text = "at rest" if name == resting_place(system) else f"hold {name}"
-    return Goal(text, (name, name), angles, angles, state, state, seconds=seconds)
+    return Goal(text, (name, name), angles, angles, state, state, seconds=seconds, cart=cart, pace=pace)
 
 
 def solve_pieces(
@@ -176,14 +189,13 @@ def solve_pieces(
         begun, share = ready + (1 - ready) * k / len(goals), (1 - ready) / len(goals)
         lift = np.zeros(len(goal.first))
         if k > 0:
-            way, before = ways[k - 1], pieces[-1].lift
-            if way is None:
-                moved = _blend(itinerary, goals[k - 1], before, goal, part_of(progress, begun, begun + share / 2))
-            else:
-                moved = way.taken(transfers[way.transfer.key], before)
-            pieces.append(moved)
-            lift = moved.lift
-            if not moved.reference.converged:
+            way, lift = ways[k - 1], pieces[-1].lift
+            if way is not None:
+                pieces.append(way.taken(transfers[way.transfer.key], lift))
+            elif goal.shadowing is not None:
+                pieces.append(_blend(itinerary, goals[k - 1], lift, goal, part_of(progress, begun, begun + share / 2)))
+            lift = pieces[-1].lift
+            if not pieces[-1].reference.converged:
                 break
         here = part_of(progress, begun + share / 2, begun + share)
         pieces.append(_own(itinerary, goal, lift, here, judged=k == len(goals) - 1))
@@ -211,18 +223,19 @@ def cart_problem(itinerary: Itinerary, guess: Guess, duration: float, ends: EndC
     )
 
 
-def lifted(state: Array, lift: Array) -> Array:
-    """Return a pendulum's state with a cart at rest, centred.
+def lifted(state: Array, lift: Array, cart: float = 0.0) -> Array:
+    """Return a pendulum's state with a cart at rest.
 
     Args:
         state: state (2n,) of the pendulum.
         lift: angles (n,) added to its angles, rad.
+        cart: place of the cart, m.
 
     Returns:
         State (2n+2,).
     """
     n = len(lift)
-    return np.concatenate([state[:n] + lift, state[n:], [0.0, 0.0]])
+    return np.concatenate([state[:n] + lift, state[n:], [cart, 0.0]])
 
 
 def lifted_guess(goal: Goal, lift: Array) -> Guess:
@@ -257,7 +270,7 @@ def _own(itinerary: Itinerary, goal: Goal, lift: Array, progress: Progress, *, j
     settings = itinerary.reference
     if goal.shadowing is None:
         method, interval = method_named(settings.method), max(settings.interval, 0.05)
-        state = lifted(goal.start, lift)
+        state = lifted(goal.start, lift, goal.cart)
         found = still(state, goal.seconds, method=method, limits=itinerary.limits, interval=interval)
         return SolvedPiece(goal.text, goal, lift, found)
     problem = cart_problem(itinerary, lifted_guess(goal, lift), goal.seconds, EndConditions())
@@ -325,19 +338,33 @@ class _Way:
 def _way(itinerary: Itinerary, before: Goal, after: Goal) -> _Way | None:
     """Return the transfer from one goal to the next, or None.
 
-    The result is None if their orbits have the same saddle.
+    The result is None if their orbits have the same saddle, or if a stay continues.
     """
     rest = resting_place(itinerary.model.system)
-    text = " to ".join("rest" if name == rest else name for name in (before.where[1], after.where[0]))
+    names = ["rest" if name == rest else name for name in (before.where[1], after.where[0])]
+    text = f"side-step at {names[0]}" if steps_aside(before, after) else " to ".join(names)
     apart = (before.last - after.first) / (2 * np.pi)
-    if before.where[1] == after.where[0] and before.shadowing is not None and after.shadowing is not None:
+    walks = [goal.shadowing is not None for goal in (before, after)]
+    if names[0] == names[1] and walks[0] == walks[1] and before.cart == after.cart:
         return None
     turns = ways_round(apart)
-    if before.shadowing is None and after.shadowing is None:
+    if not any(walks):
         # Between equilibria a transfer and its mirror image are equivalent.
         turns = [way for k, way in enumerate(turns) if not any(np.allclose(way - apart, apart - w) for w in turns[:k])]
-    ends = [lifted(after.start, way * 2 * np.pi) for way in turns]
-    return _Way(Transfer.of(itinerary, text, lifted(before.end, np.zeros(len(apart))), ends), turns)
+    ends = [lifted(after.start, way * 2 * np.pi, after.cart) for way in turns]
+    start = lifted(before.end, np.zeros(len(apart)), before.cart)
+    return _Way(Transfer.of(itinerary, text, start, ends), turns)
+
+
+def steps_aside(before: Goal, after: Goal) -> bool:
+    """Return True if a stay follows another one at the same equilibrium, with the cart elsewhere.
+
+    Args:
+        before: goal before the transfer.
+        after: goal after it.
+    """
+    stays = before.shadowing is None and after.shadowing is None
+    return stays and before.where == after.where and before.cart != after.cart
 
 
 def ways_round(apart: Array) -> list[Array]:
@@ -416,6 +443,8 @@ class _Story:
         self.wraps: list[int | None] = []
         self.transfers: list[tuple[float, float]] = []
         self.orbits: dict[tuple[str, float], PlanOrbit] = {}
+        self.cart = 0.0
+        """Place of the cart at the last stop, m."""
 
     def enter(self, goal: Goal, angles: Array, text: str) -> None:
         """Add the first stop of a piece.
@@ -424,7 +453,8 @@ class _Story:
         """
         name = goal.where[0]
         here = self._at_rest(name) if goal.shadowing is None else self._on(goal.orbits[0])
-        if not text or (self.stops and np.allclose(self.stops[-1].angles, angles)):
+        at_stop = bool(self.stops) and np.allclose(self.stops[-1].angles, angles)
+        if not text or (at_stop and self.cart == goal.cart):
             self._arrive(name, angles, here, None, None)
             return
         before = self.stops[-1]
@@ -500,6 +530,7 @@ def content_of_pieces(itinerary: Itinerary, pieces: Sequence[SolvedPiece], begin
             continue
         if goal.wraps is None:
             story.enter(goal, goal.first + piece.lift, way)
+            story.cart = goal.cart
         if goal.shadowing is not None:
             story.follow(goal, piece.lift, float(begin))
     walks = [piece.goal.shadowing for piece in pieces if piece.goal is not None and piece.goal.shadowing is not None]

@@ -161,6 +161,7 @@ def plan_key(itinerary: Itinerary) -> str:
         "model": itinerary.model.name,
         "parts": [asdict(part) for part in itinerary.parts],
         "ends": (itinerary.start, itinerary.finish),
+        "transfer": itinerary.transfer,
         "limits": asdict(itinerary.limits),
         "reference": asdict(itinerary.reference),
         "keeps": itinerary.keeps,
@@ -190,10 +191,11 @@ def _extent(itinerary: Itinerary) -> tuple[int, int]:
 
     The periods are those of walks.
     """
-    ends = (itinerary.start, itinerary.finish)
+    ends = zip((itinerary.start, itinerary.finish), (itinerary.parts[0], itinerary.parts[-1]), strict=True)
+    added = (end == "rest" or (end == "hold" and isinstance(part, WalkPart)) for end, part in ends)
     apart = (any(isinstance(part, HoldPart) for part in pair) for pair in pairwise(itinerary.parts))
     amounts = _amounts(itinerary)
-    return sum(amounts.values()) + (_FLIGHT - 1) * amounts["walk"], ends.count("rest") + sum(apart)
+    return sum(amounts.values()) + (_FLIGHT - 1) * amounts["walk"], sum(added) + sum(apart)
 
 
 def plan_cost(itinerary: Itinerary) -> Cost:

@@ -87,39 +87,50 @@ def planned(
         return _kept_walk(itinerary, walk, chain, solver, part_of(progress, 0.5, 1.0))
     ready = 0.4 if itinerary.walks else 0.0
     goals = _goals(itinerary, list(orbits), part_of(progress, 0.0, ready))
-    pieces = solve_pieces(itinerary, goals, fresh=fresh, workers=workers, progress=part_of(progress, ready, 0.9))
+    pieces = solve_pieces(itinerary, goals, fresh=fresh, workers=workers, progress=part_of(progress, ready, 1.0))
     reference, begins = joined([piece.reference for piece in pieces])
     content = content_of_pieces(itinerary, pieces, begins)
     ways = [(p.text, float(begin), p.reference) for p, begin in zip(pieces, begins, strict=False) if p.goal is None]
-    if ways and reference.converged:
-        costs = transfer_costs(itinerary.model.system, ways, progress=part_of(progress, 0.9, 1.0))
-        content = replace(content, costs=costs)
-    return replace(reference, plan=content)
+    return replace(reference, plan=replace(content, costs=transfer_costs(ways)))
 
 
 def _goals(itinerary: Itinerary, orbits: list[ShadowingOrbit], progress: Progress) -> list[Goal]:
     """Return the goals of an itinerary, one for each part.
 
-    Rests at its ends are added if required.
+    Rests and holds at its ends are added if required. A hold of the hanging arms is itself the rest, with its duration.
     """
-    rest = resting_place(itinerary.model.system)
-    # A hold of the hanging arms is itself the rest, with its duration.
-    rests = [isinstance(part, HoldPart) and part.hold == rest for part in (itinerary.parts[0], itinerary.parts[-1])]
-    goals = [stay_goal(itinerary, rest, REST_BEFORE)] if itinerary.start == "rest" and not rests[0] else []
+    ends, goals = (itinerary.start, itinerary.finish), list[Goal]()
+    first, last = itinerary.parts[0], itinerary.parts[-1]
+    before, after = (_equilibrium(itinerary, end, number) for number, end in zip((0, -1), ends, strict=True))
+    # Runs start with the cart in the middle.
+    if before and not (isinstance(first, HoldPart) and first.hold == before and not first.cart):
+        goals.append(stay_goal(itinerary, before, REST_BEFORE))
     for k, part in enumerate(itinerary.parts):
         if isinstance(part, WalkPart):
             here = part_of(progress, k / len(itinerary.parts), (k + 1) / len(itinerary.parts))
             orbit = orbits.pop(0) if orbits else shadowing_orbit(itinerary, part=part, progress=here)
             beside = [itinerary.parts[j] if 0 <= j < len(itinerary.parts) else None for j in (k - 1, k + 1)]
-            ends = (itinerary.start, itinerary.finish)
             # Walks meet on their orbits. To rest or a hold, there is a transfer.
-            apart = (e == "rest" if b is None else isinstance(b, HoldPart) for e, b in zip(ends, beside, strict=True))
-            goals.append(walk_goal(orbit, part.walk, round_off=(next(apart), next(apart))))
+            apart = (e != "orbit" if b is None else isinstance(b, HoldPart) for e, b in zip(ends, beside, strict=True))
+            goals.append(walk_goal(orbit, part.walk, round_off=(next(apart), next(apart)), pace=part.transfer))
         elif isinstance(part, HoldPart):
-            goals.append(stay_goal(itinerary, part.hold, part.seconds))
-    if itinerary.finish == "rest" and not rests[1]:
-        goals.append(stay_goal(itinerary, rest, REST_AFTER))
+            goals.append(stay_goal(itinerary, part.hold, part.seconds, cart=part.cart, pace=part.transfer))
+    if after and not (isinstance(last, HoldPart) and last.hold == after):
+        goals.append(stay_goal(itinerary, after, REST_AFTER))
     return goals
+
+
+def _equilibrium(itinerary: Itinerary, end: str, number: int) -> str:
+    """Return the equilibrium at an end of an itinerary whose first (0) or last (-1) part is there, "" on an orbit."""
+    part, system = itinerary.parts[number], itinerary.model.system
+    if end == "rest":
+        return resting_place(system)
+    if isinstance(part, HoldPart):
+        return part.hold
+    if end == "orbit" or not isinstance(part, WalkPart):
+        return ""
+    symbol = parse_walk(part.walk, system.saddles)[number]
+    return symbol.target if number else symbol.source
 
 
 def shadowing_orbit(

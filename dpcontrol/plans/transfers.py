@@ -1,6 +1,4 @@
-"""Transfers of an itinerary, cached, with costs and approaches.
-
-Approaches are those to orbits.
+"""Transfers of an itinerary, cached, with their costs.
 
 A transfer is cached by content as soon as it is found, at the turns of its start's name. So interrupted planning
 continues from there, and repeated motions, also of other itineraries, cost nothing.
@@ -15,9 +13,7 @@ The sensitivity is the largest root of the sum of squares of the angles' errors,
 the failures of transfers from rest to Down-Up on plants with errors of 0.3. With sensitivities of 2.3, 2.5, 3.3 and
 4.7, runs fail 5, 6, 28 and 51 times in 200. Effort gives the reverse order.
 
-The cost is the time, the cart's effort ∫u² and stroke. Approaches are to families of Lyapunov orbits: for each family,
-the orbit that the pendulum comes closest to, by the largest component of the scaled gap. A family shrinks to its
-saddle, so the distance is zero for a transfer that begins or ends there.
+The cost is the time, the cart's effort ∫u² and its stroke.
 """
 
 import json
@@ -32,29 +28,23 @@ import numpy as np
 from dpcontrol.control.interface import SampledModel
 from dpcontrol.control.tracking import TvlqrSettings, riccati_gains, terminal_cost
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
-from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.cache import cache_file, keep, kept
-from dpcontrol.foundation.errors import GoalMissed, InputError
+from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.foundation.files import content_hash
 from dpcontrol.foundation.processes import in_processes, processors
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
-from dpcontrol.orbits.family import lyapunov_family
-from dpcontrol.orbits.lyapunov import LyapunovOrbit, equilibrium
-from dpcontrol.orbits.manifold import OrbitCurve
 from dpcontrol.plans.itinerary import Itinerary
-from dpcontrol.references.content import Approach, TransferCost
+from dpcontrol.references.content import TransferCost
 from dpcontrol.references.find import find_transfer
 from dpcontrol.references.problem import PLANNING, Limits, ReferenceSettings
 from dpcontrol.references.reference import Reference, load_reference, save_reference
 from dpcontrol.references.trajectory import Trajectory
 
 _SAMPLING = 2e-3
-"""Interval of states that are compared with the orbits, s."""
+"""Interval of the places from which a stroke is taken, s."""
 _PERIOD, _SHARE = 5e-3, 1e-4
 """Period of the feedback in the comparison of motions, s, and step of difference quotients."""
-_MET = 1e-6
-"""Scaled distance from a saddle at which a transfer's end is at it."""
 
 
 @dataclass(frozen=True)
@@ -262,74 +252,18 @@ def turned(reference: Reference, angles: Array) -> Reference:
     return replace(reference, states=reference.states + turns)
 
 
-def transfer_costs(
-    system: System,
-    transfers: Sequence[tuple[str, float, Reference]],
-    *,
-    progress: Progress = no_progress,
-) -> tuple[TransferCost, ...]:
-    """Return costs and approaches of transfers.
+def transfer_costs(transfers: Sequence[tuple[str, float, Reference]]) -> tuple[TransferCost, ...]:
+    """Return the costs of transfers.
 
     Args:
-        system: conservative system of the arms.
         transfers: text, begin in s and motion of each transfer.
-        progress: receiver of progress reports.
     """
-    times = [np.linspace(0.0, motion.duration, round(motion.duration / _SAMPLING) + 1) for _, _, motion in transfers]
-    states = [motion.state(at) for (_, _, motion), at in zip(transfers, times, strict=True)]
-    pendulum = [rows[:, :-2] for rows in states]
-    energies = [system.numeric.hamiltonian(rows) for rows in pendulum]
-    span = min(float(e.min()) for e in energies), max(float(e.max()) for e in energies)
-    families: list[Sequence[LyapunovOrbit]] = []
-    for k, saddle in enumerate(system.saddles):
-        progress(f"closest approach to the orbits about {saddle}", k / len(system.saddles))
-        here = part_of(progress, k / len(system.saddles), (k + 1) / len(system.saddles))
-        families += _families(system, saddle, span, here)
     return tuple(
-        TransferCost(
-            text,
-            begin,
-            motion.duration,
-            motion.rms_cart_acceleration**2 * motion.duration,
-            float(np.ptp(states[k][:, -2])),
-            tuple(_closest(orbits, times[k], pendulum[k]) for orbits in families),
-        )
-        for k, (text, begin, motion) in enumerate(transfers)
+        TransferCost(text, begin, motion.duration, motion.effort, _stroke(motion)) for text, begin, motion in transfers
     )
 
 
-def _families(
-    system: System, saddle: str, energies: tuple[float, float], progress: Progress
-) -> list[Sequence[LyapunovOrbit]]:
-    """Return the families of orbits about a saddle.
-
-    They are included as far as they exist at these energies (lowest, highest) in J.
-    """
-    values = equilibrium(system, saddle).eigenvalues
-    found: list[Sequence[LyapunovOrbit]] = []
-    for family in range(sum(v.imag > 1e-6 * abs(v) for v in values)):
-        try:
-            found.append(lyapunov_family(system, saddle, energies=energies, family=family, progress=progress).members)
-        except InputError:
-            # The family begins above the transfers' energies.
-            continue
-    return found
-
-
-def _closest(orbits: Sequence[LyapunovOrbit], times: Array, states: Array) -> Approach:
-    """Return the closest approach to a family's orbits or saddle.
-
-    The states (K, 2n) are at `times` (K,).
-    """
-    first = orbits[0]
-    away = first.system.scaled_distance(states[[0, -1]], first.centre)
-    if away.min() < _MET:
-        end = int(np.argmin(away))
-        energy = equilibrium(first.system, first.saddle).energy
-        return Approach(first.name, 0.0, energy, float(times[-end]))
-    found: list[tuple[float, float, float]] = []
-    for orbit in orbits:
-        distances = OrbitCurve(orbit).distances(states)[1]
-        k = int(np.argmin(distances))
-        found.append((float(distances[k]), orbit.energy, float(times[k])))
-    return Approach(first.name, *min(found))
+def _stroke(motion: Reference) -> float:
+    """Return the distance between the cart's extreme places, m."""
+    times = motion.mesh[0] + np.linspace(0.0, motion.duration, round(motion.duration / _SAMPLING) + 1)
+    return float(np.ptp(motion.state(times)[:, -2]))

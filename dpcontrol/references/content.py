@@ -134,25 +134,14 @@ class Origin:
 
 
 @dataclass(frozen=True)
-class Approach:
-    """Closest approach of a transfer to a family: scaled distance from the orbit at `energy`, J, at `time`, s."""
-
-    orbit: str
-    distance: float
-    energy: float
-    time: float
-
-
-@dataclass(frozen=True)
 class TransferCost:
-    """Cost of a transfer: s, ∫u² dt in m²/s³, stroke in m, and approaches by family of orbits."""
+    """Cost of a transfer: s, ∫u² dt in m²/s³, and stroke in m."""
 
     text: str
     begin: float
     duration: float
     effort: float
     stroke: float
-    closest: tuple[Approach, ...]
 
 
 @dataclass(frozen=True)

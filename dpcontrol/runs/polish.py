@@ -433,8 +433,7 @@ def _noted(plan: Plan, motion: Reference) -> Reference:
         (cost.text, begin, tail(motion, begin, seconds=end - begin, turns=np.zeros(n)))
         for cost, (begin, end) in zip(content.costs, content.transfers, strict=True)
     ]
-    costs = transfer_costs(plan.itinerary.model.system, ways)
-    content = replace(content, symbols=symbols, costs=costs, key=_key(plan))
+    content = replace(content, symbols=symbols, costs=transfer_costs(ways), key=_key(plan))
     distances = nearness(replace(motion, plan=content))
     return replace(motion, plan=replace(content, polished=distances))
 

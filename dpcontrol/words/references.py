@@ -36,10 +36,6 @@ def plan(found: Any) -> Iterator[Line]:
             "∫u² (m²/s³)": "{0.effort:.3g}",
             "stroke (m)": "{0.stroke:.3g}",
         }
-        for k, family in enumerate(costs[0].closest):
-            columns[f"closest to {family.orbit}"] = (
-                f"{{0.closest[{k}].distance:.2f}} at {{0.closest[{k}].energy:.3g}} J"
-            )
         yield table("", costs, columns)
     if found.polished is not None and found.polished.converged:
         yield from _polished(found.polished)

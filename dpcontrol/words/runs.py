@@ -147,7 +147,8 @@ def _done(figures: Mapping[str, Any]) -> str:
     noun = motions(total, figures["transfers"])
     all_of_them = f"the {noun[:-1]} done" if total == 1 else f"all {total} {noun} done in order"
     asked = f", wraps {figures['wraps']} as asked" if figures["wraps"] else ""
-    return f"{all_of_them}{asked}, and {'at rest' if figures['lowest'] else 'on the last orbit'}"
+    held = f"held at {saddle}" if figures.get("still") else "on the last orbit"
+    return f"{all_of_them}{asked}, and {'at rest' if figures['lowest'] else held}"
 
 
 def verdict(fault: str, figures: Mapping[str, Any], end: str) -> str:

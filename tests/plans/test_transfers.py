@@ -14,16 +14,11 @@ import dpcontrol as dp
 from dpcontrol.control.interface import SampledModel
 from dpcontrol.control.tracking import TvlqrSettings, riccati_gains, terminal_cost
 from dpcontrol.dynamics.chain import Level, equations_of
-from dpcontrol.foundation.causes import ReferenceCause
-from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.plans import transfers
 from dpcontrol.plans.itinerary import HoldPart, load_itinerary
 from dpcontrol.plans.model import load_model
 from dpcontrol.plans.plan import Plan, make_plan
-from dpcontrol.plans.transfers import sensitivity, transfer_costs
-from dpcontrol.references.ending import ReferenceEnding
-from dpcontrol.references.method import method_named
-from dpcontrol.references.problem import Limits
+from dpcontrol.plans.transfers import sensitivity
 from dpcontrol.references.reference import Reference
 
 LAB = load_model("lab")
@@ -80,58 +75,6 @@ def test_the_cost_of_a_transfer_is_that_of_its_reference(there_and_back: Plan) -
         assert note["effort"] == pytest.approx((reference.input(middle) ** 2).mean() * (end - begin), rel=QUADRATURE)
         positions = reference.state(times)[:, -2]
         assert note["stroke"] == pytest.approx(positions.max() - positions.min(), rel=QUADRATURE)
-
-
-def standing(states: np.ndarray) -> Reference:
-    """Return a reference that passes pendulum states (K, 4), its cart at rest."""
-    method = method_named("radau-3")
-    mesh = np.linspace(0.0, 1.0, len(states))
-    carts = np.hstack([states, np.zeros((len(states), 2))])
-    share = method.support[:, None]
-    rows = carts[:-1, None] * (1 - share) + carts[1:, None] * share
-    inputs = np.zeros((len(states) - 1, len(method.points), 1))
-    return Reference(
-        method,
-        mesh,
-        rows,
-        inputs,
-        Limits(),
-        ReferenceEnding(ReferenceCause.REST),
-        converged=True,
-        max_error_between_nodes=0.0,
-    )
-
-
-@pytest.mark.slow
-def test_the_closest_approach_is_to_the_nearest_of_all_orbits_of_a_family() -> None:
-    """Along an orbit itself: none of another energy is nearer; and beside it, as far as brute force finds it."""
-    orbit = lyapunov_orbit(SYSTEM, "down-up", energy=0.1)
-    flown = solve_ivp(
-        lambda _, x: SYSTEM.numeric.rate(x), (0, orbit.period), orbit.state, t_eval=np.linspace(0, orbit.period, 400),
-        rtol=1e-10, atol=1e-10,
-    ).y.T  # fmt: skip
-    (on,) = transfer_costs(SYSTEM, [("on it", 0.0, standing(flown))])
-    (near,) = [one for one in on.closest if one.orbit == "down-up"]
-    assert near.distance < BETWEEN_ORBITS
-    assert near.energy == pytest.approx(0.1, abs=0.05)
-    place = flown[120] + np.array([0.0, 0.0, 3.0, 0.0])
-    (beside,) = transfer_costs(SYSTEM, [("beside it", 0.0, standing(np.array([place, place])))])
-    nearest = np.inf
-    for energy in np.linspace(-0.17, 0.48, 60):
-        other = lyapunov_orbit(SYSTEM, "down-up", energy=energy)
-        times = np.linspace(0, other.period, 400)
-        nearest = min(nearest, SYSTEM.scaled_distance(SYSTEM.propagator.sample(other.state, times), place).min())
-    (near,) = [one for one in beside.closest if one.orbit == "down-up"]
-    assert near.distance == pytest.approx(nearest, abs=BETWEEN_ORBITS)
-
-
-@pytest.mark.slow
-def test_a_transfer_that_begins_at_a_saddle_is_at_no_distance_from_its_orbits(there_and_back: Plan) -> None:
-    for note, end in zip(there_and_back.document()["transfers"], (1, 0), strict=True):
-        near = {one["orbit"]: one for one in note["closest"]}
-        assert set(near) == {"down-up"}, "up-down lies higher than these transfers reach"
-        assert near["down-up"]["distance"] == 0
-        assert near["down-up"]["time"] == pytest.approx(end * note["duration"])
 
 
 @pytest.mark.slow
