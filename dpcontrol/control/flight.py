@@ -16,6 +16,7 @@ Sources: Tassa, Erez & Todorov, Synthesis and stabilization of complex behaviors
 """
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, NamedTuple
 
@@ -24,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.control.interface import SampledModel, whole_turns
-from dpcontrol.dynamics.compiled import Compiled, compiled_step, fixed_step
+from dpcontrol.dynamics.compiled import Compiled, fixed_step
 from dpcontrol.dynamics.equations import Equations, runge_kutta_4
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.causes import FlightCause
@@ -52,6 +53,8 @@ _NEAR_STOP = 0.03
 """Part of the track at its ends into which a flight must not lead, m."""
 _SOFT_POSITION, _SOFT_VELOCITY = 0.01, 0.05
 """Scales of the excess over a soft limit: m and m/s."""
+_RETURNING = 1.0, 2.0
+"""Gains on position and velocity of the cart in the first motions of `timed`, 1/s² and 1/s."""
 _LENGTHS = np.array([1.0, 0.2])
 """Lengths of the line search."""
 _LONGER = 0.25
@@ -76,6 +79,8 @@ class Stage(NamedTuple):
 
 STAGES = (Stage(25, 20.0, 1.0, diagonal=True), Stage(30, 4.0, 3.0), Stage(15, 4.0, 30.0))
 """The search for a flight."""
+GENTLE_STAGES = (Stage(20, 1.0, 0.1, diagonal=True), Stage(20, 0.3, 0.3), Stage(10, 4.0, 10.0))
+"""The search for a flight of given duration. Larger weights of the end leave the effort far from its minimum."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,6 +137,14 @@ class Flights(Brief):
     objectives: Array
     inside: NDArray[np.bool_]
 
+    def picked(self, rows: NDArray[Any]) -> "Flights":
+        """Return some of the flights.
+
+        Args:
+            rows: their indices, or a mask (S,).
+        """
+        return replace(self, **{one.name: getattr(self, one.name)[rows] for one in fields(self)})
+
     @property
     def reached(self) -> NDArray[np.bool_]:
         """True (S,) for flights that end where the law of the target takes over, within the limits."""
@@ -147,11 +160,12 @@ class FlightPlanner:
     """
 
     def __init__(self, model: SampledModel, limits: Limits) -> None:
-        equations = model.equations
-        self._n, self._limits, self._most = equations.dimension, limits, _RESERVE_ACCELERATION * limits.acceleration
-        step = _step(equations, limits)
+        equations, room = model.equations, _less_reserve(limits)
+        self._n, self._limits = equations.dimension, limits
+        self._terms = np.array([room.acceleration, room.position, room.velocity, 0.0])
+        step = _step(equations)
         self._forward, self._backward = Compiled(step.forward()), Compiled(step.backward())
-        self._parameters, self._step = model.parameters, compiled_step(equations)
+        self._parameters = model.parameters
 
     def plan(self, states: Array, target: Target) -> Flights:
         """Return flights from states to a target.
@@ -175,9 +189,41 @@ class FlightPlanner:
         # Those that fail are compared by their cost as well.
         best = (flights.objectives + _FAILED * ~flights.reached).reshape(count, guesses)
         chosen = np.argmin(best, axis=1) + guesses * np.arange(count)
-        flights = replace(flights, **{one.name: getattr(flights, one.name)[chosen] for one in fields(flights)})
+        flights = flights.picked(chosen)
         flights.nodes[:, :, :arms] += turns[:, None]
         return flights
+
+    def like(self, parameters: Array, limits: Limits, *, room: Limits, centring: float) -> "FlightPlanner":
+        """Return a planner with the same programs for other arms.
+
+        Args:
+            parameters: base parameters (p,) of the same equations.
+            limits: limits of the cart.
+            room: limits of the flights.
+            centring: weight of the cart's squared distance from the middle, 1/s⁴.
+        """
+        other = copy(self)
+        other._limits, other._parameters = limits, parameters
+        other._terms = np.array([room.acceleration, room.position, room.velocity, centring])
+        return other
+
+    def timed(self, start: Array, target: Target, durations: Array, inputs: Array, *, fixed: bool) -> Flights:
+        """Return the flights from a state to which several durations and first inputs lead.
+
+        Args:
+            start: state (N,).
+            target: places where a law takes over.
+            durations: first durations (L,), s.
+            inputs: first inputs (STEPS, L), m/s², beside a feedback that returns the cart to the middle.
+            fixed: True to keep the durations.
+        """
+        n, lanes = self._n, len(durations)
+        begin = np.vstack([np.tile(start[:, None], lanes), durations / STEPS])
+        gains = np.zeros((STEPS, n + 1, lanes))
+        gains[:, n - 2], gains[:, n - 1] = -_RETURNING[0], -_RETURNING[1]
+        stages = GENTLE_STAGES if fixed else STAGES
+        nodes, inputs, _ = self._flown(begin, inputs, np.zeros_like(gains), gains, stages[0].soft)
+        return self._searched(nodes, inputs, target, stages, fixed=fixed)
 
     def lands(self, state: Array, nodes: Array, inputs: Array, gains: Array, step: float, target: Target) -> bool:
         """Return True if feedback leads from a state near a flight to its target, within the limits.
@@ -209,11 +255,10 @@ class FlightPlanner:
         """
         count = len(inputs)
         step = np.minimum((times / duration * count).astype(int), count - 1)
-        rows, where = np.empty((self._step.size_in, len(times))), self._step.slices
-        rows[where["state"]], rows[where["inputs"]] = nodes[step].T, inputs[step]
-        rows[where["duration"]] = times - step * (duration / count)
-        rows[where["parameters"]] = self._parameters[:, None]
-        return self._step(rows, np.empty((self._step.size_out, len(times)))).T.copy(), inputs[step]
+        lengths = times - step * (duration / count)
+        begin, still = np.vstack([nodes[step].T, lengths]), np.zeros((1, self._n + 1, len(times)))
+        after, _, _ = self._flown(begin, inputs[step][None], still, still, 0.0, most=np.inf)
+        return after[1, : self._n].T.copy(), inputs[step]
 
     def _flown(
         self, begin: Array, away: Array, nominal: Array, gains: Array, soft: float, *, most: float | None = None
@@ -223,7 +268,8 @@ class FlightPlanner:
         rows = np.empty((count, program.size_in, lanes))
         rows[:, program.slices["away"].start] = away
         rows[:, program.slices["nominal"]], rows[:, program.slices["gains"]] = nominal, gains
-        rows[:, program.slices["soft"]], rows[:, program.slices["most"]] = soft, most or self._most
+        rows[:, program.slices["soft"]], rows[:, program.slices["terms"]] = soft, self._terms[:, None]
+        rows[:, program.slices["terms"].start] = most or self._terms[0]
         rows[:, program.slices["parameters"]] = self._parameters[:, None]
         out, machine = np.empty((count, program.size_out, lanes)), program.machine
         now = begin
@@ -234,7 +280,9 @@ class FlightPlanner:
         nodes = np.concatenate([begin[None], out[:, : n + 1]])
         return nodes, out[:, n + 1], out[:, n + 2].sum(axis=0)
 
-    def _searched(self, nodes: Array, inputs: Array, target: Target, stages: Sequence[Stage]) -> Flights:
+    def _searched(
+        self, nodes: Array, inputs: Array, target: Target, stages: Sequence[Stage], *, fixed: bool = False
+    ) -> Flights:
         """Return the flights that the stages lead to from nominal motions."""
         lanes, n, count = nodes.shape[2], self._n, len(inputs)
         regularity = np.full(lanes, 1e-6)
@@ -245,7 +293,7 @@ class FlightPlanner:
             total = self._total(nominal, target, weights)
             for _ in range(stage.iterations):
                 forward, gains, slope, curvature = self._improved(nodes, inputs, target, weights, stage, regularity)
-                limit = _LONGER * nodes[0, n]
+                limit = (0.0 if fixed else _LONGER) * nodes[0, n]
                 longer = np.clip(-slope / np.maximum(curvature, 1e-9), -limit, limit)
                 tried = len(_LENGTHS)
                 begin = np.tile(nodes[0], tried)
@@ -288,7 +336,7 @@ class FlightPlanner:
         n, lanes, program = self._n, nodes.shape[2], self._backward
         size = n + 1
         rows = np.empty((program.size_in, lanes))
-        rows[program.slices["soft"]], rows[program.slices["most"]] = stage.soft, self._most
+        rows[program.slices["soft"]], rows[program.slices["terms"]] = stage.soft, self._terms[:, None]
         rows[program.slices["regularity"]] = regularity
         rows[program.slices["parameters"]] = self._parameters[:, None]
         _, place, away = target.nearest(nodes[-1, :n].T, weights)
@@ -384,7 +432,7 @@ class Flight(Concluded, Timed):
         return {**own, "cause": self.cause, "limits": self.limits.named()}
 
 
-def _beyond(value: ca.SX, limit: float) -> ca.SX:
+def _beyond(value: ca.SX, limit: ca.SX) -> ca.SX:
     """Return the signed excess of a value over a symmetric limit."""
     return ca.if_else(value > limit, value - limit, ca.if_else(value < -limit, value + limit, 0))
 
@@ -394,13 +442,14 @@ class _FlightStep:
     """One step of a motion, symbolically.
 
     The state is that of the equations and the length of the step. `accurate` is the next state for motions, `following`
-    a cheaper one for derivatives. `excess` is the scaled excess over the soft limits.
+    a cheaper one for derivatives. `excess` is the scaled excess over the soft limits. `terms` are the largest input,
+    the soft limits of position and velocity, and the weight of the cart's distance from the middle.
     """
 
     moving: ca.SX
     input: ca.SX
     soft: ca.SX
-    most: ca.SX
+    terms: ca.SX
     parameters: ca.SX
     accurate: ca.SX
     following: ca.SX
@@ -411,11 +460,12 @@ class _FlightStep:
         """Return the step under feedback: (moving, input, cost) from an input, a nominal state and gains about it."""
         size, z = self.moving.shape[0], self.moving
         away, nominal, gains = ca.SX.sym("away"), ca.SX.sym("nominal", size), ca.SX.sym("gains", size)
-        command = ca.fmax(-self.most, ca.fmin(self.most, away + ca.dot(gains, z - nominal)))
+        most = self.terms[0]
+        command = ca.fmax(-most, ca.fmin(most, away + ca.dot(gains, z - nominal)))
         following, cost = ca.substitute([self.accurate, self.cost], [self.input], [command])
         out = ca.cse(ca.densify(ca.vertcat(following, z[size - 1], command, cost)))
-        names = ["moving", "away", "nominal", "gains", "soft", "most", "parameters"]
-        inputs = [z, away, nominal, gains, self.soft, self.most, self.parameters]
+        names = ["moving", "away", "nominal", "gains", "soft", "terms", "parameters"]
+        inputs = [z, away, nominal, gains, self.soft, self.terms, self.parameters]
         return ca.Function("flight_forward", inputs, [out], names, ["out"])
 
     def backward(self) -> ca.Function:
@@ -424,7 +474,7 @@ class _FlightStep:
         Its outputs are the change of the input, the gains (N+1,), and gradient (N+1,) and Hessian ((N+1)²,) of the
         value.
         """
-        z, u, most = self.moving, self.input, self.most
+        z, u, most = self.moving, self.input, self.terms[0]
         size = z.shape[0]
         h, n = z[size - 1], size - 1
         gradient, hessian = ca.SX.sym("gradient", size), ca.SX.sym("hessian", size, size)
@@ -436,6 +486,7 @@ class _FlightStep:
         q_u = ca.gradient(self.cost, u) + by_input.T @ gradient
         pushed = by_input.T @ hessian
         q_zz = h * self.soft * slopes.T @ slopes + by_state.T @ hessian @ by_state
+        q_zz[n - 2, n - 2] += h * _EFFORT * self.terms[3]
         q_uz = pushed @ by_state + ca.horzcat(ca.SX.zeros(1, n), _EFFORT * u)
         q_uu = h * _EFFORT + ca.fmax(pushed @ by_input, 0) + regularity
         free = -q_u / q_uu
@@ -446,21 +497,29 @@ class _FlightStep:
         out = ca.vertcat(change, gains, new_gradient, ca.vec((new_hessian + new_hessian.T) / 2))
         value = ca.SX.sym("value", size + size * size)
         out = ca.cse(ca.densify(ca.substitute(out, ca.vertcat(gradient, ca.vec(hessian)), value)))
-        names = ["moving", "input", "value", "soft", "most", "regularity", "parameters"]
-        inputs = [z, u, value, self.soft, most, regularity, self.parameters]
+        names = ["moving", "input", "value", "soft", "terms", "regularity", "parameters"]
+        inputs = [z, u, value, self.soft, self.terms, regularity, self.parameters]
         return ca.Function("flight_backward", inputs, [out], names, ["out"])
 
 
-def _step(equations: Equations, limits: Limits) -> _FlightStep:
+def _less_reserve(limits: Limits) -> Limits:
+    """Return the limits of flights that leave a reserve."""
+    return Limits(
+        limits.position - min(_RESERVE_TRACK, _TRACK_SHARE * limits.position),
+        _RESERVE_SPEED * limits.velocity,
+        _RESERVE_ACCELERATION * limits.acceleration,
+    )
+
+
+def _step(equations: Equations) -> _FlightStep:
     """Return the step of a motion with its cost."""
     n, x, u, p = equations.dimension, equations.state, equations.inputs, equations.parameters
-    h, soft, slope = ca.SX.sym("step"), ca.SX.sym("soft"), equations.function()
-    track = limits.position - min(_RESERVE_TRACK, _TRACK_SHARE * limits.position)
+    h, soft, terms, slope = ca.SX.sym("step"), ca.SX.sym("soft"), ca.SX.sym("terms", 4), equations.function()
     excess = ca.vertcat(
-        _beyond(x[n - 2], track) / _SOFT_POSITION,
-        _beyond(x[n - 1], _RESERVE_SPEED * limits.velocity) / _SOFT_VELOCITY,
+        _beyond(x[n - 2], terms[1]) / _SOFT_POSITION,
+        _beyond(x[n - 1], terms[2]) / _SOFT_VELOCITY,
     )
     following = runge_kutta_4(lambda state, _: slope(state, u, p), x, h)
-    cost = h * (1 + _EFFORT / 2 * u**2 + soft / 2 * ca.sumsqr(excess))
+    cost = h * (1 + _EFFORT / 2 * (u**2 + terms[3] * x[n - 2] ** 2) + soft / 2 * ca.sumsqr(excess))
     accurate = fixed_step(equations)(x, u, h, p)
-    return _FlightStep(ca.vertcat(x, h), u, soft, ca.SX.sym("most"), p, accurate, following, cost, excess)
+    return _FlightStep(ca.vertcat(x, h), u, soft, terms, p, accurate, following, cost, excess)

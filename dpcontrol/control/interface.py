@@ -446,6 +446,17 @@ class SampledModel:
         trigger()
         return following.copy()
 
+    def steps(self, states: Array, commands: Array, parameters: Array) -> Array:
+        """Return the states (K, N) one period later.
+
+        Args:
+            states: states (K, N).
+            commands: constant accelerations of the cart (K,), m/s².
+            parameters: base parameters (p,).
+        """
+        base = np.repeat(parameters[:, None], len(states), axis=1)
+        return np.array(self._plain.map(len(states))(states.T, commands[None], base)).T
+
     def lagging(self, a: Array, b: Array) -> tuple[Array, Array]:
         """Return A and B of `linearised` for a lagging drive.
 

@@ -242,6 +242,31 @@ class ArmChainParameters(Settings):
         mass[np.triu_indices(n)] = self.base()[: n * (n + 1) // 2]
         return mass + np.triu(mass, 1).T
 
+    @property
+    def natural_time(self) -> float:
+        """Period of the slowest swing of the hanging arms, s."""
+        n = self.count
+        weights = self.base()[n * (n + 1) // 2 :][:n]
+        return float(2 * np.pi * np.sqrt(np.linalg.eigvals(self.mass_in_line / weights[:, None]).real.max()))
+
+    def scaled(self, length: float, time: float) -> "ArmChainParameters":
+        """Return arms of another size whose motions are these arms' motions at another pace.
+
+        Args:
+            length: factor on lengths.
+            time: factor on times.
+        """
+        factors = {
+            "centre_of_mass": length,
+            "length": length,
+            "inertia": length**2,
+            "viscous": length**2 / time,
+            "coulomb": (length / time) ** 2,
+            "quadratic": 1 / length,
+        }
+        values = {name: tuple(by * value for value in getattr(self, name)) for name, by in factors.items()}
+        return replace(self, gravity=self.gravity * length / time**2, smoothing=self.smoothing / time, **values)
+
     def frictionless(self) -> "ArmChainParameters":
         """Return the same arms without friction."""
         return replace(self, viscous=(0.0,) * self.count, coulomb=(), quadratic=())

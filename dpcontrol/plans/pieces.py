@@ -353,7 +353,7 @@ def _way(itinerary: Itinerary, before: Goal, after: Goal) -> _Way | None:
         turns = [way for k, way in enumerate(turns) if not any(np.allclose(way - apart, apart - w) for w in turns[:k])]
     ends = [lifted(after.start, way * 2 * np.pi, after.cart) for way in turns]
     start = lifted(before.end, np.zeros(len(apart)), before.cart)
-    return _Way(Transfer.of(itinerary, text, start, ends), turns)
+    return _Way(Transfer.of(itinerary, text, start, ends, after.pace), turns)
 
 
 def steps_aside(before: Goal, after: Goal) -> bool:

@@ -3,9 +3,9 @@
 A transfer is cached by content as soon as it is found, at the turns of its start's name. So interrupted planning
 continues from there, and repeated motions, also of other itineraries, cost nothing.
 
-Of several motions between the same places that leave margin for feedback, the least sensitive one is used. Let e be the
-distance of the state from the motion under linear-quadratic feedback K. To first order in a relative error of one of
-the arms' parameters,
+Of several motions that leave margin for feedback, the one with the least product of effort and squared sensitivity is
+used. Let e be the distance of the state from the motion under linear-quadratic feedback K. To first order in a relative
+error of one of the arms' parameters,
 
     e_{k+1} = (A_k - B_k K_k) e_k + E_k,      e_0 = 0.
 
@@ -30,21 +30,36 @@ from dpcontrol.control.tracking import TvlqrSettings, riccati_gains, terminal_co
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.cache import cache_file, keep, kept
+from dpcontrol.foundation.causes import ReferenceCause
 from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.foundation.files import content_hash
 from dpcontrol.foundation.processes import in_processes, processors
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
+from dpcontrol.plans.candidates import CART_WEIGHT, NATURAL_TIME, PERIOD, Scale, Way, flown, programs, smooth
 from dpcontrol.plans.itinerary import Itinerary
+from dpcontrol.plans.layout import GENTLE, SHORTEST, Pace
 from dpcontrol.references.content import TransferCost
-from dpcontrol.references.find import find_transfer
-from dpcontrol.references.problem import PLANNING, Limits, ReferenceSettings
+from dpcontrol.references.ending import ReferenceEnding
+from dpcontrol.references.find import refined_transfer, wanting
+from dpcontrol.references.problem import PLANNING, EndConditions, Limits, ReferenceProblem, ReferenceSettings
 from dpcontrol.references.reference import Reference, load_reference, save_reference
 from dpcontrol.references.trajectory import Trajectory
+from dpcontrol.references.transcription import solve
 
 _SAMPLING = 2e-3
 """Interval of the places from which a stroke is taken, s."""
-_PERIOD, _SHARE = 5e-3, 1e-4
-"""Period of the feedback in the comparison of motions, s, and step of difference quotients."""
+ROOM, TIGHT = 0.7, 0.9
+"""Shares of each limit that leave room for feedback, and that the shortest transfers use."""
+SHORT = np.arange(0.5, 1.6, 0.25)
+"""First durations of the shortest flights in natural times."""
+MULTIPLES, LONGER = np.array([1.3633, 1.8178, 2.2722, 2.7266]), np.array([3.5, 4.5])
+"""Durations of gentle transfers in natural times, and those of transfers that are found in none of them."""
+_RANKED = 8
+"""Number of motions that are compared, those of the least effort."""
+_COARSE = ReferenceSettings(pendulum_weight=0.0, cart_weight=CART_WEIGHT)
+"""Settings of the solutions that are compared."""
+_SHARE = 1e-4
+"""Step of difference quotients in the comparison of motions."""
 
 
 @dataclass(frozen=True)
@@ -63,9 +78,10 @@ class Transfer:
     settings: ReferenceSettings
     start: tuple[float, ...]
     ends: tuple[tuple[float, ...], ...]
+    pace: Pace = GENTLE
 
     @classmethod
-    def of(cls, itinerary: Itinerary, text: str, start: Array, ends: Sequence[Array]) -> "Transfer":
+    def of(cls, itinerary: Itinerary, text: str, start: Array, ends: Sequence[Array], pace: Pace) -> "Transfer":
         """Return the transfer with an itinerary's arms, limits and reference settings.
 
         Args:
@@ -73,10 +89,11 @@ class Transfer:
             text: name of the transfer.
             start: state (N,) at the start.
             ends: possible states (N,) at the end.
+            pace: time of the transfer, "" for the itinerary's.
         """
         return cls(
             text, itinerary.model.name, itinerary.model.arms.planned(), itinerary.limits, itinerary.reference,
-            tuple(start.tolist()), tuple(tuple(end.tolist()) for end in ends),
+            tuple(start.tolist()), tuple(tuple(end.tolist()) for end in ends), pace or itinerary.transfer,
         )  # fmt: skip
 
     @property
@@ -87,6 +104,7 @@ class Transfer:
             "parameters": asdict(self.arms),
             "start": self.start,
             "ends": self.ends,
+            "pace": self.pace,
             "limits": asdict(self.limits),
             "reference": asdict(self.settings),
         }
@@ -177,15 +195,98 @@ def search(wanted: Transfer, progress: Progress = no_progress) -> tuple[bytes, s
     archive = BytesIO()
     with _ONE_AT_A_TIME:
         try:
-            found = find_transfer(
-                equations_of(wanted.arms, Level.CART), wanted.arms.base(), start=np.array(wanted.start),
-                ends=[np.array(end) for end in wanted.ends], limits=wanted.limits, settings=wanted.settings,
-                sensitivity=lambda motion: sensitivity(wanted.arms, motion), progress=here,
-            )  # fmt: skip
+            save_reference(archive, find_transfer(wanted, here))
         except GoalMissed as error:
             return b"", str(error)
-        save_reference(archive, found)
     return archive.getvalue(), ""
+
+
+def find_transfer(wanted: Transfer, progress: Progress = no_progress) -> Reference:
+    """Return a transfer from the best of its first motions.
+
+    Args:
+        wanted: the transfer.
+        progress: receiver of progress reports.
+
+    Raises:
+        GoalMissed: there is none within the limits.
+    """
+    scale, failed, durations = Scale.of(wanted.arms), "no first motion leads there", np.zeros(0)
+    factors, arms = scale.state(wanted.arms.count), wanted.arms.scaled(scale.length, scale.time)
+    start, *ends = (factors * state for state in (wanted.start, *wanted.ends))
+    for share, durations, flies in _attempts(wanted, scale, aside=np.allclose(start[:-2], ends[0][:-2])):
+        room = scale.limits(wanted.limits, share)
+        ways = [Way(arms, scale.limits(wanted.limits), room, start, ends[0], backwards) for backwards in (False, True)]
+        fixed = wanted.pace != SHORTEST
+        firsts = flown(ways, ends, durations, fixed=fixed) if flies else smooth(start, ends, durations)
+        solved: list[tuple[ReferenceProblem, Trajectory]] = []
+        for k, (first, end) in enumerate(firsts):
+            progress("transfer", k / len(firsts))
+            problem = _problem(arms, room, first, (start, end))
+            attempt = solve(problem, first, settings=_COARSE, limits=room)
+            if attempt.succeeded:
+                solved.append((problem, attempt.trajectory))
+            failed = attempt.outcome
+        solved = sorted(solved, key=lambda one: one[1].effort if fixed else one[1].duration)[:_RANKED]
+        for problem, motion in sorted(solved, key=lambda one: _rank(wanted, arms, one[1])):
+            found = refined_transfer(problem, motion, wanted.settings, cart_weight=CART_WEIGHT)
+            if found.converged:
+                return replace(
+                    found,
+                    mesh=found.mesh / scale.time,
+                    states=found.states / factors,
+                    inputs=found.inputs / scale.acceleration,
+                    limits=wanted.limits,
+                )
+            failed = found.status
+    raise _missed(wanted, np.asarray(durations / scale.time), failed)
+
+
+def _attempts(wanted: Transfer, scale: Scale, *, aside: bool) -> list[tuple[float, Array, bool]]:
+    """Return shares of the limits, durations, s, and True to start from flights, in the order of the attempts."""
+    # Three arms and more have many directions, and use the longer durations.
+    several = MULTIPLES[2 * (wanted.arms.count > 2) :] * NATURAL_TIME
+    if aside and wanted.pace == GENTLE:
+        return [(ROOM, several[:1], False), (ROOM, several[1:], False), (TIGHT, LONGER * NATURAL_TIME, False)]
+    if wanted.pace == GENTLE:
+        return [(ROOM, several, False), (ROOM, several, True), (TIGHT, LONGER * NATURAL_TIME, False)]
+    if isinstance(wanted.pace, str):
+        return [(TIGHT, SHORT * NATURAL_TIME, True), (TIGHT, several, False)]
+    time = np.array([wanted.pace * scale.time])
+    return [(ROOM, time, True), (TIGHT, time, True), (TIGHT, time, False)]
+
+
+def _rank(wanted: Transfer, arms: ArmChainParameters, motion: Trajectory) -> float:
+    """Return the rank of a motion, the best first."""
+    return motion.duration if wanted.pace == SHORTEST else sensitivity(arms, motion) ** 2 * motion.effort
+
+
+def _problem(
+    arms: ArmChainParameters, limits: Limits, first: Trajectory, ends: tuple[Array, Array]
+) -> ReferenceProblem:
+    """Return the problem of a transfer that starts from a first motion."""
+    return ReferenceProblem(
+        equations_of(arms, Level.CART),
+        arms.base(),
+        lambda times: first.state(times)[:, :-2],
+        first.duration,
+        limits=limits,
+        ends=EndConditions(start=ends[0], end=ends[1]),
+    )
+
+
+def _missed(wanted: Transfer, durations: Array, failed: str) -> GoalMissed:
+    """Return the error of a transfer that was not found in these durations."""
+    start, end = np.array(wanted.start), np.array(wanted.ends[0])
+    ((first, _),) = smooth(start, [end], durations[:1])
+    problem = _problem(wanted.arms, wanted.limits, first, (start, end))
+    ending = ReferenceEnding(
+        ReferenceCause.NO_TRANSFER,
+        times=tuple(durations.tolist()),
+        answer=failed,
+        obstacle=wanting(problem, first, _COARSE),
+    )
+    return GoalMissed(ending.status)
 
 
 def sensitivity(arms: ArmChainParameters, motion: Trajectory) -> float:
@@ -199,23 +300,23 @@ def sensitivity(arms: ArmChainParameters, motion: Trajectory) -> float:
         arms: parameters of the arms.
         motion: motion of arms and cart.
     """
-    model = SampledModel(equations_of(arms, Level.CART), arms.base(), period=_PERIOD)
-    count, n = max(round(motion.duration / _PERIOD), 1), arms.count
-    times = np.arange(count) * _PERIOD
-    states, commands = motion.state(times), motion.input(times + _PERIOD / 2)[:, 0]
-    a, b = model.linearised(states, commands)
-    diagonal, effort = TvlqrSettings().weights(n, _PERIOD)
+    model, _ = programs(equations_of(arms, Level.CART))
+    count, n = max(round(motion.duration / PERIOD), 1), arms.count
+    times = np.arange(count) * PERIOD
+    states, commands = motion.state(times), motion.input(times + PERIOD / 2)[:, 0]
+    a, b = model.linearised(states, commands, parameters=arms.base())
+    diagonal, effort = TvlqrSettings().weights(n, PERIOD)
     try:
         terminal = terminal_cost(a[-1], b[-1], weights=np.diag(diagonal), effort=effort)
     except GoalMissed:
         return float("inf")
     gains, _, _ = riccati_gains(a, b, weights=diagonal, effort=effort, terminal=terminal)
-    effects = _effects(arms, model, states, commands)
+    closed, effects = a - b[:, :, None] * gains[:, None], _effects(arms, model, states, commands)
     strayed, largest = np.zeros(effects.shape[1:]), 0.0
     for k in range(count):
-        strayed = a[k] @ strayed - b[k][:, None] * (gains[k] @ strayed) + effects[k]
-        largest = max(largest, float(np.linalg.norm(strayed[:n])))
-    return largest
+        strayed = closed[k] @ strayed + effects[k]
+        largest = max(largest, float(np.square(strayed[:n]).sum()))
+    return float(np.sqrt(largest))
 
 
 def _effects(arms: ArmChainParameters, model: SampledModel, states: Array, commands: Array) -> Array:
@@ -223,21 +324,14 @@ def _effects(arms: ArmChainParameters, model: SampledModel, states: Array, comma
 
     Change of a period's step per relative error of each number of each arm.
     """
-    nominal = model.parameters.copy()
-
-    def steps(base: Array) -> Array:
-        # The model's array, which its steps read.
-        model.parameters[:] = base
-        return np.array([model.step(state, float(command)) for state, command in zip(states, commands, strict=True)])
-
-    here, columns = steps(nominal), []
+    others = [arms]
     for name in ("mass", "centre_of_mass", "length", "inertia"):
-        for i in range(arms.count):
+        for i, value in enumerate(getattr(arms, name)):
             values = list(getattr(arms, name))
-            values[i] *= 1 + _SHARE
-            columns.append((steps(replace(arms, **{name: tuple(values)}).base()) - here) / _SHARE)
-    model.parameters[:] = nominal
-    return np.stack(columns, axis=2)
+            values[i] = value * (1 + _SHARE)
+            others.append(replace(arms, **{name: tuple(values)}))
+    steps = [model.steps(states, commands, one.base()) for one in others]
+    return np.stack([(step - steps[0]) / _SHARE for step in steps[1:]], axis=2)
 
 
 def turned(reference: Reference, angles: Array) -> Reference:

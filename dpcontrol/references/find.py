@@ -10,12 +10,8 @@ guess then is a solution, and halves its step after a failure. If it fails too, 
 reached, the cause (limits, friction, authority or guess) and a remedy. Without friction and cart, the shadowing orbit
 is the reference.
 
-A transfer (swing-up, landing, change of orbit) has no orbit to follow; its cost is the cart's effort and travel. The
-guess turns each arm along a smooth curve that ignores the rates at both ends. From it, direct collocation found 35 of
-36 swing-ups and landings tried; with those rates in the guess it found 30, with half the margin. Several durations and
-lattice points of the end state are tried on a coarse mesh. The first solution that leaves room for feedback is refined,
-or the gentlest if none does. If the growth of errors under feedback can be estimated, all combinations are tried. The
-one that leaves room with the smallest errors is refined.
+A transfer (swing-up, landing, change of orbit, side-step) has no orbit to follow; its cost is the cart's effort and
+travel. `dpcontrol.plans.candidates` has its first motions.
 
 Sources: Betts, Practical Methods for Optimal Control Using Nonlinear Programming, 3rd ed., section 4.7. Nocedal &
 Wright, Numerical Optimization, 2nd ed., section 11.3, for continuation. Kelly, An introduction to trajectory
@@ -23,23 +19,18 @@ optimization, SIAM Review 59 (2017), for transfers.
 """
 
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from itertools import product
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.dynamics.equations import Equations
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.causes import ObstacleCause, ReferenceCause
-from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.references.ending import Obstacle, ReferenceEnding
 from dpcontrol.references.method import Method, interpolation_matrix, method_named
 from dpcontrol.references.problem import (
-    EndConditions,
     Guess,
     Limits,
     ReferenceProblem,
@@ -439,41 +430,6 @@ def shadowed(problem: ReferenceProblem, settings: ReferenceSettings) -> Referenc
     )  # fmt: skip
 
 
-@dataclass(frozen=True)
-class TransferSettings:
-    """Settings of the search for transfers.
-
-    Attributes:
-        durations: tried in turn, s.
-        longer: durations that are tried only if the first ones give no motion, s.
-        cart_weight: weight of the cart's position in the cost.
-        gentle: largest share of each limit that still leaves room for feedback.
-        iterations: solver iterations per try.
-        interval: length of the coarse mesh's intervals, s.
-        method: collocation method of the tries; the reference's own if empty.
-    """
-
-    durations: tuple[float, ...] = (2.0, 2.5, 1.5, 3.0)
-    longer: tuple[float, ...] = (4.0, 5.0)
-    cart_weight: float = 100.0
-    gentle: float = 0.7
-    iterations: int = 100
-    interval: float = 0.05
-    method: str = ""
-
-    @classmethod
-    def of_arms(cls, count: int) -> "TransferSettings":
-        """Return the default settings for a number of arms.
-
-        For three or more arms, the mesh has a third of the nodes. Six tries from hanging to upright then took 5 s
-        instead of 69, and all converged; on finer meshes the solver wandered.
-
-        Args:
-            count: number of arms.
-        """
-        return cls() if count < 3 else cls(iterations=150, interval=0.1, method="radau-5")
-
-
 def smooth_guess(start: Array, end: Array, duration: float) -> Guess:
     """Return a smooth guess, at rest at both ends.
 
@@ -492,76 +448,17 @@ def smooth_guess(start: Array, end: Array, duration: float) -> Guess:
     return guess
 
 
-def find_transfer(
-    equations: Equations,
-    parameters: Array,
-    *,
-    start: Array,
-    ends: Sequence[Array],
-    limits: Limits,
-    settings: ReferenceSettings,
-    transfer: TransferSettings | None = None,
-    sensitivity: Callable[[Trajectory], float] | None = None,
-    progress: Progress = no_progress,
+def refined_transfer(
+    problem: ReferenceProblem, motion: Trajectory, settings: ReferenceSettings, *, cart_weight: float
 ) -> Reference:
-    """Find a reference between two states within the limits.
+    """Return the reference near a motion that connects two states, of least effort and travel.
 
     Args:
-        equations: cart-level equations with states (N,).
-        parameters: base parameters (p,) with friction.
-        start: first state (N,).
-        ends: allowed last states (N,).
-        limits: limits of the cart.
+        problem: the transfer's problem.
+        motion: the motion, on any mesh.
         settings: settings of the solution.
-        transfer: settings of the search.
-        sensitivity: estimate of the error growth along a motion under feedback, in any unit.
-        progress: called with a label and the completed share.
-
-    Raises:
-        GoalMissed: no duration and end gave a solution; the message has the cause of the last failure.
+        cart_weight: weight of the cart's position in the cost, 1/s⁴.
     """
-    transfer = transfer or TransferSettings.of_arms(len(start) // 2 - 1)
-    wanted = replace(settings, pendulum_weight=0.0, cart_weight=transfer.cart_weight, end_tolerance=0.0)
-    tried = replace(wanted, iterations=transfer.iterations)
-    method, trying = method_named(settings.method), method_named(transfer.method or settings.method)
-    tries, further = (list(product(some, ends)) for some in (transfer.durations, transfer.longer))
-    solved: list[tuple[bool, float, ReferenceProblem, Trajectory]] = []
-
-    def sought(duration: float, end: Array) -> tuple[ReferenceProblem, Trajectory]:
-        """Return one problem and its guess on the coarse mesh."""
-        guess, both = smooth_guess(start[:-2], end[:-2], duration), EndConditions(start=start, end=end)
-        problem = ReferenceProblem(equations, parameters, guess, duration, limits=limits, ends=both)
-        return problem, first_trajectory(problem, trying, even_mesh(duration, transfer.interval))
-
-    (problem, first), answer, refined = sought(*tries[0]), "", None
-    for k, one in enumerate([*tries, *further]):
-        if solved and k >= len(tries):
-            break
-        progress("transfer", k / (len(tries) + len(further)))
-        problem, first = sought(*one)
-        attempt = solve(problem, first, settings=tried, limits=limits)
-        answer = attempt.outcome
-        if attempt.succeeded:
-            largest = largest_values(attempt.trajectory, limits)
-            share = max(largest[name] / bound for name, bound in limits.named().items())
-            leaves_room = share <= transfer.gentle
-            rank = sensitivity(attempt.trajectory) if leaves_room and sensitivity else share
-            solved.append((not leaves_room, rank, problem, attempt.trajectory))
-            if leaves_room and sensitivity is None:
-                break
-    for *_, chosen, trajectory in sorted(solved, key=lambda entry: entry[:2]):
-        if trying is not method:
-            trajectory = on_mesh(trajectory, even_mesh(trajectory.duration, settings.interval), method)
-        found = find_reference(chosen, wanted, near=trajectory)
-        refined = found.ending
-        if found.converged:
-            progress("transfer", 1.0)
-            return found
-    missed = ReferenceEnding(
-        ReferenceCause.NO_TRANSFER,
-        times=transfer.durations + transfer.longer,
-        answer=answer,
-        inner=refined,
-        obstacle=wanting(problem, first, tried),
-    )
-    raise GoalMissed(missed.status)
+    wanted = replace(settings, pendulum_weight=0.0, cart_weight=cart_weight, end_tolerance=0.0)
+    mesh = even_mesh(motion.duration, settings.interval)
+    return find_reference(problem, wanted, near=on_mesh(motion, mesh, method_named(settings.method)))

@@ -84,11 +84,11 @@ def test_interrupted_planning_continues_with_its_cached_transfers(
     monkeypatch.setenv("DPCONTROL_CACHE", str(tmp_path / "cache"))
     sought: list[int] = []
 
-    def interrupted(*_: object, start: np.ndarray, **__: object) -> Reference:
+    def interrupted(wanted: transfers.Transfer, _: object) -> Reference:
         sought.append(len(sought))
         if len(sought) == 2:
             raise KeyboardInterrupt
-        return flown_again(there_and_back, int(start.any()))
+        return flown_again(there_and_back, int(any(wanted.start)))
 
     monkeypatch.setattr(transfers, "find_transfer", interrupted)
     itinerary = there_and_back.itinerary

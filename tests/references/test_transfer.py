@@ -5,22 +5,30 @@ import pytest
 from flown_again import gaps
 from shadowing_stand_in import LAB
 
-from dpcontrol.dynamics.chain import Level, arm_chain_equations
 from dpcontrol.foundation.errors import GoalMissed
-from dpcontrol.references.find import TransferSettings, find_transfer, smooth_guess
+from dpcontrol.plans.layout import GENTLE, SHORTEST, Pace
+from dpcontrol.plans.model import load_model
+from dpcontrol.plans.transfers import ROOM, Transfer, find_transfer
+from dpcontrol.references.find import smooth_guess
 from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import Limits, ReferenceSettings
 from dpcontrol.references.reference import joined, still
 
-EQUATIONS = arm_chain_equations(2, Level.CART)
 SETTINGS = ReferenceSettings(method="radau-7", interval=0.05)
-HANGING = np.zeros(6)
+COARSE = ReferenceSettings(method="radau-5", interval=0.1, tolerance=1e-3)
+HANGING = (0.0,) * 6
 UP = np.array([np.pi, np.pi, 0, 0, 0, 0.0])
+SINGLE = load_model("single").arms
+SAME_MOTION = 1e-6  # rad, and relative to lengths and rates: solvers stop at 1e-9
+
+
+def swing(pace: Pace, *, limits: Limits | None = None) -> Transfer:
+    return Transfer("", "lab", LAB, limits or Limits(), SETTINGS, HANGING, (tuple(UP.tolist()),), pace)
 
 
 @pytest.fixture(scope="module")
 def swing_up():
-    return find_transfer(EQUATIONS, LAB.base(), start=HANGING, ends=[UP], limits=Limits(), settings=SETTINGS)
+    return find_transfer(swing(GENTLE))
 
 
 @pytest.mark.slow
@@ -38,37 +46,42 @@ def test_an_impossible_transfer_is_reported_with_the_cause():
     with pytest.raises(
         GoalMissed, match=r"no transfer in 0.5 s within .*without limits it takes a cart (position|velocity|accel)"
     ):
-        find_transfer(
-            EQUATIONS, LAB.base(), start=HANGING, ends=[UP], limits=tight, settings=SETTINGS,
-            transfer=TransferSettings(durations=(0.5,), longer=(), iterations=200),
-        )  # fmt: skip
+        find_transfer(swing(0.5, limits=tight))
 
 
 @pytest.mark.slow
-def test_the_least_sensitive_motion_within_margins_is_selected():
-    """Of two durations, the one with the smaller error growth is selected, although the other has less effort."""
-    asked = {}
-
-    def sensitivity(motion):
-        asked[motion.duration] = 100.0 if motion.duration == 2.5 else 1.0
-        return asked[motion.duration]
-
-    coarse = ReferenceSettings(method="radau-5", interval=0.1, tolerance=1e-3)
-    found = find_transfer(
-        EQUATIONS, LAB.base(), start=HANGING, ends=[UP], limits=Limits(), settings=coarse,
-        transfer=TransferSettings(durations=(2.5, 2.0), gentle=1.0, interval=0.1), sensitivity=sensitivity,
-    )  # fmt: skip
-    assert set(asked) == {2.5, 2.0}
-    assert found.duration == 2.0
+def test_a_gentle_transfer_leaves_room_for_feedback(swing_up):
+    for name, bound in Limits().named().items():
+        assert swing_up.largest[name] <= ROOM * bound + 1e-9
 
 
-def test_longer_durations_are_tried_after_failures():
-    coarse = ReferenceSettings(method="radau-5", interval=0.1, tolerance=1e-3)
-    found = find_transfer(
-        EQUATIONS, LAB.base(), start=HANGING, ends=[UP], limits=Limits(), settings=coarse,
-        transfer=TransferSettings(durations=(0.1,), longer=(2.0,), gentle=1.0, interval=0.1),
-    )  # fmt: skip
-    assert found.duration == 2.0
+@pytest.mark.slow
+def test_a_transfer_takes_the_time_that_was_asked_for_or_the_shortest_one(swing_up):
+    given = find_transfer(swing(2.2))
+    assert given.duration == pytest.approx(2.2)
+    shortest = find_transfer(swing(SHORTEST))
+    assert shortest.duration < 1.5 < given.duration < swing_up.duration
+    for found in (given, shortest):
+        assert gaps(found, LAB).max() < 1e-6
+        assert found.state(found.duration)[:2] / np.pi == pytest.approx(
+            np.rint(found.state(found.duration)[:2] / np.pi)
+        )
+
+
+@pytest.mark.parametrize("pace", [GENTLE, 2.0])
+def test_arms_of_any_size_get_the_same_motion(pace):
+    """In ten times the length and at the pace of its square root, with limits in proportion."""
+    size, time = 10.0, 10**0.5
+    limits = Limits(position=0.4 * size, velocity=3.0 * time, acceleration=30.0)
+    ends = (0.0,) * 4, ((np.pi, 0.0, 0.0, 0.0),)
+    small = find_transfer(Transfer("", "single", SINGLE, Limits(), COARSE, *ends, pace))
+    longer = pace * time if isinstance(pace, float) else pace
+    large = find_transfer(Transfer("", "large", SINGLE.scaled(size, time), limits, COARSE, *ends, longer))
+    assert large.duration == pytest.approx(small.duration * time, rel=SAME_MOTION)
+    times = np.linspace(0.0, small.duration, 200)
+    scaled = large.state(times * time) / [1.0, 1 / time, size, time]
+    assert np.abs(scaled - small.state(times)).max() < SAME_MOTION * max(1.0, np.abs(scaled).max())
+    assert np.abs(large.input(times * time) - small.input(times)).max() < SAME_MOTION * np.abs(small.inputs).max()
 
 
 def test_the_guess_turns_the_arms_smoothly():

@@ -1,0 +1,239 @@
+"""First motions of a transfer, from which collocation starts: flights between its ends, or smooth turns of the arms.
+
+Flights of several durations and first inputs are computed side by side. Those of a given time have the transfer's cost
+∫ u² + w x². The shortest ones minimise the time, with a small weight of the effort. All are computed forwards from the
+start, and backwards from the end: in reversed time, the friction of the arms gives energy. A search that ends upright
+converges more easily than one that leaves an upright start.
+
+A smooth motion turns each arm along a cubic that ignores the rates at both ends. From it, direct collocation found 35
+of 36 swing-ups and landings tried; with those rates it found 30, with half the margin. Gentle transfers start from
+smooth motions, because those from flights need 1.5 times their effort.
+
+Numbers are those of the laboratory's arms. Other arms are scaled to their natural time and weight (`Scale`), so that
+arms of any size get the same motions.
+"""
+
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import product
+
+import numpy as np
+
+from dpcontrol.control.flight import STEPS, FlightPlanner, Target
+from dpcontrol.control.interface import SampledModel, whole_turns
+from dpcontrol.control.tracking import TvlqrSettings, terminal_cost
+from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
+from dpcontrol.dynamics.equations import Equations
+from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.errors import GoalMissed
+from dpcontrol.references.find import smooth_guess
+from dpcontrol.references.method import Method, method_named
+from dpcontrol.references.problem import Limits
+from dpcontrol.references.trajectory import Trajectory, even_mesh, times_on
+
+CART_WEIGHT = 100.0
+"""Weight w of the cart's squared distance from the middle, beside u², 1/s⁴."""
+NATURAL_TIME, GRAVITY = 1.1002616586, 9.8085802336215
+"""Natural time, s, and gravity, m/s², of the laboratory's arms."""
+_PUSHES = ((0.0, 0.0, 0.0), (2.5, 0.5, 0.0), (2.5, 1.0, 0.0), (5.0, 1.6, 0.25), (5.0, 2.0, 0.25))
+"""First inputs: amplitude, m/s², swings per natural time, and phase in turns.
+
+Of 43 inputs, these led to the best flights between the equilibria of the laboratory's arms."""
+PERIOD = 5e-3
+"""Period of the feedback at the ends, s."""
+_INTERVAL = 0.1
+"""Length of the intervals of a first motion's mesh, s."""
+_NEAR = 0.5
+"""Distance of a flight's last angles from the end that it leads to, rad."""
+_TRIED = 4
+"""Number of flights from which collocation starts."""
+
+
+@dataclass(frozen=True)
+class Scale:
+    """Factors from a transfer's own units to those of the laboratory's arms.
+
+    Attributes:
+        length: factor on lengths.
+        time: factor on times.
+    """
+
+    length: float
+    time: float
+
+    @classmethod
+    def of(cls, arms: ArmChainParameters) -> "Scale":
+        """Return the factors that give arms the laboratory's natural time and gravity.
+
+        Args:
+            arms: the arms.
+        """
+        time = NATURAL_TIME / arms.natural_time
+        return cls(GRAVITY / arms.gravity * time**2, time)
+
+    @property
+    def acceleration(self) -> float:
+        """Factor on accelerations."""
+        return self.length / self.time**2
+
+    def state(self, arms: int) -> Array:
+        """Return the factors (2n+2,) on a state.
+
+        Args:
+            arms: number n of arms.
+        """
+        return np.array([1.0] * arms + [1 / self.time] * arms + [self.length, self.length / self.time])
+
+    def limits(self, limits: Limits, share: float = 1.0) -> Limits:
+        """Return a share of the cart's limits in the laboratory's units.
+
+        Args:
+            limits: limits of the cart.
+            share: the share.
+        """
+        bounds = np.array([limits.position, limits.velocity, limits.acceleration, limits.jerk])
+        return Limits(*(share * self.length / self.time ** np.arange(4) * bounds).tolist())
+
+
+def coarse(arms: int) -> Method:
+    """Return the collocation method of first motions. Three arms swing faster, and would gain energy between points.
+
+    Args:
+        arms: number of arms.
+    """
+    return method_named("radau-3" if arms < 3 else "radau-5")
+
+
+@lru_cache(maxsize=2)
+def programs(equations: Equations) -> tuple[SampledModel, FlightPlanner]:
+    """Return a model and a planner whose programs serve all arms of these equations.
+
+    Args:
+        equations: equations with a cart.
+    """
+    model = SampledModel(equations, np.ones(equations.parameters.numel()), period=PERIOD)
+    return model, FlightPlanner(model, Limits())
+
+
+@dataclass(frozen=True)
+class Way:
+    """Two states (N,) that flights connect, forwards or backwards in time.
+
+    Attributes:
+        arms: the arms.
+        limits: limits of the cart.
+        room: limits of the flights.
+        start, end: first and last state.
+        backwards: True to compute flights from the end, in reversed time.
+    """
+
+    arms: ArmChainParameters
+    limits: Limits
+    room: Limits
+    start: Array
+    end: Array
+    backwards: bool
+
+    @property
+    def parameters(self) -> Array:
+        """Base parameters (p,) in this direction of time."""
+        base, n = self.arms.base(), self.arms.count
+        if self.backwards:
+            base[n * (n + 1) // 2 + 2 * n : len(base) - bool(self.arms.friction)] *= -1
+        return base
+
+    @property
+    def mirror(self) -> Array:
+        """Signs (N,) of a state in this direction of time."""
+        n = self.arms.count
+        return np.array([1.0] * n + [-1.0] * n + [1.0, -1.0]) if self.backwards else np.ones(2 * n + 2)
+
+    def target(self) -> Target:
+        """Return the last state in this direction with the cost-to-go of a feedback, 1 where that saturates.
+
+        Raises:
+            GoalMissed: it cannot be stabilised.
+        """
+        last = self.mirror * (self.start if self.backwards else self.end)
+        model, _ = programs(equations_of(self.arms, Level.CART))
+        a, b = (found[0] for found in model.linearised(last[None], np.zeros(1), parameters=self.parameters))
+        diagonal, effort = TvlqrSettings().weights(self.arms.count, PERIOD)
+        cost = terminal_cost(a, b, weights=np.diag(diagonal), effort=effort)
+        gain = b @ cost @ a / (effort + b @ cost @ b)
+        level = self.limits.acceleration**2 / (gain @ np.linalg.solve(cost, gain))
+        return Target(last[None], cost[None] / level)
+
+    def flights(self, durations: Array, *, fixed: bool) -> Iterator[Trajectory]:
+        """Yield flights that reach the other end, as motions on a coarse mesh.
+
+        Args:
+            durations: first durations (D,), s.
+            fixed: True to keep these durations, with the least effort; otherwise time counts.
+        """
+        method = coarse(self.arms.count)
+        turns = np.linspace(0.0, 1.0, STEPS, endpoint=False)[:, None, None] * durations[:, None] / NATURAL_TIME
+        amplitudes, rates, phases = np.array(_PUSHES).T
+        inputs = (amplitudes * np.sin(2 * np.pi * (rates * turns + phases))).reshape(STEPS, -1)
+        _, planner = programs(equations_of(self.arms, Level.CART))
+        planner = planner.like(self.parameters, self.limits, room=self.room, centring=CART_WEIGHT if fixed else 0.0)
+        begin = self.mirror * (self.end if self.backwards else self.start)
+        found = planner.timed(begin, self.target(), np.repeat(durations, len(_PUSHES)), inputs, fixed=fixed)
+        found = found.picked(found.reached)
+        for nodes, pushes, duration in zip(found.nodes, found.inputs, found.durations, strict=True):
+            mesh = even_mesh(duration, _INTERVAL)
+            times, moments = times_on(mesh, method.support), times_on(mesh, method.points)
+            own = (duration - times if self.backwards else times).clip(0.0, duration)
+            states = planner.states(nodes, pushes, duration, own.ravel())[0].reshape(*times.shape, -1) * self.mirror
+            # The steps of the inputs approximate a smooth input at their middles.
+            middles = (np.arange(STEPS) + 0.5) * duration / STEPS
+            commands = np.interp(moments, middles, pushes[::-1] if self.backwards else pushes)[..., None]
+            n = self.arms.count
+            states[..., :n] -= whole_turns(states[0, 0, :n] - self.start[:n])
+            yield Trajectory(method, mesh, states, commands)
+
+
+def _leads_to(flight: Trajectory, end: Array) -> bool:
+    """Return True if a flight leads to a state (N,), whole turns included."""
+    n = len(end) // 2 - 1
+    return bool(np.abs(flight.states[-1, -1, :n] - end[:n]).max() < _NEAR)
+
+
+def flown(
+    ways: Sequence[Way], ends: Sequence[Array], durations: Array, *, fixed: bool
+) -> list[tuple[Trajectory, Array]]:
+    """Return the shortest flights, or those of the least effort in given times, and the ends that they lead to.
+
+    Args:
+        ways: both directions of time.
+        ends: possible states (N,) at the end.
+        durations: first durations (D,), s.
+        fixed: True to keep these durations.
+    """
+    flights: list[Trajectory] = []
+    for way in ways:
+        # An end that cannot be stabilised is no target.
+        with suppress(GoalMissed):
+            flights += way.flights(durations, fixed=fixed)
+    flights.sort(key=lambda flight: flight.effort if fixed else flight.duration)
+    return [(flight, end) for flight in flights for end in ends if _leads_to(flight, end)][:_TRIED]
+
+
+def smooth(start: Array, ends: Sequence[Array], durations: Array) -> list[tuple[Trajectory, Array]]:
+    """Return motions that turn the arms smoothly, for all durations and ends.
+
+    Args:
+        start: state (N,) at the start.
+        ends: possible states (N,) at the end.
+        durations: durations, s.
+    """
+    method, found = coarse(len(start) // 2 - 1), list[tuple[Trajectory, Array]]()
+    for duration, end in product(durations, ends):
+        mesh = even_mesh(duration, _INTERVAL)
+        times = times_on(mesh, method.support)
+        states = np.zeros((*times.shape, len(end)))
+        states[..., :-2] = smooth_guess(start[:-2], end[:-2], duration)(times.ravel()).reshape(*times.shape, -1)
+        states[..., -2] = start[-2] + (end[-2] - start[-2]) * times / duration
+        found.append((Trajectory(method, mesh, states, np.zeros((len(mesh) - 1, len(method.points), 1))), end))
+    return found
