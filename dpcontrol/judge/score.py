@@ -120,7 +120,8 @@ class Score(Documented):
         returned: time from each fall, and from a start off the itinerary, until the run is on it (again), s.
         attempts: of each symbol, if returns were possible; 0 for symbols not started.
         catches: number of times the run continued from an earlier place before it fell.
-        transfers: number of transfers, most of which are counted with the symbols.
+        transfers: number of transfers, changes of energy included.
+        transfers_between: numbers of completed and of all transfers that are counted with the symbols.
         judged_by: "truth" (plant states and drive acceleration, in simulation) or "estimate" (the loop's, on a rig).
         whole: False if the log covers only a part of the run.
         recovered: losses of a recovered log in words, or "".
@@ -147,6 +148,7 @@ class Score(Documented):
     attempts: tuple[int, ...] = ()
     catches: int = 0
     transfers: int = 0
+    transfers_between: tuple[int, int] = (0, 0)
     judged_by: str = "truth"
     whole: bool = True
     recovered: str = ""
@@ -174,7 +176,7 @@ class Score(Documented):
         """Verdict in one line."""
         done = {True: "completed", False: "NOT completed", None: "completion unknown"}[self.completed]
         symbols = (
-            f"{self.symbols_completed} of {self.symbols_total} {words.motions(self.symbols_total, self.transfers)}; "
+            f"{words.counted(self.symbols_completed, self.symbols_total, self.transfers_between)}; "
             if self.symbols_total
             else ""
         )
@@ -408,6 +410,7 @@ def score(log: RunLog) -> Score:
         symbols_completed=verdict.symbols,
         symbols_total=len(plan.content.stops) - 1,
         transfers=len(plan.content.transfers),
+        transfers_between=(_transfers(plan.content.symbols[: verdict.symbols]), _transfers(plan.content.symbols)),
         wraps=verdict.wraps,
         rms_tracking_error=float(np.sqrt(np.mean(away**2))),
         max_cart_position=float(np.abs(flown.states[:, 2 * flown.angles.shape[1]]).max()) if log.has_cart else 0.0,
@@ -576,7 +579,7 @@ def _fault(flown: Flown, plan: Reference, decoded: Decoded) -> FaultFigures:
         return Fault.LAST_FAR, {**last, **saddle, "gap": gap}
     done = {
         "motions": len(stops) - 1,
-        "transfers": len(content.transfers),
+        "transfers": _transfers(symbols),
         "wraps": [count for count in decoded.wraps if count is not None],
         "stay": "" if symbols else "orbit" if content.segments else "hold",
         "saddle": stops[-1].saddle,
@@ -584,6 +587,11 @@ def _fault(flown: Flown, plan: Reference, decoded: Decoded) -> FaultFigures:
         "still": content.orbit(stops[-1]).multiplier == 1.0,
     }
     return Fault.NONE, done
+
+
+def _transfers(symbols: Sequence[PlanSymbol]) -> int:
+    """Return the number of transfers among symbols."""
+    return sum(symbol.section is None for symbol in symbols)
 
 
 def _named(symbols: Sequence[PlanSymbol], number: int) -> Mapping[str, Any]:

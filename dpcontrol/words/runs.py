@@ -130,22 +130,28 @@ def _defect(nis: float, apart: float) -> str:
     return f"mean NIS {nis:.3g} for each position, about 1 is expected"
 
 
-def motions(total: int, transfers: int) -> str:
-    """Return the noun for all motions between stops, some of which are transfers.
+def counted(done: int, total: int, transfers: tuple[int, int]) -> str:
+    """Return the completed symbols and transfers, counted apart.
 
     Args:
-        total: number of motions.
-        transfers: number of transfers among them.
+        done: number of completed motions between stops.
+        total: number of all motions.
+        transfers: numbers of completed and of all transfers among them.
     """
-    return "symbols" if not transfers else "symbols and transfers" if transfers < total else "transfers"
+    rows = [(done - transfers[0], total - transfers[1], "symbols"), (*transfers, "transfers")]
+    return " and ".join(f"{reached} of {several} {noun}" for reached, several, noun in rows if several)
 
 
 def _done(figures: Mapping[str, Any]) -> str:
     total, saddle = figures["motions"], figures["saddle"]
     if not total and figures["stay"]:
         return f"stayed {'at' if figures['stay'] == 'hold' else 'on the orbit about'} {saddle}"
-    noun = motions(total, figures["transfers"])
-    all_of_them = f"the {noun[:-1]} done" if total == 1 else f"all {total} {noun} done in order"
+    transfers = figures["transfers"]
+    rows = [(count, noun) for count, noun in ((total - transfers, "symbol"), (transfers, "transfer")) if count]
+    all_of_them = f"all {total} {rows[0][1]}s done in order"
+    if total == 1 or len(rows) > 1:
+        nouns = " and ".join(f"the {noun}" if count == 1 else f"all {count} {noun}s" for count, noun in rows)
+        all_of_them = f"{nouns} done" + " in order" * (total > 1)
     asked = f", wraps {figures['wraps']} as asked" if figures["wraps"] else ""
     held = f"held at {saddle}" if figures.get("still") else "on the last orbit"
     return f"{all_of_them}{asked}, and {'at rest' if figures['lowest'] else held}"
