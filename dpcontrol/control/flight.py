@@ -160,9 +160,10 @@ class FlightPlanner:
     """
 
     def __init__(self, model: SampledModel, limits: Limits) -> None:
-        equations, room = model.equations, _less_reserve(limits)
+        equations, track = model.equations, limits.position
         self._n, self._limits = equations.dimension, limits
-        self._terms = np.array([room.acceleration, room.position, room.velocity, 0.0])
+        most, fastest = _RESERVE_ACCELERATION * limits.acceleration, _RESERVE_SPEED * limits.velocity
+        self._terms = np.array([most, track - min(_RESERVE_TRACK, _TRACK_SHARE * track), fastest, 0.0])
         step = _step(equations)
         self._forward, self._backward = Compiled(step.forward()), Compiled(step.backward())
         self._parameters = model.parameters
@@ -500,15 +501,6 @@ class _FlightStep:
         names = ["moving", "input", "value", "soft", "terms", "regularity", "parameters"]
         inputs = [z, u, value, self.soft, self.terms, regularity, self.parameters]
         return ca.Function("flight_backward", inputs, [out], names, ["out"])
-
-
-def _less_reserve(limits: Limits) -> Limits:
-    """Return the limits of flights that leave a reserve."""
-    return Limits(
-        limits.position - min(_RESERVE_TRACK, _TRACK_SHARE * limits.position),
-        _RESERVE_SPEED * limits.velocity,
-        _RESERVE_ACCELERATION * limits.acceleration,
-    )
 
 
 def _step(equations: Equations) -> _FlightStep:

@@ -342,11 +342,12 @@ def _way(itinerary: Itinerary, before: Goal, after: Goal) -> _Way | None:
     """
     rest = resting_place(itinerary.model.system)
     names = ["rest" if name == rest else name for name in (before.where[1], after.where[0])]
-    text = f"side-step at {names[0]}" if steps_aside(before, after) else " to ".join(names)
     apart = (before.last - after.first) / (2 * np.pi)
     walks = [goal.shadowing is not None for goal in (before, after)]
-    if names[0] == names[1] and walks[0] == walks[1] and before.cart == after.cart:
+    stays = names[0] == names[1] and walks[0] == walks[1]
+    if stays and before.cart == after.cart:
         return None
+    text = f"side-step at {names[0]}" if stays else " to ".join(names)
     turns = ways_round(apart)
     if not any(walks):
         # Between equilibria a transfer and its mirror image are equivalent.
@@ -354,17 +355,6 @@ def _way(itinerary: Itinerary, before: Goal, after: Goal) -> _Way | None:
     ends = [lifted(after.start, way * 2 * np.pi, after.cart) for way in turns]
     start = lifted(before.end, np.zeros(len(apart)), before.cart)
     return _Way(Transfer.of(itinerary, text, start, ends, after.pace), turns)
-
-
-def steps_aside(before: Goal, after: Goal) -> bool:
-    """Return True if a stay follows another one at the same equilibrium, with the cart elsewhere.
-
-    Args:
-        before: goal before the transfer.
-        after: goal after it.
-    """
-    stays = before.shadowing is None and after.shadowing is None
-    return stays and before.where == after.where and before.cart != after.cart
 
 
 def ways_round(apart: Array) -> list[Array]:
