@@ -11,7 +11,7 @@ import numpy as np
 
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.pages import style
-from dpcontrol.pages.atlas_parts import colours, connections_of, placed, tubes_of_cut
+from dpcontrol.pages.atlas import colours, connections_of, placed, tubes_of_cut
 from dpcontrol.pages.rerun_recording import page, recording_to, summary_view
 from dpcontrol.pages.sheet import DARK, rr, rrb
 from dpcontrol.walks.atlas import Atlas, AtlasCut, AtlasKind

@@ -16,17 +16,17 @@ from dpcontrol.pages.gallery import Gallery, PaperFigure
 from dpcontrol.pages.layout import save_figure
 from dpcontrol.pages.paper.branches import branches_page
 from dpcontrol.pages.paper.connecting import (
+    cuts_page,
+    graph_page,
     heteroclinics_page,
     repeated_page,
+    returning_page,
+    senses_page,
+    shadowing_page,
+    three_body_homoclinics_page,
+    three_body_page,
 )
-from dpcontrol.pages.paper.graph import graph_page
-from dpcontrol.pages.paper.landscapes import landscape_page
-from dpcontrol.pages.paper.lyapunov_orbits import lyapunov_orbits_page
-from dpcontrol.pages.paper.returning import returning_page
-from dpcontrol.pages.paper.shadowing import shadowing_page
-from dpcontrol.pages.paper.three_body import three_body_homoclinics_page, three_body_page
-from dpcontrol.pages.paper.tubes import cuts_page, senses_page
-from dpcontrol.pages.paper.up_up import up_up_page
+from dpcontrol.pages.paper.equilibria import landscape_page, lyapunov_orbits_page, up_up_page
 
 FIGURES: dict[str, Callable[[Gallery], PaperFigure]] = {
     "energy-landscape": landscape_page,

@@ -164,7 +164,7 @@ def show(recording: "rr.RecordingStream", start: RunLog, parts: Iterable[Part]) 
     from dpcontrol.pages import rerun_recording as recorded
     from dpcontrol.pages.planes import plane
     from dpcontrol.pages.run_charts import charts
-    from dpcontrol.pages.strips import strips
+    from dpcontrol.pages.story import strips
 
     planned, log = reference_view(plan_of(start), start.path), replace(start, rate_hz=RATE, extras=None)
     tail, waiting = None, ()

@@ -1,10 +1,11 @@
-"""Families of Lyapunov orbits on one page.
+"""Families of orbits on one page: period and multipliers against energy, and the orbits' shapes.
 
-It shows period and multipliers against energy, and the orbits' shapes.
+Lyapunov orbits are drawn in the phase plane of their most active arm, rotating orbits in the plane of the angles.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
+from operator import attrgetter
 
 import numpy as np
 from matplotlib import colormaps
@@ -12,10 +13,12 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
+from matplotlib.ticker import SymmetricalLogLocator
 
 from dpcontrol.orbits.family import LyapunovFamily
+from dpcontrol.orbits.rotating import RotatingFamilies, RotatingFamily, RotatingOrbit
 from dpcontrol.pages import style
-from dpcontrol.pages.layout import Page
+from dpcontrol.pages.layout import Page, Stack, key
 from dpcontrol.pages.panels import name_curves, name_point, quiet, quiet_plane
 
 _SHAPES = 12
@@ -84,3 +87,54 @@ def _shapes(axes: Axes, family: LyapunovFamily, scale: Normalize) -> None:
     quiet_plane(axes, system, columns, f"Orbits about {family.saddle}")
     bar = axes.figure.colorbar(ScalarMappable(scale, _SHADES), ax=axes, fraction=0.05, pad=0.03)
     bar.ax.set_title(system.unit("J", "{}") or "energy", fontsize=style.SMALL)
+
+
+KINDS = {
+    "elliptic": style.GOOD,
+    "hyperbolic": style.LIMIT,
+    "inverse hyperbolic": style.ARMS[1],
+    "parabolic": style.CART,
+}
+_ROTATING_SHAPES = 3
+
+
+def draw_rotating_families(found: RotatingFamilies) -> Figure:
+    """Return the page on rotating orbits as a figure."""
+    families = found.families
+    page = Page(f"Orbits of {families[0].members[0].system.name} that turn the {found.arm} arm over")
+    over = Stack([partial(_traces, families=families), partial(_periods, families=families)])
+    return page.row(over, partial(_rotations, families=families), height=5.2).figure()
+
+
+def _by_stability(axes: Axes, families: Sequence[RotatingFamily], value: Callable[[RotatingOrbit], float]) -> None:
+    """Draw a value of the orbits against energy, coloured by stability."""
+    for family in families:
+        for kind, colour in KINDS.items():
+            values = [value(member) if member.kind == kind else np.nan for member in family.members]
+            axes.plot([member.energy for member in family.members], values, color=colour, linewidth=1.6)
+        for orbit in (*(change.orbit for change in family.changes), *family.folds):
+            axes.plot(orbit.energy, value(orbit), "o", color=style.INK, markersize=4)
+
+
+def _traces(axes: Axes, families: Sequence[RotatingFamily]) -> None:
+    _by_stability(axes, families, attrgetter("trace"))
+    axes.set_yscale("symlog", linthresh=4)
+    axes.yaxis.set_major_locator(SymmetricalLogLocator(base=10, linthresh=10))
+    for critical in (2, -2):
+        axes.axhline(critical, color=style.FAINT, linewidth=1.0, linestyle="--")
+    quiet(axes, "Trace of the section's map, ±2 dashed; at dots stability changes or the family folds")
+    seen = {member.kind for family in families for member in family.members}
+    key(axes, [(kind, colour) for kind, colour in KINDS.items() if kind in seen])
+
+
+def _periods(axes: Axes, families: Sequence[RotatingFamily]) -> None:
+    _by_stability(axes, families, attrgetter("period"))
+    quiet(axes, "Period (s)", x="energy (J)")
+
+
+def _rotations(axes: Axes, families: Sequence[RotatingFamily]) -> None:
+    for family in families:
+        for k in np.unique(np.rint(np.linspace(0, len(family.members) - 1, _ROTATING_SHAPES)).astype(int)):
+            orbit = family.members[k]
+            axes.plot(*orbit.sample(300)[:, :2].T, color=KINDS[orbit.kind], linewidth=1.0)
+    quiet_plane(axes, families[0].members[0].system, title="Some of the orbits over one period")

@@ -25,7 +25,7 @@ from dpcontrol.logs import RunLog
 from dpcontrol.pages import style
 from dpcontrol.pages.chart import Chart
 from dpcontrol.pages.charts import draw_chart, draw_plane
-from dpcontrol.pages.filmstrip import add_film, film_times
+from dpcontrol.pages.film import add_film, film_times
 from dpcontrol.pages.layout import Page, Stack
 from dpcontrol.pages.panels import Bar, bars
 from dpcontrol.pages.planes import plane

@@ -22,7 +22,7 @@ RENDERERS = {
     "dpcontrol.judge.comparison.RunComparison": "comparison:draw_comparison",
     "dpcontrol.walks.atlas.Atlas": "atlas:draw_atlas",
     "dpcontrol.orbits.family.LyapunovFamily": "single:family_page",
-    "dpcontrol.orbits.rotating.RotatingFamilies": "rotating_orbits:draw_rotating_families",
+    "dpcontrol.orbits.rotating.RotatingFamilies": "orbits:draw_rotating_families",
     "dpcontrol.walks.shadowing.ShadowingOrbit": "single:walk_page",
     "dpcontrol.plans.plan.Plan": "single:plan_page",
     "dpcontrol.identification.identify.Identification": "identification:draw_identification",
@@ -66,7 +66,7 @@ PARTS = {
 
 RECORDINGS = {
     "dpcontrol.judge.run_view.RunView": "rerun_recording:write_recording",
-    "dpcontrol.judge.comparison.RunComparison": "comparison_recording:write_comparison_recording",
+    "dpcontrol.judge.comparison.RunComparison": "comparison:write_comparison_recording",
     "dpcontrol.walks.atlas.Atlas": "atlas_recording:write_atlas_recording",
 }
 """Functions `write(result, path)` of Rerun recordings."""

@@ -24,7 +24,7 @@ from dpcontrol.pages.planes import Plane, arm_points, plane
 from dpcontrol.pages.ranges import extreme_rows, gap_times, padded
 from dpcontrol.pages.run_charts import check_charts, extra_charts, motion_charts
 from dpcontrol.pages.sheet import PAPER, Sheet, rr, rrb
-from dpcontrol.pages.strips import Strip, strips
+from dpcontrol.pages.story import Strip, strips
 
 TIMELINE = "message_log_time"
 """Timeline of the log's messages, a duration from the start; derived series use the same."""

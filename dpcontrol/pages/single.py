@@ -28,15 +28,13 @@ from dpcontrol.orbits.orbit import PeriodicOrbit
 from dpcontrol.orbits.rotating import RotatingFamily, RotatingOrbit
 from dpcontrol.orbits.tube import Tube
 from dpcontrol.pages import orbits, style
-from dpcontrol.pages.atlas_panels import draw_cuts
-from dpcontrol.pages.atlas_parts import BRANCHES
+from dpcontrol.pages.atlas import BRANCHES, draw_cuts
 from dpcontrol.pages.charts import draw_chart
 from dpcontrol.pages.page import draw
 from dpcontrol.pages.panels import Bar, bars, draw_graph, quiet, quiet_plane, wrapped_runs
 from dpcontrol.pages.paper.branches import draw_momentum_branches
 from dpcontrol.pages.run_charts import charts
-from dpcontrol.pages.walk_story import WalkStory
-from dpcontrol.pages.walks import draw_walk
+from dpcontrol.pages.walks import WalkStory, draw_walk
 from dpcontrol.pages.walks import plane as walk_plane
 from dpcontrol.plans.model import ModelSystem
 from dpcontrol.plans.plan import Plan

@@ -14,7 +14,7 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.judge.of_log import reference_view
 from dpcontrol.judge.run_view import RunView
 from dpcontrol.pages import style
-from dpcontrol.pages.filmstrip import draw_pose
+from dpcontrol.pages.film import draw_pose
 from dpcontrol.pages.layout import Page
 from dpcontrol.pages.ranges import Range
 from dpcontrol.references.reference import Reference

@@ -12,7 +12,7 @@ from test_recording import bare_log
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.judge.comparison import MOST, compare
 from dpcontrol.judge.run_view import RunView, Stay, series_of
-from dpcontrol.pages.comparison_recording import write_comparison_recording
+from dpcontrol.pages.comparison import write_comparison_recording
 from dpcontrol.pages.picture import viewer_program
 
 SAME_MOMENT = 0.02

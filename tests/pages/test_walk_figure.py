@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from dpcontrol.pages.walk_story import WalkStory
+from dpcontrol.pages.walks import WalkStory
 from dpcontrol.plans.model import load_model
 from dpcontrol.walks.edges import Edges, find_edges
 from dpcontrol.walks.shadowing import ShadowingOrbit, WalkSolver
