@@ -1711,7 +1711,7 @@ def picture(
         figure = render(result)
     if film is not None:
         from dpcontrol.pages.film import write_film
-        from dpcontrol.pages.single import view_of
+        from dpcontrol.pages.page import view_of
 
         write_film(view_of(result), film)
     if file is not None:

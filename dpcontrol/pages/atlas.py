@@ -357,3 +357,14 @@ def _draw_whole(axes: Axes, atlas: Atlas) -> None:
         look = {"fontsize": style.SMALL, "color": style.saddle_colour(orbit.saddle), "weight": "bold"}
         axes.text2D(0.0, 0.04 * k, f"orbit about {orbit.name}", transform=axes.transAxes, **look)  # type: ignore[attr-defined]
     axes.set_box_aspect(None, zoom=1.1)  # type: ignore[call-arg]
+
+
+def atlas(axes: Axes, found: Atlas) -> None:
+    """Draw the cuts of the first kind of connections.
+
+    Args:
+        axes: panel to draw on.
+        found: atlas to draw.
+    """
+    if found.kinds:
+        draw_cuts(axes, found, max(found.kinds, key=lambda kind: kind.count), legend=False)

@@ -21,6 +21,7 @@ from dpcontrol.pages.chart import Chart, Line
 from dpcontrol.pages.charts import draw_chart, draw_plane
 from dpcontrol.pages.film import add_film, film_times
 from dpcontrol.pages.layout import Page, Stack
+from dpcontrol.pages.panels import quiet
 from dpcontrol.pages.planes import plane
 from dpcontrol.pages.run_charts import charts as charts_of
 from dpcontrol.pages.sheet import Sheet, rrb
@@ -180,3 +181,16 @@ def _blueprint(comparison: RunComparison, charts: Sequence[Chart], sheets: Seque
     grid = rrb.Grid(*planes, grid_columns=len(runs))
     left = rrb.Vertical(rrb.Horizontal(*scenes), grid, recorded.summary_view(), row_shares=[3, 4, 1.6])
     return recorded.page([left, *(rrb.Vertical(*views) for views in (middle, checks) if views)], [5, 4, 4])
+
+
+def comparison(axes: Axes, found: RunComparison) -> None:
+    """Draw the angles of all runs on one clock.
+
+    Args:
+        axes: panel to draw on.
+        found: runs to draw.
+    """
+    for run in found.runs:
+        for arm in range(run.view.arms):
+            axes.plot(run.view.time, run.view.state[:, arm], color=style.arm_colour(arm), linewidth=0.9)
+    quiet(axes, found.title, x="time (s)", y="angles (rad)")

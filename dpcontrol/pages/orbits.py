@@ -16,8 +16,9 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import SymmetricalLogLocator
 
 from dpcontrol.orbits.family import LyapunovFamily
+from dpcontrol.orbits.lyapunov import LyapunovOrbit
 from dpcontrol.orbits.rotating import RotatingFamilies, RotatingFamily, RotatingOrbit
-from dpcontrol.pages import style
+from dpcontrol.pages import orbits, style
 from dpcontrol.pages.layout import Page, Stack, key
 from dpcontrol.pages.panels import name_curves, name_point, quiet, quiet_plane
 
@@ -138,3 +139,39 @@ def _rotations(axes: Axes, families: Sequence[RotatingFamily]) -> None:
             orbit = family.members[k]
             axes.plot(*orbit.sample(300)[:, :2].T, color=KINDS[orbit.kind], linewidth=1.0)
     quiet_plane(axes, families[0].members[0].system, title="Some of the orbits over one period")
+
+
+def orbit(axes: Axes, found: LyapunovOrbit | RotatingOrbit) -> None:
+    """Draw an orbit in the phase plane of its most active arm.
+
+    Without angles it is drawn in the plane of positions.
+
+    Args:
+        axes: panel to draw on.
+        found: orbit to draw.
+    """
+    states, n = found.sample(400), found.system.dimension // 2
+    arm = int(np.argmax(np.ptp(states[:, :n], axis=0)))
+    columns = (arm, n + arm) if found.system.si else (0, 1)
+    axes.plot(*states[:, list(columns)].T, color=style.saddle_colour(found.name), linewidth=1.8)
+    energy = f"{found.energy:g}{found.system.unit('J')}"
+    title = f"{found.name} at {energy}, period {found.period:.4g}{found.system.unit('s')}"
+    quiet_plane(axes, found.system, columns, title)
+
+
+def family(axes: Axes, found: LyapunovFamily | RotatingFamily) -> None:
+    """Draw the periods of a family over the energy.
+
+    Args:
+        axes: panel to draw on.
+        found: family to draw.
+    """
+    system = found.members[0].system
+    axes.plot(found.energies, found.periods, color=style.INK, linewidth=1.6)
+    energy, period = (f"{name}{system.unit(unit, ' ({})')}" for name, unit in (("energy", "J"), ("period", "s")))
+    quiet(axes, f"{len(found.members)} orbits about {found.members[0].name}", x=energy, y=period)
+
+
+def family_page(found: LyapunovFamily) -> Figure:
+    """Return the page on one family."""
+    return orbits.draw_families([found], f"Lyapunov orbits about {found.saddle} of {found.system.name}")

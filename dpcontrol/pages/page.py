@@ -17,10 +17,11 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
 from dpcontrol.control.margins import Margins
+from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.foundation.document import Documented
 from dpcontrol.judge.nearest import closest_approach, limit_uses, nis_reading
-from dpcontrol.judge.of_log import run_view
-from dpcontrol.judge.run_view import RunView
+from dpcontrol.judge.of_log import reference_view, run_view, sustained_view
+from dpcontrol.judge.run_view import RunView, series_of
 from dpcontrol.logs import RunLog
 from dpcontrol.pages import style
 from dpcontrol.pages.chart import Chart
@@ -29,9 +30,15 @@ from dpcontrol.pages.film import add_film, film_times
 from dpcontrol.pages.layout import Page, Stack
 from dpcontrol.pages.panels import Bar, bars
 from dpcontrol.pages.planes import plane
-from dpcontrol.pages.run_charts import check_charts, extra_charts, motion_charts
+from dpcontrol.pages.run_charts import charts, check_charts, extra_charts, motion_charts
 from dpcontrol.pages.story import story, story_height
+from dpcontrol.pages.walks import WalkStory, draw_walk
+from dpcontrol.pages.walks import plane as walk_plane
+from dpcontrol.plans.model import ModelSystem
+from dpcontrol.plans.plan import Plan
+from dpcontrol.references.sustained import SustainedOrbit
 from dpcontrol.references.trajectory import LimitUse
+from dpcontrol.walks.shadowing import ShadowingOrbit
 
 _FRAMES = 8
 _TALL = 1.5
@@ -114,3 +121,61 @@ def _chart(axes: Axes, chart: Chart, view: RunView, *, last: bool) -> None:
 def draw_log(log: RunLog) -> Figure:
     """Return the page of a log as a figure."""
     return draw(run_view(log))
+
+
+def view_of(found: Any) -> Any:
+    """Return the motion to draw of a run, a plan, a log, a sustained orbit or a walk, or the object itself."""
+    found = getattr(found, "log", found)
+    match found:
+        case Plan():
+            return reference_view(found.reference, found.file)
+        case SustainedOrbit():
+            return sustained_view(found, found.arms.length)
+        case ShadowingOrbit():
+            return _story(found).view(found.system.name)
+        case RunLog():
+            return run_view(found) if "reference.npz" in found.attachments else series_of(found)
+        case _:
+            return found
+
+
+def angles(axes: Axes, found: Plan | RunLog | SustainedOrbit | ShadowingOrbit) -> None:
+    """Draw the angles of a plan, a log, a sustained orbit or a walk over time.
+
+    Args:
+        axes: panel to draw on.
+        found: motion to draw.
+    """
+    view = view_of(found)
+    draw_chart(axes, charts(view)["angles"], view)
+
+
+def plan_page(found: Plan) -> Figure:
+    """Return the page of a plan."""
+    return draw(view_of(found))
+
+
+def walk(axes: Axes, found: ShadowingOrbit) -> None:
+    """Draw the angles of a walk over time.
+
+    Without angles its orbit is drawn in the plane of positions.
+
+    Args:
+        axes: panel to draw on.
+        found: orbit of the walk.
+    """
+    story = _story(found)
+    if story.has_angles:
+        angles(axes, found)
+    else:
+        walk_plane(axes, story)
+
+
+def _story(found: ShadowingOrbit) -> WalkStory:
+    arms = found.system.model.parameters if isinstance(found.system, ModelSystem) else None
+    return WalkStory(found, arms.length if isinstance(arms, ArmChainParameters) else None)
+
+
+def walk_page(found: ShadowingOrbit) -> Figure:
+    """Return the page of a walk."""
+    return draw_walk(found, arm_lengths=_story(found).arm_lengths, model=found.system.name)

@@ -86,3 +86,15 @@ def _changes(axes: Axes, found: Preflight) -> None:
     ]
     bars(axes, "Gain of each change, on the same seeds; lines: two standard errors", rows, x="points of all runs")
     axes.axvline(0, color=style.MARK, linewidth=0.8)
+
+
+def whole_preflight(axes: Axes, found: Preflight) -> None:
+    """Draw the shares of completed runs and of each other ending.
+
+    Args:
+        axes: panel to draw on.
+        found: preflight to draw.
+    """
+    rows = [Bar("completed", found.share.rate, style.GOOD)]
+    rows += [Bar(one.cause, one.runs / found.share.runs, style.LIMIT) for one in found.endings]
+    bars(axes, found.status, rows, x="share of runs that end so")
