@@ -21,7 +21,7 @@ RENDERERS = {
     "dpcontrol.judge.night.Night": "night:draw_night",
     "dpcontrol.judge.comparison.RunComparison": "comparison:draw_comparison",
     "dpcontrol.walks.atlas.Atlas": "atlas:draw_atlas",
-    "dpcontrol.orbits.family.LyapunovFamily": "orbits:family_page",
+    "dpcontrol.orbits.family.LyapunovFamily": "orbits:draw_family",
     "dpcontrol.orbits.rotating.RotatingFamilies": "orbits:draw_rotating_families",
     "dpcontrol.walks.shadowing.ShadowingOrbit": "page:walk_page",
     "dpcontrol.plans.plan.Plan": "page:plan_page",

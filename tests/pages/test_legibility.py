@@ -32,7 +32,7 @@ from dpcontrol.pages.figures import FIGURES
 from dpcontrol.pages.identification import draw_identification
 from dpcontrol.pages.layout import new_figure
 from dpcontrol.pages.night import draw_night
-from dpcontrol.pages.orbits import draw_families
+from dpcontrol.pages.orbits import draw_family
 from dpcontrol.pages.page import draw
 from dpcontrol.pages.preflight import draw_preflight
 from dpcontrol.pages.transitions import draw_transitions
@@ -101,8 +101,7 @@ def walk_page(_: Path) -> Figure:
 
 
 def family(_: Path) -> Figure:
-    families = [lyapunov_family(LAB.system, saddle, energies=(-1.0, 0.3)) for saddle in ("down-up", "up-down")]
-    return draw_families(families, "Families of Lyapunov orbits of lab")
+    return draw_family(lyapunov_family(LAB.system, "down-up", energies=(-1.0, 0.3)))
 
 
 def design(_: Path) -> Figure:
