@@ -17,7 +17,6 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
 from dpcontrol.control.margins import Margins
-from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.foundation.document import Documented
 from dpcontrol.judge.nearest import closest_approach, limit_uses, nis_reading
 from dpcontrol.judge.of_log import reference_view, run_view, sustained_view
@@ -32,9 +31,7 @@ from dpcontrol.pages.panels import Bar, bars
 from dpcontrol.pages.planes import plane
 from dpcontrol.pages.run_charts import charts, check_charts, extra_charts, motion_charts
 from dpcontrol.pages.story import story, story_height
-from dpcontrol.pages.walks import WalkStory, draw_walk
-from dpcontrol.pages.walks import plane as walk_plane
-from dpcontrol.plans.model import ModelSystem
+from dpcontrol.pages.walks import WalkStory, draw_shape
 from dpcontrol.plans.plan import Plan
 from dpcontrol.references.sustained import SustainedOrbit
 from dpcontrol.references.trajectory import LimitUse
@@ -118,11 +115,6 @@ def _chart(axes: Axes, chart: Chart, view: RunView, *, last: bool) -> None:
         axes.tick_params(labelbottom=False)
 
 
-def draw_log(log: RunLog) -> Figure:
-    """Return the page of a log as a figure."""
-    return draw(run_view(log))
-
-
 def view_of(found: Any) -> Any:
     """Return the motion to draw of a run, a plan, a log, a sustained orbit or a walk, or the object itself."""
     found = getattr(found, "log", found)
@@ -132,7 +124,7 @@ def view_of(found: Any) -> Any:
         case SustainedOrbit():
             return sustained_view(found, found.arms.length)
         case ShadowingOrbit():
-            return _story(found).view(found.system.name)
+            return WalkStory(found).view
         case RunLog():
             return run_view(found) if "reference.npz" in found.attachments else series_of(found)
         case _:
@@ -150,8 +142,8 @@ def angles(axes: Axes, found: Plan | RunLog | SustainedOrbit | ShadowingOrbit) -
     draw_chart(axes, charts(view)["angles"], view)
 
 
-def plan_page(found: Plan) -> Figure:
-    """Return the page of a plan."""
+def draw_motion(found: Plan | RunLog) -> Figure:
+    """Return the page of a plan or a log as a figure."""
     return draw(view_of(found))
 
 
@@ -164,18 +156,8 @@ def walk(axes: Axes, found: ShadowingOrbit) -> None:
         axes: panel to draw on.
         found: orbit of the walk.
     """
-    story = _story(found)
+    story = WalkStory(found)
     if story.has_angles:
         angles(axes, found)
     else:
-        walk_plane(axes, story)
-
-
-def _story(found: ShadowingOrbit) -> WalkStory:
-    arms = found.system.model.parameters if isinstance(found.system, ModelSystem) else None
-    return WalkStory(found, arms.length if isinstance(arms, ArmChainParameters) else None)
-
-
-def walk_page(found: ShadowingOrbit) -> Figure:
-    """Return the page of a walk."""
-    return draw_walk(found, arm_lengths=_story(found).arm_lengths, model=found.system.name)
+        draw_shape(axes, story)

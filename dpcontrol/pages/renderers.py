@@ -14,7 +14,7 @@ from matplotlib import rc_context
 from dpcontrol.pages import style
 
 RENDERERS = {
-    "dpcontrol.logs.reader.RunLog": "page:draw_log",
+    "dpcontrol.logs.reader.RunLog": "page:draw_motion",
     "dpcontrol.judge.run_view.RunView": "page:draw",
     "dpcontrol.judge.preflight.Preflight": "preflight:draw_preflight",
     "dpcontrol.judge.campaign.CampaignSummary": "campaign:draw_campaign",
@@ -23,8 +23,8 @@ RENDERERS = {
     "dpcontrol.walks.atlas.Atlas": "atlas:draw_atlas",
     "dpcontrol.orbits.family.LyapunovFamily": "orbits:draw_family",
     "dpcontrol.orbits.rotating.RotatingFamilies": "orbits:draw_rotating_families",
-    "dpcontrol.walks.shadowing.ShadowingOrbit": "page:walk_page",
-    "dpcontrol.plans.plan.Plan": "page:plan_page",
+    "dpcontrol.walks.shadowing.ShadowingOrbit": "walks:draw_walk",
+    "dpcontrol.plans.plan.Plan": "page:draw_motion",
     "dpcontrol.identification.identify.Identification": "identification:draw_identification",
 }
 """Functions `draw(result) -> Figure`."""

@@ -97,7 +97,7 @@ def atlas(_: Path) -> Figure:
 
 
 def walk_page(_: Path) -> Figure:
-    return draw_walk(walk(["down-up +", "down-up -"]), arm_lengths=LAB.arms.length, model="lab")
+    return draw_walk(walk(["down-up +", "down-up -"]))
 
 
 def family(_: Path) -> Figure:
