@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -214,10 +214,9 @@ def draw_cuts(
     quiet(axes, title, x=label, y="p / p₀" if period else "momentum")
     if period:
         angle_axis(axes, "x")
-    if legend:
-        every = len(connections_of(atlas, kind))
-        marked = f"{len(connections)} of {every} connections" if len(connections) < every else "connections"
-        key(axes, [*_LINES, (marked, {"color": style.INK, "marker": "o", "linestyle": ""})])
+    every = len(connections_of(atlas, kind))
+    marked = f"{len(connections)} of {every} connections" if len(connections) < every else "connections"
+    key(axes, [*_LINES, (marked, {"color": style.INK, "marker": "o", "linestyle": ""})] if legend else [])
 
 
 _LINES: list[tuple[str, str | dict[str, Any]]] = [
@@ -250,7 +249,7 @@ def row_of(
     for c in shown:
         turns = ", ".join(f"{turn:+d}" if turn else "0" for turn in c.winding)
         title = f"{numbers[c.name]}  {c.transversality_angle:.1f}° [{turns}]"
-        flights.append(partial(draw_flight, atlas=atlas, connection=c, colour=look[c.name], title=title))
+        flights.append(partial(draw_motions, atlas=atlas, flights=[(c, look[c.name])], saddles=(), title=title))
     cuts = Panel(partial(draw_cuts, atlas=atlas, kind=kind, shown=marked, numbers=numbers), 1.0)
     return [cuts, *(Panel(draw, _FLIGHTS / max(len(flights), 1)) for draw in flights)]
 
@@ -259,73 +258,53 @@ _FLIGHTS = 1.75
 """Width of all flights in a row, relative to the cuts."""
 
 
-def draw_flight(axes: Axes, atlas: Atlas, connection: AtlasConnection, colour: str, *, title: str) -> None:
-    """Draw a flight with both orbits in the plane of coordinates.
-
-    It starts at its source's named position.
-
-    Args:
-        axes: panel to draw on.
-        atlas: atlas with the connection.
-        connection: connection to draw.
-        colour: colour of the flight.
-        title: title of the panel.
-    """
-    for saddle, winding in ((connection.source, ()), (connection.target, connection.winding)):
-        orbit = next(o for o in atlas.orbits if o.saddle == saddle)
-        look = {"color": style.saddle_colour(saddle), "linewidth": 3.5, "alpha": 0.45}
-        axes.plot(*placed(atlas, orbit, winding)[:, :2].T, zorder=1, **look)
-    axes.plot(*connection.states[:, :2].T, color=colour, linewidth=1.3, zorder=3)
-    axes.plot(*connection.state[:2], "o", color=colour, markeredgecolor="white", markersize=6, zorder=4)
-    quiet_plane(axes, atlas, title=title)
-    axes.set_aspect("equal", adjustable="datalim")
-
-
-def draw_space(
+def draw_motions(
     axes: Axes,
     atlas: Atlas,
-    cuts: Iterable[AtlasCut],
+    tubes: Sequence[TubePart] = (),
     *,
     flights: Sequence[tuple[AtlasConnection, str]] = (),
-    sense: int | None = None,
     saddles: tuple[str, ...] | None = None,
     title: str = "",
 ) -> None:
-    """Draw the tubes of cuts, all orbits, and flights in space.
-
-    `sense` selects branches by the sense of their final crossings; None draws both. `saddles` selects orbits; None
-    draws all.
+    """Draw tubes, orbits and flights in space, or in the plane of coordinates.
 
     Flights start at their source's named position. If they end whole turns away, the target orbit is drawn there.
 
     Args:
-        axes: panel in space.
+        axes: panel in space or in the plane.
         atlas: with the orbits.
-        cuts: of tubes.
+        tubes: parts of tubes.
         flights: connections with their colours.
-        sense: 1, -1 or None.
-        saddles: of the orbits.
+        saddles: saddles whose orbits are drawn at their named position, besides those of flights; all by default.
         title: of the panel.
     """
-    picked = [0, 1, len(atlas.periods) // 2]
-    for tube in (part for cut in cuts for part in tubes_of_cut(atlas, cut) if sense in (None, part.sense)):
+    space = axes.name == "3d"
+    picked = [0, 1, len(atlas.periods) // 2][: 3 if space else 2]
+    for tube in tubes:
         for states in tube.strands:
             axes.plot(*states[:, picked].T, color=tube.colour, linewidth=0.5, alpha=0.8)
         for states in tube.ends:
             axes.plot(*states[:, picked].T, color=style.CUT, linewidth=1.6)
-    ends = sorted({(c.target, c.winding) for c, _ in flights if any(c.winding)})
+    ends = {end for c, _ in flights for end in ((c.source, ()), (c.target, c.winding if any(c.winding) else ()))}
     for c, colour in flights:
-        axes.plot(*c.states[:, picked].T, color=colour, linewidth=0.9, alpha=0.9, zorder=8)
-    for orbit in (o for o in atlas.orbits if saddles is None or o.saddle in saddles):
-        colour = style.saddle_colour(orbit.saddle)
-        axes.plot(*placed(atlas, orbit)[:, picked].T, color=colour, linewidth=2.5, zorder=10)
-        for winding in (w for saddle, w in ends if saddle == orbit.saddle and orbit.family == 0):
-            axes.plot(*placed(atlas, orbit, winding)[:, picked].T, color=colour, linewidth=1.6, alpha=0.6, zorder=9)
-    quiet_space(axes, atlas)
-    axes.set_title(title, loc="left")
-    looks: list[tuple[str, str | dict[str, Any]]] = [("tubes out", style.UNSTABLE), ("tubes in", style.STABLE)]
-    looks += [("cuts", style.CUT), *([("connections", style.INK)] if flights else [])]
-    key(axes, looks)
+        axes.plot(*c.states[:, picked].T, color=colour, linewidth=1.1, zorder=8)
+        axes.plot(*c.state[picked, None], "o", color=colour, markeredgecolor="white", markersize=5, zorder=9)
+    look = {"linewidth": 2.5, "zorder": 10} if space else {"linewidth": 3.5, "alpha": 0.45, "zorder": 1}
+    for orbit in atlas.orbits:
+        own = {winding for saddle, winding in ends if saddle == orbit.saddle and orbit.family == 0}
+        for winding in own | ({()} if saddles is None or orbit.saddle in saddles else set()):
+            closed = placed(atlas, orbit, winding)
+            axes.plot(*closed[:, picked].T, color=style.saddle_colour(orbit.saddle), **look)
+    if space:
+        quiet_space(axes, atlas)
+        axes.set_title(title, loc="left")
+    else:
+        quiet_plane(axes, atlas, title=title)
+        axes.set_aspect("equal", adjustable="datalim")
+    lines: list[tuple[str, str | dict[str, Any]]] = [("tubes out", style.UNSTABLE), ("tubes in", style.STABLE)]
+    lines += [("cuts", style.CUT), *([("connections", style.INK)] if flights else [])]
+    key(axes, lines if tubes else [])
 
 
 def draw_atlas(atlas: Atlas) -> Figure:
@@ -352,7 +331,8 @@ def draw_atlas(atlas: Atlas) -> Figure:
 
 
 def _draw_whole(axes: Axes, atlas: Atlas) -> None:
-    draw_space(axes, atlas, atlas.cuts, flights=[(c, style.INK) for c in atlas.connections])
+    tubes = [part for cut in atlas.cuts for part in tubes_of_cut(atlas, cut)]
+    draw_motions(axes, atlas, tubes, flights=[(c, style.INK) for c in atlas.connections])
     for k, orbit in enumerate(atlas.orbits):
         look = {"fontsize": style.SMALL, "color": style.saddle_colour(orbit.saddle), "weight": "bold"}
         axes.text2D(0.0, 0.04 * k, f"orbit about {orbit.name}", transform=axes.transAxes, **look)  # type: ignore[attr-defined]

@@ -1,7 +1,9 @@
 """Tubes, cuts and connections of the paper's orbits: of one to three turns, heteroclinic, returning and shadowed."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -9,14 +11,14 @@ from matplotlib.axes import Axes
 from dpcontrol.dynamics.system import System
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.pages import single, style
-from dpcontrol.pages.atlas import colours, connections_of, draw_cuts, draw_space, kind_of, placed, row_of
+from dpcontrol.pages.atlas import colours, connections_of, draw_cuts, draw_motions, kind_of, row_of, tubes_of_cut
 from dpcontrol.pages.gallery import IDENTIFIED, Gallery, PaperFigure
 from dpcontrol.pages.layout import Draw, Page, Panel
 from dpcontrol.pages.page import walk
 from dpcontrol.pages.panels import draw_graph, name_point, quiet_plane, wrapped_runs
 from dpcontrol.tubes.connections import Connection, ConnectionSearch, find_connections
 from dpcontrol.tubes.intersections import search_settings
-from dpcontrol.walks.atlas import Atlas, AtlasConnection, AtlasKind, walks
+from dpcontrol.walks.atlas import Atlas, AtlasConnection, walks
 from dpcontrol.walks.shadowing import ShadowingOrbit, WalkSolver
 
 ENERGY, SENSES_ENERGY = -0.07, 0.2
@@ -39,8 +41,9 @@ def senses_page(gallery: Gallery, *, saddle: str) -> PaperFigure:
     for letters, sense, way in (("ac", 1, "forward"), ("bd", -1, "backward")):
         shown = tuple(c for c in connections_of(atlas, kind) if c.sense == sense)
         turns, cuts = (f"{letters[0]}  the {arm} arm turns {way}", f"{letters[1]}  cuts on {section}, crossed {way}")
-        tubes = {"cuts": [atlas.cut(saddle, kind.section, 1)], "sense": sense, "saddles": (saddle,), "title": turns}
-        spaces.append(Panel(partial(draw_space, atlas=atlas, **tubes), space=True))
+        tubes = [part for part in tubes_of_cut(atlas, atlas.cut(saddle, kind.section, 1)) if part.sense == sense]
+        motions = partial(draw_motions, atlas=atlas, tubes=tubes, saddles=(saddle,), title=turns)
+        spaces.append(Panel(motions, space=True))
         panels.append(partial(draw_cuts, atlas=atlas, kind=kind, shown=shown, legend=False, sense=sense, title=cuts))
         counts.append(f"{len(shown)} {way}")
     page = Page(f"The tubes of {saddle} at {SENSES_ENERGY:g} J: the {arm} arm turns either way")
@@ -306,8 +309,7 @@ def three_body_homoclinics_page(gallery: Gallery) -> PaperFigure:
         "The planar circular restricted three-body problem in the rotating frame; above the orbit about L1, below that "
         "about L2. Left: the branches of its unstable (red) and stable (green) tubes that go round the larger primary "
         "to the section y = 0, x < 0 (dotted). Grey: inaccessible. Middle: the cuts there, x and its momentum, with "
-        "the connections found. Right: one flight of each colour, solid for a symmetric one and dashed for one "
-        f"of a mirror pair. {counts}.",
+        f"the connections found. Right: one flight of each colour. {counts}.",
         "The chosen energies are slightly above those of the points, with few connections. Flights are limited to "
         "four periods of their orbit before the section; longer ones exist.",
     )
@@ -324,54 +326,41 @@ def _rows(page: Page, gallery: Gallery, rows: Sequence[tuple[Atlas, str, str, Ex
         kept = sorted(chosen, key=lambda c: (not c.symmetric, c.name))[: 1 if between else 4]
         numbers = {c.name: str(k) for k, c in enumerate(kept, start=1)}
         cuts = f"{letters[1]}  cuts on {section}, hits {list(kind.hits)}"
-        plane = partial(_plane, system=gallery.system("three-body"), atlas=atlas, extent=extent, section=section)
-        page.row(
-            Panel(partial(_tubes, plane=plane, atlas=atlas, kind=kind, letter=letters[0]), 1.3),
-            partial(draw_cuts, atlas=atlas, kind=kind, numbers=numbers, legend=False, title=cuts),
-            Panel(partial(_flights, plane=plane, kind=kind, kept=kept, look=look, letter=letters[2]), 1.3),
-            height=4.0,
-        )
+        ends = ((source, kind.hits[0], False), (target, kind.hits[1], True))
+        tubes = [
+            # Both branches have the full colour, because only one tube of each kind is drawn.
+            replace(part, branch=1)
+            for saddle, hit, stable in ends
+            for part in tubes_of_cut(atlas, atlas.cut(saddle, kind.section, hit))
+            if part.stable is stable
+        ]
+        both = f"{source} and {target}" if between else source
+        plane = partial(_plane, atlas=atlas, system=gallery.system("three-body"), extent=extent, section=section)
+        of_tubes = partial(plane, tubes=tubes, title=f"{letters[0]}  tubes of {both}, energy {atlas.energy:g}")
+        flown = f"{letters[2]}  from {source}'s orbit to {target}'s" if kept else "none found"
+        of_flights = partial(plane, flights=[(c, look[c.name]) for c in kept], title=flown)
+        of_cuts = partial(draw_cuts, atlas=atlas, kind=kind, numbers=numbers, legend=False, title=cuts)
+        page.row(Panel(of_tubes, 1.3), of_cuts, Panel(of_flights, 1.3), height=4.0)
         energy, least = "" if between else f"at {atlas.energy:g} ", "" if kind.complete else "at least "
         symmetric = "" if between else f" ({sum(c.symmetric for c in connections)} symmetric)"
         words.append(f"{source} to {target}: {energy}{least}{kind.count} connections{symmetric}")
     return "; ".join(words)
 
 
-def _tubes(axes: Axes, plane: Draw, atlas: Atlas, kind: AtlasKind, letter: str) -> None:
-    plane(axes)
-    source, target = kind.source, kind.target
-    for strand in atlas.cut(source, kind.section, kind.hits[0]).strands:
-        axes.plot(*strand[:, :2].T, color=style.UNSTABLE, linewidth=0.45, alpha=0.75)
-    for strand in atlas.cut(target, kind.section, kind.hits[1]).strands:
-        axes.plot(*atlas.turned(strand, target)[:, :2].T, color=style.STABLE, linewidth=0.45, alpha=0.75)
-    both = f"{source} and {target}" if source != target else source
-    axes.set_title(f"{letter}  tubes of {both}, energy {atlas.energy:g}", loc="left")
-
-
-def _flights(
-    axes: Axes, plane: Draw, kind: AtlasKind, kept: Sequence[AtlasConnection], look: dict[str, str], letter: str
-) -> None:
-    plane(axes)
-    for c in kept:
-        line = "-" if c.symmetric or kind.source != kind.target else (0, (5, 2))
-        axes.plot(*c.states[:, :2].T, color=look[c.name], linewidth=1.1, linestyle=line, zorder=3)
-    axes.set_title(f"{letter}  from {kind.source}'s orbit to {kind.target}'s" if kept else "none found", loc="left")
-
-
-def _plane(axes: Axes, system: System, atlas: Atlas, extent: Extent, *, section: str) -> None:
-    """Draw the inaccessible region, the orbits, the primaries and the section."""
+def _plane(axes: Axes, atlas: Atlas, system: System, extent: Extent, section: str, **motions: Any) -> None:
+    """Draw tubes or flights between the primaries, with the inaccessible region and the section."""
+    draw_motions(axes, atlas, **motions)
     (wide, high), mu = extent, float(system.parameters[0])
     x, y = np.meshgrid(np.linspace(*wide, 300), np.linspace(*high, 300))
     states = np.stack([x, y, 0 * x, 0 * x], axis=-1).reshape(-1, 4)
     potential = system.numeric.hamiltonian(states).reshape(x.shape)
-    axes.contourf(x, y, potential, levels=[atlas.energy, 1e9], colors=["#c4c9cf"])
+    axes.contourf(x, y, potential, levels=[atlas.energy, 1e9], colors=["#c4c9cf"], zorder=0)
     for orbit in atlas.orbits:
-        closed, colour = placed(atlas, orbit), style.saddle_colour(orbit.saddle)
-        axes.plot(*closed[:, :2].T, color=colour, linewidth=2.4, zorder=5)
-        name_point(axes, orbit.saddle, (float(closed[:, 0].mean()), float(closed[:, 1].max())), colour)
+        place = float(orbit.samples[:, 0].mean()), float(orbit.samples[:, 1].max())
+        name_point(axes, orbit.saddle, place, style.saddle_colour(orbit.saddle))
     axes.scatter([1 - mu, -mu], [0, 0], s=[16, 64], color=style.INK, zorder=6)
     dotted, vertical = {"color": style.MARK, "linewidth": 0.9, "linestyle": style.DOTTED}, section.startswith("x")
     axes.plot(*(([1 - mu, 1 - mu], high) if vertical else ([wide[0], 0], [0, 0])), **dotted)
-    quiet_plane(axes, system)
     axes.grid(False)
-    axes.set(xlim=wide, ylim=high, aspect="equal")
+    axes.set_aspect("equal", adjustable="box")
+    axes.set(xlim=wide, ylim=high)
