@@ -33,7 +33,7 @@ from dpcontrol.foundation.rendering import render
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from dpcontrol.bench.chart import PrecisionChart
+    from dpcontrol.bench.chart import ChartPage
     from dpcontrol.bench.run import DrawnCharts
     from dpcontrol.bifurcations.bifurcations import BifurcationSearch
     from dpcontrol.control.export import ControllerSource
@@ -2249,7 +2249,7 @@ def check_proof(file: Place, *, progress: Reporting = None) -> CertificateCheck:
 @checked
 def explore_energies(
     itinerary: Plan | str, *, picture: Place | None = None, progress: Reporting = None
-) -> PrecisionChart:
+) -> ChartPage:
     """Compare the effort of one walk over energies.
 
     Args:

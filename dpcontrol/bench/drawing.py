@@ -118,7 +118,7 @@ def _points(panel: Diagram, looks: dict[str, Look]) -> Iterator[Layer]:
 def _borders(one: EdgeMap) -> Iterator[Layer]:
     rows = list(enumerate(one.borders))
     marks: Look = {"linestyle": "none", "markersize": 5}
-    trials = [(t.y, k, t.works) for k, b in rows for t in b.trials]
+    trials = [(y, k, attempt.works) for k, b in rows for y, attempt in b.trials]
     yield one.near, [(y, k) for y, k, works in trials if works], {**marks, "marker": "o", "color": GOOD}
     yield one.far, [(y, k) for y, k, works in trials if not works], {**marks, "marker": "x", "color": LIMIT}
     measured = [(b.measured, k) for k, b in rows if b.measured is not None]

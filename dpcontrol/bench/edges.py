@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import brentq
 
-from dpcontrol.bench.chart import Attempt, Border, EdgeChart, EdgeMap, find_border, half_of, measured_maps
+from dpcontrol.bench.chart import Attempt, Border, ChartPage, EdgeMap, find_border, half_of, measured_maps
 from dpcontrol.bench.control import RATE, held_orbit, keeps
 from dpcontrol.control.estimator_settings import EkfSettings
 from dpcontrol.control.interface import sampled_model
@@ -115,7 +115,7 @@ def moving(rate: float) -> LoopCase:
     return LoopCase(Assembly(reference, arms, LoopSettings(seed=0, rate=rate), law=controller))
 
 
-def moving_chart(quick: bool, progress: Progress) -> EdgeChart:
+def moving_chart(quick: bool, progress: Progress) -> ChartPage:
     """Return the chart of a moving reference.
 
     Args:
@@ -131,7 +131,7 @@ def moving_chart(quick: bool, progress: Progress) -> EdgeChart:
         (wrong, lambda delay: mismatch_border(moving(100.0), delay, ratio=1.1),
          (0.1,) if quick else (0.04, 0.07, 0.1, 0.14)),
     )  # fmt: skip
-    return EdgeChart(
+    return ChartPage(
         name="edges-moving",
         title=f"A turn of the outer arm by TVLQR is {parts[0].finding()} of delay",
         reading=(
@@ -196,7 +196,7 @@ def pulses(orbit: SustainedOrbit, sections: int, *, seconds: float) -> OgyContro
     return ogy_controller(orbit, sampled_model(load_model("lab").arms, RATE), settings, seconds=seconds)
 
 
-def ogy_chart(quick: bool, progress: Progress) -> EdgeChart:
+def ogy_chart(quick: bool, progress: Progress) -> ChartPage:
     """Return maps of the pulses and counts that OGY needs.
 
     Args:
@@ -213,7 +213,7 @@ def ogy_chart(quick: bool, progress: Progress) -> EdgeChart:
             (f"Encoders with pulses of {LIMIT:g} m/s²", "counts per turn", None),
         )
     )
-    return EdgeChart(
+    return ChartPage(
         name="edges-ogy",
         title="OGY needs three pulses a period; with sixteen, small ones suffice",
         reading=(
@@ -307,7 +307,7 @@ MOVED, STILL = 0.02, 0.015
 """Least angle in rad and time in s that distinguish a stuck joint from a still one."""
 
 
-def estimation_chart(quick: bool, progress: Progress) -> EdgeChart:
+def estimation_chart(quick: bool, progress: Progress) -> ChartPage:
     """Return the borders of estimation: lost samples and a stuck encoder.
 
     Args:
@@ -324,7 +324,7 @@ def estimation_chart(quick: bool, progress: Progress) -> EdgeChart:
         "A stuck encoder of the outer arm, on the orbit about Down-Up", "phase at which it sticks",
         "time until it is reported, s", far="reported", near="goes on", log_x=False,
     )  # fmt: skip
-    return EdgeChart(
+    return ChartPage(
         name="edges-estimation",
         title="Limits of estimation",
         reading=(
@@ -517,7 +517,7 @@ def margin_border(name: str, case: tuple[str, str], *, seeds: int, ratio: float)
     )  # fmt: skip
 
 
-def margins_chart(quick: bool, progress: Progress) -> EdgeChart:
+def margins_chart(quick: bool, progress: Progress) -> ChartPage:
     """Return the chart of margins beside campaigns.
 
     Args:
@@ -537,7 +537,7 @@ def margins_chart(quick: bool, progress: Progress) -> EdgeChart:
             ("delay", "Further delay", "delay, s"), ("lag", "Further lag", "lag, s"),
         )
     ]  # fmt: skip
-    return EdgeChart(
+    return ChartPage(
         name="edges-margins",
         title="Margins and the limits of campaigns",
         reading=(

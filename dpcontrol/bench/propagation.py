@@ -24,7 +24,7 @@ import casadi as ca
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from dpcontrol.bench.chart import Diagram, PrecisionChart
+from dpcontrol.bench.chart import ChartPage, Diagram
 from dpcontrol.bench.measure import Alternative, Judged, compare
 from dpcontrol.control.interface import SampledModel
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
@@ -161,7 +161,7 @@ TICK, COMMAND = 1e-3, 5.0
 """Duration in s and command in m/s² of a tick."""
 
 
-def propagation_chart(quick: bool, progress: Progress) -> PrecisionChart:
+def propagation_chart(quick: bool, progress: Progress) -> ChartPage:
     """Return the errors of integrators against their computing times.
 
     Args:
@@ -181,7 +181,7 @@ def propagation_chart(quick: bool, progress: Progress) -> PrecisionChart:
     chaotic = compared(one, swing, quick=quick, progress=part_of(progress, 0.5, 0.8))
     look = {"x_label": "time of a trajectory, s", "y_label": "error, scaled"}
     chaotic = replace(chaotic, title=f"chaotic swing, {swing.duration:.0f} s", **look)
-    return PrecisionChart(
+    return ChartPage(
         name="propagation",
         title="Propagation",
         parts=(
