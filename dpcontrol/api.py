@@ -1449,7 +1449,7 @@ def identify(
         design: most informative swings for recording, instead of an identification.
         out: model to write (default: models/NAME.toml).
         force: replace an existing model, whatever made it.
-        picture: picture of the result, with profiles of the misfit in a minute (default: none).
+        picture: picture of the result (default: none).
         progress: reports, see `dpcontrol.api`.
 
     Returns:
@@ -1496,10 +1496,9 @@ def identify(
         if target is not None:
             write_model(found, target, title=title, logs=files, starting_model=model.name)
         if picture is not None:
-            from dpcontrol.identification.identify import profiles
             from dpcontrol.pages.identification import draw_identification
 
-            _save(draw_identification(found, profiles(found, progress=report), title=title), picture)
+            _save(draw_identification(found, title=title), picture)
     return replace(found, file=target)
 
 
@@ -2247,9 +2246,7 @@ def check_proof(file: Place, *, progress: Reporting = None) -> CertificateCheck:
 
 
 @checked
-def explore_energies(
-    itinerary: Plan | str, *, picture: Place | None = None, progress: Reporting = None
-) -> ChartPage:
+def explore_energies(itinerary: Plan | str, *, picture: Place | None = None, progress: Reporting = None) -> ChartPage:
     """Compare the effort of one walk over energies.
 
     Args:

@@ -1,6 +1,6 @@
 """An identification on one page.
 
-It shows accuracy on recordings that the fit did not use, errors, and profiles of the loss.
+It shows accuracy on recordings that the fit did not use, and the errors with their correlation.
 """
 
 from functools import partial
@@ -9,37 +9,24 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from dpcontrol.identification.identify import Identification, LossProfile
+from dpcontrol.identification.identify import Identification
 from dpcontrol.pages import style
 from dpcontrol.pages.layout import Page, Panel, key
 from dpcontrol.pages.panels import quiet
 
 USED, LEFT, _BEFORE, LINE = style.REFERENCE, style.SERIES[1], style.NOTE, style.SERIES[0]
-_PER_ROW = 4
 
 
-def draw_identification(
-    found: Identification, curves: tuple[LossProfile, ...] = (), *, title: str = "Identified arms"
-) -> Figure:
+def draw_identification(found: Identification, *, title: str = "Identified arms") -> Figure:
     """Return the page on an identification as a figure.
 
     Args:
         found: identification to draw.
-        curves: profiles of the loss, which take a minute; none by default.
         title: title of the page.
     """
-    page = Page(title)
-    candidates = 1.0 + 0.2 * (len(found.candidates) + 1)
-    page.row(partial(draw_candidates, found=found), height=candidates)
-    correlation = Panel(partial(_correlation, found=found), 0.9)
-    page.row(Panel(partial(_errors, found=found), 1.4), correlation, height=0.9 + max(2.4, 0.19 * len(found.names)))
-    page.grid([partial(_profile, curve=curve) for curve in curves], across=_PER_ROW, height=1.9)
-    if curves:
-        page.text(
-            "Profiles: rise of the misfit over the parameter's error in standard errors. Grey line: linearised; blue "
-            "dots: fitted again."
-        )
-    return page.figure()
+    errors = Panel(partial(_errors, found=found), 1.4), Panel(partial(_correlation, found=found), 0.9)
+    page = Page(title).row(partial(draw_candidates, found=found), height=1.2 + 0.2 * len(found.candidates))
+    return page.row(*errors, height=0.9 + max(2.4, 0.19 * len(found.names))).figure()
 
 
 def draw_candidates(axes: Axes, found: Identification) -> None:
@@ -83,14 +70,3 @@ def _correlation(axes: Axes, found: Identification) -> None:
     axes.set_title("Correlation of the errors", loc="left")
     axes.figure.colorbar(image, ax=axes, shrink=0.8)
     axes.grid(False)
-
-
-def _profile(axes: Axes, curve: LossProfile) -> None:
-    order = np.argsort(np.append(curve.values, curve.best))
-    values = np.append(curve.values, curve.best)[order]
-    spread = curve.error if np.isfinite(curve.error) and curve.error > 0 else 1.0
-    at = (values - curve.best) / spread
-    axes.plot(at, 100 * np.append(curve.promised, 0.0)[order], color=USED, linewidth=2.5)
-    axes.plot(at, 100 * np.append(curve.rises, 0.0)[order], "o", color=LINE, markersize=4)
-    axes.set_xlim(-3.4, 3.4)
-    quiet(axes, f"{curve.name} = {curve.best:.4g} ± {curve.error:.1g}", y="misfit rises by (%)")

@@ -18,7 +18,7 @@ from test_walk_figure import found as walk
 
 from dpcontrol.foundation.statistics import wilson
 from dpcontrol.identification.fit import DesignSettings, design_experiments
-from dpcontrol.identification.identify import IdentificationSettings, identify, profiles
+from dpcontrol.identification.identify import IdentificationSettings, identify
 from dpcontrol.judge.campaign import campaign_summary
 from dpcontrol.judge.comparison import compare
 from dpcontrol.judge.of_log import reference_view
@@ -113,7 +113,7 @@ def identification(_: Path) -> Figure:
     starts = list(np.random.default_rng(1).uniform(-1.2, 1.2, (4, 2)))
     recording = simulated_recording(LAB.arms, starts, seconds=2.0, period=4e-3, zeros=np.zeros(2), name="one")
     found = identify([recording], LAB.arms, settings=IdentificationSettings(longest=2.0))
-    return draw_identification(found, profiles(found), title="lab from one recording")
+    return draw_identification(found, title="lab from one recording")
 
 
 def transitions(folder: Path) -> Figure:
