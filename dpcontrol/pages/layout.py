@@ -75,14 +75,12 @@ class Page:
         title: title at the top.
         verdict: the result in a sentence, below the title.
         good: True for a favourable verdict, False for an unfavourable one; decides its colour.
-        about: short text at the right of the title, such as the file of origin.
         width: in inches.
     """
 
     title: str
     verdict: str = ""
     good: bool | None = None
-    about: str = ""
     width: float = style.WIDTH
     rows: list[tuple[float, Callable[[SubFigure], None]]] = field(default_factory=list)
 
@@ -159,9 +157,6 @@ class Page:
                 draw(part)
             if self.title:
                 parts[0].texts[0].set_weight("bold")
-            used = text_width(self.title, 1.1 * style.TITLE) + text_width(self.about, style.SMALL) + 4 * _EDGE
-            if self.title and used < self.width:
-                parts[0].text(1 - _EDGE / self.width, 0.5, self.about, ha="right", va="center", color=style.MARK)
             settle(figure)
         return figure
 
@@ -407,14 +402,12 @@ def settle(figure: Figure) -> None:
         title, legend, pad = axes.get_title(loc="left"), axes.get_legend(), 4.0
         if legend is not None and legend.get_gid() == _KEY:
             wide = legend.get_window_extent().width / figure.dpi
-            if text_width(title, style.HEAD) + wide + 0.15 < inches:
+            beside, narrow = text_width(title, style.HEAD) + wide + 0.15 < inches, wide < inches + 0.3
+            if beside:
                 legend.set_loc("lower right")
                 legend.set_bbox_to_anchor((1.0, 1.0), transform=axes.transAxes)
-            elif wide < inches + 0.3:
-                pad += style.SMALL * _LINE + 2
-            else:
-                legend.set_ncols(2)
-                pad += 2 * style.SMALL * _LINE + 4
+            legend.set_ncols(4 if narrow else 2)
+            pad += 0.0 if beside else (1 if narrow else 2) * (style.SMALL * _LINE + 2)
         if title:
             lines = wrapped(title, style.HEAD, max(inches, 0.8)) if axes.name != "3d" else [title]
             axes.set_title("\n".join(lines), loc="left", fontsize=style.HEAD, color=style.INK, pad=pad)
@@ -433,20 +426,19 @@ def _turn_aside(axes: Axes, labels: list[Any]) -> None:
     """Move labels round their points, and away from them, until they cover neither marks nor other labels."""
     taken = [box for line in axes.lines if labels and line.get_marker() not in ("None", "") for box in _marks(line)]
     for label in labels:
-        boxes = ((place, _box_at(label, place)) for place in _PLACES)
-        inside = ((place, box) for place, box in boxes if all(axes.bbox.contains(*end) for end in (box.min, box.max)))
-        place = next((place for place, box in inside if not box.count_overlaps(taken)), _PLACES[0])
-        taken.append(_box_at(label, place))
+        boxes = {place: _beside(label, place) for place in _PLACES}
+        inside = (place for place, box in boxes.items() if all(axes.bbox.contains(*end) for end in (box.min, box.max)))
+        place = next((place for place in inside if not boxes[place].count_overlaps(taken)), _PLACES[0])
+        taken.append(_beside(label, place))
         if max(map(abs, place)) > _LED:
             line = {"arrowstyle": "-", "color": label.get_color(), "linewidth": 0.5, "shrinkA": 1, "shrinkB": 3}
             axes.annotate("", label.xy, xytext=place, textcoords="offset points", arrowprops=line)
 
 
-def _box_at(label: Any, place: tuple[float, float]) -> Bbox:
-    """Move a label and return its box."""
+def _beside(label: Any, place: tuple[float, float]) -> Bbox:
+    """Move a label to a place beside its point and return its box."""
     x, y = np.sign(place)
-    label.set_position(place)
-    label.set(ha=_ASIDE[x][0], va=_ASIDE[y][1])
+    label.set(position=place, ha=("center", "left", "right")[x], va=("center", "bottom", "top")[y])
     return label.get_window_extent()
 
 
@@ -454,7 +446,3 @@ def _marks(line: Line2D) -> list[Bbox]:
     """Return the boxes of a line's marks, pixels."""
     half = (line.get_markersize() / 2 + 1) * line.get_figure(root=True).dpi / 72  # type: ignore[union-attr]
     return [Bbox([spot - half, spot + half]) for spot in line.get_transform().transform(line.get_xydata())]
-
-
-_ASIDE = {1: ("left", "bottom"), -1: ("right", "top"), 0: ("center", "center")}
-"""Alignments of a label by the side of its point."""

@@ -76,8 +76,7 @@ def draw(view: RunView) -> Figure:
         for some in (charts[:half], charts[half:])
     )
     planes = [partial(draw_plane, runs=[(plane(view, arm), style.PLANT)]) for arm in range(min(view.arms, 2))]
-    about = "   ".join(text for text in (view.path.name, view.metadata.get("program", "")) if text)
-    page = Page(view.title, view.verdict, view.good, about=about)
+    page = Page(view.title, view.verdict, view.good)
     for line in (closest_approach(view), nis_reading(view)):
         page.text(line, colour=style.INK, size=style.TEXT)
     if uses := limit_uses(view):
@@ -90,7 +89,8 @@ def draw(view: RunView) -> Figure:
     if view.arm_lengths:
         add_film(page, view, film_times(view, frames=_FRAMES))
     columns = [Stack(column, share=1.05) for column in (left, right) if column]
-    return page.row(*columns, Stack(planes), height=_TALL * max(half, 3)).figure()
+    page.row(*columns, Stack(planes), height=_TALL * max(half, 3))
+    return page.text("   ".join(filter(None, (view.path.name, view.metadata.get("program", ""))))).figure()
 
 
 def _uses(axes: Axes, uses: Sequence[LimitUse]) -> None:

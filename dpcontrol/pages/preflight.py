@@ -21,9 +21,9 @@ _COLUMNS = 4
 def draw_preflight(found: Preflight) -> Figure:
     """Return a preflight's page as a figure."""
     title = f"Before the first run: {found.itinerary}"
-    page = Page(title, found.status, found.likely, about=f"model {found.model}", width=_WIDTH)
+    page = Page(title, found.status, found.likely, width=_WIDTH)
     page.text(found.advice, colour=style.INK, size=style.TEXT)
-    page.text("The bench as described", colour=style.INK, size=style.HEAD)
+    page.text(f"The bench as described, model {found.model}", colour=style.INK, size=style.HEAD)
     text = partial(cropped, size=style.TEXT)
     page.table([(one.name, text(one.value, width=2.4), text(one.source, width=4.0)) for one in found.known])
     page.text("Endings of failed runs, share of all runs", colour=style.INK, size=style.HEAD)
