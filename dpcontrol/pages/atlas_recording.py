@@ -12,8 +12,7 @@ import numpy as np
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.pages import style
 from dpcontrol.pages.atlas import colours, connections_of, placed, tubes_of_cut
-from dpcontrol.pages.rerun_recording import page, recording_to, summary_view
-from dpcontrol.pages.sheet import DARK, rr, rrb
+from dpcontrol.pages.rerun_recording import DARK, page, recording_to, rr, rrb, summary_view
 from dpcontrol.walks.atlas import Atlas, AtlasCut, AtlasKind
 
 TIMELINE = "time_from_section"

@@ -9,11 +9,10 @@ from matplotlib.ticker import LogLocator
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.judge.run_view import RunView
 from dpcontrol.pages import style
-from dpcontrol.pages.chart import Chart, Line
 from dpcontrol.pages.layout import MOST_IN_KEY, key
 from dpcontrol.pages.panels import angle_axis, mark_times, name_curves, quiet
-from dpcontrol.pages.planes import Plane
-from dpcontrol.pages.ranges import Range, extreme_rows, gap_times
+from dpcontrol.pages.planes import Plane, Range, extreme_rows, gap_times
+from dpcontrol.pages.run_charts import Chart, Line
 
 _BINS = 1500
 

@@ -17,14 +17,14 @@ from matplotlib.figure import Figure
 from dpcontrol.judge.comparison import ComparedRun, RunComparison
 from dpcontrol.pages import rerun_recording as recorded
 from dpcontrol.pages import style
-from dpcontrol.pages.chart import Chart, Line
 from dpcontrol.pages.charts import draw_chart, draw_plane
 from dpcontrol.pages.film import add_film, film_times
 from dpcontrol.pages.layout import Page, Stack
 from dpcontrol.pages.panels import quiet
 from dpcontrol.pages.planes import plane
+from dpcontrol.pages.rerun_recording import Sheet, rrb
+from dpcontrol.pages.run_charts import Chart, Line
 from dpcontrol.pages.run_charts import charts as charts_of
-from dpcontrol.pages.sheet import Sheet, rrb
 from dpcontrol.pages.story import story, story_height, strips
 
 _FRAMES = 8

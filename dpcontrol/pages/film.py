@@ -25,8 +25,7 @@ from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress
 from dpcontrol.judge.run_view import RunView
 from dpcontrol.pages import style
 from dpcontrol.pages.layout import Page, cropped, key
-from dpcontrol.pages.planes import arm_points
-from dpcontrol.pages.ranges import Range
+from dpcontrol.pages.planes import Range, arm_points
 from dpcontrol.pages.story import story, story_height, story_rows
 
 _FRAME_STEP = 2.12

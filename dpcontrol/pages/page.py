@@ -23,13 +23,12 @@ from dpcontrol.judge.of_log import reference_view, run_view, sustained_view
 from dpcontrol.judge.run_view import RunView, series_of
 from dpcontrol.logs import RunLog
 from dpcontrol.pages import style
-from dpcontrol.pages.chart import Chart
 from dpcontrol.pages.charts import draw_chart, draw_plane
 from dpcontrol.pages.film import add_film, film_times
 from dpcontrol.pages.layout import Page, Stack
 from dpcontrol.pages.panels import Bar, bars
 from dpcontrol.pages.planes import plane
-from dpcontrol.pages.run_charts import charts, check_charts, extra_charts, motion_charts
+from dpcontrol.pages.run_charts import Chart, charts, check_charts, extra_charts, motion_charts
 from dpcontrol.pages.story import story, story_height
 from dpcontrol.pages.walks import WalkStory, draw_shape
 from dpcontrol.plans.plan import Plan

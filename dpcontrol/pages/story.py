@@ -12,7 +12,7 @@ from dpcontrol.logs import FLIGHT, LAP, RESUME, RETURN, Mode
 from dpcontrol.pages import style
 from dpcontrol.pages.layout import text_width
 from dpcontrol.pages.panels import badge
-from dpcontrol.pages.ranges import Range
+from dpcontrol.pages.planes import Range
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from dpcontrol.judge.run_view import RunView
 from dpcontrol.pages import style
 from dpcontrol.pages.film import draw_pose
 from dpcontrol.pages.layout import Page
-from dpcontrol.pages.ranges import Range
+from dpcontrol.pages.planes import Range
 from dpcontrol.references.reference import Reference
 
 _NAMES = 0.65

@@ -18,12 +18,11 @@ from dpcontrol.foundation.arrays import Array
 from dpcontrol.judge.run_view import PlanView, RunView, Stay
 from dpcontrol.orbits.manifold import OrbitCurve
 from dpcontrol.pages import style
-from dpcontrol.pages.chart import Chart, LevelLine, Line
 from dpcontrol.pages.charts import draw_chart
 from dpcontrol.pages.film import add_film, film_times
 from dpcontrol.pages.layout import Page, Panel, Stack
 from dpcontrol.pages.panels import quiet_plane, quiet_space
-from dpcontrol.pages.run_charts import charts
+from dpcontrol.pages.run_charts import Chart, LevelLine, Line, charts
 from dpcontrol.pages.story import story as draw_story
 from dpcontrol.pages.story import story_height
 from dpcontrol.plans.model import ModelSystem
