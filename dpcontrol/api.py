@@ -1064,7 +1064,8 @@ def flight(
 
     Args:
         model: model, its name, arms, or a plan, whose model and limits are used.
-        state: state (N,): angles, rad, rates, rad/s, and position and velocity of the cart, m and m/s.
+        state: state (N,): angles, rad, rates, rad/s, and position and velocity of the cart, m and m/s; without the last
+            two, the cart is at rest in the middle.
         target: name of an equilibrium such as "up-up", an orbit (any phase), or a plan (its first stop).
         limits: limits of the cart (default: the plan's, or those of `Limits`).
 

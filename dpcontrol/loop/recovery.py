@@ -307,10 +307,11 @@ class FallRecovery:
         logged = before is not Motion.BRAKE or (k - self._began) * period > 1.0
         self._why = cause
         self._sensor = int(ticker.report.sensor.item(0))
-        # After a fall, the parameter estimates may be wrong.
-        ticker.lose()
+        lost = cause in (Cause.ESTIMATE_LOST, Cause.SILENT, Cause.STUCK)
+        if lost:
+            ticker.lose()
         # The cart stays still until the estimate is reliable again.
-        self._brake(k, ticker, still=cause in (Cause.ESTIMATE_LOST, Cause.SILENT, Cause.STUCK))
+        self._brake(k, ticker, still=lost)
         if self._tries >= _MOST_TRIES:
             return None
         next_symbol = {"again": 0 if plan.restarts else self._stop + 1, "symbols": len(plan.symbols)}
@@ -391,6 +392,7 @@ class FallRecovery:
                 course,
                 k + 1 + ticker.lead - ticker.began,
                 self._good,
+                program.equations.filter.corrected(model.parameters, report.extra[:, 0]),
             )
         )
 

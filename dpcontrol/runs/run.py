@@ -460,7 +460,7 @@ def _log_in_memory(plan: Plan, ticks: Ticks, events: Sequence[Event], **more: st
         has_cart=True,
         rate_hz=scene.loop.rate,
         limits=(limits.position, limits.velocity, limits.acceleration),
-        extras=_extras(ticks, extra_names(len(lengths), scene.loop.estimator.augments)),
+        extras=_extras(ticks, extra_names(len(lengths), scene.loop.filters.augments)),
     )
 
 
@@ -494,7 +494,7 @@ def log_writer(plan: Plan, out: Path, **more: str) -> LogWriter:
         arm_lengths=itinerary.model.arms.length,
         rate_hz=itinerary.loop.rate,
         limits=(limits.position, limits.velocity, limits.acceleration),
-        extras=extra_names(itinerary.model.arms.count, itinerary.loop.estimator.augments),
+        extras=extra_names(itinerary.model.arms.count, itinerary.loop.filters.augments),
         metadata={**run_metadata(itinerary), **more},
         attachments=_attachments(plan),
     )
