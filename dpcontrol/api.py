@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from dpcontrol.bench.chart import ChartPage
-    from dpcontrol.bench.run import DrawnCharts
+    from dpcontrol.bench.drawing import DrawnCharts
     from dpcontrol.bifurcations.bifurcations import BifurcationSearch
     from dpcontrol.control.export import ControllerSource
     from dpcontrol.control.flight import Flight as Flight
@@ -1575,7 +1575,7 @@ def open_reference(file: Place, *, picture: Picture = None, transitions: Picture
         raise InputError(f"picture and transitions are both {picture}: give two names")
     reference = load_reference(Path(file))
     if transitions is not None:
-        from dpcontrol.pages.transitions import draw_transitions
+        from dpcontrol.pages.film import draw_transitions
 
         # It can be refused, and must be before another picture is written.
         _save(draw_transitions(reference), transitions)
@@ -1703,7 +1703,7 @@ def picture(
     if transitions and not isinstance(result, Plan):
         raise InputError("transitions = True draws the transfers of a plan: give one")
     if transitions and isinstance(result, Plan):
-        from dpcontrol.pages.transitions import draw_transitions
+        from dpcontrol.pages.film import draw_transitions
 
         figure = draw_transitions(result.reference)
     else:
@@ -2881,7 +2881,7 @@ def design_experiments(model: Model | str, *, picture: Picture = None, progress:
     with reporting(progress, "design") as report:
         found = designed(model.arms, progress=report)
     if picture is not None:
-        from dpcontrol.pages.experiments import draw_design
+        from dpcontrol.pages.identification import draw_design
 
         _save(draw_design(found, title=model.title), picture)
     return found
@@ -3026,7 +3026,7 @@ def draw_charts(
     """
     with reporting(progress, "bench") as report:
         report("loading", 0.0)
-        from dpcontrol.bench.run import draw_charts as drawn
+        from dpcontrol.bench.drawing import draw_charts as drawn
 
         return replace(drawn(names, Path(folder), quick=quick, yes=yes, progress=report), strict=strict)
 
