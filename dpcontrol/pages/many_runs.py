@@ -12,7 +12,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullFormatter, PercentFormatter
-from numpy.typing import NDArray
 
 from dpcontrol.foundation.causes import Cause
 from dpcontrol.foundation.statistics import wilson
@@ -22,9 +21,8 @@ from dpcontrol.judge.night import BETWEEN, BRAKING, FLYING, ITINERARY, STOPPED, 
 from dpcontrol.judge.preflight import HazardBorder, Preflight, shown_number
 from dpcontrol.pages import style
 from dpcontrol.pages.layout import Page, Panel, cropped
-from dpcontrol.pages.panels import Bar, bars, empty, name_curves, name_rows, quiet
+from dpcontrol.pages.panels import Bar, bars, empty, name_curves, quiet
 
-_TITLES = {"max_cart_position": "Cart's largest distance (mm)", "rms_tracking_error": "Tracking (mrad rms)"}
 _MOST, _APART = 28, 6
 """Most bars, and most mismatches that are drawn as separate bars."""
 
@@ -40,32 +38,7 @@ def draw_campaign(summary: CampaignSummary) -> Figure:
     if summary.failed_symbols or summary.reasons:
         failures = [Panel(partial(_draw_symbols, summary=summary)), Panel(partial(_draw_reasons, summary=summary), 1.3)]
         page.row(*failures, height=2.4)
-    rows = max((len(_spreads(summary, name)) for name in _TITLES), default=0)
-    spreads = [partial(_draw_spread, summary=summary, name=name, title=title) for name, title in _TITLES.items()]
-    return page.row(*spreads, height=0.9 + 0.21 * max(rows, 2)).figure()
-
-
-def _spreads(summary: CampaignSummary, name: str) -> list[tuple[str, NDArray[np.float64], str]]:
-    """Return the values of the completed and of the failed runs of each group, with their labels and colours."""
-    families = dict(list(summary.spreads.get(name, {}).items())[: len(style.RUNS)])
-    rows = []
-    for (family, (good, bad)), colour in zip(families.items(), _group_colours(summary, list(families)), strict=True):
-        rows += [(family, good, colour), (f"{family}, failed".removeprefix(", "), bad, style.LIMIT)]
-    return [row for row in rows if len(row[1])]
-
-
-def _draw_spread(axes: Axes, summary: CampaignSummary, name: str, title: str) -> None:
-    rows = _spreads(summary, name)
-    if not rows:
-        empty(axes, title, f"the table has no {name}")
-        return
-    quiet(axes, f"{title}: median, middle half and range; failed red")
-    names, values, colours = zip(*rows, strict=True)
-    look = {"orientation": "horizontal", "whis": (0, 100), "positions": range(len(rows)), "patch_artist": True}
-    boxes = axes.boxplot([1e3 * part for part in values], medianprops={"color": style.INK}, **look)["boxes"]
-    for box, colour in zip(boxes, colours, strict=True):
-        box.set(facecolor=colour, alpha=0.6)
-    name_rows(axes, [shorten(name, 40, placeholder=" …") for name in names])
+    return page.figure()
 
 
 def _group_colours(summary: CampaignSummary, labels: Sequence[str]) -> list[str]:
