@@ -65,7 +65,7 @@ if TYPE_CHECKING:
     from dpcontrol.orbits.rotating import RotatingFamilies, RotatingFamily, RotatingOrbit, RotatingOrbits
     from dpcontrol.pages.figures import DrawnFigures
     from dpcontrol.pages.page import Report
-    from dpcontrol.pages.picture import Review
+    from dpcontrol.pages.viewer import Review
     from dpcontrol.planner.server import Planner
     from dpcontrol.plans.itinerary import Itinerary
     from dpcontrol.plans.model import Model as Model
@@ -1157,7 +1157,7 @@ def launch(
         True
     """
     from dpcontrol.foundation.files import chosen_name
-    from dpcontrol.pages.picture import LIVE_REMEDY, check_viewer
+    from dpcontrol.pages.viewer import LIVE_REMEDY, check_viewer
     from dpcontrol.runs.closed_loop import bench_of
     from dpcontrol.runs.night import NightSettings, name_check, night_itinerary
     from dpcontrol.runs.run import default_log, repeated_log
@@ -2617,8 +2617,8 @@ def review(
         >>> dp.review(log, save=log.with_suffix(".rrd")).recording.name
         'turn.rrd'
     """
-    from dpcontrol.pages.picture import Review, opened, view_in_window
     from dpcontrol.pages.renderers import record
+    from dpcontrol.pages.viewer import Review, opened, view_in_window
 
     if stretch is not None and film is None:
         raise InputError("stretch is given without film: give the film too")
