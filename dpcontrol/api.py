@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from dpcontrol.bench.chart import ChartPage
-    from dpcontrol.bench.run import DrawnCharts
+    from dpcontrol.bench.drawing import DrawnCharts
     from dpcontrol.bifurcations.bifurcations import BifurcationSearch
     from dpcontrol.control.export import ControllerSource
     from dpcontrol.control.flight import Flight as Flight
@@ -65,7 +65,7 @@ if TYPE_CHECKING:
     from dpcontrol.orbits.rotating import RotatingFamilies, RotatingFamily, RotatingOrbit, RotatingOrbits
     from dpcontrol.pages.figures import DrawnFigures
     from dpcontrol.pages.page import Report
-    from dpcontrol.pages.picture import Review
+    from dpcontrol.pages.viewer import Review
     from dpcontrol.planner.server import Planner
     from dpcontrol.plans.itinerary import Itinerary
     from dpcontrol.plans.model import Model as Model
@@ -1158,7 +1158,7 @@ def launch(
         True
     """
     from dpcontrol.foundation.files import chosen_name
-    from dpcontrol.pages.picture import LIVE_REMEDY, check_viewer
+    from dpcontrol.pages.viewer import LIVE_REMEDY, check_viewer
     from dpcontrol.runs.closed_loop import bench_of
     from dpcontrol.runs.night import NightSettings, name_check, night_itinerary
     from dpcontrol.runs.run import default_log, repeated_log
@@ -1576,7 +1576,7 @@ def open_reference(file: Place, *, picture: Picture = None, transitions: Picture
         raise InputError(f"picture and transitions are both {picture}: give two names")
     reference = load_reference(Path(file))
     if transitions is not None:
-        from dpcontrol.pages.transitions import draw_transitions
+        from dpcontrol.pages.film import draw_transitions
 
         # It can be refused, and must be before another picture is written.
         _save(draw_transitions(reference), transitions)
@@ -1704,7 +1704,7 @@ def picture(
     if transitions and not isinstance(result, Plan):
         raise InputError("transitions = True draws the transfers of a plan: give one")
     if transitions and isinstance(result, Plan):
-        from dpcontrol.pages.transitions import draw_transitions
+        from dpcontrol.pages.film import draw_transitions
 
         figure = draw_transitions(result.reference)
     else:
@@ -2618,8 +2618,8 @@ def review(
         >>> dp.review(log, save=log.with_suffix(".rrd")).recording.name
         'turn.rrd'
     """
-    from dpcontrol.pages.picture import Review, opened, view_in_window
     from dpcontrol.pages.renderers import record
+    from dpcontrol.pages.viewer import Review, opened, view_in_window
 
     if stretch is not None and film is None:
         raise InputError("stretch is given without film: give the film too")
@@ -2882,7 +2882,7 @@ def design_experiments(model: Model | str, *, picture: Picture = None, progress:
     with reporting(progress, "design") as report:
         found = designed(model.arms, progress=report)
     if picture is not None:
-        from dpcontrol.pages.experiments import draw_design
+        from dpcontrol.pages.identification import draw_design
 
         _save(draw_design(found, title=model.title), picture)
     return found
@@ -3027,7 +3027,7 @@ def draw_charts(
     """
     with reporting(progress, "bench") as report:
         report("loading", 0.0)
-        from dpcontrol.bench.run import draw_charts as drawn
+        from dpcontrol.bench.drawing import draw_charts as drawn
 
         return replace(drawn(names, Path(folder), quick=quick, yes=yes, progress=report), strict=strict)
 

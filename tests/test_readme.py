@@ -126,7 +126,7 @@ def in_the_folder(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Change to the folder, with a passive viewer."""
     monkeypatch.chdir(folder)
     monkeypatch.setenv("DISPLAY", ":0")
-    monkeypatch.setattr("dpcontrol.pages.picture.viewer_program", lambda: Path("/bin/true"))
+    monkeypatch.setattr("dpcontrol.pages.viewer.viewer_program", lambda: Path("/bin/true"))
 
 
 @pytest.fixture

@@ -1,18 +1,21 @@
-"""An identification on one page.
+"""Identification on one page: its accuracy and errors, or which recordings would identify the arms best.
 
-It shows accuracy on recordings that the fit did not use, and the errors with their correlation.
+Accuracy is that on recordings that the fit did not use.
 """
 
 from functools import partial
+from itertools import cycle
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from dpcontrol.identification.fit import Design
 from dpcontrol.identification.identify import Identification
 from dpcontrol.pages import style
 from dpcontrol.pages.layout import Page, Panel, key
-from dpcontrol.pages.panels import quiet
+from dpcontrol.pages.panels import name_curves, quiet
 
 USED, LEFT, _BEFORE, LINE = style.REFERENCE, style.SERIES[1], style.NOTE, style.SERIES[0]
 
@@ -70,3 +73,72 @@ def _correlation(axes: Axes, found: Identification) -> None:
     axes.set_title("Correlation of the errors", loc="left")
     axes.figure.colorbar(image, ax=axes, shrink=0.8)
     axes.grid(False)
+
+
+def draw_design(design: Design, *, title: str) -> Figure:
+    """Return a figure that compares designs.
+
+    Swings are drawn over their first two angles, the cart's sines over frequency.
+
+    Args:
+        design: designs to compare.
+        title: end of the page's title.
+    """
+    first, second = design.best_pair()
+    swings = [e for e in design.experiments if e.kind == "swing"]
+    page = Page(f"Accuracy expected from a recording of {design.settings.seconds:g} s: {title}")
+    page.row(
+        Panel(partial(_swing_map, swings=swings, pair=(first, second)), 1.1),
+        partial(_sines, design=design, swings=swings),
+        partial(_accuracy, design=design, pair=(first, second)),
+        height=4.4,
+    )
+    return page.figure()
+
+
+def _sines(axes: Axes, design: Design, swings: list) -> None:
+    best = max((e.information for e in swings if e.usable), default=None)
+    quiet(axes, "From hanging, the cart driven: digits known", x="frequency of the cart's acceleration (Hz)")
+    ends = []
+    if best is not None:
+        axes.axhline(best, color=style.INK, linewidth=1.5, linestyle=style.DASHED)
+        ends.append((best, "best swing", style.INK))
+    for amplitude, colour in zip(design.settings.amplitudes, cycle(style.SERIES), strict=False):
+        sines = [e for e in design.experiments if e.kind == "cart" and e.amplitude == amplitude and e.usable]
+        if sines:
+            frequencies, digits = zip(*((e.frequency, e.information) for e in sines), strict=True)
+            axes.plot(frequencies, digits, "o-", markersize=4, color=colour)
+            ends.append((digits[-1], f"{amplitude:g} m/s²", colour))
+    name_curves(axes, ends)
+
+
+def _accuracy(axes: Axes, design: Design, pair: tuple) -> None:
+    first, second = pair
+    places = np.arange(len(design.names))
+    for k, matrix in enumerate((first.matrix, first.matrix + second.matrix)):
+        values = np.sqrt(np.diag(np.linalg.pinv(matrix, hermitian=True)))
+        axes.barh(places + 0.38 * k, values, height=0.36, color=(USED, LEFT)[k])
+    axes.set_yticks(places + 0.19, [name.partition("/")[0] for name in design.names])
+    axes.set_xscale("log")
+    axes.invert_yaxis()
+    quiet(axes, f"Relative standard error from rounding alone. Grey: {first.text}. Colour: with {second.text}")
+
+
+def _swing_map(axes: Axes, swings: list, pair: tuple) -> None:
+    title = "Free swings from rest; 1, 2: the best pair; crosses magnify errors"
+    if len(swings[0].angles) == 1:
+        axes.plot([np.degrees(e.angles[0]) for e in swings], [e.information for e in swings], "o-", color=LINE)
+        quiet(axes, title, x="let go at (degrees)")
+        return
+    shown = [e for e in swings if len(e.angles) == 2 or abs(e.angles[2]) < 1e-9]
+    x, y, digits, usable = np.array([(*np.degrees(e.angles[:2]), e.information, e.usable) for e in shown]).T
+    known = usable > 0
+    dots = axes.scatter(x[known], y[known], c=digits[known], s=150, marker="s", cmap="viridis")
+    axes.plot(x[~known], y[~known], "x", color=USED, markersize=6)
+    look: dict[str, Any] = {"color": "white", "ha": "center", "va": "center", "weight": "bold", "fontsize": style.TEXT}
+    for number, one in enumerate(pair, start=1):
+        if one.kind == "swing":
+            inner, outer = np.degrees(one.angles[:2])
+            axes.text(inner, outer, str(number), **look)
+    axes.figure.colorbar(dots, ax=axes).ax.set_title("digits", fontsize=style.SMALL)
+    quiet(axes, title, x="inner arm let go at (degrees)", y="outer arm (degrees)")

@@ -16,10 +16,10 @@ from dpcontrol.pages import style
 RENDERERS = {
     "dpcontrol.logs.reader.RunLog": "page:draw_motion",
     "dpcontrol.judge.run_view.RunView": "page:draw",
-    "dpcontrol.judge.preflight.Preflight": "preflight:draw_preflight",
-    "dpcontrol.judge.campaign.CampaignSummary": "campaign:draw_campaign",
-    "dpcontrol.judge.night.Night": "night:draw_night",
-    "dpcontrol.judge.comparison.RunComparison": "comparison:draw_comparison",
+    "dpcontrol.judge.preflight.Preflight": "many_runs:draw_preflight",
+    "dpcontrol.judge.campaign.CampaignSummary": "many_runs:draw_campaign",
+    "dpcontrol.judge.night.Night": "many_runs:draw_night",
+    "dpcontrol.judge.comparison.RunComparison": "page:draw_comparison",
     "dpcontrol.walks.atlas.Atlas": "atlas:draw_atlas",
     "dpcontrol.orbits.family.LyapunovFamily": "orbits:draw_family",
     "dpcontrol.orbits.rotating.RotatingFamilies": "orbits:draw_rotating_families",
@@ -48,10 +48,10 @@ PANELS: dict[str, str] = {
     "dpcontrol.walks.atlas.Atlas": "atlas:atlas",
     "dpcontrol.plans.plan.Plan": "page:angles",
     "dpcontrol.logs.reader.RunLog": "page:angles",
-    "dpcontrol.judge.campaign.CampaignSummary": "campaign:draw_groups",
-    "dpcontrol.judge.night.Night": "night:draw_causes",
-    "dpcontrol.judge.comparison.RunComparison": "comparison:comparison",
-    "dpcontrol.judge.preflight.Preflight": "preflight:whole_preflight",
+    "dpcontrol.judge.campaign.CampaignSummary": "many_runs:draw_groups",
+    "dpcontrol.judge.night.Night": "many_runs:draw_causes",
+    "dpcontrol.judge.comparison.RunComparison": "page:comparison",
+    "dpcontrol.judge.preflight.Preflight": "many_runs:whole_preflight",
     "dpcontrol.identification.identify.Identification": "identification:draw_candidates",
     "dpcontrol.recordings.recording.Recording": "single:recording",
 }
@@ -66,7 +66,7 @@ PARTS = {
 
 RECORDINGS = {
     "dpcontrol.judge.run_view.RunView": "rerun_recording:write_recording",
-    "dpcontrol.judge.comparison.RunComparison": "comparison:write_comparison_recording",
+    "dpcontrol.judge.comparison.RunComparison": "page:write_comparison_recording",
     "dpcontrol.walks.atlas.Atlas": "atlas_recording:write_atlas_recording",
 }
 """Functions `write(result, path)` of Rerun recordings."""

@@ -54,7 +54,7 @@ def test_review_without_files_opens_the_viewer_on_a_recording(
     called = 'echo "$CI $2 $3" > "$0.called"'
     viewer.write_text(f'#!/bin/sh\n{called}\ncat > "{opened}.part" && mv "{opened}.part" "{opened}"\n')
     viewer.chmod(0o755)
-    monkeypatch.setattr("dpcontrol.pages.picture.viewer_program", lambda: viewer)
+    monkeypatch.setattr("dpcontrol.pages.viewer.viewer_program", lambda: viewer)
     monkeypatch.setenv("DISPLAY", ":0")
     (tmp_path / "tmp").mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "tmp"))

@@ -12,7 +12,7 @@ from dpcontrol.pages.figures import draw_figures
 from dpcontrol.pages.gallery import Gallery
 from dpcontrol.pages.paper import equilibria
 from dpcontrol.pages.paper.connecting import returning_search
-from dpcontrol.pages.picture import viewer_program
+from dpcontrol.pages.viewer import viewer_program
 from dpcontrol.plans.atlas import AtlasSettings, compute_atlas, make_atlas, make_branches
 from dpcontrol.plans.model import load_model
 

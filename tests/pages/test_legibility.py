@@ -25,17 +25,13 @@ from dpcontrol.judge.of_log import reference_view
 from dpcontrol.judge.preflight import Assumption, EndingShare, HazardBorder, Improvement, Preflight, ShareAt
 from dpcontrol.orbits.family import lyapunov_family
 from dpcontrol.pages.atlas import draw_atlas
-from dpcontrol.pages.campaign import draw_campaign
-from dpcontrol.pages.comparison import draw_comparison
-from dpcontrol.pages.experiments import draw_design
 from dpcontrol.pages.figures import FIGURES
-from dpcontrol.pages.identification import draw_identification
+from dpcontrol.pages.film import draw_transitions
+from dpcontrol.pages.identification import draw_design, draw_identification
 from dpcontrol.pages.layout import new_figure
-from dpcontrol.pages.night import draw_night
+from dpcontrol.pages.many_runs import draw_campaign, draw_night, draw_preflight
 from dpcontrol.pages.orbits import draw_family
-from dpcontrol.pages.page import draw
-from dpcontrol.pages.preflight import draw_preflight
-from dpcontrol.pages.transitions import draw_transitions
+from dpcontrol.pages.page import draw, draw_comparison
 from dpcontrol.pages.walks import draw_walk
 from dpcontrol.plans.atlas import make_atlas
 from dpcontrol.plans.itinerary import load_itinerary
