@@ -83,7 +83,7 @@ from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.controllers import CONTROLLERS, estimators_of, filter_of, law_of
 from dpcontrol.loop.loop import ControlLoop, LoopSettings
 from dpcontrol.loop.own import OwnLaw, OwnObject, OwnRig
-from dpcontrol.loop.result import Ending, LogSink, LoopResult, LoopSink, Sinks, SupervisorSettings, Ticks
+from dpcontrol.loop.result import Ending, Events, LogSink, LoopResult, LoopSink, Sinks, SupervisorSettings, Ticks
 from dpcontrol.plans.itinerary import BLOWS, Itinerary, planned_itinerary, setting_of
 from dpcontrol.plans.layout import BENCH
 from dpcontrol.plans.overrides import canonical, paths
@@ -333,7 +333,7 @@ def run_plan(
         GoalMissed: the plan did not converge, no controller can be made for it, or no plant drawn.
     """
     plan = plan.followed()
-    scene, sink = plan.itinerary, _Events()
+    scene, sink = plan.itinerary, Events()
     made_by = _made_by(scene, None if rig is None else rig.name)
     assembly = assembly or assembled(plan)
 
@@ -427,17 +427,6 @@ def drawn_metadata(itinerary: Itinerary) -> dict[str, str]:
     # A user's own plant is identified by its name in the settings.
     arms = {} if draw.own else {PLANT_METADATA: json.dumps(asdict(draw.plant.arms), sort_keys=True)}
     return {**arms, DRAWN_METADATA: json.dumps(once)}
-
-
-class _Events(LoopSink):
-    """Stores events; the result holds every tick."""
-
-    def __init__(self) -> None:
-        self.kept: list[Event] = []
-
-    def event(self, event: Event) -> None:
-        """Append one event."""
-        self.kept.append(event)
 
 
 def _log_in_memory(plan: Plan, ticks: Ticks, events: Sequence[Event], **more: str) -> RunLog:
