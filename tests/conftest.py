@@ -3,11 +3,13 @@ are kept meanwhile.
 """
 
 import os
+import pickle
 
 # As the command line does: threads of a BLAS only hinder one another, between workers most of all.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -45,6 +47,32 @@ def one_processor_for_each_worker() -> Iterator[None]:
         yield
 
 
+@pytest.fixture(scope="session", autouse=True)
+def gains_of_a_motion_once() -> Iterator[None]:
+    """Share the adaptive law's gains between loops that fly the same motion. They take a second of work each time.
+
+    tests/control/test_adaptive.py computes its own.
+    """
+    from dpcontrol.loop import controllers
+
+    made, make = dict[bytes, Any](), controllers.adaptive_controller
+
+    def shared(reference: Reference, model: Any, settings: Any, *, estimator: Any) -> Any:
+        motion = replace(reference, plan=None)
+        key = pickle.dumps((motion, model.parameters, model.period, model.lag, settings, estimator))
+        if key not in made:
+            if len(made) == MOTIONS:
+                made.pop(next(iter(made)))
+            made[key] = make(reference, model, settings, estimator=estimator)
+        return made[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(controllers, "adaptive_controller", shared)
+        yield
+
+
+MOTIONS = 20
+"""Most motions whose gains are kept, of a few MB each."""
 PARALLEL = ("plans.transfers", "runs.campaign", "runs.polish", "runs.preflight", "runs.remedies")
 """Modules that ask for the number of processors."""
 
