@@ -36,7 +36,7 @@ from dpcontrol.pages.panels import Bar, bars, quiet
 from dpcontrol.pages.planes import plane
 from dpcontrol.pages.rerun_recording import Sheet, rrb
 from dpcontrol.pages.run_charts import Chart, Line, charts, check_charts, extra_charts, motion_charts
-from dpcontrol.pages.story import story, story_height, strips
+from dpcontrol.pages.story import add_story, strips
 from dpcontrol.pages.walks import WalkStory, draw_shape
 from dpcontrol.plans.plan import Plan
 from dpcontrol.references.sustained import SustainedOrbit
@@ -81,8 +81,7 @@ def draw(found: RunView | RunLog | Plan) -> Figure:
         page.text(line, colour=style.INK, size=style.TEXT)
     if uses := limit_uses(view):
         page.row(partial(_uses, uses=uses), height=_AROUND + _USE * len(uses))
-    if story_height(view):
-        page.row(partial(story, view=view), height=story_height(view))
+    add_story(page, view)
     symbols = enumerate(view.symbols, start=1)
     times = [f"{k} at {at:.2f}{'' if done is None else f' ({done:.2f})'}" for k, (_, at, done) in symbols]
     page.text(f"Symbols as planned (and done), s: {', '.join(times)}" if times else "")
@@ -172,9 +171,7 @@ def draw_comparison(comparison: RunComparison) -> Figure:
     for run, colour in zip(runs, style.RUNS, strict=False):
         page.text(run.name, colour=colour, size=style.HEAD)
         page.text(run.view.verdict, colour=style.verdict_colour(run.view.good), size=style.TEXT)
-        height = story_height(run.view, span=comparison.span)
-        if height:
-            page.row(partial(story, view=run.view, span=comparison.span), height=height)
+        add_story(page, run.view, span=comparison.span)
         if len(runs) <= _FILMED:
             add_film(page, run.view, frames)
     planes = [

@@ -46,18 +46,6 @@ def bare(axes: Axes, title: str = "") -> None:
     axes.set_title(title, loc="left")
 
 
-def empty(axes: Axes, title: str, text: str) -> None:
-    """Write in a panel why it shows nothing.
-
-    Args:
-        axes: panel to write on.
-        title: title of the panel.
-        text: reason.
-    """
-    bare(axes, title)
-    axes.text(0.0, 0.9, text, transform=axes.transAxes, va="top", fontsize=style.TEXT, color=style.NOTE)
-
-
 def quiet_space(axes: Axes, of: System | Atlas) -> None:
     """Label the axes of a panel in space.
 
