@@ -98,17 +98,6 @@ def angle_axis(axes: Axes, which: str) -> None:
     axis.set_major_formatter(FuncFormatter(lambda value, _: style.in_pi(value / np.pi)))
 
 
-def mark_times(axes: Axes, moments: list[float]) -> None:
-    """Mark moments with a dotted line.
-
-    Args:
-        axes: panel over time.
-        moments: times, s.
-    """
-    for moment in moments:
-        axes.axvline(moment, color=style.MARK, linewidth=0.9, linestyle=style.DOTTED, zorder=1.5)
-
-
 def badge(axes: Axes, number: int, x: float, y: float, *, size: float = style.SMALL) -> None:
     """Put a symbol's number, white on a dark disc.
 

@@ -12,7 +12,7 @@ from dpcontrol.dynamics.system import System
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.pages import single, style
 from dpcontrol.pages.atlas import colours, connections_of, draw_cuts, draw_motions, kind_of, row_of, tubes_of_cut
-from dpcontrol.pages.gallery import IDENTIFIED, Gallery, PaperFigure
+from dpcontrol.pages.figures import IDENTIFIED, Gallery, PaperFigure
 from dpcontrol.pages.layout import Draw, Page, Panel
 from dpcontrol.pages.page import angles
 from dpcontrol.pages.panels import draw_graph, name_point, quiet_plane, wrapped_runs
