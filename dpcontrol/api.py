@@ -2981,8 +2981,8 @@ def draw_figures(
     """
     with reporting(progress, "figures") as report:
         report("loading", 0.0)
+        from dpcontrol.pages.figures import cached_gallery
         from dpcontrol.pages.figures import draw_figures as drawn
-        from dpcontrol.pages.gallery import cached_gallery
 
         return drawn(names, cached_gallery(), Path(folder), progress=report)
 

@@ -336,7 +336,6 @@ ZERO_ERROR = 3e-3
 CUTOFFS = (10.0, 30.0, 100.0, math.inf)
 """Hz."""
 AUGMENTS = ((), ("zeros",), EkfSettings().augment, AdaptiveEkfSettings().augment)
-_METHODS = (("EKF, compiled", "ekf"), ("UKF, filterpy", "ukf"))
 _SWING = (0.4, 2.8, 2.0, -3.0, 0.0, 0.0)
 
 

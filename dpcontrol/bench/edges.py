@@ -227,8 +227,12 @@ def ogy_chart(quick: bool, progress: Progress) -> ChartPage:
         chosen="16 sections a period and pulses of up to 5 m/s²: encoders of a few hundred counts would suffice.",
         parts=measured_maps(
             progress,
-            (authority, lambda k: limit_border(orbit, pulses(orbit, k, seconds=seconds), **how), sections),
-            (counts, lambda k: counts_border(orbit, pulses(orbit, k, seconds=seconds), **how), sections),
+            (
+                authority,
+                lambda k: pulse_border(orbit, pulses(orbit, k, seconds=seconds), counted=False, **how),
+                sections,
+            ),
+            (counts, lambda k: pulse_border(orbit, pulses(orbit, k, seconds=seconds), counted=True, **how), sections),
         ),
     )
 
@@ -259,46 +263,25 @@ def holds(orbit: SustainedOrbit, controller: OgyController, *, counts: float, se
     )
 
 
-def limit_border(orbit: SustainedOrbit, law: OgyController, *, seeds: int, ratio: float) -> Border:
-    """Return the smallest limit of pulses that holds an orbit, m/s².
-
-    Args:
-        orbit: sustained orbit.
-        law: law with any limit of pulses.
-        seeds: number of runs.
-        ratio: precision of the border, as a ratio.
-    """
-    k = len(law.times)
-    return find_border(
-        lambda limit: holds(orbit, replace(law, pulse_limit=limit), counts=COUNTS, seeds=seeds),
-        x=k,
-        line=f"k = {k}",
-        near=5.0,
-        far=0.01,
-        ratio=ratio,
-    )
-
-
-def counts_border(orbit: SustainedOrbit, law: OgyController, *, seeds: int, ratio: float) -> Border:
-    """Return the fewest counts per turn that hold an orbit.
+def pulse_border(orbit: SustainedOrbit, law: OgyController, *, counted: bool, seeds: int, ratio: float) -> Border:
+    """Return the least limit of pulses, m/s², or the fewest counts per turn that hold an orbit.
 
     Encoders range from coarse to impossibly fine.
 
     Args:
         orbit: sustained orbit.
         law: law of the runs.
+        counted: True for counts per turn, False for the limit of pulses.
         seeds: number of runs.
         ratio: precision of the border, as a ratio.
     """
-    k = len(law.times)
-    return find_border(
-        lambda counts: holds(orbit, law, counts=counts, seeds=seeds),
-        x=k,
-        line=f"k = {k}",
-        near=4e8,
-        far=50.0,
-        ratio=ratio,
-    )
+    k, (near, far) = len(law.times), (4e8, 50.0) if counted else (5.0, 0.01)
+
+    def probe(value: float) -> Attempt:
+        limited = law if counted else replace(law, pulse_limit=value)
+        return holds(orbit, limited, counts=value if counted else COUNTS, seeds=seeds)
+
+    return find_border(probe, x=k, line=f"k = {k}", near=near, far=far, ratio=ratio)
 
 
 SECONDS = 10.0

@@ -315,19 +315,13 @@ def draw_atlas(atlas: Atlas) -> Figure:
     kinds = [kind for kind in atlas.kinds if connections_of(atlas, kind)]
     counts = f"{counted(len(atlas.orbits), 'orbit')}, {counted(len(atlas.connections), 'connection')}"
     page = Page(f"{atlas.title} at {atlas.energy:g}{atlas.unit('J')}: {counts}")
-    spaces: list[Panel | Stack] = [Panel(partial(_draw_whole, atlas=atlas), space=True)]
+    space = Panel(partial(_draw_whole, atlas=atlas), space=True)
     panels = [
         partial(draw_cuts, atlas=atlas, kind=k, title=f"{k.source} → {k.target}: {k.count} at hits {list(k.hits)}")
         for k in kinds
     ]
-    if len(panels) > 1:
-        spaces.append(Stack(panels[:2]))
-        page.row(*spaces, height=6.4)
-    else:
-        page.row(*spaces, *panels, height=5.2)
-    for first in range(2, len(panels), 2):
-        page.row(*panels[first : first + 2], height=3.2)
-    return page.figure()
+    page.row(space, *([Stack(panels[:2])] if panels else []), height=6.4 if len(panels) > 1 else 5.2)
+    return page.grid(panels[2:], across=2, height=3.2).figure()
 
 
 def _draw_whole(axes: Axes, atlas: Atlas) -> None:

@@ -10,7 +10,7 @@ from dpcontrol.foundation.arrays import Array
 from dpcontrol.judge.run_view import RunView
 from dpcontrol.pages import style
 from dpcontrol.pages.layout import MOST_IN_KEY, key
-from dpcontrol.pages.panels import angle_axis, mark_times, name_curves, quiet
+from dpcontrol.pages.panels import angle_axis, name_curves, quiet
 from dpcontrol.pages.planes import Plane, Range, extreme_rows, gap_times
 from dpcontrol.pages.run_charts import Chart, Line
 
@@ -71,7 +71,8 @@ def draw_chart(axes: Axes, chart: Chart, view: RunView, *, span: Range | None = 
     _levels(axes, chart, scale=scale)
     if span is not None:
         axes.set_xlim(*span)
-        mark_times(axes, [at for at, _ in view.plan.symbols if span[0] <= at <= span[1]])
+        for at in (at for at, _ in view.plan.symbols if span[0] <= at <= span[1]):
+            axes.axvline(at, color=style.MARK, linewidth=0.9, linestyle=style.DOTTED, zorder=1.5)
     if len(entries) > MOST_IN_KEY:
         name_curves(axes, list(ends.values()))
     else:

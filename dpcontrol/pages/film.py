@@ -28,7 +28,7 @@ from dpcontrol.judge.run_view import RunView
 from dpcontrol.pages import style
 from dpcontrol.pages.layout import Page, cropped, key
 from dpcontrol.pages.planes import Range, arm_points
-from dpcontrol.pages.story import story, story_height, story_rows
+from dpcontrol.pages.story import add_story
 from dpcontrol.references.reference import Reference
 
 _FRAME_STEP = 2.12
@@ -37,21 +37,9 @@ _TRACE = 0.25
 """Longest visible path of the tip, s."""
 
 
-def draw_film(axes: Axes, view: RunView, times: Array) -> None:
-    """Draw the arms at several times.
-
-    The reference is grey behind them. The tip's path begins at the last frame.
-    Times outside the motion are skipped.
-
-    Args:
-        axes: panel to draw on.
-        view: motion to draw.
-        times: (K,) s.
-    """
-    pivot, reach = view.pivot, sum(view.arm_lengths)
-    horizontal, vertical = film_extent(view, times)
+def _draw_film(axes: Axes, view: RunView, times: Array, rows: NDArray[np.int64], box: tuple[Range, Range]) -> None:
+    pivot, reach, (horizontal, vertical) = view.pivot, sum(view.arm_lengths), box
     axes.set(xlim=horizontal, ylim=vertical)
-    rows = film_rows(view, times)
     for i, (time, row) in enumerate(zip(times, rows, strict=True)):
         at = i * _FRAME_STEP * reach
         if not view.time[0] <= time <= view.time[-1]:
@@ -106,46 +94,27 @@ def draw_pose(
         axes.plot(shift + ghost[:, 0], ghost[:, 1], **look)
 
 
-def film_extent(view: RunView, times: Array) -> tuple[Range, Range]:
-    """Return the x and y limits in m for `draw_film`.
-
-    Vertically they cover the arms in its frames.
-
-    Args:
-        view: motion in the film.
-        times: (K,) s of the frames.
-    """
-    reach, before = sum(view.arm_lengths), round(_TRACE * view.rate_hz)
-    rows = np.unique(np.add.outer(film_rows(view, times), np.arange(-before, 1)).clip(0))
-    shown = [view.state] if view.reference is None else [view.state, view.reference]
-    both = np.concatenate([states[rows, : view.arms] for states in shown])
-    heights = arm_points(both[np.isfinite(both).all(axis=1)], view.arm_lengths)[..., 1].ravel()
-    heights = np.append(heights, 0.0)
-    low, high = min(float(heights.min()), -0.2 * reach), max(float(heights.max()), 0.1 * reach)
-    step = _FRAME_STEP * reach
-    return (-0.53 * step, (len(times) - 0.47) * step), (low - 0.62 * reach, high + 0.1 * reach)
-
-
 def add_film(page: Page, view: RunView, times: Array) -> None:
     """Add a filmstrip to a page, as high as equal scales require.
+
+    The reference is grey behind the arms. The tip's path begins at the last frame. Times outside the motion are empty.
 
     Args:
         page: page to extend.
         view: motion in the film.
         times: (K,) s of the frames.
     """
-    (left, right), (low, high) = film_extent(view, times)
-    page.row(partial(draw_film, view=view, times=times), height=page.width * (high - low) / (right - left))
-
-
-def film_rows(view: RunView, times: Array) -> NDArray[np.int64]:
-    """Return the ticks shown in the film.
-
-    Args:
-        view: motion in the film.
-        times: (K,) s of the frames.
-    """
-    return np.searchsorted(view.time, times).clip(0, len(view.time) - 1)
+    rows = np.searchsorted(view.time, times).clip(0, len(view.time) - 1)
+    reach, before = sum(view.arm_lengths), round(_TRACE * view.rate_hz)
+    ticks = np.unique(np.add.outer(rows, np.arange(-before, 1)).clip(0))
+    shown = [view.state] if view.reference is None else [view.state, view.reference]
+    both = np.concatenate([states[ticks, : view.arms] for states in shown])
+    heights = arm_points(both[np.isfinite(both).all(axis=1)], view.arm_lengths)[..., 1]
+    low = float(heights.min(initial=-0.2 * reach)) - 0.62 * reach
+    high = float(heights.max(initial=0.1 * reach)) + 0.1 * reach
+    left, right = -0.53 * _FRAME_STEP * reach, (len(times) - 0.47) * _FRAME_STEP * reach
+    drawn = partial(_draw_film, view=view, times=times, rows=rows, box=((left, right), (low, high)))
+    page.row(drawn, height=page.width * (high - low) / (right - left))
 
 
 def film_times(view: RunView, *, frames: int) -> Array:
@@ -204,9 +173,7 @@ class Film:
         page = Page("", width=_INCHES)
         page.text(cropped(view.title, style.VERDICT, _INCHES - 0.4), colour=style.INK, size=style.VERDICT)
         page.row(self._draw_scene, height=_SCENE)
-        if story_rows(view):
-            strip = partial(story, view=view, span=stretch, width=_INCHES)
-            page.row(strip, height=story_height(view, span=stretch))
+        add_story(page, view, span=stretch)
         figure = page.figure()
         figure.set_dpi(_PIXELS)
         self._canvas: Any = figure.canvas

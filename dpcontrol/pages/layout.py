@@ -108,16 +108,27 @@ class Page:
             self.row(*row, *[bare] * (across - len(row)), height=height)
         return self
 
-    def table(self, rows: Sequence[Sequence[str]], *, heading: Sequence[str] = (), height: float = 0.0) -> "Page":
+    def table(self, rows: Sequence[Sequence[str]], *, heading: Sequence[str] = ()) -> "Page":
         """Add a table of texts, below an optional heading.
 
         Args:
             rows: texts by row.
             heading: texts above the columns.
-            height: height in inches; 0 fits the rows.
         """
-        lines = max(len(rows) + bool(heading), 1)
-        return self.row(table(rows, heading=heading), height=height or 2 * _EDGE + lines * _height(style.TEXT))
+        every = [[f"{text}\N{EM SPACE}" for text in row] for row in ([heading, *rows] if heading else rows)]
+
+        def draw(axes: Axes) -> None:
+            bare(axes)
+            shown = axes.table(every, loc="upper left", cellLoc="left", edges="open")
+            shown.auto_set_font_size(False)
+            shown.auto_set_column_width(range(len(every[0])))
+            shown.set_in_layout(False)
+            for (row, column), cell in shown.get_celld().items():
+                cell.PAD = 0.0
+                size, head = (style.SMALL, True) if heading and row == 0 else (style.TEXT, column == 0)
+                cell.set_text_props(fontsize=size, color=style.NOTE if head else style.INK)
+
+        return self.row(draw, height=2 * _EDGE + max(len(every), 1) * _height(style.TEXT))
 
     def text(self, text: str, *, colour: str = style.NOTE, size: float = style.SMALL) -> "Page":
         """Add a paragraph, wrapped to the width of the page.
@@ -189,32 +200,6 @@ def _grid(part: SubFigure, items: Sequence[Panel | Draw], *, across: bool) -> No
     for k, panel in enumerate(panels):
         place = grid[(0, k) if across else (k, 0)]
         panel.draw(part.add_subplot(place, projection="3d" if panel.space else None))
-
-
-def table(rows: Sequence[Sequence[str]], *, heading: Sequence[str] = (), title: str = "") -> Draw:
-    """Return a panel with a table of texts.
-
-    Args:
-        rows: texts by row.
-        heading: texts above the columns; none by default.
-        title: title of the panel.
-    """
-
-    def draw(axes: Axes) -> None:
-        bare(axes, title)
-        every = [[f"{text}\N{EM SPACE}" for text in row] for row in ([heading, *rows] if heading else rows)]
-        shown = axes.table(every, loc="upper left", cellLoc="left", edges="open")
-        shown.auto_set_font_size(False)
-        shown.auto_set_column_width(range(len(every[0])))
-        shown.set_in_layout(False)
-        for (row, column), cell in shown.get_celld().items():
-            cell.PAD = 0.0
-            head = bool(heading) and row == 0
-            cell.set_text_props(
-                fontsize=style.SMALL if head else style.TEXT, color=style.NOTE if head or column == 0 else style.INK
-            )
-
-    return draw
 
 
 class ShownFigure(Figure):

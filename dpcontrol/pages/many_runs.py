@@ -21,7 +21,7 @@ from dpcontrol.judge.night import BETWEEN, BRAKING, FLYING, ITINERARY, STOPPED, 
 from dpcontrol.judge.preflight import HazardBorder, Preflight, shown_number
 from dpcontrol.pages import style
 from dpcontrol.pages.layout import Page, Panel, cropped
-from dpcontrol.pages.panels import Bar, bars, empty, name_curves, quiet
+from dpcontrol.pages.panels import Bar, bars, name_curves, quiet
 
 _MOST, _APART = 28, 6
 """Most bars, and most mismatches that are drawn as separate bars."""
@@ -145,22 +145,16 @@ def draw_night(night: Night) -> Figure:
     last = max(span.end for span in night.spans)
     row = last if last <= 600.0 + _REMAINDER else 600.0 if last <= 3600.0 else _ROW * math.ceil(last / _ROW / _ROWS)
     rows = max(1, math.ceil((last - _REMAINDER) / row))
-    names = night.estimated
-    zeros = [name for name in names if name.startswith("zero_")]
+    drifts = {
+        "Encoder zeros": [name for name in night.estimated if name.startswith("zero_")],
+        "Other parameters": [name for name in night.estimated if not name.startswith("zero_")],
+    }
     page = Page(night.folder.name, night.sentence)
     page.row(partial(_draw_strip, night=night, row=row, rows=rows), height=1.0 + 0.36 * rows)
-    causes = Panel(partial(draw_causes, night=night), 1.1)
-    page.row(Panel(partial(_draw_times, night=night)), causes, partial(_draw_returns, night=night), height=2.1)
-    return page.row(
-        partial(_draw_drift, night=night, title="Encoder zeros, change since the first file", names=zeros),
-        partial(
-            _draw_drift,
-            night=night,
-            title="Other parameters, change since the first file",
-            names=[name for name in names if name not in zeros],
-        ),
-        height=2.3,
-    ).figure()
+    below = [partial(_draw_times, night=night), Panel(partial(draw_causes, night=night), 1.1)]
+    page.row(*below, *([partial(_draw_returns, night=night)] if len(night.returns) else []), height=2.1)
+    shown = [partial(_draw_drift, night=night, what=what, names=names) for what, names in drifts.items() if names]
+    return page.row(*shown, height=2.3).figure()
 
 
 _FALLS: dict[str, str] = {
@@ -211,9 +205,6 @@ def _draw_times(axes: Axes, night: Night) -> None:
 
 def _draw_returns(axes: Axes, night: Night) -> None:
     returns = night.returns
-    if not len(returns):
-        empty(axes, "Time from the fall back onto the itinerary", "no falls")
-        return
     median, late = np.quantile(returns, (0.5, 0.99))
     times = f"s; median {median:.1f}, 99 % within {late:.1f}"
     quiet(axes, "Time from the fall back onto the itinerary", x=times, y="share of falls within")
@@ -227,15 +218,12 @@ def draw_causes(axes: Axes, night: Night) -> None:
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
 
 
-def _draw_drift(axes: Axes, night: Night, title: str, names: Sequence[str]) -> None:
-    if not names:
-        empty(axes, title, "none estimated")
-        return
+def _draw_drift(axes: Axes, night: Night, what: str, names: Sequence[str]) -> None:
     courses = [night.course(name) for name in names]
     angles = names[0].startswith("zero_")
     largest = max(float(np.abs(values - values[0]).max()) for _, values in courses)
     scale, unit = prefixed(largest, "rad") if angles else (100.0, "%")
-    quiet(axes, f"{title} ({unit})", x="hours")
+    quiet(axes, f"{what}, change since the first file ({unit})", x="hours")
     ends = []
     for k, (name, (hours, values)) in enumerate(zip(names, courses, strict=True)):
         colour = style.RUNS[k % len(style.RUNS)]

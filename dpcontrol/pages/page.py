@@ -9,7 +9,7 @@ time follow. The page of several runs has these at the same instants.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -31,13 +31,12 @@ from dpcontrol.pages import rerun_recording as recorded
 from dpcontrol.pages import style
 from dpcontrol.pages.charts import draw_chart, draw_plane
 from dpcontrol.pages.film import add_film, film_times
-from dpcontrol.pages.layout import Page, Stack
+from dpcontrol.pages.layout import Draw, Page, Stack
 from dpcontrol.pages.panels import Bar, bars, quiet
 from dpcontrol.pages.planes import plane
 from dpcontrol.pages.rerun_recording import Sheet, rrb
 from dpcontrol.pages.run_charts import Chart, Line, charts, check_charts, extra_charts, motion_charts
-from dpcontrol.pages.run_charts import charts as charts_of
-from dpcontrol.pages.story import story, story_height, strips
+from dpcontrol.pages.story import add_story, strips
 from dpcontrol.pages.walks import WalkStory, draw_shape
 from dpcontrol.plans.plan import Plan
 from dpcontrol.references.sustained import SustainedOrbit
@@ -70,33 +69,27 @@ class Report(Documented):
     margins: Margins | None = None
 
 
-def draw(view: RunView) -> Figure:
-    """Return the page of a view as a figure.
+def draw(found: RunView | RunLog | Plan) -> Figure:
+    """Return the page of a motion as a figure.
 
     Args:
-        view: motion to draw.
+        found: motion to draw.
     """
-    charts = [*motion_charts(view), *check_charts(view), *extra_charts(view)]
-    half = (len(charts) + 1) // 2
-    left, right = (
-        [partial(_chart, chart=chart, view=view, last=chart is some[-1]) for chart in some]
-        for some in (charts[:half], charts[half:])
-    )
-    planes = [partial(draw_plane, runs=[(plane(view, arm), style.PLANT)]) for arm in range(min(view.arms, 2))]
+    view: RunView = view_of(found)
     page = Page(view.title, view.verdict, view.good)
     for line in (closest_approach(view), nis_reading(view)):
         page.text(line, colour=style.INK, size=style.TEXT)
     if uses := limit_uses(view):
         page.row(partial(_uses, uses=uses), height=_AROUND + _USE * len(uses))
-    if story_height(view):
-        page.row(partial(story, view=view), height=story_height(view))
+    add_story(page, view)
     symbols = enumerate(view.symbols, start=1)
     times = [f"{k} at {at:.2f}{'' if done is None else f' ({done:.2f})'}" for k, (_, at, done) in symbols]
     page.text(f"Symbols as planned (and done), s: {', '.join(times)}" if times else "")
     if view.arm_lengths:
         add_film(page, view, film_times(view, frames=_FRAMES))
-    columns = [Stack(column, share=1.05) for column in (left, right) if column]
-    page.row(*columns, Stack(planes), height=_TALL * max(half, 3))
+    shown = [*motion_charts(view), *check_charts(view), *extra_charts(view)]
+    planes = [partial(draw_plane, runs=[(plane(view, arm), style.PLANT)]) for arm in range(min(view.arms, 2))]
+    _add_charts(page, shown, partial(draw_chart, view=view, span=view.time_range), planes)
     return page.text("   ".join(filter(None, (view.path.name, view.metadata.get("program", ""))))).figure()
 
 
@@ -115,8 +108,19 @@ def _uses(axes: Axes, uses: Sequence[LimitUse]) -> None:
     axes.xaxis.set_major_formatter(PercentFormatter(1.0))
 
 
-def _chart(axes: Axes, chart: Chart, view: RunView, *, last: bool) -> None:
-    draw_chart(axes, chart, view, span=view.time_range)
+def _add_charts(page: Page, charts: Sequence[Chart], drawn: Callable[..., None], planes: Sequence[Draw]) -> None:
+    """Add a row of charts in two columns beside the phase planes; only the last chart of a column has a time axis."""
+    half = (len(charts) + 1) // 2
+    columns = [
+        Stack([partial(_chart, chart=chart, drawn=drawn, last=chart is some[-1]) for chart in some], share=1.05)
+        for some in (charts[:half], charts[half:])
+        if some
+    ]
+    page.row(*columns, Stack(planes), height=_TALL * max(half, 3))
+
+
+def _chart(axes: Axes, chart: Chart, drawn: Callable[..., None], *, last: bool) -> None:
+    drawn(axes, chart)
     if not last:
         axes.set_xlabel("")
         axes.tick_params(labelbottom=False)
@@ -141,37 +145,19 @@ def view_of(found: Any) -> Any:
 def angles(axes: Axes, found: Plan | RunLog | SustainedOrbit | ShadowingOrbit) -> None:
     """Draw the angles of a plan, a log, a sustained orbit or a walk over time.
 
+    The orbit of a walk without angles is drawn in the plane of positions.
+
     Args:
         axes: panel to draw on.
         found: motion to draw.
     """
+    if isinstance(found, ShadowingOrbit) and not WalkStory(found).has_angles:
+        draw_shape(axes, WalkStory(found))
+        return
     view = view_of(found)
     draw_chart(axes, charts(view)["angles"], view)
 
 
-def draw_motion(found: Plan | RunLog) -> Figure:
-    """Return the page of a plan or a log as a figure."""
-    return draw(view_of(found))
-
-
-def walk(axes: Axes, found: ShadowingOrbit) -> None:
-    """Draw the angles of a walk over time.
-
-    Without angles its orbit is drawn in the plane of positions.
-
-    Args:
-        axes: panel to draw on.
-        found: orbit of the walk.
-    """
-    story = WalkStory(found)
-    if story.has_angles:
-        angles(axes, found)
-    else:
-        draw_shape(axes, story)
-
-
-_PANEL = 1.75
-"""Height of a row of panels, inches."""
 _FILMED = 3
 """Greatest number of runs with films."""
 
@@ -185,22 +171,15 @@ def draw_comparison(comparison: RunComparison) -> Figure:
     for run, colour in zip(runs, style.RUNS, strict=False):
         page.text(run.name, colour=colour, size=style.HEAD)
         page.text(run.view.verdict, colour=style.verdict_colour(run.view.good), size=style.TEXT)
-        height = story_height(run.view, span=comparison.span)
-        if height:
-            page.row(partial(story, view=run.view, span=comparison.span), height=height)
+        add_story(page, run.view, span=comparison.span)
         if len(runs) <= _FILMED:
             add_film(page, run.view, frames)
-    charts = compared_charts(comparison)
-    half = (len(charts) + 1) // 2
-    columns = [
-        Stack([partial(_draw_compared, chart=chart, comparison=comparison) for chart in some])
-        for some in (charts[:half], charts[half:])
-    ]
     planes = [
         partial(draw_plane, runs=[(plane(run.view, arm), style.RUNS[k]) for k, run in enumerate(runs)], tubes=False)
         for arm in range(min(runs[0].view.arms, 2))
     ]
-    return page.row(*columns, Stack(planes), height=_PANEL * max(half, 3)).figure()
+    _add_charts(page, compared_charts(comparison), partial(_draw_compared, comparison=comparison), planes)
+    return page.figure()
 
 
 def _draw_compared(axes: Axes, chart: Chart, comparison: RunComparison) -> None:
@@ -214,7 +193,7 @@ def compared_charts(comparison: RunComparison) -> tuple[Chart, ...]:
     The first run's reference and levels are included.
     """
     first = comparison.runs[0].view
-    every = [charts_of(run.view) for run in comparison.runs]
+    every = [charts(run.view) for run in comparison.runs]
     wanted = [
         ("angles", f"angle_{arm + 1}", f"Arm {arm + 1}'s angle θ{style.number(arm)}", f"arm_{arm + 1}/")
         for arm in range(min(first.arms, 2))
@@ -292,19 +271,19 @@ def write_comparison_recording(comparison: RunComparison, path: Path) -> None:
     Raises:
         InputError: it cannot be written.
     """
-    runs, charts = comparison.runs, compared_charts(comparison)
+    runs, shared = comparison.runs, compared_charts(comparison)
     # The sheet of each arm holds all runs.
     sheets = [recorded.phase_plane(*(plane(run.view, arm) for run in runs)) for arm in range(runs[0].view.arms)]
     rows = [f"**{comparison.title}**", "", comparison.status, ""]
     rows += [f"{k + 1}. **{run.name}**: {run.view.verdict}" for k, run in enumerate(runs)]
-    blueprint = _blueprint(comparison, charts, sheets)
+    blueprint = _blueprint(comparison, shared, sheets)
     with recorded.recording_to(path, comparison.title, blueprint, "\n".join(rows)) as recording:
         for k, run in enumerate(runs):
             recorded.draw_pendulum(recording, f"runs/{k + 1}/scene", run.view)
             recorded.record_planes(recording, f"runs/{k + 1}/planes", run.view, sheets)
             shown = [s for s in strips(run.view, until=comparison.span[1]) if s.key in ("asked", "done")]
             recorded.record_strips(recording, run_path(k, run), shown, run.view)
-        for chart in charts:
+        for chart in shared:
             recorded.record_chart(recording, chart, runs[0].view)
 
 

@@ -46,18 +46,6 @@ def bare(axes: Axes, title: str = "") -> None:
     axes.set_title(title, loc="left")
 
 
-def empty(axes: Axes, title: str, text: str) -> None:
-    """Write in a panel why it shows nothing.
-
-    Args:
-        axes: panel to write on.
-        title: title of the panel.
-        text: reason.
-    """
-    bare(axes, title)
-    axes.text(0.0, 0.9, text, transform=axes.transAxes, va="top", fontsize=style.TEXT, color=style.NOTE)
-
-
 def quiet_space(axes: Axes, of: System | Atlas) -> None:
     """Label the axes of a panel in space.
 
@@ -108,17 +96,6 @@ def angle_axis(axes: Axes, which: str) -> None:
     axis = axes.xaxis if which == "x" else axes.yaxis
     axis.set_major_locator(_HalfTurns("auto", steps=[1, 2, 2.5, 5, 10]))
     axis.set_major_formatter(FuncFormatter(lambda value, _: style.in_pi(value / np.pi)))
-
-
-def mark_times(axes: Axes, moments: list[float]) -> None:
-    """Mark moments with a dotted line.
-
-    Args:
-        axes: panel over time.
-        moments: times, s.
-    """
-    for moment in moments:
-        axes.axvline(moment, color=style.MARK, linewidth=0.9, linestyle=style.DOTTED, zorder=1.5)
 
 
 def badge(axes: Axes, number: int, x: float, y: float, *, size: float = style.SMALL) -> None:

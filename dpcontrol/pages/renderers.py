@@ -14,7 +14,7 @@ from matplotlib import rc_context
 from dpcontrol.pages import style
 
 RENDERERS = {
-    "dpcontrol.logs.reader.RunLog": "page:draw_motion",
+    "dpcontrol.logs.reader.RunLog": "page:draw",
     "dpcontrol.judge.run_view.RunView": "page:draw",
     "dpcontrol.judge.preflight.Preflight": "many_runs:draw_preflight",
     "dpcontrol.judge.campaign.CampaignSummary": "many_runs:draw_campaign",
@@ -24,7 +24,7 @@ RENDERERS = {
     "dpcontrol.orbits.family.LyapunovFamily": "orbits:draw_family",
     "dpcontrol.orbits.rotating.RotatingFamilies": "orbits:draw_rotating_families",
     "dpcontrol.walks.shadowing.ShadowingOrbit": "walks:draw_walk",
-    "dpcontrol.plans.plan.Plan": "page:draw_motion",
+    "dpcontrol.plans.plan.Plan": "page:draw",
     "dpcontrol.identification.identify.Identification": "identification:draw_identification",
 }
 """Functions `draw(result) -> Figure`."""
@@ -38,12 +38,12 @@ PANELS: dict[str, str] = {
     "dpcontrol.orbits.tube.Tube": "single:tube",
     "dpcontrol.orbits.cut.Cut": "single:cut",
     "dpcontrol.tubes.connections.ConnectionSearch": "single:search",
-    "dpcontrol.tubes.connections.Connection": "single:connection",
-    "dpcontrol.tubes.symmetric.SymmetricSearch": "single:symmetric",
+    "dpcontrol.tubes.connections.Connection": "single:flown",
+    "dpcontrol.tubes.symmetric.SymmetricSearch": "single:flown",
     "dpcontrol.bifurcations.bifurcations.BifurcationSearch": "single:bifurcations",
     "dpcontrol.proofs.prove.Proof": "single:proof",
     "dpcontrol.runs.polish.Polished": "single:polished",
-    "dpcontrol.walks.shadowing.ShadowingOrbit": "page:walk",
+    "dpcontrol.walks.shadowing.ShadowingOrbit": "page:angles",
     "dpcontrol.walks.edges.Edges": "single:edges",
     "dpcontrol.walks.atlas.Atlas": "atlas:atlas",
     "dpcontrol.plans.plan.Plan": "page:angles",

@@ -103,28 +103,18 @@ def flights(axes: Axes, connections: Sequence[Connection]) -> None:
         axes.plot(*connection.sample(600)[:, :2].T, color=colour, linewidth=1.0)
 
 
-def connection(axes: Axes, found: Connection) -> None:
-    """Draw a connection between its orbits in the plane of positions.
+def flown(axes: Axes, found: Connection | SymmetricSearch) -> None:
+    """Draw a connection, or all connections of a search, between their orbits in the plane of positions.
 
     Args:
         axes: panel to draw on.
-        found: connection to draw.
+        found: connection or search to draw.
     """
-    flights(axes, [found])
-    quiet_plane(axes, found.source.system, title=found.name)
-
-
-def symmetric(axes: Axes, found: SymmetricSearch) -> None:
-    """Draw all connections of a search in the plane of positions.
-
-    Args:
-        axes: panel to draw on.
-        found: search to draw.
-    """
-    flights(axes, found.connections)
-    if found.connections:
-        title = f"{found.saddle}: {counted(len(found.connections), 'connection')}"
-        quiet_plane(axes, found.connections[0].source.system, title=title)
+    connections = found.connections if isinstance(found, SymmetricSearch) else (found,)
+    flights(axes, connections)
+    counts = f"{found.saddle}: {counted(len(connections), 'connection')}" if isinstance(found, SymmetricSearch) else ""
+    if connections:
+        quiet_plane(axes, connections[0].source.system, title=counts or connections[0].name)
 
 
 def bifurcations(axes: Axes, found: BifurcationSearch) -> None:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -10,7 +11,7 @@ from matplotlib.axes import Axes
 from dpcontrol.judge.run_view import RunView, Stay
 from dpcontrol.logs import FLIGHT, LAP, RESUME, RETURN, Mode
 from dpcontrol.pages import style
-from dpcontrol.pages.layout import text_width
+from dpcontrol.pages.layout import Page, text_width
 from dpcontrol.pages.panels import badge
 from dpcontrol.pages.planes import Range
 
@@ -128,25 +129,18 @@ _ROW = 0.24
 _AROUND = 0.62
 
 
-def story_rows(view: RunView, *, span: Range | None = None) -> list[Strip]:
-    """Return the rows of the story, from the top.
+def add_story(page: Page, view: RunView, *, span: Range | None = None) -> None:
+    """Add the strips of planned stays, decoded stays and modes to a page, if there are any.
 
     Args:
+        page: page to extend.
         view: run to draw.
-        span: displayed time range, s; all by default.
+        span: displayed time range, s; by default that of the motion and its plan.
     """
-    return [strip for strip in strips(view, until=None if span is None else span[1]) if strip.name]
-
-
-def story_height(view: RunView, *, span: Range | None = None) -> float:
-    """Return the height of a story, inches; 0 without rows.
-
-    Args:
-        view: run to draw.
-        span: displayed time range, s; all by default.
-    """
-    rows = story_rows(view, span=span)
-    return _AROUND + _ROW * len(rows) if rows else 0.0
+    rows = [strip for strip in strips(view, until=None if span is None else span[1]) if strip.name]
+    if rows:
+        drawn = partial(_story, view=view, rows=rows, span=span or view.span, width=page.width)
+        page.row(drawn, height=_AROUND + _ROW * len(rows))
 
 
 def _width(text: str, second: float) -> float:
@@ -154,25 +148,15 @@ def _width(text: str, second: float) -> float:
     return (text_width(text, style.SMALL) + 0.08) * second
 
 
-def story(axes: Axes, view: RunView, *, span: Range | None = None, width: float = style.WIDTH) -> None:
-    """Draw planned stays, decoded stays and modes over time.
-
-    Args:
-        axes: panel to draw on.
-        view: run to draw.
-        span: displayed time range, s; by default that of the motion and its plan.
-        width: width of the panel, inches.
-    """
-    rows = story_rows(view, span=span)
-    begin, end = span or view.span
+def _story(axes: Axes, view: RunView, rows: list[Strip], span: Range, width: float) -> None:
+    begin, end = span
     second = (end - begin) / (width - 1.2)
     marks = {"done": [done for _, _, done in view.symbols if done is not None]}
-    if rows:
-        marks[rows[0].name] = [planned for _, planned, _ in view.symbols]
+    marks[rows[0].name] = [planned for _, planned, _ in view.symbols]
     for place, strip in enumerate(reversed(rows)):
         for part in strip.spans:
             _part(axes, part, place, second, marks=marks.get(strip.name, []), mode=strip.name == "controller")
-    _numbers(axes, view, [strip.name for strip in rows], (begin, end), second)
+    _numbers(axes, view, [strip.name for strip in rows], span, second)
     axes.set_xlim(begin, end)
     axes.set_ylim(-0.08, len(rows) + 0.02)
     axes.set_yticks([place + _TALL / 2 for place in range(len(rows))], [strip.name for strip in reversed(rows)])

@@ -23,8 +23,7 @@ from dpcontrol.pages.film import add_film, film_times
 from dpcontrol.pages.layout import Page, Panel, Stack
 from dpcontrol.pages.panels import quiet_plane, quiet_space
 from dpcontrol.pages.run_charts import Chart, LevelLine, Line, charts
-from dpcontrol.pages.story import story as draw_story
-from dpcontrol.pages.story import story_height
+from dpcontrol.pages.story import add_story
 from dpcontrol.plans.model import ModelSystem
 from dpcontrol.tubes.connections import Connection
 from dpcontrol.walks.shadowing import ShadowingOrbit
@@ -146,7 +145,7 @@ def draw_walk(orbit: ShadowingOrbit) -> Figure:
     walk, unit = WalkStory(orbit), orbit.system.unit("s", " ({})")
     view = walk.view
     page = Page(view.title, view.verdict)
-    page.row(partial(draw_story, view=view), height=story_height(view))
+    add_story(page, view)
     if view.arm_lengths:
         add_film(page, view, film_times(view, frames=_FRAMES))
     shown = [*([charts(view)["angles"]] if walk.has_angles else []), walk.nearness()]

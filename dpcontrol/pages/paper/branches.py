@@ -12,7 +12,7 @@ from dpcontrol.bifurcations.bifurcations import BranchDiagram
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.progress import part_of
 from dpcontrol.pages import style
-from dpcontrol.pages.gallery import Gallery, PaperFigure
+from dpcontrol.pages.figures import Gallery, PaperFigure
 from dpcontrol.pages.layout import Page
 from dpcontrol.pages.panels import angle_axis, quiet
 
@@ -41,7 +41,26 @@ def branches_page(gallery: Gallery) -> PaperFigure:
     )
     page.row(*(partial(_angle_branches, diagram=diagram) for diagram in diagrams), height=3.1)
     page.row(*(partial(draw_momentum_branches, diagram=diagram) for diagram in diagrams), height=3.1)
-    return PaperFigure(page.figure(), branch_caption(diagrams), branch_differences(diagrams))
+    words = "; ".join(
+        f"{pair_name(d)}: {d.counts[0][1]} connections at {d.counts[0][0]:.4f} J and "
+        f"{'' if d.counts[-1][2] else 'at least '}{d.counts[-1][1]} at {d.counts[-1][0]:.4f} J by {len(d.marks)} events"
+        for d in diagrams
+    )
+    onset = min((m.energy for m in diagrams[2].marks), default=float("nan"))
+    return PaperFigure(
+        page.figure(),
+        "The section crossing of each connection, as energy grows: its angle there (above) and the momentum across "
+        "(below). Each curve is a connection followed by continuation, also round folds; marks are events, each "
+        "solved separately. The numbers below count all connections on the torus; curves show one "
+        "sense, whose mirror images under (θ, ω) → (-θ, -ω) are the other. Shaded, or above the last energy: "
+        "trajectories of a tube pass by another orbit and scatter before they arrive, connections accumulate, and "
+        f"those found are some of them. {words}. Changes of the numbers without a located cause: "
+        f"{sum(d.unexplained for d in diagrams)}.",
+        "Folds and splittings are located instead of read off a list of counts. They are distinguished from grazes of "
+        "the section, which only change a connection's number of hits. Both orbits exist from 0.1754 J on, which "
+        "the paper gives for the onset of heteroclinics; the first of them that meets its section once each appears at "
+        f"{onset:.6f} J. With the parameters printed in the paper's text all these energies differ.",
+    )
 
 
 def _angle_branches(axes: Axes, diagram: BranchDiagram) -> None:
@@ -92,30 +111,3 @@ def _wrapped(points: Array) -> Array:
 
 def pair_name(diagram: BranchDiagram) -> str:
     return f"{diagram.source} to {'itself' if diagram.source == diagram.target else diagram.target}"
-
-
-def branch_caption(diagrams: list[BranchDiagram]) -> str:
-    words = "; ".join(
-        f"{pair_name(d)}: {d.counts[0][1]} connections at {d.counts[0][0]:.4f} J and "
-        f"{'' if d.counts[-1][2] else 'at least '}{d.counts[-1][1]} at {d.counts[-1][0]:.4f} J by {len(d.marks)} events"
-        for d in diagrams
-    )
-    return (
-        "The section crossing of each connection, as energy grows: its angle there (above) and the momentum across "
-        "(below). Each curve is a connection followed by continuation, also round folds; marks are events, each "
-        "solved separately. The numbers below count all connections on the torus; curves show one "
-        "sense, whose mirror images under (θ, ω) → (-θ, -ω) are the other. Shaded, or above the last energy: "
-        "trajectories of a tube pass by another orbit and scatter before they arrive, connections accumulate, and "
-        f"those found are some of them. {words}. Changes of the numbers without a located cause: "
-        f"{sum(d.unexplained for d in diagrams)}."
-    )
-
-
-def branch_differences(diagrams: list[BranchDiagram]) -> str:
-    onset = min((m.energy for m in diagrams[2].marks), default=float("nan"))
-    return (
-        "Folds and splittings are located instead of read off a list of counts. They are distinguished from grazes of "
-        "the section, which only change a connection's number of hits. Both orbits exist from 0.1754 J on, which "
-        "the paper gives for the onset of heteroclinics; the first of them that meets its section once each appears at "
-        f"{onset:.6f} J. With the parameters printed in the paper's text all these energies differ."
-    )

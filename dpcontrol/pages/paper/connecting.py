@@ -12,9 +12,9 @@ from dpcontrol.dynamics.system import System
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.pages import single, style
 from dpcontrol.pages.atlas import colours, connections_of, draw_cuts, draw_motions, kind_of, row_of, tubes_of_cut
-from dpcontrol.pages.gallery import IDENTIFIED, Gallery, PaperFigure
+from dpcontrol.pages.figures import IDENTIFIED, Gallery, PaperFigure
 from dpcontrol.pages.layout import Draw, Page, Panel
-from dpcontrol.pages.page import walk
+from dpcontrol.pages.page import angles
 from dpcontrol.pages.panels import draw_graph, name_point, quiet_plane, wrapped_runs
 from dpcontrol.tubes.connections import Connection, ConnectionSearch, find_connections
 from dpcontrol.tubes.intersections import search_settings
@@ -242,7 +242,7 @@ def shadowing_page(gallery: Gallery) -> PaperFigure:
     for title, found in shapes.items():
         assert found.converged, found.status
         above.append(partial(_outer_arm, orbit=found, title=title))
-        below.append(partial(walk, found=found))
+        below.append(partial(angles, found=found))
         words.append(f"{title[0]} {found.duration:.2f} s, residual {found.residual:.0e}")
     page = Page("One homoclinic orbit of Down-Up at -0.07 J, and orbits that shadow it")
     return PaperFigure(

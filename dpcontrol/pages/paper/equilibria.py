@@ -12,7 +12,7 @@ from dpcontrol.foundation.arrays import Array
 from dpcontrol.orbits.cut import section_points
 from dpcontrol.orbits.lyapunov import LyapunovOrbit, equilibria, lyapunov_orbit
 from dpcontrol.pages import style
-from dpcontrol.pages.gallery import IDENTIFIED, Gallery, PaperFigure
+from dpcontrol.pages.figures import IDENTIFIED, Gallery, PaperFigure
 from dpcontrol.pages.layout import Page, Panel, key
 from dpcontrol.pages.panels import angle_axis, name_curves, name_point, quiet, quiet_plane
 
