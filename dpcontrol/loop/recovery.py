@@ -308,7 +308,8 @@ class FallRecovery:
         self._why = cause
         self._sensor = int(ticker.report.sensor.item(0))
         lost = cause in (Cause.ESTIMATE_LOST, Cause.SILENT, Cause.STUCK)
-        if lost:
+        # What made the run fall, such as a blow, spoils the estimated parameters. A first flight that fails does not.
+        if lost or before is Motion.ITINERARY or self._tries > 1:
             ticker.lose()
         # The cart stays still until the estimate is reliable again.
         self._brake(k, ticker, still=lost)
