@@ -148,11 +148,11 @@ def pytest_make_collect_report() -> Iterator[Any]:
 
 
 LONGEST = (
-    "test_readme", "test_proved_connections", "test_true_verdicts", "test_api_examples", "test_commissioning",
-    "test_recovery_on_the_bench", "test_legibility", "test_generated_scenes", "test_compilers_and_targets",
-    "test_certificates", "test_exported_controller", "test_notebooks", "test_numbers_of_arms", "test_objects",
-    "test_proved_orbits", "test_examples", "test_parts", "test_without_heyoka", "test_batch", "test_fuzz",
-    "test_run_verb", "test_bifurcations", "test_own_systems", "test_figures", "test_extended", "test_walk_verb",
+    "test_proved_connections", "test_readme", "test_true_verdicts", "test_compilers_and_targets", "test_planner_page",
+    "test_api_examples", "test_commissioning", "test_recovery_on_the_bench", "test_legibility", "test_examples",
+    "test_notebooks", "test_without_heyoka", "test_types", "test_objects", "test_rig_verbs", "test_bifurcations",
+    "test_chart_accuracy", "test_generated_scenes", "test_numbers_of_arms", "test_exported_controller", "test_parts",
+    "test_batch", "test_fuzz", "test_run_verb", "test_own_systems", "test_figures", "test_extended", "test_walk_verb",
     "test_campaign", "test_kept_walks", "test_atlas", "test_demo_and_review_verbs", "test_help_and_streams",
     "test_identification", "test_hostile_packets", "test_two_turns", "test_named_symbols", "test_honest_searches",
     "test_replay", "test_api", "test_udp_program", "test_log_verbs",
