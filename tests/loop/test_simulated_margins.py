@@ -23,7 +23,7 @@ KEPT = 0.3
 SHAKEN = 0.5
 """rms of what feedback moves the cart by, as a share of its greatest acceleration: more is a swing that limits contain.
 """
-SEEDS = range(8)
+SEEDS = range(16)
 BENCH = {"initial_error": 2e-3, "counts": 40_000, "travel": 0.8}
 
 
