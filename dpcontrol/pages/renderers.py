@@ -67,7 +67,7 @@ PARTS = {
 RECORDINGS = {
     "dpcontrol.judge.run_view.RunView": "rerun_recording:write_recording",
     "dpcontrol.judge.comparison.RunComparison": "page:write_comparison_recording",
-    "dpcontrol.walks.atlas.Atlas": "atlas_recording:write_atlas_recording",
+    "dpcontrol.walks.atlas.Atlas": "atlas:write_atlas_recording",
 }
 """Functions `write(result, path)` of Rerun recordings."""
 
