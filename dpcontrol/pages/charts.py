@@ -150,18 +150,15 @@ def draw_plane(axes: Axes, runs: list[tuple[Plane, str]], *, tubes: bool = True)
     first, _ = runs[0]
     number, ends = style.number(first.arm), ", from ○ to ■" if len(runs) == 1 else ""
     quiet(axes, f"Arm {first.arm + 1}: ω{number} (rad/s) over θ{number}{ends}")
-    entries: list[tuple[str, dict]] = []
-    if first.orbits:
-        entries.append(("orbits", {"color": first.orbits[0][0], "linewidth": 3.2}))
     for stable, colour, text in ((False, style.UNSTABLE, "tubes from"), (True, style.STABLE, "to them")):
         if tubes and first.strands[stable]:
             axes.plot(*_joined(first.strands[stable]), color=colour, linewidth=0.45, alpha=0.35, zorder=1.2)
-            axes.plot(*_joined(first.cuts[stable]), color=colour, linewidth=1.8, zorder=2.5)
-            entries.append((text, {"color": colour, "linewidth": 1.5}))
-    for colour, points in first.orbits:
+            axes.plot(*_joined(first.cuts[stable]), color=colour, linewidth=1.8, zorder=2.5, label=text)
+    for k, (colour, points) in enumerate(first.orbits):
         # An equilibrium is a single point.
         look: dict[str, Any] = {"linewidth": 3.2} if len(points) > 3 else {"marker": "D", "markersize": 8}
-        axes.plot(*points.T, color=colour, zorder=1.5, alpha=0.75 if tubes else 0.4, **look)
+        named = None if k else "orbits"
+        axes.plot(*points.T, color=colour, zorder=1.5, alpha=0.75 if tubes else 0.4, label=named, **look)
     for plane, colour in runs:
         (start, end), face = plane.ends, style.PAPER
         axes.plot(*_joined(plane.run), color=colour, linewidth=1.1, zorder=3)
@@ -170,7 +167,7 @@ def draw_plane(axes: Axes, runs: list[tuple[Plane, str]], *, tubes: bool = True)
             axes.plot(*start, "o", color=colour, markerfacecolor=face, markersize=6, zorder=5)
     axes.margins(x=0.04)
     angle_axis(axes, "x")
-    key(axes, entries)
+    key(axes)
 
 
 def _joined(curves: list[Array]) -> Array:

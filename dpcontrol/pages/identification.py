@@ -59,8 +59,7 @@ def _errors(axes: Axes, found: Identification) -> None:
         for arm in range(residual.shape[1]):
             axes.plot(times, 1e3 * residual[:, arm], linewidth=0.8, color=style.arm_colour(arm))
     axes.axhline(0.0, color=_BEFORE, linewidth=0.6)
-    arms = found.residuals[0].shape[1]
-    key(axes, [(f"arm {arm + 1}", style.arm_colour(arm)) for arm in range(arms)])
+    key(axes, [(f"arm {arm + 1}", style.arm_colour(arm)) for arm in range(found.arms.count)])
     quiet(axes, "Measured less predicted angle on segments left out (mrad)", x="time in the recording (s)")
 
 

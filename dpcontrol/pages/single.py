@@ -19,6 +19,7 @@ from dpcontrol.orbits.orbit import PeriodicOrbit
 from dpcontrol.orbits.tube import Tube
 from dpcontrol.pages import style
 from dpcontrol.pages.atlas import BRANCHES
+from dpcontrol.pages.layout import key
 from dpcontrol.pages.panels import Bar, bars, draw_graph, quiet, quiet_plane, wrapped_runs
 from dpcontrol.pages.paper.branches import draw_momentum_branches
 from dpcontrol.recordings.recording import Recording
@@ -191,8 +192,8 @@ def flight(axes: Axes, found: Flight) -> None:
         axes.plot(times, states[:, arm] / (2 * np.pi), color=style.arm_colour(arm), label=f"arm {arm + 1}, turns")
     limit = found.limits.position
     axes.plot(times, states[:, -2] / limit, color=style.INK, linestyle="--", label=f"cart, shares of {limit:g} m")
-    axes.legend()
     quiet(axes, found.status, x="s")
+    key(axes)
 
 
 def recording(axes: Axes, found: Recording) -> None:
