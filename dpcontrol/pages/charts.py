@@ -67,7 +67,13 @@ def draw_chart(axes: Axes, chart: Chart, view: RunView, *, span: Range | None = 
     for first, last in chart.cut:
         axes.axvspan(first, last, color=style.LIMIT, alpha=0.3, linewidth=0.8, zorder=0.5)
         entries["cut"] = {"color": style.LIMIT, "linewidth": 6, "alpha": 0.3}
-    _axis(axes, chart, scale=scale)
+    if chart.half_turns:
+        angle_axis(axes, "y")
+    if chart.log:
+        axes.set_yscale("log")
+        axes.yaxis.set_major_locator(LogLocator(base=10, numticks=6))
+    elif chart.shown is not None:
+        axes.set_ylim(scale * chart.shown[0], scale * chart.shown[1])
     _levels(axes, chart, scale=scale)
     if span is not None:
         axes.set_xlim(*span)
@@ -125,16 +131,6 @@ def _line(axes: Axes, line: Line, view: RunView, *, scale: float) -> None:
         axes.plot(rows, band, rows, -band, color=line.colour, linewidth=1.1, zorder=3)
         look |= {"linewidth": 0.6, "alpha": 0.45}
     axes.plot(time, values, **look)
-
-
-def _axis(axes: Axes, chart: Chart, *, scale: float) -> None:
-    if chart.half_turns:
-        angle_axis(axes, "y")
-    if chart.log:
-        axes.set_yscale("log")
-        axes.yaxis.set_major_locator(LogLocator(base=10, numticks=6))
-    elif chart.shown is not None:
-        axes.set_ylim(scale * chart.shown[0], scale * chart.shown[1])
 
 
 def draw_plane(axes: Axes, runs: list[tuple[Plane, str]], *, tubes: bool = True) -> None:

@@ -311,20 +311,16 @@ def draw_pendulum(recording: rr.RecordingStream, home: str, view: RunView) -> No
     look = rr.LineStrips3D.from_fields(colors=[tip], radii=rr.Radius.ui_points(1.5))
     follow(recording, f"{home}/tip", look, time, columns)
     if view.has_cart:
-        _track(recording, home, view, reach=reach)
+        finite = np.abs(view.pivot[np.isfinite(view.pivot)])
+        # The track ends at the limits.
+        end = view.limits[0] if view.limits else max(finite.max(initial=0.0), reach)
+        rail = [[(-end, 0.05, 0.0), (end, 0.05, 0.0)]]
+        stops = [[(x, 0.05, -0.06 * reach), (x, 0.05, 0.06 * reach)] for x in (-end, end)]
+        tints = [style.rgb(style.FAINT), style.rgb(style.LIMIT), style.rgb(style.LIMIT)]
+        recording.log(f"{home}/track", rr.LineStrips3D(rail + stops, colors=tints, radii=0.012 * reach), static=True)
         size, look = [[0.13 * reach, 0.02, 0.05 * reach]], {"colors": [style.rgb(style.CART)], "fill_mode": "solid"}
         columns = rr.Boxes3D.columns(centers=arms[:, 0] + [0.0, 0.02, 0.0])
         follow(recording, f"{home}/cart", rr.Boxes3D.from_fields(half_sizes=size, **look), time, columns)
-
-
-def _track(recording: rr.RecordingStream, home: str, view: RunView, *, reach: float) -> None:
-    """Draw the track, which ends at the limits."""
-    finite = np.abs(view.pivot[np.isfinite(view.pivot)])
-    end = view.limits[0] if view.limits else max(finite.max(initial=0.0), reach)
-    rail = [[(-end, 0.05, 0.0), (end, 0.05, 0.0)]]
-    stops = [[(x, 0.05, -0.06 * reach), (x, 0.05, 0.06 * reach)] for x in (-end, end)]
-    tints = [style.rgb(style.FAINT), style.rgb(style.LIMIT), style.rgb(style.LIMIT)]
-    recording.log(f"{home}/track", rr.LineStrips3D(rail + stops, colors=tints, radii=0.012 * reach), static=True)
 
 
 def _points(states: Array, view: RunView, depth: float) -> Array:
