@@ -315,22 +315,20 @@ def find_border(
         trials[y] = probe(y)
         return trials[y].works
 
-    def border(near: float | None, far: float | None) -> Border:
-        says = "" if far is None else trials[far].says
-        return Border(x, line, near, far, predicted, says, tuple(sorted(trials.items())))
-
+    sides: tuple[float | None, float | None] = bad, None
     if not works(good):
-        return border(None, good)
-    if works(bad):
-        return border(bad, None)
-    while max(good / bad, bad / good) > ratio:
-        middle = math.sqrt(good * bad)
-        if unit:
-            middle = round(middle / unit) * unit
-        if middle in (good, bad):
-            break
-        good, bad = (middle, bad) if works(middle) else (good, middle)
-    return border(good, bad)
+        sides = None, good
+    elif not works(bad):
+        while max(good / bad, bad / good) > ratio:
+            middle = math.sqrt(good * bad)
+            if unit:
+                middle = round(middle / unit) * unit
+            if middle in (good, bad):
+                break
+            good, bad = (middle, bad) if works(middle) else (good, middle)
+        sides = good, bad
+    says = "" if sides[1] is None else trials[sides[1]].says
+    return Border(x, line, *sides, predicted, says, tuple(sorted(trials.items())))
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ import json
 import os
 import platform
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
@@ -237,32 +237,16 @@ def draw_charts(
     drawn = []
     with one_core():
         for k, name in enumerate(chosen):
-            report = part_of(progress, k / len(chosen), (k + 1) / len(chosen))
-            drawn.append(draw_chart(name, folder=folder, made_with=made_with, progress=report))
+            began = time.perf_counter()
+            chart = CHARTS[name](quick, part_of(progress, k / len(chosen), (k + 1) / len(chosen)))
+            seconds, data = time.perf_counter() - began, Path(folder) / f"{chart.name}.json"
+            pictures = {Path(folder) / f"{chart.name}{end}.png": parts for end, parts in chart.pages.items()}
+            for picture, parts in pictures.items():
+                save_chart(chart, picture, parts)
+            document = {**chart.document(), "seconds": seconds, **made_with}
+            write_whole(data, json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+            drawn.append(DrawnChart(chart, tuple(pictures), data, seconds))
     return DrawnCharts(tuple(drawn))
-
-
-def draw_chart(
-    name: str, *, folder: Path, made_with: Mapping[str, Any], progress: Progress = no_progress
-) -> DrawnChart:
-    """Make one chart and write its pictures and data.
-
-    Args:
-        name: name of the chart.
-        folder: folder to write to.
-        made_with: `quick`, machine and versions, for the data.
-        progress: called with a label and the completed share.
-    """
-    began = time.perf_counter()
-    chart = CHARTS[name](made_with["quick"], progress)
-    seconds = time.perf_counter() - began
-    pictures = {Path(folder) / f"{chart.name}{end}.png": parts for end, parts in chart.pages.items()}
-    for picture, parts in pictures.items():
-        save_chart(chart, picture, parts)
-    data = Path(folder) / f"{chart.name}.json"
-    document = {**chart.document(), "seconds": seconds, **made_with}
-    write_whole(data, json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
-    return DrawnChart(chart, tuple(pictures), data, seconds)
 
 
 def machine() -> dict[str, Any]:

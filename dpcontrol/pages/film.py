@@ -205,31 +205,28 @@ class Film:
 
     def frame(self, number: int) -> Image.Image:
         """Return a frame, counted from zero."""
+        view, scene, time, row = self.view, self.scene, float(self.times[number]), int(self.rows[number])
         self._canvas.restore_region(self._still)
-        self._draw_moving(float(self.times[number]), int(self.rows[number]))
-        for axes in (self.scene, *self._stories):
+        look: dict[str, Any] = {"transform": scene.transAxes, "fontsize": style.SMALL}
+        scene.text(0.0, 1.01, f"{time:.2f} s", color=style.INK, va="bottom", **look)
+        past = [f"{k + 1}: {name}" for k, (name, at, done) in enumerate(view.symbols) if (done or at) <= time]
+        scene.text(0.0, 0.99, past[-1] if past else "", color=style.NOTE, va="top", **look)
+        if row < 0:
+            scene.text(0.5, 0.5, "no data", color=style.MARK, ha="center", **look)
+        else:
+            since = int(np.searchsorted(view.time, view.time[row] - _FILMED_TRACE))
+            since = max(since, int(view.breaks[view.breaks <= row].max(initial=0)))
+            unit = float(np.ptp(scene.transData.transform([(0.0, 0.0), (1.0, 0.0)])[:, 0])) * 72 / _PIXELS
+            thick = 0.055 * sum(view.arm_lengths) * unit
+            draw_pose(scene, view, (since, row), at=float(self.pivots[row]), thick=thick)
+        for axes in self._stories:
+            axes.axvline(time, color=style.LIMIT, linewidth=1.4)
+        for axes in (scene, *self._stories):
             moving = [artist for artist in axes.get_children() if artist not in self._static]
             for artist in sorted(moving, key=lambda artist: artist.get_zorder()):
                 axes.draw_artist(artist)
                 artist.remove()
         return Image.fromarray(np.asarray(self._canvas.buffer_rgba())[..., :3].copy())
-
-    def _draw_moving(self, time: float, row: int) -> None:
-        view, scene = self.view, self.scene
-        look: dict[str, Any] = {"transform": scene.transAxes, "fontsize": style.SMALL}
-        scene.text(0.0, 1.01, f"{time:.2f} s", color=style.INK, va="bottom", **look)
-        past = [f"{k + 1}: {name}" for k, (name, at, done) in enumerate(view.symbols) if (done or at) <= time]
-        scene.text(0.0, 0.99, past[-1] if past else "", color=style.NOTE, va="top", **look)
-        for axes in self._stories:
-            axes.axvline(time, color=style.LIMIT, linewidth=1.4)
-        if row < 0:
-            scene.text(0.5, 0.5, "no data", color=style.MARK, ha="center", **look)
-            return
-        since = int(np.searchsorted(view.time, view.time[row] - _FILMED_TRACE))
-        since = max(since, int(view.breaks[view.breaks <= row].max(initial=0)))
-        unit = float(np.ptp(scene.transData.transform([(0.0, 0.0), (1.0, 0.0)])[:, 0])) * 72 / _PIXELS
-        thick = 0.055 * sum(view.arm_lengths) * unit
-        draw_pose(scene, view, (since, row), at=float(self.pivots[row]), thick=thick)
 
     def frames(self, progress: Progress = no_progress) -> Iterator[Image.Image]:
         """Yield the frames in order.

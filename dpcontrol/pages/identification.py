@@ -59,8 +59,7 @@ def _errors(axes: Axes, found: Identification) -> None:
         for arm in range(residual.shape[1]):
             axes.plot(times, 1e3 * residual[:, arm], linewidth=0.8, color=style.arm_colour(arm))
     axes.axhline(0.0, color=_BEFORE, linewidth=0.6)
-    arms = found.residuals[0].shape[1]
-    key(axes, [(f"arm {arm + 1}", style.arm_colour(arm)) for arm in range(arms)])
+    key(axes, [(f"arm {arm + 1}", style.arm_colour(arm)) for arm in range(found.arms.count)])
     quiet(axes, "Measured less predicted angle on segments left out (mrad)", x="time in the recording (s)")
 
 
@@ -87,13 +86,12 @@ def draw_design(design: Design, *, title: str) -> Figure:
     first, second = design.best_pair()
     swings = [e for e in design.experiments if e.kind == "swing"]
     page = Page(f"Accuracy expected from a recording of {design.settings.seconds:g} s: {title}")
-    page.row(
+    return page.row(
         Panel(partial(_swing_map, swings=swings, pair=(first, second)), 1.1),
         partial(_sines, design=design, swings=swings),
         partial(_accuracy, design=design, pair=(first, second)),
         height=4.4,
-    )
-    return page.figure()
+    ).figure()
 
 
 def _sines(axes: Axes, design: Design, swings: list) -> None:

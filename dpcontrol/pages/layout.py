@@ -177,10 +177,6 @@ def _height(size: float) -> float:
     return _LINE * size / 72
 
 
-def _panel(item: Panel | Draw) -> Panel:
-    return item if isinstance(item, Panel) else Panel(item)
-
-
 def _row(part: SubFigure, items: Sequence[Item]) -> None:
     shares = [getattr(item, "share", 1.0) for item in items]
     if any(isinstance(item, Stack) for item in items):
@@ -193,7 +189,7 @@ def _row(part: SubFigure, items: Sequence[Item]) -> None:
 
 
 def _grid(part: SubFigure, items: Sequence[Panel | Draw], *, across: bool) -> None:
-    panels = [_panel(item) for item in items]
+    panels = [item if isinstance(item, Panel) else Panel(item) for item in items]
     shares = [panel.share for panel in panels]
     shape = (1, len(panels)) if across else (len(panels), 1)
     grid = part.add_gridspec(*shape, **{"width_ratios" if across else "height_ratios": shares})
@@ -340,21 +336,19 @@ def cropped(text: str, size: float, width: float) -> str:
     return text[: max(1, int(len(text) * width / text_width(text, size)) - 2)].rstrip() + " …"
 
 
-def key(axes: Axes, entries: Iterable[tuple[str, str | dict[str, Any]]]) -> None:
+def key(axes: Axes, entries: Iterable[tuple[str, str | dict[str, Any]]] | None = None) -> None:
     """Add a key below the title of a panel.
 
-    More than four entries are refused: label these curves directly.
+    More than four curves are better named at the right of the panel.
 
     Args:
         axes: panel of the key.
-        entries: labels, each with a colour or a line style.
+        entries: labels, each with a colour or a line style; by default the labels of what was drawn.
     """
-    handles = []
-    for label, given in entries:
+    handles = axes.get_legend_handles_labels()[0] if entries is None else []
+    for label, given in entries or ():
         look: dict[str, Any] = {"color": given} if isinstance(given, str) else given
         handles.append(Line2D([], [], label=label, **look))
-    if len(handles) > MOST_IN_KEY:
-        raise ValueError(f"{len(handles)} entries are too many for a key: label them directly")
     if handles:
         # Pages place key and title by their widths; a panel alone has the key below its title.
         axes.set_title(axes.get_title(loc="left"), loc="left", pad=6 + style.SMALL * _LINE)

@@ -25,6 +25,8 @@ from dpcontrol.pages.panels import Bar, bars, name_curves, quiet
 
 _MOST, _APART = 28, 6
 """Most bars, and most mismatches that are drawn as separate bars."""
+_SYMBOLS = 8
+"""Most bars of failures by symbol."""
 
 
 def draw_campaign(summary: CampaignSummary) -> Figure:
@@ -102,17 +104,15 @@ def _draw_levels(axes: Axes, summary: CampaignSummary) -> None:
 
 
 def _draw_symbols(axes: Axes, summary: CampaignSummary) -> None:
-    quiet(axes, "Failed runs by the symbol that was not done", x="symbol, from 1; beyond the last: not held to the end")
-    numbers = sorted({symbol for _, symbol, _ in summary.failed_symbols})
-    bottoms = dict.fromkeys(numbers, 0)
-    labels = list(dict.fromkeys(label for label, _, _ in summary.failed_symbols))
-    colours = dict(zip(labels, _group_colours(summary, labels), strict=True))
-    for label, symbol, count in summary.failed_symbols:
-        axes.bar(symbol, count, bottom=bottoms[symbol], color=colours[label], alpha=0.85)
-        bottoms[symbol] += count
-    axes.set_xticks(numbers, ["not named" if symbol == 0 else str(symbol) for symbol in numbers])
-    axes.yaxis.set_major_locator(MaxNLocator(integer=True))
-    axes.set_ylim(0, 1.1 * max(bottoms.values()) + 0.5)
+    failed = sorted(summary.failed_symbols, key=lambda failure: -failure[2])[:_SYMBOLS]
+    colours = _group_colours(summary, [label for label, _, _ in failed])
+    places = [f"symbol {symbol}" if symbol else "not named" for _, symbol, _ in failed]
+    rows = [
+        Bar(f"{label}, {place}".removeprefix(", "), count, colour)
+        for (label, _, count), place, colour in zip(failed, places, colours, strict=True)
+    ]
+    bars(axes, "Failed runs by the symbol that was not done; beyond the last: not held to the end", rows)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
 
 
 def _draw_reasons(axes: Axes, summary: CampaignSummary) -> None:

@@ -217,20 +217,15 @@ def _compared_chart(
     The chart has those of their lines whose keys start with `prefix`. Several such lines of a run, such as errors
     of several arms, are replaced by their largest size at each time.
     """
-    lines: list[Line] = []
+    of_first = every[0].lines if every[0] else ()
+    look = {"key": "0_reference", "name": f"reference of {comparison.runs[0].name}", "label": "the first's reference"}
+    lines = [
+        replace(line, colour=style.REFERENCE, **look)
+        for line in of_first
+        if line.role == "reference" and line.key.startswith(prefix)
+    ]
     for k, (run, own) in enumerate(zip(comparison.runs, every, strict=True)):
         shown = [line for line in own.lines if line.key.startswith(prefix)] if own else []
-        lines += [
-            replace(
-                line,
-                key="0_reference",
-                name=f"reference of {run.name}",
-                label="the first's reference",
-                colour=style.REFERENCE,
-            )
-            for line in shown
-            if line.role == "reference" and k == 0
-        ]
         parts = [line for line in shown if line.role == "run"]
         if parts:
             values = parts[0].values if len(parts) == 1 else np.max([np.abs(line.values) for line in parts], axis=0)
@@ -273,7 +268,7 @@ def write_comparison_recording(comparison: RunComparison, path: Path) -> None:
     """
     runs, shared = comparison.runs, compared_charts(comparison)
     # The sheet of each arm holds all runs.
-    sheets = [recorded.phase_plane(*(plane(run.view, arm) for run in runs)) for arm in range(runs[0].view.arms)]
+    sheets = [Sheet.around(*(plane(run.view, arm) for run in runs)) for arm in range(runs[0].view.arms)]
     rows = [f"**{comparison.title}**", "", comparison.status, ""]
     rows += [f"{k + 1}. **{run.name}**: {run.view.verdict}" for k, run in enumerate(runs)]
     blueprint = _blueprint(comparison, shared, sheets)

@@ -98,30 +98,6 @@ def angle_axis(axes: Axes, which: str) -> None:
     axis.set_major_formatter(FuncFormatter(lambda value, _: style.in_pi(value / np.pi)))
 
 
-def badge(axes: Axes, number: int, x: float, y: float, *, size: float = style.SMALL) -> None:
-    """Put a symbol's number, white on a dark disc.
-
-    Args:
-        axes: panel to draw on.
-        number: number of the symbol.
-        x: position in data.
-        y: position in data.
-        size: size of the text, points.
-    """
-    axes.text(
-        x,
-        y,
-        str(number),
-        ha="center",
-        va="center_baseline",
-        fontsize=size,
-        color="white",
-        zorder=6,
-        clip_on=False,
-        bbox={"boxstyle": "circle,pad=0.25", "facecolor": style.INK, "edgecolor": "none"},
-    )
-
-
 def wrapped_runs(curve: Array, periods: tuple[float | None, ...]) -> list[Array]:
     """Return a curve (K, D) as runs within one period about zero.
 

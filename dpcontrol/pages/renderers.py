@@ -40,7 +40,7 @@ PANELS: dict[str, str] = {
     "dpcontrol.tubes.connections.ConnectionSearch": "single:search",
     "dpcontrol.tubes.connections.Connection": "single:flown",
     "dpcontrol.tubes.symmetric.SymmetricSearch": "single:flown",
-    "dpcontrol.bifurcations.bifurcations.BifurcationSearch": "single:bifurcations",
+    "dpcontrol.bifurcations.bifurcations.BifurcationSearch": "paper.branches:bifurcations",
     "dpcontrol.proofs.prove.Proof": "single:proof",
     "dpcontrol.runs.polish.Polished": "single:polished",
     "dpcontrol.walks.shadowing.ShadowingOrbit": "page:angles",
@@ -67,7 +67,7 @@ PARTS = {
 RECORDINGS = {
     "dpcontrol.judge.run_view.RunView": "rerun_recording:write_recording",
     "dpcontrol.judge.comparison.RunComparison": "page:write_comparison_recording",
-    "dpcontrol.walks.atlas.Atlas": "atlas_recording:write_atlas_recording",
+    "dpcontrol.walks.atlas.Atlas": "atlas:write_atlas_recording",
 }
 """Functions `write(result, path)` of Rerun recordings."""
 
@@ -82,8 +82,7 @@ def record(result: object, path: Path) -> None:
     Raises:
         InputError: it cannot be written, or the log was removed.
     """
-    kind = type(result)
-    renderer(RECORDINGS[f"{kind.__module__}.{kind.__qualname__}"])(result, path)
+    renderer(RECORDINGS[f"{type(result).__module__}.{type(result).__qualname__}"])(result, path)
 
 
 def new_axes(width: float, height: float) -> Any:

@@ -97,6 +97,11 @@ class Chart:
     log: bool = False
 
     @property
+    def range(self) -> Range:
+        """Initial range of values."""
+        return self.shown or padded(np.concatenate([line.values for line in self.lines]))
+
+    @property
     def named(self) -> str:
         """Title in the viewer."""
         return f"{self.title}{f' ({self.unit})' if self.unit else ''}"

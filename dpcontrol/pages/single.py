@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from dpcontrol.bifurcations.bifurcations import BifurcationSearch, branch_diagram
 from dpcontrol.control.flight import Flight
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.document import counted
@@ -19,8 +18,8 @@ from dpcontrol.orbits.orbit import PeriodicOrbit
 from dpcontrol.orbits.tube import Tube
 from dpcontrol.pages import style
 from dpcontrol.pages.atlas import BRANCHES
+from dpcontrol.pages.layout import key
 from dpcontrol.pages.panels import Bar, bars, draw_graph, quiet, quiet_plane, wrapped_runs
-from dpcontrol.pages.paper.branches import draw_momentum_branches
 from dpcontrol.recordings.recording import Recording
 from dpcontrol.runs.polish import Polished
 from dpcontrol.tubes.connections import Connection, ConnectionSearch
@@ -117,20 +116,6 @@ def flown(axes: Axes, found: Connection | SymmetricSearch) -> None:
         quiet_plane(axes, connections[0].source.system, title=counts or connections[0].name)
 
 
-def bifurcations(axes: Axes, found: BifurcationSearch) -> None:
-    """Draw the section's momentum of each connection over the energy.
-
-    The bifurcations and the counts are added.
-
-    Args:
-        axes: panel to draw on.
-        found: search to draw.
-    """
-    draw_momentum_branches(axes, branch_diagram(found))
-    title = f"{found.source} → {found.target}: {counted(len(found.events), 'bifurcation')} on {found.section.name}"
-    quiet(axes, title, x=f"energy{found.system.unit('J', ' ({})')}", y="p / p₀")
-
-
 def proof(axes: Axes, found: Any) -> None:
     """Draw the bounds of a proof that are small numbers.
 
@@ -191,8 +176,8 @@ def flight(axes: Axes, found: Flight) -> None:
         axes.plot(times, states[:, arm] / (2 * np.pi), color=style.arm_colour(arm), label=f"arm {arm + 1}, turns")
     limit = found.limits.position
     axes.plot(times, states[:, -2] / limit, color=style.INK, linestyle="--", label=f"cart, shares of {limit:g} m")
-    axes.legend()
     quiet(axes, found.status, x="s")
+    key(axes)
 
 
 def recording(axes: Axes, found: Recording) -> None:

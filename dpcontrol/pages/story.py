@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,7 +13,6 @@ from dpcontrol.judge.run_view import RunView, Stay
 from dpcontrol.logs import FLIGHT, LAP, RESUME, RETURN, Mode
 from dpcontrol.pages import style
 from dpcontrol.pages.layout import Page, text_width
-from dpcontrol.pages.panels import badge
 from dpcontrol.pages.planes import Range
 
 
@@ -125,6 +125,15 @@ def mode_spans(view: RunView) -> list[tuple[float, float, str]]:
 _TALL = 0.84
 _WRONG = {"facecolor": "#f7d9d6", "edgecolor": style.LIMIT, "hatch": "xxxx"}
 _BETWEEN = {"facecolor": "#eceef0", "edgecolor": style.FAINT, "hatch": "////"}
+_BADGE: dict[str, Any] = {
+    "ha": "center",
+    "va": "center_baseline",
+    "fontsize": style.SMALL,
+    "color": "white",
+    "zorder": 6,
+    "bbox": {"boxstyle": "circle,pad=0.25", "facecolor": style.INK, "edgecolor": "none"},
+}
+"""Look of a symbol's number, white on a dark disc."""
 _ROW = 0.24
 _AROUND = 0.62
 
@@ -176,8 +185,8 @@ def _part(axes: Axes, part: Span, place: int, second: float, *, marks: list[floa
     first = part.last - width if part.kind == "mode" else part.first
     look = {"astray": _WRONG, "transfer": _BETWEEN, "ended": _BETWEEN}.get(part.kind, {"facecolor": part.colour})
     axes.broken_barh([(first, width)], (place, _TALL), linewidth=0, **look)  # type: ignore[arg-type]
-    text = "" if part.kind == "ended" and mode else part.text
-    text = f"the run ended at {part.first:.2f} s" if part.kind == "ended" and not mode else text
+    ended = "" if mode else f"the run ended at {part.first:.2f} s"
+    text = ended if part.kind == "ended" else part.text
     middle, wide = first + width / 2, _width(text, second)
     marked = any(abs(at - middle) < wide / 2 + 0.1 * second for at in marks)
     if not text or marked or width < wide:
@@ -211,7 +220,7 @@ def _numbers(axes: Axes, view: RunView, rows: list[str], span: Range, second: fl
                 place = len(rows) - 1 - rows.index(row)
                 axes.plot([moment, moment], [place, place + _TALL], color=style.INK, linewidth=1.4, zorder=4.5)
                 if row == rows[0] and moment - last > 0.2 * second:
-                    badge(axes, i + 1, moment, place + _TALL / 2)
+                    axes.text(moment, place + _TALL / 2, str(i + 1), **_BADGE)
                     last = moment
         half = _width(name, second) / 2
         left = min(max(planned - half, begin), end - 2 * half)

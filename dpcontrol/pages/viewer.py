@@ -315,7 +315,7 @@ def show(recording: "recorded.rr.RecordingStream", start: RunLog, parts: Iterabl
             continue
         view = _view(log, planned, rows, waiting)
         if tail is None:
-            sheets = [recorded.phase_plane(plane(view, arm)) for arm in range(view.arms)]
+            sheets = [recorded.Sheet.around(plane(view, arm)) for arm in range(view.arms)]
             recording.send_blueprint(recorded.blueprint(view, sheets, growing=True), make_active=True)
             recording.send_recording_name(view.title)
             recorded.record_strips(recording, "", strips(planned), planned)

@@ -6,8 +6,7 @@ import subprocess
 import numpy as np
 import pytest
 
-from dpcontrol.pages.atlas import connections_of, kind_of, stable_direction
-from dpcontrol.pages.atlas_recording import write_atlas_recording
+from dpcontrol.pages.atlas import connections_of, kind_of, stable_direction, write_atlas_recording
 from dpcontrol.pages.figures import Gallery, draw_figures
 from dpcontrol.pages.paper import equilibria
 from dpcontrol.pages.paper.connecting import returning_search

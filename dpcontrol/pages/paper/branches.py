@@ -8,8 +8,9 @@ from functools import partial
 import numpy as np
 from matplotlib.axes import Axes
 
-from dpcontrol.bifurcations.bifurcations import BranchDiagram
+from dpcontrol.bifurcations.bifurcations import BifurcationSearch, BranchDiagram, branch_diagram
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.document import counted
 from dpcontrol.foundation.progress import part_of
 from dpcontrol.pages import style
 from dpcontrol.pages.figures import Gallery, PaperFigure
@@ -39,8 +40,7 @@ def branches_page(gallery: Gallery) -> PaperFigure:
         "the section (no birth).",
         size=style.TEXT,
     )
-    page.row(*(partial(_angle_branches, diagram=diagram) for diagram in diagrams), height=3.1)
-    page.row(*(partial(draw_momentum_branches, diagram=diagram) for diagram in diagrams), height=3.1)
+    panels = [partial(draw, diagram=d) for draw in (_angle_branches, draw_momentum_branches) for d in diagrams]
     words = "; ".join(
         f"{pair_name(d)}: {d.counts[0][1]} connections at {d.counts[0][0]:.4f} J and "
         f"{'' if d.counts[-1][2] else 'at least '}{d.counts[-1][1]} at {d.counts[-1][0]:.4f} J by {len(d.marks)} events"
@@ -48,7 +48,7 @@ def branches_page(gallery: Gallery) -> PaperFigure:
     )
     onset = min((m.energy for m in diagrams[2].marks), default=float("nan"))
     return PaperFigure(
-        page.figure(),
+        page.grid(panels, across=len(diagrams), height=3.1).figure(),
         "The section crossing of each connection, as energy grows: its angle there (above) and the momentum across "
         "(below). Each curve is a connection followed by continuation, also round folds; marks are events, each "
         "solved separately. The numbers below count all connections on the torus; curves show one "
@@ -111,3 +111,17 @@ def _wrapped(points: Array) -> Array:
 
 def pair_name(diagram: BranchDiagram) -> str:
     return f"{diagram.source} to {'itself' if diagram.source == diagram.target else diagram.target}"
+
+
+def bifurcations(axes: Axes, found: BifurcationSearch) -> None:
+    """Draw the section's momentum of each connection over the energy.
+
+    The bifurcations and the counts are added.
+
+    Args:
+        axes: panel to draw on.
+        found: search to draw.
+    """
+    draw_momentum_branches(axes, branch_diagram(found))
+    title = f"{found.source} → {found.target}: {counted(len(found.events), 'bifurcation')} on {found.section.name}"
+    quiet(axes, title, x=f"energy{found.system.unit('J', ' ({})')}", y="p / p₀")

@@ -128,7 +128,6 @@ def repeated_page(gallery: Gallery, *, turns: int) -> PaperFigure:
     kept = list(lengths.values())[:_REPEATED] or [c for c in connections if c.sense > 0][:_REPEATED]
     names = {c.name: letter for c, letter in zip(kept, "abc", strict=False)}
     page = Page(f"{title} homoclinic connections of Down-Up at {ENERGY:g} J (hits {[turns, 1]})")
-    page.row(*row_of(atlas, kind, kept, numbers=names, marked=tuple(kept)), height=4.4)
     windings = [tuple(abs(int(turn)) for turn in c.winding) for c in connections]
     counts = ", ".join(
         f"{windings.count(w)} {f'of winding ±{list(w)}' if any(w) else 'without winding'}"
@@ -137,7 +136,7 @@ def repeated_page(gallery: Gallery, *, turns: int) -> PaperFigure:
     resolved = all(atlas.cut(SADDLE, kind.section, hit).resolved for hit in kind.hits)
     torn = " and is drawn as far as it could be resolved: more connections than these exist"
     return PaperFigure(
-        page.figure(),
+        page.row(*row_of(atlas, kind, kept, numbers=names, marked=tuple(kept)), height=4.4).figure(),
         f"Above, left: the cuts of the unstable tube at its {ordinal} crossing of θ₂ = 2πk and of the stable tube at "
         "its first one back. Right: the connections as flights in the plane of the angles, with the "
         f"outer arm turning {times} before the arms settle about Down-Up again, {number} turns on (dot: the section at "
@@ -201,10 +200,9 @@ def returning_page(gallery: Gallery) -> PaperFigure:
     back = [c for c in search.connections if not any(c.winding)]
     page = Page("Homoclinic orbits of Down-Up that return through θ₁ = θ₂ the other way, at 0.2 J")
     flights = partial(_returning_flights, search=search, connections=[c for c in back if c.sense > 0])
-    page.row(flights, partial(single.search, found=search, shown=back), height=4.8)
     whole = "" if search.complete else "at least "
     return PaperFigure(
-        page.figure(),
+        page.row(flights, partial(single.search, found=search, shown=back), height=4.8).figure(),
         f"Connections from the Lyapunov orbit about Down-Up at {SENSES_ENERGY:g} J to the same orbit without a turn "
         "of an arm. They pass θ₁ = θ₂ (dotted) towards Up-Down's side and return the other way. Left: flights "
         "of one sense. Right: the unstable tube (red) at its first crossing of θ₁ = θ₂ and the stable tube (green) at "

@@ -104,8 +104,7 @@ def lyapunov_orbits_page(gallery: Gallery) -> PaperFigure:
     for saddle in ("down-up", "up-down"):
         birth = float(system.numeric.hamiltonian(system.equilibria[saddle]))
         orbits = [lyapunov_orbit(system, saddle, energy=birth + above) for above in _SIZES]
-        planes = [partial(_orbits, orbits=orbits, arm=arm) for arm in (0, 1)]
-        page.row(*planes, height=3.4)
+        page.row(*(partial(_orbits, orbits=orbits, arm=arm) for arm in (0, 1)), height=3.4)
     return PaperFigure(
         page.figure(),
         f"Lyapunov orbits about Down-Up (above) and Up-Down (below), {', '.join(f'{a:g}' for a in _SIZES)} J above "
@@ -163,9 +162,9 @@ def up_up_page(gallery: Gallery) -> PaperFigure:
     sense = np.sign(system.numeric.rate(states) @ np.asarray(section.normal))
     energy = float(system.numeric.hamiltonian(system.equilibria["up-up"]))
     page = Page(f"The manifolds of Up-Up at its energy of {energy:.4f} J on the section θ₂ = 2πk")
-    page.row(*(partial(_manifolds, points=points, sense=sense, way=way) for way in (1, -1)), height=5.0)
+    panels = (partial(_manifolds, points=points, sense=sense, way=way) for way in (1, -1))
     return PaperFigure(
-        page.figure(),
+        page.row(*panels, height=5.0).figure(),
         f"Up-Up has two unstable directions, so at its energy of {energy:.4f} J its unstable manifold is a surface "
         f"that starts at a point, and no tube. {len(points):,} trajectories that leave it in all directions of the "
         "unstable plane are drawn as points (red) at their first crossing of the section with the outer arm hanging. "
