@@ -291,7 +291,8 @@ def draw_motions(
     ends = {end for c, _ in flights for end in ((c.source, ()), (c.target, c.winding if any(c.winding) else ()))}
     for c, colour in flights:
         axes.plot(*c.states[:, picked].T, color=colour, linewidth=1.1, zorder=8)
-        axes.plot(*c.state[picked, None], "o", color=colour, markeredgecolor="white", markersize=5, zorder=9)
+        if not space:
+            axes.plot(*c.state[:2], "o", color=colour, markeredgecolor="white", markersize=6, zorder=9)
     look = {"linewidth": 2.5, "zorder": 10} if space else {"linewidth": 3.5, "alpha": 0.45, "zorder": 1}
     for orbit in atlas.orbits:
         own = {winding for saddle, winding in ends if saddle == orbit.saddle and orbit.family == 0}
@@ -332,7 +333,7 @@ def _draw_whole(axes: Axes, atlas: Atlas) -> None:
     for k, orbit in enumerate(atlas.orbits):
         look = {"fontsize": style.SMALL, "color": style.saddle_colour(orbit.saddle), "weight": "bold"}
         axes.text2D(0.0, 0.04 * k, f"orbit about {orbit.name}", transform=axes.transAxes, **look)  # type: ignore[attr-defined]
-    axes.set_box_aspect(None, zoom=1.1)  # type: ignore[call-arg]
+    axes.set_box_aspect(None, zoom=0.95)  # type: ignore[call-arg]
 
 
 def atlas(axes: Axes, found: Atlas) -> None:
