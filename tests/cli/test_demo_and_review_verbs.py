@@ -84,15 +84,6 @@ def test_two_logs_or_a_reference_are_reviewed_as_one_log_is(demo: tuple[Path, En
     assert not (tmp_path / "none.rrd").exists()
 
 
-def test_report_writes_one_page_of_a_log_and_gives_its_score(demo: tuple[Path, Ended], tmp_path: Path) -> None:
-    page = tmp_path / "page.png"
-    ended = dpcontrol("report", demo[0] / "logs/outer-turn-0.mcap", "--picture", page, "--json")
-    assert ended.code == 0
-    assert ended.document["completed"] is True
-    assert ended.document["picture"] == str(page)
-    assert page.read_bytes().startswith(PNG)
-
-
 def test_the_drawn_tubes_meet_at_the_plans_section_crossing(demo: tuple[Path, Ended]) -> None:
     log = read_log(demo[0] / "logs/outer-turn-0.mcap")
     view = run_view(log)
