@@ -33,8 +33,8 @@ from dpcontrol.foundation.rendering import render
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from dpcontrol.bench.chart import PrecisionChart
-    from dpcontrol.bench.run import DrawnCharts
+    from dpcontrol.bench.chart import ChartPage
+    from dpcontrol.bench.drawing import DrawnCharts
     from dpcontrol.bifurcations.bifurcations import BifurcationSearch
     from dpcontrol.control.export import ControllerSource
     from dpcontrol.control.flight import Flight as Flight
@@ -65,7 +65,7 @@ if TYPE_CHECKING:
     from dpcontrol.orbits.rotating import RotatingFamilies, RotatingFamily, RotatingOrbit, RotatingOrbits
     from dpcontrol.pages.figures import DrawnFigures
     from dpcontrol.pages.page import Report
-    from dpcontrol.pages.picture import Review
+    from dpcontrol.pages.viewer import Review
     from dpcontrol.planner.server import Planner
     from dpcontrol.plans.itinerary import Itinerary
     from dpcontrol.plans.model import Model as Model
@@ -1064,7 +1064,8 @@ def flight(
 
     Args:
         model: model, its name, arms, or a plan, whose model and limits are used.
-        state: state (N,): angles, rad, rates, rad/s, and position and velocity of the cart, m and m/s.
+        state: state (N,): angles, rad, rates, rad/s, and position and velocity of the cart, m and m/s; without the last
+            two, the cart is at rest in the middle.
         target: name of an equilibrium such as "up-up", an orbit (any phase), or a plan (its first stop).
         limits: limits of the cart (default: the plan's, or those of `Limits`).
 
@@ -1157,7 +1158,7 @@ def launch(
         True
     """
     from dpcontrol.foundation.files import chosen_name
-    from dpcontrol.pages.picture import LIVE_REMEDY, check_viewer
+    from dpcontrol.pages.viewer import LIVE_REMEDY, check_viewer
     from dpcontrol.runs.closed_loop import bench_of
     from dpcontrol.runs.night import NightSettings, name_check, night_itinerary
     from dpcontrol.runs.run import default_log, repeated_log
@@ -1449,7 +1450,7 @@ def identify(
         design: most informative swings for recording, instead of an identification.
         out: model to write (default: models/NAME.toml).
         force: replace an existing model, whatever made it.
-        picture: picture of the result, with profiles of the misfit in a minute (default: none).
+        picture: picture of the result (default: none).
         progress: reports, see `dpcontrol.api`.
 
     Returns:
@@ -1496,10 +1497,9 @@ def identify(
         if target is not None:
             write_model(found, target, title=title, logs=files, starting_model=model.name)
         if picture is not None:
-            from dpcontrol.identification.identify import profiles
             from dpcontrol.pages.identification import draw_identification
 
-            _save(draw_identification(found, profiles(found, progress=report), title=title), picture)
+            _save(draw_identification(found, title=title), picture)
     return replace(found, file=target)
 
 
@@ -1576,7 +1576,7 @@ def open_reference(file: Place, *, picture: Picture = None, transitions: Picture
         raise InputError(f"picture and transitions are both {picture}: give two names")
     reference = load_reference(Path(file))
     if transitions is not None:
-        from dpcontrol.pages.transitions import draw_transitions
+        from dpcontrol.pages.film import draw_transitions
 
         # It can be refused, and must be before another picture is written.
         _save(draw_transitions(reference), transitions)
@@ -1704,14 +1704,14 @@ def picture(
     if transitions and not isinstance(result, Plan):
         raise InputError("transitions = True draws the transfers of a plan: give one")
     if transitions and isinstance(result, Plan):
-        from dpcontrol.pages.transitions import draw_transitions
+        from dpcontrol.pages.film import draw_transitions
 
         figure = draw_transitions(result.reference)
     else:
         figure = render(result)
     if film is not None:
         from dpcontrol.pages.film import write_film
-        from dpcontrol.pages.single import view_of
+        from dpcontrol.pages.page import view_of
 
         write_film(view_of(result), film)
     if file is not None:
@@ -2247,9 +2247,7 @@ def check_proof(file: Place, *, progress: Reporting = None) -> CertificateCheck:
 
 
 @checked
-def explore_energies(
-    itinerary: Plan | str, *, picture: Place | None = None, progress: Reporting = None
-) -> PrecisionChart:
+def explore_energies(itinerary: Plan | str, *, picture: Place | None = None, progress: Reporting = None) -> ChartPage:
     """Compare the effort of one walk over energies.
 
     Args:
@@ -2620,8 +2618,8 @@ def review(
         >>> dp.review(log, save=log.with_suffix(".rrd")).recording.name
         'turn.rrd'
     """
-    from dpcontrol.pages.picture import Review, opened, view_in_window
     from dpcontrol.pages.renderers import record
+    from dpcontrol.pages.viewer import Review, opened, view_in_window
 
     if stretch is not None and film is None:
         raise InputError("stretch is given without film: give the film too")
@@ -2884,7 +2882,7 @@ def design_experiments(model: Model | str, *, picture: Picture = None, progress:
     with reporting(progress, "design") as report:
         found = designed(model.arms, progress=report)
     if picture is not None:
-        from dpcontrol.pages.experiments import draw_design
+        from dpcontrol.pages.identification import draw_design
 
         _save(draw_design(found, title=model.title), picture)
     return found
@@ -2983,8 +2981,8 @@ def draw_figures(
     """
     with reporting(progress, "figures") as report:
         report("loading", 0.0)
+        from dpcontrol.pages.figures import cached_gallery
         from dpcontrol.pages.figures import draw_figures as drawn
-        from dpcontrol.pages.gallery import cached_gallery
 
         return drawn(names, cached_gallery(), Path(folder), progress=report)
 
@@ -3029,7 +3027,7 @@ def draw_charts(
     """
     with reporting(progress, "bench") as report:
         report("loading", 0.0)
-        from dpcontrol.bench.run import draw_charts as drawn
+        from dpcontrol.bench.drawing import draw_charts as drawn
 
         return replace(drawn(names, Path(folder), quick=quick, yes=yes, progress=report), strict=strict)
 

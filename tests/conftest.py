@@ -3,11 +3,13 @@ are kept meanwhile.
 """
 
 import os
+import pickle
 
 # As the command line does: threads of a BLAS only hinder one another, between workers most of all.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -45,6 +47,69 @@ def one_processor_for_each_worker() -> Iterator[None]:
         yield
 
 
+@pytest.fixture(scope="session", autouse=True)
+def gains_of_a_motion_once() -> Iterator[None]:
+    """Share the adaptive law's gains between loops that fly the same motion. They take a second of work each time.
+
+    tests/control/test_adaptive.py computes its own.
+    """
+    from dpcontrol.loop import controllers
+
+    made, make = dict[bytes, Any](), controllers.adaptive_controller
+
+    def shared(reference: Reference, model: Any, settings: Any, *, estimator: Any) -> Any:
+        motion = replace(reference, plan=None)
+        key = pickle.dumps((motion, model.parameters, model.period, model.lag, settings, estimator))
+        if key not in made:
+            if len(made) == MOTIONS:
+                made.pop(next(iter(made)))
+            made[key] = make(reference, model, settings, estimator=estimator)
+        return made[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(controllers, "adaptive_controller", shared)
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def enclosures_once() -> Iterator[None]:
+    """Share the enclosures of flights between proofs: several tests prove the same orbit with other claims."""
+    try:
+        import flint
+    except ImportError:
+        yield
+        return
+    from dpcontrol.proofs import charts
+    from dpcontrol.proofs.flow import Field
+
+    fields, flights = dict[Any, Any](), dict[Any, Any]()
+    make, fly = Field.of, charts.fly
+
+    def field(system: Any, parameters: Any) -> Any:
+        key = (system.equations, tuple(parameters), flint.ctx.prec)
+        if key not in fields:
+            fields[key] = make(system, parameters)
+        return fields[key]
+
+    def exact(ball: Any) -> Any:
+        return [tuple(map(str, end.man_exp())) for end in (ball.mid(), ball.rad())] if ball.is_finite() else str(ball)
+
+    def flown(field: Any, start: Any, spread: Any, duration: Any, settings: Any) -> Any:
+        balls = [exact(ball) for ball in (*start, *spread.entries())]
+        key = (id(field), repr(balls), duration, settings, flint.ctx.prec)
+        if key not in flights:
+            flights[key] = fly(field, start, spread, duration, settings)
+        thin, derivative, end, steps = flights[key]
+        return [*thin], flint.arb_mat(derivative), [*end], [[*step] for step in steps]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Field, "of", field)
+        patch.setattr(charts, "fly", flown)
+        yield
+
+
+MOTIONS = 20
+"""Most motions whose gains are kept, of a few MB each."""
 PARALLEL = ("plans.transfers", "runs.campaign", "runs.polish", "runs.preflight", "runs.remedies")
 """Modules that ask for the number of processors."""
 
@@ -83,11 +148,11 @@ def pytest_make_collect_report() -> Iterator[Any]:
 
 
 LONGEST = (
-    "test_readme", "test_proved_connections", "test_true_verdicts", "test_api_examples", "test_commissioning",
-    "test_recovery_on_the_bench", "test_legibility", "test_generated_scenes", "test_compilers_and_targets",
-    "test_certificates", "test_exported_controller", "test_notebooks", "test_numbers_of_arms", "test_objects",
-    "test_proved_orbits", "test_examples", "test_parts", "test_without_heyoka", "test_batch", "test_fuzz",
-    "test_run_verb", "test_bifurcations", "test_own_systems", "test_figures", "test_extended", "test_walk_verb",
+    "test_proved_connections", "test_readme", "test_true_verdicts", "test_compilers_and_targets", "test_planner_page",
+    "test_api_examples", "test_commissioning", "test_recovery_on_the_bench", "test_legibility", "test_examples",
+    "test_notebooks", "test_without_heyoka", "test_types", "test_objects", "test_rig_verbs", "test_bifurcations",
+    "test_chart_accuracy", "test_generated_scenes", "test_numbers_of_arms", "test_exported_controller", "test_parts",
+    "test_batch", "test_fuzz", "test_run_verb", "test_own_systems", "test_figures", "test_extended", "test_walk_verb",
     "test_campaign", "test_kept_walks", "test_atlas", "test_demo_and_review_verbs", "test_help_and_streams",
     "test_identification", "test_hostile_packets", "test_two_turns", "test_named_symbols", "test_honest_searches",
     "test_replay", "test_api", "test_udp_program", "test_log_verbs",
@@ -105,6 +170,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     """Keep a module's tests on one worker, which makes the module's fixtures once; the README's sections share none.
 
+    All proofs are made on one worker, since they enclose the same flights.
+
     A scheduler of our own, because pytest 9.2 does away with what `--dist loadgroup` of xdist 3.8 renames tests by. It
     would begin with the modules of most tests, which take least; those of `LONGEST` are in front already.
     """
@@ -115,6 +182,8 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     class ModulesTogether(LoadScopeScheduling):
         def _split_scope(self, nodeid: str) -> str:
             module = nodeid.split("::", 1)[0]
+            if "/proofs/" in module or "guide-proofs-" in nodeid:
+                return "proofs"
             return nodeid if module.endswith("test_readme.py") else module
 
     return ModulesTogether(config, log)

@@ -19,6 +19,7 @@ import pytest
 from command_line import Ended, dpcontrol
 from once import time_once
 
+from dpcontrol.bifurcations import bifurcations
 from dpcontrol.cli.verbs import VERBS
 from dpcontrol.pages.figures import FIGURES
 from dpcontrol.runs import preflight
@@ -126,16 +127,19 @@ def in_the_folder(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Change to the folder, with a passive viewer."""
     monkeypatch.chdir(folder)
     monkeypatch.setenv("DISPLAY", ":0")
-    monkeypatch.setattr("dpcontrol.pages.picture.viewer_program", lambda: Path("/bin/true"))
+    monkeypatch.setattr("dpcontrol.pages.viewer.viewer_program", lambda: Path("/bin/true"))
 
 
 @pytest.fixture
 def briefly(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Time the work of a chart once, and let a preflight seek one border and try three changes, as one of each shows.
+    """Time the work of a chart once, sweep few energies, and let a preflight seek one border and try three changes.
 
-    Each further border or change takes seconds of runs; test_preflight has all of them.
+    Each further border or change takes seconds of runs; test_preflight has all of them, and test_bifurcations sweeps
+    more energies.
     """
     time_once(monkeypatch)
+    sweep = bifurcations.SweepSettings
+    monkeypatch.setattr(bifurcations, "SweepSettings", lambda energies: sweep(energies=min(energies, 4)))
     hazards, changes = preflight.hazards, preflight.changes
     monkeypatch.setattr(preflight, "hazards", lambda plan, scene, **most: hazards(plan, scene, **most)[1:2])
     monkeypatch.setattr(preflight, "changes", lambda scene: islice(changes(scene), 3))
@@ -215,6 +219,7 @@ def test_the_toml_shown_is_that_of_a_model_an_itinerary_or_a_part_of_one(text: s
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("briefly")
 def test_the_commands_that_show_the_numbers_run() -> None:
     figures = [command.split()[2:] for command in commands_in_text() if command.split()[1] == "figures"]
     # tests/pages/test_legibility.py draws each of them.

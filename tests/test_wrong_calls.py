@@ -117,6 +117,9 @@ def things(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     }
 
 
+Calls = dict[str, tuple[Callable[..., Any], dict[str, Any]]]
+
+
 def filled(value: Any, things: dict[str, Any]) -> Any:
     """Return a value with the results that $NAME stands for."""
     if isinstance(value, str) and value.startswith("$"):
@@ -124,8 +127,9 @@ def filled(value: Any, things: dict[str, Any]) -> Any:
     return [filled(one, things) for one in value] if isinstance(value, list) else value
 
 
-def calls(things: dict[str, Any]) -> dict[str, tuple[Callable[..., Any], dict[str, Any]]]:
-    """Return the public functions and the methods of results, with arguments that suffice."""
+@pytest.fixture(scope="module")
+def calls(things: dict[str, Any]) -> Calls:
+    """The public functions and the methods of results, with arguments that suffice."""
     functions = {name: getattr(dp, name) for name in dp.__all__ if inspect.isfunction(getattr(dp, name))}
     for kind, name in {type(thing): name for name, thing in reversed(things.items())}.items():
         for method, _ in inspect.getmembers(kind, inspect.isfunction) if kind.__module__.startswith("dpc") else ():
@@ -145,11 +149,11 @@ def written(annotation: Any) -> str:
     return re.sub(r"\w+", lambda word: aliases.get(word[0], word[0]), str(annotation))
 
 
-def wrong_calls(things: dict[str, Any]) -> list[tuple[str, str, Any]]:
+def wrong_calls(calls: Calls) -> list[tuple[str, str, Any]]:
     """Return (function, parameter, value) for each value that a parameter cannot be."""
     return [
         (name, key, value)
-        for name, (function, _) in calls(things).items()
+        for name, (function, _) in calls.items()
         for key, parameter in inspect.signature(function).parameters.items()
         for value, fits in WRONG
         if not re.search(fits, written(parameter.annotation))
@@ -243,31 +247,33 @@ def sound(function: Callable[..., Any], arguments: dict[str, Any], *, status: bo
         assert getattr(found, "converged", None) is False, f"returned {found!r}"
 
 
-def refused(things: dict[str, Any], name: str, parameter: str, value: Any) -> None:
+def refused(calls: Calls, name: str, parameter: str, value: Any) -> None:
     """Fail if a value of a wrong type is not refused in one sentence."""
-    function, good = calls(things)[name]
+    function, good = calls[name]
     try:
         sound(function, {**good, parameter: value}, status=False)
     except AssertionError as error:
         raise AssertionError(f"{name}({parameter}={value!r:.40}): {error}") from error
 
 
-def test_every_function_and_method_has_arguments_that_suffice(things: dict[str, Any]) -> None:
+def test_every_function_and_method_has_arguments_that_suffice(calls: Calls) -> None:
     """The wrong calls differ from a right one in one argument, so they test what they are meant to test."""
-    for name, (function, good) in calls(things).items():
+    for name, (function, good) in calls.items():
         try:
             inspect.signature(function).bind(**good)
         except TypeError as error:
             pytest.fail(f"{name}: {error}; add it to BY_NAME or GOOD")
 
 
-def test_a_wrong_type_is_refused_in_one_sentence(things: dict[str, Any]) -> None:
-    for call in wrong_calls(things):
-        refused(things, *call)
+def test_a_wrong_type_is_refused_in_one_sentence(calls: Calls) -> None:
+    for call in wrong_calls(calls):
+        refused(calls, *call)
 
 
 @pytest.mark.parametrize("name", sorted({name for name, _ in MISTAKES}))
-def test_an_impossible_value_is_refused_in_one_sentence_or_has_a_status(name: str, things: dict[str, Any]) -> None:
-    function, good = calls(things)[name]
+def test_an_impossible_value_is_refused_in_one_sentence_or_has_a_status(
+    name: str, calls: Calls, things: dict[str, Any]
+) -> None:
+    function, good = calls[name]
     for wrong in (over for of, over in MISTAKES if of == name):
         sound(function, good | {key: filled(value, things) for key, value in wrong.items()}, status=True)

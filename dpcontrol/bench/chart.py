@@ -25,7 +25,7 @@ Source: for bisection on a yes-or-no answer, Press et al., Numerical Recipes, 3r
 
 import importlib
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -36,6 +36,7 @@ from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress
 from dpcontrol.foundation.units import quantity
+from dpcontrol.words.table import Line, TextTable
 
 ALLOWED = 0.2
 """Largest distance of a default from the front, with a reason."""
@@ -56,16 +57,6 @@ def split_label(label: str) -> tuple[str, str]:
     """
     name, _, unit = label.rpartition(", ")
     return (name, unit) if unit in UNITS else (label, "")
-
-
-@dataclass(frozen=True)
-class ChartTable:
-    """A title, column heads and rows of text, followed by notes."""
-
-    title: str
-    columns: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -122,10 +113,8 @@ class Diagram(Documented):
     It holds the reason for keeping a default off the front.
 
     Attributes:
-        start_up: time of each method's first use (compiling, building), s, excluded from its times.
         floor: errors below it are rounding and count as equal.
         judged: False for a second view of work that another panel judges.
-        timed: False if x is no time.
     """
 
     KEYS: ClassVar[str] = "* front=front.name defaults=standings"
@@ -134,21 +123,16 @@ class Diagram(Documented):
     x_label: str
     y_label: str
     points: tuple[Point, ...]
-    start_up: Mapping[str, float] = field(default_factory=dict)
     missing: tuple[Missing, ...] = ()
     why: str = ""
     log_y: bool = True
     floor: float = 0.0
     judged: bool = True
-    timed: bool = True
 
     @property
     def _running(self) -> list[tuple[Point, float]]:
         """Points that take part in the front, with their errors."""
-        return [(p, self._error(p)) for p in self.points if not p.stored]
-
-    def _error(self, point: Point) -> float:
-        return max(point.error, self.floor)
+        return [(p, max(p.error, self.floor)) for p in self.points if not p.stored]
 
     @property
     def front(self) -> tuple[Point, ...]:
@@ -174,7 +158,7 @@ class Diagram(Documented):
         Args:
             point: point of this diagram.
         """
-        error = self._error(point)
+        error = max(point.error, self.floor)
         fastest = min(p.seconds for p, e in self._running if e <= error)
         truest = min(e for p, e in self._running if p.seconds <= point.seconds)
         # If no equally fast point is more precise, only time measures the distance.
@@ -195,7 +179,7 @@ class Diagram(Documented):
         It compares the first default with the fastest other point that is as precise.
         """
         ours = next(iter(self.defaults), self.front[-1])
-        error, unit = self._error(ours), split_label(self.y_label)[1]
+        error, unit = max(ours.error, self.floor), split_label(self.y_label)[1]
         measured, cost = (label.partition(",")[0] for label in (self.y_label, self.x_label))
         as_good = [p for p, e in self._running if p is not ours and e <= error]
         if not as_good:
@@ -219,17 +203,18 @@ class Diagram(Documented):
         """Position of each default."""
         return [{"name": p.name, "off_front": self.off_front(p), "standing": self.standing(p)} for p in self.defaults]
 
-    def table(self) -> ChartTable:
-        """Return the front as a table, followed by the defaults off it."""
+    def text(self) -> Iterator[Line]:
+        """Yield the front as a table, followed by the defaults off it, then the result and notes."""
         shown = [*self.front, *(p for p in self.defaults if p not in self.front)]
         rows = tuple(
             (p.method, p.setting, f"{p.seconds:.3g}", f"{p.error:.2g}", self.standing(p) if p.default else "", p.note)
             for p in shown
         )
-        notes = tuple(f"without {m.method} {m.setting}: {m.reason}" for m in self.missing)
-        why = (f"the default is kept: {self.why}",) if self.why else ()
-        columns = ("front", "setting", self.x_label, self.y_label, "default", "")
-        return ChartTable(self.title, columns, rows, notes + why)
+        yield TextTable(self.title, ("front", "setting", self.x_label, self.y_label, "default", ""), rows)
+        yield f"  {self.finding()}"
+        yield from (f"  without {m.method} {m.setting}: {m.reason}" for m in self.missing)
+        if self.why:
+            yield f"  the default is kept: {self.why}"
 
 
 @dataclass(frozen=True)
@@ -257,15 +242,6 @@ def half_of(answers: Sequence[Attempt], lost: str) -> Attempt:
 
 
 @dataclass(frozen=True)
-class Trial:
-    """One tried value and its outcome."""
-
-    y: float
-    works: bool
-    says: str
-
-
-@dataclass(frozen=True)
 class Border(Documented):
     """The border on one line of a map.
 
@@ -276,9 +252,10 @@ class Border(Documented):
         far: first failing value, or None.
         predicted: by theory, or None.
         says: the package's message at `far`.
+        trials: tried values with their outcomes.
     """
 
-    KEYS: ClassVar[str] = "* measured off"
+    KEYS: ClassVar[str] = "* trials:y,attempt measured off"
 
     x: float
     line: str
@@ -286,7 +263,7 @@ class Border(Documented):
     far: float | None
     predicted: float | None
     says: str
-    trials: tuple[Trial, ...]
+    trials: tuple[tuple[float, Attempt], ...]
 
     @property
     def measured(self) -> float | None:
@@ -331,30 +308,27 @@ def find_border(
         ratio: largest final ratio of the sides.
         unit: restricts values to its multiples; the search ends at neighbours.
     """
-    trials: list[Trial] = []
+    trials: dict[float, Attempt] = {}
     good, bad = (max(round(y / unit), 1) * unit if unit else y for y in (near, far))
 
     def works(y: float) -> bool:
-        answer = probe(y)
-        trials.append(Trial(y, answer.works, answer.says))
-        return answer.works
+        trials[y] = probe(y)
+        return trials[y].works
 
-    def border(near: float | None, far: float | None) -> Border:
-        says = next((t.says for t in trials if t.y == far), "")
-        return Border(x, line, near, far, predicted, says, tuple(sorted(trials, key=lambda t: t.y)))
-
+    sides: tuple[float | None, float | None] = bad, None
     if not works(good):
-        return border(None, good)
-    if works(bad):
-        return border(bad, None)
-    while max(good / bad, bad / good) > ratio:
-        middle = math.sqrt(good * bad)
-        if unit:
-            middle = round(middle / unit) * unit
-        if middle in (good, bad):
-            break
-        good, bad = (middle, bad) if works(middle) else (good, middle)
-    return border(good, bad)
+        sides = None, good
+    elif not works(bad):
+        while max(good / bad, bad / good) > ratio:
+            middle = math.sqrt(good * bad)
+            if unit:
+                middle = round(middle / unit) * unit
+            if middle in (good, bad):
+                break
+            good, bad = (middle, bad) if works(middle) else (good, middle)
+        sides = good, bad
+    says = "" if sides[1] is None else trials[sides[1]].says
+    return Border(x, line, *sides, predicted, says, tuple(sorted(trials.items())))
 
 
 @dataclass(frozen=True)
@@ -411,27 +385,29 @@ class EdgeMap(Documented):
                 found.append(f"{where}: the failure at {b.far:.3g} is not reported")
         return tuple(found)
 
-    def table(self) -> ChartTable:
-        """Return the borders as a table."""
+    def text(self) -> Iterator[Line]:
+        """Yield the borders as a table, then the result and the basis of the prediction."""
         rows = tuple(
             (b.line, *("-" if y is None else f"{y:.4g}" for y in (b.near, b.far, b.predicted)),
              "" if b.off is None else f"{b.off:.0%}", shorten(b.says, 90, placeholder=" …"))
             for b in self.borders
         )  # fmt: skip
-        notes = (f"predicted: {self.theory}",) if self.theory else ()
         columns = ("line", self.near, self.far, "predicted", "apart", "message")
-        return ChartTable(f"{self.title}: {self.y_label}", columns, rows, notes)
+        yield TextTable(f"{self.title}: {self.y_label}", columns, rows)
+        yield f"  {self.finding()}"
+        if self.theory:
+            yield f"  predicted: {self.theory}"
 
 
 @dataclass(frozen=True)
 class ChartPage(Documented):
     """A page of `dpcontrol bench`.
 
-    It has a name for command line and files, a title, three reading hints, the choice and its diagrams. A chart that is
-    drawn alone has a file.
+    It has a name for command line and files, a title, three reading hints, the choice, and its diagrams or maps. A
+    chart that is drawn alone has a file.
     """
 
-    KEYS: ClassVar[str] = "name title headline=title reading chosen complaints findings file?"
+    KEYS: ClassVar[str] = "name title headline=title reading chosen complaints findings file? panels=parts"
 
     name: str
     title: str
@@ -459,20 +435,6 @@ class ChartPage(Documented):
     def findings(self) -> list[str]:
         """The result of each diagram."""
         return [f"{part.title}: {part.finding()}" for part in self.parts]
-
-
-@dataclass(frozen=True)
-class PrecisionChart(ChartPage):
-    """A page of work-precision diagrams."""
-
-    KEYS: ClassVar[str] = f"{ChartPage.KEYS} panels=parts"
-
-
-@dataclass(frozen=True)
-class EdgeChart(ChartPage):
-    """A page of maps with the borders between success and failure."""
-
-    KEYS: ClassVar[str] = f"{ChartPage.KEYS} maps=parts"
 
 
 def measured_maps(

@@ -16,7 +16,6 @@ Source: Bar-Shalom, Li & Kirubarajan, Estimation with Applications to Tracking a
 """
 
 import math
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
@@ -25,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from dpcontrol.bench.chart import Diagram, PrecisionChart
+from dpcontrol.bench.chart import ChartPage, Diagram
 from dpcontrol.bench.measure import Alternative, Judged, compare
 from dpcontrol.control.estimator_settings import (
     AdaptiveEkfSettings,
@@ -88,7 +87,7 @@ class ControlTask:
     judge: Judge
 
 
-def control_chart(quick: bool, progress: Progress) -> PrecisionChart:
+def control_chart(quick: bool, progress: Progress) -> ChartPage:
     """Return controllers' errors and failure rates against the time of a tick.
 
     Args:
@@ -101,7 +100,7 @@ def control_chart(quick: bool, progress: Progress) -> PrecisionChart:
     progress("control, an orbit", 0.3)
     orbit = _orbit((4, 16), seeds, 4.0) if quick else _orbit((1, 2, 3, 4, 8, 16, 32), 10, 10.0)
     weights = (0.1, 1.0, 10.0) if quick else (0.1, 1.0, 10.0, 100.0)
-    return PrecisionChart(
+    return ChartPage(
         name="control",
         title=f"Control, arms {SMALL:.0%} and {LARGE:.0%} off",
         parts=(*tracking, *orbit, _hold(weights, seeds)),
@@ -128,19 +127,16 @@ def measured(task: ControlTask, made: Made, *, seeds: int, default: tuple[str, s
         seeds: runs at each mismatch.
         default: method and setting of the default.
     """
-    start_up: dict[str, float] = {}
     judged: dict[tuple[str, str], Judged | str] = {}
     tried: list[Alternative[None]] = []
     for (method, setting), (make, estimator) in made.items():
         settings = LoopSettings(seed=0, rate=RATE, estimator=estimator, initial_error=INITIAL_ERROR)
         model = sampled_model(task.arms, RATE)
-        began = time.process_time()
         controller = make(model)
-        start_up[", ".join(filter(None, (method, setting)))] = time.process_time() - began
         judged[method, setting] = outcome(task, controller, settings, seeds=seeds)
         tick = tick_of(task, controller, settings)
         tried.append(Alternative(method, setting, tick, default=(method, setting) == default))
-    return replace(compare(tried, lambda one, _: judged[one.method, one.setting]), start_up=start_up)
+    return compare(tried, lambda one, _: judged[one.method, one.setting])
 
 
 def outcome(task: ControlTask, controller: Controller, settings: LoopSettings, *, seeds: int) -> Judged | str:
@@ -302,7 +298,7 @@ def _orbit(sections: tuple[int, ...], seeds: int, seconds: float) -> tuple[Diagr
     )
     why = "more sections detect an error earlier, and then need less effort"
     return error, failures, Diagram(
-        "An orbit by pulses, effort", "rms of the feedback, m/s²", _ERROR, spending, why=why, timed=False
+        "An orbit by pulses, effort", "rms of the feedback, m/s²", _ERROR, spending, why=why
     )  # fmt: skip
 
 
@@ -324,7 +320,7 @@ def _hold(weights: tuple[float, ...], seeds: int) -> Diagram:
     }  # fmt: skip
     found = measured(task, made, seeds=seeds, default=("LQR", "effort × 1"))
     return replace(
-        found, title="Both arms up, LQR", x_label="rms of the feedback, m/s²", y_label=_ERROR, timed=False,
+        found, title="Both arms up, LQR", x_label="rms of the feedback, m/s²", y_label=_ERROR,
         points=tuple(replace(p, seconds=p.others["effort"]) for p in found.points),
         why="the same weights as TVLQR's, so that a hold passes into a motion without a jump",
     )  # fmt: skip
@@ -340,11 +336,10 @@ ZERO_ERROR = 3e-3
 CUTOFFS = (10.0, 30.0, 100.0, math.inf)
 """Hz."""
 AUGMENTS = ((), ("zeros",), EkfSettings().augment, AdaptiveEkfSettings().augment)
-_METHODS = (("EKF, compiled", "ekf"), ("UKF, filterpy", "ukf"))
 _SWING = (0.4, 2.8, 2.0, -3.0, 0.0, 0.0)
 
 
-def estimation_chart(quick: bool, progress: Progress) -> PrecisionChart:
+def estimation_chart(quick: bool, progress: Progress) -> ChartPage:
     """Return diagrams of the estimators' error against time.
 
     Args:
@@ -359,7 +354,7 @@ def estimation_chart(quick: bool, progress: Progress) -> PrecisionChart:
     for k, counts in enumerate(resolutions):
         progress(f"estimation, {counts} counts", k / len(resolutions))
         panels.append(_panel(arms, swings, counts, quick=quick))
-    return PrecisionChart(
+    return ChartPage(
         name="estimation",
         title=f"Estimation, plant {SMALL:.0%} and zeros {ZERO_ERROR * 1e3:g} mrad off",
         parts=tuple(panels),

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from dpcontrol.bench.chart import Diagram, Point, PrecisionChart
+from dpcontrol.bench.chart import ChartPage, Diagram, Point
 from dpcontrol.bench.measure import Alternative, Judged, compare, timed_in_turns
 from dpcontrol.dynamics.chain import Level, equations_of
 from dpcontrol.foundation.arrays import Array
@@ -42,7 +42,7 @@ SLOWER, WIDER = 51.0, 1e6
 """hiten 0.5.4 on L1 to L2, end to end: stored multiple of this package's seconds, and least ratio of the gaps."""
 
 
-def connections_chart(quick: bool, progress: Progress) -> PrecisionChart:
+def connections_chart(quick: bool, progress: Progress) -> ChartPage:
     """Return the chart of orbits and connections.
 
     Args:
@@ -56,7 +56,7 @@ def connections_chart(quick: bool, progress: Progress) -> PrecisionChart:
     truths = true_states(orbit, count=1 if quick else 3)
     searches = search_panel(orbit, truths, part_of(progress, 0.4, 0.9), quick=quick)
     progress("connections: three bodies", 0.9)
-    return PrecisionChart(
+    return ChartPage(
         name="connections",
         title="Orbits and connections",
         parts=(orbits, searches, three_body_panel(quick=quick)),
@@ -212,7 +212,7 @@ def three_body_panel(*, quick: bool) -> Diagram:
     )
     return Diagram(
         "L1 to L2 of three bodies, with the orbits", "time, s", "gap where the pieces meet", points,
-        {"dpcontrol": run.start_up}, floor=GAP_ROUNDING,
+        floor=GAP_ROUNDING,
     )  # fmt: skip
 
 
@@ -230,7 +230,7 @@ WHOLE = (
 )  # fmt: skip
 
 
-def transcription_chart(quick: bool, progress: Progress) -> PrecisionChart:
+def transcription_chart(quick: bool, progress: Progress) -> ChartPage:
     """Return diagrams of collocation: time against error and cost.
 
     Args:
@@ -239,7 +239,7 @@ def transcription_chart(quick: bool, progress: Progress) -> PrecisionChart:
     """
     progress("transcription: the orbit to follow", 0.0)
     problem = crossing_problem()
-    return PrecisionChart(
+    return ChartPage(
         name="transcription",
         title="Transcription",
         parts=(

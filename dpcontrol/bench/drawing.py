@@ -1,23 +1,36 @@
-"""Pictures of charts: pages of at most three diagrams or maps.
+"""Pictures and data of charts: pages of at most three diagrams or maps.
 
-Each has its result as title. The layout engine of pages places them.
+Each chart is drawn to NAME.png, an appendix to NAME-more.png. NAME.json has points, machine and versions. Each diagram
+has its result as title. The layout engine of pages places them.
 
 A diagram has errors over times, and each method has its name beside its first mark. Settings are beside the other
 marks, in full diagrams only beside those on the front and the defaults. A map has a row for each of its lines. Axes
 have units with SI prefixes.
 """
 
+import json
+import os
+import platform
+import time
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, PercentFormatter
 
-from dpcontrol.bench.chart import ChartPage, Diagram, EdgeMap, Point, split_label
+from dpcontrol.bench.chart import CHARTS, ChartPage, Diagram, EdgeMap, Point, check_names, split_label
+from dpcontrol.bench.measure import one_core
+from dpcontrol.foundation.cache import commit
+from dpcontrol.foundation.document import Documented, counted
+from dpcontrol.foundation.files import write_whole
+from dpcontrol.foundation.parts import versions
+from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress, part_of
 from dpcontrol.foundation.units import quantity
 from dpcontrol.pages.layout import Page, key, save_figure
 from dpcontrol.pages.panels import name_point, name_rows, quiet
@@ -118,7 +131,7 @@ def _points(panel: Diagram, looks: dict[str, Look]) -> Iterator[Layer]:
 def _borders(one: EdgeMap) -> Iterator[Layer]:
     rows = list(enumerate(one.borders))
     marks: Look = {"linestyle": "none", "markersize": 5}
-    trials = [(t.y, k, t.works) for k, b in rows for t in b.trials]
+    trials = [(y, k, attempt.works) for k, b in rows for y, attempt in b.trials]
     yield one.near, [(y, k) for y, k, works in trials if works], {**marks, "marker": "o", "color": GOOD}
     yield one.far, [(y, k) for y, k, works in trials if not works], {**marks, "marker": "x", "color": LIMIT}
     measured = [(b.measured, k) for k, b in rows if b.measured is not None]
@@ -144,3 +157,112 @@ def _readable_ticks(axis: Any, unit: str) -> None:
     if unit or high < _LONG * low:
         axis.set_major_formatter(FuncFormatter(lambda value, _: quantity(value, unit)))
     axis.set_minor_formatter(NullFormatter())
+
+
+@dataclass(frozen=True)
+class DrawnChart(Documented):
+    """A finished chart, its files, and its duration in seconds."""
+
+    KEYS: ClassVar[str] = "**chart file=pictures.0 files=pictures data seconds"
+
+    chart: ChartPage
+    pictures: tuple[Path, ...]
+    data: Path
+    seconds: float
+
+
+@dataclass(frozen=True)
+class DrawnCharts(Documented):
+    """Finished charts; with `strict`, a deviation that a chart reports counts as a failure."""
+
+    KEYS: ClassVar[str] = "charts status"
+
+    charts: tuple[DrawnChart, ...]
+    strict: bool = False
+
+    def __iter__(self) -> Iterator[DrawnChart]:
+        return iter(self.charts)
+
+    @property
+    def complaints(self) -> tuple[str, ...]:
+        """Defaults off their front, and limits that differ from their prediction."""
+        return tuple(text for one in self.charts for text in one.chart.complaints)
+
+    @property
+    def status(self) -> str:
+        """Number of charts, and their complaints."""
+        return f"{len(self.charts)} charts drawn; {'; '.join(self.complaints) or 'every default stands where it may'}"
+
+    @property
+    def missed(self) -> str:
+        """The complaints of strict charts, or ""."""
+        return self.status if self.strict and self.complaints else ""
+
+
+_SECONDS = {False: 150.0, True: 25.0}
+"""Cost of a chart, s of one processor, for full and quick charts."""
+
+
+def charts_cost(names: Sequence[str], *, quick: bool) -> Cost:
+    """Return the expected cost of charts.
+
+    Args:
+        names: charts to draw.
+        quick: shorter measurements.
+    """
+    return Cost(counted(len(names), "chart"), len(names) * _SECONDS[quick], 4e8, "bench")
+
+
+def draw_charts(
+    names: Sequence[str], folder: Path, *, quick: bool = False, yes: bool = False, progress: Progress = no_progress
+) -> DrawnCharts:
+    """Draw charts (all if `names` is empty).
+
+    They are drawn one after the other on one core, with the others idle.
+
+    Args:
+        names: charts or groups of charts.
+        folder: folder to write to.
+        quick: shorter measurements.
+        yes: accept any duration.
+        progress: called with a label and the completed share.
+
+    Raises:
+        InputError: a name is unknown, the folder is not writable, or the charts would take too long.
+    """
+    chosen = check_names(tuple(names))
+    announce(charts_cost(chosen, quick=quick), yes=yes)
+    # Read before the work, so that later edits of the checkout do not matter.
+    made_with = {"quick": quick, "machine": machine(), "versions": versions(), "commit": commit()}
+    drawn = []
+    with one_core():
+        for k, name in enumerate(chosen):
+            began = time.perf_counter()
+            chart = CHARTS[name](quick, part_of(progress, k / len(chosen), (k + 1) / len(chosen)))
+            seconds, data = time.perf_counter() - began, Path(folder) / f"{chart.name}.json"
+            pictures = {Path(folder) / f"{chart.name}{end}.png": parts for end, parts in chart.pages.items()}
+            for picture, parts in pictures.items():
+                save_chart(chart, picture, parts)
+            document = {**chart.document(), "seconds": seconds, **made_with}
+            write_whole(data, json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+            drawn.append(DrawnChart(chart, tuple(pictures), data, seconds))
+    return DrawnCharts(tuple(drawn))
+
+
+def machine() -> dict[str, Any]:
+    """Return processor, cores, load, operating system and Python."""
+    return {
+        "processor": _processor(),
+        "cores": os.cpu_count(),
+        "load": round(os.getloadavg()[0], 2) if hasattr(os, "getloadavg") else None,
+        "system": f"{platform.system()} {platform.machine()}",
+        "python": platform.python_version(),
+    }
+
+
+def _processor() -> str:
+    with suppress(OSError):
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    return platform.processor()

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import brentq
 
-from dpcontrol.bench.chart import Attempt, Border, EdgeChart, EdgeMap, find_border, half_of, measured_maps
+from dpcontrol.bench.chart import Attempt, Border, ChartPage, EdgeMap, find_border, half_of, measured_maps
 from dpcontrol.bench.control import RATE, held_orbit, keeps
 from dpcontrol.control.estimator_settings import EkfSettings
 from dpcontrol.control.interface import sampled_model
@@ -115,7 +115,7 @@ def moving(rate: float) -> LoopCase:
     return LoopCase(Assembly(reference, arms, LoopSettings(seed=0, rate=rate), law=controller))
 
 
-def moving_chart(quick: bool, progress: Progress) -> EdgeChart:
+def moving_chart(quick: bool, progress: Progress) -> ChartPage:
     """Return the chart of a moving reference.
 
     Args:
@@ -131,7 +131,7 @@ def moving_chart(quick: bool, progress: Progress) -> EdgeChart:
         (wrong, lambda delay: mismatch_border(moving(100.0), delay, ratio=1.1),
          (0.1,) if quick else (0.04, 0.07, 0.1, 0.14)),
     )  # fmt: skip
-    return EdgeChart(
+    return ChartPage(
         name="edges-moving",
         title=f"A turn of the outer arm by TVLQR is {parts[0].finding()} of delay",
         reading=(
@@ -196,7 +196,7 @@ def pulses(orbit: SustainedOrbit, sections: int, *, seconds: float) -> OgyContro
     return ogy_controller(orbit, sampled_model(load_model("lab").arms, RATE), settings, seconds=seconds)
 
 
-def ogy_chart(quick: bool, progress: Progress) -> EdgeChart:
+def ogy_chart(quick: bool, progress: Progress) -> ChartPage:
     """Return maps of the pulses and counts that OGY needs.
 
     Args:
@@ -213,7 +213,7 @@ def ogy_chart(quick: bool, progress: Progress) -> EdgeChart:
             (f"Encoders with pulses of {LIMIT:g} m/s²", "counts per turn", None),
         )
     )
-    return EdgeChart(
+    return ChartPage(
         name="edges-ogy",
         title="OGY needs three pulses a period; with sixteen, small ones suffice",
         reading=(
@@ -227,8 +227,12 @@ def ogy_chart(quick: bool, progress: Progress) -> EdgeChart:
         chosen="16 sections a period and pulses of up to 5 m/s²: encoders of a few hundred counts would suffice.",
         parts=measured_maps(
             progress,
-            (authority, lambda k: limit_border(orbit, pulses(orbit, k, seconds=seconds), **how), sections),
-            (counts, lambda k: counts_border(orbit, pulses(orbit, k, seconds=seconds), **how), sections),
+            (
+                authority,
+                lambda k: pulse_border(orbit, pulses(orbit, k, seconds=seconds), counted=False, **how),
+                sections,
+            ),
+            (counts, lambda k: pulse_border(orbit, pulses(orbit, k, seconds=seconds), counted=True, **how), sections),
         ),
     )
 
@@ -259,46 +263,25 @@ def holds(orbit: SustainedOrbit, controller: OgyController, *, counts: float, se
     )
 
 
-def limit_border(orbit: SustainedOrbit, law: OgyController, *, seeds: int, ratio: float) -> Border:
-    """Return the smallest limit of pulses that holds an orbit, m/s².
-
-    Args:
-        orbit: sustained orbit.
-        law: law with any limit of pulses.
-        seeds: number of runs.
-        ratio: precision of the border, as a ratio.
-    """
-    k = len(law.times)
-    return find_border(
-        lambda limit: holds(orbit, replace(law, pulse_limit=limit), counts=COUNTS, seeds=seeds),
-        x=k,
-        line=f"k = {k}",
-        near=5.0,
-        far=0.01,
-        ratio=ratio,
-    )
-
-
-def counts_border(orbit: SustainedOrbit, law: OgyController, *, seeds: int, ratio: float) -> Border:
-    """Return the fewest counts per turn that hold an orbit.
+def pulse_border(orbit: SustainedOrbit, law: OgyController, *, counted: bool, seeds: int, ratio: float) -> Border:
+    """Return the least limit of pulses, m/s², or the fewest counts per turn that hold an orbit.
 
     Encoders range from coarse to impossibly fine.
 
     Args:
         orbit: sustained orbit.
         law: law of the runs.
+        counted: True for counts per turn, False for the limit of pulses.
         seeds: number of runs.
         ratio: precision of the border, as a ratio.
     """
-    k = len(law.times)
-    return find_border(
-        lambda counts: holds(orbit, law, counts=counts, seeds=seeds),
-        x=k,
-        line=f"k = {k}",
-        near=4e8,
-        far=50.0,
-        ratio=ratio,
-    )
+    k, (near, far) = len(law.times), (4e8, 50.0) if counted else (5.0, 0.01)
+
+    def probe(value: float) -> Attempt:
+        limited = law if counted else replace(law, pulse_limit=value)
+        return holds(orbit, limited, counts=value if counted else COUNTS, seeds=seeds)
+
+    return find_border(probe, x=k, line=f"k = {k}", near=near, far=far, ratio=ratio)
 
 
 SECONDS = 10.0
@@ -307,7 +290,7 @@ MOVED, STILL = 0.02, 0.015
 """Least angle in rad and time in s that distinguish a stuck joint from a still one."""
 
 
-def estimation_chart(quick: bool, progress: Progress) -> EdgeChart:
+def estimation_chart(quick: bool, progress: Progress) -> ChartPage:
     """Return the borders of estimation: lost samples and a stuck encoder.
 
     Args:
@@ -324,7 +307,7 @@ def estimation_chart(quick: bool, progress: Progress) -> EdgeChart:
         "A stuck encoder of the outer arm, on the orbit about Down-Up", "phase at which it sticks",
         "time until it is reported, s", far="reported", near="goes on", log_x=False,
     )  # fmt: skip
-    return EdgeChart(
+    return ChartPage(
         name="edges-estimation",
         title="Limits of estimation",
         reading=(
@@ -517,7 +500,7 @@ def margin_border(name: str, case: tuple[str, str], *, seeds: int, ratio: float)
     )  # fmt: skip
 
 
-def margins_chart(quick: bool, progress: Progress) -> EdgeChart:
+def margins_chart(quick: bool, progress: Progress) -> ChartPage:
     """Return the chart of margins beside campaigns.
 
     Args:
@@ -537,7 +520,7 @@ def margins_chart(quick: bool, progress: Progress) -> EdgeChart:
             ("delay", "Further delay", "delay, s"), ("lag", "Further lag", "lag, s"),
         )
     ]  # fmt: skip
-    return EdgeChart(
+    return ChartPage(
         name="edges-margins",
         title="Margins and the limits of campaigns",
         reading=(

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dpcontrol.bench.chart import Diagram, Missing, Point, PrecisionChart
+from dpcontrol.bench.chart import ChartPage, Diagram, Missing, Point
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.orbits.lyapunov import equilibrium
@@ -30,7 +30,7 @@ POOR = 1.1
 """Multiple of the least effort above which an itinerary's energy is a poor choice."""
 
 
-def energies_chart(itinerary: Itinerary, progress: Progress = no_progress) -> PrecisionChart:
+def energies_chart(itinerary: Itinerary, progress: Progress = no_progress) -> ChartPage:
     """Return the chart of an itinerary's effort over energies.
 
     It shows the effort of the reference, and of the loop at ±5 %.
@@ -81,9 +81,9 @@ def energies_chart(itinerary: Itinerary, progress: Progress = no_progress) -> Pr
         raise GoalMissed(f"{itinerary.name}: no comparison without its energy: {missing[0].reason}")
     panel = Diagram(
         itinerary.title, "energy above the highest saddle's, J", "∫u², m²/s³", tuple(points), missing=tuple(missing),
-        judged=False, timed=False,
+        judged=False,
     )  # fmt: skip
-    return PrecisionChart(
+    return ChartPage(
         name=f"{itinerary.name}-energies",
         title=f"{itinerary.name}: effort over energies",
         reading=(

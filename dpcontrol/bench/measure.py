@@ -50,11 +50,6 @@ class TimedWork(Generic[T]):
         """Median seconds of a call."""
         return statistics.median(self.times) / self.calls if self.times else self.first
 
-    @property
-    def start_up(self) -> float:
-        """Seconds that only the first call takes."""
-        return max(self.first - self.seconds, 0.0)
-
 
 def timed_in_turns(
     functions: Mapping[Key, Callable[[], T]],
@@ -175,15 +170,12 @@ def compare(
     works = {k: partial(tried, one.work) for k, one in enumerate(alternatives)}
     spent = timed_in_turns(works, worth=worth, **turns)
     points, missing = [], []
-    start_up: dict[str, float] = {}
     for k, one in enumerate(alternatives):
         found, run = judged[k], spent[k]
         if isinstance(found, str):
             missing.append(Missing(one.method, one.setting, found))
             continue
-        if turns.get("starts_up", True):
-            start_up[one.method] = max(start_up.get(one.method, 0.0), run.start_up)
         seconds = run.seconds / one.units
         point = Point(one.method, one.setting, seconds, found.error, one.default, note=found.note, others=found.others)
         points.append(point)
-    return Diagram("", "", "", tuple(points), start_up, tuple(missing))
+    return Diagram("", "", "", tuple(points), tuple(missing))

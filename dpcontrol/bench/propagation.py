@@ -24,7 +24,7 @@ import casadi as ca
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from dpcontrol.bench.chart import Diagram, PrecisionChart
+from dpcontrol.bench.chart import ChartPage, Diagram
 from dpcontrol.bench.measure import Alternative, Judged, compare
 from dpcontrol.control.interface import SampledModel
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
@@ -123,10 +123,8 @@ class Stepper:
         return state.copy()
 
 
-def buffered_rate(equations: Equations, parameters: Array, command: float = 0.0) -> Callable[[float, Array], Array]:
-    """Return the equations' rate (t, x) -> (N,) for scipy.
-
-    It uses casadi's buffers.
+def compiled_rate(equations: Equations, parameters: Array, command: float = 0.0) -> Callable[[float, Array], Array]:
+    """Return the equations' rate (t, x) -> (N,) for scipy, as machine code.
 
     Args:
         equations: equations with N states.
@@ -134,21 +132,9 @@ def buffered_rate(equations: Equations, parameters: Array, command: float = 0.0)
         command: value of all inputs: the cart's acceleration, m/s².
     """
     values = [command] * equations.input_count + list(parameters)
-    rate_of_state = ca.substitute(equations.rate, ca.vertcat(equations.inputs, equations.parameters), ca.SX(values))
-    function = ca.Function("rate", [equations.state], [ca.densify(rate_of_state)])
-    x, out = np.zeros(equations.dimension), np.zeros(equations.dimension)
-    buffer: Any
-    buffer, run = function.buffer()
-    buffer.set_arg(0, memoryview(x.data))
-    buffer.set_res(0, memoryview(out.data))
-
-    # The buffer only refers to the run's objects, which must live as long as it.
-    def rate(_: float, state: Array, keep: object = (function, buffer)) -> Array:
-        x[:] = state
-        run()
-        return out.copy()
-
-    return rate
+    rate = ca.substitute(equations.rate, ca.vertcat(equations.inputs, equations.parameters), ca.SX(values))
+    call, out = Compiled(ca.Function("rate", [equations.state], [ca.densify(rate)])), np.zeros(equations.dimension)
+    return lambda _, state: call(state, out).copy()
 
 
 ENERGY = 0.2
@@ -161,7 +147,7 @@ TICK, COMMAND = 1e-3, 5.0
 """Duration in s and command in m/s² of a tick."""
 
 
-def propagation_chart(quick: bool, progress: Progress) -> PrecisionChart:
+def propagation_chart(quick: bool, progress: Progress) -> ChartPage:
     """Return the errors of integrators against their computing times.
 
     Args:
@@ -181,7 +167,7 @@ def propagation_chart(quick: bool, progress: Progress) -> PrecisionChart:
     chaotic = compared(one, swing, quick=quick, progress=part_of(progress, 0.5, 0.8))
     look = {"x_label": "time of a trajectory, s", "y_label": "error, scaled"}
     chaotic = replace(chaotic, title=f"chaotic swing, {swing.duration:.0f} s", **look)
-    return PrecisionChart(
+    return ChartPage(
         name="propagation",
         title="Propagation",
         parts=(
@@ -355,7 +341,7 @@ def _by_casadi(flow: ca.Function, x: Array, **known: Any) -> Array:
 
 
 def _scipy(work: Work, states: Array, *, quick: bool) -> Iterator[Alternative[Array]]:
-    rate = buffered_rate(work.system.equations, work.system.parameters)
+    rate = compiled_rate(work.system.equations, work.system.parameters)
     cases = [(method, tolerance, {}) for method in ("DOP853", "LSODA") for tolerance in (1e-12, 1e-9, 1e-6)]
     # Radau may repeat a tiny last step endlessly, so the rate's calls are counted.
     more = {"jac": lambda _, x: work.system.numeric.jacobian(x), "max_step": 0.05}
@@ -419,7 +405,7 @@ def tick_panels(arms: ArmChainParameters, *, quick: bool) -> tuple[Diagram, Diag
     model = SampledModel(equations, parameters, period=TICK)
     program = {"x": equations.state, "u": equations.inputs, "p": equations.parameters, "ode": equations.rate}
     cvodes = ca.integrator("tick", "cvodes", program, 0.0, TICK, {"reltol": 1e-10, "abstol": 1e-10})
-    rate = buffered_rate(equations, parameters, COMMAND)
+    rate = compiled_rate(equations, parameters, COMMAND)
     found = [
         ("Taylor", "rounding", _each(plant.flow, states, np.array([COMMAND]), TICK), False),
         ("RK4 of CasADi, buffered", "filter's model", _each(model.step, states, COMMAND), True),

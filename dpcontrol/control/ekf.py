@@ -195,6 +195,10 @@ class Timing(NamedTuple):
     variance: ca.SX
 
 
+_GREATEST_ERROR = 0.5
+"""Largest relative error of a parameter that is believed."""
+
+
 @dataclass(frozen=True, eq=False)
 class FilterEquations:
     """An augmented cart-level model sampled at `period` s.
@@ -296,6 +300,24 @@ class FilterEquations:
         for i in range(n if Augment.DRY in self.augment else 0):
             found[first + 3 * n + i] += extra[f"dry_{i + 1}"] * parameters[first + i]
         return found
+
+    @cached_property
+    def _corrected(self) -> ca.Function:
+        parameters = ca.SX.sym("parameters", self.inputs["parameters"])
+        extra = ca.SX.sym("extra", len(self.extra_names))
+        named = zip(self.extra_names, ca.vertsplit(extra), strict=True)
+        errors = {name: ca.log1p(error) if name[0] in "MS" else error for name, error in named}
+        return ca.Function("corrected", [parameters, extra], [self._parameters(parameters, errors)])
+
+    def corrected(self, parameters: Array, extra: Array) -> Array:
+        """Return the parameters (p,) with the errors that a run has estimated, each at most half of its parameter.
+
+        Args:
+            parameters: base parameters (p,).
+            extra: extras (E,) of a report, in which errors of inertial parameters are relative.
+        """
+        bounded = np.clip(np.nan_to_num(extra), -_GREATEST_ERROR, _GREATEST_ERROR)
+        return np.array(self._corrected(parameters, bounded)).ravel()
 
     def _braked(self, e: ca.SX, parameters: ca.SX) -> ca.SX:
         """Return the largest accelerations (n,) from dry friction.

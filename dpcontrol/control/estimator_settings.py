@@ -270,7 +270,8 @@ class EkfSettings(FilterSettings):
 class HoldEkfSettings(EkfSettings):
     """The same filter with the defaults for a hold.
 
-    It estimates unmodelled accelerations, above all those of dry friction. The feedback compensates them.
+    It estimates unmodelled accelerations, above all those of dry friction. The feedback compensates them. In runs with
+    flights, it also estimates the errors of the arms' parameters, by which flights are planned.
     """
 
     augment: tuple[str, ...] = ("zeros", "disturbance", "drive")

@@ -20,7 +20,7 @@ else:
     Axes = Figure = Any
 
 _TABLE = "dpcontrol.pages.renderers"
-_LIVE = "dpcontrol.pages.live"
+_LIVE = "dpcontrol.pages.viewer"
 
 
 def render(result: object, axes: Axes | None = None) -> Figure:

@@ -1,4 +1,4 @@
-"""A campaign's table as numbers: shares of success, failures, spreads.
+"""A campaign's table as numbers: shares of success and failures.
 
 Each row is one run. Shares come with Wilson's 95 % interval (`foundation.statistics`). Only the column `completed` is
 required. Optional columns are itinerary, controller, estimator, mismatch, symbols_completed, symbols_total, cause,
@@ -24,8 +24,6 @@ from dpcontrol.foundation.parts import part
 from dpcontrol.foundation.shown import Shown
 from dpcontrol.foundation.statistics import Share, wilson
 
-SPREADS = ("max_cart_position", "rms_tracking_error")
-"""Columns with a spread over the runs, in m and rad."""
 _WHAT = ("itinerary", "controller", "estimator")
 _KIND, _LEVEL, _CASE = "kind", "level", "case"
 _APART, _BINS = 21, 6
@@ -75,7 +73,6 @@ class CampaignSummary(Shown, Documented):
         levels: by family and mismatch or level; empty if it does not vary.
         failed_symbols: (family, symbol from 1, number of runs that failed at it), symbol 0 if unknown.
         reasons: number of failed runs by cause, the most frequent first.
-        spreads: by column and family, values of runs that completed and of those that did not.
     """
 
     path: Path
@@ -87,7 +84,6 @@ class CampaignSummary(Shown, Documented):
     levels: tuple[Group, ...]
     failed_symbols: tuple[tuple[str, int, int], ...]
     reasons: tuple[tuple[str, int], ...]
-    spreads: dict[str, dict[str, tuple[NDArray[np.float64], ...]]]
 
     @property
     def status(self) -> str:
@@ -178,7 +174,6 @@ def summary_of(columns: dict[str, list[Any]], path: Path) -> CampaignSummary:
         levels=_levels(_numbers(table, axis), alone, done),
         failed_symbols=_symbols(table, alone, done),
         reasons=tuple(Counter(str(causes[k] or "not named") for k in np.flatnonzero(~done)).most_common()),
-        spreads=_spreads(table, alone, done),
     )
 
 
@@ -256,17 +251,3 @@ def _symbols(
         symbols = np.fmin(symbols, total + 1)
     counts = ((group.label, Counter(symbols[mine & ~done].astype(int).tolist())) for group, mine in groups)
     return tuple((label, symbol, count) for label, some in counts for symbol, count in sorted(some.items()))
-
-
-def _spreads(
-    table: dict[str, list[Any]], groups: list[tuple[Group, Rows]], done: Rows
-) -> dict[str, dict[str, tuple[NDArray[np.float64], ...]]]:
-    columns = {name: values for name in SPREADS if (values := _numbers(table, name)) is not None}
-    return {
-        name: {
-            group.family: tuple(values[mine & np.isfinite(values) & rows] for rows in (done, ~done))
-            for group, mine in groups
-            if np.isfinite(values[mine]).any()
-        }
-        for name, values in columns.items()
-    }

@@ -100,7 +100,7 @@ class Assembly:
         It has no dry friction if a hold estimates disturbances.
         """
         settings = self.settings
-        leaves = isinstance(settings.controller, HoldSettings) and Augment.DISTURBANCE in settings.estimator.augments
+        leaves = isinstance(settings.controller, HoldSettings) and Augment.DISTURBANCE in settings.filters.augments
         arms = replace(self.arms, coulomb=()) if leaves else self.arms
         return sampled_model(arms, settings.rate, settings.known_lag)
 
@@ -114,7 +114,7 @@ class Assembly:
         """
         settings = self.settings
         return self.law or make_controller(
-            self.reference, self.arms, self.model, settings=settings.controller, estimator=settings.estimator,
+            self.reference, self.arms, self.model, settings=settings.controller, estimator=settings.filters,
             keep=settings.keep,
         )  # fmt: skip
 
@@ -194,7 +194,7 @@ class Assembly:
         settings, controller, model, lead = self.settings, self.controller, self.model, whole_periods(self.delay)[1]
         # The estimator relies on the stated noise of sensors and drive.
         noise = settings.sensors.covariance(self.arms.count)
-        filters = settings.estimator.with_command_noise(
+        filters = settings.filters.with_command_noise(
             settings.drive.command_noise, period=model.period, keeps=model.lag_keeps
         )
         schedule = schedule_of(controller, lead)

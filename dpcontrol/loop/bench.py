@@ -437,7 +437,7 @@ class MechanicsSettings(Settings, table="mechanics"):
         cable_stiffness: stiffness of the cable against turning, N m/rad.
         stiction: break-away torque of the joints, for all or each, N m.
         kinetic: torque of a sliding joint as a share of that.
-        initial_rate: bound of each uniform initial rate, rad/s.
+        initial_rate: bound of each uniform initial rate, for all or each, rad/s.
         initial_cart: initial position of the cart, m.
         initial_position, initial_velocity: bounds of its uniform random additions: m and m/s.
         known_belt: belt frequency assumed by the loop, by default the true one, 0 to ignore it, Hz.
@@ -479,7 +479,8 @@ class MechanicsSettings(Settings, table="mechanics"):
         float, Setting(least=0, most=1, help="Torque of a sliding joint as a share of its break-away torque.")
     ] = 0.8
     initial_rate: Annotated[
-        float, Setting(least=0, most=1000, unit="rad/s", usual=(0.0, 50.0), help="Largest initial rate of each arm.")
+        float | tuple[float, ...],
+        Setting(least=0, most=1000, unit="rad/s", usual=(0.0, 50.0), help="Largest initial rate of each arm."),
     ] = 0.0
     initial_cart: Annotated[
         float, Setting(least=-100, most=100, unit="m", usual=(0.0, 5.0), help="Initial position of the cart.")
@@ -811,7 +812,7 @@ def draw_bench(
         seed=seed, ticks=ticks, period=period,
         plant=settings.plant(true_arms, within("play", 0.5 if settings.mechanics.play else 0.0)),
         initial_error=within("initial_error", unlike.initial_error),
-        initial_rate=within("initial_rate", settings.mechanics.initial_rate),
+        initial_rate=np.array(settings.mechanics.of_each("initial_rate", n)) * within("initial_rate", 1.0),
         initial_cart=np.array([
             settings.mechanics.initial_cart + within("initial_position", settings.mechanics.initial_position)[0],
             within("initial_velocity", settings.mechanics.initial_velocity)[0],

@@ -20,7 +20,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from dpcontrol.control.estimator_settings import EkfSettings, EstimatorSettings
+from dpcontrol.control.estimator_settings import Augment, EkfSettings, EstimatorSettings, HoldEkfSettings
 from dpcontrol.control.handover import NearestKeeper
 from dpcontrol.control.tick import KnownMechanics, Outcome
 from dpcontrol.control.tracking import TvlqrSettings
@@ -253,7 +253,7 @@ class ControlLoop:
             cause, figures = Cause[outcome.name], ticker.figures(k)
             if self._recovery is not None and outcome >= Outcome.ESTIMATE_LOST:
                 # The rest of this tick still belongs to the former reference.
-                self._fall = cause, figures
+                self._fall = None if self._stopped else (cause, figures)
                 return
             self._event(now, "warn", EVENTS.get(cause, "stop"), cause, figures)
             if outcome is Outcome.RESTART:
@@ -500,8 +500,20 @@ class LoopSettings(Settings, table="run"):
         faults = sensors.missed_counts or np.isfinite(sensors.stuck_at)
         hands_over = self.keep != "none" or supervisor.hold != "none" or supervisor.resynchronise
         compiled = isinstance(self.estimator, EkfSettings) and not isinstance(self.controller, OwnLaw)
-        returns = supervisor.on_fall != "stop" or self.start != "planned"
-        return compiled and self._own_plant is None and not faults and not hands_over and not returns
+        return compiled and self._own_plant is None and not faults and not hands_over and not self.flies
+
+    @property
+    def flies(self) -> bool:
+        """True if a run begins with a flight or returns by one after a fall."""
+        return self.supervisor.on_fall != "stop" or self.start != "planned"
+
+    @property
+    def filters(self) -> EstimatorSettings | OwnEstimator:
+        """Settings of the estimator; for a hold with flights, it also estimates the arms' parameters by default."""
+        usual = HoldEkfSettings.augment
+        if self.flies and isinstance(self.estimator, HoldEkfSettings) and self.estimator.augment == usual:
+            return replace(self.estimator, augment=(*usual, Augment.PARAMETERS))
+        return self.estimator
 
     @property
     def own(self) -> tuple[OwnObject, ...]:

@@ -60,7 +60,8 @@ class Request(NamedTuple):
     state (N,): at the first tick whose command is free. push: acceleration of a lagging drive then, m/s². ticks: from
     there to the flight. lead: ticks of pending commands. goal: index of the stop that it leads to, -1 for rest. course:
     flight under way, which is replaced only if it misses its goal, or None. first: tick of its law at that state.
-    latest: time of the plan's reference after which no place is joined, s.
+    latest: time of the plan's reference after which no place is joined, s. parameters (p,): those of the arms by the
+    present estimate.
     """
 
     state: Array
@@ -71,6 +72,7 @@ class Request(NamedTuple):
     course: Course | None
     first: int
     latest: float
+    parameters: Array
 
 
 class Answer(NamedTuple):
@@ -126,6 +128,9 @@ class DirectPilot:
         Args:
             request: states and goal.
         """
+        # The planner shares the array of its model.
+        for model in (self._model, self._coarse):
+            model.parameters[:] = request.parameters
         goal, course = self.briefing.goals[request.goal].until(request.latest), request.course
         coming = self._predicted(request)
         if course is not None and self._lands(course, coming[-1], request.first + request.ticks - request.lead, goal):
@@ -248,7 +253,8 @@ def _serve(pipe: Connection, briefing: Briefing) -> None:
     """Answer requests until the other end closes."""
     end_with_parent()
     pilot, size = DirectPilot(briefing), 2 * briefing.arms.count + 2
-    pilot.ask(Request(np.zeros(size), 0.0, 1, 0, 0, None, 0, math.inf))
+    parameters = sampled_model(briefing.arms, briefing.rate).parameters
+    pilot.ask(Request(np.zeros(size), 0.0, 1, 0, 0, None, 0, math.inf, parameters))
     pipe.send("ready")
     while True:
         number, request = pipe.recv()

@@ -307,10 +307,12 @@ class FallRecovery:
         logged = before is not Motion.BRAKE or (k - self._began) * period > 1.0
         self._why = cause
         self._sensor = int(ticker.report.sensor.item(0))
-        # After a fall, the parameter estimates may be wrong.
-        ticker.lose()
+        lost = cause in (Cause.ESTIMATE_LOST, Cause.SILENT, Cause.STUCK)
+        # What made the run fall, such as a blow, spoils the estimated parameters. A first flight that fails does not.
+        if lost or before is Motion.ITINERARY or self._tries > 1:
+            ticker.lose()
         # The cart stays still until the estimate is reliable again.
-        self._brake(k, ticker, still=cause in (Cause.ESTIMATE_LOST, Cause.SILENT, Cause.STUCK))
+        self._brake(k, ticker, still=lost)
         if self._tries >= _MOST_TRIES:
             return None
         next_symbol = {"again": 0 if plan.restarts else self._stop + 1, "symbols": len(plan.symbols)}
@@ -391,6 +393,7 @@ class FallRecovery:
                 course,
                 k + 1 + ticker.lead - ticker.began,
                 self._good,
+                program.equations.filter.corrected(model.parameters, report.extra[:, 0]),
             )
         )
 

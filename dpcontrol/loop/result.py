@@ -332,6 +332,21 @@ class LoopSink:
         """
 
 
+class Events(LoopSink):
+    """Stores events; the result holds every tick."""
+
+    def __init__(self) -> None:
+        self.kept: list[Event] = []
+
+    def event(self, event: Event) -> None:
+        """Append one event.
+
+        Args:
+            event: the event.
+        """
+        self.kept.append(event)
+
+
 class Sinks(LoopSink):
     """Passes ticks and events to several sinks in turn."""
 

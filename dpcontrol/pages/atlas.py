@@ -1,21 +1,313 @@
-"""An atlas on one page.
-
-All orbits and tubes in space are followed by the cuts of each kind of connection.
-"""
+"""Drawings of an atlas: tubes, cuts, connections in space and in the plane, and their page and Rerun recording."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
+from typing import Any
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.document import counted
 from dpcontrol.pages import style
-from dpcontrol.pages.atlas_panels import draw_cuts, draw_space
-from dpcontrol.pages.atlas_parts import connections_of
-from dpcontrol.pages.layout import Page, Panel, Stack
-from dpcontrol.walks.atlas import Atlas
+from dpcontrol.pages.layout import Page, Panel, Stack, key
+from dpcontrol.pages.panels import angle_axis, name_point, quiet, quiet_plane, quiet_space, wrapped_runs
+from dpcontrol.pages.rerun_recording import DARK, page, record_curves, recording_to, rr, rrb, summary_view
+from dpcontrol.walks.atlas import Atlas, AtlasConnection, AtlasCut, AtlasKind, AtlasOrbit, section_axes
+
+BRANCHES = {
+    (False, 1): style.UNSTABLE,
+    (False, -1): style.PALE_UNSTABLE,
+    (True, 1): style.STABLE,
+    (True, -1): style.PALE_STABLE,
+}
+"""Colours by (stable, branch): unstable tubes red, stable ones green; the second branch is pale."""
+
+
+@dataclass(frozen=True, eq=False)
+class TubePart:
+    """One branch of a tube in space.
+
+    It has trajectories (M, N) up to its section, and their end points (K, N).
+
+    `sense` is the sign of the final crossing, 0 without one.
+    """
+
+    stable: bool
+    branch: int
+    strands: list[Array]
+    ends: list[Array]
+    sense: int = 0
+
+    @property
+    def colour(self) -> str:
+        """Colour of the trajectories."""
+        return BRANCHES[self.stable, self.branch]
+
+
+def section_curves(atlas: Atlas, kind: AtlasKind) -> list[tuple[bool, int, Array]]:
+    """Return the cuts of a kind's tubes as runs.
+
+    A run has (stable, sign of the crossing, points (K, 2) within a period).
+
+    Args:
+        atlas: atlas with the kind.
+        kind: kind of connection.
+    """
+    found = []
+    for stable, saddle, hit in ((False, kind.source, kind.hits[0]), (True, kind.target, kind.hits[1])):
+        cut = atlas.cut(saddle, kind.section, hit)
+        _, period = section_axes(cut.section, atlas)
+        for piece in cut.pieces:
+            points = piece.stable_points if stable else piece.points
+            closed = np.vstack([points, points[:1]]) if piece.closed else points
+            sign = stable_direction(atlas, cut, piece.direction) if stable else piece.direction
+            runs = wrapped_runs(closed, (period, None))
+            found += [(stable, 1 if sign > 0 else -1, run) for run in runs]
+    return found
+
+
+def section_place(atlas: Atlas, connection: AtlasConnection) -> Array:
+    """Return the point (q, p/p₀) of a connection on its section.
+
+    The angle q is within a period.
+
+    Args:
+        atlas: atlas with the connection.
+        connection: connection with a section.
+    """
+    _, period = section_axes(connection.section, atlas)
+    q, p = connection.point
+    return np.array([q - (np.rint(q / period) * period if period else 0.0), p])
+
+
+def tubes_of_cut(atlas: Atlas, cut: AtlasCut) -> list[TubePart]:
+    """Return both branches of a saddle's tubes up to a cut.
+
+    The stable tube is found by time reversal.
+
+    Args:
+        atlas: atlas with the cut.
+        cut: cut of the saddle's tubes.
+    """
+    parts = []
+    for stable in (False, True):
+        for branch in (1, -1):
+            strands = list(cut.strands[cut.strand_branches == branch])
+            pieces = [piece for piece in cut.pieces if piece.branch == branch]
+            closed = [np.vstack([p.states, p.states[:1]]) if p.closed else p.states for p in pieces]
+            if stable:
+                strands, closed = ([atlas.turned(states, cut.saddle) for states in some] for some in (strands, closed))
+            ways = {stable_direction(atlas, cut, p.direction) if stable else p.direction for p in pieces}
+            parts.append(TubePart(stable, branch, strands, closed, ways.pop() if len(ways) == 1 else 0))
+    return parts
+
+
+def kind_of(atlas: Atlas, source: str, target: str) -> AtlasKind:
+    """Return the last kind searched between two saddles.
+
+    A search ends with the first kind that has connections.
+
+    Args:
+        atlas: atlas with the kinds.
+        source: saddle that the connections leave.
+        target: saddle that they join.
+    """
+    return [kind for kind in atlas.kinds if (kind.source, kind.target) == (source, target)][-1]
+
+
+def connections_of(atlas: Atlas, kind: AtlasKind) -> tuple[AtlasConnection, ...]:
+    """Return the connections of a kind.
+
+    Args:
+        atlas: atlas with the kind.
+        kind: kind of connection.
+    """
+    return tuple(c for c in atlas.between(kind.source, kind.target) if c.hits == kind.hits)
+
+
+def stable_direction(atlas: Atlas, cut: AtlasCut, direction: int) -> int:
+    """Return the sign of a stable tube's crossing of the section.
+
+    It follows from its unstable image's.
+
+    Args:
+        atlas: atlas with the cut.
+        cut: cut of the saddle's tubes.
+        direction: sign of the unstable image's crossing.
+    """
+    normal = np.asarray(cut.section.normal)
+    # Under time reversal a crossing changes sides unless the reverser also flips the section.
+    return -direction * int(np.sign(normal @ atlas.reverser @ normal))
+
+
+def colours(connections: tuple[AtlasConnection, ...]) -> dict[str, str]:
+    """Return a colour for each connection by name.
+
+    Mirror images (the other sense) share one.
+    """
+    chosen: dict[str, str] = {}
+    keys: list[tuple[object, ...]] = []
+    for c in sorted(connections, key=lambda c: -round(c.transversality_angle, 3)):
+        # Quantities that mirror images share, rounded as coarsely as in names.
+        key = (round(c.transversality_angle, 3), round(c.time_in + c.time_out, 3))
+        if key not in keys:
+            keys.append(key)
+        chosen[c.name] = style.CONNECTIONS[keys.index(key) % len(style.CONNECTIONS)]
+    return chosen
+
+
+def placed(atlas: Atlas, orbit: AtlasOrbit, winding: Sequence[int] = ()) -> Array:
+    """Return an orbit as a closed curve (M, N), shifted by turns.
+
+    Args:
+        atlas: atlas with the orbit.
+        orbit: orbit to shift.
+        winding: whole turns of each coordinate; none by default.
+    """
+    turns = np.zeros(len(atlas.periods))
+    turns[: len(winding)] = winding
+    return np.vstack([orbit.samples, orbit.samples[:1]]) + turns * atlas.turn_lengths
+
+
+def draw_cuts(
+    axes: Axes,
+    atlas: Atlas,
+    kind: AtlasKind,
+    *,
+    shown: tuple[AtlasConnection, ...] | None = None,
+    numbers: dict[str, str] | None = None,
+    legend: bool = True,
+    sense: int | None = None,
+    title: str = "",
+) -> None:
+    """Draw both tubes' cuts of a kind and mark its connections.
+
+    Args:
+        axes: panel.
+        atlas: with the kind.
+        kind: of connections.
+        shown: marked connections, all by default.
+        numbers: labels by connection name.
+        legend: True adds a key.
+        sense: drawn crossings, None for both.
+        title: title of the panel.
+    """
+    section = atlas.cut(kind.source, kind.section, kind.hits[0]).section
+    coordinate, period = section_axes(section, atlas)
+    for is_stable, direction, points in section_curves(atlas, kind):
+        if sense not in (None, direction):
+            continue
+        line = "-" if direction > 0 or sense else (0, (4, 1.6))
+        axes.plot(*points.T, color=BRANCHES[is_stable, 1], linewidth=1.3, linestyle=line, zorder=2)
+    connections = connections_of(atlas, kind) if shown is None else shown
+    look = colours(connections)
+    for c in connections:
+        place = section_place(atlas, c)
+        axes.plot(*place, "o", color=look[c.name], markeredgecolor="white", markersize=7, zorder=4)
+        if numbers and c.name in numbers:
+            name_point(axes, numbers[c.name], (float(place[0]), float(place[1])), look[c.name])
+    label = f"{coordinate} on the section" + (" (rad)" if period else "")
+    quiet(axes, title, x=label, y="p / p₀" if period else "momentum")
+    if period:
+        angle_axis(axes, "x")
+    every = len(connections_of(atlas, kind))
+    marked = f"{len(connections)} of {every} connections" if len(connections) < every else "connections"
+    key(axes, [*_LINES, (marked, {"color": style.INK, "marker": "o", "linestyle": ""})] if legend else [])
+
+
+_LINES: list[tuple[str, str | dict[str, Any]]] = [
+    ("tube out", style.UNSTABLE),
+    ("tube in", style.STABLE),
+    ("backward", {"color": style.CART, "linestyle": (0, (4, 1.6))}),
+]
+"""Key of the lines in a panel of cuts."""
+
+
+def row_of(
+    atlas: Atlas,
+    kind: AtlasKind,
+    shown: Sequence[AtlasConnection],
+    *,
+    numbers: dict[str, str],
+    marked: tuple[AtlasConnection, ...] | None = None,
+) -> list[Panel]:
+    """Return a row of panels: the cuts of a kind, and the flights of `shown` with their numbers.
+
+    Args:
+        atlas: with the kind.
+        kind: of the connections.
+        shown: connections with a panel each.
+        numbers: labels by connection name.
+        marked: connections on the cuts; all by default.
+    """
+    look = colours(connections_of(atlas, kind) if marked is None else marked)
+    flights = []
+    for c in shown:
+        turns = ", ".join(f"{turn:+d}" if turn else "0" for turn in c.winding)
+        title = f"{numbers[c.name]}  {c.transversality_angle:.1f}° [{turns}]"
+        flights.append(partial(draw_motions, atlas=atlas, flights=[(c, look[c.name])], saddles=(), title=title))
+    cuts = Panel(partial(draw_cuts, atlas=atlas, kind=kind, shown=marked, numbers=numbers), 1.0)
+    return [cuts, *(Panel(draw, _FLIGHTS / max(len(flights), 1)) for draw in flights)]
+
+
+_FLIGHTS = 1.75
+"""Width of all flights in a row, relative to the cuts."""
+
+
+def draw_motions(
+    axes: Axes,
+    atlas: Atlas,
+    tubes: Sequence[TubePart] = (),
+    *,
+    flights: Sequence[tuple[AtlasConnection, str]] = (),
+    saddles: tuple[str, ...] | None = None,
+    title: str = "",
+) -> None:
+    """Draw tubes, orbits and flights in space, or in the plane of coordinates.
+
+    Flights start at their source's named position. If they end whole turns away, the target orbit is drawn there.
+
+    Args:
+        axes: panel in space or in the plane.
+        atlas: with the orbits.
+        tubes: parts of tubes.
+        flights: connections with their colours.
+        saddles: saddles whose orbits are drawn at their named position, besides those of flights; all by default.
+        title: of the panel.
+    """
+    space = axes.name == "3d"
+    picked = [0, 1, len(atlas.periods) // 2][: 3 if space else 2]
+    for tube in tubes:
+        for states in tube.strands:
+            axes.plot(*states[:, picked].T, color=tube.colour, linewidth=0.5, alpha=0.8)
+        for states in tube.ends:
+            axes.plot(*states[:, picked].T, color=style.CUT, linewidth=1.6)
+    ends = {end for c, _ in flights for end in ((c.source, ()), (c.target, c.winding if any(c.winding) else ()))}
+    for c, colour in flights:
+        axes.plot(*c.states[:, picked].T, color=colour, linewidth=1.1, zorder=8)
+        if not space:
+            axes.plot(*c.state[:2], "o", color=colour, markeredgecolor="white", markersize=6, zorder=9)
+    look = {"linewidth": 2.5, "zorder": 10} if space else {"linewidth": 3.5, "alpha": 0.45, "zorder": 1}
+    for orbit in atlas.orbits:
+        own = {winding for saddle, winding in ends if saddle == orbit.saddle and orbit.family == 0}
+        for winding in own | ({()} if saddles is None or orbit.saddle in saddles else set()):
+            closed = placed(atlas, orbit, winding)
+            axes.plot(*closed[:, picked].T, color=style.saddle_colour(orbit.saddle), **look)
+    if space:
+        quiet_space(axes, atlas)
+        axes.set_title(title, loc="left")
+    else:
+        quiet_plane(axes, atlas, title=title)
+        axes.set_aspect("equal", adjustable="datalim")
+    lines: list[tuple[str, str | dict[str, Any]]] = [("tubes out", style.UNSTABLE), ("tubes in", style.STABLE)]
+    lines += [("cuts", style.CUT), *([("connections", style.INK)] if flights else [])]
+    key(axes, lines if tubes else [])
 
 
 def draw_atlas(atlas: Atlas) -> Figure:
@@ -26,24 +318,150 @@ def draw_atlas(atlas: Atlas) -> Figure:
     kinds = [kind for kind in atlas.kinds if connections_of(atlas, kind)]
     counts = f"{counted(len(atlas.orbits), 'orbit')}, {counted(len(atlas.connections), 'connection')}"
     page = Page(f"{atlas.title} at {atlas.energy:g}{atlas.unit('J')}: {counts}")
-    spaces: list[Panel | Stack] = [Panel(partial(_draw_whole, atlas=atlas), space=True)]
+    space = Panel(partial(_draw_whole, atlas=atlas), space=True)
     panels = [
         partial(draw_cuts, atlas=atlas, kind=k, title=f"{k.source} → {k.target}: {k.count} at hits {list(k.hits)}")
         for k in kinds
     ]
-    if len(panels) > 1:
-        spaces.append(Stack(panels[:2]))
-        page.row(*spaces, height=6.4)
-    else:
-        page.row(*spaces, *panels, height=5.2)
-    for first in range(2, len(panels), 2):
-        page.row(*panels[first : first + 2], height=3.2)
-    return page.figure()
+    page.row(space, *([Stack(panels[:2])] if panels else []), height=6.4 if len(panels) > 1 else 5.2)
+    return page.grid(panels[2:], across=2, height=3.2).figure()
 
 
 def _draw_whole(axes: Axes, atlas: Atlas) -> None:
-    draw_space(axes, atlas, atlas.cuts, flights=[(c, style.INK) for c in atlas.connections])
+    tubes = [part for cut in atlas.cuts for part in tubes_of_cut(atlas, cut)]
+    draw_motions(axes, atlas, tubes, flights=[(c, style.INK) for c in atlas.connections])
     for k, orbit in enumerate(atlas.orbits):
         look = {"fontsize": style.SMALL, "color": style.saddle_colour(orbit.saddle), "weight": "bold"}
         axes.text2D(0.0, 0.04 * k, f"orbit about {orbit.name}", transform=axes.transAxes, **look)  # type: ignore[attr-defined]
-    axes.set_box_aspect(None, zoom=1.1)  # type: ignore[call-arg]
+    axes.set_box_aspect(None, zoom=0.95)  # type: ignore[call-arg]
+
+
+def atlas(axes: Axes, found: Atlas) -> None:
+    """Draw the cuts of the first kind of connections.
+
+    Args:
+        axes: panel to draw on.
+        found: atlas to draw.
+    """
+    if found.kinds:
+        draw_cuts(axes, found, max(found.kinds, key=lambda kind: kind.count), legend=False)
+
+
+TIMELINE = "time_from_section"
+"""Time from the section crossing, s, the same for all flights."""
+_MOMENTS = 240
+
+
+def write_atlas_recording(atlas: Atlas, path: Path) -> None:
+    """Write the recording of an atlas to `path` (`*.rrd`) with its blueprint.
+
+    Args:
+        atlas: atlas to write.
+        path: file, `*.rrd`.
+
+    Raises:
+        InputError: the recording cannot be written.
+    """
+    rate = len(atlas.periods) // 2
+    states = np.concatenate(
+        [o.samples for o in atlas.orbits] + [c.strands.reshape(-1, len(atlas.periods)) for c in atlas.cuts]
+    )
+    # Fast passages close to a body would otherwise flatten the rest.
+    low, high = np.quantile(states[:, [0, 1, rate]], [0.02, 0.98], axis=0)
+    size, spans = float(max((high - low)[:2])), np.maximum(high - low, 1e-12)
+    factor = size / float(spans[2])
+    view = _blueprint(atlas, centre=(low + high) / 2 * [1, 1, factor], size=size)
+    name = f"{atlas.model} at {atlas.energy:g}{atlas.unit('J')}"
+
+    def places(states: Array) -> Array:
+        return states[..., [0, 1, rate]] * [1, 1, factor]
+
+    with recording_to(path, name, view, _summary(atlas)) as recording:
+        for cut in atlas.cuts:
+            for tube in tubes_of_cut(atlas, cut):
+                side, way = "stable" if tube.stable else "unstable", "plus" if tube.branch > 0 else "minus"
+                home = f"{_tube_path(cut)}/{side}_{way}"
+                pale = [(*style.rgb(tube.colour), 110)]
+                record_curves(recording, home, [*map(places, tube.strands)], [tube.colour], 0.4, colors=pale)
+                record_curves(recording, f"{home}/cut", [*map(places, tube.ends)], [style.CUT], 0.8)
+        for orbit in atlas.orbits:
+            lifts = {(0,) * rate} | {c.winding for c in atlas.connections if c.target == orbit.saddle}
+            copies = [places(placed(atlas, orbit, winding)) for winding in sorted(lifts)]
+            labels = [orbit.name, *[""] * (len(copies) - 1)]
+            home, colour = f"space/orbits/{_path(orbit.name)}", style.saddle_colour(orbit.saddle)
+            record_curves(recording, home, copies, [colour], 2.5, labels=labels)
+        for kind in atlas.kinds:
+            _connections(recording, places, atlas, kind)
+
+
+def _path(name: str) -> str:
+    return "".join(letter if letter.isalnum() else "_" for letter in name)
+
+
+def _tube_path(cut: AtlasCut) -> str:
+    return f"space/tubes/{_path(cut.saddle)}/hit_{cut.hit}_{_path(cut.section.name)}"
+
+
+def _connections(
+    recording: rr.RecordingStream, places: Callable[[Array], Array], atlas: Atlas, kind: AtlasKind
+) -> None:
+    """Record the flights of a kind, each with a moving dot."""
+    home = f"space/connections/{_path(kind.source)}_to_{_path(kind.target)}_{kind.hits[0]}_{kind.hits[1]}"
+    connections = connections_of(atlas, kind)
+    look = colours(connections)
+    for k, c in enumerate(connections):
+        # The viewer shows the path under the pointer, which therefore contains the name.
+        flight = f"{home}/{k + 1}_{_path(c.name)}"
+        shown = {"labels": [c.name], "show_labels": False}
+        record_curves(recording, flight, [places(c.states)], [look[c.name]], 0.9, **shown)
+        times = np.linspace(c.times[0], c.times[-1], _MOMENTS)
+        states = np.stack([np.interp(times, c.times, column) for column in c.states.T], axis=1)
+        dot = rr.Points3D.from_fields(colors=[style.rgb(look[c.name])], radii=rr.Radius.ui_points(4))
+        recording.log(f"{flight}/now", dot, static=True)
+        columns = rr.Points3D.columns(positions=places(states))
+        recording.send_columns(f"{flight}/now", indexes=[rr.TimeColumn(TIMELINE, duration=times)], columns=columns)
+
+
+def _blueprint(atlas: Atlas, *, centre: Array, size: float) -> rrb.Blueprint:
+    """Return the layout: space with the summary beside it.
+
+    Only each saddle's tubes to one section are visible at first; all together would hide everything.
+    """
+    axes = ", ".join(atlas.labels[k].partition(" ")[0] for k in (0, 1, len(atlas.labels) // 2))
+    eye = centre + np.array([-1.0, -1.4, 0.8]) * size
+    own = {(k.source, k.section, k.hits[0]) for k in atlas.kinds if k.source == k.target}
+    hidden = [_tube_path(c) for c in atlas.cuts if own and (c.saddle, c.section.name, c.hit) not in own]
+    space = rrb.Spatial3DView(
+        name=f"Space ({axes}): orbits thick, tubes from them red, to them green, where these end golden",
+        origin="/space",
+        eye_controls=rrb.EyeControls3D(position=tuple(eye), look_target=tuple(centre), eye_up=(0.0, 0.0, 1.0)),
+        line_grid=False,
+        background=DARK,
+        overrides={path: rrb.EntityBehavior(visible=False) for path in hidden},
+    )
+    return page([space, summary_view()], [3, 1], timeline=TIMELINE)
+
+
+def _summary(atlas: Atlas) -> str:
+    kinds = "\n".join(
+        f"| {k.source} → {k.target} | {list(k.hits)} | {k.count} | {'closed' if k.complete else 'open'} |"
+        for k in atlas.kinds
+    )
+    connections = "\n".join(
+        f"| {k + 1} | {c.name} | {c.transversality_angle:.2f} |"
+        for kind in atlas.kinds
+        for k, c in enumerate(connections_of(atlas, kind))
+    )
+    return f"""# {atlas.title}, {atlas.energy:g}{atlas.unit("J")}
+
+{atlas.status}
+
+| from → to | hits | count | cuts |
+|---|---|---|---|
+{kinds}
+
+Red: unstable tubes, green: stable ones, pale: the other branch. A dot moves along each flight.
+
+| | connection | angle (°) |
+|---|---|---|
+{connections}"""

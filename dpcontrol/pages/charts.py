@@ -9,11 +9,10 @@ from matplotlib.ticker import LogLocator
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.judge.run_view import RunView
 from dpcontrol.pages import style
-from dpcontrol.pages.chart import Chart, Line
 from dpcontrol.pages.layout import MOST_IN_KEY, key
-from dpcontrol.pages.panels import angle_axis, mark_times, name_curves, quiet
-from dpcontrol.pages.planes import Plane
-from dpcontrol.pages.ranges import Range, extreme_rows, gap_times
+from dpcontrol.pages.panels import angle_axis, name_curves, quiet
+from dpcontrol.pages.planes import Plane, Range, extreme_rows, gap_times
+from dpcontrol.pages.run_charts import Chart, Line
 
 _BINS = 1500
 
@@ -68,11 +67,18 @@ def draw_chart(axes: Axes, chart: Chart, view: RunView, *, span: Range | None = 
     for first, last in chart.cut:
         axes.axvspan(first, last, color=style.LIMIT, alpha=0.3, linewidth=0.8, zorder=0.5)
         entries["cut"] = {"color": style.LIMIT, "linewidth": 6, "alpha": 0.3}
-    _axis(axes, chart, scale=scale)
+    if chart.half_turns:
+        angle_axis(axes, "y")
+    if chart.log:
+        axes.set_yscale("log")
+        axes.yaxis.set_major_locator(LogLocator(base=10, numticks=6))
+    elif chart.shown is not None:
+        axes.set_ylim(scale * chart.shown[0], scale * chart.shown[1])
     _levels(axes, chart, scale=scale)
     if span is not None:
         axes.set_xlim(*span)
-        mark_times(axes, [at for at, _ in view.plan.symbols if span[0] <= at <= span[1]])
+        for at in (at for at, _ in view.plan.symbols if span[0] <= at <= span[1]):
+            axes.axvline(at, color=style.MARK, linewidth=0.9, linestyle=style.DOTTED, zorder=1.5)
     if len(entries) > MOST_IN_KEY:
         name_curves(axes, list(ends.values()))
     else:
@@ -127,16 +133,6 @@ def _line(axes: Axes, line: Line, view: RunView, *, scale: float) -> None:
     axes.plot(time, values, **look)
 
 
-def _axis(axes: Axes, chart: Chart, *, scale: float) -> None:
-    if chart.half_turns:
-        angle_axis(axes, "y")
-    if chart.log:
-        axes.set_yscale("log")
-        axes.yaxis.set_major_locator(LogLocator(base=10, numticks=6))
-    elif chart.shown is not None:
-        axes.set_ylim(scale * chart.shown[0], scale * chart.shown[1])
-
-
 def draw_plane(axes: Axes, runs: list[tuple[Plane, str]], *, tubes: bool = True) -> None:
     """Draw runs in one arm's phase plane.
 
@@ -150,18 +146,15 @@ def draw_plane(axes: Axes, runs: list[tuple[Plane, str]], *, tubes: bool = True)
     first, _ = runs[0]
     number, ends = style.number(first.arm), ", from ○ to ■" if len(runs) == 1 else ""
     quiet(axes, f"Arm {first.arm + 1}: ω{number} (rad/s) over θ{number}{ends}")
-    entries: list[tuple[str, dict]] = []
-    if first.orbits:
-        entries.append(("orbits", {"color": first.orbits[0][0], "linewidth": 3.2}))
     for stable, colour, text in ((False, style.UNSTABLE, "tubes from"), (True, style.STABLE, "to them")):
         if tubes and first.strands[stable]:
             axes.plot(*_joined(first.strands[stable]), color=colour, linewidth=0.45, alpha=0.35, zorder=1.2)
-            axes.plot(*_joined(first.cuts[stable]), color=colour, linewidth=1.8, zorder=2.5)
-            entries.append((text, {"color": colour, "linewidth": 1.5}))
-    for colour, points in first.orbits:
+            axes.plot(*_joined(first.cuts[stable]), color=colour, linewidth=1.8, zorder=2.5, label=text)
+    for k, (colour, points) in enumerate(first.orbits):
         # An equilibrium is a single point.
         look: dict[str, Any] = {"linewidth": 3.2} if len(points) > 3 else {"marker": "D", "markersize": 8}
-        axes.plot(*points.T, color=colour, zorder=1.5, alpha=0.75 if tubes else 0.4, **look)
+        named = None if k else "orbits"
+        axes.plot(*points.T, color=colour, zorder=1.5, alpha=0.75 if tubes else 0.4, label=named, **look)
     for plane, colour in runs:
         (start, end), face = plane.ends, style.PAPER
         axes.plot(*_joined(plane.run), color=colour, linewidth=1.1, zorder=3)
@@ -170,7 +163,7 @@ def draw_plane(axes: Axes, runs: list[tuple[Plane, str]], *, tubes: bool = True)
             axes.plot(*start, "o", color=colour, markerfacecolor=face, markersize=6, zorder=5)
     axes.margins(x=0.04)
     angle_axis(axes, "x")
-    key(axes, entries)
+    key(axes)
 
 
 def _joined(curves: list[Array]) -> Array:

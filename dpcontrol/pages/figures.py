@@ -1,51 +1,93 @@
-"""The paper's computational figures by name: pages with captions, drawn to files."""
+"""The paper's computational figures by name: their data sources, and pages with captions, drawn to files."""
 
 import json
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
+from importlib import import_module
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
+from matplotlib.figure import Figure
+
+from dpcontrol.bifurcations.bifurcations import BranchDiagram
+from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import write_whole
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
-from dpcontrol.pages.gallery import Gallery, PaperFigure
 from dpcontrol.pages.layout import save_figure
-from dpcontrol.pages.paper.branches import branches_page
-from dpcontrol.pages.paper.connecting import (
-    heteroclinics_page,
-    repeated_page,
-)
-from dpcontrol.pages.paper.graph import graph_page
-from dpcontrol.pages.paper.landscapes import landscape_page
-from dpcontrol.pages.paper.lyapunov_orbits import lyapunov_orbits_page
-from dpcontrol.pages.paper.returning import returning_page
-from dpcontrol.pages.paper.shadowing import shadowing_page
-from dpcontrol.pages.paper.three_body import three_body_homoclinics_page, three_body_page
-from dpcontrol.pages.paper.tubes import cuts_page, senses_page
-from dpcontrol.pages.paper.up_up import up_up_page
+from dpcontrol.plans.atlas import AtlasSettings, make_atlas, make_branches
+from dpcontrol.plans.model import load_model
+from dpcontrol.walks.atlas import Atlas
+
+
+@dataclass(frozen=True)
+class Gallery:
+    """Data sources of the figures; each figure uses those it needs.
+
+    Attributes:
+        system: returns a model's system by name.
+        atlas: returns the atlas of a model, an energy in J and a number of hits; None takes the first available.
+        branches: returns connections against energy for a model, a source and a target, with a progress callback.
+        progress: progress callback of the current figure.
+    """
+
+    system: Callable[[str], System]
+    atlas: Callable[[str, float, tuple[int, int] | None], Atlas]
+    branches: Callable[[str, str, str, Progress], BranchDiagram]
+    progress: Progress = no_progress
+
+
+def cached_gallery() -> Gallery:
+    """Return the gallery whose data is kept in the cache.
+
+    The data is computed on first use.
+    """
+    model = cache(load_model)
+    return Gallery(
+        system=lambda name: model(name).system,
+        atlas=lambda name, energy, hits: make_atlas(model(name), energy, settings=AtlasSettings(hits=hits)),
+        branches=lambda name, source, target, report: make_branches(model(name), source, target, progress=report),
+    )
+
+
+@dataclass(frozen=True)
+class PaperFigure:
+    """A figure with its caption and its differences from the paper."""
+
+    figure: Figure
+    caption: str
+    differs: str
+
+
+IDENTIFIED = "Parameters are the rig's identified ones; those printed in the paper do not reproduce its pictures."
+
+
+def _page(place: str, gallery: Gallery, **how: Any) -> PaperFigure:
+    module, _, function = place.partition(":")
+    return getattr(import_module(f"dpcontrol.pages.paper.{module}"), function)(gallery, **how)
+
 
 FIGURES: dict[str, Callable[[Gallery], PaperFigure]] = {
-    "energy-landscape": landscape_page,
-    "three-body-homoclinics": three_body_homoclinics_page,
-    "three-body": three_body_page,
-    "lyapunov-orbits": lyapunov_orbits_page,
-    "tubes-down-up": partial(senses_page, saddle="down-up"),
-    "cuts": cuts_page,
-    "tubes-up-down": partial(senses_page, saddle="up-down"),
-    "heteroclinics": heteroclinics_page,
-    "branches": branches_page,
-    "graph": graph_page,
-    "shadowing": shadowing_page,
-    "double-homoclinics": partial(repeated_page, turns=2),
-    "triple-homoclinics": partial(repeated_page, turns=3),
-    "returning-homoclinics": returning_page,
-    "up-up": up_up_page,
+    "energy-landscape": partial(_page, "equilibria:landscape_page"),
+    "three-body-homoclinics": partial(_page, "connecting:three_body_homoclinics_page"),
+    "three-body": partial(_page, "connecting:three_body_page"),
+    "lyapunov-orbits": partial(_page, "equilibria:lyapunov_orbits_page"),
+    "tubes-down-up": partial(_page, "connecting:senses_page", saddle="down-up"),
+    "cuts": partial(_page, "connecting:cuts_page"),
+    "tubes-up-down": partial(_page, "connecting:senses_page", saddle="up-down"),
+    "heteroclinics": partial(_page, "connecting:heteroclinics_page"),
+    "branches": partial(_page, "branches:branches_page"),
+    "graph": partial(_page, "connecting:graph_page"),
+    "shadowing": partial(_page, "connecting:shadowing_page"),
+    "double-homoclinics": partial(_page, "connecting:repeated_page", turns=2),
+    "triple-homoclinics": partial(_page, "connecting:repeated_page", turns=3),
+    "returning-homoclinics": partial(_page, "connecting:returning_page"),
+    "up-up": partial(_page, "equilibria:up_up_page"),
 }
-"""In the order of the paper."""
+"""Functions of the gallery, in the order of the paper; their modules are imported on use."""
 CAPTIONS = "captions.json"
 
 

@@ -1,9 +1,9 @@
-"""A film of a motion: the arms over the itinerary.
+"""Arms on their cart: at several times side by side, in a film over the itinerary, and in transfers from row to column.
 
-The motion is a run, a recording, a reference or an orbit. The arms move on their cart, in real time.
+The motion is a run, a recording, a reference or an orbit.
 
-Static parts (title, track, limits, the story over time) are drawn once as on a page. Each frame draws its moving parts
-over them: the pose of the arms as in a filmstrip, a cursor in the story, the time and the last symbol.
+Static parts of a film (title, track, limits, the story over time) are drawn once as on a page. Each frame draws its
+moving parts over them: the pose of the arms as in a filmstrip, a cursor in the story, the time and the last symbol.
 """
 
 from collections.abc import Iterator
@@ -13,6 +13,8 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 from PIL import Image
 
@@ -21,12 +23,122 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import whole_file
 from dpcontrol.foundation.parts import part
 from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress
+from dpcontrol.judge.of_log import reference_view
 from dpcontrol.judge.run_view import RunView
 from dpcontrol.pages import style
-from dpcontrol.pages.filmstrip import draw_pose
 from dpcontrol.pages.layout import Page, cropped, key
-from dpcontrol.pages.ranges import Range
-from dpcontrol.pages.story import story, story_height, story_rows
+from dpcontrol.pages.planes import Range, arm_points
+from dpcontrol.pages.story import add_story
+from dpcontrol.references.reference import Reference
+
+_FRAME_STEP = 2.12
+"""Distance between the film's frames, in lengths of all arms: enough for two stretched towards one another."""
+_TRACE = 0.25
+"""Longest visible path of the tip, s."""
+
+
+def _draw_film(axes: Axes, view: RunView, times: Array, rows: NDArray[np.int64], box: tuple[Range, Range]) -> None:
+    pivot, reach, (horizontal, vertical) = view.pivot, sum(view.arm_lengths), box
+    axes.set(xlim=horizontal, ylim=vertical)
+    for i, (time, row) in enumerate(zip(times, rows, strict=True)):
+        at = i * _FRAME_STEP * reach
+        if not view.time[0] <= time <= view.time[-1]:
+            look = {"ha": "center", "va": "center", "fontsize": style.SMALL, "color": style.MARK}
+            axes.text(at, 0, f"no data at\n{time:.2f} s", **look)
+            continue
+        if view.has_cart:
+            axes.plot([at - 0.98 * reach, at + 0.98 * reach], [0, 0], color=style.FAINT, linewidth=2.5, zorder=1)
+        before = max(1, round((_TRACE if i else 0.1) * view.rate_hz))
+        draw_pose(axes, view, (max(rows[i - 1] if i else 0, row - before), row), at=at, thick=2.6)
+        cart = f"\ncart {round(1000 * float(pivot[row])):+d} mm" if np.isfinite(pivot[row]) else "\nlost"
+        text = f"{view.time[row]:.2f} s{cart if view.has_cart else ''}"
+        look = {"ha": "center", "va": "top", "fontsize": style.SMALL, "color": style.NOTE, "linespacing": 1.25}
+        axes.text(at, vertical[0] + 0.46 * reach, text, **look)
+    axes.set_aspect("equal")
+    axes.axis("off")
+
+
+def draw_pose(
+    axes: Axes, view: RunView, ticks: tuple[int, int], *, at: float, thick: float, shade: float = 1.0
+) -> None:
+    """Draw the arms at a tick on their cart, with the grey reference behind them and the tip's path.
+
+    Args:
+        axes: panel to draw on.
+        view: motion to draw.
+        ticks: first tick of the tip's path, and tick of the pose.
+        at: drawn position of the pivot, m.
+        thick: width of the arms, points.
+        shade: opacity of the arms and the cart.
+    """
+    look: dict[str, Any]
+    since, row = ticks
+    arms, reach, pivot = view.arms, sum(view.arm_lengths), view.pivot
+    tip = style.arm_colour(arms - 1)
+    if view.has_cart:
+        corner, look = (at - 0.13 * reach, -0.05 * reach), {"color": style.CART, "alpha": shade, "zorder": 2}
+        axes.add_patch(Rectangle(corner, 0.26 * reach, 0.1 * reach, **look))
+    points = arm_points(view.state[since : row + 1, :arms], view.arm_lengths)
+    points[..., 0] += at + (pivot[since : row + 1] - pivot[row])[:, None]
+    axes.plot(*points[:, -1].T, color=tip, linewidth=thick / 2, alpha=0.4)
+    for arm in range(arms):
+        look = {"color": style.arm_colour(arm), "alpha": shade, "solid_capstyle": "round", "zorder": 3}
+        # Outer arms are drawn narrower, so that overlapping arms remain visible.
+        axes.plot(*points[-1, arm : arm + 2].T, linewidth=thick * (1 - 0.8 * arm / arms), **look)
+    axes.plot(*points[-1, :-1].T, "o", color=style.INK, markersize=1.2 * thick, alpha=shade, zorder=4)
+    axes.plot(*points[-1, -1], "o", color=tip, markersize=2.0 * thick, alpha=shade, zorder=4)
+    if view.reference is not None:
+        ghost = arm_points(view.reference[row : row + 1, :arms], view.arm_lengths)[0]
+        shift = at + (view.reference[row, 2 * arms] - pivot[row] if view.has_cart else 0.0)
+        look = {"color": style.REFERENCE, "linewidth": 2.0 * thick, "solid_capstyle": "round", "zorder": 1.5}
+        axes.plot(shift + ghost[:, 0], ghost[:, 1], **look)
+
+
+def add_film(page: Page, view: RunView, times: Array) -> None:
+    """Add a filmstrip to a page, as high as equal scales require.
+
+    The reference is grey behind the arms. The tip's path begins at the last frame. Times outside the motion are empty.
+
+    Args:
+        page: page to extend.
+        view: motion in the film.
+        times: (K,) s of the frames.
+    """
+    rows = np.searchsorted(view.time, times).clip(0, len(view.time) - 1)
+    reach, before = sum(view.arm_lengths), round(_TRACE * view.rate_hz)
+    ticks = np.unique(np.add.outer(rows, np.arange(-before, 1)).clip(0))
+    shown = [view.state] if view.reference is None else [view.state, view.reference]
+    both = np.concatenate([states[ticks, : view.arms] for states in shown])
+    heights = arm_points(both[np.isfinite(both).all(axis=1)], view.arm_lengths)[..., 1]
+    low = float(heights.min(initial=-0.2 * reach)) - 0.62 * reach
+    high = float(heights.max(initial=0.1 * reach)) + 0.1 * reach
+    left, right = -0.53 * _FRAME_STEP * reach, (len(times) - 0.47) * _FRAME_STEP * reach
+    drawn = partial(_draw_film, view=view, times=times, rows=rows, box=((left, right), (low, high)))
+    page.row(drawn, height=page.width * (high - low) / (right - left))
+
+
+def film_times(view: RunView, *, frames: int) -> Array:
+    """Return (frames,) times in s for a filmstrip, about the symbols' crossings, otherwise evenly.
+
+    On either side of a crossing they span a third of the period of a simple pendulum as long as all arms. The end of a
+    run that failed counts as a crossing.
+
+    Args:
+        view: motion in the film.
+        frames: number of frames.
+    """
+    begin, end = view.time_range
+    half = 0.33 * 2 * np.pi * np.sqrt(sum(view.arm_lengths) / 9.81)
+    moments = [done or planned for _, planned, done in view.symbols if begin <= (done or planned) <= end]
+    if view.good is False:
+        moments.append(end - half)
+    if not moments:
+        return np.linspace(begin, end, frames)
+    chosen = np.array(moments)[np.linspace(0, len(moments) - 1, min(len(moments), frames)).astype(int)]
+    shares = [len(part) for part in np.array_split(np.arange(frames), len(chosen))]
+    parts = [moment + half * np.linspace(-1, 1, n + 2)[1:-1] for moment, n in zip(chosen, shares, strict=True)]
+    return np.sort(np.clip(np.concatenate(parts), begin, end))
+
 
 RATE = 25
 """Frames per second."""
@@ -35,7 +147,7 @@ _INCHES, _SCENE = 7.2, 3.7
 _PIXELS = 100
 """Pixels per inch."""
 _TRACK = "#dfe3e7"
-_TRACE = 0.9
+_FILMED_TRACE = 0.9
 """Duration of the visible tip path, s."""
 _COLOURS = 96
 _SECONDS = 0.03
@@ -61,9 +173,7 @@ class Film:
         page = Page("", width=_INCHES)
         page.text(cropped(view.title, style.VERDICT, _INCHES - 0.4), colour=style.INK, size=style.VERDICT)
         page.row(self._draw_scene, height=_SCENE)
-        if story_rows(view):
-            strip = partial(story, view=view, span=stretch, width=_INCHES)
-            page.row(strip, height=story_height(view, span=stretch))
+        add_story(page, view, span=stretch)
         figure = page.figure()
         figure.set_dpi(_PIXELS)
         self._canvas: Any = figure.canvas
@@ -95,31 +205,28 @@ class Film:
 
     def frame(self, number: int) -> Image.Image:
         """Return a frame, counted from zero."""
+        view, scene, time, row = self.view, self.scene, float(self.times[number]), int(self.rows[number])
         self._canvas.restore_region(self._still)
-        self._draw_moving(float(self.times[number]), int(self.rows[number]))
-        for axes in (self.scene, *self._stories):
+        look: dict[str, Any] = {"transform": scene.transAxes, "fontsize": style.SMALL}
+        scene.text(0.0, 1.01, f"{time:.2f} s", color=style.INK, va="bottom", **look)
+        past = [f"{k + 1}: {name}" for k, (name, at, done) in enumerate(view.symbols) if (done or at) <= time]
+        scene.text(0.0, 0.99, past[-1] if past else "", color=style.NOTE, va="top", **look)
+        if row < 0:
+            scene.text(0.5, 0.5, "no data", color=style.MARK, ha="center", **look)
+        else:
+            since = int(np.searchsorted(view.time, view.time[row] - _FILMED_TRACE))
+            since = max(since, int(view.breaks[view.breaks <= row].max(initial=0)))
+            unit = float(np.ptp(scene.transData.transform([(0.0, 0.0), (1.0, 0.0)])[:, 0])) * 72 / _PIXELS
+            thick = 0.055 * sum(view.arm_lengths) * unit
+            draw_pose(scene, view, (since, row), at=float(self.pivots[row]), thick=thick)
+        for axes in self._stories:
+            axes.axvline(time, color=style.LIMIT, linewidth=1.4)
+        for axes in (scene, *self._stories):
             moving = [artist for artist in axes.get_children() if artist not in self._static]
             for artist in sorted(moving, key=lambda artist: artist.get_zorder()):
                 axes.draw_artist(artist)
                 artist.remove()
         return Image.fromarray(np.asarray(self._canvas.buffer_rgba())[..., :3].copy())
-
-    def _draw_moving(self, time: float, row: int) -> None:
-        view, scene = self.view, self.scene
-        look: dict[str, Any] = {"transform": scene.transAxes, "fontsize": style.SMALL}
-        scene.text(0.0, 1.01, f"{time:.2f} s", color=style.INK, va="bottom", **look)
-        past = [f"{k + 1}: {name}" for k, (name, at, done) in enumerate(view.symbols) if (done or at) <= time]
-        scene.text(0.0, 0.99, past[-1] if past else "", color=style.NOTE, va="top", **look)
-        for axes in self._stories:
-            axes.axvline(time, color=style.LIMIT, linewidth=1.4)
-        if row < 0:
-            scene.text(0.5, 0.5, "no data", color=style.MARK, ha="center", **look)
-            return
-        since = int(np.searchsorted(view.time, view.time[row] - _TRACE))
-        since = max(since, int(view.breaks[view.breaks <= row].max(initial=0)))
-        unit = float(np.ptp(scene.transData.transform([(0.0, 0.0), (1.0, 0.0)])[:, 0])) * 72 / _PIXELS
-        thick = 0.055 * sum(view.arm_lengths) * unit
-        draw_pose(scene, view, (since, row), at=float(self.pivots[row]), thick=thick)
 
     def frames(self, progress: Progress = no_progress) -> Iterator[Image.Image]:
         """Yield the frames in order.
@@ -206,3 +313,88 @@ def _write_mp4(film: Film, file: Path, progress: Progress) -> None:
 
 
 _WRITERS = {".gif": _write_gif, ".webp": _write_webp, ".mp4": _write_mp4}
+
+
+_NAMES = 0.65
+"""Width of the names beside the pictures, inches."""
+_POSES, _FAINTEST = 9, 0.12
+"""Number of drawn poses of the arms, and opacity of the first."""
+
+
+def draw_transitions(reference: Reference) -> Figure:
+    """Draw each transfer in the cell of its two equilibria.
+
+    Repeated ones are drawn once.
+
+    Raises:
+        InputError: the reference has no plan, or no transfers between equilibria.
+    """
+    content, view = reference.content, reference_view(reference, Path())
+    transfers: dict[tuple[str, str], Range] = {}
+    for k, way in content.transitions():
+        symbol, (begin, end) = content.symbols[k], content.transfers[way]
+        transfers[symbol.source, symbol.target] = begin, end
+        transfers[symbol.source, symbol.source] = begin, begin
+        transfers[symbol.target, symbol.target] = end, end
+    if not transfers:
+        raise InputError(
+            f"{content.itinerary} has no transfers from one equilibrium to another to draw; "
+            "plan an itinerary of holds, such as twelve"
+        )
+    names = [name for name in sorted(content.saddles) if (name, name) in transfers]
+    travel = max(float(np.abs(_ways(view, spent)[1]).max()) for spent in transfers.values())
+    high = 1.06 * sum(view.arm_lengths)
+    box, cell = (high + travel, high), (style.WIDTH - _NAMES) / len(names)
+    page = Page(
+        content.title,
+        "From each row's equilibrium to each column's: the arms at equal times, later ones darker, with the tip's "
+        "path. Below each picture: duration, and the cart's greatest distance from its start in the middle.",
+    )
+    for source in names:
+        row = [
+            partial(
+                _cell,
+                view=view,
+                transfer=transfers.get((source, target)),
+                box=box,
+                title=target if source == names[0] else "",
+                name=source if target == names[0] else "",
+            )
+            for target in names
+        ]
+        page.row(*row, height=cell * box[1] / box[0] + 0.3 + 0.2 * (source == names[0]))
+    return page.figure()
+
+
+def _ways(view: RunView, transfer: Range) -> tuple[list[int], np.ndarray]:
+    """Return the ticks of a transfer, and the cart's distances from its start, m."""
+    first, last = np.searchsorted(view.time, transfer).clip(0, len(view.time) - 1)
+    rows = np.arange(first, last + 1)
+    return rows.tolist(), view.pivot[rows] - view.pivot[first]
+
+
+def _cell(axes: Axes, view: RunView, transfer: Range | None, box: Range, *, title: str, name: str) -> None:
+    """Draw one transfer in its cell.
+
+    Its equilibria's names are at the edges of the square.
+    """
+    half, high = box
+    axes.set(xlim=(-half, half), ylim=(-high, high), xticks=[], yticks=[])
+    axes.set_aspect("equal")
+    axes.spines[:].set_visible(True)
+    axes.grid(False)
+    axes.set_title(title, loc="center")
+    upright = {"rotation": 0, "ha": "right", "va": "center"}
+    axes.set_ylabel(name.replace("-", "\n"), fontsize=style.HEAD, color=style.INK, **upright)
+    if transfer is None:
+        return
+    rows, cart = _ways(view, transfer)
+    axes.axhline(0.0, color=style.GRID, linewidth=1.0, zorder=0)
+    for share in np.linspace(0, 1, _POSES) if len(rows) > 1 else (1.0,):
+        k, shade = round(share * (len(rows) - 1)), _FAINTEST + (1 - _FAINTEST) * share**2
+        draw_pose(axes, view, (rows[0 if share == 1 else k], rows[k]), at=cart[k], thick=2.4, shade=shade)
+    if len(rows) > 1:
+        text = f"{transfer[1] - transfer[0]:.3g} s, {100 * np.abs(cart).max():.0f} cm"
+        axes.set_xlabel(text, fontsize=style.SMALL, color=style.NOTE, labelpad=2)
+    else:
+        axes.set_facecolor("#f4f6f8")

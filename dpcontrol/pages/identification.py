@@ -1,45 +1,35 @@
-"""An identification on one page.
+"""Identification on one page: its accuracy and errors, or which recordings would identify the arms best.
 
-It shows accuracy on recordings that the fit did not use, errors, and profiles of the loss.
+Accuracy is that on recordings that the fit did not use.
 """
 
 from functools import partial
+from itertools import cycle
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from dpcontrol.identification.identify import Identification, LossProfile
+from dpcontrol.identification.fit import Design
+from dpcontrol.identification.identify import Identification
 from dpcontrol.pages import style
 from dpcontrol.pages.layout import Page, Panel, key
-from dpcontrol.pages.panels import quiet
+from dpcontrol.pages.panels import name_curves, quiet
 
 USED, LEFT, _BEFORE, LINE = style.REFERENCE, style.SERIES[1], style.NOTE, style.SERIES[0]
-_PER_ROW = 4
 
 
-def draw_identification(
-    found: Identification, curves: tuple[LossProfile, ...] = (), *, title: str = "Identified arms"
-) -> Figure:
+def draw_identification(found: Identification, *, title: str = "Identified arms") -> Figure:
     """Return the page on an identification as a figure.
 
     Args:
         found: identification to draw.
-        curves: profiles of the loss, which take a minute; none by default.
         title: title of the page.
     """
-    page = Page(title)
-    candidates = 1.0 + 0.2 * (len(found.candidates) + 1)
-    page.row(partial(draw_candidates, found=found), height=candidates)
-    correlation = Panel(partial(_correlation, found=found), 0.9)
-    page.row(Panel(partial(_errors, found=found), 1.4), correlation, height=0.9 + max(2.4, 0.19 * len(found.names)))
-    page.grid([partial(_profile, curve=curve) for curve in curves], across=_PER_ROW, height=1.9)
-    if curves:
-        page.text(
-            "Profiles: rise of the misfit over the parameter's error in standard errors. Grey line: linearised; blue "
-            "dots: fitted again."
-        )
-    return page.figure()
+    errors = Panel(partial(_errors, found=found), 1.4), Panel(partial(_correlation, found=found), 0.9)
+    page = Page(title).row(partial(draw_candidates, found=found), height=1.2 + 0.2 * len(found.candidates))
+    return page.row(*errors, height=0.9 + max(2.4, 0.19 * len(found.names))).figure()
 
 
 def draw_candidates(axes: Axes, found: Identification) -> None:
@@ -69,8 +59,7 @@ def _errors(axes: Axes, found: Identification) -> None:
         for arm in range(residual.shape[1]):
             axes.plot(times, 1e3 * residual[:, arm], linewidth=0.8, color=style.arm_colour(arm))
     axes.axhline(0.0, color=_BEFORE, linewidth=0.6)
-    arms = found.residuals[0].shape[1]
-    key(axes, [(f"arm {arm + 1}", style.arm_colour(arm)) for arm in range(arms)])
+    key(axes, [(f"arm {arm + 1}", style.arm_colour(arm)) for arm in range(found.arms.count)])
     quiet(axes, "Measured less predicted angle on segments left out (mrad)", x="time in the recording (s)")
 
 
@@ -85,12 +74,69 @@ def _correlation(axes: Axes, found: Identification) -> None:
     axes.grid(False)
 
 
-def _profile(axes: Axes, curve: LossProfile) -> None:
-    order = np.argsort(np.append(curve.values, curve.best))
-    values = np.append(curve.values, curve.best)[order]
-    spread = curve.error if np.isfinite(curve.error) and curve.error > 0 else 1.0
-    at = (values - curve.best) / spread
-    axes.plot(at, 100 * np.append(curve.promised, 0.0)[order], color=USED, linewidth=2.5)
-    axes.plot(at, 100 * np.append(curve.rises, 0.0)[order], "o", color=LINE, markersize=4)
-    axes.set_xlim(-3.4, 3.4)
-    quiet(axes, f"{curve.name} = {curve.best:.4g} ± {curve.error:.1g}", y="misfit rises by (%)")
+def draw_design(design: Design, *, title: str) -> Figure:
+    """Return a figure that compares designs.
+
+    Swings are drawn over their first two angles, the cart's sines over frequency.
+
+    Args:
+        design: designs to compare.
+        title: end of the page's title.
+    """
+    first, second = design.best_pair()
+    swings = [e for e in design.experiments if e.kind == "swing"]
+    page = Page(f"Accuracy expected from a recording of {design.settings.seconds:g} s: {title}")
+    return page.row(
+        Panel(partial(_swing_map, swings=swings, pair=(first, second)), 1.1),
+        partial(_sines, design=design, swings=swings),
+        partial(_accuracy, design=design, pair=(first, second)),
+        height=4.4,
+    ).figure()
+
+
+def _sines(axes: Axes, design: Design, swings: list) -> None:
+    best = max((e.information for e in swings if e.usable), default=None)
+    quiet(axes, "From hanging, the cart driven: digits known", x="frequency of the cart's acceleration (Hz)")
+    ends = []
+    if best is not None:
+        axes.axhline(best, color=style.INK, linewidth=1.5, linestyle=style.DASHED)
+        ends.append((best, "best swing", style.INK))
+    for amplitude, colour in zip(design.settings.amplitudes, cycle(style.SERIES), strict=False):
+        sines = [e for e in design.experiments if e.kind == "cart" and e.amplitude == amplitude and e.usable]
+        if sines:
+            frequencies, digits = zip(*((e.frequency, e.information) for e in sines), strict=True)
+            axes.plot(frequencies, digits, "o-", markersize=4, color=colour)
+            ends.append((digits[-1], f"{amplitude:g} m/s²", colour))
+    name_curves(axes, ends)
+
+
+def _accuracy(axes: Axes, design: Design, pair: tuple) -> None:
+    first, second = pair
+    places = np.arange(len(design.names))
+    for k, matrix in enumerate((first.matrix, first.matrix + second.matrix)):
+        values = np.sqrt(np.diag(np.linalg.pinv(matrix, hermitian=True)))
+        axes.barh(places + 0.38 * k, values, height=0.36, color=(USED, LEFT)[k])
+    axes.set_yticks(places + 0.19, [name.partition("/")[0] for name in design.names])
+    axes.set_xscale("log")
+    axes.invert_yaxis()
+    quiet(axes, f"Relative standard error from rounding alone. Grey: {first.text}. Colour: with {second.text}")
+
+
+def _swing_map(axes: Axes, swings: list, pair: tuple) -> None:
+    title = "Free swings from rest; 1, 2: the best pair; crosses magnify errors"
+    if len(swings[0].angles) == 1:
+        axes.plot([np.degrees(e.angles[0]) for e in swings], [e.information for e in swings], "o-", color=LINE)
+        quiet(axes, title, x="let go at (degrees)")
+        return
+    shown = [e for e in swings if len(e.angles) == 2 or abs(e.angles[2]) < 1e-9]
+    x, y, digits, usable = np.array([(*np.degrees(e.angles[:2]), e.information, e.usable) for e in shown]).T
+    known = usable > 0
+    dots = axes.scatter(x[known], y[known], c=digits[known], s=150, marker="s", cmap="viridis")
+    axes.plot(x[~known], y[~known], "x", color=USED, markersize=6)
+    look: dict[str, Any] = {"color": "white", "ha": "center", "va": "center", "weight": "bold", "fontsize": style.TEXT}
+    for number, one in enumerate(pair, start=1):
+        if one.kind == "swing":
+            inner, outer = np.degrees(one.angles[:2])
+            axes.text(inner, outer, str(number), **look)
+    axes.figure.colorbar(dots, ax=axes).ax.set_title("digits", fontsize=style.SMALL)
+    quiet(axes, title, x="inner arm let go at (degrees)", y="outer arm (degrees)")

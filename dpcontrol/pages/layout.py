@@ -75,14 +75,12 @@ class Page:
         title: title at the top.
         verdict: the result in a sentence, below the title.
         good: True for a favourable verdict, False for an unfavourable one; decides its colour.
-        about: short text at the right of the title, such as the file of origin.
         width: in inches.
     """
 
     title: str
     verdict: str = ""
     good: bool | None = None
-    about: str = ""
     width: float = style.WIDTH
     rows: list[tuple[float, Callable[[SubFigure], None]]] = field(default_factory=list)
 
@@ -110,16 +108,27 @@ class Page:
             self.row(*row, *[bare] * (across - len(row)), height=height)
         return self
 
-    def table(self, rows: Sequence[Sequence[str]], *, heading: Sequence[str] = (), height: float = 0.0) -> "Page":
+    def table(self, rows: Sequence[Sequence[str]], *, heading: Sequence[str] = ()) -> "Page":
         """Add a table of texts, below an optional heading.
 
         Args:
             rows: texts by row.
             heading: texts above the columns.
-            height: height in inches; 0 fits the rows.
         """
-        lines = max(len(rows) + bool(heading), 1)
-        return self.row(table(rows, heading=heading), height=height or 2 * _EDGE + lines * _height(style.TEXT))
+        every = [[f"{text}\N{EM SPACE}" for text in row] for row in ([heading, *rows] if heading else rows)]
+
+        def draw(axes: Axes) -> None:
+            bare(axes)
+            shown = axes.table(every, loc="upper left", cellLoc="left", edges="open")
+            shown.auto_set_font_size(False)
+            shown.auto_set_column_width(range(len(every[0])))
+            shown.set_in_layout(False)
+            for (row, column), cell in shown.get_celld().items():
+                cell.PAD = 0.0
+                size, head = (style.SMALL, True) if heading and row == 0 else (style.TEXT, column == 0)
+                cell.set_text_props(fontsize=size, color=style.NOTE if head else style.INK)
+
+        return self.row(draw, height=2 * _EDGE + max(len(every), 1) * _height(style.TEXT))
 
     def text(self, text: str, *, colour: str = style.NOTE, size: float = style.SMALL) -> "Page":
         """Add a paragraph, wrapped to the width of the page.
@@ -159,9 +168,6 @@ class Page:
                 draw(part)
             if self.title:
                 parts[0].texts[0].set_weight("bold")
-            used = text_width(self.title, 1.1 * style.TITLE) + text_width(self.about, style.SMALL) + 4 * _EDGE
-            if self.title and used < self.width:
-                parts[0].text(1 - _EDGE / self.width, 0.5, self.about, ha="right", va="center", color=style.MARK)
             settle(figure)
         return figure
 
@@ -169,10 +175,6 @@ class Page:
 def _height(size: float) -> float:
     """Return the height of a line of text, inches."""
     return _LINE * size / 72
-
-
-def _panel(item: Panel | Draw) -> Panel:
-    return item if isinstance(item, Panel) else Panel(item)
 
 
 def _row(part: SubFigure, items: Sequence[Item]) -> None:
@@ -187,39 +189,13 @@ def _row(part: SubFigure, items: Sequence[Item]) -> None:
 
 
 def _grid(part: SubFigure, items: Sequence[Panel | Draw], *, across: bool) -> None:
-    panels = [_panel(item) for item in items]
+    panels = [item if isinstance(item, Panel) else Panel(item) for item in items]
     shares = [panel.share for panel in panels]
     shape = (1, len(panels)) if across else (len(panels), 1)
     grid = part.add_gridspec(*shape, **{"width_ratios" if across else "height_ratios": shares})
     for k, panel in enumerate(panels):
         place = grid[(0, k) if across else (k, 0)]
         panel.draw(part.add_subplot(place, projection="3d" if panel.space else None))
-
-
-def table(rows: Sequence[Sequence[str]], *, heading: Sequence[str] = (), title: str = "") -> Draw:
-    """Return a panel with a table of texts.
-
-    Args:
-        rows: texts by row.
-        heading: texts above the columns; none by default.
-        title: title of the panel.
-    """
-
-    def draw(axes: Axes) -> None:
-        bare(axes, title)
-        every = [[f"{text}\N{EM SPACE}" for text in row] for row in ([heading, *rows] if heading else rows)]
-        shown = axes.table(every, loc="upper left", cellLoc="left", edges="open")
-        shown.auto_set_font_size(False)
-        shown.auto_set_column_width(range(len(every[0])))
-        shown.set_in_layout(False)
-        for (row, column), cell in shown.get_celld().items():
-            cell.PAD = 0.0
-            head = bool(heading) and row == 0
-            cell.set_text_props(
-                fontsize=style.SMALL if head else style.TEXT, color=style.NOTE if head or column == 0 else style.INK
-            )
-
-    return draw
 
 
 class ShownFigure(Figure):
@@ -360,21 +336,19 @@ def cropped(text: str, size: float, width: float) -> str:
     return text[: max(1, int(len(text) * width / text_width(text, size)) - 2)].rstrip() + " …"
 
 
-def key(axes: Axes, entries: Iterable[tuple[str, str | dict[str, Any]]]) -> None:
+def key(axes: Axes, entries: Iterable[tuple[str, str | dict[str, Any]]] | None = None) -> None:
     """Add a key below the title of a panel.
 
-    More than four entries are refused: label these curves directly.
+    More than four curves are better named at the right of the panel.
 
     Args:
         axes: panel of the key.
-        entries: labels, each with a colour or a line style.
+        entries: labels, each with a colour or a line style; by default the labels of what was drawn.
     """
-    handles = []
-    for label, given in entries:
+    handles = axes.get_legend_handles_labels()[0] if entries is None else []
+    for label, given in entries or ():
         look: dict[str, Any] = {"color": given} if isinstance(given, str) else given
         handles.append(Line2D([], [], label=label, **look))
-    if len(handles) > MOST_IN_KEY:
-        raise ValueError(f"{len(handles)} entries are too many for a key: label them directly")
     if handles:
         # Pages place key and title by their widths; a panel alone has the key below its title.
         axes.set_title(axes.get_title(loc="left"), loc="left", pad=6 + style.SMALL * _LINE)
@@ -407,14 +381,12 @@ def settle(figure: Figure) -> None:
         title, legend, pad = axes.get_title(loc="left"), axes.get_legend(), 4.0
         if legend is not None and legend.get_gid() == _KEY:
             wide = legend.get_window_extent().width / figure.dpi
-            if text_width(title, style.HEAD) + wide + 0.15 < inches:
+            beside, narrow = text_width(title, style.HEAD) + wide + 0.15 < inches, wide < inches + 0.3
+            if beside:
                 legend.set_loc("lower right")
                 legend.set_bbox_to_anchor((1.0, 1.0), transform=axes.transAxes)
-            elif wide < inches + 0.3:
-                pad += style.SMALL * _LINE + 2
-            else:
-                legend.set_ncols(2)
-                pad += 2 * style.SMALL * _LINE + 4
+            legend.set_ncols(4 if narrow else 2)
+            pad += 0.0 if beside else (1 if narrow else 2) * (style.SMALL * _LINE + 2)
         if title:
             lines = wrapped(title, style.HEAD, max(inches, 0.8)) if axes.name != "3d" else [title]
             axes.set_title("\n".join(lines), loc="left", fontsize=style.HEAD, color=style.INK, pad=pad)
@@ -433,20 +405,19 @@ def _turn_aside(axes: Axes, labels: list[Any]) -> None:
     """Move labels round their points, and away from them, until they cover neither marks nor other labels."""
     taken = [box for line in axes.lines if labels and line.get_marker() not in ("None", "") for box in _marks(line)]
     for label in labels:
-        boxes = ((place, _box_at(label, place)) for place in _PLACES)
-        inside = ((place, box) for place, box in boxes if all(axes.bbox.contains(*end) for end in (box.min, box.max)))
-        place = next((place for place, box in inside if not box.count_overlaps(taken)), _PLACES[0])
-        taken.append(_box_at(label, place))
+        boxes = {place: _beside(label, place) for place in _PLACES}
+        inside = (place for place, box in boxes.items() if all(axes.bbox.contains(*end) for end in (box.min, box.max)))
+        place = next((place for place in inside if not boxes[place].count_overlaps(taken)), _PLACES[0])
+        taken.append(_beside(label, place))
         if max(map(abs, place)) > _LED:
             line = {"arrowstyle": "-", "color": label.get_color(), "linewidth": 0.5, "shrinkA": 1, "shrinkB": 3}
             axes.annotate("", label.xy, xytext=place, textcoords="offset points", arrowprops=line)
 
 
-def _box_at(label: Any, place: tuple[float, float]) -> Bbox:
-    """Move a label and return its box."""
+def _beside(label: Any, place: tuple[float, float]) -> Bbox:
+    """Move a label to a place beside its point and return its box."""
     x, y = np.sign(place)
-    label.set_position(place)
-    label.set(ha=_ASIDE[x][0], va=_ASIDE[y][1])
+    label.set(position=place, ha=("center", "left", "right")[x], va=("center", "bottom", "top")[y])
     return label.get_window_extent()
 
 
@@ -454,7 +425,3 @@ def _marks(line: Line2D) -> list[Bbox]:
     """Return the boxes of a line's marks, pixels."""
     half = (line.get_markersize() / 2 + 1) * line.get_figure(root=True).dpi / 72  # type: ignore[union-attr]
     return [Bbox([spot - half, spot + half]) for spot in line.get_transform().transform(line.get_xydata())]
-
-
-_ASIDE = {1: ("left", "bottom"), -1: ("right", "top"), 0: ("center", "center")}
-"""Alignments of a label by the side of its point."""

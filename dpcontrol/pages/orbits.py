@@ -1,10 +1,11 @@
-"""Families of Lyapunov orbits on one page.
+"""Orbits and their families: multipliers and periods against energy, and the orbits' shapes.
 
-It shows period and multipliers against energy, and the orbits' shapes.
+Lyapunov orbits are drawn in the phase plane of their most active arm, rotating orbits in the plane of the angles.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
+from operator import attrgetter
 
 import numpy as np
 from matplotlib import colormaps
@@ -12,71 +13,96 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
+from matplotlib.ticker import SymmetricalLogLocator
 
 from dpcontrol.orbits.family import LyapunovFamily
+from dpcontrol.orbits.lyapunov import LyapunovOrbit
+from dpcontrol.orbits.rotating import RotatingFamilies, RotatingFamily, RotatingOrbit
 from dpcontrol.pages import style
-from dpcontrol.pages.layout import Page
-from dpcontrol.pages.panels import name_curves, name_point, quiet, quiet_plane
+from dpcontrol.pages.layout import Page, Stack, key
+from dpcontrol.pages.panels import name_point, quiet, quiet_plane
 
-_SHAPES = 12
+Orbit = LyapunovOrbit | RotatingOrbit
+Family = LyapunovFamily | RotatingFamily
+_SHAPES, _ROTATING_SHAPES = 12, 3
 _SHADES = colormaps["viridis"]
+_KINDS = {
+    "elliptic": style.GOOD,
+    "hyperbolic": style.LIMIT,
+    "inverse hyperbolic": style.ARMS[1],
+    "parabolic": style.CART,
+}
+"""Colours of rotating orbits by their stability."""
 
 
-def draw_families(families: Sequence[LyapunovFamily], title: str) -> Figure:
-    """Return a page on the families of one system.
-
-    Args:
-        families: families to draw, at least one.
-        title: title of the page.
-    """
-    energies = np.concatenate([family.energies for family in families])
-    scale = Normalize(float(energies.min()), float(energies.max()))
-    page = Page(title)
-    shapes = [partial(_shapes, family=family, scale=scale) for family in families]
-    page.grid(shapes, across=min(len(shapes), 3), height=3.3)
-    curves = [partial(_against_energy, families=families, multipliers=some) for some in (False, True)]
-    page.row(*curves, height=2.9)
-    for family in families:
-        first, last = family.ends
-        text = f"{family.saddle} from {first.energy:.6g}: {first.status}; to {last.energy:.6g}: {last.status}"
-        page.text(text)
+def draw_family(found: LyapunovFamily) -> Figure:
+    """Return the page on a family of Lyapunov orbits as a figure."""
+    page = Page(f"Lyapunov orbits about {found.saddle} of {found.system.name}")
+    over = Stack([partial(_multipliers, family=found), partial(_periods, families=[found])])
+    page.row(over, partial(_shapes, family=found), height=5.2)
+    for end in found.ends:
+        page.text(f"to {end.energy:.6g}{found.system.unit('J')}: {end.status}")
     return page.figure()
 
 
-def _against_energy(axes: Axes, families: Sequence[LyapunovFamily], *, multipliers: bool) -> None:
-    """Draw the periods or the unstable multipliers of families against energy."""
-    unit = families[0].system.unit
-    name = "Unstable Floquet multiplier" if multipliers else f"Period{unit('s', ' ({})')}"
-    quiet(axes, name, x=f"energy{unit('J', ' ({})')}")
-    ends = []
+def draw_rotating_families(found: RotatingFamilies) -> Figure:
+    """Return the page on rotating orbits as a figure."""
+    families = found.families
+    page = Page(f"Orbits of {families[0].members[0].system.name} that turn the {found.arm} arm over")
+    over = Stack([partial(_traces, families=families), partial(_periods, families=families)])
+    return page.row(over, partial(_rotations, families=families), height=5.2).figure()
+
+
+def _against_energy(axes: Axes, families: Sequence[Family], value: Callable[..., float]) -> None:
+    """Draw a value of the orbits against energy, rotating orbits coloured by stability, with named events."""
     for family in families:
-        colour = style.saddle_colour(family.saddle)
-        values = np.abs(family.floquet_multipliers[:, 0]) if multipliers else family.periods
-        axes.plot(family.energies, values, color=colour, linewidth=1.6)
-        ends.append((float(values[-1]), family.saddle, colour))
-        for event in family.events:
-            orbit = event.orbit
-            value = float(np.abs(orbit.floquet_multipliers[0])) if multipliers else orbit.period
-            axes.plot(orbit.energy, value, "x", color=style.LIMIT, ms=7)
-            name_point(axes, event.kind, (orbit.energy, value), style.LIMIT, weight="normal")
-    if multipliers:
-        axes.set_yscale("log")
-    name_curves(axes, ends)
+        values = np.array([value(member) for member in family.members])
+        if isinstance(family, LyapunovFamily):
+            axes.plot(family.energies, values, color=style.saddle_colour(family.saddle), linewidth=1.6)
+            events = [(event.orbit, event.kind) for event in family.events]
+        else:
+            for kind, colour in _KINDS.items():
+                own = np.where([member.kind == kind for member in family.members], values, np.nan)
+                axes.plot(family.energies, own, color=colour, linewidth=1.6)
+            events = [(orbit, "") for orbit in (*(change.orbit for change in family.changes), *family.folds)]
+        for orbit, text in events:
+            axes.plot(orbit.energy, value(orbit), "o", color=style.INK, markersize=4)
+            name_point(axes, text, (orbit.energy, value(orbit)), style.INK, weight="normal")
 
 
-def _shapes(axes: Axes, family: LyapunovFamily, scale: Normalize) -> None:
-    """Draw orbits in the phase plane of the most active arm.
+def _periods(axes: Axes, families: Sequence[Family], title: str = "") -> None:
+    unit = families[0].members[0].system.unit
+    _against_energy(axes, families, attrgetter("period"))
+    period = f"period{unit('s', ' ({})')}"
+    quiet(axes, title or period.capitalize(), x=f"energy{unit('J', ' ({})')}", y=period if title else "")
 
-    Without angles they are drawn in the plane of positions.
-    """
-    system, n = family.system, family.system.dimension // 2
+
+def _multipliers(axes: Axes, family: LyapunovFamily) -> None:
+    _against_energy(axes, [family], lambda orbit: abs(orbit.floquet_multipliers[0]))
+    axes.set_yscale("log")
+    quiet(axes, "Unstable Floquet multiplier")
+
+
+def _traces(axes: Axes, families: Sequence[RotatingFamily]) -> None:
+    _against_energy(axes, families, attrgetter("trace"))
+    axes.set_yscale("symlog", linthresh=4)
+    axes.yaxis.set_major_locator(SymmetricalLogLocator(base=10, linthresh=10))
+    for critical in (2, -2):
+        axes.axhline(critical, color=style.FAINT, linewidth=1.0, linestyle="--")
+    quiet(axes, "Trace of the section's map, ±2 dashed; at dots stability changes or the family folds")
+    seen = {member.kind for family in families for member in family.members}
+    key(axes, [(kind, colour) for kind, colour in _KINDS.items() if kind in seen])
+
+
+def _shapes(axes: Axes, family: LyapunovFamily) -> None:
+    """Draw orbits in the plane of the most active arm, coloured by energy."""
+    system, members, scale = family.system, family.members, Normalize(*np.sort(family.energies)[[0, -1]])
     birth = float(system.numeric.hamiltonian(system.equilibrium(family.saddle)))
     # Evenly spaced in amplitude, which grows as the root of the energy above the saddle.
     amplitude = np.sqrt(np.abs(family.energies - birth))
     wanted = np.linspace(amplitude.min(), amplitude.max(), _SHAPES)
-    chosen = [family.members[k] for k in dict.fromkeys(int(np.argmin(np.abs(amplitude - a))) for a in wanted)]
-    arm = int(np.argmax(np.ptp(chosen[-1].sample()[:, :n], axis=0)))
-    columns = (arm, n + arm) if system.si else (0, 1)
+    chosen = [members[k] for k in dict.fromkeys(int(np.argmin(np.abs(amplitude - a))) for a in wanted)]
+    columns = _active(chosen[-1])
     # Small orbits are drawn on top, because they lie within the large ones.
     for orbit in reversed(chosen):
         axes.plot(*orbit.sample(300)[:, columns].T, color=_SHADES(scale(orbit.energy)), linewidth=1.3)
@@ -84,3 +110,43 @@ def _shapes(axes: Axes, family: LyapunovFamily, scale: Normalize) -> None:
     quiet_plane(axes, system, columns, f"Orbits about {family.saddle}")
     bar = axes.figure.colorbar(ScalarMappable(scale, _SHADES), ax=axes, fraction=0.05, pad=0.03)
     bar.ax.set_title(system.unit("J", "{}") or "energy", fontsize=style.SMALL)
+
+
+def _active(orbit: Orbit) -> tuple[int, int]:
+    """Return the columns of the angle and rate that change most, or of both positions of a system without angles."""
+    n = orbit.system.dimension // 2
+    arm = int(np.argmax(np.ptp(orbit.sample(400)[:, :n], axis=0)))
+    return (arm, n + arm) if orbit.system.si else (0, 1)
+
+
+def _rotations(axes: Axes, families: Sequence[RotatingFamily]) -> None:
+    for family in families:
+        for k in np.unique(np.rint(np.linspace(0, len(family.members) - 1, _ROTATING_SHAPES)).astype(int)):
+            orbit = family.members[k]
+            axes.plot(*orbit.sample(300)[:, :2].T, color=_KINDS[orbit.kind], linewidth=1.0)
+    quiet_plane(axes, families[0].members[0].system, title="Some of the orbits over one period")
+
+
+def orbit(axes: Axes, found: Orbit) -> None:
+    """Draw an orbit in the phase plane of its most active arm.
+
+    Without angles it is drawn in the plane of positions.
+
+    Args:
+        axes: panel to draw on.
+        found: orbit to draw.
+    """
+    columns, unit = _active(found), found.system.unit
+    axes.plot(*found.sample(400)[:, list(columns)].T, color=style.saddle_colour(found.name), linewidth=1.8)
+    title = f"{found.name} at {found.energy:g}{unit('J')}, period {found.period:.4g}{unit('s')}"
+    quiet_plane(axes, found.system, columns, title)
+
+
+def family(axes: Axes, found: Family) -> None:
+    """Draw the periods of a family over the energy.
+
+    Args:
+        axes: panel to draw on.
+        found: family to draw.
+    """
+    _periods(axes, [found], f"{len(found.members)} orbits about {found.members[0].name}")

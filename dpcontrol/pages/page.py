@@ -1,37 +1,47 @@
-"""A motion on one page, drawn by matplotlib from its story (`run_charts`).
+"""Motions on one page or in one recording: a single one from its story (`run_charts`), or several runs on one clock.
 
-The motion is a run, a recording, a reference or an orbit.
+A motion is a run, a recording, a reference or an orbit.
 
-The top shows the verdict, the closest approach to failing, the filter, and the largest values against their limits.
-Below are the itinerary as planned and done, and a film of the arms. Phase planes and charts over time follow.
+The top of a single motion's page shows the verdict, the closest approach to failing, the filter, and the largest values
+against their limits. Below are the itinerary as planned and done, and a film of the arms. Phase planes and charts over
+time follow. The page of several runs has these at the same instants.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
 from dpcontrol.control.margins import Margins
 from dpcontrol.foundation.document import Documented
+from dpcontrol.judge.comparison import ComparedRun, RunComparison
 from dpcontrol.judge.nearest import closest_approach, limit_uses, nis_reading
-from dpcontrol.judge.of_log import run_view
-from dpcontrol.judge.run_view import RunView
+from dpcontrol.judge.of_log import reference_view, run_view, sustained_view
+from dpcontrol.judge.run_view import RunView, series_of
 from dpcontrol.logs import RunLog
+from dpcontrol.pages import rerun_recording as recorded
 from dpcontrol.pages import style
-from dpcontrol.pages.chart import Chart
 from dpcontrol.pages.charts import draw_chart, draw_plane
-from dpcontrol.pages.filmstrip import add_film, film_times
-from dpcontrol.pages.layout import Page, Stack
-from dpcontrol.pages.panels import Bar, bars
+from dpcontrol.pages.film import add_film, film_times
+from dpcontrol.pages.layout import Draw, Page, Stack
+from dpcontrol.pages.panels import Bar, bars, quiet
 from dpcontrol.pages.planes import plane
-from dpcontrol.pages.run_charts import check_charts, extra_charts, motion_charts
-from dpcontrol.pages.story import story, story_height
+from dpcontrol.pages.rerun_recording import Sheet, rrb
+from dpcontrol.pages.run_charts import Chart, Line, charts, check_charts, extra_charts, motion_charts
+from dpcontrol.pages.story import add_story, strips
+from dpcontrol.pages.walks import WalkStory, draw_shape
+from dpcontrol.plans.plan import Plan
+from dpcontrol.references.sustained import SustainedOrbit
 from dpcontrol.references.trajectory import LimitUse
+from dpcontrol.walks.shadowing import ShadowingOrbit
 
 _FRAMES = 8
 _TALL = 1.5
@@ -59,34 +69,28 @@ class Report(Documented):
     margins: Margins | None = None
 
 
-def draw(view: RunView) -> Figure:
-    """Return the page of a view as a figure.
+def draw(found: RunView | RunLog | Plan) -> Figure:
+    """Return the page of a motion as a figure.
 
     Args:
-        view: motion to draw.
+        found: motion to draw.
     """
-    charts = [*motion_charts(view), *check_charts(view), *extra_charts(view)]
-    half = (len(charts) + 1) // 2
-    left, right = (
-        [partial(_chart, chart=chart, view=view, last=chart is some[-1]) for chart in some]
-        for some in (charts[:half], charts[half:])
-    )
-    planes = [partial(draw_plane, runs=[(plane(view, arm), style.PLANT)]) for arm in range(min(view.arms, 2))]
-    about = "   ".join(text for text in (view.path.name, view.metadata.get("program", "")) if text)
-    page = Page(view.title, view.verdict, view.good, about=about)
+    view: RunView = view_of(found)
+    page = Page(view.title, view.verdict, view.good)
     for line in (closest_approach(view), nis_reading(view)):
         page.text(line, colour=style.INK, size=style.TEXT)
     if uses := limit_uses(view):
         page.row(partial(_uses, uses=uses), height=_AROUND + _USE * len(uses))
-    if story_height(view):
-        page.row(partial(story, view=view), height=story_height(view))
+    add_story(page, view)
     symbols = enumerate(view.symbols, start=1)
     times = [f"{k} at {at:.2f}{'' if done is None else f' ({done:.2f})'}" for k, (_, at, done) in symbols]
     page.text(f"Symbols as planned (and done), s: {', '.join(times)}" if times else "")
     if view.arm_lengths:
         add_film(page, view, film_times(view, frames=_FRAMES))
-    columns = [Stack(column, share=1.05) for column in (left, right) if column]
-    return page.row(*columns, Stack(planes), height=_TALL * max(half, 3)).figure()
+    shown = [*motion_charts(view), *check_charts(view), *extra_charts(view)]
+    planes = [partial(draw_plane, runs=[(plane(view, arm), style.PLANT)]) for arm in range(min(view.arms, 2))]
+    _add_charts(page, shown, partial(draw_chart, view=view, span=view.time_range), planes)
+    return page.text("   ".join(filter(None, (view.path.name, view.metadata.get("program", ""))))).figure()
 
 
 def _uses(axes: Axes, uses: Sequence[LimitUse]) -> None:
@@ -104,13 +108,207 @@ def _uses(axes: Axes, uses: Sequence[LimitUse]) -> None:
     axes.xaxis.set_major_formatter(PercentFormatter(1.0))
 
 
-def _chart(axes: Axes, chart: Chart, view: RunView, *, last: bool) -> None:
-    draw_chart(axes, chart, view, span=view.time_range)
+def _add_charts(page: Page, charts: Sequence[Chart], drawn: Callable[..., None], planes: Sequence[Draw]) -> None:
+    """Add a row of charts in two columns beside the phase planes; only the last chart of a column has a time axis."""
+    half = (len(charts) + 1) // 2
+    columns = [
+        Stack([partial(_chart, chart=chart, drawn=drawn, last=chart is some[-1]) for chart in some], share=1.05)
+        for some in (charts[:half], charts[half:])
+        if some
+    ]
+    page.row(*columns, Stack(planes), height=_TALL * max(half, 3))
+
+
+def _chart(axes: Axes, chart: Chart, drawn: Callable[..., None], *, last: bool) -> None:
+    drawn(axes, chart)
     if not last:
         axes.set_xlabel("")
         axes.tick_params(labelbottom=False)
 
 
-def draw_log(log: RunLog) -> Figure:
-    """Return the page of a log as a figure."""
-    return draw(run_view(log))
+def view_of(found: Any) -> Any:
+    """Return the motion to draw of a run, a plan, a log, a sustained orbit or a walk, or the object itself."""
+    found = getattr(found, "log", found)
+    match found:
+        case Plan():
+            return reference_view(found.reference, found.file)
+        case SustainedOrbit():
+            return sustained_view(found, found.arms.length)
+        case ShadowingOrbit():
+            return WalkStory(found).view
+        case RunLog():
+            return run_view(found) if "reference.npz" in found.attachments else series_of(found)
+        case _:
+            return found
+
+
+def angles(axes: Axes, found: Plan | RunLog | SustainedOrbit | ShadowingOrbit) -> None:
+    """Draw the angles of a plan, a log, a sustained orbit or a walk over time.
+
+    The orbit of a walk without angles is drawn in the plane of positions.
+
+    Args:
+        axes: panel to draw on.
+        found: motion to draw.
+    """
+    if isinstance(found, ShadowingOrbit) and not WalkStory(found).has_angles:
+        draw_shape(axes, WalkStory(found))
+        return
+    view = view_of(found)
+    draw_chart(axes, charts(view)["angles"], view)
+
+
+_FILMED = 3
+"""Greatest number of runs with films."""
+
+
+def draw_comparison(comparison: RunComparison) -> Figure:
+    """Return the page of a comparison as a figure."""
+    runs = comparison.runs
+    page = Page(comparison.title, comparison.status)
+    # All films have the times of the run that ends first.
+    frames = film_times(min((run.view for run in runs), key=lambda view: view.time_range[1]), frames=_FRAMES)
+    for run, colour in zip(runs, style.RUNS, strict=False):
+        page.text(run.name, colour=colour, size=style.HEAD)
+        page.text(run.view.verdict, colour=style.verdict_colour(run.view.good), size=style.TEXT)
+        add_story(page, run.view, span=comparison.span)
+        if len(runs) <= _FILMED:
+            add_film(page, run.view, frames)
+    planes = [
+        partial(draw_plane, runs=[(plane(run.view, arm), style.RUNS[k]) for k, run in enumerate(runs)], tubes=False)
+        for arm in range(min(runs[0].view.arms, 2))
+    ]
+    _add_charts(page, compared_charts(comparison), partial(_draw_compared, comparison=comparison), planes)
+    return page.figure()
+
+
+def _draw_compared(axes: Axes, chart: Chart, comparison: RunComparison) -> None:
+    draw_chart(axes, chart, comparison.runs[0].view, span=comparison.span)
+    axes.axvline(comparison.moment, color=style.INK, linewidth=1.0, linestyle=style.DOTTED)
+
+
+def compared_charts(comparison: RunComparison) -> tuple[Chart, ...]:
+    """Return the common charts with a line for each run.
+
+    The first run's reference and levels are included.
+    """
+    first = comparison.runs[0].view
+    every = [charts(run.view) for run in comparison.runs]
+    wanted = [
+        ("angles", f"angle_{arm + 1}", f"Arm {arm + 1}'s angle θ{style.number(arm)}", f"arm_{arm + 1}/")
+        for arm in range(min(first.arms, 2))
+    ]
+    wanted += [
+        ("cart", "cart", "Cart position", ""),
+        ("tracking_error", "tracking_error", "Tracking error, largest of the angles", ""),
+        ("acceleration", "acceleration", "Acceleration applied", "applied"),
+        ("energy", "energy", "Energy of the pendulum", ""),
+        ("nis", "nis", "NIS, means of 50 updates", ""),
+    ]
+    found = [_compared_chart(comparison, [own.get(source) for own in every], *rest) for source, *rest in wanted]
+    return tuple(chart for chart in found if chart is not None and chart.lines)
+
+
+def _compared_chart(
+    comparison: RunComparison, every: list[Chart | None], key: str, title: str, prefix: str
+) -> Chart | None:
+    """Return one chart of all runs.
+
+    The chart has those of their lines whose keys start with `prefix`. Several such lines of a run, such as errors
+    of several arms, are replaced by their largest size at each time.
+    """
+    of_first = every[0].lines if every[0] else ()
+    look = {"key": "0_reference", "name": f"reference of {comparison.runs[0].name}", "label": "the first's reference"}
+    lines = [
+        replace(line, colour=style.REFERENCE, **look)
+        for line in of_first
+        if line.role == "reference" and line.key.startswith(prefix)
+    ]
+    for k, (run, own) in enumerate(zip(comparison.runs, every, strict=True)):
+        shown = [line for line in own.lines if line.key.startswith(prefix)] if own else []
+        parts = [line for line in shown if line.role == "run"]
+        if parts:
+            values = parts[0].values if len(parts) == 1 else np.max([np.abs(line.values) for line in parts], axis=0)
+            lines.append(Line(run_path(k, run), run.name, "", parts[0].time, values, style.RUNS[k], dashed=k > 0))
+    known = next((own for own in every if own), None)
+    if known is None:
+        return None
+    return replace(
+        known,
+        key=key,
+        title=title,
+        note="",
+        lines=tuple(lines),
+        levels=tuple(level for level in known.levels if level.kind == "limit" or key == "energy"),
+        cut=(),
+        shown=None,
+        log=False,
+    )
+
+
+def run_path(k: int, run: ComparedRun) -> str:
+    """Return the path of a run in a recording.
+
+    Args:
+        k: index of the run, from 0.
+        run: run of the comparison.
+    """
+    return f"{k + 1}_{'_'.join(''.join(c if c.isascii() and c.isalnum() else ' ' for c in run.name).split())}"
+
+
+def write_comparison_recording(comparison: RunComparison, path: Path) -> None:
+    """Write the recording of a comparison to `path` (`*.rrd`).
+
+    Args:
+        comparison: runs to write.
+        path: file, `*.rrd`.
+
+    Raises:
+        InputError: it cannot be written.
+    """
+    runs, shared = comparison.runs, compared_charts(comparison)
+    # The sheet of each arm holds all runs.
+    sheets = [Sheet.around(*(plane(run.view, arm) for run in runs)) for arm in range(runs[0].view.arms)]
+    rows = [f"**{comparison.title}**", "", comparison.status, ""]
+    rows += [f"{k + 1}. **{run.name}**: {run.view.verdict}" for k, run in enumerate(runs)]
+    blueprint = _blueprint(comparison, shared, sheets)
+    with recorded.recording_to(path, comparison.title, blueprint, "\n".join(rows)) as recording:
+        for k, run in enumerate(runs):
+            recorded.draw_pendulum(recording, f"runs/{k + 1}/scene", run.view)
+            recorded.record_planes(recording, f"runs/{k + 1}/planes", run.view, sheets)
+            shown = [s for s in strips(run.view, until=comparison.span[1]) if s.key in ("asked", "done")]
+            recorded.record_strips(recording, run_path(k, run), shown, run.view)
+        for chart in shared:
+            recorded.record_chart(recording, chart, runs[0].view)
+
+
+def _blueprint(comparison: RunComparison, charts: Sequence[Chart], sheets: Sequence[Sheet]) -> rrb.Blueprint:
+    runs = comparison.runs
+    scenes = [recorded.scene_view(run.view, home=f"/runs/{k + 1}/scene", name=run.name) for k, run in enumerate(runs)]
+    planes = [
+        sheet.view(f"/runs/{k + 1}/planes/arm_{arm + 1}", name=f"{run.name}: arm {arm + 1}, rate over angle")
+        for arm, sheet in enumerate(sheets[:2])
+        for k, run in enumerate(runs)
+    ]
+    middle = recorded.plots([c for c in charts if c.key in ("angle_1", "angle_2", "cart")])
+    checks = recorded.plots([c for c in charts if c.key in ("tracking_error", "acceleration", "energy", "nis")])
+    if any(run.view.plan.planned for run in runs):
+        name = f"Itineraries, aligned at symbol {comparison.symbol}"
+        contents = [f"+ /{run_path(k, run)}/**" for k, run in enumerate(runs)]
+        middle.insert(0, rrb.StateTimelineView(name=name, contents=contents))
+    grid = rrb.Grid(*planes, grid_columns=len(runs))
+    left = rrb.Vertical(rrb.Horizontal(*scenes), grid, recorded.summary_view(), row_shares=[3, 4, 1.6])
+    return recorded.page([left, *(rrb.Vertical(*views) for views in (middle, checks) if views)], [5, 4, 4])
+
+
+def comparison(axes: Axes, found: RunComparison) -> None:
+    """Draw the angles of all runs on one clock.
+
+    Args:
+        axes: panel to draw on.
+        found: runs to draw.
+    """
+    for run in found.runs:
+        for arm in range(run.view.arms):
+            axes.plot(run.view.time, run.view.state[:, arm], color=style.arm_colour(arm), linewidth=0.9)
+    quiet(axes, found.title, x="time (s)", y="angles (rad)")

@@ -46,18 +46,6 @@ def bare(axes: Axes, title: str = "") -> None:
     axes.set_title(title, loc="left")
 
 
-def empty(axes: Axes, title: str, text: str) -> None:
-    """Write in a panel why it shows nothing.
-
-    Args:
-        axes: panel to write on.
-        title: title of the panel.
-        text: reason.
-    """
-    bare(axes, title)
-    axes.text(0.0, 0.9, text, transform=axes.transAxes, va="top", fontsize=style.TEXT, color=style.NOTE)
-
-
 def quiet_space(axes: Axes, of: System | Atlas) -> None:
     """Label the axes of a panel in space.
 
@@ -108,41 +96,6 @@ def angle_axis(axes: Axes, which: str) -> None:
     axis = axes.xaxis if which == "x" else axes.yaxis
     axis.set_major_locator(_HalfTurns("auto", steps=[1, 2, 2.5, 5, 10]))
     axis.set_major_formatter(FuncFormatter(lambda value, _: style.in_pi(value / np.pi)))
-
-
-def mark_times(axes: Axes, moments: list[float]) -> None:
-    """Mark moments with a dotted line.
-
-    Args:
-        axes: panel over time.
-        moments: times, s.
-    """
-    for moment in moments:
-        axes.axvline(moment, color=style.MARK, linewidth=0.9, linestyle=style.DOTTED, zorder=1.5)
-
-
-def badge(axes: Axes, number: int, x: float, y: float, *, size: float = style.SMALL) -> None:
-    """Put a symbol's number, white on a dark disc.
-
-    Args:
-        axes: panel to draw on.
-        number: number of the symbol.
-        x: position in data.
-        y: position in data.
-        size: size of the text, points.
-    """
-    axes.text(
-        x,
-        y,
-        str(number),
-        ha="center",
-        va="center_baseline",
-        fontsize=size,
-        color="white",
-        zorder=6,
-        clip_on=False,
-        bbox={"boxstyle": "circle,pad=0.25", "facecolor": style.INK, "edgecolor": "none"},
-    )
 
 
 def wrapped_runs(curve: Array, periods: tuple[float | None, ...]) -> list[Array]:

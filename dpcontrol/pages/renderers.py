@@ -14,44 +14,44 @@ from matplotlib import rc_context
 from dpcontrol.pages import style
 
 RENDERERS = {
-    "dpcontrol.logs.reader.RunLog": "page:draw_log",
+    "dpcontrol.logs.reader.RunLog": "page:draw",
     "dpcontrol.judge.run_view.RunView": "page:draw",
-    "dpcontrol.judge.preflight.Preflight": "preflight:draw_preflight",
-    "dpcontrol.judge.campaign.CampaignSummary": "campaign:draw_campaign",
-    "dpcontrol.judge.night.Night": "night:draw_night",
-    "dpcontrol.judge.comparison.RunComparison": "comparison:draw_comparison",
+    "dpcontrol.judge.preflight.Preflight": "many_runs:draw_preflight",
+    "dpcontrol.judge.campaign.CampaignSummary": "many_runs:draw_campaign",
+    "dpcontrol.judge.night.Night": "many_runs:draw_night",
+    "dpcontrol.judge.comparison.RunComparison": "page:draw_comparison",
     "dpcontrol.walks.atlas.Atlas": "atlas:draw_atlas",
-    "dpcontrol.orbits.family.LyapunovFamily": "single:family_page",
-    "dpcontrol.orbits.rotating.RotatingFamilies": "rotating_orbits:draw_rotating_families",
-    "dpcontrol.walks.shadowing.ShadowingOrbit": "single:walk_page",
-    "dpcontrol.plans.plan.Plan": "single:plan_page",
+    "dpcontrol.orbits.family.LyapunovFamily": "orbits:draw_family",
+    "dpcontrol.orbits.rotating.RotatingFamilies": "orbits:draw_rotating_families",
+    "dpcontrol.walks.shadowing.ShadowingOrbit": "walks:draw_walk",
+    "dpcontrol.plans.plan.Plan": "page:draw",
     "dpcontrol.identification.identify.Identification": "identification:draw_identification",
 }
 """Functions `draw(result) -> Figure`."""
 PANELS: dict[str, str] = {
-    "dpcontrol.orbits.lyapunov.LyapunovOrbit": "single:orbit",
-    "dpcontrol.orbits.rotating.RotatingOrbit": "single:orbit",
-    "dpcontrol.references.sustained.SustainedOrbit": "single:angles",
+    "dpcontrol.orbits.lyapunov.LyapunovOrbit": "orbits:orbit",
+    "dpcontrol.orbits.rotating.RotatingOrbit": "orbits:orbit",
+    "dpcontrol.references.sustained.SustainedOrbit": "page:angles",
     "dpcontrol.control.flight.Flight": "single:flight",
-    "dpcontrol.orbits.family.LyapunovFamily": "single:family",
-    "dpcontrol.orbits.rotating.RotatingFamily": "single:family",
+    "dpcontrol.orbits.family.LyapunovFamily": "orbits:family",
+    "dpcontrol.orbits.rotating.RotatingFamily": "orbits:family",
     "dpcontrol.orbits.tube.Tube": "single:tube",
     "dpcontrol.orbits.cut.Cut": "single:cut",
     "dpcontrol.tubes.connections.ConnectionSearch": "single:search",
-    "dpcontrol.tubes.connections.Connection": "single:connection",
-    "dpcontrol.tubes.symmetric.SymmetricSearch": "single:symmetric",
-    "dpcontrol.bifurcations.bifurcations.BifurcationSearch": "single:bifurcations",
+    "dpcontrol.tubes.connections.Connection": "single:flown",
+    "dpcontrol.tubes.symmetric.SymmetricSearch": "single:flown",
+    "dpcontrol.bifurcations.bifurcations.BifurcationSearch": "paper.branches:bifurcations",
     "dpcontrol.proofs.prove.Proof": "single:proof",
     "dpcontrol.runs.polish.Polished": "single:polished",
-    "dpcontrol.walks.shadowing.ShadowingOrbit": "single:walk",
+    "dpcontrol.walks.shadowing.ShadowingOrbit": "page:angles",
     "dpcontrol.walks.edges.Edges": "single:edges",
-    "dpcontrol.walks.atlas.Atlas": "single:atlas",
-    "dpcontrol.plans.plan.Plan": "single:angles",
-    "dpcontrol.logs.reader.RunLog": "single:angles",
-    "dpcontrol.judge.campaign.CampaignSummary": "campaign:draw_groups",
-    "dpcontrol.judge.night.Night": "night:draw_causes",
-    "dpcontrol.judge.comparison.RunComparison": "single:comparison",
-    "dpcontrol.judge.preflight.Preflight": "single:whole_preflight",
+    "dpcontrol.walks.atlas.Atlas": "atlas:atlas",
+    "dpcontrol.plans.plan.Plan": "page:angles",
+    "dpcontrol.logs.reader.RunLog": "page:angles",
+    "dpcontrol.judge.campaign.CampaignSummary": "many_runs:draw_groups",
+    "dpcontrol.judge.night.Night": "many_runs:draw_causes",
+    "dpcontrol.judge.comparison.RunComparison": "page:comparison",
+    "dpcontrol.judge.preflight.Preflight": "many_runs:whole_preflight",
     "dpcontrol.identification.identify.Identification": "identification:draw_candidates",
     "dpcontrol.recordings.recording.Recording": "single:recording",
 }
@@ -66,8 +66,8 @@ PARTS = {
 
 RECORDINGS = {
     "dpcontrol.judge.run_view.RunView": "rerun_recording:write_recording",
-    "dpcontrol.judge.comparison.RunComparison": "comparison_recording:write_comparison_recording",
-    "dpcontrol.walks.atlas.Atlas": "atlas_recording:write_atlas_recording",
+    "dpcontrol.judge.comparison.RunComparison": "page:write_comparison_recording",
+    "dpcontrol.walks.atlas.Atlas": "atlas:write_atlas_recording",
 }
 """Functions `write(result, path)` of Rerun recordings."""
 
@@ -82,8 +82,7 @@ def record(result: object, path: Path) -> None:
     Raises:
         InputError: it cannot be written, or the log was removed.
     """
-    kind = type(result)
-    renderer(RECORDINGS[f"{kind.__module__}.{kind.__qualname__}"])(result, path)
+    renderer(RECORDINGS[f"{type(result).__module__}.{type(result).__qualname__}"])(result, path)
 
 
 def new_axes(width: float, height: float) -> Any:

@@ -2,29 +2,106 @@
 
 The motion is a run, a recording or a reference. The viewer can also open a log itself, in its default layout. Times are
 durations from the start. In the scene x points right and z up. In phase planes a rate of 10 rad/s is drawn as long as
-an angle of 2 rad.
+an angle of 2 rad. A plane of the viewer has equal scales, and its y axis points down.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from matplotlib.ticker import MaxNLocator
+from numpy.typing import ArrayLike, NDArray
 
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.files import whole_file
+from dpcontrol.foundation.parts import Later
 from dpcontrol.judge.run_view import RunView
 from dpcontrol.pages import style
-from dpcontrol.pages.chart import Chart, Line
-from dpcontrol.pages.planes import Plane, arm_points, plane
-from dpcontrol.pages.ranges import extreme_rows, gap_times, padded
-from dpcontrol.pages.run_charts import check_charts, extra_charts, motion_charts
-from dpcontrol.pages.sheet import PAPER, Sheet, rr, rrb
-from dpcontrol.pages.strips import Strip, strips
+from dpcontrol.pages.planes import Plane, arm_points, extreme_rows, gap_times, plane
+from dpcontrol.pages.run_charts import Chart, Line, check_charts, extra_charts, motion_charts
+from dpcontrol.pages.story import Strip, strips
+
+if TYPE_CHECKING:
+    import rerun as rr
+    import rerun.blueprint as rrb
+else:
+    rr, rrb = Later("rerun"), Later("rerun.blueprint")
+
+PAPER, DARK = (250, 251, 252), (18, 20, 24)
+"""Backgrounds of views."""
+_FAR = np.array([300.0, 300.0])
+"""Values beyond which a sheet is not widened."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sheet:
+    """A part of a phase plane, with an angle in rad as x.
+
+    Attributes:
+        low: least x and y.
+        high: greatest x and y.
+    """
+
+    low: Array
+    high: Array
+
+    @classmethod
+    def around(cls, *planes: Plane) -> Sheet:
+        """Return the sheet around phase planes of one arm, without far outliers."""
+        curves = [points for plane in planes for _, points in plane.orbits]
+        curves += [points for plane in planes for some in (plane.run, *plane.strands.values()) for points in some]
+        every = np.concatenate([np.zeros((0, 2)), *curves])
+        near = every[(np.abs(every) < _FAR).all(axis=1)]
+        low, high = (near.min(axis=0), near.max(axis=0)) if len(near) else (np.zeros(2), np.zeros(2))
+        wide, tall = np.maximum(high - low, 1e-12)
+        margin = 0.1 * max(wide, _RATE * tall) * np.array([1.0, 1 / _RATE]) + 1e-3
+        return cls(low - margin, high + margin)
+
+    def drawn(self, points: ArrayLike) -> Array:
+        """Return points (…, 2) as drawn."""
+        return np.asarray(points) * [1.0, -_RATE]
+
+    def grid(self, recording: rr.RecordingStream, home: str) -> None:
+        """Record grid lines with labels at round rates and at angles that are multiples of π.
+
+        Args:
+            recording: recording to extend.
+            home: parent path.
+        """
+        (left, bottom), (right, top) = self.low, self.high
+        across, up = np.pi * _round_values(left / np.pi, right / np.pi, integer=True), _round_values(bottom, top)
+        lines = [[(x, bottom), (x, top)] for x in across] + [[(left, y), (right, y)] for y in up]
+        places = [(x, bottom + 0.04 * (top - bottom)) for x in across]
+        places += [(left + 0.06 * (right - left), y) for y in up]
+        labels = [style.in_pi(x / np.pi) for x in across] + [f"{y + 0.0:.6g}" for y in up]
+        if lines:
+            ends = [self.drawn(line) for line in lines]
+            record_curves(recording, f"{home}/grid", ends, ["#e2e5e9"], 0.5, draw_order=-10.0)
+            look = {"colors": [style.rgb("#464c54")], "radii": rr.Radius.ui_points(0.5), "show_labels": True}
+            names = rr.Points2D(self.drawn(places), labels=labels, **look)
+            recording.log(f"{home}/grid/names", names, static=True)
+
+    def view(self, origin: str, *, name: str) -> rrb.View:
+        """Return the view of the sheet.
+
+        Args:
+            origin: path of its contents.
+            name: title of the view.
+        """
+        (left, top), (right, bottom) = self.drawn([(self.low[0], self.high[1]), (self.high[0], self.low[1])])
+        bounds = rrb.VisualBounds2D(x_range=(left, right), y_range=(top, bottom))
+        return rrb.Spatial2DView(name=name, origin=origin, visual_bounds=bounds, background=PAPER)
+
+
+def _round_values(low: float, high: float, *, integer: bool = False) -> Array:
+    values = np.asarray(MaxNLocator(6, steps=[1, 2, 5, 10], integer=integer).tick_values(low, high))
+    return values[(low <= values) & (values <= high)]
+
 
 TIMELINE = "message_log_time"
 """Timeline of the log's messages, a duration from the start; derived series use the same."""
@@ -60,6 +137,30 @@ def follow(recording: rr.RecordingStream, path: str, look: Any, time: Array, col
     """
     recording.log(path, look, static=True)
     recording.send_columns(path, indexes=[rr.TimeColumn(TIMELINE, duration=time)], columns=columns)
+
+
+def record_curves(
+    recording: rr.RecordingStream,
+    home: str,
+    curves: Sequence[Array],
+    colours: Sequence[str],
+    width: float,
+    **look: Any,
+) -> None:
+    """Record curves under a path.
+
+    Args:
+        recording: recording to extend.
+        home: path in the recording.
+        curves: curves (K, 2) in the plane or (K, 3) in space, as drawn; none are skipped.
+        colours: one colour, or the colour of each curve.
+        width: width of the curves, points.
+        **look: further fields of Rerun's line strips.
+    """
+    if len(curves):
+        strips = rr.LineStrips2D if curves[0].shape[1] == 2 else rr.LineStrips3D
+        look = {"colors": [style.rgb(colour) for colour in colours], "radii": rr.Radius.ui_points(width), **look}
+        recording.log(home, strips(curves, **look), static=True)
 
 
 def trace_rows(view: RunView) -> NDArray[np.int64]:
@@ -148,13 +249,6 @@ def _changes(strip: Strip, view: RunView) -> tuple[list[tuple[float, str]], dict
     return sorted(states.items()), colours
 
 
-def phase_plane(*planes: Plane) -> Sheet:
-    """Return the sheet around phase planes of one arm."""
-    curves = [points for plane in planes for _, points in plane.orbits]
-    curves += [points for plane in planes for some in (plane.run, *plane.strands.values()) for points in some]
-    return Sheet.around(curves, scale=_RATE)
-
-
 def record_planes(recording: rr.RecordingStream, home: str, view: RunView, sheets: Sequence[Sheet]) -> None:
     """Record the phase plane of each arm under `home/arm_K`.
 
@@ -169,10 +263,11 @@ def record_planes(recording: rr.RecordingStream, home: str, view: RunView, sheet
         sheet.grid(recording, at)
         for stable, colour, pale, name in _TUBES:
             strands, cuts = shown.strands[stable][::_EACH], shown.cuts[stable]
-            sheet.curves(recording, f"{at}/{name}", strands, [pale] * len(strands), 0.5)
-            sheet.curves(recording, f"{at}/{name}/cut", cuts, [colour] * len(cuts), 1.2)
-        sheet.curves(recording, f"{at}/orbits", [p for _, p in shown.orbits], [c for c, _ in shown.orbits], 1.8)
-        sheet.curves(recording, f"{at}/run", shown.run, [style.INK] * len(shown.run), 0.7)
+            record_curves(recording, f"{at}/{name}", [*map(sheet.drawn, strands)], [pale], 0.5)
+            record_curves(recording, f"{at}/{name}/cut", [*map(sheet.drawn, cuts)], [colour], 1.2)
+        orbits = [sheet.drawn(points) for _, points in shown.orbits]
+        record_curves(recording, f"{at}/orbits", orbits, [colour for colour, _ in shown.orbits], 1.8)
+        record_curves(recording, f"{at}/run", [*map(sheet.drawn, shown.run)], [style.INK], 0.7)
     record_places(recording, home, view)
 
 
@@ -216,20 +311,16 @@ def draw_pendulum(recording: rr.RecordingStream, home: str, view: RunView) -> No
     look = rr.LineStrips3D.from_fields(colors=[tip], radii=rr.Radius.ui_points(1.5))
     follow(recording, f"{home}/tip", look, time, columns)
     if view.has_cart:
-        _track(recording, home, view, reach=reach)
+        finite = np.abs(view.pivot[np.isfinite(view.pivot)])
+        # The track ends at the limits.
+        end = view.limits[0] if view.limits else max(finite.max(initial=0.0), reach)
+        rail = [[(-end, 0.05, 0.0), (end, 0.05, 0.0)]]
+        stops = [[(x, 0.05, -0.06 * reach), (x, 0.05, 0.06 * reach)] for x in (-end, end)]
+        tints = [style.rgb(style.FAINT), style.rgb(style.LIMIT), style.rgb(style.LIMIT)]
+        recording.log(f"{home}/track", rr.LineStrips3D(rail + stops, colors=tints, radii=0.012 * reach), static=True)
         size, look = [[0.13 * reach, 0.02, 0.05 * reach]], {"colors": [style.rgb(style.CART)], "fill_mode": "solid"}
         columns = rr.Boxes3D.columns(centers=arms[:, 0] + [0.0, 0.02, 0.0])
         follow(recording, f"{home}/cart", rr.Boxes3D.from_fields(half_sizes=size, **look), time, columns)
-
-
-def _track(recording: rr.RecordingStream, home: str, view: RunView, *, reach: float) -> None:
-    """Draw the track, which ends at the limits."""
-    finite = np.abs(view.pivot[np.isfinite(view.pivot)])
-    end = view.limits[0] if view.limits else max(finite.max(initial=0.0), reach)
-    rail = [[(-end, 0.05, 0.0), (end, 0.05, 0.0)]]
-    stops = [[(x, 0.05, -0.06 * reach), (x, 0.05, 0.06 * reach)] for x in (-end, end)]
-    tints = [style.rgb(style.FAINT), style.rgb(style.LIMIT), style.rgb(style.LIMIT)]
-    recording.log(f"{home}/track", rr.LineStrips3D(rail + stops, colors=tints, radii=0.012 * reach), static=True)
 
 
 def _points(states: Array, view: RunView, depth: float) -> Array:
@@ -248,8 +339,6 @@ def blueprint(view: RunView, sheets: Sequence[Sheet], *, growing: bool = False) 
         growing: True if more data will follow: axes adapt, and the viewer follows the latest time.
     """
     middle, checks = plots(motion_charts(view), growing=growing), plots(check_charts(view), growing=growing)
-    if len(checks) == 1 and len(middle) > 2:
-        middle, checks = [*middle, *checks], []
     if shown := {strip.key: strip.name or "symbols" for strip in strips(view)}:
         name = ", ".join(shown.values()).capitalize()
         middle.insert(0, rrb.StateTimelineView(name=name, contents=[f"+ /{key}" for key in shown]))
@@ -325,15 +414,11 @@ def plots(charts: Sequence[Chart], *, growing: bool = False) -> list[rrb.View]:
             name=chart.named,
             origin=f"/{PLOTS}/{chart.key}",
             plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.RightTop),
-            axis_y=rrb.ScalarAxis(range=None if growing else _shown(chart)),
+            axis_y=rrb.ScalarAxis(range=None if growing else chart.range),
         )
         for chart in charts
         if chart.key
     ]
-
-
-def _shown(chart: Chart) -> tuple[float, float]:
-    return chart.shown or padded(np.concatenate([line.values for line in chart.lines]))
 
 
 def write_recording(view: RunView, path: Path) -> None:
@@ -346,7 +431,7 @@ def write_recording(view: RunView, path: Path) -> None:
     Raises:
         InputError: the recording cannot be written.
     """
-    sheets = [phase_plane(plane(view, arm)) for arm in range(view.arms)]
+    sheets = [Sheet.around(plane(view, arm)) for arm in range(view.arms)]
     with recording_to(path, view.title, blueprint(view, sheets), _summary(view)) as recording:
         record_strips(recording, "", strips(view), view)
         for chart in (*motion_charts(view), *check_charts(view), *extra_charts(view)):

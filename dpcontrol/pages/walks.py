@@ -1,122 +1,188 @@
-"""A walk's orbit on one page.
+"""An orbit that follows a walk, sampled once for drawing, and its page.
 
-It shows symbols over time, the arms as a filmstrip, and the orbit in space and in the plane.
+Stays are the periods near a periodic orbit. The page shows symbols over time, the arms as a filmstrip, and the orbit in
+space or in the plane.
 """
 
-from functools import partial
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from pathlib import Path
 
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.foundation.arrays import Array
-from dpcontrol.judge.run_view import RunView
+from dpcontrol.judge.run_view import PlanView, RunView, Stay
+from dpcontrol.orbits.manifold import OrbitCurve
 from dpcontrol.pages import style
-from dpcontrol.pages.chart import Chart
 from dpcontrol.pages.charts import draw_chart
-from dpcontrol.pages.filmstrip import add_film, film_times
+from dpcontrol.pages.film import add_film, film_times
 from dpcontrol.pages.layout import Page, Panel, Stack
-from dpcontrol.pages.panels import badge, mark_times, quiet, quiet_space
-from dpcontrol.pages.run_charts import charts
-from dpcontrol.pages.story import story as draw_story
-from dpcontrol.pages.story import story_height
-from dpcontrol.pages.walk_story import WalkStory, symbol_text
+from dpcontrol.pages.panels import quiet_plane, quiet_space
+from dpcontrol.pages.run_charts import Chart, LevelLine, Line, charts
+from dpcontrol.pages.story import add_story
+from dpcontrol.plans.model import ModelSystem
+from dpcontrol.tubes.connections import Connection
 from dpcontrol.walks.shadowing import ShadowingOrbit
 
-TIME = colormaps["viridis"]
+NEAR = 1e-3
+"""Scaled distance from a periodic orbit at which flights end and wraps begin, as for connection times."""
+_PER_PERIOD = 120
+_MOST_SAMPLES = 40_000
+_TIME = colormaps["viridis"]
 _DOTS = 15_000
 """Number of dots of an orbit whose colour is the time."""
-
-
-def plane(axes: Axes, story: WalkStory) -> None:
-    """Draw the orbit in the plane of positions, coloured by time.
-
-    This is for a system without arms.
-
-    Args:
-        axes: panel to draw on.
-        story: walk to draw.
-    """
-    for saddle, curve in story.curves.items():
-        closed = np.vstack([curve.samples, curve.samples[:1]])
-        axes.plot(closed[:, 0], closed[:, 1], color=style.saddle_colour(saddle), linewidth=4.0, alpha=0.4)
-        centre = curve.orbit.centre
-        axes.plot(*centre[:2], "+", color=style.INK, markersize=8)
-        axes.annotate(f" {saddle}", (float(centre[0]), float(centre[1])), fontsize=style.SMALL, color=style.INK)
-    times = np.linspace(0.0, story.orbit.duration, _DOTS)
-    axes.scatter(*story.orbit.states(times)[:, :2].T, c=times, cmap=TIME, s=1.5, zorder=3, rasterized=True)
-    for k, state in enumerate(story.crossings):
-        badge(axes, k + 1, float(state[0]), float(state[1]))
-    axes.set_aspect("equal", adjustable="datalim")
-    x, y, *_ = story.orbit.system.labels
-    quiet(axes, "The orbit in the plane; dark to light: time", x=x, y=y)
-
-
 _LISTED = 16
 """Most symbols in the list; beyond that the numbers over time must do."""
 _FRAMES = 12
 
 
-def draw_walk(orbit: ShadowingOrbit, *, arm_lengths: tuple[float, ...] | None, model: str) -> Figure:
-    """Return the page of a walk as a figure.
+@dataclass(frozen=True)
+class WalkStory:
+    """An orbit that follows a walk, sampled for drawing."""
 
-    Args:
-        orbit: orbit of the walk.
-        arm_lengths: (n,) m; None for a system without arms and film.
-        model: name of the model.
-    """
-    walk = WalkStory(orbit, arm_lengths)
-    view = walk.view(model)
+    orbit: ShadowingOrbit
+
+    @property
+    def arm_lengths(self) -> tuple[float, ...]:
+        """Lengths (n,) of the arms from the pivot, m; none for a system without arms."""
+        system = self.orbit.system
+        arms = system.model.parameters if isinstance(system, ModelSystem) else None
+        return arms.length if isinstance(arms, ArmChainParameters) else ()
+
+    @cached_property
+    def curves(self) -> dict[str, OrbitCurve]:
+        """Periodic orbits of the walk, by saddle, in visiting order."""
+        chain = self.orbit.connections
+        orbits = {orbit.saddle: orbit for orbit in (chain[0].source, *(c.target for c in chain))}
+        return {saddle: OrbitCurve(orbit) for saddle, orbit in orbits.items()}
+
+    @cached_property
+    def times(self) -> Array:
+        """Times (K,) of the samples over the whole walk, s."""
+        shortest = min(curve.orbit.period for curve in self.curves.values())
+        count = min(round(_PER_PERIOD * self.orbit.duration / shortest), _MOST_SAMPLES)
+        return np.linspace(0.0, self.orbit.duration, max(count, 2))
+
+    @cached_property
+    def states(self) -> Array:
+        """States (K, N) at the times, with whole turns counted."""
+        return self.orbit.states(self.times)
+
+    @property
+    def has_angles(self) -> bool:
+        """True if a coordinate is an angle."""
+        return bool(np.isfinite(self.orbit.system.periods).any())
+
+    @cached_property
+    def stays(self) -> tuple[Stay, ...]:
+        """Periods near the periodic orbits with their wraps: before the walk, at each stop, and after it."""
+        orbit, chain = self.orbit, self.orbit.connections
+        arrivals = [at + c.time_in for at, c in zip(orbit.symbol_times.tolist(), chain, strict=True)]
+        departures = [at - c.time_out for at, c in zip(orbit.symbol_times.tolist(), chain, strict=True)]
+        saddles, wraps = [chain[0].source.saddle, *(c.target.saddle for c in chain)], orbit.wraps_realised
+        wraps = (wraps[-1], *wraps) if orbit.periodic else (orbit.lead_in, *wraps, orbit.lead_out)
+        edges = zip([0.0, *arrivals], [*departures, orbit.duration], saddles, wraps, strict=True)
+        first, *inner, last = (Stay(start, end, saddle, f"{saddle} {count}×") for start, end, saddle, count in edges)
+        stays = [first, *inner, last]
+        if orbit.periodic:
+            # The closing stop extends over the end of the period; its longer part is shown.
+            closing = max(last, first, key=lambda stay: stay.last - stay.first)
+            stays = [*inner, replace(closing, text=f"{closing.text} ↻")]
+        return tuple(stay for stay in stays if stay.last > stay.first)
+
+    @property
+    def view(self) -> RunView:
+        """The walk as a `RunView` with its stays and symbols."""
+        orbit, count, system = self.orbit, len(self.orbit.symbol_times), self.orbit.system
+        kind = "A periodic orbit" if orbit.periodic else "An orbit"
+        energy = f"{orbit.connections[0].source.energy:g}{system.unit('J')}"
+        symbols = zip(orbit.symbol_times.tolist(), map(_symbol_text, orbit.connections), strict=True)
+        duration = f"{'period' if orbit.periodic else 'lasts'} {orbit.duration:.3f}{system.unit('s')}"
+        return RunView(
+            path=Path(),
+            title=f"{kind} of {system.name} at {energy} that follows {count} symbol{'s' if count > 1 else ''}",
+            time=self.times,
+            state=self.states,
+            what="walk",
+            arm_lengths=self.arm_lengths,
+            has_cart=False,
+            rate_hz=len(self.times) / orbit.duration,
+            verdict=f"{duration}; largest gap at a node {orbit.residual:.1e}; wraps {list(orbit.wraps_realised)}",
+            plan=PlanView(symbols=tuple(symbols), planned=self.stays, duration=orbit.duration),
+        )
+
+    def nearness(self) -> Chart:
+        """Return the distances between the orbit and the periodic orbits."""
+        lines = tuple(
+            Line(
+                saddle,
+                saddle,
+                saddle,
+                self.times,
+                np.maximum(curve.distances(self.states)[1], 1e-16),
+                style.saddle_colour(saddle),
+            )
+            for saddle, curve in self.curves.items()
+        )
+        title = "Distance from the periodic orbits (scaled); wraps are counted below the dashed line"
+        level = LevelLine("", "", NEAR, style.MARK, "named")
+        return Chart("", title, "", lines, levels=(level,), log=True)
+
+
+def _symbol_text(connection: Connection) -> str:
+    """Return a connection's symbol, such as "down-up > up-down -"."""
+    sense = "+" if connection.sense > 0 else "-"
+    source, target = connection.source.saddle, connection.target.saddle
+    return f"{source} {sense}" if source == target else f"{source} > {target} {sense}"
+
+
+def draw_walk(orbit: ShadowingOrbit) -> Figure:
+    """Return the page of a walk as a figure."""
+    walk, unit = WalkStory(orbit), orbit.system.unit("s", " ({})")
+    view = walk.view
     page = Page(view.title, view.verdict)
-    page.row(partial(draw_story, view=view), height=story_height(view))
-    if arm_lengths is not None:
+    add_story(page, view)
+    if view.arm_lengths:
         add_film(page, view, film_times(view, frames=_FRAMES))
     shown = [*([charts(view)["angles"]] if walk.has_angles else []), walk.nearness()]
-    panels = [partial(_chart, chart=chart, view=view, orbit=orbit) for chart in shown]
-    shape = partial(space, story=walk) if walk.has_angles else partial(plane, story=walk)
-    page.row(Stack(panels), Panel(shape, 0.75, space=walk.has_angles), height=4.4)
-    heading = ("", "symbol", f"at{orbit.system.unit('s', ' ({})')}", "connection")
-    return page.table(_list(walk, view), heading=heading).figure()
-
-
-def _chart(axes: Axes, chart: Chart, view: RunView, orbit: ShadowingOrbit) -> None:
-    draw_chart(axes, chart, view)
-    axes.set_xlim(0.0, orbit.duration)
-    mark_times(axes, list(orbit.symbol_times))
-
-
-def _list(walk: WalkStory, view: RunView) -> list[tuple[str, ...]]:
-    """Return each symbol's number, description and time, and its connection's name."""
-    chain = walk.orbit.connections
-    rows = [
-        (str(k + 1), symbol_text(connection), f"{at:.3f}", connection.name)
-        for k, (connection, (_, at, _)) in enumerate(zip(chain, view.symbols, strict=True))
-    ]
+    panels = [partial(draw_chart, chart=chart, view=view, span=view.time_range) for chart in shown]
+    page.row(Stack(panels), Panel(partial(draw_shape, story=walk), 0.75, space=walk.has_angles), height=4.4)
+    symbols = enumerate(zip(orbit.connections, view.symbols, strict=True), start=1)
+    rows = [(str(k), name, f"{at:.3f}", connection.name) for k, (connection, (name, at, _)) in symbols]
     if len(rows) > _LISTED:
         rows = [*rows[: _LISTED - 1], ("", f"… and {len(rows) - _LISTED + 1} more", "", "")]
-    return rows
+    return page.table(rows, heading=("", "symbol", f"at{unit}", "connection")).figure()
 
 
-def space(axes: Axes, story: WalkStory) -> None:
-    """Draw the orbit in space, coloured by time, over periodic orbits.
+def draw_shape(axes: Axes, story: WalkStory) -> None:
+    """Draw the orbit over its periodic orbits, coloured by time.
 
-    Space is (first coordinate, second, first rate), with whole turns counted.
+    Angles are drawn in space: the first two, with whole turns counted, and the first rate. Positions are drawn in their
+    plane.
 
     Args:
-        axes: panel in space.
+        axes: panel, in space for angles.
         story: walk to draw.
     """
-    picked = [0, 1, story.states.shape[1] // 2]
+    orbit, system = story.orbit, story.orbit.system
+    picked = [0, 1, system.dimension // 2][: 3 if story.has_angles else 2]
     for copy, saddle in _base_orbits(story):
         axes.plot(*copy[:, picked].T, color=style.saddle_colour(saddle), linewidth=4.0, alpha=0.4)
-    times = np.linspace(0.0, story.orbit.duration, _DOTS)
-    axes.scatter(*story.orbit.states(times)[:, picked].T, c=times, cmap=TIME, s=1.0, rasterized=True)
-    for point, time in zip(story.crossings[:, picked], story.orbit.symbol_times, strict=True):
-        axes.plot(*point[:, None], "o", color=TIME(time / story.orbit.duration), markersize=5, markeredgecolor="white")
-    quiet_space(axes, story.orbit.system)
-    axes.set_box_aspect((1, 1, 0.85), zoom=1.06)  # type: ignore[attr-defined]
-    axes.set_title("The orbit, angles with whole turns counted; dark to light: time", loc="left")
+    times = np.linspace(0.0, orbit.duration, _DOTS)
+    axes.scatter(*orbit.states(times)[:, picked].T, c=times, cmap=_TIME, s=1.0, rasterized=True)
+    for point, time in zip(orbit.states(orbit.symbol_times)[:, picked], orbit.symbol_times, strict=True):
+        axes.plot(*point[:, None], "o", color=_TIME(time / orbit.duration), markersize=5, markeredgecolor="white")
+    if story.has_angles:
+        quiet_space(axes, system)
+        axes.set_box_aspect((1, 1, 0.85), zoom=1.06)  # type: ignore[call-arg]
+        axes.set_title("The orbit, angles with whole turns counted; dark to light: time", loc="left")
+    else:
+        quiet_plane(axes, system, title="The orbit in the plane; dark to light: time")
+        axes.set_aspect("equal", adjustable="datalim")
 
 
 def _base_orbits(story: WalkStory) -> list[tuple[Array, str]]:

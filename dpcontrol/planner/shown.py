@@ -14,7 +14,7 @@ from dpcontrol.foundation.document import picked
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs import RunLog
 from dpcontrol.orbits.lyapunov import equilibria
-from dpcontrol.pages.atlas_parts import connections_of, section_curves, section_place
+from dpcontrol.pages.atlas import connections_of, section_curves, section_place
 from dpcontrol.plans.model import Model, load_model
 from dpcontrol.plans.plan import Plan
 from dpcontrol.walks.atlas import Atlas, AtlasConnection, section_axes

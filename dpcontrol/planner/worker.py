@@ -28,7 +28,7 @@ from dpcontrol.judge.of_log import run_view
 from dpcontrol.logs import read_log
 from dpcontrol.pages.film import write_film
 from dpcontrol.pages.layout import save_figure
-from dpcontrol.pages.picture import check_viewer, view_in_window
+from dpcontrol.pages.viewer import check_viewer, view_in_window
 from dpcontrol.planner.shown import energies_of, figures_of, fitting_model, shown_atlas, shown_plan, shown_run
 from dpcontrol.plans.atlas import make_atlas, make_branches
 from dpcontrol.plans.itinerary import itinerary_from

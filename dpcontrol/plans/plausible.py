@@ -56,5 +56,5 @@ def _check_arms(loop: LoopSettings, arms: int) -> None:
         if blow.arm >= arms:
             raise InputError(f"blow {number}, arm = {blow.arm}: must be 0 to {arms - 1}, 0 for the inner arm")
     loop.sensors.of_each("counts", arms)
-    for name in ("play", "known_play", "stiction"):
+    for name in ("play", "known_play", "stiction", "initial_rate"):
         loop.mechanics.of_each(name, arms)

@@ -80,11 +80,11 @@ from dpcontrol.foundation.statistics import Pairing, Share, paired, wilson
 from dpcontrol.foundation.version import VERSION
 from dpcontrol.judge.campaign import CampaignSummary, summary_of
 from dpcontrol.judge.decoding import stays
-from dpcontrol.judge.score import Flown, verdict_on
+from dpcontrol.judge.score import Flown, returns, verdict_on
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.loop.own import OwnExpressions, OwnLaw
-from dpcontrol.loop.result import BatchRun, Ending
+from dpcontrol.loop.result import BatchRun, Ending, Events
 from dpcontrol.plans.itinerary import Itinerary
 from dpcontrol.plans.overrides import canonical
 from dpcontrol.plans.plan import Plan
@@ -120,6 +120,7 @@ COLUMNS: dict[str, str] = {
     "rms_cart_acceleration": "double",
     "rms_feedback": "double",
     "nis_inside_95": "double",
+    "returned": "double",
     "path": "string",
     "replays": "bool",
 }
@@ -127,6 +128,7 @@ COLUMNS: dict[str, str] = {
 
 cause: value of a `Cause` for a run that ended early, otherwise of a `Fault`.
 symbol: first symbol that was not completed, or empty.
+returned: the longest time from a departure to the return to the itinerary, null without a return.
 case: varied settings, as name=value.
 replays: True if the loop fails tick by tick too; only tried for the first failures of a job, else null.
 """
@@ -200,8 +202,10 @@ def run_job(job: Job) -> list[Row]:
         mismatches = job.mismatches or (loop.mismatch,) * len(job.seeds)
 
         def tick_by_tick(seed: int, mismatch: float) -> Row:
-            result = assembly.simulate(draw=assembly.draw(seed=seed, mismatch=mismatch))
-            return _row(job, reference, seed, BatchRun.of(result), path="ticks")
+            events = Events()
+            result = assembly.simulate(draw=assembly.draw(seed=seed, mismatch=mismatch), sink=events)
+            row = _row(job, reference, seed, BatchRun.of(result), path="ticks")
+            return {**row, "returned": max(returns(events.kept), default=None)}
 
         if job.path == "ticks" or not assembly.lockstep:
             return [tick_by_tick(seed, mismatch) for seed, mismatch in zip(job.seeds, mismatches, strict=True)]
@@ -264,6 +268,7 @@ def _row(job: Job, reference: Reference, seed: int, run: BatchRun, *, path: str)
         "rms_cart_acceleration": math.sqrt(float(np.mean(run.applied**2))),
         "rms_feedback": run.rms_feedback,
         "nis_inside_95": run.nis_inside_95,
+        "returned": None,
         "path": path,
         "replays": True if path == "ticks" else None,
     }
@@ -357,12 +362,14 @@ class CampaignSettings(Settings, table="campaign"):
 class CaseResult(Brief):
     """Runs of one case.
 
-    The number completed and the rows of the others.
+    The number completed and the rows of the others. returned: median of the times to the itinerary, s, and the time
+    within which 99 % of the runs returned, or None without returns.
     """
 
     case: Case
     completed: Share
     failed: "pa.Table" = field(repr=False)
+    returned: tuple[float, float] | None = None
 
     @property
     def failures(self) -> tuple[Row, ...]:
@@ -475,6 +482,7 @@ class Campaign(Shown):
                 "case": r.case.label,
                 **dict(r.case.values),
                 **share_document(r.completed),
+                "returned": r.returned,
                 "failures": r.failed.select(kept).to_pylist(),
             }
             for r in self.results
@@ -774,7 +782,13 @@ def _summary(name: str, cases: Sequence[Case], table: "pa.Table", *, seconds: fl
     def of(case: Case) -> NDArray[np.bool_]:
         return pc.equal(table["case"], case.label).to_numpy()
 
-    results = tuple(CaseResult(c, _share(done[of(c)]), table.filter(pa.array(of(c) & ~done))) for c in cases)
+    def returned(rows: NDArray[np.bool_]) -> tuple[float, float] | None:
+        times = table["returned"].filter(pa.array(rows)).drop_null().to_numpy()
+        return (float(np.median(times)), float(np.quantile(times, 0.99))) if len(times) else None
+
+    results = tuple(
+        CaseResult(c, _share(done[of(c)]), table.filter(pa.array(of(c) & ~done)), returned(of(c))) for c in cases
+    )
     pairs = tuple(
         (a.label, b.label, paired(done[of(a)], done[of(b)]))
         for a, b in itertools.combinations(cases if len(cases) <= MOST_PAIRED else (), 2)

@@ -35,7 +35,7 @@ def plan_flight(
 
     Args:
         arms: the arms.
-        state: state (N,).
+        state: state (N,), or (N-2,) of the arms alone with the cart at rest in the middle.
         target: name of an equilibrium, an orbit, or a plan, to whose first stop the flight leads.
         limits: limits of the cart.
 
@@ -44,6 +44,8 @@ def plan_flight(
         GoalMissed: the target cannot be held.
     """
     size, state = 2 * arms.count + 2, np.asarray(state, dtype=float)
+    if state.shape == (size - 2,):
+        state = np.append(state, (0.0, 0.0))
     if state.shape != (size,) or not np.isfinite(state).all():
         raise InputError(f"state: must be {size} finite numbers: angles, rates, and position and velocity of the cart")
     if max(abs(state[-2]) / limits.position, abs(state[-1]) / limits.velocity) > 1:

@@ -239,7 +239,7 @@ def run_night(
 
     rolling = RollingLog(
         folder, folder.resolve().name, make, seconds=60 * night.file_minutes, rate_hz=settings.rate,
-        limit=assembly.limits.position, extras=extra_names(arms.count, settings.estimator.augments),
+        limit=assembly.limits.position, extras=extra_names(arms.count, settings.filters.augments),
         keep_every=night.keep_every, session=place.session, number=place.number, begin=place.begin,
         end=night.hours * 3600,
     )  # fmt: skip

@@ -83,7 +83,7 @@ from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.controllers import CONTROLLERS, estimators_of, filter_of, law_of
 from dpcontrol.loop.loop import ControlLoop, LoopSettings
 from dpcontrol.loop.own import OwnLaw, OwnObject, OwnRig
-from dpcontrol.loop.result import Ending, LogSink, LoopResult, LoopSink, Sinks, SupervisorSettings, Ticks
+from dpcontrol.loop.result import Ending, Events, LogSink, LoopResult, LoopSink, Sinks, SupervisorSettings, Ticks
 from dpcontrol.plans.itinerary import BLOWS, Itinerary, planned_itinerary, setting_of
 from dpcontrol.plans.layout import BENCH
 from dpcontrol.plans.overrides import canonical, paths
@@ -333,7 +333,7 @@ def run_plan(
         GoalMissed: the plan did not converge, no controller can be made for it, or no plant drawn.
     """
     plan = plan.followed()
-    scene, sink = plan.itinerary, _Events()
+    scene, sink = plan.itinerary, Events()
     made_by = _made_by(scene, None if rig is None else rig.name)
     assembly = assembly or assembled(plan)
 
@@ -429,17 +429,6 @@ def drawn_metadata(itinerary: Itinerary) -> dict[str, str]:
     return {**arms, DRAWN_METADATA: json.dumps(once)}
 
 
-class _Events(LoopSink):
-    """Stores events; the result holds every tick."""
-
-    def __init__(self) -> None:
-        self.kept: list[Event] = []
-
-    def event(self, event: Event) -> None:
-        """Append one event."""
-        self.kept.append(event)
-
-
 def _log_in_memory(plan: Plan, ticks: Ticks, events: Sequence[Event], **more: str) -> RunLog:
     """Return the contents of a run's log; more: metadata."""
     scene = plan.itinerary
@@ -460,7 +449,7 @@ def _log_in_memory(plan: Plan, ticks: Ticks, events: Sequence[Event], **more: st
         has_cart=True,
         rate_hz=scene.loop.rate,
         limits=(limits.position, limits.velocity, limits.acceleration),
-        extras=_extras(ticks, extra_names(len(lengths), scene.loop.estimator.augments)),
+        extras=_extras(ticks, extra_names(len(lengths), scene.loop.filters.augments)),
     )
 
 
@@ -494,7 +483,7 @@ def log_writer(plan: Plan, out: Path, **more: str) -> LogWriter:
         arm_lengths=itinerary.model.arms.length,
         rate_hz=itinerary.loop.rate,
         limits=(limits.position, limits.velocity, limits.acceleration),
-        extras=extra_names(itinerary.model.arms.count, itinerary.loop.estimator.augments),
+        extras=extra_names(itinerary.model.arms.count, itinerary.loop.filters.augments),
         metadata={**run_metadata(itinerary), **more},
         attachments=_attachments(plan),
     )

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from textwrap import fill
 from typing import Any
 
-from dpcontrol.words.table import Line, TextTable
+from dpcontrol.words.table import Line
 
 
 def figures(found: Any) -> Iterator[Line]:
@@ -27,10 +27,7 @@ def charts(found: Any) -> Iterator[Line]:
     for one in found:
         yield from map(str, one.pictures)
         for part in one.chart.parts:
-            shown = part.table()
-            yield TextTable(shown.title, shown.columns, shown.rows)
-            yield f"  {part.finding()}"
-            yield from (f"  {note}" for note in shown.notes)
+            yield from part.text()
         yield from (f"  {line}" for line in one.chart.reading)
         yield _paragraph(f"Chosen: {one.chart.chosen}")
         yield f"  {one.data}, {one.seconds:.0f} s"

@@ -114,7 +114,7 @@ def _phrases(figures: Mapping[str, Any]) -> dict[str, str]:
         "goal": f"stop {figures['stop']} ({figures['stop_name']})" if figures.get("stop") else "rest",
         "last_symbol": f"after {named}" if symbols else "to be kept",
         "next_motion": repeated if again else "the itinerary restarts",
-        "falls_counted": f"{(falls := figures.get('falls', 0))} fall{'s' * (falls > 1)}",
+        "falls_counted": f"{(falls := figures.get('falls', 0))} fall{'s' * (falls != 1)}",
         "done": _done(figures) if "lowest" in figures else "",
     }
 
@@ -332,6 +332,8 @@ def _cases(found: Any) -> Iterator[Line]:
         "share": lambda r: f"{100 * r.completed.rate:.1f} %",
         "95 % (Wilson)": lambda r: f"{100 * r.completed.low:.1f} … {100 * r.completed.high:.1f} %",
     }
+    if any(r.returned for r in found.results):
+        columns["back after"] = lambda r: "{:.2f} s, 99 % {:.2f} s".format(*r.returned) if r.returned else ""
     yield table(f"Campaign of {found.itinerary}", found.results, columns)
     for first, second, pair in found.pairs:
         yield (

@@ -8,9 +8,9 @@ from scipy.integrate import solve_ivp
 from dpcontrol.bench.chart import CHARTS, GROUPS
 from dpcontrol.bench.propagation import (
     Stepper,
-    buffered_rate,
     candidates,
     classical_step,
+    compiled_rate,
     symplectic_gauss,
     work_of,
 )
@@ -37,7 +37,7 @@ def work(system):
 
 
 def test_the_truth_agrees_with_scipy(system, work):
-    rate = buffered_rate(system.equations, system.parameters)
+    rate = compiled_rate(system.equations, system.parameters)
     run = solve_ivp(rate, (0.0, SECONDS), START[0], method="DOP853", rtol=1e-13, atol=1e-13)
     assert work.error(run.y[:, -1][None]) < DOP853
 

@@ -5,7 +5,7 @@ from itertools import combinations
 import numpy as np
 from matplotlib.text import Annotation
 
-from dpcontrol.bench.chart import Diagram, Point, PrecisionChart
+from dpcontrol.bench.chart import ChartPage, Diagram, Point
 from dpcontrol.bench.drawing import figure
 
 LEAST = 8.0
@@ -19,7 +19,7 @@ def test_labels_are_legible_and_cover_neither_marks_nor_rings_nor_one_another() 
     # Two nearly in one place, the first with its ring.
     points.append(Point("m1", "beside", 1.05 * spots[0, 0], spots[0, 1]))
     panels = (Diagram("crowded", "s", "error", tuple(points)),)
-    picture = figure(PrecisionChart("x", "title", ("1", "2", "3"), "", panels), panels)
+    picture = figure(ChartPage("x", "title", ("1", "2", "3"), "", panels), panels)
     picture.draw_without_rendering()
     (axes,) = picture.axes
     labels = {t.get_text(): t for t in axes.texts if isinstance(t, Annotation) and t.get_text()}

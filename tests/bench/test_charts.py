@@ -7,8 +7,8 @@ import pytest
 from command_line import dpcontrol
 
 from dpcontrol.bench import chart as registry
-from dpcontrol.bench.chart import ALLOWED, Diagram, Point, PrecisionChart
-from dpcontrol.bench.run import draw_charts
+from dpcontrol.bench.chart import ALLOWED, ChartPage, Diagram, Point
+from dpcontrol.bench.drawing import draw_charts
 
 READING = ("first", "second", "third")
 
@@ -58,10 +58,10 @@ def one_chart(monkeypatch):
 
     def chart(quick, progress):
         points = points_of([(1e-3, 0.0), (1e-4 if quick else 1e-5, 1e-6)], default={1})
-        return PrecisionChart("tiny", "Tiny", READING, "the quicker one", (panel(*points),))
+        return ChartPage("tiny", "Tiny", READING, "the quicker one", (panel(*points),))
 
     monkeypatch.setattr(registry, "CHARTS", {"tiny": chart})
-    monkeypatch.setattr("dpcontrol.bench.run.CHARTS", {"tiny": chart})
+    monkeypatch.setattr("dpcontrol.bench.drawing.CHARTS", {"tiny": chart})
 
 
 def test_a_chart_becomes_a_picture_and_its_data(one_chart, tmp_path):
@@ -79,9 +79,9 @@ def test_a_chart_becomes_a_picture_and_its_data(one_chart, tmp_path):
 def test_a_complaint_is_in_the_status_and_under_strict_the_exit_code(one_chart, monkeypatch, tmp_path):
     def chart(quick, progress):
         points = points_of([(1.0, 1e-6), (2.0, 1e-6)], default={1})
-        return PrecisionChart("tiny", "Tiny", READING, "the slower one", (panel(*points),))
+        return ChartPage("tiny", "Tiny", READING, "the slower one", (panel(*points),))
 
-    monkeypatch.setattr("dpcontrol.bench.run.CHARTS", {"tiny": chart})
+    monkeypatch.setattr("dpcontrol.bench.drawing.CHARTS", {"tiny": chart})
     told = dpcontrol("bench", "--json", "--out", str(tmp_path))
     assert told.code == 0
     assert "100% off the front" in told.document["status"]

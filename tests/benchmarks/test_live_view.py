@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 
 from dpcontrol.foundation.rendering import live_view
-from dpcontrol.pages import live
-from dpcontrol.pages.picture import viewer_program
+from dpcontrol.pages.viewer import LiveView, viewer_program
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import make_plan
 from dpcontrol.runs.run import rig_link, run_on_rig
@@ -36,8 +35,8 @@ def test_a_live_view_makes_no_tick_late(tmp_path, monkeypatch, capsys) -> None:
         [viewer_program(), "--save", tmp_path / "live.rrd", "--port", str(port), "--bind", "127.0.0.1"],
         stderr=subprocess.DEVNULL, env={**os.environ, "CI": "1"},
     )  # fmt: skip
-    address, real = f"rerun+http://127.0.0.1:{port}/proxy", live.LiveView
-    monkeypatch.setattr(live, "LiveView", lambda start: real(start, viewer=address))
+    address = f"rerun+http://127.0.0.1:{port}/proxy"
+    monkeypatch.setattr("dpcontrol.pages.viewer.LiveView", lambda start: LiveView(start, viewer=address))
     link = rig_link("udp", key_file=None, insecure=False, real_time=True)
     assert link is not None
     medians: dict[bool, list[float]] = {False: [], True: []}

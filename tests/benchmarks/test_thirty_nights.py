@@ -1,7 +1,7 @@
 """Nights on varied itineraries: none ends early, none exceeds its limits, and forecasts are close.
 
-Arms, itineraries, energies, rigs and blows are drawn from a seed. Each night is a separate program, with an existing
-plan and a cache without transfers from rest. Thirty nights of 0.05 h take an hour of two idle cores.
+Arms, itineraries, energies, rigs and blows are drawn from a seed. Each night is a separate program with an existing
+plan, and plans its flights while it runs. Thirty nights of 0.05 h take an hour of two idle cores.
 """
 
 import json

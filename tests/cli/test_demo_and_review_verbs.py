@@ -54,7 +54,7 @@ def test_review_without_files_opens_the_viewer_on_a_recording(
     called = 'echo "$CI $2 $3" > "$0.called"'
     viewer.write_text(f'#!/bin/sh\n{called}\ncat > "{opened}.part" && mv "{opened}.part" "{opened}"\n')
     viewer.chmod(0o755)
-    monkeypatch.setattr("dpcontrol.pages.picture.viewer_program", lambda: viewer)
+    monkeypatch.setattr("dpcontrol.pages.viewer.viewer_program", lambda: viewer)
     monkeypatch.setenv("DISPLAY", ":0")
     (tmp_path / "tmp").mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "tmp"))
@@ -82,15 +82,6 @@ def test_two_logs_or_a_reference_are_reviewed_as_one_log_is(demo: tuple[Path, En
     for files in ([log, reference], [log, log, "--align", "2"]):
         assert dpcontrol("review", *files, "--save", tmp_path / "none.rrd").code == 2
     assert not (tmp_path / "none.rrd").exists()
-
-
-def test_report_writes_one_page_of_a_log_and_gives_its_score(demo: tuple[Path, Ended], tmp_path: Path) -> None:
-    page = tmp_path / "page.png"
-    ended = dpcontrol("report", demo[0] / "logs/outer-turn-0.mcap", "--picture", page, "--json")
-    assert ended.code == 0
-    assert ended.document["completed"] is True
-    assert ended.document["picture"] == str(page)
-    assert page.read_bytes().startswith(PNG)
 
 
 def test_the_drawn_tubes_meet_at_the_plans_section_crossing(demo: tuple[Path, Ended]) -> None:

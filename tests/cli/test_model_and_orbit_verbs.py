@@ -104,14 +104,3 @@ def test_a_sustained_orbit_is_near_its_lyapunov_orbit_at_the_known_effort(saddle
         assert abs(values[0]) == pytest.approx(multiplier, rel=0.05)
         assert abs(values[-1]) == pytest.approx(1 / multiplier, rel=0.1)
         assert sum(abs(v - 1) < 1e-9 for v in values) == 2
-
-
-@pytest.mark.slow
-def test_a_sustained_orbit_is_told_in_words_and_drawn(tmp_path: Path) -> None:
-    file = tmp_path / "orbit.png"
-    words = ("orbit", "lab", "--saddle", "up-down", "--energy", "0.2", "--sustained", "--sections", "8")
-    ended = dpcontrol(*words, "--picture", file)
-    assert ended.code == 0
-    for text in ("0.81379", "by 8 sections", str(file)):
-        assert text in ended.stdout
-    assert file.read_bytes().startswith(b"\x89PNG")

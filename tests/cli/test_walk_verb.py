@@ -143,15 +143,6 @@ def test_the_edge_of_a_solved_walk_is_a_symbol_of_others() -> None:
 
 
 @pytest.mark.slow
-def test_a_picture_is_drawn_of_one_walk(tmp_path: Path) -> None:
-    file = tmp_path / "walk.png"
-    ended = dpcontrol(*LOW, *TURN, "--periodic", "--solve", "--picture", file, "--json")
-    assert ended.code == 0
-    assert ended.document["picture"] == str(file)
-    assert file.read_bytes().startswith(b"\x89PNG\r\n\x1a\n")
-
-
-@pytest.mark.slow
 def test_a_walk_that_does_not_converge_ends_with_1_its_reason_and_the_least_wraps(tmp_path: Path) -> None:
     # A hair above the saddle-node at which the inner arm's turns are born the pair's members all but touch.
     born = ("walk", "lab", "--energy", "0.17807033", "-s", "up-down +", "-s", "up-down +", "--solve", "--json")

@@ -8,7 +8,7 @@ from command_line import dpcontrol
 
 import dpcontrol as dp
 from dpcontrol.bench.chart import CHARTS
-from dpcontrol.bench.run import charts_cost
+from dpcontrol.bench.drawing import charts_cost
 from dpcontrol.foundation.errors import GoalMissed, InputError, Remark
 from dpcontrol.foundation.progress import MOST_BYTES, MOST_SECONDS
 from dpcontrol.plans.itinerary import itinerary_from, load_itinerary

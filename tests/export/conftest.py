@@ -23,10 +23,8 @@ def double(exported_law: Callable[..., Path]) -> Path:
 
 
 @pytest.fixture(scope="session")
-def single(plan: Plan, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("single") / "controller"
-    export_plan(plan, folder, single=True)
-    return folder
+def single(exported_law: Callable[..., Path]) -> Path:
+    return exported_law("outer-turn", "adaptive", "single")
 
 
 @pytest.fixture(scope="session")

@@ -45,7 +45,6 @@ def test_sanitizers_of_clang_find_nothing(double: Path) -> None:
 @pytest.mark.parametrize(
     ("itinerary", "law", "precise", "belt"),
     [
-        ("outer-turn", "adaptive", "double", 0.0),
         ("outer-turn", "adaptive", "single", 0.0),
         ("hold-up-up", "lqr", "single", 0.0),
         ("outer-turn", "tvlqr", "double", 15.0),
@@ -134,6 +133,6 @@ def test_an_itinerary_of_each_kind_of_start_is_replayed_whole(
     monkeypatch.setattr(run, "_CHECKED_TICKS", 1_000_000)
     scene, folder = load_itinerary(name), tmp_path / "controller"
     run.export_plan(make_plan(scene), folder, single=precise == "single")
-    program = compiled("gcc", "-O2", folder=folder, out="replay", sources=REPLAY)
+    program = compiled("gcc", "-O0", folder=folder, out="replay", sources=REPLAY)
     done = ran(program, "readings.csv", folder=folder)
     assert done.returncode == 0, done.stderr

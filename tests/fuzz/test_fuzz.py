@@ -36,7 +36,7 @@ def laboratory(tmp_path_factory: pytest.TempPathFactory) -> Laboratory:
 @pytest.fixture(autouse=True)
 def no_programs(monkeypatch: pytest.MonkeyPatch) -> None:
     """Prevent trials from opening viewers or serving runs."""
-    monkeypatch.setattr("dpcontrol.pages.picture.viewer_program", lambda: "/bin/true")
+    monkeypatch.setattr("dpcontrol.pages.viewer.viewer_program", lambda: "/bin/true")
     monkeypatch.setattr("dpcontrol.rig.bench.UdpBench.serve", lambda self, *, runs=0: None)
 
 

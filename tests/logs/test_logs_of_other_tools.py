@@ -19,7 +19,7 @@ from dpcontrol.foundation.errors import InputError, Remark
 from dpcontrol.judge.of_log import run_view
 from dpcontrol.judge.score import score
 from dpcontrol.logs import RunLog, read_log
-from dpcontrol.pages.picture import opened
+from dpcontrol.pages.viewer import opened
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import make_plan
 from dpcontrol.runs.run import run_plan

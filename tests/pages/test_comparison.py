@@ -12,8 +12,8 @@ from test_recording import bare_log
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.judge.comparison import MOST, compare
 from dpcontrol.judge.run_view import RunView, Stay, series_of
-from dpcontrol.pages.comparison_recording import write_comparison_recording
-from dpcontrol.pages.picture import viewer_program
+from dpcontrol.pages.page import write_comparison_recording
+from dpcontrol.pages.viewer import viewer_program
 
 SAME_MOMENT = 0.02
 """s: the synthetic turns pass 2π in their middle, with zero wobble and errors of 0.04 rad at 11 rad/s."""

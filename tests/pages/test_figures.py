@@ -6,13 +6,11 @@ import subprocess
 import numpy as np
 import pytest
 
-from dpcontrol.pages.atlas_parts import connections_of, kind_of, stable_direction
-from dpcontrol.pages.atlas_recording import write_atlas_recording
-from dpcontrol.pages.figures import draw_figures
-from dpcontrol.pages.gallery import Gallery
-from dpcontrol.pages.paper import up_up
-from dpcontrol.pages.paper.returning import returning_search
-from dpcontrol.pages.picture import viewer_program
+from dpcontrol.pages.atlas import connections_of, kind_of, stable_direction, write_atlas_recording
+from dpcontrol.pages.figures import Gallery, draw_figures
+from dpcontrol.pages.paper import equilibria
+from dpcontrol.pages.paper.connecting import returning_search
+from dpcontrol.pages.viewer import viewer_program
 from dpcontrol.plans.atlas import AtlasSettings, compute_atlas, make_atlas, make_branches
 from dpcontrol.plans.model import load_model
 
@@ -95,8 +93,8 @@ def test_returning_orbits_cross_the_aligned_section_twice_in_opposite_ways():
 
 def test_points_of_up_ups_manifold_lie_on_its_energy_and_come_from_it():
     system = load_model("lab").system
-    states, top = up_up.up_up_states(system), system.equilibria["up-up"]
-    assert len(states) > 0.9 * up_up._SEEDS
+    states, top = equilibria.up_up_states(system), system.equilibria["up-up"]
+    assert len(states) > 0.9 * equilibria._SEEDS
     # Seeds are off the energy by the square of their distance.
     assert np.abs(system.numeric.hamiltonian(states) - system.numeric.hamiltonian(top)).max() < 1e-9
     for state in states[::600]:

@@ -18,24 +18,20 @@ from test_walk_figure import found as walk
 
 from dpcontrol.foundation.statistics import wilson
 from dpcontrol.identification.fit import DesignSettings, design_experiments
-from dpcontrol.identification.identify import IdentificationSettings, identify, profiles
+from dpcontrol.identification.identify import IdentificationSettings, identify
 from dpcontrol.judge.campaign import campaign_summary
 from dpcontrol.judge.comparison import compare
 from dpcontrol.judge.of_log import reference_view
 from dpcontrol.judge.preflight import Assumption, EndingShare, HazardBorder, Improvement, Preflight, ShareAt
 from dpcontrol.orbits.family import lyapunov_family
 from dpcontrol.pages.atlas import draw_atlas
-from dpcontrol.pages.campaign import draw_campaign
-from dpcontrol.pages.comparison import draw_comparison
-from dpcontrol.pages.experiments import draw_design
 from dpcontrol.pages.figures import FIGURES
-from dpcontrol.pages.identification import draw_identification
+from dpcontrol.pages.film import draw_transitions
+from dpcontrol.pages.identification import draw_design, draw_identification
 from dpcontrol.pages.layout import new_figure
-from dpcontrol.pages.night import draw_night
-from dpcontrol.pages.orbits import draw_families
-from dpcontrol.pages.page import draw
-from dpcontrol.pages.preflight import draw_preflight
-from dpcontrol.pages.transitions import draw_transitions
+from dpcontrol.pages.many_runs import draw_campaign, draw_night, draw_preflight
+from dpcontrol.pages.orbits import draw_family
+from dpcontrol.pages.page import draw, draw_comparison
 from dpcontrol.pages.walks import draw_walk
 from dpcontrol.plans.atlas import make_atlas
 from dpcontrol.plans.itinerary import load_itinerary
@@ -97,12 +93,11 @@ def atlas(_: Path) -> Figure:
 
 
 def walk_page(_: Path) -> Figure:
-    return draw_walk(walk(["down-up +", "down-up -"]), arm_lengths=LAB.arms.length, model="lab")
+    return draw_walk(walk(["down-up +", "down-up -"]))
 
 
 def family(_: Path) -> Figure:
-    families = [lyapunov_family(LAB.system, saddle, energies=(-1.0, 0.3)) for saddle in ("down-up", "up-down")]
-    return draw_families(families, "Families of Lyapunov orbits of lab")
+    return draw_family(lyapunov_family(LAB.system, "down-up", energies=(-1.0, 0.3)))
 
 
 def design(_: Path) -> Figure:
@@ -114,7 +109,7 @@ def identification(_: Path) -> Figure:
     starts = list(np.random.default_rng(1).uniform(-1.2, 1.2, (4, 2)))
     recording = simulated_recording(LAB.arms, starts, seconds=2.0, period=4e-3, zeros=np.zeros(2), name="one")
     found = identify([recording], LAB.arms, settings=IdentificationSettings(longest=2.0))
-    return draw_identification(found, profiles(found), title="lab from one recording")
+    return draw_identification(found, title="lab from one recording")
 
 
 def transitions(folder: Path) -> Figure:

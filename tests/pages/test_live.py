@@ -15,9 +15,8 @@ import rerun as rr
 from dpcontrol.foundation.errors import Remark
 from dpcontrol.foundation.rendering import live_view
 from dpcontrol.logs import Event
-from dpcontrol.pages import live
-from dpcontrol.pages.live import LiveView, parts_of, show
-from dpcontrol.pages.picture import viewer_program
+from dpcontrol.pages import viewer
+from dpcontrol.pages.viewer import LiveView, parts_of, show, viewer_program
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import make_plan
 from dpcontrol.runs import run as runs
@@ -40,7 +39,7 @@ def watched(monkeypatch):
             super().__init__(start, viewer=NOWHERE)
             views.append(self)
 
-    monkeypatch.setattr(live, "LiveView", Elsewhere)
+    monkeypatch.setattr(viewer, "LiveView", Elsewhere)
     yield views
     for view in views:
         view.process.kill()

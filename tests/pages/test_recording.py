@@ -9,8 +9,8 @@ from synthetic_run import RATE, synthetic_run, view_of, write_log
 
 from dpcontrol.judge.run_view import ACTUAL, RunView, series_of
 from dpcontrol.logs import LogWriter, RunLog, control_fields, read_log
-from dpcontrol.pages.picture import viewer_program
 from dpcontrol.pages.rerun_recording import write_recording
+from dpcontrol.pages.viewer import viewer_program
 
 ACCELERATION = 1e-9  # m/s²: velocities of 1 m/s differ by rounding, over 1 ms
 

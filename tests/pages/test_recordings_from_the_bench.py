@@ -12,7 +12,7 @@ from dpcontrol.judge.run_view import series_of
 from dpcontrol.logs import LogWriter, RunLog, control_fields, read_log, recover
 from dpcontrol.pages.charts import curve
 from dpcontrol.pages.rerun_recording import write_recording
-from dpcontrol.pages.strips import mode_spans
+from dpcontrol.pages.story import mode_spans
 
 RATE_ERROR = 0.02
 """rad/s: central differences of 1.6 Hz over 1 ms are off by ω³h²/6 · 0.25 rad, 4e-5; at the ends by ω²h/2, 0.013."""

@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from dpcontrol.pages.walk_story import WalkStory
+from dpcontrol.pages.walks import WalkStory
 from dpcontrol.plans.model import load_model
 from dpcontrol.walks.edges import Edges, find_edges
 from dpcontrol.walks.shadowing import ShadowingOrbit, WalkSolver
@@ -24,16 +24,16 @@ def found(texts: list[str], *, wraps: list[int] | None = None) -> ShadowingOrbit
     return orbit
 
 
-def test_wobbles_lie_between_the_symbols_and_carry_the_wraps_of_the_orbit() -> None:
+def test_stays_lie_between_the_symbols_and_carry_the_wraps_of_the_orbit() -> None:
     orbit = found(["down-up +", "down-up -", "down-up +"], wraps=[1, 3])
-    spans = WalkStory(orbit, load_model("lab").arms.length).wobbles()
-    assert [w.wraps for w in spans] == [2, 1, 3, 2]
-    assert [w.saddle for w in spans] == ["down-up"] * 4
+    stays = WalkStory(orbit).stays
+    assert [stay.text for stay in stays] == [f"down-up {count}×" for count in (2, 1, 3, 2)]
+    assert [stay.saddle for stay in stays] == ["down-up"] * 4
     bounds = [0.0, *orbit.symbol_times, orbit.duration]
-    for wobble, before, after in zip(spans, bounds[:-1], bounds[1:], strict=True):
-        assert before <= wobble.start < wobble.end <= after
-    # The leads are whole wobbles, by definition; at the stops, flights to and from a thousandth take their part.
+    for stay, before, after in zip(stays, bounds[:-1], bounds[1:], strict=True):
+        assert before <= stay.first < stay.last <= after
+    # The leads are whole wraps, by definition; at the stops, flights to and from a thousandth take their part.
     period = orbit.connections[0].source.period
-    assert spans[0].end == pytest.approx(2 * period, abs=1e-9)
-    assert spans[-1].end - spans[-1].start == pytest.approx(2 * period, abs=1e-9)
-    assert np.rint((spans[2].end - spans[2].start) / period) >= 3
+    assert stays[0].last == pytest.approx(2 * period, abs=1e-9)
+    assert stays[-1].last - stays[-1].first == pytest.approx(2 * period, abs=1e-9)
+    assert np.rint((stays[2].last - stays[2].first) / period) >= 3

@@ -15,6 +15,8 @@ OPTIONS = (
     "--disable-background-networking", "--disable-component-update", "--disable-dev-shm-usage",
 )  # fmt: skip
 WIDTH, HEIGHT = 1280, 720
+SLOWLY = "window.requestAnimationFrame = (draw) => setTimeout(() => draw(performance.now()), 250);"
+"""Frames of the animation four times a second: a browser without a graphics card draws them on the processor."""
 BROKEN = 'title = "Broken"\n[arms\n'
 """Text of the model "broken" in the planner's folder."""
 
@@ -56,6 +58,7 @@ def page(driver: Any, address: str) -> Iterator[Page]:
         "Emulation.setDeviceMetricsOverride",
         {"width": WIDTH, "height": HEIGHT, "deviceScaleFactor": 1, "mobile": False},
     )
+    driver.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument", {"source": SLOWLY})
     yield Page(driver, address)
     driver.close()
     driver.switch_to.window(driver.window_handles[0])

@@ -29,7 +29,8 @@ def test_an_itinerary_is_built_planned_run_and_saved_and_the_command_line_comple
     wraps = state["wraps"][0]
     assert page.press("wraps-plus", '[data-stop="0"]')["wraps"] == [wraps + 1]
     for end in ("start", "finish"):
-        Select(page.role(end)).select_by_value("rest")
+        Select(page.role(end)).select_by_value("orbit")
+        assert f'{end} = "orbit"' in re.sub(" +", " ", page.idle()["toml"])
     state = page.press("plan")
     assert state["plan"]["converged"], state
     page.type("mismatch", "5" + Keys.TAB)

@@ -179,6 +179,7 @@ def test_inconsistent_content_and_false_statements_are_rejected_despite_a_valid_
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("remembered")
 def test_the_check_confirms_a_walk_and_rejects_false_symbols(
     certificates: dict[str, dict[str, Any]], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -22,7 +22,7 @@ from dpcontrol.rig.commissioning import Commissioning, Finding, Grade, commissio
 from dpcontrol.rig.fits import modes
 from dpcontrol.rig.motions import REACH, CommissioningSettings
 
-QUICK = CommissioningSettings(look=0.2, hold=0.5, sweep=4.0, ring=2.0, wait=3.0)
+QUICK = CommissioningSettings(look=0.2, hold=0.5, sweep=4.0, ring=1.5, wait=3.0)
 LIMITS = Limits(position=0.4)
 RATE = 500.0
 

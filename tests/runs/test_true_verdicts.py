@@ -80,7 +80,7 @@ def test_runs_that_fall_and_go_on_are_judged_as_a_second_decoder_judges_them(on_
 @pytest.mark.slow
 def test_a_run_from_rest_is_judged_from_its_first_transfer_on() -> None:
     """An arm that starts upright hangs when the transfer begins, later, or only once the transfer has ended."""
-    plan, random, found = make_plan(load_itinerary("up-up")), np.random.default_rng(0), Comparison()
+    plan, random, found = make_plan(load_itinerary("turn-from-rest")), np.random.default_rng(0), Comparison()
     flown, begin = exact(plan), plan.content.transfers[0][0]
     for late, completed in ((0.0, True), (0.2, False), (3.0, False)):
         states = flown.states.copy()

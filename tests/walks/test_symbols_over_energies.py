@@ -1,11 +1,17 @@
 """Changes of the connection that a symbol selects, and connections followed in energy."""
 
+import shlex
+
 import pytest
 from command_line import dpcontrol
 
+from dpcontrol.foundation.version import PACKAGE
 from dpcontrol.plans.model import load_model
 from dpcontrol.walks.following import SymbolBranches
 from dpcontrol.walks.symbols import parse_symbol
+
+COMMAND = 'dpcontrol walk printed --energy 0.1905 -s "down-up +" --compare 0.1915'
+PAGE = (PACKAGE / "guide" / "walks.md").read_text(encoding="utf-8")
 
 
 @pytest.fixture(scope="module")
@@ -16,16 +22,16 @@ def printed():
 
 @pytest.mark.slow
 def test_a_change_of_the_selected_motion_is_reported_with_its_energy(printed):
-    shown = dpcontrol("walk", "printed", "--energy", "0.19", "-s", "down-up +", "--compare", "0.195", "--json")
-    assert shown.code == 0
-    changes = shown.document["symbol_changes"]
-    assert [round(one["energy"], 5) for one in changes] == pytest.approx([0.19122, 0.19332], abs=2e-5)
-    # Independently of continuation, the selected points on the section differ on both sides of each change.
-    for one in changes:
-        below, above = (printed.chosen(one["energy"] + way * 2 * max(one["within"], 1e-6)) for way in (-1, 1))
-        assert below is not None
-        assert above is not None
-        assert abs(below.state[2] - above.state[2]) > 0.5
+    """The guide shows the change."""
+    ended = dpcontrol(*shlex.split(COMMAND)[1:], "--json")
+    assert ended.code == 0
+    (change,) = ended.document["symbol_changes"]
+    assert f'$ {COMMAND}\n"down-up +" selects another connection beyond {change["energy"]:.5f}…\n' in PAGE
+    # Independently of continuation, the selected points on the section differ on both sides of the change.
+    below, above = (printed.chosen(change["energy"] + way * 2 * max(change["within"], 1e-6)) for way in (-1, 1))
+    assert below is not None
+    assert above is not None
+    assert abs(below.state[2] - above.state[2]) > 0.5
 
 
 @pytest.mark.slow

@@ -8,11 +8,12 @@ from functools import partial
 import numpy as np
 from matplotlib.axes import Axes
 
-from dpcontrol.bifurcations.bifurcations import BranchDiagram
+from dpcontrol.bifurcations.bifurcations import BifurcationSearch, BranchDiagram, branch_diagram
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.document import counted
 from dpcontrol.foundation.progress import part_of
 from dpcontrol.pages import style
-from dpcontrol.pages.gallery import Gallery, PaperFigure
+from dpcontrol.pages.figures import Gallery, PaperFigure
 from dpcontrol.pages.layout import Page
 from dpcontrol.pages.panels import angle_axis, quiet
 
@@ -39,9 +40,27 @@ def branches_page(gallery: Gallery) -> PaperFigure:
         "the section (no birth).",
         size=style.TEXT,
     )
-    page.row(*(partial(_angle_branches, diagram=diagram) for diagram in diagrams), height=3.1)
-    page.row(*(partial(draw_momentum_branches, diagram=diagram) for diagram in diagrams), height=3.1)
-    return PaperFigure(page.figure(), branch_caption(diagrams), branch_differences(diagrams))
+    panels = [partial(draw, diagram=d) for draw in (_angle_branches, draw_momentum_branches) for d in diagrams]
+    words = "; ".join(
+        f"{pair_name(d)}: {d.counts[0][1]} connections at {d.counts[0][0]:.4f} J and "
+        f"{'' if d.counts[-1][2] else 'at least '}{d.counts[-1][1]} at {d.counts[-1][0]:.4f} J by {len(d.marks)} events"
+        for d in diagrams
+    )
+    onset = min((m.energy for m in diagrams[2].marks), default=float("nan"))
+    return PaperFigure(
+        page.grid(panels, across=len(diagrams), height=3.1).figure(),
+        "The section crossing of each connection, as energy grows: its angle there (above) and the momentum across "
+        "(below). Each curve is a connection followed by continuation, also round folds; marks are events, each "
+        "solved separately. The numbers below count all connections on the torus; curves show one "
+        "sense, whose mirror images under (θ, ω) → (-θ, -ω) are the other. Shaded, or above the last energy: "
+        "trajectories of a tube pass by another orbit and scatter before they arrive, connections accumulate, and "
+        f"those found are some of them. {words}. Changes of the numbers without a located cause: "
+        f"{sum(d.unexplained for d in diagrams)}.",
+        "Folds and splittings are located instead of read off a list of counts. They are distinguished from grazes of "
+        "the section, which only change a connection's number of hits. Both orbits exist from 0.1754 J on, which "
+        "the paper gives for the onset of heteroclinics; the first of them that meets its section once each appears at "
+        f"{onset:.6f} J. With the parameters printed in the paper's text all these energies differ.",
+    )
 
 
 def _angle_branches(axes: Axes, diagram: BranchDiagram) -> None:
@@ -94,28 +113,15 @@ def pair_name(diagram: BranchDiagram) -> str:
     return f"{diagram.source} to {'itself' if diagram.source == diagram.target else diagram.target}"
 
 
-def branch_caption(diagrams: list[BranchDiagram]) -> str:
-    words = "; ".join(
-        f"{pair_name(d)}: {d.counts[0][1]} connections at {d.counts[0][0]:.4f} J and "
-        f"{'' if d.counts[-1][2] else 'at least '}{d.counts[-1][1]} at {d.counts[-1][0]:.4f} J by {len(d.marks)} events"
-        for d in diagrams
-    )
-    return (
-        "The section crossing of each connection, as energy grows: its angle there (above) and the momentum across "
-        "(below). Each curve is a connection followed by continuation, also round folds; marks are events, each "
-        "solved separately. The numbers below count all connections on the torus; curves show one "
-        "sense, whose mirror images under (θ, ω) → (-θ, -ω) are the other. Shaded, or above the last energy: "
-        "trajectories of a tube pass by another orbit and scatter before they arrive, connections accumulate, and "
-        f"those found are some of them. {words}. Changes of the numbers without a located cause: "
-        f"{sum(d.unexplained for d in diagrams)}."
-    )
+def bifurcations(axes: Axes, found: BifurcationSearch) -> None:
+    """Draw the section's momentum of each connection over the energy.
 
+    The bifurcations and the counts are added.
 
-def branch_differences(diagrams: list[BranchDiagram]) -> str:
-    onset = min((m.energy for m in diagrams[2].marks), default=float("nan"))
-    return (
-        "Folds and splittings are located instead of read off a list of counts. They are distinguished from grazes of "
-        "the section, which only change a connection's number of hits. Both orbits exist from 0.1754 J on, which "
-        "the paper gives for the onset of heteroclinics; the first of them that meets its section once each appears at "
-        f"{onset:.6f} J. With the parameters printed in the paper's text all these energies differ."
-    )
+    Args:
+        axes: panel to draw on.
+        found: search to draw.
+    """
+    draw_momentum_branches(axes, branch_diagram(found))
+    title = f"{found.source} → {found.target}: {counted(len(found.events), 'bifurcation')} on {found.section.name}"
+    quiet(axes, title, x=f"energy{found.system.unit('J', ' ({})')}", y="p / p₀")

@@ -1,6 +1,6 @@
-"""Show a run live in a Rerun viewer.
+"""The Rerun viewer, a separate program that is opened for the user: on a review, and on a run while it happens.
 
-The loop sends rows through a pipe to a separate process, which records them for the viewer.
+The loop sends rows of a run through a pipe to a separate process, which records them for the viewer.
 
 The loop never waits. Fifty times a second it writes a row of some 300 bytes to a non-blocking pipe, and drops the row
 if the pipe is full. The process shows rows until the pipe or the viewer is closed. Its failures do not affect the run.
@@ -10,27 +10,177 @@ import contextlib
 import os
 import pickle
 import select
+import shutil
 import socket
 import subprocess
 import sys
+import tempfile
 import time
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.config import configuration
+from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError, remark
+from dpcontrol.foundation.files import archive_format, is_archive
+from dpcontrol.foundation.parts import installed, part
+from dpcontrol.judge.comparison import RunComparison, compare
+from dpcontrol.judge.of_log import reference_view, run_view
 from dpcontrol.judge.run_view import RunView, series_of
-from dpcontrol.logs import Event, RunLog
+from dpcontrol.judge.score import plan_of
+from dpcontrol.logs import Event, RunLog, read_log
 from dpcontrol.loop.result import LoopSink, Ticks
+from dpcontrol.pages import rerun_recording as recorded
+from dpcontrol.pages.planes import plane
+from dpcontrol.pages.renderers import record
+from dpcontrol.pages.run_charts import charts
+from dpcontrol.pages.story import strips
+from dpcontrol.plans.atlas import load_atlas
+from dpcontrol.references.reference import FORMAT, load_reference
+from dpcontrol.walks.atlas import Atlas
 
-if TYPE_CHECKING:
-    import rerun as rr
+
+def viewer_program() -> Path | None:
+    """Return the viewer's executable in the rerun-sdk package, or None."""
+    if not installed("rerun_cli"):
+        return None
+    import rerun_cli
+
+    found = shutil.which("rerun", path=Path(rerun_cli.__file__).parent)
+    return None if found is None else Path(found)
+
+
+_QUIET = {"CI": "1"}
+"""Setting against usage reports of the viewer, which it sends except in CI."""
+_LOOPBACK = ("--bind", "127.0.0.1")
+"""Setting that restricts the viewer to connections from this computer."""
+_STARTED = 1.0
+"""Time after which a running viewer has found its display, s."""
+
+REVIEW_REMEDY = "write a file with --picture FILE.png or --save FILE.rrd"
+LIVE_REMEDY = "leave out --live, and draw the log with `dpcontrol review LOG --picture FILE.png`"
+
+
+def check_viewer(remedy: str = REVIEW_REMEDY) -> Path:
+    """Return the viewer's executable.
+
+    The `remedy` is advice for a user without a display.
+
+    Raises:
+        InputError: there is no viewer, or no display to open it on.
+        PartMissing: rerun-sdk is not installed.
+    """
+    part("rerun")
+    named = configuration().viewer
+    program = Path(os.path.expanduser(named)) if named else viewer_program()
+    if named and not os.access(str(program), os.X_OK):
+        raise InputError(
+            f"viewer = {named!r}: there is no such program; correct it (`dpcontrol config` shows where it is set)"
+        )
+    if program is None:
+        raise InputError("the installed rerun-sdk holds no viewer; install rerun-sdk from PyPI again")
+    if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise InputError(
+            f"there is no display to open the viewer on (neither DISPLAY nor WAYLAND_DISPLAY is set); {remedy}"
+        )
+    return program
+
+
+def viewer_command(*arguments: str) -> tuple[list[str], dict[str, str]]:
+    """Return command and environment of a private viewer.
+
+    It accepts local connections only and reports nothing.
+
+    Raises:
+        InputError: there is no viewer, or no display to open it on.
+    """
+    return [str(check_viewer()), *arguments, *_LOOPBACK], {**os.environ, **_QUIET}
+
+
+def view_in_window(shown: Any, name: str) -> Path:
+    """Open a separate viewer on a review and return the name of its recording, which is not kept.
+
+    The viewer outlives this process and accepts local connections only.
+
+    Args:
+        shown: run, reference, comparison or atlas.
+        name: name of the recording.
+
+    Raises:
+        InputError: the viewer or the display is missing, or the viewer ended at once.
+        PartMissing: rerun-sdk is not installed.
+    """
+    command, environment = viewer_command("-")
+    silent: dict[str, Any] = dict.fromkeys(("stdout", "stderr"), subprocess.DEVNULL)
+    # The viewer keeps its open file when the folder is removed; Windows keeps the folder instead.
+    with tempfile.TemporaryDirectory(prefix="dpcontrol-", ignore_cleanup_errors=True) as folder:
+        recording = Path(folder) / f"{name[:40]}.rrd"
+        record(shown, recording)
+        with recording.open("rb") as content:
+            viewer = subprocess.Popen(command, stdin=content, start_new_session=True, env=environment, **silent)
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        if viewer.wait(_STARTED):
+            raise InputError(f"the viewer ended at once; {REVIEW_REMEDY}")
+    # The viewer runs on independently and is not waited for.
+    viewer.returncode = 0
+    return recording
+
+
+@dataclass(frozen=True)
+class Review(Documented):
+    """Reviewed files, and what was written.
+
+    Attributes:
+        files: logs, an atlas or a reference.
+        recording: recording that was saved or opened, or None.
+        film: film of the arms, or None.
+        aligned: how several logs are aligned, None for one.
+    """
+
+    KEYS: ClassVar[str] = "log=files.0 logs=files recording film aligned? status"
+
+    status = "done"
+    files: tuple[Path, ...]
+    recording: Path | None
+    film: Path | None
+    aligned: str | None
+
+
+Shown = RunView | RunComparison | Atlas
+"""Objects to review: a run or a reference, several runs, an atlas."""
+
+
+def opened(files: Sequence[Path], *, symbol: int = 1) -> Shown:
+    """Return the view of one or more files.
+
+    Args:
+        files: a log, a reference or an atlas; or several logs, which are compared.
+        symbol: number of the symbol at which several logs are aligned, from 1.
+
+    Raises:
+        InputError: a file is missing or damaged, or one of several files is not a log.
+    """
+    if not files:
+        raise InputError("files = []: give one at least")
+    first, *others = files
+    if others:
+        if other := next((file for file in files if file.suffix.lower() == ".npz"), None):
+            raise InputError(
+                f"{other} is not a log: several files can be compared only if all are logs; review it alone"
+            )
+        return compare([run_view(read_log(file)) for file in files], symbol=symbol)
+    if is_archive(first) and archive_format(first) == FORMAT:
+        return reference_view(load_reference(first), first)
+    if is_archive(first):
+        return load_atlas(first)
+    return run_view(read_log(first))
 
 
 RATE = 50.0
@@ -61,8 +211,6 @@ class LiveView(LoopSink):
     """
 
     def __init__(self, start: RunLog, *, viewer: str = "") -> None:
-        from dpcontrol.pages.picture import LIVE_REMEDY, check_viewer
-
         if sys.platform == "win32":
             raise InputError("a live view needs pipes as Linux and macOS have them; review the log after the run")
         if not viewer:
@@ -151,7 +299,7 @@ def parts_of(pipe: Connection, open_: Callable[[], bool] = lambda: True) -> Iter
             yield np.array(rows).reshape(len(rows), -1), tuple(item for item in items if isinstance(item, Event))
 
 
-def show(recording: "rr.RecordingStream", start: RunLog, parts: Iterable[Part]) -> None:
+def show(recording: "recorded.rr.RecordingStream", start: RunLog, parts: Iterable[Part]) -> None:
     """Show the plan of a run with its orbits and tubes, and the run as it arrives.
 
     Args:
@@ -159,13 +307,6 @@ def show(recording: "rr.RecordingStream", start: RunLog, parts: Iterable[Part]) 
         start: log before the first row.
         parts: rows and events.
     """
-    from dpcontrol.judge.of_log import reference_view
-    from dpcontrol.judge.score import plan_of
-    from dpcontrol.pages import rerun_recording as recorded
-    from dpcontrol.pages.planes import plane
-    from dpcontrol.pages.run_charts import charts
-    from dpcontrol.pages.strips import strips
-
     planned, log = reference_view(plan_of(start), start.path), replace(start, rate_hz=RATE, extras=None)
     tail, waiting = None, ()
     for rows, events in parts:
@@ -174,7 +315,7 @@ def show(recording: "rr.RecordingStream", start: RunLog, parts: Iterable[Part]) 
             continue
         view = _view(log, planned, rows, waiting)
         if tail is None:
-            sheets = [recorded.phase_plane(plane(view, arm)) for arm in range(view.arms)]
+            sheets = [recorded.Sheet.around(plane(view, arm)) for arm in range(view.arms)]
             recording.send_blueprint(recorded.blueprint(view, sheets, growing=True), make_active=True)
             recording.send_recording_name(view.title)
             recorded.record_strips(recording, "", strips(planned), planned)
@@ -208,10 +349,6 @@ def _view(start: RunLog, planned: RunView, rows: Array, events: tuple[Event, ...
 
 def _run(start: RunLog, address: str, pipe: Connection) -> None:
     """Show the rows in a pipe in the viewer at an address; "" opens one. This is the separate process."""
-    import rerun as rr
-
-    from dpcontrol.pages.picture import viewer_command
-
     # Ctrl-C ends the run, and neither this process nor the viewer.
     os.setsid()
     os.nice(10)
@@ -228,7 +365,7 @@ def _run(start: RunLog, address: str, pipe: Connection) -> None:
         viewer = subprocess.Popen(command, env=environment, **silent)
         address = f"rerun+http://127.0.0.1:{port}/proxy"
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stderr.fileno())
-    recording = rr.RecordingStream("dpcontrol")
+    recording = recorded.rr.RecordingStream("dpcontrol")
     recording.connect_grpc(address)
     show(recording, start, parts_of(pipe, lambda: viewer is None or viewer.poll() is None))
     recording.flush(timeout_sec=_LAST)

@@ -1,0 +1,321 @@
+"""Pages on many runs: a campaign, a long run, and the forecast of a preflight.
+
+The page of a campaign shows the shares of completed runs, and where and why the others failed.
+"""
+
+import math
+from collections.abc import Sequence
+from functools import partial
+from textwrap import shorten
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullFormatter, PercentFormatter
+
+from dpcontrol.foundation.causes import Cause
+from dpcontrol.foundation.statistics import wilson
+from dpcontrol.foundation.units import prefixed
+from dpcontrol.judge.campaign import CampaignSummary, Group
+from dpcontrol.judge.night import BETWEEN, BRAKING, FLYING, ITINERARY, STOPPED, UNKNOWN, Night
+from dpcontrol.judge.preflight import HazardBorder, Preflight, shown_number
+from dpcontrol.pages import style
+from dpcontrol.pages.layout import Page, Panel, cropped
+from dpcontrol.pages.panels import Bar, bars, name_curves, quiet
+
+_MOST, _APART = 28, 6
+"""Most bars, and most mismatches that are drawn as separate bars."""
+_SYMBOLS = 8
+"""Most bars of failures by symbol."""
+
+
+def draw_campaign(summary: CampaignSummary) -> Figure:
+    """Return a campaign's page as a figure."""
+    page = Page(f"Campaign {summary.path.stem}", summary.status, summary.good)
+    groups = min(len(_bars_of(summary)), _MOST)
+    above: list[Panel] = [Panel(partial(draw_groups, summary=summary), 1.3)]
+    if summary.levels:
+        above.append(Panel(partial(_draw_levels, summary=summary)))
+    page.row(*above, height=max(2.6, 0.8 + 0.21 * groups))
+    if summary.failed_symbols or summary.reasons:
+        failures = [Panel(partial(_draw_symbols, summary=summary)), Panel(partial(_draw_reasons, summary=summary), 1.3)]
+        page.row(*failures, height=2.4)
+    return page.figure()
+
+
+def _group_colours(summary: CampaignSummary, labels: Sequence[str]) -> list[str]:
+    order = list(dict.fromkeys(group.family for group in summary.groups))
+    return [style.RUNS[order.index(label) % len(style.RUNS)] for label in labels]
+
+
+def _bars_of(summary: CampaignSummary) -> list[tuple[Group, str]]:
+    """Return the groups to draw as bars with their labels.
+
+    Few mismatches are kept apart.
+    """
+    families = {level.label for level in summary.levels}
+    if summary.axis == "mismatch" and 0 < len(summary.levels) <= _APART * len(families):
+        return [(level, f"{level.label} · mismatch {level.low:.3g}") for level in summary.levels]
+    # Controllers of one kind of trouble are adjacent.
+    groups = sorted(summary.groups, key=lambda group: (group.names.get("kind", ""), -group.share.rate))
+    return [(group, group.label) for group in groups]
+
+
+def draw_groups(axes: Axes, summary: CampaignSummary) -> None:
+    every = _bars_of(summary)
+    shown = every[:_MOST]
+    more = f"… and {len(every) - len(shown)} groups more" if len(every) > len(shown) else ""
+    colours = _group_colours(summary, [group.family for group, _ in shown])
+    rows = [
+        Bar(label, g.share.rate, colour, (g.share.low, g.share.high), f"{g.share.successes} of {g.share.runs}")
+        for (g, label), colour in zip(shown, colours, strict=True)
+    ]
+    bars(axes, "Runs completed; lines: Wilson's 95 % interval", rows, x=more)
+    axes.set_xlim(0, 1)
+    axes.xaxis.set_major_formatter(PercentFormatter(1.0))
+
+
+def _draw_levels(axes: Axes, summary: CampaignSummary) -> None:
+    standard = summary.axis == "level"
+    text = "level of each kind of trouble" if standard else "mismatch, share of each parameter"
+    over = "over the level, of all kinds" if standard else "over the mismatch"
+    labels = list(dict.fromkeys(level.label for level in summary.levels))
+    shown = labels[: len(style.RUNS)]
+    hidden = f"; first {len(shown)} of {len(labels)} groups" if len(labels) > len(shown) else ""
+    quiet(axes, f"Runs completed {over}{hidden}", x=text)
+    names: list[tuple[float, str, str]] = []
+    axes.set_ylim(-0.03, 1.03)
+    axes.yaxis.set_major_formatter(PercentFormatter(1.0))
+    reach = max(level.high for level in summary.levels) - min(level.low for level in summary.levels)
+    for k, (label, colour) in enumerate(zip(shown, _group_colours(summary, shown), strict=True)):
+        levels = [level for level in summary.levels if level.label == label]
+        # Groups are offset slightly, so that their intervals do not overlap.
+        x = np.array([(level.low + level.high) / 2 for level in levels]) + 0.006 * reach * (k - len(shown) / 2)
+        low, rates, high = np.array([(level.share.low, level.share.rate, level.share.high) for level in levels]).T
+        spread = np.maximum([rates - low, high - rates], 0)
+        axes.errorbar(x, rates, yerr=spread, color=colour, marker="o", markersize=4.5, linewidth=1.3, capsize=2)
+        names.append((float(rates[-1]), shorten(label, 24, placeholder=" …"), colour))
+    if standard:
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    else:
+        axes.xaxis.set_major_formatter(PercentFormatter(1.0))
+    if len(labels) > 1:
+        name_curves(axes, names)
+
+
+def _draw_symbols(axes: Axes, summary: CampaignSummary) -> None:
+    failed = sorted(summary.failed_symbols, key=lambda failure: -failure[2])[:_SYMBOLS]
+    colours = _group_colours(summary, [label for label, _, _ in failed])
+    places = [f"symbol {symbol}" if symbol else "not named" for _, symbol, _ in failed]
+    rows = [
+        Bar(f"{label}, {place}".removeprefix(", "), count, colour)
+        for (label, _, count), place, colour in zip(failed, places, colours, strict=True)
+    ]
+    bars(axes, "Failed runs by the symbol that was not done; beyond the last: not held to the end", rows)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+
+
+def _draw_reasons(axes: Axes, summary: CampaignSummary) -> None:
+    rest = sum(count for _, count in summary.reasons[6:])
+    shown = [*summary.reasons[:6], *([("other reasons", rest)] if rest else [])]
+    bars(axes, "Failed runs by cause", [Bar(text, count, style.LIMIT) for text, count in shown])
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+
+
+_COLOURS = {
+    ITINERARY: style.MODES["holding"],
+    BRAKING: style.MODES["saturated"],
+    FLYING: style.MODES["pulsing"],
+    BETWEEN: style.MODES["tracking"],
+    UNKNOWN: style.INK,
+    STOPPED: style.PAPER,
+}
+_ROW = 1800.0
+"""Duration of a row of the strip, s, short enough to show absences of seconds; longer in long nights."""
+_ROWS = 32
+_REMAINDER = 5.0
+"""Time at the end of a night, s, that gets no separate row, for example while the cart is braked."""
+
+
+def draw_night(night: Night) -> Figure:
+    """Return one page on a night.
+
+    It shows strips of half an hour, times by activity and to return, causes, and drift of the parameters.
+    """
+    last = max(span.end for span in night.spans)
+    row = last if last <= 600.0 + _REMAINDER else 600.0 if last <= 3600.0 else _ROW * math.ceil(last / _ROW / _ROWS)
+    rows = max(1, math.ceil((last - _REMAINDER) / row))
+    drifts = {
+        "Encoder zeros": [name for name in night.estimated if name.startswith("zero_")],
+        "Other parameters": [name for name in night.estimated if not name.startswith("zero_")],
+    }
+    page = Page(night.folder.name, night.sentence)
+    page.row(partial(_draw_strip, night=night, row=row, rows=rows), height=1.0 + 0.36 * rows)
+    below = [partial(_draw_times, night=night), Panel(partial(draw_causes, night=night), 1.1)]
+    page.row(*below, *([partial(_draw_returns, night=night)] if len(night.returns) else []), height=2.1)
+    shown = [partial(_draw_drift, night=night, what=what, names=names) for what, names in drifts.items() if names]
+    return page.row(*shown, height=2.3).figure()
+
+
+_FALLS: dict[str, str] = {
+    Cause.TRACKING_LOST: style.LIMIT,
+    Cause.FALLEN: style.LIMIT,
+    Cause.TOO_FAST: style.LIMIT,
+    Cause.NOT_HELD: style.LIMIT,
+    Cause.ESTIMATE_LOST: style.ESTIMATE,
+    Cause.CART: style.SERIES[5],
+    Cause.SWITCH: style.SERIES[5],
+    Cause.STUCK: style.SERIES[0],
+    Cause.SILENT: style.SERIES[2],
+}
+
+
+def _draw_strip(axes: Axes, night: Night, row: float, rows: int) -> None:
+    quiet(axes, "Rows of up to half an hour, with the share on the itinerary; triangles are falls", x="minutes")
+    for k in range(rows):
+        begin, known, on = k * row, 0.0, 0.0
+        for span in night.spans:
+            first, last = max(span.first, begin), min(span.end, begin + row)
+            if last <= first:
+                continue
+            # The edge keeps short absences visible.
+            edge = 0.0 if span.kind in (ITINERARY, STOPPED) else 0.8
+            look = {"facecolor": _COLOURS[span.kind], "edgecolor": _COLOURS[span.kind], "linewidth": edge}
+            axes.broken_barh([((first - begin) / 60, (last - first) / 60)], (k - 0.39, 0.78), **look)
+            known += (last - first) * (span.kind != UNKNOWN)
+            on += (last - first) * (span.kind == ITINERARY)
+        text = f"{on / known:.0%}" if known else ""
+        axes.text(1.008, k, text, transform=axes.get_yaxis_transform(), va="center", fontsize=style.SMALL)
+    for fall in night.falls:
+        k = min(int(fall.time / row), rows - 1)
+        look = {"color": _FALLS.get(fall.cause, style.INK), "markersize": 4.5, "clip_on": False}
+        axes.plot((fall.time - k * row) / 60, k - 0.42, "v", **look)
+    minutes = [round(k * row / 60) for k in range(rows)]
+    axes.set_yticks(range(rows), [f"{m // 60}:{m % 60:02d} h" if row >= _ROW else f"{m} min" for m in minutes])
+    axes.set(xlim=(0, row / 60), ylim=(rows - 0.5, -0.65))
+
+
+def _draw_times(axes: Axes, night: Night) -> None:
+    spent = {kind: sum(s.end - s.first for s in night.spans if s.kind == kind) for kind in _COLOURS if kind != STOPPED}
+    spent = {kind: time for kind, time in spent.items() if time}
+    scale, unit = (1 / 3600, "hours") if max(spent.values(), default=0.0) > 3600 else (1 / 60, "minutes")
+    rows = [Bar(kind, scale * time, _COLOURS[kind]) for kind, time in spent.items()]
+    bars(axes, f"Time by activity ({unit}), in the strip's colours", rows)
+
+
+def _draw_returns(axes: Axes, night: Night) -> None:
+    returns = night.returns
+    median, late = np.quantile(returns, (0.5, 0.99))
+    times = f"s; median {median:.1f}, 99 % within {late:.1f}"
+    quiet(axes, "Time from the fall back onto the itinerary", x=times, y="share of falls within")
+    axes.ecdf(returns, color=style.ARMS[0])
+    axes.set(xlim=(0, 1.3 * max(returns)), ylim=(0, 1.03))
+
+
+def draw_causes(axes: Axes, night: Night) -> None:
+    rows = [Bar(cause, count, _FALLS.get(cause, style.INK)) for cause, count in night.causes.items()]
+    bars(axes, "Falls by cause, in the triangles' colours", rows)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+
+
+def _draw_drift(axes: Axes, night: Night, what: str, names: Sequence[str]) -> None:
+    courses = [night.course(name) for name in names]
+    angles = names[0].startswith("zero_")
+    largest = max(float(np.abs(values - values[0]).max()) for _, values in courses)
+    scale, unit = prefixed(largest, "rad") if angles else (100.0, "%")
+    quiet(axes, f"{what}, change since the first file ({unit})", x="hours")
+    ends = []
+    for k, (name, (hours, values)) in enumerate(zip(names, courses, strict=True)):
+        colour = style.RUNS[k % len(style.RUNS)]
+        change = scale * (values - values[0])
+        line = "-" if k < len(style.RUNS) else "--"
+        axes.plot(hours, change, line, color=colour, marker="o", markersize=2.5, linewidth=1.1)
+        ends.append((float(change[-1]), name, colour))
+    name_curves(axes, ends)
+
+
+_WIDTH = 8.27
+"""A4 in portrait, inches."""
+_COLUMNS = 4
+
+
+def draw_preflight(found: Preflight) -> Figure:
+    """Return a preflight's page as a figure."""
+    title = f"Before the first run: {found.itinerary}"
+    page = Page(title, found.status, found.likely, width=_WIDTH)
+    page.text(found.advice, colour=style.INK, size=style.TEXT)
+    page.text(f"The bench as described, model {found.model}", colour=style.INK, size=style.HEAD)
+    text = partial(cropped, size=style.TEXT)
+    page.table([(one.name, text(one.value, width=2.4), text(one.source, width=4.0)) for one in found.known])
+    page.text("Endings of failed runs, share of all runs", colour=style.INK, size=style.HEAD)
+    runs, endings = found.share.runs, found.endings[:_REASONS]
+    rows = [(f"{e.runs / runs:.1%}", text(e.cause, width=1.6), text(e.example, width=5.0)) for e in endings]
+    page.table(rows or [("", "none: every run completed", "")])
+    if found.borders:
+        title = "Borders: half as many runs complete as on the bench as described"
+        page.text(title, colour=style.INK, size=style.HEAD)
+        page.grid([partial(_border, border=border) for border in found.borders], across=_COLUMNS, height=1.55)
+        page.text(
+            "Dots: share of completed runs, relative to the bench as described; to the right it gets worse. Dashed "
+            "green: the bench as described. Red: border with its 95 % interval."
+        )
+    if found.changes:
+        page.row(partial(_changes, found=found), height=0.75 + 0.19 * len(found.changes))
+    else:
+        page.text("No change was tried, because no run failed or none was compared.")
+    for note in found.notes:
+        page.text(f"Mind: {note}")
+    return page.figure()
+
+
+_REASONS = 5
+
+
+def _border(axes: Axes, border: HazardBorder) -> None:
+    margin = "" if border.margin is None else f" ({border.margin:.1f}×)"
+    quiet(axes, f"{border.name}: {border.sentence}{margin}", x=border.unit)
+    own = border.set if border.set and math.isfinite(border.set) else None
+    values = [point.value for point in border.points]
+    for point in border.points:
+        band = wilson(min(point.completed, point.reference), point.reference)
+        axes.plot([point.value] * 2, [band.low, band.high], color=style.CART, linewidth=0.9, alpha=0.6)
+        axes.plot(point.value, min(point.share, 1.0), "o", color=style.INK, markersize=3)
+    if own is not None:
+        axes.axvline(own, color=style.GOOD, linewidth=1.2, linestyle=style.DASHED)
+        values.append(own)
+    if border.border is not None:
+        axes.axvspan(border.low or border.border, border.high or border.border, color=style.LIMIT, alpha=0.15)
+        axes.axvline(border.border, color=style.LIMIT, linewidth=1.2)
+    axes.axhline(0.5, color=style.MARK, linewidth=0.7, linestyle=style.DASHED)
+    low, high = min(values), max(values)
+    axes.set_xscale("log")
+    axes.set(xlim=(low / 1.3, high * 1.3), ylim=(-0.03, 1.06))
+    if border.falling:
+        axes.invert_xaxis()
+    ticks = sorted({float(f"{v:.2g}") for v in ((low, high) if high > 1.5 * low else (low,))})
+    axes.xaxis.set_major_locator(FixedLocator(ticks))
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: shown_number(value)))
+    axes.xaxis.set_minor_formatter(NullFormatter())
+    axes.yaxis.set_major_formatter(PercentFormatter(1.0))
+    axes.set_yticks([0, 0.5, 1])
+
+
+def _changes(axes: Axes, found: Preflight) -> None:
+    rows = [
+        Bar(one.text, gain, style.GOOD if gain > reach else style.FAINT, (gain - reach, gain + reach))
+        for one, gain, reach in ((one, 100 * one.gain, 200 * one.error) for one in found.changes)
+    ]
+    bars(axes, "Gain of each change, on the same seeds; lines: two standard errors", rows, x="points of all runs")
+    axes.axvline(0, color=style.MARK, linewidth=0.8)
+
+
+def whole_preflight(axes: Axes, found: Preflight) -> None:
+    """Draw the shares of completed runs and of each other ending.
+
+    Args:
+        axes: panel to draw on.
+        found: preflight to draw.
+    """
+    rows = [Bar("completed", found.share.rate, style.GOOD)]
+    rows += [Bar(one.cause, one.runs / found.share.runs, style.LIMIT) for one in found.endings]
+    bars(axes, found.status, rows, x="share of runs that end so")
