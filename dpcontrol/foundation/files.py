@@ -428,27 +428,6 @@ def archive_format(path: Path | str) -> str:
         return ""
 
 
-def is_archive(path: Path | str) -> bool:
-    """True if the first bytes are those of an archive.
-
-    The archive may be damaged.
-
-    Args:
-        path: any file.
-
-    Raises:
-        InputError: it is not a regular file.
-    """
-    try:
-        with checked_source(path).open("rb") as file:
-            return file.read(4) == _ZIP
-    except OSError:
-        return False
-
-
-_ZIP = b"PK\x03\x04"
-
-
 @contextmanager
 def archive(
     path: Path | IO[bytes], *, what: str, make: str, again: str, format: str, versions: tuple[int, ...]
