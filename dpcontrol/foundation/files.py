@@ -16,7 +16,7 @@ import os
 import struct
 import zipfile
 import zlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from io import BytesIO
@@ -93,7 +93,8 @@ def claimed(path: Path) -> Iterator[None]:
     """Prevent other commands from writing a file until the end of the block.
 
     A claim is a locked file beside it, whose name has the start and the hash of its name. The system ends the claim of
-    a killed command. The claim has no effect where files cannot be locked.
+    a killed command. The claim has no effect where files cannot be locked. Folders that are made for the claim are
+    removed if they stay empty.
 
     Args:
         path: file to write, which may be missing.
@@ -103,7 +104,7 @@ def claimed(path: Path) -> Iterator[None]:
     """
     place = Path(os.path.realpath(path))
     partial = place.with_name(f".{place.name[:40]}-{content_hash(place.name)}.partial")
-    made = missing_folders(place.parent)
+    made = [folder for folder in place.parents if not os.path.exists(folder)]
     place.parent.mkdir(parents=True, exist_ok=True)
     with partial.open("ab") as handle:
         if not _exclusive(handle.fileno()):
@@ -114,7 +115,10 @@ def claimed(path: Path) -> Iterator[None]:
             yield
         finally:
             partial.unlink(missing_ok=True)
-            remove_empty(made)
+            # The deepest comes first; one that is not empty ends this.
+            with suppress(OSError):
+                for folder in made:
+                    folder.rmdir()
 
 
 def _exclusive(handle: int) -> bool:
@@ -274,34 +278,14 @@ def unwritable(path: Path, error: OSError) -> InputError:
     return InputError(f"cannot write {path}: {error.strerror or error}; choose another file or folder")
 
 
-def missing_folders(folder: Path) -> list[Path]:
-    """Return the folders to make for a folder, the deepest first.
-
-    Args:
-        folder: folder to make.
-    """
-    return [place for place in (folder, *folder.parents) if not os.path.exists(place)]
-
-
-def remove_empty(folders: Sequence[Path]) -> None:
-    """Remove folders, up to the first that is not empty.
-
-    Args:
-        folders: folders that this program made, the deepest first.
-    """
-    with suppress(OSError):
-        for folder in folders:
-            folder.rmdir()
-
-
 @contextmanager
 def whole_file(path: Path, *, suffix: str = "") -> Iterator[Path]:
     """Yield a temporary path beside `path`.
 
     Rename it to `path` when the block ends without an error.
 
-    The temporary name ends with `suffix`, for writers that choose a format by it. The temporary file and the folders
-    made for it are removed if the block raises.
+    The temporary name ends with `suffix`, for writers that choose a format by it. The temporary file is
+    removed if the block raises.
 
     Args:
         path: file to write; missing folders are made.
@@ -313,7 +297,6 @@ def whole_file(path: Path, *, suffix: str = "") -> Iterator[Path]:
     path = checked_target(Path(path))
     # A name of any length leaves room for additions.
     temporary = path.with_name(f".{path.name[:40]}.{token_hex(4)}{suffix or '.partial'}")
-    made = missing_folders(path.parent)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         temporary.touch(exist_ok=False)
@@ -323,7 +306,6 @@ def whole_file(path: Path, *, suffix: str = "") -> Iterator[Path]:
         raise unwritable(path, error) from error
     finally:
         temporary.unlink(missing_ok=True)
-        remove_empty(made)
 
 
 def write_whole(path: Path, content: bytes | str) -> None:
@@ -426,27 +408,6 @@ def archive_format(path: Path | str) -> str:
             return str(json.loads(str(packed["header"]))["format"])
     except UNREADABLE:
         return ""
-
-
-def is_archive(path: Path | str) -> bool:
-    """True if the first bytes are those of an archive.
-
-    The archive may be damaged.
-
-    Args:
-        path: any file.
-
-    Raises:
-        InputError: it is not a regular file.
-    """
-    try:
-        with checked_source(path).open("rb") as file:
-            return file.read(4) == _ZIP
-    except OSError:
-        return False
-
-
-_ZIP = b"PK\x03\x04"
 
 
 @contextmanager

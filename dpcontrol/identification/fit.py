@@ -35,6 +35,7 @@ Sources: Atkinson, Donev, Tobias, Optimum experimental designs, with SAS (2007),
 robot excitation and identification (1997).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import pairwise, product
@@ -193,6 +194,17 @@ class Swing(Brief):
         pieces = max(round((count - 1) / max(round(length / self.period), 2)), 1)
         return np.linspace(0, count - 1, pieces + 1).round().astype(int)
 
+    def guess(self, rows: Sequence[int] | NDArray[np.intp]) -> Array:
+        """Return states (R, 2n) from the measured angles.
+
+        Missing angles are interpolated, and rates come from a local polynomial.
+
+        Args:
+            rows: samples (R,).
+        """
+        angles = filled(self.angles)
+        return np.hstack([angles[rows], smoothed_derivative(angles, self.period)[rows]])
+
 
 def filled(angles: Array) -> Array:
     """Return angles (K, n) with missing ones interpolated, or zero if there is none.
@@ -234,15 +246,9 @@ class Windows:
                 self.drive[:, w, : rows.stop - rows.start] = swing.drive[:, rows]
 
     def guess(self) -> Array:
-        """Return starts (W, 2n) from the measured angles.
-
-        Missing angles are interpolated, and rates come from a local polynomial.
-        """
-        starts = []
-        for swing, windows in zip(self.swings, self.of_swing, strict=True):
-            angles, at = filled(swing.angles), self.first[windows.start : windows.stop]
-            starts.append(np.hstack([angles[at], smoothed_derivative(angles, swing.period)[at]]))
-        return np.concatenate(starts)
+        """Return starts (W, 2n) from the measured angles."""
+        pairs = zip(self.swings, self.of_swing, strict=True)
+        return np.concatenate([swing.guess(self.first[w.start : w.stop]) for swing, w in pairs])
 
     def linearised(self, starts: Array, values: Array, where: NDArray[np.intp]) -> "Linearised":
         """Integrate all windows and chain their derivatives.
@@ -355,8 +361,6 @@ class FitSettings(Settings, table="fit"):
     """Length of a shooting window, s."""
     robust: Annotated[float, Setting(least=0)] = 3.0
     """Residual at which the loss becomes linear, in standard deviations of the bulk; 0 for least squares."""
-    bend: Annotated[float, Setting(least=0, unit="rad")] = 0.0
-    """Fixed residual at which the loss becomes linear, rad."""
     least_scale: Annotated[float, Setting(above=0, unit="rad")] = 1e-4
     """Minimum standard deviation of the bulk, rad, about half a count."""
     iterations: Annotated[int, Setting(least=1)] = 40
@@ -378,9 +382,6 @@ class SwingFit(Brief):
     """Gradient (K, f) of each sample for each swing, with the starts eliminated."""
     unknowns: NDArray[np.intp]
     """Indices of the free unknowns among (p, z raveled)."""
-    loss: float
-    bend: float
-    """Residual at which the loss became linear, rad."""
     window_starts: Array
     """Initial states (W, 2n)."""
     gap: float
@@ -476,8 +477,6 @@ def fit_swings(
         information=normal.reduced,
         scores=[_scores(one, mixed, threshold) for one, mixed in zip(now.swings, normal.mixed, strict=True)],
         unknowns=where,
-        loss=now.loss(threshold),
-        bend=float(threshold),
         window_starts=starts,
         gap=now.gap,
         iterations=iteration,
@@ -486,9 +485,38 @@ def fit_swings(
     )
 
 
+def fit_starts(
+    model: Swings,
+    swings: list[Swing],
+    *,
+    parameters: Array,
+    zeros: Array,
+    settings: FitSettings,
+    near: Array | None = None,
+) -> SwingFit:
+    """Fit only the swings' starts, by least squares.
+
+    Args:
+        model: integrator of the arms.
+        swings: measured swings.
+        parameters: ratios (m,).
+        zeros: zeros (groups, n), rad.
+        settings: windows and convergence; its robust loss is not used.
+        near: first guess (W, 2n) of the windows' starts, default the measured angles.
+    """
+    return fit_swings(
+        model,
+        swings,
+        parameters=parameters,
+        zeros=zeros,
+        free=np.zeros(model.parameters, dtype=bool),
+        free_zeros=False,
+        settings=replace(settings, robust=0.0),
+        near=near,
+    )
+
+
 def _threshold(now: Linearised, settings: FitSettings) -> float:
-    if settings.bend:
-        return settings.bend
     if settings.robust == 0:
         return np.inf
     every = np.abs(np.concatenate([one.residual.ravel() for one in now.swings]))

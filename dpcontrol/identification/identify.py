@@ -49,7 +49,7 @@ from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.settings import Setting, Settings
 from dpcontrol.foundation.shown import Brief, Shown
-from dpcontrol.identification.fit import FitSettings, Swing, SwingFit, Swings, filled, fit_swings
+from dpcontrol.identification.fit import FitSettings, Swing, SwingFit, Swings, filled, fit_starts, fit_swings
 from dpcontrol.recordings.recording import Recording, cart_motion
 
 LONGEST, LONGEST_DRIVEN = 4.0, 1.0
@@ -118,8 +118,6 @@ def cut_into_swings(
                 swings.append(Swing(angles, part.dt, group, *driven))
                 seconds = float((b - a - 1) * part.dt)
                 about.append(Segment(len(about), recording.name, float(part.time[a]), seconds, True, np.nan))
-    if not swings:
-        raise InputError("the recordings contain no segment; import them again")
     if max(float(np.ptp(filled(s.angles), axis=0).max()) for s in swings) < _STILL:
         raise InputError(
             f"no angle moves by more than {_STILL:g} rad: there is nothing to identify; record free swings"
@@ -419,7 +417,9 @@ def identify(
         raise GoalMissed(f"no candidate could be fitted; {reasons[0]}")
     progress("uncertainty", len(ways) / (len(ways) + 1))
     nothing = np.zeros((1 + max(s.group for s in swings), start.count))
-    before = _predicted(Swings(start), left_out, base_ratios(start), nothing, settings.fit).rms
+    before = fit_starts(
+        Swings(start), left_out, parameters=base_ratios(start), zeros=nothing, settings=settings.fit
+    ).rms
     chosen = choose(candidates)
     best = candidates[chosen]
     arms = with_laws(start, best.laws)
@@ -499,21 +499,5 @@ def _fitted(
         settings=settings,
         near=None if near is None else near.fit.window_starts,
     )
-    predicted = _predicted(model, left_out, fit.parameters, fit.zeros, settings)
+    predicted = fit_starts(model, left_out, parameters=fit.parameters, zeros=fit.zeros, settings=settings)
     return Candidate(arms.friction, zeros, predicted.rms, fit, predicted)
-
-
-def _predicted(model: Swings, swings: list[Swing], parameters: Array, zeros: Array, settings: FitSettings) -> SwingFit:
-    """Return the swings' starts by least squares.
-
-    The ratios (m,) and the zeros (groups, n) are fixed.
-    """
-    return fit_swings(
-        model,
-        swings,
-        parameters=parameters,
-        zeros=zeros,
-        free=np.zeros(model.parameters, dtype=bool),
-        free_zeros=False,
-        settings=replace(settings, robust=0.0),
-    )

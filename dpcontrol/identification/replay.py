@@ -22,6 +22,7 @@ Source: Bar-Shalom, Li & Kirubarajan, Estimation with Applications to Tracking a
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
@@ -39,7 +40,7 @@ from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.foundation.settings import Setting, Settings, suggest
 from dpcontrol.foundation.shown import Brief
-from dpcontrol.identification.fit import FitSettings, Swing, SwingFit, Swings, fit_swings
+from dpcontrol.identification.fit import FitSettings, Swing, Swings, fit_starts
 from dpcontrol.loop.bench import SensorSettings
 from dpcontrol.loop.controllers import ESTIMATORS, make_estimator
 from dpcontrol.loop.result import inside_95
@@ -52,25 +53,6 @@ from dpcontrol.recordings.recording import (
     described,
     write_samples,
 )
-
-_GUESS_SECONDS = 0.02
-
-
-def first_guess(angles: Array, period: float) -> Array:
-    """Return an initial state (2n,) from a parabola.
-
-    The parabola goes through the first valid 20 ms.
-
-    Args:
-        angles: angles (K, n), rad, NaN where missing.
-        period: sampling period, s.
-    """
-    count = int(np.clip(round(_GUESS_SECONDS / period), 5, len(angles)))
-    rows = np.flatnonzero(np.isfinite(angles).all(axis=1))[:count]
-    if not len(rows):
-        return np.zeros(2 * angles.shape[1])
-    curve = np.polynomial.polynomial.polyfit(period * rows, angles[rows], min(2, len(rows) - 1))
-    return np.concatenate([curve[0], curve[1] if len(rows) > 1 else np.zeros(angles.shape[1])])
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,22 +91,10 @@ def fitted_path(model: Swings, swing: Swing, ratios: Array) -> FittedPath:
         ratios: parameter ratios (m,) of the model.
     """
     n = model.arms.count
-
-    def fitted(window: float, near: Array | None = None) -> SwingFit:
-        return fit_swings(
-            model,
-            [swing],
-            parameters=ratios,
-            zeros=np.zeros((1, n)),
-            free=np.zeros(len(ratios), dtype=bool),
-            free_zeros=False,
-            settings=FitSettings(robust=0.0, window=window),
-            near=near,
-        )
-
-    fit = fitted(_SHORT)
+    fitted = partial(fit_starts, model, [swing], parameters=ratios, zeros=np.zeros((1, n)))
+    fit = fitted(settings=FitSettings(window=_SHORT))
     if not fit.converged:
-        fit = fitted(_WHOLE, fit.window_starts[:1])
+        fit = fitted(settings=FitSettings(window=_WHOLE), near=fit.window_starts[:1])
     start, period = fit.window_starts[:1], np.array([swing.period])
     (path,), _ = model.flown(
         start,
@@ -218,7 +188,7 @@ def estimate_recording(
         felt = cart.acceleration[: blocks * mean_of].reshape(blocks, mean_of).mean(axis=1)
         between = _between_means(cart.acceleration, mean_of, blocks)
         drives = np.column_stack([cart.velocity[at_middle], felt])
-        guess = first_guess(recording.angles[first:end], recording.dt)
+        (guess,) = Swing(recording.angles[first:end], recording.dt).guess([0])
         middle = _nearby(guess, change(guess, drives[0])[n:], -times[:1])[0]
         start = [cart.position[at_middle[0]], cart.velocity[at_middle[0]]]
         estimate = estimator.first(np.concatenate([middle, start]))
@@ -238,18 +208,15 @@ def estimate_recording(
                 else:
                     estimate = estimator.update(estimate, measured, present & known)
                 state = np.asarray(estimate.state[: 2 * n])
-                out.states[rows] = _nearby(state, change(state, drives[k])[n:], times)
-                out.sigmas[rows] = estimate.sigmas[: 2 * n]
+                # Too few samples for another mean belong to the last one.
+                shown = slice(rows.start, rows.stop if k < blocks - 1 else end)
+                since = times[0] + recording.dt * np.arange(shown.stop - shown.start)
+                out.states[shown] = _nearby(state, change(state, drives[k])[n:], since)
+                out.sigmas[shown] = estimate.sigmas[: 2 * n]
                 if not k % 256:
                     progress("running the estimator", rows.stop / total)
         except ArithmeticError as error:
             raise GoalMissed(f"the estimator broke down at {recording.time[rows.start]:.6g} s: {error}") from error
-        for row in range(rows.stop, end):
-            # Too few samples for a mean.
-            state = out.states[row - 1]
-            halfway = state + recording.dt / 2 * change(state, drives[-1])
-            out.states[row] = state + recording.dt * change(halfway, drives[-1])
-            out.sigmas[row] = out.sigmas[row - 1]
     return out
 
 

@@ -349,12 +349,7 @@ def sealed(name: str, values: Mapping[str, str]) -> dict[str, str]:
     Args:
         name: name of the record.
         values: text by key.
-
-    Raises:
-        ValueError: a key equals the checksum's key.
     """
-    if _KEY in values:
-        raise ValueError(f"metadata may not hold the key {_KEY!r}: the log keeps its checksum there")
     return {**values, _KEY: _checksum(name, values)}
 
 

@@ -35,7 +35,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import checked_target, missing_folders, remove_empty, unwritable
+from dpcontrol.foundation.files import checked_target, unwritable
 from dpcontrol.foundation.version import PROGRAM
 from dpcontrol.logs import layout
 from dpcontrol.logs.container import McapFile, open_partial, sealed
@@ -366,12 +366,10 @@ class LogWriter:
         self._encoder: ChunkEncoder | None = None
         self._file: McapFile | None = None
         self._stream: FileIO | None = None
-        self._made: list[Path] = []
 
     def __enter__(self) -> "LogWriter":
         try:
             self.path = checked_target(self.path)
-            self._made = missing_folders(self.path.parent)
             self.path.parent.mkdir(parents=True, exist_ok=True)
             self.partial, self._stream = open_partial(self.path)
             self._file = McapFile(self._stream, library=PROGRAM)
@@ -384,11 +382,10 @@ class LogWriter:
         return self
 
     def _discard(self) -> None:
-        """Remove a file without ticks, and the folders made for it."""
+        """Remove a file without ticks."""
         if self._stream is not None:
             self._stream.close()
             self.partial.unlink(missing_ok=True)
-        remove_empty(self._made)
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None

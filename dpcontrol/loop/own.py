@@ -9,7 +9,6 @@ The first three may define `reset()`, which is called before each run. A run end
 value.
 """
 
-import importlib.util
 import inspect
 import math
 import pickle
@@ -17,7 +16,9 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from importlib.machinery import SourceFileLoader
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 from uuid import uuid4
 
@@ -181,16 +182,14 @@ def own_object(role: str, value: Any) -> OwnObject:
         raise InputError(f"{role} = {value}: there is no such file and class; give FILE.py:CLASS")
     file = Path(path)
     module_name = f"dpcontrol_own_{file.stem}"
-    spec = importlib.util.spec_from_file_location(module_name, file)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
+    module = ModuleType(module_name)
+    module.__file__ = path
     # Dataclasses look up their module there. Modules beside the file can be imported, as by a script.
     sys.modules[module_name] = module
     if (folder := str(file.parent.resolve())) not in sys.path:
         sys.path.append(folder)
     try:
-        spec.loader.exec_module(module)
+        SourceFileLoader(module_name, path).exec_module(module)
         kind = getattr(module, name)
         return OwnObject(role, kind() if isinstance(kind, type) else kind, value)
     except InputError:

@@ -29,7 +29,7 @@ from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.config import configuration
 from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError, remark
-from dpcontrol.foundation.files import archive_format, is_archive
+from dpcontrol.foundation.files import archive_format
 from dpcontrol.foundation.parts import installed, part
 from dpcontrol.judge.comparison import RunComparison, compare
 from dpcontrol.judge.of_log import reference_view, run_view
@@ -176,10 +176,8 @@ def opened(files: Sequence[Path], *, symbol: int = 1) -> Shown:
                 f"{other} is not a log: several files can be compared only if all are logs; review it alone"
             )
         return compare([run_view(read_log(file)) for file in files], symbol=symbol)
-    if is_archive(first) and archive_format(first) == FORMAT:
-        return reference_view(load_reference(first), first)
-    if is_archive(first):
-        return load_atlas(first)
+    if first.suffix.lower() == ".npz":
+        return reference_view(load_reference(first), first) if archive_format(first) == FORMAT else load_atlas(first)
     return run_view(read_log(first))
 
 

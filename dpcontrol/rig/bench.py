@@ -5,8 +5,7 @@ Loops control it over UDP in real time.
 Tick k is due at t_0 + k · period. At each tick, the bench reads the received commands, applies the newest and sends a
 reading. Without a new command, the last one continues to act. If the loop is silent too long, the bench stops its cart.
 Only time in which the bench itself kept its ticks counts as silence. A bench that was delayed computes its missed ticks
-at once, as physics would not wait. Between ticks it sleeps in `select`, which records when a command arrives. For the
-last `spin` seconds of a period it polls.
+at once, as physics would not wait. Between ticks it sleeps in `select`, which wakes it when a command arrives.
 
 The bench serves one run at a time, which begins with START. It answers HELLO but does not reserve anything.
 `dpcontrol.rig.packets` defines the packets. Packets of other senders are counted, and do not act on a run.
@@ -83,13 +82,11 @@ class BenchServerSettings(Settings, table="bench"):
 
     Attributes:
         watchdog: silence of the loop after which the cart is stopped, s.
-        spin: polling time in each period, s.
         real_time: request priority over all ordinary processes.
         runs: number of runs to serve, 0 for no limit.
     """
 
     watchdog: Annotated[float, Setting(least=0.001, most=60, unit="s")] = 0.1
-    spin: Annotated[float, Setting(least=0, most=1, unit="s")] = 0.0001
     real_time: bool = False
     runs: int = 0
 
@@ -435,13 +432,10 @@ class _BenchRun:
         return text
 
     def _wait(self, due: float) -> None:
-        """Wait until `due` and handle packets: asleep, then polling."""
-        clock, spin = time.perf_counter, self._settings.spin
-        while (left := due - clock() - spin) > 0:
+        """Wait until `due` and handle packets."""
+        while (left := due - time.perf_counter()) > 0:
             if select.select([self._socket], [], [], left)[0]:
                 self._handle_packets()
-        while clock() < due:
-            pass
 
     def _handle_packets(self) -> None:
         """Handle a few received packets without delaying a tick."""

@@ -92,9 +92,7 @@ class Deadlines:
     worst: float
     """Largest delay of a tick, s."""
     lost: int
-    """Readings that did not arrive."""
-    stale: int
-    """Readings that arrived after their tick."""
+    """Readings that did not arrive in time for their tick."""
     held: int
     """Periods in which the bench repeated an old command."""
     rejected: int
@@ -105,8 +103,8 @@ class Deadlines:
         """Summary of the run's ticks and packets."""
         return (
             f"{self.missed} of {self.ticks} deadlines missed; ticks began up to {1e3 * self.worst:.3g} ms late; "
-            f"{self.lost} readings lost, {self.stale} too late; {self.rejected} packets rejected; the bench repeated a "
-            f"command {self.held} times"
+            f"{self.lost} readings lost or too late; {self.rejected} packets rejected; the bench repeated a command "
+            f"{self.held} times"
         )
 
     def record(self) -> dict[str, str]:
@@ -214,7 +212,7 @@ class UdpRig(AbstractContextManager["UdpRig"]):
         self._tick, self._begin = -1, math.inf
         self._stopped, self._problem = False, ""
         self._worst = 0.0
-        self._held = self._missed = self._lost = self._stale = self._ignored = self._refused = 0
+        self._held = self._missed = self._lost = self._ignored = self._refused = 0
         # An unpredictable number shows that an answer belongs to this HELLO.
         self._request = secrets.token_bytes(8)
         self._talk, self.welcome = Talk(Role.LOOP, int.from_bytes(self._request, "little"), key=key), _UNKNOWN
@@ -241,7 +239,7 @@ class UdpRig(AbstractContextManager["UdpRig"]):
     def deadlines(self) -> Deadlines:
         """Return the statistics so far."""
         rejected = self._ignored + self._refused
-        return Deadlines(self._tick + 1, self._missed, self._worst, self._lost, self._stale, self._held, rejected)
+        return Deadlines(self._tick + 1, self._missed, self._worst, self._lost, self._held, rejected)
 
     def read(self) -> Reading:
         """Wait for the reading of the next tick.
@@ -344,7 +342,6 @@ class UdpRig(AbstractContextManager["UdpRig"]):
             packet = self._taken(heard)
             if packet is not None and packet.tick >= k:
                 return packet
-            self._stale += packet is not None
         if time.perf_counter() - self._last_packet > self._settings.silence:
             self._lost_contact()
         return None

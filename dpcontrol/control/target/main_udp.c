@@ -69,7 +69,7 @@ static struct {
 
 static struct {
     double worst; /* delay of a tick, s */
-    long ticks, missed, lost, stale, held, ignored, refused;
+    long ticks, missed, lost, held, ignored, refused;
 } kept;
 
 static volatile sig_atomic_t interrupted;
@@ -380,7 +380,6 @@ static int hear(double until, bench_reading *reading)
         sequence = (uint32_t)get(data + 16, 4);
         if (sequence <= rig.newest) {
             refused++;
-            kept.stale += kind == READING;
             continue;
         }
         if (kind == WELCOME && body_size == 20 && rig.session == rig.request) {
@@ -478,7 +477,6 @@ static int next_reading(long k)
                 rig.waits = 1;
                 return 0;
             }
-            kept.stale++;
         } else if (kind == BYE) {
             return complain(-1, "at t = %.3f s the bench ended the run: %s", (double)k * DPC_PERIOD, rig.text);
         } else if (clock - rig.last_packet > SILENCE) {
@@ -509,12 +507,11 @@ static void account(long k, int came)
 static void report_deadlines(void)
 {
     long rejected = kept.ignored + kept.refused;
-    fprintf(stderr, "%ld of %ld deadlines missed; ticks began up to %.3g ms late; %ld readings lost, %ld too late; "
+    fprintf(stderr, "%ld of %ld deadlines missed; ticks began up to %.3g ms late; %ld readings lost or too late; "
             "%ld packets rejected; the bench repeated a command %ld times\n",
-            kept.missed, kept.ticks, 1e3 * kept.worst, kept.lost, kept.stale, rejected, kept.held);
-    printf("{\"ticks\": %ld, \"missed\": %ld, \"worst\": %.9g, \"lost\": %ld, \"stale\": %ld, \"held\": %ld, "
-           "\"rejected\": %ld}\n",
-           kept.ticks, kept.missed, kept.worst, kept.lost, kept.stale, kept.held, rejected);
+            kept.missed, kept.ticks, 1e3 * kept.worst, kept.lost, rejected, kept.held);
+    printf("{\"ticks\": %ld, \"missed\": %ld, \"worst\": %.9g, \"lost\": %ld, \"held\": %ld, \"rejected\": %ld}\n",
+           kept.ticks, kept.missed, kept.worst, kept.lost, kept.held, rejected);
 }
 
 /* Runs the controller to its end; returns the exit code. */
