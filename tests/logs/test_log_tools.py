@@ -48,11 +48,6 @@ def test_a_log_holds_exactly_its_input(tmp_path: Path, arms: int, has_cart: bool
             getattr(log, part)
 
 
-def test_metadata_cannot_replace_the_checksum(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="crc32"):
-        LogWriter(tmp_path / "run.mcap", arm_lengths=(0.2,), rate_hz=RATE, metadata={"crc32": "0"})
-
-
 def test_a_summary_counts_every_message(tmp_path: Path) -> None:
     path = write_sample(tmp_path / "run.mcap", sample(250))
     summary = summarise(path)
