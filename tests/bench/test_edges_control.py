@@ -39,7 +39,7 @@ def test_a_moving_reference_tolerates_a_known_delay_up_to_a_reported_border():
     assert "tracking lost" in found.says
 
 
-@pytest.mark.slow
+@pytest.mark.benchmark
 def test_campaigns_end_near_the_margins_of_the_loop():
     held = followed("hold-up-up", "lqr", 8)
     for name, value in held.margins.items():

@@ -86,7 +86,7 @@ def test_the_second_search_finds_the_turns_that_there_are(energy: float, missing
     assert missing_connections(file) == missing
 
 
-@pytest.mark.slow
+@pytest.mark.benchmark
 def test_a_reference_ends_near_the_orbit_that_its_runs_are_judged_by(tmp_path: Path) -> None:
     """With the usual weight it was 0.09 rad off, which left the feedback no room."""
     plan = make_plan(load_itinerary(str(sampled_scene(20).write(tmp_path))))

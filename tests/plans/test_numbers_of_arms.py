@@ -49,7 +49,7 @@ def test_transfers_are_found_in_processes_and_kept(tmp_path: Path, monkeypatch: 
     up, hanging = (scene.model.system.equilibrium(name) for name in ("up", "down"))
     cart = np.zeros(2)
     wanted = [
-        Transfer.of(scene, text, np.append(a, cart), [np.append(b, cart)])
+        Transfer.of(scene, text, np.append(a, cart), [np.append(b, cart)], "")
         for text, a, b in (("up", hanging, up), ("down", up, hanging))
     ]
     found = find_transfers(wanted, workers=2)
