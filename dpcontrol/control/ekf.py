@@ -302,14 +302,14 @@ class FilterEquations:
         return found
 
     @cached_property
-    def _corrected(self) -> ca.Function:
+    def _parameter_function(self) -> ca.Function:
         parameters = ca.SX.sym("parameters", self.inputs["parameters"])
         extra = ca.SX.sym("extra", len(self.extra_names))
         named = zip(self.extra_names, ca.vertsplit(extra), strict=True)
         errors = {name: ca.log1p(error) if name[0] in "MS" else error for name, error in named}
-        return ca.Function("corrected", [parameters, extra], [self._parameters(parameters, errors)])
+        return ca.Function("likely_parameters", [parameters, extra], [self._parameters(parameters, errors)])
 
-    def corrected(self, parameters: Array, extra: Array) -> Array:
+    def likely_parameters(self, parameters: Array, extra: Array) -> Array:
         """Return the parameters (p,) with the errors that a run has estimated, each at most half of its parameter.
 
         Args:
@@ -317,7 +317,7 @@ class FilterEquations:
             extra: extras (E,) of a report, in which errors of inertial parameters are relative.
         """
         bounded = np.clip(np.nan_to_num(extra), -_GREATEST_ERROR, _GREATEST_ERROR)
-        return np.array(self._corrected(parameters, bounded)).ravel()
+        return np.array(self._parameter_function(parameters, bounded)).ravel()
 
     def _braked(self, e: ca.SX, parameters: ca.SX) -> ca.SX:
         """Return the largest accelerations (n,) from dry friction.

@@ -393,7 +393,7 @@ class FallRecovery:
                 course,
                 k + 1 + ticker.lead - ticker.began,
                 self._good,
-                program.equations.filter.corrected(model.parameters, report.extra[:, 0]),
+                program.equations.filter.likely_parameters(model.parameters, report.extra[:, 0]),
             )
         )
 

@@ -278,7 +278,7 @@ def draw_motions(
         atlas: with the orbits.
         tubes: parts of tubes.
         flights: connections with their colours.
-        saddles: saddles whose orbits are drawn at their named position, besides those of flights; all by default.
+        saddles: saddles whose orbits are drawn at their named position in addition to those of flights, by default all.
         title: of the panel.
     """
     space = axes.name == "3d"

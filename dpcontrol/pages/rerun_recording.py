@@ -152,7 +152,7 @@ def record_curves(
     Args:
         recording: recording to extend.
         home: path in the recording.
-        curves: curves (K, 2) in the plane or (K, 3) in space, as drawn; none are skipped.
+        curves: curves (K, 2) in the plane or (K, 3) in space.
         colours: one colour, or the colour of each curve.
         width: width of the curves, points.
         **look: further fields of Rerun's line strips.

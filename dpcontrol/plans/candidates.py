@@ -200,7 +200,7 @@ def _leads_to(flight: Trajectory, end: Array) -> bool:
     return bool(np.abs(flight.states[-1, -1, :n] - end[:n]).max() < _NEAR)
 
 
-def flown(
+def flights_between(
     ways: Sequence[Way], ends: Sequence[Array], durations: Array, *, fixed: bool
 ) -> list[tuple[Trajectory, Array]]:
     """Return the shortest flights, or those of the least effort in given times, and the ends that they lead to.
@@ -220,7 +220,7 @@ def flown(
     return [(flight, end) for flight in flights for end in ends if _leads_to(flight, end)][:_TRIED]
 
 
-def smooth(start: Array, ends: Sequence[Array], durations: Array) -> list[tuple[Trajectory, Array]]:
+def smooth_motions(start: Array, ends: Sequence[Array], durations: Array) -> list[tuple[Trajectory, Array]]:
     """Return motions that turn the arms smoothly, for all durations and ends.
 
     Args:

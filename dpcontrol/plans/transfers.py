@@ -35,7 +35,16 @@ from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.foundation.files import content_hash
 from dpcontrol.foundation.processes import in_processes, processors
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
-from dpcontrol.plans.candidates import CART_WEIGHT, NATURAL_TIME, PERIOD, Scale, Way, flown, programs, smooth
+from dpcontrol.plans.candidates import (
+    CART_WEIGHT,
+    NATURAL_TIME,
+    PERIOD,
+    Scale,
+    Way,
+    flights_between,
+    programs,
+    smooth_motions,
+)
 from dpcontrol.plans.itinerary import Itinerary
 from dpcontrol.plans.layout import GENTLE, SHORTEST, Pace
 from dpcontrol.references.content import TransferCost
@@ -218,7 +227,9 @@ def find_transfer(wanted: Transfer, progress: Progress = no_progress) -> Referen
         room = scale.limits(wanted.limits, share)
         ways = [Way(arms, scale.limits(wanted.limits), room, start, ends[0], backwards) for backwards in (False, True)]
         fixed = wanted.pace != SHORTEST
-        firsts = flown(ways, ends, durations, fixed=fixed) if flies else smooth(start, ends, durations)
+        firsts = (
+            flights_between(ways, ends, durations, fixed=fixed) if flies else smooth_motions(start, ends, durations)
+        )
         solved: list[tuple[ReferenceProblem, Trajectory]] = []
         for k, (first, end) in enumerate(firsts):
             progress("transfer", k / len(firsts))
@@ -278,7 +289,7 @@ def _problem(
 def _missed(wanted: Transfer, durations: Array, failed: str) -> GoalMissed:
     """Return the error of a transfer that was not found in these durations."""
     start, end = np.array(wanted.start), np.array(wanted.ends[0])
-    ((first, _),) = smooth(start, [end], durations[:1])
+    ((first, _),) = smooth_motions(start, [end], durations[:1])
     problem = _problem(wanted.arms, wanted.limits, first, (start, end))
     ending = ReferenceEnding(
         ReferenceCause.NO_TRANSFER,

@@ -24,7 +24,7 @@ class Trouble:
     Attributes:
         setting: its path in a run's settings.
         name: name in the text of a change.
-        remedy: advice for halving it. Preflights try half of it only with a remedy.
+        remedy: advice for halving it, or "". Without advice, a preflight does not try half of it.
         nothing: value without the trouble.
         halves, removed: True if `--why` tries half of it, or its absence.
         border: name of its border in a preflight, "" if none is sought.
