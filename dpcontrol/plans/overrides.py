@@ -80,8 +80,8 @@ def resolved(name: str) -> str:
         return ends[0]
     if ends:
         raise InputError(f"{name}: several settings have this name; give {' or '.join(ends)}")
-    last = {path.rpartition(".")[2]: path for path in known}
-    close = nearest(wanted, known) or last.get(nearest(wanted.rpartition(".")[2], last), "")
+    names = {path.rpartition(".")[2]: path for path in known} | {path: path for path in known}
+    close = names.get(nearest(wanted, names) or nearest(wanted.rpartition(".")[2], names), "")
     near = f"did you mean {close!r}? " if close else ""
     raise InputError(f"{name}: no run has this setting; {near}`dpcontrol guide settings` lists all")
 
