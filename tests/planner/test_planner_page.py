@@ -122,9 +122,10 @@ def test_a_point_or_an_arrow_is_highlighted_and_appended(page: Page, canvas: str
     element = page.driver.find_element("id", canvas)
     page.driver.execute_script("arguments[0].scrollIntoView({ block: 'center' })", element)
     x, y, name = page.driver.execute_script(FIND, canvas)
-    caption = page.driver.find_element("id", "caption").get_attribute("textContent")
-    button = page.role("connection", f'[data-name="{name}"]')
-    assert button.find_element("tag name", "small").get_attribute("textContent") in caption
+    caption, button = page.driver.find_element("id", "caption"), page.role("connection", f'[data-name="{name}"]')
+    figures = button.find_element("tag name", "small").get_attribute("textContent")
+    # The caption is that of the next frame of the animation.
+    page.until(lambda _: figures in caption.get_attribute("textContent"))
     ActionChains(page.driver).move_to_element_with_offset(element, x, y).click().perform()
     assert page.idle()["walk"] == [name]
 
