@@ -280,7 +280,9 @@ class _Program:
         following = ca.horzcat(starts[:, 1:], last)
         values = ca.vertcat(inner, following) if self.shared else inner
         problem = self.problem
-        interval = interval_function(problem.equations, problem.parameters, problem.limits, self.method, self.settings)
+        interval = interval_function(
+            problem.equations, problem.parameters.tolist(), problem.limits, self.method, self.settings
+        )
         defects, ends, costs, jerks = interval.map(n)(
             starts,
             ca.reshape(values, nx, count * n),
