@@ -393,8 +393,11 @@ def _cell(axes: Axes, view: RunView, transfer: Range | None, box: Range, *, titl
     axes.spines[:].set_visible(True)
     axes.grid(False)
     axes.set_title(title, loc="center")
-    upright = {"rotation": 0, "ha": "right", "va": "center"}
-    axes.set_ylabel(name.replace("-", "\n"), fontsize=style.HEAD, color=style.INK, **upright)
+    look: dict[str, Any] = {"fontsize": style.HEAD, "ha": "right", "va": "center"}
+    # Invisible labels of equal width keep the columns below one another.
+    axes.set_ylabel("down" if name else "", rotation=0, alpha=0.0, **look)
+    beside: dict[str, Any] = {"xycoords": "axes fraction", "xytext": (-5, 0), "textcoords": "offset points", **look}
+    axes.annotate(name.replace("-", "\n"), (0.0, 0.5), color=style.INK, **beside).set_in_layout(False)
     if transfer is None:
         return
     rows, cart = _ways(view, transfer)
