@@ -221,11 +221,7 @@ def _batches(file: VerifiedFile) -> Iterator[Batch]:
             end = start + layout.LENGTH_FROM + int(head["length"])
             events.append((int(head["log_time"]), data[start + layout.RECORD_HEADER.itemsize : end]))
         tables = {topic: part.records for topic, part in found.items()}
-        yield Batch(tables, {topic: table["log_time"] for topic, table in tables.items()}, file.tick.kinds, events)
-
-
-_SLOWEST, _FASTEST = 1e-6, 1e9
-"""Limits of the tick rate, Hz; no recording comes near them."""
+        yield Batch(tables, {topic: table["log_time"] for topic, table in tables.items()}, events)
 
 
 def described_layout(path: Path, described: Mapping[str, str]) -> TickLayout:
@@ -243,11 +239,7 @@ def described_layout(path: Path, described: Mapping[str, str]) -> TickLayout:
             f"{layout.LAYOUT_RECORD} is of layout {described.get('format', 'none')}); read it with the version that "
             "wrote it, or make a recording of it with `dpcontrol import`"
         )
-    parts, lengths = frozenset(described["parts"].split()), [float(text) for text in described["arm_lengths"].split()]
-    sound = parts <= set(layout.PARTS) and all(0 < length < np.inf for length in lengths)
-    if not sound or not _SLOWEST <= float(described["rate_hz"]) <= _FASTEST:
-        raise ValueError("its layout has unknown parts, or impossible lengths or rates")
-    return TickLayout(len(lengths), described["has_cart"] == "1", parts, layout.extras_of(described))
+    return TickLayout.of(described)
 
 
 @dataclass(frozen=True, eq=False)
@@ -291,6 +283,7 @@ class RunLog(Shown):
         recovered: losses that `dpcontrol recover` reported, a sentence. None without losses.
         rewritten: True if another program has rewritten it, so that integrity cannot be checked.
         end_s: time of the run's last tick by its result record, s, or None.
+        topics: summary of each topic.
     """
 
     path: Path
@@ -311,6 +304,7 @@ class RunLog(Shown):
     extras: Extras | None = None
     rewritten: bool = False
     end_s: float | None = None
+    topics: "tuple[TopicSummary, ...]" = ()
 
     def __repr__(self) -> str:
         return f"<log {self.path}: {len(self.time):,} rows at {self.rate_hz:g} Hz>"
@@ -442,60 +436,6 @@ _LATEST = np.iinfo(np.int64).max
 """ns: viewers and arrays of times hold signed nanoseconds."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Contents:
-    """A log that was read: its file, layout and description, and its messages.
-
-    Attributes:
-        rows: time (N,), s, and rows (N, …) of measured positions, parts and extras (M, …).
-        times: times of all messages of each topic, ns.
-        kinds: type of each topic.
-        events: in the order of logging.
-    """
-
-    file: VerifiedFile
-    tick: TickLayout
-    described: Mapping[str, str]
-    rows: dict[str, Array]
-    times: dict[str, NDArray]
-    kinds: dict[str, str]
-    events: tuple[Event, ...]
-
-    @property
-    def metadata(self) -> dict[str, str]:
-        """The caller's text from the start and the end of the log."""
-        return {**self.file.values(layout.RESULT_RECORD), **self.file.values(layout.RUN_RECORD)}
-
-    @property
-    def recovered(self) -> str | None:
-        """Losses that `dpcontrol recover` reported, or None."""
-        return self.file.values(layout.RECOVERY_RECORD).get(layout.LOST) or None
-
-
-def _read(path: Path) -> _Contents:
-    """Read a log by the template of its ticks, or by topics if another program has rewritten it."""
-    file = open_mcap(path)
-    with file.decoding():
-        if file.is_native:
-            tick, described, batches = file.tick, file.values(layout.LAYOUT_RECORD), _batches(file)
-        else:
-            tick, described, batches = _rewritten(file)
-        parts = ((_rows(one, tick), one.times, one.kinds, one.events) for one in batches)
-        rows, times, kinds, events = zip(*parts, strict=True)
-        found = _Contents(
-            file=file,
-            tick=tick,
-            described=described,
-            rows=_joined(rows),
-            times=_joined(times),
-            kinds=kinds[0],
-            events=tuple(logged_event(time / 1e9, body) for part in events for time, body in part),
-        )
-        if any((moments > _LATEST).any() for moments in found.times.values()):
-            raise ValueError(f"a message is later than {_LATEST / 1e9:.3g} s")
-    return found
-
-
 def _joined(parts: Sequence[dict[str, NDArray]]) -> dict[str, NDArray]:
     # Each array is removed from its part as it is joined, so that a long log is held only once.
     found = {name: np.concatenate([part.pop(name) for part in parts]) for name in list(parts[0])}
@@ -505,7 +445,7 @@ def _joined(parts: Sequence[dict[str, NDArray]]) -> dict[str, NDArray]:
 
 
 def _rows(batch: Batch, tick: TickLayout) -> dict[str, Array]:
-    """Return the ticks' times (K,), s, and rows (K, …) by part."""
+    """Return the ticks' times (K,), s, rows (K, …) by part, and the extras (M, …) after their times."""
     tables, widths = batch.tables, tick.widths
     found = {part: np.empty((len(tables[layout.MEASURED]), widths[part])) for part in ("measured", *tick.parts)}
     for topic, field_name, joints, part, columns in tick.rooms:
@@ -518,26 +458,27 @@ def _rows(batch: Batch, tick: TickLayout) -> dict[str, Array]:
 
 
 def _rewritten(file: VerifiedFile) -> tuple[TickLayout, dict[str, str], list[Batch]]:
-    """Return layout, description and messages of a log that another program has rewritten, with a remark.
+    """Return layout, types of topics and messages of a log that another program has rewritten, with a remark.
 
     Raises:
         InputError: the file holds no run, or several.
     """
+    writer = file.library or "another program"
     try:
         topics, described = by_topic(file.messages()), file.values(layout.LAYOUT_RECORD)
         whole = described_layout(file.path, described) if described else None
-        tick, described, batch = ticks_in(topics, described)
+        tick, batch = ticks_in(topics, whole)
     except MALFORMED as error:
         raise InputError(
-            f"{file.path} (written by {file.library or 'another program'}) is not a log of `dpcontrol run`: {error}; "
-            f"{_AS_WRITTEN}, or make a recording of it with `dpcontrol import`"
+            f"{file.path} (written by {writer}) is not a log of `dpcontrol run`: {error}; {_AS_WRITTEN}, or make a "
+            "recording of it with `dpcontrol import`"
         ) from error
     left_out = ", ".join(topic for topic in (whole.schemas if whole else ()) if topic not in topics)
     remark(
-        f"{file.path} was rewritten by {file.library or 'another program'} and is read by its topics; its integrity "
-        f"cannot be checked{f', and it lacks {left_out}' if left_out else ''}"
+        f"{file.path} was rewritten by {writer} and is read by its topics; its integrity cannot be checked"
+        f"{f', and it lacks {left_out}' if left_out else ''}"
     )
-    return tick, described, [batch]
+    return tick, {**tick.kinds, **{name: topic.schema for name, topic in topics.items()}}, [batch]
 
 
 def read_log(path: Path | str) -> RunLog:
@@ -551,16 +492,24 @@ def read_log(path: Path | str) -> RunLog:
     Raises:
         InputError: the file is missing, empty, cut off, damaged, not an MCAP file or not a log of a run.
     """
-    found = _read(Path(path))
-    file, tick, rows, described = found.file, found.tick, found.rows, found.described
+    file = open_mcap(Path(path))
+    with file.decoding():
+        native = file.is_native
+        tick, kinds, batches = (file.tick, file.tick.kinds, _batches(file)) if native else _rewritten(file)
+        parts, counts, events = zip(
+            *((_rows(batch, tick), batch.times, batch.events) for batch in batches), strict=True
+        )
+        rows, times = _joined(parts), _joined(counts)
+        logged = tuple(logged_event(time / 1e9, body) for part in events for time, body in part)
+        if any((time > _LATEST).any() for time in times.values()):
+            raise ValueError(f"a message is later than {_LATEST / 1e9:.3g} s")
     if not len(rows["time"]):
         raise InputError(f"{file.path} holds no ticks: the run ended before its first; {_AGAIN}")
-    with file.decoding():
-        limits, lengths = (tuple(float(text) for text in described[key].split()) for key in ("limits", "arm_lengths"))
-    metadata = found.metadata
-    ticks, rate = metadata.pop(layout.TICKS, None), file.values(layout.LAYOUT_RECORD).get("rate_hz")
+    described, result = file.values(layout.LAYOUT_RECORD), file.values(layout.RESULT_RECORD)
+    ticks = result.get(layout.TICKS)
     columns = rows["control"].T if "control" in rows else ()
     extras, count = rows.get("extras", np.empty((0, 1))), len(tick.extras)
+    program = {"program": described.get("program", "another program")}
     return RunLog(
         path=file.path,
         time=rows["time"],
@@ -568,21 +517,26 @@ def read_log(path: Path | str) -> RunLog:
         rates=rows.get("rates"),
         states={part: rows[part] for part in layout.STATE_TOPICS if part in rows},
         controls=dict(zip(tick.fields, columns, strict=False)),
-        events=found.events,
-        metadata={**metadata, "program": described["program"]},
+        events=logged,
+        metadata={**result, **file.values(layout.RUN_RECORD), **program},
         attachments=file.attachments,
         joint_names=tick.names,
-        arm_lengths=lengths,
+        arm_lengths=tick.arm_lengths,
         has_cart=tick.has_cart,
-        rate_hz=float(described["rate_hz"]),
-        limits=(limits[0], limits[1], limits[2]) if limits else None,
-        recovered=found.recovered,
+        rate_hz=tick.rate_hz,
+        limits=tick.limits,
+        recovered=file.values(layout.RECOVERY_RECORD).get(layout.LOST) or None,
         extras=Extras(tick.extras, extras[:, 0], extras[:, 1 + count :], extras[:, 1 : 1 + count])
         if len(extras)
         else None,
-        rewritten=not file.is_native,
-        end_s=(int(ticks) - 1) / float(rate) if ticks and rate else None,
+        rewritten=not native,
+        end_s=(int(ticks) - 1) / file.tick.rate_hz if ticks and described else None,
+        topics=tuple(_topic(topic, kind, times.get(topic, np.empty(0))) for topic, kind in kinds.items()),
     )
+
+
+_LATEST = np.iinfo(np.int64).max
+"""ns: viewers and arrays of times hold signed nanoseconds."""
 
 
 _INCIDENTAL = ("version", "commit", "plan", "plant_parameters", "drawn")
@@ -717,27 +671,25 @@ def summarise(path: Path | str) -> LogSummary:
         path: the log.
 
     Raises:
-        InputError: the file is missing, cut off, damaged or not a log of this program.
+        InputError: the file is missing, cut off, damaged, without ticks or not a log of this program.
     """
-    found = _read(Path(path))
-    file, described = found.file, found.described
-    topics = [_topic(topic, kind, found.times.get(topic, np.empty(0))) for topic, kind in found.kinds.items()]
-    begin = min((topic.first_s for topic in topics if topic.first_s is not None), default=0.0)
+    log = read_log(path)
+    ends = [end for topic in log.topics for end in (topic.first_s, topic.last_s) if end is not None]
     return LogSummary(
-        log=str(file.path),
-        size=len(file.data),
-        format=described["format"],
-        program=described["program"],
-        duration=max((topic.last_s for topic in topics if topic.last_s is not None), default=0.0) - begin,
-        rate_hz=float(described["rate_hz"]),
-        joints=found.tick.names,
-        parts=tuple(part for part in layout.PARTS if part in found.tick.parts),
-        topics=tuple(topics),
-        attachments={name: len(data) for name, data in file.attachments.items()},
-        metadata=found.metadata,
-        recovered=found.recovered,
-        partials=tuple(str(other) for other in partials_of(file.path)),
-        rewritten=not file.is_native,
+        log=str(log.path),
+        size=log.path.stat().st_size,
+        format=layout.FORMAT,
+        program=log.metadata["program"],
+        duration=max(ends) - min(ends),
+        rate_hz=log.rate_hz,
+        joints=log.joint_names,
+        parts=tuple(part for part in layout.PARTS if part in log.parts),
+        topics=log.topics,
+        attachments={name: len(data) for name, data in log.attachments.items()},
+        metadata={name: value for name, value in log.metadata.items() if name != "program"},
+        recovered=log.recovered,
+        partials=tuple(map(str, partials_of(log.path))),
+        rewritten=log.rewritten,
     )
 
 

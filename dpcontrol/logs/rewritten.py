@@ -8,10 +8,10 @@ nor completeness can be checked.
 
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import reduce
 from itertools import product
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,20 +24,17 @@ _ARM = re.compile(r'<box size="\S+ \S+ (\S+)"/></geometry><material name="arm"/>
 _MOST_ARMS = 9
 
 
-@dataclass(frozen=True, eq=False)
-class Batch:
+class Batch(NamedTuple):
     """Messages of a part of a log.
 
     Attributes:
         tables: messages (K,) of each topic with ticks and of the extras, structured like `layout.record_type`.
         times: times of all messages of each topic, ns.
-        kinds: type of each topic.
         events: time, ns, and content of each event.
     """
 
     tables: dict[str, NDArray]
     times: dict[str, NDArray]
-    kinds: dict[str, str]
     events: list[tuple[int, bytes]]
 
 
@@ -100,18 +97,18 @@ def by_topic(messages: Iterable[tuple[Any, Any, Any]]) -> dict[str, Topic]:
     return found
 
 
-def ticks_in(topics: Mapping[str, Topic], described: Mapping[str, str]) -> tuple[TickLayout, dict[str, str], Batch]:
-    """Return layout, description and messages of the log in these topics.
+def ticks_in(topics: Mapping[str, Topic], described: TickLayout | None) -> tuple[TickLayout, Batch]:
+    """Return layout and messages of the log in these topics.
 
     Args:
         topics: messages by topic.
-        described: values of the layout record. If the file has none, arm lengths come from the robot description.
+        described: layout in the metadata. If the file has none, arm lengths come from the robot description.
 
     Raises:
         ValueError: there are no joints of a pendulum, or messages are not those of a log.
     """
-    tick = _layout(topics, layout.extras_of(described) if layout.EXTRAS in topics else ())
-    lengths = described.get("arm_lengths", "").split() or _drawn_lengths(topics)
+    tick = _layout(topics, described.extras if described and layout.EXTRAS in topics else ())
+    lengths = described.arm_lengths if described else _drawn_lengths(topics)
     if len(lengths) != tick.arms:
         raise ValueError(f"{layout.MEASURED} has {tick.arms} arms, and the description {len(lengths)}")
     tables = {name: topics[name].table(message) for name, message in tick.messages.items()}
@@ -121,15 +118,11 @@ def ticks_in(topics: Mapping[str, Topic], described: Mapping[str, str]) -> tuple
     tables = {name: table[np.isin(table["log_time"], common)] for name, table in tables.items()}
     if tick.extras:
         tables[layout.EXTRAS] = topics[layout.EXTRAS].table(tick.extras_message)
-    own = {
-        "format": layout.FORMAT, "program": "another program", "limits": "", **described,
-        "arm_lengths": " ".join(lengths), "rate_hz": repr(1e9 / float(np.median(np.diff(common)))),
-    }  # fmt: skip
-    events = topics.get(layout.EVENTS)
-    logged = [] if events is None or events.schema != layout.LOG[0] else zip(events.times, events.bodies, strict=True)
+    rate, limits = 1e9 / float(np.median(np.diff(common))), described.limits if described else None
+    events = topics.get(layout.EVENTS, Topic("", ""))
+    logged = list(zip(events.times, events.bodies, strict=True)) if events.schema == layout.LOG[0] else []
     times = {name: np.array(topic.times) for name, topic in topics.items()}
-    kinds = {**tick.kinds, **{name: topic.schema for name, topic in topics.items()}}
-    return tick, own, Batch(tables, times, kinds, list(logged))
+    return replace(tick, arm_lengths=lengths, rate_hz=rate, limits=limits), Batch(tables, times, logged)
 
 
 def _layout(topics: Mapping[str, Topic], extras: tuple[str, ...]) -> TickLayout:
@@ -139,7 +132,7 @@ def _layout(topics: Mapping[str, Topic], extras: tuple[str, ...]) -> TickLayout:
         raise ValueError(f"it lacks {layout.MEASURED} as {layout.JOINT_STATE[0]} in cdr")
     parts = {part for part, topic in {**layout.STATE_TOPICS, "control": layout.CONTROL}.items() if topic in topics}
     for arms, has_cart, rates in product(range(1, _MOST_ARMS + 1), (True, False), ({"rates"}, set[str]())):
-        tick = TickLayout(arms, has_cart, frozenset(parts | rates), extras)
+        tick = TickLayout((1.0,) * arms, has_cart, 1.0, frozenset(parts | rates), extras=extras)
         message, body = tick.messages[layout.MEASURED], measured.bodies[0]
         start, end = 12, message.fields["position"][1] - 4
         if len(body) == len(message.data) and body[start:end] == message.data[start:end]:
@@ -147,7 +140,7 @@ def _layout(topics: Mapping[str, Topic], extras: tuple[str, ...]) -> TickLayout:
     raise ValueError(f"the joints of {layout.MEASURED} are not arm_1, … and perhaps cart")
 
 
-def _drawn_lengths(topics: Mapping[str, Topic]) -> list[str]:
+def _drawn_lengths(topics: Mapping[str, Topic]) -> tuple[float, ...]:
     """Return the arm lengths drawn in the robot description, m, which have six digits, or none."""
     robot = topics.get(layout.ROBOT)
-    return [] if robot is None else _ARM.findall(texts_in(robot.bodies[0], 4, 1)[0])
+    return () if robot is None else tuple(map(float, _ARM.findall(texts_in(robot.bodies[0], 4, 1)[0])))

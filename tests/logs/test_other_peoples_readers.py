@@ -101,7 +101,7 @@ def expected(run: Any, *, arms: int, has_cart: bool) -> Messages:
         ("/robot_description", robot_description(run.arm_lengths, has_cart=has_cart, limits=LIMITS)),
         (
             "/reference/robot_description",
-            robot_description(run.arm_lengths, has_cart=has_cart, limits=LIMITS, prefix="reference/", ghost=True),
+            robot_description(run.arm_lengths, has_cart=has_cart, limits=LIMITS, ghost=True),
         ),
     ):
         found[topic] = [(0, {"data": text})]
