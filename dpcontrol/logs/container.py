@@ -17,6 +17,7 @@ Source: the MCAP format specification, version 0.
 """
 
 import errno
+import glob
 import json
 import mimetypes
 import os
@@ -303,10 +304,7 @@ def partials_of(path: Path) -> tuple[Path, ...]:
     Args:
         path: path of the complete log.
     """
-    with suppress(OSError):
-        names = [file for file in path.parent.iterdir() if file.suffix == SUFFIX and file.name.startswith(path.name)]
-        return tuple(sorted(names, key=lambda file: file.stat().st_mtime))
-    return ()
+    return tuple(sorted(path.parent.glob(f"{glob.escape(path.name)}*{SUFFIX}"), key=lambda file: file.stat().st_mtime))
 
 
 _KEY = "crc32"

@@ -38,7 +38,7 @@ from dpcontrol.foundation.shown import Brief, Shown, pandas_classes
 from dpcontrol.logs import layout
 from dpcontrol.logs.container import MAGIC, located, partials_of, unsealed
 from dpcontrol.logs.layout import Event, TickLayout, logged_event
-from dpcontrol.logs.rewritten import Batch, by_topic, ticks_in
+from dpcontrol.logs.rewritten import Batch, Topic, by_topic, ticks_in
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -116,13 +116,16 @@ class VerifiedFile:
         """The program that wrote the file."""
         return self.records[Header][0].library
 
-    def messages(self) -> Iterator[Any]:
-        """Return schema, channel and record of every message.
+    def topics(self) -> dict[str, Topic]:
+        """Return the messages by topic.
 
         Raises:
-            Exception: one of `MALFORMED`.
+            InputError: a message is damaged.
         """
-        return NonSeekingReader(BytesIO(self.data), validate_crcs=True).iter_messages(log_time_order=False)
+        with self.decoding():
+            return by_topic(
+                NonSeekingReader(BytesIO(self.data), validate_crcs=True).iter_messages(log_time_order=False)
+            )
 
 
 class _Records(StreamReader):
@@ -465,7 +468,7 @@ def _rewritten(file: VerifiedFile) -> tuple[TickLayout, dict[str, str], list[Bat
     """
     writer = file.library or "another program"
     try:
-        topics, described = by_topic(file.messages()), file.values(layout.LAYOUT_RECORD)
+        topics, described = file.topics(), file.values(layout.LAYOUT_RECORD)
         whole = described_layout(file.path, described) if described else None
         tick, batch = ticks_in(topics, whole)
     except MALFORMED as error:
@@ -566,16 +569,12 @@ def check_replaced(
         file = open_mcap(path)
     except InputError as error:
         raise in_the_way(path, "is not a complete log") from error
-    there = file.values(layout.RUN_RECORD)
+    there, recovery = file.values(layout.RUN_RECORD), file.values(layout.RECOVERY_RECORD)
+    if "rig" in {**file.values(layout.RESULT_RECORD), **there}:
+        raise in_the_way(path, "is a log from a rig")
     differing = _differing(metadata, there)
-    reasons = {
-        "is a log from a rig": "rig" in {**file.values(layout.RESULT_RECORD), **there},
-        "holds another log": file.values(layout.RECOVERY_RECORD).get("source") != (recovers and recovers.name),
-        f"holds another log (not the same: {differing})": bool(differing),
-    }
-    for reason, applies in reasons.items():
-        if applies:
-            raise in_the_way(path, reason)
+    if differing or recovery.get("source") != (recovers and recovers.name):
+        raise in_the_way(path, f"holds another log{f' (not the same: {differing})' if differing else ''}")
 
 
 def _differing(metadata: Mapping[str, str], there: Mapping[str, str], *, also: tuple[str, ...] = ()) -> str:
@@ -728,17 +727,13 @@ def compare_messages(one: Path | str, other: Path | str) -> Comparison:
     if sides[0].tick != sides[1].tick:
         return Comparison(0, f"{one} and {other} do not have the same topics")
     whole = all(side.is_native and not side.values(layout.RECOVERY_RECORD).get(layout.LOST) for side in sides)
-    first, second = map(_message_sets, sides)
+    first, second = (
+        {name: set(zip(topic.times, topic.bodies, strict=True)) for name, topic in side.topics().items()}
+        for side in sides
+    )
     same = sum(len(messages & second.get(name, set())) for name, messages in first.items())
     for name in sides[0].tick.schemas:
         messages, others = first.get(name, set()), second.get(name, set())
         if differing := messages ^ others if whole else messages - others:
             return Comparison(same, f"the message of {name} at {min(differing)[0] / 1e9:.3f} s differs")
     return Comparison(same, None)
-
-
-def _message_sets(side: VerifiedFile) -> dict[str, set[tuple[int, bytes]]]:
-    """Return time, ns, and content of all messages by topic."""
-    with side.decoding():
-        topics = by_topic(side.messages())
-    return {name: set(zip(topic.times, topic.bodies, strict=True)) for name, topic in topics.items()}

@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import TypeAdapter
 
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError, remark
@@ -103,12 +104,9 @@ class Digest:
             text: JSON text.
 
         Raises:
-            ValueError, TypeError, KeyError: the text is not a digest.
+            ValueError: the text is not a digest.
         """
-        values = json.loads(text)
-        values["events"] = [Event(**event) for event in values["events"]]
-        values["extras"] = {str(k): (float(v), float(s)) for k, (v, s) in values["extras"].items()}
-        return cls(**values)
+        return TypeAdapter(cls).validate_json(text)
 
     def following(self, number: int) -> "Digest":
         """Return the digest of the next file of the same session.
@@ -376,6 +374,6 @@ class RollingLog:
         """
         if number < 1 or (number - 1) % self._keep_every == 0:
             return
-        with suppress(OSError, ValueError, TypeError, KeyError):
+        with suppress(OSError, ValueError):
             if Digest.of(self.path(number, ".json").read_text(encoding="utf-8")).number == number:
                 self.path(number).unlink(missing_ok=True)
