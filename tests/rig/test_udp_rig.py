@@ -29,14 +29,14 @@ def read_on(rig: UdpRig) -> None:
 
 def test_a_sealed_packet_ends_with_half_of_its_hmac_with_the_senders_name() -> None:
     plain, sealed = (
-        packets.packed(packets.command(7, -1.5), Role.LOOP, session=258, sequence=3, key=k) for k in (b"", KEY)
+        packets.packed(packets.CommandPacket(7, -1.5), Role.LOOP, session=258, sequence=3, key=k) for k in (b"", KEY)
     )
     assert sealed == plain + hmac.new(KEY, b"loop" + plain, "sha256").digest()[:16]
     assert packets.unpacked(sealed, Role.LOOP, key=KEY).content == packets.CommandPacket(7, -1.5)
 
 
 def test_invalid_packets_are_rejected() -> None:
-    content = packets.reading(packets.ReadingPacket(9, (0.1, 0.2, 0.3), 8, 4, 0.002, 0, Condition.WELL, "so"))
+    content = packets.ReadingPacket(9, (0.1, 0.2, 0.3), 8, 4, 0.002, 0, Condition.WELL, "so")
     whole = packets.packed(content, Role.BENCH, session=1, sequence=1)
     other_magic, other_version = b"HTTP" + whole[4:], whole[:4] + b"\x01" + whole[5:]
     other_kind = whole[:5] + b"\x63" + whole[6:]
@@ -46,7 +46,7 @@ def test_invalid_packets_are_rejected() -> None:
 
 
 def test_a_seal_of_another_key_or_the_other_end_is_refused() -> None:
-    sealed = packets.packed(packets.STOP, Role.LOOP, session=1, sequence=1, key=KEY)
+    sealed = packets.packed(Kind.STOP, Role.LOOP, session=1, sequence=1, key=KEY)
     for data, role, key in (
         (sealed, Role.LOOP, b""),
         (sealed, Role.LOOP, KEY[::-1]),
@@ -110,7 +110,7 @@ def test_overtaken_and_repeated_readings_are_counted_and_dropped() -> None:
             while bench.recvfrom(4096)[0][5] != Kind.START:
                 pass
             contents = [packets.ReadingPacket(k, (float(k),) * 3, -1, 0, 0.0, 0, Condition.WELL, "") for k in range(5)]
-            made = [talk.pack(packets.reading(content)) for content in contents]
+            made = [talk.pack(content) for content in contents]
             for tick in (0, 2, 3, 1, 2, 1, 4):
                 bench.sendto(made[tick], client)
 
@@ -157,15 +157,15 @@ def test_old_and_future_commands_do_not_act_and_one_that_is_not_finite_stops() -
     with served(toy) as bench, raw(bench) as client:
         while next_reading(client).tick < 5:
             pass
-        client.send(packets.command(4, 40.0))
-        client.send(packets.command(3, 30.0))
-        client.send(packets.command(4, 41.0))
-        client.send(packets.command(10**6, 99.0))
+        client.send(packets.CommandPacket(4, 40.0))
+        client.send(packets.CommandPacket(3, 30.0))
+        client.send(packets.CommandPacket(4, 41.0))
+        client.send(packets.CommandPacket(10**6, 99.0))
         client.socket.send(b"noise")
-        client.send(packets.command(5, 50.0))
+        client.send(packets.CommandPacket(5, 50.0))
         while next_reading(client).heard < 5:
             pass
-        client.send(packets.command(6, math.nan))
+        client.send(packets.CommandPacket(6, math.nan))
         while (reading := next_reading(client)).condition is Condition.WELL:
             pass
     assert [value for _, value in toy.commands] == [40.0, 50.0]
