@@ -85,26 +85,6 @@ def _sequence(name: str, count: int) -> list[Part]:
     return [("", "<u4", count), (name, f"({count},)<f8", 0)][: 1 + (count > 0)]
 
 
-def texts_in(data: bytes, place: int, count: int) -> list[str]:
-    """Return the strings of a message that follow each other.
-
-    Args:
-        data: message in CDR.
-        place: end of what precedes them.
-        count: number of strings.
-
-    Raises:
-        struct.error: the message ends before.
-    """
-    texts = []
-    for _ in range(count):
-        place += -(place - len(ENCAPSULATION)) % 4
-        (length,) = struct.unpack_from("<I", data, place)
-        place += 4 + length
-        texts.append(data[place - length : place].rstrip(b"\0").decode())
-    return texts
-
-
 def joint_state(names: Sequence[str], *, velocities: bool) -> Message:
     """Return sensor_msgs/JointState.
 
@@ -200,7 +180,13 @@ def logged_event(time: float, data: bytes) -> Event:
         LookupError, struct.error, ValueError: the message has a different layout.
     """
     level = _LEVEL_NAMES.get(data[_LEVEL], "info")
-    name, words, figures, cause = texts_in(data, _LEVEL + 1, 4)
+    place, texts = _LEVEL + 1, []
+    for _ in range(4):
+        place += -(place - len(ENCAPSULATION)) % 4
+        (length,) = struct.unpack_from("<I", data, place)
+        place += 4 + length
+        texts.append(data[place - length : place].rstrip(b"\0").decode())
+    name, words, figures, cause = texts
     # Other programs log their functions and files there.
     if cause not in _CAUSES or not words:
         return Event(time, level, name, words=words)

@@ -466,17 +466,15 @@ def _rewritten(file: VerifiedFile) -> tuple[TickLayout, dict[str, str], list[Bat
     Raises:
         InputError: the file holds no run, or several.
     """
-    writer = file.library or "another program"
+    topics, writer = file.topics(), file.library or "another program"
     try:
-        topics, described = file.topics(), file.values(layout.LAYOUT_RECORD)
-        whole = described_layout(file.path, described) if described else None
-        tick, batch = ticks_in(topics, whole)
+        tick, batch = ticks_in(topics, file.tick)
     except MALFORMED as error:
         raise InputError(
             f"{file.path} (written by {writer}) is not a log of `dpcontrol run`: {error}; {_AS_WRITTEN}, or make a "
             "recording of it with `dpcontrol import`"
         ) from error
-    left_out = ", ".join(topic for topic in (whole.schemas if whole else ()) if topic not in topics)
+    left_out = ", ".join(topic for topic in file.tick.schemas if topic not in topics)
     remark(
         f"{file.path} was rewritten by {writer} and is read by its topics; its integrity cannot be checked"
         f"{f', and it lacks {left_out}' if left_out else ''}"
@@ -512,7 +510,6 @@ def read_log(path: Path | str) -> RunLog:
     ticks = result.get(layout.TICKS)
     columns = rows["control"].T if "control" in rows else ()
     extras, count = rows.get("extras", np.empty((0, 1))), len(tick.extras)
-    program = {"program": described.get("program", "another program")}
     return RunLog(
         path=file.path,
         time=rows["time"],
@@ -521,7 +518,7 @@ def read_log(path: Path | str) -> RunLog:
         states={part: rows[part] for part in layout.STATE_TOPICS if part in rows},
         controls=dict(zip(tick.fields, columns, strict=False)),
         events=logged,
-        metadata={**result, **file.values(layout.RUN_RECORD), **program},
+        metadata={**result, **file.values(layout.RUN_RECORD), "program": described["program"]},
         attachments=file.attachments,
         joint_names=tick.names,
         arm_lengths=tick.arm_lengths,
@@ -533,7 +530,7 @@ def read_log(path: Path | str) -> RunLog:
         if len(extras)
         else None,
         rewritten=not native,
-        end_s=(int(ticks) - 1) / file.tick.rate_hz if ticks and described else None,
+        end_s=(int(ticks) - 1) / file.tick.rate_hz if ticks else None,
         topics=tuple(_topic(topic, kind, times.get(topic, np.empty(0))) for topic, kind in kinds.items()),
     )
 
