@@ -210,15 +210,13 @@ def _with_parts(definition: str, *names: str) -> bytes:
     return "".join([definition, *(f"{'=' * 80}\nMSG: {name}\n{_PARTS[name]}" for name in names)]).encode()
 
 
-_JOINT_STATE = "std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort\n"
-_LOG = (
-    "byte DEBUG=10\nbyte INFO=20\nbyte WARN=30\nbyte ERROR=40\nbyte FATAL=50\n"
-    "builtin_interfaces/Time stamp\nuint8 level\nstring name\nstring msg\nstring file\nstring function\n"
-    "uint32 line\n"
-)
 JOINT_STATE = (
     "sensor_msgs/msg/JointState",
-    _with_parts(_JOINT_STATE, "std_msgs/Header", "builtin_interfaces/Time"),
+    _with_parts(
+        "std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort\n",
+        "std_msgs/Header",
+        "builtin_interfaces/Time",
+    ),
 )
 TF_MESSAGE = (
     "tf2_msgs/msg/TFMessage",
@@ -228,10 +226,16 @@ TF_MESSAGE = (
         "geometry_msgs/Transform", "geometry_msgs/Vector3", "geometry_msgs/Quaternion",
     ),
 )  # fmt: skip
-CONTROL_NAME = "dpcontrol_msgs/msg/Control"
-EXTRAS_NAME = "dpcontrol_msgs/msg/Extras"
 STRING = ("std_msgs/msg/String", b"string data\n")
-LOG = ("rcl_interfaces/msg/Log", _with_parts(_LOG, "builtin_interfaces/Time"))
+LOG = (
+    "rcl_interfaces/msg/Log",
+    _with_parts(
+        "byte DEBUG=10\nbyte INFO=20\nbyte WARN=30\nbyte ERROR=40\nbyte FATAL=50\n"
+        "builtin_interfaces/Time stamp\nuint8 level\nstring name\nstring msg\nstring file\nstring function\n"
+        "uint32 line\n",
+        "builtin_interfaces/Time",
+    ),
+)
 
 
 MEASURED = "/joint_states"
@@ -534,14 +538,17 @@ class TickLayout:
         """Name and definition of each topic's message, in channel order."""
         found: dict[str, tuple[str, bytes]] = dict.fromkeys(self.messages, JOINT_STATE)
         if CONTROL in found:
-            found[CONTROL] = (CONTROL_NAME, "".join(f"float64 {name}\n" for name in self.fields).encode())
+            found[CONTROL] = (
+                "dpcontrol_msgs/msg/Control",
+                "".join(f"float64 {name}\n" for name in self.fields).encode(),
+            )
         found |= {TRANSFORMS: TF_MESSAGE, EVENTS: LOG, ROBOT: STRING}
         if "reference" in self.parts:
             found[GHOST] = STRING
         if self.extras:
             # ROS 2 requires field names in lower case.
             fields = (f"float64 {of}{name.lower()}\n" for of in ("sigma_", "") for name in self.extras)
-            found[EXTRAS] = (EXTRAS_NAME, "".join(fields).encode())
+            found[EXTRAS] = ("dpcontrol_msgs/msg/Extras", "".join(fields).encode())
         return found
 
     @cached_property

@@ -417,10 +417,7 @@ def segments_in(text: str, rows: int) -> tuple[tuple[int, int], ...]:
         text: pairs as `write_recording` writes them, "0:300 300:600".
         rows: number of samples.
     """
-    try:
-        numbers = [int(number) for number in text.replace(":", " ").split()]
-    except ValueError:
-        return ()
+    numbers = [int(number) for number in text.replace(":", " ").split()]
     segments = tuple(zip(numbers[::2], numbers[1::2], strict=False))
     return segments if all(0 <= first < end <= rows for first, end in segments) else ()
 

@@ -372,8 +372,6 @@ class RollingLog:
 
         It is kept if its digest is missing, or if it is one of those to keep.
         """
-        if number < 1 or (number - 1) % self._keep_every == 0:
-            return
-        with suppress(OSError, ValueError):
-            if Digest.of(self.path(number, ".json").read_text(encoding="utf-8")).number == number:
-                self.path(number).unlink(missing_ok=True)
+        if (number - 1) % self._keep_every and self.path(number, ".json").is_file():
+            with suppress(OSError):
+                self.path(number).unlink()

@@ -26,7 +26,6 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from itertools import pairwise
-from operator import itemgetter
 from pathlib import Path
 from types import TracebackType
 from typing import NamedTuple
@@ -177,12 +176,8 @@ Row = NDArray[np.float64]
 
 
 class Note(NamedTuple):
-    """A single message before the tick in `row` of the chunk.
+    """A single message, with its time in ns."""
 
-    Its time is in ns.
-    """
-
-    row: int
     topic: str
     time_ns: int
     content: bytes
@@ -209,52 +204,39 @@ class ChunkEncoder:
         self._last_due = -1
 
     def encode(self, times: NDArray[np.int64], rows: Mapping[str, Row], notes: Sequence[Note]) -> bytes:
-        """Return the bytes of a chunk.
-
-        Messages are in order of arrival.
+        """Return the bytes of a chunk: single messages in order of arrival, slow ones, then those of ticks.
 
         Args:
             times: (K,) of the ticks, ns.
             rows: (K, width) of the measured positions and of each logged part.
-            notes: single messages to insert.
+            notes: single messages.
         """
         block = self.tick.block.filled(times, self._counts[layout.MEASURED])
         self._counts[layout.MEASURED] += len(times)
         for topic, field, joints, part, columns in self.tick.rooms:
             block[topic][field][:, joints] = rows[part][:, columns]
-        pieces = []
+        records = []
         for note in notes:
             head = self.tick.channels[note.topic], self._counts[note.topic]
-            pieces.append((note.row, layout.record(*head, note.time_ns, note.content)))
+            records.append(layout.record(*head, note.time_ns, note.content))
             self._counts[note.topic] += 1
         numbers = slow_numbers(times)
         due = np.diff(numbers, prepend=self._last_due) > 0
         self._last_due = max(numbers.tolist(), default=self._last_due)
-        pieces += self._transforms(due, times, rows)
+        records.append(self._transforms(due, times, rows))
         if "extras" in rows:
-            pieces += self._records(layout.EXTRAS, due, times, {"row": rows["extras"][due]})
-        found, done = [], 0
-        for row, record in sorted(pieces, key=itemgetter(0)):
-            found += [block[done:row].tobytes(), record]
-            done = row
-        return b"".join([*found, block[done:].tobytes()])
+            records.append(self._records(layout.EXTRAS, times[due], {"row": rows["extras"][due]}))
+        return b"".join([*records, block.tobytes()])
 
-    def _records(
-        self, topic: str, chosen: NDArray[np.bool_], times: NDArray[np.int64], values: Mapping[str, Row]
-    ) -> list[tuple[int, bytes]]:
-        """Return the rows and records of a slow topic for the chosen ticks."""
-        places = np.flatnonzero(chosen).tolist()
-        if not places:
-            return []
-        records = self._slow[topic].filled(times[chosen], self._counts[topic])
+    def _records(self, topic: str, times: NDArray[np.int64], values: Mapping[str, Row]) -> bytes:
+        """Return the records of a slow topic."""
+        records = self._slow[topic].filled(times, self._counts[topic])
         for name, numbers in values.items():
             records[topic][name] = numbers
-        self._counts[topic] += len(places)
-        return [(row, record.tobytes()) for row, record in zip(places, records, strict=True)]
+        self._counts[topic] += len(times)
+        return records.tobytes()
 
-    def _transforms(
-        self, chosen: NDArray[np.bool_], times: NDArray[np.int64], rows: Mapping[str, Row]
-    ) -> list[tuple[int, bytes]]:
+    def _transforms(self, chosen: NDArray[np.bool_], times: NDArray[np.int64], rows: Mapping[str, Row]) -> bytes:
         """Return the records of /tf: of the truth, the estimate or the measured positions, and of the reference."""
         measured, arms = rows["measured"], self.tick.arms
         states = np.zeros((len(measured), self.tick.widths["truth"]))
@@ -266,7 +248,7 @@ class ChunkEncoder:
         states = np.stack([robot[chosen] for robot in robots], axis=1).reshape(-1, states.shape[1])
         poses = link_poses(states, arm_lengths=self.tick.arm_lengths, has_cart=self.tick.has_cart)
         links = poses.reshape(int(chosen.sum()), len(robots) * poses.shape[1], 7).swapaxes(0, 1)
-        return self._records(layout.TRANSFORMS, chosen, times, {f"{i}.pose": pose for i, pose in enumerate(links)})
+        return self._records(layout.TRANSFORMS, times[chosen], {f"{i}.pose": pose for i, pose in enumerate(links)})
 
 
 def slow_numbers(times: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -432,7 +414,7 @@ class LogWriter:
         Args:
             event: the event.
         """
-        self._notes.append(Note(self._filled, layout.EVENTS, round(event.time * 1e9), layout.log(event)))
+        self._notes.append(Note(layout.EVENTS, round(event.time * 1e9), layout.log(event)))
 
     def _prepared(self) -> ChunkEncoder:
         """Write what precedes the first chunk, which waits for it, because the parts of a tick are unknown before."""
@@ -445,7 +427,7 @@ class LogWriter:
             text = robot_description(
                 tick.arm_lengths, has_cart=tick.has_cart, limits=tick.limits, ghost=topic == layout.GHOST
             )
-            self._notes.insert(0, Note(0, topic, first, layout.string(text)))
+            self._notes.insert(0, Note(topic, first, layout.string(text)))
         return ChunkEncoder(tick)
 
     def _write_chunk(self) -> None:
