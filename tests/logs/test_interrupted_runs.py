@@ -78,17 +78,6 @@ def test_a_full_disk_stops_a_run_with_a_message_and_keeps_the_written_data(
     assert done.ticks >= 100
 
 
-def test_an_interrupt_keeps_every_tick_and_names_the_file(tmp_path: Path) -> None:
-    def interrupt() -> None:
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt) as caught:
-        _run_until(tmp_path / "run.mcap", [], at=137, then=interrupt)
-    (note,) = caught.value.__notes__
-    assert "dpcontrol recover" in note
-    assert recover(tmp_path / "run.mcap.partial").ticks == 137
-
-
 def _run_until(path: Path, ticked: list[int], *, at: int, then: Callable[[], object]) -> None:
     """Log a sample, noting each tick that was taken, and do something before tick `at`."""
     run = sample()
