@@ -16,7 +16,6 @@ cut or damaged file metadata could not be verified. Each metadata record therefo
 Source: the MCAP format specification, version 0.
 """
 
-import errno
 import glob
 import json
 import mimetypes
@@ -293,7 +292,7 @@ def open_partial(path: Path) -> tuple[Path, FileIO]:
     for name in (path.name, *(f"{path.name}.{os.getpid()}-{k}" for k in range(1, 99))):
         with suppress(FileExistsError):
             return path.with_name(name + SUFFIX), FileIO(path.with_name(name + SUFFIX), "xb")
-    raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path))
+    raise FileExistsError(f"{path} and 98 other names beside it exist")
 
 
 def partials_of(path: Path) -> tuple[Path, ...]:

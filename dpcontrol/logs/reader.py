@@ -37,7 +37,6 @@ from dpcontrol.foundation.files import UNREADABLE, checked_size, checked_source,
 from dpcontrol.foundation.shown import Brief, Shown, pandas_classes
 from dpcontrol.logs import layout
 from dpcontrol.logs.container import MAGIC, located, partials_of, unsealed
-from dpcontrol.logs.layout import Event, TickLayout, logged_event
 from dpcontrol.logs.rewritten import Batch, Topic, by_topic, ticks_in
 
 if TYPE_CHECKING:
@@ -97,7 +96,7 @@ class VerifiedFile:
         return {record.name: record.data for record in self.records[Attachment]}
 
     @cached_property
-    def tick(self) -> TickLayout:
+    def tick(self) -> layout.TickLayout:
         """Tick layout from the log's own description."""
         return described_layout(self.path, self.values(layout.LAYOUT_RECORD))
 
@@ -227,7 +226,7 @@ def _batches(file: VerifiedFile) -> Iterator[Batch]:
         yield Batch(tables, {topic: table["log_time"] for topic, table in tables.items()}, events)
 
 
-def described_layout(path: Path, described: Mapping[str, str]) -> TickLayout:
+def described_layout(path: Path, described: Mapping[str, str]) -> layout.TickLayout:
     """Return the tick layout in a metadata record.
 
     Errors are those of `VerifiedFile.tick`.
@@ -242,7 +241,7 @@ def described_layout(path: Path, described: Mapping[str, str]) -> TickLayout:
             f"{layout.LAYOUT_RECORD} is of layout {described.get('format', 'none')}); read it with the version that "
             "wrote it, or make a recording of it with `dpcontrol import`"
         )
-    return TickLayout.of(described)
+    return layout.TickLayout.of(described)
 
 
 @dataclass(frozen=True, eq=False)
@@ -295,7 +294,7 @@ class RunLog(Shown):
     rates: Array | None
     states: dict[str, Array]
     controls: dict[str, Array]
-    events: tuple[Event, ...]
+    events: tuple[layout.Event, ...]
     metadata: dict[str, str]
     attachments: dict[str, bytes]
     joint_names: tuple[str, ...]
@@ -444,7 +443,7 @@ def _joined(parts: Sequence[dict[str, NDArray]]) -> dict[str, NDArray]:
     return found
 
 
-def _rows(batch: Batch, tick: TickLayout) -> dict[str, Array]:
+def _rows(batch: Batch, tick: layout.TickLayout) -> dict[str, Array]:
     """Return the ticks' times (K,), s, rows (K, …) by part, and the extras (M, …) after their times."""
     tables, widths = batch.tables, tick.widths
     found = {part: np.empty((len(tables[layout.MEASURED]), widths[part])) for part in ("measured", *tick.parts)}
@@ -457,7 +456,7 @@ def _rows(batch: Batch, tick: TickLayout) -> dict[str, Array]:
     return found
 
 
-def _rewritten(file: VerifiedFile) -> tuple[TickLayout, dict[str, str], list[Batch]]:
+def _rewritten(file: VerifiedFile) -> tuple[layout.TickLayout, dict[str, str], list[Batch]]:
     """Return layout, types of topics and messages of a log that another program has rewritten, with a remark.
 
     Raises:
@@ -498,7 +497,7 @@ def read_log(path: Path | str) -> RunLog:
             *((_rows(batch, tick), batch.times, batch.events) for batch in batches), strict=True
         )
         rows, times = _joined(parts), _joined(counts)
-        logged = tuple(logged_event(time / 1e9, body) for part in events for time, body in part)
+        logged = tuple(layout.logged_event(time / 1e9, body) for part in events for time, body in part)
         if any((time > _LATEST).any() for time in times.values()):
             raise ValueError(f"a message is later than {_LATEST / 1e9:.3g} s")
     if not len(rows["time"]):

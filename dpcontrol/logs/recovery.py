@@ -35,7 +35,6 @@ from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.version import PROGRAM
 from dpcontrol.logs import layout
 from dpcontrol.logs.container import SUFFIX, McapFile, located, sealed, unsealed
-from dpcontrol.logs.layout import LENGTH_FROM, TickLayout
 from dpcontrol.logs.reader import (
     MALFORMED,
     check_replaced,
@@ -85,8 +84,8 @@ def salvage(data: bytes, *, progress: Progress = no_progress) -> Salvage:
     while (match := _BEGINNING.search(data, place)) is not None:
         place = match.start() + 1
         opcode, length = struct.unpack_from("<BQ", data, match.start())
-        end = match.start() + LENGTH_FROM + length
-        body = data[match.start() + LENGTH_FROM : end]
+        end = match.start() + layout.LENGTH_FROM + length
+        body = data[match.start() + layout.LENGTH_FROM : end]
         with suppress(*MALFORMED):
             match _KINDS[opcode].read(ReadDataStream(BytesIO(body))):
                 case Chunk(uncompressed_crc=checksum) as chunk if checksum:
@@ -107,7 +106,7 @@ _AFTER_ALL = 1 << 32
 """Number of the first tick of chunks without ticks: these hold the last events."""
 
 
-def _numbered(data: bytes, tick: TickLayout) -> tuple[int, bytes]:
+def _numbered(data: bytes, tick: layout.TickLayout) -> tuple[int, bytes]:
     """Return the number of a chunk's first tick, and its records without schemas and channels."""
     found = located(data, tick)
     start = min(int(part.offsets[0]) for part in found.values() if len(part.offsets))
@@ -230,7 +229,7 @@ def _account(path: Path, log: Path, found: Salvage, measured: NDArray[Any]) -> R
     )
 
 
-def _write(found: Salvage, tick: TickLayout, pieces: Sequence[bytes], done: Recovery) -> None:
+def _write(found: Salvage, tick: layout.TickLayout, pieces: Sequence[bytes], done: Recovery) -> None:
     """Write the new log, read it back, and move it to its final name."""
     records = {**found.metadata, layout.RECOVERY_RECORD: {layout.LOST: done.lost, "source": done.source.name}}
     with whole_file(done.log) as temporary:

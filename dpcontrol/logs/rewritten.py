@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.logs import layout
-from dpcontrol.logs.layout import Message, TickLayout
 
 
 class Batch(NamedTuple):
@@ -44,7 +43,7 @@ class Topic:
     times: list[int] = field(default_factory=list)
     bodies: list[bytes] = field(default_factory=list)
 
-    def table(self, message: Message) -> NDArray:
+    def table(self, message: layout.Message) -> NDArray:
         """Return the messages (K,) as `layout.record_type` structures them, in order of time.
 
         Args:
@@ -93,7 +92,7 @@ def by_topic(messages: Iterable[tuple[Any, Any, Any]]) -> dict[str, Topic]:
     return found
 
 
-def ticks_in(topics: Mapping[str, Topic], described: TickLayout) -> tuple[TickLayout, Batch]:
+def ticks_in(topics: Mapping[str, Topic], described: layout.TickLayout) -> tuple[layout.TickLayout, Batch]:
     """Return layout and messages of the log in these topics.
 
     Args:

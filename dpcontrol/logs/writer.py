@@ -38,7 +38,6 @@ from dpcontrol.foundation.files import checked_target, unwritable
 from dpcontrol.foundation.version import PROGRAM
 from dpcontrol.logs import layout
 from dpcontrol.logs.container import McapFile, open_partial, sealed
-from dpcontrol.logs.layout import Block, Event, TickLayout
 
 WORLD = "world"
 REFERENCE_PREFIX = "reference/"
@@ -190,7 +189,7 @@ class ChunkEncoder:
         tick: layout of the ticks.
     """
 
-    def __init__(self, tick: TickLayout):
+    def __init__(self, tick: layout.TickLayout):
         self.tick = tick
         self._counts = dict.fromkeys(tick.channels, 0)
         prefixes = ("", REFERENCE_PREFIX) if "reference" in tick.parts else ("",)
@@ -199,7 +198,7 @@ class ChunkEncoder:
         ]
         messages = {layout.TRANSFORMS: layout.transforms(frames), layout.EXTRAS: tick.extras_message}
         self._slow = {
-            topic: Block({topic: messages[topic]}, tick.channels) for topic in messages if topic in tick.channels
+            topic: layout.Block({topic: messages[topic]}, tick.channels) for topic in messages if topic in tick.channels
         }
         self._last_due = -1
 
@@ -300,7 +299,7 @@ class LogWriter:
     ):
         self.path = Path(path)
         self.extras = tuple(extras)
-        self._tick = TickLayout(
+        self._tick = layout.TickLayout(
             tuple(map(float, arm_lengths)), has_cart, float(rate_hz), limits=limits, extras=self.extras
         )
         self._metadata, self._attachments = dict(metadata or {}), dict(attachments or {})
@@ -408,7 +407,7 @@ class LogWriter:
         """
         self._result.update(values)
 
-    def event(self, event: Event) -> None:
+    def event(self, event: layout.Event) -> None:
         """Log an event.
 
         Args:

@@ -48,7 +48,6 @@ from dpcontrol.loop.protocols import Reading
 from dpcontrol.loop.result import Rig
 from dpcontrol.loop.simulated import SimulatedRig
 from dpcontrol.references.problem import Limits
-from dpcontrol.rig import packets as packets
 from dpcontrol.rig.client import Deadlines, real_time_priority, without_collecting
 from dpcontrol.rig.packets import (
     KEY_VARIABLE,
@@ -64,7 +63,9 @@ from dpcontrol.rig.packets import (
     Start,
     Talk,
     Welcome,
+    packed,
     resolved,
+    unpacked,
 )
 
 Report = Callable[[str], None]
@@ -340,7 +341,7 @@ class UdpBench(AbstractContextManager["UdpBench"]):
     def _greeted(self, data: bytes, sender: Any, answer: Message) -> ReceivedPacket | None:
         """Return the packet, or None if it is not valid; a HELLO is answered."""
         try:
-            heard = packets.unpacked(data, Role.LOOP, key=self._key)
+            heard = unpacked(data, Role.LOOP, key=self._key)
         except ValueError:
             return None
         if heard.content is Kind.HELLO:
@@ -348,7 +349,7 @@ class UdpBench(AbstractContextManager["UdpBench"]):
         return heard
 
     def _answer(self, heard: ReceivedPacket, message: Message, sender: Any) -> None:
-        data = packets.packed(message, Role.BENCH, session=heard.session, sequence=1, key=self._key)
+        data = packed(message, Role.BENCH, session=heard.session, sequence=1, key=self._key)
         with suppress(OSError):
             self._socket.sendto(data, sender)
 
