@@ -208,7 +208,7 @@ def _recording(path: Path, mapping: Mapping, stretches: list[Samples], *, repair
 
 
 _MISSING = ("", "nan", "na", "null", "none", "-")
-_NUMBER = re.compile(r"[-+]?(\d+([.,]\d*)?|[.,]\d+|nan|inf)(e[-+]?\d+)?", re.IGNORECASE)
+_NUMBER = re.compile(r"[-+]?(\d+(\.\d*)?|\.\d+|nan|inf)(e[-+]?\d+)?", re.IGNORECASE)
 
 
 def read_table(path: Path, columns: Sequence[str], *, optional: Collection[str] = ()) -> dict[str, Array]:
@@ -279,13 +279,11 @@ def _numbers(cells: Sequence[Any], name: str, path: Path) -> Array:
         return np.array(cells, dtype=float)
     except (TypeError, ValueError):
         texts = [str(cell).strip() for cell in cells]
-    values = np.full(len(texts), np.nan)
-    for row, text in enumerate(texts):
-        try:
-            values[row] = float("nan" if text.casefold() in _MISSING else text)
-        except ValueError:
-            raise InputError(f"{path}: row {row + 1} of column {name!r} holds {text!r}; it must be a number") from None
-    return values
+    numbers = ["nan" if text.casefold() in _MISSING else text for text in texts]
+    for row, text in enumerate(numbers, start=1):
+        if not _NUMBER.fullmatch(text):
+            raise InputError(f"{path}: row {row} of column {name!r} holds {text!r}; it must be a number")
+    return np.array(numbers, dtype=float)
 
 
 def _of_matlab(path: Path, given: Mapping | None) -> tuple[Mapping, list[Samples]]:

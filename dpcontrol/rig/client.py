@@ -11,6 +11,7 @@ import gc
 import json
 import math
 import os
+import re
 import secrets
 import select
 import socket
@@ -19,7 +20,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import asdict, dataclass, fields
 from typing import Annotated, NoReturn, TypeVar
-from urllib.parse import urlsplit
 
 import numpy as np
 
@@ -160,14 +160,10 @@ def parse_address(text: str) -> tuple[str, int]:
     Raises:
         InputError: the text has another form.
     """
-    try:
-        parts = urlsplit(text)
-        host, port = parts.hostname, parts.port
-    except ValueError:
-        parts = host = port = None
-    if not (parts and host and port) or parts.scheme != SCHEME or parts.path.strip("/"):
+    found = re.fullmatch(rf"{SCHEME}://\[?([^/\[\]]+)\]?:(\d+)/?", text)
+    if found is None or not 0 < int(found[2]) < 1 << 16:
         raise InputError(f"rig {text!r}: must be udp://HOST:PORT, as `dpcontrol rig` prints it, or udp alone")
-    return host, port
+    return found[1], int(found[2])
 
 
 class UdpRig(AbstractContextManager["UdpRig"]):
@@ -226,7 +222,7 @@ class UdpRig(AbstractContextManager["UdpRig"]):
         self._talk = Talk(Role.LOOP, self.welcome.session, key=key)
         self._refused = 0
         self.period = self.welcome.period
-        self._last_packet = 0.0
+        self._last_packet = time.perf_counter()
         self._nothing = np.zeros(self.welcome.arms + 1, dtype=bool)
         self._positions = np.zeros(self.welcome.arms + 1)
         known = zeros[: self.welcome.arms]
@@ -328,14 +324,11 @@ class UdpRig(AbstractContextManager["UdpRig"]):
         """Return the reading of tick k, or None if it is lost or overdue."""
         early, self._early = self._early, None
         if k == 0:
-            self._last_packet = time.perf_counter()
-            answer = self._answer(Start(tuple(self._queued)), ReadingPacket)
-            early = self._lost_contact() if answer is None else self._taken(answer)
+            early = self._taken(self._answer(Start(tuple(self._queued)), ReadingPacket) or self._lost_contact())
         elif early is None:
             early = self._awaited(k)
         if early is not None and early.tick > k:
-            self._early = early
-            return None
+            self._early, early = early, None
         return early
 
     def _awaited(self, k: int) -> ReadingPacket | None:
