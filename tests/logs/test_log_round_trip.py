@@ -8,14 +8,11 @@ import pytest
 from log_samples import ATTACHMENTS, EXTRAS, METADATA, RATE, open_writer, sample, tick_all, write_sample
 from mcap.reader import make_reader
 from mcap_ros2.reader import read_ros2_messages
-from scipy.spatial.transform import Rotation
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs import Event, LogWriter, read_log
 
 NANOSECOND = 1e-9
-POSE_TOLERANCE = 1e-12
-"""Poses are products of a few rotations in double precision."""
 
 
 STATES = ("estimate", "reference", "truth")
@@ -65,33 +62,6 @@ def test_a_log_gives_back_its_input_bit_for_bit(
     for part in {"estimate", "reference", "control"} - set(parts):
         with pytest.raises(InputError, match=f"has no /{part}"):
             getattr(log, part)
-
-
-def test_transforms_come_at_fifty_hertz_and_agree_with_the_angles(tmp_path: Path) -> None:
-    run = sample()
-    path = write_sample(tmp_path / "run.mcap", run)
-    messages = list(read_ros2_messages(str(path), topics=["/tf"]))
-    assert [message.log_time_ns for message in messages] == [k * 20_000_000 for k in range(13)]
-    for message, k in zip(messages, range(0, 250, 20), strict=True):
-        chain = {item.child_frame_id: item for item in message.ros_msg.transforms}
-        for prefix, states in (("", run.truth), ("reference/", run.reference)):
-            assert states is not None
-            inner, outer, cart = states[k, 0], states[k, 1], states[k, 4]
-            place, turn = in_world(chain, f"{prefix}arm_2_link")
-            tip = place + turn.apply([0, 0, -run.arm_lengths[1]])
-            first, second = run.arm_lengths
-            across = cart + first * np.sin(inner) + second * np.sin(outer)
-            down = first * np.cos(inner) + second * np.cos(outer)
-            np.testing.assert_allclose(tip, [across, 0, -down], atol=POSE_TOLERANCE)
-
-
-def in_world(chain: dict, frame: str) -> tuple[np.ndarray, Rotation]:
-    if frame == "world":
-        return np.zeros(3), Rotation.identity()
-    link = chain[frame]
-    place, turn = in_world(chain, link.header.frame_id)
-    at, q = link.transform.translation, link.transform.rotation
-    return place + turn.apply([at.x, at.y, at.z]), turn * Rotation.from_quat([q.x, q.y, q.z, q.w])
 
 
 def test_a_state_that_is_no_number_is_logged_but_not_as_a_transform(tmp_path: Path) -> None:
