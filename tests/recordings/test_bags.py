@@ -146,9 +146,8 @@ def two_topics(path: Path, *, late: float) -> str:
 
 def test_a_bag_is_imported_where_all_its_topics_have_values(tmp_path: Path) -> None:
     mapping = two_topics(tmp_path / "rig.mcap", late=0.0002)
-    with pytest.warns(Remark, match="left out the (first 200 µs|last 200 ms)") as made:
+    with pytest.warns(Remark, match="left out 202 ms, for which some topics have no values"):
         found = import_recording(tmp_path / "rig.mcap", mapping)
-    assert len(made) == 2
     # The last message of the rail is 0.2 ms after sample 199.
     assert np.allclose(found.angles, ANGLES[1:200], atol=1e-12)
     assert found.cart is not None
@@ -176,7 +175,7 @@ def test_a_log_is_imported_with_all_its_arms(tmp_path: Path, arms: int, has_rate
         ("encoding", "as a bag .*protobuf"),
         ("field", "/encoders.dat.1. holds no numbers in any message"),
         ("topic", "no topic holds the column '/encoder.data.1.'; did you mean"),
-        ("no shared time", "/rail begins when /encoders has ended"),
+        ("no shared time", "no time has values of all columns"),
     ],
 )
 def test_files_that_cannot_be_imported_are_refused_with_the_cause(tmp_path: Path, mistake: str, said: str) -> None:
