@@ -1401,7 +1401,7 @@ def swings(
     from dpcontrol.recordings.recording import random_swings, swings_cost
 
     model = _model(model)
-    announce(swings_cost(count, seconds, written=False), yes=yes)
+    announce(swings_cost(count, seconds), yes=yes)
     return random_swings(model.arms, swings=count, seconds=seconds, seed=seed, name=f"{model.name}-swings-{seed}")
 
 
@@ -1661,12 +1661,13 @@ def open_recording(
         >>> dp.open_recording(log).arms
         2
     """
-    from dpcontrol.recordings.checks import checked_repairs
+    from dpcontrol.foundation.settings import check_names
+    from dpcontrol.recordings.checks import REPAIRS
     from dpcontrol.recordings.importing import import_recording
     from dpcontrol.recordings.recording import load_recording
 
     path = Path(file)
-    checked_repairs(tuple(repairs))
+    check_names("repair", repairs, REPAIRS)
     if path.suffix.lower() == ".mcap" and mapping is None:
         return load_recording(path)
     with reporting(progress, "import") as report:
@@ -2821,7 +2822,7 @@ def import_recording(
         if simulated is None:
             recording = imported(Path(str(file)), mapping, repairs=list(repairs), progress=report)
         else:
-            announce(swings_cost(swings, seconds, written=out is not None), yes=yes)
+            announce(swings_cost(swings, seconds), yes=yes)
             swung, name = _model(simulated), f"{_model(simulated).name}-swings-{seed}"
             recording = random_swings(swung.arms, swings=swings, seconds=seconds, seed=seed, name=name)
         report("writing", 0.7)
