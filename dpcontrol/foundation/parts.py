@@ -83,6 +83,20 @@ class Later:
         return value
 
 
+class StageModule:
+    """A module of this package that is imported whenever a name of it is used.
+
+    Args:
+        module: its name below the package, such as "plans.plan".
+    """
+
+    def __init__(self, module: str) -> None:
+        self._module = f"{__name__.partition('.')[0]}.{module}"
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(importlib.import_module(self._module), name)
+
+
 _DISTRIBUTIONS = (
     "numpy", "scipy", "casadi", "heyoka", "networkx", "control", "filterpy", "mcap", "zstandard", "matplotlib",
     "rerun-sdk", "pyarrow", "mat-io", "pandas", "python-flint",
