@@ -31,7 +31,7 @@ from dpcontrol.logs import CATCH, FLIGHT, LAP, RESUME, RETURN, Event, RunLog, St
 from dpcontrol.logs.layout import CONTROL, ESTIMATE, REFERENCE
 from dpcontrol.logs.rolling import NIGHT_METADATA
 from dpcontrol.loop.result import Ending, inside_95
-from dpcontrol.references.content import PlanSymbol
+from dpcontrol.references.content import PlanSymbol, numbered
 from dpcontrol.references.reference import Reference, load_reference
 from dpcontrol.words import runs as words
 
@@ -563,8 +563,8 @@ def _fault(flown: Flown, plan: Reference, decoded: Decoded) -> FaultFigures:
     if matched == 0:
         return Fault.NOT_BEGUN, first
     if matched < len(stops):
-        return Fault.SYMBOL, {**_named(symbols, matched), **far, **early}
-    last = _named(symbols, len(symbols))
+        return Fault.SYMBOL, {**numbered(symbols, matched - 1), **far, **early}
+    last = numbered(symbols, -1)
     if lost is not None:
         return Fault.LAST_LEFT, {**last, **far, **early}
     for k, (required, done) in enumerate(zip(content.wraps, decoded.wraps, strict=False)):
@@ -592,11 +592,6 @@ def _fault(flown: Flown, plan: Reference, decoded: Decoded) -> FaultFigures:
 def _transfers(symbols: Sequence[PlanSymbol]) -> int:
     """Return the number of transfers among symbols."""
     return sum(symbol.section is None for symbol in symbols)
-
-
-def _named(symbols: Sequence[PlanSymbol], number: int) -> Mapping[str, Any]:
-    """Return number and text of a symbol, from 1, for the figures of a fault."""
-    return {"symbol": number, "symbols": len(symbols), "name": symbols[number - 1].text} if symbols else {}
 
 
 _BEGUN = 0.5

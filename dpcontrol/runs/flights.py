@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dpcontrol.control.flight import REACHED, Flight, FlightPlanner, Target
-from dpcontrol.control.interface import sampled_model
+from dpcontrol.control.interface import sampled_model, with_dry_friction
 from dpcontrol.control.lqr import HoldSettings, hold_controller
 from dpcontrol.control.tracking import TvlqrSettings
 from dpcontrol.dynamics.chain import ArmChainParameters, pendulum_system
@@ -63,7 +63,7 @@ def plan_flight(
 
 @lru_cache(maxsize=4)
 def _planner(arms: ArmChainParameters, limits: Limits) -> FlightPlanner:
-    return FlightPlanner(sampled_model(arms, RATE), limits)
+    return FlightPlanner(with_dry_friction(arms, RATE), limits)
 
 
 def _flight(

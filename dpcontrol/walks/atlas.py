@@ -11,9 +11,8 @@ Source: Kaheman et al. (2023), section 4.
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
-import networkx as nx
 import numpy as np
 from numpy.typing import NDArray
 
@@ -30,6 +29,9 @@ from dpcontrol.orbits.orbit import OrbitRecord
 from dpcontrol.orbits.rotating import RotatingRecord
 from dpcontrol.tubes.connections import ConnectionRecord
 
+if TYPE_CHECKING:
+    import networkx as nx
+
 
 def connection_graph(orbits: Iterable[Any], connections: Iterable[tuple[str, str, Any]]) -> "nx.MultiDiGraph[str]":
     """Return the multigraph of orbits (nodes) and connections (edges).
@@ -40,6 +42,9 @@ def connection_graph(orbits: Iterable[Any], connections: Iterable[tuple[str, str
         orbits: objects with a `name`, stored as the node attribute `orbit`.
         connections: (source name, target name, connection), stored as the edge attribute `connection`.
     """
+    # The import takes a fifth of a second, which a plan without walks does not need.
+    import networkx as nx
+
     graph: nx.MultiDiGraph[str] = nx.MultiDiGraph()
     for orbit in orbits:
         graph.add_node(orbit.name, orbit=orbit)

@@ -11,9 +11,7 @@ Source: Kaheman et al. (2023), section 4.
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar
-
-import networkx as nx
+from typing import TYPE_CHECKING, ClassVar
 
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
@@ -42,6 +40,9 @@ from dpcontrol.tubes.connections import (
 from dpcontrol.tubes.intersections import ConnectionSettings
 from dpcontrol.walks.atlas import connection_graph
 from dpcontrol.walks.symbols import ROTATING, Symbol
+
+if TYPE_CHECKING:
+    import networkx as nx
 
 _LONGER = 3
 """Crossings tried after the first; each one stretches the cut by |λ| and slows the search."""

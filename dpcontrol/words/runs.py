@@ -102,9 +102,9 @@ def _phrases(figures: Mapping[str, Any]) -> dict[str, str]:
     """Return the parts of sentences that depend on several numbers or have two forms."""
     symbols, symbol = figures.get("symbols", 0), figures.get("symbol", 0)
     again, velocity, sensor = (figures.get(name, 0) for name in ("again", "velocity", "sensor"))
-    named = f"symbol {symbol} of {symbols} ({figures.get('name', '')!r})"
+    named = f"{figures.get('motion', '')} {symbol} of {symbols} ({figures.get('name', '')!r})"
     attempt = f"{named if symbol else 'the last stop'}, attempt {figures.get('attempt', 0)}"
-    repeated = f"symbol {again} of {symbols} is repeated" if again <= symbols else "the run returns to the last stop"
+    repeated = f"{named} is repeated" if symbol else "the run returns to the last stop"
     return {
         "speed": f" with {velocity:.2f} m/s" if math.isfinite(velocity) else "",
         "defect": _defect(figures.get("mean_nis", 0.0), figures.get("apart", 0.0)),
