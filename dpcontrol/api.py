@@ -1326,7 +1326,7 @@ def campaign(
     transitions: bool = False,
     path: Literal["compiled", "ticks"] = "compiled",
     workers: Workers = 0,
-    out: Annotated[Place | bool | None, Output((".parquet",), free=True)] = None,
+    out: Annotated[Place | bool | None, Output((".parquet",), free=True, folder=True)] = None,
     force: bool = False,
     yes: bool = False,
     progress: Reporting = None,
@@ -1349,7 +1349,7 @@ def campaign(
         transitions: separate runs of each transfer from hold to hold.
         path: method of simulation: many seeds in lockstep, or the loop itself (default: compiled).
         workers: number of processes (default: one per processor).
-        out: table to write (.parquet), logs/NAME.parquet on the command line (default: none).
+        out: table to write, a folder NAME.parquet; logs/NAME.parquet on the command line (default: none).
         force: replacement of an existing table, whatever made it.
         yes: permission for work of more than an hour or 4 GB of memory.
         progress: reports, see `dpcontrol.api`.
@@ -2644,7 +2644,8 @@ def report(file: Place, *, page: Picture = None, margins: bool = False) -> Repor
     source = Path(file)
     # A folder may be named by "." alone.
     target = Path(page or source.parent / f"{source.stem or source.resolve().name}-report.png")
-    of_night, of_campaign = source.is_dir() and not is_bag_folder(source), source.suffix.lower() == ".parquet"
+    of_campaign = source.suffix.lower() == ".parquet"
+    of_night = not of_campaign and source.is_dir() and not is_bag_folder(source)
     if margins and (of_night or of_campaign):
         remedy = "a log of the folder" if of_night else "a log, or use plan --margins"
         raise InputError(f"{file}: margins apply to one log; give {remedy}")

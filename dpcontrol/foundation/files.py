@@ -61,11 +61,12 @@ def checked_target(path: Path) -> Path:
         path: file to write, which may be missing.
 
     Raises:
-        InputError: `path` is not a regular file, or its folder cannot be made or written to.
+        InTheWay: `path` is not a regular file.
+        InputError: its folder cannot be made or written to.
     """
     place = Path(os.path.realpath(path)) if path.is_symlink() else path
     if os.path.exists(place) and not os.path.isfile(place):
-        raise InputError(f"cannot write {path}: it is a folder or no regular file; choose another file name")
+        raise InTheWay(f"cannot write {path}: it is a folder or no regular file; choose another file name")
     checked_folder(place.parent, path)
     return place
 
@@ -90,19 +91,21 @@ def checked_folder(folder: Path, path: Path | None = None) -> None:
 
 @contextmanager
 def claimed(path: Path) -> Iterator[None]:
-    """Prevent other commands from writing a file until the end of the block.
+    """Prevent other commands from writing a file or folder until the end of the block.
 
     A claim is a locked file beside it, whose name has the start and the hash of its name. The system ends the claim of
     a killed command. The claim has no effect where files cannot be locked. Folders that are made for the claim are
     removed if they stay empty.
 
     Args:
-        path: file to write, which may be missing.
+        path: file or folder to write, which may be missing.
 
     Raises:
         InTheWay: another command is writing it.
+        InputError: its folder cannot be made or written to.
     """
     place = Path(os.path.realpath(path))
+    checked_folder(place.parent, path)
     partial = place.with_name(f".{place.name[:40]}-{content_hash(place.name)}.partial")
     made = [folder for folder in place.parents if not os.path.exists(folder)]
     place.parent.mkdir(parents=True, exist_ok=True)
@@ -146,13 +149,10 @@ def free_name(path: Path, make: Callable[[Path], T]) -> Iterator[T]:
         make: makes or checks the file of a name; raises `InTheWay` if another command made it.
 
     Raises:
-        InputError: see `checked_target` and `make`, except `InTheWay`.
+        InputError: see `claimed` and `make`, except `InTheWay`.
     """
     for number in itertools.count(1):
         place = path if number == 1 else path.with_name(f"{path.stem}.{number}{path.suffix}")
-        if place.is_dir():
-            continue
-        checked_target(place)
         with ExitStack() as stack:
             try:
                 stack.enter_context(claimed(place))
@@ -165,9 +165,9 @@ def free_name(path: Path, make: Callable[[Path], T]) -> Iterator[T]:
 
 @contextmanager
 def chosen_name(
-    given: Path | str | bool | None, first: Path, check: Callable[[Path], object] = lambda file: None
+    given: Path | str | bool | None, first: Path, check: Callable[[Path], object] = checked_target
 ) -> Iterator[Path | None]:
-    """Yield the file to write, which no other command writes until the end of the block.
+    """Yield the file or folder to write, which no other command writes until the end of the block.
 
     Args:
         given: its name, True for the first free name, or None for no file.
@@ -188,7 +188,7 @@ def chosen_name(
     elif not given:
         yield None
     else:
-        with claimed(checked_target(Path(str(given)))):
+        with claimed(Path(str(given))):
             yield checked(Path(str(given)))
 
 

@@ -24,7 +24,7 @@ from typing import Annotated
 
 from dpcontrol.control.estimator_settings import extra_names
 from dpcontrol.foundation.errors import GoalMissed, InputError, remark
-from dpcontrol.foundation.files import InTheWay
+from dpcontrol.foundation.files import InTheWay, checked_target
 from dpcontrol.foundation.progress import MOST_SECONDS, Cost, Progress, no_progress
 from dpcontrol.foundation.settings import Setting, Settings
 from dpcontrol.judge.night import Night, read_night
@@ -358,7 +358,7 @@ def name_check(
 
     def check(file: Path) -> None:
         if night is None:
-            check_replaced(file, record, force=force)
+            check_replaced(checked_target(file), record, force=force)
             return
         check_night(night_folder(file), record if free else {}, resume=resume, force=force)
         night_cost(itinerary, night, night_folder(file), real_time=bench is not None, yes=yes)

@@ -32,7 +32,6 @@ from numpy.typing import NDArray
 from scipy.optimize import isotonic_regression
 
 from dpcontrol.foundation.cache import cache_file, keep, kept
-from dpcontrol.foundation.files import content_hash
 from dpcontrol.foundation.processes import in_processes, processors
 from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress, part_of
 from dpcontrol.foundation.settings import Setting, Settings, leaves_of
@@ -46,9 +45,6 @@ from dpcontrol.plans.overrides import canonical, typed
 from dpcontrol.plans.plan import Plan
 from dpcontrol.runs.campaign import MOST_TICKS, Case, Job, run_job
 from dpcontrol.runs.troubles import TROUBLES, Trouble
-
-RUNNING = 2
-"""Version of runs, part of the cache keys: raise it whenever a seed of a campaign ends in another way."""
 
 
 @dataclass(frozen=True)
@@ -240,7 +236,7 @@ def outcomes(job: Job, most: int) -> tuple[RunEnd, ...]:
     if len(job.seeds) > most:
         parts = (replace(job, seeds=job.seeds[k : k + most]) for k in range(0, len(job.seeds), most))
         return tuple(row for part in parts for row in outcomes(part, most))
-    file = cache_file("preflights", job.itinerary, content_hash(job.key, f"running {RUNNING}"))
+    file = cache_file("preflights", job.itinerary, job.key)
     if (content := kept(file)) is not None:
         return tuple(RunEnd(*row) for row in json.loads(content))
     rows = tuple(RunEnd(r["seed"], r["completed"], r["cause"], r["reason"]) for r in run_job(job))
