@@ -50,7 +50,6 @@ from dpcontrol.runs.run import (
     export_plan,
     export_unit,
     rig_link,
-    run_on_rig,
     run_plan,
     run_with_program,
 )
@@ -147,23 +146,25 @@ class ClosedLoop(Timed):
                 for a live view.
             GoalMissed: there is no reference to follow, no controller can be made for it, or the rig failed at once.
         """
-        bench = bench_of(rig)
-        link, own = (bench, None) if isinstance(bench, RigLink) else (None, bench)
-        plan, assembly = self.plan.followed(), self.assembly
+        bench, plan, assembly = bench_of(rig), self.plan.followed(), self.assembly
         scene = replace(plan.itinerary, loop=replace(plan.itinerary.loop, seed=seed))
-        plan, shown, out = replace(plan, itinerary=scene), live_view if live else None, _path(log)
-        if program is not None and (link is None or link.address != OWN_BENCH):
-            raise InputError('program: controls the example bench; give rig="udp" as well')
-        if link is not None:
+        plan, out = replace(plan, itinerary=scene), _path(log)
+        if isinstance(bench, RigLink):
             out = out or default_log(scene)
-            if program is None:
-                return run_on_rig(plan, out, link, force=force, live=shown)
-            return run_with_program(plan, out, Path(program), real_time=link.real_time, force=force)
+        if program is not None:
+            if not isinstance(bench, RigLink) or out is None or bench.address != OWN_BENCH:
+                raise InputError('program: controls the example bench; give rig="udp" as well')
+            return run_with_program(plan, out, Path(program), real_time=bench.real_time, force=force)
         with reporting(progress, "run") as report:
             return run_plan(
-                plan, out, assembly=assembly.under(scene.loop), rig=own,
-                force=force, live=shown, progress=report,
-            )  # fmt: skip
+                plan,
+                out,
+                assembly=assembly.under(scene.loop),
+                bench=bench,
+                force=force,
+                live=live_view if live else None,
+                progress=report,
+            )
 
     @checked
     def night(

@@ -44,7 +44,7 @@ from dpcontrol.runs.run import (
     RigLink,
     assembled,
     bench_recipe,
-    drawn_metadata,
+    bench_record,
     log_writer,
     outcome,
     run_metadata,
@@ -223,7 +223,7 @@ def run_night(
     began, scene = time.monotonic(), plan.followed().itinerary
     settings, arms = scene.loop, scene.model.arms
     folder = night_folder(out)
-    made_by = drawn_metadata(scene) if link is None else {"rig": link.address}
+    made_by = bench_record(scene, link)
     place = _place(folder, {**run_metadata(scene), **made_by}, night, settings.rate, resume=resume, force=force)
     since, until = round(place.begin * settings.rate), round(night.hours * 3600 * settings.rate)
     assembly = assembled(plan)
@@ -354,7 +354,7 @@ def name_check(
         force: True to replace an existing log or long run.
         yes: accept a cost beyond the limits.
     """
-    record = run_record(itinerary, rig=None if bench is None else bench.name)
+    record = run_record(itinerary, bench)
 
     def check(file: Path) -> None:
         if night is None:

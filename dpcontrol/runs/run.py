@@ -311,7 +311,7 @@ def run_plan(
     out: Path | None = None,
     *,
     assembly: Assembly | None = None,
-    rig: OwnObject | None = None,
+    bench: "OwnObject | RigLink | None" = None,
     force: bool = False,
     live: LiveSink | None = None,
     progress: Progress = no_progress,
@@ -322,58 +322,71 @@ def run_plan(
         plan: plan of the itinerary.
         out: log to write (default none).
         assembly: components shared by many runs.
-        rig: a user's rig (default: the simulated bench).
+        bench: a user's rig or the link to a bench in real time (default: the simulated bench).
         force: replace the log of another run.
         live: makes a sink that shows the run.
         progress: receiver of progress reports.
 
     Raises:
         InputError: the log cannot be written or belongs to another run, the model's file lacks the uncertainty of a
-            drawn plant, or a live view has no display.
-        GoalMissed: the plan did not converge, no controller can be made for it, or no plant drawn.
+            drawn plant, no bench answers, it needs a key or does not fit the itinerary, or a live view has no display.
+        GoalMissed: the plan did not converge, no controller can be made for it, no plant drawn, or the rig failed at
+            once.
     """
     plan = plan.followed()
-    scene, sink = plan.itinerary, Events()
-    made_by = _made_by(scene, None if rig is None else rig.name)
-    assembly = assembly or assembled(plan)
+    scene, assembly = plan.itinerary, assembly or assembled(plan)
+    made_by = bench_record(scene, bench)
 
-    def run(sink: LoopSink) -> LoopResult:
-        if rig is None:
-            return assembly.simulate(sink=sink, progress=progress)
-        arms, period = scene.model.arms.count, 1 / scene.loop.rate
+    def run(sink: LoopSink) -> tuple[Ticks, dict[str, str]]:
+        """Return the ticks, and the outcome as metadata."""
+        if bench is None:
+            flown = assembly.simulate(sink=sink, progress=progress)
+            return flown.ticks, outcome(flown)
         with assembly.recovery_beside() as recovery:
-            loop = assembly.loop(sink=sink, recovery=recovery, progress=progress)
-            flown = loop.run(OwnRig(rig, arms=arms, period=period))
+            loop, noted = assembly.loop(sink=sink, recovery=recovery, progress=progress), {}
+            if isinstance(bench, OwnObject):
+                flown = loop.run(OwnRig(bench, arms=scene.model.arms.count, period=1 / scene.loop.rate))
+            else:
+                recipe = bench_recipe(plan, assembly)
+                with bench.connected(scene, recipe, ticks=loop.count, what="the itinerary", loop=loop) as (rig, _):
+                    flown = loop.run(rig)
+                noted = rig.deadlines.record()
         if not len(flown.ticks.times):
             raise GoalMissed(flown.reason)
-        return flown
+        return flown.ticks, {**outcome(flown), **noted}
 
     if out is None:
-        with watched(plan, sink, live=live) as sinks:
-            result = run(sink=sinks)
-        return Run(_log_in_memory(plan, result.ticks, sink.kept, **made_by, **outcome(result)))
+        events = Events()
+        with watched(plan, events, live=live) as sink:
+            ticks, ended = run(sink)
+        return Run(_log_in_memory(plan, ticks, events.kept, **made_by, **ended))
     check_replaced(out, {**run_metadata(scene), **made_by}, force=force)
-    with log_writer(plan, out, **made_by) as writer, watched(plan, LogSink(writer), live=live) as sinks:
-        writer.result(**outcome(run(sink=sinks)))
+    with log_writer(plan, out, **made_by) as writer, watched(plan, LogSink(writer), live=live) as sink:
+        writer.result(**run(sink)[1])
     return Run(read_log(out))
 
 
-def _made_by(itinerary: Itinerary, rig: str | None) -> dict[str, str]:
-    """Return the metadata of a run that depend on the bench: the drawn plant or the rig's name."""
-    return drawn_metadata(itinerary) if rig is None else {"rig": rig}
-
-
-def run_record(itinerary: Itinerary, *, rig: str | None = None) -> dict[str, str]:
-    """Return the metadata that identify a run before it starts.
+def bench_record(itinerary: Itinerary, bench: "OwnObject | RigLink | None" = None) -> dict[str, str]:
+    """Return the metadata of a run that depend on the bench: the rig's name, or the drawn plant of a simulated bench.
 
     Args:
-        itinerary: with the run's settings.
-        rig: its address or name; None for the simulated bench.
+        itinerary: itinerary with the run's settings.
+        bench: a user's rig or the link to one; None for the simulated bench.
 
     Raises:
         GoalMissed: no plant can be drawn.
     """
-    return {**run_metadata(itinerary), **_made_by(itinerary, rig)}
+    return drawn_metadata(itinerary) if bench is None else {"rig": bench.name}
+
+
+def run_record(itinerary: Itinerary, bench: "OwnObject | RigLink | None" = None) -> dict[str, str]:
+    """Return the metadata that identify a run before it starts; see `bench_record`.
+
+    Args:
+        itinerary: itinerary with the run's settings.
+        bench: a user's rig or the link to one; None for the simulated bench.
+    """
+    return {**run_metadata(itinerary), **bench_record(itinerary, bench)}
 
 
 @contextmanager
@@ -1069,40 +1082,6 @@ def written(found: "Commissioning", itinerary: Itinerary) -> "Commissioning":
     return replace(found, written=path)
 
 
-def run_on_rig(plan: Plan, out: Path, link: RigLink, *, force: bool = False, live: LiveSink | None = None) -> Run:
-    """Run a planned itinerary on a bench, log and score it.
-
-    Args:
-        plan: plan of the itinerary.
-        out: log to write.
-        link: connection to the bench.
-        force: True to replace that file, default False.
-        live: makes a sink that shows the run; None for no view.
-
-    Raises:
-        InputError: no bench answers, it needs a key or does not fit the itinerary, the log cannot be written, or a live
-            view has no display.
-        GoalMissed: the plan did not converge, no controller can be made for it, or the bench failed at once.
-    """
-    itinerary, assembly = plan.itinerary, assembled(plan)
-    # A rig's run never repeats that of an existing log, even with equal settings.
-    check_replaced(out, run_record(itinerary, rig=link.address), force=force)
-    # All components are built before the log is opened.
-    _ = assembly.controller, assembly.fallback, assembly.recovery
-    with (
-        assembly.recovery_beside() as recovery,
-        log_writer(plan, out) as writer,
-        watched(plan, LogSink(writer), live=live) as sink,
-    ):
-        loop, recipe = assembly.loop(sink=sink, recovery=recovery), bench_recipe(plan, assembly)
-        with link.connected(itinerary, recipe, ticks=loop.count, what="the itinerary", loop=loop) as (rig, _):
-            result = loop.run(rig)
-        if not len(result.ticks.times):
-            raise GoalMissed(result.reason)
-        writer.result(**outcome(result), rig=rig.address, **rig.deadlines.record())
-    return Run(read_log(out))
-
-
 PROGRAM_WATCHDOG = 0.03
 """Silence after which the example bench stops a program's cart, s: programs do not stall as Python can."""
 
@@ -1128,7 +1107,7 @@ def run_with_program(plan: Plan, out: Path, program: Path, *, real_time: bool = 
     """
     if not (program.is_file() and os.access(program, os.X_OK)):
         raise InputError(f"program = {program}: no such executable program; compile it first")
-    check_replaced(out, run_record(plan.itinerary, rig=OWN_BENCH), force=force)
+    check_replaced(out, run_record(plan.itinerary, RigLink(OWN_BENCH)), force=force)
     loop = plan.itinerary.loop
     # A program neither restarts after a fall nor subtracts zeros from its readings.
     stops = replace(loop, supervisor=replace(loop.supervisor, on_fall="stop"))
