@@ -37,18 +37,18 @@ from dpcontrol.foundation.progress import Cost, Progress, Reporting, announce, p
 from dpcontrol.foundation.rendering import render
 
 STAGES = {
-    "arm_chains": "dynamics.chain",
+    "chains": "dynamics.chain",
     "atlases": "plans.atlas",
     "bench_server": "rig.bench",
     "bifurcations": "bifurcations.bifurcations",
     "campaign_tables": "judge.campaign",
     "campaigns": "runs.campaign",
-    "closed_loops": "runs.closed_loop",
+    "loops": "runs.closed_loop",
     "comparison": "judge.comparison",
     "drawing": "bench.drawing",
     "energy_charts": "bench.energies",
     "example_benches": "runs.example_bench",
-    "extended_orbits": "shooting.extended",
+    "extended": "shooting.extended",
     "families": "orbits.family",
     "films": "pages.film",
     "fits": "identification.fit",
@@ -71,7 +71,7 @@ STAGES = {
     "own_objects": "loop.own",
     "page_layout": "pages.layout",
     "paper_figures": "pages.figures",
-    "planner_server": "planner.server",
+    "servers": "planner.server",
     "plans": "plans.plan",
     "polishing": "runs.polish",
     "proof_checks": "proofs.check",
@@ -90,11 +90,11 @@ STAGES = {
     "shadowing": "walks.shadowing",
     "single_runs": "runs.run",
     "sustained_orbits": "references.sustained",
-    "symmetric_connections": "tubes.symmetric",
+    "symmetric": "tubes.symmetric",
     "systems": "dynamics.system",
-    "tube_connections": "tubes.connections",
+    "tubes": "tubes.connections",
     "viewer": "pages.viewer",
-    "walk_edges": "walks.edges",
+    "graphs": "walks.edges",
     "walk_lists": "walks.walks",
     "walk_symbols": "walks.symbols",
 }
@@ -103,20 +103,16 @@ STAGES = {
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from dpcontrol.bench import drawing
+    from dpcontrol.bench import chart, drawing
     from dpcontrol.bench import energies as energy_charts
-    from dpcontrol.bench.chart import ChartPage
-    from dpcontrol.bench.drawing import DrawnCharts
     from dpcontrol.bifurcations import bifurcations
-    from dpcontrol.bifurcations.bifurcations import BifurcationSearch
-    from dpcontrol.control.export import ControllerSource
+    from dpcontrol.control import export as exports
     from dpcontrol.control.flight import Flight as Flight
     from dpcontrol.control.symbolic import Setpoint as Setpoint
     from dpcontrol.control.symbolic import SymbolicLaw as SymbolicLaw
-    from dpcontrol.dynamics import chain as arm_chains
+    from dpcontrol.dynamics import chain as chains
     from dpcontrol.dynamics import mjcf as mjcf_files
     from dpcontrol.dynamics import system as systems
-    from dpcontrol.dynamics.chain import ArmChainParameters
     from dpcontrol.dynamics.components import Sizes as Sizes
     from dpcontrol.dynamics.components import SymbolicPlant as SymbolicPlant
     from dpcontrol.dynamics.components import Terms as Terms
@@ -125,20 +121,12 @@ if TYPE_CHECKING:
     from dpcontrol.identification import fit as fits
     from dpcontrol.identification import identify as identification
     from dpcontrol.identification import replay as replays
-    from dpcontrol.identification.fit import Design
-    from dpcontrol.identification.identify import Identification
-    from dpcontrol.identification.replay import Replay
     from dpcontrol.judge import campaign as campaign_tables
     from dpcontrol.judge import comparison
     from dpcontrol.judge import night as night_logs
     from dpcontrol.judge import of_log as log_views
+    from dpcontrol.judge import preflight as preflights
     from dpcontrol.judge import score as scoring
-    from dpcontrol.judge.campaign import CampaignSummary
-    from dpcontrol.judge.comparison import RunComparison
-    from dpcontrol.judge.night import Night
-    from dpcontrol.judge.preflight import Preflight
-    from dpcontrol.judge.score import Scores
-    from dpcontrol.logs import LogSummary, Recovery
     from dpcontrol.logs import reader as log_reader
     from dpcontrol.logs import recovery as log_recovery
     from dpcontrol.loop import own as own_objects
@@ -147,9 +135,6 @@ if TYPE_CHECKING:
     from dpcontrol.orbits import family as families
     from dpcontrol.orbits import lyapunov
     from dpcontrol.orbits import rotating as rotations
-    from dpcontrol.orbits.family import LyapunovFamily
-    from dpcontrol.orbits.lyapunov import Equilibrium, LyapunovOrbit
-    from dpcontrol.orbits.rotating import RotatingFamilies, RotatingFamily, RotatingOrbit, RotatingOrbits
     from dpcontrol.pages import figures as paper_figures
     from dpcontrol.pages import film as films
     from dpcontrol.pages import identification as identification_pages
@@ -157,70 +142,44 @@ if TYPE_CHECKING:
     from dpcontrol.pages import page as report_pages
     from dpcontrol.pages import renderers, viewer
     from dpcontrol.pages import rerun_recording as rerun_recordings
-    from dpcontrol.pages.figures import DrawnFigures
-    from dpcontrol.pages.page import Report
-    from dpcontrol.pages.viewer import Review
-    from dpcontrol.planner import server as planner_server
-    from dpcontrol.planner.server import Planner
+    from dpcontrol.planner import server as servers
     from dpcontrol.plans import atlas as atlases
     from dpcontrol.plans import itinerary as itineraries
     from dpcontrol.plans import model as models
     from dpcontrol.plans import overrides
     from dpcontrol.plans import plan as plans
     from dpcontrol.plans import schema as schemas
-    from dpcontrol.plans.itinerary import Itinerary
     from dpcontrol.plans.model import Model as Model
-    from dpcontrol.plans.model import ModelDescription
     from dpcontrol.plans.model import load_model as load_model
-    from dpcontrol.plans.plan import Plan
     from dpcontrol.proofs import check as proof_checks
     from dpcontrol.proofs import prove as proofs
-    from dpcontrol.proofs.check import CertificateCheck
-    from dpcontrol.proofs.prove import Proof, ProofSettings
     from dpcontrol.recordings import checks as recording_checks
     from dpcontrol.recordings import importing
     from dpcontrol.recordings import recording as recording_files
-    from dpcontrol.recordings.recording import ImportedRecording, Recording
     from dpcontrol.references import problem as reference_problems
     from dpcontrol.references import reference as references
     from dpcontrol.references import sustained as sustained_orbits
     from dpcontrol.references.problem import Limits as Limits
     from dpcontrol.references.problem import ReferenceSettings as ReferenceSettings
-    from dpcontrol.references.reference import ReferenceFile
-    from dpcontrol.references.sustained import SustainedOrbit
     from dpcontrol.rig import bench as bench_server
-    from dpcontrol.rig.bench import UdpBench
-    from dpcontrol.rig.commissioning import Commissioning
+    from dpcontrol.rig import commissioning
     from dpcontrol.runs import campaign as campaigns
-    from dpcontrol.runs import closed_loop as closed_loops
+    from dpcontrol.runs import closed_loop as loops
     from dpcontrol.runs import example_bench as example_benches
     from dpcontrol.runs import flights
     from dpcontrol.runs import night as night_runs
     from dpcontrol.runs import polish as polishing
     from dpcontrol.runs import run as single_runs
-    from dpcontrol.runs.campaign import Campaign
     from dpcontrol.runs.campaign import CampaignSettings as CampaignSettings
-    from dpcontrol.runs.closed_loop import ClosedLoop
     from dpcontrol.runs.night import NightSettings as NightSettings
-    from dpcontrol.runs.polish import Polished
-    from dpcontrol.runs.run import Demonstration, Repeat, RigLink, Run
-    from dpcontrol.shooting import extended as extended_orbits
-    from dpcontrol.shooting.extended import ExtendedOrbit
-    from dpcontrol.tubes import connections as tube_connections
-    from dpcontrol.tubes import intersections
-    from dpcontrol.tubes import symmetric as symmetric_connections
-    from dpcontrol.tubes.connections import ChosenConnection, Connection, ConnectionSearch, RefinedConnection
-    from dpcontrol.tubes.symmetric import SymmetricSearch
-    from dpcontrol.walks import edges as walk_edges
+    from dpcontrol.shooting import extended
+    from dpcontrol.tubes import connections as tubes
+    from dpcontrol.tubes import intersections, symmetric
+    from dpcontrol.walks import atlas as walk_atlases
+    from dpcontrol.walks import edges as graphs
     from dpcontrol.walks import following, shadowing
     from dpcontrol.walks import symbols as walk_symbols
     from dpcontrol.walks import walks as walk_lists
-    from dpcontrol.walks.atlas import Atlas
-    from dpcontrol.walks.edges import Edges
-    from dpcontrol.walks.following import SymbolChange, SymbolChanges
-    from dpcontrol.walks.shadowing import ShadowingOrbit
-    from dpcontrol.walks.symbols import Symbol
-    from dpcontrol.walks.walks import SolvedWalks, WalkList, WalkRequest
 
     Law: TypeAlias = UserLaw
     Estimator: TypeAlias = UserEstimator
@@ -242,7 +201,7 @@ _SWEPT, _SWEPT_BYTES = 2.0, 1e6
 
 
 @checked
-def orbit(model: Model | System | str, saddle: str, *, energy: float, family: Index = 0) -> LyapunovOrbit:
+def orbit(model: Model | System | str, saddle: str, *, energy: float, family: Index = 0) -> lyapunov.LyapunovOrbit:
     """Return the Lyapunov orbit about a saddle.
 
     Args:
@@ -277,7 +236,13 @@ def find_orbits(
     energies: tuple[float, float] | None = None,
     picture: Picture = None,
     progress: Reporting = None,
-) -> LyapunovOrbit | LyapunovFamily | SustainedOrbit | RotatingOrbits | RotatingFamilies:
+) -> (
+    lyapunov.LyapunovOrbit
+    | families.LyapunovFamily
+    | sustained_orbits.SustainedOrbit
+    | rotations.RotatingOrbits
+    | rotations.RotatingFamilies
+):
     """Compute a Lyapunov orbit or its family, with Floquet multipliers.
 
     A family is followed from its saddle until it ends, loses hyperbolicity or leaves the given energies.
@@ -341,8 +306,8 @@ def find_orbits(
 
 @overload
 def connections(
-    source: LyapunovOrbit,
-    target: LyapunovOrbit | None = None,
+    source: lyapunov.LyapunovOrbit,
+    target: lyapunov.LyapunovOrbit | None = None,
     *,
     hits: tuple[Hit, Hit] = (1, 1),
     section: str | None = None,
@@ -350,20 +315,20 @@ def connections(
     thorough: bool = False,
     seconds: Positive | None = None,
     progress: Reporting = None,
-) -> ConnectionSearch: ...
+) -> tubes.ConnectionSearch: ...
 @overload
 def connections(
-    source: LyapunovOrbit,
+    source: lyapunov.LyapunovOrbit,
     *,
     energies: tuple[float, float],
     hits: tuple[Hit, Hit] = (1, 1),
     seconds: Positive | None = None,
     progress: Reporting = None,
-) -> SymmetricSearch: ...
+) -> symmetric.SymmetricSearch: ...
 @checked
 def connections(
-    source: LyapunovOrbit,
-    target: LyapunovOrbit | None = None,
+    source: lyapunov.LyapunovOrbit,
+    target: lyapunov.LyapunovOrbit | None = None,
     *,
     energies: tuple[float, float] | None = None,
     hits: tuple[Hit, Hit] = (1, 1),
@@ -372,7 +337,7 @@ def connections(
     thorough: bool = False,
     seconds: Positive | None = None,
     progress: Reporting = None,
-) -> ConnectionSearch | SymmetricSearch:
+) -> tubes.ConnectionSearch | symmetric.SymmetricSearch:
     """Find every connection from one orbit to another.
 
     Args:
@@ -403,7 +368,7 @@ def connections(
         if hits[0] != hits[1]:
             raise InputError(f"hits = {hits}: a symmetric connection meets the section of both tubes at the same one")
         with reporting(progress, "symmetric connections") as report:
-            return symmetric_connections.find_symmetric_connections(
+            return symmetric.find_symmetric_connections(
                 source.system, source.saddle, energies=energies, family=source.family, hit=hits[0],
                 budget=Budget(intersections.search_settings(seconds=seconds).seconds), progress=report,
             )  # fmt: skip
@@ -412,7 +377,7 @@ def connections(
     for one in (source, target):
         _found(one.converged, f"the orbit about {one.saddle}", one.status)
     with reporting(progress, "connections") as report:
-        return tube_connections.find_connections(
+        return tubes.find_connections(
             source,
             target,
             hits=hits,
@@ -439,7 +404,7 @@ def find_connections(
     name: str | None = None,
     precision: Literal["double", "extended"] = "double",
     progress: Reporting = None,
-) -> ConnectionSearch | SymmetricSearch | ChosenConnection | RefinedConnection:
+) -> tubes.ConnectionSearch | symmetric.SymmetricSearch | tubes.ChosenConnection | tubes.RefinedConnection:
     """Find every connection between Lyapunov orbits at given section hits.
 
     The list contains all connections on the torus of angles: both senses, mirror pairs and reflections. The walk of an
@@ -499,7 +464,7 @@ def find_connections(
         raise InputError("precision = extended refines one connection: give its name from the list of connections")
     symbol = None if name is None else walk_symbols.parse_symbol(name, [source, target])
     search = connections(
-        *tube_connections.orbits_between(_system(model), source, target, float(energy)),
+        *tubes.orbits_between(_system(model), source, target, float(energy)),
         hits=hits or (symbol and symbol.hits) or (1, 1),
         section=section or (symbol and symbol.section),
         longest=longest,
@@ -511,11 +476,11 @@ def find_connections(
         return search
     connection = search.named(name)
     if not extended:
-        return tube_connections.ChosenConnection(search, (connection,))
+        return tubes.ChosenConnection(search, (connection,))
     with reporting(progress, "refining in 113-bit arithmetic"):
         refined = refine(connection, energy=energy)
     _found(refined.converged, f"{connection.name} in extended precision", refined.status)
-    return tube_connections.RefinedConnection(connection, refined, str(energy))
+    return tubes.RefinedConnection(connection, refined, str(energy))
 
 
 @checked
@@ -526,7 +491,7 @@ def graph(
     symbols: Sequence[str] = (),
     yes: bool = False,
     progress: Reporting = None,
-) -> Edges:
+) -> graphs.Edges:
     """Find the connection graph of an energy.
 
     Args:
@@ -549,7 +514,7 @@ def graph(
     system = _system(model)
     requested = walk_symbols.parse_walk(symbols, walk_lists.vertex_names(system)) if symbols else ()
     with reporting(progress, "connections") as report:
-        return walk_edges.find_edges(system, energy, symbols=requested, yes=yes, progress=report)
+        return graphs.find_edges(system, energy, symbols=requested, yes=yes, progress=report)
 
 
 @checked
@@ -563,7 +528,7 @@ def find_bifurcations(
     samples: Count = 24,
     yes: bool = False,
     progress: Reporting = None,
-) -> BifurcationSearch:
+) -> bifurcations.BifurcationSearch:
     """Find the energies at which connections appear, vanish or split.
 
     There are three kinds of events. At a saddle-node, two connections meet and vanish. At a pitchfork, a mirror pair
@@ -614,7 +579,7 @@ def atlas(
     out: Annotated[Path | str | None, Output((".npz",))] = None,
     yes: bool = False,
     progress: Reporting = None,
-) -> Atlas:
+) -> walk_atlases.Atlas:
     """Compute all orbits, tubes and connections of an energy.
 
     The orbits are Lyapunov orbits about the saddles and rotating orbits. The atlas is one file with orbits, cuts, and
@@ -658,15 +623,15 @@ def atlas(
 
 @checked
 def shadow(
-    found: Edges | ConnectionSearch | Sequence[ConnectionSearch] | SymmetricSearch,
-    walk: Sequence[str] | WalkRequest,
+    found: graphs.Edges | tubes.ConnectionSearch | Sequence[tubes.ConnectionSearch] | symmetric.SymmetricSearch,
+    walk: Sequence[str] | walk_lists.WalkRequest,
     *,
     wraps: Sequence[Index] | None = None,
     lead_in: Index = 2,
     lead_out: Index = 2,
     periodic: bool = False,
     yes: bool = False,
-) -> ShadowingOrbit:
+) -> shadowing.ShadowingOrbit:
     """Return the orbit that follows a walk.
 
     Args:
@@ -689,12 +654,12 @@ def shadow(
         >>> dp.shadow(found, ["down-up +"]).converged
         True
     """
-    if isinstance(found, symmetric_connections.SymmetricSearch):
+    if isinstance(found, symmetric.SymmetricSearch):
         if isinstance(walk, walk_lists.WalkRequest):
             raise InputError("walk: drawn walks belong to graphs; for three arms give one symbol")
         return walk_lists.symmetric_walk(walk, found, lead_in=lead_in, lead_out=lead_out)
-    searches = [found] if isinstance(found, tube_connections.ConnectionSearch) else found
-    edges = searches if isinstance(searches, walk_edges.Edges) else _edges(searches)
+    searches = [found] if isinstance(found, tubes.ConnectionSearch) else found
+    edges = searches if isinstance(searches, graphs.Edges) else _edges(searches)
     solver = shadowing.WalkSolver(edges.known)
     if isinstance(walk, walk_lists.WalkRequest):
         own = walk.chain[0].source
@@ -712,14 +677,14 @@ def shadow(
 
 @checked
 def prove(
-    found: LyapunovOrbit | ShadowingOrbit | ConnectionSearch,
+    found: lyapunov.LyapunovOrbit | shadowing.ShadowingOrbit | tubes.ConnectionSearch,
     *,
     energy: Decimal | Fraction | float | None = None,
-    rivals: Edges | None = None,
+    rivals: graphs.Edges | None = None,
     horseshoe: bool = True,
-    settings: ProofSettings | None = None,
+    settings: proofs.ProofSettings | None = None,
     progress: Reporting = None,
-) -> Proof:
+) -> proofs.Proof:
     """Prove in ball arithmetic that orbits or connections exist.
 
     Args:
@@ -782,7 +747,7 @@ def prove_statement(
     out: Annotated[Path | str | None, Output((".json",))] = None,
     yes: bool = False,
     progress: Reporting = None,
-) -> Proof | CertificateCheck:
+) -> proofs.Proof | proof_checks.CertificateCheck:
     """Prove in ball arithmetic that orbits exist, or check a certificate.
 
     Statements concern an orbit, a closed walk, a connection or a horseshoe. Parameters and energy are exact decimals.
@@ -855,7 +820,7 @@ def prove_statement(
 
 @checked
 def reference(
-    walks: ShadowingOrbit | Sequence[ShadowingOrbit],
+    walks: shadowing.ShadowingOrbit | Sequence[shadowing.ShadowingOrbit],
     *,
     limits: Limits | None = None,
     settings: ReferenceSettings | None = None,
@@ -864,7 +829,7 @@ def reference(
     name: str = "walk",
     yes: bool = False,
     progress: Reporting = None,
-) -> Plan:
+) -> plans.Plan:
     """Plan one or more walks with friction and a cart.
 
     Args:
@@ -925,7 +890,7 @@ def plan(
     workers: Workers = 0,
     yes: bool = False,
     progress: Reporting = None,
-) -> Plan:
+) -> plans.Plan:
     """Plan an itinerary: connections, shadowing orbit and reference.
 
     Plans are cached by content, so the same itinerary is planned once. Each transfer is cached too, so interrupted
@@ -975,13 +940,13 @@ def plan(
 
 @checked
 def closed_loop(
-    itinerary: Plan | str,
+    itinerary: plans.Plan | str,
     *,
     settings: Mapping[str, object] | None = None,
     yes: bool = False,
     progress: Reporting = None,
     **named: object,
-) -> ClosedLoop:
+) -> loops.ClosedLoop:
     """Return the closed loop of a plan.
 
     Args:
@@ -1009,7 +974,11 @@ def closed_loop(
 
 @checked
 def mjcf(
-    model: Model | ArmChainParameters | str, *, cart_mass: float = 20.0, lag: float = 0.002, out: Place | None = None
+    model: Model | chains.ArmChainParameters | str,
+    *,
+    cart_mass: float = 20.0,
+    lag: float = 0.002,
+    out: Place | None = None,
 ) -> str:
     """Return the arms on their cart as a model for MuJoCo.
 
@@ -1029,7 +998,7 @@ def mjcf(
         >>> dp.mjcf("lab").startswith("<mujoco")
         True
     """
-    arms = model if isinstance(model, arm_chains.ArmChainParameters) else _model(model).arms
+    arms = model if isinstance(model, chains.ArmChainParameters) else _model(model).arms
     text = mjcf_files.mjcf_text(arms, name="arms", cart_mass=cart_mass, lag=lag)
     if out is not None:
         write_whole(Path(out), text)
@@ -1038,14 +1007,14 @@ def mjcf(
 
 @checked
 def polish(
-    itinerary: Plan | str,
+    itinerary: plans.Plan | str,
     *,
     fresh: bool = False,
     runs: Count = 48,
     workers: Workers = 0,
     yes: bool = False,
     progress: Reporting = None,
-) -> Polished:
+) -> polishing.Polished:
     """Re-optimise a motion from rest to rest as one problem.
 
     The polished plan keeps crossings, windings and wraps at a fraction of the effort. It may stay far from the orbits.
@@ -1081,20 +1050,20 @@ def polish(
 
 @checked
 def run(
-    itinerary: Plan | str,
+    itinerary: plans.Plan | str,
     *,
     mismatch: float | None = None,
     plant: Place | None = None,
     start: Sequence[float] | str | None = None,
     seed: Seed = 0,
     settings: Mapping[str, object] | None = None,
-    rig: Rig | RigLink | str | None = None,
+    rig: Rig | single_runs.RigLink | str | None = None,
     log: Place | None = None,
     force: bool = False,
     live: bool = False,
     yes: bool = False,
     progress: Reporting = None,
-) -> Run:
+) -> single_runs.Run:
     """Run a plan once in closed loop, and log it if requested; see `launch` for long and repeated runs.
 
     Args:
@@ -1132,9 +1101,9 @@ def run(
 
 @checked
 def flight(
-    model: Model | ArmChainParameters | Plan | str,
+    model: Model | chains.ArmChainParameters | plans.Plan | str,
     state: Sequence[float],
-    target: str | LyapunovOrbit | SustainedOrbit | Plan,
+    target: str | lyapunov.LyapunovOrbit | sustained_orbits.SustainedOrbit | plans.Plan,
     *,
     limits: Limits | None = None,
 ) -> Flight:
@@ -1164,18 +1133,18 @@ def flight(
     if isinstance(model, plans.Plan):
         arms, limits = model.itinerary.model.arms, limits or model.reference.limits
     else:
-        arms = model if isinstance(model, arm_chains.ArmChainParameters) else _model(model).arms
+        arms = model if isinstance(model, chains.ArmChainParameters) else _model(model).arms
     return flights.plan_flight(arms, state, target, limits or reference_problems.Limits())
 
 
 @checked
 def launch(
-    itinerary: Plan | str | None = None,
+    itinerary: plans.Plan | str | None = None,
     *,
     source: Place | None = None,
     seed: Seed = 0,
     settings: Mapping[str, object] | None = None,
-    rig: Rig | RigLink | str | None = None,
+    rig: Rig | single_runs.RigLink | str | None = None,
     program: Place | None = None,
     real_time: bool = False,
     key_file: Place | None = None,
@@ -1189,7 +1158,7 @@ def launch(
     force: bool = False,
     yes: bool = False,
     progress: Reporting = None,
-) -> Run | Night | Repeat:
+) -> single_runs.Run | night_logs.Night | single_runs.Repeat:
     """Run an itinerary in closed loop, on the simulated bench or on a rig.
 
     The itinerary is planned first if its plan is not cached. The run is missed (exit code 1) if it is not completed. A
@@ -1246,7 +1215,7 @@ def launch(
         raise InputError("program: controls single runs without a live view; omit hours and live")
     if live:
         viewer.check_viewer(viewer.LIVE_REMEDY)
-    bench = closed_loops.bench_of(_linked(rig, key_file=key_file, insecure=insecure, real_time=real_time))
+    bench = loops.bench_of(_linked(rig, key_file=key_file, insecure=insecure, real_time=real_time))
     chosen, shared = _settings(settings), {"force": force, "live": live}
     scene = _scene(itinerary).with_run(chosen, seed=seed)
     night = None if hours is None else night_runs.NightSettings(hours, file_minutes, keep_every)
@@ -1263,7 +1232,7 @@ def launch(
 
 @checked
 def export(
-    itinerary: Plan | str,
+    itinerary: plans.Plan | str,
     folder: Annotated[Place | None, Output(folder=True)] = None,
     *,
     single: bool = False,
@@ -1273,7 +1242,7 @@ def export(
     force: bool = False,
     yes: bool = False,
     progress: Reporting = None,
-) -> ControllerSource:
+) -> exports.ControllerSource:
     """Write the controller of an itinerary as C99.
 
     The C code has estimator, law and supervisor in one call. The itinerary is planned first if its plan is not cached.
@@ -1314,7 +1283,7 @@ def export(
 
 @checked
 def campaign(
-    itinerary: Plan | str,
+    itinerary: plans.Plan | str,
     *,
     runs: Count | None = None,
     mismatch: float | None = None,
@@ -1330,7 +1299,7 @@ def campaign(
     force: bool = False,
     yes: bool = False,
     progress: Reporting = None,
-) -> Campaign:
+) -> campaigns.Campaign:
     """Run an itinerary with many seeds and count the completed runs.
 
     Every case runs the same seeds. An interrupted campaign with a table resumes with the same call. A run with the seed
@@ -1389,7 +1358,7 @@ def campaign(
 
 @checked
 def preflight(
-    itinerary: Plan | str,
+    itinerary: plans.Plan | str,
     *,
     runs: Index = 0,
     first_seed: Seed = 1_000_000,
@@ -1398,7 +1367,7 @@ def preflight(
     picture: Annotated[Place | bool | None, Output((".pdf", ".png", ".svg"), free=True)] = None,
     yes: bool = False,
     progress: Reporting = None,
-) -> Preflight:
+) -> preflights.Preflight:
     """Predict whether the first run on a rig completes.
 
     The arms are drawn from the identified uncertainty of the model, or from a mismatch if the model file has none. The
@@ -1439,7 +1408,7 @@ def preflight(
 @checked
 def swings(
     model: Model | str, *, count: Count = 9, seconds: Positive = 2.667, seed: Seed = 0, yes: bool = False
-) -> Recording:
+) -> recording_files.Recording:
     """Return simulated free swings as encoders would record them.
 
     Args:
@@ -1468,16 +1437,16 @@ def swings(
 
 @overload
 def identify(
-    recordings: Recording | Place | Sequence[Recording | Place] = (),
+    recordings: recording_files.Recording | Place | Sequence[recording_files.Recording | Place] = (),
     *,
     model: Model | str = "lab",
     design: Literal[True],
     picture: Picture = None,
     progress: Reporting = None,
-) -> Design: ...
+) -> fits.Design: ...
 @overload
 def identify(
-    recordings: Recording | Place | Sequence[Recording | Place] = (),
+    recordings: recording_files.Recording | Place | Sequence[recording_files.Recording | Place] = (),
     *,
     model: Model | str = "lab",
     zeros: bool | None = None,
@@ -1486,10 +1455,10 @@ def identify(
     force: bool = False,
     picture: Picture = None,
     progress: Reporting = None,
-) -> Identification: ...
+) -> identification.Identification: ...
 @checked
 def identify(
-    recordings: Recording | Place | Sequence[Recording | Place] = (),
+    recordings: recording_files.Recording | Place | Sequence[recording_files.Recording | Place] = (),
     *,
     model: Model | str = "lab",
     zeros: bool | None = None,
@@ -1498,7 +1467,7 @@ def identify(
     force: bool = False,
     picture: Picture = None,
     progress: Reporting = None,
-) -> Identification | Design:
+) -> identification.Identification | fits.Design:
     """Identify a model from recordings that `dpcontrol import` wrote.
 
     The model gets inertia ratios, friction laws and encoder zeros. Every third segment is held out, and the friction
@@ -1558,7 +1527,7 @@ def identify(
 
 
 @checked
-def open_log(file: Place) -> Run:
+def open_log(file: Place) -> single_runs.Run:
     """Open the log of a run or of a bench.
 
     Args:
@@ -1578,7 +1547,7 @@ def open_log(file: Place) -> Run:
 
 
 @checked
-def open_plan(file: Place) -> Plan:
+def open_plan(file: Place) -> plans.Plan:
     """Open the file of a plan.
 
     Args:
@@ -1598,7 +1567,7 @@ def open_plan(file: Place) -> Plan:
 
 
 @checked
-def open_reference(file: Place, *, picture: Picture = None, transitions: Picture = None) -> ReferenceFile:
+def open_reference(file: Place, *, picture: Picture = None, transitions: Picture = None) -> references.ReferenceFile:
     """Show a reference: motion, limits, effort, mesh, error and origin.
 
     FILE is a .npz from `dpcontrol plan --out`. numpy can read it; dpcontrol.references.reference documents its layout.
@@ -1631,7 +1600,7 @@ def open_reference(file: Place, *, picture: Picture = None, transitions: Picture
 
 
 @checked
-def open_atlas(file: Place) -> Atlas:
+def open_atlas(file: Place) -> walk_atlases.Atlas:
     """Open the file of an atlas.
 
     Args:
@@ -1648,7 +1617,9 @@ def open_atlas(file: Place) -> Atlas:
 
 
 @checked
-def open_planner(model: str = "lab", *, browser: bool = True, port: Annotated[int, Between(0, 65535)] = 0) -> Planner:
+def open_planner(
+    model: str = "lab", *, browser: bool = True, port: Annotated[int, Between(0, 65535)] = 0
+) -> servers.Planner:
     """Plan in the browser, from an energy to a run.
 
     Choose an energy, click connections to build a walk, plan it, and run it. Itinerary, log and film are saved in
@@ -1672,7 +1643,7 @@ def open_planner(model: str = "lab", *, browser: bool = True, port: Annotated[in
         ...     planner.address
         'http://127.0.0.1:...'
     """
-    planner = planner_server.Planner(model, port=port)
+    planner = servers.Planner(model, port=port)
     if browser and not planner.open():
         remark("no browser was found; open the address in one")
     return planner
@@ -1681,7 +1652,7 @@ def open_planner(model: str = "lab", *, browser: bool = True, port: Annotated[in
 @checked
 def open_recording(
     file: Place, *, mapping: str | None = None, repairs: Sequence[str] = (), progress: Reporting = None
-) -> Recording:
+) -> recording_files.Recording:
     """Open a recording of a bench.
 
     Args:
@@ -1710,7 +1681,7 @@ def open_recording(
 
 @checked
 def picture(
-    result: Run | Plan | ShadowingOrbit | Atlas,
+    result: single_runs.Run | plans.Plan | shadowing.ShadowingOrbit | walk_atlases.Atlas,
     *,
     transitions: bool = False,
     file: Place | None = None,
@@ -1815,7 +1786,7 @@ def cache(*, clear: bool = False) -> CacheContents:
 
 
 @checked
-def equilibria(model: Model | System | str) -> dict[str, Equilibrium]:
+def equilibria(model: Model | System | str) -> dict[str, lyapunov.Equilibrium]:
     """Return a model's equilibria by name, with energies and eigenvalues.
 
     Args:
@@ -1839,7 +1810,7 @@ def family(
     energies: tuple[float, float],
     family: Index = 0,
     progress: Reporting = None,
-) -> LyapunovFamily:
+) -> families.LyapunovFamily:
     """Follow a family of Lyapunov orbits between two energies.
 
     Args:
@@ -1867,7 +1838,7 @@ def family(
 @checked
 def rotating_orbits(
     model: Model | System | str, arm: Literal["inner", "outer"], *, energy: float
-) -> tuple[RotatingOrbit, ...]:
+) -> tuple[rotations.RotatingOrbit, ...]:
     """Find the symmetric orbits that turn one arm over.
 
     Args:
@@ -1895,7 +1866,7 @@ def rotating_families(
     *,
     energies: tuple[float, float],
     progress: Reporting = None,
-) -> tuple[RotatingFamily, ...]:
+) -> tuple[rotations.RotatingFamily, ...]:
     """Follow the families of orbits that turn one arm over.
 
     Args:
@@ -1922,8 +1893,8 @@ def rotating_families(
 
 @checked
 def sustained_orbit(
-    orbit: LyapunovOrbit, *, limits: Limits | None = None, progress: Reporting = None
-) -> SustainedOrbit:
+    orbit: lyapunov.LyapunovOrbit, *, limits: Limits | None = None, progress: Reporting = None
+) -> sustained_orbits.SustainedOrbit:
     """Return the periodic orbit that the cart sustains against friction.
 
     Args:
@@ -1950,7 +1921,9 @@ def sustained_orbit(
 
 
 @checked
-def refine(found: Connection | ShadowingOrbit, *, energy: Decimal | Fraction | float | None = None) -> ExtendedOrbit:
+def refine(
+    found: tubes.Connection | shadowing.ShadowingOrbit, *, energy: Decimal | Fraction | float | None = None
+) -> extended.ExtendedOrbit:
     """Refine a connection or a walk's orbit in 113-bit arithmetic.
 
     Args:
@@ -1967,10 +1940,10 @@ def refine(found: Connection | ShadowingOrbit, *, energy: Decimal | Fraction | f
         >>> float(dp.refine(found.connections[0]).residual) < 1e-25
         True
     """
-    source = found.source if isinstance(found, tube_connections.Connection) else found.connections[0].source
-    solution = found.solution if isinstance(found, tube_connections.Connection) else found.shot.solution
+    source = found.source if isinstance(found, tubes.Connection) else found.connections[0].source
+    solution = found.solution if isinstance(found, tubes.Connection) else found.shot.solution
     height = _exact(source.energy if energy is None else energy)
-    return extended_orbits.refine(solution, energy=height, parameters=_exact_parameters(source.system))
+    return extended.refine(solution, energy=height, parameters=_exact_parameters(source.system))
 
 
 @checked
@@ -2000,7 +1973,7 @@ def find_walks(
     film: Film = None,
     yes: bool = False,
     progress: Reporting = None,
-) -> Edges | WalkList | SolvedWalks | SymbolChanges:
+) -> graphs.Edges | walk_lists.WalkList | walk_lists.SolvedWalks | following.SymbolChanges:
     """List, count and create walks on the connection graph.
 
     `solve` computes the orbit that follows each walk, with an estimate of its error. The orbit is homoclinic,
@@ -2072,7 +2045,7 @@ def find_walks(
         if compare is not None:
             return _changes(system, chosen, (float(energy), compare), report)
         numbers = {(a, b) for a in range(1, hits[0] + 1) for b in range(1, hits[1] + 1)}
-        edges = walk_edges.find_edges(system, float(energy), hits=numbers, symbols=chosen, yes=yes, progress=report)
+        edges = graphs.find_edges(system, float(energy), hits=numbers, symbols=chosen, yes=yes, progress=report)
     if not selection.selected_by:
         return edges
     walks = walk_lists.WalkList(edges, selection.requests(edges, solve=solve, yes=yes))
@@ -2080,7 +2053,7 @@ def find_walks(
 
 
 @checked
-def count_walks(graph: Edges, length: Count, *, source: str | None = None, target: str | None = None) -> int:
+def count_walks(graph: graphs.Edges, length: Count, *, source: str | None = None, target: str | None = None) -> int:
     """Return the number of walks with some number of symbols.
 
     Args:
@@ -2104,7 +2077,12 @@ def count_walks(graph: Edges, length: Count, *, source: str | None = None, targe
 
 @checked
 def list_walks(
-    graph: Edges, length: Count, *, source: str | None = None, target: str | None = None, periodic: bool = False
+    graph: graphs.Edges,
+    length: Count,
+    *,
+    source: str | None = None,
+    target: str | None = None,
+    periodic: bool = False,
 ) -> tuple[tuple[str, ...], ...]:
     """List all walks with some number of symbols.
 
@@ -2131,14 +2109,14 @@ def list_walks(
 
 @checked
 def random_walks(
-    graph: Edges,
+    graph: graphs.Edges,
     count: Count,
     *,
     lengths: tuple[Count, Count] = (1, 8),
     extra_wraps: tuple[Index, Index] = (0, 0),
     periodic: bool = False,
     seed: Seed = 0,
-) -> tuple[WalkRequest, ...]:
+) -> tuple[walk_lists.WalkRequest, ...]:
     """Draw walks, each of one length with equal probability.
 
     Args:
@@ -2172,7 +2150,7 @@ def random_walks(
 
 
 @checked
-def shortest_walk(graph: Edges, stops: Sequence[str]) -> tuple[str, ...]:
+def shortest_walk(graph: graphs.Edges, stops: Sequence[str]) -> tuple[str, ...]:
     """Return the shortest walk that visits saddles in order.
 
     Args:
@@ -2195,7 +2173,7 @@ def shortest_walk(graph: Edges, stops: Sequence[str]) -> tuple[str, ...]:
 @checked
 def symbol_changes(
     model: Model | System | str, symbols: Sequence[str], *, energies: tuple[float, float], progress: Reporting = None
-) -> tuple[SymbolChange, ...]:
+) -> tuple[following.SymbolChange, ...]:
     """Find the energies at which symbols select other connections.
 
     Args:
@@ -2222,7 +2200,7 @@ def symbol_changes(
 
 
 @checked
-def check_proof(file: Place, *, progress: Reporting = None) -> CertificateCheck:
+def check_proof(file: Place, *, progress: Reporting = None) -> proof_checks.CertificateCheck:
     """Check the certificate of a proof by independent code.
 
     Args:
@@ -2246,7 +2224,9 @@ def check_proof(file: Place, *, progress: Reporting = None) -> CertificateCheck:
 
 
 @checked
-def explore_energies(itinerary: Plan | str, *, picture: Place | None = None, progress: Reporting = None) -> ChartPage:
+def explore_energies(
+    itinerary: plans.Plan | str, *, picture: Place | None = None, progress: Reporting = None
+) -> chart.ChartPage:
     """Compare the effort of one walk over energies.
 
     Args:
@@ -2276,7 +2256,7 @@ def explore_energies(itinerary: Plan | str, *, picture: Place | None = None, pro
 @checked
 def rig_link(
     address: str = "udp", *, key_file: Place | None = None, insecure: bool = False, real_time: bool = False
-) -> RigLink:
+) -> single_runs.RigLink:
     """Return the link to a bench, for runs on it.
 
     Args:
@@ -2316,7 +2296,7 @@ def start_bench(
     insecure: bool = False,
     yes: bool = False,
     progress: Reporting = None,
-) -> UdpBench:
+) -> bench_server.UdpBench:
     """Start an example bench for runs over UDP in real time.
 
     The bench simulates the arms and cart of the itinerary. It serves one run after another at its address, for
@@ -2363,9 +2343,9 @@ def start_bench(
 
 @checked
 def commission(
-    itinerary: Plan | str,
+    itinerary: plans.Plan | str,
     *,
-    rig: Rig | RigLink | str | None = None,
+    rig: Rig | single_runs.RigLink | str | None = None,
     seed: Seed = 0,
     settings: Mapping[str, object] | None = None,
     faults: Sequence[str] = (),
@@ -2375,7 +2355,7 @@ def commission(
     insecure: bool = False,
     write: bool = False,
     progress: Reporting = None,
-) -> Commissioning:
+) -> commissioning.Commissioning:
     """Measure a rig before its first run: signs, delay, lag, zeros.
 
     The arms must hang, and the cart must stand at the centre. The cart moves a few millimetres, then follows a chirp
@@ -2410,7 +2390,7 @@ def commission(
         'encoders'
     """
     scene, chosen = _scene(itinerary), _settings(settings)
-    bench = closed_loops.bench_of(_linked(rig, key_file=key_file, insecure=insecure, real_time=real_time))
+    bench = loops.bench_of(_linked(rig, key_file=key_file, insecure=insecure, real_time=real_time))
     if getattr(bench, "address", bench) not in (None, single_runs.OWN_BENCH) and (faults or chosen):
         raise InputError(f"rig = {rig}: faults and settings are those of the example bench; omit them")
     if write:
@@ -2426,7 +2406,7 @@ def commission(
 
 
 @checked
-def repeat(log: Place, out: Place, *, force: bool = False, progress: Reporting = None) -> Repeat:
+def repeat(log: Place, out: Place, *, force: bool = False, progress: Reporting = None) -> single_runs.Repeat:
     """Repeat a run from its log, and compare all messages.
 
     Args:
@@ -2451,7 +2431,7 @@ def repeat(log: Place, out: Place, *, force: bool = False, progress: Reporting =
 
 
 @checked
-def open_night(folder: Place) -> Night:
+def open_night(folder: Place) -> night_logs.Night:
     """Open the folder of a long run.
 
     Args:
@@ -2471,7 +2451,7 @@ def open_night(folder: Place) -> Night:
 
 
 @checked
-def open_campaign(file: Place) -> CampaignSummary:
+def open_campaign(file: Place) -> campaign_tables.CampaignSummary:
     """Open the table of a campaign.
 
     Args:
@@ -2491,7 +2471,7 @@ def open_campaign(file: Place) -> CampaignSummary:
 
 
 @checked
-def compare_logs(logs: Sequence[Place], *, align: Count = 1) -> RunComparison:
+def compare_logs(logs: Sequence[Place], *, align: Count = 1) -> comparison.RunComparison:
     """Align several logged runs at one symbol.
 
     Args:
@@ -2512,7 +2492,9 @@ def compare_logs(logs: Sequence[Place], *, align: Count = 1) -> RunComparison:
 
 
 @checked
-def score(logs: Place | Sequence[Place], *, why: bool = False, yes: bool = False, progress: Reporting = None) -> Scores:
+def score(
+    logs: Place | Sequence[Place], *, why: bool = False, yes: bool = False, progress: Reporting = None
+) -> scoring.Scores:
     """Score logged runs: symbols, wraps, limits, tracking, consistency of the estimator.
 
     For the folder of a long run, the score has uptime, falls with causes, times to return, repetitions, and drift of
@@ -2561,7 +2543,7 @@ def review(
     stretch: tuple[float, float] | None = None,
     yes: bool = False,
     progress: Reporting = None,
-) -> Review:
+) -> viewer.Review:
     """Open a log in the Rerun viewer.
 
     It shows the arms with the reference as a ghost, the planned and the actual itinerary, angles, rates, command,
@@ -2615,7 +2597,7 @@ def review(
 
 
 @checked
-def report(file: Place, *, page: Picture = None, margins: bool = False) -> Report:
+def report(file: Place, *, page: Picture = None, margins: bool = False) -> report_pages.Report:
     """Write one page on a log, a long run or a campaign.
 
     matplotlib draws it.
@@ -2663,7 +2645,7 @@ def report(file: Place, *, page: Picture = None, margins: bool = False) -> Repor
 
 
 @checked
-def log_summary(file: Place) -> LogSummary:
+def log_summary(file: Place) -> log_reader.LogSummary:
     """Show a log's topics, types, rates, duration, metadata and attachments.
 
     Topics also have units and counts.
@@ -2693,7 +2675,7 @@ def recover_log(
     *,
     force: bool = False,
     progress: Reporting = None,
-) -> Recovery:
+) -> log_recovery.Recovery:
     """Rebuild a truncated or damaged log, and report the losses.
 
     The log can also be that of a killed run.
@@ -2735,7 +2717,7 @@ def import_recording(
     force: bool = False,
     yes: bool = False,
     progress: Reporting = None,
-) -> ImportedRecording:
+) -> recording_files.ImportedRecording:
     """Import a recording of the bench as a log.
 
     It reads MATLAB, CSV, Parquet, MCAP and ROS bags. Gaps, repeated times, missing numbers, wrapped angles and
@@ -2796,7 +2778,7 @@ def import_recording(
 
 
 @checked
-def write_recording(recording: Recording, file: Place, *, force: bool = False) -> Path:
+def write_recording(recording: recording_files.Recording, file: Place, *, force: bool = False) -> Path:
     """Write a recording as a log.
 
     Args:
@@ -2818,7 +2800,7 @@ def write_recording(recording: Recording, file: Place, *, force: bool = False) -
 
 
 @checked
-def design_experiments(model: Model | str, *, picture: Picture = None, progress: Reporting = None) -> Design:
+def design_experiments(model: Model | str, *, picture: Picture = None, progress: Reporting = None) -> fits.Design:
     """Compare swings by their information on the model's parameters.
 
     Args:
@@ -2846,7 +2828,7 @@ def design_experiments(model: Model | str, *, picture: Picture = None, progress:
 
 @checked
 def replay(
-    recording: Recording | Place,
+    recording: recording_files.Recording | Place,
     *,
     model: Model | str = "lab",
     ahead: int = 100,
@@ -2858,7 +2840,7 @@ def replay(
     out: NewLog = None,
     force: bool = False,
     progress: Reporting = None,
-) -> Replay:
+) -> replays.Replay:
     """Predict a recording by a model, and run an estimator.
 
     The log contains the prediction, the estimates and the measurements. Each segment is predicted in one piece from its
@@ -2912,7 +2894,7 @@ def draw_figures(
     *,
     folder: Annotated[Place, Output(folder=True)] = "figures",
     progress: Reporting = None,
-) -> DrawnFigures:
+) -> paper_figures.DrawnFigures:
     """Draw the computational figures of the paper, each a PNG with a caption and the differences.
 
     Names: energy-landscape, three-body-homoclinics, three-body, lyapunov-orbits, tubes-down-up, cuts, tubes-up-down,
@@ -2948,7 +2930,7 @@ def draw_charts(
     strict: bool = False,
     yes: bool = False,
     progress: Reporting = None,
-) -> DrawnCharts:
+) -> drawing.DrawnCharts:
     """Chart speed against accuracy of numerical methods, and map their failures.
 
     Charts: propagation, connections, transcription, estimation, control. Times are medians on one core without
@@ -3003,7 +2985,9 @@ def read_guide(topic: str | None = None) -> GuidePage:
 
 
 @checked
-def describe(model: Model | str, *, mjcf: Annotated[Path | str | None, Output((".xml",))] = None) -> ModelDescription:
+def describe(
+    model: Model | str, *, mjcf: Annotated[Path | str | None, Output((".xml",))] = None
+) -> models.ModelDescription:
     """Show a model's parameters with units, and its equilibria.
 
     Equilibria are frictionless, with the pivot at rest.
@@ -3037,7 +3021,7 @@ def demo(
     force: bool = False,
     yes: bool = False,
     progress: Reporting = None,
-) -> Demonstration:
+) -> single_runs.Demonstration:
     """Plan, run, score and picture one itinerary.
 
     The default is a full turn of the outer arm at no cost in energy. All steps are computed: Lyapunov orbit, tube,
@@ -3080,7 +3064,7 @@ def demo(
     return single_runs.Demonstration(planned, file, done.score(), recording, picture, perf_counter() - began)
 
 
-def _recording(given: Recording | Place) -> tuple[str, Recording]:
+def _recording(given: recording_files.Recording | Place) -> tuple[str, recording_files.Recording]:
     """Return a recording with its name: that of its file, if it is given by one."""
     return (str(given), recording_files.load_recording(given)) if isinstance(given, str | Path) else (given.name, given)
 
@@ -3135,7 +3119,7 @@ def _rotating(
     energy: float | None,
     energies: tuple[float, float] | None,
     progress: Reporting,
-) -> RotatingOrbits | RotatingFamilies:
+) -> rotations.RotatingOrbits | rotations.RotatingFamilies:
     """Return the rotating orbits at an energy, or their families between two."""
     height = sum(energies or ()) / 2 if energy is None else energy
     orbits = rotating_orbits(system, arm, energy=height)
@@ -3150,8 +3134,8 @@ def _rotating(
 
 
 def _changes(
-    system: System, symbols: Sequence[Symbol], energies: tuple[float, float], progress: Progress
-) -> SymbolChanges:
+    system: System, symbols: Sequence[walk_symbols.Symbol], energies: tuple[float, float], progress: Progress
+) -> following.SymbolChanges:
     return following.SymbolChanges(
         following.symbol_changes(system, symbols, energies, progress=progress), energies, system.unit("J")
     )
@@ -3162,12 +3146,12 @@ _REFINED = 4
 
 
 def _solved(
-    walks: WalkList,
+    walks: walk_lists.WalkList,
     folder: Place | None,
     shown: tuple[Place | None, Place | None],
     energy: Decimal | Fraction | None,
     progress: Reporting,
-) -> SolvedWalks:
+) -> walk_lists.SolvedWalks:
     """Return the orbits of walks, in files of a folder, refined at an exact energy, and shown in picture and film."""
     count = len(walks.walks)
     if any(shown) and count != 1:
@@ -3196,7 +3180,7 @@ def _proof_cost(periods: float) -> Cost:
     return Cost(f"{periods:.3g} periods of orbits", 1.5 * periods, 2e8, "prove")
 
 
-def _certified(proof: Proof, out: Place | None) -> Proof:
+def _certified(proof: proofs.Proof, out: Place | None) -> proofs.Proof:
     """Write the certificate of a proof that has one, and return the proof with its file."""
     if out is None or not proof.proved:
         return proof
@@ -3213,7 +3197,7 @@ def _same_level(system: System, energy: float, other: System, other_energy: floa
         raise InputError(f"the results are of different energies, {energy:g} and {other_energy:g}; use one")
 
 
-def _edges(searches: Sequence[ConnectionSearch]) -> Edges:
+def _edges(searches: Sequence[tubes.ConnectionSearch]) -> graphs.Edges:
     """Return the part of the graph that some searches found."""
     if not searches:
         raise InputError("found = []: give a graph, or one search for connections at least")
@@ -3222,7 +3206,7 @@ def _edges(searches: Sequence[ConnectionSearch]) -> Edges:
         first.system.check_same(one.source.system)
     if len({one.energy for search in searches for one in (search.source, search.target)}) > 1:
         raise InputError("the connections are of different energies: a walk keeps one")
-    return walk_edges.Edges(
+    return graphs.Edges(
         system=first.system,
         energy=first.energy,
         orbits={one.saddle: one for search in searches for one in (search.source, search.target)},
@@ -3233,20 +3217,22 @@ def _edges(searches: Sequence[ConnectionSearch]) -> Edges:
     )
 
 
-def _scene(itinerary: Plan | str) -> Itinerary:
+def _scene(itinerary: plans.Plan | str) -> itineraries.Itinerary:
     return itineraries.load_itinerary(itinerary) if isinstance(itinerary, str) else itinerary.itinerary
 
 
-def _closed(itinerary: Plan | str, settings: Mapping[str, Any], *, yes: bool, progress: Progress) -> ClosedLoop:
+def _closed(
+    itinerary: plans.Plan | str, settings: Mapping[str, Any], *, yes: bool, progress: Progress
+) -> loops.ClosedLoop:
     # A wrong setting is reported before the plan is computed.
     scene = _scene(itinerary).with_run(settings)
     planned = plans.make_plan(scene, yes=yes, progress=progress) if isinstance(itinerary, str) else itinerary
-    return closed_loops.ClosedLoop(planned, settings)
+    return loops.ClosedLoop(planned, settings)
 
 
 def _linked(
-    rig: Rig | RigLink | str | None, *, key_file: Place | None, insecure: bool, real_time: bool
-) -> Rig | RigLink | str | None:
+    rig: Rig | single_runs.RigLink | str | None, *, key_file: Place | None, insecure: bool, real_time: bool
+) -> Rig | single_runs.RigLink | str | None:
     """Return a rig, or the link to a bench at an address."""
     if not (key_file or insecure or real_time):
         return rig

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from dpcontrol.foundation.errors import InputError, printable, shortened
+from dpcontrol.foundation.parts import StageModule
 from dpcontrol.foundation.settings import Setting as Between
 from dpcontrol.foundation.settings import is_finite, suggest
 
@@ -60,11 +61,17 @@ def annotations_of(function: Callable[..., Any]) -> dict[str, Any]:
     Args:
         function: function as it was written, without the check.
     """
-    return get_type_hints(function, {}, _Names({**vars(builtins), **function.__globals__}), include_extras=True)
+    imported = {name: value for name, value in function.__globals__.items() if not isinstance(value, StageModule)}
+    return get_type_hints(function, {}, _Names({**vars(builtins), **imported}), include_extras=True)
 
 
 class _ByName(type):
-    """The type of stand-ins for classes that are not imported."""
+    """The type of stand-ins for classes and modules that are not imported."""
+
+    def __getattr__(cls, name: str) -> type:
+        if name.startswith("_"):
+            raise AttributeError(name)
+        return _ByName(name, (), {})
 
     def __instancecheck__(cls, value: object) -> bool:
         return any(one.__name__ == cls.__name__ for one in type(value).__mro__)

@@ -72,8 +72,9 @@ from dpcontrol.foundation.files import (
 from dpcontrol.foundation.parts import Later, part
 from dpcontrol.foundation.processes import in_processes, processors
 from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress
+from dpcontrol.foundation.rendering import DataFrame
 from dpcontrol.foundation.settings import Setting, Settings
-from dpcontrol.foundation.shown import Brief, Shown, pandas_classes
+from dpcontrol.foundation.shown import Brief, Shown, data_frame
 from dpcontrol.foundation.statistics import Pairing, Share, paired, wilson
 from dpcontrol.foundation.version import VERSION
 from dpcontrol.judge.campaign import CampaignSummary, campaign_table, summary_of
@@ -91,7 +92,6 @@ from dpcontrol.runs.troubles import LEVELS, STANDARD
 
 if TYPE_CHECKING:
     import pyarrow as pa
-    from pandas import DataFrame
 else:
     pa = Later("pyarrow")
 pq, pc = Later("pyarrow.parquet"), Later("pyarrow.compute")
@@ -448,13 +448,13 @@ class Campaign(Shown):
             for (name, case), runs in rows.items()
         )
 
-    def frame(self) -> "DataFrame":
+    def frame(self) -> DataFrame:
         """Return a pandas table, one row for each run.
 
         Raises:
             PartMissing: pandas is not installed.
         """
-        return pandas_classes()[0](self.table.to_pylist())
+        return data_frame(self.table.to_pylist())
 
     def document(self) -> dict[str, Any]:
         """Return the JSON output of `dpcontrol campaign`."""

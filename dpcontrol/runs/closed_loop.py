@@ -33,9 +33,6 @@ from dpcontrol.runs.campaign import (
 )
 from dpcontrol.runs.night import (
     NightSettings,
-    check_folder,
-    night_cost,
-    night_folder,
     night_itinerary,
     run_night,
 )
@@ -203,12 +200,10 @@ class ClosedLoop(Timed):
             raise InputError(f'rig = {link}: a night needs a bench at an address; give "udp" or udp://HOST:PORT')
         seeded = self.plan.itinerary.with_run({}, seed=seed)
         scene = night_itinerary(seeded, given=self.options)
-        check_folder(night_folder(out), resume=resume, force=force)
-        night_cost(scene, night, night_folder(out), real_time=link is not None, yes=yes)
         with reporting(progress, "night") as report:
             return run_night(
                 replace(self.plan, itinerary=scene), out, night, link=link, resume=resume,
-                force=force, live=live_view if live else None, progress=report,
+                force=force, live=live_view if live else None, yes=yes, progress=report,
             )  # fmt: skip
 
     @checked

@@ -13,13 +13,11 @@ On a bench in real time, over UDP, a thread writes the log because a disk can st
 
 import shutil
 import sys
-import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from math import ceil
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Annotated
 
 from dpcontrol.control.estimator_settings import extra_names
@@ -31,10 +29,8 @@ from dpcontrol.judge.night import Night, read_night
 from dpcontrol.logs import LogWriter, check_replaced, partials_of, recover
 from dpcontrol.logs.reader import check_same_run
 from dpcontrol.logs.rolling import NIGHT_METADATA, RollingLog
-from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.loop.own import OwnObject
-from dpcontrol.loop.recovery import RecoveryPlan
 from dpcontrol.loop.result import LogSink, SinkBeside
 from dpcontrol.plans.itinerary import Itinerary
 from dpcontrol.plans.overrides import canonical
@@ -134,8 +130,6 @@ def night_cost(
     night: NightSettings,
     folder: Path,
     *,
-    pace: float = _SPEED,
-    overhead: float = 0.0,
     real_time: bool = False,
     yes: bool = False,
 ) -> str:
@@ -145,8 +139,6 @@ def night_cost(
         itinerary: itinerary of the night.
         night: duration and logs.
         folder: folder of the logs.
-        pace: simulated ticks per second.
-        overhead: time of the start, s.
         real_time: True on a rig.
         yes: accept a cost beyond the limits.
 
@@ -154,7 +146,7 @@ def night_cost(
         InputError: the cost is beyond the limits, or the disk is too full.
     """
     rate = itinerary.loop.rate
-    disk, seconds = night.disk(rate), night.hours * 3600 * (1.0 if real_time else rate / pace) + overhead
+    disk, seconds = night.disk(rate), night.hours * 3600 * (1.0 if real_time else rate / _SPEED)
     stops = len(itinerary.walk) + len(itinerary.parts)
     memory = _MEMORY + expected_seconds(itinerary) * rate * (_MEMORY_A_TICK + _MEMORY_A_STOP * stops)
     cost = Cost(f"{night.hours:g} h of {itinerary.name}", seconds, memory, f"--hours {night.hours:g}")
@@ -200,6 +192,7 @@ def run_night(
     resume: bool = False,
     force: bool = False,
     live: LiveSink | None = None,
+    yes: bool = False,
     progress: Progress = no_progress,
 ) -> Night:
     """Repeat a planned itinerary for hours.
@@ -214,15 +207,18 @@ def run_night(
         resume: continue the interrupted night of that folder.
         force: replace the night of that folder.
         live: makes a sink that shows the run.
+        yes: accept a cost beyond the limits.
         progress: receiver of progress reports.
 
     Raises:
-        InputError: the folder is not writable, holds another night or none to resume, or no bench fits.
+        InputError: the folder is not writable, holds another night or none to resume, the cost is beyond the limits, or
+            no bench fits.
         GoalMissed: the plan did not converge, no controller can be made for it, or no plant drawn.
     """
-    began, scene = time.monotonic(), plan.followed().itinerary
-    settings, arms = scene.loop, scene.model.arms
-    folder = night_folder(out)
+    scene = plan.followed().itinerary
+    settings, arms, folder = scene.loop, scene.model.arms, night_folder(out)
+    check_folder(folder, resume=resume, force=force)
+    remark(night_cost(scene, night, folder, real_time=link is not None, yes=yes))
     made_by = bench_record(scene, link)
     place = _place(folder, {**run_metadata(scene), **made_by}, night, settings.rate, resume=resume, force=force)
     since, until = round(place.begin * settings.rate), round(night.hours * 3600 * settings.rate)
@@ -246,9 +242,6 @@ def run_night(
     with rolling:
         try:
             if link is None:
-                pace = _pace(plan, assembly, recovery)
-                overhead = time.monotonic() - began
-                remark(night_cost(scene, night, folder, pace=pace, overhead=overhead, yes=True))
                 simulated = assembly.under(_since(settings, place.begin))
                 with watched(plan, LogSink(rolling), live=live) as sink:
                     result = simulated.simulate(
@@ -258,7 +251,6 @@ def run_night(
                 # A night is judged by its digests, which do not hold the drive's hardest acceleration.
                 rolling.result(**outcome(replace(result, hardest=None)))
             else:
-                remark(night_cost(scene, night, folder, real_time=True, yes=True))
                 ticks = until - since + round(_BRAKING * settings.rate)
                 recipe = replace(bench_recipe(plan, assembly), recovering=ticks)
                 with (
@@ -279,17 +271,6 @@ def run_night(
             remark(f"{folder} ends here; continue it by the same command with --resume")
             raise
     return read_night(folder)
-
-
-def _pace(plan: Plan, assembly: Assembly, recovery: RecoveryPlan) -> float:
-    """Measure the ticks per second that this machine simulates and logs."""
-    until = round(_TRIAL * assembly.settings.rate)
-    with TemporaryDirectory() as folder, log_writer(plan, Path(folder) / "trial.mcap") as writer:
-        return until / assembly.simulate(sink=LogSink(writer), recovery=recovery, keep=False, until=until).elapsed
-
-
-_TRIAL = 6.0
-"""s, simulated."""
 
 
 _BRAKING = 2.0

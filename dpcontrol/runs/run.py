@@ -46,6 +46,7 @@ from dpcontrol.foundation.files import (
     write_whole,
 )
 from dpcontrol.foundation.progress import Progress, Reporting, no_progress, reporting
+from dpcontrol.foundation.rendering import DataFrame
 from dpcontrol.foundation.settings import frozen
 from dpcontrol.foundation.shipped import folders
 from dpcontrol.foundation.shown import Timed, checked_times
@@ -95,8 +96,6 @@ from dpcontrol.words.table import Line
 from dpcontrol.words.texts import text_of
 
 if TYPE_CHECKING:
-    from pandas import DataFrame
-
     from dpcontrol.rig.commissioning import Commissioning
     from dpcontrol.runs.remedies import Why
 
@@ -275,7 +274,7 @@ class Run(Timed):
         return np.stack([np.interp(checked_times(times), self.log.time, one) for one in states.T], axis=-1)
 
     @checked
-    def frame(self, count: Count | None = None) -> "DataFrame":
+    def frame(self, count: Count | None = None) -> DataFrame:
         """Return a pandas table of the run.
 
         Args:
