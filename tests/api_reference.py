@@ -73,11 +73,6 @@ GROUPS = {
 CLASSES = {"ClosedLoop": "runs/closed_loop.py", "Run": "runs/run.py"}
 FILES = {"load_model": "plans/model.py"}
 """Modules of functions that `dpcontrol.api` only passes on."""
-MODULES = [
-    module.rpartition(" ")[2]
-    for module in re.findall(r"^    from \S+ import (.+)$", inspect.getsource(api), re.MULTILINE)
-]
-"""Names by which `dpcontrol.api` writes the modules of classes."""
 OPTIONS = {"show_root_full_path": False, "docstring_section_style": "list", "members_order": "source", "summary": False}
 
 
@@ -102,7 +97,7 @@ def entry(name: str) -> str:
     text = render_object_docs(found, {**OPTIONS, "heading_level": 2})
     text = re.sub(r"\[([^][]+)\]\(#[^)]*\)", r"\1", text)
     text = re.sub(r"</?code>", "`", text)
-    text = re.sub(rf"\b(?:{'|'.join(MODULES)})\.(?=[A-Z])", "", text)
+    text = re.sub(rf"\b(?:{'|'.join(api.STAGES)})\.(?=[A-Z])", "", text)
     text = text.replace("```python\n>>>", "```pycon\n>>>").replace("```python\n", "```text\n")
     text = re.sub(r"^(#+) `(?:[\w.]+\.)?(\w+)`$", lambda m: heading(m[1], m[2], name), text, flags=re.MULTILINE)
     return re.sub(r"\n{3,}", "\n\n", "\n".join(line.rstrip() for line in text.splitlines())).strip()
