@@ -26,7 +26,10 @@ from tokenize import TokenError
 from typing import IO, Annotated, Any, TypeVar
 
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.parts import Later
 
+np = Later("numpy")
+"""Imported on first use, because verbs check their output before they import anything heavy."""
 T = TypeVar("T")
 
 
@@ -382,9 +385,6 @@ def write_archive(
     Raises:
         InputError: the file cannot be written.
     """
-    # Verbs check their output before they import anything heavy.
-    import numpy as np
-
     text = json.dumps(header, allow_nan=False)
     with nullcontext(path) if isinstance(path, BytesIO) else whole_file(Path(path), suffix=".npz") as temporary:
         (np.savez_compressed if compressed else np.savez)(temporary, header=np.array(text), **arrays)
@@ -401,8 +401,6 @@ def archive_format(path: Path | str) -> str:
     Raises:
         InputError: it is not a regular file.
     """
-    import numpy as np
-
     try:
         with np.load(path, allow_pickle=False) as packed:
             return str(json.loads(str(packed["header"]))["format"])
@@ -429,8 +427,6 @@ def archive(
     Raises:
         InputError: the file is missing, damaged or of another kind.
     """
-    import numpy as np
-
     try:
         with zipfile.ZipFile(checked_source(path) if isinstance(path, Path) else path) as packed:
             checked_size(sum(info.file_size for info in packed.infolist()))

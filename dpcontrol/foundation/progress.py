@@ -12,6 +12,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 from dpcontrol.foundation.errors import InputError, printable, remark
+from dpcontrol.foundation.parts import Later
+
+rich = Later("rich.progress")
 
 Progress = Callable[[str, float], None]
 """Function that receives the current task and its completed fraction (0 to 1)."""
@@ -62,12 +65,13 @@ def progress_bar(label: str) -> Iterator[Progress]:
         yield lines(label)
         _write_line(f"{printable(label)}: done")
         return
-    from rich.console import Console
-    from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
-    from rich.progress import Progress as Bar
-
-    columns = (TextColumn("{task.description:<34}", markup=False), BarColumn(), TextColumn("{task.percentage:>3.0f}%"))
-    with Bar(*columns, TimeElapsedColumn(), console=Console(stderr=True)) as bar:
+    columns = (
+        rich.TextColumn("{task.description:<34}", markup=False),
+        rich.BarColumn(),
+        rich.TextColumn("{task.percentage:>3.0f}%"),
+        rich.TimeElapsedColumn(),
+    )
+    with rich.Progress(*columns, console=rich.Console(stderr=True)) as bar:
         task = bar.add_task(printable(label), total=1.0)
 
         def report(what: str, done: float) -> None:

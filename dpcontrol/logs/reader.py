@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError, remark
-from dpcontrol.foundation.files import UNREADABLE, checked_size, checked_source, in_the_way
+from dpcontrol.foundation.files import UNREADABLE, InTheWay, checked_size, checked_source, in_the_way
 from dpcontrol.foundation.rendering import DataFrame
 from dpcontrol.foundation.shown import Brief, Shown, data_frame
 from dpcontrol.logs import layout
@@ -638,10 +638,11 @@ def check_same_run(path: Path, metadata: Mapping[str, str], *, also: tuple[str, 
         also: keys that are not compared either.
 
     Raises:
-        InputError: the log is not readable, or entries differ.
+        InTheWay: entries differ.
+        InputError: the log is not readable.
     """
     if differing := _differing(metadata, open_mcap(path).values(layout.RUN_RECORD), also=also):
-        raise InputError(
+        raise InTheWay(
             f"{path} is of another run (not the same: {differing}); go on with the command and the options that made it"
         )
 

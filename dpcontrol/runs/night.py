@@ -217,10 +217,11 @@ def run_night(
     """
     scene = plan.followed().itinerary
     settings, arms, folder = scene.loop, scene.model.arms, night_folder(out)
-    check_folder(folder, resume=resume, force=force)
-    remark(night_cost(scene, night, folder, real_time=link is not None, yes=yes))
     made_by = bench_record(scene, link)
-    place = _place(folder, {**run_metadata(scene), **made_by}, night, settings.rate, resume=resume, force=force)
+    record = {**run_metadata(scene), **made_by}
+    check_folder(folder, record, resume=resume, force=force)
+    remark(night_cost(scene, night, folder, real_time=link is not None, yes=yes))
+    place = _place(folder, record, night, settings.rate, resume=resume, force=force)
     since, until = round(place.begin * settings.rate), round(night.hours * 3600 * settings.rate)
     assembly = assembled(plan)
     recovery = assembly.recovery
@@ -291,29 +292,6 @@ def _switching_soon() -> Iterator[None]:
         sys.setswitchinterval(was)
 
 
-def check_night(folder: Path, record: Mapping[str, str], *, resume: bool, force: bool) -> None:
-    """Reject a folder that holds another long run, or none to resume.
-
-    Args:
-        folder: folder of the logs.
-        record: metadata that identify the run to resume, or none if the folder was named.
-        resume: True to continue the long run there.
-        force: True to replace it.
-
-    Raises:
-        InTheWay: the last log is unreadable or of another run.
-        InputError: a long run is there that is neither resumed nor replaced, or none to resume.
-    """
-    check_folder(folder, resume=resume, force=force)
-    if not (resume and record):
-        return
-    for log in sorted(folder.glob(f"{folder.resolve().name}-[0-9]*.mcap"))[-1:]:
-        try:
-            check_same_run(log, record, also=(NIGHT_METADATA,))
-        except InputError as error:
-            raise InTheWay(str(error)) from error
-
-
 def name_check(
     itinerary: Itinerary,
     bench: RigLink | OwnObject | None,
@@ -341,24 +319,26 @@ def name_check(
         if night is None:
             check_replaced(checked_target(file), record, force=force)
             return
-        check_night(night_folder(file), record if free else {}, resume=resume, force=force)
+        check_folder(night_folder(file), record if free else {}, resume=resume, force=force)
         night_cost(itinerary, night, night_folder(file), real_time=bench is not None, yes=yes)
 
     return check
 
 
-def check_folder(folder: Path, *, resume: bool, force: bool) -> list[Path]:
+def check_folder(folder: Path, record: Mapping[str, str], *, resume: bool, force: bool) -> list[Path]:
     """Return the files of the long run in a folder.
 
     This check comes before planning.
 
     Args:
         folder: folder of the logs.
+        record: metadata that identify the run to resume, or none if the folder was named.
         resume: True to continue the long run there.
         force: True to replace it.
 
     Raises:
-        InputError: a long run is there that is neither resumed nor replaced, or none to resume.
+        InTheWay: a long run is there that is neither resumed nor replaced, or another one to resume.
+        InputError: there is none to resume, or its last log is unreadable.
     """
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder} is not a folder; a long run writes a folder: choose another --out")
@@ -371,6 +351,8 @@ def check_folder(folder: Path, *, resume: bool, force: bool) -> list[Path]:
         )
     if resume and not there:
         raise InputError(f"{folder} holds no long run to resume; omit --resume to begin one")
+    for log in sorted(folder.glob(f"{name}-[0-9]*.mcap"))[-1:] if resume and record else ():
+        check_same_run(log, record, also=(NIGHT_METADATA,))
     return there
 
 
@@ -380,12 +362,13 @@ def _since(settings: LoopSettings, begin: float) -> LoopSettings:
     Sticking parts may have recovered by then.
     """
     sensors = settings.sensors
-    first, end = sensors.stuck_at - begin, sensors.stuck_at + sensors.stuck_for - begin
-    if not begin or sensors.stuck_at == float("inf"):
-        return settings
-    if end <= 0:
-        return replace(settings, sensors=replace(sensors, stuck_at=float("inf")))
-    return replace(settings, sensors=replace(sensors, stuck_at=max(first, 0.0), stuck_for=end - max(first, 0.0)))
+    first, end = max(sensors.stuck_at - begin, 0.0), sensors.stuck_at + sensors.stuck_for - begin
+    later = (
+        {"stuck_at": first, "stuck_for": end - first}
+        if first < float("inf") and end > 0
+        else {"stuck_at": float("inf")}
+    )
+    return replace(settings, sensors=replace(sensors, **later))
 
 
 def _place(
@@ -399,7 +382,7 @@ def _place(
         InputError: the folder holds another, a complete or no night, or one that must not be resumed.
     """
     name = folder.resolve().name
-    there = check_folder(folder, resume=resume, force=force)
+    there = check_folder(folder, metadata, resume=resume, force=force)
     if not resume:
         for file in there:
             file.unlink()
@@ -412,9 +395,6 @@ def _place(
             except InputError as error:
                 # A session that ended before its first tick left no log to recover.
                 remark(f"{error}; the night continues without it")
-    logs = sorted(folder.glob(f"{name}-[0-9]*.mcap"))
-    if logs:
-        check_same_run(logs[-1], metadata, also=(NIGHT_METADATA,))
     digests = read_night(folder).digests
     last = digests[-1]
     if last.end >= night.hours * 3600 - 1 / rate:

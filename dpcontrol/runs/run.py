@@ -16,7 +16,7 @@ from dataclasses import asdict, dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -91,13 +91,11 @@ from dpcontrol.plans.overrides import canonical, paths
 from dpcontrol.plans.plan import Plan, plan_key
 from dpcontrol.rig.bench import BenchProcess, BenchRecipe, BenchServerSettings, RecordedRig, checked_faults
 from dpcontrol.rig.client import Deadlines, UdpRig, parse_address, real_time_priority, without_collecting
+from dpcontrol.rig.commissioning import Commissioning, CommissioningSettings, commission
 from dpcontrol.rig.packets import shared_key
+from dpcontrol.runs.remedies import Why, why
 from dpcontrol.words.table import Line
 from dpcontrol.words.texts import text_of
-
-if TYPE_CHECKING:
-    from dpcontrol.rig.commissioning import Commissioning
-    from dpcontrol.runs.remedies import Why
 
 _SCENE, _MODEL = "scene.toml", "model.toml"
 
@@ -158,7 +156,7 @@ class Run(Timed):
         return self._judged.sentence if self._judged else f"{len(self.log.time):,} samples, no plan to be judged by"
 
     @checked
-    def why(self, *, workers: Workers = 0, yes: bool = False, progress: Reporting = None) -> "Why":
+    def why(self, *, workers: Workers = 0, yes: bool = False, progress: Reporting = None) -> Why:
         """Find options that complete the failed run.
 
         Options of `dpcontrol run` must do so more often than harmless changes.
@@ -171,8 +169,6 @@ class Run(Timed):
         Raises:
             InputError: the log is not of a simulated run, lacks what a repetition needs, or it would take too long.
         """
-        from dpcontrol.runs.remedies import why
-
         plan = _plan(self.log)
         typed = partial(_with_options, plan, planned_itinerary(plan.content))
         with reporting(progress, "why") as report:
@@ -1007,7 +1003,7 @@ def commission_rig(
     faults: Sequence[str] = (),
     switches: float = 0.0,
     notify: Callable[[str], None] = lambda text: None,
-) -> "Commissioning":
+) -> Commissioning:
     """Check a rig before its first run; see `dpcontrol.rig.commissioning`.
 
     Args:
@@ -1021,8 +1017,6 @@ def commission_rig(
     Raises:
         InputError: no bench answers, it needs a key or does not fit the itinerary.
     """
-    from dpcontrol.rig.commissioning import CommissioningSettings, commission
-
     options, rate = CommissioningSettings(), itinerary.loop.rate
     find = partial(
         commission, arms=itinerary.model.arms, settings=itinerary.loop, limits=itinerary.loop.limits(itinerary.limits),
@@ -1063,7 +1057,7 @@ def measured_text(itinerary: Itinerary, values: Mapping[str, Any]) -> tuple[Path
     return path, with_values(text, "run", values)
 
 
-def written(found: "Commissioning", itinerary: Itinerary) -> "Commissioning":
+def written(found: Commissioning, itinerary: Itinerary) -> Commissioning:
     """Write the measured values of a commissioning into [run] of the itinerary, unless the rig has a fault.
 
     Args:
