@@ -110,12 +110,8 @@ def versions() -> dict[str, str]:
     """
     # Imported here because the help of verbs needs none of them.
     import platform
-    from importlib.metadata import PackageNotFoundError, version
+    from importlib.metadata import distributions
 
-    found = {"dpcontrol": VERSION, "python": platform.python_version(), "system": platform.platform()}
-    for name in _DISTRIBUTIONS:
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            found[name] = ""
-    return found
+    there = {one.metadata["Name"].lower().replace("_", "-"): one.version for one in distributions()}
+    own = {"dpcontrol": VERSION, "python": platform.python_version(), "system": platform.platform()}
+    return {**own, **{name: there.get(name, "") for name in _DISTRIBUTIONS}}

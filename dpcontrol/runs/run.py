@@ -10,7 +10,7 @@ implements `dpcontrol.rig.packets` works. The example bench is the simulated one
 
 import json
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property, partial
@@ -94,8 +94,6 @@ from dpcontrol.rig.client import Deadlines, UdpRig, parse_address, real_time_pri
 from dpcontrol.rig.commissioning import Commissioning, CommissioningSettings, commission
 from dpcontrol.rig.packets import shared_key
 from dpcontrol.runs.remedies import Why, why
-from dpcontrol.words.table import Line
-from dpcontrol.words.texts import text_of
 
 _SCENE, _MODEL = "scene.toml", "model.toml"
 
@@ -110,7 +108,7 @@ def default_log(itinerary: Itinerary) -> Path:
 
 
 @dataclass(frozen=True, eq=False)
-class Run(Timed):
+class Run(Timed, Documented):
     """A run or a recording of a bench, read from its log.
 
     See `RunLog` for the arrays.
@@ -222,10 +220,6 @@ class Run(Timed):
             self.deadlines
         )
         return document_of(self, keys)
-
-    def lines(self) -> "Iterable[Line]":
-        """Return the score as lines of text."""
-        return text_of(self)
 
     @property
     def plant(self) -> ArmChainParameters | None:
