@@ -95,16 +95,6 @@ def test_a_table_without_rates_needs_no_mapping_and_no_name_is_an_address(name: 
     assert ended.document["rates"] is False
 
 
-def test_a_log_that_cannot_be_replayed_is_rejected_with_the_reason() -> None:
-    write_mat(Path("swing.mat"), rig_variables())
-    dpcontrol("import", "swing.mat")
-    for model, said in (("triple", "has 2 arms and the model 3"), ("three-body", "no arms")):
-        ended = dpcontrol("replay", "logs/swing.mcap", "--model", model)
-        assert ended.code == 2
-        assert said in ended.message
-    assert not Path("logs/swing-replay.mcap").exists()
-
-
 @pytest.mark.slow
 def test_a_model_with_uncertainty_and_a_picture_are_written() -> None:
     starts = [np.array([1.0, 0.3]) * (-0.8) ** k for k in range(3)]
@@ -122,12 +112,3 @@ def test_a_model_with_uncertainty_and_a_picture_are_written() -> None:
     assert Path("found.png").read_bytes().startswith(b"\x89PNG")
     # The model that was found runs every other verb that takes one.
     assert dpcontrol("model", "swing", "--json").document["parameters"]["m1"]["value"] > 0
-
-
-@pytest.mark.slow
-def test_designs_are_compared_without_a_log() -> None:
-    ended = dpcontrol("identify", "--design", "--picture", "design.png", "--json")
-    assert ended.code == 0, ended.stderr
-    assert {e["kind"] for e in ended.document["experiments"]} == {"swing", "cart"}
-    assert ended.document["best"]
-    assert Path("design.png").read_bytes().startswith(b"\x89PNG")

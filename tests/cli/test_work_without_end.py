@@ -7,8 +7,6 @@ import pytest
 from command_line import dpcontrol
 
 import dpcontrol as dp
-from dpcontrol.bench.chart import CHARTS
-from dpcontrol.bench.drawing import charts_cost
 from dpcontrol.foundation.errors import GoalMissed, InputError, Remark
 from dpcontrol.foundation.progress import MOST_BYTES, MOST_SECONDS
 from dpcontrol.plans.itinerary import itinerary_from, load_itinerary
@@ -48,9 +46,6 @@ def test_endless_work_is_rejected_before_it_starts(call: tuple[str, ...], key: s
     ("verb", "key", "value"),
     [
         ("plan", "wraps", "[100000]"),
-        ("run", "lead_in", "1000000"),
-        ("campaign", "wraps", "[100000]"),
-        ("rig", "lead_in", "1000000"),
         ("plan", "repeat", "10000"),
     ],
 )
@@ -73,19 +68,6 @@ def test_a_campaign_of_too_many_cases_or_runs_is_rejected() -> None:
         dp.campaign("outer-turn", over={"mismatch": many, "lag": many})
     with pytest.raises(InputError, match=r"20,000,000 runs of 20 cases.* will take about .*days.*yes=True"):
         dp.campaign("outer-turn", runs=1_000_000, over={"mismatch": many[:20]})
-
-
-def test_an_atlas_beyond_an_hour_is_rejected_and_begun_with_yes(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("dpcontrol.walks.edges._SEARCHED", 1e4)
-    call = ("atlas", "lab", "--energy", "-0.07", "--fresh")
-    assert dpcontrol(*call).code == 2
-    monkeypatch.setattr("dpcontrol.walks.edges.find_connections", begun)
-    assert dpcontrol(*call, "--yes").code == 1
-
-
-def test_charts_are_estimated() -> None:
-    assert 600 < charts_cost(tuple(CHARTS), quick=False).seconds < MOST_SECONDS / 2
-    assert charts_cost(tuple(CHARTS), quick=True).seconds < 300
 
 
 @pytest.mark.parametrize("begin", [dp.run, dp.campaign, dp.plan])
