@@ -33,7 +33,7 @@ from dpcontrol.foundation.files import Film, Output, Picture, chosen_name, free_
 from dpcontrol.foundation.guide import GuidePage
 from dpcontrol.foundation.guide import page as guide_page
 from dpcontrol.foundation.parts import StageModule, installed, part
-from dpcontrol.foundation.progress import Cost, Progress, Reporting, announce, part_of, reporting
+from dpcontrol.foundation.progress import Cost, Progress, Reporting, announce, part_of
 from dpcontrol.foundation.rendering import render
 
 STAGES = {
@@ -367,24 +367,22 @@ def connections(
             raise InputError("energies and target are given: a symmetric connection leads back to its source; give one")
         if hits[0] != hits[1]:
             raise InputError(f"hits = {hits}: a symmetric connection meets the section of both tubes at the same one")
-        with reporting(progress, "symmetric connections") as report:
-            return symmetric.find_symmetric_connections(
-                source.system, source.saddle, energies=energies, family=source.family, hit=hits[0],
-                budget=Budget(intersections.search_settings(seconds=seconds).seconds), progress=report,
-            )  # fmt: skip
+        return symmetric.find_symmetric_connections(
+            source.system, source.saddle, energies=energies, family=source.family, hit=hits[0],
+            budget=Budget(intersections.search_settings(seconds=seconds).seconds), progress=progress,
+        )  # fmt: skip
     target = source if target is None else target
     source.system.check_same(target.system)
     for one in (source, target):
         _found(one.converged, f"the orbit about {one.saddle}", one.status)
-    with reporting(progress, "connections") as report:
-        return tubes.find_connections(
-            source,
-            target,
-            hits=hits,
-            section=source.system.section_between(source.saddle, target.saddle, section),
-            settings=intersections.search_settings(longest=longest, thorough=thorough, seconds=seconds),
-            progress=report,
-        )
+    return tubes.find_connections(
+        source,
+        target,
+        hits=hits,
+        section=source.system.section_between(source.saddle, target.saddle, section),
+        settings=intersections.search_settings(longest=longest, thorough=thorough, seconds=seconds),
+        progress=progress,
+    )
 
 
 @checked
@@ -477,8 +475,8 @@ def find_connections(
     connection = search.named(name)
     if not extended:
         return tubes.ChosenConnection(search, (connection,))
-    with reporting(progress, "refining in 113-bit arithmetic"):
-        refined = refine(connection, energy=energy)
+    progress("refining in 113-bit arithmetic", 0.9)
+    refined = refine(connection, energy=energy)
     _found(refined.converged, f"{connection.name} in extended precision", refined.status)
     return tubes.RefinedConnection(connection, refined, str(energy))
 
@@ -513,8 +511,7 @@ def graph(
     """
     system = _system(model)
     requested = walk_symbols.parse_walk(symbols, walk_lists.vertex_names(system)) if symbols else ()
-    with reporting(progress, "connections") as report:
-        return graphs.find_edges(system, energy, symbols=requested, yes=yes, progress=report)
+    return graphs.find_edges(system, energy, symbols=requested, yes=yes, progress=progress)
 
 
 @checked
@@ -561,10 +558,9 @@ def find_bifurcations(
     )
     announce(cost, yes=yes)
     settings = bifurcations.SweepSettings(energies=samples)
-    with reporting(progress, "bifurcations") as report:
-        return bifurcations.find_bifurcations(
-            _system(model), source, target, energies=energies, crossings=hits, settings=settings, progress=report
-        )
+    return bifurcations.find_bifurcations(
+        _system(model), source, target, energies=energies, crossings=hits, settings=settings, progress=progress
+    )
 
 
 @checked
@@ -613,8 +609,7 @@ def atlas(
         hits=hits, search=intersections.search_settings(thorough=thorough, seconds=seconds)
     )
     chosen = _model(model) if isinstance(model, str) else model
-    with reporting(progress, "atlas") as report:
-        found = atlases.make_atlas(chosen, energy, settings=settings, fresh=fresh, yes=yes, progress=report)
+    found = atlases.make_atlas(chosen, energy, settings=settings, fresh=fresh, yes=yes, progress=progress)
     if out is None:
         return found
     atlases.save_atlas(Path(out), found)
@@ -714,16 +709,15 @@ def prove(
     if rivals is not None:
         _same_level(own.system, own.energy, rivals.system, rivals.energy)
     height = proofs.exact_energy(own.energy if energy is None else energy)
-    with reporting(progress, "proof") as report:
-        if not isinstance(found, lyapunov.LyapunovOrbit | shadowing.ShadowingOrbit):
-            whole = horseshoe and own is found.connections[0].target
-            return proofs.prove_connections(
-                found.connections, energy=height, settings=settings, whole=whole, progress=report
-            )
-        if isinstance(found, shadowing.ShadowingOrbit):
-            known = () if rivals is None else rivals.known
-            return proofs.prove_walk(found, energy=height, rivals=known, settings=settings, progress=report)
-        return proofs.prove_orbit(found, energy=height, settings=settings, progress=report)
+    if not isinstance(found, lyapunov.LyapunovOrbit | shadowing.ShadowingOrbit):
+        whole = horseshoe and own is found.connections[0].target
+        return proofs.prove_connections(
+            found.connections, energy=height, settings=settings, whole=whole, progress=progress
+        )
+    if isinstance(found, shadowing.ShadowingOrbit):
+        known = () if rivals is None else rivals.known
+        return proofs.prove_walk(found, energy=height, rivals=known, settings=settings, progress=progress)
+    return proofs.prove_orbit(found, energy=height, settings=settings, progress=progress)
 
 
 @checked
@@ -794,28 +788,27 @@ def prove_statement(
     system, first, settings = _system(model), source or saddle, proofs.ProofSettings(bits, radius, box)
     if energy is None:
         raise InputError("energy is missing: give the energy, J")
-    with reporting(progress, "proof") as report:
-        if statement == "walk":
-            if not (symbols and periodic):
-                raise InputError("only closed walks can be proved: give the symbols, and periodic")
-            edges = graph(system, energy=float(energy), symbols=symbols, yes=yes, progress=part_of(report, 0.0, 0.2))
-            walk = shadow(edges, symbols, wraps=wraps, periodic=True, yes=yes)
-            announce(_proof_cost(walk.duration / walk.connections[0].source.period), yes=yes)
-            work = part_of(report, 0.2, 1.0)
-            return _certified(prove(walk, energy=energy, rivals=edges, settings=settings, progress=work), out)
-        if first is None:
-            raise InputError("give the saddle inside the orbit, or the source of the connections, such as down-up")
-        near = orbit(system, first, energy=float(energy), family=family)
-        if statement == "orbit":
-            return _certified(prove(near, energy=energy, settings=settings, progress=report), out)
-        joined = near if target in (None, first) else orbit(system, str(target), energy=float(energy))
-        if statement == "horseshoe" and joined is not near:
-            raise InputError("a horseshoe needs homoclinics of one orbit: omit the target")
-        search = connections(near, joined, hits=hits, progress=part_of(report, 0.0, 0.1))
-        chosen = tuple(search.named(name) for name in dict.fromkeys(names)) or search.connections
-        announce(_proof_cost(sum(4 + (c.time_out + c.time_in) / near.period for c in chosen)), yes=yes)
-        found, whole, work = replace(search, connections=chosen), statement == "horseshoe", part_of(report, 0.1, 1.0)
-        return prove(found, energy=energy, horseshoe=whole, settings=settings, progress=work)
+    if statement == "walk":
+        if not (symbols and periodic):
+            raise InputError("only closed walks can be proved: give the symbols, and periodic")
+        edges = graph(system, energy=float(energy), symbols=symbols, yes=yes, progress=part_of(progress, 0.0, 0.2))
+        walk = shadow(edges, symbols, wraps=wraps, periodic=True, yes=yes)
+        announce(_proof_cost(walk.duration / walk.connections[0].source.period), yes=yes)
+        work = part_of(progress, 0.2, 1.0)
+        return _certified(prove(walk, energy=energy, rivals=edges, settings=settings, progress=work), out)
+    if first is None:
+        raise InputError("give the saddle inside the orbit, or the source of the connections, such as down-up")
+    near = orbit(system, first, energy=float(energy), family=family)
+    if statement == "orbit":
+        return _certified(prove(near, energy=energy, settings=settings, progress=progress), out)
+    joined = near if target in (None, first) else orbit(system, str(target), energy=float(energy))
+    if statement == "horseshoe" and joined is not near:
+        raise InputError("a horseshoe needs homoclinics of one orbit: omit the target")
+    search = connections(near, joined, hits=hits, progress=part_of(progress, 0.0, 0.1))
+    chosen = tuple(search.named(name) for name in dict.fromkeys(names)) or search.connections
+    announce(_proof_cost(sum(4 + (c.time_out + c.time_in) / near.period for c in chosen)), yes=yes)
+    found, whole, work = replace(search, connections=chosen), statement == "horseshoe", part_of(progress, 0.1, 1.0)
+    return prove(found, energy=energy, horseshoe=whole, settings=settings, progress=work)
 
 
 @checked
@@ -874,8 +867,7 @@ def reference(
         limits=limits,
         reference=settings,
     )
-    with reporting(progress, "reference") as report:
-        return plans.make_plan(scene, orbits=orbits, progress=report, yes=yes)
+    return plans.make_plan(scene, orbits=orbits, progress=progress, yes=yes)
 
 
 @checked
@@ -921,20 +913,17 @@ def plan(
     scene = itineraries.load_itinerary(str(itinerary))
     if explore_energy is not None:
         energy_charts.only_walk(scene)
-    with reporting(progress, "plan") as report:
-        found = plans.make_plan(scene, progress=part_of(report, 0.0, 0.5), fresh=fresh, workers=workers, yes=yes)
-        if not found.converged:
-            return found
-        if polish:
-            step = part_of(report, 0.5, 0.8)
-            found = replace(
-                found, polished=polishing.polish(found, fresh=fresh, workers=workers, yes=yes, progress=step)
-            )
-        if margins:
-            found = replace(found, margins=closed_loop(found).margins())
-        if explore_energy is not None and not found.missed:
-            step = part_of(report, 0.8, 1.0)
-            found = replace(found, energies=explore_energies(found, picture=explore_energy, progress=step))
+    found = plans.make_plan(scene, progress=part_of(progress, 0.0, 0.5), fresh=fresh, workers=workers, yes=yes)
+    if not found.converged:
+        return found
+    if polish:
+        step = part_of(progress, 0.5, 0.8)
+        found = replace(found, polished=polishing.polish(found, fresh=fresh, workers=workers, yes=yes, progress=step))
+    if margins:
+        found = replace(found, margins=closed_loop(found).margins())
+    if explore_energy is not None and not found.missed:
+        step = part_of(progress, 0.8, 1.0)
+        found = replace(found, energies=explore_energies(found, picture=explore_energy, progress=step))
     return found if out is None or found.missed else found.written_to(Path(out))
 
 
@@ -968,8 +957,7 @@ def closed_loop(
         >>> dp.closed_loop("outer-turn", mismatch=0.02).run(seed=3).converged
         True
     """
-    with reporting(progress, "plan") as report:
-        return _closed(itinerary, _settings(settings, **named), yes=yes, progress=report)
+    return _closed(itinerary, _settings(settings, **named), yes=yes, progress=progress)
 
 
 @checked
@@ -1039,13 +1027,10 @@ def polish(
         >>> found.sides[1].effort < found.sides[0].effort
         True
     """
-    with reporting(progress, "polish") as report:
-        found = (
-            plan(itinerary, yes=yes, progress=part_of(report, 0.0, 0.2)) if isinstance(itinerary, str) else itinerary
-        )
-        return polishing.polish(
-            found, fresh=fresh, runs=runs, workers=workers, yes=yes, progress=part_of(report, 0.2, 1.0)
-        )
+    found = plan(itinerary, yes=yes, progress=part_of(progress, 0.0, 0.2)) if isinstance(itinerary, str) else itinerary
+    return polishing.polish(
+        found, fresh=fresh, runs=runs, workers=workers, yes=yes, progress=part_of(progress, 0.2, 1.0)
+    )
 
 
 @checked
@@ -1094,9 +1079,8 @@ def run(
         True
     """
     chosen = _settings(settings, mismatch=mismatch, plant=plant, start=start)
-    with reporting(progress, "run") as report:
-        loop = _closed(itinerary, chosen, yes=yes, progress=part_of(report, 0.0, 0.5))
-        return loop.run(seed=seed, rig=rig, log=log, force=force, live=live, progress=part_of(report, 0.5, 1.0))
+    loop = _closed(itinerary, chosen, yes=yes, progress=part_of(progress, 0.0, 0.5))
+    return loop.run(seed=seed, rig=rig, log=log, force=force, live=live, progress=part_of(progress, 0.5, 1.0))
 
 
 @checked
@@ -1222,8 +1206,11 @@ def launch(
     scene = scene if night is None else night_runs.night_itinerary(scene, given=chosen)
     check = night_runs.name_check(scene, bench, night, resume=resume, free=log is True, force=force, yes=yes)
     # Names are checked before the plan, which can take minutes.
-    with chosen_name(log, single_runs.default_log(scene), check) as file, reporting(progress, "run") as report:
-        loop, rest = _closed(itinerary, chosen, yes=yes, progress=part_of(report, 0.0, 0.5)), part_of(report, 0.5, 1.0)
+    with chosen_name(log, single_runs.default_log(scene), check) as file:
+        loop, rest = (
+            _closed(itinerary, chosen, yes=yes, progress=part_of(progress, 0.0, 0.5)),
+            part_of(progress, 0.5, 1.0),
+        )
         if night is None:
             return loop.run(seed=seed, rig=bench, program=program, log=file, progress=rest, **shared)
         folder = file or single_runs.default_log(scene)
@@ -1276,9 +1263,8 @@ def export(
         raise InputError(f"folder = {folder}: a co-simulation unit needs a name that ends in .fmu")
     chosen = _settings(settings)
     single_runs.check_exportable(_scene(itinerary).with_run(chosen))
-    with reporting(progress, "export") as report:
-        loop = _closed(itinerary, chosen, yes=yes, progress=part_of(report, 0.0, 0.5))
-        return loop.export(folder, single=single, clock=clock, force=force, progress=part_of(report, 0.5, 1.0))
+    loop = _closed(itinerary, chosen, yes=yes, progress=part_of(progress, 0.0, 0.5))
+    return loop.export(folder, single=single, clock=clock, force=force, progress=part_of(progress, 0.5, 1.0))
 
 
 @checked
@@ -1348,11 +1334,11 @@ def campaign(
             campaigns.check_table(file, record)
 
     named = log_folder() / f"{scene.name}{'-transitions' if transitions else ''}.parquet"
-    with chosen_name(out, named, check) as file, reporting(progress, "campaign") as report:
-        loop = _closed(itinerary, fixed, yes=yes, progress=part_of(report, 0.0, 0.1))
+    with chosen_name(out, named, check) as file:
+        loop = _closed(itinerary, fixed, yes=yes, progress=part_of(progress, 0.0, 0.1))
         return loop.campaign(
             over=over, settings=counts, standard=standard, transitions=transitions, out=file, force=force, yes=yes,
-            progress=part_of(report, 0.1, 1.0),
+            progress=part_of(progress, 0.1, 1.0),
         )  # fmt: skip
 
 
@@ -1397,10 +1383,10 @@ def preflight(
     """
     scene, fixed = _scene(itinerary), _settings(settings)
     page = log_folder() / f"{scene.name}-preflight.pdf"
-    with chosen_name(picture, page) as file, reporting(progress, "preflight") as report:
-        loop = _closed(itinerary, fixed, yes=yes, progress=part_of(report, 0.0, 0.05))
+    with chosen_name(picture, page) as file:
+        loop = _closed(itinerary, fixed, yes=yes, progress=part_of(progress, 0.0, 0.05))
         found = loop.preflight(
-            runs=runs, first_seed=first_seed, workers=workers, yes=yes, progress=part_of(report, 0.05, 1.0)
+            runs=runs, first_seed=first_seed, workers=workers, yes=yes, progress=part_of(progress, 0.05, 1.0)
         )
         return _drawn(found, file)
 
@@ -1512,17 +1498,16 @@ def identify(
         models.check_model_replaced(target, logs=files, starting_model=model.name, force=force)
     choice = {None: "chosen", True: "free", False: "none"}[zeros]
     title = f"{model.title}, identified from {', '.join(one.name for one in given)}"
-    with reporting(progress, "identify") as report:
-        found = identification.identify(
-            given, model.arms, settings=identification.IdentificationSettings(zeros=choice), progress=report
-        )
-        for one in given:
-            if against := recording_checks.contradiction(one, model.arms, model=model.name):
-                remark(f"{one.name}: {against}")
-        if target is not None:
-            models.write_model(found, target, title=title, logs=files, starting_model=model.name)
-        if picture is not None:
-            _save(identification_pages.draw_identification(found, title=title), picture)
+    found = identification.identify(
+        given, model.arms, settings=identification.IdentificationSettings(zeros=choice), progress=progress
+    )
+    for one in given:
+        if against := recording_checks.contradiction(one, model.arms, model=model.name):
+            remark(f"{one.name}: {against}")
+    if target is not None:
+        models.write_model(found, target, title=title, logs=files, starting_model=model.name)
+    if picture is not None:
+        _save(identification_pages.draw_identification(found, title=title), picture)
     return replace(found, file=target)
 
 
@@ -1675,8 +1660,7 @@ def open_recording(
     recording_checks.checked_repairs(tuple(repairs))
     if path.suffix.lower() == ".mcap" and mapping is None:
         return recording_files.load_recording(path)
-    with reporting(progress, "import") as report:
-        return importing.import_recording(path, mapping, repairs=list(repairs), progress=report)
+    return importing.import_recording(path, mapping, repairs=list(repairs), progress=progress)
 
 
 @checked
@@ -1831,8 +1815,7 @@ def family(
         >>> found.converged, len(found.members) > 1
         (True, True)
     """
-    with reporting(progress, f"family of {saddle}") as report:
-        return families.lyapunov_family(_system(model), saddle, energies=energies, family=family, progress=report)
+    return families.lyapunov_family(_system(model), saddle, energies=energies, family=family, progress=progress)
 
 
 @checked
@@ -1887,8 +1870,7 @@ def rotating_families(
         True
     """
     orbits = rotating_orbits(model, arm, energy=sum(energies) / 2)
-    with reporting(progress, "families of rotating orbits") as report:
-        return rotations.rotating_families(orbits, energies, progress=report)
+    return rotations.rotating_families(orbits, energies, progress=progress)
 
 
 @checked
@@ -1914,10 +1896,7 @@ def sustained_orbit(
         True
     """
     _found(orbit.converged, f"the orbit about {orbit.saddle}", orbit.status)
-    with reporting(progress, f"sustained orbit about {orbit.saddle}") as report:
-        return sustained_orbits.sustained_orbit(
-            orbit, models.model_of(orbit.system).arms, limits=limits, progress=report
-        )
+    return sustained_orbits.sustained_orbit(orbit, models.model_of(orbit.system).arms, limits=limits, progress=progress)
 
 
 @checked
@@ -2041,15 +2020,15 @@ def find_walks(
         raise InputError("compare follows the symbols of one walk: give symbols or through, and omit solve")
     system = _system(model)
     chosen = selection.parsed(system)
-    with reporting(progress, "connections") as report:
-        if compare is not None:
-            return _changes(system, chosen, (float(energy), compare), report)
-        numbers = {(a, b) for a in range(1, hits[0] + 1) for b in range(1, hits[1] + 1)}
-        edges = graphs.find_edges(system, float(energy), hits=numbers, symbols=chosen, yes=yes, progress=report)
+    if compare is not None:
+        return _changes(system, chosen, (float(energy), compare), progress)
+    numbers = {(a, b) for a in range(1, hits[0] + 1) for b in range(1, hits[1] + 1)}
+    search = part_of(progress, 0.0, 0.3 if solve else 1.0)
+    edges = graphs.find_edges(system, float(energy), hits=numbers, symbols=chosen, yes=yes, progress=search)
     if not selection.selected_by:
         return edges
     walks = walk_lists.WalkList(edges, selection.requests(edges, solve=solve, yes=yes))
-    return _solved(walks, out, (picture, film), exact, progress) if solve else walks
+    return _solved(walks, out, (picture, film), exact, part_of(progress, 0.3, 1.0)) if solve else walks
 
 
 @checked
@@ -2193,10 +2172,9 @@ def symbol_changes(
         ()
     """
     system = _system(model)
-    with reporting(progress, "symbols over energies") as report:
-        return following.symbol_changes(
-            system, walk_symbols.parse_walk(symbols, walk_lists.vertex_names(system)), energies, progress=report
-        )
+    return following.symbol_changes(
+        system, walk_symbols.parse_walk(symbols, walk_lists.vertex_names(system)), energies, progress=progress
+    )
 
 
 @checked
@@ -2219,8 +2197,7 @@ def check_proof(file: Place, *, progress: Reporting = None) -> proof_checks.Cert
         True
     """
     part("flint")
-    with reporting(progress, "check") as report:
-        return proof_checks.check_file(Path(file), report)
+    return proof_checks.check_file(Path(file), progress)
 
 
 @checked
@@ -2245,8 +2222,7 @@ def explore_energies(
         >>> dp.explore_energies("outer-turn").name  # doctest: +SKIP
         'outer-turn-energies'
     """
-    with reporting(progress, "energies") as report:
-        chart = energy_charts.energies_chart(_scene(itinerary), report)
+    chart = energy_charts.energies_chart(_scene(itinerary), progress)
     if picture is not None:
         drawing.save_chart(chart, Path(picture))
         chart = replace(chart, file=Path(picture))
@@ -2335,10 +2311,9 @@ def start_bench(
     scene = _scene(itinerary).with_run(_settings(settings), seed=seed)
     server = bench_server.BenchServerSettings(watchdog=watchdog, real_time=real_time, runs=runs)
     where = example_benches.BenchAddress(host, port, None if key_file is None else Path(key_file), insecure, server)
-    with reporting(progress, "rig") as report:
-        return example_benches.example_bench(
-            scene, where, hanging=hanging, faults=faults, notify=remark, yes=yes, progress=report
-        )
+    return example_benches.example_bench(
+        scene, where, hanging=hanging, faults=faults, notify=remark, yes=yes, progress=progress
+    )
 
 
 @checked
@@ -2397,10 +2372,9 @@ def commission(
         # A file that cannot be changed is reported before the cart moves.
         single_runs.measured_text(scene, {"delay": 1.0, "lag": 0.0, "zeros": [0.0], "counts": 1})
     practice = scene.with_run(chosen, seed=seed)
-    with reporting(progress, "commission") as report:
-        found = single_runs.commission_rig(
-            scene, bench, practice=practice, faults=faults, switches=switches, notify=lambda text: report(text, 0.0)
-        )
+    found = single_runs.commission_rig(
+        scene, bench, practice=practice, faults=faults, switches=switches, notify=lambda text: progress(text, 0.0)
+    )
     found = replace(found, itinerary=scene.name, bench="" if bench is None else bench.name)
     return single_runs.written(found, scene) if write else found
 
@@ -2426,8 +2400,7 @@ def repeat(log: Place, out: Place, *, force: bool = False, progress: Reporting =
         >>> dp.repeat(log, log.with_name("again.mcap")).comparison.difference is None
         True
     """
-    with reporting(progress, "run") as report:
-        return single_runs.repeat_run(Path(log), Path(out), force=force, progress=report)
+    return single_runs.repeat_run(Path(log), Path(out), force=force, progress=progress)
 
 
 @checked
@@ -2578,20 +2551,19 @@ def review(
     if stretch is not None and film is None:
         raise InputError("stretch is given without film: give the film too")
     paths = [Path(files)] if isinstance(files, str | Path) else [*map(Path, files)]
-    with reporting(progress, "review") as report:
-        report("reading", 0.05)
-        shown = viewer.opened(paths, symbol=align)
-        recording = None if save is None else Path(save)
-        report("recording", 0.2)
-        if recording is not None:
-            renderers.record(shown, recording)
-        elif picture is None and film is None:
-            recording = viewer.view_in_window(shown, paths[0].stem)
-        if film is not None:
-            films.write_film(shown, film, stretch=stretch, yes=yes, progress=report)
-        if picture is not None:
-            report("picture", 0.5)
-            _save(render(shown), picture)
+    progress("reading", 0.05)
+    shown = viewer.opened(paths, symbol=align)
+    recording = None if save is None else Path(save)
+    progress("recording", 0.2)
+    if recording is not None:
+        renderers.record(shown, recording)
+    elif picture is None and film is None:
+        recording = viewer.view_in_window(shown, paths[0].stem)
+    if film is not None:
+        films.write_film(shown, film, stretch=stretch, yes=yes, progress=progress)
+    if picture is not None:
+        progress("picture", 0.5)
+        _save(render(shown), picture)
     aligned = getattr(shown, "status", None) if len(paths) > 1 else None
     return viewer.Review(tuple(paths), recording, None if film is None else Path(film), aligned)
 
@@ -2698,8 +2670,7 @@ def recover_log(
         >>> dp.recover_log(log).lost
         ''
     """
-    with reporting(progress, "recover") as report:
-        return log_recovery.recover(Path(file), None if out is None else Path(out), force=force, progress=report)
+    return log_recovery.recover(Path(file), None if out is None else Path(out), force=force, progress=progress)
 
 
 @checked
@@ -2756,17 +2727,16 @@ def import_recording(
         found = "missing" if file is None else "given"
         raise InputError(f"file and simulated are both {found}: give a file, or the model of simulated swings")
     own = None if model is None else _model(model)
-    with reporting(progress, "import") as report:
-        if simulated is None:
-            recording = importing.import_recording(Path(str(file)), mapping, repairs=list(repairs), progress=report)
-        else:
-            announce(recording_files.swings_cost(swings, seconds, written=out is not None), yes=yes)
-            swung, name = _model(simulated), f"{_model(simulated).name}-swings-{seed}"
-            recording = recording_files.random_swings(swung.arms, swings=swings, seconds=seconds, seed=seed, name=name)
-        report("writing", 0.7)
-        log = _new_log(
-            out, f"{recording.name}.mcap", lambda place: recording_files.write_recording(recording, place, force=force)
-        )
+    if simulated is None:
+        recording = importing.import_recording(Path(str(file)), mapping, repairs=list(repairs), progress=progress)
+    else:
+        announce(recording_files.swings_cost(swings, seconds, written=out is not None), yes=yes)
+        swung, name = _model(simulated), f"{_model(simulated).name}-swings-{seed}"
+        recording = recording_files.random_swings(swung.arms, swings=swings, seconds=seconds, seed=seed, name=name)
+    progress("writing", 0.7)
+    log = _new_log(
+        out, f"{recording.name}.mcap", lambda place: recording_files.write_recording(recording, place, force=force)
+    )
     against = "" if own is None else recording_checks.contradiction(recording, own.arms, model=own.name)
     remarks, source = (
         (*recording_checks.constant_angles(recording), *filter(None, [against])),
@@ -2819,8 +2789,7 @@ def design_experiments(model: Model | str, *, picture: Picture = None, progress:
         2
     """
     model = _model(model)
-    with reporting(progress, "design") as report:
-        found = fits.design_experiments(model.arms, progress=report)
+    found = fits.design_experiments(model.arms, progress=progress)
     if picture is not None:
         _save(identification_pages.draw_design(found, title=model.title), picture)
     return found
@@ -2874,15 +2843,14 @@ def replay(
     settings = replays.ReplaySettings(counts=counts, mean_over=mean_over, ahead=ahead, span=span)
     model, filters = _model(model), replays.filter_settings(estimator, model_error=model_error)
     name, recording = _recording(recording)
-    with reporting(progress, "replay") as report:
-        found = replays.replay_recording(
-            recording, model.arms, filters, settings, zeros=model.encoder_zeros, progress=report
-        )
-        log = _new_log(
-            out,
-            f"{Path(name).stem}-replay.mcap",
-            lambda place: replays.write_replay(found, place, model=model.name, model_text=model.text, force=force),
-        )
+    found = replays.replay_recording(
+        recording, model.arms, filters, settings, zeros=model.encoder_zeros, progress=progress
+    )
+    log = _new_log(
+        out,
+        f"{Path(name).stem}-replay.mcap",
+        lambda place: replays.write_replay(found, place, model=model.name, model_text=model.text, force=force),
+    )
     if against := recording_checks.contradiction(recording, model.arms, model=model.name):
         remark(f"{name}: {against}")
     return replace(found, model=model.name, estimator=estimator, log=log)
@@ -2916,9 +2884,8 @@ def draw_figures(
         >>> [one.name for one in dp.draw_figures(["energy-landscape"], folder=log.parent)]
         ['energy-landscape']
     """
-    with reporting(progress, "figures") as report:
-        report("loading", 0.0)
-        return paper_figures.draw_figures(names, paper_figures.cached_gallery(), Path(folder), progress=report)
+    progress("loading", 0.0)
+    return paper_figures.draw_figures(names, paper_figures.cached_gallery(), Path(folder), progress=progress)
 
 
 @checked
@@ -2959,9 +2926,8 @@ def draw_charts(
     Examples:
         >>> dp.draw_charts(["edges-margins"], quick=True)  # doctest: +SKIP
     """
-    with reporting(progress, "bench") as report:
-        report("loading", 0.0)
-        return replace(drawing.draw_charts(names, Path(folder), quick=quick, yes=yes, progress=report), strict=strict)
+    progress("loading", 0.0)
+    return replace(drawing.draw_charts(names, Path(folder), quick=quick, yes=yes, progress=progress), strict=strict)
 
 
 @checked
@@ -3048,19 +3014,18 @@ def demo(
         True
     """
     began = perf_counter()
-    with reporting(progress, "demo") as report:
-        planned = plan(itinerary, yes=yes, progress=part_of(report, 0.05, 0.5))
-        step, name = part_of(report, 0.5, 0.75), f"{planned.itinerary.name}-{seed}.mcap"
-        with free_name(
-            Path(folder) / name, lambda log: run(planned, seed=seed, log=log, force=force, progress=step)
-        ) as done:
-            view, file = log_views.run_view(done.log), done.log.path
-            recording = file.with_suffix(".rrd") if installed("rerun") else None
-            if recording is not None:
-                rerun_recordings.write_recording(view, recording)
-            report("picture", 0.85)
-            picture = file.with_suffix(".png")
-            _save(render(view), picture)
+    planned = plan(itinerary, yes=yes, progress=part_of(progress, 0.05, 0.5))
+    step, name = part_of(progress, 0.5, 0.75), f"{planned.itinerary.name}-{seed}.mcap"
+    with free_name(
+        Path(folder) / name, lambda log: run(planned, seed=seed, log=log, force=force, progress=step)
+    ) as done:
+        view, file = log_views.run_view(done.log), done.log.path
+        recording = file.with_suffix(".rrd") if installed("rerun") else None
+        if recording is not None:
+            rerun_recordings.write_recording(view, recording)
+        progress("picture", 0.85)
+        picture = file.with_suffix(".png")
+        _save(render(view), picture)
     return single_runs.Demonstration(planned, file, done.score(), recording, picture, perf_counter() - began)
 
 
@@ -3127,10 +3092,9 @@ def _rotating(
         raise GoalMissed(f"no symmetric orbit that turns the {arm} arm of {system.name} over was found at {height:g} J")
     if energies is None:
         return rotations.RotatingOrbits(orbits, arm, height)
-    with reporting(progress, "families of rotating orbits") as report:
-        return rotations.RotatingFamilies(
-            rotations.rotating_families(orbits, energies, progress=report), arm, height, energies
-        )
+    return rotations.RotatingFamilies(
+        rotations.rotating_families(orbits, energies, progress=progress), arm, height, energies
+    )
 
 
 def _changes(
@@ -3159,8 +3123,7 @@ def _solved(
     if energy is not None and count > _REFINED:
         raise InputError(f"precision = extended: {count} walks; at most {_REFINED} are possible")
     parameters, place = _exact_parameters(walks.edges.system), None if folder is None else Path(folder)
-    with reporting(progress, "walks") as report:
-        found = walk_lists.solve_walks(walks, energy=energy, parameters=parameters, folder=place, progress=report)
+    found = walk_lists.solve_walks(walks, energy=energy, parameters=parameters, folder=place, progress=progress)
     if any(shown) and found.converged and (orbit := found.answers[0].orbit) is not None:
         picture(orbit, file=shown[0], film=shown[1])
         return replace(found, picture=shown[0], film=shown[1])

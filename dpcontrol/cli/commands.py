@@ -26,6 +26,7 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import Output, checked_folder, checked_other_file, checked_target
 from dpcontrol.foundation.interrupts import forget_interrupts
 from dpcontrol.foundation.parts import StageModule
+from dpcontrol.foundation.progress import reporting
 
 overrides: Any = StageModule("plans.overrides")
 
@@ -93,12 +94,11 @@ def command(name: str, verb: Verb) -> click.Command:
             if key in values and (output := _output(hints[key])) is not None:
                 values[key] = _checked_output(key, output, values)
         values = {key: value for key, value in values.items() if value is not None and key in given}
-        if "progress" in parameters:
-            values["progress"] = True
         with call.aside:
             if as_json:
                 call.aside.enter_context(prints_on_stderr())
-            result = function(**values)
+            with reporting(True, name) as progress:
+                result = function(**values, **({"progress": progress} if "progress" in parameters else {}))
             drawn = getattr(result, "picture", values.get("picture"))
             show(result, {"picture": drawn} if "picture" in given else {})
             if hasattr(result, "serve"):

@@ -18,6 +18,7 @@ from typing import Annotated, Any, Literal, NamedTuple, TypeVar, Union, get_args
 
 from dpcontrol.foundation.errors import InputError, printable, shortened
 from dpcontrol.foundation.parts import StageModule
+from dpcontrol.foundation.progress import reporting
 from dpcontrol.foundation.settings import Setting as Between
 from dpcontrol.foundation.settings import is_finite, suggest
 
@@ -34,7 +35,8 @@ Positive = Annotated[float, Between(above=0)]
 def checked(function: Function) -> Function:
     """Return a function that checks its arguments against their annotations.
 
-    The returned function raises InputError if an argument does not fit.
+    The returned function raises InputError if an argument does not fit. If the function has the argument `progress`, it
+    receives a function of a text and a share, whatever the caller gave.
 
     Args:
         function: annotated function or method.
@@ -43,10 +45,15 @@ def checked(function: Function) -> Function:
     @wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:
         signature, hints = _signature(function), annotations_of(function)
-        for name, value in signature.bind(*args, **kwargs).arguments.items():
+        bound = signature.bind(*args, **kwargs)
+        for name, value in bound.arguments.items():
             if name in hints and signature.parameters[name].kind is not inspect.Parameter.VAR_KEYWORD:
                 check(name, value, hints[name])
-        return function(*args, **kwargs)
+        if "progress" not in signature.parameters:
+            return function(*args, **kwargs)
+        with reporting(bound.arguments.get("progress"), function.__name__.replace("_", " ")) as report:
+            bound.arguments["progress"] = report
+            return function(*bound.args, **bound.kwargs)
 
     return call  # type: ignore[return-value]
 

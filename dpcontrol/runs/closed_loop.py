@@ -14,7 +14,7 @@ from dpcontrol.control.margins import Margins
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.checked import Count, Index, Positive, Seed, Workers, checked
 from dpcontrol.foundation.errors import InputError, remark
-from dpcontrol.foundation.progress import Reporting, reporting
+from dpcontrol.foundation.progress import Reporting
 from dpcontrol.foundation.rendering import live_view
 from dpcontrol.foundation.shown import Timed
 from dpcontrol.judge.night import Night
@@ -152,16 +152,15 @@ class ClosedLoop(Timed):
             if not isinstance(bench, RigLink) or out is None or bench.address != OWN_BENCH:
                 raise InputError('program: controls the example bench; give rig="udp" as well')
             return run_with_program(plan, out, Path(program), real_time=bench.real_time, force=force)
-        with reporting(progress, "run") as report:
-            return run_plan(
-                plan,
-                out,
-                assembly=assembly.under(scene.loop),
-                bench=bench,
-                force=force,
-                live=live_view if live else None,
-                progress=report,
-            )
+        return run_plan(
+            plan,
+            out,
+            assembly=assembly.under(scene.loop),
+            bench=bench,
+            force=force,
+            live=live_view if live else None,
+            progress=progress,
+        )
 
     @checked
     def night(
@@ -200,11 +199,10 @@ class ClosedLoop(Timed):
             raise InputError(f'rig = {link}: a night needs a bench at an address; give "udp" or udp://HOST:PORT')
         seeded = self.plan.itinerary.with_run({}, seed=seed)
         scene = night_itinerary(seeded, given=self.options)
-        with reporting(progress, "night") as report:
-            return run_night(
-                replace(self.plan, itinerary=scene), out, night, link=link, resume=resume,
-                force=force, live=live_view if live else None, yes=yes, progress=report,
-            )  # fmt: skip
+        return run_night(
+            replace(self.plan, itinerary=scene), out, night, link=link, resume=resume,
+            force=force, live=live_view if live else None, yes=yes, progress=progress,
+        )  # fmt: skip
 
     @checked
     def campaign(
@@ -239,11 +237,10 @@ class ClosedLoop(Timed):
         """
         scene, own = self.planned.itinerary, settings or (STANDARD_CAMPAIGN if standard else CampaignSettings(runs))
         cases = asked_cases(scene, fixed=self.options, over=over or {}, standard=standard, transitions=transitions)
-        with reporting(progress, "campaign") as report:
-            found = run_campaign(
-                self.planned, cases, _path(out), settings=own,
-                transitions=transitions, force=force, yes=yes, progress=report,
-            )  # fmt: skip
+        found = run_campaign(
+            self.planned, cases, _path(out), settings=own,
+            transitions=transitions, force=force, yes=yes, progress=progress,
+        )  # fmt: skip
         return replace(found, standard=standard_scores(found.results)) if standard else found
 
     def margins(self) -> Margins:
@@ -281,8 +278,7 @@ class ClosedLoop(Timed):
             GoalMissed: there is no reference to follow, or no controller can be made for it.
         """
         settings = PreflightSettings(runs=runs, first_seed=first_seed, workers=workers)
-        with reporting(progress, "preflight") as report:
-            return preflight(self.planned, self.options, settings=settings, yes=yes, progress=report)
+        return preflight(self.planned, self.options, settings=settings, yes=yes, progress=progress)
 
     @checked
     def export(
@@ -312,15 +308,14 @@ class ClosedLoop(Timed):
         """
         check_exportable(self.plan.itinerary)
         out = _path(folder)
-        with reporting(progress, "export") as report:
-            if out is not None and out.suffix == ".fmu":
-                source, lacks = export_unit(self.plan, out, single=single, force=force, progress=report)
-                if lacks:
-                    remark(lacks)
-                return source
-            return export_plan(
-                self.plan, out, assembly=self.assembly, single=single, clock=clock, force=force, progress=report
-            )
+        if out is not None and out.suffix == ".fmu":
+            source, lacks = export_unit(self.plan, out, single=single, force=force, progress=progress)
+            if lacks:
+                remark(lacks)
+            return source
+        return export_plan(
+            self.plan, out, assembly=self.assembly, single=single, clock=clock, force=force, progress=progress
+        )
 
 
 def bench_of(rig: object) -> RigLink | OwnObject | None:

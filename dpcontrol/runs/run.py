@@ -45,7 +45,7 @@ from dpcontrol.foundation.files import (
     write_folder,
     write_whole,
 )
-from dpcontrol.foundation.progress import Progress, Reporting, no_progress, reporting
+from dpcontrol.foundation.progress import Progress, Reporting, no_progress
 from dpcontrol.foundation.rendering import DataFrame
 from dpcontrol.foundation.settings import frozen
 from dpcontrol.foundation.shipped import folders
@@ -169,15 +169,14 @@ class Run(Timed, Documented):
         """
         plan = _plan(self.log)
         typed = partial(_with_options, plan, planned_itinerary(plan.content))
-        with reporting(progress, "why") as report:
-            return why(
-                self.score(),
-                typed,
-                lambda one: run_plan(one).score(),
-                workers=workers,
-                yes=yes,
-                progress=report,
-            )
+        return why(
+            self.score(),
+            typed,
+            lambda one: run_plan(one).score(),
+            workers=workers,
+            yes=yes,
+            progress=progress,
+        )
 
     def margins(self) -> Margins:
         """Return the margins of gain, delay and lag.
