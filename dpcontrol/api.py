@@ -299,8 +299,7 @@ def find_orbits(
         if picture is not None:
             _found(found.converged, f"the sustained orbit about {saddle}", found.status)
             view = log_views.sustained_view(found, arms.length)
-    if picture is not None:
-        _save(render(view), picture)
+    _draw(view, picture)
     return found
 
 
@@ -2248,11 +2247,8 @@ def rig_link(
         >>> dp.rig_link("udp://127.0.0.1:47000").address
         'udp://127.0.0.1:47000'
     """
-    found = single_runs.rig_link(
-        address, key_file=None if key_file is None else Path(key_file), insecure=insecure, real_time=real_time
-    )
-    assert found is not None
-    return found
+    key = None if key_file is None else Path(key_file)
+    return single_runs.rig_link(address, key_file=key, insecure=insecure, real_time=real_time)
 
 
 @checked
@@ -3042,6 +3038,12 @@ def _new_log(out: Place | Literal[True] | None, name: str, write: Callable[[Path
     return None if out is None else write(Path(out))
 
 
+def _draw(result: Any, file: Place | None) -> None:
+    """Draw a result if a file is given."""
+    if file is not None:
+        _save(render(result), file)
+
+
 def _save(figure: Figure, file: Place) -> None:
     page_layout.save_figure(figure, file)
 
@@ -3206,10 +3208,8 @@ def _linked(
 
 def _drawn(result: Any, file: Place | None) -> Any:
     """Return a result with the name of its picture, which is drawn if a file is given."""
-    if file is None:
-        return result
-    _save(render(result), file)
-    return replace(result, picture=Path(file))
+    _draw(result, file)
+    return result if file is None else replace(result, picture=Path(file))
 
 
 def _settings(settings: Mapping[str, object] | None, **named: object) -> dict[str, Any]:

@@ -219,7 +219,7 @@ class Choice:
         """Return what the chosen table makes of the values of a file; see `Table.read`."""
         with place:
             kind = self.choose(values) if isinstance(values, Mapping) else next(iter(self.tables))
-            check_choice(self.key, kind, self.tables)
+            check_choice(self.key, self.tables, kind)
         return self.tables[kind].read(values, place, context)
 
 

@@ -25,7 +25,7 @@ from dpcontrol.foundation.checked import checked
 from dpcontrol.foundation.document import Documented, picked
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.rendering import DataFrame
-from dpcontrol.foundation.settings import check_names
+from dpcontrol.foundation.settings import check_choice
 from dpcontrol.foundation.shown import Shown, data_frame
 from dpcontrol.judge.score import ENDINGS
 from dpcontrol.logs.container import partials_of
@@ -177,7 +177,7 @@ class Night(Shown, Documented):
         Raises:
             InputError: unknown parameter.
         """
-        check_names("parameter", [name], self.estimated)
+        check_choice("parameter", self.estimated, name)
         own = [digest for digest in self.digests if name in digest.extras]
         least = _SHORT * max(digest.end - digest.first for digest in own)
         long = [digest for digest in own if digest.end - digest.first >= least]

@@ -34,7 +34,7 @@ from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.rendering import DataFrame
-from dpcontrol.foundation.settings import check_names
+from dpcontrol.foundation.settings import check_choice
 from dpcontrol.foundation.shown import Brief, Shown, data_frame
 from dpcontrol.orbits.lyapunov import (
     LinearCentre,
@@ -472,7 +472,7 @@ class Family(Shown, Generic[Member]):
             InputError: unknown attribute.
         """
         known = [one for one in dir(self.members[0]) if not one.startswith("_")]
-        check_names("attribute", [name], known)
+        check_choice("attribute", known, name)
         return np.array([getattr(member, name) for member in self.members])
 
 

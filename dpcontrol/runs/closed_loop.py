@@ -13,7 +13,7 @@ from dpcontrol.control.export import ControllerSource
 from dpcontrol.control.margins import Margins
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.checked import Count, Index, Positive, Seed, Workers, checked
-from dpcontrol.foundation.errors import InputError, remark
+from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Reporting
 from dpcontrol.foundation.rendering import live_view
 from dpcontrol.foundation.shown import Timed
@@ -45,7 +45,6 @@ from dpcontrol.runs.run import (
     check_exportable,
     default_log,
     export_plan,
-    export_unit,
     rig_link,
     run_plan,
     run_with_program,
@@ -307,14 +306,14 @@ class ClosedLoop(Timed):
             GoalMissed: there is no reference to follow, or no controller can be made for it.
         """
         check_exportable(self.plan.itinerary)
-        out = _path(folder)
-        if out is not None and out.suffix == ".fmu":
-            source, lacks = export_unit(self.plan, out, single=single, force=force, progress=progress)
-            if lacks:
-                remark(lacks)
-            return source
         return export_plan(
-            self.plan, out, assembly=self.assembly, single=single, clock=clock, force=force, progress=progress
+            self.plan,
+            _path(folder),
+            assembly=self.assembly,
+            single=single,
+            clock=clock,
+            force=force,
+            progress=progress,
         )
 
 
@@ -328,7 +327,7 @@ def bench_of(rig: object) -> RigLink | OwnObject | None:
         InputError: the address is malformed, the file cannot be loaded, or the rig lacks a method.
     """
     if isinstance(rig, str) and not names_file(rig):
-        return rig_link(rig, key_file=None, insecure=False, real_time=False)
+        return rig_link(rig)
     return rig if rig is None or isinstance(rig, RigLink | OwnObject) else own_object("rig", rig)
 
 

@@ -755,11 +755,11 @@ def export_plan(
 ) -> ControllerSource:
     """Return the controller of a planned itinerary as C.
 
-    The controller is written to a folder atomically if one is given.
+    The controller is written if a folder or a unit is given. A unit without a binary for this platform causes a remark.
 
     Args:
         plan: plan of the itinerary.
-        out: folder to write.
+        out: folder to write, or NAME.fmu for a co-simulation unit.
         assembly: components built before.
         single: use single precision.
         clock: clock of a Cortex-M4 that must keep the rate, MHz.
@@ -771,38 +771,18 @@ def export_plan(
             something else.
         GoalMissed: the plan did not converge, or no controller can be made for it.
     """
-    source, _, _ = _exported(plan, assembly or assembled(plan), single, progress, clock=clock)
-    if out is not None:
+    source, program, schedule = _exported(plan, assembly or assembled(plan), single, progress, clock=clock)
+    if out is not None and out.suffix == ".fmu":
+        title, delay = plan.itinerary.title, plan.itinerary.loop.drive.delay
+        unit = controller_unit(source, program, schedule, name=out.stem, title=title, delay=delay)
+        if not force and out.exists() and not (out.is_file() and out.read_bytes() == unit.archive):
+            raise in_the_way(out, "holds something else")
+        write_whole(out, unit.archive)
+        if unit.lacks:
+            remark(unit.lacks)
+    elif out is not None:
         write_folder(out, source.files, force=force)
     return replace(source, place=out)
-
-
-def export_unit(
-    plan: Plan, out: Path, *, single: bool = False, force: bool = False, progress: Progress = no_progress
-) -> tuple[ControllerSource, str]:
-    """Write the controller of a planned itinerary as co-simulation unit.
-
-    Args:
-        plan: plan of the itinerary.
-        out: file to write.
-        single: use single precision, default False.
-        force: True to replace that file, default False.
-        progress: receiver of progress reports.
-
-    Returns:
-        Its C, and the reason if the unit has no binary for this platform, else "".
-
-    Raises:
-        InputError, GoalMissed: see `export_plan`.
-    """
-    source, program, schedule = _exported(plan, assembled(plan), single, progress)
-    made = controller_unit(
-        source, program, schedule, name=out.stem, title=plan.itinerary.title, delay=plan.itinerary.loop.drive.delay
-    )
-    if not force and out.exists() and not (out.is_file() and out.read_bytes() == made.archive):
-        raise in_the_way(out, "holds something else")
-    write_whole(out, made.archive)
-    return replace(source, place=out), made.lacks
 
 
 def _exported(
@@ -970,8 +950,8 @@ class RigLink:
             yield rig, process
 
 
-def rig_link(address: str | None, *, key_file: Path | None, insecure: bool, real_time: bool) -> RigLink | None:
-    """Return the link to a bench, or None without an address.
+def rig_link(address: str, *, key_file: Path | None = None, insecure: bool = False, real_time: bool = False) -> RigLink:
+    """Return the link to a bench.
 
     Args:
         address: udp://HOST:PORT, or `udp` to start an example bench.
@@ -982,8 +962,6 @@ def rig_link(address: str | None, *, key_file: Path | None, insecure: bool, real
     Raises:
         InputError: the address is malformed, or the key is not readable.
     """
-    if address is None:
-        return None
     link = RigLink(address, insecure=insecure, real_time=real_time)
     return link if address == OWN_BENCH else replace(link, key=shared_key(key_file))
 
