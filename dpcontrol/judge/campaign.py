@@ -160,26 +160,26 @@ def campaign_summary(path: Path) -> CampaignSummary:
     Raises:
         InputError: the table is missing or damaged, or has no runs or no column of completed runs.
     """
-    return summary_of(campaign_table(path).to_pydict(), path)
+    return summary_of(campaign_table(path), path)
 
 
-def summary_of(columns: dict[str, list[Any]], path: Path) -> CampaignSummary:
-    """Return the summary of the columns of a campaign's table.
+def summary_of(rows: "pa.Table", path: Path) -> CampaignSummary:
+    """Return the summary of a campaign's table.
 
     Args:
-        columns: values of each run by column.
+        rows: a row for each run.
         path: place of the table, for messages and titles.
 
     Raises:
         InputError: the table has no runs, or no column of completed runs.
     """
-    if "completed" not in columns:
-        found = ", ".join(sorted(columns)) or "no columns"
+    if "completed" not in rows.column_names:
+        found = ", ".join(sorted(rows.column_names)) or "no columns"
         raise InputError(f"{path} has no column of completed runs, only {found}; give a table of `dpcontrol campaign`")
-    rows = [k for k, value in enumerate(columns["completed"]) if value is not None and value == value]
-    if not rows:
+    known = rows.filter(rows["completed"].is_valid())
+    if not known.num_rows:
         raise InputError(f"{path} holds no runs with a verdict; run the campaign again")
-    table = {name: [values[k] for k in rows] for name, values in columns.items()}
+    table = known.to_pydict()
     done = np.array(table["completed"], dtype=bool)
     families = [name for name in _WHAT if name in table and len(set(table[name])) > 1]
     standard = _KIND in table and _LEVEL in table
@@ -194,8 +194,8 @@ def summary_of(columns: dict[str, list[Any]], path: Path) -> CampaignSummary:
     alone = _groups(table, families, done)
     return CampaignSummary(
         path=path,
-        runs=len(rows),
-        unknown=len(columns["completed"]) - len(rows),
+        runs=known.num_rows,
+        unknown=rows.num_rows - known.num_rows,
         share=wilson(int(done.sum()), len(done)),
         groups=tuple(group for group, _ in groups),
         axis=axis,
@@ -227,10 +227,7 @@ def _numbers(table: dict[str, list[Any]], name: str) -> NDArray[np.float64] | No
 
     The result is None if it has no numbers.
     """
-    try:
-        values = np.array([np.nan if v is None else float(v) for v in table.get(name, [])])
-    except (TypeError, ValueError):
-        return None
+    values = np.array(table.get(name, []), dtype=float)
     return values if np.isfinite(values).any() else None
 
 

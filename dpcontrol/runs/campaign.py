@@ -422,7 +422,7 @@ class Campaign(Shown):
     @cached_property
     def summary(self) -> CampaignSummary:
         """Success rates by group, and causes of failure."""
-        return summary_of(self.table.to_pydict(), self.file or Path(self.itinerary))
+        return summary_of(self.table, self.file or Path(self.itinerary))
 
     @property
     def rows(self) -> tuple[Row, ...]:
