@@ -45,7 +45,7 @@ REACHED = 0.3
 """Cost-to-go V at the end of a flight that converged."""
 JOINED = 4.0
 """Cost-to-go at the end of a flight above which another one is planned."""
-_EFFORT = 5e-3
+_EFFORT = 3e-3
 """Weight r of the squared acceleration, s⁴/m²; less leaves the feedback nothing."""
 _RESERVE_ACCELERATION, _RESERVE_SPEED, _RESERVE_TRACK = 2 / 3, 0.8, 0.07
 """Shares of the greatest acceleration and speed in a flight, and the part of the track left free at its ends, m."""

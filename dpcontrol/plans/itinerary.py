@@ -163,12 +163,11 @@ def _completed(document: Mapping[str, Any]) -> dict[str, Any]:
         stays = document.get("finish") != "rest" and not document.get("cart")
         held = out.get("start") == "hold" and "parts" not in document and stays
         out["controller"] = {"kind": "lqr" if held else kept, **controller}
-    if "parts" not in document:
-        keys = [key for kind in _PARTS.values() for key in leaves_of(kind)]
+    keys = [key for kind in _PARTS.values() for key in leaves_of(kind)]
+    meant = {key: key if key in keys else nearest(key, [*FILE.keys, *keys]) for key in document if key not in FILE.keys}
+    if "parts" not in (*document, *meant.values()):
         # The part reports a misspelling of its keys.
-        out[""] = {
-            key: out.pop(key) for key in document if key not in FILE.keys and (key in keys or nearest(key, keys))
-        }
+        out[""] = {key: out.pop(key) for key, known in meant.items() if known in keys}
     return out
 
 

@@ -88,8 +88,8 @@ def test_a_flight_that_misses_says_so() -> None:
 
 
 def test_a_flight_that_leaves_the_track_has_not_reached_its_target() -> None:
-    # A cart 5 mm before its end at 2.5 m/s needs 104 mm at 30 m/s².
-    flight = dp.flight("lab", [0.0, 0.0, 0.0, 0.0, 0.395, 2.5], "down-down", limits=LIMITS)
+    # A cart 5 mm before its end at 2 m/s needs 67 mm at 30 m/s².
+    flight = dp.flight("lab", [0.0, 0.0, 0.0, 0.0, 0.395, 2.0], "down-down", limits=LIMITS)
     assert not flight.converged
     assert flight.cause is FlightCause.OUTSIDE
     assert flight.remedy == ("position", 0.8)
