@@ -141,7 +141,8 @@ def campaign_table(path: Path) -> "pa.Table":
     arrow, data = part("pyarrow"), part("pyarrow.dataset")
     checked = data.ParquetFragmentScanOptions(page_checksum_verification=True)
     try:
-        rows = data.dataset(path, format=data.ParquetFileFormat(default_fragment_scan_options=checked))
+        files = [str(file) for file in sorted(path.glob("*.parquet"))]
+        rows = data.dataset(files, format=data.ParquetFileFormat(default_fragment_scan_options=checked))
         checked_size(8.0 * rows.count_rows() * len(rows.schema))
         return rows.to_table()
     except (arrow.ArrowException, OSError, ValueError) as error:
