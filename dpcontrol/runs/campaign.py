@@ -71,7 +71,7 @@ from dpcontrol.foundation.files import (
 )
 from dpcontrol.foundation.parts import Later, part
 from dpcontrol.foundation.processes import in_processes, processors
-from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress
+from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress, part_of
 from dpcontrol.foundation.rendering import DataFrame
 from dpcontrol.foundation.settings import Setting, Settings
 from dpcontrol.foundation.shown import Brief, Shown, data_frame
@@ -291,7 +291,7 @@ def _schema(cases: Sequence[Case], record: Mapping[str, Any]) -> "pa.Schema":
     return pa.schema(fields, metadata={METADATA: json.dumps(record).encode()})
 
 
-def run_locally(jobs: Sequence[Job], workers: int) -> Iterator[tuple[Job, list[Row]]]:
+def run_locally(jobs: Sequence[Job], workers: int, progress: Progress = no_progress) -> Iterator[tuple[Job, list[Row]]]:
     """Run jobs in several processes.
 
     The processes end if the caller is interrupted or stops iterating.
@@ -299,15 +299,13 @@ def run_locally(jobs: Sequence[Job], workers: int) -> Iterator[tuple[Job, list[R
     Args:
         jobs: jobs in any order.
         workers: number of processes.
+        progress: receiver of progress reports.
 
     Raises:
         InputError: see `run_job`.
         GoalMissed: see `run_job`; also if a job's process died.
     """
-    return in_processes(
-        run_job, jobs, workers,
-        remedy="Finished jobs are kept: run the same command again, with fewer --workers",
-    )  # fmt: skip
+    return in_processes(run_job, jobs, workers, what="jobs", progress=progress)
 
 
 MOST_RUNS = 1_000_000
@@ -657,11 +655,10 @@ def _run_missing(jobs: Sequence[Job], folder: Path, schema: "pa.Schema", *, work
     # If one of several laws does not fit the plan, no run begins.
     for job in laws.values() if len(laws) > 1 else ():
         _assembled(job)
-    for done, (job, rows) in enumerate(run_locally(left, workers) if left else (), len(jobs) - len(left) + 1):
+    for job, rows in run_locally(left, workers, part_of(progress, 1 - len(left) / len(jobs), 1.0)):
         table, data = pa.Table.from_pylist([{**row, **_numbers(job.case)} for row in rows], schema=schema), io.BytesIO()
         pq.write_table(table, data, compression="zstd", write_page_checksum=True)
         write_whole(places[job.key], data.getvalue())
-        progress(f"{done} of {len(jobs)} jobs", done / len(jobs))
 
 
 def check_table(file: Path, record: Mapping[str, Any]) -> None:

@@ -220,9 +220,11 @@ class _Task:
     rate: float = 0.0
 
 
-def _do(task: Job | _Task) -> "tuple[RunEnd, ...] | HazardBorder | Improvement":
-    if isinstance(task, Job):
-        return outcomes(task, len(task.seeds))
+def _ends(job: Job) -> tuple[RunEnd, ...]:
+    return outcomes(job, len(job.seeds))
+
+
+def _do(task: _Task) -> HazardBorder | Improvement:
     return _change(task, task.of) if isinstance(task.of, SceneChange) else _border(task, task.of)
 
 
@@ -463,8 +465,8 @@ def preflight(
     most = max(min(MOST_TICKS // ticks, 256), 1)
     size = min(128 if amounts.rate > _FEW else 64, most)
     jobs = [replace(job, seeds=job.seeds[k : k + size]) for k in range(0, amounts.rate, size)]
-    parts = _all(jobs, workers, "rate", part_of(progress, 0.0, 0.15))
-    ordered = sorted(row for part in parts for row in part)
+    parts = in_processes(_ends, jobs, workers, what="jobs for the rate", progress=part_of(progress, 0.0, 0.15))
+    ordered = sorted(row for _, part in parts for row in part)
     completed = [row.completed for row in ordered]
     share = wilson(sum(completed), len(completed), confidence=settings.confidence)
     notes = _notes(scene, loop)
@@ -475,7 +477,8 @@ def preflight(
         tasks += _trials(scene, job, completed, amounts.change, most)
     else:
         notes.append("these runs go one after the other, not side by side: borders and changes with --runs only")
-    found = list(_all(tasks, workers, "borders and changes", part_of(progress, 0.15, 1.0)))
+    work = in_processes(_do, tasks, workers, what="borders and changes", progress=part_of(progress, 0.15, 1.0))
+    found = [result for _, result in work]
     borders = [b for b in found if isinstance(b, HazardBorder)]
     return Preflight(
         itinerary=name,
@@ -490,14 +493,6 @@ def preflight(
         changes=tuple(sorted((c for c in found if isinstance(c, Improvement)), key=lambda c: (-c.gain, c.text))),
         seconds=time.perf_counter() - began,
     )
-
-
-def _all(tasks: Sequence[Job | _Task], workers: int, what: str, progress: Progress) -> Iterator[Any]:
-    """Yield the result of each task, and report their number."""
-    remedy = "Finished jobs are kept: run the same command again, with fewer --workers"
-    for k, (_, done) in enumerate(in_processes(_do, tasks, workers, remedy=remedy), 1):
-        progress(f"{what}: {k} of {len(tasks)}", k / len(tasks))
-        yield done
 
 
 def endings(ends: Sequence[RunEnd]) -> tuple[EndingShare, ...]:

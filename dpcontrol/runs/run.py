@@ -652,13 +652,11 @@ def _with_settings(itinerary: Itinerary, log: RunLog, *, cannot: str) -> Itinera
     try:
         settings = json.loads(log.metadata["run_settings"])
         return replace(itinerary, loop=stored_settings(settings, str(log.path)))
-    except (TypeError, ValueError, LookupError, RecursionError) as error:
-        raise InputError(f"{log.path} cannot {cannot}: its run settings are not readable: {error}") from error
-    except InputError as error:
+    except (InputError, TypeError, ValueError, LookupError) as error:
         raise InputError(
-            f"{log.path} cannot {cannot}: its run settings are of another version; use the one that wrote it "
+            f"{log.path} cannot {cannot}: its run settings are not those of this version; use the one that wrote it "
             f"({log.metadata.get('version', '?')}, commit {log.metadata.get('commit') or 'unknown'}): "
-            f"{error.errors[0]}"
+            f"{str(error).splitlines()[0]}"
         ) from error
 
 

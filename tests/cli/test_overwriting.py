@@ -212,7 +212,7 @@ def test_an_output_that_cannot_be_written_is_refused_before_the_work(
 
 
 def test_an_interrupted_campaign_continues_its_own_table(monkeypatch: pytest.MonkeyPatch) -> None:
-    def interrupted(jobs: Sequence[Job], workers: int) -> Iterator[tuple[Job, list[dict[str, object]]]]:
+    def interrupted(jobs: Sequence[Job], *_: object) -> Iterator[tuple[Job, list[dict[str, object]]]]:
         yield jobs[0], run_job(jobs[0])
         raise KeyboardInterrupt
 
@@ -226,7 +226,7 @@ def test_an_interrupted_campaign_continues_its_own_table(monkeypatch: pytest.Mon
     assert list(Path("logs/still.parquet").iterdir()) == parts
     asked: list[int] = []
 
-    def counted(jobs: Sequence[Job], workers: int) -> Iterator[tuple[Job, list[dict[str, object]]]]:
+    def counted(jobs: Sequence[Job], *_: object) -> Iterator[tuple[Job, list[dict[str, object]]]]:
         asked.append(len(jobs))
         return ((job, run_job(job)) for job in jobs)
 
