@@ -654,9 +654,8 @@ def _with_settings(itinerary: Itinerary, log: RunLog, *, cannot: str) -> Itinera
         return replace(itinerary, loop=stored_settings(settings, str(log.path)))
     except (InputError, TypeError, ValueError, LookupError) as error:
         raise InputError(
-            f"{log.path} cannot {cannot}: its run settings are not those of this version; use the one that wrote it "
-            f"({log.metadata.get('version', '?')}, commit {log.metadata.get('commit') or 'unknown'}): "
-            f"{str(error).splitlines()[0]}"
+            f"{log.path} cannot {cannot}: its run settings, written by version {log.metadata.get('version', '?')}, commit "
+            f"{log.metadata.get('commit') or 'unknown'}, do not read here: {str(error).partition(chr(10))[0]}"
         ) from error
 
 
