@@ -653,9 +653,10 @@ def _with_settings(itinerary: Itinerary, log: RunLog, *, cannot: str) -> Itinera
         settings = json.loads(log.metadata["run_settings"])
         return replace(itinerary, loop=stored_settings(settings, str(log.path)))
     except (InputError, TypeError, ValueError, LookupError) as error:
+        version = f"{log.metadata.get('version', '?')} (commit {log.metadata.get('commit') or 'unknown'})"
+        said = str(error).partition("\n")[0]
         raise InputError(
-            f"{log.path} cannot {cannot}: its run settings, written by version {log.metadata.get('version', '?')}, commit "
-            f"{log.metadata.get('commit') or 'unknown'}, do not read here: {str(error).partition(chr(10))[0]}"
+            f"{log.path} cannot {cannot}: its run settings, written by version {version}, do not read here: {said}"
         ) from error
 
 
