@@ -3,8 +3,6 @@
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 from bench_recordings import rig_variables, table_columns, write_csv, write_mat
 from command_line import dpcontrol
@@ -79,20 +77,6 @@ def test_replay_reports_the_error_of_each_segment_and_writes_a_log_for_review() 
     picture = dpcontrol("review", "logs/swing-replay.mcap", "--picture", "replay.png")
     assert picture.code == 0
     assert Path("replay.png").stat().st_size > 10_000
-
-
-@pytest.mark.parametrize("name", ["swing.csv", "s3:swing.parquet"])
-def test_a_table_without_rates_needs_no_mapping_and_no_name_is_an_address(name: str) -> None:
-    time = np.arange(400) / 200
-    columns = {"time": time, "angle_1": np.sin(time), "angle_2": np.cos(time)}
-    if name.endswith(".csv"):
-        np.savetxt(name, np.stack(list(columns.values()), 1), delimiter=",", header=",".join(columns), comments="")
-    else:
-        with Path(name).open("wb") as stream:
-            pq.write_table(pa.table(columns), stream)
-    ended = dpcontrol("import", name, "--json")
-    assert ended.code == 0, ended.stderr
-    assert ended.document["rates"] is False
 
 
 @pytest.mark.slow

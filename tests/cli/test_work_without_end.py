@@ -1,13 +1,12 @@
 """Work of hours or gigabytes is rejected with an estimate of its cost, and starts with --yes."""
 
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from command_line import dpcontrol
 
 import dpcontrol as dp
-from dpcontrol.foundation.errors import GoalMissed, InputError, Remark
+from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.progress import MOST_BYTES, MOST_SECONDS
 from dpcontrol.plans.itinerary import itinerary_from, load_itinerary
 from dpcontrol.plans.model import load_model
@@ -68,19 +67,6 @@ def test_a_campaign_of_too_many_cases_or_runs_is_rejected() -> None:
         dp.campaign("outer-turn", over={"mismatch": many, "lag": many})
     with pytest.raises(InputError, match=r"20,000,000 runs of 20 cases.* will take about .*days.*yes=True"):
         dp.campaign("outer-turn", runs=1_000_000, over={"mismatch": many[:20]})
-
-
-@pytest.mark.parametrize("begin", [dp.run, dp.campaign, dp.plan])
-def test_python_rejects_an_endless_itinerary_without_yes(
-    begin: Callable[..., object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    file = tmp_path / "long.toml"
-    file.write_text('walk = ["down-up +", "down-up +"]\nenergy = 0.2\nwraps = [100_000]\n')
-    with pytest.raises(InputError, match=r"long.toml: wraps, 100,000 in all: .* will take about .*yes=True in Python"):
-        begin(str(file))
-    monkeypatch.setattr("dpcontrol.plans.planning.planned", begun)
-    with pytest.raises(GoalMissed, match="begun"), pytest.warns(Remark, match="will take about"):
-        begin(str(file), yes=True)
 
 
 def test_shipped_itineraries_are_planned_without_yes() -> None:
