@@ -386,7 +386,7 @@ def score(log: RunLog) -> Score:
         limits=log.limits if log.has_cart else None,
         end=bad[-1] if bad else None,
         stretches=stretches_of(log),
-        hardest=_hardest(log),
+        hardest=_noted(log, HARDEST_METADATA, float),
     )
     verdict = verdict_on(flown, plan)
     judged = spliced(flown, plan) if flown.stretches else flown
@@ -446,21 +446,6 @@ def _part(log: RunLog, flown: Flown, plan: Reference) -> FaultFigures | None:
         return None
     covers = {"first": first, "last": last, "lasted": noted if first > noted else max(end, last)}
     return Fault.OTHER_TIMES if first > noted else Fault.PART, covers
-
-
-def _hardest(log: RunLog) -> float | None:
-    """Return the greatest acceleration applied by the drive, m/s².
-
-    The result is None if the true state is unknown.
-
-    Logs of earlier versions lack it. In these, the loop's figure counts only if the cart's true velocity changed as
-    much: blows change the velocity alone, and a wrong estimate changes the loop's figure alone.
-    """
-    noted = _noted(log, HARDEST_METADATA, float)
-    if noted is not None or log.truth is None or not log.has_cart or len(log.time) < 2:
-        return noted
-    real = np.abs(np.diff(log.truth[:, -1])) * log.rate_hz
-    return float(np.minimum(np.abs(log.control["applied"][:-1]), real).max())
 
 
 def stretches_of(log: RunLog) -> tuple[Stretch, ...]:

@@ -65,10 +65,10 @@ def _part(part: Part, system: System) -> Part:
     """
     points, saddles = equilibria(system), system.saddles
     if isinstance(part, HoldPart):
-        check_choice("hold", part.hold, points)
+        check_choice("hold", points, part.hold)
         return part
     if isinstance(part, OrbitPart):
-        check_choice("orbit", part.orbit, saddles)
+        check_choice("orbit", saddles, part.orbit)
         visited = [part.orbit]
     else:
         # A walk that is impossible at any energy is reported first.
@@ -228,7 +228,7 @@ def _of_kind(role: str, value: Any, now: Any) -> Any:
             return OwnEstimator(kind=own.name, own=own)
         return (OwnExpressions if own.symbolic else OwnLaw)(own.name, own)
     kinds: Mapping[str, Any] = {"controller": CONTROLLERS, "estimator": ESTIMATORS}[role]
-    check_choice(role, value, kinds)
+    check_choice(role, kinds, value)
     return now if value == now.kind else kinds[value]()
 
 

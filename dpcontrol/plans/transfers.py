@@ -184,8 +184,7 @@ def _sought(
     wanted: Sequence[Transfer], workers: int, progress: Progress
 ) -> Iterator[tuple[Transfer, tuple[bytes, str]]]:
     if workers > 1 and len(wanted) > 1:
-        remedy = "Those that were found are kept: run the same command again, with fewer --workers"
-        return in_processes(search, wanted, min(workers, len(wanted)), remedy=remedy)
+        return in_processes(search, wanted, min(workers, len(wanted)))
     parts = (part_of(progress, k / len(wanted), (k + 1) / len(wanted)) for k in range(len(wanted)))
     return ((one, search(one, here)) for one, here in zip(wanted, parts, strict=True))
 

@@ -14,7 +14,7 @@ from dpcontrol.dynamics.chain import ArmChainParameters, pendulum_system
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.causes import FlightCause
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.settings import check_names
+from dpcontrol.foundation.settings import check_choice
 from dpcontrol.loop.targets import PHASES, hold_target, orbit_target
 from dpcontrol.orbits.lyapunov import LyapunovOrbit, equilibria
 from dpcontrol.plans.plan import Plan
@@ -97,7 +97,7 @@ def _places(
 @lru_cache(maxsize=16)
 def _held(arms: ArmChainParameters, name: str, limits: Limits) -> Target:
     points = equilibria(pendulum_system("pendulum", arms))
-    check_names("equilibrium", [name], points)
+    check_choice("equilibrium", points, name)
     return hold_target(
         hold_controller(points[name].state, sampled_model(arms, RATE), HoldSettings(), seconds=1.0), limits
     )

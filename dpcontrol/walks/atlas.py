@@ -21,7 +21,7 @@ from dpcontrol.foundation.arrays import Array, checked_array
 from dpcontrol.foundation.checked import Hit, checked
 from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.settings import check_names
+from dpcontrol.foundation.settings import check_choice
 from dpcontrol.foundation.shown import Brief, Shown
 from dpcontrol.foundation.units import InUnits
 from dpcontrol.orbits.cut import Piece
@@ -267,7 +267,7 @@ class Atlas(Shown, InUnits, Documented):
         Raises:
             InputError: unknown saddle.
         """
-        check_names("saddle", (source, target), [point.name for point in self.points])
+        check_choice("saddle", [point.name for point in self.points], source, target)
         return tuple(c for c in self.connections if (c.source, c.target) == (source, target))
 
     @checked
@@ -298,7 +298,7 @@ class Atlas(Shown, InUnits, Documented):
         Raises:
             InputError: unknown saddle, or states of another length.
         """
-        check_names("saddle", [saddle], [point.name for point in self.points])
+        check_choice("saddle", [point.name for point in self.points], saddle)
         states = checked_array("states", states, len(self.reverser))
         centre = next(point.state for point in self.points if point.name == saddle)
         return (states - centre) @ self.reverser.T + centre

@@ -20,7 +20,7 @@ from dpcontrol.foundation.checked import checked
 from dpcontrol.foundation.document import Documented, counted
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress, part_of
-from dpcontrol.foundation.settings import check_names
+from dpcontrol.foundation.settings import check_choice
 from dpcontrol.foundation.shown import Brief, Shown
 from dpcontrol.orbits.cut import Cut, tube_cut
 from dpcontrol.orbits.lyapunov import LyapunovOrbit, lyapunov_orbit
@@ -199,7 +199,7 @@ class Edges(Shown, Documented):
         Raises:
             InputError: unknown saddle.
         """
-        check_names("saddle", (source, target), (*self.system.equilibria, *self.orbits))
+        check_choice("saddle", (*self.system.equilibria, *self.orbits), source, target)
         return tuple(c for c in self.connections if (c.source.saddle, c.target.saddle) == (source, target))
 
     @checked
@@ -212,7 +212,7 @@ class Edges(Shown, Documented):
         Raises:
             InputError: unknown saddle.
         """
-        check_names("saddle", [saddle], (*self.system.equilibria, *self.orbits))
+        check_choice("saddle", (*self.system.equilibria, *self.orbits), saddle)
         return tuple(c for c in self.connections if c.source.saddle == saddle)
 
     def graph(self) -> "nx.MultiDiGraph[str]":

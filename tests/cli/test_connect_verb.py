@@ -91,18 +91,3 @@ def test_open_cuts_are_reported_with_branch_phases_and_reason() -> None:
         assert 0 <= low <= high <= 1
         assert "graze" in cut["reason"]
     assert connections("down-up", "down-up", -0.07)["open_cuts"] == []
-
-
-def test_the_table_for_people_lists_every_connection_by_name() -> None:
-    shown = dpcontrol("connect", "lab", "--from", "down-up", "--to", "down-up", "--energy", "-0.07")
-    assert shown.code == 0
-    names = [c["name"] for c in connections("down-up", "down-up", -0.07)["connections"]]
-    assert len(names) == 8
-    for name in names:
-        assert name in shown.stdout
-
-
-def test_an_incomplete_list_ends_with_1() -> None:
-    search = ("connect", "lab", "--from", "down-up", "--to", "down-up", "--energy", "-0.07", "--longest", "1")
-    ended = dpcontrol(*search, "--json")
-    assert (ended.code, ended.document["complete"]) == (1, False)
