@@ -173,7 +173,7 @@ _SECONDS, _MEMORY = 0.25, 3.5e6
 """Planning cost of each period of a walk, in s and bytes, measured over 200 periods."""
 _FLIGHT = 4
 """Periods per symbol."""
-_TRANSFER, _TRANSFER_OF_MORE = 3.0, 16.0
+_TRANSFER, _TRANSFER_OF_MORE = 1.6, 6.0
 """Planning time of a transfer of one or two arms, and of more, s."""
 
 
