@@ -114,25 +114,20 @@ def located(data: bytes, tick: TickLayout) -> dict[str, LocatedMessages]:
         place += LENGTH_FROM + length
     if place != whole:
         raise ValueError("a record runs over the end of its chunk")
+    fields: Any = block.kind.fields
     found = {}
     for topic, number in tick.channels.items():
-        if topic in tick.messages:
-            offsets = np.array(ticks, np.int64) + block.offset(topic)
-        else:
-            offsets = np.array(others[number], np.int64)
-        found[topic] = LocatedMessages(offsets, _gathered(data, offsets, tick.types[topic]))
+        # A tick has its messages at fixed places.
+        offsets = np.array(ticks if topic in fields else others[number], np.int64)
+        offsets += fields[topic][1] if topic in fields else 0
+        kind = tick.types[topic]
+        # A view at every byte, so that fancy indexing copies whole records.
+        shape = (max(len(data) - kind.itemsize + 1, 0),)
+        everywhere = np.ndarray(shape, f"V{kind.itemsize}", buffer=data, strides=(1,))
+        found[topic] = LocatedMessages(offsets, everywhere[offsets].view(kind))
         if (found[topic].records["channel"] != number).any():
             raise ValueError("a tick lacks a message")
     return found
-
-
-def _gathered(data: bytes, offsets: NDArray[np.int64], kind: np.dtype) -> NDArray[Any]:
-    """Return a copy of records of one type at increasing offsets."""
-    if not offsets.size:
-        return np.empty(0, kind)
-    # A view at every byte, so that fancy indexing copies whole records.
-    everywhere = np.ndarray((len(data) - kind.itemsize + 1,), f"V{kind.itemsize}", buffer=data, strides=(1,))
-    return everywhere[offsets].view(kind)
 
 
 def _bytes_of(record: McapRecord) -> bytes:

@@ -36,7 +36,6 @@ from dpcontrol.logs.writer import LogWriter
 NIGHT_METADATA = "night"
 """Metadata record of each file, in JSON: its position in the night, see `RollingLog`."""
 _RECORDED = (RETURN, FLIGHT, RESUME, LAP)
-_LEAST_LEVEL = LEVELS["error"]
 _DEADLINES = "deadlines_"
 _SOON = 1e-6
 """Tolerance for the rounding of times, s; far less than a period."""
@@ -122,7 +121,7 @@ class Digest:
         Args:
             event: the event.
         """
-        name, ends = event.name, LEVELS[event.level] >= _LEAST_LEVEL or event.name == "finished"
+        name, ends = event.name, LEVELS[event.level] >= LEVELS["error"] or event.name == "finished"
         if name in _RECORDED or ends:
             self.events.append(event)
         else:

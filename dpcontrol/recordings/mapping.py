@@ -160,38 +160,17 @@ class Mapping:
         cart = self.cart if self.cart.position in columns else replace(self.cart, position="")
         return replace(self, angles=angles, rates=rates, cart=cart)
 
-    def absolute_angles(self, values: Array) -> Array:
-        """Return absolute angles (K, n), rad, of file values.
-
-        They count from hanging, counter-clockwise.
+    def absolute(self, values: Array, unit: float, zeros: tuple[float, ...] = (0.0,)) -> Array:
+        """Return absolute angles or rates (K, n), rad or rad/s, counted from hanging, counter-clockwise.
 
         Args:
             values: values (K, n) in the file's unit and directions.
+            unit: size of the file's unit, 0 for counts.
+            zeros: readings of hanging arms, rad.
         """
-        return self._turned(values, ANGLE_UNITS[self.angles.unit], self.angles.zero)
-
-    def absolute_rates(self, values: Array) -> Array:
-        """Return absolute rates (K, n), rad/s, of file values.
-
-        Args:
-            values: values (K, n) in the file's unit and directions.
-        """
-        return self._turned(values, RATE_UNITS[self.rates.unit], (0.0,))
-
-    def _turned(self, values: Array, unit: float, zeros: tuple[float, ...]) -> Array:
         scale = unit or 2 * np.pi / np.array(self.angles.counts_per_turn)
         turned = (values * scale - np.array(zeros)) * np.array(self.angles.sign)
         return np.cumsum(turned, axis=1) if self.angles.relative else turned
-
-    def lengths(self, arms: int) -> tuple[float, ...]:
-        """Return the length of each arm, m.
-
-        The last one is repeated if the mapping has fewer.
-
-        Args:
-            arms: number of arms.
-        """
-        return (*self.arm_lengths, *arms * self.arm_lengths[-1:])[:arms]
 
 
 def load_mapping(name: str) -> Mapping:

@@ -304,7 +304,9 @@ class UdpBench(AbstractContextManager["UdpBench"]):
 
         Return True if it led to a run that has ended.
         """
-        session = self._session(sender)
+        # The session that this sender may begin is not stored, so nobody can lock out others, and a forged sender does
+        # not receive it.
+        session = int.from_bytes(hmac.digest(self._secret, repr(sender).encode(), "sha256")[:8])
         heard = self._greeted(data, sender, Welcome(self._arms, self._period, self._ticks, session))
         if heard is None or heard.session != session:
             return False
@@ -330,13 +332,6 @@ class UdpBench(AbstractContextManager["UdpBench"]):
         self.record.ended = self.record.ended or ended
         self._report(f"run ended: {ended}; {run.sentence}")
         return True
-
-    def _session(self, sender: Any) -> int:
-        """Return the number of the session that `sender` may begin.
-
-        The number is not stored, so nobody can lock out others. A forged sender does not receive it.
-        """
-        return int.from_bytes(hmac.digest(self._secret, repr(sender).encode(), "sha256")[:8])
 
     def _greeted(self, data: bytes, sender: Any, answer: Message) -> ReceivedPacket | None:
         """Return the packet, or None if it is not valid; a HELLO is answered."""
