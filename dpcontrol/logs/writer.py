@@ -64,8 +64,7 @@ def link_frames(arms: int, *, has_cart: bool, prefix: str = "") -> tuple[tuple[s
         prefix: beginning of all names but `world`.
     """
     names = ["base", *(["cart_link"] if has_cart else [])]
-    for i in range(1, arms + 1):
-        names += [f"arm_{i}_link", f"elbow_{i}_link"]
+    names += [f"{part}_{i}_link" for i in range(1, arms + 1) for part in ("arm", "elbow")]
     chain = [WORLD, *(prefix + name for name in names[:-1])]
     return tuple(pairwise(chain))
 
