@@ -18,7 +18,6 @@ Source: the MCAP format specification, version 0.
 
 import glob
 import json
-import mimetypes
 import os
 import struct
 import zlib
@@ -136,6 +135,29 @@ def _bytes_of(record: McapRecord) -> bytes:
     return builder.end()
 
 
+def declarations(tick: TickLayout) -> list[McapRecord]:
+    """Return the schemas and channels of a log.
+
+    Args:
+        tick: layout of the ticks.
+    """
+    definitions = dict(tick.schemas.values())
+    numbers = {name: number for number, name in enumerate(definitions, start=1)}
+    schemas = [Schema(id=numbers[name], name=name, encoding="ros2msg", data=definitions[name]) for name in numbers]
+    latched = {"offered_qos_profiles": _LATCHED_QOS}
+    channels = [
+        Channel(
+            id=tick.channels[topic],
+            topic=topic,
+            message_encoding="cdr",
+            metadata=latched if topic in LATCHED else {},
+            schema_id=numbers[name],
+        )
+        for topic, (name, _) in tick.schemas.items()
+    ]
+    return [*schemas, *channels]
+
+
 class McapFile:
     """Writes one MCAP file to an unbuffered binary stream.
 
@@ -184,8 +206,7 @@ class McapFile:
             name: name of the attachment, whose ending gives its media type.
             data: content.
         """
-        guessed = "application/toml" if name.endswith(".toml") else mimetypes.guess_type(name)[0]
-        media_type = guessed or "application/octet-stream"
+        media_type = "application/toml" if name.endswith(".toml") else "application/octet-stream"
         about = {"create_time": 0, "log_time": 0, "name": name, "media_type": media_type}
         record = _bytes_of(Attachment(data=data, **about))
         index = AttachmentIndex(offset=self.stream.tell(), length=len(record), data_size=len(data), **about)
@@ -200,16 +221,7 @@ class McapFile:
         """
         self._tick = tick
         self._counts = dict.fromkeys(tick.channels.values(), 0)
-        definitions = dict(tick.schemas.values())
-        numbers = {name: number for number, name in enumerate(definitions, start=1)}
-        for name, number in numbers.items():
-            schema = Schema(id=number, name=name, encoding="ros2msg", data=definitions[name])
-            self._unwritten.append(_bytes_of(schema))
-        for topic, (name, _) in tick.schemas.items():
-            quality = {"offered_qos_profiles": _LATCHED_QOS} if topic in LATCHED else {}
-            number, schema_id = tick.channels[topic], numbers[name]
-            channel = Channel(id=number, topic=topic, message_encoding="cdr", metadata=quality, schema_id=schema_id)
-            self._unwritten.append(_bytes_of(channel))
+        self._unwritten = [*map(_bytes_of, declarations(tick))]
         self._summary += self._unwritten
 
     def add_chunk(self, data: bytes) -> None:
