@@ -187,13 +187,13 @@ class McapFile:
             rest = rest[self.stream.write(rest) or 0 :]
 
     def add_metadata(self, name: str, data: Mapping[str, str]) -> None:
-        """Write a metadata record.
+        """Write a metadata record with its checksum.
 
         Args:
             name: name of the record.
             data: text by key.
         """
-        record = _bytes_of(Metadata(name=name, metadata=dict(data)))
+        record = _bytes_of(Metadata(name=name, metadata={**data, _KEY: _checksum(name, data)}))
         self._summary.append(_bytes_of(MetadataIndex(offset=self.stream.tell(), length=len(record), name=name)))
         self._write(record)
 
@@ -314,16 +314,6 @@ def partials_of(path: Path) -> tuple[Path, ...]:
 
 
 _KEY = "crc32"
-
-
-def sealed(name: str, values: Mapping[str, str]) -> dict[str, str]:
-    """Return the values of a record with their checksum.
-
-    Args:
-        name: name of the record.
-        values: text by key.
-    """
-    return {**values, _KEY: _checksum(name, values)}
 
 
 def unsealed(name: str, record: Mapping[str, str]) -> dict[str, str] | None:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from scipy import signal
+from scipy import signal, stats
 
 from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.foundation.arrays import Array
@@ -258,22 +258,15 @@ def _shift(session: RigSession) -> None:
         wanted = response(np.array([*session.commands[first:], 0.0]), session.period, 0.0)
         # The drive's delay is still unknown, so the best-fitting one is used. The whole shift must be visible.
         delays = range(0, after + 1, max(1, quarter // 8))
-        fits = [_slope(wanted[: len(wanted) - k], carts[k:]) for k in delays]
-        gain, left = min(fits, key=lambda fit: fit[1])
-        opposite = min((other for slope, other in fits if slope * gain <= 0), default=1.0)
+        fits = [stats.linregress(signal.detrend(wanted[: len(wanted) - k]), signal.detrend(carts[k:])) for k in delays]
+        # Slope and unexplained fraction of the variance.
+        gain, left = min(((fit.slope, 1 - fit.rvalue**2) for fit in fits), key=lambda fit: fit[1])
+        opposite = min((1 - fit.rvalue**2 for fit in fits if fit.slope * gain <= 0), default=1.0)
         seen = abs(gain) * size
         if seen > _SEEN and abs(gain) * np.std(wanted) > _CLEARLY_SEEN * wander and left < share * opposite:
             session.gain = gain
             return
     _raise_for_no_shift(session, seen)
-
-
-def _slope(wanted: Array, seen: Array) -> tuple[float, float]:
-    """Return the slope of `seen` on `wanted` without drifts, and the unexplained fraction of the variance."""
-    wanted, seen = signal.detrend(wanted), signal.detrend(seen)
-    size = float(wanted @ wanted)
-    slope = float(wanted @ seen) / size
-    return slope, 1 - slope**2 * size / max(float(seen @ seen), 1e-30)
 
 
 def _raise_for_no_shift(session: RigSession, seen: float) -> None:
