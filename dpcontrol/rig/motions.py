@@ -8,7 +8,7 @@ ones show the delay of the drive. A rig that fails, is not read or leaves its ra
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from scipy import signal, stats
@@ -258,7 +258,8 @@ def _shift(session: RigSession) -> None:
         wanted = response(np.array([*session.commands[first:], 0.0]), session.period, 0.0)
         # The drive's delay is still unknown, so the best-fitting one is used. The whole shift must be visible.
         delays = range(0, after + 1, max(1, quarter // 8))
-        fits = [stats.linregress(signal.detrend(wanted[: len(wanted) - k]), signal.detrend(carts[k:])) for k in delays]
+        shifts = ((signal.detrend(wanted[: len(wanted) - k]), signal.detrend(carts[k:])) for k in delays)
+        fits: list[Any] = [stats.linregress(*shift) for shift in shifts]
         # Slope and unexplained fraction of the variance.
         gain, left = min(((fit.slope, 1 - fit.rvalue**2) for fit in fits), key=lambda fit: fit[1])
         opposite = min((1 - fit.rvalue**2 for fit in fits if fit.slope * gain <= 0), default=1.0)
