@@ -1661,14 +1661,11 @@ def open_recording(
         >>> dp.open_recording(log).arms
         2
     """
-    from dpcontrol.foundation.settings import check_names
-    from dpcontrol.recordings.checks import REPAIRS
     from dpcontrol.recordings.importing import import_recording
     from dpcontrol.recordings.recording import load_recording
 
     path = Path(file)
-    check_names("repair", repairs, REPAIRS)
-    if path.suffix.lower() == ".mcap" and mapping is None:
+    if path.suffix.lower() == ".mcap" and mapping is None and not repairs:
         return load_recording(path)
     with reporting(progress, "import") as report:
         return import_recording(path, mapping, repairs=list(repairs), progress=report)
