@@ -258,10 +258,11 @@ class UdpBench(AbstractContextManager["UdpBench"]):
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             self._socket.bind(where)
-        except (OSError, OverflowError) as error:
+        except OSError as error:
             self._socket.close()
-            why = getattr(error, "strerror", None) or error
-            raise InputError(f"rig: port {port} of {host}: {why}; choose another --port, or 0 for any") from error
+            raise InputError(
+                f"rig: port {port} of {host}: {error.strerror}; choose another --port, or 0 for any"
+            ) from error
         self._socket.setblocking(False)
         self.address: tuple[str, int] = self._socket.getsockname()
         """Address of the bench."""
