@@ -346,8 +346,7 @@ def control_fields(arms: int, *, has_cart: bool) -> tuple[str, ...]:
         arms: number of arms.
         has_cart: True if the rig has a cart.
     """
-    size = 2 * arms + (2 if has_cart else 0)
-    return (*_CONTROL_HEAD, *(f"sigma_{i + 1}" for i in range(size)))
+    return (*_CONTROL_HEAD, *(f"sigma_{i + 1}" for i in range(2 * (arms + has_cart))))
 
 
 def state_names(arms: int, *, has_cart: bool) -> tuple[str, ...]:
