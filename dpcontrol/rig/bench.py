@@ -516,9 +516,9 @@ def checked_faults(faults: Sequence[str], arms: int) -> tuple[str, ...]:
         InputError: an unknown fault, or one of an arm that does not exist.
     """
     check_names("fault", faults, FAULTS)
-    for name in faults:
-        if arms < 2 and ("-2-" in name or name in ("encoders-swapped", "angles-not-summed")):
-            raise InputError(f"--fault {name}: requires at least two arms, and the model has {arms}; choose another")
+    of_two = [name for name in faults if "-2-" in name or name in ("encoders-swapped", "angles-not-summed")]
+    if arms < 2 and of_two:
+        raise InputError(f"--fault {of_two[0]}: requires at least two arms, and the model has {arms}; choose another")
     return tuple(faults)
 
 

@@ -178,8 +178,7 @@ class RigSession:
 
     def hold(self, seconds: float) -> None:
         """Hold the cart at home."""
-        still = np.zeros(max(2, round(seconds / self.period)))
-        self.follow(still, still)
+        self.follow(*np.zeros((2, max(2, round(seconds / self.period)))))
 
     def filled(self, first: int = 0) -> Array:
         """Return the readings (K, n+1) of arms and cart from tick `first`, with gaps interpolated linearly."""
