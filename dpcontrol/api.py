@@ -21,81 +21,165 @@ from dataclasses import replace
 from decimal import Decimal
 from fractions import Fraction
 from pathlib import Path
+from time import perf_counter
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, overload
 
+from dpcontrol.foundation.budget import Budget
+from dpcontrol.foundation.cache import CacheContents, cache_contents
 from dpcontrol.foundation.checked import Between, Count, Hit, Index, Positive, Seed, Workers, checked
+from dpcontrol.foundation.config import Configuration, config_file, configured, log_folder
 from dpcontrol.foundation.errors import GoalMissed, InputError, remark
-from dpcontrol.foundation.files import Film, Output, Picture, write_whole
-from dpcontrol.foundation.parts import installed, part
-from dpcontrol.foundation.progress import Cost, Progress, Reporting, announce, part_of, reporting
+from dpcontrol.foundation.files import Film, Output, Picture, chosen_name, free_name, is_bag_folder, write_whole
+from dpcontrol.foundation.guide import GuidePage
+from dpcontrol.foundation.guide import page as guide_page
+from dpcontrol.foundation.parts import StageModule, installed, part
+from dpcontrol.foundation.progress import Cost, Progress, Reporting, announce, part_of
 from dpcontrol.foundation.rendering import render
+
+STAGES = {
+    "chains": "dynamics.chain",
+    "atlases": "plans.atlas",
+    "bench_server": "rig.bench",
+    "bifurcations": "bifurcations.bifurcations",
+    "campaign_tables": "judge.campaign",
+    "campaigns": "runs.campaign",
+    "loops": "runs.closed_loop",
+    "comparison": "judge.comparison",
+    "drawing": "bench.drawing",
+    "energy_charts": "bench.energies",
+    "example_benches": "runs.example_bench",
+    "extended": "shooting.extended",
+    "families": "orbits.family",
+    "films": "pages.film",
+    "fits": "identification.fit",
+    "flights": "runs.flights",
+    "following": "walks.following",
+    "identification": "identification.identify",
+    "identification_pages": "pages.identification",
+    "importing": "recordings.importing",
+    "intersections": "tubes.intersections",
+    "itineraries": "plans.itinerary",
+    "log_reader": "logs.reader",
+    "log_recovery": "logs.recovery",
+    "log_views": "judge.of_log",
+    "lyapunov": "orbits.lyapunov",
+    "mjcf_files": "dynamics.mjcf",
+    "models": "plans.model",
+    "night_logs": "judge.night",
+    "night_runs": "runs.night",
+    "overrides": "plans.overrides",
+    "own_objects": "loop.own",
+    "page_layout": "pages.layout",
+    "paper_figures": "pages.figures",
+    "servers": "planner.server",
+    "plans": "plans.plan",
+    "polishing": "runs.polish",
+    "proof_checks": "proofs.check",
+    "proofs": "proofs.prove",
+    "recording_checks": "recordings.checks",
+    "recording_files": "recordings.recording",
+    "reference_problems": "references.problem",
+    "references": "references.reference",
+    "renderers": "pages.renderers",
+    "replays": "identification.replay",
+    "report_pages": "pages.page",
+    "rerun_recordings": "pages.rerun_recording",
+    "rotations": "orbits.rotating",
+    "schemas": "plans.schema",
+    "scoring": "judge.score",
+    "shadowing": "walks.shadowing",
+    "single_runs": "runs.run",
+    "sustained_orbits": "references.sustained",
+    "symmetric": "tubes.symmetric",
+    "systems": "dynamics.system",
+    "tubes": "tubes.connections",
+    "viewer": "pages.viewer",
+    "graphs": "walks.edges",
+    "walk_lists": "walks.walks",
+    "walk_symbols": "walks.symbols",
+}
+"""Modules that are imported when a function uses them, by their names here: help and completion must not wait."""
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from dpcontrol.bench.chart import ChartPage
-    from dpcontrol.bench.drawing import DrawnCharts
-    from dpcontrol.bifurcations.bifurcations import BifurcationSearch
-    from dpcontrol.control.export import ControllerSource
+    from dpcontrol.bench import chart, drawing
+    from dpcontrol.bench import energies as energy_charts
+    from dpcontrol.bifurcations import bifurcations
+    from dpcontrol.control import export as exports
     from dpcontrol.control.flight import Flight as Flight
     from dpcontrol.control.symbolic import Setpoint as Setpoint
     from dpcontrol.control.symbolic import SymbolicLaw as SymbolicLaw
-    from dpcontrol.dynamics.chain import ArmChainParameters
+    from dpcontrol.dynamics import chain as chains
+    from dpcontrol.dynamics import mjcf as mjcf_files
+    from dpcontrol.dynamics import system as systems
     from dpcontrol.dynamics.components import Sizes as Sizes
     from dpcontrol.dynamics.components import SymbolicPlant as SymbolicPlant
     from dpcontrol.dynamics.components import Terms as Terms
     from dpcontrol.dynamics.propagator import Section as Section
     from dpcontrol.dynamics.system import System as System
-    from dpcontrol.foundation.cache import CacheContents
-    from dpcontrol.foundation.config import Configuration
-    from dpcontrol.foundation.guide import GuidePage
-    from dpcontrol.identification.fit import Design
-    from dpcontrol.identification.identify import Identification
-    from dpcontrol.identification.replay import Replay
-    from dpcontrol.judge.campaign import CampaignSummary
-    from dpcontrol.judge.comparison import RunComparison
-    from dpcontrol.judge.night import Night
-    from dpcontrol.judge.preflight import Preflight
-    from dpcontrol.judge.score import Scores
-    from dpcontrol.logs import LogSummary, Recovery
+    from dpcontrol.identification import fit as fits
+    from dpcontrol.identification import identify as identification
+    from dpcontrol.identification import replay as replays
+    from dpcontrol.judge import campaign as campaign_tables
+    from dpcontrol.judge import comparison
+    from dpcontrol.judge import night as night_logs
+    from dpcontrol.judge import of_log as log_views
+    from dpcontrol.judge import preflight as preflights
+    from dpcontrol.judge import score as scoring
+    from dpcontrol.logs import reader as log_reader
+    from dpcontrol.logs import recovery as log_recovery
+    from dpcontrol.loop import own as own_objects
     from dpcontrol.loop.protocols import Reading as Reading
     from dpcontrol.loop.protocols import UserEstimator, UserLaw, UserPlant, UserRig
-    from dpcontrol.orbits.family import LyapunovFamily
-    from dpcontrol.orbits.lyapunov import Equilibrium, LyapunovOrbit
-    from dpcontrol.orbits.rotating import RotatingFamilies, RotatingFamily, RotatingOrbit, RotatingOrbits
-    from dpcontrol.pages.figures import DrawnFigures
-    from dpcontrol.pages.page import Report
-    from dpcontrol.pages.viewer import Review
-    from dpcontrol.planner.server import Planner
-    from dpcontrol.plans.itinerary import Itinerary
+    from dpcontrol.orbits import family as families
+    from dpcontrol.orbits import lyapunov
+    from dpcontrol.orbits import rotating as rotations
+    from dpcontrol.pages import figures as paper_figures
+    from dpcontrol.pages import film as films
+    from dpcontrol.pages import identification as identification_pages
+    from dpcontrol.pages import layout as page_layout
+    from dpcontrol.pages import page as report_pages
+    from dpcontrol.pages import renderers, viewer
+    from dpcontrol.pages import rerun_recording as rerun_recordings
+    from dpcontrol.planner import server as servers
+    from dpcontrol.plans import atlas as atlases
+    from dpcontrol.plans import itinerary as itineraries
+    from dpcontrol.plans import model as models
+    from dpcontrol.plans import overrides
+    from dpcontrol.plans import plan as plans
+    from dpcontrol.plans import schema as schemas
     from dpcontrol.plans.model import Model as Model
-    from dpcontrol.plans.model import ModelDescription
     from dpcontrol.plans.model import load_model as load_model
-    from dpcontrol.plans.plan import Plan
-    from dpcontrol.proofs.check import CertificateCheck
-    from dpcontrol.proofs.prove import Proof, ProofSettings
-    from dpcontrol.recordings.recording import ImportedRecording, Recording
+    from dpcontrol.proofs import check as proof_checks
+    from dpcontrol.proofs import prove as proofs
+    from dpcontrol.recordings import checks as recording_checks
+    from dpcontrol.recordings import importing
+    from dpcontrol.recordings import recording as recording_files
+    from dpcontrol.references import problem as reference_problems
+    from dpcontrol.references import reference as references
+    from dpcontrol.references import sustained as sustained_orbits
     from dpcontrol.references.problem import Limits as Limits
     from dpcontrol.references.problem import ReferenceSettings as ReferenceSettings
-    from dpcontrol.references.reference import ReferenceFile
-    from dpcontrol.references.sustained import SustainedOrbit
-    from dpcontrol.rig.bench import UdpBench
-    from dpcontrol.rig.commissioning import Commissioning
-    from dpcontrol.runs.campaign import Campaign
+    from dpcontrol.rig import bench as bench_server
+    from dpcontrol.rig import commissioning
+    from dpcontrol.runs import campaign as campaigns
+    from dpcontrol.runs import closed_loop as loops
+    from dpcontrol.runs import example_bench as example_benches
+    from dpcontrol.runs import flights
+    from dpcontrol.runs import night as night_runs
+    from dpcontrol.runs import polish as polishing
+    from dpcontrol.runs import run as single_runs
     from dpcontrol.runs.campaign import CampaignSettings as CampaignSettings
-    from dpcontrol.runs.closed_loop import ClosedLoop
     from dpcontrol.runs.night import NightSettings as NightSettings
-    from dpcontrol.runs.polish import Polished
-    from dpcontrol.runs.run import Demonstration, Repeat, RigLink, Run
-    from dpcontrol.shooting.extended import ExtendedOrbit
-    from dpcontrol.tubes.connections import ChosenConnection, Connection, ConnectionSearch, RefinedConnection
-    from dpcontrol.tubes.symmetric import SymmetricSearch
-    from dpcontrol.walks.atlas import Atlas
-    from dpcontrol.walks.edges import Edges
-    from dpcontrol.walks.following import SymbolChange, SymbolChanges
-    from dpcontrol.walks.shadowing import ShadowingOrbit
-    from dpcontrol.walks.symbols import Symbol
-    from dpcontrol.walks.walks import SolvedWalks, WalkList, WalkRequest
+    from dpcontrol.shooting import extended
+    from dpcontrol.tubes import connections as tubes
+    from dpcontrol.tubes import intersections, symmetric
+    from dpcontrol.walks import atlas as walk_atlases
+    from dpcontrol.walks import edges as graphs
+    from dpcontrol.walks import following, shadowing
+    from dpcontrol.walks import symbols as walk_symbols
+    from dpcontrol.walks import walks as walk_lists
 
     Law: TypeAlias = UserLaw
     Estimator: TypeAlias = UserEstimator
@@ -103,6 +187,7 @@ if TYPE_CHECKING:
     Rig: TypeAlias = UserRig
 else:
     Rig = object  # Its methods are checked where they are called.
+    globals().update({name: StageModule(module) for name, module in STAGES.items()})
 
 Place = Path | str
 NotNegative = Annotated[float, Between(0)]
@@ -116,7 +201,7 @@ _SWEPT, _SWEPT_BYTES = 2.0, 1e6
 
 
 @checked
-def orbit(model: Model | System | str, saddle: str, *, energy: float, family: Index = 0) -> LyapunovOrbit:
+def orbit(model: Model | System | str, saddle: str, *, energy: float, family: Index = 0) -> lyapunov.LyapunovOrbit:
     """Return the Lyapunov orbit about a saddle.
 
     Args:
@@ -135,9 +220,7 @@ def orbit(model: Model | System | str, saddle: str, *, energy: float, family: In
         >>> dp.orbit("lab", "down-up", energy=-0.07).period
         0.75238...
     """
-    from dpcontrol.orbits.lyapunov import lyapunov_orbit
-
-    return lyapunov_orbit(_system(model), saddle, energy=energy, family=family)
+    return lyapunov.lyapunov_orbit(_system(model), saddle, energy=energy, family=family)
 
 
 @checked
@@ -153,7 +236,13 @@ def find_orbits(
     energies: tuple[float, float] | None = None,
     picture: Picture = None,
     progress: Reporting = None,
-) -> LyapunovOrbit | LyapunovFamily | SustainedOrbit | RotatingOrbits | RotatingFamilies:
+) -> (
+    lyapunov.LyapunovOrbit
+    | families.LyapunovFamily
+    | sustained_orbits.SustainedOrbit
+    | rotations.RotatingOrbits
+    | rotations.RotatingFamilies
+):
     """Compute a Lyapunov orbit or its family, with Floquet multipliers.
 
     A family is followed from its saddle until it ends, loses hyperbolicity or leaves the given energies.
@@ -202,26 +291,22 @@ def find_orbits(
     elif not sustained:
         found = view = _lyapunov(system, str(saddle), family, energy, energies, progress)
     else:
-        from dpcontrol.judge.of_log import sustained_view
-        from dpcontrol.plans.model import model_of
-
         # A system without arms is rejected before the search for its orbit, which can take minutes.
-        arms = model_of(system).arms
+        arms = models.model_of(system).arms
         conservative = _lyapunov(system, str(saddle), family, energy, energies, progress)
         found = replace(sustained_orbit(conservative, progress=progress), resets=sections)
         view = None
         if picture is not None:
             _found(found.converged, f"the sustained orbit about {saddle}", found.status)
-            view = sustained_view(found, arms.length)
-    if picture is not None:
-        _save(render(view), picture)
+            view = log_views.sustained_view(found, arms.length)
+    _draw(view, picture)
     return found
 
 
 @overload
 def connections(
-    source: LyapunovOrbit,
-    target: LyapunovOrbit | None = None,
+    source: lyapunov.LyapunovOrbit,
+    target: lyapunov.LyapunovOrbit | None = None,
     *,
     hits: tuple[Hit, Hit] = (1, 1),
     section: str | None = None,
@@ -229,20 +314,20 @@ def connections(
     thorough: bool = False,
     seconds: Positive | None = None,
     progress: Reporting = None,
-) -> ConnectionSearch: ...
+) -> tubes.ConnectionSearch: ...
 @overload
 def connections(
-    source: LyapunovOrbit,
+    source: lyapunov.LyapunovOrbit,
     *,
     energies: tuple[float, float],
     hits: tuple[Hit, Hit] = (1, 1),
     seconds: Positive | None = None,
     progress: Reporting = None,
-) -> SymmetricSearch: ...
+) -> symmetric.SymmetricSearch: ...
 @checked
 def connections(
-    source: LyapunovOrbit,
-    target: LyapunovOrbit | None = None,
+    source: lyapunov.LyapunovOrbit,
+    target: lyapunov.LyapunovOrbit | None = None,
     *,
     energies: tuple[float, float] | None = None,
     hits: tuple[Hit, Hit] = (1, 1),
@@ -251,7 +336,7 @@ def connections(
     thorough: bool = False,
     seconds: Positive | None = None,
     progress: Reporting = None,
-) -> ConnectionSearch | SymmetricSearch:
+) -> tubes.ConnectionSearch | symmetric.SymmetricSearch:
     """Find every connection from one orbit to another.
 
     Args:
@@ -276,36 +361,27 @@ def connections(
         >>> len(dp.connections(orbit).connections)
         8
     """
-    from dpcontrol.tubes.intersections import search_settings
-
     if energies is not None:
-        from dpcontrol.foundation.budget import Budget
-        from dpcontrol.tubes.symmetric import find_symmetric_connections
-
         if target is not None and target is not source:
             raise InputError("energies and target are given: a symmetric connection leads back to its source; give one")
         if hits[0] != hits[1]:
             raise InputError(f"hits = {hits}: a symmetric connection meets the section of both tubes at the same one")
-        with reporting(progress, "symmetric connections") as report:
-            return find_symmetric_connections(
-                source.system, source.saddle, energies=energies, family=source.family, hit=hits[0],
-                budget=Budget(search_settings(seconds=seconds).seconds), progress=report,
-            )  # fmt: skip
-    from dpcontrol.tubes.connections import find_connections
-
+        return symmetric.find_symmetric_connections(
+            source.system, source.saddle, energies=energies, family=source.family, hit=hits[0],
+            budget=Budget(intersections.search_settings(seconds=seconds).seconds), progress=progress,
+        )  # fmt: skip
     target = source if target is None else target
     source.system.check_same(target.system)
     for one in (source, target):
         _found(one.converged, f"the orbit about {one.saddle}", one.status)
-    with reporting(progress, "connections") as report:
-        return find_connections(
-            source,
-            target,
-            hits=hits,
-            section=source.system.section_between(source.saddle, target.saddle, section),
-            settings=search_settings(longest=longest, thorough=thorough, seconds=seconds),
-            progress=report,
-        )
+    return tubes.find_connections(
+        source,
+        target,
+        hits=hits,
+        section=source.system.section_between(source.saddle, target.saddle, section),
+        settings=intersections.search_settings(longest=longest, thorough=thorough, seconds=seconds),
+        progress=progress,
+    )
 
 
 @checked
@@ -325,7 +401,7 @@ def find_connections(
     name: str | None = None,
     precision: Literal["double", "extended"] = "double",
     progress: Reporting = None,
-) -> ConnectionSearch | SymmetricSearch | ChosenConnection | RefinedConnection:
+) -> tubes.ConnectionSearch | symmetric.SymmetricSearch | tubes.ChosenConnection | tubes.RefinedConnection:
     """Find every connection between Lyapunov orbits at given section hits.
 
     The list contains all connections on the torus of angles: both senses, mirror pairs and reflections. The walk of an
@@ -368,9 +444,6 @@ def find_connections(
         >>> len(dp.find_connections("lab", "down-up", "down-up", energy=-0.07).connections)
         8
     """
-    from dpcontrol.tubes.connections import ChosenConnection, RefinedConnection, orbits_between
-    from dpcontrol.walks.symbols import parse_symbol
-
     extended = precision == "extended"
     if energies is not None:
         one = {"energy": energy, "section": section, "longest": longest, "thorough": thorough, "name": name}
@@ -386,9 +459,9 @@ def find_connections(
         raise InputError("family belongs to a search with energies: omit it with energy")
     if extended and name is None:
         raise InputError("precision = extended refines one connection: give its name from the list of connections")
-    symbol = None if name is None else parse_symbol(name, [source, target])
+    symbol = None if name is None else walk_symbols.parse_symbol(name, [source, target])
     search = connections(
-        *orbits_between(_system(model), source, target, float(energy)),
+        *tubes.orbits_between(_system(model), source, target, float(energy)),
         hits=hits or (symbol and symbol.hits) or (1, 1),
         section=section or (symbol and symbol.section),
         longest=longest,
@@ -400,11 +473,11 @@ def find_connections(
         return search
     connection = search.named(name)
     if not extended:
-        return ChosenConnection(search, (connection,))
-    with reporting(progress, "refining in 113-bit arithmetic"):
-        refined = refine(connection, energy=energy)
+        return tubes.ChosenConnection(search, (connection,))
+    progress("refining in 113-bit arithmetic", 0.9)
+    refined = refine(connection, energy=energy)
     _found(refined.converged, f"{connection.name} in extended precision", refined.status)
-    return RefinedConnection(connection, refined, str(energy))
+    return tubes.RefinedConnection(connection, refined, str(energy))
 
 
 @checked
@@ -415,7 +488,7 @@ def graph(
     symbols: Sequence[str] = (),
     yes: bool = False,
     progress: Reporting = None,
-) -> Edges:
+) -> graphs.Edges:
     """Find the connection graph of an energy.
 
     Args:
@@ -435,14 +508,9 @@ def graph(
         >>> dp.graph("lab", energy=-0.07).saddles
         ('down-up',)
     """
-    from dpcontrol.walks.edges import find_edges
-    from dpcontrol.walks.symbols import parse_walk
-    from dpcontrol.walks.walks import vertex_names
-
     system = _system(model)
-    requested = parse_walk(symbols, vertex_names(system)) if symbols else ()
-    with reporting(progress, "connections") as report:
-        return find_edges(system, energy, symbols=requested, yes=yes, progress=report)
+    requested = walk_symbols.parse_walk(symbols, walk_lists.vertex_names(system)) if symbols else ()
+    return graphs.find_edges(system, energy, symbols=requested, yes=yes, progress=progress)
 
 
 @checked
@@ -456,7 +524,7 @@ def find_bifurcations(
     samples: Count = 24,
     yes: bool = False,
     progress: Reporting = None,
-) -> BifurcationSearch:
+) -> bifurcations.BifurcationSearch:
     """Find the energies at which connections appear, vanish or split.
 
     There are three kinds of events. At a saddle-node, two connections meet and vanish. At a pitchfork, a mirror pair
@@ -484,18 +552,14 @@ def find_bifurcations(
         >>> dp.find_bifurcations("lab", "down-up", "down-up", energies=(-0.08, -0.06), samples=2).events
         ()
     """
-    from dpcontrol.bifurcations.bifurcations import SweepSettings
-    from dpcontrol.bifurcations.bifurcations import find_bifurcations as find
-
     cost = Cost(
         f"{samples:,} energies", _SWEPT * samples * hits, _SWEPT_BYTES * samples, f"samples = {samples}, hits = {hits}"
     )
     announce(cost, yes=yes)
-    settings = SweepSettings(energies=samples)
-    with reporting(progress, "bifurcations") as report:
-        return find(
-            _system(model), source, target, energies=energies, crossings=hits, settings=settings, progress=report
-        )
+    settings = bifurcations.SweepSettings(energies=samples)
+    return bifurcations.find_bifurcations(
+        _system(model), source, target, energies=energies, crossings=hits, settings=settings, progress=progress
+    )
 
 
 @checked
@@ -510,7 +574,7 @@ def atlas(
     out: Annotated[Path | str | None, Output((".npz",))] = None,
     yes: bool = False,
     progress: Reporting = None,
-) -> Atlas:
+) -> walk_atlases.Atlas:
     """Compute all orbits, tubes and connections of an energy.
 
     The orbits are Lyapunov orbits about the saddles and rotating orbits. The atlas is one file with orbits, cuts, and
@@ -540,30 +604,28 @@ def atlas(
         >>> len(dp.atlas("lab", energy=-0.07).connections)
         8
     """
-    from dpcontrol.plans.atlas import AtlasSettings, make_atlas, save_atlas
-    from dpcontrol.tubes.intersections import search_settings
-
-    settings = AtlasSettings(hits=hits, search=search_settings(thorough=thorough, seconds=seconds))
+    settings = atlases.AtlasSettings(
+        hits=hits, search=intersections.search_settings(thorough=thorough, seconds=seconds)
+    )
     chosen = _model(model) if isinstance(model, str) else model
-    with reporting(progress, "atlas") as report:
-        found = make_atlas(chosen, energy, settings=settings, fresh=fresh, yes=yes, progress=report)
+    found = atlases.make_atlas(chosen, energy, settings=settings, fresh=fresh, yes=yes, progress=progress)
     if out is None:
         return found
-    save_atlas(Path(out), found)
+    atlases.save_atlas(Path(out), found)
     return replace(found, file=Path(out))
 
 
 @checked
 def shadow(
-    found: Edges | ConnectionSearch | Sequence[ConnectionSearch] | SymmetricSearch,
-    walk: Sequence[str] | WalkRequest,
+    found: graphs.Edges | tubes.ConnectionSearch | Sequence[tubes.ConnectionSearch] | symmetric.SymmetricSearch,
+    walk: Sequence[str] | walk_lists.WalkRequest,
     *,
     wraps: Sequence[Index] | None = None,
     lead_in: Index = 2,
     lead_out: Index = 2,
     periodic: bool = False,
     yes: bool = False,
-) -> ShadowingOrbit:
+) -> shadowing.ShadowingOrbit:
     """Return the orbit that follows a walk.
 
     Args:
@@ -586,43 +648,37 @@ def shadow(
         >>> dp.shadow(found, ["down-up +"]).converged
         True
     """
-    from dpcontrol.tubes.connections import ConnectionSearch
-    from dpcontrol.tubes.symmetric import SymmetricSearch
-    from dpcontrol.walks.edges import Edges
-    from dpcontrol.walks.shadowing import WalkSolver
-    from dpcontrol.walks.walks import WalkRequest, resolve, solved, symmetric_walk, walks_cost
-
-    if isinstance(found, SymmetricSearch):
-        if isinstance(walk, WalkRequest):
+    if isinstance(found, symmetric.SymmetricSearch):
+        if isinstance(walk, walk_lists.WalkRequest):
             raise InputError("walk: drawn walks belong to graphs; for three arms give one symbol")
-        return symmetric_walk(walk, found, lead_in=lead_in, lead_out=lead_out)
-    searches = [found] if isinstance(found, ConnectionSearch) else found
-    edges = searches if isinstance(searches, Edges) else _edges(searches)
-    solver = WalkSolver(edges.known)
-    if isinstance(walk, WalkRequest):
+        return walk_lists.symmetric_walk(walk, found, lead_in=lead_in, lead_out=lead_out)
+    searches = [found] if isinstance(found, tubes.ConnectionSearch) else found
+    edges = searches if isinstance(searches, graphs.Edges) else _edges(searches)
+    solver = shadowing.WalkSolver(edges.known)
+    if isinstance(walk, walk_lists.WalkRequest):
         own = walk.chain[0].source
         _same_level(edges.system, edges.energy, own.system, own.energy)
-        (answer,) = solved([walk], solver)
+        (answer,) = walk_lists.solved([walk], solver)
         if answer.orbit is None:
             raise GoalMissed(answer.status)
         return answer.orbit
     key = "wraps" if wraps else "walk"
-    announce(walks_cost(1, symbols=len(walk), wraps=sum(wraps or ()), solve=True, key=key), yes=yes)
-    chain = resolve(walk, edges)
+    announce(walk_lists.walks_cost(1, symbols=len(walk), wraps=sum(wraps or ()), solve=True, key=key), yes=yes)
+    chain = walk_lists.resolve(walk, edges)
     counts = solver.least(chain, periodic=periodic) if wraps is None else tuple(wraps)
     return solver.solve(chain, counts, periodic=periodic, lead_in=lead_in, lead_out=lead_out)
 
 
 @checked
 def prove(
-    found: LyapunovOrbit | ShadowingOrbit | ConnectionSearch,
+    found: lyapunov.LyapunovOrbit | shadowing.ShadowingOrbit | tubes.ConnectionSearch,
     *,
     energy: Decimal | Fraction | float | None = None,
-    rivals: Edges | None = None,
+    rivals: graphs.Edges | None = None,
     horseshoe: bool = True,
-    settings: ProofSettings | None = None,
+    settings: proofs.ProofSettings | None = None,
     progress: Reporting = None,
-) -> Proof:
+) -> proofs.Proof:
     """Prove in ball arithmetic that orbits or connections exist.
 
     Args:
@@ -646,24 +702,21 @@ def prove(
         True
     """
     part("flint")
-    from dpcontrol.orbits.lyapunov import LyapunovOrbit
-    from dpcontrol.proofs.prove import exact_energy, prove_connections, prove_orbit, prove_walk
-    from dpcontrol.walks.shadowing import ShadowingOrbit
-
-    if not isinstance(found, LyapunovOrbit) and not found.connections:
+    if not isinstance(found, lyapunov.LyapunovOrbit) and not found.connections:
         raise InputError("found: the search has no connection to prove; search at another energy or with more hits")
-    own = found if isinstance(found, LyapunovOrbit) else found.connections[0].source
+    own = found if isinstance(found, lyapunov.LyapunovOrbit) else found.connections[0].source
     if rivals is not None:
         _same_level(own.system, own.energy, rivals.system, rivals.energy)
-    height = exact_energy(own.energy if energy is None else energy)
-    with reporting(progress, "proof") as report:
-        if not isinstance(found, LyapunovOrbit | ShadowingOrbit):
-            whole = horseshoe and own is found.connections[0].target
-            return prove_connections(found.connections, energy=height, settings=settings, whole=whole, progress=report)
-        if isinstance(found, ShadowingOrbit):
-            known = () if rivals is None else rivals.known
-            return prove_walk(found, energy=height, rivals=known, settings=settings, progress=report)
-        return prove_orbit(found, energy=height, settings=settings, progress=report)
+    height = proofs.exact_energy(own.energy if energy is None else energy)
+    if not isinstance(found, lyapunov.LyapunovOrbit | shadowing.ShadowingOrbit):
+        whole = horseshoe and own is found.connections[0].target
+        return proofs.prove_connections(
+            found.connections, energy=height, settings=settings, whole=whole, progress=progress
+        )
+    if isinstance(found, shadowing.ShadowingOrbit):
+        known = () if rivals is None else rivals.known
+        return proofs.prove_walk(found, energy=height, rivals=known, settings=settings, progress=progress)
+    return proofs.prove_orbit(found, energy=height, settings=settings, progress=progress)
 
 
 @checked
@@ -687,7 +740,7 @@ def prove_statement(
     out: Annotated[Path | str | None, Output((".json",))] = None,
     yes: bool = False,
     progress: Reporting = None,
-) -> Proof | CertificateCheck:
+) -> proofs.Proof | proof_checks.CertificateCheck:
     """Prove in ball arithmetic that orbits exist, or check a certificate.
 
     Statements concern an orbit, a closed walk, a connection or a horseshoe. Parameters and energy are exact decimals.
@@ -727,42 +780,39 @@ def prove_statement(
         True
     """
     part("flint")
-    from dpcontrol.proofs.prove import ProofSettings
-
     if out is not None and statement not in ("orbit", "walk"):
         raise InputError(f"out = {out}: only orbits and walks have certificates; omit it")
     if statement == "check":
         return check_proof(str(model), progress=progress)
-    system, first, settings = _system(model), source or saddle, ProofSettings(bits, radius, box)
+    system, first, settings = _system(model), source or saddle, proofs.ProofSettings(bits, radius, box)
     if energy is None:
         raise InputError("energy is missing: give the energy, J")
-    with reporting(progress, "proof") as report:
-        if statement == "walk":
-            if not (symbols and periodic):
-                raise InputError("only closed walks can be proved: give the symbols, and periodic")
-            edges = graph(system, energy=float(energy), symbols=symbols, yes=yes, progress=part_of(report, 0.0, 0.2))
-            walk = shadow(edges, symbols, wraps=wraps, periodic=True, yes=yes)
-            announce(_proof_cost(walk.duration / walk.connections[0].source.period), yes=yes)
-            work = part_of(report, 0.2, 1.0)
-            return _certified(prove(walk, energy=energy, rivals=edges, settings=settings, progress=work), out)
-        if first is None:
-            raise InputError("give the saddle inside the orbit, or the source of the connections, such as down-up")
-        near = orbit(system, first, energy=float(energy), family=family)
-        if statement == "orbit":
-            return _certified(prove(near, energy=energy, settings=settings, progress=report), out)
-        joined = near if target in (None, first) else orbit(system, str(target), energy=float(energy))
-        if statement == "horseshoe" and joined is not near:
-            raise InputError("a horseshoe needs homoclinics of one orbit: omit the target")
-        search = connections(near, joined, hits=hits, progress=part_of(report, 0.0, 0.1))
-        chosen = tuple(search.named(name) for name in dict.fromkeys(names)) or search.connections
-        announce(_proof_cost(sum(4 + (c.time_out + c.time_in) / near.period for c in chosen)), yes=yes)
-        found, whole, work = replace(search, connections=chosen), statement == "horseshoe", part_of(report, 0.1, 1.0)
-        return prove(found, energy=energy, horseshoe=whole, settings=settings, progress=work)
+    if statement == "walk":
+        if not (symbols and periodic):
+            raise InputError("only closed walks can be proved: give the symbols, and periodic")
+        edges = graph(system, energy=float(energy), symbols=symbols, yes=yes, progress=part_of(progress, 0.0, 0.2))
+        walk = shadow(edges, symbols, wraps=wraps, periodic=True, yes=yes)
+        announce(_proof_cost(walk.duration / walk.connections[0].source.period), yes=yes)
+        work = part_of(progress, 0.2, 1.0)
+        return _certified(prove(walk, energy=energy, rivals=edges, settings=settings, progress=work), out)
+    if first is None:
+        raise InputError("give the saddle inside the orbit, or the source of the connections, such as down-up")
+    near = orbit(system, first, energy=float(energy), family=family)
+    if statement == "orbit":
+        return _certified(prove(near, energy=energy, settings=settings, progress=progress), out)
+    joined = near if target in (None, first) else orbit(system, str(target), energy=float(energy))
+    if statement == "horseshoe" and joined is not near:
+        raise InputError("a horseshoe needs homoclinics of one orbit: omit the target")
+    search = connections(near, joined, hits=hits, progress=part_of(progress, 0.0, 0.1))
+    chosen = tuple(search.named(name) for name in dict.fromkeys(names)) or search.connections
+    announce(_proof_cost(sum(4 + (c.time_out + c.time_in) / near.period for c in chosen)), yes=yes)
+    found, whole, work = replace(search, connections=chosen), statement == "horseshoe", part_of(progress, 0.1, 1.0)
+    return prove(found, energy=energy, horseshoe=whole, settings=settings, progress=work)
 
 
 @checked
 def reference(
-    walks: ShadowingOrbit | Sequence[ShadowingOrbit],
+    walks: shadowing.ShadowingOrbit | Sequence[shadowing.ShadowingOrbit],
     *,
     limits: Limits | None = None,
     settings: ReferenceSettings | None = None,
@@ -771,7 +821,7 @@ def reference(
     name: str = "walk",
     yes: bool = False,
     progress: Reporting = None,
-) -> Plan:
+) -> plans.Plan:
     """Plan one or more walks with friction and a cart.
 
     Args:
@@ -795,12 +845,7 @@ def reference(
         >>> dp.reference(walk, limits=dp.Limits(position=0.4)).converged
         True
     """
-    from dpcontrol.plans.itinerary import WalkPart, itinerary_of
-    from dpcontrol.plans.model import model_of
-    from dpcontrol.plans.plan import make_plan
-    from dpcontrol.walks.shadowing import ShadowingOrbit
-
-    orbits = [walks] if isinstance(walks, ShadowingOrbit) else list(walks)
+    orbits = [walks] if isinstance(walks, shadowing.ShadowingOrbit) else list(walks)
     if not orbits:
         raise InputError("walks = []: give one at least")
     for one in orbits:
@@ -809,10 +854,11 @@ def reference(
         if one.periodic:
             raise InputError("a periodic walk has no ends that a reference could start and finish at; shadow it open")
     parts = [
-        WalkPart(one.connections[0].source.energy, one.walk, one.wraps, 1, one.lead_in, one.lead_out) for one in orbits
+        itineraries.WalkPart(one.connections[0].source.energy, one.walk, one.wraps, 1, one.lead_in, one.lead_out)
+        for one in orbits
     ]
-    scene = itinerary_of(
-        model_of(orbits[0].connections[0].source.system),
+    scene = itineraries.itinerary_of(
+        models.model_of(orbits[0].connections[0].source.system),
         parts,
         name=name,
         start=start,
@@ -820,8 +866,7 @@ def reference(
         limits=limits,
         reference=settings,
     )
-    with reporting(progress, "reference") as report:
-        return make_plan(scene, orbits=orbits, progress=report, yes=yes)
+    return plans.make_plan(scene, orbits=orbits, progress=progress, yes=yes)
 
 
 @checked
@@ -836,7 +881,7 @@ def plan(
     workers: Workers = 0,
     yes: bool = False,
     progress: Reporting = None,
-) -> Plan:
+) -> plans.Plan:
     """Plan an itinerary: connections, shadowing orbit and reference.
 
     Plans are cached by content, so the same itinerary is planned once. Each transfer is cached too, so interrupted
@@ -864,40 +909,32 @@ def plan(
         >>> dp.plan("outer-turn").itinerary.walk
         ('down-up +',)
     """
-    from dpcontrol.plans.itinerary import load_itinerary
-    from dpcontrol.plans.plan import make_plan
-
-    scene = load_itinerary(str(itinerary))
+    scene = itineraries.load_itinerary(str(itinerary))
     if explore_energy is not None:
-        from dpcontrol.bench.energies import only_walk
-
-        only_walk(scene)
-    with reporting(progress, "plan") as report:
-        found = make_plan(scene, progress=part_of(report, 0.0, 0.5), fresh=fresh, workers=workers, yes=yes)
-        if not found.converged:
-            return found
-        if polish:
-            from dpcontrol.runs.polish import polish as polish_plan
-
-            step = part_of(report, 0.5, 0.8)
-            found = replace(found, polished=polish_plan(found, fresh=fresh, workers=workers, yes=yes, progress=step))
-        if margins:
-            found = replace(found, margins=closed_loop(found).margins())
-        if explore_energy is not None and not found.missed:
-            step = part_of(report, 0.8, 1.0)
-            found = replace(found, energies=explore_energies(found, picture=explore_energy, progress=step))
+        energy_charts.only_walk(scene)
+    found = plans.make_plan(scene, progress=part_of(progress, 0.0, 0.5), fresh=fresh, workers=workers, yes=yes)
+    if not found.converged:
+        return found
+    if polish:
+        step = part_of(progress, 0.5, 0.8)
+        found = replace(found, polished=polishing.polish(found, fresh=fresh, workers=workers, yes=yes, progress=step))
+    if margins:
+        found = replace(found, margins=closed_loop(found).margins())
+    if explore_energy is not None and not found.missed:
+        step = part_of(progress, 0.8, 1.0)
+        found = replace(found, energies=explore_energies(found, picture=explore_energy, progress=step))
     return found if out is None or found.missed else found.written_to(Path(out))
 
 
 @checked
 def closed_loop(
-    itinerary: Plan | str,
+    itinerary: plans.Plan | str,
     *,
     settings: Mapping[str, object] | None = None,
     yes: bool = False,
     progress: Reporting = None,
     **named: object,
-) -> ClosedLoop:
+) -> loops.ClosedLoop:
     """Return the closed loop of a plan.
 
     Args:
@@ -919,13 +956,16 @@ def closed_loop(
         >>> dp.closed_loop("outer-turn", mismatch=0.02).run(seed=3).converged
         True
     """
-    with reporting(progress, "plan") as report:
-        return _closed(itinerary, _settings(settings, **named), yes=yes, progress=report)
+    return _closed(itinerary, _settings(settings, **named), yes=yes, progress=progress)
 
 
 @checked
 def mjcf(
-    model: Model | ArmChainParameters | str, *, cart_mass: float = 20.0, lag: float = 0.002, out: Place | None = None
+    model: Model | chains.ArmChainParameters | str,
+    *,
+    cart_mass: float = 20.0,
+    lag: float = 0.002,
+    out: Place | None = None,
 ) -> str:
     """Return the arms on their cart as a model for MuJoCo.
 
@@ -945,11 +985,8 @@ def mjcf(
         >>> dp.mjcf("lab").startswith("<mujoco")
         True
     """
-    from dpcontrol.dynamics.chain import ArmChainParameters
-    from dpcontrol.dynamics.mjcf import mjcf_text
-
-    arms = model if isinstance(model, ArmChainParameters) else _model(model).arms
-    text = mjcf_text(arms, name="arms", cart_mass=cart_mass, lag=lag)
+    arms = model if isinstance(model, chains.ArmChainParameters) else _model(model).arms
+    text = mjcf_files.mjcf_text(arms, name="arms", cart_mass=cart_mass, lag=lag)
     if out is not None:
         write_whole(Path(out), text)
     return text
@@ -957,14 +994,14 @@ def mjcf(
 
 @checked
 def polish(
-    itinerary: Plan | str,
+    itinerary: plans.Plan | str,
     *,
     fresh: bool = False,
     runs: Count = 48,
     workers: Workers = 0,
     yes: bool = False,
     progress: Reporting = None,
-) -> Polished:
+) -> polishing.Polished:
     """Re-optimise a motion from rest to rest as one problem.
 
     The polished plan keeps crossings, windings and wraps at a fraction of the effort. It may stay far from the orbits.
@@ -989,31 +1026,28 @@ def polish(
         >>> found.sides[1].effort < found.sides[0].effort
         True
     """
-    from dpcontrol.runs.polish import polish as polish_plan
-
-    with reporting(progress, "polish") as report:
-        found = (
-            plan(itinerary, yes=yes, progress=part_of(report, 0.0, 0.2)) if isinstance(itinerary, str) else itinerary
-        )
-        return polish_plan(found, fresh=fresh, runs=runs, workers=workers, yes=yes, progress=part_of(report, 0.2, 1.0))
+    found = plan(itinerary, yes=yes, progress=part_of(progress, 0.0, 0.2)) if isinstance(itinerary, str) else itinerary
+    return polishing.polish(
+        found, fresh=fresh, runs=runs, workers=workers, yes=yes, progress=part_of(progress, 0.2, 1.0)
+    )
 
 
 @checked
 def run(
-    itinerary: Plan | str,
+    itinerary: plans.Plan | str,
     *,
     mismatch: float | None = None,
     plant: Place | None = None,
     start: Sequence[float] | str | None = None,
     seed: Seed = 0,
     settings: Mapping[str, object] | None = None,
-    rig: Rig | RigLink | str | None = None,
+    rig: Rig | single_runs.RigLink | str | None = None,
     log: Place | None = None,
     force: bool = False,
     live: bool = False,
     yes: bool = False,
     progress: Reporting = None,
-) -> Run:
+) -> single_runs.Run:
     """Run a plan once in closed loop, and log it if requested; see `launch` for long and repeated runs.
 
     Args:
@@ -1044,16 +1078,15 @@ def run(
         True
     """
     chosen = _settings(settings, mismatch=mismatch, plant=plant, start=start)
-    with reporting(progress, "run") as report:
-        loop = _closed(itinerary, chosen, yes=yes, progress=part_of(report, 0.0, 0.5))
-        return loop.run(seed=seed, rig=rig, log=log, force=force, live=live, progress=part_of(report, 0.5, 1.0))
+    loop = _closed(itinerary, chosen, yes=yes, progress=part_of(progress, 0.0, 0.5))
+    return loop.run(seed=seed, rig=rig, log=log, force=force, live=live, progress=part_of(progress, 0.5, 1.0))
 
 
 @checked
 def flight(
-    model: Model | ArmChainParameters | Plan | str,
+    model: Model | chains.ArmChainParameters | plans.Plan | str,
     state: Sequence[float],
-    target: str | LyapunovOrbit | SustainedOrbit | Plan,
+    target: str | lyapunov.LyapunovOrbit | sustained_orbits.SustainedOrbit | plans.Plan,
     *,
     limits: Limits | None = None,
 ) -> Flight:
@@ -1080,26 +1113,21 @@ def flight(
         >>> dp.flight("lab", [0, 0, 0, 0, 0, 0], "up-up").converged
         True
     """
-    from dpcontrol.dynamics.chain import ArmChainParameters
-    from dpcontrol.plans.plan import Plan
-    from dpcontrol.references.problem import Limits
-    from dpcontrol.runs.flights import plan_flight
-
-    if isinstance(model, Plan):
+    if isinstance(model, plans.Plan):
         arms, limits = model.itinerary.model.arms, limits or model.reference.limits
     else:
-        arms = model if isinstance(model, ArmChainParameters) else _model(model).arms
-    return plan_flight(arms, state, target, limits or Limits())
+        arms = model if isinstance(model, chains.ArmChainParameters) else _model(model).arms
+    return flights.plan_flight(arms, state, target, limits or reference_problems.Limits())
 
 
 @checked
 def launch(
-    itinerary: Plan | str | None = None,
+    itinerary: plans.Plan | str | None = None,
     *,
     source: Place | None = None,
     seed: Seed = 0,
     settings: Mapping[str, object] | None = None,
-    rig: Rig | RigLink | str | None = None,
+    rig: Rig | single_runs.RigLink | str | None = None,
     program: Place | None = None,
     real_time: bool = False,
     key_file: Place | None = None,
@@ -1113,7 +1141,7 @@ def launch(
     force: bool = False,
     yes: bool = False,
     progress: Reporting = None,
-) -> Run | Night | Repeat:
+) -> single_runs.Run | night_logs.Night | single_runs.Repeat:
     """Run an itinerary in closed loop, on the simulated bench or on a rig.
 
     The itinerary is planned first if its plan is not cached. The run is missed (exit code 1) if it is not completed. A
@@ -1157,16 +1185,10 @@ def launch(
         >>> dp.launch(source=log, log=log.with_name("same.mcap")).comparison.difference is None
         True
     """
-    from dpcontrol.foundation.files import chosen_name
-    from dpcontrol.pages.viewer import LIVE_REMEDY, check_viewer
-    from dpcontrol.runs.closed_loop import bench_of
-    from dpcontrol.runs.night import NightSettings, name_check, night_itinerary
-    from dpcontrol.runs.run import default_log, repeated_log
-
     if source is not None:
         if any((itinerary, seed, settings, rig, program, hours, resume, live)):
             raise InputError(f"source = {source}: a run is repeated without changes; give only log and force with it")
-        with chosen_name(log or True, repeated_log(Path(source))) as file:
+        with chosen_name(log or True, single_runs.repeated_log(Path(source))) as file:
             return repeat(source, str(file), force=force, progress=progress)
     if itinerary is None:
         raise InputError("itinerary is missing: give one, or with source a log to repeat")
@@ -1175,25 +1197,28 @@ def launch(
     if program is not None and (hours is not None or live):
         raise InputError("program: controls single runs without a live view; omit hours and live")
     if live:
-        check_viewer(LIVE_REMEDY)
-    bench = bench_of(_linked(rig, key_file=key_file, insecure=insecure, real_time=real_time))
+        viewer.check_viewer(viewer.LIVE_REMEDY)
+    bench = loops.bench_of(_linked(rig, key_file=key_file, insecure=insecure, real_time=real_time))
     chosen, shared = _settings(settings), {"force": force, "live": live}
     scene = _scene(itinerary).with_run(chosen, seed=seed)
-    night = None if hours is None else NightSettings(hours, file_minutes, keep_every)
-    scene = scene if night is None else night_itinerary(scene, given=chosen)
-    check = name_check(scene, bench, night, resume=resume, free=log is True, force=force, yes=yes)
+    night = None if hours is None else night_runs.NightSettings(hours, file_minutes, keep_every)
+    scene = scene if night is None else night_runs.night_itinerary(scene, given=chosen)
+    check = night_runs.name_check(scene, bench, night, resume=resume, free=log is True, force=force, yes=yes)
     # Names are checked before the plan, which can take minutes.
-    with chosen_name(log, default_log(scene), check) as file, reporting(progress, "run") as report:
-        loop, rest = _closed(itinerary, chosen, yes=yes, progress=part_of(report, 0.0, 0.5)), part_of(report, 0.5, 1.0)
+    with chosen_name(log, single_runs.default_log(scene), check) as file:
+        loop, rest = (
+            _closed(itinerary, chosen, yes=yes, progress=part_of(progress, 0.0, 0.5)),
+            part_of(progress, 0.5, 1.0),
+        )
         if night is None:
             return loop.run(seed=seed, rig=bench, program=program, log=file, progress=rest, **shared)
-        folder = file or default_log(scene)
+        folder = file or single_runs.default_log(scene)
         return loop.night(night, folder, seed=seed, rig=bench, resume=resume, yes=yes, progress=rest, **shared)
 
 
 @checked
 def export(
-    itinerary: Plan | str,
+    itinerary: plans.Plan | str,
     folder: Annotated[Place | None, Output(folder=True)] = None,
     *,
     single: bool = False,
@@ -1203,7 +1228,7 @@ def export(
     force: bool = False,
     yes: bool = False,
     progress: Reporting = None,
-) -> ControllerSource:
+) -> exports.ControllerSource:
     """Write the controller of an itinerary as C99.
 
     The C code has estimator, law and supervisor in one call. The itinerary is planned first if its plan is not cached.
@@ -1233,20 +1258,17 @@ def export(
         >>> sorted(dp.export("outer-turn", single=True).files)[:2]
         ['CMakeLists.txt', 'Makefile']
     """
-    from dpcontrol.runs.run import check_exportable
-
     if unit and (folder is None or Path(folder).suffix != ".fmu"):
         raise InputError(f"folder = {folder}: a co-simulation unit needs a name that ends in .fmu")
     chosen = _settings(settings)
-    check_exportable(_scene(itinerary).with_run(chosen))
-    with reporting(progress, "export") as report:
-        loop = _closed(itinerary, chosen, yes=yes, progress=part_of(report, 0.0, 0.5))
-        return loop.export(folder, single=single, clock=clock, force=force, progress=part_of(report, 0.5, 1.0))
+    single_runs.check_exportable(_scene(itinerary).with_run(chosen))
+    loop = _closed(itinerary, chosen, yes=yes, progress=part_of(progress, 0.0, 0.5))
+    return loop.export(folder, single=single, clock=clock, force=force, progress=part_of(progress, 0.5, 1.0))
 
 
 @checked
 def campaign(
-    itinerary: Plan | str,
+    itinerary: plans.Plan | str,
     *,
     runs: Count | None = None,
     mismatch: float | None = None,
@@ -1258,11 +1280,11 @@ def campaign(
     transitions: bool = False,
     path: Literal["compiled", "ticks"] = "compiled",
     workers: Workers = 0,
-    out: Annotated[Place | bool | None, Output((".parquet",), free=True)] = None,
+    out: Annotated[Place | bool | None, Output((".parquet",), free=True, folder=True)] = None,
     force: bool = False,
     yes: bool = False,
     progress: Reporting = None,
-) -> Campaign:
+) -> campaigns.Campaign:
     """Run an itinerary with many seeds and count the completed runs.
 
     Every case runs the same seeds. An interrupted campaign with a table resumes with the same call. A run with the seed
@@ -1281,7 +1303,7 @@ def campaign(
         transitions: separate runs of each transfer from hold to hold.
         path: method of simulation: many seeds in lockstep, or the loop itself (default: compiled).
         workers: number of processes (default: one per processor).
-        out: table to write (.parquet), logs/NAME.parquet on the command line (default: none).
+        out: table to write, a folder NAME.parquet; logs/NAME.parquet on the command line (default: none).
         force: replacement of an existing table, whatever made it.
         yes: permission for work of more than an hour or 4 GB of memory.
         progress: reports, see `dpcontrol.api`.
@@ -1297,35 +1319,31 @@ def campaign(
         >>> dp.campaign("outer-turn", runs=4, mismatch=0.02).completed.rate
         1.0
     """
-    from dpcontrol.foundation.config import log_folder
-    from dpcontrol.foundation.files import chosen_name
-    from dpcontrol.runs.campaign import CampaignSettings, asked_cases, campaign_record, check_table
-
     # Check for the writer of the table before the plan, which can take minutes.
     part("pyarrow")
     scene, fixed = _scene(itinerary), _settings(settings, mismatch=mismatch, plant=plant)
     # A score needs no list of confirmed failures.
-    confirmed = 0 if standard else CampaignSettings.replayed
-    counts = CampaignSettings(runs or (8 if standard else 100), first_seed, path, workers, replayed=confirmed)
-    cases = asked_cases(scene, fixed=fixed, over=over or {}, standard=standard, transitions=transitions)
-    record = campaign_record(scene, cases, counts, transitions=transitions)
+    confirmed = 0 if standard else campaigns.CampaignSettings.replayed
+    counts = campaigns.CampaignSettings(runs or (8 if standard else 100), first_seed, path, workers, replayed=confirmed)
+    cases = campaigns.asked_cases(scene, fixed=fixed, over=over or {}, standard=standard, transitions=transitions)
+    record = campaigns.campaign_record(scene, cases, counts, transitions=transitions)
 
     def check(file: Path) -> None:
         if not force:
-            check_table(file, record)
+            campaigns.check_table(file, record)
 
     named = log_folder() / f"{scene.name}{'-transitions' if transitions else ''}.parquet"
-    with chosen_name(out, named, check) as file, reporting(progress, "campaign") as report:
-        loop = _closed(itinerary, fixed, yes=yes, progress=part_of(report, 0.0, 0.1))
+    with chosen_name(out, named, check) as file:
+        loop = _closed(itinerary, fixed, yes=yes, progress=part_of(progress, 0.0, 0.1))
         return loop.campaign(
             over=over, settings=counts, standard=standard, transitions=transitions, out=file, force=force, yes=yes,
-            progress=part_of(report, 0.1, 1.0),
+            progress=part_of(progress, 0.1, 1.0),
         )  # fmt: skip
 
 
 @checked
 def preflight(
-    itinerary: Plan | str,
+    itinerary: plans.Plan | str,
     *,
     runs: Index = 0,
     first_seed: Seed = 1_000_000,
@@ -1334,7 +1352,7 @@ def preflight(
     picture: Annotated[Place | bool | None, Output((".pdf", ".png", ".svg"), free=True)] = None,
     yes: bool = False,
     progress: Reporting = None,
-) -> Preflight:
+) -> preflights.Preflight:
     """Predict whether the first run on a rig completes.
 
     The arms are drawn from the identified uncertainty of the model, or from a mismatch if the model file has none. The
@@ -1362,15 +1380,12 @@ def preflight(
         >>> dp.preflight("hold-up-up", runs=16, yes=True).share.runs  # doctest: +SKIP
         16
     """
-    from dpcontrol.foundation.config import log_folder
-    from dpcontrol.foundation.files import chosen_name
-
     scene, fixed = _scene(itinerary), _settings(settings)
     page = log_folder() / f"{scene.name}-preflight.pdf"
-    with chosen_name(picture, page) as file, reporting(progress, "preflight") as report:
-        loop = _closed(itinerary, fixed, yes=yes, progress=part_of(report, 0.0, 0.05))
+    with chosen_name(picture, page) as file:
+        loop = _closed(itinerary, fixed, yes=yes, progress=part_of(progress, 0.0, 0.05))
         found = loop.preflight(
-            runs=runs, first_seed=first_seed, workers=workers, yes=yes, progress=part_of(report, 0.05, 1.0)
+            runs=runs, first_seed=first_seed, workers=workers, yes=yes, progress=part_of(progress, 0.05, 1.0)
         )
         return _drawn(found, file)
 
@@ -1378,7 +1393,7 @@ def preflight(
 @checked
 def swings(
     model: Model | str, *, count: Count = 9, seconds: Positive = 2.667, seed: Seed = 0, yes: bool = False
-) -> Recording:
+) -> recording_files.Recording:
     """Return simulated free swings as encoders would record them.
 
     Args:
@@ -1398,25 +1413,25 @@ def swings(
         >>> dp.swings("lab", count=2).arms
         2
     """
-    from dpcontrol.recordings.recording import random_swings, swings_cost
-
     model = _model(model)
-    announce(swings_cost(count, seconds), yes=yes)
-    return random_swings(model.arms, swings=count, seconds=seconds, seed=seed, name=f"{model.name}-swings-{seed}")
+    announce(recording_files.swings_cost(count, seconds), yes=yes)
+    return recording_files.random_swings(
+        model.arms, swings=count, seconds=seconds, seed=seed, name=f"{model.name}-swings-{seed}"
+    )
 
 
 @overload
 def identify(
-    recordings: Recording | Place | Sequence[Recording | Place] = (),
+    recordings: recording_files.Recording | Place | Sequence[recording_files.Recording | Place] = (),
     *,
     model: Model | str = "lab",
     design: Literal[True],
     picture: Picture = None,
     progress: Reporting = None,
-) -> Design: ...
+) -> fits.Design: ...
 @overload
 def identify(
-    recordings: Recording | Place | Sequence[Recording | Place] = (),
+    recordings: recording_files.Recording | Place | Sequence[recording_files.Recording | Place] = (),
     *,
     model: Model | str = "lab",
     zeros: bool | None = None,
@@ -1425,10 +1440,10 @@ def identify(
     force: bool = False,
     picture: Picture = None,
     progress: Reporting = None,
-) -> Identification: ...
+) -> identification.Identification: ...
 @checked
 def identify(
-    recordings: Recording | Place | Sequence[Recording | Place] = (),
+    recordings: recording_files.Recording | Place | Sequence[recording_files.Recording | Place] = (),
     *,
     model: Model | str = "lab",
     zeros: bool | None = None,
@@ -1437,7 +1452,7 @@ def identify(
     force: bool = False,
     picture: Picture = None,
     progress: Reporting = None,
-) -> Identification | Design:
+) -> identification.Identification | fits.Design:
     """Identify a model from recordings that `dpcontrol import` wrote.
 
     The model gets inertia ratios, friction laws and encoder zeros. Every third segment is held out, and the friction
@@ -1464,9 +1479,7 @@ def identify(
         >>> dp.identify(dp.swings("lab", count=3, seconds=1.5), model="lab").friction_terms
         ('viscous',)
     """
-    from dpcontrol.recordings.recording import Recording
-
-    several = [recordings] if isinstance(recordings, Recording | str | Path) else [*recordings]
+    several = [recordings] if isinstance(recordings, recording_files.Recording | str | Path) else [*recordings]
     if bool(several) == design:
         wrong = (
             "design compares possible recordings: omit recordings"
@@ -1477,34 +1490,28 @@ def identify(
     model = _model(model)
     if design:
         return design_experiments(model, picture=picture, progress=progress)
-    from dpcontrol.identification.identify import IdentificationSettings
-    from dpcontrol.identification.identify import identify as found_in
-    from dpcontrol.plans.model import check_model_replaced, write_model
-    from dpcontrol.recordings.checks import contradiction
-
     named = [*map(_recording, several)]
     files, given = [Path(name).name for name, _ in named], [one for _, one in named]
     target = Path("models") / f"{Path(files[0]).stem}.toml" if out is True else None if out is None else Path(out)
     if target is not None:
-        check_model_replaced(target, logs=files, starting_model=model.name, force=force)
+        models.check_model_replaced(target, logs=files, starting_model=model.name, force=force)
     choice = {None: "chosen", True: "free", False: "none"}[zeros]
     title = f"{model.title}, identified from {', '.join(one.name for one in given)}"
-    with reporting(progress, "identify") as report:
-        found = found_in(given, model.arms, settings=IdentificationSettings(zeros=choice), progress=report)
-        for one in given:
-            if against := contradiction(one, model.arms, model=model.name):
-                remark(f"{one.name}: {against}")
-        if target is not None:
-            write_model(found, target, title=title, logs=files, starting_model=model.name)
-        if picture is not None:
-            from dpcontrol.pages.identification import draw_identification
-
-            _save(draw_identification(found, title=title), picture)
+    found = identification.identify(
+        given, model.arms, settings=identification.IdentificationSettings(zeros=choice), progress=progress
+    )
+    for one in given:
+        if against := recording_checks.contradiction(one, model.arms, model=model.name):
+            remark(f"{one.name}: {against}")
+    if target is not None:
+        models.write_model(found, target, title=title, logs=files, starting_model=model.name)
+    if picture is not None:
+        _save(identification_pages.draw_identification(found, title=title), picture)
     return replace(found, file=target)
 
 
 @checked
-def open_log(file: Place) -> Run:
+def open_log(file: Place) -> single_runs.Run:
     """Open the log of a run or of a bench.
 
     Args:
@@ -1520,14 +1527,11 @@ def open_log(file: Place) -> Run:
         >>> dp.open_log(log).score().completed
         True
     """
-    from dpcontrol.logs import read_log
-    from dpcontrol.runs.run import Run
-
-    return Run(read_log(file))
+    return single_runs.Run(log_reader.read_log(file))
 
 
 @checked
-def open_plan(file: Place) -> Plan:
+def open_plan(file: Place) -> plans.Plan:
     """Open the file of a plan.
 
     Args:
@@ -1543,13 +1547,11 @@ def open_plan(file: Place) -> Plan:
         >>> dp.open_plan(planned.file).status == planned.status
         True
     """
-    from dpcontrol.plans.plan import load_plan
-
-    return load_plan(Path(file))
+    return plans.load_plan(Path(file))
 
 
 @checked
-def open_reference(file: Place, *, picture: Picture = None, transitions: Picture = None) -> ReferenceFile:
+def open_reference(file: Place, *, picture: Picture = None, transitions: Picture = None) -> references.ReferenceFile:
     """Show a reference: motion, limits, effort, mesh, error and origin.
 
     FILE is a .npz from `dpcontrol plan --out`. numpy can read it; dpcontrol.references.reference documents its layout.
@@ -1570,25 +1572,19 @@ def open_reference(file: Place, *, picture: Picture = None, transitions: Picture
         >>> dp.open_reference(planned.file).reference.converged
         True
     """
-    from dpcontrol.references.reference import ReferenceFile, load_reference
-
     if picture is not None and transitions is not None and Path(picture).resolve() == Path(transitions).resolve():
         raise InputError(f"picture and transitions are both {picture}: give two names")
-    reference = load_reference(Path(file))
+    reference = references.load_reference(Path(file))
     if transitions is not None:
-        from dpcontrol.pages.film import draw_transitions
-
         # It can be refused, and must be before another picture is written.
-        _save(draw_transitions(reference), transitions)
+        _save(films.draw_transitions(reference), transitions)
     if picture is not None:
-        from dpcontrol.judge.of_log import reference_view
-
-        _save(render(reference_view(reference, Path(file))), picture)
-    return ReferenceFile(Path(file), reference, None if transitions is None else Path(transitions))
+        _save(render(log_views.reference_view(reference, Path(file))), picture)
+    return references.ReferenceFile(Path(file), reference, None if transitions is None else Path(transitions))
 
 
 @checked
-def open_atlas(file: Place) -> Atlas:
+def open_atlas(file: Place) -> walk_atlases.Atlas:
     """Open the file of an atlas.
 
     Args:
@@ -1601,13 +1597,13 @@ def open_atlas(file: Place) -> Atlas:
         >>> dp.open_atlas(atlas_file).energy
         -0.07
     """
-    from dpcontrol.plans.atlas import load_atlas
-
-    return replace(load_atlas(Path(file)), file=Path(file))
+    return replace(atlases.load_atlas(Path(file)), file=Path(file))
 
 
 @checked
-def open_planner(model: str = "lab", *, browser: bool = True, port: Annotated[int, Between(0, 65535)] = 0) -> Planner:
+def open_planner(
+    model: str = "lab", *, browser: bool = True, port: Annotated[int, Between(0, 65535)] = 0
+) -> servers.Planner:
     """Plan in the browser, from an energy to a run.
 
     Choose an energy, click connections to build a walk, plan it, and run it. Itinerary, log and film are saved in
@@ -1631,9 +1627,7 @@ def open_planner(model: str = "lab", *, browser: bool = True, port: Annotated[in
         ...     planner.address
         'http://127.0.0.1:...'
     """
-    from dpcontrol.planner.server import Planner
-
-    planner = Planner(model, port=port)
+    planner = servers.Planner(model, port=port)
     if browser and not planner.open():
         remark("no browser was found; open the address in one")
     return planner
@@ -1642,7 +1636,7 @@ def open_planner(model: str = "lab", *, browser: bool = True, port: Annotated[in
 @checked
 def open_recording(
     file: Place, *, mapping: str | None = None, repairs: Sequence[str] = (), progress: Reporting = None
-) -> Recording:
+) -> recording_files.Recording:
     """Open a recording of a bench.
 
     Args:
@@ -1661,19 +1655,15 @@ def open_recording(
         >>> dp.open_recording(log).arms
         2
     """
-    from dpcontrol.recordings.importing import import_recording
-    from dpcontrol.recordings.recording import load_recording
-
     path = Path(file)
     if path.suffix.lower() == ".mcap" and mapping is None and not repairs:
-        return load_recording(path)
-    with reporting(progress, "import") as report:
-        return import_recording(path, mapping, repairs=list(repairs), progress=report)
+        return recording_files.load_recording(path)
+    return importing.import_recording(path, mapping, repairs=list(repairs), progress=progress)
 
 
 @checked
 def picture(
-    result: Run | Plan | ShadowingOrbit | Atlas,
+    result: single_runs.Run | plans.Plan | shadowing.ShadowingOrbit | walk_atlases.Atlas,
     *,
     transitions: bool = False,
     file: Place | None = None,
@@ -1697,21 +1687,14 @@ def picture(
         >>> len(dp.picture(walk).axes) > 1
         True
     """
-    from dpcontrol.plans.plan import Plan
-
-    if transitions and not isinstance(result, Plan):
+    if transitions and not isinstance(result, plans.Plan):
         raise InputError("transitions = True draws the transfers of a plan: give one")
-    if transitions and isinstance(result, Plan):
-        from dpcontrol.pages.film import draw_transitions
-
-        figure = draw_transitions(result.reference)
+    if transitions and isinstance(result, plans.Plan):
+        figure = films.draw_transitions(result.reference)
     else:
         figure = render(result)
     if film is not None:
-        from dpcontrol.pages.film import write_film
-        from dpcontrol.pages.page import view_of
-
-        write_film(view_of(result), film)
+        films.write_film(report_pages.view_of(result), film)
     if file is not None:
         _save(figure, file)
     return figure
@@ -1737,9 +1720,7 @@ def schema(of: Literal["itinerary", "model"]) -> dict[str, Any]:
         >>> dp.schema("model")["title"]
         'Model of dpcontrol'
     """
-    from dpcontrol.plans.schema import schema as schema_of
-
-    return schema_of(of)
+    return schemas.schema(of)
 
 
 @checked
@@ -1759,8 +1740,6 @@ def config() -> Configuration:
         >>> [one.source for one in dp.config() if one.name == "logs"]
         ['default']
     """
-    from dpcontrol.foundation.config import Configuration, config_file, configured
-
     return Configuration(config_file(), tuple(configured()))
 
 
@@ -1785,13 +1764,11 @@ def cache(*, clear: bool = False) -> CacheContents:
         >>> entries > 0
         True
     """
-    from dpcontrol.foundation.cache import cache_contents
-
     return cache_contents(clear=clear)
 
 
 @checked
-def equilibria(model: Model | System | str) -> dict[str, Equilibrium]:
+def equilibria(model: Model | System | str) -> dict[str, lyapunov.Equilibrium]:
     """Return a model's equilibria by name, with energies and eigenvalues.
 
     Args:
@@ -1804,9 +1781,7 @@ def equilibria(model: Model | System | str) -> dict[str, Equilibrium]:
         >>> [name for name, one in dp.equilibria(lab).items() if one.kind == "index-1 saddle"]
         ['down-up', 'up-down']
     """
-    from dpcontrol.orbits.lyapunov import equilibria as found_in
-
-    return found_in(_system(model))
+    return lyapunov.equilibria(_system(model))
 
 
 @checked
@@ -1817,7 +1792,7 @@ def family(
     energies: tuple[float, float],
     family: Index = 0,
     progress: Reporting = None,
-) -> LyapunovFamily:
+) -> families.LyapunovFamily:
     """Follow a family of Lyapunov orbits between two energies.
 
     Args:
@@ -1838,16 +1813,13 @@ def family(
         >>> found.converged, len(found.members) > 1
         (True, True)
     """
-    from dpcontrol.orbits.family import lyapunov_family
-
-    with reporting(progress, f"family of {saddle}") as report:
-        return lyapunov_family(_system(model), saddle, energies=energies, family=family, progress=report)
+    return families.lyapunov_family(_system(model), saddle, energies=energies, family=family, progress=progress)
 
 
 @checked
 def rotating_orbits(
     model: Model | System | str, arm: Literal["inner", "outer"], *, energy: float
-) -> tuple[RotatingOrbit, ...]:
+) -> tuple[rotations.RotatingOrbit, ...]:
     """Find the symmetric orbits that turn one arm over.
 
     Args:
@@ -1865,9 +1837,7 @@ def rotating_orbits(
         >>> len(dp.rotating_orbits(lab, "outer", energy=0.3))
         5
     """
-    from dpcontrol.orbits.rotating import rotating_orbits as found_in
-
-    return found_in(_system(model), _ARMS[arm], energy)
+    return rotations.rotating_orbits(_system(model), _ARMS[arm], energy)
 
 
 @checked
@@ -1877,7 +1847,7 @@ def rotating_families(
     *,
     energies: tuple[float, float],
     progress: Reporting = None,
-) -> tuple[RotatingFamily, ...]:
+) -> tuple[rotations.RotatingFamily, ...]:
     """Follow the families of orbits that turn one arm over.
 
     Args:
@@ -1897,17 +1867,14 @@ def rotating_families(
         >>> all(one.converged for one in families)
         True
     """
-    from dpcontrol.orbits.rotating import rotating_families as followed
-
     orbits = rotating_orbits(model, arm, energy=sum(energies) / 2)
-    with reporting(progress, "families of rotating orbits") as report:
-        return followed(orbits, energies, progress=report)
+    return rotations.rotating_families(orbits, energies, progress=progress)
 
 
 @checked
 def sustained_orbit(
-    orbit: LyapunovOrbit, *, limits: Limits | None = None, progress: Reporting = None
-) -> SustainedOrbit:
+    orbit: lyapunov.LyapunovOrbit, *, limits: Limits | None = None, progress: Reporting = None
+) -> sustained_orbits.SustainedOrbit:
     """Return the periodic orbit that the cart sustains against friction.
 
     Args:
@@ -1926,16 +1893,14 @@ def sustained_orbit(
         >>> dp.sustained_orbit(orbit).converged
         True
     """
-    from dpcontrol.plans.model import model_of
-    from dpcontrol.references.sustained import sustained_orbit as sustained
-
     _found(orbit.converged, f"the orbit about {orbit.saddle}", orbit.status)
-    with reporting(progress, f"sustained orbit about {orbit.saddle}") as report:
-        return sustained(orbit, model_of(orbit.system).arms, limits=limits, progress=report)
+    return sustained_orbits.sustained_orbit(orbit, models.model_of(orbit.system).arms, limits=limits, progress=progress)
 
 
 @checked
-def refine(found: Connection | ShadowingOrbit, *, energy: Decimal | Fraction | float | None = None) -> ExtendedOrbit:
+def refine(
+    found: tubes.Connection | shadowing.ShadowingOrbit, *, energy: Decimal | Fraction | float | None = None
+) -> extended.ExtendedOrbit:
     """Refine a connection or a walk's orbit in 113-bit arithmetic.
 
     Args:
@@ -1952,13 +1917,10 @@ def refine(found: Connection | ShadowingOrbit, *, energy: Decimal | Fraction | f
         >>> float(dp.refine(found.connections[0]).residual) < 1e-25
         True
     """
-    from dpcontrol.shooting.extended import refine as refined
-    from dpcontrol.tubes.connections import Connection
-
-    source = found.source if isinstance(found, Connection) else found.connections[0].source
-    solution = found.solution if isinstance(found, Connection) else found.shot.solution
+    source = found.source if isinstance(found, tubes.Connection) else found.connections[0].source
+    solution = found.solution if isinstance(found, tubes.Connection) else found.shot.solution
     height = _exact(source.energy if energy is None else energy)
-    return refined(solution, energy=height, parameters=_exact_parameters(source.system))
+    return extended.refine(solution, energy=height, parameters=_exact_parameters(source.system))
 
 
 @checked
@@ -1988,7 +1950,7 @@ def find_walks(
     film: Film = None,
     yes: bool = False,
     progress: Reporting = None,
-) -> Edges | WalkList | SolvedWalks | SymbolChanges:
+) -> graphs.Edges | walk_lists.WalkList | walk_lists.SolvedWalks | following.SymbolChanges:
     """List, count and create walks on the connection graph.
 
     `solve` computes the orbit that follows each walk, with an estimate of its error. The orbit is homoclinic,
@@ -2041,11 +2003,8 @@ def find_walks(
         >>> dp.find_walks("lab", energy=-0.07, symbols=["down-up +"], solve=True).converged
         True
     """
-    from dpcontrol.walks.edges import find_edges
-    from dpcontrol.walks.walks import WalkList, WalkSelection
-
     leads = (lead_in, lead_out)
-    selection = WalkSelection(
+    selection = walk_lists.WalkSelection(
         symbols, through, length, source, target, random, lengths, seed, periodic, wraps, extra_wraps, leads
     )
     selection.check(solve=solve, yes=yes)
@@ -2059,19 +2018,19 @@ def find_walks(
         raise InputError("compare follows the symbols of one walk: give symbols or through, and omit solve")
     system = _system(model)
     chosen = selection.parsed(system)
-    with reporting(progress, "connections") as report:
-        if compare is not None:
-            return _changes(system, chosen, (float(energy), compare), report)
-        numbers = {(a, b) for a in range(1, hits[0] + 1) for b in range(1, hits[1] + 1)}
-        edges = find_edges(system, float(energy), hits=numbers, symbols=chosen, yes=yes, progress=report)
+    if compare is not None:
+        return _changes(system, chosen, (float(energy), compare), progress)
+    numbers = {(a, b) for a in range(1, hits[0] + 1) for b in range(1, hits[1] + 1)}
+    search = part_of(progress, 0.0, 0.3 if solve else 1.0)
+    edges = graphs.find_edges(system, float(energy), hits=numbers, symbols=chosen, yes=yes, progress=search)
     if not selection.selected_by:
         return edges
-    walks = WalkList(edges, selection.requests(edges, solve=solve, yes=yes))
-    return _solved(walks, out, (picture, film), exact, progress) if solve else walks
+    walks = walk_lists.WalkList(edges, selection.requests(edges, solve=solve, yes=yes))
+    return _solved(walks, out, (picture, film), exact, part_of(progress, 0.3, 1.0)) if solve else walks
 
 
 @checked
-def count_walks(graph: Edges, length: Count, *, source: str | None = None, target: str | None = None) -> int:
+def count_walks(graph: graphs.Edges, length: Count, *, source: str | None = None, target: str | None = None) -> int:
     """Return the number of walks with some number of symbols.
 
     Args:
@@ -2090,14 +2049,17 @@ def count_walks(graph: Edges, length: Count, *, source: str | None = None, targe
         >>> dp.count_walks(dp.graph(lab, energy=-0.07), 3)
         512
     """
-    from dpcontrol.walks.walks import count_walks as counted
-
-    return counted(graph, length, source=source, target=target)
+    return walk_lists.count_walks(graph, length, source=source, target=target)
 
 
 @checked
 def list_walks(
-    graph: Edges, length: Count, *, source: str | None = None, target: str | None = None, periodic: bool = False
+    graph: graphs.Edges,
+    length: Count,
+    *,
+    source: str | None = None,
+    target: str | None = None,
+    periodic: bool = False,
 ) -> tuple[tuple[str, ...], ...]:
     """List all walks with some number of symbols.
 
@@ -2118,22 +2080,20 @@ def list_walks(
         >>> len(dp.list_walks(dp.graph(lab, energy=-0.07), 2))
         64
     """
-    from dpcontrol.walks.walks import listed
-
-    chains = listed(graph, length, source=source, target=target, periodic=periodic)
+    chains = walk_lists.listed(graph, length, source=source, target=target, periodic=periodic)
     return tuple(tuple(c.name for c in chain) for chain in chains)
 
 
 @checked
 def random_walks(
-    graph: Edges,
+    graph: graphs.Edges,
     count: Count,
     *,
     lengths: tuple[Count, Count] = (1, 8),
     extra_wraps: tuple[Index, Index] = (0, 0),
     periodic: bool = False,
     seed: Seed = 0,
-) -> tuple[WalkRequest, ...]:
+) -> tuple[walk_lists.WalkRequest, ...]:
     """Draw walks, each of one length with equal probability.
 
     Args:
@@ -2155,17 +2115,19 @@ def random_walks(
         >>> [len(walk.chain) for walk in dp.random_walks(graph, 3, lengths=(2, 2))]
         [2, 2, 2]
     """
-    from dpcontrol.walks.walks import drawn_requests, walks_cost
-
     wraps = max(extra_wraps) * max(lengths)
-    announce(walks_cost(count, symbols=max(lengths), wraps=wraps, solve=False, key=f"count = {count}"), yes=False)
+    announce(
+        walk_lists.walks_cost(count, symbols=max(lengths), wraps=wraps, solve=False, key=f"count = {count}"), yes=False
+    )
     return tuple(
-        drawn_requests(graph, count, lengths=lengths, extra=extra_wraps, seed=seed, periodic=periodic, leads=(2, 2))
+        walk_lists.drawn_requests(
+            graph, count, lengths=lengths, extra=extra_wraps, seed=seed, periodic=periodic, leads=(2, 2)
+        )
     )
 
 
 @checked
-def shortest_walk(graph: Edges, stops: Sequence[str]) -> tuple[str, ...]:
+def shortest_walk(graph: graphs.Edges, stops: Sequence[str]) -> tuple[str, ...]:
     """Return the shortest walk that visits saddles in order.
 
     Args:
@@ -2182,15 +2144,13 @@ def shortest_walk(graph: Edges, stops: Sequence[str]) -> tuple[str, ...]:
         >>> len(dp.shortest_walk(dp.graph(lab, energy=-0.07), ["down-up", "down-up"]))
         1
     """
-    from dpcontrol.walks.walks import through
-
-    return tuple(c.name for c in through(stops, graph))
+    return tuple(c.name for c in walk_lists.through(stops, graph))
 
 
 @checked
 def symbol_changes(
     model: Model | System | str, symbols: Sequence[str], *, energies: tuple[float, float], progress: Reporting = None
-) -> tuple[SymbolChange, ...]:
+) -> tuple[following.SymbolChange, ...]:
     """Find the energies at which symbols select other connections.
 
     Args:
@@ -2209,17 +2169,14 @@ def symbol_changes(
         >>> dp.symbol_changes(lab, ["down-up +"], energies=(-0.07, -0.069))
         ()
     """
-    from dpcontrol.walks.following import symbol_changes as changes
-    from dpcontrol.walks.symbols import parse_walk
-    from dpcontrol.walks.walks import vertex_names
-
     system = _system(model)
-    with reporting(progress, "symbols over energies") as report:
-        return changes(system, parse_walk(symbols, vertex_names(system)), energies, progress=report)
+    return following.symbol_changes(
+        system, walk_symbols.parse_walk(symbols, walk_lists.vertex_names(system)), energies, progress=progress
+    )
 
 
 @checked
-def check_proof(file: Place, *, progress: Reporting = None) -> CertificateCheck:
+def check_proof(file: Place, *, progress: Reporting = None) -> proof_checks.CertificateCheck:
     """Check the certificate of a proof by independent code.
 
     Args:
@@ -2237,15 +2194,14 @@ def check_proof(file: Place, *, progress: Reporting = None) -> CertificateCheck:
         >>> dp.check_proof(certificate_file).proved
         True
     """
-    from dpcontrol.proofs.check import check_file
-
     part("flint")
-    with reporting(progress, "check") as report:
-        return check_file(Path(file), report)
+    return proof_checks.check_file(Path(file), progress)
 
 
 @checked
-def explore_energies(itinerary: Plan | str, *, picture: Place | None = None, progress: Reporting = None) -> ChartPage:
+def explore_energies(
+    itinerary: plans.Plan | str, *, picture: Place | None = None, progress: Reporting = None
+) -> chart.ChartPage:
     """Compare the effort of one walk over energies.
 
     Args:
@@ -2264,14 +2220,9 @@ def explore_energies(itinerary: Plan | str, *, picture: Place | None = None, pro
         >>> dp.explore_energies("outer-turn").name  # doctest: +SKIP
         'outer-turn-energies'
     """
-    from dpcontrol.bench.energies import energies_chart
-
-    with reporting(progress, "energies") as report:
-        chart = energies_chart(_scene(itinerary), report)
+    chart = energy_charts.energies_chart(_scene(itinerary), progress)
     if picture is not None:
-        from dpcontrol.bench.drawing import save_chart
-
-        save_chart(chart, Path(picture))
+        drawing.save_chart(chart, Path(picture))
         chart = replace(chart, file=Path(picture))
     return chart
 
@@ -2279,7 +2230,7 @@ def explore_energies(itinerary: Plan | str, *, picture: Place | None = None, pro
 @checked
 def rig_link(
     address: str = "udp", *, key_file: Place | None = None, insecure: bool = False, real_time: bool = False
-) -> RigLink:
+) -> single_runs.RigLink:
     """Return the link to a bench, for runs on it.
 
     Args:
@@ -2295,13 +2246,8 @@ def rig_link(
         >>> dp.rig_link("udp://127.0.0.1:47000").address
         'udp://127.0.0.1:47000'
     """
-    from dpcontrol.runs.run import rig_link as linked
-
-    found = linked(
-        address, key_file=None if key_file is None else Path(key_file), insecure=insecure, real_time=real_time
-    )
-    assert found is not None
-    return found
+    key = None if key_file is None else Path(key_file)
+    return single_runs.rig_link(address, key_file=key, insecure=insecure, real_time=real_time)
 
 
 @checked
@@ -2321,7 +2267,7 @@ def start_bench(
     insecure: bool = False,
     yes: bool = False,
     progress: Reporting = None,
-) -> UdpBench:
+) -> bench_server.UdpBench:
     """Start an example bench for runs over UDP in real time.
 
     The bench simulates the arms and cart of the itinerary. It serves one run after another at its address, for
@@ -2357,21 +2303,19 @@ def start_bench(
         ...     bench.url
         'udp://127.0.0.1:...'
     """
-    from dpcontrol.rig.bench import BenchServerSettings
-    from dpcontrol.runs.example_bench import BenchAddress, example_bench
-
     scene = _scene(itinerary).with_run(_settings(settings), seed=seed)
-    server = BenchServerSettings(watchdog=watchdog, real_time=real_time, runs=runs)
-    where = BenchAddress(host, port, None if key_file is None else Path(key_file), insecure, server)
-    with reporting(progress, "rig") as report:
-        return example_bench(scene, where, hanging=hanging, faults=faults, notify=remark, yes=yes, progress=report)
+    server = bench_server.BenchServerSettings(watchdog=watchdog, real_time=real_time, runs=runs)
+    where = example_benches.BenchAddress(host, port, None if key_file is None else Path(key_file), insecure, server)
+    return example_benches.example_bench(
+        scene, where, hanging=hanging, faults=faults, notify=remark, yes=yes, progress=progress
+    )
 
 
 @checked
 def commission(
-    itinerary: Plan | str,
+    itinerary: plans.Plan | str,
     *,
-    rig: Rig | RigLink | str | None = None,
+    rig: Rig | single_runs.RigLink | str | None = None,
     seed: Seed = 0,
     settings: Mapping[str, object] | None = None,
     faults: Sequence[str] = (),
@@ -2381,7 +2325,7 @@ def commission(
     insecure: bool = False,
     write: bool = False,
     progress: Reporting = None,
-) -> Commissioning:
+) -> commissioning.Commissioning:
     """Measure a rig before its first run: signs, delay, lag, zeros.
 
     The arms must hang, and the cart must stand at the centre. The cart moves a few millimetres, then follows a chirp
@@ -2415,27 +2359,23 @@ def commission(
         >>> dp.commission("outer-turn", faults=["encoder-2-reversed"]).wrong[0].step
         'encoders'
     """
-    from dpcontrol.runs.closed_loop import bench_of
-    from dpcontrol.runs.run import OWN_BENCH, commission_rig, measured_text, written
-
     scene, chosen = _scene(itinerary), _settings(settings)
-    bench = bench_of(_linked(rig, key_file=key_file, insecure=insecure, real_time=real_time))
-    if getattr(bench, "address", bench) not in (None, OWN_BENCH) and (faults or chosen):
+    bench = loops.bench_of(_linked(rig, key_file=key_file, insecure=insecure, real_time=real_time))
+    if getattr(bench, "address", bench) not in (None, single_runs.OWN_BENCH) and (faults or chosen):
         raise InputError(f"rig = {rig}: faults and settings are those of the example bench; omit them")
     if write:
         # A file that cannot be changed is reported before the cart moves.
-        measured_text(scene, {"delay": 1.0, "lag": 0.0, "zeros": [0.0], "counts": 1})
+        single_runs.measured_text(scene, {"delay": 1.0, "lag": 0.0, "zeros": [0.0], "counts": 1})
     practice = scene.with_run(chosen, seed=seed)
-    with reporting(progress, "commission") as report:
-        found = commission_rig(
-            scene, bench, practice=practice, faults=faults, switches=switches, notify=lambda text: report(text, 0.0)
-        )
+    found = single_runs.commission_rig(
+        scene, bench, practice=practice, faults=faults, switches=switches, notify=lambda text: progress(text, 0.0)
+    )
     found = replace(found, itinerary=scene.name, bench="" if bench is None else bench.name)
-    return written(found, scene) if write else found
+    return single_runs.written(found, scene) if write else found
 
 
 @checked
-def repeat(log: Place, out: Place, *, force: bool = False, progress: Reporting = None) -> Repeat:
+def repeat(log: Place, out: Place, *, force: bool = False, progress: Reporting = None) -> single_runs.Repeat:
     """Repeat a run from its log, and compare all messages.
 
     Args:
@@ -2455,14 +2395,11 @@ def repeat(log: Place, out: Place, *, force: bool = False, progress: Reporting =
         >>> dp.repeat(log, log.with_name("again.mcap")).comparison.difference is None
         True
     """
-    from dpcontrol.runs.run import repeat_run
-
-    with reporting(progress, "run") as report:
-        return repeat_run(Path(log), Path(out), force=force, progress=report)
+    return single_runs.repeat_run(Path(log), Path(out), force=force, progress=progress)
 
 
 @checked
-def open_night(folder: Place) -> Night:
+def open_night(folder: Place) -> night_logs.Night:
     """Open the folder of a long run.
 
     Args:
@@ -2478,13 +2415,11 @@ def open_night(folder: Place) -> Night:
         >>> len(dp.open_night(night_folder).falls)
         0
     """
-    from dpcontrol.judge.night import read_night
-
-    return read_night(Path(folder))
+    return night_logs.read_night(Path(folder))
 
 
 @checked
-def open_campaign(file: Place) -> CampaignSummary:
+def open_campaign(file: Place) -> campaign_tables.CampaignSummary:
     """Open the table of a campaign.
 
     Args:
@@ -2500,13 +2435,11 @@ def open_campaign(file: Place) -> CampaignSummary:
         >>> dp.open_campaign(campaign_file).runs
         4
     """
-    from dpcontrol.judge.campaign import campaign_summary
-
-    return campaign_summary(Path(file))
+    return campaign_tables.campaign_summary(Path(file))
 
 
 @checked
-def compare_logs(logs: Sequence[Place], *, align: Count = 1) -> RunComparison:
+def compare_logs(logs: Sequence[Place], *, align: Count = 1) -> comparison.RunComparison:
     """Align several logged runs at one symbol.
 
     Args:
@@ -2523,15 +2456,13 @@ def compare_logs(logs: Sequence[Place], *, align: Count = 1) -> RunComparison:
         >>> len(dp.compare_logs([log, log]).runs)
         2
     """
-    from dpcontrol.judge.comparison import compare
-    from dpcontrol.judge.of_log import run_view
-    from dpcontrol.logs import read_log
-
-    return compare([run_view(read_log(Path(log))) for log in logs], symbol=align)
+    return comparison.compare([log_views.run_view(log_reader.read_log(Path(log))) for log in logs], symbol=align)
 
 
 @checked
-def score(logs: Place | Sequence[Place], *, why: bool = False, yes: bool = False, progress: Reporting = None) -> Scores:
+def score(
+    logs: Place | Sequence[Place], *, why: bool = False, yes: bool = False, progress: Reporting = None
+) -> scoring.Scores:
     """Score logged runs: symbols, wraps, limits, tracking, consistency of the estimator.
 
     For the folder of a long run, the score has uptime, falls with causes, times to return, repetitions, and drift of
@@ -2556,21 +2487,17 @@ def score(logs: Place | Sequence[Place], *, why: bool = False, yes: bool = False
         >>> dp.score(log).results[0].completed
         True
     """
-    from dpcontrol.foundation.files import is_bag_folder
-    from dpcontrol.judge.night import read_night
-    from dpcontrol.judge.score import Scores
-
     paths = [Path(logs)] if isinstance(logs, str | Path) else [*map(Path, logs)]
     nights = [path for path in paths if path.is_dir() and not is_bag_folder(path)]
     if not nights:
         runs = [open_log(path) for path in paths]
         scores = tuple(run.score() for run in runs)
-        return Scores(scores, tuple(run.why(yes=yes, progress=progress) for run in runs) if why else ())
+        return scoring.Scores(scores, tuple(run.why(yes=yes, progress=progress) for run in runs) if why else ())
     if why or len(nights) < len(paths):
         other = next((path for path in paths if path not in nights), None)
         what = "why tries single runs" if other is None else f"{other} is a single log"
         raise InputError(f"{nights[0]} is the folder of a long run, and {what}; score the folder alone")
-    return Scores(tuple(map(read_night, nights)))
+    return scoring.Scores(tuple(map(night_logs.read_night, nights)))
 
 
 @checked
@@ -2584,7 +2511,7 @@ def review(
     stretch: tuple[float, float] | None = None,
     yes: bool = False,
     progress: Reporting = None,
-) -> Review:
+) -> viewer.Review:
     """Open a log in the Rerun viewer.
 
     It shows the arms with the reference as a ghost, the planned and the actual itinerary, angles, rates, command,
@@ -2616,34 +2543,28 @@ def review(
         >>> dp.review(log, save=log.with_suffix(".rrd")).recording.name
         'turn.rrd'
     """
-    from dpcontrol.pages.renderers import record
-    from dpcontrol.pages.viewer import Review, opened, view_in_window
-
     if stretch is not None and film is None:
         raise InputError("stretch is given without film: give the film too")
     paths = [Path(files)] if isinstance(files, str | Path) else [*map(Path, files)]
-    with reporting(progress, "review") as report:
-        report("reading", 0.05)
-        shown = opened(paths, symbol=align)
-        recording = None if save is None else Path(save)
-        report("recording", 0.2)
-        if recording is not None:
-            record(shown, recording)
-        elif picture is None and film is None:
-            recording = view_in_window(shown, paths[0].stem)
-        if film is not None:
-            from dpcontrol.pages.film import write_film
-
-            write_film(shown, film, stretch=stretch, yes=yes, progress=report)
-        if picture is not None:
-            report("picture", 0.5)
-            _save(render(shown), picture)
+    progress("reading", 0.05)
+    shown = viewer.opened(paths, symbol=align)
+    recording = None if save is None else Path(save)
+    progress("recording", 0.2)
+    if recording is not None:
+        renderers.record(shown, recording)
+    elif picture is None and film is None:
+        recording = viewer.view_in_window(shown, paths[0].stem)
+    if film is not None:
+        films.write_film(shown, film, stretch=stretch, yes=yes, progress=progress)
+    if picture is not None:
+        progress("picture", 0.5)
+        _save(render(shown), picture)
     aligned = getattr(shown, "status", None) if len(paths) > 1 else None
-    return Review(tuple(paths), recording, None if film is None else Path(film), aligned)
+    return viewer.Review(tuple(paths), recording, None if film is None else Path(film), aligned)
 
 
 @checked
-def report(file: Place, *, page: Picture = None, margins: bool = False) -> Report:
+def report(file: Place, *, page: Picture = None, margins: bool = False) -> report_pages.Report:
     """Write one page on a log, a long run or a campaign.
 
     matplotlib draws it.
@@ -2669,33 +2590,29 @@ def report(file: Place, *, page: Picture = None, margins: bool = False) -> Repor
         >>> dp.report(log, page=log.with_name("page.png")).page.name
         'page.png'
     """
-    from dpcontrol.foundation.files import is_bag_folder
-    from dpcontrol.judge.campaign import campaign_summary
-    from dpcontrol.judge.night import read_night
-    from dpcontrol.judge.of_log import run_view
-    from dpcontrol.judge.score import Unscored, lacking
-    from dpcontrol.pages.page import Report
-
     source = Path(file)
     # A folder may be named by "." alone.
     target = Path(page or source.parent / f"{source.stem or source.resolve().name}-report.png")
-    of_night, of_campaign = source.is_dir() and not is_bag_folder(source), source.suffix.lower() == ".parquet"
+    of_campaign = source.suffix.lower() == ".parquet"
+    of_night = not of_campaign and source.is_dir() and not is_bag_folder(source)
     if margins and (of_night or of_campaign):
         remedy = "a log of the folder" if of_night else "a log, or use plan --margins"
         raise InputError(f"{file}: margins apply to one log; give {remedy}")
     if of_night or of_campaign:
-        found = read_night(source) if of_night else campaign_summary(source)
+        found = night_logs.read_night(source) if of_night else campaign_tables.campaign_summary(source)
         _save(render(found), target)
-        return Report(found, target)
+        return report_pages.Report(found, target)
     run = open_log(source)
     borne = run.margins() if margins else None
-    view = run_view(run.log)
+    view = log_views.run_view(run.log)
     _save(render(view), target)
-    return Report(Unscored(str(source), view.verdict) if lacking(run.log) else run.score(), target, borne)
+    return report_pages.Report(
+        scoring.Unscored(str(source), view.verdict) if scoring.lacking(run.log) else run.score(), target, borne
+    )
 
 
 @checked
-def log_summary(file: Place) -> LogSummary:
+def log_summary(file: Place) -> log_reader.LogSummary:
     """Show a log's topics, types, rates, duration, metadata and attachments.
 
     Topics also have units and counts.
@@ -2715,9 +2632,7 @@ def log_summary(file: Place) -> LogSummary:
         >>> dp.log_summary(log).joints
         ('arm_1', 'arm_2', 'cart')
     """
-    from dpcontrol.logs import summarise
-
-    return summarise(Path(file))
+    return log_reader.summarise(Path(file))
 
 
 @checked
@@ -2727,7 +2642,7 @@ def recover_log(
     *,
     force: bool = False,
     progress: Reporting = None,
-) -> Recovery:
+) -> log_recovery.Recovery:
     """Rebuild a truncated or damaged log, and report the losses.
 
     The log can also be that of a killed run.
@@ -2750,10 +2665,7 @@ def recover_log(
         >>> dp.recover_log(log).lost
         ''
     """
-    from dpcontrol.logs import recover
-
-    with reporting(progress, "recover") as report:
-        return recover(Path(file), None if out is None else Path(out), force=force, progress=report)
+    return log_recovery.recover(Path(file), None if out is None else Path(out), force=force, progress=progress)
 
 
 @checked
@@ -2771,7 +2683,7 @@ def import_recording(
     force: bool = False,
     yes: bool = False,
     progress: Reporting = None,
-) -> ImportedRecording:
+) -> recording_files.ImportedRecording:
     """Import a recording of the bench as a log.
 
     It reads MATLAB, CSV, Parquet, MCAP and ROS bags. Gaps, repeated times, missing numbers, wrapped angles and
@@ -2806,33 +2718,32 @@ def import_recording(
         >>> dp.import_recording(simulated="lab", swings=2, out=log.with_name("two.mcap")).recording.arms
         2
     """
-    from dpcontrol.recordings.checks import constant_angles, contradiction
-    from dpcontrol.recordings.importing import import_recording as imported
-    from dpcontrol.recordings.recording import ImportedRecording, random_swings, swings_cost
-    from dpcontrol.recordings.recording import write_recording as written
-
     if (file is None) == (simulated is None):
         found = "missing" if file is None else "given"
         raise InputError(f"file and simulated are both {found}: give a file, or the model of simulated swings")
     own = None if model is None else _model(model)
-    with reporting(progress, "import") as report:
-        if simulated is None:
-            recording = imported(Path(str(file)), mapping, repairs=list(repairs), progress=report)
-        else:
-            announce(swings_cost(swings, seconds), yes=yes)
-            swung, name = _model(simulated), f"{_model(simulated).name}-swings-{seed}"
-            recording = random_swings(swung.arms, swings=swings, seconds=seconds, seed=seed, name=name)
-        report("writing", 0.7)
-        log = _new_log(out, f"{recording.name}.mcap", lambda place: written(recording, place, force=force))
-    against = "" if own is None else contradiction(recording, own.arms, model=own.name)
-    remarks, source = (*constant_angles(recording), *filter(None, [against])), str(file or recording.source)
+    if simulated is None:
+        recording = importing.import_recording(Path(str(file)), mapping, repairs=list(repairs), progress=progress)
+    else:
+        announce(recording_files.swings_cost(swings, seconds), yes=yes)
+        swung, name = _model(simulated), f"{_model(simulated).name}-swings-{seed}"
+        recording = recording_files.random_swings(swung.arms, swings=swings, seconds=seconds, seed=seed, name=name)
+    progress("writing", 0.7)
+    log = _new_log(
+        out, f"{recording.name}.mcap", lambda place: recording_files.write_recording(recording, place, force=force)
+    )
+    against = "" if own is None else recording_checks.contradiction(recording, own.arms, model=own.name)
+    remarks, source = (
+        (*recording_checks.constant_angles(recording), *filter(None, [against])),
+        str(file or recording.source),
+    )
     for sentence in remarks:
         remark(f"{source}: {sentence}")
-    return ImportedRecording(recording, source, log, remarks)
+    return recording_files.ImportedRecording(recording, source, log, remarks)
 
 
 @checked
-def write_recording(recording: Recording, file: Place, *, force: bool = False) -> Path:
+def write_recording(recording: recording_files.Recording, file: Place, *, force: bool = False) -> Path:
     """Write a recording as a log.
 
     Args:
@@ -2850,13 +2761,11 @@ def write_recording(recording: Recording, file: Place, *, force: bool = False) -
         >>> dp.write_recording(dp.swings(lab, count=1), log.with_name("swings.mcap")).name
         'swings.mcap'
     """
-    from dpcontrol.recordings.recording import write_recording as written
-
-    return written(recording, Path(file), force=force)
+    return recording_files.write_recording(recording, Path(file), force=force)
 
 
 @checked
-def design_experiments(model: Model | str, *, picture: Picture = None, progress: Reporting = None) -> Design:
+def design_experiments(model: Model | str, *, picture: Picture = None, progress: Reporting = None) -> fits.Design:
     """Compare swings by their information on the model's parameters.
 
     Args:
@@ -2874,21 +2783,16 @@ def design_experiments(model: Model | str, *, picture: Picture = None, progress:
         >>> len(dp.design_experiments(lab).best_pair())
         2
     """
-    from dpcontrol.identification.fit import design_experiments as designed
-
     model = _model(model)
-    with reporting(progress, "design") as report:
-        found = designed(model.arms, progress=report)
+    found = fits.design_experiments(model.arms, progress=progress)
     if picture is not None:
-        from dpcontrol.pages.identification import draw_design
-
-        _save(draw_design(found, title=model.title), picture)
+        _save(identification_pages.draw_design(found, title=model.title), picture)
     return found
 
 
 @checked
 def replay(
-    recording: Recording | Place,
+    recording: recording_files.Recording | Place,
     *,
     model: Model | str = "lab",
     ahead: int = 100,
@@ -2900,7 +2804,7 @@ def replay(
     out: NewLog = None,
     force: bool = False,
     progress: Reporting = None,
-) -> Replay:
+) -> replays.Replay:
     """Predict a recording by a model, and run an estimator.
 
     The log contains the prediction, the estimates and the measurements. Each segment is predicted in one piece from its
@@ -2931,20 +2835,18 @@ def replay(
         >>> len(dp.replay(dp.swings(lab, count=2), model=lab).fits)
         2
     """
-    from dpcontrol.identification.replay import ReplaySettings, filter_settings, replay_recording, write_replay
-    from dpcontrol.recordings.checks import contradiction
-
-    settings = ReplaySettings(counts=counts, mean_over=mean_over, ahead=ahead, span=span)
-    model, filters = _model(model), filter_settings(estimator, model_error=model_error)
+    settings = replays.ReplaySettings(counts=counts, mean_over=mean_over, ahead=ahead, span=span)
+    model, filters = _model(model), replays.filter_settings(estimator, model_error=model_error)
     name, recording = _recording(recording)
-    with reporting(progress, "replay") as report:
-        found = replay_recording(recording, model.arms, filters, settings, zeros=model.encoder_zeros, progress=report)
-        log = _new_log(
-            out,
-            f"{Path(name).stem}-replay.mcap",
-            lambda place: write_replay(found, place, model=model.name, model_text=model.text, force=force),
-        )
-    if against := contradiction(recording, model.arms, model=model.name):
+    found = replays.replay_recording(
+        recording, model.arms, filters, settings, zeros=model.encoder_zeros, progress=progress
+    )
+    log = _new_log(
+        out,
+        f"{Path(name).stem}-replay.mcap",
+        lambda place: replays.write_replay(found, place, model=model.name, model_text=model.text, force=force),
+    )
+    if against := recording_checks.contradiction(recording, model.arms, model=model.name):
         remark(f"{name}: {against}")
     return replace(found, model=model.name, estimator=estimator, log=log)
 
@@ -2955,7 +2857,7 @@ def draw_figures(
     *,
     folder: Annotated[Place, Output(folder=True)] = "figures",
     progress: Reporting = None,
-) -> DrawnFigures:
+) -> paper_figures.DrawnFigures:
     """Draw the computational figures of the paper, each a PNG with a caption and the differences.
 
     Names: energy-landscape, three-body-homoclinics, three-body, lyapunov-orbits, tubes-down-up, cuts, tubes-up-down,
@@ -2977,12 +2879,8 @@ def draw_figures(
         >>> [one.name for one in dp.draw_figures(["energy-landscape"], folder=log.parent)]
         ['energy-landscape']
     """
-    with reporting(progress, "figures") as report:
-        report("loading", 0.0)
-        from dpcontrol.pages.figures import cached_gallery
-        from dpcontrol.pages.figures import draw_figures as drawn
-
-        return drawn(names, cached_gallery(), Path(folder), progress=report)
+    progress("loading", 0.0)
+    return paper_figures.draw_figures(names, paper_figures.cached_gallery(), Path(folder), progress=progress)
 
 
 @checked
@@ -2994,7 +2892,7 @@ def draw_charts(
     strict: bool = False,
     yes: bool = False,
     progress: Reporting = None,
-) -> DrawnCharts:
+) -> drawing.DrawnCharts:
     """Chart speed against accuracy of numerical methods, and map their failures.
 
     Charts: propagation, connections, transcription, estimation, control. Times are medians on one core without
@@ -3023,11 +2921,8 @@ def draw_charts(
     Examples:
         >>> dp.draw_charts(["edges-margins"], quick=True)  # doctest: +SKIP
     """
-    with reporting(progress, "bench") as report:
-        report("loading", 0.0)
-        from dpcontrol.bench.drawing import draw_charts as drawn
-
-        return replace(drawn(names, Path(folder), quick=quick, yes=yes, progress=report), strict=strict)
+    progress("loading", 0.0)
+    return replace(drawing.draw_charts(names, Path(folder), quick=quick, yes=yes, progress=progress), strict=strict)
 
 
 @checked
@@ -3047,13 +2942,13 @@ def read_guide(topic: str | None = None) -> GuidePage:
         >>> dp.read_guide("tubes").splitlines()[0]
         '# ...'
     """
-    from dpcontrol.foundation.guide import page
-
-    return page(topic)
+    return guide_page(topic)
 
 
 @checked
-def describe(model: Model | str, *, mjcf: Annotated[Path | str | None, Output((".xml",))] = None) -> ModelDescription:
+def describe(
+    model: Model | str, *, mjcf: Annotated[Path | str | None, Output((".xml",))] = None
+) -> models.ModelDescription:
     """Show a model's parameters with units, and its equilibria.
 
     Equilibria are frictionless, with the pivot at rest.
@@ -3072,14 +2967,10 @@ def describe(model: Model | str, *, mjcf: Annotated[Path | str | None, Output(("
         >>> dp.describe("lab").equilibria["up-up"].kind
         'index-2 saddle'
     """
-    from dpcontrol.dynamics.mjcf import mjcf_text
-    from dpcontrol.orbits.lyapunov import equilibria as found_in
-    from dpcontrol.plans.model import ModelDescription
-
     loaded = _model(model)
     if mjcf is not None:
-        write_whole(Path(mjcf), mjcf_text(loaded.arms, name=loaded.name, cart_mass=20.0, lag=0.002))
-    return ModelDescription(loaded, found_in(loaded.system), None if mjcf is None else Path(mjcf))
+        write_whole(Path(mjcf), mjcf_files.mjcf_text(loaded.arms, name=loaded.name, cart_mass=20.0, lag=0.002))
+    return models.ModelDescription(loaded, lyapunov.equilibria(loaded.system), None if mjcf is None else Path(mjcf))
 
 
 @checked
@@ -3091,7 +2982,7 @@ def demo(
     force: bool = False,
     yes: bool = False,
     progress: Reporting = None,
-) -> Demonstration:
+) -> single_runs.Demonstration:
     """Plan, run, score and picture one itinerary.
 
     The default is a full turn of the outer arm at no cost in energy. All steps are computed: Lyapunov orbit, tube,
@@ -3117,64 +3008,51 @@ def demo(
         >>> dp.demo(folder=log.parent).score.completed
         True
     """
-    from time import perf_counter
-
-    from dpcontrol.foundation.files import free_name
-    from dpcontrol.judge.of_log import run_view
-    from dpcontrol.pages.rerun_recording import write_recording
-    from dpcontrol.runs.run import Demonstration
-
     began = perf_counter()
-    with reporting(progress, "demo") as report:
-        planned = plan(itinerary, yes=yes, progress=part_of(report, 0.05, 0.5))
-        step, name = part_of(report, 0.5, 0.75), f"{planned.itinerary.name}-{seed}.mcap"
-        with free_name(
-            Path(folder) / name, lambda log: run(planned, seed=seed, log=log, force=force, progress=step)
-        ) as done:
-            view, file = run_view(done.log), done.log.path
-            recording = file.with_suffix(".rrd") if installed("rerun") else None
-            if recording is not None:
-                write_recording(view, recording)
-            report("picture", 0.85)
-            picture = file.with_suffix(".png")
-            _save(render(view), picture)
-    return Demonstration(planned, file, done.score(), recording, picture, perf_counter() - began)
+    planned = plan(itinerary, yes=yes, progress=part_of(progress, 0.05, 0.5))
+    step, name = part_of(progress, 0.5, 0.75), f"{planned.itinerary.name}-{seed}.mcap"
+    with free_name(
+        Path(folder) / name, lambda log: run(planned, seed=seed, log=log, force=force, progress=step)
+    ) as done:
+        view, file = log_views.run_view(done.log), done.log.path
+        recording = file.with_suffix(".rrd") if installed("rerun") else None
+        if recording is not None:
+            rerun_recordings.write_recording(view, recording)
+        progress("picture", 0.85)
+        picture = file.with_suffix(".png")
+        _save(render(view), picture)
+    return single_runs.Demonstration(planned, file, done.score(), recording, picture, perf_counter() - began)
 
 
-def _recording(given: Recording | Place) -> tuple[str, Recording]:
+def _recording(given: recording_files.Recording | Place) -> tuple[str, recording_files.Recording]:
     """Return a recording with its name: that of its file, if it is given by one."""
-    from dpcontrol.recordings.recording import load_recording
-
-    return (str(given), load_recording(given)) if isinstance(given, str | Path) else (given.name, given)
+    return (str(given), recording_files.load_recording(given)) if isinstance(given, str | Path) else (given.name, given)
 
 
 def _new_log(out: Place | Literal[True] | None, name: str, write: Callable[[Path], Path]) -> Path | None:
     """Write a log to a file, or to the first free name in the folder of logs."""
-    from dpcontrol.foundation.config import log_folder
-    from dpcontrol.foundation.files import free_name
-
     if out is True:
         with free_name(log_folder() / name, write) as log:
             return log
     return None if out is None else write(Path(out))
 
 
-def _save(figure: Figure, file: Place) -> None:
-    from dpcontrol.pages.layout import save_figure
+def _draw(result: Any, file: Place | None) -> None:
+    """Draw a result if a file is given."""
+    if file is not None:
+        _save(render(result), file)
 
-    save_figure(figure, file)
+
+def _save(figure: Figure, file: Place) -> None:
+    page_layout.save_figure(figure, file)
 
 
 def _model(model: Model | str) -> Model:
-    from dpcontrol.plans.model import load_model
-
-    return load_model(model) if isinstance(model, str) else model
+    return models.load_model(model) if isinstance(model, str) else model
 
 
 def _system(model: Model | System | str) -> System:
-    from dpcontrol.dynamics.system import System
-
-    return model if isinstance(model, System) else _model(model).system
+    return model if isinstance(model, systems.System) else _model(model).system
 
 
 def _found(converged: bool, what: str, status: str) -> None:
@@ -3207,28 +3085,25 @@ def _rotating(
     energy: float | None,
     energies: tuple[float, float] | None,
     progress: Reporting,
-) -> RotatingOrbits | RotatingFamilies:
+) -> rotations.RotatingOrbits | rotations.RotatingFamilies:
     """Return the rotating orbits at an energy, or their families between two."""
-    from dpcontrol.orbits.rotating import RotatingFamilies, RotatingOrbits
-    from dpcontrol.orbits.rotating import rotating_families as followed
-
     height = sum(energies or ()) / 2 if energy is None else energy
     orbits = rotating_orbits(system, arm, energy=height)
     if not orbits:
         raise GoalMissed(f"no symmetric orbit that turns the {arm} arm of {system.name} over was found at {height:g} J")
     if energies is None:
-        return RotatingOrbits(orbits, arm, height)
-    with reporting(progress, "families of rotating orbits") as report:
-        return RotatingFamilies(followed(orbits, energies, progress=report), arm, height, energies)
+        return rotations.RotatingOrbits(orbits, arm, height)
+    return rotations.RotatingFamilies(
+        rotations.rotating_families(orbits, energies, progress=progress), arm, height, energies
+    )
 
 
 def _changes(
-    system: System, symbols: Sequence[Symbol], energies: tuple[float, float], progress: Progress
-) -> SymbolChanges:
-    from dpcontrol.walks.following import SymbolChanges
-    from dpcontrol.walks.following import symbol_changes as changes
-
-    return SymbolChanges(changes(system, symbols, energies, progress=progress), energies, system.unit("J"))
+    system: System, symbols: Sequence[walk_symbols.Symbol], energies: tuple[float, float], progress: Progress
+) -> following.SymbolChanges:
+    return following.SymbolChanges(
+        following.symbol_changes(system, symbols, energies, progress=progress), energies, system.unit("J")
+    )
 
 
 _REFINED = 4
@@ -3236,23 +3111,20 @@ _REFINED = 4
 
 
 def _solved(
-    walks: WalkList,
+    walks: walk_lists.WalkList,
     folder: Place | None,
     shown: tuple[Place | None, Place | None],
     energy: Decimal | Fraction | None,
     progress: Reporting,
-) -> SolvedWalks:
+) -> walk_lists.SolvedWalks:
     """Return the orbits of walks, in files of a folder, refined at an exact energy, and shown in picture and film."""
-    from dpcontrol.walks.walks import solve_walks
-
     count = len(walks.walks)
     if any(shown) and count != 1:
         raise InputError(f"picture and film show one walk, but there are {count}: give the symbols of one")
     if energy is not None and count > _REFINED:
         raise InputError(f"precision = extended: {count} walks; at most {_REFINED} are possible")
     parameters, place = _exact_parameters(walks.edges.system), None if folder is None else Path(folder)
-    with reporting(progress, "walks") as report:
-        found = solve_walks(walks, energy=energy, parameters=parameters, folder=place, progress=report)
+    found = walk_lists.solve_walks(walks, energy=energy, parameters=parameters, folder=place, progress=progress)
     if any(shown) and found.converged and (orbit := found.answers[0].orbit) is not None:
         picture(orbit, file=shown[0], film=shown[1])
         return replace(found, picture=shown[0], film=shown[1])
@@ -3264,9 +3136,7 @@ def _exact(energy: Decimal | Fraction | float) -> Decimal | Fraction:
 
 
 def _exact_parameters(system: System) -> Sequence[Any] | None:
-    from dpcontrol.plans.model import ModelSystem
-
-    return system.model.exact_parameters if isinstance(system, ModelSystem) else None
+    return system.model.exact_parameters if isinstance(system, models.ModelSystem) else None
 
 
 def _proof_cost(periods: float) -> Cost:
@@ -3274,7 +3144,7 @@ def _proof_cost(periods: float) -> Cost:
     return Cost(f"{periods:.3g} periods of orbits", 1.5 * periods, 2e8, "prove")
 
 
-def _certified(proof: Proof, out: Place | None) -> Proof:
+def _certified(proof: proofs.Proof, out: Place | None) -> proofs.Proof:
     """Write the certificate of a proof that has one, and return the proof with its file."""
     if out is None or not proof.proved:
         return proof
@@ -3291,10 +3161,8 @@ def _same_level(system: System, energy: float, other: System, other_energy: floa
         raise InputError(f"the results are of different energies, {energy:g} and {other_energy:g}; use one")
 
 
-def _edges(searches: Sequence[ConnectionSearch]) -> Edges:
+def _edges(searches: Sequence[tubes.ConnectionSearch]) -> graphs.Edges:
     """Return the part of the graph that some searches found."""
-    from dpcontrol.walks.edges import Edges
-
     if not searches:
         raise InputError("found = []: give a graph, or one search for connections at least")
     first = searches[0].source
@@ -3302,7 +3170,7 @@ def _edges(searches: Sequence[ConnectionSearch]) -> Edges:
         first.system.check_same(one.source.system)
     if len({one.energy for search in searches for one in (search.source, search.target)}) > 1:
         raise InputError("the connections are of different energies: a walk keeps one")
-    return Edges(
+    return graphs.Edges(
         system=first.system,
         energy=first.energy,
         orbits={one.saddle: one for search in searches for one in (search.source, search.target)},
@@ -3313,50 +3181,41 @@ def _edges(searches: Sequence[ConnectionSearch]) -> Edges:
     )
 
 
-def _scene(itinerary: Plan | str) -> Itinerary:
-    from dpcontrol.plans.itinerary import load_itinerary
-
-    return load_itinerary(itinerary) if isinstance(itinerary, str) else itinerary.itinerary
+def _scene(itinerary: plans.Plan | str) -> itineraries.Itinerary:
+    return itineraries.load_itinerary(itinerary) if isinstance(itinerary, str) else itinerary.itinerary
 
 
-def _closed(itinerary: Plan | str, settings: Mapping[str, Any], *, yes: bool, progress: Progress) -> ClosedLoop:
-    from dpcontrol.plans.plan import make_plan
-    from dpcontrol.runs.closed_loop import ClosedLoop
-
+def _closed(
+    itinerary: plans.Plan | str, settings: Mapping[str, Any], *, yes: bool, progress: Progress
+) -> loops.ClosedLoop:
     # A wrong setting is reported before the plan is computed.
     scene = _scene(itinerary).with_run(settings)
-    planned = make_plan(scene, yes=yes, progress=progress) if isinstance(itinerary, str) else itinerary
-    return ClosedLoop(planned, settings)
+    planned = plans.make_plan(scene, yes=yes, progress=progress) if isinstance(itinerary, str) else itinerary
+    return loops.ClosedLoop(planned, settings)
 
 
 def _linked(
-    rig: Rig | RigLink | str | None, *, key_file: Place | None, insecure: bool, real_time: bool
-) -> Rig | RigLink | str | None:
+    rig: Rig | single_runs.RigLink | str | None, *, key_file: Place | None, insecure: bool, real_time: bool
+) -> Rig | single_runs.RigLink | str | None:
     """Return a rig, or the link to a bench at an address."""
-    from dpcontrol.loop.own import names_file
-
     if not (key_file or insecure or real_time):
         return rig
-    if not isinstance(rig, str) or names_file(rig):
+    if not isinstance(rig, str) or own_objects.names_file(rig):
         raise InputError("real_time, key_file and insecure apply to benches at udp://: give such a rig, or udp")
     return rig_link(rig, key_file=key_file, insecure=insecure, real_time=real_time)
 
 
 def _drawn(result: Any, file: Place | None) -> Any:
     """Return a result with the name of its picture, which is drawn if a file is given."""
-    if file is None:
-        return result
-    _save(render(result), file)
-    return replace(result, picture=Path(file))
+    _draw(result, file)
+    return result if file is None else replace(result, picture=Path(file))
 
 
 def _settings(settings: Mapping[str, object] | None, **named: object) -> dict[str, Any]:
     """Return settings by path: those of the mapping and of arguments by name."""
-    from dpcontrol.plans.overrides import canonical
-
     if isinstance(named.get("plant"), Path):
         named["plant"] = str(named["plant"])
     start: Any = named.get("start")
     if hasattr(start, "tolist"):
         named["start"] = start.tolist()
-    return {**canonical(settings or {}), **canonical(named)}
+    return {**overrides.canonical(settings or {}), **overrides.canonical(named)}

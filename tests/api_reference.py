@@ -9,6 +9,7 @@ import griffe
 from griffe2md import render_object_docs
 
 import dpcontrol as dp
+from dpcontrol import api
 
 ROOT = Path(__file__).parents[1]
 GUIDE = ROOT / "dpcontrol" / "guide"
@@ -96,6 +97,7 @@ def entry(name: str) -> str:
     text = render_object_docs(found, {**OPTIONS, "heading_level": 2})
     text = re.sub(r"\[([^][]+)\]\(#[^)]*\)", r"\1", text)
     text = re.sub(r"</?code>", "`", text)
+    text = re.sub(rf"\b(?:{'|'.join(api.STAGES)})\.(?=[A-Z])", "", text)
     text = text.replace("```python\n>>>", "```pycon\n>>>").replace("```python\n", "```text\n")
     text = re.sub(r"^(#+) `(?:[\w.]+\.)?(\w+)`$", lambda m: heading(m[1], m[2], name), text, flags=re.MULTILINE)
     return re.sub(r"\n{3,}", "\n\n", "\n".join(line.rstrip() for line in text.splitlines())).strip()

@@ -1,5 +1,6 @@
 """The Python interface: the README's example, and results as values."""
 
+import ast
 import inspect
 import subprocess
 import sys
@@ -9,6 +10,7 @@ from typing import Any
 import pytest
 
 import dpcontrol as dp
+from dpcontrol import api
 from dpcontrol.plans.itinerary import itinerary_from
 
 README = (Path(__file__).parent.parent / "README.md").read_text(encoding="utf-8")
@@ -81,3 +83,10 @@ def test_importing_the_package_imports_nothing_else() -> None:
     script = "import sys; before = set(sys.modules); import dpcontrol; print(*(set(sys.modules) - before))"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["dpcontrol"]
+
+
+def test_modules_that_are_imported_on_first_use_are_those_that_type_checkers_see() -> None:
+    tree = ast.parse(Path(api.__file__).read_text(encoding="utf-8"))
+    imports = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
+    seen = {alias.asname or alias.name: f"{node.module}.{alias.name}" for node in imports for alias in node.names}
+    assert {name: f"dpcontrol.{module}" for name, module in api.STAGES.items()}.items() <= seen.items()

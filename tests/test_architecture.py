@@ -15,14 +15,12 @@ USES = {
     "foundation/errors.py": "shortens and escapes texts from outside for the terminal",
     "foundation/guide.py": "the list of pages in the guide's README",
     "foundation/toml.py": "the line of a TOML error, which Python 3.13 gives in its text only",
-    "judge/campaign.py": "groups sentences of runs",
-    "logs/layout.py": "attempts in the events of logs",
-    "logs/reader.py": "ranges of lost ticks in a log's metadata",
     "logs/recovery.py": "the beginning of a damaged file, and names of interrupted logs",
     "logs/rewritten.py": "URDF and message definitions in logs of other programs",
     "proofs/balls.py": "decimal numbers of a certificate",
     "recordings/bags.py": "names of fields and message definitions in bags",
     "recordings/importing.py": "numbers and paths of variables in a laboratory's tables",
+    "rig/client.py": "addresses of rigs",
     "walks/symbols.py": "symbols and names of connections that users type",
 }
 """Modules that import `re`, each with the text that it reads."""

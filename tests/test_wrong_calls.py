@@ -21,19 +21,6 @@ LONGEST = 1000
 """Length of the longest sentence, which lists all itineraries."""
 
 
-class Hostile:
-    """A value that cannot be printed, compared or measured."""
-
-    def __repr__(self) -> str:
-        raise RuntimeError("no repr")
-
-    def __len__(self) -> int:
-        raise RuntimeError("no length")
-
-    __eq__ = None  # type: ignore[assignment]
-    __hash__ = None  # type: ignore[assignment]
-
-
 ANY = r"\b(object|Any|ArrayLike|buffer)\b|Array"
 TEXTS = rf"{ANY}|\b(str|Path|PathLike)\b"
 WRONG: list[tuple[Any, str]] = [
@@ -50,7 +37,6 @@ WRONG: list[tuple[Any, str]] = [
     ({1: 2}, ANY),
     (np.zeros((20, 20)), ANY),
     (iter([]), ANY),
-    (Hostile(), ANY),
 ]
 """Values, and a pattern of the annotations that each may fit."""
 BY_NAME: dict[str, Any] = {
@@ -165,7 +151,7 @@ def wrong_calls(calls: Calls) -> list[tuple[str, str, Any]]:
 OPENED = [name for name in dp.__all__ if name.startswith("open_") and name != "open_planner"]
 OPENED += ["check_proof", "log_summary", "recover_log", "review", "load_model", "plan", "run"]
 """Functions whose first argument names a file."""
-NAMES = ("", "/", "no/such", "x" * 5000, "\0", "$garbage")
+NAMES = ("", "/", "no/such", "$garbage")
 MISTAKES: list[tuple[str, dict[str, Any]]] = [
     *((name, {next(iter(inspect.signature(getattr(dp, name)).parameters)): x}) for name in OPENED for x in NAMES),
     *(("orbit", {"saddle": one}) for one in ("down-upp", "down-down", "a\nb")),
@@ -223,7 +209,7 @@ MISTAKES: list[tuple[str, dict[str, Any]]] = [
     ("recording.segment", {"index": 99}),
     ("system.check_same", {"other": "$hill_system"}),
     ("system.scaled_distance", {"first": np.zeros(3)}),
-    *(("orbit.states", {"times": one}) for one in ("x", [float("nan")], [[1], [1, 2]], Hostile())),
+    *(("orbit.states", {"times": one}) for one in ("x", [float("nan")], [[1], [1, 2]])),
 ]
 """Arguments of the right type that cannot be: unknown names, impossible values, results of another model or energy."""
 

@@ -23,8 +23,16 @@ from dpcontrol.cli.output import Call, prints_on_stderr, show
 from dpcontrol.cli.verbs import Verb
 from dpcontrol.foundation.checked import annotations_of
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import Output
+from dpcontrol.foundation.files import Output, checked_folder, checked_other_file, checked_target
 from dpcontrol.foundation.interrupts import forget_interrupts
+from dpcontrol.foundation.parts import StageModule
+from dpcontrol.foundation.progress import reporting
+from dpcontrol.foundation.rendering import render
+
+overrides: Any = StageModule("plans.overrides")
+layout: Any = StageModule("pages.layout")
+PICTURE = Output((".png", ".pdf", ".svg"))
+"""File of a picture."""
 
 OPTIONS, SETTINGS, OUTPUT = "Options", "Run settings", "Output"
 """Headings of the help."""
@@ -77,6 +85,9 @@ def command(name: str, verb: Verb) -> click.Command:
         if key in offered
         for param in _parameters(name, verb, parameter, hints[key], helps.get(key, ""))
     ]
+    if verb.draws:
+        help = "Picture of the result, .png, .pdf or .svg. [default: none]"
+        params.append(Option(["--picture"], type=click.Path(path_type=Path), group=OUTPUT, help=help))
     params.append(Option(["--json", "as_json"], is_flag=True, group=OUTPUT, help="One JSON document on stdout."))
 
     def run(*, as_json: bool, **values: Any) -> None:
@@ -89,15 +100,17 @@ def command(name: str, verb: Verb) -> click.Command:
         for key in parameters:
             if key in values and (output := _output(hints[key])) is not None:
                 values[key] = _checked_output(key, output, values)
+        picture = _checked_output("picture", PICTURE, values) if verb.draws else values.get("picture")
         values = {key: value for key, value in values.items() if value is not None and key in given}
-        if "progress" in parameters:
-            values["progress"] = True
         with call.aside:
             if as_json:
                 call.aside.enter_context(prints_on_stderr())
-            result = function(**values)
-            drawn = getattr(result, "picture", values.get("picture"))
-            show(result, {"picture": drawn} if "picture" in given else {})
+            with reporting(True, name) as progress:
+                result = function(**values, **({"progress": progress} if "progress" in parameters else {}))
+            if verb.draws and picture is not None:
+                layout.save_figure(render(result), picture)
+            drawn = getattr(result, "picture", picture)
+            show(result, {"picture": drawn} if "picture" in given or verb.draws else {})
             if hasattr(result, "serve"):
                 _serve(result)
 
@@ -200,8 +213,6 @@ def _click_type(name: str, kinds: Sequence[Any], output: Output | None) -> Any:
 
 def _checked_output(name: str, output: Output, values: Mapping[str, Any]) -> Path | bool | None:
     """Return a file to write, or True for a free name, after a check of its name."""
-    from dpcontrol.foundation.files import checked_folder, checked_other_file, checked_target
-
     file: Path | None = values[name]
     if file is None:
         return True if output.free else None
@@ -279,12 +290,10 @@ class Number(click.ParamType):
 
 
 def _setting_options() -> Iterator[Option]:
-    from dpcontrol.plans.overrides import NAMED, option_of
-
-    for path, text in NAMED.items():
+    for path, text in overrides.NAMED.items():
         name = path.rpartition(".")[2]
         yield Option(
-            [option_of(path), name],
+            [overrides.option_of(path), name],
             group=SETTINGS,
             help=f"{text} [default: the itinerary's]",
             shell_complete=COMPLETERS.get(("", name)),
@@ -307,14 +316,12 @@ def _settings(values: dict[str, Any]) -> dict[str, Any]:
     Raises:
         InputError: a setting is given by its option and by its path.
     """
-    from dpcontrol.plans.overrides import NAMED, parsed, resolved
-
-    named = {path: values.pop(path.rpartition(".")[2]) for path in NAMED}
-    given = {path: parsed(path, text) for path, text in named.items() if text is not None}
+    named = {path: values.pop(path.rpartition(".")[2]) for path in overrides.NAMED}
+    given = {path: overrides.parsed(path, text) for path, text in named.items() if text is not None}
     for name, text in values.pop("settings"):
-        if named.get(resolved(name)) is not None:
-            raise InputError(f"--set {name}={text}: {resolved(name)} is given twice; give it once")
-        given[resolved(name)] = parsed(name, text)
+        if named.get(overrides.resolved(name)) is not None:
+            raise InputError(f"--set {name}={text}: {overrides.resolved(name)} is given twice; give it once")
+        given[overrides.resolved(name)] = overrides.parsed(name, text)
     return given
 
 
@@ -324,9 +331,10 @@ def _over(given: Sequence[tuple[str, str]]) -> dict[str, list[Any]] | None:
     Raises:
         InputError: a setting is given twice, or a value is none of it.
     """
-    from dpcontrol.plans.overrides import parsed, values_in
-
-    varied = {name.replace("-", "_"): [parsed(name, text) for text in values_in(texts)] for name, texts in given}
+    varied = {
+        name.replace("-", "_"): [overrides.parsed(name, text) for text in overrides.values_in(texts)]
+        for name, texts in given
+    }
     if len(varied) != len(given):
         raise InputError("--over: a setting is given twice; list its values once, separated by commas")
     return varied or None

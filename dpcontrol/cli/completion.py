@@ -6,20 +6,19 @@ Click itself completes verbs, options and choices, and the shell completes files
 read on demand.
 """
 
-import importlib
 import warnings
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from itertools import permutations
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 from click.shell_completion import CompletionItem
 
+from dpcontrol.foundation import shipped
 from dpcontrol.foundation.errors import InputError
-
-if TYPE_CHECKING:
-    from dpcontrol.dynamics.system import System
+from dpcontrol.foundation.guide import topics
+from dpcontrol.foundation.parts import StageModule
 
 Values = Callable[[click.Context, str], Iterable[str]]
 """Function of the context, and of the part of the word before the value."""
@@ -48,45 +47,17 @@ def completing(values: Values, *, files: bool = False, listed: bool = False) -> 
     return complete
 
 
-def _found(module: str, name: str, *given: str) -> Values:
-    """Return the values of an object or a function.
-
-    An object of a module lists them, or its function returns them for `given`.
-    """
-
-    def values(*_: Any) -> Any:
-        there = getattr(importlib.import_module(f"dpcontrol.{module}"), name)
-        return there(*given) if callable(there) else there
-
-    return values
-
-
-def _settings(_: click.Context, given: str) -> Iterable[str]:
-    from dpcontrol.plans.overrides import settings_to_vary
-
-    return settings_to_vary(given)
-
-
-def _system(context: click.Context) -> "System":
+def _system(context: click.Context) -> Any:
     """Return the system of the model on the command line.
 
     Without a model, it is that of the lab.
     """
-    from dpcontrol.plans.model import load_model
-
+    model = StageModule("plans.model")
     # For an unfinished line, click keeps the arguments separately.
     for name in (context.params.get("model"), *context.args):
         with suppress(InputError):
-            return load_model(str(name)).system
-    return load_model("lab").system
-
-
-def _saddles(context: click.Context, _: str) -> Iterable[str]:
-    return _system(context).saddles
-
-
-def _sections(context: click.Context, _: str) -> Iterable[str]:
-    return _system(context).named_sections
+            return model.load_model(str(name)).system
+    return model.load_model("lab").system
 
 
 def _symbols(context: click.Context, _: str) -> Iterable[str]:
@@ -97,31 +68,36 @@ def _symbols(context: click.Context, _: str) -> Iterable[str]:
     ]
 
 
+def _named(module: str, name: str) -> Values:
+    """Return the values that a module of the package lists."""
+    return lambda *_: getattr(StageModule(module), name)
+
+
+def _shipped(kind: str) -> Completer:
+    return completing(lambda *_: shipped.known(kind), files=True)
+
+
+_SADDLES = completing(lambda context, _: _system(context).saddles)
 COMPLETERS: dict[tuple[str, str], Completer] = {
-    **{
-        ("", name): completing(_found("foundation.shipped", "known", "models"), files=True)
-        for name in ("model", "plant", "simulated")
-    },
-    ("", "itinerary"): completing(_found("foundation.shipped", "known", "itineraries"), files=True),
-    ("", "mapping"): completing(_found("foundation.shipped", "mappings"), files=True),
-    ("", "topic"): completing(_found("foundation.guide", "topics")),
-    ("", "faults"): completing(_found("rig.bench", "FAULTS")),
-    ("", "controller"): completing(_found("loop.controllers", "CONTROLLERS")),
-    ("", "estimator"): completing(_found("loop.controllers", "ESTIMATORS")),
-    ("", "on_fall"): completing(_found("loop.result", "ON_FALL")),
-    ("", "over"): completing(_settings, listed=True),
+    **{("", name): _shipped("models") for name in ("model", "plant", "simulated")},
+    ("", "itinerary"): _shipped("itineraries"),
+    ("", "mapping"): completing(lambda *_: shipped.mappings(), files=True),
+    ("", "topic"): completing(lambda *_: topics()),
+    ("", "faults"): completing(_named("rig.bench", "FAULTS")),
+    ("", "controller"): completing(_named("loop.controllers", "CONTROLLERS")),
+    ("", "estimator"): completing(_named("loop.controllers", "ESTIMATORS")),
+    ("", "on_fall"): completing(_named("loop.result", "ON_FALL")),
+    ("", "over"): completing(lambda _, given: StageModule("plans.overrides").settings_to_vary(given), listed=True),
     ("", "rig"): completing(lambda *_: ("udp",), files=True),
-    ("", "section"): completing(_sections),
-    ("", "saddle"): completing(_saddles),
+    ("", "section"): completing(lambda context, _: _system(context).named_sections),
+    ("", "saddle"): _SADDLES,
     ("", "symbols"): completing(_symbols),
-    ("figures", "names"): completing(_found("pages.figures", "FIGURES")),
-    ("bench", "names"): completing(_found("bench.chart", "NAMES")),
-    ("walk", "through"): completing(_saddles),
-    ("import", "repairs"): completing(_found("recordings.checks", "REPAIRS"), listed=True),
+    ("figures", "names"): completing(_named("pages.figures", "FIGURES")),
+    ("bench", "names"): completing(_named("bench.chart", "NAMES")),
+    ("walk", "through"): _SADDLES,
+    ("import", "repairs"): completing(_named("recordings.checks", "REPAIRS"), listed=True),
     **{
-        (verb, name): completing(_saddles)
-        for verb in ("connect", "bifurcations", "walk", "prove")
-        for name in ("source", "target")
+        (verb, name): _SADDLES for verb in ("connect", "bifurcations", "walk", "prove") for name in ("source", "target")
     },
 }
 """Completers of parameters, by verb ("" for any) and by the name of the parameter."""

@@ -22,8 +22,11 @@ from click.shell_completion import CompletionItem
 
 from dpcontrol.cli.output import Call, print_json, print_message
 from dpcontrol.cli.verbs import GROUPS, VERBS
+from dpcontrol.foundation.config import configured, log_folder
 from dpcontrol.foundation.errors import GoalMissed, InputError, PartMissing, Remark, concise, printable
 from dpcontrol.foundation.interrupts import ended_by, forget_interrupts, interrupts
+from dpcontrol.foundation.parts import versions
+from dpcontrol.foundation.settings import nearest
 from dpcontrol.foundation.version import PACKAGE, PROGRAM, VERSION
 
 _INSTALLED = (sys.prefix, sys.base_prefix, f"{PACKAGE}{os.sep}")
@@ -57,8 +60,6 @@ class _Verbs(click.Group):
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         if set(args) == {"--version", "--json"}:
-            from dpcontrol.foundation.parts import versions
-
             print_json({name: number or None for name, number in versions().items()})
             ctx.exit()
         if args[:1] == ["help"]:
@@ -87,11 +88,8 @@ class _Verbs(click.Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        if args and args[0] not in VERBS:
-            from dpcontrol.foundation.settings import nearest
-
-            if close := nearest(args[0], VERBS):
-                ctx.fail(f"there is no verb {args[0]!r}; did you mean {close!r}?")
+        if args and args[0] not in VERBS and (close := nearest(args[0], VERBS)):
+            ctx.fail(f"there is no verb {args[0]!r}; did you mean {close!r}?")
         return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
@@ -132,8 +130,6 @@ def _defaults() -> dict[str, dict[str, Any]]:
     Raises:
         InputError: a mistake in the configuration.
     """
-    from dpcontrol.foundation.config import configured, log_folder
-
     own = {one.name: one.value for one in configured() if one.source != "default"}
     if own.get("colour", "auto") != "auto":
         os.environ["FORCE_COLOR" if own["colour"] == "always" else "NO_COLOR"] = "1"

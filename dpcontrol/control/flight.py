@@ -18,32 +18,34 @@ Sources: Tassa, Erez & Todorov, Synthesis and stabilization of complex behaviors
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, field, fields, replace
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.control.interface import SampledModel, whole_turns
+from dpcontrol.control.interface import whole_turns
+from dpcontrol.dynamics.chain import ArmChainParameters, Level, arm_chain_equations
 from dpcontrol.dynamics.compiled import Compiled, fixed_step
 from dpcontrol.dynamics.equations import Equations, runge_kutta_4
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.causes import FlightCause
 from dpcontrol.foundation.shown import Brief, Timed, checked_times
-from dpcontrol.references.problem import CART_VELOCITY_SCALE, RATE_SCALE, Limits
+from dpcontrol.references.problem import CART_VELOCITY_SCALE, RATE_SCALE, Limits, Scale
 from dpcontrol.words.searches import Concluded
 
 STEPS = 80
 """Steps of a flight."""
 DURATIONS = np.linspace(0.5, 1.6, 8)
 """Durations of the guesses, s."""
-BRAKING_GAINS = 40.0, 14.0
+_BRAKING = np.array([40.0, 14.0])
 """Gains of the braking law on position and velocity of the cart, 1/s² and 1/s."""
 REACHED = 0.3
 """Cost-to-go V at the end of a flight that converged."""
 JOINED = 4.0
 """Cost-to-go at the end of a flight above which another one is planned."""
-_EFFORT = 5e-3
+_EFFORT = 3e-3
 """Weight r of the squared acceleration, s⁴/m²; less leaves the feedback nothing."""
 _RESERVE_ACCELERATION, _RESERVE_SPEED, _RESERVE_TRACK = 2 / 3, 0.8, 0.07
 """Shares of the greatest acceleration and speed in a flight, and the part of the track left free at its ends, m."""
@@ -63,6 +65,16 @@ _FAILED = 1e6
 """Addition to J of a flight that fails."""
 _SHORTEST, _LONGEST = 0.1, 5.0
 """Bounds of the duration, s."""
+
+
+def braking_gains(arms: ArmChainParameters) -> Array:
+    """Return the gains of the braking law on position and velocity of the cart, 1/s² and 1/s.
+
+    Args:
+        arms: the arms, by whose natural time the cart brakes.
+    """
+    time = Scale.of(arms).time
+    return _BRAKING * (time**2, time)
 
 
 class Stage(NamedTuple):
@@ -151,22 +163,37 @@ class Flights(Brief):
         return self.inside & (self.costs < REACHED)
 
 
+@lru_cache(maxsize=4)
+def _programs(equations: Equations) -> tuple[Compiled, Compiled]:
+    """Return the compiled steps forward and backward."""
+    step = _step(equations)
+    return Compiled(step.forward()), Compiled(step.backward())
+
+
 class FlightPlanner:
     """Plans flights of one model within limits of the cart.
 
+    Its numbers are those of the laboratory's arms; arms of any size are scaled to these (`Scale`), and get the same
+    flights.
+
     Args:
-        model: model of arms and cart; its period does not matter.
+        arms: parameters of the arms.
         limits: limits of the cart, of which the flights leave a reserve.
     """
 
-    def __init__(self, model: SampledModel, limits: Limits) -> None:
-        equations, track = model.equations, limits.position
-        self._n, self._limits = equations.dimension, limits
+    def __init__(self, arms: ArmChainParameters, limits: Limits) -> None:
+        scale = Scale.of(arms)
+        equations = arm_chain_equations(arms.count, Level.CART, friction=arms.friction)
+        self._n, self._scale, self._factors = equations.dimension, scale, scale.state(arms.count)
+        self._limits = limits = scale.limits(limits)
         most, fastest = _RESERVE_ACCELERATION * limits.acceleration, _RESERVE_SPEED * limits.velocity
+        track = limits.position
         self._terms = np.array([most, track - min(_RESERVE_TRACK, _TRACK_SHARE * track), fastest, 0.0])
-        step = _step(equations)
-        self._forward, self._backward = Compiled(step.forward()), Compiled(step.backward())
-        self._parameters = model.parameters
+        self._forward, self._backward = _programs(equations)
+        rough = replace(arms, **dict.fromkeys(("viscous", *arms.friction), (1.0,) * arms.count))
+        sizes = rough.scaled(scale.length, scale.time).base(), rough.base()
+        self._sizes = np.divide(*sizes, out=np.ones_like(sizes[0]), where=sizes[1] != 0)
+        self._parameters = self._sizes * arms.base()
 
     def plan(self, states: Array, target: Target) -> Flights:
         """Return flights from states to a target.
@@ -177,36 +204,55 @@ class FlightPlanner:
         """
         n, count, guesses = self._n, len(states), len(DURATIONS)
         arms = n // 2 - 1
-        first = states.copy()
+        first = self._factors * states
         turns = whole_turns(first[:, :arms])
         first[:, :arms] -= turns
         start = np.repeat(first, guesses, axis=0).T
         lanes = start.shape[1]
         begin = np.vstack([start, np.tile(DURATIONS / STEPS, count)])
         gains = np.zeros((STEPS, n + 1, lanes))
-        gains[:, n - 2], gains[:, n - 1] = -BRAKING_GAINS[0], -BRAKING_GAINS[1]
+        gains[:, n - 2], gains[:, n - 1] = -_BRAKING[0], -_BRAKING[1]
         nodes, inputs, _ = self._flown(begin, np.zeros((STEPS, lanes)), np.zeros_like(gains), gains, STAGES[0].soft)
-        flights = self._searched(nodes, inputs, target, STAGES)
+        flights = self._searched(nodes, inputs, self._scaled(target), STAGES)
         # Those that fail are compared by their cost as well.
         best = (flights.objectives + _FAILED * ~flights.reached).reshape(count, guesses)
         chosen = np.argmin(best, axis=1) + guesses * np.arange(count)
         flights = flights.picked(chosen)
         flights.nodes[:, :, :arms] += turns[:, None]
-        return flights
+        return self._unscaled(flights)
 
-    def like(self, parameters: Array, limits: Limits, *, room: Limits, centring: float) -> "FlightPlanner":
-        """Return a planner with the same programs for other arms.
+    def like(self, parameters: Array) -> "FlightPlanner":
+        """Return a planner with the same limits for similar arms.
 
         Args:
             parameters: base parameters (p,) of the same equations.
-            limits: limits of the cart.
-            room: limits of the flights.
-            centring: weight of the cart's squared distance from the middle, 1/s⁴.
         """
         other = copy(self)
-        other._limits, other._parameters = limits, parameters
-        other._terms = np.array([room.acceleration, room.position, room.velocity, centring])
+        other._parameters = self._sizes * parameters
         return other
+
+    def within(self, room: Limits, *, centring: float) -> "FlightPlanner":
+        """Return a planner whose flights have other limits.
+
+        Args:
+            room: limits of the flights.
+            centring: weight of the cart's squared distance from the middle, 1/s⁴ for the laboratory's arms.
+        """
+        other, limits = copy(self), self._scale.limits(room)
+        other._terms = np.array([limits.acceleration, limits.position, limits.velocity, centring])
+        return other
+
+    def _scaled(self, target: Target) -> Target:
+        return Target(self._factors * target.states, target.costs / np.outer(self._factors, self._factors))
+
+    def _unscaled(self, flights: Flights) -> Flights:
+        """Return flights in the arms' own units."""
+        return replace(
+            flights,
+            durations=flights.durations / self._scale.time,
+            nodes=flights.nodes / self._factors,
+            inputs=flights.inputs / self._scale.acceleration,
+        )
 
     def timed(self, start: Array, target: Target, durations: Array, inputs: Array, *, fixed: bool) -> Flights:
         """Return the flights from a state to which several durations and first inputs lead.
@@ -219,12 +265,13 @@ class FlightPlanner:
             fixed: True to keep the durations.
         """
         n, lanes = self._n, len(durations)
-        begin = np.vstack([np.tile(start[:, None], lanes), durations / STEPS])
+        begin = np.vstack([np.tile((self._factors * start)[:, None], lanes), self._scale.time * durations / STEPS])
         gains = np.zeros((STEPS, n + 1, lanes))
         gains[:, n - 2], gains[:, n - 1] = -_RETURNING[0], -_RETURNING[1]
         stages = GENTLE_STAGES if fixed else STAGES
-        nodes, inputs, _ = self._flown(begin, inputs, np.zeros_like(gains), gains, stages[0].soft)
-        return self._searched(nodes, inputs, target, stages, fixed=fixed)
+        pushes = self._scale.acceleration * inputs
+        nodes, pushes, _ = self._flown(begin, pushes, np.zeros_like(gains), gains, stages[0].soft)
+        return self._unscaled(self._searched(nodes, pushes, self._scaled(target), stages, fixed=fixed))
 
     def lands(self, state: Array, nodes: Array, inputs: Array, gains: Array, step: float, target: Target) -> bool:
         """Return True if feedback leads from a state near a flight to its target, within the limits.
@@ -237,12 +284,13 @@ class FlightPlanner:
             step: length of its steps, s.
             target: places where a law takes over.
         """
-        n = self._n
+        n, factors, push = self._n, self._factors, self._scale.acceleration
+        step = self._scale.time * step
         nominal, feedback = np.full((len(inputs), n + 1, 1), step), np.zeros((len(inputs), n + 1, 1))
-        nominal[:, :n, 0], feedback[:, :n, 0] = nodes, -gains
-        begin = np.append(state, step)[:, None]
-        flown, _, _ = self._flown(begin, inputs[:, None], nominal, feedback, 0.0, most=self._limits.acceleration)
-        ends = target.nearest(flown[-1, :n].T)[0]
+        nominal[:, :n, 0], feedback[:, :n, 0] = factors * nodes, -push * gains / factors
+        begin = np.append(factors * state, step)[:, None]
+        flown, _, _ = self._flown(begin, push * inputs[:, None], nominal, feedback, 0.0, most=self._limits.acceleration)
+        ends = self._scaled(target).nearest(flown[-1, :n].T)[0]
         return bool(ends[0] < JOINED and np.abs(flown[:, n - 2]).max() < self._limits.position - _NEAR_STOP)
 
     def states(self, nodes: Array, inputs: Array, duration: float, times: Array) -> tuple[Array, Array]:
@@ -254,12 +302,13 @@ class FlightPlanner:
             duration: its duration, s.
             times: times (T,), from 0 to the duration, s.
         """
-        count = len(inputs)
+        count, scale = len(inputs), self._scale
         step = np.minimum((times / duration * count).astype(int), count - 1)
-        lengths = times - step * (duration / count)
-        begin, still = np.vstack([nodes[step].T, lengths]), np.zeros((1, self._n + 1, len(times)))
-        after, _, _ = self._flown(begin, inputs[step][None], still, still, 0.0, most=np.inf)
-        return after[1, : self._n].T.copy(), inputs[step]
+        lengths = scale.time * (times - step * (duration / count))
+        begin = np.vstack([(self._factors * nodes[step]).T, lengths])
+        still, pushes = np.zeros((1, self._n + 1, len(times))), scale.acceleration * inputs[step]
+        after, _, _ = self._flown(begin, pushes[None], still, still, 0.0, most=np.inf)
+        return after[1, : self._n].T / self._factors, inputs[step]
 
     def _flown(
         self, begin: Array, away: Array, nominal: Array, gains: Array, soft: float, *, most: float | None = None

@@ -492,6 +492,17 @@ class SampledModel:
         return np.array(a).T.reshape(count, n, n).transpose(0, 2, 1), np.array(b).T.reshape(count, n)
 
 
+def with_dry_friction(parameters: ArmChainParameters, rate: float) -> ArmChainParameters:
+    """Return arms with dry friction, possibly zero, which fades below a rate that one period resolves.
+
+    Args:
+        parameters: parameters of the arms.
+        rate: rate of the ticks, Hz.
+    """
+    parameters = replace(parameters, coulomb=parameters.coulomb or (0.0,) * parameters.count)
+    return replace(parameters, smoothing=max(parameters.smoothing, parameters.coulomb_acceleration / rate))
+
+
 def sampled_model(parameters: ArmChainParameters, rate: float, lag: float = 0.0) -> SampledModel:
     """Return the cart-level model of these arms between ticks.
 
@@ -502,8 +513,6 @@ def sampled_model(parameters: ArmChainParameters, rate: float, lag: float = 0.0)
         rate: rate of the ticks, Hz.
         lag: time constant of the drive, s, default 0.
     """
-    parameters = replace(parameters, coulomb=parameters.coulomb or (0.0,) * parameters.count)
+    parameters = with_dry_friction(parameters, rate)
     equations = arm_chain_equations(parameters.count, Level.CART, friction=parameters.friction)
-    # A step of one period does not resolve a faster reversal.
-    eased = replace(parameters, smoothing=max(parameters.smoothing, parameters.coulomb_acceleration / rate))
-    return SampledModel(equations, eased.base(), period=1 / rate, lag=lag)
+    return SampledModel(equations, parameters.base(), period=1 / rate, lag=lag)

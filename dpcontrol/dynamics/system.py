@@ -37,7 +37,7 @@ from dpcontrol.foundation.arrays import Array, checked_array
 from dpcontrol.foundation.checked import checked, number
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.parts import installed
-from dpcontrol.foundation.settings import Setting, Settings, check_names, suggest
+from dpcontrol.foundation.settings import Setting, Settings, check_choice, suggest
 from dpcontrol.foundation.shown import Brief
 from dpcontrol.foundation.units import SUBSCRIPTS, InUnits
 
@@ -263,7 +263,7 @@ class System(Brief, InUnits):
             if name not in self.named_sections:
                 raise InputError(f"{self.name} has no section {name!r}: {suggest(name, self.named_sections)}")
             return self.named_sections[name]
-        check_names("saddle", (source, target), self.equilibria)
+        check_choice("saddle", self.equilibria, source, target)
         if (source, target) not in self.sections:
             isolated = "; three arms have connections at isolated energies: search a range of them (--energies LO HI)"
             hint = isolated if self.dimension == 6 else ""

@@ -17,6 +17,8 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from dpcontrol.foundation.errors import InputError, printable, shortened
+from dpcontrol.foundation.parts import StageModule
+from dpcontrol.foundation.progress import reporting
 from dpcontrol.foundation.settings import Setting as Between
 from dpcontrol.foundation.settings import is_finite, suggest
 
@@ -33,7 +35,8 @@ Positive = Annotated[float, Between(above=0)]
 def checked(function: Function) -> Function:
     """Return a function that checks its arguments against their annotations.
 
-    The returned function raises InputError if an argument does not fit.
+    The returned function raises InputError if an argument does not fit. If the function has the argument `progress`, it
+    receives a function of a text and a share, whatever the caller gave.
 
     Args:
         function: annotated function or method.
@@ -42,10 +45,15 @@ def checked(function: Function) -> Function:
     @wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:
         signature, hints = _signature(function), annotations_of(function)
-        for name, value in signature.bind(*args, **kwargs).arguments.items():
+        bound = signature.bind(*args, **kwargs)
+        for name, value in bound.arguments.items():
             if name in hints and signature.parameters[name].kind is not inspect.Parameter.VAR_KEYWORD:
                 check(name, value, hints[name])
-        return function(*args, **kwargs)
+        if "progress" not in signature.parameters:
+            return function(*args, **kwargs)
+        with reporting(bound.arguments.get("progress"), function.__name__.replace("_", " ")) as report:
+            bound.arguments["progress"] = report
+            return function(*bound.args, **bound.kwargs)
 
     return call  # type: ignore[return-value]
 
@@ -60,11 +68,17 @@ def annotations_of(function: Callable[..., Any]) -> dict[str, Any]:
     Args:
         function: function as it was written, without the check.
     """
-    return get_type_hints(function, {}, _Names({**vars(builtins), **function.__globals__}), include_extras=True)
+    imported = {name: value for name, value in function.__globals__.items() if not isinstance(value, StageModule)}
+    return get_type_hints(function, {}, _Names({**vars(builtins), **imported}), include_extras=True)
 
 
 class _ByName(type):
-    """The type of stand-ins for classes that are not imported."""
+    """The type of stand-ins for classes and modules that are not imported."""
+
+    def __getattr__(cls, name: str) -> type:
+        if name.startswith("_"):
+            raise AttributeError(name)
+        return _ByName(name, (), {})
 
     def __instancecheck__(cls, value: object) -> bool:
         return any(one.__name__ == cls.__name__ for one in type(value).__mro__)

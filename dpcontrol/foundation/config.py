@@ -58,7 +58,7 @@ class Configuration:
     @property
     def exists(self) -> bool:
         """True if there is a configuration file."""
-        return is_there(self.file)
+        return os.path.isfile(self.file)
 
     def document(self) -> dict[str, Any]:
         """Return file and settings as JSON values."""
@@ -87,15 +87,6 @@ def config_file() -> Path:
     return Path(os.path.expanduser(folder)) / "dpcontrol" / "config.toml"
 
 
-def is_there(file: Path) -> bool:
-    """True if the configuration file exists and its folder is accessible.
-
-    Args:
-        file: place of the file, from `config_file`.
-    """
-    return os.path.isfile(file)
-
-
 def variable(name: str) -> str:
     """Return the environment variable of a setting.
 
@@ -121,7 +112,7 @@ def configured() -> Iterator[Configured]:
         InputError: a mistake in the file or in a variable.
     """
     file = config_file()
-    values = read_toml(file)[0] if is_there(file) else {}
+    values = read_toml(file)[0] if os.path.isfile(file) else {}
     of_file = table_of(Config).read(values, Place(str(file)))
     for name, leaf in leaves_of(Config).items():
         key = variable(name)

@@ -32,10 +32,7 @@ def shortened(value: Any) -> str:
     Args:
         value: any object.
     """
-    try:
-        text = " ".join(repr(value).split())
-    except Exception:  # noqa: BLE001 -- the repr of an object of the user's may raise anything; numbers of 4,300 digits have none
-        return f"a value of type {type(value).__name__} that cannot be printed"
+    text = " ".join(repr(value).split())
     return text if len(text) <= 40 else f"{text[:40]}…"
 
 

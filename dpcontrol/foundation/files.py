@@ -26,7 +26,10 @@ from tokenize import TokenError
 from typing import IO, Annotated, Any, TypeVar
 
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.parts import Later
 
+np = Later("numpy")
+"""Imported on first use, because verbs check their output before they import anything heavy."""
 T = TypeVar("T")
 
 
@@ -61,11 +64,12 @@ def checked_target(path: Path) -> Path:
         path: file to write, which may be missing.
 
     Raises:
-        InputError: `path` is not a regular file, or its folder cannot be made or written to.
+        InTheWay: `path` is not a regular file.
+        InputError: its folder cannot be made or written to.
     """
     place = Path(os.path.realpath(path)) if path.is_symlink() else path
     if os.path.exists(place) and not os.path.isfile(place):
-        raise InputError(f"cannot write {path}: it is a folder or no regular file; choose another file name")
+        raise InTheWay(f"cannot write {path}: it is a folder or no regular file; choose another file name")
     checked_folder(place.parent, path)
     return place
 
@@ -90,19 +94,21 @@ def checked_folder(folder: Path, path: Path | None = None) -> None:
 
 @contextmanager
 def claimed(path: Path) -> Iterator[None]:
-    """Prevent other commands from writing a file until the end of the block.
+    """Prevent other commands from writing a file or folder until the end of the block.
 
     A claim is a locked file beside it, whose name has the start and the hash of its name. The system ends the claim of
     a killed command. The claim has no effect where files cannot be locked. Folders that are made for the claim are
     removed if they stay empty.
 
     Args:
-        path: file to write, which may be missing.
+        path: file or folder to write, which may be missing.
 
     Raises:
         InTheWay: another command is writing it.
+        InputError: its folder cannot be made or written to.
     """
     place = Path(os.path.realpath(path))
+    checked_folder(place.parent, path)
     partial = place.with_name(f".{place.name[:40]}-{content_hash(place.name)}.partial")
     made = [folder for folder in place.parents if not os.path.exists(folder)]
     place.parent.mkdir(parents=True, exist_ok=True)
@@ -146,13 +152,10 @@ def free_name(path: Path, make: Callable[[Path], T]) -> Iterator[T]:
         make: makes or checks the file of a name; raises `InTheWay` if another command made it.
 
     Raises:
-        InputError: see `checked_target` and `make`, except `InTheWay`.
+        InputError: see `claimed` and `make`, except `InTheWay`.
     """
     for number in itertools.count(1):
         place = path if number == 1 else path.with_name(f"{path.stem}.{number}{path.suffix}")
-        if place.is_dir():
-            continue
-        checked_target(place)
         with ExitStack() as stack:
             try:
                 stack.enter_context(claimed(place))
@@ -165,9 +168,9 @@ def free_name(path: Path, make: Callable[[Path], T]) -> Iterator[T]:
 
 @contextmanager
 def chosen_name(
-    given: Path | str | bool | None, first: Path, check: Callable[[Path], object] = lambda file: None
+    given: Path | str | bool | None, first: Path, check: Callable[[Path], object] = checked_target
 ) -> Iterator[Path | None]:
-    """Yield the file to write, which no other command writes until the end of the block.
+    """Yield the file or folder to write, which no other command writes until the end of the block.
 
     Args:
         given: its name, True for the first free name, or None for no file.
@@ -188,7 +191,7 @@ def chosen_name(
     elif not given:
         yield None
     else:
-        with claimed(checked_target(Path(str(given)))):
+        with claimed(Path(str(given))):
             yield checked(Path(str(given)))
 
 
@@ -382,9 +385,6 @@ def write_archive(
     Raises:
         InputError: the file cannot be written.
     """
-    # Verbs check their output before they import anything heavy.
-    import numpy as np
-
     text = json.dumps(header, allow_nan=False)
     with nullcontext(path) if isinstance(path, BytesIO) else whole_file(Path(path), suffix=".npz") as temporary:
         (np.savez_compressed if compressed else np.savez)(temporary, header=np.array(text), **arrays)
@@ -401,8 +401,6 @@ def archive_format(path: Path | str) -> str:
     Raises:
         InputError: it is not a regular file.
     """
-    import numpy as np
-
     try:
         with np.load(path, allow_pickle=False) as packed:
             return str(json.loads(str(packed["header"]))["format"])
@@ -429,8 +427,6 @@ def archive(
     Raises:
         InputError: the file is missing, damaged or of another kind.
     """
-    import numpy as np
-
     try:
         with zipfile.ZipFile(checked_source(path) if isinstance(path, Path) else path) as packed:
             checked_size(sum(info.file_size for info in packed.infolist()))

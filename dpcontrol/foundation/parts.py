@@ -83,6 +83,20 @@ class Later:
         return value
 
 
+class StageModule:
+    """A module of this package that is imported whenever a name of it is used.
+
+    Args:
+        module: its name below the package, such as "plans.plan".
+    """
+
+    def __init__(self, module: str) -> None:
+        self._module = f"{__name__.partition('.')[0]}.{module}"
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(importlib.import_module(self._module), name)
+
+
 _DISTRIBUTIONS = (
     "numpy", "scipy", "casadi", "heyoka", "networkx", "control", "filterpy", "mcap", "zstandard", "matplotlib",
     "rerun-sdk", "pyarrow", "mat-io", "pandas", "python-flint",
@@ -96,12 +110,8 @@ def versions() -> dict[str, str]:
     """
     # Imported here because the help of verbs needs none of them.
     import platform
-    from importlib.metadata import PackageNotFoundError, version
+    from importlib.metadata import distributions
 
-    found = {"dpcontrol": VERSION, "python": platform.python_version(), "system": platform.platform()}
-    for name in _DISTRIBUTIONS:
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            found[name] = ""
-    return found
+    there = {one.metadata["Name"].lower().replace("_", "-"): one.version for one in distributions()}
+    own = {"dpcontrol": VERSION, "python": platform.python_version(), "system": platform.platform()}
+    return {**own, **{name: there.get(name, "") for name in _DISTRIBUTIONS}}

@@ -16,6 +16,7 @@ from contextlib import contextmanager
 from typing import TypeVar
 
 from dpcontrol.foundation.errors import GoalMissed
+from dpcontrol.foundation.progress import Progress, no_progress
 
 Piece = TypeVar("Piece")
 Done = TypeVar("Done")
@@ -27,7 +28,12 @@ def processors() -> int:
 
 
 def in_processes(
-    function: Callable[[Piece], Done], pieces: Sequence[Piece], workers: int, *, remedy: str
+    function: Callable[[Piece], Done],
+    pieces: Sequence[Piece],
+    workers: int,
+    *,
+    what: str = "pieces",
+    progress: Progress = no_progress,
 ) -> Iterator[tuple[Piece, Done]]:
     """Yield each piece with its result, computed by `workers` processes.
 
@@ -38,12 +44,19 @@ def in_processes(
         function: function of a module, which computes the result of a piece.
         pieces: arguments of the function.
         workers: number of processes.
-        remedy: end of the error message.
+        what: name of the pieces in reports of progress.
+        progress: receiver of a report after each result.
 
     Raises:
         GoalMissed: a process died.
     """
-    if workers == 1 or len(pieces) == 1:
+    for k, result in enumerate(_results(function, pieces, workers), 1):
+        yield result
+        progress(f"{k} of {len(pieces)} {what}", k / len(pieces))
+
+
+def _results(function: Callable[[Piece], Done], pieces: Sequence[Piece], workers: int) -> Iterator[tuple[Piece, Done]]:
+    if workers == 1 or len(pieces) <= 1:
         for piece in pieces:
             yield piece, function(piece)
         return
@@ -61,7 +74,8 @@ def in_processes(
     except BrokenProcessPool as error:
         raise GoalMissed(
             "a process died: is there enough memory? A script must call this below "
-            f'`if __name__ == "__main__":`, or with workers=1. {remedy}'
+            '`if __name__ == "__main__":`, or with workers=1. Finished results are kept: run the same command '
+            "again, with fewer --workers"
         ) from error
     except BaseException:
         for worker in set(multiprocessing.active_children()) - others:

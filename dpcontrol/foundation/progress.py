@@ -9,16 +9,25 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 from dpcontrol.foundation.errors import InputError, printable, remark
+from dpcontrol.foundation.parts import Later
+
+rich = Later("rich.progress")
 
 Progress = Callable[[str, float], None]
 """Function that receives the current task and its completed fraction (0 to 1)."""
 
 
-Reporting = Progress | Literal[True] | None
-"""Progress output: a function, True for a bar on stderr, None for a line on stderr every twenty seconds."""
+if TYPE_CHECKING:
+    Reporting: TypeAlias = Any
+else:
+    Reporting = Progress | Literal[True] | None
+"""Progress output: a function, True for a bar on stderr, None for a line on stderr every twenty seconds.
+
+`checked` turns each of them into a function for the body of a public function.
+"""
 
 
 def no_progress(what: str, done: float) -> None:
@@ -47,36 +56,6 @@ def part_of(progress: Progress, low: float, high: float) -> Progress:
     return report
 
 
-@contextmanager
-def progress_bar(label: str) -> Iterator[Progress]:
-    """Show a progress bar on stderr, and yield its function.
-
-    The bar lasts for the block.
-
-    If stderr is not a terminal, a line is written every twenty seconds, and one at the end.
-
-    Args:
-        label: text before the bar.
-    """
-    if not sys.stderr.isatty():
-        yield lines(label)
-        _write_line(f"{printable(label)}: done")
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
-    from rich.progress import Progress as Bar
-
-    columns = (TextColumn("{task.description:<34}", markup=False), BarColumn(), TextColumn("{task.percentage:>3.0f}%"))
-    with Bar(*columns, TimeElapsedColumn(), console=Console(stderr=True)) as bar:
-        task = bar.add_task(printable(label), total=1.0)
-
-        def report(what: str, done: float) -> None:
-            bar.update(task, completed=done, description=printable(what))
-
-        yield report
-        bar.update(task, completed=1.0, description=printable(label))
-
-
 _LINE = 20.0
 """Interval between lines of progress, s."""
 
@@ -93,42 +72,58 @@ def lines(label: str) -> Progress:
 
     def report(what: str, done: float) -> None:
         nonlocal last
-        if (now := time.monotonic()) - last >= _LINE:
-            last = now
-            _write_line(f"{printable(label)}: {printable(what)}, {done:.0%} after {now - began:.0f} s")
+        # A full disk or a closed reader does not stop the work.
+        with suppress(OSError):
+            if (now := time.monotonic()) - last >= _LINE:
+                last = now
+                text = f"{printable(label)}: {printable(what)}, {done:.0%} after {now - began:.0f} s"
+                sys.stderr.write(f"{text}\n")
+                sys.stderr.flush()
 
     return report
 
 
-def _write_line(text: str) -> None:
-    """Write a line to stderr.
+@contextmanager
+def reporting(progress: Progress | Literal[True] | None, label: str) -> Iterator[Progress]:
+    """Yield the progress function, that of a bar if requested.
 
-    A full disk or a closed reader does not stop the work.
+    The bar is on stderr, from the first report to the end of the block. If stderr is not a terminal, a line is written
+    every twenty seconds instead.
+
+    Args:
+        progress: a function, True for a bar, None for lines on stderr.
+        label: text of the bar at its end, or before each line.
     """
-    with suppress(OSError):
-        sys.stderr.write(f"{text}\n")
-        sys.stderr.flush()
+    if callable(progress):
+        yield progress
+        return
+    if progress is None or not sys.stderr.isatty():
+        yield lines(label)
+        return
+    columns = (
+        rich.TextColumn("{task.description:<34}", markup=False),
+        rich.BarColumn(),
+        rich.TextColumn("{task.percentage:>3.0f}%"),
+        rich.TimeElapsedColumn(),
+    )
+    bar = rich.Progress(*columns, console=rich.Console(stderr=True))
+    task = bar.add_task(printable(label), total=1.0)
+
+    def report(what: str, done: float) -> None:
+        bar.start()
+        bar.update(task, completed=done, description=printable(what))
+
+    try:
+        yield report
+        bar.update(task, completed=1.0, description=printable(label))
+    finally:
+        bar.stop()
 
 
 MOST_SECONDS, MOST_BYTES = 3600.0, 4e9
 """Maximum cost of work that starts without confirmation."""
 ANNOUNCED_FROM = 60.0
 """Duration beyond which work is announced, s."""
-
-
-@contextmanager
-def reporting(progress: Reporting, label: str) -> Iterator[Progress]:
-    """Yield the progress function, with a labelled bar if requested.
-
-    Args:
-        progress: a function, True for a bar, None for lines on stderr.
-        label: text before the bar or in each line.
-    """
-    if progress is True:
-        with progress_bar(label) as report:
-            yield report
-    else:
-        yield progress or lines(label)
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,8 @@ Pictures are drawn in a higher layer.
 
 Results do not import the modules that draw them. They call `render`, which finds the renderer in the table
 `dpcontrol.pages.renderers.RENDERERS`. This is the only module that imports a higher layer, and it does so by name.
-`Axes` and `Figure` are matplotlib's for type checkers, so results can annotate `plot` without matplotlib.
+`Axes`, `Figure` and `DataFrame` are those of matplotlib and pandas for type checkers, so that results can annotate
+`plot` and `frame` without them.
 """
 
 from contextlib import AbstractContextManager
@@ -16,8 +17,9 @@ from dpcontrol.foundation.errors import InputError
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from pandas import DataFrame as DataFrame
 else:
-    Axes = Figure = Any
+    Axes = Figure = DataFrame = Any
 
 _TABLE = "dpcontrol.pages.renderers"
 _LIVE = "dpcontrol.pages.viewer"

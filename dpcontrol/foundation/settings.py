@@ -39,36 +39,21 @@ def suggest(value: str, choices: Iterable[str]) -> str:
     return f"allowed: {', '.join(choices)}"
 
 
-def check_names(what: str, names: Iterable[str], known: Iterable[str]) -> None:
-    """Raise an error for the first name that is not known.
+def check_choice(key: str, choices: Iterable[str], *values: Any) -> None:
+    """Raise an error for the first value that is none of the choices.
 
     Args:
-        what: kind of name, such as "controller", for the message.
-        names: names given by the user.
-        known: allowed names.
-
-    Raises:
-        InputError: unknown name; the message has the nearest spelling.
-    """
-    known = tuple(known)
-    for name in names:
-        if name not in known:
-            raise InputError(f"unknown {what} {shortened(name)}: {suggest(name, known)}")
-
-
-def check_choice(key: str, value: Any, choices: Iterable[str]) -> None:
-    """Raise an error for a value that is none of the choices.
-
-    Args:
-        key: key of the value, for the message.
-        value: value given by the user.
+        key: key or kind of the values, such as "controller", for the message.
         choices: allowed values.
+        *values: values given by the user.
 
     Raises:
-        InputError: the value is no choice; the message has the nearest spelling.
+        InputError: a value is no choice; the message has the nearest spelling.
     """
-    if value not in (known := list(choices)):
-        raise InputError(f"{key} = {shortened(value)}: {suggest(str(value), known)}", key=key)
+    known = list(choices)
+    for value in values:
+        if value not in known:
+            raise InputError(f"{key} = {shortened(value)}: {suggest(str(value), known)}", key=key)
 
 
 def nearest(value: str, choices: Iterable[str]) -> str:

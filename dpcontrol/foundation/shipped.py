@@ -6,7 +6,7 @@ Models and itineraries are searched by path, in the working folder, then among t
 contains them in `dpcontrol/data`; in a checkout they are beside the package.
 """
 
-from contextlib import suppress
+import os
 from pathlib import Path
 
 from dpcontrol.foundation.errors import InputError
@@ -39,12 +39,7 @@ def known(kind: str) -> list[str]:
     Args:
         kind: see `folders`.
     """
-    names: set[str] = set()
-    for folder in folders(kind):
-        # A folder that is not readable adds no names.
-        with suppress(OSError):
-            names |= {file.stem for file in folder.glob("*.toml")}
-    return sorted(names)
+    return sorted({file.stem for folder in folders(kind) for file in folder.glob("*.toml")})
 
 
 def find(kind: str, name: str) -> Path:
@@ -63,10 +58,9 @@ def find(kind: str, name: str) -> Path:
         checked_source(given)
     # A file of this name that does not end in .toml comes last; reading it gives its error.
     for file in [given] if is_path else [*(folder / f"{name}.toml" for folder in folders(kind)), given]:
-        # A name that is not valid as a file name causes its own error.
-        with suppress(OSError, ValueError):
-            if file.is_file():
-                return file
+        # Unlike Path.is_file, this is False for names that no file can have.
+        if os.path.isfile(file):
+            return file
     if is_path:
         raise InputError(f"there is no file {name}; give a TOML file or one of: {', '.join(names)}")
     singular = {"models": "model", "itineraries": "itinerary"}[kind]

@@ -6,7 +6,7 @@ The base classes leave the data to the dataclasses that derive from them. Pictur
 """
 
 from base64 import b64encode
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import fields
 from functools import wraps
 from html import escape
@@ -20,12 +20,11 @@ from dpcontrol.foundation.checked import Count, checked
 from dpcontrol.foundation.document import plain
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.parts import part
-from dpcontrol.foundation.rendering import render, thumbnail
+from dpcontrol.foundation.rendering import DataFrame, render, thumbnail
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from pandas import DataFrame
 
 
 class Brief:
@@ -144,7 +143,7 @@ class Timed(Shown):
         return self.states(np.linspace(*self.time_range, count))
 
     @checked
-    def frame(self, count: Count = 200) -> "DataFrame":
+    def frame(self, count: Count = 200) -> DataFrame:
         """Return a pandas table of the motion.
 
         Args:
@@ -156,19 +155,23 @@ class Timed(Shown):
         Raises:
             PartMissing: pandas is not installed.
         """
-        data_frame, index = pandas_classes()
         times = np.linspace(*self.time_range, count)
-        return data_frame(self.states(times), columns=list(self.columns), index=index(times, name="time"))
+        return data_frame(self.states(times), self.columns, times=times)
 
 
-def pandas_classes() -> tuple[Any, Any]:
-    """Return pandas' DataFrame and Index.
+def data_frame(rows: Any, columns: Sequence[str] | None = None, *, times: Any = None) -> DataFrame:
+    """Return a pandas table.
+
+    Args:
+        rows: rows, or columns by name.
+        columns: names of the columns, if the rows have none.
+        times: index `time`, s; by default the rows are numbered.
 
     Raises:
         PartMissing: pandas is not installed.
     """
     pandas = part("pandas")
-    return pandas.DataFrame, pandas.Index
+    return pandas.DataFrame(rows, columns=columns, index=None if times is None else pandas.Index(times, name="time"))
 
 
 def checked_times(times: Any) -> Array:

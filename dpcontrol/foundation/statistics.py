@@ -9,6 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from dpcontrol.foundation.parts import Later
+
+stats = Later("scipy.stats")
+"""Imported on first use, which takes half a second."""
+
 
 @dataclass(frozen=True)
 class Share:
@@ -59,10 +64,7 @@ def wilson(successes: int, runs: int, *, confidence: float = 0.95) -> Share:
     """
     if not runs:
         return Share(0, 0, 0.0, 1.0)
-    # Importing scipy.stats takes half a second.
-    from scipy.stats import binomtest
-
-    interval = binomtest(successes, runs).proportion_ci(confidence, method="wilson")
+    interval = stats.binomtest(successes, runs).proportion_ci(confidence, method="wilson")
     return Share(successes, runs, float(interval.low), float(interval.high))
 
 
@@ -91,6 +93,4 @@ def paired(first: ArrayLike, second: ArrayLike) -> Pairing:
     differing = only_first + only_second
     if not differing:
         return Pairing(one.size, 0, 0, 1.0)
-    from scipy.stats import binomtest
-
-    return Pairing(one.size, only_first, only_second, float(binomtest(only_first, differing).pvalue))
+    return Pairing(one.size, only_first, only_second, float(stats.binomtest(only_first, differing).pvalue))

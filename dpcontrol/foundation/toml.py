@@ -12,7 +12,10 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
 from dpcontrol.foundation.errors import InputError, Mistakes, shortened
+from dpcontrol.foundation.parts import Later
 from dpcontrol.foundation.settings import Leaf, Setting, check_choice, leaves_of, nearest, suggest
+
+tomlkit = Later("tomlkit")
 
 
 def read_toml(path: Path) -> tuple[dict[str, Any], str]:
@@ -66,8 +69,6 @@ def with_values(text: str, table: str, values: Mapping[str, Any]) -> str:
         table: name of the table; "" for the top level.
         values: texts, numbers or lists of these, by key.
     """
-    import tomlkit
-
     document = tomlkit.parse(text)
     if table and table not in document:
         document[table] = tomlkit.table()
@@ -80,8 +81,6 @@ def with_values(text: str, table: str, values: Mapping[str, Any]) -> str:
 
 def _listed(values: Sequence[Any]) -> Any:
     """Return the item of a list, in which each text has a line."""
-    import tomlkit
-
     # tomlkit parses a list in linear time, but appends to one in quadratic time.
     texts = [tomlkit.item(one).as_string() for one in values]
     lines = len(values) > 1 and all(isinstance(one, str) for one in values)
@@ -220,7 +219,7 @@ class Choice:
         """Return what the chosen table makes of the values of a file; see `Table.read`."""
         with place:
             kind = self.choose(values) if isinstance(values, Mapping) else next(iter(self.tables))
-            check_choice(self.key, kind, self.tables)
+            check_choice(self.key, self.tables, kind)
         return self.tables[kind].read(values, place, context)
 
 

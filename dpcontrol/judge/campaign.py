@@ -7,23 +7,29 @@ groups are formed by kind of trouble, its levels over all kinds together. Cases 
 distinguished by `case`. Other columns are ignored.
 """
 
+import json
 from collections import Counter
-from dataclasses import dataclass
-from io import BytesIO
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.foundation.document import Documented, document_of, picked
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import checked_size, checked_source
+from dpcontrol.foundation.files import checked_size
 from dpcontrol.foundation.parts import part
 from dpcontrol.foundation.shown import Shown
 from dpcontrol.foundation.statistics import Share, wilson
 
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+METADATA = b"dpcontrol.campaign"
+"""Key of a table's metadata: JSON with the itinerary, the model, the settings and the version."""
 _WHAT = ("itinerary", "controller", "estimator")
 _KIND, _LEVEL, _CASE = "kind", "level", "case"
 _APART, _BINS = 21, 6
@@ -73,6 +79,7 @@ class CampaignSummary(Shown, Documented):
         levels: by family and mismatch or level; empty if it does not vary.
         failed_symbols: (family, symbol from 1, number of runs that failed at it), symbol 0 if unknown.
         reasons: number of failed runs by cause, the most frequent first.
+        record: itinerary, model, version and settings by case, as the campaign wrote them; empty if unknown.
     """
 
     path: Path
@@ -84,6 +91,7 @@ class CampaignSummary(Shown, Documented):
     levels: tuple[Group, ...]
     failed_symbols: tuple[tuple[str, int, int], ...]
     reasons: tuple[tuple[str, int], ...]
+    record: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def status(self) -> str:
@@ -123,35 +131,62 @@ def _share_document(share: Share) -> dict[str, Any]:
     return document_of(share, "completed=successes of=runs rate low high")
 
 
-def campaign_summary(path: Path) -> CampaignSummary:
-    """Return the summary of a campaign's Parquet table.
+def campaign_table(path: Path) -> "pa.Table":
+    """Return the rows of a campaign's table.
 
     Args:
-        path: Parquet file of the table.
+        path: folder of the table's Parquet files.
 
     Raises:
-        InputError: the file is missing, not a Parquet table, has no runs, or no column of completed runs.
+        InputError: the folder is missing, or holds no Parquet files or damaged ones.
     """
-    return summary_of(_columns(Path(path)), Path(path))
+    if not path.is_dir():
+        found = "is a file, as of version 0.2; now each table is a folder" if path.exists() else "does not exist"
+        raise InputError(f"the campaign {path} {found}: give the folder that `dpcontrol campaign` wrote")
+    # Importing pyarrow takes a third of a second.
+    arrow, data = part("pyarrow"), part("pyarrow.dataset")
+    checked = data.ParquetFragmentScanOptions(page_checksum_verification=True)
+    try:
+        files = [str(file) for file in sorted(path.glob("*.parquet"))]
+        rows = data.dataset(files, format=data.ParquetFileFormat(default_fragment_scan_options=checked))
+        checked_size(8.0 * rows.count_rows() * len(rows.schema))
+        return rows.to_table()
+    except (arrow.ArrowException, OSError, ValueError) as error:
+        reason = str(error).splitlines()[0]
+        raise InputError(
+            f"{path} is not a campaign's table, or is damaged: {reason}; run the campaign again"
+        ) from error
 
 
-def summary_of(columns: dict[str, list[Any]], path: Path) -> CampaignSummary:
-    """Return the summary of the columns of a campaign's table.
+def campaign_summary(path: Path) -> CampaignSummary:
+    """Return the summary of a campaign's table.
 
     Args:
-        columns: values of each run by column.
+        path: folder of the table.
+
+    Raises:
+        InputError: the table is missing or damaged, or has no runs or no column of completed runs.
+    """
+    return summary_of(campaign_table(path), path)
+
+
+def summary_of(rows: "pa.Table", path: Path) -> CampaignSummary:
+    """Return the summary of a campaign's table.
+
+    Args:
+        rows: a row for each run.
         path: place of the table, for messages and titles.
 
     Raises:
         InputError: the table has no runs, or no column of completed runs.
     """
-    if "completed" not in columns:
-        found = ", ".join(sorted(columns)) or "no columns"
+    if "completed" not in rows.column_names:
+        found = ", ".join(sorted(rows.column_names)) or "no columns"
         raise InputError(f"{path} has no column of completed runs, only {found}; give a table of `dpcontrol campaign`")
-    rows = [k for k, value in enumerate(columns["completed"]) if value is not None and value == value]
-    if not rows:
+    known = rows.filter(rows["completed"].is_valid())
+    if not known.num_rows:
         raise InputError(f"{path} holds no runs with a verdict; run the campaign again")
-    table = {name: [values[k] for k in rows] for name, values in columns.items()}
+    table = known.to_pydict()
     done = np.array(table["completed"], dtype=bool)
     families = [name for name in _WHAT if name in table and len(set(table[name])) > 1]
     standard = _KIND in table and _LEVEL in table
@@ -166,14 +201,15 @@ def summary_of(columns: dict[str, list[Any]], path: Path) -> CampaignSummary:
     alone = _groups(table, families, done)
     return CampaignSummary(
         path=path,
-        runs=len(rows),
-        unknown=len(columns["completed"]) - len(rows),
+        runs=known.num_rows,
+        unknown=rows.num_rows - known.num_rows,
         share=wilson(int(done.sum()), len(done)),
         groups=tuple(group for group, _ in groups),
         axis=axis,
         levels=_levels(_numbers(table, axis), alone, done),
         failed_symbols=_symbols(table, alone, done),
         reasons=tuple(Counter(str(causes[k] or "not named") for k in np.flatnonzero(~done)).most_common()),
+        record=json.loads((rows.schema.metadata or {}).get(METADATA, b"{}")),
     )
 
 
@@ -190,24 +226,6 @@ def _groups(table: dict[str, list[Any]], columns: list[str], done: Rows) -> list
     return [(Group(dict(zip(columns, key, strict=True)), _share(done, mine)), mine) for key, mine in rows.items()]
 
 
-def _columns(path: Path) -> dict[str, list[Any]]:
-    # Importing pyarrow takes a third of a second.
-    arrow = part("pyarrow")
-    if not checked_source(path).is_file():
-        raise InputError(f"there is no campaign {path}")
-    try:
-        data = BytesIO(path.read_bytes())
-        file = part("pyarrow.parquet").ParquetFile(data, page_checksum_verification=True)
-        checked_size(8.0 * file.metadata.num_rows * file.metadata.num_columns)
-        for column in file.schema_arrow:
-            if arrow.types.is_nested(column.type):
-                raise ValueError(f"the column {column.name!r} holds {column.type} instead of numbers or text")
-        return file.read().to_pydict()
-    except (arrow.ArrowException, OSError, ValueError) as error:
-        reason = str(error).splitlines()[0]
-        raise InputError(f"{path} is not a Parquet table, or is damaged: {reason}; run the campaign again") from error
-
-
 def _share(done: Rows, chosen: Rows) -> Share:
     return wilson(int(done[chosen].sum()), int(chosen.sum()))
 
@@ -217,10 +235,7 @@ def _numbers(table: dict[str, list[Any]], name: str) -> NDArray[np.float64] | No
 
     The result is None if it has no numbers.
     """
-    try:
-        values = np.array([np.nan if v is None else float(v) for v in table.get(name, [])])
-    except (TypeError, ValueError):
-        return None
+    values = np.array(table.get(name, []), dtype=float)
     return values if np.isfinite(values).any() else None
 
 

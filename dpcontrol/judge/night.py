@@ -15,7 +15,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -24,16 +24,14 @@ from dpcontrol.foundation.causes import Cause
 from dpcontrol.foundation.checked import checked
 from dpcontrol.foundation.document import Documented, picked
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.settings import check_names
-from dpcontrol.foundation.shown import Shown, pandas_classes
+from dpcontrol.foundation.rendering import DataFrame
+from dpcontrol.foundation.settings import check_choice
+from dpcontrol.foundation.shown import Shown, data_frame
 from dpcontrol.judge.score import ENDINGS
 from dpcontrol.logs.container import partials_of
 from dpcontrol.logs.layout import CATCH, FLIGHT, LAP, RESUME, RETURN, Event
 from dpcontrol.logs.reader import read_log
 from dpcontrol.logs.rolling import Digest, digest_of_log
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
 
 ITINERARY, BRAKING, FLYING = "on the itinerary", "braking", "in flight"
 BETWEEN, UNKNOWN = "between repetitions", "no log"
@@ -179,7 +177,7 @@ class Night(Shown, Documented):
         Raises:
             InputError: unknown parameter.
         """
-        check_names("parameter", [name], self.estimated)
+        check_choice("parameter", self.estimated, name)
         own = [digest for digest in self.digests if name in digest.extras]
         least = _SHORT * max(digest.end - digest.first for digest in own)
         long = [digest for digest in own if digest.end - digest.first >= least]
@@ -254,7 +252,7 @@ class Night(Shown, Documented):
             "memory_growth": self.memory_growth, "deadlines": self.deadlines, "partials": list(self.partials),
         }  # fmt: skip
 
-    def frame(self) -> "DataFrame":
+    def frame(self) -> DataFrame:
         """Return a pandas table, one row for each file.
 
         The index `time` is the start of the file since the start of the night, s. The columns are the end (s), the
@@ -264,7 +262,6 @@ class Night(Shown, Documented):
         Raises:
             PartMissing: pandas is not installed.
         """
-        data_frame, index = pandas_classes()
         rows = [
             {
                 **picked(digest, "end", "session", "ticks", "repetitions", "cart"),
@@ -273,7 +270,7 @@ class Night(Shown, Documented):
             }
             for digest in self.digests
         ]
-        return data_frame(rows, index=index([digest.first for digest in self.digests], name="time"))
+        return data_frame(rows, times=[digest.first for digest in self.digests])
 
 
 def followed(digests: Sequence[Digest]) -> tuple[list[NightSpan], list[Fall], list[Event]]:

@@ -31,7 +31,7 @@ from dpcontrol.logs import CATCH, FLIGHT, LAP, RESUME, RETURN, Event, RunLog, St
 from dpcontrol.logs.layout import CONTROL, ESTIMATE, REFERENCE
 from dpcontrol.logs.rolling import NIGHT_METADATA
 from dpcontrol.loop.result import Ending, inside_95
-from dpcontrol.references.content import PlanSymbol
+from dpcontrol.references.content import PlanSymbol, numbered
 from dpcontrol.references.reference import Reference, load_reference
 from dpcontrol.words import runs as words
 
@@ -386,7 +386,7 @@ def score(log: RunLog) -> Score:
         limits=log.limits if log.has_cart else None,
         end=bad[-1] if bad else None,
         stretches=stretches_of(log),
-        hardest=_hardest(log),
+        hardest=_noted(log, HARDEST_METADATA, float),
     )
     verdict = verdict_on(flown, plan)
     judged = spliced(flown, plan) if flown.stretches else flown
@@ -446,21 +446,6 @@ def _part(log: RunLog, flown: Flown, plan: Reference) -> FaultFigures | None:
         return None
     covers = {"first": first, "last": last, "lasted": noted if first > noted else max(end, last)}
     return Fault.OTHER_TIMES if first > noted else Fault.PART, covers
-
-
-def _hardest(log: RunLog) -> float | None:
-    """Return the greatest acceleration applied by the drive, m/s².
-
-    The result is None if the true state is unknown.
-
-    Logs of earlier versions lack it. In these, the loop's figure counts only if the cart's true velocity changed as
-    much: blows change the velocity alone, and a wrong estimate changes the loop's figure alone.
-    """
-    noted = _noted(log, HARDEST_METADATA, float)
-    if noted is not None or log.truth is None or not log.has_cart or len(log.time) < 2:
-        return noted
-    real = np.abs(np.diff(log.truth[:, -1])) * log.rate_hz
-    return float(np.minimum(np.abs(log.control["applied"][:-1]), real).max())
 
 
 def stretches_of(log: RunLog) -> tuple[Stretch, ...]:
@@ -550,8 +535,8 @@ def _fault(flown: Flown, plan: Reference, decoded: Decoded) -> FaultFigures:
     if matched == 0:
         return Fault.NOT_BEGUN, first
     if matched < len(stops):
-        return Fault.SYMBOL, {**_named(symbols, matched), **far, **early}
-    last = _named(symbols, len(symbols))
+        return Fault.SYMBOL, {**numbered(symbols, matched - 1), **far, **early}
+    last = numbered(symbols, -1)
     if lost is not None:
         return Fault.LAST_LEFT, {**last, **far, **early}
     for k, (required, done) in enumerate(zip(content.wraps, decoded.wraps, strict=False)):
@@ -579,11 +564,6 @@ def _fault(flown: Flown, plan: Reference, decoded: Decoded) -> FaultFigures:
 def _transfers(symbols: Sequence[PlanSymbol]) -> int:
     """Return the number of transfers among symbols."""
     return sum(symbol.section is None for symbol in symbols)
-
-
-def _named(symbols: Sequence[PlanSymbol], number: int) -> Mapping[str, Any]:
-    """Return number and text of a symbol, from 1, for the figures of a fault."""
-    return {"symbol": number, "symbols": len(symbols), "name": symbols[number - 1].text} if symbols else {}
 
 
 _BEGUN = 0.5

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import zstandard
@@ -33,15 +33,12 @@ from numpy.typing import NDArray
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError, remark
-from dpcontrol.foundation.files import UNREADABLE, checked_size, checked_source, in_the_way
-from dpcontrol.foundation.shown import Brief, Shown, pandas_classes
+from dpcontrol.foundation.files import UNREADABLE, InTheWay, checked_size, checked_source, in_the_way
+from dpcontrol.foundation.rendering import DataFrame
+from dpcontrol.foundation.shown import Brief, Shown, data_frame
 from dpcontrol.logs import layout
 from dpcontrol.logs.container import MAGIC, declarations, located, partials_of, unsealed
 from dpcontrol.logs.rewritten import Batch, Topic, by_topic, ticks_in
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
-
 
 _TOGETHER = 200
 """Number of chunks that are read in one step."""
@@ -373,7 +370,7 @@ class RunLog(Shown):
             )
         return self.states[part]
 
-    def frame(self) -> "DataFrame":
+    def frame(self) -> DataFrame:
         """Return a pandas table with one row per tick.
 
         Its index is `time` in s.
@@ -385,7 +382,6 @@ class RunLog(Shown):
         Raises:
             PartMissing: pandas is not installed.
         """
-        data_frame, index = pandas_classes()
         states = layout.state_names(len(self.arm_lengths), has_cart=self.has_cart)
         groups: dict[str, tuple[Sequence[str], Array]] = {"measured": (self.joint_names, self.measured)}
         if self.rates is not None:
@@ -401,7 +397,7 @@ class RunLog(Shown):
         }
         if self.segments:
             columns["segment"] = segment_numbers(self.segments, len(self.time))
-        return data_frame(columns, index=index(self.time, name="time"))
+        return data_frame(columns, times=self.time)
 
 
 def segments_in(text: str, rows: int) -> tuple[tuple[int, int], ...]:
@@ -585,10 +581,11 @@ def check_same_run(path: Path, metadata: Mapping[str, str], *, also: tuple[str, 
         also: keys that are not compared either.
 
     Raises:
-        InputError: the log is not readable, or entries differ.
+        InTheWay: entries differ.
+        InputError: the log is not readable.
     """
     if differing := _differing(metadata, open_mcap(path).values(layout.RUN_RECORD), also=also):
-        raise InputError(
+        raise InTheWay(
             f"{path} is of another run (not the same: {differing}); go on with the command and the options that made it"
         )
 

@@ -32,6 +32,7 @@ from dpcontrol.loop.own import OwnEstimator, OwnLaw
 from dpcontrol.loop.pilots import Briefing, DirectPilot, pilot_beside
 from dpcontrol.loop.recovery import (
     RESTING,
+    Departures,
     FallRecovery,
     RecoveryPlan,
     ScheduledController,
@@ -174,10 +175,10 @@ class Assembly:
         goals = (*stops, rest_goal(rest, limits))
         briefing = Briefing(self.arms, self.settings.rate, model.lag, limits, goals)
         last = content.orbit(content.stops[-1])
-        braking = ScheduledController(padded(braking_controller(model).schedule(0), main), "brake")
+        braking = ScheduledController(padded(braking_controller(self.arms, model).schedule(0), main), "brake")
         return RecoveryPlan(
             model, braking, briefing, DirectPilot(briefing),
-            tuple(stop.saddle for stop in content.stops), tuple(symbol.text for symbol in content.symbols),
+            tuple(stop.saddle for stop in content.stops), content.symbols,
             last.curve[:, : model.arms], last.period, main, padded(rest.schedule(0), main), reach,
             s.on_fall == "restart", 1 if s.on_fall == "stop" else s.attempts, anywhere,
         )  # fmt: skip
@@ -324,7 +325,7 @@ class Assembly:
         return self.settings.lockstep and many
 
     def batch(self, seeds: Sequence[int], *, mismatches: Sequence[float] | None = None) -> list[BatchRun]:
-        """Run the seeds side by side and return their results in order.
+        """Run the seeds side by side and return their results in order, up to a departure from the itinerary.
 
         Args:
             seeds: one seed per run.
@@ -347,7 +348,8 @@ class Assembly:
             draws, self.settings.bench, limits=self.limits, start=self.controller.first_state,
             queued=list(ticker.queued), lanes=MANY,
         )  # fmt: skip
-        return Lockstep(ticker, bench, draws).run()[: len(seeds)]
+        departures = Departures(self.recovery, len(lanes)) if self.recovery is not None else None
+        return Lockstep(ticker, bench, draws, departures).run()[: len(seeds)]
 
     def margins(self) -> Margins:
         """Return the margins of gain, delay and lag along the reference.

@@ -1,6 +1,6 @@
 """The closed loop of many simulated runs in lockstep.
 
-One call computes a tick of all runs.
+One call computes a tick of all runs. A run that would brake, fly back or resume elsewhere leaves the others.
 """
 
 from collections.abc import Sequence
@@ -8,29 +8,37 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dpcontrol.control.tick import Outcome, Report
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.causes import Cause
-from dpcontrol.logs import Event
+from dpcontrol.logs import Event, Stretch
 from dpcontrol.loop.bench import BenchDraw
 from dpcontrol.loop.own import LARGEST, wrong_command
+from dpcontrol.loop.recovery import Departures
 from dpcontrol.loop.result import BatchRun, JudgedTicks, ended
 from dpcontrol.loop.simulated import BatchBench
 from dpcontrol.loop.ticker import Ticker
 
 
 class Lockstep:
-    """The closed loop of many runs that advance tick by tick."""
+    """The closed loop of many runs that advance tick by tick.
 
-    def __init__(self, ticker: Ticker, bench: BatchBench, draws: Sequence[BenchDraw]) -> None:
-        self._ticker, self._bench, self._runs = ticker, bench, len(draws)
+    With `departures`, a run ends in which a recovery would act.
+    """
+
+    def __init__(
+        self, ticker: Ticker, bench: BatchBench, draws: Sequence[BenchDraw], departures: Departures | None = None
+    ) -> None:
+        self._ticker, self._bench, self._runs, self._departures = ticker, bench, len(draws), departures
         self._period, self._arms = ticker.program.period, ticker.program.model.arms
         noise = [draw.drawn("rate_noise") for draw in draws if "rate_noise" in draw.streams]
         self._rate_noise = np.stack(noise, axis=2) if noise else None
         self._alive, self._over = np.ones(self._runs, dtype=bool), False
         self._counts, self._stopped_at = [ticker.count] * self._runs, [ticker.count] * self._runs
         self._ends = [ended(Cause.FINISHED)] * self._runs
+        self._departed = np.zeros(self._runs, dtype=bool)
 
     def run(self) -> list[BatchRun]:
         """Run to the last tick, or until every run has ended."""
@@ -53,6 +61,8 @@ class Lockstep:
                 for lane, fault in bench.faults.items():
                     if self._ends[lane].name != fault.name:
                         self._end([lane], k + 1, fault)
+                if self._departures is not None:
+                    self._depart(self._departures.at(k, report, ticker), k)
                 if self._over:
                     break
         references = ticker.references
@@ -64,7 +74,19 @@ class Lockstep:
             )
             for lane in range(self._runs)
         ]  # fmt: skip
+        if self._departures is not None:
+            runs = [
+                replace(run, stretches=(Stretch(0, len(run.times), 0.0),), departed=departed)
+                for run, departed in zip(runs, self._departed.tolist(), strict=True)
+            ]
         return [replace(run, hardest=float(most)) for run, most in zip(runs, bench.hardest, strict=True)]
+
+    def _depart(self, lanes: NDArray[np.bool_], k: int) -> None:
+        """End runs in which a recovery would act at tick k."""
+        now = lanes & self._alive
+        if now.any():
+            self._departed |= now
+            self._end(now, k + 1, self._ends[0])
 
     def _check(self, k: int, commands: Array) -> None:
         """End runs whose symbolic law returned an invalid command, m/s²."""
@@ -79,6 +101,9 @@ class Lockstep:
             outcome = Outcome(int(outcomes[lane]))
             if outcome is Outcome.RESTART:
                 rows.without_nis(k, lane)
+                continue
+            if self._departures is not None:
+                self._depart(np.arange(self._runs) == lane, k)
                 continue
             self._ends[lane] = ended(Cause[outcome.name], self._ticker.figures(k, lane))
             self._stopped_at[lane] = k

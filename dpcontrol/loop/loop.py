@@ -492,7 +492,7 @@ class LoopSettings(Settings, table="run"):
 
     @property
     def lockstep(self) -> bool:
-        """True if runs of these settings can be computed in lockstep.
+        """True if runs of these settings can be computed in lockstep, up to a flight.
 
         The law must support it too.
         """
@@ -500,7 +500,7 @@ class LoopSettings(Settings, table="run"):
         faults = sensors.missed_counts or np.isfinite(sensors.stuck_at)
         hands_over = self.keep != "none" or supervisor.hold != "none" or supervisor.resynchronise
         compiled = isinstance(self.estimator, EkfSettings) and not isinstance(self.controller, OwnLaw)
-        return compiled and self._own_plant is None and not faults and not hands_over and not self.flies
+        return compiled and self._own_plant is None and not faults and not hands_over and self.start == "planned"
 
     @property
     def flies(self) -> bool:

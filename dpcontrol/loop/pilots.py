@@ -16,8 +16,8 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from dpcontrol.control.flight import BRAKING_GAINS, STEPS, FlightPlanner, Flights
-from dpcontrol.control.interface import clip_number, sampled_model
+from dpcontrol.control.flight import STEPS, FlightPlanner, Flights, braking_gains
+from dpcontrol.control.interface import clip_number, sampled_model, with_dry_friction
 from dpcontrol.control.tracking import TickedMotion, TrackingController, TvlqrSettings, tracked
 from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.foundation.arrays import Array
@@ -119,7 +119,9 @@ class DirectPilot:
         self.briefing, rate, lag = briefing, briefing.rate, briefing.lag
         self._model = sampled_model(briefing.arms, rate, lag)
         self._coarse = sampled_model(briefing.arms, rate / max(1, round(rate / _GAINS)), lag)
-        self._planner = FlightPlanner(self._model, briefing.limits)
+        arms = with_dry_friction(briefing.arms, rate)
+        self._usual, self._braking = FlightPlanner(arms, briefing.limits), braking_gains(arms)
+        self._planner = self._usual
         self._answer: Answer | None = None
 
     def ask(self, request: Request) -> None:
@@ -128,9 +130,9 @@ class DirectPilot:
         Args:
             request: states and goal.
         """
-        # The planner shares the array of its model.
         for model in (self._model, self._coarse):
             model.parameters[:] = request.parameters
+        self._planner = self._usual.like(request.parameters)
         goal, course = self.briefing.goals[request.goal].until(request.latest), request.course
         coming = self._predicted(request)
         if course is not None and self._lands(course, coming[-1], request.first + request.ticks - request.lead, goal):
@@ -150,7 +152,7 @@ class DirectPilot:
         for tick in range(request.first, request.first + request.ticks):
             state = path[-1]
             if request.course is None:
-                command = -float(np.dot(BRAKING_GAINS, state[-2:]))
+                command = -float(self._braking @ state[-2:])
             else:
                 law = request.course.law
                 at = min(tick, len(law.feedforward) - 1)

@@ -31,11 +31,13 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from dpcontrol.control.flight import BRAKING_GAINS, JOINED
+from dpcontrol.control.flight import JOINED, braking_gains
 from dpcontrol.control.interface import Controller, GainSchedule, SampledModel, whole_turns
 from dpcontrol.control.lqr import HoldController
 from dpcontrol.control.tick import BRAKING, Report
+from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.causes import Cause
 from dpcontrol.foundation.shown import Brief
@@ -43,6 +45,7 @@ from dpcontrol.logs import CATCH, FLIGHT, LAP, RESUME, RETURN, Event, Stretch
 from dpcontrol.loop.pilots import THINKING, Briefing, Course, Pilot, Request
 from dpcontrol.loop.targets import SETTLES, Reach, padded
 from dpcontrol.loop.ticker import Ticker
+from dpcontrol.references.content import PlanSymbol, numbered
 from dpcontrol.references.problem import Limits
 
 _SETTLING = 0.03
@@ -108,14 +111,15 @@ def braking_bounds(limits: Limits) -> Mapping[str, float]:
     }  # fmt: skip
 
 
-def braking_controller(model: SampledModel) -> HoldController:
+def braking_controller(arms: ArmChainParameters, model: SampledModel) -> HoldController:
     """Return the law that brakes the cart towards the middle of its track, whatever the arms do.
 
     Args:
+        arms: the arms.
         model: model of arms and drive from tick to tick.
     """
     gain = np.zeros(model.dimension)
-    gain[-2:] = BRAKING_GAINS
+    gain[-2:] = braking_gains(arms)
     ticks = max(round(_BRAKING_SECONDS / model.period), 1)
     return HoldController("brake", np.zeros(model.dimension), gain, ticks, "", 0.0 if model.lag else None)
 
@@ -157,8 +161,8 @@ class RecoveryPlan(Brief):
     pilot: Pilot
     names: tuple[str, ...]
     """Names of the stops."""
-    symbols: tuple[str, ...]
-    """Texts of the symbols, one fewer than the names."""
+    symbols: tuple[PlanSymbol, ...]
+    """The symbols and transfers, one fewer than the names."""
     path: Array
     """Path (M, n) of the last stop's orbit modulo whole turns, rad."""
     period: float
@@ -174,6 +178,40 @@ class RecoveryPlan(Brief):
     """Maximum attempts per symbol; 0 for no limit."""
     anywhere: bool = False
     """True if the run begins with a flight."""
+
+    def samples(self) -> deque[Array]:
+        """Return an empty record of the angles in the last period of the last stop's orbit."""
+        return deque(maxlen=max(round(self.period / self.model.period / _EVERY), 1))
+
+    def away(self, angles: Sequence[Array], end: Array) -> float:
+        """Return the greatest distance from the last stop's orbit, rad.
+
+        Args:
+            angles: angles (n,) in its last period, rad.
+            end: last angles (n,) of the reference, rad.
+        """
+        path = self.path + whole_turns(end - self.path.mean(axis=0))
+        return float(np.abs(np.array(angles)[:, None] - path).max(axis=2).min(axis=1).max())
+
+    def fastest(self, planned: Any) -> Any:
+        """Return the speed at which a cart runs away: near its maximum, if the reference is slower, m/s.
+
+        Args:
+            planned: velocity of the reference, m/s.
+        """
+        most = self.briefing.limits.velocity
+        return max(_FAST * most, abs(planned) + (1 - _FAST) * most)
+
+    def earlier(self, state: Array, here: int, cost: float) -> tuple[int, float] | None:
+        """Return an earlier place of the reference that is much nearer, and the cost-to-go to it, or None.
+
+        Args:
+            state: state (N,).
+            here: present place.
+            cost: cost-to-go to the present place.
+        """
+        place, least = self.reach.nearest(state, here, worth=_WORTH / (self.reach.every * self.model.period))
+        return (place, least) if least < _NEARER * cost else None
 
 
 _NEVER = -1
@@ -211,7 +249,7 @@ class FallRecovery:
         self._meets: int | None = None
         self._seen = 0, 0.0
         self._arms = len(main.first_state) // 2 - 1
-        self._latest: deque[Array] = deque(maxlen=max(round(plan.period / plan.model.period / _EVERY), 1))
+        self._latest = plan.samples()
 
     def stretches(self, end: int) -> tuple[Stretch, ...]:
         """Return the intervals on the itinerary up to the tick `end`.
@@ -242,9 +280,12 @@ class FallRecovery:
 
     def _progress(self) -> Mapping[str, Any]:
         """Return the next symbol, 0 at the last stop, and the number of this attempt."""
+        return {"at": self._at, "attempt": self._attempts.get(self._stop, 0) + 1, **self._next()}
+
+    def _next(self) -> Mapping[str, Any]:
+        """Return the figures of the next symbol, none at the last stop."""
         symbols, place = self._plan.symbols, self._stop
-        attempt = {"at": self._at, "symbols": len(symbols), "attempt": self._attempts.get(self._stop, 0) + 1}
-        return attempt if place == len(symbols) else {**attempt, "symbol": place + 1, "name": symbols[place]}
+        return numbered(symbols, place) if place < len(symbols) else {}
 
     def _resumed(self) -> Event:
         begins, self._begins = self._begins, False
@@ -255,21 +296,18 @@ class FallRecovery:
     def runs_off(self, k: int, report: Report, ticker: Ticker) -> Mapping[str, float]:
         """Return the figures of a fall if the cart runs away, otherwise none.
 
-        A cart runs away near its maximum speed, if the reference is slower.
-
         Args:
             k: tick.
             report: report of the tick.
             ticker: ticker of the run.
         """
-        fastest, place = self._plan.briefing.limits.velocity, 2 * self._arms + 1
-        speed = abs(report.state.item(place, 0))
-        if speed < _FAST * fastest or self.motion is not Motion.ITINERARY:
+        place = 2 * self._arms + 1
+        if self.motion is not Motion.ITINERARY:
             return {}
-        planned = abs(float(ticker.references[k - ticker.began, place]))
-        if speed < planned + (1 - _FAST) * fastest:
+        speed, planned = abs(report.state.item(place, 0)), ticker.references.item(k - ticker.began, place)
+        if speed < self._plan.fastest(planned):
             return {}
-        return {"time": k * ticker.program.period, "fast": speed, "planned": planned}
+        return {"time": k * ticker.program.period, "fast": speed, "planned": abs(planned)}
 
     def fell(
         self, k: int, cause: Cause, figures: Mapping[str, Any], ticker: Ticker, period: float
@@ -315,7 +353,7 @@ class FallRecovery:
         self._brake(k, ticker, still=lost)
         if self._tries >= _MOST_TRIES:
             return None
-        next_symbol = {"again": 0 if plan.restarts else self._stop + 1, "symbols": len(plan.symbols)}
+        next_symbol = {"again": 0 if plan.restarts else self._stop + 1, **self._next()}
         name = RETURN if before is Motion.ITINERARY else FLIGHT
         return [_event("warn", name, cause, {**figures, **next_symbol})] if logged else []
 
@@ -464,14 +502,14 @@ class FallRecovery:
         plan, reach, n = self._plan, self._plan.reach, self._arms
         state = report.state[:, 0]
         here = min(round((self._at / period + k - self._joins) / reach.every), len(reach.states) - 1)
-        own = reach.cost(state, here)
+        own = reach.costs_at(state[None], here).item()
         self._near = self._near or not own > _FAR
         # Only after the run has been near again; otherwise it could be sent back repeatedly.
         if not own > _FAR or not self._near:
             return ()
-        place, least = reach.nearest(state, here, worth=_WORTH / (reach.every * period))
-        if not least < _NEARER * own:
+        if (nearer := plan.earlier(state, here, own)) is None:
             return ()
+        place, least = nearer
         back, tick = (here - place) * reach.every * period, place * reach.every + 1
         stop = max(
             (stop for stop, goal in enumerate(plan.briefing.goals[:-1]) if goal.at[0] <= tick * period), default=0
@@ -528,9 +566,7 @@ class FallRecovery:
 
         It must be held until the reference ends.
         """
-        seen, end = np.array(self._latest), ticker.references[-1, : self._arms]
-        path = self._plan.path + whole_turns(end - self._plan.path.mean(axis=0))
-        away = float(np.abs(seen[:, None] - path).max(axis=2).min(axis=1).max())
+        away = self._plan.away(self._latest, ticker.references[-1, : self._arms])
         if away <= _HELD:
             return ()
         return self.fell(k, Cause.NOT_HELD, {"away": away}, ticker, ticker.program.period) or ()
@@ -570,6 +606,43 @@ class FallRecovery:
         self._tries = 0
         self._brake(k, ticker)
         return [_event("info", RETURN, Cause.LAP_DONE, {"lap": self._lap - 1})]
+
+
+class Departures:
+    """Finds the runs in lockstep in which a recovery would act at a tick; they are run alone instead.
+
+    Args:
+        plan: data of the recovery.
+        runs: number of runs.
+    """
+
+    def __init__(self, plan: RecoveryPlan, runs: int) -> None:
+        self._plan, self._near, self._latest = plan, np.zeros(runs, dtype=bool), plan.samples()
+
+    def at(self, k: int, report: Report, ticker: Ticker) -> NDArray[np.bool_]:
+        """Return True (S,) for runs that run away, that are nearer to an earlier place, or that missed the last stop.
+
+        Args:
+            k: tick.
+            report: report of the tick, parts (length, S).
+            ticker: ticker of the runs.
+        """
+        plan, states, references = self._plan, report.state, ticker.references
+        arms = len(states) // 2 - 1
+        departs = ~(np.abs(states[-1]) < plan.fastest(references.item(k, 2 * arms + 1)))
+        if not k % _EVERY:
+            self._latest.append(states[:arms].copy())
+            here = min(round(k / plan.reach.every), len(plan.reach.states) - 1)
+            costs = plan.reach.costs_at(states.T, here)
+            far = costs > _FAR
+            self._near |= ~far
+            for lane in np.flatnonzero(far & self._near & ~departs).tolist():
+                departs[lane] = plan.earlier(states[:, lane], here, costs.item(lane)) is not None
+        if k + 1 == ticker.count:
+            seen, end = np.array(self._latest), references[-1, :arms]
+            for lane in np.flatnonzero(~departs).tolist():
+                departs[lane] = not plan.away([*seen[:, :, lane]], end) <= _HELD
+        return departs
 
 
 def meeting_tick(references: Array, ticks: int) -> int | None:

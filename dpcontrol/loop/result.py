@@ -448,7 +448,8 @@ class BatchRun(Ended):
 
     Units are SI.
 
-    times (K,). truth (K, 2n+2). references (K, n): angles. applied (K,). Others: see `LoopResult`.
+    times (K,). truth (K, 2n+2). references (K, n): angles. applied (K,). departed: True for a run that is only known
+    until its recovery would act. Others: see `LoopResult`.
     """
 
     times: Array
@@ -460,6 +461,7 @@ class BatchRun(Ended):
     falls: int = 0
     stretches: tuple[Stretch, ...] = ()
     hardest: float | None = None
+    departed: bool = False
 
     @classmethod
     def of(cls, result: LoopResult) -> "BatchRun":

@@ -34,15 +34,17 @@ class Reach(Brief):
     states: Array
     costs: Array
 
-    def cost(self, state: Array, place: int) -> float:
-        """Return the cost-to-go to a place, modulo whole turns.
+    def costs_at(self, states: Array, place: int) -> Array:
+        """Return the costs-to-go (S,) to a place, modulo whole turns.
 
         Args:
-            state: state (N,).
+            states: states (S, N).
             place: index of the place.
         """
-        away = self._away(state, slice(place, place + 1))[0]
-        return float(away @ self.costs[place] @ away)
+        away = states - self.states[place]
+        n = states.shape[1] // 2 - 1
+        away[:, :n] -= whole_turns(away[:, :n])
+        return np.einsum("si,ij,sj->s", away, self.costs[place], away)
 
     def nearest(self, state: Array, last: int, *, worth: float) -> tuple[int, float]:
         """Return the place with the least cost, and that cost.
@@ -54,20 +56,16 @@ class Reach(Brief):
             last: index of the last place that is considered.
             worth: number of places after which the cost doubles.
         """
-        away = self._away(state, slice(last + 1))
+        n = len(state) // 2 - 1
+        away = state - self.states[: last + 1]
+        away[:, :n] -= whole_turns(away[:, :n])
         # Quadratic forms for all places would take longer than a tick.
-        near = np.flatnonzero(np.abs(away[:, : len(state) // 2 - 1]).max(axis=1) < _NEAR)
+        near = np.flatnonzero(np.abs(away[:, :n]).max(axis=1) < _NEAR)
         if not near.size:
             return last, math.inf
         costs = np.einsum("ki,kij,kj->k", away[near], self.costs[near], away[near]) * (1 + (last - near) / worth)
         least = int(np.argmin(costs))
         return int(near[least]), float(costs[least])
-
-    def _away(self, state: Array, places: slice) -> Array:
-        n = len(state) // 2 - 1
-        away = state - self.states[places]
-        away[:, :n] -= whole_turns(away[:, :n])
-        return away
 
 
 @dataclass(frozen=True, eq=False)

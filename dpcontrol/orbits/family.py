@@ -20,11 +20,10 @@ Sources: Doedel et al., Computation of periodic solutions of conservative system
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
+from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
@@ -33,8 +32,9 @@ from dpcontrol.foundation.checked import checked
 from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress, no_progress
-from dpcontrol.foundation.settings import check_names
-from dpcontrol.foundation.shown import Brief, Shown, pandas_classes
+from dpcontrol.foundation.rendering import DataFrame
+from dpcontrol.foundation.settings import check_choice
+from dpcontrol.foundation.shown import Brief, Shown, data_frame
 from dpcontrol.orbits.lyapunov import (
     LinearCentre,
     LyapunovOrbit,
@@ -44,9 +44,6 @@ from dpcontrol.orbits.lyapunov import (
     symmetric_shooting,
 )
 from dpcontrol.words.searches import Concluded, family_sentence
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
 
 SLOPE = "slope"
 """Measure of every point: the scaled derivative of the energy along the curve, zero at a fold."""
@@ -169,6 +166,8 @@ class FamilyCurve(Brief):
             length: range of the search from `start`, in units of the weights.
             value: continuous function of a point.
         """
+
+        from scipy.optimize import brentq
 
         def at(h: float) -> float:
             point = start if h == 0 else self.step(start, h)
@@ -452,7 +451,7 @@ class Family(Shown, Generic[Member]):
         """Floquet multipliers (K, …), largest first in each row."""
         return self.column("floquet_multipliers")
 
-    def frame(self) -> "DataFrame":
+    def frame(self) -> DataFrame:
         """Return a pandas table, one row per member.
 
         Energy, period and the largest multiplier's modulus.
@@ -461,7 +460,7 @@ class Family(Shown, Generic[Member]):
             PartMissing: pandas is not installed.
         """
         sizes = np.abs(self.floquet_multipliers[:, 0])
-        return pandas_classes()[0]({"energy": self.energies, "period": self.periods, "multiplier": sizes})
+        return data_frame({"energy": self.energies, "period": self.periods, "multiplier": sizes})
 
     @checked
     def column(self, name: str) -> NDArray[Any]:
@@ -474,7 +473,7 @@ class Family(Shown, Generic[Member]):
             InputError: unknown attribute.
         """
         known = [one for one in dir(self.members[0]) if not one.startswith("_")]
-        check_names("attribute", [name], known)
+        check_choice("attribute", known, name)
         return np.array([getattr(member, name) for member in self.members])
 
 

@@ -17,7 +17,7 @@ from dpcontrol.foundation.budget import SECONDS, Budget
 from dpcontrol.foundation.checked import Count, Hit, Positive, checked
 from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.progress import Reporting, reporting
+from dpcontrol.foundation.progress import Reporting
 from dpcontrol.foundation.shown import Shown
 from dpcontrol.orbits.cut import MOST_PERIODS, Cut, CutSettings, Piece, Sampler, section_points, tube_cut
 from dpcontrol.orbits.manifold import UnstableManifold, local_manifold
@@ -120,8 +120,7 @@ class Tube(Shown, Documented):
         settings = CutSettings(longest=longest)
         if longest is not None and longest > MOST_PERIODS:
             raise InputError(f"longest = {longest:g}: must be at most {MOST_PERIODS:g} periods of the orbit")
-        with reporting(progress, "cut") as report:
-            cut = tube_cut(self.manifold, section, hit=hit, settings=settings, budget=Budget(seconds), progress=report)
+        cut = tube_cut(self.manifold, section, hit=hit, settings=settings, budget=Budget(seconds), progress=progress)
         pieces = [piece for piece in cut.pieces if piece.branch in self.branches]
         ends = tuple(end for end in cut.open_ends if end.branch in self.branches)
         pieces = tuple(self.placed(piece, section) for piece in pieces)

@@ -26,7 +26,7 @@ from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress
 from dpcontrol.judge.of_log import reference_view
 from dpcontrol.judge.run_view import RunView
 from dpcontrol.pages import style
-from dpcontrol.pages.layout import Page, cropped, key
+from dpcontrol.pages.layout import Page, key
 from dpcontrol.pages.planes import Range, arm_points
 from dpcontrol.pages.story import add_story
 from dpcontrol.references.reference import Reference
@@ -142,8 +142,8 @@ def film_times(view: RunView, *, frames: int) -> Array:
 
 RATE = 25
 """Frames per second."""
-_INCHES, _SCENE = 7.2, 3.7
-"""Width of a film, and height of the pendulum's view."""
+_INCHES, _HIGHEST = 7.2, 4.8
+"""Width of a film, and greatest height of the pendulum's view."""
 _PIXELS = 100
 """Pixels per inch."""
 _TRACK = "#dfe3e7"
@@ -171,8 +171,9 @@ class Film:
         posed = np.isfinite(view.state[rows, : view.arms]).all(axis=1) & np.isfinite(self.pivots[rows])
         self.rows: NDArray[np.int64] = np.where(near & posed, rows, -1)
         page = Page("", width=_INCHES)
-        page.text(cropped(view.title, style.VERDICT, _INCHES - 0.4), colour=style.INK, size=style.VERDICT)
-        page.row(self._draw_scene, height=_SCENE)
+        page.text(view.title, colour=style.INK, size=style.VERDICT)
+        (left, right), (low, high) = box = self._box()
+        page.row(partial(self._draw_scene, box=box), height=_INCHES * (high - low) / (right - left))
         add_story(page, view, span=stretch)
         figure = page.figure()
         figure.set_dpi(_PIXELS)
@@ -183,9 +184,18 @@ class Film:
         self.scene.autoscale(False)
         self._static = {artist for axes in figure.axes for artist in axes.get_children()}
 
-    def _draw_scene(self, axes: Axes) -> None:
-        view, reach = self.view, 1.12 * sum(self.view.arm_lengths)
-        pivots = np.append(self.pivots[self.rows[self.rows >= 0]], [] if (self.rows >= 0).any() else 0.0)
+    def _box(self) -> tuple[Range, Range]:
+        """Return the ranges of the pendulum's view, m: all places of the cart and the arms, as large as possible."""
+        view, reach, rows = self.view, 1.12 * sum(self.view.arm_lengths), self.rows[self.rows >= 0]
+        pivots = self.pivots[rows] if rows.size else np.zeros(1)
+        heights = arm_points(view.state[rows, : view.arms], view.arm_lengths)[..., 1]
+        low, high = float(heights.min(initial=0.0)) - 0.12 * reach, float(heights.max(initial=0.0)) + 0.12 * reach
+        middle = float(pivots.min() + pivots.max()) / 2
+        half = max(float(np.ptp(pivots)) / 2 + reach, (high - low) * _INCHES / _HIGHEST / 2)
+        return (middle - half, middle + half), (low, high)
+
+    def _draw_scene(self, axes: Axes, box: tuple[Range, Range]) -> None:
+        view, reach = self.view, sum(self.view.arm_lengths)
         axes.set_aspect("equal", adjustable="datalim")
         axes.axis("off")
         entries: list[tuple[str, str | dict[str, Any]]] = []
@@ -198,10 +208,9 @@ class Film:
             axes.vlines([-view.limits[0], view.limits[0]], -0.08 * reach, 0.08 * reach, **look)
             entries.append(("the cart's limit", look))
         key(axes, entries)
-        middle, half = (pivots.min() + pivots.max()) / 2, max(np.ptp(pivots) / 2 + reach, reach * _INCHES / _SCENE)
-        axes.set_xlim(float(middle - half), float(middle + half))
+        axes.set_xlim(*box[0])
         # The aspect may extend this range.
-        axes.set_ylim(-half * _SCENE / _INCHES, half * _SCENE / _INCHES, auto=True)
+        axes.set_ylim(*box[1], auto=True)
 
     def frame(self, number: int) -> Image.Image:
         """Return a frame, counted from zero."""
@@ -384,8 +393,11 @@ def _cell(axes: Axes, view: RunView, transfer: Range | None, box: Range, *, titl
     axes.spines[:].set_visible(True)
     axes.grid(False)
     axes.set_title(title, loc="center")
-    upright = {"rotation": 0, "ha": "right", "va": "center"}
-    axes.set_ylabel(name.replace("-", "\n"), fontsize=style.HEAD, color=style.INK, **upright)
+    look: dict[str, Any] = {"fontsize": style.HEAD, "ha": "right", "va": "center"}
+    # Invisible labels of equal width keep the columns below one another.
+    axes.set_ylabel("down" if name else "", rotation=0, alpha=0.0, **look)
+    beside: dict[str, Any] = {"xycoords": "axes fraction", "xytext": (-5, 0), "textcoords": "offset points", **look}
+    axes.annotate(name.replace("-", "\n"), (0.0, 0.5), color=style.INK, **beside).set_in_layout(False)
     if transfer is None:
         return
     rows, cart = _ways(view, transfer)

@@ -30,13 +30,11 @@ from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.references.find import smooth_guess
 from dpcontrol.references.method import Method, method_named
-from dpcontrol.references.problem import Limits
+from dpcontrol.references.problem import NATURAL_TIME, Limits
 from dpcontrol.references.trajectory import Trajectory, even_mesh, times_on
 
 CART_WEIGHT = 100.0
 """Weight w of the cart's squared distance from the middle, beside u², 1/s⁴."""
-NATURAL_TIME, GRAVITY = 1.1002616586, 9.8085802336215
-"""Natural time, s, and gravity, m/s², of the laboratory's arms."""
 _PUSHES = ((0.0, 0.0, 0.0), (2.5, 0.5, 0.0), (2.5, 1.0, 0.0), (5.0, 1.6, 0.25), (5.0, 2.0, 0.25))
 """First inputs: amplitude, m/s², swings per natural time, and phase in turns.
 
@@ -51,52 +49,6 @@ _TRIED = 4
 """Number of flights from which collocation starts."""
 
 
-@dataclass(frozen=True)
-class Scale:
-    """Factors from a transfer's own units to those of the laboratory's arms.
-
-    Attributes:
-        length: factor on lengths.
-        time: factor on times.
-    """
-
-    length: float
-    time: float
-
-    @classmethod
-    def of(cls, arms: ArmChainParameters) -> "Scale":
-        """Return the factors that give arms the laboratory's natural time and gravity.
-
-        Args:
-            arms: the arms.
-        """
-        time = NATURAL_TIME / arms.natural_time
-        return cls(GRAVITY / arms.gravity * time**2, time)
-
-    @property
-    def acceleration(self) -> float:
-        """Factor on accelerations."""
-        return self.length / self.time**2
-
-    def state(self, arms: int) -> Array:
-        """Return the factors (2n+2,) on a state.
-
-        Args:
-            arms: number n of arms.
-        """
-        return np.array([1.0] * arms + [1 / self.time] * arms + [self.length, self.length / self.time])
-
-    def limits(self, limits: Limits, share: float = 1.0) -> Limits:
-        """Return a share of the cart's limits in the laboratory's units.
-
-        Args:
-            limits: limits of the cart.
-            share: the share.
-        """
-        bounds = np.array([limits.position, limits.velocity, limits.acceleration, limits.jerk])
-        return Limits(*(share * self.length / self.time ** np.arange(4) * bounds).tolist())
-
-
 def coarse(arms: int) -> Method:
     """Return the collocation method of first motions. Three arms swing faster, and would gain energy between points.
 
@@ -107,14 +59,13 @@ def coarse(arms: int) -> Method:
 
 
 @lru_cache(maxsize=2)
-def programs(equations: Equations) -> tuple[SampledModel, FlightPlanner]:
-    """Return a model and a planner whose programs serve all arms of these equations.
+def sampled(equations: Equations) -> SampledModel:
+    """Return a model that serves all arms of these equations.
 
     Args:
         equations: equations with a cart.
     """
-    model = SampledModel(equations, np.ones(equations.parameters.numel()), period=PERIOD)
-    return model, FlightPlanner(model, Limits())
+    return SampledModel(equations, np.ones(equations.parameters.numel()), period=PERIOD)
 
 
 @dataclass(frozen=True)
@@ -157,7 +108,7 @@ class Way:
             GoalMissed: it cannot be stabilised.
         """
         last = self.mirror * (self.start if self.backwards else self.end)
-        model, _ = programs(equations_of(self.arms, Level.CART))
+        model = sampled(equations_of(self.arms, Level.CART))
         a, b = (found[0] for found in model.linearised(last[None], np.zeros(1), parameters=self.parameters))
         diagonal, effort = TvlqrSettings().weights(self.arms.count, PERIOD)
         cost = terminal_cost(a, b, weights=np.diag(diagonal), effort=effort)
@@ -176,8 +127,8 @@ class Way:
         turns = np.linspace(0.0, 1.0, STEPS, endpoint=False)[:, None, None] * durations[:, None] / NATURAL_TIME
         amplitudes, rates, phases = np.array(_PUSHES).T
         inputs = (amplitudes * np.sin(2 * np.pi * (rates * turns + phases))).reshape(STEPS, -1)
-        _, planner = programs(equations_of(self.arms, Level.CART))
-        planner = planner.like(self.parameters, self.limits, room=self.room, centring=CART_WEIGHT if fixed else 0.0)
+        planner = FlightPlanner(self.arms, self.limits).like(self.parameters)
+        planner = planner.within(self.room, centring=CART_WEIGHT if fixed else 0.0)
         begin = self.mirror * (self.end if self.backwards else self.start)
         found = planner.timed(begin, self.target(), np.repeat(durations, len(_PUSHES)), inputs, fixed=fixed)
         found = found.picked(found.reached)

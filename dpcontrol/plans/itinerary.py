@@ -65,10 +65,10 @@ def _part(part: Part, system: System) -> Part:
     """
     points, saddles = equilibria(system), system.saddles
     if isinstance(part, HoldPart):
-        check_choice("hold", part.hold, points)
+        check_choice("hold", points, part.hold)
         return part
     if isinstance(part, OrbitPart):
-        check_choice("orbit", part.orbit, saddles)
+        check_choice("orbit", saddles, part.orbit)
         visited = [part.orbit]
     else:
         # A walk that is impossible at any energy is reported first.
@@ -163,12 +163,11 @@ def _completed(document: Mapping[str, Any]) -> dict[str, Any]:
         stays = document.get("finish") != "rest" and not document.get("cart")
         held = out.get("start") == "hold" and "parts" not in document and stays
         out["controller"] = {"kind": "lqr" if held else kept, **controller}
-    if "parts" not in document:
-        keys = [key for kind in _PARTS.values() for key in leaves_of(kind)]
+    keys = [key for kind in _PARTS.values() for key in leaves_of(kind)]
+    meant = {key: key if key in keys else nearest(key, [*FILE.keys, *keys]) for key in document if key not in FILE.keys}
+    if "parts" not in (*document, *meant.values()):
         # The part reports a misspelling of its keys.
-        out[""] = {
-            key: out.pop(key) for key in document if key not in FILE.keys and (key in keys or nearest(key, keys))
-        }
+        out[""] = {key: out.pop(key) for key, known in meant.items() if known in keys}
     return out
 
 
@@ -229,7 +228,7 @@ def _of_kind(role: str, value: Any, now: Any) -> Any:
             return OwnEstimator(kind=own.name, own=own)
         return (OwnExpressions if own.symbolic else OwnLaw)(own.name, own)
     kinds: Mapping[str, Any] = {"controller": CONTROLLERS, "estimator": ESTIMATORS}[role]
-    check_choice(role, value, kinds)
+    check_choice(role, kinds, value)
     return now if value == now.kind else kinds[value]()
 
 
@@ -403,9 +402,9 @@ def load_itinerary(name: str) -> Itinerary:
         return stored_itinerary(Path(name), load_reference(Path(name)))
     path = find("itineraries", name)
     document, text = read_toml(path)
-    scene = _itinerary(document, text, path)
-    scene.remark_on_rig()
-    return scene
+    itinerary = _itinerary(document, text, path)
+    itinerary.remark_on_rig()
+    return itinerary
 
 
 def stored_itinerary(file: Path, reference: Reference) -> Itinerary:

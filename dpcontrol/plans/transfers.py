@@ -37,12 +37,10 @@ from dpcontrol.foundation.processes import in_processes, processors
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.plans.candidates import (
     CART_WEIGHT,
-    NATURAL_TIME,
     PERIOD,
-    Scale,
     Way,
     flights_between,
-    programs,
+    sampled,
     smooth_motions,
 )
 from dpcontrol.plans.itinerary import Itinerary
@@ -50,7 +48,15 @@ from dpcontrol.plans.layout import GENTLE, SHORTEST, Pace
 from dpcontrol.references.content import TransferCost
 from dpcontrol.references.ending import ReferenceEnding
 from dpcontrol.references.find import refined_transfer, wanting
-from dpcontrol.references.problem import PLANNING, EndConditions, Limits, ReferenceProblem, ReferenceSettings
+from dpcontrol.references.problem import (
+    NATURAL_TIME,
+    PLANNING,
+    EndConditions,
+    Limits,
+    ReferenceProblem,
+    ReferenceSettings,
+    Scale,
+)
 from dpcontrol.references.reference import Reference, load_reference, save_reference
 from dpcontrol.references.trajectory import Trajectory
 from dpcontrol.references.transcription import solve
@@ -178,8 +184,7 @@ def _sought(
     wanted: Sequence[Transfer], workers: int, progress: Progress
 ) -> Iterator[tuple[Transfer, tuple[bytes, str]]]:
     if workers > 1 and len(wanted) > 1:
-        remedy = "Those that were found are kept: run the same command again, with fewer --workers"
-        return in_processes(search, wanted, min(workers, len(wanted)), remedy=remedy)
+        return in_processes(search, wanted, min(workers, len(wanted)))
     parts = (part_of(progress, k / len(wanted), (k + 1) / len(wanted)) for k in range(len(wanted)))
     return ((one, search(one, here)) for one, here in zip(wanted, parts, strict=True))
 
@@ -234,7 +239,7 @@ def find_transfer(wanted: Transfer, progress: Progress = no_progress) -> Referen
         for k, (first, end) in enumerate(firsts):
             progress("transfer", k / len(firsts))
             problem = _problem(arms, room, first, (start, end))
-            attempt = solve(problem, first, settings=_COARSE, limits=room)
+            attempt = solve(problem, first, settings=_COARSE, limits=room, search="rough")
             if attempt.succeeded:
                 solved.append((problem, attempt.trajectory))
             failed = attempt.outcome
@@ -311,7 +316,7 @@ def sensitivity(arms: ArmChainParameters, motion: Trajectory) -> float:
         arms: parameters of the arms.
         motion: motion of arms and cart.
     """
-    model, _ = programs(equations_of(arms, Level.CART))
+    model = sampled(equations_of(arms, Level.CART))
     count, n = max(round(motion.duration / PERIOD), 1), arms.count
     times = np.arange(count) * PERIOD
     states, commands = motion.state(times), motion.input(times + PERIOD / 2)[:, 0]

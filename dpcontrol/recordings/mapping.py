@@ -21,7 +21,7 @@ from pydantic import BeforeValidator
 
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.settings import Leaf, Setting, Settings, check_names
+from dpcontrol.foundation.settings import Leaf, Setting, Settings, check_choice
 from dpcontrol.foundation.shipped import MAPPINGS, mappings
 from dpcontrol.foundation.toml import Place, Table, read_toml, table_of
 
@@ -184,7 +184,7 @@ def load_mapping(name: str) -> Mapping:
     """
     path = Path(name)
     if path.suffix != ".toml":
-        check_names("mapping (a name, or a path that ends in .toml)", [name], mappings())
+        check_choice("mapping", mappings(), name)
         path = MAPPINGS / f"{name}.toml"
     top = Place(str(path))
     found = _FILE.read(read_toml(path)[0], top)

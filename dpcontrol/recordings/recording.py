@@ -25,7 +25,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -36,12 +36,10 @@ from dpcontrol.foundation.document import Documented, picked
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import content_hash
 from dpcontrol.foundation.progress import Cost
-from dpcontrol.foundation.shown import Brief, Timed, checked_times, pandas_classes
+from dpcontrol.foundation.rendering import DataFrame
+from dpcontrol.foundation.shown import Brief, Timed, checked_times, data_frame
 from dpcontrol.logs import Event, LogWriter, Mode, RunLog, check_replaced, control_fields, read_log
 from dpcontrol.logs.reader import segment_numbers
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
 
 KIND, REPLAYED = "recording", "replay"
 """The metadata `kind` of an imported log, and of a replay's log."""
@@ -114,7 +112,7 @@ class Recording(Timed):
         return np.stack([np.interp(checked_times(times), self.time, one) for one in measured], axis=-1)
 
     @checked
-    def frame(self, count: Count | None = None) -> "DataFrame":
+    def frame(self, count: Count | None = None) -> DataFrame:
         """Return a pandas table of angles, cart and segments.
 
         Args:
@@ -126,8 +124,7 @@ class Recording(Timed):
         """
         if count is not None:
             return super().frame(count)
-        data_frame, index = pandas_classes()
-        table = data_frame(self.states(self.time), columns=list(self.columns), index=index(self.time, name="time"))
+        table = data_frame(self.states(self.time), self.columns, times=self.time)
         table["segment"] = segment_numbers(self.segments, len(self.time))
         return table
 

@@ -5,7 +5,7 @@ the arrays under the names `orbit_K`, the K-th orbit's curve. So a log that hold
 reviewed without other files.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, ClassVar
 
@@ -78,6 +78,25 @@ class PlanSymbol:
     time_in: float = 0.0
     phase_out: float = 0.0
     phase_in: float = 0.0
+
+
+def numbered(symbols: Sequence[PlanSymbol], place: int) -> dict[str, Any]:
+    """Return the figures of a symbol among all symbols, or of a transfer among all transfers; none without symbols.
+
+    Args:
+        symbols: symbols and transfers in order.
+        place: place among them.
+    """
+    if not symbols:
+        return {}
+    transfers = [symbol.section is None for symbol in symbols]
+    alike = [k for k, transfer in enumerate(transfers) if transfer == transfers[place]]
+    return {
+        "motion": "transfer" if transfers[place] else "symbol",
+        "symbol": alike.index(range(len(symbols))[place]) + 1,
+        "symbols": len(alike),
+        "name": symbols[place].text,
+    }
 
 
 @dataclass(frozen=True, eq=False)

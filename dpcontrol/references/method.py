@@ -205,6 +205,7 @@ _FAMILIES = {"radau": (radau, 2), "gauss": (gauss, 1), "lobatto": (lobatto, 2)}
 """Methods named by a number of points, and the least number."""
 
 
+@cache
 def method_named(name: str) -> Method:
     """Return the method of a name.
 

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
+from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.dynamics.equations import Equations
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
@@ -37,6 +38,8 @@ SOLVERS = ("ipopt", "fatrop")
 ANGLE_SCALE = np.pi
 RATE_SCALE = 10.0
 CART_VELOCITY_SCALE = 3.0
+NATURAL_TIME, GRAVITY = 1.1002616586, 9.8085802336215
+"""Natural time, s, and gravity, m/s², of the laboratory's arms."""
 
 
 @dataclass(frozen=True)
@@ -74,6 +77,52 @@ class Limits(Settings, table="limits"):
 
 
 LIMIT_UNITS = {name: leaf.bounds.unit for name, leaf in leaves_of(Limits).items()}
+
+
+@dataclass(frozen=True)
+class Scale:
+    """Factors from a motion's own units to those of the laboratory's arms.
+
+    Attributes:
+        length: factor on lengths.
+        time: factor on times.
+    """
+
+    length: float
+    time: float
+
+    @classmethod
+    def of(cls, arms: ArmChainParameters) -> "Scale":
+        """Return the factors that give arms the laboratory's natural time and gravity.
+
+        Args:
+            arms: the arms.
+        """
+        time = NATURAL_TIME / arms.natural_time
+        return cls(GRAVITY / arms.gravity * time**2, time)
+
+    @property
+    def acceleration(self) -> float:
+        """Factor on accelerations."""
+        return self.length / self.time**2
+
+    def state(self, arms: int) -> Array:
+        """Return the factors (2n+2,) on a state.
+
+        Args:
+            arms: number n of arms.
+        """
+        return np.array([1.0] * arms + [1 / self.time] * arms + [self.length, self.length / self.time])
+
+    def limits(self, limits: Limits, share: float = 1.0) -> Limits:
+        """Return a share of the cart's limits in the laboratory's units.
+
+        Args:
+            limits: limits of the cart.
+            share: the share.
+        """
+        bounds = np.array([limits.position, limits.velocity, limits.acceleration, limits.jerk])
+        return Limits(*(share * self.length / self.time ** np.arange(4) * bounds).tolist())
 
 
 @dataclass(frozen=True, eq=False)

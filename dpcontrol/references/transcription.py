@@ -16,12 +16,15 @@ control problem solver (2023).
 """
 
 import time
-from typing import Any
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from dpcontrol.dynamics.equations import Equations
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.interrupts import catching_interrupts
@@ -39,25 +42,22 @@ from dpcontrol.references.trajectory import Solved, Trajectory
 Indices = NDArray[np.intp]
 
 
-def interval_derivatives(
-    interval: ca.Function, *, columns: Indices, lengths: Array, guess: Array, size: int
-) -> dict[str, Any]:
+def interval_derivatives(interval: ca.Function, *, columns: Indices, size: int) -> dict[str, Any]:
     """Return the program and its derivatives for `casadi.nlpsol`.
 
-    The derivatives are the options grad_f, jac_g and hess_lag. The program has x, f and g.
+    The derivatives are the options grad_f, jac_g and hess_lag. The program has x, f, g and p: the lengths of the
+    intervals (N,), s, and the guess (ng * N,), interval by interval.
 
     Constraints are ordered by interval.
 
     Args:
         interval: (v, length, guess) -> (constraints, cost) of one interval, SX.
         columns: indices (nv, N) of each interval's v among the variables. Neighbours can share the last block of v.
-        lengths: lengths of the intervals (N,), s.
-        guess: guess (ng, N).
         size: number of variables.
     """
     nv, intervals = columns.shape
     v, length = ca.SX.sym("v", nv), ca.SX.sym("length")
-    aim = ca.SX.sym("aim", guess.shape[0])
+    aim = ca.SX.sym("aim", interval.size1_in(2))
     constraints, cost = interval(v, length, aim)
     rows = constraints.shape[0]
     weight, multipliers = ca.SX.sym("weight"), ca.SX.sym("multipliers", rows)
@@ -68,9 +68,9 @@ def interval_derivatives(
     one_gradient = ca.Function("d", inputs, [cost, ca.densify(ca.gradient(cost, v))], {"cse": True})
     one_hessian = ca.Function("h", [*inputs, weight, multipliers], [hessian.nz[:]], {"cse": True})
 
-    x, p = ca.MX.sym("x", size), ca.MX.sym("p", 0)
+    x, p = ca.MX.sym("x", size), ca.MX.sym("p", intervals * (1 + aim.shape[0]))
     gathered = ca.reshape(x[columns.T.ravel().tolist()], nv, intervals)
-    fixed = [gathered, ca.DM(lengths).T, ca.DM(guess)]
+    fixed = [gathered, p[:intervals].T, ca.reshape(p[intervals:], aim.shape[0], intervals)]
     g, entries = one_jacobian.map(intervals)(*fixed)
     f, slopes = one_gradient.map(intervals)(*fixed)
     # Triplets of all intervals, interval by interval, in the order of the entries.
@@ -119,13 +119,17 @@ def _scattered(values: ca.MX, rows: Indices, columns: Indices, shape: tuple[int,
     return ca.MX(sparsity, ca.mtimes(ca.DM(gather, 1.0), values))
 
 
-def solver_options(settings: ReferenceSettings, *, warm: bool = False, far: bool = False) -> dict[str, Any]:
+Search = Literal["fresh", "warm", "far", "rough"]
+"""A search that starts from a solution on another mesh, which a large barrier would lose, is warm. From a start that is
+far from the solution, IPOPT adapts its barrier at each step. Solutions of rough searches are only compared."""
+
+
+def solver_options(settings: ReferenceSettings, *, search: Search = "fresh") -> dict[str, Any]:
     """Return casadi's options for IPOPT or fatrop.
 
     Args:
         settings: solver and iterations.
-        warm: True if the search starts from a solution on another mesh, which a large barrier would lose.
-        far: True if the solution is far from the start. IPOPT then adapts its barrier at each step.
+        search: kind of the search.
     """
     shared: dict[str, Any] = {"print_time": False, "error_on_fail": False}
     if settings.solver == "fatrop":
@@ -135,41 +139,44 @@ def solver_options(settings: ReferenceSettings, *, warm: bool = False, far: bool
             "print_level": 0,
             "sb": "yes",
             "max_iter": settings.iterations,
-            "tol": 1e-8,
-            "constr_viol_tol": 1e-10,
+            "tol": 1e-4 if search == "rough" else 1e-8,
+            "constr_viol_tol": 1e-6 if search == "rough" else 1e-10,
             # IPOPT would otherwise widen every bound by 1e-8 before it starts.
             "bound_relax_factor": 0.0,
-            "mu_init": 1e-6 if warm else 0.1,
-            "mu_strategy": "adaptive" if far else "monotone",
+            "mu_init": 1e-6 if search == "warm" else 0.1,
+            "mu_strategy": "adaptive" if search == "far" else "monotone",
         }
     return shared | {f"{settings.solver}.{name}": value for name, value in own.items()}
 
 
-def interval_function(problem: ReferenceProblem, method: Method, settings: ReferenceSettings) -> ca.Function:
+def interval_function(
+    equations: Equations, parameters: Sequence[float], limits: Limits, method: Method, settings: ReferenceSettings
+) -> ca.Function:
     """Return the function of one interval, states scaled.
 
     It maps (start, values, inputs, length, guess) to (defects, end, cost, jerk). values (nx, K): at the support but for
     its first place; guess (nz, K): at the points.
 
     Args:
-        problem: equations with nx states, nz of them of the pendulum.
+        equations: equations with nx states, nz of them of the pendulum.
+        parameters: base parameters (p,).
+        limits: limits of the cart, by which its state is scaled.
         method: collocation method with K points.
         settings: weights of the cost.
     """
-    e = problem.equations
-    count, nx, nz = len(method.points), e.dimension, problem.pendulum_dimension
-    scale = ca.DM(state_scale(nx, problem.limits))
+    count, nx, nz = len(method.points), equations.dimension, equations.dimension - 2
+    scale = ca.DM(state_scale(nx, limits))
     start, values = ca.SX.sym("start", nx), ca.SX.sym("values", nx, count)
     inputs, length = ca.SX.sym("inputs", 1, count), ca.SX.sym("length")
     guess = ca.SX.sym("guess", nz, count)
-    rate = e.function()
+    rate, numbers = equations.function(), ca.DM(parameters)
     supported = ca.horzcat(start, values)
     derivative = ca.mtimes(supported, ca.DM(method.differentiation).T)
     pendulum_scale = ca.DM([ANGLE_SCALE] * (nz // 2) + [RATE_SCALE] * (nz // 2))
     defects, cost = [], ca.SX(0)
     for k, place in enumerate(method.places):
         x = scale * supported[:, int(place)]
-        defects.append(derivative[:, k] - length * rate(x, inputs[:, k], ca.DM(problem.parameters)) / scale)
+        defects.append(derivative[:, k] - length * rate(x, inputs[:, k], numbers) / scale)
         away = (x[:nz] - guess[:, k]) / pendulum_scale
         running = inputs[0, k] ** 2 + settings.pendulum_weight * ca.sumsqr(away) + settings.cart_weight * x[nz] ** 2
         cost += length * float(method.weights[k]) * running
@@ -178,6 +185,40 @@ def interval_function(problem: ReferenceProblem, method: Method, settings: Refer
     jerk = ca.mtimes(inputs, ca.DM(slopes).T) / length
     outputs = [ca.vertcat(*defects), end, cost, jerk.T]
     return ca.Function("interval", [start, values, inputs, length, guess], outputs, {"cse": True})
+
+
+@lru_cache(maxsize=8)
+def _by_interval(
+    equations: Equations,
+    parameters: tuple[float, ...],
+    limits: Limits,
+    method: Method,
+    settings: ReferenceSettings,
+    intervals: int,
+) -> dict[str, Any]:
+    """Return the program of a mesh without couplings beyond neighbours; see `interval_derivatives`.
+
+    Meshes with equal numbers of intervals have the same program.
+    """
+    nx, count, shared = equations.dimension, len(method.points), method.closes
+    nz, free = nx - 2, count - method.closes
+    width = nx * (1 + free) + count
+    v, length, aim = ca.SX.sym("v", width + nx), ca.SX.sym("length"), ca.SX.sym("aim", nz * count)
+    inner, following = v[nx : nx * (1 + free)], v[width:]
+    values = ca.vertcat(inner, following) if shared else inner
+    defects, end, cost, _ = interval_function(equations, parameters, limits, method, settings)(
+        v[:nx],
+        ca.reshape(values, nx, count),
+        v[nx * (1 + free) : width].T,
+        length,
+        ca.reshape(aim, nz, count),
+    )
+    rows = defects if shared else ca.vertcat(following - end, defects)
+    return interval_derivatives(
+        ca.Function("interval", [v, length, aim], [rows, cost]),
+        columns=(np.arange(width + nx)[:, None] + width * np.arange(intervals)).astype(np.intp),
+        size=width * intervals + nx,
+    )
 
 
 class _Program:
@@ -210,6 +251,7 @@ class _Program:
                 "duration, a periodic orbit, a jerk limit, lobatto or hermite-simpson"
             )
         self.options: dict[str, Any] = {}
+        self.values = np.zeros(0)
         # Couplings of more than neighbouring intervals use casadi's derivatives.
         if self.staged or joined or problem.ends.energy is not None:
             self._assemble()
@@ -218,28 +260,11 @@ class _Program:
 
     def _assemble_by_interval(self) -> None:
         """Build the program and its derivatives from those of one interval."""
-        nx, count, n, free = self.nx, self.count, self.intervals, self.free
-        width = nx * (1 + free) + count
-        v, length, aim = ca.SX.sym("v", width + nx), ca.SX.sym("length"), ca.SX.sym("aim", self.nz * count)
-        inner, following = v[nx : nx * (1 + free)], v[width:]
-        values = ca.vertcat(inner, following) if self.shared else inner
-        defects, end, cost, _ = interval_function(self.problem, self.method, self.settings)(
-            v[:nx],
-            ca.reshape(values, nx, count),
-            v[nx * (1 + free) : width].T,
-            length,
-            ca.reshape(aim, self.nz, count),
-        )
-        rows = defects if self.shared else ca.vertcat(following - end, defects)
-        parts = interval_derivatives(
-            ca.Function("interval", [v, length, aim], [rows, cost]),
-            columns=(np.arange(width + nx)[:, None] + width * np.arange(n)).astype(np.intp),
-            lengths=np.diff(self.mesh),
-            guess=self._aims().reshape(n, count * self.nz).T,
-            size=width * n + nx,
-        )
+        e, limits, n = self.problem.equations, self.problem.limits, self.intervals
+        parts = _by_interval(e, tuple(self.problem.parameters.tolist()), limits, self.method, self.settings, n)
         self.program, self.options = parts["program"], parts["options"]
-        zeros = np.zeros(rows.shape[0] * n)
+        self.values = np.concatenate([np.diff(self.mesh), self._aims().ravel()])
+        zeros = np.zeros(self.program["g"].shape[0])
         self.low_g, self.high_g = [zeros], [zeros]
 
     def _aims(self) -> Array:
@@ -255,7 +280,11 @@ class _Program:
         inputs = stages[nx * (1 + free) :, :]
         following = ca.horzcat(starts[:, 1:], last)
         values = ca.vertcat(inner, following) if self.shared else inner
-        defects, ends, costs, jerks = interval_function(self.problem, self.method, self.settings).map(n)(
+        problem = self.problem
+        interval = interval_function(
+            problem.equations, problem.parameters.tolist(), problem.limits, self.method, self.settings
+        )
+        defects, ends, costs, jerks = interval.map(n)(
             starts,
             ca.reshape(values, nx, count * n),
             ca.reshape(inputs, 1, count * n),
@@ -380,8 +409,7 @@ def solve(
     *,
     settings: ReferenceSettings,
     limits: Limits,
-    warm: bool = False,
-    far: bool = False,
+    search: Search = "fresh",
 ) -> Solved:
     """Solve the program on the mesh of a trajectory.
 
@@ -390,21 +418,20 @@ def solve(
         first: trajectory to start from.
         settings: solver and weights.
         limits: limits of the cart at all nodes.
-        warm: True if `first` is nearly a solution.
-        far: True if `first` is far from a solution.
+        search: kind of the search that starts from `first`.
 
     Raises:
         InputError: a formulation that the solver does not support.
     """
     began = time.perf_counter()
     program = _Program(problem, settings, first, limits)
-    options = solver_options(settings, warm=warm, far=far) | program.options
+    options = solver_options(settings, search=search) | program.options
     solver = ca.nlpsol("reference", settings.solver, program.program, options)
     low, high = program.bounds()
     x0 = np.clip(program.start(), low, high)
     low_g, high_g = np.concatenate(program.low_g), np.concatenate(program.high_g)
     with catching_interrupts():
-        out = solver(x0=x0, lbx=low, ubx=high, lbg=low_g, ubg=high_g)
+        out = solver(x0=x0, p=program.values, lbx=low, ubx=high, lbg=low_g, ubg=high_g)
     found = np.array(out["x"]).ravel()
     residuals = np.array(out["g"]).ravel()
     stats = solver.stats()

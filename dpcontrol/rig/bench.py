@@ -40,7 +40,7 @@ from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.causes import Cause
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.processes import end_with_parent
-from dpcontrol.foundation.settings import Setting, Settings, check_names
+from dpcontrol.foundation.settings import Setting, Settings, check_choice
 from dpcontrol.foundation.shown import Brief
 from dpcontrol.logs import Event
 from dpcontrol.loop.loop import LoopSettings
@@ -515,7 +515,7 @@ def checked_faults(faults: Sequence[str], arms: int) -> tuple[str, ...]:
     Raises:
         InputError: an unknown fault, or one of an arm that does not exist.
     """
-    check_names("fault", faults, FAULTS)
+    check_choice("fault", FAULTS, *faults)
     of_two = [name for name in faults if "-2-" in name or name in ("encoders-swapped", "angles-not-summed")]
     if arms < 2 and of_two:
         raise InputError(f"--fault {of_two[0]}: requires at least two arms, and the model has {arms}; choose another")

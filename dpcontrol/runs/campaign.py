@@ -7,9 +7,9 @@ compared in pairs. Jobs of a few seeds each run in processes of this machine. Th
 neither on the number of workers nor on workers that die. A job carries all its inputs (reference, parameters,
 settings), so a worker needs this package but no files. The same job always gives the same rows.
 
-The rows are one tidy Parquet file. Until it is complete, each finished job is stored as
-NAME.parquet.parts/KEY.parquet, written atomically. KEY is the hash of the job's inputs. A campaign that is started
-again reads the stored jobs and runs the rest.
+The rows are one tidy table: the folder NAME.parquet has a file NUMBER-KEY.parquet for each finished job, written
+atomically. NUMBER gives the order of the jobs, KEY is the hash of the job's inputs. A campaign that is started again
+runs the jobs without a file. `pyarrow.parquet.read_table` reads the folder in the order of the jobs.
 
 The robustness score measures how much of each kind of trouble a controller tolerates. Each kind has 21 levels, in
 addition to the disturbances of the itinerary itself. The score of a kind is the share of its runs that complete the
@@ -46,7 +46,6 @@ import io
 import itertools
 import json
 import math
-import shutil
 import threading
 import time
 import warnings
@@ -55,6 +54,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import numpy as np
@@ -65,20 +65,19 @@ from dpcontrol.foundation.checked import is_list
 from dpcontrol.foundation.document import Documented, document_of
 from dpcontrol.foundation.errors import InputError, Remark
 from dpcontrol.foundation.files import (
-    checked_folder,
-    checked_target,
     content_hash,
     in_the_way,
     write_whole,
 )
 from dpcontrol.foundation.parts import Later, part
 from dpcontrol.foundation.processes import in_processes, processors
-from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress
+from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress, part_of
+from dpcontrol.foundation.rendering import DataFrame
 from dpcontrol.foundation.settings import Setting, Settings
-from dpcontrol.foundation.shown import Brief, Shown, pandas_classes
+from dpcontrol.foundation.shown import Brief, Shown, data_frame
 from dpcontrol.foundation.statistics import Pairing, Share, paired, wilson
 from dpcontrol.foundation.version import VERSION
-from dpcontrol.judge.campaign import CampaignSummary, summary_of
+from dpcontrol.judge.campaign import METADATA, CampaignSummary, campaign_table, summary_of
 from dpcontrol.judge.decoding import stays
 from dpcontrol.judge.score import Flown, returns, verdict_on
 from dpcontrol.loop.assembly import Assembly
@@ -93,7 +92,6 @@ from dpcontrol.runs.troubles import LEVELS, STANDARD
 
 if TYPE_CHECKING:
     import pyarrow as pa
-    from pandas import DataFrame
 else:
     pa = Later("pyarrow")
 pq, pc = Later("pyarrow.parquet"), Later("pyarrow.compute")
@@ -133,6 +131,8 @@ case: varied settings, as name=value.
 replays: True if the loop fails tick by tick too; only tried for the first failures of a job, else null.
 """
 
+RUNNING = 3
+"""Version of runs, part of a job's key: raise it whenever a seed ends in another way, or a row has other columns."""
 _ONE_AT_A_TIME = threading.Lock()
 """Threads cannot share compiled code."""
 
@@ -175,7 +175,9 @@ class Job:
     def key(self) -> str:
         """Hash of the job's inputs, as 16 hexadecimal digits."""
         # The repr of a case is one line without its settings.
-        return content_hash(self.reference, repr(self), repr(self.case.values), repr(self.case.loop))
+        return content_hash(
+            self.reference, repr(self), repr(self.case.values), repr(self.case.loop), f"running {RUNNING}"
+        )
 
 
 @lru_cache(maxsize=8)
@@ -210,8 +212,12 @@ def run_job(job: Job) -> list[Row]:
         if job.path == "ticks" or not assembly.lockstep:
             return [tick_by_tick(seed, mismatch) for seed, mismatch in zip(job.seeds, mismatches, strict=True)]
         runs = assembly.batch(job.seeds, mismatches=mismatches)
-        rows = [_row(job, reference, seed, run, path="compiled") for seed, run in zip(job.seeds, runs, strict=True)]
-        failed = [pair for pair in zip(rows, mismatches, strict=True) if not pair[0]["completed"]]
+        rows = [
+            tick_by_tick(seed, mismatch) if run.departed else _row(job, reference, seed, run, path="compiled")
+            for seed, mismatch, run in zip(job.seeds, mismatches, runs, strict=True)
+        ]
+        alike = zip(rows, mismatches, strict=True)
+        failed = [(row, own) for row, own in alike if not row["completed"] and row["path"] == "compiled"]
         for row, mismatch in failed[: job.replayed]:
             # A listed failure should also fail when its seed is run separately. For laws with internal timing,
             # rounding decides a few runs.
@@ -274,10 +280,6 @@ def _row(job: Job, reference: Reference, seed: int, run: BatchRun, *, path: str)
     }
 
 
-METADATA = b"dpcontrol.campaign"
-"""Key of the metadata of a table and of each finished job: JSON with the settings and the version."""
-
-
 def _schema(cases: Sequence[Case], record: Mapping[str, Any]) -> "pa.Schema":
     """Return the columns of a campaign's tables, with those of the varied numbers, and their metadata."""
     varied = dict.fromkeys((name for case in cases for name in _numbers(case)), "double")
@@ -285,31 +287,7 @@ def _schema(cases: Sequence[Case], record: Mapping[str, Any]) -> "pa.Schema":
     return pa.schema(fields, metadata={METADATA: json.dumps(record).encode()})
 
 
-def _write(path: Path, table: "pa.Table") -> None:
-    """Write a table to a Parquet file atomically.
-
-    Raises:
-        InputError: the file cannot be written.
-    """
-    # A name such as s3:table.parquet would be an address for pyarrow.
-    data = io.BytesIO()
-    pq.write_table(table, data, compression="zstd", write_page_checksum=True)
-    write_whole(path, data.getvalue())
-
-
-def _read(path: Path) -> "pa.Table | None":
-    """Return a campaign's table, or None.
-
-    The result is None if the file is absent, damaged or of another kind.
-    """
-    try:
-        table = pq.read_table(io.BytesIO(path.read_bytes()), page_checksum_verification=True)
-    except (pa.ArrowException, OSError, ValueError):
-        return None
-    return table if set(COLUMNS) <= set(table.column_names) else None
-
-
-def run_locally(jobs: Sequence[Job], workers: int) -> Iterator[tuple[Job, list[Row]]]:
+def run_locally(jobs: Sequence[Job], workers: int, progress: Progress = no_progress) -> Iterator[tuple[Job, list[Row]]]:
     """Run jobs in several processes.
 
     The processes end if the caller is interrupted or stops iterating.
@@ -317,15 +295,13 @@ def run_locally(jobs: Sequence[Job], workers: int) -> Iterator[tuple[Job, list[R
     Args:
         jobs: jobs in any order.
         workers: number of processes.
+        progress: receiver of progress reports.
 
     Raises:
         InputError: see `run_job`.
         GoalMissed: see `run_job`; also if a job's process died.
     """
-    return in_processes(
-        run_job, jobs, workers,
-        remedy="Finished jobs are kept: run the same command again, with fewer --workers",
-    )  # fmt: skip
+    return in_processes(run_job, jobs, workers, what="jobs", progress=progress)
 
 
 MOST_RUNS = 1_000_000
@@ -414,7 +390,7 @@ class Campaign(Shown):
         completed: share of all runs.
         pairs: first case, second case and their comparison, for every two of a few cases.
         table: all runs, as Arrow columns.
-        file: Parquet file of the table, if it was written.
+        file: folder of the table, if it was written.
         alone: parts that were run separately, by name: start, end and duration, s.
     """
 
@@ -440,7 +416,7 @@ class Campaign(Shown):
     @cached_property
     def summary(self) -> CampaignSummary:
         """Success rates by group, and causes of failure."""
-        return summary_of(self.table.to_pydict(), self.file or Path(self.itinerary))
+        return summary_of(self.table, self.file or Path(self.itinerary))
 
     @property
     def rows(self) -> tuple[Row, ...]:
@@ -466,13 +442,13 @@ class Campaign(Shown):
             for (name, case), runs in rows.items()
         )
 
-    def frame(self) -> "DataFrame":
+    def frame(self) -> DataFrame:
         """Return a pandas table, one row for each run.
 
         Raises:
             PartMissing: pandas is not installed.
         """
-        return pandas_classes()[0](self.table.to_pylist())
+        return data_frame(self.table.to_pylist())
 
     def document(self) -> dict[str, Any]:
         """Return the JSON output of `dpcontrol campaign`."""
@@ -618,26 +594,23 @@ def run_campaign(
 ) -> Campaign:
     """Run every case on every seed and write the rows.
 
-    If it is interrupted, finished jobs stay beside the file, and the next call continues from them.
+    If it is interrupted, finished jobs stay in the table, and the next call continues from them.
 
     Args:
         plan: plan of the itinerary.
         cases: cases to compare.
-        file: Parquet file, written atomically; by default none.
+        file: folder of the table; by default none.
         settings: seeds and processes.
         transitions: run each transfer of an itinerary of holds separately.
-        force: replace any file there.
+        force: replace another campaign there.
         progress: receiver of progress reports.
         yes: accept any duration, default False.
 
     Raises:
-        InputError: the file cannot be written, no cluster answers, or the settings do not fit the plan.
+        InputError: the folder cannot be written or holds another campaign, or the settings do not fit the plan.
         GoalMissed: the plan did not converge, or a process died.
     """
     part("pyarrow")
-    if file is not None:
-        checked_target(file)
-        checked_folder(parts_of(file))
     began = time.perf_counter()
     plans = transitions_of(plan) if transitions else (plan.followed(),)
     announce(_cost(plans, cases, settings), yes=yes)
@@ -647,26 +620,12 @@ def run_campaign(
     record = campaign_record(plan.itinerary, cases, settings, transitions=transitions)
     if file is not None and not force:
         check_table(file, record)
-    schema, parts = _schema(cases, record), None if file is None else parts_of(file)
-    stored = {} if parts is None else {job.key: _read(parts / f"{job.key}.parquet") for job in jobs}
-    kept = {key: table for key, table in stored.items() if table is not None and table.schema.equals(schema)}
-    if left := [job for job in jobs if job.key not in kept]:
-        laws = {job.case.loop.controller.kind: job for job in reversed(left)}
-        # If one of several laws does not fit the plan, no run begins.
-        for job in laws.values() if len(laws) > 1 else ():
-            _assembled(job)
-        # Objects of a script or a notebook cannot be sent to other processes.
-        workers = 1 if any(case.loop.own for case in cases) else settings.workers or processors()
-        for job, rows in run_locally(left, workers):
-            numbers = _numbers(job.case)
-            kept[job.key] = pa.Table.from_pylist([{**row, **numbers} for row in rows], schema=schema)
-            if parts is not None:
-                _write(parts / f"{job.key}.parquet", kept[job.key])
-            progress(f"{len(kept)} of {len(jobs)} jobs", len(kept) / len(jobs))
-    table = pa.concat_tables(kept[job.key] for job in jobs).replace_schema_metadata(schema.metadata)
-    if file is not None and parts is not None:
-        _write(file, table)
-        shutil.rmtree(parts, ignore_errors=True)
+    # Objects of a script or a notebook cannot be sent to other processes.
+    workers = 1 if any(case.loop.own for case in cases) else settings.workers or processors()
+    with TemporaryDirectory() as scratch:
+        folder = Path(scratch) if file is None else file
+        _run_missing(jobs, folder, _schema(cases, record), workers=workers, progress=progress)
+        table = campaign_table(folder)
     alone = {
         content.itinerary: (content.symbols[0].source, content.symbols[0].target, float(np.ptp(content.transfers[0])))
         for content in (one.content for one in plans if transitions)
@@ -675,43 +634,53 @@ def run_campaign(
     return replace(found, alone=alone)
 
 
-def check_table(file: Path, record: Mapping[str, Any]) -> None:
-    """Reject an existing table and finished jobs unless they belong to the same campaign.
+def _run_missing(jobs: Sequence[Job], folder: Path, schema: "pa.Schema", *, workers: int, progress: Progress) -> None:
+    """Run the jobs whose rows are not in the folder, and write the rows of each to a file of its own.
 
-    They may hold part of this campaign.
+    Files are numbered in the order of the jobs. Those of other jobs are removed.
+    """
+    places = {job.key: folder / f"{k:06d}-{job.key}.parquet" for k, job in enumerate(jobs)}
+    for stored in folder.glob("*.parquet"):
+        place = places.get(stored.stem.partition("-")[2])
+        if place is None:
+            stored.unlink()
+        else:
+            stored.replace(place)
+    left = [job for job in jobs if not places[job.key].exists()]
+    laws = {job.case.loop.controller.kind: job for job in reversed(left)}
+    # If one of several laws does not fit the plan, no run begins.
+    for job in laws.values() if len(laws) > 1 else ():
+        _assembled(job)
+    for job, rows in run_locally(left, workers, part_of(progress, 1 - len(left) / len(jobs), 1.0)):
+        table, data = pa.Table.from_pylist([{**row, **_numbers(job.case)} for row in rows], schema=schema), io.BytesIO()
+        pq.write_table(table, data, compression="zstd", write_page_checksum=True)
+        write_whole(places[job.key], data.getvalue())
+
+
+def check_table(file: Path, record: Mapping[str, Any]) -> None:
+    """Reject an existing table unless it is part of the same campaign.
 
     Args:
-        file: Parquet file of the table.
+        file: folder of the table.
         record: metadata that identify the campaign, see `campaign_record`.
 
     Raises:
-        InTheWay: another file is there, or seeds that this campaign does not run.
+        InTheWay: the folder holds something else, or seeds that this campaign does not run.
     """
-    own = record["settings"]
-    for place in (file, *[*parts_of(file).glob("*.parquet")][:1]):
-        if (table := _read(place)) is None:
-            if place is file and file.is_file():
-                raise in_the_way(file, "is no table of a campaign, or was changed after it was written")
-            continue
-        there = json.loads((table.schema.metadata or {}).get(METADATA, b"{}"))
-        other = there.get("settings", {"first_seed": -1, "runs": 0, "path": ""})
-        ends = [settings["first_seed"] + settings["runs"] for settings in (own, other)]
-        covered = own["first_seed"] <= other["first_seed"] and ends[1] <= ends[0]
-        same = all(there.get(key) == record.get(key) for key in _DECISIVE) and other["path"] == own["path"]
-        if not same or not covered:
-            raise in_the_way(file, "holds another campaign, or more runs of this one")
+    if not file.exists() or (file.is_dir() and not any(file.iterdir())):
+        return
+    try:
+        table = campaign_table(file)
+        there = json.loads(table.schema.metadata[METADATA])
+        seeds = pc.min_max(table["seed"]).as_py()
+    except (InputError, LookupError, TypeError) as error:
+        raise in_the_way(file, "is no table of a campaign, or was changed after it was written") from error
+    first, same = record["settings"]["first_seed"], all(there.get(key) == record.get(key) for key in _DECISIVE)
+    if not (same and first <= seeds["min"] and seeds["max"] < first + record["settings"]["runs"]):
+        raise in_the_way(file, "holds another campaign, or more runs of this one")
 
 
-def parts_of(file: Path) -> Path:
-    """Return the folder of the finished jobs of an interrupted campaign.
-
-    Args:
-        file: Parquet file of the table.
-    """
-    return file.parent / (file.name + ".parts")
-
-
-_DECISIVE = ("itinerary", "model", "scene_hash", "model_hash", "cases", "transitions")
+_DECISIVE = ("itinerary", "model", "scene_hash", "model_hash", "path", "cases", "transitions")
 
 
 _PACES = {"compiled": 100.0, "ticks": 5.0}
@@ -772,6 +741,7 @@ def campaign_record(
         "scene_hash": content_hash(itinerary.text),
         "model_hash": content_hash(itinerary.model.text),
         "settings": asdict(settings),
+        "path": settings.path,
         "cases": {case.label: json.loads(json.dumps(asdict(case.loop), default=str)) for case in cases},
     }
 

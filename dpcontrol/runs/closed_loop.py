@@ -13,8 +13,8 @@ from dpcontrol.control.export import ControllerSource
 from dpcontrol.control.margins import Margins
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.checked import Count, Index, Positive, Seed, Workers, checked
-from dpcontrol.foundation.errors import InputError, remark
-from dpcontrol.foundation.progress import Reporting, reporting
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.progress import Reporting
 from dpcontrol.foundation.rendering import live_view
 from dpcontrol.foundation.shown import Timed
 from dpcontrol.judge.night import Night
@@ -33,9 +33,6 @@ from dpcontrol.runs.campaign import (
 )
 from dpcontrol.runs.night import (
     NightSettings,
-    check_folder,
-    night_cost,
-    night_folder,
     night_itinerary,
     run_night,
 )
@@ -48,9 +45,7 @@ from dpcontrol.runs.run import (
     check_exportable,
     default_log,
     export_plan,
-    export_unit,
     rig_link,
-    run_on_rig,
     run_plan,
     run_with_program,
 )
@@ -147,23 +142,24 @@ class ClosedLoop(Timed):
                 for a live view.
             GoalMissed: there is no reference to follow, no controller can be made for it, or the rig failed at once.
         """
-        bench = bench_of(rig)
-        link, own = (bench, None) if isinstance(bench, RigLink) else (None, bench)
-        plan, assembly = self.plan.followed(), self.assembly
+        bench, plan, assembly = bench_of(rig), self.plan.followed(), self.assembly
         scene = replace(plan.itinerary, loop=replace(plan.itinerary.loop, seed=seed))
-        plan, shown, out = replace(plan, itinerary=scene), live_view if live else None, _path(log)
-        if program is not None and (link is None or link.address != OWN_BENCH):
-            raise InputError('program: controls the example bench; give rig="udp" as well')
-        if link is not None:
+        plan, out = replace(plan, itinerary=scene), _path(log)
+        if isinstance(bench, RigLink):
             out = out or default_log(scene)
-            if program is None:
-                return run_on_rig(plan, out, link, force=force, live=shown)
-            return run_with_program(plan, out, Path(program), real_time=link.real_time, force=force)
-        with reporting(progress, "run") as report:
-            return run_plan(
-                plan, out, assembly=assembly.under(scene.loop), rig=own,
-                force=force, live=shown, progress=report,
-            )  # fmt: skip
+        if program is not None:
+            if not isinstance(bench, RigLink) or out is None or bench.address != OWN_BENCH:
+                raise InputError('program: controls the example bench; give rig="udp" as well')
+            return run_with_program(plan, out, Path(program), real_time=bench.real_time, force=force)
+        return run_plan(
+            plan,
+            out,
+            assembly=assembly.under(scene.loop),
+            bench=bench,
+            force=force,
+            live=live_view if live else None,
+            progress=progress,
+        )
 
     @checked
     def night(
@@ -202,13 +198,10 @@ class ClosedLoop(Timed):
             raise InputError(f'rig = {link}: a night needs a bench at an address; give "udp" or udp://HOST:PORT')
         seeded = self.plan.itinerary.with_run({}, seed=seed)
         scene = night_itinerary(seeded, given=self.options)
-        check_folder(night_folder(out), resume=resume, force=force)
-        night_cost(scene, night, night_folder(out), real_time=link is not None, yes=yes)
-        with reporting(progress, "night") as report:
-            return run_night(
-                replace(self.plan, itinerary=scene), out, night, link=link, resume=resume,
-                force=force, live=live_view if live else None, progress=report,
-            )  # fmt: skip
+        return run_night(
+            replace(self.plan, itinerary=scene), out, night, link=link, resume=resume,
+            force=force, live=live_view if live else None, yes=yes, progress=progress,
+        )  # fmt: skip
 
     @checked
     def campaign(
@@ -243,11 +236,10 @@ class ClosedLoop(Timed):
         """
         scene, own = self.planned.itinerary, settings or (STANDARD_CAMPAIGN if standard else CampaignSettings(runs))
         cases = asked_cases(scene, fixed=self.options, over=over or {}, standard=standard, transitions=transitions)
-        with reporting(progress, "campaign") as report:
-            found = run_campaign(
-                self.planned, cases, _path(out), settings=own,
-                transitions=transitions, force=force, yes=yes, progress=report,
-            )  # fmt: skip
+        found = run_campaign(
+            self.planned, cases, _path(out), settings=own,
+            transitions=transitions, force=force, yes=yes, progress=progress,
+        )  # fmt: skip
         return replace(found, standard=standard_scores(found.results)) if standard else found
 
     def margins(self) -> Margins:
@@ -285,8 +277,7 @@ class ClosedLoop(Timed):
             GoalMissed: there is no reference to follow, or no controller can be made for it.
         """
         settings = PreflightSettings(runs=runs, first_seed=first_seed, workers=workers)
-        with reporting(progress, "preflight") as report:
-            return preflight(self.planned, self.options, settings=settings, yes=yes, progress=report)
+        return preflight(self.planned, self.options, settings=settings, yes=yes, progress=progress)
 
     @checked
     def export(
@@ -315,16 +306,15 @@ class ClosedLoop(Timed):
             GoalMissed: there is no reference to follow, or no controller can be made for it.
         """
         check_exportable(self.plan.itinerary)
-        out = _path(folder)
-        with reporting(progress, "export") as report:
-            if out is not None and out.suffix == ".fmu":
-                source, lacks = export_unit(self.plan, out, single=single, force=force, progress=report)
-                if lacks:
-                    remark(lacks)
-                return source
-            return export_plan(
-                self.plan, out, assembly=self.assembly, single=single, clock=clock, force=force, progress=report
-            )
+        return export_plan(
+            self.plan,
+            _path(folder),
+            assembly=self.assembly,
+            single=single,
+            clock=clock,
+            force=force,
+            progress=progress,
+        )
 
 
 def bench_of(rig: object) -> RigLink | OwnObject | None:
@@ -337,7 +327,7 @@ def bench_of(rig: object) -> RigLink | OwnObject | None:
         InputError: the address is malformed, the file cannot be loaded, or the rig lacks a method.
     """
     if isinstance(rig, str) and not names_file(rig):
-        return rig_link(rig, key_file=None, insecure=False, real_time=False)
+        return rig_link(rig)
     return rig if rig is None or isinstance(rig, RigLink | OwnObject) else own_object("rig", rig)
 
 

@@ -7,14 +7,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dpcontrol.control.flight import REACHED, Flight, FlightPlanner, Target
-from dpcontrol.control.interface import sampled_model
+from dpcontrol.control.interface import sampled_model, with_dry_friction
 from dpcontrol.control.lqr import HoldSettings, hold_controller
 from dpcontrol.control.tracking import TvlqrSettings
 from dpcontrol.dynamics.chain import ArmChainParameters, pendulum_system
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.causes import FlightCause
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.settings import check_names
+from dpcontrol.foundation.settings import check_choice
 from dpcontrol.loop.targets import PHASES, hold_target, orbit_target
 from dpcontrol.orbits.lyapunov import LyapunovOrbit, equilibria
 from dpcontrol.plans.plan import Plan
@@ -63,7 +63,7 @@ def plan_flight(
 
 @lru_cache(maxsize=4)
 def _planner(arms: ArmChainParameters, limits: Limits) -> FlightPlanner:
-    return FlightPlanner(sampled_model(arms, RATE), limits)
+    return FlightPlanner(with_dry_friction(arms, RATE), limits)
 
 
 def _flight(
@@ -97,7 +97,7 @@ def _places(
 @lru_cache(maxsize=16)
 def _held(arms: ArmChainParameters, name: str, limits: Limits) -> Target:
     points = equilibria(pendulum_system("pendulum", arms))
-    check_names("equilibrium", [name], points)
+    check_choice("equilibrium", points, name)
     return hold_target(
         hold_controller(points[name].state, sampled_model(arms, RATE), HoldSettings(), seconds=1.0), limits
     )

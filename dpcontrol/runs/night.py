@@ -13,28 +13,24 @@ On a bench in real time, over UDP, a thread writes the log because a disk can st
 
 import shutil
 import sys
-import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from math import ceil
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Annotated
 
 from dpcontrol.control.estimator_settings import extra_names
 from dpcontrol.foundation.errors import GoalMissed, InputError, remark
-from dpcontrol.foundation.files import InTheWay
+from dpcontrol.foundation.files import InTheWay, checked_target
 from dpcontrol.foundation.progress import MOST_SECONDS, Cost, Progress, no_progress
 from dpcontrol.foundation.settings import Setting, Settings
 from dpcontrol.judge.night import Night, read_night
 from dpcontrol.logs import LogWriter, check_replaced, partials_of, recover
 from dpcontrol.logs.reader import check_same_run
 from dpcontrol.logs.rolling import NIGHT_METADATA, RollingLog
-from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.loop.own import OwnObject
-from dpcontrol.loop.recovery import RecoveryPlan
 from dpcontrol.loop.result import LogSink, SinkBeside
 from dpcontrol.plans.itinerary import Itinerary
 from dpcontrol.plans.overrides import canonical
@@ -44,7 +40,7 @@ from dpcontrol.runs.run import (
     RigLink,
     assembled,
     bench_recipe,
-    drawn_metadata,
+    bench_record,
     log_writer,
     outcome,
     run_metadata,
@@ -134,8 +130,6 @@ def night_cost(
     night: NightSettings,
     folder: Path,
     *,
-    pace: float = _SPEED,
-    overhead: float = 0.0,
     real_time: bool = False,
     yes: bool = False,
 ) -> str:
@@ -145,8 +139,6 @@ def night_cost(
         itinerary: itinerary of the night.
         night: duration and logs.
         folder: folder of the logs.
-        pace: simulated ticks per second.
-        overhead: time of the start, s.
         real_time: True on a rig.
         yes: accept a cost beyond the limits.
 
@@ -154,7 +146,7 @@ def night_cost(
         InputError: the cost is beyond the limits, or the disk is too full.
     """
     rate = itinerary.loop.rate
-    disk, seconds = night.disk(rate), night.hours * 3600 * (1.0 if real_time else rate / pace) + overhead
+    disk, seconds = night.disk(rate), night.hours * 3600 * (1.0 if real_time else rate / _SPEED)
     stops = len(itinerary.walk) + len(itinerary.parts)
     memory = _MEMORY + expected_seconds(itinerary) * rate * (_MEMORY_A_TICK + _MEMORY_A_STOP * stops)
     cost = Cost(f"{night.hours:g} h of {itinerary.name}", seconds, memory, f"--hours {night.hours:g}")
@@ -200,6 +192,7 @@ def run_night(
     resume: bool = False,
     force: bool = False,
     live: LiveSink | None = None,
+    yes: bool = False,
     progress: Progress = no_progress,
 ) -> Night:
     """Repeat a planned itinerary for hours.
@@ -214,17 +207,21 @@ def run_night(
         resume: continue the interrupted night of that folder.
         force: replace the night of that folder.
         live: makes a sink that shows the run.
+        yes: accept a cost beyond the limits.
         progress: receiver of progress reports.
 
     Raises:
-        InputError: the folder is not writable, holds another night or none to resume, or no bench fits.
+        InputError: the folder is not writable, holds another night or none to resume, the cost is beyond the limits, or
+            no bench fits.
         GoalMissed: the plan did not converge, no controller can be made for it, or no plant drawn.
     """
-    began, scene = time.monotonic(), plan.followed().itinerary
-    settings, arms = scene.loop, scene.model.arms
-    folder = night_folder(out)
-    made_by = drawn_metadata(scene) if link is None else {"rig": link.address}
-    place = _place(folder, {**run_metadata(scene), **made_by}, night, settings.rate, resume=resume, force=force)
+    scene = plan.followed().itinerary
+    settings, arms, folder = scene.loop, scene.model.arms, night_folder(out)
+    made_by = bench_record(scene, link)
+    record = {**run_metadata(scene), **made_by}
+    check_folder(folder, record, resume=resume, force=force)
+    remark(night_cost(scene, night, folder, real_time=link is not None, yes=yes))
+    place = _place(folder, record, night, settings.rate, resume=resume, force=force)
     since, until = round(place.begin * settings.rate), round(night.hours * 3600 * settings.rate)
     assembly = assembled(plan)
     recovery = assembly.recovery
@@ -246,9 +243,6 @@ def run_night(
     with rolling:
         try:
             if link is None:
-                pace = _pace(plan, assembly, recovery)
-                overhead = time.monotonic() - began
-                remark(night_cost(scene, night, folder, pace=pace, overhead=overhead, yes=True))
                 simulated = assembly.under(_since(settings, place.begin))
                 with watched(plan, LogSink(rolling), live=live) as sink:
                     result = simulated.simulate(
@@ -258,7 +252,6 @@ def run_night(
                 # A night is judged by its digests, which do not hold the drive's hardest acceleration.
                 rolling.result(**outcome(replace(result, hardest=None)))
             else:
-                remark(night_cost(scene, night, folder, real_time=True, yes=True))
                 ticks = until - since + round(_BRAKING * settings.rate)
                 recipe = replace(bench_recipe(plan, assembly), recovering=ticks)
                 with (
@@ -281,17 +274,6 @@ def run_night(
     return read_night(folder)
 
 
-def _pace(plan: Plan, assembly: Assembly, recovery: RecoveryPlan) -> float:
-    """Measure the ticks per second that this machine simulates and logs."""
-    until = round(_TRIAL * assembly.settings.rate)
-    with TemporaryDirectory() as folder, log_writer(plan, Path(folder) / "trial.mcap") as writer:
-        return until / assembly.simulate(sink=LogSink(writer), recovery=recovery, keep=False, until=until).elapsed
-
-
-_TRIAL = 6.0
-"""s, simulated."""
-
-
 _BRAKING = 2.0
 """Time that a bench must run beyond the end of a night, for braking the cart, s."""
 
@@ -308,29 +290,6 @@ def _switching_soon() -> Iterator[None]:
         yield
     finally:
         sys.setswitchinterval(was)
-
-
-def check_night(folder: Path, record: Mapping[str, str], *, resume: bool, force: bool) -> None:
-    """Reject a folder that holds another long run, or none to resume.
-
-    Args:
-        folder: folder of the logs.
-        record: metadata that identify the run to resume, or none if the folder was named.
-        resume: True to continue the long run there.
-        force: True to replace it.
-
-    Raises:
-        InTheWay: the last log is unreadable or of another run.
-        InputError: a long run is there that is neither resumed nor replaced, or none to resume.
-    """
-    check_folder(folder, resume=resume, force=force)
-    if not (resume and record):
-        return
-    for log in sorted(folder.glob(f"{folder.resolve().name}-[0-9]*.mcap"))[-1:]:
-        try:
-            check_same_run(log, record, also=(NIGHT_METADATA,))
-        except InputError as error:
-            raise InTheWay(str(error)) from error
 
 
 def name_check(
@@ -354,30 +313,32 @@ def name_check(
         force: True to replace an existing log or long run.
         yes: accept a cost beyond the limits.
     """
-    record = run_record(itinerary, rig=None if bench is None else bench.name)
+    record = run_record(itinerary, bench)
 
     def check(file: Path) -> None:
         if night is None:
-            check_replaced(file, record, force=force)
+            check_replaced(checked_target(file), record, force=force)
             return
-        check_night(night_folder(file), record if free else {}, resume=resume, force=force)
+        check_folder(night_folder(file), record if free else {}, resume=resume, force=force)
         night_cost(itinerary, night, night_folder(file), real_time=bench is not None, yes=yes)
 
     return check
 
 
-def check_folder(folder: Path, *, resume: bool, force: bool) -> list[Path]:
+def check_folder(folder: Path, record: Mapping[str, str], *, resume: bool, force: bool) -> list[Path]:
     """Return the files of the long run in a folder.
 
     This check comes before planning.
 
     Args:
         folder: folder of the logs.
+        record: metadata that identify the run to resume, or none if the folder was named.
         resume: True to continue the long run there.
         force: True to replace it.
 
     Raises:
-        InputError: a long run is there that is neither resumed nor replaced, or none to resume.
+        InTheWay: a long run is there that is neither resumed nor replaced, or another one to resume.
+        InputError: there is none to resume, or its last log is unreadable.
     """
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder} is not a folder; a long run writes a folder: choose another --out")
@@ -390,6 +351,8 @@ def check_folder(folder: Path, *, resume: bool, force: bool) -> list[Path]:
         )
     if resume and not there:
         raise InputError(f"{folder} holds no long run to resume; omit --resume to begin one")
+    for log in sorted(folder.glob(f"{name}-[0-9]*.mcap"))[-1:] if resume and record else ():
+        check_same_run(log, record, also=(NIGHT_METADATA,))
     return there
 
 
@@ -399,12 +362,13 @@ def _since(settings: LoopSettings, begin: float) -> LoopSettings:
     Sticking parts may have recovered by then.
     """
     sensors = settings.sensors
-    first, end = sensors.stuck_at - begin, sensors.stuck_at + sensors.stuck_for - begin
-    if not begin or sensors.stuck_at == float("inf"):
-        return settings
-    if end <= 0:
-        return replace(settings, sensors=replace(sensors, stuck_at=float("inf")))
-    return replace(settings, sensors=replace(sensors, stuck_at=max(first, 0.0), stuck_for=end - max(first, 0.0)))
+    first, end = max(sensors.stuck_at - begin, 0.0), sensors.stuck_at + sensors.stuck_for - begin
+    later = (
+        {"stuck_at": first, "stuck_for": end - first}
+        if first < float("inf") and end > 0
+        else {"stuck_at": float("inf")}
+    )
+    return replace(settings, sensors=replace(sensors, **later))
 
 
 def _place(
@@ -418,7 +382,7 @@ def _place(
         InputError: the folder holds another, a complete or no night, or one that must not be resumed.
     """
     name = folder.resolve().name
-    there = check_folder(folder, resume=resume, force=force)
+    there = check_folder(folder, metadata, resume=resume, force=force)
     if not resume:
         for file in there:
             file.unlink()
@@ -431,9 +395,6 @@ def _place(
             except InputError as error:
                 # A session that ended before its first tick left no log to recover.
                 remark(f"{error}; the night continues without it")
-    logs = sorted(folder.glob(f"{name}-[0-9]*.mcap"))
-    if logs:
-        check_same_run(logs[-1], metadata, also=(NIGHT_METADATA,))
     digests = read_night(folder).digests
     last = digests[-1]
     if last.end >= night.hours * 3600 - 1 / rate:

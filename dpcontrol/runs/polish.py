@@ -271,7 +271,7 @@ def _searched(
         progress(f"as one, {part.duration:.1f} s", k / len(_SEARCHES))
         wanted = _settings(settings, search.weight, search.method, search.iterations)
         first = on_mesh(part, even_mesh(part.duration, search.interval), method_named(search.method))
-        solved = solve(problem, first, settings=wanted, limits=problem.limits, far=search.far)
+        solved = solve(problem, first, settings=wanted, limits=problem.limits, search="far" if search.far else "fresh")
         if solved.succeeded:
             found.append(solved.trajectory)
     return sorted(found, key=lambda motion: motion.effort)
@@ -466,10 +466,8 @@ def _sides(plans: list[tuple[str, Plan]], runs: int, workers: int, progress: Pro
         )
         for name, plan in plans for mismatch in MISMATCHES
     }  # fmt: skip
-    done, work = dict[str, int](), list(jobs.values())
-    for count, (job, ended) in enumerate(in_processes(_completed, work, workers, remedy="Polish it again"), start=1):
-        progress(f"flown {count} of {len(work)}", count / len(work))
-        done[job.key] = ended
+    ended = in_processes(_completed, [*jobs.values()], workers, what="jobs flown", progress=progress)
+    done = {job.key: count for job, count in ended}
     for name, plan in plans:
         motion = plan.reference
         shares = {mismatch: wilson(done[jobs[name, mismatch].key], runs) for mismatch in MISMATCHES}

@@ -32,7 +32,6 @@ from numpy.typing import NDArray
 from scipy.optimize import isotonic_regression
 
 from dpcontrol.foundation.cache import cache_file, keep, kept
-from dpcontrol.foundation.files import content_hash
 from dpcontrol.foundation.processes import in_processes, processors
 from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress, part_of
 from dpcontrol.foundation.settings import Setting, Settings, leaves_of
@@ -46,9 +45,6 @@ from dpcontrol.plans.overrides import canonical, typed
 from dpcontrol.plans.plan import Plan
 from dpcontrol.runs.campaign import MOST_TICKS, Case, Job, run_job
 from dpcontrol.runs.troubles import TROUBLES, Trouble
-
-RUNNING = 2
-"""Version of runs, part of the cache keys: raise it whenever a seed of a campaign ends in another way."""
 
 
 @dataclass(frozen=True)
@@ -224,9 +220,11 @@ class _Task:
     rate: float = 0.0
 
 
-def _do(task: Job | _Task) -> "tuple[RunEnd, ...] | HazardBorder | Improvement":
-    if isinstance(task, Job):
-        return outcomes(task, len(task.seeds))
+def _ends(job: Job) -> tuple[RunEnd, ...]:
+    return outcomes(job, len(job.seeds))
+
+
+def _do(task: _Task) -> HazardBorder | Improvement:
     return _change(task, task.of) if isinstance(task.of, SceneChange) else _border(task, task.of)
 
 
@@ -240,7 +238,7 @@ def outcomes(job: Job, most: int) -> tuple[RunEnd, ...]:
     if len(job.seeds) > most:
         parts = (replace(job, seeds=job.seeds[k : k + most]) for k in range(0, len(job.seeds), most))
         return tuple(row for part in parts for row in outcomes(part, most))
-    file = cache_file("preflights", job.itinerary, content_hash(job.key, f"running {RUNNING}"))
+    file = cache_file("preflights", job.itinerary, job.key)
     if (content := kept(file)) is not None:
         return tuple(RunEnd(*row) for row in json.loads(content))
     rows = tuple(RunEnd(r["seed"], r["completed"], r["cause"], r["reason"]) for r in run_job(job))
@@ -467,8 +465,8 @@ def preflight(
     most = max(min(MOST_TICKS // ticks, 256), 1)
     size = min(128 if amounts.rate > _FEW else 64, most)
     jobs = [replace(job, seeds=job.seeds[k : k + size]) for k in range(0, amounts.rate, size)]
-    parts = _all(jobs, workers, "rate", part_of(progress, 0.0, 0.15))
-    ordered = sorted(row for part in parts for row in part)
+    parts = in_processes(_ends, jobs, workers, what="jobs for the rate", progress=part_of(progress, 0.0, 0.15))
+    ordered = sorted(row for _, part in parts for row in part)
     completed = [row.completed for row in ordered]
     share = wilson(sum(completed), len(completed), confidence=settings.confidence)
     notes = _notes(scene, loop)
@@ -479,7 +477,8 @@ def preflight(
         tasks += _trials(scene, job, completed, amounts.change, most)
     else:
         notes.append("these runs go one after the other, not side by side: borders and changes with --runs only")
-    found = list(_all(tasks, workers, "borders and changes", part_of(progress, 0.15, 1.0)))
+    work = in_processes(_do, tasks, workers, what="borders and changes", progress=part_of(progress, 0.15, 1.0))
+    found = [result for _, result in work]
     borders = [b for b in found if isinstance(b, HazardBorder)]
     return Preflight(
         itinerary=name,
@@ -494,14 +493,6 @@ def preflight(
         changes=tuple(sorted((c for c in found if isinstance(c, Improvement)), key=lambda c: (-c.gain, c.text))),
         seconds=time.perf_counter() - began,
     )
-
-
-def _all(tasks: Sequence[Job | _Task], workers: int, what: str, progress: Progress) -> Iterator[Any]:
-    """Yield the result of each task, and report their number."""
-    remedy = "Finished jobs are kept: run the same command again, with fewer --workers"
-    for k, (_, done) in enumerate(in_processes(_do, tasks, workers, remedy=remedy), 1):
-        progress(f"{what}: {k} of {len(tasks)}", k / len(tasks))
-        yield done
 
 
 def endings(ends: Sequence[RunEnd]) -> tuple[EndingShare, ...]:

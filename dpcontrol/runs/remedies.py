@@ -187,9 +187,7 @@ def why(
     null, trials = Completed(sum(before[:size]), sum(before[size:]), size), list[TriedChange]()
 
     pieces: list[_Group] = [(made, before) for group in groups if (made := tuple(jobs(group)))]
-    ended = in_processes(_tried, pieces, workers, remedy="Finished jobs are kept: run the same command again")
-    for k, ((jobs_of, _), found) in enumerate(ended, 1):
-        progress(f"changes: {k} of {len(pieces)} kinds", k / (len(pieces) + 1))
+    for (jobs_of, _), found in in_processes(_tried, pieces, workers, what="kinds of changes", progress=progress):
         for (change, _), (done, verdict) in zip(jobs_of, found, strict=False):
             trials.append(_judged(change, done, verdict, before, lambda options: flown(typed(options))))
     progress("why", 1.0)

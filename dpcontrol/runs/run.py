@@ -10,13 +10,13 @@ implements `dpcontrol.rig.packets` works. The example bench is the simulated one
 
 import json
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -45,7 +45,8 @@ from dpcontrol.foundation.files import (
     write_folder,
     write_whole,
 )
-from dpcontrol.foundation.progress import Progress, Reporting, no_progress, reporting
+from dpcontrol.foundation.progress import Progress, Reporting, no_progress
+from dpcontrol.foundation.rendering import DataFrame
 from dpcontrol.foundation.settings import frozen
 from dpcontrol.foundation.shipped import folders
 from dpcontrol.foundation.shown import Timed, checked_times
@@ -90,15 +91,9 @@ from dpcontrol.plans.overrides import canonical, paths
 from dpcontrol.plans.plan import Plan, plan_key
 from dpcontrol.rig.bench import BenchProcess, BenchRecipe, BenchServerSettings, RecordedRig, checked_faults
 from dpcontrol.rig.client import Deadlines, UdpRig, parse_address, real_time_priority, without_collecting
+from dpcontrol.rig.commissioning import Commissioning, CommissioningSettings, commission
 from dpcontrol.rig.packets import shared_key
-from dpcontrol.words.table import Line
-from dpcontrol.words.texts import text_of
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
-
-    from dpcontrol.rig.commissioning import Commissioning
-    from dpcontrol.runs.remedies import Why
+from dpcontrol.runs.remedies import Why, why
 
 _SCENE, _MODEL = "scene.toml", "model.toml"
 
@@ -113,7 +108,7 @@ def default_log(itinerary: Itinerary) -> Path:
 
 
 @dataclass(frozen=True, eq=False)
-class Run(Timed):
+class Run(Timed, Documented):
     """A run or a recording of a bench, read from its log.
 
     See `RunLog` for the arrays.
@@ -159,7 +154,7 @@ class Run(Timed):
         return self._judged.sentence if self._judged else f"{len(self.log.time):,} samples, no plan to be judged by"
 
     @checked
-    def why(self, *, workers: Workers = 0, yes: bool = False, progress: Reporting = None) -> "Why":
+    def why(self, *, workers: Workers = 0, yes: bool = False, progress: Reporting = None) -> Why:
         """Find options that complete the failed run.
 
         Options of `dpcontrol run` must do so more often than harmless changes.
@@ -172,19 +167,16 @@ class Run(Timed):
         Raises:
             InputError: the log is not of a simulated run, lacks what a repetition needs, or it would take too long.
         """
-        from dpcontrol.runs.remedies import why
-
         plan = _plan(self.log)
         typed = partial(_with_options, plan, planned_itinerary(plan.content))
-        with reporting(progress, "why") as report:
-            return why(
-                self.score(),
-                typed,
-                lambda one: run_plan(one).score(),
-                workers=workers,
-                yes=yes,
-                progress=report,
-            )
+        return why(
+            self.score(),
+            typed,
+            lambda one: run_plan(one).score(),
+            workers=workers,
+            yes=yes,
+            progress=progress,
+        )
 
     def margins(self) -> Margins:
         """Return the margins of gain, delay and lag.
@@ -227,10 +219,6 @@ class Run(Timed):
             self.deadlines
         )
         return document_of(self, keys)
-
-    def lines(self) -> "Iterable[Line]":
-        """Return the score as lines of text."""
-        return text_of(self)
 
     @property
     def plant(self) -> ArmChainParameters | None:
@@ -275,7 +263,7 @@ class Run(Timed):
         return np.stack([np.interp(checked_times(times), self.log.time, one) for one in states.T], axis=-1)
 
     @checked
-    def frame(self, count: Count | None = None) -> "DataFrame":
+    def frame(self, count: Count | None = None) -> DataFrame:
         """Return a pandas table of the run.
 
         Args:
@@ -311,7 +299,7 @@ def run_plan(
     out: Path | None = None,
     *,
     assembly: Assembly | None = None,
-    rig: OwnObject | None = None,
+    bench: "OwnObject | RigLink | None" = None,
     force: bool = False,
     live: LiveSink | None = None,
     progress: Progress = no_progress,
@@ -322,58 +310,71 @@ def run_plan(
         plan: plan of the itinerary.
         out: log to write (default none).
         assembly: components shared by many runs.
-        rig: a user's rig (default: the simulated bench).
+        bench: a user's rig or the link to a bench in real time (default: the simulated bench).
         force: replace the log of another run.
         live: makes a sink that shows the run.
         progress: receiver of progress reports.
 
     Raises:
         InputError: the log cannot be written or belongs to another run, the model's file lacks the uncertainty of a
-            drawn plant, or a live view has no display.
-        GoalMissed: the plan did not converge, no controller can be made for it, or no plant drawn.
+            drawn plant, no bench answers, it needs a key or does not fit the itinerary, or a live view has no display.
+        GoalMissed: the plan did not converge, no controller can be made for it, no plant drawn, or the rig failed at
+            once.
     """
     plan = plan.followed()
-    scene, sink = plan.itinerary, Events()
-    made_by = _made_by(scene, None if rig is None else rig.name)
-    assembly = assembly or assembled(plan)
+    scene, assembly = plan.itinerary, assembly or assembled(plan)
+    made_by = bench_record(scene, bench)
 
-    def run(sink: LoopSink) -> LoopResult:
-        if rig is None:
-            return assembly.simulate(sink=sink, progress=progress)
-        arms, period = scene.model.arms.count, 1 / scene.loop.rate
+    def run(sink: LoopSink) -> tuple[Ticks, dict[str, str]]:
+        """Return the ticks, and the outcome as metadata."""
+        if bench is None:
+            flown = assembly.simulate(sink=sink, progress=progress)
+            return flown.ticks, outcome(flown)
         with assembly.recovery_beside() as recovery:
-            loop = assembly.loop(sink=sink, recovery=recovery, progress=progress)
-            flown = loop.run(OwnRig(rig, arms=arms, period=period))
+            loop, noted = assembly.loop(sink=sink, recovery=recovery, progress=progress), {}
+            if isinstance(bench, OwnObject):
+                flown = loop.run(OwnRig(bench, arms=scene.model.arms.count, period=1 / scene.loop.rate))
+            else:
+                recipe = bench_recipe(plan, assembly)
+                with bench.connected(scene, recipe, ticks=loop.count, what="the itinerary", loop=loop) as (rig, _):
+                    flown = loop.run(rig)
+                noted = rig.deadlines.record()
         if not len(flown.ticks.times):
             raise GoalMissed(flown.reason)
-        return flown
+        return flown.ticks, {**outcome(flown), **noted}
 
     if out is None:
-        with watched(plan, sink, live=live) as sinks:
-            result = run(sink=sinks)
-        return Run(_log_in_memory(plan, result.ticks, sink.kept, **made_by, **outcome(result)))
+        events = Events()
+        with watched(plan, events, live=live) as sink:
+            ticks, ended = run(sink)
+        return Run(_log_in_memory(plan, ticks, events.kept, **made_by, **ended))
     check_replaced(out, {**run_metadata(scene), **made_by}, force=force)
-    with log_writer(plan, out, **made_by) as writer, watched(plan, LogSink(writer), live=live) as sinks:
-        writer.result(**outcome(run(sink=sinks)))
+    with log_writer(plan, out, **made_by) as writer, watched(plan, LogSink(writer), live=live) as sink:
+        writer.result(**run(sink)[1])
     return Run(read_log(out))
 
 
-def _made_by(itinerary: Itinerary, rig: str | None) -> dict[str, str]:
-    """Return the metadata of a run that depend on the bench: the drawn plant or the rig's name."""
-    return drawn_metadata(itinerary) if rig is None else {"rig": rig}
-
-
-def run_record(itinerary: Itinerary, *, rig: str | None = None) -> dict[str, str]:
-    """Return the metadata that identify a run before it starts.
+def bench_record(itinerary: Itinerary, bench: "OwnObject | RigLink | None" = None) -> dict[str, str]:
+    """Return the metadata of a run that depend on the bench: the rig's name, or the drawn plant of a simulated bench.
 
     Args:
-        itinerary: with the run's settings.
-        rig: its address or name; None for the simulated bench.
+        itinerary: itinerary with the run's settings.
+        bench: a user's rig or the link to one; None for the simulated bench.
 
     Raises:
         GoalMissed: no plant can be drawn.
     """
-    return {**run_metadata(itinerary), **_made_by(itinerary, rig)}
+    return drawn_metadata(itinerary) if bench is None else {"rig": bench.name}
+
+
+def run_record(itinerary: Itinerary, bench: "OwnObject | RigLink | None" = None) -> dict[str, str]:
+    """Return the metadata that identify a run before it starts; see `bench_record`.
+
+    Args:
+        itinerary: itinerary with the run's settings.
+        bench: a user's rig or the link to one; None for the simulated bench.
+    """
+    return {**run_metadata(itinerary), **bench_record(itinerary, bench)}
 
 
 @contextmanager
@@ -649,13 +650,11 @@ def _with_settings(itinerary: Itinerary, log: RunLog, *, cannot: str) -> Itinera
     try:
         settings = json.loads(log.metadata["run_settings"])
         return replace(itinerary, loop=stored_settings(settings, str(log.path)))
-    except (TypeError, ValueError, LookupError, RecursionError) as error:
-        raise InputError(f"{log.path} cannot {cannot}: its run settings are not readable: {error}") from error
-    except InputError as error:
+    except (InputError, TypeError, ValueError, LookupError) as error:
+        version = f"{log.metadata.get('version', '?')} (commit {log.metadata.get('commit') or 'unknown'})"
+        said = str(error).partition("\n")[0]
         raise InputError(
-            f"{log.path} cannot {cannot}: its run settings are of another version; use the one that wrote it "
-            f"({log.metadata.get('version', '?')}, commit {log.metadata.get('commit') or 'unknown'}): "
-            f"{error.errors[0]}"
+            f"{log.path} cannot {cannot}: its run settings, written by version {version}, do not read here: {said}"
         ) from error
 
 
@@ -752,11 +751,11 @@ def export_plan(
 ) -> ControllerSource:
     """Return the controller of a planned itinerary as C.
 
-    The controller is written to a folder atomically if one is given.
+    The controller is written if a folder or a unit is given. A unit without a binary for this platform causes a remark.
 
     Args:
         plan: plan of the itinerary.
-        out: folder to write.
+        out: folder to write, or NAME.fmu for a co-simulation unit.
         assembly: components built before.
         single: use single precision.
         clock: clock of a Cortex-M4 that must keep the rate, MHz.
@@ -768,38 +767,18 @@ def export_plan(
             something else.
         GoalMissed: the plan did not converge, or no controller can be made for it.
     """
-    source, _, _ = _exported(plan, assembly or assembled(plan), single, progress, clock=clock)
-    if out is not None:
+    source, program, schedule = _exported(plan, assembly or assembled(plan), single, progress, clock=clock)
+    if out is not None and out.suffix == ".fmu":
+        title, delay = plan.itinerary.title, plan.itinerary.loop.drive.delay
+        unit = controller_unit(source, program, schedule, name=out.stem, title=title, delay=delay)
+        if not force and out.exists() and not (out.is_file() and out.read_bytes() == unit.archive):
+            raise in_the_way(out, "holds something else")
+        write_whole(out, unit.archive)
+        if unit.lacks:
+            remark(unit.lacks)
+    elif out is not None:
         write_folder(out, source.files, force=force)
     return replace(source, place=out)
-
-
-def export_unit(
-    plan: Plan, out: Path, *, single: bool = False, force: bool = False, progress: Progress = no_progress
-) -> tuple[ControllerSource, str]:
-    """Write the controller of a planned itinerary as co-simulation unit.
-
-    Args:
-        plan: plan of the itinerary.
-        out: file to write.
-        single: use single precision, default False.
-        force: True to replace that file, default False.
-        progress: receiver of progress reports.
-
-    Returns:
-        Its C, and the reason if the unit has no binary for this platform, else "".
-
-    Raises:
-        InputError, GoalMissed: see `export_plan`.
-    """
-    source, program, schedule = _exported(plan, assembled(plan), single, progress)
-    made = controller_unit(
-        source, program, schedule, name=out.stem, title=plan.itinerary.title, delay=plan.itinerary.loop.drive.delay
-    )
-    if not force and out.exists() and not (out.is_file() and out.read_bytes() == made.archive):
-        raise in_the_way(out, "holds something else")
-    write_whole(out, made.archive)
-    return replace(source, place=out), made.lacks
 
 
 def _exported(
@@ -967,8 +946,8 @@ class RigLink:
             yield rig, process
 
 
-def rig_link(address: str | None, *, key_file: Path | None, insecure: bool, real_time: bool) -> RigLink | None:
-    """Return the link to a bench, or None without an address.
+def rig_link(address: str, *, key_file: Path | None = None, insecure: bool = False, real_time: bool = False) -> RigLink:
+    """Return the link to a bench.
 
     Args:
         address: udp://HOST:PORT, or `udp` to start an example bench.
@@ -979,8 +958,6 @@ def rig_link(address: str | None, *, key_file: Path | None, insecure: bool, real
     Raises:
         InputError: the address is malformed, or the key is not readable.
     """
-    if address is None:
-        return None
     link = RigLink(address, insecure=insecure, real_time=real_time)
     return link if address == OWN_BENCH else replace(link, key=shared_key(key_file))
 
@@ -993,7 +970,7 @@ def commission_rig(
     faults: Sequence[str] = (),
     switches: float = 0.0,
     notify: Callable[[str], None] = lambda text: None,
-) -> "Commissioning":
+) -> Commissioning:
     """Check a rig before its first run; see `dpcontrol.rig.commissioning`.
 
     Args:
@@ -1007,8 +984,6 @@ def commission_rig(
     Raises:
         InputError: no bench answers, it needs a key or does not fit the itinerary.
     """
-    from dpcontrol.rig.commissioning import CommissioningSettings, commission
-
     options, rate = CommissioningSettings(), itinerary.loop.rate
     find = partial(
         commission, arms=itinerary.model.arms, settings=itinerary.loop, limits=itinerary.loop.limits(itinerary.limits),
@@ -1049,7 +1024,7 @@ def measured_text(itinerary: Itinerary, values: Mapping[str, Any]) -> tuple[Path
     return path, with_values(text, "run", values)
 
 
-def written(found: "Commissioning", itinerary: Itinerary) -> "Commissioning":
+def written(found: Commissioning, itinerary: Itinerary) -> Commissioning:
     """Write the measured values of a commissioning into [run] of the itinerary, unless the rig has a fault.
 
     Args:
@@ -1065,40 +1040,6 @@ def written(found: "Commissioning", itinerary: Itinerary) -> "Commissioning":
         # The measurements are shown nevertheless.
         return replace(found, unwritten=str(error))
     return replace(found, written=path)
-
-
-def run_on_rig(plan: Plan, out: Path, link: RigLink, *, force: bool = False, live: LiveSink | None = None) -> Run:
-    """Run a planned itinerary on a bench, log and score it.
-
-    Args:
-        plan: plan of the itinerary.
-        out: log to write.
-        link: connection to the bench.
-        force: True to replace that file, default False.
-        live: makes a sink that shows the run; None for no view.
-
-    Raises:
-        InputError: no bench answers, it needs a key or does not fit the itinerary, the log cannot be written, or a live
-            view has no display.
-        GoalMissed: the plan did not converge, no controller can be made for it, or the bench failed at once.
-    """
-    itinerary, assembly = plan.itinerary, assembled(plan)
-    # A rig's run never repeats that of an existing log, even with equal settings.
-    check_replaced(out, run_record(itinerary, rig=link.address), force=force)
-    # All components are built before the log is opened.
-    _ = assembly.controller, assembly.fallback, assembly.recovery
-    with (
-        assembly.recovery_beside() as recovery,
-        log_writer(plan, out) as writer,
-        watched(plan, LogSink(writer), live=live) as sink,
-    ):
-        loop, recipe = assembly.loop(sink=sink, recovery=recovery), bench_recipe(plan, assembly)
-        with link.connected(itinerary, recipe, ticks=loop.count, what="the itinerary", loop=loop) as (rig, _):
-            result = loop.run(rig)
-        if not len(result.ticks.times):
-            raise GoalMissed(result.reason)
-        writer.result(**outcome(result), rig=rig.address, **rig.deadlines.record())
-    return Run(read_log(out))
 
 
 PROGRAM_WATCHDOG = 0.03
@@ -1126,7 +1067,7 @@ def run_with_program(plan: Plan, out: Path, program: Path, *, real_time: bool = 
     """
     if not (program.is_file() and os.access(program, os.X_OK)):
         raise InputError(f"program = {program}: no such executable program; compile it first")
-    check_replaced(out, run_record(plan.itinerary, rig=OWN_BENCH), force=force)
+    check_replaced(out, run_record(plan.itinerary, RigLink(OWN_BENCH)), force=force)
     loop = plan.itinerary.loop
     # A program neither restarts after a fall nor subtracts zeros from its readings.
     stops = replace(loop, supervisor=replace(loop.supervisor, on_fall="stop"))

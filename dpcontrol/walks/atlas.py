@@ -11,9 +11,8 @@ Source: Kaheman et al. (2023), section 4.
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
-import networkx as nx
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,13 +21,16 @@ from dpcontrol.foundation.arrays import Array, checked_array
 from dpcontrol.foundation.checked import Hit, checked
 from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.settings import check_names
+from dpcontrol.foundation.settings import check_choice
 from dpcontrol.foundation.shown import Brief, Shown
 from dpcontrol.foundation.units import InUnits
 from dpcontrol.orbits.cut import Piece
 from dpcontrol.orbits.orbit import OrbitRecord
 from dpcontrol.orbits.rotating import RotatingRecord
 from dpcontrol.tubes.connections import ConnectionRecord
+
+if TYPE_CHECKING:
+    import networkx as nx
 
 
 def connection_graph(orbits: Iterable[Any], connections: Iterable[tuple[str, str, Any]]) -> "nx.MultiDiGraph[str]":
@@ -40,6 +42,9 @@ def connection_graph(orbits: Iterable[Any], connections: Iterable[tuple[str, str
         orbits: objects with a `name`, stored as the node attribute `orbit`.
         connections: (source name, target name, connection), stored as the edge attribute `connection`.
     """
+    # The import takes a fifth of a second, which a plan without walks does not need.
+    import networkx as nx
+
     graph: nx.MultiDiGraph[str] = nx.MultiDiGraph()
     for orbit in orbits:
         graph.add_node(orbit.name, orbit=orbit)
@@ -262,7 +267,7 @@ class Atlas(Shown, InUnits, Documented):
         Raises:
             InputError: unknown saddle.
         """
-        check_names("saddle", (source, target), [point.name for point in self.points])
+        check_choice("saddle", [point.name for point in self.points], source, target)
         return tuple(c for c in self.connections if (c.source, c.target) == (source, target))
 
     @checked
@@ -293,7 +298,7 @@ class Atlas(Shown, InUnits, Documented):
         Raises:
             InputError: unknown saddle, or states of another length.
         """
-        check_names("saddle", [saddle], [point.name for point in self.points])
+        check_choice("saddle", [point.name for point in self.points], saddle)
         states = checked_array("states", states, len(self.reverser))
         centre = next(point.state for point in self.points if point.name == saddle)
         return (states - centre) @ self.reverser.T + centre

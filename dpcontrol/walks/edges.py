@@ -11,9 +11,7 @@ Source: Kaheman et al. (2023), section 4.
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar
-
-import networkx as nx
+from typing import TYPE_CHECKING, ClassVar
 
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
@@ -22,7 +20,7 @@ from dpcontrol.foundation.checked import checked
 from dpcontrol.foundation.document import Documented, counted
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress, part_of
-from dpcontrol.foundation.settings import check_names
+from dpcontrol.foundation.settings import check_choice
 from dpcontrol.foundation.shown import Brief, Shown
 from dpcontrol.orbits.cut import Cut, tube_cut
 from dpcontrol.orbits.lyapunov import LyapunovOrbit, lyapunov_orbit
@@ -42,6 +40,9 @@ from dpcontrol.tubes.connections import (
 from dpcontrol.tubes.intersections import ConnectionSettings
 from dpcontrol.walks.atlas import connection_graph
 from dpcontrol.walks.symbols import ROTATING, Symbol
+
+if TYPE_CHECKING:
+    import networkx as nx
 
 _LONGER = 3
 """Crossings tried after the first; each one stretches the cut by |λ| and slows the search."""
@@ -198,7 +199,7 @@ class Edges(Shown, Documented):
         Raises:
             InputError: unknown saddle.
         """
-        check_names("saddle", (source, target), (*self.system.equilibria, *self.orbits))
+        check_choice("saddle", (*self.system.equilibria, *self.orbits), source, target)
         return tuple(c for c in self.connections if (c.source.saddle, c.target.saddle) == (source, target))
 
     @checked
@@ -211,7 +212,7 @@ class Edges(Shown, Documented):
         Raises:
             InputError: unknown saddle.
         """
-        check_names("saddle", [saddle], (*self.system.equilibria, *self.orbits))
+        check_choice("saddle", (*self.system.equilibria, *self.orbits), saddle)
         return tuple(c for c in self.connections if c.source.saddle == saddle)
 
     def graph(self) -> "nx.MultiDiGraph[str]":

@@ -19,7 +19,6 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, ClassVar
 
-import networkx as nx
 import numpy as np
 from numpy.typing import NDArray
 
@@ -303,6 +302,8 @@ def through(stops: Sequence[str], edges: Edges) -> Walk:
     Raises:
         InputError: fewer than two stops, an unknown saddle, or no path between successive stops.
     """
+    import networkx as nx
+
     if len(stops) < 2:
         raise InputError(f"stops = {list(stops)}: must have at least two, for the start and the end")
     graph, place = edges.graph(), f"{edges.energy:g}{edges.system.unit('J')}"
@@ -320,6 +321,8 @@ def through(stops: Sequence[str], edges: Edges) -> Walk:
 
 def _matrix(edges: Edges) -> tuple[list[str], NDArray[np.object_]]:
     """Return the saddles and the matrix of connection counts."""
+    import networkx as nx
+
     names = list(edges.orbits)
     # Whole numbers of Python have any length.
     return names, nx.to_numpy_array(edges.graph(), nodelist=names, dtype=np.dtype(int)).astype(object)

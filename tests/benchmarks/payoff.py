@@ -444,7 +444,7 @@ def main() -> None:
     """Search all flights by all methods, store the rows, draw them and print the table."""
     quick = "--quick" in sys.argv
     jobs = [(which, Tries(2, 1, 1, 2) if quick else Tries()) for which in (FLIGHTS[::4] if quick else FLIGHTS)]
-    found = in_processes(compared, jobs, processors(), remedy="Run it again")
+    found = in_processes(compared, jobs, processors())
     rows = [row for _, flights in sorted(found, key=lambda pair: jobs.index(pair[0])) for row in flights]
     if not quick:
         STORE.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")

@@ -1,4 +1,4 @@
-"""The gain of recovery and catching under blows: the guide's table of two blows in a run, and catching alone.
+"""The gain of recovery and catching under blows: the guide's figures of two blows in a run, and catching alone.
 
 Each takes some ten minutes of one core.
 """

@@ -16,7 +16,7 @@ from dpcontrol.foundation.rendering import live_view
 from dpcontrol.pages.viewer import LiveView, viewer_program
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import make_plan
-from dpcontrol.runs.run import rig_link, run_on_rig
+from dpcontrol.runs.run import rig_link, run_plan
 
 ITINERARY, TURNS = "turn-cross-turn-return", 3
 SHOWN = 100_000
@@ -43,7 +43,7 @@ def test_a_live_view_makes_no_tick_late(tmp_path, monkeypatch, capsys) -> None:
     try:
         for turn in range(2 * TURNS):
             shown = bool(turn % 2)
-            run = run_on_rig(plan, tmp_path / f"{turn}.mcap", link, live=live_view if shown else None)
+            run = run_plan(plan, tmp_path / f"{turn}.mcap", bench=link, live=live_view if shown else None)
             thinking, deadlines = run.result.thinking, run.deadlines
             assert run.result.finished, run.result.reason
             assert deadlines is not None

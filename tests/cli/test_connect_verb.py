@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -93,16 +94,10 @@ def test_open_cuts_are_reported_with_branch_phases_and_reason() -> None:
     assert connections("down-up", "down-up", -0.07)["open_cuts"] == []
 
 
-def test_the_table_for_people_lists_every_connection_by_name() -> None:
-    shown = dpcontrol("connect", "lab", "--from", "down-up", "--to", "down-up", "--energy", "-0.07")
-    assert shown.code == 0
-    names = [c["name"] for c in connections("down-up", "down-up", -0.07)["connections"]]
-    assert len(names) == 8
-    for name in names:
-        assert name in shown.stdout
-
-
-def test_an_incomplete_list_ends_with_1() -> None:
-    search = ("connect", "lab", "--from", "down-up", "--to", "down-up", "--energy", "-0.07", "--longest", "1")
-    ended = dpcontrol(*search, "--json")
-    assert (ended.code, ended.document["complete"]) == (1, False)
+def test_the_cuts_and_connections_are_drawn_on_request(tmp_path: Path) -> None:
+    ends = ("connect", "lab", "--from", "down-up", "--to", "up-down", "--energy", "0.2", "--json")
+    shown = dpcontrol(*ends, "--picture", str(tmp_path / "cuts.svg"))
+    assert shown.document["picture"] == str(tmp_path / "cuts.svg")
+    text = (tmp_path / "cuts.svg").read_text(encoding="utf-8")
+    assert "tube from down-up" in text
+    assert dpcontrol(*ends, "--picture", str(tmp_path / "cuts.jpg")).code == 2

@@ -67,33 +67,23 @@ def test_the_example_in_a_verbs_help_runs(verb: str, tmp_path: Path, monkeypatch
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("line", "progress"),
+    "line",
     [
-        ("model lab", ""),
-        ("connect lab --from down-up --to up-down --energy 0.2", "connections"),
-        ("plan hold-down-down --fresh", "plan"),
-        ("run outer-turn --controller feedforward", "not completed"),
-        ("review whole.mcap --save whole.rrd", "review"),
+        "model lab",
+        "connect lab --from down-up --to up-down --energy 0.2",
+        "plan hold-down-down --fresh",
+        "run outer-turn --controller feedforward",
+        "review whole.mcap --save whole.rrd",
     ],
 )
-def test_json_is_one_document_on_stdout_and_progress_goes_to_stderr(line: str, progress: str, tmp_path: Path) -> None:
+def test_json_is_one_document_on_stdout_and_messages_go_to_stderr(line: str, tmp_path: Path) -> None:
     if "whole.mcap" in line:
         hold = ("run", "hold-down-down", "--set", "seconds=1")
         assert dpcontrol(*hold, "--out", tmp_path / "whole.mcap").code == 0
     ended = dpcontrol_program(*line.split(), "--json", folder=tmp_path)
     assert ended.code == (1 if "feedforward" in line else 0)
     assert isinstance(ended.document, dict)
-    assert progress in ended.stderr
-    if not progress:
-        assert ended.stderr == ""
-
-
-def test_the_version_is_the_packages(tmp_path: Path) -> None:
-    from importlib.metadata import version
-
-    shown = dpcontrol_program("--version", folder=tmp_path)
-    assert shown.code == 0
-    assert version("dpcontrol") in shown.stdout
+    assert ("not completed" in ended.stderr) is bool(ended.code)
 
 
 def offered(line: str) -> list[str]:
@@ -107,18 +97,14 @@ def offered(line: str) -> list[str]:
     ("line", "wanted"),
     [
         ("dpcontrol plan ", {file.stem for file in ITINERARIES.glob("*.toml")}),
-        ("dpcontrol run outer", {"outer-turn"}),
         ("dpcontrol run outer-turn --set drive.la", {"drive.lag="}),
         ("dpcontrol run outer-turn --controller ", set(CONTROLLERS)),
-        ("dpcontrol orbit lab --saddle up", {"up-down"}),
         ("dpcontrol connect three-body --from ", {"L1", "L2", "L3"}),
         ("dpcontrol run outer-turn --rig ./my", {""}),
         ("dpcontrol import x.csv --repair nan,g", {"nan,gaps"}),
-        ("dpcontrol campaign outer-turn --over mism", {"mismatch="}),
         ("dpcontrol campaign outer-turn --over controller=lqr,a", {"controller=lqr,adaptive"}),
         ("dpcontrol campaign outer-turn --over nosuch=", set()),
         ("dpcontrol he", {"help"}),
-        ("dpcontrol plan ./my", {""}),
     ],
 )
 def test_values_are_completed(line: str, wanted: set[str]) -> None:
@@ -137,9 +123,3 @@ def test_help_gives_the_default_of_every_option_that_takes_a_value() -> None:
             if "[default: " not in record[1]:
                 silent.append(f"{verb} {one.opts[0]}")
     assert not silent
-
-
-@pytest.mark.parametrize("verb", ["orbit", "cache"])
-def test_help_verb_equals_verb_help(verb: str) -> None:
-    assert dpcontrol("help", verb).stdout == dpcontrol(verb, "--help").stdout
-    assert f"Usage: dpcontrol {verb}" in dpcontrol("help", verb).stdout

@@ -1,14 +1,11 @@
 """`dpcontrol info`, `recover`, `run --from`: what a log holds, what is left of it, the run once more, and its plant."""
 
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 from command_line import dpcontrol
 from mcap.reader import make_reader
-from mcap.records import Chunk
-from mcap.stream_reader import StreamReader
 
 from dpcontrol.dynamics.chain import base_ratios
 from dpcontrol.logs import LogWriter, read_log
@@ -64,28 +61,6 @@ def test_a_truncated_log_is_rejected_by_info_recovered_and_then_scored(logged: P
     assert scored.code == 1
     assert scored.document["completed"] is False
     assert "recovered; lost: everything after" in dpcontrol("info", tmp_path / "cut.mcap").stdout
-
-
-def in_a_chunk(log: Path) -> int:
-    """Return the place of a byte in the midst of a chunk, halfway through a log; outside them nothing would be lost."""
-    with log.open("rb") as stream:
-        records = StreamReader(stream, emit_chunks=True).records
-        ends = [(stream.tell(), isinstance(record, Chunk)) for record in records]
-    chunks = [(begin, end) for (begin, _), (end, is_chunk) in pairwise(ends) if is_chunk]
-    return sum(chunks[len(chunks) // 2]) // 2
-
-
-def test_recover_reports_the_losses_and_keeps_a_complete_log(logged: Path, tmp_path: Path) -> None:
-    data = bytearray(logged.read_bytes())
-    data[in_a_chunk(logged)] ^= 16
-    (tmp_path / "bad.mcap").write_bytes(data)
-    done = dpcontrol("recover", tmp_path / "bad.mcap")
-    assert done.code == 0
-    assert "lost: " in done.stdout
-    assert "20 ms" in done.stdout
-    assert "nothing to recover" in dpcontrol("recover", logged).stdout
-    assert dpcontrol("recover", tmp_path / "bad.mcap", "--out", tmp_path / "x.txt").code == 2
-    assert dpcontrol("recover", tmp_path / "none.mcap").code == 2
 
 
 @pytest.mark.slow

@@ -1,7 +1,5 @@
 """`dpcontrol model` and `dpcontrol orbit` against values computed independently."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from command_line import dpcontrol
@@ -69,21 +67,6 @@ def test_an_orbit_has_the_independent_state_period_and_multiplier_and_closes(
     assert values[0].real == pytest.approx(1 / multiplier, rel=MULTIPLIER_TOLERANCE)
     for value in (values[1], values[2]):
         assert abs(value - 1) <= UNIT_PAIR_TOLERANCE
-
-
-def test_tables_for_people_name_every_parameter_equilibrium_and_source() -> None:
-    shown = dpcontrol("model", "lab")
-    assert shown.code == 0
-    for text in (*UNITS, *KINDS, "EstimatedParameters_DoublePendulum.mat"):
-        assert text in shown.stdout
-    orbit = dpcontrol("orbit", "lab", "--saddle", "down-up", "--energy", "-0.07").stdout
-    assert "0.75238002849288" in orbit
-    assert "533.89333705  1  1" in orbit
-
-
-def test_a_byte_order_mark_is_no_part_of_a_model(shipped_text: dict[str, str], tmp_path: Path) -> None:
-    (tmp_path / "mine.toml").write_text(shipped_text["lab"], encoding="utf-8-sig")
-    assert dpcontrol("model", tmp_path / "mine.toml").code == 0
 
 
 @pytest.mark.parametrize(("saddle", "energy"), EFFORTS)

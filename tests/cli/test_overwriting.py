@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 from command_line import dpcontrol
 
@@ -63,14 +64,8 @@ def kept(file: Path, line: str) -> None:
         (f"run {STILL} --out", LOG, "--mismatch 0.07"),
         (f"{SWINGS} --swings 2 --out", LOG, "--seed 1"),
         ("replay swings.mcap --out", LOG, "--counts 400"),
-        pytest.param(
-            f"campaign {STILL} --workers 1 --runs 2 --out",
-            Path("logs/still.parquet"),
-            "--mismatch 0.07",
-            marks=pytest.mark.slow,
-        ),
     ],
-    ids=["run", "import", "replay", "campaign"],
+    ids=["run", "import", "replay"],
 )
 def test_a_command_replaces_its_own_output_but_neither_anothers_nor_a_file_of_another_kind(
     line: str, file: Path, other: str
@@ -81,6 +76,24 @@ def test_a_command_replaces_its_own_output_but_neither_anothers_nor_a_file_of_an
     kept(file, f"{line} {file} {other}")
     file.write_text("my notes")
     kept(file, f"{line} {file}")
+
+
+@pytest.mark.slow
+def test_a_campaign_continues_its_own_table_and_replaces_anothers_only_with_force() -> None:
+    line, table = f"campaign {STILL} --workers 1 --runs 2 --out", Path("logs/still.parquet")
+    called(f"{line} {table}")
+    called(f"{line} {table}")
+    ended = dpcontrol(*f"{line} {table} --mismatch 0.07".split())
+    assert ended.code == 2
+    assert f"{table} is there already and holds another campaign" in ended.message
+    called(f"{line} {table} --mismatch 0.07 --force")
+    assert pq.read_table(table)["mismatch"].to_pylist() == [0.07] * 2
+    old = Path("logs/old.parquet")
+    old.write_text("a table of version 0.2")
+    for ended in (dpcontrol(*f"{line} {old}".split()), dpcontrol("report", str(old))):
+        assert ended.code == 2
+        assert "is a file" in ended.message or "is not a folder" in ended.message
+    assert old.read_text() == "a table of version 0.2"
 
 
 def written(path: Path, *, rig: str | None = None, ticks: int = 50) -> None:
@@ -179,7 +192,7 @@ def test_a_log_that_is_being_written_gives_the_next_name() -> None:
 @pytest.mark.parametrize(
     ("line", "naming"),
     [
-        (f"run {STILL}", "it is a folder or no regular file"),
+        (f"run {STILL} --out {LOG}", "it is a folder or no regular file"),
         (f"export {STILL} --out taken/x", "taken/x"),
         ("walk lab --energy -0.07 --length 2 --solve --out taken", "taken"),
     ],
@@ -199,7 +212,7 @@ def test_an_output_that_cannot_be_written_is_refused_before_the_work(
 
 
 def test_an_interrupted_campaign_continues_its_own_table(monkeypatch: pytest.MonkeyPatch) -> None:
-    def interrupted(jobs: Sequence[Job], workers: int) -> Iterator[tuple[Job, list[dict[str, object]]]]:
+    def interrupted(jobs: Sequence[Job], *_: object) -> Iterator[tuple[Job, list[dict[str, object]]]]:
         yield jobs[0], run_job(jobs[0])
         raise KeyboardInterrupt
 
@@ -207,17 +220,16 @@ def test_an_interrupted_campaign_continues_its_own_table(monkeypatch: pytest.Mon
     with monkeypatch.context() as patched:
         patched.setattr("dpcontrol.runs.campaign.run_locally", interrupted)
         assert dpcontrol(*line.split()).code == 130
-    parts = list(Path("logs/still.parquet.parts").glob("*.parquet"))
+    parts = list(Path("logs/still.parquet").iterdir())
     assert len(parts) == 1
     assert named(f"campaign {STILL} --workers 1 --runs 2 --mismatch 0.07") == "logs/still.2.parquet"
-    assert list(Path("logs/still.parquet.parts").glob("*.parquet")) == parts
+    assert list(Path("logs/still.parquet").iterdir()) == parts
     asked: list[int] = []
 
-    def counted(jobs: Sequence[Job], workers: int) -> Iterator[tuple[Job, list[dict[str, object]]]]:
+    def counted(jobs: Sequence[Job], *_: object) -> Iterator[tuple[Job, list[dict[str, object]]]]:
         asked.append(len(jobs))
         return ((job, run_job(job)) for job in jobs)
 
     monkeypatch.setattr("dpcontrol.runs.campaign.run_locally", counted)
     assert named(line) == "logs/still.parquet"
     assert asked == [1]
-    assert not Path("logs/still.parquet.parts").exists()

@@ -3,8 +3,6 @@
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 from bench_recordings import rig_variables, table_columns, write_csv, write_mat
 from command_line import dpcontrol
@@ -81,30 +79,6 @@ def test_replay_reports_the_error_of_each_segment_and_writes_a_log_for_review() 
     assert Path("replay.png").stat().st_size > 10_000
 
 
-@pytest.mark.parametrize("name", ["swing.csv", "s3:swing.parquet"])
-def test_a_table_without_rates_needs_no_mapping_and_no_name_is_an_address(name: str) -> None:
-    time = np.arange(400) / 200
-    columns = {"time": time, "angle_1": np.sin(time), "angle_2": np.cos(time)}
-    if name.endswith(".csv"):
-        np.savetxt(name, np.stack(list(columns.values()), 1), delimiter=",", header=",".join(columns), comments="")
-    else:
-        with Path(name).open("wb") as stream:
-            pq.write_table(pa.table(columns), stream)
-    ended = dpcontrol("import", name, "--json")
-    assert ended.code == 0, ended.stderr
-    assert ended.document["rates"] is False
-
-
-def test_a_log_that_cannot_be_replayed_is_rejected_with_the_reason() -> None:
-    write_mat(Path("swing.mat"), rig_variables())
-    dpcontrol("import", "swing.mat")
-    for model, said in (("triple", "has 2 arms and the model 3"), ("three-body", "no arms")):
-        ended = dpcontrol("replay", "logs/swing.mcap", "--model", model)
-        assert ended.code == 2
-        assert said in ended.message
-    assert not Path("logs/swing-replay.mcap").exists()
-
-
 @pytest.mark.slow
 def test_a_model_with_uncertainty_and_a_picture_are_written() -> None:
     starts = [np.array([1.0, 0.3]) * (-0.8) ** k for k in range(3)]
@@ -122,12 +96,3 @@ def test_a_model_with_uncertainty_and_a_picture_are_written() -> None:
     assert Path("found.png").read_bytes().startswith(b"\x89PNG")
     # The model that was found runs every other verb that takes one.
     assert dpcontrol("model", "swing", "--json").document["parameters"]["m1"]["value"] > 0
-
-
-@pytest.mark.slow
-def test_designs_are_compared_without_a_log() -> None:
-    ended = dpcontrol("identify", "--design", "--picture", "design.png", "--json")
-    assert ended.code == 0, ended.stderr
-    assert {e["kind"] for e in ended.document["experiments"]} == {"swing", "cart"}
-    assert ended.document["best"]
-    assert Path("design.png").read_bytes().startswith(b"\x89PNG")

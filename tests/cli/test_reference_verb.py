@@ -32,16 +32,6 @@ def header(file: Path) -> dict[str, Any]:
     return json.loads(str(arrays(file)["header"]))
 
 
-def changed(file: Path, to: Path, **notes: Any) -> Path:
-    """Write the file with other notes."""
-    parts = arrays(file)
-    head = json.loads(str(parts["header"]))
-    head["notes"] = {k: v for k, v in (head["notes"] | notes).items() if v is not None}
-    parts["header"] = np.array(json.dumps(head))
-    np.savez(to, **parts)
-    return to
-
-
 def test_the_document_agrees_with_the_arrays(file: Path) -> None:
     shown = dpcontrol("reference", file, "--json").document
     held = arrays(file)
@@ -104,24 +94,3 @@ def test_the_scene_and_model_in_the_file_plan_to_the_same_reference(
     again, held = arrays(tmp_path / "again.npz"), arrays(file)
     for name in ("mesh", "states", "inputs"):
         np.testing.assert_array_equal(again[name], held[name])
-
-
-@pytest.mark.slow
-def test_a_file_is_drawn_with_a_plans_notes_and_without(file: Path, tmp_path: Path) -> None:
-    bare = changed(file, tmp_path / "bare.npz", **dict.fromkeys(header(file)["notes"]))
-    for one in (file, bare):
-        picture = tmp_path / f"{one.stem}.png"
-        ended = dpcontrol("reference", one, "--picture", picture)
-        assert ended.code == 0
-        assert "cart position" in ended.stdout
-        assert picture.read_bytes().startswith(b"\x89PNG")
-    document = dpcontrol("reference", bare, "--json").document
-    assert "symbols" not in document
-    assert document["measured_error_between_nodes"] is None
-
-
-@pytest.mark.parametrize("notes", [{"symbols": [{"time": "late"}]}, {"made_from": {"parameters": {"mass": [1.0]}}}])
-def test_notes_that_are_not_a_plans_are_rejected(file: Path, tmp_path: Path, notes: dict[str, Any]) -> None:
-    ended = dpcontrol("reference", changed(file, tmp_path / "odd.npz", **notes))
-    assert ended.code == 2
-    assert str(tmp_path / "odd.npz") in ended.message

@@ -55,16 +55,6 @@ def test_measured_values_are_written_once_and_then_equal_those_of_the_file(scene
 
 
 @pytest.mark.slow
-def test_nothing_is_written_while_the_rig_is_wrong(scene: Path) -> None:
-    before = scene.read_bytes()
-    ended = dpcontrol("commission", scene, "--fault", "encoders-swapped", "--delay", "2", "--write")
-    assert ended.code == 1
-    assert "→ swap their plugs" in ended.stdout
-    assert "is unchanged until the rig has no fault" in ended.stdout
-    assert scene.read_bytes() == before
-
-
-@pytest.mark.slow
 def test_a_shipped_scene_is_copied_into_the_working_folder(scene: Path) -> None:
     shipped = ROOT / "itineraries" / "outer-turn.toml"
     before = shipped.read_bytes()

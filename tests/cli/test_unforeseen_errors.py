@@ -58,18 +58,6 @@ def test_debug_shows_the_traceback(line: str) -> None:
     assert "please report it" in ended.message
 
 
-def test_an_error_of_a_file_or_of_memory_needs_no_report(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
-    for error, code, naming in (
-        (PermissionError(13, "Permission denied", "far/off"), 2, "far/off: Permission denied"),
-        (MemoryError("Unable to allocate 7 TiB"), 1, "not enough memory"),
-    ):
-        monkeypatch.setattr("dpcontrol.plans.model.load_model", lambda name, error=error: (_ for _ in ()).throw(error))
-        ended = dpcontrol("model", "lab")
-        assert ended.code == code
-        assert naming in ended.message
-    assert list(folder.iterdir()) == []
-
-
 def test_user_text_is_printed_unchanged_and_cannot_control_the_terminal(shipped_text: dict[str, str]) -> None:
     text = re.sub("(?m)^title = .*$", lambda _: f'title = "{BROKEN}"', shipped_text["lab"])
     Path("mine.toml").write_text(text)

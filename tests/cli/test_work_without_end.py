@@ -1,15 +1,12 @@
 """Work of hours or gigabytes is rejected with an estimate of its cost, and starts with --yes."""
 
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from command_line import dpcontrol
 
 import dpcontrol as dp
-from dpcontrol.bench.chart import CHARTS
-from dpcontrol.bench.drawing import charts_cost
-from dpcontrol.foundation.errors import GoalMissed, InputError, Remark
+from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.progress import MOST_BYTES, MOST_SECONDS
 from dpcontrol.plans.itinerary import itinerary_from, load_itinerary
 from dpcontrol.plans.model import load_model
@@ -48,9 +45,6 @@ def test_endless_work_is_rejected_before_it_starts(call: tuple[str, ...], key: s
     ("verb", "key", "value"),
     [
         ("plan", "wraps", "[100000]"),
-        ("run", "lead_in", "1000000"),
-        ("campaign", "wraps", "[100000]"),
-        ("rig", "lead_in", "1000000"),
         ("plan", "repeat", "10000"),
     ],
 )
@@ -73,32 +67,6 @@ def test_a_campaign_of_too_many_cases_or_runs_is_rejected() -> None:
         dp.campaign("outer-turn", over={"mismatch": many, "lag": many})
     with pytest.raises(InputError, match=r"20,000,000 runs of 20 cases.* will take about .*days.*yes=True"):
         dp.campaign("outer-turn", runs=1_000_000, over={"mismatch": many[:20]})
-
-
-def test_an_atlas_beyond_an_hour_is_rejected_and_begun_with_yes(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("dpcontrol.walks.edges._SEARCHED", 1e4)
-    call = ("atlas", "lab", "--energy", "-0.07", "--fresh")
-    assert dpcontrol(*call).code == 2
-    monkeypatch.setattr("dpcontrol.walks.edges.find_connections", begun)
-    assert dpcontrol(*call, "--yes").code == 1
-
-
-def test_charts_are_estimated() -> None:
-    assert 600 < charts_cost(tuple(CHARTS), quick=False).seconds < MOST_SECONDS / 2
-    assert charts_cost(tuple(CHARTS), quick=True).seconds < 300
-
-
-@pytest.mark.parametrize("begin", [dp.run, dp.campaign, dp.plan])
-def test_python_rejects_an_endless_itinerary_without_yes(
-    begin: Callable[..., object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    file = tmp_path / "long.toml"
-    file.write_text('walk = ["down-up +", "down-up +"]\nenergy = 0.2\nwraps = [100_000]\n')
-    with pytest.raises(InputError, match=r"long.toml: wraps, 100,000 in all: .* will take about .*yes=True in Python"):
-        begin(str(file))
-    monkeypatch.setattr("dpcontrol.plans.planning.planned", begun)
-    with pytest.raises(GoalMissed, match="begun"), pytest.warns(Remark, match="will take about"):
-        begin(str(file), yes=True)
 
 
 def test_shipped_itineraries_are_planned_without_yes() -> None:

@@ -48,7 +48,7 @@ def propagated(state: np.ndarray, inputs: np.ndarray, step: float) -> np.ndarray
 @pytest.mark.parametrize("name", UPRIGHT)
 def test_flights_from_random_states_end_where_the_law_takes_over_and_keep_the_limits(name: str) -> None:
     states, target = any_states(16, seed=len(name)), target_of(name)
-    flights = FlightPlanner(MODEL, LIMITS).plan(states, target)
+    flights = FlightPlanner(LAB, LIMITS).plan(states, target)
     assert flights.reached.all()
     assert np.median(flights.durations) < 1.3
     for k in range(2):
@@ -60,7 +60,7 @@ def test_flights_from_random_states_end_where_the_law_takes_over_and_keep_the_li
 
 
 def test_mirrored_and_turned_states_give_mirrored_and_turned_flights() -> None:
-    states, planner, target = any_states(4, seed=8), FlightPlanner(MODEL, LIMITS), target_of("up-up")
+    states, planner, target = any_states(4, seed=8), FlightPlanner(LAB, LIMITS), target_of("up-up")
     flights, mirrored = planner.plan(states, target), planner.plan(-states, target)
     np.testing.assert_allclose(mirrored.inputs, -flights.inputs, atol=SAME)
     turns = 2 * np.pi * np.array([3, -2, 0, 0, 0, 0])
@@ -88,8 +88,8 @@ def test_a_flight_that_misses_says_so() -> None:
 
 
 def test_a_flight_that_leaves_the_track_has_not_reached_its_target() -> None:
-    # A cart 5 mm before its end at 2.5 m/s needs 104 mm at 30 m/s².
-    flight = dp.flight("lab", [0.0, 0.0, 0.0, 0.0, 0.395, 2.5], "down-down", limits=LIMITS)
+    # A cart 5 mm before its end at 2 m/s needs 67 mm at 30 m/s².
+    flight = dp.flight("lab", [0.0, 0.0, 0.0, 0.0, 0.395, 2.0], "down-down", limits=LIMITS)
     assert not flight.converged
     assert flight.cause is FlightCause.OUTSIDE
     assert flight.remedy == ("position", 0.8)

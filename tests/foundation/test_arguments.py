@@ -13,7 +13,7 @@ from dpcontrol.foundation.checked import Hit, check, number
 from dpcontrol.foundation.errors import InputError
 
 
-@pytest.mark.parametrize("value", [None, "x", nan, inf, True, pytest.param(10**5000, id="thousands of digits")])
+@pytest.mark.parametrize("value", [None, "x", nan, inf, True])
 def test_values_that_are_not_finite_numbers_are_refused(value):
     with pytest.raises(InputError, match=r"energy = .*: must be a finite number"):
         number("energy", value)

@@ -16,7 +16,7 @@ PATIENCE = 60.0
 POOL = """
 import time
 from dpcontrol.foundation.processes import in_processes
-list(in_processes(time.sleep, [600.0, 601.0], 2, remedy=""))
+list(in_processes(time.sleep, [600.0, 601.0], 2))
 """
 BENCH = """
 import time
@@ -63,7 +63,7 @@ def test_workers_end_with_a_killed_parent(does: str, children: int, killed_by: t
 SCRIPT = """
 import time
 from dpcontrol.foundation.processes import in_processes
-{guard}list(in_processes(time.sleep, [0.0, 0.1], 2, remedy=""))
+{guard}list(in_processes(time.sleep, [0.0, 0.1], 2))
 """
 
 

@@ -360,7 +360,7 @@ KINDS: dict[str, tuple[str, Bytes, tuple[str, ...]]] = {
     "reference": ("reference.npz", npz_changed, ("reference {}", "review {} --save=new.rrd")),
     "log": ("run.mcap", log_changed, _LOG_CALLS),
     "recording": ("swings.mcap", log_changed, _LOG_CALLS),
-    "campaign": ("campaign.parquet", damaged, ("report {} --picture=new.png",)),
+    "campaign": ("campaign.parquet/0.parquet", damaged, ("report campaign.parquet --picture=new.png",)),
 }
 """Kinds of file: its name in the laboratory, its changes, and the calls that read it."""
 

@@ -36,7 +36,8 @@ class Laboratory:
         (folder / "empty").touch()
         text = " ".join(words)
         for name, content in {**self.files, **changed}.items():
-            if name in text or name in changed or (name == "lab.toml" and "with-model.toml" in text):
+            if name.split("/")[0] in text or name in changed or (name == "lab.toml" and "with-model.toml" in text):
+                (folder / name).parent.mkdir(exist_ok=True)
                 (folder / name).write_bytes(content)
 
 
@@ -58,4 +59,6 @@ def make_laboratory(folder: Path) -> Laboratory:
         os.chdir(before)
     whole = (folder / "run.mcap").read_bytes()
     (folder / "cut.mcap.partial").write_bytes(whole[: len(whole) // 2])
-    return Laboratory({file.name: file.read_bytes() for file in sorted(folder.iterdir()) if file.is_file()})
+    next((folder / "campaign.parquet").iterdir()).rename(folder / "campaign.parquet" / "0.parquet")
+    files = sorted(file for file in folder.rglob("*") if file.is_file())
+    return Laboratory({file.relative_to(folder).as_posix(): file.read_bytes() for file in files})

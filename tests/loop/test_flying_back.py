@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import dpcontrol as dp
 from dpcontrol.foundation.causes import Cause
 from dpcontrol.logs import Event
 from dpcontrol.loop.bench import Push
@@ -158,3 +159,15 @@ def test_a_run_that_errs_is_caught_where_an_earlier_place_is_nearer(ready) -> No
     assert 0.3 < before.at + (before.end - before.first) * 1e-3 - after.at < 0.9
     # It is followed from there on, on the turns that the arms are on.
     np.testing.assert_allclose(result.ticks.truth[-500:, :2], result.ticks.references[-500:, :2], atol=0.1)
+
+
+def test_a_campaign_with_flights_is_the_same_in_lockstep_and_tick_by_tick() -> None:
+    blows = {**BENCH, "pushes": 2, "push_impulse": 0.02}
+    together, alone = (
+        dp.campaign("outer-turn", runs=10, settings=blows, path=path).table.to_pylist()
+        for path in ("compiled", "ticks")
+    )
+    own = {"path", "replays"}
+    assert {row["path"] for row in together} == {"compiled", "ticks"}
+    for one, other in zip(together, alone, strict=True):
+        assert {**one, **dict.fromkeys(own)} == {**other, **dict.fromkeys(own)}

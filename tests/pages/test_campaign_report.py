@@ -40,8 +40,9 @@ def rows() -> list[dict[str, Any]]:
 
 
 def table(path: Path, content: list[dict[str, Any]]) -> Path:
-    """Write rows as a Parquet table."""
-    pyarrow.parquet.write_table(pyarrow.Table.from_pylist(content), path)
+    """Write rows as a table in a folder."""
+    path.mkdir()
+    pyarrow.parquet.write_table(pyarrow.Table.from_pylist(content), path / "0.parquet")
     return path
 
 

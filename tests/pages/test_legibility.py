@@ -63,8 +63,9 @@ def comparison(folder: Path) -> Figure:
 
 
 def campaign(folder: Path) -> Figure:
-    pq.write_table(pa.Table.from_pylist(rows()), folder / "campaign.parquet")
-    return draw_campaign(campaign_summary(folder / "campaign.parquet"))
+    (folder / "campaign").mkdir()
+    pq.write_table(pa.Table.from_pylist(rows()), folder / "campaign" / "0.parquet")
+    return draw_campaign(campaign_summary(folder / "campaign"))
 
 
 def long_run(_: Path) -> Figure:

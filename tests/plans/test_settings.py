@@ -205,6 +205,11 @@ def test_mistakes_in_one_file_are_reported_together_one_line_each(tmp_path: Path
 
 
 MISTAKES: list[tuple[str, str, str]] = [
+    (
+        "parts without an s",
+        '[[part]]\nhold = "up-up"\n',
+        "at the top level, the key 'part' is unknown: did you mean 'parts'?",
+    ),
     ("unknown key", f"{TURN}[run]\nlagg = 0.1\n", "[run] the key 'lagg' is unknown: did you mean 'lag'?"),
     (
         "misspelt required key",

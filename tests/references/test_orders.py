@@ -14,7 +14,7 @@ from shadowing_stand_in import LAB, orbit_stretch
 
 from dpcontrol.dynamics.chain import Level, arm_chain_equations
 from dpcontrol.references.method import Method, method_named
-from dpcontrol.references.problem import Limits, ReferenceProblem, ReferenceSettings, state_scale
+from dpcontrol.references.problem import Limits, ReferenceSettings, state_scale
 from dpcontrol.references.transcription import interval_function
 
 Array = NDArray[np.float64]
@@ -49,8 +49,7 @@ def flown() -> tuple[Array, Array]:
 
 def stepped(method: Method, start: Array, intervals: int) -> Array:
     """Return the last state, by Newton's method on the transcription's equations for each interval."""
-    problem = ReferenceProblem(EQUATIONS, LAB.base(), orbit_stretch(SECONDS).guess, SECONDS)
-    interval = interval_function(problem, method, ReferenceSettings())
+    interval = interval_function(EQUATIONS, LAB.base().tolist(), Limits(), method, ReferenceSettings())
     count, nx = len(method.points), EQUATIONS.dimension
     x, inputs, length = ca.SX.sym("x", nx), ca.SX.sym("u", 1, count), ca.SX.sym("h")
     values = ca.SX.sym("v", nx * count)
@@ -59,7 +58,7 @@ def stepped(method: Method, start: Array, intervals: int) -> Array:
         "newton", "newton", {"x": values, "p": ca.vertcat(x, inputs.T, length), "g": defects}, {"abstol": 1e-13}
     )
     ending = ca.Function("end", [x, values], [end])
-    scale, h = state_scale(nx, problem.limits), SECONDS / intervals
+    scale, h = state_scale(nx, Limits()), SECONDS / intervals
     state = start / scale
     for i in range(intervals):
         found = newton(x0=np.tile(state, count), p=np.concatenate([state, pushed(h * (i + method.points)), [h]]))["x"]

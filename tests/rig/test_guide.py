@@ -1,4 +1,4 @@
-"""The tables, the example and the C program of the page on packets agree with the program."""
+"""The tables and the example of the page on packets, and the bench in C, agree with the program."""
 
 import re
 import shutil
@@ -18,6 +18,7 @@ from dpcontrol.rig.packets import CommandPacket, Condition, Kind, ReadingPacket,
 GUIDE = Path(dpcontrol.__file__).parent / "guide"
 PAGE = (GUIDE / "packets.md").read_text(encoding="utf-8")
 RIG = (GUIDE / "rig.md").read_text(encoding="utf-8")
+BENCH = Path(dpcontrol.__file__).parent / "examples" / "bench.c"
 PACKETS = PAGE.split("\n## Packets\n")[1].split("\n## ")[0]
 SECTIONS = {text.split("\n", 1)[0]: text for text in PACKETS.split("\n### ")[1:]}
 TYPES = {"u8": "B", "u16": "H", "u32": "I", "u64": "Q", "i8": "b", "f64": "d"}
@@ -101,7 +102,7 @@ def test_the_example_in_hexadecimal_decodes_to_the_values_in_its_text() -> None:
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")
 def test_the_rig_in_c_keeps_to_the_protocol(tmp_path: Path) -> None:
-    (source,) = re.findall(r"```c\n(.*?)```", PAGE, re.DOTALL)
+    source = BENCH.read_text(encoding="utf-8")
     port = free_port()
     (tmp_path / "rig.c").write_text(source.replace("47000", str(port)))
     made = ["cc", "-D_GNU_SOURCE", "-Wall", "-o", str(tmp_path / "rig"), str(tmp_path / "rig.c"), "-lm"]

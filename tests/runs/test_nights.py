@@ -38,9 +38,9 @@ def test_a_night_continues_after_falls_by_default() -> None:
 def test_the_cost_of_a_night_is_stated_and_too_much_is_refused(tmp_path: Path) -> None:
     folder = night_folder(tmp_path / "logs" / "turn-0.mcap")
     assert folder == tmp_path / "logs" / "turn-0"
-    # 3,600,000 ticks, and a minute of waiting.
-    cost = night_cost(TURN, NightSettings(hours=1.0), folder, pace=10_000.0, overhead=60.0)
-    assert "about 7 minutes" in cost
+    # 3,600,000 ticks at 12,000 in a second.
+    cost = night_cost(TURN, NightSettings(hours=1.0), folder)
+    assert "about 5 minutes" in cost
     assert "6 files of 10 min" in cost
     with pytest.raises(InputError, match="20 GB are begun unasked"):
         night_cost(TURN, NightSettings(hours=18.0), folder)

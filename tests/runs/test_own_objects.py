@@ -133,15 +133,6 @@ def test_on_the_command_line_a_law_is_a_file_and_a_class(tmp_path: Path) -> None
         assert dpcontrol("run", "outer-turn", "--controller", given).code == 2
 
 
-@pytest.mark.slow
-def test_on_the_command_line_a_rig_is_a_file_and_a_class(tmp_path: Path) -> None:
-    log = tmp_path / "rig.mcap"
-    done = dpcontrol("run", "outer-turn", "--rig", f"{FILE}:Rig", "--controller", "tvlqr", "--out", str(log))
-    assert done.code == 0, done.stderr
-    assert dp.open_log(log).log.metadata["rig"] == "Rig"
-    assert dpcontrol("run", "outer-turn", "--rig", f"{FILE}:Mute").code == 2
-
-
 class _Interrupted(Rig):
     def read(self):
         if self.count == 30:
