@@ -18,7 +18,6 @@ Source: the MCAP format specification, version 0.
 
 import glob
 import json
-import mimetypes
 import os
 import struct
 import zlib
@@ -114,31 +113,49 @@ def located(data: bytes, tick: TickLayout) -> dict[str, LocatedMessages]:
         place += LENGTH_FROM + length
     if place != whole:
         raise ValueError("a record runs over the end of its chunk")
+    fields: Any = block.kind.fields
     found = {}
     for topic, number in tick.channels.items():
-        if topic in tick.messages:
-            offsets = np.array(ticks, np.int64) + block.offset(topic)
-        else:
-            offsets = np.array(others[number], np.int64)
-        found[topic] = LocatedMessages(offsets, _gathered(data, offsets, tick.types[topic]))
+        # A tick has its messages at fixed places.
+        offsets = np.array(ticks if topic in fields else others[number], np.int64)
+        offsets += fields[topic][1] if topic in fields else 0
+        kind = tick.types[topic]
+        # A view at every byte, so that fancy indexing copies whole records.
+        shape = (max(len(data) - kind.itemsize + 1, 0),)
+        everywhere = np.ndarray(shape, f"V{kind.itemsize}", buffer=data, strides=(1,))
+        found[topic] = LocatedMessages(offsets, everywhere[offsets].view(kind))
         if (found[topic].records["channel"] != number).any():
             raise ValueError("a tick lacks a message")
     return found
-
-
-def _gathered(data: bytes, offsets: NDArray[np.int64], kind: np.dtype) -> NDArray[Any]:
-    """Return a copy of records of one type at increasing offsets."""
-    if not offsets.size:
-        return np.empty(0, kind)
-    # A view at every byte, so that fancy indexing copies whole records.
-    everywhere = np.ndarray((len(data) - kind.itemsize + 1,), f"V{kind.itemsize}", buffer=data, strides=(1,))
-    return everywhere[offsets].view(kind)
 
 
 def _bytes_of(record: McapRecord) -> bytes:
     builder = RecordBuilder()
     record.write(builder)
     return builder.end()
+
+
+def declarations(tick: TickLayout) -> list[McapRecord]:
+    """Return the schemas and channels of a log.
+
+    Args:
+        tick: layout of the ticks.
+    """
+    definitions = dict(tick.schemas.values())
+    numbers = {name: number for number, name in enumerate(definitions, start=1)}
+    schemas = [Schema(id=numbers[name], name=name, encoding="ros2msg", data=definitions[name]) for name in numbers]
+    latched = {"offered_qos_profiles": _LATCHED_QOS}
+    channels = [
+        Channel(
+            id=tick.channels[topic],
+            topic=topic,
+            message_encoding="cdr",
+            metadata=latched if topic in LATCHED else {},
+            schema_id=numbers[name],
+        )
+        for topic, (name, _) in tick.schemas.items()
+    ]
+    return [*schemas, *channels]
 
 
 class McapFile:
@@ -170,13 +187,13 @@ class McapFile:
             rest = rest[self.stream.write(rest) or 0 :]
 
     def add_metadata(self, name: str, data: Mapping[str, str]) -> None:
-        """Write a metadata record.
+        """Write a metadata record with its checksum.
 
         Args:
             name: name of the record.
             data: text by key.
         """
-        record = _bytes_of(Metadata(name=name, metadata=dict(data)))
+        record = _bytes_of(Metadata(name=name, metadata={**data, _KEY: _checksum(name, data)}))
         self._summary.append(_bytes_of(MetadataIndex(offset=self.stream.tell(), length=len(record), name=name)))
         self._write(record)
 
@@ -189,8 +206,7 @@ class McapFile:
             name: name of the attachment, whose ending gives its media type.
             data: content.
         """
-        guessed = "application/toml" if name.endswith(".toml") else mimetypes.guess_type(name)[0]
-        media_type = guessed or "application/octet-stream"
+        media_type = "application/toml" if name.endswith(".toml") else "application/octet-stream"
         about = {"create_time": 0, "log_time": 0, "name": name, "media_type": media_type}
         record = _bytes_of(Attachment(data=data, **about))
         index = AttachmentIndex(offset=self.stream.tell(), length=len(record), data_size=len(data), **about)
@@ -205,16 +221,7 @@ class McapFile:
         """
         self._tick = tick
         self._counts = dict.fromkeys(tick.channels.values(), 0)
-        definitions = dict(tick.schemas.values())
-        numbers = {name: number for number, name in enumerate(definitions, start=1)}
-        for name, number in numbers.items():
-            schema = Schema(id=number, name=name, encoding="ros2msg", data=definitions[name])
-            self._unwritten.append(_bytes_of(schema))
-        for topic, (name, _) in tick.schemas.items():
-            quality = {"offered_qos_profiles": _LATCHED_QOS} if topic in LATCHED else {}
-            number, schema_id = tick.channels[topic], numbers[name]
-            channel = Channel(id=number, topic=topic, message_encoding="cdr", metadata=quality, schema_id=schema_id)
-            self._unwritten.append(_bytes_of(channel))
+        self._unwritten = [*map(_bytes_of, declarations(tick))]
         self._summary += self._unwritten
 
     def add_chunk(self, data: bytes) -> None:
@@ -307,16 +314,6 @@ def partials_of(path: Path) -> tuple[Path, ...]:
 
 
 _KEY = "crc32"
-
-
-def sealed(name: str, values: Mapping[str, str]) -> dict[str, str]:
-    """Return the values of a record with their checksum.
-
-    Args:
-        name: name of the record.
-        values: text by key.
-    """
-    return {**values, _KEY: _checksum(name, values)}
 
 
 def unsealed(name: str, record: Mapping[str, str]) -> dict[str, str] | None:

@@ -179,7 +179,7 @@ def logged_event(time: float, data: bytes) -> Event:
     Raises:
         LookupError, struct.error, ValueError: the message has a different layout.
     """
-    level = _LEVEL_NAMES.get(data[_LEVEL], "info")
+    level = {number: name for name, number in LEVELS.items()}.get(data[_LEVEL], "info")
     place, texts = _LEVEL + 1, []
     for _ in range(4):
         place += -(place - len(ENCAPSULATION)) % 4
@@ -268,7 +268,6 @@ LEVELS = {"debug": 10, "info": 20, "warn": 30, "error": 40, "fatal": 50}
 """Levels of an event, with their numbers in rcl_interfaces/Log."""
 _LEVEL = 12
 """Place of the level in rcl_interfaces/Log, after its stamp."""
-_LEVEL_NAMES = {number: name for name, number in LEVELS.items()}
 
 FORMAT = "2"
 """Version of the layout: increased when topics, messages or metadata change their meaning."""
@@ -291,7 +290,6 @@ LOST = "lost"
 
 PARTS = ("rates", "estimate", "reference", "truth", "control")
 """Optional parts of a tick; a log has each part in every tick or in none."""
-_FIELDS = ("position", "velocity")
 STATE_TOPICS = {"estimate": ESTIMATE, "reference": REFERENCE, "truth": TRUTH}
 
 RECORD_HEADER = np.dtype(
@@ -348,8 +346,7 @@ def control_fields(arms: int, *, has_cart: bool) -> tuple[str, ...]:
         arms: number of arms.
         has_cart: True if the rig has a cart.
     """
-    size = 2 * arms + (2 if has_cart else 0)
-    return (*_CONTROL_HEAD, *(f"sigma_{i + 1}" for i in range(size)))
+    return (*_CONTROL_HEAD, *(f"sigma_{i + 1}" for i in range(2 * (arms + has_cart))))
 
 
 def state_names(arms: int, *, has_cart: bool) -> tuple[str, ...]:
@@ -389,15 +386,6 @@ class Block:
     def __init__(self, messages: Mapping[str, Message], channels: Mapping[str, int]) -> None:
         self.kind = np.dtype([(topic, record_type(message)) for topic, message in messages.items()])
         self.template = b"".join(record(channels[topic], 0, 0, message.data) for topic, message in messages.items())
-
-    def offset(self, topic: str) -> int:
-        """Return the byte offset of a topic's record.
-
-        Args:
-            topic: name of the topic.
-        """
-        fields: Any = self.kind.fields
-        return int(fields[topic][1])
 
     def filled(self, times: NDArray[np.int64], first: int) -> NDArray[Any]:
         """Return copies (K,) of the template with times and numbers of sequence.
@@ -515,7 +503,10 @@ class TickLayout:
             (CONTROL, "row", every, "control", every),
         ]
         for (part, topic), (joints, *columns) in product(STATE_TOPICS.items(), (arms, cart)[: 1 + self.has_cart]):
-            found += [(topic, name, joints, part, place) for name, place in zip(_FIELDS, columns, strict=True)]
+            found += [
+                (topic, name, joints, part, place)
+                for name, place in zip(("position", "velocity"), columns, strict=True)
+            ]
         return tuple(room for room in found if room[3] in {"measured", *self.parts})
 
     @cached_property

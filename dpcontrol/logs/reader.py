@@ -37,7 +37,7 @@ from dpcontrol.foundation.files import UNREADABLE, InTheWay, checked_size, check
 from dpcontrol.foundation.rendering import DataFrame
 from dpcontrol.foundation.shown import Brief, Shown, data_frame
 from dpcontrol.logs import layout
-from dpcontrol.logs.container import MAGIC, located, partials_of, unsealed
+from dpcontrol.logs.container import MAGIC, declarations, located, partials_of, unsealed
 from dpcontrol.logs.rewritten import Batch, Topic, by_topic, ticks_in
 
 _TOGETHER = 200
@@ -101,11 +101,8 @@ class VerifiedFile:
     def is_native(self) -> bool:
         """True if this program wrote the file and its channels are those of its layout."""
         own = self.library.startswith("dpcontrol ") and self.records[DataEnd][0].data_section_crc
-        if not own or not self.values(layout.LAYOUT_RECORD):
-            return False
-        schemas = {schema.id: schema.data for schema in self.records[Schema]}
-        declared = {channel.topic: (channel.id, schemas[channel.schema_id]) for channel in self.records[Channel]}
-        return declared == {name: (number, self.tick.schemas[name][1]) for name, number in self.tick.channels.items()}
+        declared = [*self.records[Schema], *self.records[Channel]]
+        return bool(own and self.values(layout.LAYOUT_RECORD)) and declared == declarations(self.tick)
 
     @property
     def library(self) -> str:

@@ -6,8 +6,8 @@ Chunks are sorted by the sequence numbers of their messages. Swapped chunks are 
 lost ticks are counted. Messages are copied bit for bit, and no gap is filled.
 
 A record is accepted only if its checksum agrees: MCAP's for chunks and attachments, the package's for metadata (see
-`sealed`). Lengths and indexes are not trusted. The file is therefore searched everywhere for the bytes that start such
-records. Source: the MCAP format specification, version 0.
+`unsealed`). Lengths and indexes are not trusted. The file is therefore searched everywhere for the bytes that start
+such records. Source: the MCAP format specification, version 0.
 """
 
 import json
@@ -34,7 +34,7 @@ from dpcontrol.foundation.files import checked_other_file, whole_file
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.version import PROGRAM
 from dpcontrol.logs import layout
-from dpcontrol.logs.container import SUFFIX, McapFile, located, sealed, unsealed
+from dpcontrol.logs.container import SUFFIX, McapFile, located, unsealed
 from dpcontrol.logs.reader import (
     MALFORMED,
     check_replaced,
@@ -235,7 +235,7 @@ def _write(found: Salvage, tick: layout.TickLayout, pieces: Sequence[bytes], don
     with whole_file(done.log) as temporary:
         file = McapFile(FileIO(temporary, "wb"), library=PROGRAM)
         for name, values in records.items():
-            file.add_metadata(name, sealed(name, values))
+            file.add_metadata(name, values)
         for name in done.attachments:
             file.add_attachment(name, found.attachments[name])
         file.add_channels(tick)

@@ -19,7 +19,7 @@ import os
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
-from itertools import pairwise
+from itertools import accumulate, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +36,6 @@ from dpcontrol.logs.writer import LogWriter
 NIGHT_METADATA = "night"
 """Metadata record of each file, in JSON: its position in the night, see `RollingLog`."""
 _RECORDED = (RETURN, FLIGHT, RESUME, LAP)
-_LEAST_LEVEL = LEVELS["error"]
 _DEADLINES = "deadlines_"
 _SOON = 1e-6
 """Tolerance for the rounding of times, s; far less than a period."""
@@ -90,7 +89,6 @@ class Digest:
         """Initialise the running sums."""
         self._now_on = self.on
         self._sums: Array | float = 0.0
-        self._counted = 0
 
     def text(self) -> str:
         """Return the digest in JSON."""
@@ -122,7 +120,7 @@ class Digest:
         Args:
             event: the event.
         """
-        name, ends = event.name, LEVELS[event.level] >= _LEAST_LEVEL or event.name == "finished"
+        name, ends = event.name, LEVELS[event.level] >= LEVELS["error"] or event.name == "finished"
         if name in _RECORDED or ends:
             self.events.append(event)
         else:
@@ -152,9 +150,8 @@ class Digest:
             self.squares += float(((state[:, :arms] - reference[:, :arms]) ** 2).sum())
             self.followed += len(times)
         # Estimates between a fall and the restart of the filter are meaningless.
-        if self._now_on and extras is not None and extras.size:
+        if self._now_on and extras is not None:
             self._sums = self._sums + extras.sum(axis=0)
-            self._counted += len(extras)
             self._last = extras[-1]
 
     def add_result(self, values: Mapping[str, str]) -> None:
@@ -163,8 +160,9 @@ class Digest:
         Args:
             values: results by name, as text.
         """
-        own = {name: float(value) for name, value in values.items() if name.startswith(_DEADLINES)}
-        self.deadlines = {name.removeprefix(_DEADLINES): value for name, value in own.items()}
+        self.deadlines = {
+            name.removeprefix(_DEADLINES): float(value) for name, value in values.items() if name.startswith(_DEADLINES)
+        }
 
     def close(self, names: tuple[str, ...]) -> None:
         """Complete the digest at the end of the file.
@@ -172,8 +170,8 @@ class Digest:
         Args:
             names: names of the extras.
         """
-        if self._counted:
-            means = np.asarray(self._sums)[len(names) :] / self._counted
+        if names and self.followed:
+            means = np.asarray(self._sums)[len(names) :] / self.followed
             self.extras = dict(zip(names, zip(means.tolist(), self._last.tolist(), strict=False), strict=True))
         with suppress(OSError, ValueError, IndexError):
             pages = int(Path("/proc/self/statm").read_text(encoding="utf-8").split()[1])
@@ -181,7 +179,7 @@ class Digest:
 
 
 def digest_of_log(log: RunLog, *, size: int) -> Digest:
-    """Return the digest of one file of a night.
+    """Return the digest of one file of a night, without estimated parameters and memory.
 
     Args:
         log: log of that file.
@@ -190,28 +188,19 @@ def digest_of_log(log: RunLog, *, size: int) -> Digest:
     Raises:
         InputError: the log is not a file of a night.
     """
-    try:
-        place = json.loads(log.metadata[NIGHT_METADATA])
-        digest = Digest(int(place["number"]), int(place["session"]), on=bool(place["on"]))
-    except (KeyError, TypeError, ValueError, RecursionError) as error:
-        raise InputError(
-            f"{log.path} is not a log of a long run; give a folder that `dpcontrol run --hours` made"
-        ) from (error)
-    digest.limit = 0.0 if log.limits is None else log.limits[0]
-    state, extras = log.estimate if log.truth is None else log.truth, log.extras
-    places = np.searchsorted(log.time, [*(event.time - _SOON for event in log.events), np.inf])
-    edges = [0, *np.maximum.accumulate(places).tolist()]
+    if NIGHT_METADATA not in log.metadata:
+        raise InputError(f"{log.path} is not a log of a long run; give a folder that `dpcontrol run --hours` made")
+    limit = 0.0 if log.limits is None else log.limits[0]
+    digest = Digest(**json.loads(log.metadata[NIGHT_METADATA]), limit=limit, size=size)
+    state = log.estimate if log.truth is None else log.truth
+    places = np.searchsorted(log.time, [event.time - _SOON for event in log.events]).tolist()
+    edges = [0, *accumulate(places, max), len(log.time)]
     for (first, until), event in zip(pairwise(edges), [*log.events, None], strict=True):
-        rows, estimated = slice(first, until), None
-        if extras is not None and until > first:
-            span = np.searchsorted(extras.time, [log.time[first] - _SOON, log.time[until - 1] + _SOON])
-            estimated = np.hstack([extras.sigmas[slice(*span)], extras.values[slice(*span)]])
-        digest.add_ticks(log.time[rows], 1 / log.rate_hz, state[rows], log.reference[rows], estimated)
+        rows = slice(first, until)
+        digest.add_ticks(log.time[rows], 1 / log.rate_hz, state[rows], log.reference[rows], None)
         if event is not None:
             digest.add_event(event)
-    digest.close(() if extras is None else extras.names)
     digest.add_result(log.metadata)
-    digest.memory, digest.size = math.nan, size
     return digest
 
 

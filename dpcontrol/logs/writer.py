@@ -37,7 +37,7 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import checked_target, unwritable
 from dpcontrol.foundation.version import PROGRAM
 from dpcontrol.logs import layout
-from dpcontrol.logs.container import McapFile, open_partial, sealed
+from dpcontrol.logs.container import McapFile, open_partial
 
 WORLD = "world"
 REFERENCE_PREFIX = "reference/"
@@ -64,8 +64,7 @@ def link_frames(arms: int, *, has_cart: bool, prefix: str = "") -> tuple[tuple[s
         prefix: beginning of all names but `world`.
     """
     names = ["base", *(["cart_link"] if has_cart else [])]
-    for i in range(1, arms + 1):
-        names += [f"arm_{i}_link", f"elbow_{i}_link"]
+    names += [f"{part}_{i}_link" for i in range(1, arms + 1) for part in ("arm", "elbow")]
     chain = [WORLD, *(prefix + name for name in names[:-1])]
     return tuple(pairwise(chain))
 
@@ -321,7 +320,7 @@ class LogWriter:
             self.partial, stream = open_partial(self.path)
             try:
                 self._file = McapFile(stream, library=PROGRAM)
-                self._add_metadata(layout.RUN_RECORD, self._metadata)
+                self._file.add_metadata(layout.RUN_RECORD, self._metadata)
                 for name, data in self._attachments.items():
                     self._file.add_attachment(name, data)
             except OSError:
@@ -340,7 +339,7 @@ class LogWriter:
         try:
             if error is None:
                 self._write_chunk()
-                self._add_metadata(layout.RESULT_RECORD, {**self._result, layout.TICKS: str(self._ticks)})
+                self._file.add_metadata(layout.RESULT_RECORD, {**self._result, layout.TICKS: str(self._ticks)})
                 self._file.finish()
                 self.partial.replace(self.path)
             elif self._ticks or self._filled:
@@ -359,9 +358,6 @@ class LogWriter:
             raise unwritable(self.path, failure) from failure
         finally:
             self._file.stream.close()
-
-    def _add_metadata(self, name: str, values: Mapping[str, str]) -> None:
-        self._file.add_metadata(name, sealed(name, values))
 
     def ticks(self, time_s: ArrayLike, **parts: Row | None) -> None:
         """Log K periods of the loop.
@@ -419,7 +415,7 @@ class LogWriter:
         """Write what precedes the first chunk, which waits for it, because the parts of a tick are unknown before."""
         tick = replace(self._tick, parts=self._parts & set(layout.PARTS))
         described = {**tick.record(), "attachments": json.dumps(list(self._attachments)), "program": PROGRAM}
-        self._add_metadata(layout.LAYOUT_RECORD, described)
+        self._file.add_metadata(layout.LAYOUT_RECORD, described)
         self._file.add_channels(tick)
         first = round(self._times[0] * 1e9)
         for topic in (topic for topic in tick.channels if topic in layout.LATCHED):

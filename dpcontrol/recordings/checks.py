@@ -125,11 +125,6 @@ class Repair:
     most: float = 1.0
 
 
-def _not_later(samples: Samples, period: float) -> Marks:
-    # A time that falls back permanently hides all rows after it.
-    return ~(samples.time > np.concatenate([[-np.inf], np.fmax.accumulate(samples.time)[:-1]]))
-
-
 def _before_gap(samples: Samples, period: float) -> Marks:
     steps = np.diff(samples.time)
     spacing = float(np.median(steps))
@@ -215,7 +210,8 @@ REPAIRS = {
         "drop samples without a time that is later than all before",
         "the time is missing or not later than before",
         "without a later time dropped",
-        _not_later,
+        # A time that falls back permanently hides all rows after it.
+        lambda samples, period: ~(samples.time > np.append(-np.inf, np.fmax.accumulate(samples.time)[:-1])),
         lambda samples, marks, period: [samples.taken(~marks[:, 0])],
         _MOST_LEFT_OUT,
     ),

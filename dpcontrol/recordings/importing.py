@@ -45,7 +45,7 @@ from dpcontrol.recordings.checks import (
     check_plausible,
     sound_segments,
 )
-from dpcontrol.recordings.mapping import LENGTH_UNITS, TIME_UNITS, Mapping, load_mapping
+from dpcontrol.recordings.mapping import ANGLE_UNITS, LENGTH_UNITS, RATE_UNITS, TIME_UNITS, Mapping, load_mapping
 from dpcontrol.recordings.recording import Recording
 
 MATLAB, TABLES = (".mat",), (".csv", ".tsv", ".txt", ".parquet")
@@ -153,8 +153,8 @@ def _samples(where: str, mapping: Mapping, values: Columns[str, Array], time: Ar
                 f"{where}: the mapping's {key} has {len(given)} values for {arms} arms; give one or as many"
             )
     read = {
-        ANGLE: mapping.absolute_angles,
-        RATE: mapping.absolute_rates,
+        ANGLE: lambda angles: mapping.absolute(angles, ANGLE_UNITS[mapping.angles.unit], mapping.angles.zero),
+        RATE: lambda rates: mapping.absolute(rates, RATE_UNITS[mapping.rates.unit]),
         CART: lambda cart: cart * LENGTH_UNITS[mapping.cart.unit],
         COMMAND: lambda command: command,
     }
@@ -202,7 +202,8 @@ def _recording(path: Path, mapping: Mapping, stretches: list[Samples], *, repair
         cart=None if cart is None else cart[:, 0],
         command=None if command is None else command[:, 0],
         segments=tuple(pairwise(edges)),
-        arm_lengths=mapping.lengths(whole.arms),
+        # Arms without a length have that of the last one.
+        arm_lengths=(*mapping.arm_lengths, *whole.arms * mapping.arm_lengths[-1:])[: whole.arms],
         notes=tuple(notes),
     )
 

@@ -21,7 +21,7 @@ from pydantic import BeforeValidator
 
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.settings import Leaf, Setting, Settings, suggest
+from dpcontrol.foundation.settings import Leaf, Setting, Settings, check_choice
 from dpcontrol.foundation.shipped import MAPPINGS, mappings
 from dpcontrol.foundation.toml import Place, Table, read_toml, table_of
 
@@ -160,38 +160,17 @@ class Mapping:
         cart = self.cart if self.cart.position in columns else replace(self.cart, position="")
         return replace(self, angles=angles, rates=rates, cart=cart)
 
-    def absolute_angles(self, values: Array) -> Array:
-        """Return absolute angles (K, n), rad, of file values.
-
-        They count from hanging, counter-clockwise.
+    def absolute(self, values: Array, unit: float, zeros: tuple[float, ...] = (0.0,)) -> Array:
+        """Return absolute angles or rates (K, n), rad or rad/s, counted from hanging, counter-clockwise.
 
         Args:
             values: values (K, n) in the file's unit and directions.
+            unit: size of the file's unit, 0 for counts.
+            zeros: readings of hanging arms, rad.
         """
-        return self._turned(values, ANGLE_UNITS[self.angles.unit], self.angles.zero)
-
-    def absolute_rates(self, values: Array) -> Array:
-        """Return absolute rates (K, n), rad/s, of file values.
-
-        Args:
-            values: values (K, n) in the file's unit and directions.
-        """
-        return self._turned(values, RATE_UNITS[self.rates.unit], (0.0,))
-
-    def _turned(self, values: Array, unit: float, zeros: tuple[float, ...]) -> Array:
         scale = unit or 2 * np.pi / np.array(self.angles.counts_per_turn)
         turned = (values * scale - np.array(zeros)) * np.array(self.angles.sign)
         return np.cumsum(turned, axis=1) if self.angles.relative else turned
-
-    def lengths(self, arms: int) -> tuple[float, ...]:
-        """Return the length of each arm, m.
-
-        The last one is repeated if the mapping has fewer.
-
-        Args:
-            arms: number of arms.
-        """
-        return (*self.arm_lengths, *arms * self.arm_lengths[-1:])[:arms]
 
 
 def load_mapping(name: str) -> Mapping:
@@ -205,12 +184,8 @@ def load_mapping(name: str) -> Mapping:
     """
     path = Path(name)
     if path.suffix != ".toml":
+        check_choice("mapping", mappings(), name)
         path = MAPPINGS / f"{name}.toml"
-        known = mappings()
-        if name not in known:
-            raise InputError(
-                f"there is no mapping named {name!r}; {suggest(name, known)}; the path of a TOML file works"
-            )
     top = Place(str(path))
     found = _FILE.read(read_toml(path)[0], top)
     found.pop("title", None)

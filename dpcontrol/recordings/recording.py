@@ -385,24 +385,23 @@ def cart_motion(part: Recording) -> CartMotion | None:
     Args:
         part: recording of one segment.
     """
-    period, command = part.dt, part.command
+    from scipy.integrate import cumulative_trapezoid
+    from scipy.interpolate import make_interp_spline
+
+    period, command = part.dt, np.zeros(0) if part.command is None else part.command
+    sent = period * np.concatenate([[0.0], np.cumsum(command[:-1])])
     if part.cart is None:
-        if command is None or not command.any():
-            return None
-        velocity = period * np.concatenate([[0.0], np.cumsum(command[:-1])])
-        return CartMotion(_integral(velocity, command, period), velocity, command, True)
+        position = np.asarray(cumulative_trapezoid(sent, dx=period, initial=0))
+        return CartMotion(position, sent, command, True) if command.any() else None
     known = np.isfinite(part.cart)
     if known.sum() < 2 or float(np.ptp(part.cart[known])) < STILL:
         return None
-    from scipy.interpolate import make_interp_spline
-
     # A missing reading lies on the line through its neighbours, or through the first or last two.
     between = make_interp_spline(part.time[known], part.cart[known], k=1)
     position = np.asarray(between(part.time), dtype=np.float64)
     velocity, felt = (smoothed_derivative(position, period, order) for order in (1, 2))
-    if command is not None:
-        sent = period * np.concatenate([[0.0], np.cumsum(command[:-1])])
-        predicted = smoothed_derivative(_integral(sent, command, period), period, 2)
+    if command.size:
+        predicted = smoothed_derivative(np.asarray(cumulative_trapezoid(sent, dx=period, initial=0)), period, 2)
         missed, moved = (float(np.sqrt(np.mean(np.square(a)))) for a in (predicted - felt, felt))
         if missed <= _EXPLAINED * moved:
             return CartMotion(position, velocity, command, True)
@@ -428,15 +427,6 @@ def smoothed_derivative(values: Array, period: float, order: int = 1, *, window:
     if width < 5:
         return np.zeros_like(values)
     return np.asarray(savgol_filter(values, width, 3, deriv=order, delta=period, axis=0), dtype=np.float64)
-
-
-def _integral(velocity: Array, acceleration: Array, period: float) -> Array:
-    """Return positions (K,) m from velocities and accelerations.
-
-    Velocities are at the samples, and accelerations are held between them.
-    """
-    steps = period * velocity[:-1] + period**2 / 2 * acceleration[:-1]
-    return np.concatenate([[0.0], np.cumsum(steps)])
 
 
 _REACH = 1.2

@@ -258,10 +258,11 @@ class UdpBench(AbstractContextManager["UdpBench"]):
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             self._socket.bind(where)
-        except (OSError, OverflowError) as error:
+        except OSError as error:
             self._socket.close()
-            why = getattr(error, "strerror", None) or error
-            raise InputError(f"rig: port {port} of {host}: {why}; choose another --port, or 0 for any") from error
+            raise InputError(
+                f"rig: port {port} of {host}: {error.strerror}; choose another --port, or 0 for any"
+            ) from error
         self._socket.setblocking(False)
         self.address: tuple[str, int] = self._socket.getsockname()
         """Address of the bench."""
@@ -304,7 +305,9 @@ class UdpBench(AbstractContextManager["UdpBench"]):
 
         Return True if it led to a run that has ended.
         """
-        session = self._session(sender)
+        # The session that this sender may begin is not stored, so nobody can lock out others, and a forged sender does
+        # not receive it.
+        session = int.from_bytes(hmac.digest(self._secret, repr(sender).encode(), "sha256")[:8])
         heard = self._greeted(data, sender, Welcome(self._arms, self._period, self._ticks, session))
         if heard is None or heard.session != session:
             return False
@@ -330,13 +333,6 @@ class UdpBench(AbstractContextManager["UdpBench"]):
         self.record.ended = self.record.ended or ended
         self._report(f"run ended: {ended}; {run.sentence}")
         return True
-
-    def _session(self, sender: Any) -> int:
-        """Return the number of the session that `sender` may begin.
-
-        The number is not stored, so nobody can lock out others. A forged sender does not receive it.
-        """
-        return int.from_bytes(hmac.digest(self._secret, repr(sender).encode(), "sha256")[:8])
 
     def _greeted(self, data: bytes, sender: Any, answer: Message) -> ReceivedPacket | None:
         """Return the packet, or None if it is not valid; a HELLO is answered."""
@@ -520,9 +516,9 @@ def checked_faults(faults: Sequence[str], arms: int) -> tuple[str, ...]:
         InputError: an unknown fault, or one of an arm that does not exist.
     """
     check_choice("fault", FAULTS, *faults)
-    for name in faults:
-        if arms < 2 and ("-2-" in name or name in ("encoders-swapped", "angles-not-summed")):
-            raise InputError(f"--fault {name}: requires at least two arms, and the model has {arms}; choose another")
+    of_two = [name for name in faults if "-2-" in name or name in ("encoders-swapped", "angles-not-summed")]
+    if arms < 2 and of_two:
+        raise InputError(f"--fault {of_two[0]}: requires at least two arms, and the model has {arms}; choose another")
     return tuple(faults)
 
 

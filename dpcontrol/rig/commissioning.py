@@ -63,8 +63,7 @@ _GAIN = 0.05
 """Largest error of the drive's gain."""
 _LEFT_OVER = 0.3
 """Maximum unexplained fraction of a motion, rms."""
-_DEGREES = 180 / math.pi
-_LIKELY = np.array([1.0, 2.0, 4.0, 0.5, 0.25, _DEGREES])
+_LIKELY = np.array([1.0, 2.0, 4.0, 0.5, 0.25, math.degrees(1)])
 """Likely wrong factors of an encoder."""
 _ZERO, _FAR = 0.003, 0.5
 """Largest zero that needs no change, and largest that can be adjusted, rad."""

@@ -487,12 +487,10 @@ def rounding(values: Array) -> float:
     """Return the rounding step of values, or 0 without one."""
     # Sums and differences of multiples have errors in their last digits.
     levels = np.unique(np.round(values, 9))
-    gaps = np.diff(levels)
+    gaps, span = np.diff(levels), float(np.ptp(levels))
     gaps = gaps[gaps > 5e-9]
-    if len(gaps) < 5:
-        return 0.0
-    step = float(gaps.min())
+    step = float(np.min(gaps, initial=np.inf))
     whole = np.abs(gaps / step - np.round(gaps / step)) < 0.02 + 2e-9 / step
-    if step < 1e-6 or whole.mean() < 0.95:
+    if len(gaps) < 5 or step < 1e-6 or whole.mean() < 0.95:
         return 0.0
-    return float(np.ptp(levels)) / round(float(np.ptp(levels)) / step)
+    return span / round(span / step)

@@ -8,10 +8,10 @@ ones show the delay of the drive. A rig that fails, is not read or leaves its ra
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
-from scipy import signal
+from scipy import signal, stats
 
 from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.foundation.arrays import Array
@@ -178,8 +178,7 @@ class RigSession:
 
     def hold(self, seconds: float) -> None:
         """Hold the cart at home."""
-        still = np.zeros(max(2, round(seconds / self.period)))
-        self.follow(still, still)
+        self.follow(*np.zeros((2, max(2, round(seconds / self.period)))))
 
     def filled(self, first: int = 0) -> Array:
         """Return the readings (K, n+1) of arms and cart from tick `first`, with gaps interpolated linearly."""
@@ -258,22 +257,16 @@ def _shift(session: RigSession) -> None:
         wanted = response(np.array([*session.commands[first:], 0.0]), session.period, 0.0)
         # The drive's delay is still unknown, so the best-fitting one is used. The whole shift must be visible.
         delays = range(0, after + 1, max(1, quarter // 8))
-        fits = [_slope(wanted[: len(wanted) - k], carts[k:]) for k in delays]
-        gain, left = min(fits, key=lambda fit: fit[1])
-        opposite = min((other for slope, other in fits if slope * gain <= 0), default=1.0)
+        shifts = ((signal.detrend(wanted[: len(wanted) - k]), signal.detrend(carts[k:])) for k in delays)
+        fits: list[Any] = [stats.linregress(*shift) for shift in shifts]
+        # Slope and unexplained fraction of the variance.
+        gain, left = min(((fit.slope, 1 - fit.rvalue**2) for fit in fits), key=lambda fit: fit[1])
+        opposite = min((1 - fit.rvalue**2 for fit in fits if fit.slope * gain <= 0), default=1.0)
         seen = abs(gain) * size
         if seen > _SEEN and abs(gain) * np.std(wanted) > _CLEARLY_SEEN * wander and left < share * opposite:
             session.gain = gain
             return
     _raise_for_no_shift(session, seen)
-
-
-def _slope(wanted: Array, seen: Array) -> tuple[float, float]:
-    """Return the slope of `seen` on `wanted` without drifts, and the unexplained fraction of the variance."""
-    wanted, seen = signal.detrend(wanted), signal.detrend(seen)
-    size = float(wanted @ wanted)
-    slope = float(wanted @ seen) / size
-    return slope, 1 - slope**2 * size / max(float(seen @ seen), 1e-30)
 
 
 def _raise_for_no_shift(session: RigSession, seen: float) -> None:

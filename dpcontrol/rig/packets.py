@@ -206,19 +206,17 @@ def unpacked(data: bytes, role: Role, *, key: bytes = b"") -> ReceivedPacket:
     Raises:
         ValueError: the packet is invalid, damaged or of another version, or its seal is missing, wrong or unexpected.
     """
-    if len(data) < _HEAD.size:
-        raise ValueError(f"a packet of {len(data)} bytes has no head")
-    magic, version, number, count, session, sequence = _HEAD.unpack_from(data)
-    if (magic, version) != (MAGIC, VERSION):
-        raise ValueError(f"a packet that begins with {magic!r}, {version} is not of version {VERSION} of the protocol")
-    if key:
-        data, seal = data[:-_SEAL], data[-_SEAL:]
-        if not hmac.compare_digest(seal, _seal(data, role, key)):
-            raise ValueError("a packet is not sealed with the shared key")
     try:
+        magic, version, number, count, session, sequence = _HEAD.unpack_from(data)
+        if (magic, version) != (MAGIC, VERSION):
+            raise ValueError(f"a packet begins with {magic!r}, {version}, not with version {VERSION} of the protocol")
+        if key:
+            data, seal = data[:-_SEAL], data[-_SEAL:]
+            if not hmac.compare_digest(seal, _seal(data, role, key)):
+                raise ValueError("a packet is not sealed with the shared key")
         return ReceivedPacket(session, sequence, _message(Kind(number), data[_HEAD.size :], count))
     except struct.error as error:
-        raise ValueError(f"a packet of kind {number} is damaged: {error}") from error
+        raise ValueError(f"a packet of {len(data)} bytes is damaged: {error}") from error
 
 
 def _message(kind: Kind, body: bytes, count: int) -> Message:
