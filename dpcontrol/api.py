@@ -35,6 +35,7 @@ from dpcontrol.foundation.guide import page as guide_page
 from dpcontrol.foundation.parts import StageModule, installed, part
 from dpcontrol.foundation.progress import Cost, Progress, Reporting, announce, part_of
 from dpcontrol.foundation.rendering import render
+from dpcontrol.foundation.settings import check_names
 
 STAGES = {
     "chains": "dynamics.chain",
@@ -1414,7 +1415,7 @@ def swings(
         2
     """
     model = _model(model)
-    announce(recording_files.swings_cost(count, seconds, written=False), yes=yes)
+    announce(recording_files.swings_cost(count, seconds), yes=yes)
     return recording_files.random_swings(
         model.arms, swings=count, seconds=seconds, seed=seed, name=f"{model.name}-swings-{seed}"
     )
@@ -1656,7 +1657,7 @@ def open_recording(
         2
     """
     path = Path(file)
-    recording_checks.checked_repairs(tuple(repairs))
+    check_names("repair", repairs, recording_checks.REPAIRS)
     if path.suffix.lower() == ".mcap" and mapping is None:
         return recording_files.load_recording(path)
     return importing.import_recording(path, mapping, repairs=list(repairs), progress=progress)
@@ -2726,7 +2727,7 @@ def import_recording(
     if simulated is None:
         recording = importing.import_recording(Path(str(file)), mapping, repairs=list(repairs), progress=progress)
     else:
-        announce(recording_files.swings_cost(swings, seconds, written=out is not None), yes=yes)
+        announce(recording_files.swings_cost(swings, seconds), yes=yes)
         swung, name = _model(simulated), f"{_model(simulated).name}-swings-{seed}"
         recording = recording_files.random_swings(swung.arms, swings=swings, seconds=seconds, seed=seed, name=name)
     progress("writing", 0.7)

@@ -15,7 +15,7 @@ from dpcontrol.loop.protocols import Reading
 from dpcontrol.rig import packets as packets
 from dpcontrol.rig.bench import BenchServerSettings, UdpBench
 from dpcontrol.rig.client import LinkSettings
-from dpcontrol.rig.packets import Role, Talk
+from dpcontrol.rig.packets import Kind, Role, Talk
 
 KEY = bytes(range(32))
 PATIENT = BenchServerSettings(watchdog=60.0)  # A stalled test must not count as a silent loop.
@@ -72,7 +72,7 @@ class Raw:
         self.socket.connect(address)
         self.talk, self.key = Talk(Role.LOOP, 77, key=key), key
 
-    def send(self, message: packets.Packet) -> bytes:
+    def send(self, message: packets.Message) -> bytes:
         data = self.talk.pack(message)
         self.socket.send(data)
         return data
@@ -81,7 +81,7 @@ class Raw:
         return packets.unpacked(self.socket.recv(4096), Role.BENCH, key=self.key)
 
     def greet(self) -> packets.Welcome:
-        self.send(packets.HELLO)
+        self.send(Kind.HELLO)
         welcome = self.heard().content
         assert isinstance(welcome, packets.Welcome)
         self.talk = Talk(Role.LOOP, welcome.session, key=self.key)
@@ -94,9 +94,9 @@ def raw(bench: UdpBench, *, key: bytes = b"") -> Iterator[Raw]:
     client = Raw(bench.address, key=key)
     with closing(client.socket):
         client.greet()
-        client.send(packets.start())
+        client.send(packets.Start(()))
         yield client
-        client.send(packets.bye("done"))
+        client.send(packets.Bye("done"))
 
 
 @contextmanager
@@ -128,7 +128,7 @@ def welcomed(bench: socket.socket, welcome: packets.Welcome) -> tuple[Any, Talk]
     """Accept a loop at a bench; return the loop's address and the bench's side of the run."""
     data, client = bench.recvfrom(4096)
     session = packets.unpacked(data, Role.LOOP).session
-    bench.sendto(packets.packed(packets.welcome(welcome), Role.BENCH, session=session, sequence=1), client)
+    bench.sendto(packets.packed(welcome, Role.BENCH, session=session, sequence=1), client)
     return client, Talk(Role.BENCH, welcome.session)
 
 

@@ -118,9 +118,8 @@ PLATFORM_REASONS = (
     "is POSIX's", "are POSIX's", "is Linux's", "names of macOS are UTF-8",
     # No wheel for this Python or processor: see [project.optional-dependencies].
     "mat-io writes MATLAB's",
-    # The environment: recordings that are not published, a registry that does not answer, processors in use by others.
-    "the rig's recordings are not in", "npm cannot bring the packages", "npm did not bring the packages",
-    "too busy for real time",
+    # The environment: recordings that are not published, processors in use by others.
+    "the rig's recordings are not in", "too busy for real time",
 )  # fmt: skip
 """Parts of the reasons for which `.ci/run` lets a test be skipped: the test cannot run there whatever is installed."""
 

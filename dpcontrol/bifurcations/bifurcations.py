@@ -40,7 +40,6 @@ from itertools import groupby, pairwise
 from typing import Annotated, Any, ClassVar, NamedTuple
 
 import numpy as np
-from scipy.optimize import brentq
 
 from dpcontrol.bifurcations.links import (
     UNSOLVED,
@@ -299,6 +298,8 @@ def _touch(
     """Solve for the energy at which an extremum reaches a level."""
     width = second.energy - first.energy
     kept: dict[float, tuple[Link, Profile]] = {}
+
+    from scipy.optimize import brentq
 
     def above(energy: float) -> float:
         link = problem.solved(_between(first, second, (energy - first.energy) / width), energy).link

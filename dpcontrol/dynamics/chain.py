@@ -249,6 +249,26 @@ class ArmChainParameters(Settings):
         weights = self.base()[n * (n + 1) // 2 :][:n]
         return float(2 * np.pi * np.sqrt(np.linalg.eigvals(self.mass_in_line / weights[:, None]).real.max()))
 
+    def need(self, angles: Array) -> float | None:
+        """Return the feedback that holds arms at an equilibrium, m/s² per rad; None if it is stable.
+
+        The gentlest linear-quadratic feedback of an unstable mode v with growth s, v'Mv = 1, mirrors s to -s. Its gain
+        per radian of the arm that moves most is 2 s² / (|v·b| max|v|), b the arms' coupling to the cart's acceleration.
+        The largest of all modes is returned.
+
+        Args:
+            angles: angles (n,) of the equilibrium, rad.
+        """
+        from scipy.linalg import eigh
+
+        n, signs = self.count, np.cos(angles)
+        weights = signs * self.base()[n * (n + 1) // 2 :][:n]
+        squares, modes = eigh(-np.diag(weights), self.mass_in_line * np.outer(signs, signs))
+        coupled = np.abs(weights / self.gravity @ modes) * np.abs(modes).max(axis=0)
+        unstable = squares > 0
+        with np.errstate(divide="ignore"):
+            return float((2 * squares[unstable] / coupled[unstable]).max()) if unstable.any() else None
+
     def scaled(self, length: float, time: float) -> "ArmChainParameters":
         """Return arms of another size whose motions are these arms' motions at another pace.
 

@@ -256,15 +256,9 @@ def arms_in(log: RunLog, name: str) -> ArmChainParameters | None:
     Args:
         log: log of a run.
         name: `MODEL_METADATA` or `PLANT_METADATA`.
-
-    Raises:
-        InputError: this part of the log is damaged.
     """
     text = log.metadata.get(name)
-    try:
-        return None if text is None else ArmChainParameters(**frozen(json.loads(text)))
-    except (TypeError, ValueError, AttributeError, RecursionError) as error:
-        raise InputError(f"{log.path}: its {name} do not read: {error}; run it again") from error
+    return None if text is None else ArmChainParameters(**frozen(json.loads(text)))
 
 
 def lacking(log: RunLog) -> tuple[str, ...]:
@@ -521,16 +515,9 @@ def _thinking(log: RunLog) -> Thinking | None:
 
 
 def _noted(log: RunLog, name: str, kind: Callable[[str], Number]) -> Number | None:
-    """Return a number from the log's metadata, None if it is missing.
-
-    Raises:
-        InputError: the value is not a number.
-    """
+    """Return a number from the log's metadata, None if it is missing."""
     text = log.metadata.get(name)
-    try:
-        return None if text is None else kind(text)
-    except ValueError as error:
-        raise InputError(f"{log.path}: its {name} = {text!r:.80} is not a number; make the log again") from error
+    return None if text is None else kind(text)
 
 
 def _fault(flown: Flown, plan: Reference, decoded: Decoded) -> FaultFigures:

@@ -16,12 +16,13 @@ cut or damaged file metadata could not be verified. Each metadata record therefo
 Source: the MCAP format specification, version 0.
 """
 
-import errno
+import glob
 import json
 import mimetypes
 import os
 import struct
 import zlib
+from collections import Counter
 from collections.abc import Mapping
 from contextlib import suppress
 from io import FileIO
@@ -42,6 +43,7 @@ from mcap.records import (
     Footer,
     Header,
     McapRecord,
+    MessageIndex,
     Metadata,
     MetadataIndex,
     Schema,
@@ -49,7 +51,7 @@ from mcap.records import (
 )
 from numpy.typing import NDArray
 
-from dpcontrol.logs.layout import EXTRAS, LATCHED, LENGTH_FROM, RECORD_HEADER, TickLayout, record_type
+from dpcontrol.logs.layout import LATCHED, LENGTH_FROM, TickLayout
 
 _COMPRESSION = 1
 """Level of zstd. Higher levels take far longer and save little, because noise does not compress."""
@@ -73,10 +75,6 @@ _LATCHED_QOS = """\
 """
 """Quality of service of a latched topic, in the numbers of ROS 2's rmw_qos_profile_t. Some readers reject an
 incomplete profile."""
-_ENTRY_BYTES = 16
-"""Entry of a message index: time in ns and offset, 8 bytes each."""
-
-
 _RECORD = struct.Struct("<BQH")
 """Head of a record: opcode, length and, for a message, its channel."""
 
@@ -102,8 +100,8 @@ def located(data: bytes, tick: TickLayout) -> dict[str, LocatedMessages]:
     """
     ticks: list[int] = []
     others: dict[int, list[int]] = {number: [] for number in tick.channels.values()}
-    template = tick.block_template
-    beginning, size = template[: _RECORD.size], len(template)
+    block = tick.block
+    beginning, size = block.template[: _RECORD.size], len(block.template)
     place, whole, unpack = 0, len(data), _RECORD.unpack_from
     while place < whole:
         if data.startswith(beginning, place):
@@ -116,24 +114,25 @@ def located(data: bytes, tick: TickLayout) -> dict[str, LocatedMessages]:
         place += LENGTH_FROM + length
     if place != whole:
         raise ValueError("a record runs over the end of its chunk")
-    block, starts = _gathered(data, ticks, tick.block_type), np.array(ticks, np.int64)
-    found = {topic: LocatedMessages(starts + offset, block[topic]) for topic, offset in tick.block_offsets.items()}
-    if any((part.records["channel"] != tick.channels[topic]).any() for topic, part in found.items()):
-        raise ValueError("a tick lacks a message")
+    found = {}
     for topic, number in tick.channels.items():
-        if topic not in found:
-            kind = record_type(tick.extras_message) if topic == EXTRAS else RECORD_HEADER
-            found[topic] = LocatedMessages(np.array(others[number], np.int64), _gathered(data, others[number], kind))
+        if topic in tick.messages:
+            offsets = np.array(ticks, np.int64) + block.offset(topic)
+        else:
+            offsets = np.array(others[number], np.int64)
+        found[topic] = LocatedMessages(offsets, _gathered(data, offsets, tick.types[topic]))
+        if (found[topic].records["channel"] != number).any():
+            raise ValueError("a tick lacks a message")
     return found
 
 
-def _gathered(data: bytes, offsets: list[int], kind: np.dtype) -> NDArray[Any]:
+def _gathered(data: bytes, offsets: NDArray[np.int64], kind: np.dtype) -> NDArray[Any]:
     """Return a copy of records of one type at increasing offsets."""
-    if not offsets:
+    if not offsets.size:
         return np.empty(0, kind)
     # A view at every byte, so that fancy indexing copies whole records.
     everywhere = np.ndarray((len(data) - kind.itemsize + 1,), f"V{kind.itemsize}", buffer=data, strides=(1,))
-    return everywhere[np.array(offsets)].view(kind)
+    return everywhere[offsets].view(kind)
 
 
 def _bytes_of(record: McapRecord) -> bytes:
@@ -142,29 +141,11 @@ def _bytes_of(record: McapRecord) -> bytes:
     return builder.end()
 
 
-def _chunk_index_bytes(index: ChunkIndex) -> bytes:
-    """Return the record, ten times faster than the mcap package does.
-
-    Every chunk has one.
-    """
-    places = index.message_index_offsets
-    flat = [number for place in places.items() for number in place]
-    name = index.compression.encode()
-    body = struct.pack(
-        f"<QQQQI{'HQ' * len(places)}QI{len(name)}sQQ",
-        index.message_start_time, index.message_end_time, index.chunk_start_offset, index.chunk_length,
-        10 * len(places), *flat, index.message_index_length, len(name), name, index.compressed_size,
-        index.uncompressed_size,
-    )  # fmt: skip
-    return struct.pack("<BQ", Opcode.CHUNK_INDEX, len(body)) + body
-
-
 class McapFile:
     """Writes one MCAP file to an unbuffered binary stream.
 
-    The order is header, metadata and attachments, chunks, summary.
-
-    Checksums of each chunk and of the whole data section are always written.
+    The order is header, metadata and attachments, chunks, summary. Checksums of each chunk and of the whole data
+    section are always written.
 
     Args:
         stream: unbuffered binary stream.
@@ -173,18 +154,13 @@ class McapFile:
 
     def __init__(self, stream: FileIO, *, library: str):
         self.stream = stream
-        self._position = 0
         self._crc = 0
         self._compressor = zstandard.ZstdCompressor(level=_COMPRESSION)
-        self._schemas: list[Schema] = []
-        self._channels: list[Channel] = []
-        self._metadata: list[MetadataIndex] = []
-        self._attachments: list[AttachmentIndex] = []
-        self._chunks: list[ChunkIndex] = []
-        self._counts: dict[int, int] = {}
+        self._summary: list[bytes] = []
         self._unwritten: list[bytes] = []
-        self._write(MAGIC)
-        self._write(_bytes_of(Header(profile="ros2", library=library)))
+        self._counts: dict[int, int] = {}
+        self._times: list[int] = []
+        self._write(MAGIC + _bytes_of(Header(profile="ros2", library=library)))
 
     def _write(self, data: bytes) -> None:
         self._crc = zlib.crc32(data, self._crc)
@@ -192,7 +168,6 @@ class McapFile:
         # An unbuffered stream may accept only a part, for example on a nearly full disk.
         while rest:
             rest = rest[self.stream.write(rest) or 0 :]
-        self._position += len(data)
 
     def add_metadata(self, name: str, data: Mapping[str, str]) -> None:
         """Write a metadata record.
@@ -202,7 +177,7 @@ class McapFile:
             data: text by key.
         """
         record = _bytes_of(Metadata(name=name, metadata=dict(data)))
-        self._metadata.append(MetadataIndex(offset=self._position, length=len(record), name=name))
+        self._summary.append(_bytes_of(MetadataIndex(offset=self.stream.tell(), length=len(record), name=name)))
         self._write(record)
 
     def add_attachment(self, name: str, data: bytes) -> None:
@@ -218,8 +193,8 @@ class McapFile:
         media_type = guessed or "application/octet-stream"
         about = {"create_time": 0, "log_time": 0, "name": name, "media_type": media_type}
         record = _bytes_of(Attachment(data=data, **about))
-        index = AttachmentIndex(offset=self._position, length=len(record), data_size=len(data), **about)
-        self._attachments.append(index)
+        index = AttachmentIndex(offset=self.stream.tell(), length=len(record), data_size=len(data), **about)
+        self._summary.append(_bytes_of(index))
         self._write(record)
 
     def add_channels(self, tick: TickLayout) -> None:
@@ -229,18 +204,18 @@ class McapFile:
             tick: layout of the ticks.
         """
         self._tick = tick
-        schemas: dict[str, Schema] = {}
-        for topic, (name, definition) in tick.schemas.items():
-            if name not in schemas:
-                schemas[name] = Schema(id=len(schemas) + 1, name=name, encoding="ros2msg", data=definition)
-                self._unwritten.append(_bytes_of(schemas[name]))
-            quality = {"offered_qos_profiles": _LATCHED_QOS} if topic in LATCHED else {}
-            number, schema = tick.channels[topic], schemas[name].id
-            channel = Channel(id=number, topic=topic, message_encoding="cdr", metadata=quality, schema_id=schema)
-            self._channels.append(channel)
-            self._unwritten.append(_bytes_of(channel))
-        self._schemas = list(schemas.values())
         self._counts = dict.fromkeys(tick.channels.values(), 0)
+        definitions = dict(tick.schemas.values())
+        numbers = {name: number for number, name in enumerate(definitions, start=1)}
+        for name, number in numbers.items():
+            schema = Schema(id=number, name=name, encoding="ros2msg", data=definitions[name])
+            self._unwritten.append(_bytes_of(schema))
+        for topic, (name, _) in tick.schemas.items():
+            quality = {"offered_qos_profiles": _LATCHED_QOS} if topic in LATCHED else {}
+            number, schema_id = tick.channels[topic], numbers[name]
+            channel = Channel(id=number, topic=topic, message_encoding="cdr", metadata=quality, schema_id=schema_id)
+            self._unwritten.append(_bytes_of(channel))
+        self._summary += self._unwritten
 
     def add_chunk(self, data: bytes) -> None:
         """Write one compressed chunk with its indexes, and flush it.
@@ -252,55 +227,49 @@ class McapFile:
         head = b"".join(self._unwritten)
         self._unwritten.clear()
         content = head + data
-        # The entries of all channels are built together and then split.
         times = np.concatenate([part.records["log_time"] for part in messages.values()])
-        offsets = np.concatenate([part.offsets for part in messages.values()]) + len(head)
-        entries, cut = np.column_stack([times, offsets.astype("<u8")]).tobytes(), 0
-        start, end = int(times.min()), int(times.max())
-        packed = Chunk(
-            compression="zstd", data=self._compressor.compress(content), message_end_time=end, message_start_time=start,
-            uncompressed_crc=zlib.crc32(content), uncompressed_size=len(content),
-        )  # fmt: skip
-        written = [_bytes_of(packed)]
-        places, length = {}, len(written[0])
+        about = {
+            "message_start_time": int(times.min()), "message_end_time": int(times.max()), "compression": "zstd",
+            "uncompressed_size": len(content),
+        }  # fmt: skip
+        packed = self._compressor.compress(content)
+        start, places = self.stream.tell(), {}
+        written = _bytes_of(Chunk(data=packed, uncompressed_crc=zlib.crc32(content), **about))
+        length = len(written)
         for topic, part in messages.items():
-            number, size = self._tick.channels[topic], _ENTRY_BYTES * len(part.offsets)
-            index = struct.pack("<BQHI", Opcode.MESSAGE_INDEX, 6 + size, number, size)
-            places[number] = self._position + length
-            length += len(index) + size
-            written += [index, entries[cut : cut + size]]
-            cut += size
-            self._counts[number] += len(part.offsets)
-        self._chunks.append(
-            ChunkIndex(
-                message_start_time=start, message_end_time=end, chunk_start_offset=self._position,
-                chunk_length=len(written[0]), message_index_offsets=places,
-                message_index_length=length - len(written[0]), compression="zstd", compressed_size=len(packed.data),
-                uncompressed_size=len(content),
-            )
+            number, offsets = self._tick.channels[topic], part.offsets + len(head)
+            places[number] = start + len(written)
+            entries = list(zip(part.records["log_time"].tolist(), offsets.tolist(), strict=True))
+            written += _bytes_of(MessageIndex(channel_id=number, records=entries))
+            self._counts[number] += len(entries)
+        index = ChunkIndex(
+            chunk_start_offset=start, chunk_length=length, message_index_offsets=places,
+            message_index_length=len(written) - length, compressed_size=len(packed), **about,
         )  # fmt: skip
-        self._write(b"".join(written))
+        self._summary.append(_bytes_of(index))
+        self._times = [min([index.message_start_time, *self._times]), max([index.message_end_time, *self._times])]
+        self._write(written)
 
     def finish(self) -> None:
         """Write the end of the data, the summary and the footer, and close the stream when they are on the disk."""
         self._write(b"".join(self._unwritten))
-        self._unwritten.clear()
         # The checksum of the data section covers everything before this record.
         self._write(_bytes_of(DataEnd(data_section_crc=self._crc)))
+        kinds = Counter(record[0] for record in self._summary)
+        start, end = self._times or (0, 0)
         statistics = Statistics(
-            attachment_count=len(self._attachments), channel_count=len(self._channels),
-            channel_message_counts=dict(self._counts), chunk_count=len(self._chunks),
-            message_count=sum(self._counts.values()), metadata_count=len(self._metadata),
-            message_start_time=min((chunk.message_start_time for chunk in self._chunks), default=0),
-            message_end_time=max((chunk.message_end_time for chunk in self._chunks), default=0),
-            schema_count=len(self._schemas),
+            attachment_count=kinds[Opcode.ATTACHMENT_INDEX], channel_count=kinds[Opcode.CHANNEL],
+            channel_message_counts=dict(self._counts), chunk_count=kinds[Opcode.CHUNK_INDEX],
+            message_count=sum(self._counts.values()), metadata_count=kinds[Opcode.METADATA_INDEX],
+            message_start_time=start, message_end_time=end, schema_count=kinds[Opcode.SCHEMA],
         )  # fmt: skip
-        single = [*self._schemas, *self._channels, statistics, *self._attachments, *self._metadata]
-        summary = b"".join([*map(_bytes_of, single), *map(_chunk_index_bytes, self._chunks)])
+        # Records of a summary are grouped by their opcodes, which come first.
+        records = sorted([*self._summary, _bytes_of(statistics)], key=lambda record: record[0])
+        summary, start = b"".join(records), self.stream.tell()
         # The footer's checksum covers the summary and the footer up to the checksum itself.
-        head = struct.pack("<BQQQ", Opcode.FOOTER, 20, self._position, 0)
+        head = struct.pack("<BQQQ", Opcode.FOOTER, 20, start, 0)
         checksum = zlib.crc32(head, zlib.crc32(summary))
-        footer = Footer(summary_start=self._position, summary_offset_start=0, summary_crc=checksum)
+        footer = Footer(summary_start=start, summary_offset_start=0, summary_crc=checksum)
         self._write(summary + _bytes_of(footer) + MAGIC)
         os.fsync(self.stream.fileno())
         self.stream.close()
@@ -323,7 +292,7 @@ def open_partial(path: Path) -> tuple[Path, FileIO]:
     for name in (path.name, *(f"{path.name}.{os.getpid()}-{k}" for k in range(1, 99))):
         with suppress(FileExistsError):
             return path.with_name(name + SUFFIX), FileIO(path.with_name(name + SUFFIX), "xb")
-    raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path))
+    raise FileExistsError(f"{path} and 98 other names beside it exist")
 
 
 def partials_of(path: Path) -> tuple[Path, ...]:
@@ -334,10 +303,7 @@ def partials_of(path: Path) -> tuple[Path, ...]:
     Args:
         path: path of the complete log.
     """
-    with suppress(OSError):
-        names = [file for file in path.parent.iterdir() if file.suffix == SUFFIX and file.name.startswith(path.name)]
-        return tuple(sorted(names, key=lambda file: file.stat().st_mtime))
-    return ()
+    return tuple(sorted(path.parent.glob(f"{glob.escape(path.name)}*{SUFFIX}"), key=lambda file: file.stat().st_mtime))
 
 
 _KEY = "crc32"

@@ -23,10 +23,11 @@ import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import product
+from itertools import chain, product
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dpcontrol.foundation.causes import Cause
 from dpcontrol.foundation.document import plain
@@ -36,97 +37,52 @@ ENCAPSULATION = b"\x00\x01\x00\x00"
 """The first four bytes of every message."""
 
 
-@dataclass
-class Message:
-    """Message of fixed length. Values are appended in order, with CDR's alignment.
+Part = tuple[str, str, Any]
+"""Name, numpy format and value of a part of a message; the name is "" if the value is fixed."""
+
+
+class Message(NamedTuple):
+    """Message of fixed length.
 
     Attributes:
         data: the whole message, with zeros in place of the varying numbers.
         fields: numpy format and byte offset of each varying number.
     """
 
-    data: bytearray = field(default_factory=lambda: bytearray(ENCAPSULATION))
-    fields: dict[str, tuple[str, int]] = field(default_factory=dict)
-
-    def _aligned(self, size: int) -> None:
-        self.data.extend(bytes(-(len(self.data) - len(ENCAPSULATION)) % size))
-
-    def number(self, kind: str, value: int = 0, *, name: str | None = None) -> None:
-        """Append an integer.
-
-        Args:
-            kind: numpy format, "<u4", "<i4" or "u1".
-            value: the integer, default 0.
-            name: name of the field that it becomes; None for no field.
-        """
-        size = int(kind[-1])
-        self._aligned(size)
-        if name is not None:
-            self.fields[name] = (kind, len(self.data))
-        self.data += value.to_bytes(size, "little", signed=kind[-2] == "i")
-
-    def doubles(self, count: int, *, name: str) -> None:
-        """Append float64 zeros as one field, without a length prefix.
-
-        Args:
-            count: number of zeros.
-            name: name of the field.
-        """
-        self._aligned(8)
-        self.fields[name] = (f"({count},)<f8", len(self.data))
-        self.data += bytes(8 * count)
-
-    def double_sequence(self, count: int, *, name: str) -> None:
-        """Append a sequence of float64 zeros with a length prefix.
-
-        Args:
-            count: number of zeros.
-            name: name of the field.
-        """
-        self.number("<u4", count)
-        if count:
-            self.doubles(count, name=name)
-
-    def string(self, text: str) -> None:
-        """Append a string.
-
-        Args:
-            text: any text; NUL is removed, since it ends a CDR string.
-        """
-        content = text.replace("\0", "").encode() + b"\0"
-        self.number("<u4", len(content))
-        self.data += content
-
-    def stamp(self, name: str, time_ns: int = 0) -> None:
-        """Append a time as two fields, `name.sec` and `name.nanosec`.
-
-        Args:
-            name: beginning of the fields' names.
-            time_ns: time, ns, default 0.
-        """
-        seconds, rest = divmod(time_ns, 1_000_000_000)
-        self.number("<i4", seconds, name=f"{name}.sec")
-        self.number("<u4", rest, name=f"{name}.nanosec")
+    data: bytes
+    fields: dict[str, tuple[Any, int]]
 
 
-def texts_in(data: bytes, place: int, count: int) -> list[str]:
-    """Return the strings of a message that follow each other.
+def message(*parts: Part) -> Message:
+    """Return the message of these parts, aligned as in CDR: each number to its own size.
 
     Args:
-        data: message in CDR.
-        place: end of what precedes them.
-        count: number of strings.
-
-    Raises:
-        struct.error: the message ends before.
+        *parts: parts in order.
     """
-    texts = []
-    for _ in range(count):
-        place += -(place - len(ENCAPSULATION)) % 4
-        (length,) = struct.unpack_from("<I", data, place)
-        place += 4 + length
-        texts.append(data[place - length : place].rstrip(b"\0").decode())
-    return texts
+    names = [name or f"fixed {k}" for k, (name, _, _) in enumerate(parts)]
+    kind = np.dtype([(name, form) for name, (_, form, _) in zip(names, parts, strict=True)], align=True)
+    content, start = np.zeros(1, kind), len(ENCAPSULATION)
+    fields: Any = kind.fields
+    for name, (_, _, value) in zip(names, parts, strict=True):
+        content[name] = value
+    last, offset = fields[names[-1]][:2]
+    places = {name: (fields[name][0], start + fields[name][1]) for name, *_ in parts if name}
+    return Message(ENCAPSULATION + content.tobytes()[: offset + last.itemsize], places)
+
+
+def _text(text: str) -> list[Part]:
+    # NUL ends a string of CDR, so it is removed.
+    content = text.replace("\0", "").encode() + b"\0"
+    return [("", "<u4", len(content)), ("", f"S{len(content)}", content)]
+
+
+def _stamp(name: str, time_ns: int = 0) -> list[Part]:
+    seconds, rest = divmod(time_ns, 1_000_000_000)
+    return [(f"{name}.sec", "<i4", seconds), (f"{name}.nanosec", "<u4", rest)]
+
+
+def _sequence(name: str, count: int) -> list[Part]:
+    return [("", "<u4", count), (name, f"({count},)<f8", 0)][: 1 + (count > 0)]
 
 
 def joint_state(names: Sequence[str], *, velocities: bool) -> Message:
@@ -138,16 +94,9 @@ def joint_state(names: Sequence[str], *, velocities: bool) -> Message:
         names: names of the joints.
         velocities: True for a field `velocity`.
     """
-    message = Message()
-    message.stamp("stamp")
-    message.string("")
-    message.number("<u4", len(names))
-    for name in names:
-        message.string(name)
-    message.double_sequence(len(names), name="position")
-    message.double_sequence(len(names) if velocities else 0, name="velocity")
-    message.double_sequence(0, name="effort")
-    return message
+    joints = [("", "<u4", len(names)), *chain.from_iterable(map(_text, names))]
+    numbers = [*_sequence("position", len(names)), *_sequence("velocity", len(names) * velocities)]
+    return message(*_stamp("stamp"), *_text(""), *joints, *numbers, *_sequence("effort", 0))
 
 
 def transforms(frames: Sequence[tuple[str, str]]) -> Message:
@@ -158,14 +107,14 @@ def transforms(frames: Sequence[tuple[str, str]]) -> Message:
     Args:
         frames: parent and child of each transform.
     """
-    message = Message()
-    message.number("<u4", len(frames))
+    parts: list[Part] = [("", "<u4", len(frames))]
     for i, (parent, child) in enumerate(frames):
-        message.stamp(f"{i}.stamp")
-        message.string(parent)
-        message.string(child)
-        message.doubles(7, name=f"{i}.pose")
-    return message
+        parts += [*_stamp(f"{i}.stamp"), *_text(parent), *_text(child), (f"{i}.pose", "(7,)<f8", 0)]
+    return message(*parts)
+
+
+def _row(count: int) -> Message:
+    return message(("row", f"({count},)<f8", 0))
 
 
 def string(text: str) -> bytes:
@@ -174,9 +123,7 @@ def string(text: str) -> bytes:
     Args:
         text: content of the message.
     """
-    message = Message()
-    message.string(text)
-    return bytes(message.data)
+    return message(*_text(text)).data
 
 
 @dataclass(frozen=True)
@@ -216,13 +163,10 @@ def log(event: Event) -> bytes:
     Args:
         event: the event.
     """
-    message = Message()
-    message.stamp("stamp", round(event.time * 1e9))
-    message.number("u1", LEVELS[event.level])
-    for part in (event.name, event.text, json.dumps(plain(event.figures)) if event.cause else "", event.cause):
-        message.string(part)
-    message.number("<u4")
-    return bytes(message.data)
+    figures = json.dumps(plain(event.figures)) if event.cause else ""
+    texts = chain.from_iterable(map(_text, (event.name, event.text, figures, event.cause)))
+    stamp = _stamp("stamp", round(event.time * 1e9))
+    return message(*stamp, ("", "u1", LEVELS[event.level]), *texts, ("", "<u4", 0)).data
 
 
 def logged_event(time: float, data: bytes) -> Event:
@@ -236,7 +180,13 @@ def logged_event(time: float, data: bytes) -> Event:
         LookupError, struct.error, ValueError: the message has a different layout.
     """
     level = _LEVEL_NAMES.get(data[_LEVEL], "info")
-    name, words, figures, cause = texts_in(data, _LEVEL + 1, 4)
+    place, texts = _LEVEL + 1, []
+    for _ in range(4):
+        place += -(place - len(ENCAPSULATION)) % 4
+        (length,) = struct.unpack_from("<I", data, place)
+        place += 4 + length
+        texts.append(data[place - length : place].rstrip(b"\0").decode())
+    name, words, figures, cause = texts
     # Other programs log their functions and files there.
     if cause not in _CAUSES or not words:
         return Event(time, level, name, words=words)
@@ -260,15 +210,13 @@ def _with_parts(definition: str, *names: str) -> bytes:
     return "".join([definition, *(f"{'=' * 80}\nMSG: {name}\n{_PARTS[name]}" for name in names)]).encode()
 
 
-_JOINT_STATE = "std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort\n"
-_LOG = (
-    "byte DEBUG=10\nbyte INFO=20\nbyte WARN=30\nbyte ERROR=40\nbyte FATAL=50\n"
-    "builtin_interfaces/Time stamp\nuint8 level\nstring name\nstring msg\nstring file\nstring function\n"
-    "uint32 line\n"
-)
 JOINT_STATE = (
     "sensor_msgs/msg/JointState",
-    _with_parts(_JOINT_STATE, "std_msgs/Header", "builtin_interfaces/Time"),
+    _with_parts(
+        "std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort\n",
+        "std_msgs/Header",
+        "builtin_interfaces/Time",
+    ),
 )
 TF_MESSAGE = (
     "tf2_msgs/msg/TFMessage",
@@ -278,10 +226,16 @@ TF_MESSAGE = (
         "geometry_msgs/Transform", "geometry_msgs/Vector3", "geometry_msgs/Quaternion",
     ),
 )  # fmt: skip
-CONTROL_NAME = "dpcontrol_msgs/msg/Control"
-EXTRAS_NAME = "dpcontrol_msgs/msg/Extras"
 STRING = ("std_msgs/msg/String", b"string data\n")
-LOG = ("rcl_interfaces/msg/Log", _with_parts(_LOG, "builtin_interfaces/Time"))
+LOG = (
+    "rcl_interfaces/msg/Log",
+    _with_parts(
+        "byte DEBUG=10\nbyte INFO=20\nbyte WARN=30\nbyte ERROR=40\nbyte FATAL=50\n"
+        "builtin_interfaces/Time stamp\nuint8 level\nstring name\nstring msg\nstring file\nstring function\n"
+        "uint32 line\n",
+        "builtin_interfaces/Time",
+    ),
+)
 
 
 MEASURED = "/joint_states"
@@ -326,8 +280,10 @@ RECOVERY_RECORD = "dpcontrol.recovery"
 """Names of the metadata records: layout, the caller's metadata, result of the run (at the end), and losses of a
 recovered log."""
 
-EXTRAS_KEY = "extras"
+_EXTRAS_KEY = "extras"
 """Key of the layout record: names of the estimated parameters, if the log has any."""
+_SLOWEST, _FASTEST = 1e-6, 1e9
+"""Limits of the loop's rate, Hz; no recording comes near them."""
 TICKS = "ticks"
 """Key of the result record: number of ticks of the run."""
 LOST = "lost"
@@ -345,9 +301,26 @@ RECORD_HEADER = np.dtype(
     ]
 )  # fmt: skip
 """An MCAP message record up to its data: packed, little-endian (MCAP specification, "Message")."""
-MESSAGE_OPCODE = 5
+_HEAD = struct.Struct("<BQHIQQ")
 LENGTH_FROM = 9
 """Bytes of a record that its length does not include."""
+
+
+def record(channel: int, number: int, time_ns: int, content: bytes) -> bytes:
+    """Return an MCAP message record.
+
+    Args:
+        channel: number of the channel.
+        number: number of the message in its channel.
+        time_ns: time, ns.
+        content: message in CDR.
+    """
+    length = _HEAD.size - LENGTH_FROM + len(content)
+    return _HEAD.pack(_MESSAGE, length, channel, number, time_ns, time_ns) + content
+
+
+_MESSAGE = 5
+"""Opcode of a message."""
 
 _CONTROL_HEAD = ("command", "feedforward", "feedback", "applied", "saturated", "nis", "mode")
 
@@ -392,21 +365,120 @@ def state_names(arms: int, *, has_cart: bool) -> tuple[str, ...]:
     return arms_part + (("cart_position", "cart_velocity") if has_cart else ())
 
 
+def record_type(message: Message) -> np.dtype:
+    """Return the structured type of the record of `message`.
+
+    Args:
+        message: message with its fields.
+    """
+    places = {name: (kind, offset) for name, (kind, offset, *_) in RECORD_HEADER.fields.items()}  # type: ignore[union-attr]
+    places |= {name: (kind, RECORD_HEADER.itemsize + offset) for name, (kind, offset) in message.fields.items()}
+    formats, offsets = zip(*places.values(), strict=True)
+    size = RECORD_HEADER.itemsize + len(message.data)
+    return np.dtype({"names": list(places), "formats": formats, "offsets": offsets, "itemsize": size})
+
+
+class Block:
+    """Message records that are written together, as one numpy type.
+
+    Attributes:
+        kind: structured type with a field for each topic.
+        template: bytes of the records, with times and numbers zero.
+    """
+
+    def __init__(self, messages: Mapping[str, Message], channels: Mapping[str, int]) -> None:
+        self.kind = np.dtype([(topic, record_type(message)) for topic, message in messages.items()])
+        self.template = b"".join(record(channels[topic], 0, 0, message.data) for topic, message in messages.items())
+
+    def offset(self, topic: str) -> int:
+        """Return the byte offset of a topic's record.
+
+        Args:
+            topic: name of the topic.
+        """
+        fields: Any = self.kind.fields
+        return int(fields[topic][1])
+
+    def filled(self, times: NDArray[np.int64], first: int) -> NDArray[Any]:
+        """Return copies (K,) of the template with times and numbers of sequence.
+
+        Args:
+            times: (K,) ns.
+            first: number of the first message in its channel.
+        """
+        block = np.frombuffer(bytearray(self.template * len(times)), self.kind)
+        seconds, nanoseconds = np.divmod(times, 1_000_000_000)
+        for topic in self.kind.names or ():
+            records = block[topic]
+            records["sequence"] = np.arange(first, first + len(times))
+            records["log_time"] = records["publish_time"] = times
+            for stamp in (name.removesuffix("sec") for name in records.dtype.names or () if name.endswith(".sec")):
+                records[f"{stamp}sec"], records[f"{stamp}nanosec"] = seconds, nanoseconds
+        return block
+
+
 @dataclass(frozen=True)
 class TickLayout:
     """Messages of a tick in order of writing, and the channels.
 
     Attributes:
-        arms: number of arms.
+        arm_lengths: (n,) m.
         has_cart: True if the pivot is on a cart.
+        rate_hz: rate of the loop, Hz.
         parts: members of `PARTS` that the log has.
+        limits: the cart's greatest distance from the centre in m, velocity in m/s, acceleration in m/s², or None.
         extras: names of the estimated parameters, in the estimator's order.
     """
 
-    arms: int
+    arm_lengths: tuple[float, ...]
     has_cart: bool
-    parts: frozenset[str]
+    rate_hz: float
+    parts: frozenset[str] = frozenset(PARTS)
+    limits: tuple[float, float, float] | None = None
     extras: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, record: Mapping[str, str]) -> "TickLayout":
+        """Return the layout in a metadata record.
+
+        Args:
+            record: values of the record `LAYOUT_RECORD`.
+
+        Raises:
+            LookupError, ValueError: a value is missing or impossible.
+        """
+        numbers = {key: tuple(map(float, record[key].split())) for key in ("arm_lengths", "rate_hz", "limits")}
+        lengths, (rate,), limits = numbers.values()
+        parts = frozenset(record["parts"].split())
+        if not (
+            parts <= set(PARTS) and all(0 < length < np.inf for length in lengths) and _SLOWEST <= rate <= _FASTEST
+        ):
+            raise ValueError("its layout has unknown parts, or impossible lengths or rates")
+        return cls(
+            lengths,
+            record["has_cart"] == "1",
+            rate,
+            parts,
+            (limits[0], limits[1], limits[2]) if limits else None,
+            tuple(record.get(_EXTRAS_KEY, "").split()),
+        )
+
+    def record(self) -> dict[str, str]:
+        """Return the values of the metadata record."""
+        return {
+            "format": FORMAT,
+            "arm_lengths": " ".join(map(repr, self.arm_lengths)),
+            "has_cart": "1" if self.has_cart else "0",
+            "rate_hz": repr(self.rate_hz),
+            "limits": " ".join(map(repr, self.limits or ())),
+            "parts": " ".join(part for part in PARTS if part in self.parts),
+            **({_EXTRAS_KEY: " ".join(self.extras)} if self.extras else {}),
+        }
+
+    @property
+    def arms(self) -> int:
+        """Number of arms."""
+        return len(self.arm_lengths)
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -453,30 +525,30 @@ class TickLayout:
         found = {MEASURED: joint_state(self.names, velocities="rates" in self.parts)}
         found |= {topic: state for part, topic in STATE_TOPICS.items() if part in self.parts}
         if "control" in self.parts:
-            found[CONTROL] = Message()
-            found[CONTROL].doubles(len(self.fields), name="row")
+            found[CONTROL] = _row(len(self.fields))
         return found
 
     @cached_property
     def extras_message(self) -> Message:
         """Message of /estimate/extras, as field "row": all standard deviations, then all values."""
-        message = Message()
-        message.doubles(2 * len(self.extras), name="row")
-        return message
+        return _row(2 * len(self.extras))
 
     @cached_property
     def schemas(self) -> dict[str, tuple[str, bytes]]:
         """Name and definition of each topic's message, in channel order."""
         found: dict[str, tuple[str, bytes]] = dict.fromkeys(self.messages, JOINT_STATE)
         if CONTROL in found:
-            found[CONTROL] = (CONTROL_NAME, "".join(f"float64 {name}\n" for name in self.fields).encode())
+            found[CONTROL] = (
+                "dpcontrol_msgs/msg/Control",
+                "".join(f"float64 {name}\n" for name in self.fields).encode(),
+            )
         found |= {TRANSFORMS: TF_MESSAGE, EVENTS: LOG, ROBOT: STRING}
         if "reference" in self.parts:
             found[GHOST] = STRING
         if self.extras:
             # ROS 2 requires field names in lower case.
             fields = (f"float64 {of}{name.lower()}\n" for of in ("sigma_", "") for name in self.extras)
-            found[EXTRAS] = (EXTRAS_NAME, "".join(fields).encode())
+            found[EXTRAS] = ("dpcontrol_msgs/msg/Extras", "".join(fields).encode())
         return found
 
     @cached_property
@@ -490,48 +562,15 @@ class TickLayout:
         return {topic: number for number, topic in enumerate(self.schemas, start=1)}
 
     @cached_property
-    def block_type(self) -> np.dtype:
-        """Structured type of a tick: a field for each topic, in order."""
-        return np.dtype([(topic, record_type(message)) for topic, message in self.messages.items()])
+    def types(self) -> dict[str, np.dtype]:
+        """Structured type of each topic's records: of their heads, except for topics with ticks and for the extras."""
+        known = {**self.messages, EXTRAS: self.extras_message}
+        return {topic: record_type(known[topic]) if topic in known else RECORD_HEADER for topic in self.schemas}
 
     @cached_property
-    def block_offsets(self) -> dict[str, int]:
-        """Byte offset of each topic's message within a tick."""
-        return {topic: int(self.block_type.fields[topic][1]) for topic in self.messages}  # type: ignore[index]
-
-    @cached_property
-    def block_template(self) -> bytes:
-        """Message records of a tick, with times and numbers zero."""
-        records = []
-        for topic, message in self.messages.items():
-            header = np.zeros(1, RECORD_HEADER)
-            header["opcode"] = MESSAGE_OPCODE
-            header["length"] = RECORD_HEADER.itemsize - LENGTH_FROM + len(message.data)
-            header["channel"] = self.channels[topic]
-            records.append(header.tobytes() + message.data)
-        return b"".join(records)
-
-
-def extras_of(described: Mapping[str, str]) -> tuple[str, ...]:
-    """Return the names of the estimated parameters.
-
-    Args:
-        described: values of the layout record.
-    """
-    return tuple(described.get(EXTRAS_KEY, "").split())
-
-
-def record_type(message: Message) -> np.dtype:
-    """Return the structured type of the record of `message`.
-
-    Args:
-        message: message with its fields.
-    """
-    places = {name: (kind, offset) for name, (kind, offset, *_) in RECORD_HEADER.fields.items()}  # type: ignore[union-attr]
-    places |= {name: (kind, RECORD_HEADER.itemsize + offset) for name, (kind, offset) in message.fields.items()}
-    formats, offsets = zip(*places.values(), strict=True)
-    size = RECORD_HEADER.itemsize + len(message.data)
-    return np.dtype({"names": list(places), "formats": formats, "offsets": offsets, "itemsize": size})
+    def block(self) -> Block:
+        """Messages of a tick."""
+        return Block(self.messages, self.channels)
 
 
 RETURN, FLIGHT, RESUME, LAP, CATCH = "return", "flight", "resume", "lap", "catch"

@@ -38,8 +38,7 @@ from dpcontrol.foundation.rendering import DataFrame
 from dpcontrol.foundation.shown import Brief, Shown, data_frame
 from dpcontrol.logs import layout
 from dpcontrol.logs.container import MAGIC, located, partials_of, unsealed
-from dpcontrol.logs.layout import Event, TickLayout, logged_event
-from dpcontrol.logs.rewritten import Batch, by_topic, ticks_in
+from dpcontrol.logs.rewritten import Batch, Topic, by_topic, ticks_in
 
 _TOGETHER = 200
 """Number of chunks that are read in one step."""
@@ -94,7 +93,7 @@ class VerifiedFile:
         return {record.name: record.data for record in self.records[Attachment]}
 
     @cached_property
-    def tick(self) -> TickLayout:
+    def tick(self) -> layout.TickLayout:
         """Tick layout from the log's own description."""
         return described_layout(self.path, self.values(layout.LAYOUT_RECORD))
 
@@ -113,13 +112,16 @@ class VerifiedFile:
         """The program that wrote the file."""
         return self.records[Header][0].library
 
-    def messages(self) -> Iterator[Any]:
-        """Return schema, channel and record of every message.
+    def topics(self) -> dict[str, Topic]:
+        """Return the messages by topic.
 
         Raises:
-            Exception: one of `MALFORMED`.
+            InputError: a message is damaged.
         """
-        return NonSeekingReader(BytesIO(self.data), validate_crcs=True).iter_messages(log_time_order=False)
+        with self.decoding():
+            return by_topic(
+                NonSeekingReader(BytesIO(self.data), validate_crcs=True).iter_messages(log_time_order=False)
+            )
 
 
 class _Records(StreamReader):
@@ -218,14 +220,10 @@ def _batches(file: VerifiedFile) -> Iterator[Batch]:
             end = start + layout.LENGTH_FROM + int(head["length"])
             events.append((int(head["log_time"]), data[start + layout.RECORD_HEADER.itemsize : end]))
         tables = {topic: part.records for topic, part in found.items()}
-        yield Batch(tables, {topic: table["log_time"] for topic, table in tables.items()}, file.tick.kinds, events)
+        yield Batch(tables, {topic: table["log_time"] for topic, table in tables.items()}, events)
 
 
-_SLOWEST, _FASTEST = 1e-6, 1e9
-"""Limits of the tick rate, Hz; no recording comes near them."""
-
-
-def described_layout(path: Path, described: Mapping[str, str]) -> TickLayout:
+def described_layout(path: Path, described: Mapping[str, str]) -> layout.TickLayout:
     """Return the tick layout in a metadata record.
 
     Errors are those of `VerifiedFile.tick`.
@@ -240,11 +238,7 @@ def described_layout(path: Path, described: Mapping[str, str]) -> TickLayout:
             f"{layout.LAYOUT_RECORD} is of layout {described.get('format', 'none')}); read it with the version that "
             "wrote it, or make a recording of it with `dpcontrol import`"
         )
-    parts, lengths = frozenset(described["parts"].split()), [float(text) for text in described["arm_lengths"].split()]
-    sound = parts <= set(layout.PARTS) and all(0 < length < np.inf for length in lengths)
-    if not sound or not _SLOWEST <= float(described["rate_hz"]) <= _FASTEST:
-        raise ValueError("its layout has unknown parts, or impossible lengths or rates")
-    return TickLayout(len(lengths), described["has_cart"] == "1", parts, layout.extras_of(described))
+    return layout.TickLayout.of(described)
 
 
 @dataclass(frozen=True, eq=False)
@@ -288,6 +282,7 @@ class RunLog(Shown):
         recovered: losses that `dpcontrol recover` reported, a sentence. None without losses.
         rewritten: True if another program has rewritten it, so that integrity cannot be checked.
         end_s: time of the run's last tick by its result record, s, or None.
+        topics: summary of each topic.
     """
 
     path: Path
@@ -296,7 +291,7 @@ class RunLog(Shown):
     rates: Array | None
     states: dict[str, Array]
     controls: dict[str, Array]
-    events: tuple[Event, ...]
+    events: tuple[layout.Event, ...]
     metadata: dict[str, str]
     attachments: dict[str, bytes]
     joint_names: tuple[str, ...]
@@ -308,6 +303,7 @@ class RunLog(Shown):
     extras: Extras | None = None
     rewritten: bool = False
     end_s: float | None = None
+    topics: "tuple[TopicSummary, ...]" = ()
 
     def __repr__(self) -> str:
         return f"<log {self.path}: {len(self.time):,} rows at {self.rate_hz:g} Hz>"
@@ -416,10 +412,7 @@ def segments_in(text: str, rows: int) -> tuple[tuple[int, int], ...]:
         text: pairs as `write_recording` writes them, "0:300 300:600".
         rows: number of samples.
     """
-    try:
-        numbers = [int(number) for number in text.replace(":", " ").split()]
-    except ValueError:
-        return ()
+    numbers = [int(number) for number in text.replace(":", " ").split()]
     segments = tuple(zip(numbers[::2], numbers[1::2], strict=False))
     return segments if all(0 <= first < end <= rows for first, end in segments) else ()
 
@@ -438,60 +431,6 @@ _LATEST = np.iinfo(np.int64).max
 """ns: viewers and arrays of times hold signed nanoseconds."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Contents:
-    """A log that was read: its file, layout and description, and its messages.
-
-    Attributes:
-        rows: time (N,), s, and rows (N, …) of measured positions, parts and extras (M, …).
-        times: times of all messages of each topic, ns.
-        kinds: type of each topic.
-        events: in the order of logging.
-    """
-
-    file: VerifiedFile
-    tick: TickLayout
-    described: Mapping[str, str]
-    rows: dict[str, Array]
-    times: dict[str, NDArray]
-    kinds: dict[str, str]
-    events: tuple[Event, ...]
-
-    @property
-    def metadata(self) -> dict[str, str]:
-        """The caller's text from the start and the end of the log."""
-        return {**self.file.values(layout.RESULT_RECORD), **self.file.values(layout.RUN_RECORD)}
-
-    @property
-    def recovered(self) -> str | None:
-        """Losses that `dpcontrol recover` reported, or None."""
-        return self.file.values(layout.RECOVERY_RECORD).get(layout.LOST) or None
-
-
-def _read(path: Path) -> _Contents:
-    """Read a log by the template of its ticks, or by topics if another program has rewritten it."""
-    file = open_mcap(path)
-    with file.decoding():
-        if file.is_native:
-            tick, described, batches = file.tick, file.values(layout.LAYOUT_RECORD), _batches(file)
-        else:
-            tick, described, batches = _rewritten(file)
-        parts = ((_rows(one, tick), one.times, one.kinds, one.events) for one in batches)
-        rows, times, kinds, events = zip(*parts, strict=True)
-        found = _Contents(
-            file=file,
-            tick=tick,
-            described=described,
-            rows=_joined(rows),
-            times=_joined(times),
-            kinds=kinds[0],
-            events=tuple(logged_event(time / 1e9, body) for part in events for time, body in part),
-        )
-        if any((moments > _LATEST).any() for moments in found.times.values()):
-            raise ValueError(f"a message is later than {_LATEST / 1e9:.3g} s")
-    return found
-
-
 def _joined(parts: Sequence[dict[str, NDArray]]) -> dict[str, NDArray]:
     # Each array is removed from its part as it is joined, so that a long log is held only once.
     found = {name: np.concatenate([part.pop(name) for part in parts]) for name in list(parts[0])}
@@ -500,8 +439,8 @@ def _joined(parts: Sequence[dict[str, NDArray]]) -> dict[str, NDArray]:
     return found
 
 
-def _rows(batch: Batch, tick: TickLayout) -> dict[str, Array]:
-    """Return the ticks' times (K,), s, and rows (K, …) by part."""
+def _rows(batch: Batch, tick: layout.TickLayout) -> dict[str, Array]:
+    """Return the ticks' times (K,), s, rows (K, …) by part, and the extras (M, …) after their times."""
     tables, widths = batch.tables, tick.widths
     found = {part: np.empty((len(tables[layout.MEASURED]), widths[part])) for part in ("measured", *tick.parts)}
     for topic, field_name, joints, part, columns in tick.rooms:
@@ -513,27 +452,26 @@ def _rows(batch: Batch, tick: TickLayout) -> dict[str, Array]:
     return found
 
 
-def _rewritten(file: VerifiedFile) -> tuple[TickLayout, dict[str, str], list[Batch]]:
-    """Return layout, description and messages of a log that another program has rewritten, with a remark.
+def _rewritten(file: VerifiedFile) -> tuple[layout.TickLayout, dict[str, str], list[Batch]]:
+    """Return layout, types of topics and messages of a log that another program has rewritten, with a remark.
 
     Raises:
         InputError: the file holds no run, or several.
     """
+    topics, writer = file.topics(), file.library or "another program"
     try:
-        topics, described = by_topic(file.messages()), file.values(layout.LAYOUT_RECORD)
-        whole = described_layout(file.path, described) if described else None
-        tick, described, batch = ticks_in(topics, described)
+        tick, batch = ticks_in(topics, file.tick)
     except MALFORMED as error:
         raise InputError(
-            f"{file.path} (written by {file.library or 'another program'}) is not a log of `dpcontrol run`: {error}; "
-            f"{_AS_WRITTEN}, or make a recording of it with `dpcontrol import`"
+            f"{file.path} (written by {writer}) is not a log of `dpcontrol run`: {error}; {_AS_WRITTEN}, or make a "
+            "recording of it with `dpcontrol import`"
         ) from error
-    left_out = ", ".join(topic for topic in (whole.schemas if whole else ()) if topic not in topics)
+    left_out = ", ".join(topic for topic in file.tick.schemas if topic not in topics)
     remark(
-        f"{file.path} was rewritten by {file.library or 'another program'} and is read by its topics; its integrity "
-        f"cannot be checked{f', and it lacks {left_out}' if left_out else ''}"
+        f"{file.path} was rewritten by {writer} and is read by its topics; its integrity cannot be checked"
+        f"{f', and it lacks {left_out}' if left_out else ''}"
     )
-    return tick, described, [batch]
+    return tick, {**tick.kinds, **{name: topic.schema for name, topic in topics.items()}}, [batch]
 
 
 def read_log(path: Path | str) -> RunLog:
@@ -547,14 +485,21 @@ def read_log(path: Path | str) -> RunLog:
     Raises:
         InputError: the file is missing, empty, cut off, damaged, not an MCAP file or not a log of a run.
     """
-    found = _read(Path(path))
-    file, tick, rows, described = found.file, found.tick, found.rows, found.described
+    file = open_mcap(Path(path))
+    with file.decoding():
+        native = file.is_native
+        tick, kinds, batches = (file.tick, file.tick.kinds, _batches(file)) if native else _rewritten(file)
+        parts, counts, events = zip(
+            *((_rows(batch, tick), batch.times, batch.events) for batch in batches), strict=True
+        )
+        rows, times = _joined(parts), _joined(counts)
+        logged = tuple(layout.logged_event(time / 1e9, body) for part in events for time, body in part)
+        if any((time > _LATEST).any() for time in times.values()):
+            raise ValueError(f"a message is later than {_LATEST / 1e9:.3g} s")
     if not len(rows["time"]):
         raise InputError(f"{file.path} holds no ticks: the run ended before its first; {_AGAIN}")
-    with file.decoding():
-        limits, lengths = (tuple(float(text) for text in described[key].split()) for key in ("limits", "arm_lengths"))
-    metadata = found.metadata
-    ticks, rate = metadata.pop(layout.TICKS, None), file.values(layout.LAYOUT_RECORD).get("rate_hz")
+    described, result = file.values(layout.LAYOUT_RECORD), file.values(layout.RESULT_RECORD)
+    ticks = result.get(layout.TICKS)
     columns = rows["control"].T if "control" in rows else ()
     extras, count = rows.get("extras", np.empty((0, 1))), len(tick.extras)
     return RunLog(
@@ -564,21 +509,26 @@ def read_log(path: Path | str) -> RunLog:
         rates=rows.get("rates"),
         states={part: rows[part] for part in layout.STATE_TOPICS if part in rows},
         controls=dict(zip(tick.fields, columns, strict=False)),
-        events=found.events,
-        metadata={**metadata, "program": described["program"]},
+        events=logged,
+        metadata={**result, **file.values(layout.RUN_RECORD), "program": described["program"]},
         attachments=file.attachments,
         joint_names=tick.names,
-        arm_lengths=lengths,
+        arm_lengths=tick.arm_lengths,
         has_cart=tick.has_cart,
-        rate_hz=float(described["rate_hz"]),
-        limits=(limits[0], limits[1], limits[2]) if limits else None,
-        recovered=found.recovered,
+        rate_hz=tick.rate_hz,
+        limits=tick.limits,
+        recovered=file.values(layout.RECOVERY_RECORD).get(layout.LOST) or None,
         extras=Extras(tick.extras, extras[:, 0], extras[:, 1 + count :], extras[:, 1 : 1 + count])
         if len(extras)
         else None,
-        rewritten=not file.is_native,
-        end_s=(int(ticks) - 1) / float(rate) if ticks and rate else None,
+        rewritten=not native,
+        end_s=(int(ticks) - 1) / file.tick.rate_hz if ticks else None,
+        topics=tuple(_topic(topic, kind, times.get(topic, np.empty(0))) for topic, kind in kinds.items()),
     )
+
+
+_LATEST = np.iinfo(np.int64).max
+"""ns: viewers and arrays of times hold signed nanoseconds."""
 
 
 _INCIDENTAL = ("version", "commit", "plan", "plant_parameters", "drawn")
@@ -608,16 +558,12 @@ def check_replaced(
         file = open_mcap(path)
     except InputError as error:
         raise in_the_way(path, "is not a complete log") from error
-    there = file.values(layout.RUN_RECORD)
+    there, recovery = file.values(layout.RUN_RECORD), file.values(layout.RECOVERY_RECORD)
+    if "rig" in {**file.values(layout.RESULT_RECORD), **there}:
+        raise in_the_way(path, "is a log from a rig")
     differing = _differing(metadata, there)
-    reasons = {
-        "is a log from a rig": "rig" in {**file.values(layout.RESULT_RECORD), **there},
-        "holds another log": file.values(layout.RECOVERY_RECORD).get("source") != (recovers and recovers.name),
-        f"holds another log (not the same: {differing})": bool(differing),
-    }
-    for reason, applies in reasons.items():
-        if applies:
-            raise in_the_way(path, reason)
+    if differing or recovery.get("source") != (recovers and recovers.name):
+        raise in_the_way(path, f"holds another log{f' (not the same: {differing})' if differing else ''}")
 
 
 def _differing(metadata: Mapping[str, str], there: Mapping[str, str], *, also: tuple[str, ...] = ()) -> str:
@@ -714,27 +660,25 @@ def summarise(path: Path | str) -> LogSummary:
         path: the log.
 
     Raises:
-        InputError: the file is missing, cut off, damaged or not a log of this program.
+        InputError: the file is missing, cut off, damaged, without ticks or not a log of this program.
     """
-    found = _read(Path(path))
-    file, described = found.file, found.described
-    topics = [_topic(topic, kind, found.times.get(topic, np.empty(0))) for topic, kind in found.kinds.items()]
-    begin = min((topic.first_s for topic in topics if topic.first_s is not None), default=0.0)
+    log = read_log(path)
+    ends = [end for topic in log.topics for end in (topic.first_s, topic.last_s) if end is not None]
     return LogSummary(
-        log=str(file.path),
-        size=len(file.data),
-        format=described["format"],
-        program=described["program"],
-        duration=max((topic.last_s for topic in topics if topic.last_s is not None), default=0.0) - begin,
-        rate_hz=float(described["rate_hz"]),
-        joints=found.tick.names,
-        parts=tuple(part for part in layout.PARTS if part in found.tick.parts),
-        topics=tuple(topics),
-        attachments={name: len(data) for name, data in file.attachments.items()},
-        metadata=found.metadata,
-        recovered=found.recovered,
-        partials=tuple(str(other) for other in partials_of(file.path)),
-        rewritten=not file.is_native,
+        log=str(log.path),
+        size=log.path.stat().st_size,
+        format=layout.FORMAT,
+        program=log.metadata["program"],
+        duration=max(ends) - min(ends),
+        rate_hz=log.rate_hz,
+        joints=log.joint_names,
+        parts=tuple(part for part in layout.PARTS if part in log.parts),
+        topics=log.topics,
+        attachments={name: len(data) for name, data in log.attachments.items()},
+        metadata={name: value for name, value in log.metadata.items() if name != "program"},
+        recovered=log.recovered,
+        partials=tuple(map(str, partials_of(log.path))),
+        rewritten=log.rewritten,
     )
 
 
@@ -773,17 +717,13 @@ def compare_messages(one: Path | str, other: Path | str) -> Comparison:
     if sides[0].tick != sides[1].tick:
         return Comparison(0, f"{one} and {other} do not have the same topics")
     whole = all(side.is_native and not side.values(layout.RECOVERY_RECORD).get(layout.LOST) for side in sides)
-    first, second = map(_message_sets, sides)
+    first, second = (
+        {name: set(zip(topic.times, topic.bodies, strict=True)) for name, topic in side.topics().items()}
+        for side in sides
+    )
     same = sum(len(messages & second.get(name, set())) for name, messages in first.items())
     for name in sides[0].tick.schemas:
         messages, others = first.get(name, set()), second.get(name, set())
         if differing := messages ^ others if whole else messages - others:
             return Comparison(same, f"the message of {name} at {min(differing)[0] / 1e9:.3f} s differs")
     return Comparison(same, None)
-
-
-def _message_sets(side: VerifiedFile) -> dict[str, set[tuple[int, bytes]]]:
-    """Return time, ns, and content of all messages by topic."""
-    with side.decoding():
-        topics = by_topic(side.messages())
-    return {name: set(zip(topic.times, topic.bodies, strict=True)) for name, topic in topics.items()}

@@ -18,13 +18,15 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from io import BytesIO, FileIO
-from itertools import pairwise
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Chunk, Metadata
+from numpy.typing import NDArray
 
 from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError
@@ -33,7 +35,6 @@ from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.version import PROGRAM
 from dpcontrol.logs import layout
 from dpcontrol.logs.container import SUFFIX, McapFile, located, sealed, unsealed
-from dpcontrol.logs.layout import LENGTH_FROM, TickLayout
 from dpcontrol.logs.reader import (
     MALFORMED,
     check_replaced,
@@ -83,13 +84,13 @@ def salvage(data: bytes, *, progress: Progress = no_progress) -> Salvage:
     while (match := _BEGINNING.search(data, place)) is not None:
         place = match.start() + 1
         opcode, length = struct.unpack_from("<BQ", data, match.start())
-        end = match.start() + LENGTH_FROM + length
-        body = data[match.start() + LENGTH_FROM : end]
+        end = match.start() + layout.LENGTH_FROM + length
+        body = data[match.start() + layout.LENGTH_FROM : end]
         with suppress(*MALFORMED):
             match _KINDS[opcode].read(ReadDataStream(BytesIO(body))):
                 case Chunk(uncompressed_crc=checksum) as chunk if checksum:
                     found.chunks[unpacked(chunk)] = None
-                case Attachment(name=name, data=content) if _is_sealed(body):
+                case Attachment(name=name, data=content) if zlib.crc32(body[:-4]).to_bytes(4, "little") == body[-4:]:
                     found.attachments[name] = content
                 case Metadata(name=name, metadata=record) if (values := unsealed(name, record)) is not None:
                     if found.metadata.setdefault(name, values) != values:
@@ -101,32 +102,16 @@ def salvage(data: bytes, *, progress: Progress = no_progress) -> Salvage:
     return found
 
 
-def _is_sealed(attachment: bytes) -> bool:
-    return zlib.crc32(attachment[:-4]) == int.from_bytes(attachment[-4:], "little")
-
-
-class SoundChunk(NamedTuple):
-    """A chunk whose checksum agrees: numbers of its first tick and after its last, time of the last, s, and records."""
-
-    first: int
-    end: int
-    end_s: float
-    data: bytes
-
-
 _AFTER_ALL = 1 << 32
 """Number of the first tick of chunks without ticks: these hold the last events."""
 
 
-def _sound_chunk(data: bytes, tick: TickLayout) -> SoundChunk:
-    """Return a chunk as it is written again, without schemas and channels."""
+def _numbered(data: bytes, tick: layout.TickLayout) -> tuple[int, bytes]:
+    """Return the number of a chunk's first tick, and its records without schemas and channels."""
     found = located(data, tick)
-    messages = data[min(int(part.offsets[0]) for part in found.values() if len(part.offsets)) :]
-    measured = found[layout.MEASURED].records
-    if not len(measured):
-        return SoundChunk(_AFTER_ALL, _AFTER_ALL, 0.0, messages)
-    first, last = measured["sequence"][[0, -1]].tolist()
-    return SoundChunk(first, last + 1, float(measured["log_time"][-1]) / 1e9, messages)
+    start = min(int(part.offsets[0]) for part in found.values() if len(part.offsets))
+    numbers = found[layout.MEASURED].records["sequence"].tolist()
+    return (numbers or [_AFTER_ALL])[0], data[start:]
 
 
 @dataclass(frozen=True)
@@ -185,10 +170,12 @@ def recover(
     try:
         found = salvage(data, progress=progress)
         tick = described_layout(path, found.metadata.get(layout.LAYOUT_RECORD, {}))
-        pieces = sorted((_sound_chunk(data, tick) for data in found.chunks), key=lambda chunk: chunk.first)
-        if any(after.first < before.end for before, after in pairwise(pieces)):
+        numbered = sorted((_numbered(data, tick) for data in found.chunks), key=itemgetter(0))
+        pieces = [data for _, data in numbered]
+        ticks = located(b"".join(pieces), tick)[layout.MEASURED].records
+        if (np.diff(ticks["sequence"].astype(np.int64)) <= 0).any():
             raise InputError(_SEVERAL)
-        done = _account(path, _free_name(path) if out is None else Path(out), found, pieces)
+        done = _account(path, _free_name(path) if out is None else Path(out), found, ticks)
     except (InputError, *MALFORMED) as error:
         raise InputError(
             f"{path} cannot be recovered ({error}): too little of it is sound, or another program has rewritten it; "
@@ -209,17 +196,16 @@ def _free_name(path: Path) -> Path:
     return next(name for ending in endings if not (name := path.with_name(f"{stem}{ending}.mcap")).exists())
 
 
-def _account(path: Path, log: Path, found: Salvage, pieces: Sequence[SoundChunk]) -> Recovery:
-    """List the recovered and the missing parts of the log.
+def _account(path: Path, log: Path, found: Salvage, measured: NDArray[Any]) -> Recovery:
+    """List the recovered and the missing parts of the log, whose measured positions have these records.
 
     Raises:
         Exception: one of `MALFORMED`: there is no tick, or a record has other contents.
     """
     described, result = found.metadata[layout.LAYOUT_RECORD], found.metadata.get(layout.RESULT_RECORD)
     period, names = 1 / float(described["rate_hz"]), json.loads(described["attachments"])
-    ticked = [piece for piece in pieces if piece.first < _AFTER_ALL]
-    ticks, end_s = sum(piece.end - piece.first for piece in ticked), ticked[-1].end_s
-    missing = (ticked[-1].end if result is None else int(result[layout.TICKS])) - ticks
+    ticks, end_s = len(measured), float(measured["log_time"][-1]) / 1e9
+    missing = (int(measured["sequence"][-1]) + 1 if result is None else int(result[layout.TICKS])) - ticks
     attachments_lost = tuple(name for name in names if name not in found.attachments)
     most = 1e3 * max(CHUNK_SECONDS, period)
     losses = {
@@ -243,7 +229,7 @@ def _account(path: Path, log: Path, found: Salvage, pieces: Sequence[SoundChunk]
     )
 
 
-def _write(found: Salvage, tick: TickLayout, pieces: Sequence[SoundChunk], done: Recovery) -> None:
+def _write(found: Salvage, tick: layout.TickLayout, pieces: Sequence[bytes], done: Recovery) -> None:
     """Write the new log, read it back, and move it to its final name."""
     records = {**found.metadata, layout.RECOVERY_RECORD: {layout.LOST: done.lost, "source": done.source.name}}
     with whole_file(done.log) as temporary:
@@ -254,7 +240,7 @@ def _write(found: Salvage, tick: TickLayout, pieces: Sequence[SoundChunk], done:
             file.add_attachment(name, found.attachments[name])
         file.add_channels(tick)
         for piece in pieces:
-            file.add_chunk(piece.data)
+            file.add_chunk(piece)
         file.finish()
         if len(read_log(temporary).time) != done.ticks:
             raise InputError(f"{done.source} cannot be recovered: the rebuilt log differs")

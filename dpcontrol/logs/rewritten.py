@@ -1,43 +1,33 @@
 """Read logs that another program has rewritten, by topic.
 
-Filters, mergers and converters renumber channels, repack messages and may drop topics, messages, metadata or
-attachments. The messages themselves do not change: each is the template of its topic, with other numbers. A tick is a
-time with a message in every state topic of the log. The contents of the original file are unknown, so neither integrity
-nor completeness can be checked.
+Filters, mergers and converters renumber channels, repack messages and may drop topics or messages. The messages
+themselves do not change: each is the template of its topic, with other numbers. The metadata tell the template. A tick
+is a time with a message in every state topic of the log. The contents of the original file are unknown, so neither
+integrity nor completeness can be checked.
 """
 
-import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import reduce
-from itertools import product
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.logs import layout
-from dpcontrol.logs.layout import Message, TickLayout, texts_in
-
-_ARM = re.compile(r'<box size="\S+ \S+ (\S+)"/></geometry><material name="arm"/>')
-"""Shape of an arm in the robot description."""
-_MOST_ARMS = 9
 
 
-@dataclass(frozen=True, eq=False)
-class Batch:
+class Batch(NamedTuple):
     """Messages of a part of a log.
 
     Attributes:
         tables: messages (K,) of each topic with ticks and of the extras, structured like `layout.record_type`.
         times: times of all messages of each topic, ns.
-        kinds: type of each topic.
         events: time, ns, and content of each event.
     """
 
     tables: dict[str, NDArray]
     times: dict[str, NDArray]
-    kinds: dict[str, str]
     events: list[tuple[int, bytes]]
 
 
@@ -53,7 +43,7 @@ class Topic:
     times: list[int] = field(default_factory=list)
     bodies: list[bytes] = field(default_factory=list)
 
-    def table(self, message: Message) -> NDArray:
+    def table(self, message: layout.Message) -> NDArray:
         """Return the messages (K,) as `layout.record_type` structures them, in order of time.
 
         Args:
@@ -63,18 +53,20 @@ class Topic:
             ValueError: a message is not the template with other numbers, or differs from another of the same time.
         """
         kind, start = layout.record_type(message), layout.RECORD_HEADER.itemsize
-        data, size = b"".join(self.bodies), len(message.data)
-        if len(set(zip(self.times, self.bodies, strict=True))) > len(set(self.times)):
-            raise ValueError(f"{self.name} has different messages at one time, as of two runs")
+        if {len(body) for body in self.bodies} != {len(message.data)}:
+            raise ValueError(f"a message of {self.name} has another length than those of the log")
         raw = np.zeros((len(self.times), kind.itemsize), np.uint8)
-        raw[:, start:] = np.frombuffer(data, np.uint8).reshape(len(raw), size)
+        raw[:, start:] = np.frombuffer(b"".join(self.bodies), np.uint8).reshape(len(raw), -1)
         blank, table = raw.copy(), raw.view(kind)[:, 0]
         for name in message.fields:
             blank.view(kind)[name] = 0
         if (blank[:, start:] != np.frombuffer(message.data, np.uint8)).any():
-            raise ValueError(f"a message of {self.name} has other joints or fields than those of a log")
+            raise ValueError(f"a message of {self.name} has other joints or fields than those of the log")
         table["log_time"] = self.times
-        return table[np.unique(table["log_time"], return_index=True)[1]]
+        moments, first = np.unique(table["log_time"], return_index=True)
+        if len(set(zip(self.times, self.bodies, strict=True))) > len(moments):
+            raise ValueError(f"{self.name} has different messages at one time, as of two runs")
+        return table[first]
 
 
 def by_topic(messages: Iterable[tuple[Any, Any, Any]]) -> dict[str, Topic]:
@@ -100,54 +92,30 @@ def by_topic(messages: Iterable[tuple[Any, Any, Any]]) -> dict[str, Topic]:
     return found
 
 
-def ticks_in(topics: Mapping[str, Topic], described: Mapping[str, str]) -> tuple[TickLayout, dict[str, str], Batch]:
-    """Return layout, description and messages of the log in these topics.
+def ticks_in(topics: Mapping[str, Topic], described: layout.TickLayout) -> tuple[layout.TickLayout, Batch]:
+    """Return layout and messages of the log in these topics.
 
     Args:
         topics: messages by topic.
-        described: values of the layout record. If the file has none, arm lengths come from the robot description.
+        described: layout in the metadata.
 
     Raises:
-        ValueError: there are no joints of a pendulum, or messages are not those of a log.
+        ValueError: a topic that every log has is missing, or messages are not those of a log.
     """
-    tick = _layout(topics, layout.extras_of(described) if layout.EXTRAS in topics else ())
-    lengths = described.get("arm_lengths", "").split() or _drawn_lengths(topics)
-    if len(lengths) != tick.arms:
-        raise ValueError(f"{layout.MEASURED} has {tick.arms} arms, and the description {len(lengths)}")
+    parts = {**layout.STATE_TOPICS, "control": layout.CONTROL, "rates": layout.MEASURED}
+    held = frozenset(part for part in described.parts if parts[part] in topics)
+    extras = described.extras if layout.EXTRAS in topics else ()
+    tick = replace(described, parts=held, extras=extras)
+    if layout.MEASURED not in topics:
+        raise ValueError(f"it lacks {layout.MEASURED} in cdr")
     tables = {name: topics[name].table(message) for name, message in tick.messages.items()}
     common = reduce(np.intersect1d, [table["log_time"] for table in tables.values()])
     if len(common) < 2:
         raise ValueError(f"it has {len(common)} ticks, times with a message in every state topic, and two are needed")
     tables = {name: table[np.isin(table["log_time"], common)] for name, table in tables.items()}
-    if tick.extras:
+    if extras:
         tables[layout.EXTRAS] = topics[layout.EXTRAS].table(tick.extras_message)
-    own = {
-        "format": layout.FORMAT, "program": "another program", "limits": "", **described,
-        "arm_lengths": " ".join(lengths), "rate_hz": repr(1e9 / float(np.median(np.diff(common)))),
-    }  # fmt: skip
-    events = topics.get(layout.EVENTS)
-    logged = [] if events is None or events.schema != layout.LOG[0] else zip(events.times, events.bodies, strict=True)
+    events = topics.get(layout.EVENTS, Topic("", ""))
     times = {name: np.array(topic.times) for name, topic in topics.items()}
-    kinds = {**tick.kinds, **{name: topic.schema for name, topic in topics.items()}}
-    return tick, own, Batch(tables, times, kinds, list(logged))
-
-
-def _layout(topics: Mapping[str, Topic], extras: tuple[str, ...]) -> TickLayout:
-    """Return the layout whose joints are those of the first measurement."""
-    measured = topics.get(layout.MEASURED)
-    if measured is None or measured.schema != layout.JOINT_STATE[0]:
-        raise ValueError(f"it lacks {layout.MEASURED} as {layout.JOINT_STATE[0]} in cdr")
-    parts = {part for part, topic in {**layout.STATE_TOPICS, "control": layout.CONTROL}.items() if topic in topics}
-    for arms, has_cart, rates in product(range(1, _MOST_ARMS + 1), (True, False), ({"rates"}, set[str]())):
-        tick = TickLayout(arms, has_cart, frozenset(parts | rates), extras)
-        message, body = tick.messages[layout.MEASURED], measured.bodies[0]
-        start, end = 12, message.fields["position"][1] - 4
-        if len(body) == len(message.data) and body[start:end] == message.data[start:end]:
-            return tick
-    raise ValueError(f"the joints of {layout.MEASURED} are not arm_1, … and perhaps cart")
-
-
-def _drawn_lengths(topics: Mapping[str, Topic]) -> list[str]:
-    """Return the arm lengths drawn in the robot description, m, which have six digits, or none."""
-    robot = topics.get(layout.ROBOT)
-    return [] if robot is None else _ARM.findall(texts_in(robot.bodies[0], 4, 1)[0])
+    rate = 1e9 / float(np.median(np.diff(common)))
+    return replace(tick, rate_hz=rate), Batch(tables, times, list(zip(events.times, events.bodies, strict=True)))

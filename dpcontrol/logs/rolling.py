@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import TypeAdapter
 
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError, remark
@@ -103,12 +104,9 @@ class Digest:
             text: JSON text.
 
         Raises:
-            ValueError, TypeError, KeyError: the text is not a digest.
+            ValueError: the text is not a digest.
         """
-        values = json.loads(text)
-        values["events"] = [Event(**event) for event in values["events"]]
-        values["extras"] = {str(k): (float(v), float(s)) for k, (v, s) in values["extras"].items()}
-        return cls(**values)
+        return TypeAdapter(cls).validate_json(text)
 
     def following(self, number: int) -> "Digest":
         """Return the digest of the next file of the same session.
@@ -280,24 +278,19 @@ class RollingLog:
         # An interrupted night also leaves complete files.
         self._finish()
 
-    def ticks(self, time_s: Any, **parts: Array | None) -> None:
-        """Log K periods of the loop; see `LogWriter.ticks`.
+    def ticks(self, time_s: Any, **parts: Any) -> None:
+        """Log K periods of the loop, in one file; see `LogWriter.ticks`.
 
         Args:
             time_s: times (K,) since the start of this session, s.
             **parts: rows (K, …) by name.
         """
         times = np.asarray(time_s, dtype=float) + self._begin
-        done = 0
-        while done < len(times):
-            if times[done] >= self._until - _SOON:
-                self._roll(float(times[done]))
-            until = int(np.searchsorted(times, self._until - _SOON))
-            rows: dict[str, Any] = {n: None if part is None else part[done:until] for n, part in parts.items()}
-            state = rows["estimate"] if rows.get("truth") is None else rows["truth"]
-            self._digest.add_ticks(times[done:until], self._period, state, rows["reference"], rows.get("extras"))
-            self._attempt(lambda writer, span=slice(done, until), own=rows: writer.ticks(times[span], **own))
-            done = until
+        if times[0] >= self._until - _SOON:
+            self._roll(float(times[0]))
+        state = parts["estimate"] if parts.get("truth") is None else parts["truth"]
+        self._digest.add_ticks(times, self._period, state, parts["reference"], parts.get("extras"))
+        self._attempt(lambda writer: writer.ticks(times, **parts))
 
     def event(self, event: Event) -> None:
         """Log an event; see `LogWriter.event`.
@@ -374,8 +367,6 @@ class RollingLog:
 
         It is kept if its digest is missing, or if it is one of those to keep.
         """
-        if number < 1 or (number - 1) % self._keep_every == 0:
-            return
-        with suppress(OSError, ValueError, TypeError, KeyError):
-            if Digest.of(self.path(number, ".json").read_text(encoding="utf-8")).number == number:
-                self.path(number).unlink(missing_ok=True)
+        if (number - 1) % self._keep_every and self.path(number, ".json").is_file():
+            with suppress(OSError):
+                self.path(number).unlink()

@@ -22,10 +22,9 @@ Source: the URDF specification (joint, mimic, origin).
 """
 
 import json
-import struct
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from io import FileIO
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from types import TracebackType
@@ -39,9 +38,9 @@ from dpcontrol.foundation.files import checked_target, unwritable
 from dpcontrol.foundation.version import PROGRAM
 from dpcontrol.logs import layout
 from dpcontrol.logs.container import McapFile, open_partial, sealed
-from dpcontrol.logs.layout import Event, TickLayout
 
 WORLD = "world"
+REFERENCE_PREFIX = "reference/"
 _THICKNESS = 0.012
 _INK = {
     "robot": {
@@ -102,7 +101,6 @@ def robot_description(
     *,
     has_cart: bool = True,
     limits: tuple[float, float, float] | None = None,
-    prefix: str = "",
     ghost: bool = False,
 ) -> str:
     """Return the URDF of the pendulum.
@@ -111,9 +109,9 @@ def robot_description(
         arm_lengths: (n,) in m.
         has_cart: True for a cart on a track.
         limits: of position m, velocity m/s, acceleration m/s².
-        prefix: of all names.
-        ghost: True for grey arms without track.
+        ghost: True for the reference: grey arms without track, whose names have a prefix.
     """
+    prefix = REFERENCE_PREFIX if ghost else ""
     reach, speed = (limits[0], limits[1]) if limits else (max(sum(arm_lengths), 0.1), 3.0)
     ink = _INK["ghost" if ghost else "robot"]
     # The ghost swings just behind the robot; in one plane the two would flicker.
@@ -173,19 +171,12 @@ def _visuals(arm_lengths: Sequence[float], *, reach: float, drawn: bool, has_car
     return found[:-1]
 
 
-REFERENCE_PREFIX = "reference/"
-_SECOND = 1_000_000_000
-_HEAD = struct.Struct("<BQHIQQ")
 Row = NDArray[np.float64]
 
 
 class Note(NamedTuple):
-    """A single message before the tick in `row` of the chunk.
+    """A single message, with its time in ns."""
 
-    Its time is in ns.
-    """
-
-    row: int
     topic: str
     time_ns: int
     content: bytes
@@ -196,107 +187,67 @@ class ChunkEncoder:
 
     Args:
         tick: layout of the ticks.
-        arm_lengths: (n,) in m.
     """
 
-    def __init__(self, tick: TickLayout, arm_lengths: Sequence[float]):
+    def __init__(self, tick: layout.TickLayout):
         self.tick = tick
-        self._lengths = tuple(arm_lengths)
         self._counts = dict.fromkeys(tick.channels, 0)
-        self._ticks = 0
         prefixes = ("", REFERENCE_PREFIX) if "reference" in tick.parts else ("",)
         frames = [
             frame for prefix in prefixes for frame in link_frames(tick.arms, has_cart=tick.has_cart, prefix=prefix)
         ]
-        self._transforms = layout.transforms(frames)
-        self._transforms_type = layout.record_type(self._transforms)
+        messages = {layout.TRANSFORMS: layout.transforms(frames), layout.EXTRAS: tick.extras_message}
+        self._slow = {
+            topic: layout.Block({topic: messages[topic]}, tick.channels) for topic in messages if topic in tick.channels
+        }
         self._last_due = -1
 
     def encode(self, times: NDArray[np.int64], rows: Mapping[str, Row], notes: Sequence[Note]) -> bytes:
-        """Return the bytes of a chunk.
-
-        Messages are in order of arrival.
+        """Return the bytes of a chunk: single messages in order of arrival, slow ones, then those of ticks.
 
         Args:
             times: (K,) of the ticks, ns.
             rows: (K, width) of the measured positions and of each logged part.
-            notes: single messages to insert.
+            notes: single messages.
         """
-        block, due = self._fill(times, rows), self._due(times)
-        slow = [*self._transform_notes(due, times, rows), *self._extra_notes(due, times, rows)]
-        pieces, done = [], 0
-        for note in sorted([*notes, *slow], key=lambda note: note.row):
-            pieces += [block[done : note.row].tobytes(), self._record(note)]
-            done = note.row
-        return b"".join([*pieces, block[done:].tobytes()])
-
-    def _fill(self, times: NDArray[np.int64], rows: Mapping[str, Row]) -> NDArray:
-        """Return the messages of ticks: copies of the template with numbers."""
-        tick, count = self.tick, len(times)
-        block = np.frombuffer(bytearray(tick.block_template * count), tick.block_type)
-        seconds, nanoseconds = np.divmod(times, _SECOND)
-        for topic, message in tick.messages.items():
-            records = block[topic]
-            records["sequence"] = np.arange(self._ticks, self._ticks + count)
-            records["log_time"] = records["publish_time"] = times
-            if "stamp.sec" in message.fields:
-                records["stamp.sec"], records["stamp.nanosec"] = seconds, nanoseconds
-        for topic, field, joints, part, columns in tick.rooms:
+        block = self.tick.block.filled(times, self._counts[layout.MEASURED])
+        self._counts[layout.MEASURED] += len(times)
+        for topic, field, joints, part, columns in self.tick.rooms:
             block[topic][field][:, joints] = rows[part][:, columns]
-        self._ticks += count
-        return block
+        records = []
+        for note in notes:
+            head = self.tick.channels[note.topic], self._counts[note.topic]
+            records.append(layout.record(*head, note.time_ns, note.content))
+            self._counts[note.topic] += 1
+        numbers = slow_numbers(times)
+        due = np.diff(numbers, prepend=self._last_due) > 0
+        self._last_due = max(numbers.tolist(), default=self._last_due)
+        records.append(self._transforms(due, times, rows))
+        if "extras" in rows:
+            records.append(self._records(layout.EXTRAS, times[due], {"row": rows["extras"][due]}))
+        return b"".join([*records, block.tobytes()])
 
-    def _robot(self, rows: Mapping[str, Row]) -> Row:
-        """Return the states for /tf.
+    def _records(self, topic: str, times: NDArray[np.int64], values: Mapping[str, Row]) -> bytes:
+        """Return the records of a slow topic."""
+        records = self._slow[topic].filled(times, self._counts[topic])
+        for name, numbers in values.items():
+            records[topic][name] = numbers
+        self._counts[topic] += len(times)
+        return records.tobytes()
 
-        Truth, estimate or measured positions, in that order of preference.
-        """
+    def _transforms(self, chosen: NDArray[np.bool_], times: NDArray[np.int64], rows: Mapping[str, Row]) -> bytes:
+        """Return the records of /tf: of the truth, the estimate or the measured positions, and of the reference."""
         measured, arms = rows["measured"], self.tick.arms
         states = np.zeros((len(measured), self.tick.widths["truth"]))
         states[:, :arms], states[:, 2 * arms : 2 * arms + 1] = measured[:, :arms], measured[:, arms:]
-        return rows.get("truth", rows.get("estimate", states))
-
-    def _due(self, times: NDArray[np.int64]) -> list[int]:
-        """Return the rows at which messages of the slow rate are due."""
-        numbers = slow_numbers(times)
-        chosen = np.flatnonzero(np.diff(numbers, prepend=self._last_due) > 0).tolist()
-        self._last_due = max(numbers.tolist(), default=self._last_due)
-        return chosen
-
-    def _extra_notes(self, chosen: list[int], times: NDArray[np.int64], rows: Mapping[str, Row]) -> list[Note]:
-        if "extras" not in rows:
-            return []
-        numbers = rows["extras"].astype("<f8", copy=False)
-        return [
-            Note(row, layout.EXTRAS, int(times[row]), layout.ENCAPSULATION + numbers[row].tobytes()) for row in chosen
-        ]
-
-    def _transform_notes(self, chosen: list[int], times: NDArray[np.int64], rows: Mapping[str, Row]) -> list[Note]:
-        robots = [self._robot(rows)] + ([rows["reference"]] if "reference" in rows else [])
-        states = np.concatenate([robot[chosen] for robot in robots], axis=1)
+        robots = [rows.get("truth", rows.get("estimate", states))]
+        robots += [rows["reference"]] if "reference" in rows else []
         # Readers of transforms reject poses that are not finite.
-        is_finite = np.isfinite(states).all(axis=1)
-        chosen, states = np.array(chosen, int)[is_finite].tolist(), states[is_finite]
-        if not chosen:
-            return []
-        states = states.reshape(len(chosen) * len(robots), -1)
-        poses = link_poses(states, arm_lengths=self._lengths, has_cart=self.tick.has_cart)
-        seconds, nanoseconds = np.divmod(times[chosen], _SECOND)
-        template = bytes(layout.RECORD_HEADER.itemsize) + self._transforms.data
-        records = np.frombuffer(bytearray(template * len(chosen)), self._transforms_type)
-        for i, pose in enumerate(poses.reshape(len(chosen), -1, 7).swapaxes(0, 1)):
-            records[f"{i}.stamp.sec"], records[f"{i}.stamp.nanosec"] = seconds, nanoseconds
-            records[f"{i}.pose"] = pose
-        return [
-            Note(row, layout.TRANSFORMS, time, record.tobytes()[layout.RECORD_HEADER.itemsize :])
-            for row, time, record in zip(chosen, times[chosen].tolist(), records, strict=True)
-        ]
-
-    def _record(self, note: Note) -> bytes:
-        length = layout.RECORD_HEADER.itemsize - layout.LENGTH_FROM + len(note.content)
-        number, channel = self._counts[note.topic], self.tick.channels[note.topic]
-        self._counts[note.topic] += 1
-        return _HEAD.pack(layout.MESSAGE_OPCODE, length, channel, number, note.time_ns, note.time_ns) + note.content
+        chosen = chosen & np.isfinite(np.hstack(robots)).all(axis=1)
+        states = np.stack([robot[chosen] for robot in robots], axis=1).reshape(-1, states.shape[1])
+        poses = link_poses(states, arm_lengths=self.tick.arm_lengths, has_cart=self.tick.has_cart)
+        links = poses.reshape(int(chosen.sum()), len(robots) * poses.shape[1], 7).swapaxes(0, 1)
+        return self._records(layout.TRANSFORMS, times[chosen], {f"{i}.pose": pose for i, pose in enumerate(links)})
 
 
 def slow_numbers(times: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -307,7 +258,7 @@ def slow_numbers(times: NDArray[np.int64]) -> NDArray[np.int64]:
     Args:
         times: times (K,), ns.
     """
-    return np.floor(times * (layout.SLOW_RATE / _SECOND) + 1e-6).astype(np.int64)
+    return np.floor(times * (layout.SLOW_RATE / 1e9) + 1e-6).astype(np.int64)
 
 
 CHUNK_SECONDS = 0.02
@@ -347,124 +298,93 @@ class LogWriter:
         attachments: Mapping[str, bytes] | None = None,
     ):
         self.path = Path(path)
-        self._lengths = tuple(float(length) for length in arm_lengths)
-        self._has_cart = has_cart
-        self._limits = limits
-        self._metadata = sealed(layout.RUN_RECORD, dict(metadata or {}))
-        self._attachments = dict(attachments or {})
-        self._rate = float(rate_hz)
         self.extras = tuple(extras)
-        tick = TickLayout(len(self._lengths), has_cart, frozenset(layout.PARTS), self.extras)
-        self._size, self._filled, self._last = max(1, round(CHUNK_SECONDS * self._rate)), 0, 0.0
-        # The first tick decides which of these parts the log has.
-        self._parts: frozenset[str] | None = None
-        self._rooms = {name: np.zeros((self._size, width)) for name, width in tick.widths.items()}
+        self._tick = layout.TickLayout(
+            tuple(map(float, arm_lengths)), has_cart, float(rate_hz), limits=limits, extras=self.extras
+        )
+        self._metadata, self._attachments = dict(metadata or {}), dict(attachments or {})
+        self._size = max(1, round(CHUNK_SECONDS * rate_hz))
         self._times = np.zeros(self._size)
-        self._ticks = 0
+        self._rooms = {name: np.zeros((self._size, width)) for name, width in self._tick.widths.items()}
+        # The first tick decides which of these parts the log has.
+        self._parts: frozenset[str] = frozenset()
+        self._filled = self._ticks = 0
+        self._last = 0.0
         self._notes: list[Note] = []
         self._result: dict[str, str] = {}
         self._encoder: ChunkEncoder | None = None
-        self._file: McapFile | None = None
-        self._stream: FileIO | None = None
 
     def __enter__(self) -> "LogWriter":
         try:
             self.path = checked_target(self.path)
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            self.partial, self._stream = open_partial(self.path)
-            self._file = McapFile(self._stream, library=PROGRAM)
-            self._file.add_metadata(layout.RUN_RECORD, self._metadata)
-            for name, data in self._attachments.items():
-                self._file.add_attachment(name, data)
+            self.partial, stream = open_partial(self.path)
+            try:
+                self._file = McapFile(stream, library=PROGRAM)
+                self._add_metadata(layout.RUN_RECORD, self._metadata)
+                for name, data in self._attachments.items():
+                    self._file.add_attachment(name, data)
+            except OSError:
+                stream.close()
+                self.partial.unlink()
+                raise
         except OSError as error:
-            self._discard()
             raise unwritable(self.path, error) from error
         return self
-
-    def _discard(self) -> None:
-        """Remove a file without ticks."""
-        if self._stream is not None:
-            self._stream.close()
-            self.partial.unlink(missing_ok=True)
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self._file is None:
+        if self._file.stream.closed:
             return
         try:
             if error is None:
-                self._finish(self._file)
+                self._write_chunk()
+                self._add_metadata(layout.RESULT_RECORD, {**self._result, layout.TICKS: str(self._ticks)})
+                self._file.finish()
+                self.partial.replace(self.path)
+            elif self._ticks or self._filled:
+                # If this also fails, the current exception already reports the first error.
+                with suppress(InputError):
+                    self._write_chunk()
+                error.add_note(
+                    f"{self.partial} keeps the run up to {self._last:.3f} s at most; "
+                    f"`dpcontrol recover {self.partial}` makes a log of it"
+                )
             else:
-                self._give_up(error)
+                # A run that failed before its first tick leaves nothing to keep.
+                self._file.stream.close()
+                self.partial.unlink()
         except OSError as failure:
             raise unwritable(self.path, failure) from failure
         finally:
             self._file.stream.close()
-            self._file = None
 
-    def _finish(self, file: McapFile) -> None:
-        if self._encoder is None:
-            self._encoder = self._prepare(file)
-        self._write_chunk()
-        values = {**self._result, layout.TICKS: str(self._ticks)}
-        file.add_metadata(layout.RESULT_RECORD, sealed(layout.RESULT_RECORD, values))
-        file.finish()
-        self.partial.replace(self.path)
+    def _add_metadata(self, name: str, values: Mapping[str, str]) -> None:
+        self._file.add_metadata(name, sealed(name, values))
 
-    def _give_up(self, error: BaseException) -> None:
-        """Keep the written part and note its path."""
-        if self._encoder is None and not self._filled:
-            # A run that failed before its first tick leaves nothing to keep.
-            self._discard()
-            return
-        # If this also fails, the current exception already reports the first error.
-        with suppress(InputError):
-            self._write_chunk()
-        error.add_note(
-            f"{self.partial} keeps the run up to {self._last:.3f} s at most; "
-            f"`dpcontrol recover {self.partial}` makes a log of it"
-        )
-
-    def ticks(
-        self,
-        time_s: ArrayLike,
-        *,
-        measured: Row,
-        rates: Row | None = None,
-        estimate: Row | None = None,
-        reference: Row | None = None,
-        truth: Row | None = None,
-        control: Row | None = None,
-        extras: Row | None = None,
-    ) -> None:
+    def ticks(self, time_s: ArrayLike, **parts: Row | None) -> None:
         """Log K periods of the loop.
 
         Every tick of a log has the same parts; only `measured` is required.
 
         Args:
             time_s: (K,) times since the start in s, not before the last tick's time.
-            measured: (K, n+1) positions from the sensors, rad, and m for the cart.
-            rates: (K, n+1) rates from the sensors, rad/s and m/s, if available.
-            estimate: (K, 2n+2) in state order: rad, rad/s, m, m/s.
-            reference: (K, 2n+2) in the same units.
-            truth: (K, 2n+2) states of the plant, in the same units.
-            control: (K, 13) for a double pendulum on a cart: rows of `layout.control_fields`.
-            extras: (K, 2E) standard deviations of the E extras given to the constructor, then their values.
+            **parts: rows by name, None for a part without rows:
+
+                measured: (K, n+1) positions from the sensors, rad, and m for the cart.
+                rates: (K, n+1) rates from the sensors, rad/s and m/s.
+                estimate, reference, truth: (K, 2n+2) states in order: rad, rad/s, m, m/s.
+                control: (K, 13) for a double pendulum on a cart: rows of `layout.control_fields`.
+                extras: (K, 2E) standard deviations of the E extras given to the constructor, then their values.
 
         Raises:
-            ValueError: rows of another shape, times that decrease, or a part in some ticks only.
+            ValueError: rows of another shape, or a part in some ticks only.
             InputError: the file cannot be written.
         """
         times = np.asarray(time_s, float)
-        given = {
-            "measured": measured, "rates": rates, "estimate": estimate, "reference": reference, "truth": truth,
-            "control": control, "extras": extras,
-        }  # fmt: skip
-        rows = {name: values for name, values in given.items() if values is not None}
-        if (np.diff(times, prepend=self._last) < 0).any():
-            raise ValueError("the times of ticks must not decrease")
-        if self._parts is not None and self._parts != rows.keys():
+        rows = {name: values for name, values in parts.items() if values is not None}
+        if self._parts and self._parts != rows.keys():
             raise ValueError(f"{', '.join(self._parts ^ rows.keys())} must be given in every tick of a run or in none")
         self._parts, done = frozenset(rows), 0
         while done < len(times):
@@ -487,53 +407,36 @@ class LogWriter:
         """
         self._result.update(values)
 
-    def event(self, event: Event) -> None:
+    def event(self, event: layout.Event) -> None:
         """Log an event.
 
         Args:
             event: the event.
         """
-        self._notes.append(Note(self._filled, layout.EVENTS, round(event.time * 1e9), layout.log(event)))
+        self._notes.append(Note(layout.EVENTS, round(event.time * 1e9), layout.log(event)))
 
-    def _prepare(self, file: McapFile) -> ChunkEncoder:
-        # This waits for the first chunk, because the contents of a tick are unknown before.
-        parts = (self._parts or frozenset()) & set(layout.PARTS)
-        tick = TickLayout(len(self._lengths), self._has_cart, parts, self.extras)
-        described = {
-            "format": layout.FORMAT,
-            "arm_lengths": " ".join(repr(length) for length in self._lengths),
-            "has_cart": "1" if tick.has_cart else "0",
-            "rate_hz": repr(self._rate),
-            "limits": " ".join(repr(float(limit)) for limit in self._limits or ()),
-            "parts": " ".join(part for part in layout.PARTS if part in tick.parts),
-            "attachments": json.dumps(list(self._attachments)),
-            "program": PROGRAM,
-            **({layout.EXTRAS_KEY: " ".join(tick.extras)} if tick.extras else {}),
-        }
-        file.add_metadata(layout.LAYOUT_RECORD, sealed(layout.LAYOUT_RECORD, described))
-        file.add_channels(tick)
+    def _prepared(self) -> ChunkEncoder:
+        """Write what precedes the first chunk, which waits for it, because the parts of a tick are unknown before."""
+        tick = replace(self._tick, parts=self._parts & set(layout.PARTS))
+        described = {**tick.record(), "attachments": json.dumps(list(self._attachments)), "program": PROGRAM}
+        self._add_metadata(layout.LAYOUT_RECORD, described)
+        self._file.add_channels(tick)
         first = round(self._times[0] * 1e9)
         for topic in (topic for topic in tick.channels if topic in layout.LATCHED):
-            ghost = topic == layout.GHOST
-            prefix = REFERENCE_PREFIX if ghost else ""
             text = robot_description(
-                self._lengths, has_cart=tick.has_cart, limits=self._limits, prefix=prefix, ghost=ghost
+                tick.arm_lengths, has_cart=tick.has_cart, limits=tick.limits, ghost=topic == layout.GHOST
             )
-            self._notes.insert(0, Note(0, topic, first, layout.string(text)))
-        return ChunkEncoder(tick, self._lengths)
+            self._notes.insert(0, Note(topic, first, layout.string(text)))
+        return ChunkEncoder(tick)
 
     def _write_chunk(self) -> None:
-        if self._file is None:
-            raise ValueError(f"the log {self.path} is not open: use LogWriter in a with statement")
         count = self._filled
-        if not count and not self._notes:
-            return
         times = np.rint(self._times[:count] * 1e9).astype(np.int64)
         rows = {name: self._rooms[name][:count] for name in self._parts or {"measured"}}
         try:
-            if self._encoder is None:
-                self._encoder = self._prepare(self._file)
-            self._file.add_chunk(self._encoder.encode(times, rows, self._notes))
+            self._encoder = self._encoder or self._prepared()
+            if count or self._notes:
+                self._file.add_chunk(self._encoder.encode(times, rows, self._notes))
         except OSError as error:
             raise unwritable(self.path, error) from error
         self._notes.clear()

@@ -24,7 +24,6 @@ from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
@@ -167,6 +166,8 @@ class FamilyCurve(Brief):
             length: range of the search from `start`, in units of the weights.
             value: continuous function of a point.
         """
+
+        from scipy.optimize import brentq
 
         def at(h: float) -> float:
             point = start if h == 0 else self.step(start, h)

@@ -16,11 +16,9 @@ Problem, 3rd ed., chapter 8.
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
-from scipy.interpolate import CubicSpline
-from scipy.spatial import KDTree
 
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.shown import Brief
@@ -289,14 +287,19 @@ class OrbitCurve(Brief):
         return local_manifold(self.orbit).frame(np.arange(SAMPLES) / SAMPLES).states
 
     @cached_property
-    def _spline(self) -> CubicSpline:
+    def _spline(self) -> Any:
+        # Its import takes longer than an orbit.
+        from scipy.interpolate import CubicSpline
+
         # The rotation is subtracted, because the spline must be periodic.
         still = self.samples - np.arange(SAMPLES)[:, None] / SAMPLES * self.orbit.turn
         closed = np.vstack([still, still[:1]])
         return CubicSpline(np.arange(SAMPLES + 1) / SAMPLES, closed, bc_type="periodic")
 
     @cached_property
-    def _tree(self) -> KDTree:
+    def _tree(self) -> Any:
+        from scipy.spatial import KDTree
+
         return KDTree(self._embedded(self.samples))
 
     def _embedded(self, states: Array) -> Array:

@@ -9,8 +9,10 @@ time follow. The page of several runs has these at the same instants.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from datetime import date
 from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar
@@ -42,6 +44,7 @@ from dpcontrol.plans.plan import Plan
 from dpcontrol.references.sustained import SustainedOrbit
 from dpcontrol.references.trajectory import LimitUse
 from dpcontrol.walks.shadowing import ShadowingOrbit
+from dpcontrol.words.runs import conditions
 
 _FRAMES = 8
 _TALL = 1.5
@@ -76,7 +79,7 @@ def draw(found: RunView | RunLog | Plan) -> Figure:
         found: motion to draw.
     """
     view: RunView = view_of(found)
-    page = Page(view.title, view.verdict, view.good)
+    page = Page(view.title, view.verdict, view.good).text(conditions_of(view))
     for line in (closest_approach(view), nis_reading(view)):
         page.text(line, colour=style.INK, size=style.TEXT)
     if uses := limit_uses(view):
@@ -90,7 +93,21 @@ def draw(found: RunView | RunLog | Plan) -> Figure:
     shown = [*motion_charts(view), *check_charts(view), *extra_charts(view)]
     planes = [partial(draw_plane, runs=[(plane(view, arm), style.PLANT)]) for arm in range(min(view.arms, 2))]
     _add_charts(page, shown, partial(draw_chart, view=view, span=view.time_range), planes)
-    return page.text("   ".join(filter(None, (view.path.name, view.metadata.get("program", ""))))).figure()
+    return page.figure()
+
+
+def conditions_of(view: RunView) -> str:
+    """Return the conditions of a run and the origin of its numbers, for the head of its page.
+
+    Args:
+        view: run, recording or reference.
+    """
+    metadata, bench = view.metadata, ""
+    if text := metadata.get("run_settings"):
+        bench = conditions([json.loads(text)], simulated="plant_parameters" in metadata)
+    model = f"model {metadata['model']}" if "model" in metadata else ""
+    day = f" of {date.fromtimestamp(view.path.stat().st_mtime)}" if view.path.is_file() else ""
+    return "; ".join(filter(None, (model, bench, f"{view.path.name}{day}", metadata.get("program", ""))))
 
 
 def _uses(axes: Axes, uses: Sequence[LimitUse]) -> None:
@@ -171,6 +188,7 @@ def draw_comparison(comparison: RunComparison) -> Figure:
     for run, colour in zip(runs, style.RUNS, strict=False):
         page.text(run.name, colour=colour, size=style.HEAD)
         page.text(run.view.verdict, colour=style.verdict_colour(run.view.good), size=style.TEXT)
+        page.text(conditions_of(run.view))
         add_story(page, run.view, span=comparison.span)
         if len(runs) <= _FILMED:
             add_film(page, run.view, frames)

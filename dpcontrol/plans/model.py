@@ -167,12 +167,29 @@ class ModelDescription(Documented):
 
     KEYS = (
         "model=model.name title=model.title parameters sources=model.sources remarks=model.remarks mjcf "
-        "equilibria:state,energy,eigenvalues,kind"
+        "equilibria=rows:state,energy,eigenvalues,kind,need"
     )
 
     model: Model
     equilibria: Mapping[str, Equilibrium]
     mjcf: Path | None = None
+
+    def need(self, name: str) -> float | None:
+        """Return the feedback that an equilibrium needs, m/s² per rad; None if it is stable or has no arms.
+
+        Args:
+            name: name of the equilibrium.
+        """
+        arms = self.model.parameters
+        return arms.need(self.equilibria[name].state[: arms.count]) if isinstance(arms, ArmChainParameters) else None
+
+    @property
+    def rows(self) -> dict[str, tuple[Any, ...]]:
+        """State, energy, eigenvalues, kind and need of each equilibrium by name."""
+        return {
+            name: (one.state, one.energy, one.eigenvalues, one.kind, self.need(name))
+            for name, one in self.equilibria.items()
+        }
 
     @property
     def parameters(self) -> dict[str, Any]:

@@ -100,23 +100,18 @@ def read_bag(path: Path, columns: Sequence[str], *, optional: Collection[str] = 
             found[name] = np.interp(moments, tables[topic][LOG_TIME], tables[topic][name], left=np.nan, right=np.nan)
         elif name not in optional:
             raise InputError(f"{path}: {name} holds no numbers in any message; check file and mapping")
-    covered = _covered(path, moments, {topic: table[LOG_TIME] for topic, table in tables.items()})
+    covered = _covered(path, moments, [table[LOG_TIME] for table in tables.values()])
     return {name: values[covered] for name, values in found.items() if name in columns}
 
 
-def _covered(path: Path, moments: Array, times: dict[str, Array]) -> NDArray[np.bool_]:
+def _covered(path: Path, moments: Array, times: Sequence[Array]) -> NDArray[np.bool_]:
     """Mark the samples that all topics cover, and remark on others."""
-    late, early = max(times, key=lambda topic: times[topic][0]), min(times, key=lambda topic: times[topic][-1])
-    begin, end = times[late][0], times[early][-1]
+    begin, end = max(moment[0] for moment in times), min(moment[-1] for moment in times)
     covered = (moments >= begin) & (moments <= end)
     if not covered.any():
-        raise InputError(f"{path}: {late} begins when {early} has ended; map topics that were recorded together")
-    for what, left, reason in (
-        ("first", begin - moments[0], f"before {late} began"),
-        ("last", moments[-1] - end, f"after {early} ended"),
-    ):
-        if left > 0:
-            remark(f"{path}: left out the {what} {quantity(left, 's')}, {reason}")
+        raise InputError(f"{path}: no time has values of all columns; map topics that were recorded together")
+    if left := float(np.ptp(moments) - np.ptp(moments[covered])):
+        remark(f"{path}: left out {quantity(left, 's')}, for which some topics have no values")
     return covered
 
 

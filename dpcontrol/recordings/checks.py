@@ -19,11 +19,12 @@ from itertools import permutations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.ndimage import median_filter
 
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.settings import suggest
 from dpcontrol.recordings.recording import Recording, cart_motion, smoothed_derivative
 
 ANGLE, RATE, CART, COMMAND = "angle", "rate", "the cart's position", "the command"
@@ -94,6 +95,14 @@ class Samples:
         """
         return replace(self, rows=self.rows[which], time=self.time[which], values=self.values[which])
 
+    def cut(self, after: NDArray) -> "list[Samples]":
+        """Return the pieces between cuts.
+
+        Args:
+            after: indices of the samples after which to cut.
+        """
+        return [self.taken(piece) for piece in np.split(np.arange(len(self.time)), after + 1)]
+
 
 @dataclass(frozen=True)
 class Repair:
@@ -134,11 +143,6 @@ def _before_gap(samples: Samples, period: float) -> Marks:
     return gaps & (gaps.sum() <= max(5, _MOST_LEFT_OUT * len(steps)))
 
 
-def _cut_at_gaps(samples: Samples, marks: Marks, period: float) -> list[Samples]:
-    pieces = np.split(np.arange(len(samples.time)), np.flatnonzero(marks) + 1)
-    return [samples.taken(piece) for piece in pieces]
-
-
 def _wrapped(samples: Samples, period: float) -> Marks:
     most = _JUMP + _FASTEST_RATE * np.diff(samples.time, prepend=samples.time[0])[:, None]
     angles = samples.values[:, : samples.arms]
@@ -167,7 +171,7 @@ def _filled(samples: Samples, marks: Marks, period: float) -> list[Samples]:
     # Filled angles have as many turns as the last known ones, in case these are wrapped.
     turns = (known - values[~missing])[np.maximum(np.cumsum(~missing) - 1, 0)[missing]]
     # A cubic is used because over ten samples a swinging arm leaves a straight line by several counts.
-    values[missing] = _cubic(samples.time[~missing], known, samples.time[missing]) - turns
+    values[missing] = CubicSpline(samples.time[~missing], known)(samples.time[missing]) - turns
     for first, end in _runs(missing):
         missing[first:end] = end - first > _FILLED_IN_A_ROW or first == 0 or end == len(missing)
     filled = replace(samples, values=values)
@@ -179,16 +183,8 @@ def _runs(which: Marks) -> NDArray[np.intp]:
     return np.flatnonzero(np.diff(np.concatenate([[False], which, [False]]).astype(np.int8))).reshape(-1, 2)
 
 
-def _cubic(times: Array, values: Array, at: Array) -> Array:
-    from scipy.interpolate import CubicSpline
-
-    return np.asarray(CubicSpline(times, values)(at))
-
-
 def _smooth(samples: Samples) -> Array:
     """Return the values with medians of five as rates."""
-    from scipy.ndimage import median_filter
-
     rates = [name.startswith(RATE) for name in samples.names]
     return np.where(rates, median_filter(samples.values, size=(5, 1), mode="nearest"), samples.values)
 
@@ -211,7 +207,7 @@ def _interpolated(samples: Samples, marks: Marks, period: float) -> list[Samples
     grid, spacing = _grid(samples, period)
     even = grid[: int(np.ptp(samples.time) / spacing + 1e-6) + 1]
     rows = samples.rows[np.searchsorted(samples.time, even, side="right") - 1]
-    return [replace(samples, rows=rows, time=even, values=_cubic(samples.time, samples.values, even))]
+    return [replace(samples, rows=rows, time=even, values=CubicSpline(samples.time, samples.values)(even))]
 
 
 REPAIRS = {
@@ -231,7 +227,11 @@ REPAIRS = {
         _filled,
     ),
     "gaps": Repair(
-        "cut the segment at missing samples", "samples are missing after it", "cut at a gap", _before_gap, _cut_at_gaps
+        "cut the segment at missing samples",
+        "samples are missing after it",
+        "cut at a gap",
+        _before_gap,
+        lambda samples, marks, period: samples.cut(np.flatnonzero(marks)),
     ),
     "wrap": Repair(
         "unwrap angles that jump by a turn",
@@ -253,21 +253,6 @@ REPAIRS = {
     ),
 }
 """Repair of each fault by its name, in the order of the checks."""
-
-
-def checked_repairs(names: Sequence[str]) -> frozenset[str]:
-    """Return the requested repairs.
-
-    Args:
-        names: names of repairs, see `REPAIRS`.
-
-    Raises:
-        InputError: a name is unknown.
-    """
-    for name in names:
-        if name not in REPAIRS:
-            raise InputError(f"--repair {name}: there is no such repair; {suggest(name, REPAIRS)}")
-    return frozenset(names)
 
 
 def sound_segments(samples: Samples, *, period: float, repairs: frozenset[str]) -> tuple[list[Samples], list[str]]:

@@ -33,16 +33,16 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import checked_size, checked_source
 from dpcontrol.foundation.parts import part as package
 from dpcontrol.foundation.progress import Progress, no_progress
-from dpcontrol.foundation.settings import suggest
+from dpcontrol.foundation.settings import check_names, suggest
 from dpcontrol.recordings.bags import is_bag, read_bag, reading
 from dpcontrol.recordings.checks import (
     ANGLE,
     CART,
     COMMAND,
     RATE,
+    REPAIRS,
     Samples,
     check_plausible,
-    checked_repairs,
     sound_segments,
 )
 from dpcontrol.recordings.mapping import LENGTH_UNITS, TIME_UNITS, Mapping, load_mapping
@@ -78,7 +78,7 @@ def import_recording(
         InputError: the file or the mapping cannot be used; one sentence with file, row, value and remedy.
     """
     path = Path(path)
-    allowed = checked_repairs(repairs)
+    check_names("repair", repairs, REPAIRS)
     bag, kind = is_bag(path), path.suffix.lower()
     if not bag and kind not in MATLAB + TABLES:
         known = ", ".join((*MATLAB, *TABLES, ".mcap", ".bag"))
@@ -96,7 +96,7 @@ def import_recording(
     else:
         chosen, stretches = _of_matlab(path, given)
     progress("checking", 0.5)
-    return _recording(path, chosen, stretches, repairs=allowed)
+    return _recording(path, chosen, stretches, repairs=frozenset(repairs))
 
 
 def _of_columns(path: Path, given: Mapping | None, default: str) -> tuple[Mapping, list[Samples]]:
@@ -132,8 +132,7 @@ def _segments(path: Path, mapping: Mapping, columns: Columns[str, Array]) -> lis
     values = {kind: np.column_stack([columns[name] for name in names]) for kind, names in groups.items() if any(names)}
     samples = _samples(str(path), mapping, values, columns.get(mapping.time.column))
     number = columns.get(mapping.time.segment, np.zeros(len(samples.time)))
-    pieces = np.split(np.arange(len(number)), np.flatnonzero(np.diff(number)) + 1)
-    return [samples.taken(piece) for piece in pieces]
+    return samples.cut(np.flatnonzero(np.diff(number)))
 
 
 def _samples(where: str, mapping: Mapping, values: Columns[str, Array], time: Array | None) -> Samples:
@@ -209,7 +208,7 @@ def _recording(path: Path, mapping: Mapping, stretches: list[Samples], *, repair
 
 
 _MISSING = ("", "nan", "na", "null", "none", "-")
-_NUMBER = re.compile(r"[-+]?(\d+([.,]\d*)?|[.,]\d+|nan|inf)(e[-+]?\d+)?", re.IGNORECASE)
+_NUMBER = re.compile(r"[-+]?(\d+(\.\d*)?|\.\d+|nan|inf)(e[-+]?\d+)?", re.IGNORECASE)
 
 
 def read_table(path: Path, columns: Sequence[str], *, optional: Collection[str] = ()) -> dict[str, Array]:
@@ -280,13 +279,11 @@ def _numbers(cells: Sequence[Any], name: str, path: Path) -> Array:
         return np.array(cells, dtype=float)
     except (TypeError, ValueError):
         texts = [str(cell).strip() for cell in cells]
-    values = np.full(len(texts), np.nan)
-    for row, text in enumerate(texts):
-        try:
-            values[row] = float("nan" if text.casefold() in _MISSING else text)
-        except ValueError:
-            raise InputError(f"{path}: row {row + 1} of column {name!r} holds {text!r}; it must be a number") from None
-    return values
+    numbers = ["nan" if text.casefold() in _MISSING else text for text in texts]
+    for row, text in enumerate(numbers, start=1):
+        if not _NUMBER.fullmatch(text):
+            raise InputError(f"{path}: row {row} of column {name!r} holds {text!r}; it must be a number")
+    return np.array(numbers, dtype=float)
 
 
 def _of_matlab(path: Path, given: Mapping | None) -> tuple[Mapping, list[Samples]]:

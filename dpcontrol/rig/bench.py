@@ -48,22 +48,24 @@ from dpcontrol.loop.protocols import Reading
 from dpcontrol.loop.result import Rig
 from dpcontrol.loop.simulated import SimulatedRig
 from dpcontrol.references.problem import Limits
-from dpcontrol.rig import packets as packets
 from dpcontrol.rig.client import Deadlines, real_time_priority, without_collecting
 from dpcontrol.rig.packets import (
     KEY_VARIABLE,
     LARGEST,
+    Bye,
     CommandPacket,
     Condition,
     Kind,
-    Packet,
+    Message,
     ReadingPacket,
     ReceivedPacket,
     Role,
     Start,
     Talk,
     Welcome,
-    checked_host,
+    packed,
+    resolved,
+    unpacked,
 )
 
 Report = Callable[[str], None]
@@ -251,7 +253,7 @@ class UdpBench(AbstractContextManager["UdpBench"]):
         self._make, self._arms, self._ticks, self._period, self._report = make, arms, ticks, period, report
         self._key, self._settings = key, settings or BenchServerSettings()
         self._recorded = min(ticks, ticks if recorded is None else recorded)
-        where = checked_host(host, port, key=key, insecure=insecure)
+        _, where = resolved(host, port, name=f"rig: --host {host}", key=key, insecure=insecure, family=socket.AF_INET)
         self._secret = secrets.token_bytes(16)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
@@ -302,21 +304,15 @@ class UdpBench(AbstractContextManager["UdpBench"]):
 
         Return True if it led to a run that has ended.
         """
-        try:
-            heard = packets.unpacked(data, Role.LOOP, key=self._key)
-        except ValueError:
-            return False
         session = self._session(sender)
-        if heard.kind is Kind.HELLO:
-            self._answer(heard, packets.welcome(Welcome(self._arms, self._period, self._ticks, session)), sender)
-            return False
-        if heard.session != session:
+        heard = self._greeted(data, sender, Welcome(self._arms, self._period, self._ticks, session))
+        if heard is None or heard.session != session:
             return False
         if not isinstance(heard.content, Start):
             # The loop found that the bench is not suitable.
-            return heard.kind is Kind.BYE
+            return isinstance(heard.content, Bye)
         if not all(map(math.isfinite, heard.content.queued)):
-            self._answer(heard, packets.bye("the run was rejected: a pending command is not a finite number"), sender)
+            self._answer(heard, Bye("the run was rejected: a pending command is not a finite number"), sender)
             return False
         self._report(f"run started for {sender[0]}:{sender[1]}")
         # Packets of this run cannot begin another one.
@@ -327,11 +323,11 @@ class UdpBench(AbstractContextManager["UdpBench"]):
             talk = Talk(Role.BENCH, session, key=self._key)
             talk.unpack(data)
             run = _BenchRun(
-                self._socket, sender, rig, talk, ticks=self._ticks, settings=self._settings, busy=self._busy,
+                self._socket, sender, rig, talk, ticks=self._ticks, settings=self._settings, others=self._greeted,
                 record=self.record,
             )  # fmt: skip
             ended = run.go()
-        self.record.ended = run.silence or ended
+        self.record.ended = self.record.ended or ended
         self._report(f"run ended: {ended}; {run.sentence}")
         return True
 
@@ -342,15 +338,18 @@ class UdpBench(AbstractContextManager["UdpBench"]):
         """
         return int.from_bytes(hmac.digest(self._secret, repr(sender).encode(), "sha256")[:8])
 
-    def _busy(self, data: bytes, sender: Any) -> None:
-        """Refuse a loop that requests a run during another."""
-        with suppress(ValueError):
-            heard = packets.unpacked(data, Role.LOOP, key=self._key)
-            if heard.kind is Kind.HELLO:
-                self._answer(heard, packets.bye("the bench is busy with another loop; wait until it has ended"), sender)
+    def _greeted(self, data: bytes, sender: Any, answer: Message) -> ReceivedPacket | None:
+        """Return the packet, or None if it is not valid; a HELLO is answered."""
+        try:
+            heard = unpacked(data, Role.LOOP, key=self._key)
+        except ValueError:
+            return None
+        if heard.content is Kind.HELLO:
+            self._answer(heard, answer, sender)
+        return heard
 
-    def _answer(self, heard: ReceivedPacket, message: Packet, sender: Any) -> None:
-        data = packets.packed(message, Role.BENCH, session=heard.session, sequence=1, key=self._key)
+    def _answer(self, heard: ReceivedPacket, message: Message, sender: Any) -> None:
+        data = packed(message, Role.BENCH, session=heard.session, sequence=1, key=self._key)
         with suppress(OSError):
             self._socket.sendto(data, sender)
 
@@ -360,22 +359,20 @@ class _BenchRun:
 
     Args:
         sock: socket of the bench.
-        busy: receives packets of other senders.
+        others: receives packets of other senders, and the answer to their HELLO.
         record: filled during the run.
     """
 
     def __init__(
         self, sock: socket.socket, client: Any, rig: Rig, talk: Talk, *, ticks: int,
-        settings: BenchServerSettings, busy: Callable[[bytes, Any], None], record: BenchRecord,
+        settings: BenchServerSettings, others: Callable[[bytes, Any, Message], object], record: BenchRecord,
     ) -> None:  # fmt: skip
         self._socket, self._client, self._rig, self._talk, self._settings = sock, client, rig, talk, settings
-        self._busy, self._record = busy, record
+        self._others, self._record = others, record
         self._ticks, self._tick = ticks, -1
         self._heard, self._held, self._fresh = -1, 0, True
         self._silent, self._stopped, self._over, self._ignored = 0, False, "", 0
         self._condition, self._text = Condition.WELL, ""
-        self.silence = ""
-        """Sentence on a cart stopped because of the loop's silence."""
 
     @property
     def sentence(self) -> str:
@@ -386,31 +383,26 @@ class _BenchRun:
 
     def go(self) -> str:
         """Run until the loop says goodbye or disconnects; return the cause."""
-        period, clock = self._rig.period, time.perf_counter
-        watchdog, leaving = self._settings.watchdog / period, _LEAVING / period
+        period, watchdog, clock = self._rig.period, self._settings.watchdog, time.perf_counter
         begin = clock()
         for k in range(self._ticks):
             due = begin + k * period
             self._wait(due)
-            self._handle_packets()
             if self._over:
                 return self._over
             self._silent += clock() - due <= period
-            if k and not self._fresh and not self._stopped:
-                self._held += 1
+            self._held += k > 0 and not self._fresh and not self._stopped
             self._fresh = False
-            if self._silent > leaving:
+            if self._silent * period > _LEAVING:
                 return "the loop has disconnected"
-            if self._silent > watchdog and not self._stopped:
-                silent = (
-                    f"received nothing from the loop for {self._settings.watchdog:g} s until t = {k * period:.3f} s"
-                )
-                self.silence = f"the bench {silent}"
+            if self._silent * period > watchdog and not self._stopped:
+                silent = f"received nothing from the loop for {watchdog:g} s until t = {k * period:.3f} s"
+                self._record.ended = f"the bench {silent}"
                 self._stop(Condition.SILENCE, f"it {silent}")
             try:
                 reading = self._rig.read()
             except ArithmeticError as failure:
-                self._send(packets.bye(str(failure)))
+                self._send(Bye(str(failure)))
                 return str(failure)
             fault = self._rig.fault
             if fault is not None and self._condition is Condition.WELL:
@@ -426,9 +418,9 @@ class _BenchRun:
                     k, tuple(reading.positions.tolist()), self._heard, self._held, 0.0, reading.switch,
                     self._condition, self._text, self._ignored, reading.age,
                 )  # fmt: skip
-                self._send(packets.reading(content))
+                self._send(content)
         text = f"the bench has completed its {self._ticks} ticks"
-        self._send(packets.bye(text))
+        self._send(Bye(text))
         return text
 
     def _wait(self, due: float) -> None:
@@ -436,6 +428,7 @@ class _BenchRun:
         while (left := due - time.perf_counter()) > 0:
             if select.select([self._socket], [], [], left)[0]:
                 self._handle_packets()
+        self._handle_packets()
 
     def _handle_packets(self) -> None:
         """Handle a few received packets without delaying a tick."""
@@ -449,7 +442,7 @@ class _BenchRun:
                 self._receive(data)
             else:
                 self._ignored += 1
-                self._busy(data, sender)
+                self._others(data, sender, Bye("the bench is busy with another loop; wait until it has ended"))
 
     def _receive(self, data: bytes) -> None:
         """Handle a packet from the loop's address."""
@@ -461,12 +454,12 @@ class _BenchRun:
         self._silent = 0
         if isinstance(heard.content, CommandPacket):
             self._apply(heard.content)
-        elif heard.kind is Kind.STOP:
+        elif heard.content is Kind.STOP:
             if not self._stopped:
                 self._record.answered(max(self._tick, 0), None)
             self._stop(self._condition, self._text)
-        elif heard.kind is Kind.BYE:
-            self._over = str(heard.content)
+        elif isinstance(heard.content, Bye):
+            self._over = heard.content.text
             self._rig.stop()
 
     def _apply(self, content: CommandPacket) -> None:
@@ -487,7 +480,7 @@ class _BenchRun:
         self._condition, self._text, self._stopped = condition, text, True
         self._rig.stop()
 
-    def _send(self, message: Packet) -> None:
+    def _send(self, message: Message) -> None:
         # A packet that cannot be sent counts as lost; the loop notices.
         with suppress(OSError):
             self._socket.sendto(self._talk.pack(message), self._client)
@@ -701,32 +694,25 @@ class BenchProcess(AbstractContextManager["BenchProcess"]):
         name, command = f"--controller-program {program}", [str(program.absolute()), f"udp://{host}:{port}", *arguments]
         environment = {**os.environ, KEY_VARIABLE: self.key.decode()}
         try:
-            process = subprocess.Popen(
-                command, env=environment, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-                text=True, errors="replace",
+            ended = subprocess.run(
+                command, env=environment, stdin=subprocess.DEVNULL, capture_output=True, text=True, errors="replace",
+                check=False,
             )  # fmt: skip
         except OSError as error:
             raise InputError(f"{name}: {error.strerror or error}; give an executable program") from error
-        try:
-            figures, errors = process.communicate()
         finally:
-            # The program stops the cart first, except on Windows.
-            process.terminate()
-            with suppress(subprocess.TimeoutExpired):
-                process.wait(_END)
-            process.kill()
+            # An interrupted run has a record too.
             with suppress(EOFError):
                 self.record = self._pipe.recv() if self._pipe.poll(_END) else None
         if self.record is None:
-            why = errors.strip().splitlines()[-1:] or ["it printed nothing"]
-            raise InputError(f"{name} ended with {process.returncode} before a run began: {why[0]}")
+            why = ended.stderr.strip().splitlines()[-1:] or ["it printed nothing"]
+            raise InputError(f"{name} ended with {ended.returncode} before a run began: {why[0]}")
         try:
-            return Deadlines(**json.loads(figures))
+            return Deadlines(**json.loads(ended.stdout))
         except (TypeError, ValueError):
             return None
 
     def _end(self) -> None:
-        if self._process.is_alive():
-            self._process.terminate()
+        self._process.terminate()
         self._process.join(_END)
         self._pipe.close()

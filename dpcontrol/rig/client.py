@@ -11,6 +11,7 @@ import gc
 import json
 import math
 import os
+import re
 import secrets
 import select
 import socket
@@ -18,8 +19,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import asdict, dataclass, fields
-from typing import Annotated, NoReturn
-from urllib.parse import urlsplit
+from typing import Annotated, NoReturn, TypeVar
 
 import numpy as np
 
@@ -29,20 +29,22 @@ from dpcontrol.foundation.settings import Setting, Settings
 from dpcontrol.logs import Event
 from dpcontrol.loop.protocols import Reading
 from dpcontrol.loop.result import ended
-from dpcontrol.rig import packets as packets
 from dpcontrol.rig.packets import (
     LARGEST,
+    Bye,
+    CommandPacket,
     Condition,
     Kind,
-    Packet,
+    Message,
     ReadingPacket,
-    ReceivedPacket,
     Role,
+    Start,
     Talk,
     Welcome,
     resolved,
 )
 
+T = TypeVar("T", Welcome, ReadingPacket)
 _FAULTS = {Condition.FAULT: Cause.RIG_FAULT, Condition.HARD_STOP: Cause.HARD_STOP}
 
 
@@ -158,14 +160,10 @@ def parse_address(text: str) -> tuple[str, int]:
     Raises:
         InputError: the text has another form.
     """
-    try:
-        parts = urlsplit(text)
-        host, port = parts.hostname, parts.port
-    except ValueError:
-        parts = host = port = None
-    if not (parts and host and port) or parts.scheme != SCHEME or parts.path.strip("/"):
+    found = re.fullmatch(rf"{SCHEME}://\[?([^/\[\]]+)\]?:(\d+)/?", text)
+    if found is None or not 0 < int(found[2]) < 1 << 16:
         raise InputError(f"rig {text!r}: must be udp://HOST:PORT, as `dpcontrol rig` prints it, or udp alone")
-    return host, port
+    return found[1], int(found[2])
 
 
 class UdpRig(AbstractContextManager["UdpRig"]):
@@ -224,15 +222,15 @@ class UdpRig(AbstractContextManager["UdpRig"]):
         self._talk = Talk(Role.LOOP, self.welcome.session, key=key)
         self._refused = 0
         self.period = self.welcome.period
-        self._last_packet = 0.0
+        self._last_packet = time.perf_counter()
         self._nothing = np.zeros(self.welcome.arms + 1, dtype=bool)
         self._positions = np.zeros(self.welcome.arms + 1)
-        self._zeros = np.zeros(self.welcome.arms + 1)
-        self._zeros[: min(len(zeros), self.welcome.arms)] = zeros[: self.welcome.arms]
+        known = zeros[: self.welcome.arms]
+        self._zeros = np.array([*known, *[0.0] * (self.welcome.arms + 1 - len(known))])
 
     def __exit__(self, *_: object) -> None:
         self.stop()
-        self._send(packets.bye("the run is over"))
+        self._send(Bye("the run is over"))
         self._socket.close()
 
     @property
@@ -285,7 +283,7 @@ class UdpRig(AbstractContextManager["UdpRig"]):
         if not math.isfinite(acceleration):
             raise ArithmeticError(f"command = {acceleration!r}: the drive takes finite accelerations only")
         # A STOP may be lost, so each tick repeats it until the bench reports standstill.
-        self._send(packets.STOP if self._stopped else packets.command(max(self._tick, 0), acceleration))
+        self._send(Kind.STOP if self._stopped else CommandPacket(max(self._tick, 0), acceleration))
 
     def stop(self) -> None:
         """Have the bench brake the cart to a standstill.
@@ -293,69 +291,66 @@ class UdpRig(AbstractContextManager["UdpRig"]):
         No further commands are sent.
         """
         self._stopped = True
-        self._send(packets.STOP)
+        self._send(Kind.STOP)
 
     def _introduced(self) -> Welcome:
         """Return the bench's welcome."""
-        heard = self._answer(packets.HELLO, Kind.WELCOME)
-        if heard is None:
+        content = self._answer(Kind.HELLO, Welcome)
+        if content is None:
             raise InputError(
                 f"rig {self.address}: no bench responded for {self._settings.answer:g} s{self._problem}; start one "
                 "with `dpcontrol rig` of this version, and give both the same key, if any"
             )
-        if not isinstance(heard.content, Welcome):
-            raise InputError(f"rig {self.address}: {heard.content}")
-        if not 0 < heard.content.period <= _LONGEST_PERIOD:
+        if isinstance(content, Bye):
+            raise InputError(f"rig {self.address}: {content.text}")
+        if not 0 < content.period <= _LONGEST_PERIOD:
             raise InputError(
-                f"rig {self.address} announces a period of {heard.content.period:g} s: it must be above 0 and "
+                f"rig {self.address} announces a period of {content.period:g} s: it must be above 0 and "
                 f"at most {_LONGEST_PERIOD:g} s; fix the bench"
             )
-        return heard.content
+        return content
 
-    def _answer(self, message: Packet, kind: Kind) -> ReceivedPacket | None:
-        """Repeat a message until a packet of this kind or BYE comes; return it, or None if the time is over."""
+    def _answer(self, message: Message, kind: type[T]) -> T | Bye | None:
+        """Repeat a message until an answer of this kind or BYE comes; return it, or None if the time is over."""
         until = time.perf_counter() + self._settings.answer
         while time.perf_counter() < until:
             self._send(message)
-            for heard in self._arrivals(time.perf_counter() + _REQUEST_INTERVAL):
-                if heard.kind in (kind, Kind.BYE):
-                    return heard
+            for content in self._arrivals(time.perf_counter() + _REQUEST_INTERVAL):
+                if isinstance(content, (kind, Bye)):
+                    return content
         return None
 
     def _packet_of(self, k: int) -> ReadingPacket | None:
         """Return the reading of tick k, or None if it is lost or overdue."""
         early, self._early = self._early, None
         if k == 0:
-            self._last_packet = time.perf_counter()
-            heard = self._answer(packets.start(self._queued), Kind.READING)
-            early = self._lost_contact() if heard is None else self._taken(heard)
+            early = self._taken(self._answer(Start(tuple(self._queued)), ReadingPacket) or self._lost_contact())
         elif early is None:
             early = self._awaited(k)
         if early is not None and early.tick > k:
-            self._early = early
-            return None
+            self._early, early = early, None
         return early
 
     def _awaited(self, k: int) -> ReadingPacket | None:
         """Return the first reading of tick k or a later one, or None if none comes in time."""
-        for heard in self._arrivals(self._begin + k * self.period + self._settings.patience):
-            packet = self._taken(heard)
+        for content in self._arrivals(self._begin + k * self.period + self._settings.patience):
+            packet = self._taken(content)
             if packet is not None and packet.tick >= k:
                 return packet
         if time.perf_counter() - self._last_packet > self._settings.silence:
             self._lost_contact()
         return None
 
-    def _taken(self, heard: ReceivedPacket) -> ReadingPacket | None:
+    def _taken(self, content: Message) -> ReadingPacket | None:
         """Return the reading in a packet, from whose arrival the ticks are counted."""
-        if heard.kind is Kind.BYE:
-            raise ArithmeticError(f"the bench ended the run: {heard.content}")
-        if not isinstance(heard.content, ReadingPacket):
+        if isinstance(content, Bye):
+            raise ArithmeticError(f"the bench ended the run: {content.text}")
+        if not isinstance(content, ReadingPacket):
             return None
         self._last_packet = now = time.perf_counter()
         # The earliest arrival of any reading on the bench's clock, which may run slightly slower.
-        self._begin = min(self._begin + _DRIFT * self.period, now - heard.content.tick * self.period)
-        return heard.content
+        self._begin = min(self._begin + _DRIFT * self.period, now - content.tick * self.period)
+        return content
 
     def _lost_contact(self) -> NoReturn:
         raise ArithmeticError(
@@ -363,44 +358,41 @@ class UdpRig(AbstractContextManager["UdpRig"]):
             f"{time.perf_counter() - self._last_packet:.3g} s{self._problem}"
         )
 
-    def _arrivals(self, until: float) -> Iterator[ReceivedPacket]:
-        """Yield the valid packets that wait already or arrive until a time, s."""
+    def _arrivals(self, until: float) -> Iterator[Message]:
+        """Yield the contents of valid packets that wait already or arrive until a time, s."""
         try:
             for _ in range(_MOST_PACKETS):
                 try:
-                    heard = self._accepted(self._socket.recv(LARGEST))
+                    yield from self._accepted(self._socket.recv(LARGEST))
                 except BlockingIOError:
                     if not select.select([self._socket], [], [], max(until - time.perf_counter(), 0.0))[0]:
                         return
-                    continue
-                if heard is not None:
-                    yield heard
         except OSError as error:
             self._problem = f" ({error.strerror or error})"
             # No program listens there now, but a restarted bench might.
             time.sleep(max(min(until - time.perf_counter(), _REQUEST_INTERVAL), 0.0))
 
-    def _accepted(self, data: bytes) -> ReceivedPacket | None:
-        """Return a valid, new packet of this run's bench, or None.
+    def _accepted(self, data: bytes) -> Iterator[Message]:
+        """Yield the content of a valid, new packet of this run's bench.
 
         Others are counted.
         """
         try:
-            heard = self._talk.unpack(data)
+            content, welcome = self._talk.unpack(data).content, self.welcome
         except ValueError as error:
             # A second answer to a repeated HELLO is not foreign.
             if self._tick < 0 or data[8:16] != self._request:
                 self._refused += 1
                 self._problem = f" ({error})"
-            return None
-        content, welcome = heard.content, self.welcome
-        fits = not isinstance(content, ReadingPacket) or (
+            return
+        if isinstance(content, ReadingPacket) and not (
             len(content.positions) == welcome.arms + 1 and content.tick < welcome.ticks
-        )
-        self._refused += not fits
-        return heard if fits else None
+        ):
+            self._refused += 1
+        else:
+            yield content
 
-    def _send(self, message: Packet) -> None:
+    def _send(self, message: Message) -> None:
         try:
             self._socket.send(self._talk.pack(message))
         except OSError as error:

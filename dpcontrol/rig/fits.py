@@ -59,24 +59,16 @@ class DriveFit(NamedTuple):
 
 
 def response(commands: Array, period: float, total: float, square: float = 0.0) -> Array:
-    """Return the response of a cart at rest, with slopes (K, 3).
+    """Return the positions (K,) of a cart at rest that responds to commands (K,) m/s² with unit gain.
 
-    It responds to commands (K,) m/s², with one row for each tick.
-
-    The columns are the position for unit gain and its derivatives. These are with respect to `total` s, the sum of
-    delay and lag, and `square` s², that of the lag. The two are nearly independent even at zero lag, unlike delay and
-    lag.
+    The parameters are `total` s, the sum of delay and lag, and `square` s², that of the lag. The two are nearly
+    independent even at zero lag, unlike delay and lag.
     """
     lag = math.sqrt(square)
     after = np.maximum(np.arange(len(commands)) * period - (total - lag), 0.0)
-    ratio = after / lag if lag else np.where(after > 0, np.inf, 0.0)
-    fading = np.exp(-ratio)
-    rising = lag * (1 - fading)
-    position = after**2 / 2 - lag * (after - rising)
-    by_square = (1 - fading - np.where(fading > 0, ratio, 0.0) * fading) / 2
-    kernels = np.stack([position, rising - after, by_square], axis=1)
-    changes = np.diff(commands, prepend=0.0)[:, None]
-    return signal.fftconvolve(changes, kernels, axes=0)[: len(commands)]
+    fading = np.exp(-after / lag) if lag else np.where(after > 0, 0.0, 1.0)
+    kernel = after**2 / 2 - lag * (after - lag * (1 - fading))
+    return signal.fftconvolve(np.diff(commands, prepend=0.0), kernel)[: len(commands)]
 
 
 _HIGH_PASS = 20.0
@@ -109,95 +101,75 @@ def fit_drive(carts: Array, commands: Sequence[float], period: float, *, first: 
     base, _ = np.linalg.qr(high(np.vander(t, 3)))
 
     def seen(values: Array) -> Array:
-        passed = high(values) / size
+        passed = high(values)
         return passed - base @ (base.T @ passed)
 
     # In units of the motion itself, so that tolerances are relative.
-    size = 1.0
-    size = max(float(np.std(seen(x[:, None]))), 1e-9)
-    y = seen(x[:, None])[:, 0]
+    size = max(float(np.std(seen(x))), 1e-9)
+    y = seen(x) / size
 
-    def rough(total: float, lag: float) -> tuple[float, float]:
-        p = seen(response(u, period, total, lag**2)[:, :1])[:, 0]
-        gain = float(p @ y) / max(float(p @ p), 1e-30)
-        return float(np.sum((y - gain * p) ** 2)), gain
+    def motion(u: Array, total: float, gain: float = 1.0, square: float = 0.0) -> Array:
+        """Return the motion for total in ms and square in ms²."""
+        return gain * seen(response(u, period, 1e-3 * total, 1e-6 * square)) / size
 
-    lags = (0.0, 0.004, 0.016)
-    grid = [(0.5 * period + d + lag, lag) for d in (0.0, *(0.001 * 2.0**k for k in range(8))) for lag in lags]
-    total, lag = min(grid, key=lambda point: rough(*point)[0])
-    unit = np.array([1e-3, 1e-6, 1.0])
-    low, most = np.array([-period, 0.0, -np.inf]) / unit, np.array([0.8, 0.09, np.inf]) / unit
-
-    def residual(values: Array) -> Array:
-        total, square, gain = values * unit
-        return gain * seen(response(u, period, total, square)[:, :1])[:, 0] - y
-
-    def slopes(values: Array) -> Array:
-        total, square, gain = values * unit
-        parts = seen(response(u, period, total, square))
-        return np.stack([gain * parts[:, 1], gain * parts[:, 2], parts[:, 0]], axis=1) * unit
-
-    def fitted(values: Array, free: list[int]) -> tuple[Array, Array]:
-        """Return the best values, with `free` ones fitted, and their standard errors."""
-
-        def whole(some: Array) -> Array:
-            out = values.copy()
-            out[free] = some
-            return out
-
-        scale = 1.0
+    def fitted(values: Array) -> tuple[Array, Array]:
+        """Return the best values of two or three parameters and their standard errors."""
+        low, most = np.array([[-1e3 * period, -np.inf, 0.0], [800, np.inf, 90_000]])[:, : len(values)]
+        errors, scale = values, 1.0
         # A late command disturbs the cart for a moment; a robust loss reduces its weight.
         for loss in ("linear", "soft_l1"):
-            found = optimize.least_squares(
-                lambda some: residual(whole(some)),
-                values[free],
-                lambda some: slopes(whole(some))[:, free],  # type: ignore[arg-type]
-                bounds=(low[free], most[free]),
+            values, covariance = optimize.curve_fit(
+                motion,
+                u,
+                y,
+                values,
+                bounds=(low, most),
                 method="dogbox",
                 loss=loss,
                 f_scale=scale,
                 x_scale="jac",
+                jac="3-point",
             )
-            values = whole(found.x)
-            left = residual(values)
-            scale = max(1.5 * 1.4826 * float(np.median(np.abs(left))), 1e-9)
-        errors = np.zeros(len(values))
-        errors[free] = _sandwich(slopes(values)[:, free], left, 1 / np.sqrt(1 + (left / scale) ** 2))
+            scale = max(1.5 * 1.4826 * float(np.median(np.abs(motion(u, *values) - y))), 1e-9)
+            errors = np.sqrt(max(1.0, _CORRELATED / period) * np.diag(covariance))
         return values, errors
 
+    def rough(total: float, lag: float) -> tuple[float, float, float, float]:
+        """Return the cost of a delay and a lag in ms, the best gain, and both again."""
+        p = motion(u, total, 1.0, lag**2)
+        gain = float(p @ y) / max(float(p @ p), 1e-30)
+        return float(np.sum((y - gain * p) ** 2)), gain, total, lag
+
+    delays = [0.5e3 * period + d for d in (0.0, *2.0 ** np.arange(8))]
+    _, gain, total, lag = min(rough(d + lag, lag) for d in delays for lag in (0.0, 4.0, 16.0))
     # Start inside the bounds, because a search would stay on them.
-    values, errors = fitted(np.array([total, max(lag, 5e-4) ** 2, rough(total, lag)[1]]) / unit, [0, 1, 2])
+    values, errors = fitted(np.array([total, gain, max(lag, 0.5) ** 2]))
+    total, gain, square = values
     # Error of the square's root, which is non-negative.
-    lag_error = math.sqrt(values[1] * unit[1] + errors[1] * unit[1]) - math.sqrt(values[1] * unit[1])
-    if values[1] < 3 * errors[1] or values[1] * unit[1] < _NO_LAG**2:
+    lag, lag_error = math.sqrt(square), math.sqrt(square + errors[2]) - math.sqrt(square)
+    if square < 3 * errors[2] or lag < _NO_LAG:
         # The lag is then zero and must not add to the uncertainty of the delay.
-        lag_error = math.sqrt((values[1] + errors[1]) * unit[1])
-        values[1] = 0.0
-        values, errors = fitted(values, [0, 2])
-    total, square, gain = (values * unit).tolist()
-    lag, total_error = math.sqrt(square), float(errors[0] * unit[0])
-    misfit = float(np.sqrt(np.mean(residual(values) ** 2) / max(np.mean(y**2), 1e-24)))
-    delay_error = math.hypot(total_error, lag_error) if lag else total_error
-    return DriveFit(total - lag, lag, gain, (delay_error, lag_error, float(errors[2])), misfit)
+        lag, lag_error = 0.0, math.sqrt(square + errors[2])
+        values, errors = fitted(values[:2])
+        total, gain = values
+    misfit = float(np.sqrt(np.mean((motion(u, *values) - y) ** 2) / max(np.mean(y**2), 1e-24)))
+    delay_error = math.hypot(errors[0], lag_error if lag else 0.0)
+    return DriveFit(1e-3 * (total - lag), 1e-3 * lag, gain, (1e-3 * delay_error, 1e-3 * lag_error, errors[1]), misfit)
 
 
-_NO_LAG = 2e-5
-"""Lag below which it counts as zero, s."""
+_NO_LAG = 0.02
+"""Lag below which it counts as zero, ms."""
+_CORRELATED = 0.011
+"""Time over which residuals are correlated, s: estimates of benches with many seeds scatter by the errors."""
 
 
-def _sandwich(jacobian: NDArray[Any], residual: Array, weights: Array | None = None) -> Array:
-    """Return standard errors (p,) for correlated residuals.
-
-    The residuals (K,) are correlated over blocks, and have the weights (K,) of soft_l1.
-    """
-    weights = np.ones(len(residual)) if weights is None else weights
+def _sandwich(jacobian: NDArray[Any], residual: Array) -> Array:
+    """Return standard errors (p,) for residuals (K,) that are correlated over blocks."""
     blocks = max(_BLOCKS, 3 * jacobian.shape[1])
     edges = np.linspace(0, len(residual), blocks + 1).round().astype(int)[:-1]
-    scores = np.add.reduceat(jacobian * (weights * residual)[:, None], edges)
-    # The derivative of weight times residual is the cube of the weight.
-    inverse = np.linalg.pinv(jacobian.T @ (weights[:, None] ** 3 * jacobian))
+    scores = np.add.reduceat(jacobian * residual[:, None], edges)
     few = blocks / (blocks - jacobian.shape[1])
-    return np.sqrt(few) * np.linalg.norm(scores @ inverse, axis=0)
+    return np.sqrt(few) * np.linalg.norm(scores @ np.linalg.pinv(jacobian.T @ jacobian), axis=0)
 
 
 class Modes(NamedTuple):

@@ -255,7 +255,7 @@ def _shift(session: RigSession) -> None:
         for value in (*(pattern * size), *np.zeros(after)):
             session.advance(float(value))
         carts = session.filled(first)[:, -1]
-        wanted = response(np.array([*session.commands[first:], 0.0]), session.period, 0.0)[:, 0]
+        wanted = response(np.array([*session.commands[first:], 0.0]), session.period, 0.0)
         # The drive's delay is still unknown, so the best-fitting one is used. The whole shift must be visible.
         delays = range(0, after + 1, max(1, quarter // 8))
         fits = [_slope(wanted[: len(wanted) - k], carts[k:]) for k in delays]
@@ -283,7 +283,7 @@ def _raise_for_no_shift(session: RigSession, seen: float) -> None:
         raise Halted(Cause.WANDERS, {"wander": wandered})
     for _ in range(round(1.0 / session.period)):
         session.advance(0.0)
-    commanded = response(np.array([*session.commands, 0.0]), session.period, 0.0)[:, 0]
+    commanded = response(np.array([*session.commands, 0.0]), session.period, 0.0)
     wiring = read_wiring(fit_swing(session.filled()[:, :-1], commanded, session.period, session.arms))
     raise Halted(Cause.DEAD if float(np.abs(wiring.factors).max()) > 0.3 else Cause.STANDS, {"seen": seen})
 

@@ -38,7 +38,6 @@ import hmac
 import os
 import socket
 import struct
-from collections.abc import Sequence
 from enum import Enum, IntEnum
 from ipaddress import ip_address
 from pathlib import Path
@@ -57,7 +56,6 @@ _HEAD = struct.Struct("<4sBBHQI")
 _WELCOME = struct.Struct("<dIQ")
 _READING = struct.Struct("<IIIIdbBH")
 _COMMAND = struct.Struct("<Id")
-_AGE = struct.Struct("<d")
 _SEAL = 16
 
 
@@ -90,14 +88,6 @@ class Role(Enum):
 
     LOOP = b"loop"
     BENCH = b"bench"
-
-
-class Packet(NamedTuple):
-    """A packet without its head: kind, the head's count, and the content."""
-
-    kind: Kind
-    number: int = 0
-    body: bytes = b""
 
 
 class Start(NamedTuple):
@@ -147,80 +137,46 @@ class CommandPacket(NamedTuple):
     acceleration: float
 
 
-Content = Start | Welcome | ReadingPacket | CommandPacket | str | None
-"""Content of a packet: a sentence for BYE, None for HELLO and STOP."""
+class Bye(NamedTuple):
+    """End of the run, with its reason."""
+
+    text: str
+
+
+Message = Start | Welcome | ReadingPacket | CommandPacket | Bye | Kind
+"""Content of a packet; its kind for HELLO and STOP, which have none."""
 
 
 class ReceivedPacket(NamedTuple):
     """Head and content of a packet."""
 
-    kind: Kind
     session: int
     sequence: int
-    content: Content
+    content: Message
 
 
-HELLO = Packet(Kind.HELLO)
-"""Request for a run."""
-STOP = Packet(Kind.STOP)
-"""Packet that stops the cart."""
+def _body(message: Message) -> tuple[Kind, int, bytes]:
+    """Return kind, count and body of a packet."""
+    match message:
+        case Welcome():
+            return Kind.WELCOME, message.arms, _WELCOME.pack(*message[1:])
+        case Start(queued):
+            return Kind.START, len(queued), struct.pack(f"<{len(queued)}d", *queued)
+        case CommandPacket():
+            return Kind.COMMAND, 0, _COMMAND.pack(*message)
+        case Bye(text):
+            said = text.encode()[:_LONGEST_TEXT]
+            return Kind.BYE, len(said), said
+        case ReadingPacket(tick, positions, heard, held, trip, switch, condition, text, ignored, age):
+            said, age = text.encode()[:_LONGEST_TEXT], () if age is None else (age,)
+            heard, ignored = NO_TICK if heard < 0 else heard, min(ignored, NO_TICK)
+            head = _READING.pack(tick, heard, held, ignored, trip, switch, condition, len(said))
+            rest = struct.pack(f"<{len(positions)}d{len(said)}s{len(age)}d", *positions, said, *age)
+            return Kind.READING, len(positions) - 1, head + rest
+    return message, 0, b""
 
 
-def welcome(content: Welcome) -> Packet:
-    """Return the bench's answer to HELLO.
-
-    Args:
-        content: readiness of the bench.
-    """
-    return Packet(Kind.WELCOME, content.arms, _WELCOME.pack(content.period, content.ticks, content.session))
-
-
-def start(queued: Sequence[float] = ()) -> Packet:
-    """Return the start of a run.
-
-    Args:
-        queued: pending commands, m/s², oldest first.
-    """
-    return Packet(Kind.START, len(queued), struct.pack(f"<{len(queued)}d", *queued))
-
-
-def reading(content: ReadingPacket) -> Packet:
-    """Return the message of one tick.
-
-    Args:
-        content: readings of the tick.
-    """
-    text = content.text.encode()[:_LONGEST_TEXT]
-    count, heard = len(content.positions), NO_TICK if content.heard < 0 else content.heard
-    body = _READING.pack(
-        content.tick, heard, content.held, min(content.ignored, NO_TICK), content.trip, content.switch,
-        content.condition, len(text),
-    )  # fmt: skip
-    age = b"" if content.age is None else _AGE.pack(content.age)
-    return Packet(Kind.READING, count - 1, body + struct.pack(f"<{count}d", *content.positions) + text + age)
-
-
-def command(tick: int, acceleration: float) -> Packet:
-    """Return the answer to a reading.
-
-    Args:
-        tick: tick of the reading.
-        acceleration: demanded acceleration, m/s².
-    """
-    return Packet(Kind.COMMAND, 0, _COMMAND.pack(tick, acceleration))
-
-
-def bye(text: str) -> Packet:
-    """Return the packet that ends a run.
-
-    Args:
-        text: reason of the end.
-    """
-    said = text.encode()[:_LONGEST_TEXT]
-    return Packet(Kind.BYE, len(said), said)
-
-
-def packed(message: Packet, role: Role, *, session: int, sequence: int, key: bytes = b"") -> bytes:
+def packed(message: Message, role: Role, *, session: int, sequence: int, key: bytes = b"") -> bytes:
     """Return the encoded packet, sealed if there is a key.
 
     Args:
@@ -230,7 +186,7 @@ def packed(message: Packet, role: Role, *, session: int, sequence: int, key: byt
         sequence: number of the packet within the session.
         key: shared key, default none.
     """
-    kind, count, body = message
+    kind, count, body = _body(message)
     data = _HEAD.pack(MAGIC, VERSION, kind, count, session, sequence) + body
     return data + _seal(data, role, key) if key else data
 
@@ -260,40 +216,34 @@ def unpacked(data: bytes, role: Role, *, key: bytes = b"") -> ReceivedPacket:
         if not hmac.compare_digest(seal, _seal(data, role, key)):
             raise ValueError("a packet is not sealed with the shared key")
     try:
-        kind = Kind(number)
-        content, end = _content(kind, data, count)
+        return ReceivedPacket(session, sequence, _message(Kind(number), data[_HEAD.size :], count))
     except struct.error as error:
         raise ValueError(f"a packet of kind {number} is damaged: {error}") from error
-    if len(data) != end:
-        raise ValueError(f"a packet of kind {number} is damaged: it has {len(data)} bytes instead of {end}")
-    return ReceivedPacket(kind, session, sequence, content)
 
 
-def _content(kind: Kind, data: bytes, count: int) -> tuple[Content, int]:
-    """Return the content of a packet, and its end."""
-    at = _HEAD.size
-    if kind is Kind.READING:
-        tick, heard, held, ignored, trip, switch, condition, size = _READING.unpack_from(data, at)
-        at += _READING.size
-        positions = struct.unpack_from(f"<{count + 1}d", data, at)
-        at += 8 * (count + 1)
-        if abs(switch) > 1:
-            raise struct.error(f"a switch of {switch}")
-        heard = -1 if heard == NO_TICK else heard
-        text = data[at : at + size].decode()
-        at += size
-        age = None
-        if len(data) == at + _AGE.size:
-            (age,) = _AGE.unpack_from(data, at)
-            at += _AGE.size
-        return ReadingPacket(tick, positions, heard, held, trip, switch, Condition(condition), text, ignored, age), at
-    if kind is Kind.COMMAND:
-        return CommandPacket(*_COMMAND.unpack_from(data, at)), at + _COMMAND.size
-    if kind is Kind.START:
-        return Start(struct.unpack_from(f"<{count}d", data, at)), at + 8 * count
-    if kind is Kind.WELCOME:
-        return Welcome(count, *_WELCOME.unpack_from(data, at)), at + _WELCOME.size
-    return (data[at : at + count].decode(), at + count) if kind is Kind.BYE else (None, at)
+def _message(kind: Kind, body: bytes, count: int) -> Message:
+    """Return the content of a packet, whose body must have the length that its numbers require."""
+    match kind:
+        case Kind.WELCOME:
+            return Welcome(count, *_WELCOME.unpack(body))
+        case Kind.START:
+            return Start(struct.unpack(f"<{count}d", body))
+        case Kind.COMMAND:
+            return CommandPacket(*_COMMAND.unpack(body))
+        case Kind.BYE:
+            return Bye(*(text.decode() for text in struct.unpack(f"<{count}s", body)))
+        case Kind.READING:
+            *_, size = _READING.unpack_from(body)
+            form = f"{_READING.format}{count + 1}d{size}s"
+            aged = len(body) > struct.calcsize(form)
+            tick, heard, held, ignored, trip, switch, condition, _, *rest = struct.unpack(form + "d" * aged, body)
+            if abs(switch) > 1:
+                raise struct.error(f"a switch of {switch}")
+            heard, text, age = -1 if heard == NO_TICK else heard, rest[count + 1].decode(), rest[-1] if aged else None
+            positions = tuple(rest[: count + 1])
+            return ReadingPacket(tick, positions, heard, held, trip, switch, Condition(condition), text, ignored, age)
+    struct.unpack("", body)
+    return kind
 
 
 class Talk:
@@ -307,7 +257,7 @@ class Talk:
         self._other = Role.BENCH if role is Role.LOOP else Role.LOOP
         self._sequence = self._newest = 0
 
-    def pack(self, message: Packet) -> bytes:
+    def pack(self, message: Message) -> bytes:
         """Return the encoded packet of a message.
 
         Args:
@@ -393,19 +343,3 @@ def resolved(
             f"--key-file or the key in {KEY_VARIABLE}, or --insecure to let any computer there drive the cart"
         )
     return family, address
-
-
-def checked_host(host: str, port: int, *, key: bytes, insecure: bool) -> tuple[Any, ...]:
-    """Return the socket address for a bench.
-
-    Args:
-        host: name or address of the bench.
-        port: port.
-        key: shared key, b"" for none.
-        insecure: accept other computers without a key.
-
-    Raises:
-        InputError: the host is empty or unknown, or other computers can reach it without a key.
-    """
-    name = f"rig: --host {host}"
-    return resolved(host, port, name=name, key=key, insecure=insecure, family=socket.AF_INET)[1]

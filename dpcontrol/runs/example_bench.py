@@ -6,12 +6,13 @@ They are simulated in real time.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from socket import AF_INET
 
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.plans.itinerary import Itinerary
 from dpcontrol.plans.plan import make_plan
 from dpcontrol.rig.bench import BenchServerSettings, UdpBench, checked_faults
-from dpcontrol.rig.packets import checked_host, shared_key
+from dpcontrol.rig.packets import resolved, shared_key
 from dpcontrol.runs.run import bench_recipe, hanging_recipe
 
 
@@ -63,7 +64,7 @@ def example_bench(
         GoalMissed: the itinerary cannot be planned.
     """
     key = shared_key(at.key_file)
-    checked_host(at.host, at.port, key=key, insecure=at.insecure)
+    resolved(at.host, at.port, name=f"rig: --host {at.host}", key=key, insecure=at.insecure, family=AF_INET)
     found = checked_faults(faults, itinerary.model.arms.count)
     if hanging:
         recipe = hanging_recipe(itinerary, faults=found)

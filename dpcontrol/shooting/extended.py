@@ -19,7 +19,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse.linalg import splu
 
 from dpcontrol.dynamics.propagator import Exact, Extended, ExtendedPropagator, digits, extended, pi_times
 from dpcontrol.dynamics.system import System
@@ -254,6 +253,8 @@ def _newton(
         kept: nodes whose correction is reported.
         ends: refined periodic orbits of an open orbit.
     """
+    from scipy.sparse.linalg import splu
+
     system, equations = guess.system, _ExactEquations(guess, propagator, energy, ends)
     amplitudes = extended(np.array([end.amplitude for end in guess.ends or ()]))
     now = equations.placed(Unknowns(extended(guess.states), extended(guess.durations), amplitudes, extended(0.0)[()]))

@@ -36,8 +36,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csc_array
-from scipy.sparse.linalg import splu
 
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
@@ -327,7 +325,7 @@ class ShootingEquations:
             normals[node - self.first_node] = normal / np.linalg.norm(normal)
         return normals
 
-    def matrix(self, states: Array, stms: Array, arrived: Array) -> csc_array:
+    def matrix(self, states: Array, stms: Array, arrived: Array) -> Any:
         """Return the scaled Jacobian from doubles.
 
         Args:
@@ -335,6 +333,8 @@ class ShootingEquations:
             stms: state-transition matrices (K, N, N) of the segments.
             arrived: ends (K, N) of the segments.
         """
+        from scipy.sparse import csc_array
+
         numeric = self.system.numeric
         minus = np.tile(-np.eye(self.n).ravel(), len(self.arriving))
         values = [stms[self.starting].ravel(), minus, numeric.rate(arrived).ravel(), self.normals(states).ravel()]
@@ -466,7 +466,7 @@ class _Linear:
     """
 
     factors: Any
-    matrix: csc_array
+    matrix: Any
     step: Array
     length: float
     fault: int
@@ -564,6 +564,8 @@ def solve_shooting(guess: Guess, settings: NewtonSettings | None = None) -> Shot
 
 def _linearised(equations: ShootingEquations, now: Unknowns) -> _Linear:
     """Propagate all segments with their state-transition matrices and return the Newton step."""
+    from scipy.sparse.linalg import splu
+
     arrived, stms = equations.system.propagator.flows_with_stm(now.states[:-1], now.durations)
     right = equations.residuals(now, arrived) * equations.rows
     matrix = equations.matrix(now.states, stms, arrived)

@@ -19,7 +19,6 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
-from scipy.optimize import root_scalar
 
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
@@ -248,6 +247,8 @@ def approach(orbit: ShootingOrbit, curve: OrbitCurve, sign: int, near: float) ->
         sign: +1 to search forward in time, -1 backward.
         near: scaled distance of the approach.
     """
+    from scipy.optimize import root_scalar
+
     last = abs(orbit.times[-1] if sign > 0 else orbit.times[0])
     grid = np.linspace(0.0, last, max(2, int(np.ceil(last / curve.orbit.period * 300))))
     _, distances = curve.distances(orbit.sample(sign * grid))

@@ -14,7 +14,6 @@ from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System, momentum_scale
@@ -83,6 +82,8 @@ def near_touches(first: Array, second: Array, *, margin: float = 4.0) -> list[tu
         second: vertices (W, 2) of the other curve, in order.
         margin: factor on both sagittas.
     """
+    from scipy.spatial import KDTree
+
     if len(first) < 3 or len(second) < 3:
         return []
     bends = _sagitta(first), _sagitta(second)

@@ -4,7 +4,7 @@
 """
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from dpcontrol.foundation.causes import Cause, Fault
@@ -155,6 +155,45 @@ def _done(figures: Mapping[str, Any]) -> str:
     asked = f", wraps {figures['wraps']} as asked" if figures["wraps"] else ""
     held = f"held at {saddle}" if figures.get("still") else "on the last orbit"
     return f"{all_of_them}{asked}, and {'at rest' if figures['lowest'] else held}"
+
+
+_TOLD = {
+    "rate": ("{} Hz", 1.0),
+    "sensors.counts": ("{} counts a turn", 1.0),
+    "drive.delay": ("delay (periods) {}", 1.0),
+    "drive_lag": ("told lag {} ms", 1e3),
+}
+"""Conditions that the controller knows, by the path of their setting: text, and factor to its unit."""
+_SIMULATED = {
+    "mismatch": ("arms ±{} %", 100.0),
+    "friction": ("friction × {}", 1.0),
+    "drive.lag": ("lag {} ms", 1e3),
+    "sensors.noise": ("noise {} mrad", 1e3),
+    "initial_error": ("first angles ±{} rad", 1.0),
+}
+"""Conditions of a simulated bench."""
+
+
+def conditions(settings: Sequence[Mapping[str, Any]], *, simulated: bool) -> str:
+    """Return the conditions that runs share, for the head of a page.
+
+    Args:
+        settings: settings of each run as JSON values.
+        simulated: True for runs on a simulated bench.
+    """
+    shared = []
+    for path, (text, factor) in {**(_SIMULATED if simulated else {}), **_TOLD}.items():
+        first, *others = (_at(one, path) for one in settings)
+        if all(value == first for value in others):
+            values = first if isinstance(first, list) else [first]
+            shared.append(text.format(" and ".join(f"{factor * value:g}" for value in values)))
+    return ", ".join(shared)
+
+
+def _at(settings: Mapping[str, Any], path: str) -> Any:
+    """Return the value at a dotted path."""
+    table, _, key = path.rpartition(".")
+    return settings[table][key] if table else settings[key]
 
 
 def verdict(fault: str, figures: Mapping[str, Any], end: str) -> str:

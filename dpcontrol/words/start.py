@@ -14,14 +14,16 @@ def description(found: Any) -> Iterator[Line]:
         found: a `ModelDescription`.
     """
     model = found.model
-    columns = {"parameter": "{0[0]}", "value": "{0[1][0]:.12g}", "unit": "{0[1][1]}"}
-    yield table(f"{model.name}: {model.title}", model.parameters.named().items(), columns)
-    columns = {
+    values = {"parameter": "{0[0]}", "value": "{0[1][0]:.12g}", "unit": "{0[1][1]}"}
+    yield table(f"{model.name}: {model.title}", model.parameters.named().items(), values)
+    columns: dict[str, Any] = {
         "name": "{0[0]}",
         f"energy{model.unit('J', ' ({})')}": "{0[1].energy:+.10f}",
         "kind": "{0[1].kind}",
         f"eigenvalues{model.unit('1/s', ' ({})')}": lambda row: ", ".join(map(_eigenvalue, row[1].eigenvalues)),
     }
+    if any(found.need(name) for name in found.equilibria):
+        columns["need (m/s² per rad)"] = lambda row: f"{need:.0f}" if (need := found.need(row[0])) else ""
     yield table("equilibria", found.equilibria.items(), columns)
     for part, source in model.sources.items():
         yield f"[{part}] {source}"

@@ -6,12 +6,11 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-from log_samples import log_tick, open_writer, sample, tick_all
+from log_samples import open_writer, sample, tick_all
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs import LogWriter, read_log, recover
@@ -76,28 +75,6 @@ def test_a_full_disk_stops_a_run_with_a_message_and_keeps_the_written_data(
     done = recover(left)
     np.testing.assert_array_equal(read_log(done.log).truth, run.truth[: done.ticks])
     assert done.ticks >= 100
-
-
-def test_an_interrupt_keeps_every_tick_and_names_the_file(tmp_path: Path) -> None:
-    def interrupt() -> None:
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt) as caught:
-        _run_until(tmp_path / "run.mcap", [], at=137, then=interrupt)
-    (note,) = caught.value.__notes__
-    assert "dpcontrol recover" in note
-    assert recover(tmp_path / "run.mcap.partial").ticks == 137
-
-
-def _run_until(path: Path, ticked: list[int], *, at: int, then: Callable[[], object]) -> None:
-    """Log a sample, noting each tick that was taken, and do something before tick `at`."""
-    run = sample()
-    with open_writer(path, run) as log:
-        for k in range(len(run.time)):
-            if k == at:
-                then()
-            log_tick(log, run, k)
-            ticked.append(k)
 
 
 @pytest.mark.slow

@@ -48,8 +48,8 @@ def test_a_damaged_log_is_read_as_written_or_refused_and_its_recovery_is_honest(
     [
         (b"", "not an MCAP file"),
         (b"time,angle\n0,1\n", "not an MCAP file"),
-        (foreign("/joint_states"), "somebody else's"),
-        (foreign(), "lacks"),
+        (foreign("/joint_states"), "not a log of `dpcontrol run`"),
+        (foreign(), "not a log of `dpcontrol run`"),
     ],
     ids=["empty", "text", "foreign", "no topics"],
 )

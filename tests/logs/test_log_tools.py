@@ -10,7 +10,6 @@ import pytest
 from log_samples import METADATA, RATE, sample, write_sample
 from mcap_ros2.reader import read_ros2_messages
 
-from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs import LogWriter, compare_messages, read_log, recover, summarise
 
 TICKS = 60
@@ -25,27 +24,6 @@ def write_parts(path: Path, *, arms: int, has_cart: bool, parts: tuple[str, ...]
     with LogWriter(path, arm_lengths=run.arm_lengths, rate_hz=RATE, has_cart=has_cart) as log:
         log.ticks(run.time, **rows)
     return rows
-
-
-@pytest.mark.parametrize(
-    ("arms", "has_cart", "parts"),
-    [(1, False, ()), (2, True, ("rates", "reference", "truth")), (3, False, ("estimate", "control"))],
-)
-def test_a_log_holds_exactly_its_input(tmp_path: Path, arms: int, has_cart: bool, parts: tuple[str, ...]) -> None:
-    rows = write_parts(tmp_path / "run.mcap", arms=arms, has_cart=has_cart, parts=parts)
-    log = read_log(tmp_path / "run.mcap")
-    assert log.parts == set(parts)
-    states, columns = log.states, list(log.controls.values())
-    read = {"measured": log.measured, "rates": log.rates, **states, "control": np.column_stack(columns or [[]])}
-    for part, values in rows.items():
-        np.testing.assert_array_equal(read[part], values)
-    topics = {part: f"/{part}/joint_states" for part in ("estimate", "reference", "truth")} | {"control": "/control"}
-    seen = {message.channel.topic for message in read_ros2_messages(str(tmp_path / "run.mcap"))}
-    assert {topic for part, topic in topics.items() if part in parts} == seen & set(topics.values())
-    assert ("/reference/robot_description" in seen) == ("reference" in parts)
-    for part in {"estimate", "reference", "control"} - set(parts):
-        with pytest.raises(InputError, match=f"has no /{part}"):
-            getattr(log, part)
 
 
 def test_a_summary_counts_every_message(tmp_path: Path) -> None:

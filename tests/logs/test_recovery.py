@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from log_corruption import records
 from log_endurance import is_part_of
-from log_samples import ATTACHMENTS, METADATA, RATE, sample, write_sample
+from log_samples import RATE, sample, write_sample
 from mcap.opcode import Opcode
 
 from dpcontrol.foundation.errors import InputError
@@ -34,27 +34,6 @@ def test_a_flipped_bit_costs_one_chunk_at_most(whole: RunLog, tmp_path: Path) ->
         times = read_log(done.log).time
         assert np.flatnonzero(np.diff(times) > 1.5 / RATE) == [number * CHUNK - 1]
         assert f"{CHUNK} ticks ({CHUNK} ms)" in done.lost
-
-
-def test_a_cut_log_keeps_all_that_came_before_the_cut(whole: RunLog, tmp_path: Path) -> None:
-    data = whole.path.read_bytes()
-    chunks = [b for opcode, _, b in records(data) if opcode == Opcode.CHUNK]
-    for count in (1, 5, len(chunks) - 1):
-        (tmp_path / "cut.mcap").write_bytes(data[: chunks[count - 1] + 11])
-        done = recover(tmp_path / "cut.mcap", tmp_path / "out.mcap")
-        assert done.ticks == count * CHUNK
-        assert not done.end_known
-        assert f"everything after {(count * CHUNK - 1) / RATE:.3f} s" in done.lost
-        assert read_log(tmp_path / "out.mcap").attachments == ATTACHMENTS
-        assert METADATA.items() <= read_log(tmp_path / "out.mcap").metadata.items()
-
-
-def test_a_whole_log_is_left_alone(whole: RunLog) -> None:
-    beside = sorted(whole.path.parent.iterdir())
-    done = recover(whole.path)
-    assert done.log == done.source == whole.path
-    assert done.lost == ""
-    assert sorted(whole.path.parent.iterdir()) == beside
 
 
 def test_a_recovered_log_can_be_recovered_again_and_keeps_its_losses(whole: RunLog, tmp_path: Path) -> None:

@@ -128,18 +128,3 @@ def test_a_full_disk_costs_the_file_that_was_being_written_and_no_other(
     lost = [Digest.of(file.read_text()) for file in sorted(folder.glob("*.json"))][1:3]
     assert [(digest.number, digest.size, digest.ticks) for digest in lost] == [(2, 0, 100), (3, 0, 100)]
     assert "No space left" in lost[0].loss
-
-
-def test_an_interrupted_night_leaves_whole_files(tmp_path: Path) -> None:
-    folder = tmp_path / "turn-7"
-    log = rolling(folder)
-
-    def interrupted() -> None:
-        with log:
-            feed(log, 0, 130)
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        interrupted()
-    assert read_log(folder / "turn-7-0002.mcap").time[-1] == pytest.approx(1.29)
-    assert not [*folder.glob("*.partial")]

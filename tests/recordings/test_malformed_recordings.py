@@ -10,7 +10,6 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from bench_recordings import rig_variables, table_columns, write_csv, write_mat
-from command_line import dpcontrol
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -122,36 +121,3 @@ def test_a_malformed_recording_gets_one_sentence_and_writes_nothing(
         import_recording(file)
     assert is_one_clear_sentence(str(refused.value), file), refused.value
     assert [*folder.iterdir()] == [file]
-
-
-MAPPING = """title = "a rig"
-arm_lengths = [0.2, 0.3]
-[time]
-column = "time"
-[angles]
-columns = ["angle_1", "angle_2"]
-unit = "rad"
-zero = "hanging"
-"""
-MISTAKES = {
-    "a column twice": ('"time"', '"angle_1"'),
-    "an unknown table": ("[time]", "[tme]"),
-    "an unknown unit": ('"rad"', '"radians"'),
-    "a length below zero": ("[0.2, 0.3]", "[-0.2, 0.3]"),
-    "no TOML": ("title", "title ="),
-    "an unknown column": ('"angle_2"', '"angle_3"'),
-    "three zeros": ('zero = "hanging"', "zero = [0, 0, 0]"),
-    "a rate of sampling beside times": ("[angles]", "[sampling]\nrate = 0\n[angles]"),
-}
-
-
-@pytest.mark.parametrize("name", MISTAKES)
-def test_mistakes_in_a_mapping_end_the_command_with_exit_status_2(name: str, tmp_path: Path) -> None:
-    file, mapping = write_csv(tmp_path / "swing.csv", table_columns()), tmp_path / "rig.toml"
-    old, new = MISTAKES[name]
-    assert old in MAPPING
-    mapping.write_text(MAPPING.replace(old, new))
-    ended = dpcontrol("import", file, "--mapping", mapping, "--out", tmp_path / "swing.mcap")
-    assert ended.code == 2
-    assert str(mapping) in ended.message or str(file) in ended.message
-    assert sorted(tmp_path.iterdir()) == [mapping, file]

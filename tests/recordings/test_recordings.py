@@ -283,16 +283,6 @@ def test_a_fault_is_named_and_corrected_only_on_request(
         assert np.allclose(np.diff(part.time), PERIOD, rtol=EVEN)
 
 
-def test_a_long_hole_and_a_gap_cut_the_recording_into_segments(tmp_path: Path) -> None:
-    columns = table_columns()
-    columns["angle_1"][100:140] = ["nan"] * 40
-    recording = import_recording(write_csv(tmp_path / "hole.csv", columns), repairs=["nan"])
-    assert [end - first for first, end in recording.segments] == [100, 160]
-    _gap(columns := table_columns())
-    recording = import_recording(write_csv(tmp_path / "gap.csv", columns), repairs=["gaps"])
-    assert [end - first for first, end in recording.segments] == [100, 170]
-
-
 def test_a_jump_is_rejected_with_any_option(tmp_path: Path) -> None:
     columns = table_columns()
     columns["angle_1"][100:] = [v + 2.0 for v in columns["angle_1"][100:]]

@@ -381,23 +381,6 @@ def test_a_users_rig_is_commissioned_like_the_bench_behind_it() -> None:
     assert found.changes == same.changes
 
 
-def test_a_users_rig_that_raises_is_stopped() -> None:
-    rig = bench()
-    own, ticks = Own(rig), iter(range(1000))
-    read = own.read
-
-    def failing() -> Any:
-        if next(ticks) == 700:
-            raise OSError("the port is gone")
-        return read()
-
-    own.read = failing
-    found = commissioned(OwnRig(OwnObject("rig", own), arms=LAB.count, period=1 / RATE))
-    assert found.blocking
-    assert not found.changes
-    assert rig.stops == 1
-
-
 def test_readings_that_stay_out_stop_the_cart() -> None:
     rig = bench(sensors={"dropout": 0.999})
     only_wrong(replace(found := commissioned(rig), findings=found.findings[:-1]), "still", Cause.UNREAD)

@@ -63,10 +63,10 @@ def hostile(rng: random.Random, known: list[bytes]) -> bytes:
         case 2:
             return rng.choice(known)
         case 3:
-            forged = packets.command(rng.randrange(2000), FORGED)
+            forged = packets.CommandPacket(rng.randrange(2000), FORGED)
             return packets.packed(forged, Role.LOOP, session=rng.getrandbits(64), sequence=rng.getrandbits(32))
         case _:
-            message = rng.choice([packets.HELLO, packets.start([FORGED]), packets.STOP, packets.bye("go away")])
+            message = rng.choice([Kind.HELLO, packets.Start((FORGED,)), Kind.STOP, packets.Bye("go away")])
             return packets.packed(message, Role.LOOP, session=rng.getrandbits(64), sequence=rng.getrandbits(32))
 
 
@@ -81,14 +81,14 @@ def test_packets_from_anyone_but_the_runs_own_loop_are_ignored_and_counted(key: 
         else:
             others = [stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) for _ in range(5)]
             send = lambda data: rng.choice(others).sendto(data, bench.address)  # noqa: E731
-        known = [client.send(packets.command(next_reading(client).tick, 0.0))]
+        known = [client.send(packets.CommandPacket(next_reading(client).tick, 0.0))]
         sent = 0
         while sent < FEW:
             tick = next_reading(client).tick
             for _ in range(10):
                 send(hostile(rng, known))
             sent += 10
-            known.append(client.send(packets.command(tick, float(tick))))
+            known.append(client.send(packets.CommandPacket(tick, float(tick))))
         while (reading := next_reading(client)).ignored < FEW:
             pass
         assert reading.condition is Condition.WELL
@@ -106,8 +106,8 @@ def test_the_loop_accepts_its_bench_only_and_counts_other_packets() -> None:
             for k in range(20):
                 reading = rig.read()
                 assert (reading.positions == k).all()
-                send(packets.packed(packets.reading(content), Role.BENCH, session=5, sequence=10**6))
-                send(packets.packed(packets.bye("go home"), Role.BENCH, session=5, sequence=10**6))
+                send(packets.packed(content, Role.BENCH, session=5, sequence=10**6))
+                send(packets.packed(packets.Bye("go home"), Role.BENCH, session=5, sequence=10**6))
                 send(rng.randbytes(50))
         while spoofs() and rig.deadlines.rejected < 60:
             rig.read()
@@ -130,13 +130,13 @@ def test_a_run_that_was_recorded_cannot_be_played_again() -> None:
         thread.start()
         client = Raw(bench.address, key=KEY)
         with closing(client.socket):
-            recorded = [client.send(packets.HELLO)]
+            recorded = [client.send(Kind.HELLO)]
             client.talk = Talk(Role.LOOP, client.heard().content.session, key=KEY)
-            recorded.append(client.send(packets.start()))
+            recorded.append(client.send(packets.Start(())))
             for k in range(5):
                 next_reading(client)
-                recorded.append(client.send(packets.command(k, 1.0)))
-            recorded.append(client.send(packets.bye("done")))
+                recorded.append(client.send(packets.CommandPacket(k, 1.0)))
+            recorded.append(client.send(packets.Bye("done")))
             assert ended.wait(30)
             for data in recorded * 3:
                 client.socket.send(data)
@@ -151,7 +151,7 @@ def test_a_run_that_was_recorded_cannot_be_played_again() -> None:
 def test_repeated_packets_do_not_keep_a_dead_loops_cart_moving() -> None:
     toy = Toy()
     with served(toy, settings=BenchServerSettings(watchdog=0.05)) as bench, raw(bench) as client:
-        data = client.send(packets.command(next_reading(client).tick, 1.0))
+        data = client.send(packets.CommandPacket(next_reading(client).tick, 1.0))
         while (reading := next_reading(client)).condition is Condition.WELL:
             client.socket.send(data)
         assert reading.condition is Condition.SILENCE
@@ -170,7 +170,7 @@ def test_a_loop_that_never_starts_does_not_block_others() -> None:
 
 def test_only_who_gets_the_welcome_can_start_a_run() -> None:
     with served(Toy()) as bench, closing(Raw(bench.address).socket) as stranger:
-        stranger.send(packets.packed(packets.start(), Role.LOOP, session=0, sequence=1))
+        stranger.send(packets.packed(packets.Start(()), Role.LOOP, session=0, sequence=1))
         # Otherwise the bench would be busy.
         with UdpRig(bench.address, settings=LONG) as rig:
             assert (rig.read().positions == 0).all()
@@ -257,7 +257,7 @@ def test_readings_that_do_not_fit_the_welcome_are_rejected_and_invalid_numbers_a
                 (0, (1.0, 2.0)), (4000, (1.0, 2.0, 3.0)), (0, (1.0, 2.0, 3.0)), (1, (math.nan, 5.0, math.inf)),
             ):  # fmt: skip
                 content = packets.ReadingPacket(tick, positions, -1, 0, 0.0, 0, Condition.WELL, "")
-                bench.sendto(talk.pack(packets.reading(content)), client)
+                bench.sendto(talk.pack(content), client)
 
         thread = threading.Thread(target=odd)
         thread.start()
@@ -275,8 +275,8 @@ def test_readings_that_do_not_fit_the_welcome_are_rejected_and_invalid_numbers_a
 def test_no_bytes_whatever_break_the_parser() -> None:
     rng = random.Random(3)
     content = packets.ReadingPacket(9, (0.1, 0.2, 0.3), 8, 4, 0.002, 0, Condition.WELL, "so")
-    messages = [packets.HELLO, packets.start([1.0]), packets.welcome(packets.Welcome(2, 0.1, 3, 4)), packets.STOP]
-    messages += [packets.reading(content), packets.command(3, 1.0), packets.bye("so")]
+    messages = [Kind.HELLO, packets.Start((1.0,)), packets.Welcome(2, 0.1, 3, 4), Kind.STOP]
+    messages += [content, packets.CommandPacket(3, 1.0), packets.Bye("so")]
     whole = [packets.packed(m, Role.LOOP, session=1, sequence=1) for m in messages]
     for k in range(20_000):
         data = bytearray(rng.choice(whole))

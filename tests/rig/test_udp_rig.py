@@ -3,7 +3,6 @@
 No time is asserted: a busy computer can be late, and must then report it.
 """
 
-import gc
 import hmac
 import math
 import socket
@@ -18,7 +17,7 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.loop.result import ended
 from dpcontrol.rig import packets as packets
 from dpcontrol.rig.bench import BenchServerSettings, UdpBench
-from dpcontrol.rig.client import LinkSettings, UdpRig, parse_address
+from dpcontrol.rig.client import LinkSettings, UdpRig
 from dpcontrol.rig.packets import Condition, Kind, Role
 
 
@@ -29,43 +28,10 @@ def read_on(rig: UdpRig) -> None:
 
 def test_a_sealed_packet_ends_with_half_of_its_hmac_with_the_senders_name() -> None:
     plain, sealed = (
-        packets.packed(packets.command(7, -1.5), Role.LOOP, session=258, sequence=3, key=k) for k in (b"", KEY)
+        packets.packed(packets.CommandPacket(7, -1.5), Role.LOOP, session=258, sequence=3, key=k) for k in (b"", KEY)
     )
     assert sealed == plain + hmac.new(KEY, b"loop" + plain, "sha256").digest()[:16]
     assert packets.unpacked(sealed, Role.LOOP, key=KEY).content == packets.CommandPacket(7, -1.5)
-
-
-def test_invalid_packets_are_rejected() -> None:
-    content = packets.reading(packets.ReadingPacket(9, (0.1, 0.2, 0.3), 8, 4, 0.002, 0, Condition.WELL, "so"))
-    whole = packets.packed(content, Role.BENCH, session=1, sequence=1)
-    other_magic, other_version = b"HTTP" + whole[4:], whole[:4] + b"\x01" + whole[5:]
-    other_kind = whole[:5] + b"\x63" + whole[6:]
-    for data in (whole[:12], other_magic, other_version, other_kind, whole[:-1], whole + b"x"):
-        with pytest.raises(ValueError):
-            packets.unpacked(data, Role.BENCH)
-
-
-def test_a_seal_of_another_key_or_the_other_end_is_refused() -> None:
-    sealed = packets.packed(packets.STOP, Role.LOOP, session=1, sequence=1, key=KEY)
-    for data, role, key in (
-        (sealed, Role.LOOP, b""),
-        (sealed, Role.LOOP, KEY[::-1]),
-        (sealed, Role.BENCH, KEY),
-        (sealed[:-16], Role.LOOP, KEY),
-        (sealed[:19] + b"\x09" + sealed[20:], Role.LOOP, KEY),
-    ):
-        with pytest.raises(ValueError):
-            packets.unpacked(data, role, key=key)
-
-
-def test_a_run_begins_without_collecting_the_programs_garbage() -> None:
-    # In a large program a collection takes longer than a loop waits.
-    collections = sum(each["collections"] for each in gc.get_stats()[2:])
-    toy = Toy()
-    with served(toy) as bench, UdpRig(bench.address, settings=LONG) as rig:
-        rig.read()
-        rig.command(0.0)
-        assert sum(each["collections"] for each in gc.get_stats()[2:]) == collections
 
 
 def test_every_tick_comes_once_and_its_command_goes_back() -> None:
@@ -110,7 +76,7 @@ def test_overtaken_and_repeated_readings_are_counted_and_dropped() -> None:
             while bench.recvfrom(4096)[0][5] != Kind.START:
                 pass
             contents = [packets.ReadingPacket(k, (float(k),) * 3, -1, 0, 0.0, 0, Condition.WELL, "") for k in range(5)]
-            made = [talk.pack(packets.reading(content)) for content in contents]
+            made = [talk.pack(content) for content in contents]
             for tick in (0, 2, 3, 1, 2, 1, 4):
                 bench.sendto(made[tick], client)
 
@@ -157,15 +123,15 @@ def test_old_and_future_commands_do_not_act_and_one_that_is_not_finite_stops() -
     with served(toy) as bench, raw(bench) as client:
         while next_reading(client).tick < 5:
             pass
-        client.send(packets.command(4, 40.0))
-        client.send(packets.command(3, 30.0))
-        client.send(packets.command(4, 41.0))
-        client.send(packets.command(10**6, 99.0))
+        client.send(packets.CommandPacket(4, 40.0))
+        client.send(packets.CommandPacket(3, 30.0))
+        client.send(packets.CommandPacket(4, 41.0))
+        client.send(packets.CommandPacket(10**6, 99.0))
         client.socket.send(b"noise")
-        client.send(packets.command(5, 50.0))
+        client.send(packets.CommandPacket(5, 50.0))
         while next_reading(client).heard < 5:
             pass
-        client.send(packets.command(6, math.nan))
+        client.send(packets.CommandPacket(6, math.nan))
         while (reading := next_reading(client)).condition is Condition.WELL:
             pass
     assert [value for _, value in toy.commands] == [40.0, 50.0]
@@ -218,9 +184,3 @@ def test_a_missing_or_busy_bench_is_reported_in_one_sentence() -> None:
             UdpBench(lambda queued: Toy(), arms=2, ticks=1, period=1.0, port=bench.address[1])
         with UdpRig(bench.address, settings=LONG) as rig, pytest.raises(ArithmeticError, match="finite"):
             rig.command(math.inf)
-
-
-@pytest.mark.parametrize("text", ["", "127.0.0.1:5", "udp://x:99999"])
-def test_invalid_addresses_are_rejected(text: str) -> None:
-    with pytest.raises(InputError, match="udp://HOST:PORT"):
-        parse_address(text)
