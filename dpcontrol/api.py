@@ -35,7 +35,7 @@ from dpcontrol.foundation.guide import page as guide_page
 from dpcontrol.foundation.parts import StageModule, installed, part
 from dpcontrol.foundation.progress import Cost, Progress, Reporting, announce, part_of
 from dpcontrol.foundation.rendering import render
-from dpcontrol.foundation.settings import check_names
+from dpcontrol.foundation.settings import check_choice
 
 STAGES = {
     "chains": "dynamics.chain",
@@ -1657,7 +1657,7 @@ def open_recording(
         2
     """
     path = Path(file)
-    check_names("repair", repairs, recording_checks.REPAIRS)
+    check_choice("repair", recording_checks.REPAIRS, *repairs)
     if path.suffix.lower() == ".mcap" and mapping is None:
         return recording_files.load_recording(path)
     return importing.import_recording(path, mapping, repairs=list(repairs), progress=progress)

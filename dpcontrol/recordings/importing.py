@@ -33,7 +33,7 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import checked_size, checked_source
 from dpcontrol.foundation.parts import part as package
 from dpcontrol.foundation.progress import Progress, no_progress
-from dpcontrol.foundation.settings import check_names, suggest
+from dpcontrol.foundation.settings import check_choice, suggest
 from dpcontrol.recordings.bags import is_bag, read_bag, reading
 from dpcontrol.recordings.checks import (
     ANGLE,
@@ -78,7 +78,7 @@ def import_recording(
         InputError: the file or the mapping cannot be used; one sentence with file, row, value and remedy.
     """
     path = Path(path)
-    check_names("repair", repairs, REPAIRS)
+    check_choice("repair", REPAIRS, *repairs)
     bag, kind = is_bag(path), path.suffix.lower()
     if not bag and kind not in MATLAB + TABLES:
         known = ", ".join((*MATLAB, *TABLES, ".mcap", ".bag"))
