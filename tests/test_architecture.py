@@ -20,6 +20,7 @@ USES = {
     "proofs/balls.py": "decimal numbers of a certificate",
     "recordings/bags.py": "names of fields and message definitions in bags",
     "recordings/importing.py": "numbers and paths of variables in a laboratory's tables",
+    "rig/client.py": "addresses of rigs",
     "walks/symbols.py": "symbols and names of connections that users type",
 }
 """Modules that import `re`, each with the text that it reads."""

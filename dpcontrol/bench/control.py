@@ -258,8 +258,8 @@ def _pair(task: ControlTask, found: Diagram, *, why: str) -> tuple[Diagram, Diag
 
 
 def _tracking(seeds: int) -> tuple[Diagram, Diagram]:
-    scene = load_itinerary("outer-turn")
-    reference, arms = make_plan(scene).reference, scene.model.arms
+    itinerary = load_itinerary("outer-turn")
+    reference, arms = make_plan(itinerary).reference, itinerary.model.arms
     task = ControlTask("One turn", reference, arms, _completed(reference))
     made: Made = {
         ("feedforward", ""): (lambda m: tracking_controller(reference, m, FeedforwardSettings()), _PLAIN),

@@ -109,8 +109,8 @@ def moving(rate: float) -> LoopCase:
     Args:
         rate: rate of the loop, Hz.
     """
-    scene = load_itinerary("outer-turn")
-    reference, arms = make_plan(scene).reference, scene.model.arms
+    itinerary = load_itinerary("outer-turn")
+    reference, arms = make_plan(itinerary).reference, itinerary.model.arms
     controller = tracking_controller(reference, sampled_model(arms, rate), TvlqrSettings())
     return LoopCase(Assembly(reference, arms, LoopSettings(seed=0, rate=rate), law=controller))
 
@@ -467,10 +467,10 @@ def followed(itinerary: str, law: str, seeds: int) -> FollowedReference:
         law: name of the controller.
         seeds: number of runs in a trial.
     """
-    scene = load_itinerary(itinerary).with_run({"controller": law, "travel": 0.8})
-    reference, arms = make_plan(scene).reference, scene.model.arms
+    flown = load_itinerary(itinerary).with_run({"controller": law, "travel": 0.8})
+    reference, arms, loop = make_plan(flown).reference, flown.model.arms, flown.loop
     settings = LoopSettings(
-        seed=0, controller=scene.loop.controller, estimator=scene.loop.estimator, initial_error=MARGIN_ERROR, travel=0.8
+        seed=0, controller=loop.controller, estimator=loop.estimator, initial_error=MARGIN_ERROR, travel=0.8
     )
     assembly = Assembly(reference, arms, settings)
     controller: Any = assembly.controller

@@ -27,8 +27,12 @@ from dpcontrol.foundation.files import Output, checked_folder, checked_other_fil
 from dpcontrol.foundation.interrupts import forget_interrupts
 from dpcontrol.foundation.parts import StageModule
 from dpcontrol.foundation.progress import reporting
+from dpcontrol.foundation.rendering import render
 
 overrides: Any = StageModule("plans.overrides")
+layout: Any = StageModule("pages.layout")
+PICTURE = Output((".png", ".pdf", ".svg"))
+"""File of a picture."""
 
 OPTIONS, SETTINGS, OUTPUT = "Options", "Run settings", "Output"
 """Headings of the help."""
@@ -81,6 +85,9 @@ def command(name: str, verb: Verb) -> click.Command:
         if key in offered
         for param in _parameters(name, verb, parameter, hints[key], helps.get(key, ""))
     ]
+    if verb.draws:
+        help = "Picture of the result, .png, .pdf or .svg. [default: none]"
+        params.append(Option(["--picture"], type=click.Path(path_type=Path), group=OUTPUT, help=help))
     params.append(Option(["--json", "as_json"], is_flag=True, group=OUTPUT, help="One JSON document on stdout."))
 
     def run(*, as_json: bool, **values: Any) -> None:
@@ -93,14 +100,17 @@ def command(name: str, verb: Verb) -> click.Command:
         for key in parameters:
             if key in values and (output := _output(hints[key])) is not None:
                 values[key] = _checked_output(key, output, values)
+        picture = _checked_output("picture", PICTURE, values) if verb.draws else values.get("picture")
         values = {key: value for key, value in values.items() if value is not None and key in given}
         with call.aside:
             if as_json:
                 call.aside.enter_context(prints_on_stderr())
             with reporting(True, name) as progress:
                 result = function(**values, **({"progress": progress} if "progress" in parameters else {}))
-            drawn = getattr(result, "picture", values.get("picture"))
-            show(result, {"picture": drawn} if "picture" in given else {})
+            if verb.draws and picture is not None:
+                layout.save_figure(render(result), picture)
+            drawn = getattr(result, "picture", picture)
+            show(result, {"picture": drawn} if "picture" in given or verb.draws else {})
             if hasattr(result, "serve"):
                 _serve(result)
 

@@ -13,6 +13,7 @@ class Verb(NamedTuple):
         example: a command line for the help.
         note: further text beside the example.
         names: options of parameters whose name on the command line differs, such as {"source": "--from"}.
+        draws: True for a verb whose result is drawn on request, by --picture.
     """
 
     summary: str
@@ -20,6 +21,7 @@ class Verb(NamedTuple):
     example: str
     note: str = ""
     names: Mapping[str, str | tuple[str, ...]] = {}
+    draws: bool = False
 
 
 GROUPS = {
@@ -63,18 +65,21 @@ GROUPS = {
             "find_connections",
             "dpcontrol connect lab --from down-up --to up-down --energy 0.2",
             names={"source": "--from", "target": "--to"},
+            draws=True,
         ),
         "bifurcations": Verb(
             "Find the energies at which connections appear, split or change their hits.",
             "find_bifurcations",
             "dpcontrol bifurcations lab --from down-up --to down-up --energies -0.11 -0.09",
             names={"source": "--from", "target": "--to"},
+            draws=True,
         ),
         "atlas": Verb(
             "Compute all orbits, tubes and connections of an energy.",
             "atlas",
             "dpcontrol atlas lab --energy 0.2",
             "then: dpcontrol review FILE",
+            draws=True,
         ),
         "walk": Verb(
             "List, count and create walks on the connection graph, and their orbits.",
@@ -94,6 +99,7 @@ GROUPS = {
             "plan",
             "dpcontrol plan outer-turn",
             "ITINERARY is a name (in ./itineraries or shipped) or the path of a .toml, or of a plan from --out.",
+            draws=True,
         ),
         "reference": Verb(
             "Show a reference: limits, effort, mesh, error, picture.",

@@ -7,8 +7,10 @@ groups are formed by kind of trouble, its levels over all kinds together. Cases 
 distinguished by `case`. Other columns are ignored.
 """
 
+import json
 from collections import Counter
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -29,6 +31,8 @@ else:
     pa = Later("pyarrow")
 dataset = Later("pyarrow.dataset")
 
+METADATA = b"dpcontrol.campaign"
+"""Key of a table's metadata: JSON with the itinerary, the model, the settings and the version."""
 _WHAT = ("itinerary", "controller", "estimator")
 _KIND, _LEVEL, _CASE = "kind", "level", "case"
 _APART, _BINS = 21, 6
@@ -78,6 +82,7 @@ class CampaignSummary(Shown, Documented):
         levels: by family and mismatch or level; empty if it does not vary.
         failed_symbols: (family, symbol from 1, number of runs that failed at it), symbol 0 if unknown.
         reasons: number of failed runs by cause, the most frequent first.
+        record: itinerary, model, version and settings by case, as the campaign wrote them; empty if unknown.
     """
 
     path: Path
@@ -89,6 +94,7 @@ class CampaignSummary(Shown, Documented):
     levels: tuple[Group, ...]
     failed_symbols: tuple[tuple[str, int, int], ...]
     reasons: tuple[tuple[str, int], ...]
+    record: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def status(self) -> str:
@@ -204,6 +210,7 @@ def summary_of(rows: "pa.Table", path: Path) -> CampaignSummary:
         levels=_levels(_numbers(table, axis), alone, done),
         failed_symbols=_symbols(table, alone, done),
         reasons=tuple(Counter(str(causes[k] or "not named") for k in np.flatnonzero(~done)).most_common()),
+        record=json.loads((rows.schema.metadata or {}).get(METADATA, b"{}")),
     )
 
 

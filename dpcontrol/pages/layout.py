@@ -13,6 +13,7 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from datetime import date
 from functools import cache
 from io import BytesIO
 from pathlib import Path
@@ -150,6 +151,16 @@ class Page:
 
             self.rows.append((height, write))
         return self
+
+    def origin(self, path: Path, *conditions: str) -> "Page":
+        """Add the conditions of what the page shows, and the file that it shows with its date.
+
+        Args:
+            path: file, which may exist in memory only.
+            *conditions: conditions; empty ones are left out.
+        """
+        day = f" of {date.fromtimestamp(path.stat().st_mtime)}" if path.exists() and path.name else ""
+        return self.text("; ".join(filter(None, (*conditions, f"{path.name}{day}"))))
 
     def figure(self) -> Figure:
         """Return the page as a figure."""

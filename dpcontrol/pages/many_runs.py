@@ -22,6 +22,7 @@ from dpcontrol.judge.preflight import HazardBorder, Preflight, shown_number
 from dpcontrol.pages import style
 from dpcontrol.pages.layout import Page, Panel, cropped
 from dpcontrol.pages.panels import Bar, bars, name_curves, quiet
+from dpcontrol.words.runs import conditions
 
 _MOST, _APART = 28, 6
 """Most bars, and most mismatches that are drawn as separate bars."""
@@ -32,6 +33,9 @@ _SYMBOLS = 8
 def draw_campaign(summary: CampaignSummary) -> Figure:
     """Return a campaign's page as a figure."""
     page = Page(f"Campaign {summary.path.stem}", summary.status, summary.good)
+    if record := summary.record:
+        shared = conditions([*record["cases"].values()], simulated=True)
+        page.origin(summary.path, f"model {record['model']}", shared, f"dpcontrol {record['version']}")
     groups = min(len(_bars_of(summary)), _MOST)
     above: list[Panel] = [Panel(partial(draw_groups, summary=summary), 1.3)]
     if summary.levels:
@@ -149,7 +153,7 @@ def draw_night(night: Night) -> Figure:
         "Encoder zeros": [name for name in night.estimated if name.startswith("zero_")],
         "Other parameters": [name for name in night.estimated if not name.startswith("zero_")],
     }
-    page = Page(night.folder.name, night.sentence)
+    page = Page(night.folder.name, night.sentence).origin(night.folder)
     page.row(partial(_draw_strip, night=night, row=row, rows=rows), height=1.0 + 0.36 * rows)
     below = [partial(_draw_times, night=night), Panel(partial(draw_causes, night=night), 1.1)]
     page.row(*below, *([partial(_draw_returns, night=night)] if len(night.returns) else []), height=2.1)

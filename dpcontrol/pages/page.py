@@ -12,7 +12,6 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from datetime import date
 from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar
@@ -79,7 +78,7 @@ def draw(found: RunView | RunLog | Plan) -> Figure:
         found: motion to draw.
     """
     view: RunView = view_of(found)
-    page = Page(view.title, view.verdict, view.good).text(conditions_of(view))
+    page = Page(view.title, view.verdict, view.good).origin(view.path, *conditions_of(view))
     for line in (closest_approach(view), nis_reading(view)):
         page.text(line, colour=style.INK, size=style.TEXT)
     if uses := limit_uses(view):
@@ -96,8 +95,8 @@ def draw(found: RunView | RunLog | Plan) -> Figure:
     return page.figure()
 
 
-def conditions_of(view: RunView) -> str:
-    """Return the conditions of a run and the origin of its numbers, for the head of its page.
+def conditions_of(view: RunView) -> tuple[str, ...]:
+    """Return the conditions of a run, for the head of its page.
 
     Args:
         view: run, recording or reference.
@@ -106,8 +105,7 @@ def conditions_of(view: RunView) -> str:
     if text := metadata.get("run_settings"):
         bench = conditions([json.loads(text)], simulated="plant_parameters" in metadata)
     model = f"model {metadata['model']}" if "model" in metadata else ""
-    day = f" of {date.fromtimestamp(view.path.stat().st_mtime)}" if view.path.is_file() else ""
-    return "; ".join(filter(None, (model, bench, f"{view.path.name}{day}", metadata.get("program", ""))))
+    return model, bench, metadata.get("program", "")
 
 
 def _uses(axes: Axes, uses: Sequence[LimitUse]) -> None:
@@ -188,7 +186,7 @@ def draw_comparison(comparison: RunComparison) -> Figure:
     for run, colour in zip(runs, style.RUNS, strict=False):
         page.text(run.name, colour=colour, size=style.HEAD)
         page.text(run.view.verdict, colour=style.verdict_colour(run.view.good), size=style.TEXT)
-        page.text(conditions_of(run.view))
+        page.origin(run.view.path, *conditions_of(run.view))
         add_story(page, run.view, span=comparison.span)
         if len(runs) <= _FILMED:
             add_film(page, run.view, frames)

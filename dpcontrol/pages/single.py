@@ -63,7 +63,13 @@ def cut(axes: Axes, found: Cut) -> None:
         found: cut to draw.
     """
     _curves(axes, found.pieces, stable=found.stable)
-    quiet(axes, f"crossing {found.hit} of {found.section.name}", x="q", y="p / p₀")
+    quiet(axes, f"crossing {found.hit} of {found.section.name}", x="coordinate on the section", y=_MOMENTUM)
+    key(axes, [(f"{'stable' if found.stable else 'unstable'} tube", BRANCHES[found.stable, 1]), _BACKWARD])
+
+
+_BACKWARD: tuple[str, dict[str, Any]] = ("crossed backward", {"color": style.CART, "linestyle": "--"})
+"""Entry of a key for dashed curves."""
+_MOMENTUM = "its momentum on the section, p / p₀"
 
 
 def search(axes: Axes, found: ConnectionSearch, shown: Sequence[Connection] | None = None) -> None:
@@ -76,7 +82,8 @@ def search(axes: Axes, found: ConnectionSearch, shown: Sequence[Connection] | No
     """
     shown = found.connections if shown is None else shown
     section = found.cuts[0].section
-    period = float(found.source.system.periods[int(np.argmax(np.abs(section.position)))])
+    coordinate = int(np.argmax(np.abs(section.position)))
+    period = float(found.source.system.periods[coordinate])
     for side, cut in zip((found.source.manifold(), found.target.manifold(stable=True)), found.cuts, strict=True):
         _curves(axes, (side.placed(piece, section) for piece in cut.pieces), stable=side.stable, period=period)
     for q, p in (connection.place for connection in shown):
@@ -85,7 +92,11 @@ def search(axes: Axes, found: ConnectionSearch, shown: Sequence[Connection] | No
             q - (turns and turns * period), p, "o", color=style.INK, markeredgecolor="white", markersize=6, zorder=4
         )
     title = f"{found.source.saddle} → {found.target.saddle}: {counted(len(shown), 'connection')}"
-    quiet(axes, f"{title} on {section.name}", x="q", y="p / p₀")
+    name = found.source.system.labels[coordinate]
+    quiet(axes, f"{title} on {section.name}", x=f"{name} on the section", y=_MOMENTUM)
+    look = {"color": style.INK, "marker": "o", "linestyle": ""}
+    tubes = [(f"tube from {found.source.saddle}", style.UNSTABLE), (f"tube to {found.target.saddle}", style.STABLE)]
+    key(axes, [*tubes, _BACKWARD, ("connections", look)])
 
 
 def flights(axes: Axes, connections: Sequence[Connection]) -> None:

@@ -201,7 +201,7 @@ class LiveView(LoopSink):
     It is a context manager.
 
     Args:
-        start: log of the run before its first row, with scene, model and reference attached.
+        start: log of the run before its first row, with itinerary, model and reference attached.
         viewer: address of an open viewer; "" opens one.
 
     Raises:

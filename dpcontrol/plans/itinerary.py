@@ -402,9 +402,9 @@ def load_itinerary(name: str) -> Itinerary:
         return stored_itinerary(Path(name), load_reference(Path(name)))
     path = find("itineraries", name)
     document, text = read_toml(path)
-    scene = _itinerary(document, text, path)
-    scene.remark_on_rig()
-    return scene
+    itinerary = _itinerary(document, text, path)
+    itinerary.remark_on_rig()
+    return itinerary
 
 
 def stored_itinerary(file: Path, reference: Reference) -> Itinerary:

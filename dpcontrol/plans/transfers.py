@@ -239,7 +239,7 @@ def find_transfer(wanted: Transfer, progress: Progress = no_progress) -> Referen
         for k, (first, end) in enumerate(firsts):
             progress("transfer", k / len(firsts))
             problem = _problem(arms, room, first, (start, end))
-            attempt = solve(problem, first, settings=_COARSE, limits=room, rough=True)
+            attempt = solve(problem, first, settings=_COARSE, limits=room, search="rough")
             if attempt.succeeded:
                 solved.append((problem, attempt.trajectory))
             failed = attempt.outcome

@@ -50,7 +50,7 @@ from dpcontrol.references.trajectory import (
     limit_uses,
     times_on,
 )
-from dpcontrol.references.transcription import solve
+from dpcontrol.references.transcription import Search, solve
 
 _HELD = 300.0
 """Factor on the guess's weight if the solver fails or converges to another motion, to keep it near the guess. A walk of
@@ -120,7 +120,7 @@ def raise_friction(
         parameters = np.where(friction, share * problem.parameters, problem.parameters)
         solved = solve(
             replace(problem, parameters=parameters), first if kept is None else kept.trajectory, settings=quick,
-            limits=limits, warm=kept is not None,
+            limits=limits, search="fresh" if kept is None else "warm",
         )  # fmt: skip
         iterations, seconds = iterations + solved.iterations, seconds + solved.seconds
         if solved.succeeded and away_from_guess(problem, solved.trajectory)[0] <= FARTHEST:
@@ -364,7 +364,8 @@ def find_reference(
     while True:
         progress(f"reference, {len(first.mesh) - 1} intervals", round_number / settings.rounds)
         round_number += 1
-        solved = solve(problem, first, settings=settings, limits=limits, warm=bool(near) or round_number > 1)
+        search: Search = "warm" if near or round_number > 1 else "fresh"
+        solved = solve(problem, first, settings=settings, limits=limits, search=search)
         iterations, seconds = iterations + solved.iterations, seconds + solved.seconds
         if not solved.succeeded or _is_another_motion(problem, solved, settings):
             start = first_trajectory(problem, method, first.mesh)

@@ -18,7 +18,7 @@ control problem solver (2023).
 import time
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import Any
+from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
@@ -119,16 +119,17 @@ def _scattered(values: ca.MX, rows: Indices, columns: Indices, shape: tuple[int,
     return ca.MX(sparsity, ca.mtimes(ca.DM(gather, 1.0), values))
 
 
-def solver_options(
-    settings: ReferenceSettings, *, warm: bool = False, far: bool = False, rough: bool = False
-) -> dict[str, Any]:
+Search = Literal["fresh", "warm", "far", "rough"]
+"""A search that starts from a solution on another mesh, which a large barrier would lose, is warm. From a start that is
+far from the solution, IPOPT adapts its barrier at each step. Solutions of rough searches are only compared."""
+
+
+def solver_options(settings: ReferenceSettings, *, search: Search = "fresh") -> dict[str, Any]:
     """Return casadi's options for IPOPT or fatrop.
 
     Args:
         settings: solver and iterations.
-        warm: True if the search starts from a solution on another mesh, which a large barrier would lose.
-        far: True if the solution is far from the start. IPOPT then adapts its barrier at each step.
-        rough: True if solutions are only compared.
+        search: kind of the search.
     """
     shared: dict[str, Any] = {"print_time": False, "error_on_fail": False}
     if settings.solver == "fatrop":
@@ -138,12 +139,12 @@ def solver_options(
             "print_level": 0,
             "sb": "yes",
             "max_iter": settings.iterations,
-            "tol": 1e-4 if rough else 1e-8,
-            "constr_viol_tol": 1e-6 if rough else 1e-10,
+            "tol": 1e-4 if search == "rough" else 1e-8,
+            "constr_viol_tol": 1e-6 if search == "rough" else 1e-10,
             # IPOPT would otherwise widen every bound by 1e-8 before it starts.
             "bound_relax_factor": 0.0,
-            "mu_init": 1e-6 if warm else 0.1,
-            "mu_strategy": "adaptive" if far else "monotone",
+            "mu_init": 1e-6 if search == "warm" else 0.1,
+            "mu_strategy": "adaptive" if search == "far" else "monotone",
         }
     return shared | {f"{settings.solver}.{name}": value for name, value in own.items()}
 
@@ -408,9 +409,7 @@ def solve(
     *,
     settings: ReferenceSettings,
     limits: Limits,
-    warm: bool = False,
-    far: bool = False,
-    rough: bool = False,
+    search: Search = "fresh",
 ) -> Solved:
     """Solve the program on the mesh of a trajectory.
 
@@ -419,16 +418,14 @@ def solve(
         first: trajectory to start from.
         settings: solver and weights.
         limits: limits of the cart at all nodes.
-        warm: True if `first` is nearly a solution.
-        far: True if `first` is far from a solution.
-        rough: True if the solution is only compared with others.
+        search: kind of the search that starts from `first`.
 
     Raises:
         InputError: a formulation that the solver does not support.
     """
     began = time.perf_counter()
     program = _Program(problem, settings, first, limits)
-    options = solver_options(settings, warm=warm, far=far, rough=rough) | program.options
+    options = solver_options(settings, search=search) | program.options
     solver = ca.nlpsol("reference", settings.solver, program.program, options)
     low, high = program.bounds()
     x0 = np.clip(program.start(), low, high)

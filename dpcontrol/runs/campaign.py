@@ -77,7 +77,7 @@ from dpcontrol.foundation.settings import Setting, Settings
 from dpcontrol.foundation.shown import Brief, Shown, data_frame
 from dpcontrol.foundation.statistics import Pairing, Share, paired, wilson
 from dpcontrol.foundation.version import VERSION
-from dpcontrol.judge.campaign import CampaignSummary, campaign_table, pa, summary_of
+from dpcontrol.judge.campaign import METADATA, CampaignSummary, campaign_table, pa, summary_of
 from dpcontrol.judge.decoding import stays
 from dpcontrol.judge.score import Flown, returns, verdict_on
 from dpcontrol.loop.assembly import Assembly
@@ -274,10 +274,6 @@ def _row(job: Job, reference: Reference, seed: int, run: BatchRun, *, path: str)
         "path": path,
         "replays": True if path == "ticks" else None,
     }
-
-
-METADATA = b"dpcontrol.campaign"
-"""Key of a table's metadata: JSON with the settings and the version."""
 
 
 def _schema(cases: Sequence[Case], record: Mapping[str, Any]) -> "pa.Schema":

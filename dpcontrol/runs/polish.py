@@ -271,7 +271,7 @@ def _searched(
         progress(f"as one, {part.duration:.1f} s", k / len(_SEARCHES))
         wanted = _settings(settings, search.weight, search.method, search.iterations)
         first = on_mesh(part, even_mesh(part.duration, search.interval), method_named(search.method))
-        solved = solve(problem, first, settings=wanted, limits=problem.limits, far=search.far)
+        solved = solve(problem, first, settings=wanted, limits=problem.limits, search="far" if search.far else "fresh")
         if solved.succeeded:
             found.append(solved.trajectory)
     return sorted(found, key=lambda motion: motion.effort)

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -91,3 +92,12 @@ def test_open_cuts_are_reported_with_branch_phases_and_reason() -> None:
         assert 0 <= low <= high <= 1
         assert "graze" in cut["reason"]
     assert connections("down-up", "down-up", -0.07)["open_cuts"] == []
+
+
+def test_the_cuts_and_connections_are_drawn_on_request(tmp_path: Path) -> None:
+    ends = ("connect", "lab", "--from", "down-up", "--to", "up-down", "--energy", "0.2", "--json")
+    shown = dpcontrol(*ends, "--picture", str(tmp_path / "cuts.svg"))
+    assert shown.document["picture"] == str(tmp_path / "cuts.svg")
+    text = (tmp_path / "cuts.svg").read_text(encoding="utf-8")
+    assert "tube from down-up" in text
+    assert dpcontrol(*ends, "--picture", str(tmp_path / "cuts.jpg")).code == 2
