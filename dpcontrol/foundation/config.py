@@ -28,17 +28,13 @@ class Config(Settings):
 
 
 class Configured(NamedTuple):
-    """A setting's value, and where it comes from: environment, file or default."""
+    """A setting's value, where it comes from (environment, file or default), and its environment variable."""
 
     name: str
     value: Any
     source: str
     help: str
-
-    @property
-    def variable(self) -> str:
-        """Environment variable of the setting."""
-        return variable(self.name)
+    variable: str
 
 
 @dataclass(frozen=True)
@@ -87,15 +83,6 @@ def config_file() -> Path:
     return Path(os.path.expanduser(folder)) / "dpcontrol" / "config.toml"
 
 
-def variable(name: str) -> str:
-    """Return the environment variable of a setting.
-
-    Args:
-        name: setting, in lower case.
-    """
-    return f"DPCONTROL_{name.upper()}"
-
-
 def configuration() -> Config:
     """Return the defaults from file and environment.
 
@@ -115,11 +102,12 @@ def configured() -> Iterator[Configured]:
     values = read_toml(file)[0] if os.path.isfile(file) else {}
     of_file = table_of(Config).read(values, Place(str(file)))
     for name, leaf in leaves_of(Config).items():
-        key = variable(name)
+        key = f"DPCONTROL_{name.upper()}"
         if key in os.environ:
-            yield Configured(name, leaf.read(os.environ[key], key=key, strict=False), key, leaf.bounds.help)
+            value, source = leaf.read(os.environ[key], key=key, strict=False), key
         else:
-            yield Configured(name, getattr(of_file, name), str(file) if name in values else "default", leaf.bounds.help)
+            value, source = getattr(of_file, name), str(file) if name in values else "default"
+        yield Configured(name, value, source, leaf.bounds.help, key)
 
 
 def log_folder() -> Path:

@@ -12,7 +12,7 @@ from contextlib import AbstractContextManager
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.errors import InputError, shortened
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -40,8 +40,8 @@ def render(result: object, axes: Axes | None = None) -> Figure:
             are not plane and rectangular.
     """
     table = import_module(_TABLE)
-    if axes is not None and axes.name != "rectilinear":
-        raise InputError(f"axes = {axes.name} axes: pictures need plane rectangular axes, as plt.subplots makes them")
+    if axes is not None and getattr(axes, "name", "") != "rectilinear":
+        raise InputError(f"axes = {shortened(axes)}: pictures need plane rectangular axes, as plt.subplots makes them")
     for kind in type(result).__mro__:
         name = f"{kind.__module__}.{kind.__qualname__}"
         if name in table.PARTS:

@@ -11,7 +11,7 @@ from dataclasses import fields
 from functools import wraps
 from html import escape
 from io import BytesIO
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -20,11 +20,7 @@ from dpcontrol.foundation.checked import Count, checked
 from dpcontrol.foundation.document import plain
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.parts import part
-from dpcontrol.foundation.rendering import DataFrame, render, thumbnail
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+from dpcontrol.foundation.rendering import Axes, DataFrame, Figure, render, thumbnail
 
 
 class Brief:
@@ -84,7 +80,7 @@ class Shown(Brief):
     """Base of results that have a picture."""
 
     @checked
-    def plot(self, axes: "Axes | None" = None) -> "Figure":
+    def plot(self, axes: Axes | None = None) -> Figure:
         """Draw the result.
 
         Args:

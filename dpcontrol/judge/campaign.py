@@ -21,12 +21,15 @@ from numpy.typing import NDArray
 from dpcontrol.foundation.document import Documented, document_of, picked
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import checked_size
-from dpcontrol.foundation.parts import part
+from dpcontrol.foundation.parts import Later
 from dpcontrol.foundation.shown import Shown
 from dpcontrol.foundation.statistics import Share, wilson
 
 if TYPE_CHECKING:
     import pyarrow as pa
+else:
+    pa = Later("pyarrow")
+dataset = Later("pyarrow.dataset")
 
 METADATA = b"dpcontrol.campaign"
 """Key of a table's metadata: JSON with the itinerary, the model, the settings and the version."""
@@ -143,15 +146,13 @@ def campaign_table(path: Path) -> "pa.Table":
     if not path.is_dir():
         found = "is a file, as of version 0.2; now each table is a folder" if path.exists() else "does not exist"
         raise InputError(f"the campaign {path} {found}: give the folder that `dpcontrol campaign` wrote")
-    # Importing pyarrow takes a third of a second.
-    arrow, data = part("pyarrow"), part("pyarrow.dataset")
-    checked = data.ParquetFragmentScanOptions(page_checksum_verification=True)
+    checked = dataset.ParquetFragmentScanOptions(page_checksum_verification=True)
     try:
         files = [str(file) for file in sorted(path.glob("*.parquet"))]
-        rows = data.dataset(files, format=data.ParquetFileFormat(default_fragment_scan_options=checked))
+        rows = dataset.dataset(files, format=dataset.ParquetFileFormat(default_fragment_scan_options=checked))
         checked_size(8.0 * rows.count_rows() * len(rows.schema))
         return rows.to_table()
-    except (arrow.ArrowException, OSError, ValueError) as error:
+    except (pa.ArrowException, OSError, ValueError) as error:
         reason = str(error).splitlines()[0]
         raise InputError(
             f"{path} is not a campaign's table, or is damaged: {reason}; run the campaign again"

@@ -55,7 +55,7 @@ from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,7 +77,7 @@ from dpcontrol.foundation.settings import Setting, Settings
 from dpcontrol.foundation.shown import Brief, Shown, data_frame
 from dpcontrol.foundation.statistics import Pairing, Share, paired, wilson
 from dpcontrol.foundation.version import VERSION
-from dpcontrol.judge.campaign import METADATA, CampaignSummary, campaign_table, summary_of
+from dpcontrol.judge.campaign import METADATA, CampaignSummary, campaign_table, pa, summary_of
 from dpcontrol.judge.decoding import stays
 from dpcontrol.judge.score import Flown, returns, verdict_on
 from dpcontrol.loop.assembly import Assembly
@@ -90,10 +90,6 @@ from dpcontrol.plans.plan import Plan
 from dpcontrol.references.reference import Reference, load_reference
 from dpcontrol.runs.troubles import LEVELS, STANDARD
 
-if TYPE_CHECKING:
-    import pyarrow as pa
-else:
-    pa = Later("pyarrow")
 pq, pc = Later("pyarrow.parquet"), Later("pyarrow.compute")
 
 Row = dict[str, Any]

@@ -19,7 +19,6 @@ from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System, momentum_scale
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.budget import SECONDS
-from dpcontrol.foundation.checked import number
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import MOST_SECONDS
 from dpcontrol.foundation.shown import Brief
@@ -181,10 +180,8 @@ def search_settings(
     Raises:
         InputError: a time that is not positive or too long.
     """
-    seconds = seconds if seconds is None or isinstance(seconds, float) else number("seconds", seconds)
     if seconds is not None and not 0 < seconds <= MOST_SECONDS:
         raise InputError(f"seconds = {seconds:g}: must be positive and at most {MOST_SECONDS:g} s")
-    longest = longest if longest is None or isinstance(longest, float) else number("longest", longest)
     if longest is not None and not 0 < longest <= MOST_PERIODS:
         raise InputError(f"longest = {longest:g}: must be positive and at most {MOST_PERIODS:g} periods of the orbit")
     cut = CutSettings(longest=longest)
