@@ -67,8 +67,10 @@ ROOM, TIGHT = 0.7, 0.9
 """Shares of each limit that leave room for feedback, and that the shortest transfers use."""
 SHORT = np.arange(0.5, 1.6, 0.25)
 """First durations of the shortest flights in natural times."""
-MULTIPLES, LONGER = np.array([1.3633, 1.8178, 2.2722, 2.7266]), np.array([3.5, 4.5])
-"""Durations of gentle transfers in natural times, and those of transfers that are found in none of them."""
+MULTIPLES = np.array([1.3633, 1.8178, 2.2722, 2.7266])
+"""Durations of gentle transfers in natural times."""
+SHORTER, LONGER = np.array([1.15, 1.53, 1.91]), np.array([3.5, 4.5])
+"""Durations of transfers that are found in none of them."""
 _RANKED = 8
 """Number of motions that are compared, those of the least effort."""
 _COARSE = ReferenceSettings(pendulum_weight=0.0, cart_weight=CART_WEIGHT)
@@ -262,10 +264,11 @@ def _attempts(wanted: Transfer, scale: Scale, *, aside: bool) -> list[tuple[floa
     """Return shares of the limits, durations, s, and True to start from flights, in the order of the attempts."""
     # Three arms and more have many directions, and use the longer durations.
     several = MULTIPLES[2 * (wanted.arms.count > 2) :] * NATURAL_TIME
+    others = [(ROOM, SHORTER * NATURAL_TIME, False), (TIGHT, LONGER * NATURAL_TIME, False)]
     if aside and wanted.pace == GENTLE:
-        return [(ROOM, several[:1], False), (ROOM, several[1:], False), (TIGHT, LONGER * NATURAL_TIME, False)]
+        return [(ROOM, several[:1], False), (ROOM, several[1:], False), *others]
     if wanted.pace == GENTLE:
-        return [(ROOM, several, False), (ROOM, several, True), (TIGHT, LONGER * NATURAL_TIME, False)]
+        return [(ROOM, several, False), *others, (ROOM, several, True)]
     if isinstance(wanted.pace, str):
         return [(TIGHT, SHORT * NATURAL_TIME, True), (TIGHT, several, False)]
     time = np.array([wanted.pace * scale.time])

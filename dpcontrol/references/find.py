@@ -366,6 +366,9 @@ def find_reference(
         round_number += 1
         search: Search = "warm" if near or round_number > 1 else "fresh"
         solved = solve(problem, first, settings=settings, limits=limits, search=search)
+        if not solved.succeeded and near and round_number == 1:
+            # A coarse motion can be too far for a small barrier.
+            solved = solve(problem, first, settings=settings, limits=limits)
         iterations, seconds = iterations + solved.iterations, seconds + solved.seconds
         if not solved.succeeded or _is_another_motion(problem, solved, settings):
             start = first_trajectory(problem, method, first.mesh)
