@@ -26,7 +26,7 @@ from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress
 from dpcontrol.judge.of_log import reference_view
 from dpcontrol.judge.run_view import RunView
 from dpcontrol.pages import style
-from dpcontrol.pages.layout import Page, key
+from dpcontrol.pages.layout import Page, key, text_width
 from dpcontrol.pages.planes import Range, arm_points
 from dpcontrol.pages.story import add_story
 from dpcontrol.references.reference import Reference
@@ -352,7 +352,7 @@ def draw_transitions(reference: Reference) -> Figure:
         )
     names = [name for name in sorted(content.saddles) if (name, name) in transfers]
     travel = max(float(np.abs(_ways(view, spent)[1]).max()) for spent in transfers.values())
-    high = 1.06 * sum(view.arm_lengths)
+    high = 1.12 * sum(view.arm_lengths)
     box, cell = (high + travel, high), (style.WIDTH - _NAMES) / len(names)
     page = Page(
         content.title,
@@ -393,18 +393,18 @@ def _cell(axes: Axes, view: RunView, transfer: Range | None, box: Range, *, titl
     axes.spines[:].set_visible(True)
     axes.grid(False)
     axes.set_title(title, loc="center")
-    look: dict[str, Any] = {"fontsize": style.HEAD, "ha": "right", "va": "center"}
-    # Invisible labels of equal width keep the columns below one another.
-    axes.set_ylabel("down" if name else "", rotation=0, alpha=0.0, **look)
-    beside: dict[str, Any] = {"xycoords": "axes fraction", "xytext": (-5, 0), "textcoords": "offset points", **look}
-    axes.annotate(name.replace("-", "\n"), (0.0, 0.5), color=style.INK, **beside).set_in_layout(False)
+    words = name.split("-")
+    # Names of equal width keep the columns below one another.
+    narrow = text_width("down", style.HEAD) - max(text_width(word, style.HEAD) for word in words)
+    look: dict[str, Any] = {"rotation": 0, "ha": "right", "va": "center", "labelpad": 4 + 72 * narrow * bool(name)}
+    axes.set_ylabel("\n".join(words), fontsize=style.HEAD, color=style.INK, **look)
     if transfer is None:
         return
     rows, cart = _ways(view, transfer)
     axes.axhline(0.0, color=style.GRID, linewidth=1.0, zorder=0)
     for share in np.linspace(0, 1, _POSES) if len(rows) > 1 else (1.0,):
         k, shade = round(share * (len(rows) - 1)), _FAINTEST + (1 - _FAINTEST) * share**2
-        draw_pose(axes, view, (rows[0 if share == 1 else k], rows[k]), at=cart[k], thick=2.4, shade=shade)
+        draw_pose(axes, view, (rows[0 if share == 1 else k], rows[k]), at=cart[k], thick=1.5, shade=shade)
     if len(rows) > 1:
         text = f"{transfer[1] - transfer[0]:.3g} s, {100 * np.abs(cart).max():.0f} cm"
         axes.set_xlabel(text, fontsize=style.SMALL, color=style.NOTE, labelpad=2)

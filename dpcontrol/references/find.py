@@ -50,7 +50,7 @@ from dpcontrol.references.trajectory import (
     limit_uses,
     times_on,
 )
-from dpcontrol.references.transcription import Search, solve
+from dpcontrol.references.transcription import solve
 
 _HELD = 300.0
 """Factor on the guess's weight if the solver fails or converges to another motion, to keep it near the guess. A walk of
@@ -322,6 +322,12 @@ def _failure(problem: ReferenceProblem, failed: Solved, obstacle: Obstacle) -> R
     )
 
 
+def _from_near(problem: ReferenceProblem, first: Trajectory, *, settings: ReferenceSettings, limits: Limits) -> Solved:
+    """Return the solution near a motion, with a large barrier if the motion is too far for a small one."""
+    solved = solve(problem, first, settings=settings, limits=limits, search="warm")
+    return solved if solved.succeeded else solve(problem, first, settings=settings, limits=limits)
+
+
 def find_reference(
     problem: ReferenceProblem,
     settings: ReferenceSettings,
@@ -364,11 +370,8 @@ def find_reference(
     while True:
         progress(f"reference, {len(first.mesh) - 1} intervals", round_number / settings.rounds)
         round_number += 1
-        search: Search = "warm" if near or round_number > 1 else "fresh"
-        solved = solve(problem, first, settings=settings, limits=limits, search=search)
-        if not solved.succeeded and near and round_number == 1:
-            # A coarse motion can be too far for a small barrier.
-            solved = solve(problem, first, settings=settings, limits=limits)
+        search = _from_near if near or round_number > 1 else solve
+        solved = search(problem, first, settings=settings, limits=limits)
         iterations, seconds = iterations + solved.iterations, seconds + solved.seconds
         if not solved.succeeded or _is_another_motion(problem, solved, settings):
             start = first_trajectory(problem, method, first.mesh)
