@@ -857,7 +857,7 @@ def reference(
         itineraries.WalkPart(one.connections[0].source.energy, one.walk, one.wraps, 1, one.lead_in, one.lead_out)
         for one in orbits
     ]
-    scene = itineraries.itinerary_of(
+    loaded = itineraries.itinerary_of(
         models.model_of(orbits[0].connections[0].source.system),
         parts,
         name=name,
@@ -866,7 +866,7 @@ def reference(
         limits=limits,
         reference=settings,
     )
-    return plans.make_plan(scene, orbits=orbits, progress=progress, yes=yes)
+    return plans.make_plan(loaded, orbits=orbits, progress=progress, yes=yes)
 
 
 @checked
@@ -909,10 +909,10 @@ def plan(
         >>> dp.plan("outer-turn").itinerary.walk
         ('down-up +',)
     """
-    scene = itineraries.load_itinerary(str(itinerary))
+    loaded = itineraries.load_itinerary(str(itinerary))
     if explore_energy is not None:
-        energy_charts.only_walk(scene)
-    found = plans.make_plan(scene, progress=part_of(progress, 0.0, 0.5), fresh=fresh, workers=workers, yes=yes)
+        energy_charts.only_walk(loaded)
+    found = plans.make_plan(loaded, progress=part_of(progress, 0.0, 0.5), fresh=fresh, workers=workers, yes=yes)
     if not found.converged:
         return found
     if polish:
@@ -1200,19 +1200,19 @@ def launch(
         viewer.check_viewer(viewer.LIVE_REMEDY)
     bench = loops.bench_of(_linked(rig, key_file=key_file, insecure=insecure, real_time=real_time))
     chosen, shared = _settings(settings), {"force": force, "live": live}
-    scene = _scene(itinerary).with_run(chosen, seed=seed)
+    loaded = _loaded(itinerary).with_run(chosen, seed=seed)
     night = None if hours is None else night_runs.NightSettings(hours, file_minutes, keep_every)
-    scene = scene if night is None else night_runs.night_itinerary(scene, given=chosen)
-    check = night_runs.name_check(scene, bench, night, resume=resume, free=log is True, force=force, yes=yes)
+    loaded = loaded if night is None else night_runs.night_itinerary(loaded, given=chosen)
+    check = night_runs.name_check(loaded, bench, night, resume=resume, free=log is True, force=force, yes=yes)
     # Names are checked before the plan, which can take minutes.
-    with chosen_name(log, single_runs.default_log(scene), check) as file:
+    with chosen_name(log, single_runs.default_log(loaded), check) as file:
         loop, rest = (
             _closed(itinerary, chosen, yes=yes, progress=part_of(progress, 0.0, 0.5)),
             part_of(progress, 0.5, 1.0),
         )
         if night is None:
             return loop.run(seed=seed, rig=bench, program=program, log=file, progress=rest, **shared)
-        folder = file or single_runs.default_log(scene)
+        folder = file or single_runs.default_log(loaded)
         return loop.night(night, folder, seed=seed, rig=bench, resume=resume, yes=yes, progress=rest, **shared)
 
 
@@ -1261,7 +1261,7 @@ def export(
     if unit and (folder is None or Path(folder).suffix != ".fmu"):
         raise InputError(f"folder = {folder}: a co-simulation unit needs a name that ends in .fmu")
     chosen = _settings(settings)
-    single_runs.check_exportable(_scene(itinerary).with_run(chosen))
+    single_runs.check_exportable(_loaded(itinerary).with_run(chosen))
     loop = _closed(itinerary, chosen, yes=yes, progress=part_of(progress, 0.0, 0.5))
     return loop.export(folder, single=single, clock=clock, force=force, progress=part_of(progress, 0.5, 1.0))
 
@@ -1321,18 +1321,18 @@ def campaign(
     """
     # Check for the writer of the table before the plan, which can take minutes.
     part("pyarrow")
-    scene, fixed = _scene(itinerary), _settings(settings, mismatch=mismatch, plant=plant)
+    loaded, fixed = _loaded(itinerary), _settings(settings, mismatch=mismatch, plant=plant)
     # A score needs no list of confirmed failures.
     confirmed = 0 if standard else campaigns.CampaignSettings.replayed
     counts = campaigns.CampaignSettings(runs or (8 if standard else 100), first_seed, path, workers, replayed=confirmed)
-    cases = campaigns.asked_cases(scene, fixed=fixed, over=over or {}, standard=standard, transitions=transitions)
-    record = campaigns.campaign_record(scene, cases, counts, transitions=transitions)
+    cases = campaigns.asked_cases(loaded, fixed=fixed, over=over or {}, standard=standard, transitions=transitions)
+    record = campaigns.campaign_record(loaded, cases, counts, transitions=transitions)
 
     def check(file: Path) -> None:
         if not force:
             campaigns.check_table(file, record)
 
-    named = log_folder() / f"{scene.name}{'-transitions' if transitions else ''}.parquet"
+    named = log_folder() / f"{loaded.name}{'-transitions' if transitions else ''}.parquet"
     with chosen_name(out, named, check) as file:
         loop = _closed(itinerary, fixed, yes=yes, progress=part_of(progress, 0.0, 0.1))
         return loop.campaign(
@@ -1380,8 +1380,8 @@ def preflight(
         >>> dp.preflight("hold-up-up", runs=16, yes=True).share.runs  # doctest: +SKIP
         16
     """
-    scene, fixed = _scene(itinerary), _settings(settings)
-    page = log_folder() / f"{scene.name}-preflight.pdf"
+    loaded, fixed = _loaded(itinerary), _settings(settings)
+    page = log_folder() / f"{loaded.name}-preflight.pdf"
     with chosen_name(picture, page) as file:
         loop = _closed(itinerary, fixed, yes=yes, progress=part_of(progress, 0.0, 0.05))
         found = loop.preflight(
@@ -2220,7 +2220,7 @@ def explore_energies(
         >>> dp.explore_energies("outer-turn").name  # doctest: +SKIP
         'outer-turn-energies'
     """
-    chart = energy_charts.energies_chart(_scene(itinerary), progress)
+    chart = energy_charts.energies_chart(_loaded(itinerary), progress)
     if picture is not None:
         drawing.save_chart(chart, Path(picture))
         chart = replace(chart, file=Path(picture))
@@ -2303,11 +2303,11 @@ def start_bench(
         ...     bench.url
         'udp://127.0.0.1:...'
     """
-    scene = _scene(itinerary).with_run(_settings(settings), seed=seed)
+    loaded = _loaded(itinerary).with_run(_settings(settings), seed=seed)
     server = bench_server.BenchServerSettings(watchdog=watchdog, real_time=real_time, runs=runs)
     where = example_benches.BenchAddress(host, port, None if key_file is None else Path(key_file), insecure, server)
     return example_benches.example_bench(
-        scene, where, hanging=hanging, faults=faults, notify=remark, yes=yes, progress=progress
+        loaded, where, hanging=hanging, faults=faults, notify=remark, yes=yes, progress=progress
     )
 
 
@@ -2359,19 +2359,19 @@ def commission(
         >>> dp.commission("outer-turn", faults=["encoder-2-reversed"]).wrong[0].step
         'encoders'
     """
-    scene, chosen = _scene(itinerary), _settings(settings)
+    loaded, chosen = _loaded(itinerary), _settings(settings)
     bench = loops.bench_of(_linked(rig, key_file=key_file, insecure=insecure, real_time=real_time))
     if getattr(bench, "address", bench) not in (None, single_runs.OWN_BENCH) and (faults or chosen):
         raise InputError(f"rig = {rig}: faults and settings are those of the example bench; omit them")
     if write:
         # A file that cannot be changed is reported before the cart moves.
-        single_runs.measured_text(scene, {"delay": 1.0, "lag": 0.0, "zeros": [0.0], "counts": 1})
-    practice = scene.with_run(chosen, seed=seed)
+        single_runs.measured_text(loaded, {"delay": 1.0, "lag": 0.0, "zeros": [0.0], "counts": 1})
+    practice = loaded.with_run(chosen, seed=seed)
     found = single_runs.commission_rig(
-        scene, bench, practice=practice, faults=faults, switches=switches, notify=lambda text: progress(text, 0.0)
+        loaded, bench, practice=practice, faults=faults, switches=switches, notify=lambda text: progress(text, 0.0)
     )
-    found = replace(found, itinerary=scene.name, bench="" if bench is None else bench.name)
-    return single_runs.written(found, scene) if write else found
+    found = replace(found, itinerary=loaded.name, bench="" if bench is None else bench.name)
+    return single_runs.written(found, loaded) if write else found
 
 
 @checked
@@ -3181,7 +3181,7 @@ def _edges(searches: Sequence[tubes.ConnectionSearch]) -> graphs.Edges:
     )
 
 
-def _scene(itinerary: plans.Plan | str) -> itineraries.Itinerary:
+def _loaded(itinerary: plans.Plan | str) -> itineraries.Itinerary:
     return itineraries.load_itinerary(itinerary) if isinstance(itinerary, str) else itinerary.itinerary
 
 
@@ -3189,8 +3189,8 @@ def _closed(
     itinerary: plans.Plan | str, settings: Mapping[str, Any], *, yes: bool, progress: Progress
 ) -> loops.ClosedLoop:
     # A wrong setting is reported before the plan is computed.
-    scene = _scene(itinerary).with_run(settings)
-    planned = plans.make_plan(scene, yes=yes, progress=progress) if isinstance(itinerary, str) else itinerary
+    loaded = _loaded(itinerary).with_run(settings)
+    planned = plans.make_plan(loaded, yes=yes, progress=progress) if isinstance(itinerary, str) else itinerary
     return loops.ClosedLoop(planned, settings)
 
 

@@ -505,15 +505,15 @@ def cases_of(itinerary: Itinerary, *, fixed: Mapping[str, Any], over: Mapping[st
         raise InputError(f"over: {count:,} cases, every combination of the values; at most {MOST_CASES:,} are compared")
     cases = []
     for values in itertools.product(*(zip(given, _shown(given), strict=True) for given in over.values())):
-        scene = itinerary.with_run(
+        varied = itinerary.with_run(
             {**canonical(fixed), **canonical({name: value for name, (value, _) in zip(names, values, strict=True)})}
         )
-        scene.check_parts(itinerary)
+        varied.check_parts(itinerary)
         chosen = {name: shown for name, (_, shown) in zip(names, values, strict=True)}
         label = ", ".join(f"{k}={v:.12g}" if isinstance(v, float) else f"{k}={v}" for k, v in chosen.items())
         if any(label == case.label for case in cases):
             raise InputError(f"over: {label} is listed twice; list each value once")
-        cases.append(Case(label or "as the scene", tuple(chosen.items()), scene.loop))
+        cases.append(Case(label or "as planned", tuple(chosen.items()), varied.loop))
     return tuple(cases)
 
 
@@ -525,7 +525,7 @@ def _shown(values: Sequence[Any]) -> list[Any]:
     out: list[Any] = []
     for given in values:
         # Numbers of numpy are shown as Python's, and lists as the command line takes them.
-        value = "as the scene" if given is None else given.item() if isinstance(given, np.generic) else given
+        value = "as planned" if given is None else given.item() if isinstance(given, np.generic) else given
         value = f"[{','.join(map(str, value))}]" if is_list(value) else value
         plain = isinstance(value, int | float | str)
         name = value if plain else getattr(value, "__name__", type(value).__name__)
@@ -547,7 +547,7 @@ def transitions_of(plan: Plan) -> tuple[Plan, ...]:
     Raises:
         InputError: there is none.
     """
-    scene, reference, content = plan.itinerary, plan.reference, plan.content
+    itinerary, reference, content = plan.itinerary, plan.reference, plan.content
     ends = [0.0, *(time for way in content.transfers for time in way), float(reference.mesh[-1])]
     found: list[Plan] = []
     for k, way in content.transitions():
@@ -571,9 +571,9 @@ def transitions_of(plan: Plan) -> tuple[Plan, ...]:
             inputs=reference.inputs[first:last],
             plan=part,
         )
-        found.append(Plan(replace(scene, name=name, title=name), alone, plan.file, cached=True))
+        found.append(Plan(replace(itinerary, name=name, title=name), alone, plan.file, cached=True))
     if not found:
-        raise InputError(f"{scene.name} has no transitions: they lead from one equilibrium to another; see twelve")
+        raise InputError(f"{itinerary.name} has no transitions: they lead from one equilibrium to another; see twelve")
     return tuple(found)
 
 

@@ -143,10 +143,10 @@ class ClosedLoop(Timed):
             GoalMissed: there is no reference to follow, no controller can be made for it, or the rig failed at once.
         """
         bench, plan, assembly = bench_of(rig), self.plan.followed(), self.assembly
-        scene = replace(plan.itinerary, loop=replace(plan.itinerary.loop, seed=seed))
-        plan, out = replace(plan, itinerary=scene), _path(log)
+        itinerary = replace(plan.itinerary, loop=replace(plan.itinerary.loop, seed=seed))
+        plan, out = replace(plan, itinerary=itinerary), _path(log)
         if isinstance(bench, RigLink):
-            out = out or default_log(scene)
+            out = out or default_log(itinerary)
         if program is not None:
             if not isinstance(bench, RigLink) or out is None or bench.address != OWN_BENCH:
                 raise InputError('program: controls the example bench; give rig="udp" as well')
@@ -154,7 +154,7 @@ class ClosedLoop(Timed):
         return run_plan(
             plan,
             out,
-            assembly=assembly.under(scene.loop),
+            assembly=assembly.under(itinerary.loop),
             bench=bench,
             force=force,
             live=live_view if live else None,
@@ -197,9 +197,9 @@ class ClosedLoop(Timed):
         if isinstance(link, OwnObject):
             raise InputError(f'rig = {link}: a night needs a bench at an address; give "udp" or udp://HOST:PORT')
         seeded = self.plan.itinerary.with_run({}, seed=seed)
-        scene = night_itinerary(seeded, given=self.options)
+        itinerary = night_itinerary(seeded, given=self.options)
         return run_night(
-            replace(self.plan, itinerary=scene), out, night, link=link, resume=resume,
+            replace(self.plan, itinerary=itinerary), out, night, link=link, resume=resume,
             force=force, live=live_view if live else None, yes=yes, progress=progress,
         )  # fmt: skip
 
@@ -234,8 +234,8 @@ class ClosedLoop(Timed):
             InputError: an unknown option or impossible value, or the file cannot be written.
             GoalMissed: there is no reference to follow, or a process died.
         """
-        scene, own = self.planned.itinerary, settings or (STANDARD_CAMPAIGN if standard else CampaignSettings(runs))
-        cases = asked_cases(scene, fixed=self.options, over=over or {}, standard=standard, transitions=transitions)
+        itinerary, own = self.planned.itinerary, settings or (STANDARD_CAMPAIGN if standard else CampaignSettings(runs))
+        cases = asked_cases(itinerary, fixed=self.options, over=over or {}, standard=standard, transitions=transitions)
         found = run_campaign(
             self.planned, cases, _path(out), settings=own,
             transitions=transitions, force=force, yes=yes, progress=progress,

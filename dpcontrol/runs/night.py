@@ -215,19 +215,19 @@ def run_night(
             no bench fits.
         GoalMissed: the plan did not converge, no controller can be made for it, or no plant drawn.
     """
-    scene = plan.followed().itinerary
-    settings, arms, folder = scene.loop, scene.model.arms, night_folder(out)
-    made_by = bench_record(scene, link)
-    record = {**run_metadata(scene), **made_by}
+    itinerary = plan.followed().itinerary
+    settings, arms, folder = itinerary.loop, itinerary.model.arms, night_folder(out)
+    made_by = bench_record(itinerary, link)
+    record = {**run_metadata(itinerary), **made_by}
     check_folder(folder, record, resume=resume, force=force)
-    remark(night_cost(scene, night, folder, real_time=link is not None, yes=yes))
+    remark(night_cost(itinerary, night, folder, real_time=link is not None, yes=yes))
     place = _place(folder, record, night, settings.rate, resume=resume, force=force)
     since, until = round(place.begin * settings.rate), round(night.hours * 3600 * settings.rate)
     assembly = assembled(plan)
     recovery = assembly.recovery
     if recovery is None:
         raise InputError(
-            f'{scene.path}: [supervisor] on_fall = "stop": a long run repeats its itinerary, by flights if necessary; '
+            f'{itinerary.path}: [supervisor] on_fall = "stop": a long run repeats its itinerary, by flights if needed; '
             f'use on_fall = "resume" or "restart"'
         )
 
@@ -263,7 +263,7 @@ def run_night(
                     on_rig = assembly.loop(
                         sink=sink, recovery=recovery, until=until - since, keep=False, progress=progress
                     )
-                    with link.connected(scene, recipe, ticks=ticks, what="the night", loop=on_rig) as (rig, _):
+                    with link.connected(itinerary, recipe, ticks=ticks, what="the night", loop=on_rig) as (rig, _):
                         result = on_rig.run(rig)
                 if not rig.deadlines.ticks:
                     raise GoalMissed(result.reason)

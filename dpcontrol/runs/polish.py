@@ -12,7 +12,7 @@ Such programs have many minima, whose efforts differ by up to a third. Several s
 with different meshes and polynomials. The least costly motion that keeps the walk is refined.
 
 A motion keeps the walk if it crosses the same sections as the robust plan, in the same order and direction and on the
-same turns of each arm. It must also have the same number of wobbles at each interior stop. The joint optimum can leave
+same turns of each arm. It must also have the same number of wraps at each interior stop. The joint optimum can leave
 the neighbourhood of the orbits: nearness is a property of the robust plan, which the user trades for less effort. If no
 free motion keeps the walk, a weight holds the motion near the robust plan.
 """
@@ -191,14 +191,15 @@ def check_polishable(plan: Plan) -> None:
     Raises:
         InputError: one of the two fails.
     """
-    content, scene = plan.content, plan.itinerary
-    rest = resting_place(scene.model.system)
+    content, itinerary = plan.content, plan.itinerary
+    rest = resting_place(itinerary.model.system)
     ends = [content.stops[k].saddle for k in (0, -1)]
     if content.polished:
-        raise InputError(f"{scene.path} is polished already; polish the itinerary that it was made from")
-    if not content.symbols or ends != [rest, rest] or scene.start == "orbit" or content.segments:
+        raise InputError(f"{itinerary.path} is polished already; polish the itinerary that it was made from")
+    if not content.symbols or ends != [rest, rest] or itinerary.start == "orbit" or content.segments:
         raise InputError(
-            f"{scene.path}: --polish needs a motion from rest to rest, and this one leads from {ends[0]} to {ends[1]}; "
+            f"{itinerary.path}: --polish needs a motion from rest to rest, and this one leads from {ends[0]} to "
+            f"{ends[1]}; "
             'set start = "rest" and finish = "rest", or omit --polish'
         )
 
@@ -327,7 +328,7 @@ class _Crossed:
     Attributes:
         times: times of the symbols, s.
         events: events of each walk.
-        halves: half wobbles at each interior stop, or None if it has no count.
+        halves: half wraps at each interior stop, or None if it has no count.
     """
 
     times: list[float]
@@ -394,7 +395,7 @@ def _crossed(robust: Reference, motion: Reference) -> _Crossed:
     halves: list[int | None] = []
     for k, (arrived, left) in enumerate(pairwise(times)):
         stop = content.stops[k + 1]
-        # The arm that swings farther on the stop's orbit counts its wobbles.
+        # The arm that swings farther on the stop's orbit counts its wraps.
         arm = int(np.argmax(np.ptp(content.orbit(stop).curve[:, :n], axis=0)))
         above = angles[(grid >= arrived) & (grid <= left), arm] > stop.angles[arm]
         halves.append(None if content.wraps[k] is None else int(np.count_nonzero(above[1:] != above[:-1])))

@@ -48,7 +48,7 @@ from dpcontrol.runs.troubles import TROUBLES, Trouble
 
 
 @dataclass(frozen=True)
-class SceneChange:
+class SettingChange:
     """A change: its text, its options of `dpcontrol run`, and advice.
 
     Preflights try only changes with advice.
@@ -59,23 +59,23 @@ class SceneChange:
     advice: str = ""
 
 
-def _fewest_counts(scene: Itinerary) -> int:
+def _fewest_counts(itinerary: Itinerary) -> int:
     """Return the counts per turn of the coarsest encoder, 0 if none rounds."""
-    return min(filter(None, scene.loop.sensors.of_each("counts", scene.model.arms.count)), default=0)
+    return min(filter(None, itinerary.loop.sensors.of_each("counts", itinerary.model.arms.count)), default=0)
 
 
-def changes(scene: Itinerary) -> Iterator[Sequence[SceneChange]]:
+def changes(itinerary: Itinerary) -> Iterator[Sequence[SettingChange]]:
     """Yield the possible changes of each kind, smallest first.
 
     Args:
-        scene: itinerary of the run.
+        itinerary: itinerary of the run.
     """
-    loop = scene.loop
-    limit, drive = loop.travel or scene.limits.position, loop.drive
-    wide, *wider = map(_short, (1.5 * limit, 2 * limit, max(4 * limit, 2 * scene.limits.position)))
+    loop = itinerary.loop
+    limit, drive = loop.travel or itinerary.limits.position, loop.drive
+    wide, *wider = map(_short, (1.5 * limit, 2 * limit, max(4 * limit, 2 * itinerary.limits.position)))
     yield (
-        SceneChange(f"a travel of ±{wide:g} m", {"travel": wide}, f"more travel: ±{wide:g} m"),
-        *(SceneChange(f"a travel of ±{more:g} m", {"travel": more}) for more in wider),
+        SettingChange(f"a travel of ±{wide:g} m", {"travel": wide}, f"more travel: ±{wide:g} m"),
+        *(SettingChange(f"a travel of ±{more:g} m", {"travel": more}) for more in wider),
     )
     for one in TROUBLES:
         value, tried = setting_of(loop, one.setting), []
@@ -86,28 +86,28 @@ def changes(scene: Itinerary) -> Iterator[Sequence[SceneChange]]:
                 tuple(_short(v / 2) for v in value) if isinstance(value, tuple) else _short((value + one.nothing) / 2)
             )
             half, text = {one.setting: smaller}, f"half the {one.name}"
-            tried.append(SceneChange(text, half, one.remedy and f"{one.remedy}: {text}"))
+            tried.append(SettingChange(text, half, one.remedy and f"{one.remedy}: {text}"))
         if one.removed:
-            tried.append(SceneChange(f"no {one.name}", {one.setting: one.nothing}))
+            tried.append(SettingChange(f"no {one.name}", {one.setting: one.nothing}))
         yield tried
-    counts = 4 * _fewest_counts(scene)
+    counts = 4 * _fewest_counts(itinerary)
     # The delay stays the same in seconds.
     delay = {"delay": _short(drive.delay * _QUICK / loop.rate)} if drive.delay else {}
     law = "tvlqr" if loop.controller.kind == "adaptive" else "adaptive"
     others = (
         (
             drive.lag and loop.drive_lag != drive.lag,
-            SceneChange(
+            SettingChange(
                 "a controller with the drive's lag", {"drive_lag": drive.lag}, "give the controller the drive's lag"
             ),
         ),
-        (counts, SceneChange(f"{counts} counts a turn", {"counts": counts}, "finer encoders: four times the counts")),
-        (loop.rate < _QUICK, SceneChange(f"a rate of {_QUICK:g} Hz", {"rate": _QUICK, **delay})),
-        (loop.estimator.kind != "ekf", SceneChange("the ekf as the estimator", {"estimator": "ekf"})),
-        (loop.keep != "none", SceneChange("no keeper of the stops", {"keep": "none"})),
+        (counts, SettingChange(f"{counts} counts a turn", {"counts": counts}, "finer encoders: four times the counts")),
+        (loop.rate < _QUICK, SettingChange(f"a rate of {_QUICK:g} Hz", {"rate": _QUICK, **delay})),
+        (loop.estimator.kind != "ekf", SettingChange("the ekf as the estimator", {"estimator": "ekf"})),
+        (loop.keep != "none", SettingChange("no keeper of the stops", {"keep": "none"})),
         (
-            loop.keep == "none" and scene.stay is None,
-            SceneChange(f"{law} as the law", {"controller": law}, f"another law: {law}"),
+            loop.keep == "none" and itinerary.stay is None,
+            SettingChange(f"{law} as the law", {"controller": law}, f"another law: {law}"),
         ),
     )
     yield from ((change,) for helps, change in others if helps)
@@ -212,7 +212,7 @@ class _Task:
         rate: share of completed runs on the present bench.
     """
 
-    of: Hazard | SceneChange
+    of: Hazard | SettingChange
     job: Job
     completed: tuple[bool, ...]
     most: int
@@ -225,7 +225,7 @@ def _ends(job: Job) -> tuple[RunEnd, ...]:
 
 
 def _do(task: _Task) -> HazardBorder | Improvement:
-    return _change(task, task.of) if isinstance(task.of, SceneChange) else _border(task, task.of)
+    return _change(task, task.of) if isinstance(task.of, SettingChange) else _border(task, task.of)
 
 
 def outcomes(job: Job, most: int) -> tuple[RunEnd, ...]:
@@ -352,7 +352,7 @@ def _crossing(x: NDArray[np.float64], falls: NDArray[np.float64]) -> float | Non
     return float(x[k - 1] + along * (x[k] - x[k - 1]))
 
 
-def _change(trial: _Task, change: SceneChange) -> Improvement:
+def _change(trial: _Task, change: SettingChange) -> Improvement:
     before = trial.completed
     pairs = paired(before, [row.completed for row in outcomes(trial.job, trial.most)])
     return Improvement(
@@ -448,8 +448,8 @@ def preflight(
         GoalMissed: the plan did not converge, no controller can be made for it, or a process died.
     """
     began, options, settings = time.perf_counter(), options or {}, settings or PreflightSettings()
-    scene, known = with_known_errors(plan.followed().itinerary, options)
-    loop, name = scene.loop, scene.name
+    itinerary, known = with_known_errors(plan.followed().itinerary, options)
+    loop, name = itinerary.loop, itinerary.name
     ticks = max(round(plan.reference.duration * loop.rate), 1)
     lockstep, tick = loop.lockstep, seconds_of(loop)
     amounts = _amounts(settings.runs, ticks * tick, lockstep=lockstep)
@@ -459,7 +459,7 @@ def preflight(
     announce(Cost(work, count * ticks * tick / workers, 4e8 * workers, f"preflight of {name}"), yes=yes)
     seeds = tuple(range(settings.first_seed, settings.first_seed + amounts.rate))
     case = Case("preflight", (), loop)
-    job = Job(name, plan.archive, scene.model.arms, case, seeds, "compiled", scene.uncertainty, replayed=0)
+    job = Job(name, plan.archive, itinerary.model.arms, case, seeds, "compiled", itinerary.uncertainty, replayed=0)
 
     # At most the memory of a campaign's jobs.
     most = max(min(MOST_TICKS // ticks, 256), 1)
@@ -469,12 +469,12 @@ def preflight(
     ordered = sorted(row for _, part in parts for row in part)
     completed = [row.completed for row in ordered]
     share = wilson(sum(completed), len(completed), confidence=settings.confidence)
-    notes = _notes(scene, loop)
+    notes = _notes(itinerary, loop)
     tasks: list[_Task] = []
     if searches:
         most_delay = _AFFORD_DELAY / (3 * amounts.block * ticks * _TICK * _AHEAD)
-        tasks += _searches(hazards(plan, scene, most_delay=most_delay), job, completed, amounts, most, notes)
-        tasks += _trials(scene, job, completed, amounts.change, most)
+        tasks += _searches(hazards(plan, itinerary, most_delay=most_delay), job, completed, amounts, most, notes)
+        tasks += _trials(itinerary, job, completed, amounts.change, most)
     else:
         notes.append("these runs go one after the other, not side by side: borders and changes with --runs only")
     work = in_processes(_do, tasks, workers, what="borders and changes", progress=part_of(progress, 0.15, 1.0))
@@ -482,8 +482,8 @@ def preflight(
     borders = [b for b in found if isinstance(b, HazardBorder)]
     return Preflight(
         itinerary=name,
-        title=scene.title,
-        model=scene.model.name,
+        title=itinerary.title,
+        model=itinerary.model.name,
         share=share,
         confidence=settings.confidence,
         known=tuple(known),
@@ -509,36 +509,36 @@ def endings(ends: Sequence[RunEnd]) -> tuple[EndingShare, ...]:
     return tuple(EndingShare(cause, len(rows), rows[0].seed, rows[0].reason) for cause, rows in ordered)
 
 
-def with_known_errors(scene: Itinerary, options: Mapping[str, Any]) -> tuple[Itinerary, list[Assumption]]:
-    """Return the scene with known errors of arms and bench.
+def with_known_errors(itinerary: Itinerary, options: Mapping[str, Any]) -> tuple[Itinerary, list[Assumption]]:
+    """Return the itinerary with known errors of arms and bench.
 
     Its runs are drawn from these errors, and a list of them follows.
 
     Args:
-        scene: itinerary of the run.
+        itinerary: itinerary of the run.
         options: settings by path that override those of the itinerary.
 
     Raises:
         InputError: an impossible setting.
     """
     given = {path.rpartition(".")[2] for path in canonical(options)}
-    identified = scene.model.uncertainty is not None
-    chosen = scene.with_run(options)
-    if identified and not {"mismatch", "model_uncertainty"} & given and not scene.loop.model_uncertainty:
+    identified = itinerary.model.uncertainty is not None
+    chosen = itinerary.with_run(options)
+    if identified and not {"mismatch", "model_uncertainty"} & given and not itinerary.loop.model_uncertainty:
         chosen = chosen.with_run({"model_uncertainty": 1.0, "mismatch": 0.0})
     drawn = chosen.loop.model_uncertainty or chosen.loop.mismatch or chosen.loop.plant is not None
     assumed = not drawn and "mismatch" not in given
     chosen = chosen.with_run({"mismatch": ASSUMED_MISMATCH}) if assumed else chosen
-    loop, file = chosen.loop, f"[run] of {scene.path.name}"
+    loop, file = chosen.loop, f"[run] of {itinerary.path.name}"
 
     def of(*names: str) -> str:
         return "given" if any(name in given for name in names) else file
 
     drive, sensors, blows = loop.drive, loop.sensors, loop.disturbances
-    limit, counts = loop.travel or scene.limits.position, _fewest_counts(scene)
-    unknown = "" if identified else f"; {scene.model.path.name} has no [uncertainty]"
+    limit, counts = loop.travel or itinerary.limits.position, _fewest_counts(itinerary)
+    unknown = "" if identified else f"; {itinerary.model.path.name} has no [uncertainty]"
     source = ("assumed" if assumed else of("mismatch")) + unknown
-    identified_by = f"identified: {scene.model.path.name}"
+    identified_by = f"identified: {itinerary.model.path.name}"
     mechanics = {key: np.atleast_1d(getattr(loop.mechanics, key)) for key in _MECHANICS}
     units = {key: leaves_of(MechanicsSettings)[key].bounds.unit for key in _MECHANICS}
     rows = [
@@ -555,7 +555,7 @@ def with_known_errors(scene: Itinerary, options: Mapping[str, Any]) -> tuple[Iti
         (True, "lag", f"{1e3 * drive.lag:.3g} ms", of("lag")),
         (True, "encoders", f"{counts:,} counts a turn" if counts else "not rounded", of("counts")),
         (True, "zeros", f"off by up to ±{sensors.zero_error:g} rad", of("zero_error")),
-        (True, "travel", f"±{limit:g} m", of("travel") if loop.travel else f"[limits] of {scene.path.name}"),
+        (True, "travel", f"±{limit:g} m", of("travel") if loop.travel else f"[limits] of {itinerary.path.name}"),
         (drive.command_noise, "command noise", f"{drive.command_noise:g} m/s²", of("command_noise")),
         (sensors.noise, "encoder noise", f"{sensors.noise:g} rad", of("noise")),
         (blows.tilt, "tilt", f"{blows.tilt:g} rad", of("tilt")),
@@ -573,18 +573,18 @@ _MECHANICS = ("belt", "play", "cable_torque", "cable_stiffness", "stiction", "in
 """Settings of the mechanics that are listed if they are not zero."""
 
 
-def _notes(scene: Itinerary, loop: LoopSettings) -> list[str]:
+def _notes(itinerary: Itinerary, loop: LoopSettings) -> list[str]:
     measured = {"lag": loop.drive.lag, "zero_error": loop.sensors.zero_error}
     unmeasured = [name for name, value in measured.items() if not value]
     notes = (
         (
-            scene.start == "orbit",
+            itinerary.start == "orbit",
             'start = "orbit": runs begin at the orbit\'s exact rates, which a rig cannot; plan from "rest"',
         ),
         (
             unmeasured,
             f"{' and '.join(unmeasured)} = 0 in [run]: a bench is never ideal; measure it with `dpcontrol commission "
-            f"{scene.name} --rig ADDRESS --write`, or give an estimate",
+            f"{itinerary.name} --rig ADDRESS --write`, or give an estimate",
         ),
     )
     return [note for holds, note in notes if holds]
@@ -614,7 +614,7 @@ _FEWEST = 8
 """Completed runs required for a search of borders."""
 
 
-def hazards(plan: Plan, scene: Itinerary, *, most_delay: float) -> list[Hazard]:
+def hazards(plan: Plan, itinerary: Itinerary, *, most_delay: float) -> list[Hazard]:
     """Return the troubles with borders, with the bench's own values.
 
     Prediction over a delay takes time in proportion, and each delay needs separate code. Its border is therefore sought
@@ -622,19 +622,19 @@ def hazards(plan: Plan, scene: Itinerary, *, most_delay: float) -> list[Hazard]:
 
     Args:
         plan: plan of the itinerary.
-        scene: itinerary with known errors.
+        itinerary: itinerary with known errors.
         most_delay: largest delay, in periods, that the computing time allows.
     """
-    loop = scene.loop
+    loop = itinerary.loop
     own = isinstance(loop.plant, OwnPlant) and not loop.plant.own.symbolic
     pushes, rig = loop.disturbances.pushes, loop.mechanics
     travel, least = loop.limits(plan.reference.limits).position, plan.reference.max_cart_position
     # The loop's model of the bench stays unchanged.
-    known = (("known_belt", loop.known_belt), ("known_play", rig.of_each("known_play", scene.model.arms.count)))
+    known = (("known_belt", loop.known_belt), ("known_play", rig.of_each("known_play", itinerary.model.arms.count)))
     besides = {"push_impulse": (("pushes", pushes or 2),), "belt": known, "play": known}
     present = {
         "push_impulse": loop.disturbances.push_impulse if pushes else 0.0,
-        "counts": _fewest_counts(scene) or math.inf,
+        "counts": _fewest_counts(itinerary) or math.inf,
         "travel": travel,
         "belt": rig.belt or math.inf,
     }
@@ -661,7 +661,7 @@ _WITH_OWN_PLANT = ("delay", "push_impulse", "zero_error", "counts", "travel", "i
 """Settings that remain if a user's plant replaces arms, cart and drive."""
 
 
-def _trials(scene: Itinerary, job: Job, completed: Sequence[bool], count: int, most: int) -> list[_Task]:
+def _trials(itinerary: Itinerary, job: Job, completed: Sequence[bool], count: int, most: int) -> list[_Task]:
     """Return the changes to try, none if every run completes.
 
     Each kind is tried on `count` seeds.
@@ -673,8 +673,8 @@ def _trials(scene: Itinerary, job: Job, completed: Sequence[bool], count: int, m
     chosen = sorted([*failing, *completing])
     seeds, before = tuple(job.seeds[k] for k in chosen), tuple(completed[k] for k in chosen)
     rate = sum(completed) / len(completed)
-    advised = [change for group in changes(scene) for change in group if change.advice]
-    changed = [replace(job.case, loop=scene.with_run(change.options).loop) for change in advised]
+    advised = [change for group in changes(itinerary) for change in group if change.advice]
+    changed = [replace(job.case, loop=itinerary.with_run(change.options).loop) for change in advised]
     return [
         _Task(change, replace(job, case=case, seeds=seeds), before, most, rate=rate)
         for change, case in zip(advised, changed, strict=True)

@@ -28,7 +28,7 @@ from dpcontrol.judge.score import Score
 from dpcontrol.plans.overrides import typed as typed_options
 from dpcontrol.plans.plan import Plan
 from dpcontrol.runs.campaign import Case, Job
-from dpcontrol.runs.preflight import SceneChange, changes, outcomes, seconds_of
+from dpcontrol.runs.preflight import SettingChange, changes, outcomes, seconds_of
 
 SAME, SAME_ALONE = 16, 8
 """Variants of the failed run, and as many neighbouring seeds: in lockstep, and sequentially."""
@@ -135,7 +135,7 @@ class Why(Documented):
         return f"<why: {self.sentence}>"
 
 
-_Group = tuple[Sequence[tuple[SceneChange, Job]], Sequence[bool]]
+_Group = tuple[Sequence[tuple[SettingChange, Job]], Sequence[bool]]
 """Changes of one kind with their jobs, whose first run is the failed one, and the null group's results."""
 
 
@@ -167,23 +167,23 @@ def why(
     if failed.completed:
         return Why(failed.log, failed.seed, failed.reason, ())
     plan = typed({})
-    scene, groups = plan.itinerary, [*changes(plan.itinerary)]
-    lockstep = scene.loop.lockstep
+    itinerary, groups = plan.itinerary, [*changes(plan.itinerary)]
+    lockstep = itinerary.loop.lockstep
     size = SAME if lockstep else SAME_ALONE
-    ticks = max(round(plan.reference.duration * scene.loop.rate), 1)
+    ticks = max(round(plan.reference.duration * itinerary.loop.rate), 1)
     workers = workers or processors()
-    each, tried = 2 * size * ticks * seconds_of(scene.loop), sum(map(len, groups))
+    each, tried = 2 * size * ticks * seconds_of(itinerary.loop), sum(map(len, groups))
     cost = (tried + 1) * (each + _OVERHEAD) / workers if lockstep else (tried * 0.3 + 1) * each / workers
-    announce(Cost(f"{tried} changes", cost, 4e8 * workers, f"--why of {scene.name}"), yes=yes)
+    announce(Cost(f"{tried} changes", cost, 4e8 * workers, f"--why of {itinerary.name}"), yes=yes)
 
-    def jobs(group: Sequence[SceneChange]) -> Iterator[tuple[SceneChange, Job]]:
+    def jobs(group: Sequence[SettingChange]) -> Iterator[tuple[SettingChange, Job]]:
         for change in group:
             # The option may contradict the run's other settings.
             with suppress(InputError):
                 yield change, _job(typed(change.options), size)
 
     progress("harmless changes", 0.0)
-    before, _ = _tried(([(SceneChange("", {}), _job(plan, size))], ()))[0]
+    before, _ = _tried(([(SettingChange("", {}), _job(plan, size))], ()))[0]
     null, trials = Completed(sum(before[:size]), sum(before[size:]), size), list[TriedChange]()
 
     pieces: list[_Group] = [(made, before) for group in groups if (made := tuple(jobs(group)))]
@@ -203,12 +203,12 @@ def _job(plan: Plan, size: int) -> Job:
 
     The run itself is first, and as many neighbouring seeds follow.
     """
-    scene, loop = plan.itinerary, plan.itinerary.loop
+    itinerary, loop = plan.itinerary, plan.itinerary.loop
     seeds = (*[loop.seed] * size, *range(loop.seed + 1, loop.seed + 1 + size))
     variants = [loop.mismatch * (1 - _HARMLESS * k) if loop.mismatch else 1e-2 * _HARMLESS * k for k in range(size)]
     return Job(
-        scene.name, plan.archive, scene.model.arms, Case("why", (), loop), seeds, "compiled", scene.uncertainty,
-        replayed=0, mismatches=(*variants, *[loop.mismatch] * size),
+        itinerary.name, plan.archive, itinerary.model.arms, Case("why", (), loop), seeds, "compiled",
+        itinerary.uncertainty, replayed=0, mismatches=(*variants, *[loop.mismatch] * size),
     )  # fmt: skip
 
 
@@ -251,7 +251,7 @@ def _beats(done: Sequence[bool], before: Sequence[bool]) -> bool:
 
 
 def _judged(
-    change: SceneChange,
+    change: SettingChange,
     done: Sequence[bool],
     verdict: str,
     before: Sequence[bool],

@@ -289,9 +289,9 @@ def assembled(plan: Plan) -> Assembly:
         InputError: the model's file lacks the uncertainty of a drawn plant.
         GoalMissed: the plan did not converge.
     """
-    scene = plan.itinerary
+    itinerary = plan.itinerary
     reference = plan.followed().reference
-    return Assembly(reference, scene.model.arms, scene.loop, scene.uncertainty, stays=stays(reference))
+    return Assembly(reference, itinerary.model.arms, itinerary.loop, itinerary.uncertainty, stays=stays(reference))
 
 
 def run_plan(
@@ -322,8 +322,8 @@ def run_plan(
             once.
     """
     plan = plan.followed()
-    scene, assembly = plan.itinerary, assembly or assembled(plan)
-    made_by = bench_record(scene, bench)
+    itinerary, assembly = plan.itinerary, assembly or assembled(plan)
+    made_by = bench_record(itinerary, bench)
 
     def run(sink: LoopSink) -> tuple[Ticks, dict[str, str]]:
         """Return the ticks, and the outcome as metadata."""
@@ -333,10 +333,10 @@ def run_plan(
         with assembly.recovery_beside() as recovery:
             loop, noted = assembly.loop(sink=sink, recovery=recovery, progress=progress), {}
             if isinstance(bench, OwnObject):
-                flown = loop.run(OwnRig(bench, arms=scene.model.arms.count, period=1 / scene.loop.rate))
+                flown = loop.run(OwnRig(bench, arms=itinerary.model.arms.count, period=1 / itinerary.loop.rate))
             else:
                 recipe = bench_recipe(plan, assembly)
-                with bench.connected(scene, recipe, ticks=loop.count, what="the itinerary", loop=loop) as (rig, _):
+                with bench.connected(itinerary, recipe, ticks=loop.count, what="the itinerary", loop=loop) as (rig, _):
                     flown = loop.run(rig)
                 noted = rig.deadlines.record()
         if not len(flown.ticks.times):
@@ -348,7 +348,7 @@ def run_plan(
         with watched(plan, events, live=live) as sink:
             ticks, ended = run(sink)
         return Run(_log_in_memory(plan, ticks, events.kept, **made_by, **ended))
-    check_replaced(out, {**run_metadata(scene), **made_by}, force=force)
+    check_replaced(out, {**run_metadata(itinerary), **made_by}, force=force)
     with log_writer(plan, out, **made_by) as writer, watched(plan, LogSink(writer), live=live) as sink:
         writer.result(**run(sink)[1])
     return Run(read_log(out))
@@ -432,25 +432,25 @@ def drawn_metadata(itinerary: Itinerary) -> dict[str, str]:
 
 def _log_in_memory(plan: Plan, ticks: Ticks, events: Sequence[Event], **more: str) -> RunLog:
     """Return the contents of a run's log; more: metadata."""
-    scene = plan.itinerary
-    lengths, limits = scene.model.arms.length, scene.loop.limits(plan.reference.limits)
+    itinerary = plan.itinerary
+    lengths, limits = itinerary.model.arms.length, itinerary.loop.limits(plan.reference.limits)
     states = {"estimate": ticks.estimates, "reference": ticks.references}
     return RunLog(
-        path=Path(f"{scene.name}, seed {scene.loop.seed}"),
+        path=Path(f"{itinerary.name}, seed {itinerary.loop.seed}"),
         time=ticks.times,
         measured=ticks.measured,
         rates=None,
         states=states if ticks.truth is None else {**states, "truth": ticks.truth},
         controls=dict(zip(control_fields(len(lengths), has_cart=True), ticks.control.T, strict=True)),
         events=tuple(events),
-        metadata={**run_metadata(scene), **more},
+        metadata={**run_metadata(itinerary), **more},
         attachments=_attachments(plan),
         joint_names=joint_names(len(lengths), has_cart=True),
         arm_lengths=lengths,
         has_cart=True,
-        rate_hz=scene.loop.rate,
+        rate_hz=itinerary.loop.rate,
         limits=(limits.position, limits.velocity, limits.acceleration),
-        extras=_extras(ticks, extra_names(len(lengths), scene.loop.filters.augments)),
+        extras=_extras(ticks, extra_names(len(lengths), itinerary.loop.filters.augments)),
     )
 
 
@@ -624,23 +624,27 @@ def _plan(log: RunLog, *, repeats: bool = True) -> Plan:
     return Plan(itinerary, reference, Path(), cached=True)
 
 
-def _with_options(plan: Plan, scene: Itinerary, change: Mapping[str, Any]) -> Plan:
+def _with_options(plan: Plan, itinerary: Itinerary, change: Mapping[str, Any]) -> Plan:
     """Return the plan of a logged run with more options.
 
     The options are added to its command line.
 
-    The run's own options are the settings that differ from those of `scene`, the itinerary without options. If these do
+    The run's own options are the settings that differ from those of the itinerary without options. If these do
     not explain all recorded settings, the options are applied to the recorded settings.
     """
     then = plan.itinerary
-    pairs = {path: (setting_of(scene.loop, path), setting_of(then.loop, path)) for path in paths() if path != "plant"}
+    pairs = {
+        path: (setting_of(itinerary.loop, path), setting_of(then.loop, path)) for path in paths() if path != "plant"
+    }
     own = {path: noted for path, (before, noted) in pairs.items() if noted is not None and before != noted}
     # Another law or filter brings its own defaults.
     switched = {"controller": ("controller.", "estimator."), "estimator": ("estimator.",)}
     reset = tuple(start for role, starts in switched.items() if role in own for start in starts)
     own = {path: noted for path, noted in own.items() if not path.startswith(reset)} if reset else own
-    accounted = scene.with_run(own, seed=then.loop.seed).loop == then.loop
-    chosen = scene.with_run({**own, **canonical(change)}, seed=then.loop.seed) if accounted else then.with_run(change)
+    accounted = itinerary.with_run(own, seed=then.loop.seed).loop == then.loop
+    chosen = (
+        itinerary.with_run({**own, **canonical(change)}, seed=then.loop.seed) if accounted else then.with_run(change)
+    )
     chosen.check_parts(then)
     return replace(plan, itinerary=chosen)
 

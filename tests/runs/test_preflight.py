@@ -21,7 +21,7 @@ from dpcontrol.runs.campaign import CampaignSettings, Job, cases_of, run_campaig
 from dpcontrol.runs.preflight import (
     ASSUMED_MISMATCH,
     PreflightSettings,
-    SceneChange,
+    SettingChange,
     preflight,
     with_known_errors,
 )
@@ -118,7 +118,7 @@ def test_its_runs_are_those_of_a_campaign_and_are_kept(
     monkeypatch.setenv("DPCONTROL_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr(module, "hazards", lambda plan, scene, **most: [])
     half = {"mismatch": 0.1}
-    changed = SceneChange("", half, "half")
+    changed = SettingChange("", half, "half")
     monkeypatch.setattr(module, "changes", lambda scene: [[changed]])
     found = preflight(turn, HARD, settings=SMALL)
     assert found.changes[0].gain > 0
