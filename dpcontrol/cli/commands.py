@@ -23,7 +23,7 @@ from dpcontrol.cli.output import Call, prints_on_stderr, show
 from dpcontrol.cli.verbs import Verb
 from dpcontrol.foundation.checked import annotations_of
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import Output, checked_folder, checked_other_file, checked_target
+from dpcontrol.foundation.files import PICTURE, Output, checked_folder, checked_other_file, checked_target
 from dpcontrol.foundation.interrupts import forget_interrupts
 from dpcontrol.foundation.parts import StageModule
 from dpcontrol.foundation.progress import reporting
@@ -31,8 +31,6 @@ from dpcontrol.foundation.rendering import render
 
 overrides: Any = StageModule("plans.overrides")
 layout: Any = StageModule("pages.layout")
-PICTURE = Output((".png", ".pdf", ".svg"))
-"""File of a picture."""
 
 OPTIONS, SETTINGS, OUTPUT = "Options", "Run settings", "Output"
 """Headings of the help."""

@@ -221,7 +221,7 @@ class FlightPlanner:
         flights.nodes[:, :, :arms] += turns[:, None]
         return self._unscaled(flights)
 
-    def like(self, parameters: Array) -> "FlightPlanner":
+    def with_parameters(self, parameters: Array) -> "FlightPlanner":
         """Return a planner with the same limits for similar arms.
 
         Args:
@@ -231,7 +231,7 @@ class FlightPlanner:
         other._parameters = self._sizes * parameters
         return other
 
-    def within(self, room: Limits, *, centring: float) -> "FlightPlanner":
+    def with_room(self, room: Limits, *, centring: float) -> "FlightPlanner":
         """Return a planner whose flights have other limits.
 
         Args:

@@ -53,7 +53,9 @@ class Output:
     folder: bool = False
 
 
-Picture = Annotated[Path | str | None, Output((".png", ".pdf", ".svg"))]
+PICTURE = Output((".png", ".pdf", ".svg"))
+"""File of a picture."""
+Picture = Annotated[Path | str | None, PICTURE]
 Film = Annotated[Path | str | None, Output((".gif", ".webp", ".mp4"))]
 
 

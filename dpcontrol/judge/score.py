@@ -31,7 +31,7 @@ from dpcontrol.logs import CATCH, FLIGHT, LAP, RESUME, RETURN, Event, RunLog, St
 from dpcontrol.logs.layout import CONTROL, ESTIMATE, REFERENCE
 from dpcontrol.logs.rolling import NIGHT_METADATA
 from dpcontrol.loop.result import Ending, inside_95
-from dpcontrol.references.content import PlanSymbol, numbered
+from dpcontrol.references.content import PlanSymbol, symbol_figures
 from dpcontrol.references.reference import Reference, load_reference
 from dpcontrol.words import runs as words
 
@@ -535,8 +535,8 @@ def _fault(flown: Flown, plan: Reference, decoded: Decoded) -> FaultFigures:
     if matched == 0:
         return Fault.NOT_BEGUN, first
     if matched < len(stops):
-        return Fault.SYMBOL, {**numbered(symbols, matched - 1), **far, **early}
-    last = numbered(symbols, -1)
+        return Fault.SYMBOL, {**symbol_figures(symbols, matched - 1), **far, **early}
+    last = symbol_figures(symbols, -1)
     if lost is not None:
         return Fault.LAST_LEFT, {**last, **far, **early}
     for k, (required, done) in enumerate(zip(content.wraps, decoded.wraps, strict=False)):

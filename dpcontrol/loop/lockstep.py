@@ -62,7 +62,7 @@ class Lockstep:
                     if self._ends[lane].name != fault.name:
                         self._end([lane], k + 1, fault)
                 if self._departures is not None:
-                    self._depart(self._departures.at(k, report, ticker), k)
+                    self._depart(self._departures.lanes(k, report, ticker), k)
                 if self._over:
                     break
         references = ticker.references

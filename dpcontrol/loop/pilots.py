@@ -132,7 +132,7 @@ class DirectPilot:
         """
         for model in (self._model, self._coarse):
             model.parameters[:] = request.parameters
-        self._planner = self._usual.like(request.parameters)
+        self._planner = self._usual.with_parameters(request.parameters)
         goal, course = self.briefing.goals[request.goal].until(request.latest), request.course
         coming = self._predicted(request)
         if course is not None and self._lands(course, coming[-1], request.first + request.ticks - request.lead, goal):

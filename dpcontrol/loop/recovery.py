@@ -45,7 +45,7 @@ from dpcontrol.logs import CATCH, FLIGHT, LAP, RESUME, RETURN, Event, Stretch
 from dpcontrol.loop.pilots import THINKING, Briefing, Course, Pilot, Request
 from dpcontrol.loop.targets import SETTLES, Reach, padded
 from dpcontrol.loop.ticker import Ticker
-from dpcontrol.references.content import PlanSymbol, numbered
+from dpcontrol.references.content import PlanSymbol, symbol_figures
 from dpcontrol.references.problem import Limits
 
 _SETTLING = 0.03
@@ -179,11 +179,11 @@ class RecoveryPlan(Brief):
     anywhere: bool = False
     """True if the run begins with a flight."""
 
-    def samples(self) -> deque[Array]:
+    def empty_record(self) -> deque[Array]:
         """Return an empty record of the angles in the last period of the last stop's orbit."""
         return deque(maxlen=max(round(self.period / self.model.period / _EVERY), 1))
 
-    def away(self, angles: Sequence[Array], end: Array) -> float:
+    def distance(self, angles: Sequence[Array], end: Array) -> float:
         """Return the greatest distance from the last stop's orbit, rad.
 
         Args:
@@ -193,7 +193,7 @@ class RecoveryPlan(Brief):
         path = self.path + whole_turns(end - self.path.mean(axis=0))
         return float(np.abs(np.array(angles)[:, None] - path).max(axis=2).min(axis=1).max())
 
-    def fastest(self, planned: Any) -> Any:
+    def runaway_speed(self, planned: Any) -> Any:
         """Return the speed at which a cart runs away: near its maximum, if the reference is slower, m/s.
 
         Args:
@@ -202,7 +202,7 @@ class RecoveryPlan(Brief):
         most = self.briefing.limits.velocity
         return max(_FAST * most, abs(planned) + (1 - _FAST) * most)
 
-    def earlier(self, state: Array, here: int, cost: float) -> tuple[int, float] | None:
+    def earlier_place(self, state: Array, here: int, cost: float) -> tuple[int, float] | None:
         """Return an earlier place of the reference that is much nearer, and the cost-to-go to it, or None.
 
         Args:
@@ -249,7 +249,7 @@ class FallRecovery:
         self._meets: int | None = None
         self._seen = 0, 0.0
         self._arms = len(main.first_state) // 2 - 1
-        self._latest = plan.samples()
+        self._latest = plan.empty_record()
 
     def stretches(self, end: int) -> tuple[Stretch, ...]:
         """Return the intervals on the itinerary up to the tick `end`.
@@ -285,7 +285,7 @@ class FallRecovery:
     def _next(self) -> Mapping[str, Any]:
         """Return the figures of the next symbol, none at the last stop."""
         symbols, place = self._plan.symbols, self._stop
-        return numbered(symbols, place) if place < len(symbols) else {}
+        return symbol_figures(symbols, place) if place < len(symbols) else {}
 
     def _resumed(self) -> Event:
         begins, self._begins = self._begins, False
@@ -305,7 +305,7 @@ class FallRecovery:
         if self.motion is not Motion.ITINERARY:
             return {}
         speed, planned = abs(report.state.item(place, 0)), ticker.references.item(k - ticker.began, place)
-        if speed < self._plan.fastest(planned):
+        if speed < self._plan.runaway_speed(planned):
             return {}
         return {"time": k * ticker.program.period, "fast": speed, "planned": abs(planned)}
 
@@ -507,7 +507,7 @@ class FallRecovery:
         # Only after the run has been near again; otherwise it could be sent back repeatedly.
         if not own > _FAR or not self._near:
             return ()
-        if (nearer := plan.earlier(state, here, own)) is None:
+        if (nearer := plan.earlier_place(state, here, own)) is None:
             return ()
         place, least = nearer
         back, tick = (here - place) * reach.every * period, place * reach.every + 1
@@ -566,7 +566,7 @@ class FallRecovery:
 
         It must be held until the reference ends.
         """
-        away = self._plan.away(self._latest, ticker.references[-1, : self._arms])
+        away = self._plan.distance(self._latest, ticker.references[-1, : self._arms])
         if away <= _HELD:
             return ()
         return self.fell(k, Cause.NOT_HELD, {"away": away}, ticker, ticker.program.period) or ()
@@ -617,9 +617,9 @@ class Departures:
     """
 
     def __init__(self, plan: RecoveryPlan, runs: int) -> None:
-        self._plan, self._near, self._latest = plan, np.zeros(runs, dtype=bool), plan.samples()
+        self._plan, self._near, self._latest = plan, np.zeros(runs, dtype=bool), plan.empty_record()
 
-    def at(self, k: int, report: Report, ticker: Ticker) -> NDArray[np.bool_]:
+    def lanes(self, k: int, report: Report, ticker: Ticker) -> NDArray[np.bool_]:
         """Return True (S,) for runs that run away, that are nearer to an earlier place, or that missed the last stop.
 
         Args:
@@ -629,7 +629,7 @@ class Departures:
         """
         plan, states, references = self._plan, report.state, ticker.references
         arms = len(states) // 2 - 1
-        departs = ~(np.abs(states[-1]) < plan.fastest(references.item(k, 2 * arms + 1)))
+        departs = ~(np.abs(states[-1]) < plan.runaway_speed(references.item(k, 2 * arms + 1)))
         if not k % _EVERY:
             self._latest.append(states[:arms].copy())
             here = min(round(k / plan.reach.every), len(plan.reach.states) - 1)
@@ -637,11 +637,11 @@ class Departures:
             far = costs > _FAR
             self._near |= ~far
             for lane in np.flatnonzero(far & self._near & ~departs).tolist():
-                departs[lane] = plan.earlier(states[:, lane], here, costs.item(lane)) is not None
+                departs[lane] = plan.earlier_place(states[:, lane], here, costs.item(lane)) is not None
         if k + 1 == ticker.count:
             seen, end = np.array(self._latest), references[-1, :arms]
             for lane in np.flatnonzero(~departs).tolist():
-                departs[lane] = not plan.away([*seen[:, :, lane]], end) <= _HELD
+                departs[lane] = not plan.distance([*seen[:, :, lane]], end) <= _HELD
         return departs
 
 

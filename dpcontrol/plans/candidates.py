@@ -59,7 +59,7 @@ def coarse(arms: int) -> Method:
 
 
 @lru_cache(maxsize=2)
-def sampled(equations: Equations) -> SampledModel:
+def shared_model(equations: Equations) -> SampledModel:
     """Return a model that serves all arms of these equations.
 
     Args:
@@ -108,7 +108,7 @@ class Way:
             GoalMissed: it cannot be stabilised.
         """
         last = self.mirror * (self.start if self.backwards else self.end)
-        model = sampled(equations_of(self.arms, Level.CART))
+        model = shared_model(equations_of(self.arms, Level.CART))
         a, b = (found[0] for found in model.linearised(last[None], np.zeros(1), parameters=self.parameters))
         diagonal, effort = TvlqrSettings().weights(self.arms.count, PERIOD)
         cost = terminal_cost(a, b, weights=np.diag(diagonal), effort=effort)
@@ -127,8 +127,8 @@ class Way:
         turns = np.linspace(0.0, 1.0, STEPS, endpoint=False)[:, None, None] * durations[:, None] / NATURAL_TIME
         amplitudes, rates, phases = np.array(_PUSHES).T
         inputs = (amplitudes * np.sin(2 * np.pi * (rates * turns + phases))).reshape(STEPS, -1)
-        planner = FlightPlanner(self.arms, self.limits).like(self.parameters)
-        planner = planner.within(self.room, centring=CART_WEIGHT if fixed else 0.0)
+        planner = FlightPlanner(self.arms, self.limits).with_parameters(self.parameters)
+        planner = planner.with_room(self.room, centring=CART_WEIGHT if fixed else 0.0)
         begin = self.mirror * (self.end if self.backwards else self.start)
         found = planner.timed(begin, self.target(), np.repeat(durations, len(_PUSHES)), inputs, fixed=fixed)
         found = found.picked(found.reached)

@@ -40,7 +40,7 @@ from dpcontrol.plans.candidates import (
     PERIOD,
     Way,
     flights_between,
-    sampled,
+    shared_model,
     smooth_motions,
 )
 from dpcontrol.plans.itinerary import Itinerary
@@ -319,7 +319,7 @@ def sensitivity(arms: ArmChainParameters, motion: Trajectory) -> float:
         arms: parameters of the arms.
         motion: motion of arms and cart.
     """
-    model = sampled(equations_of(arms, Level.CART))
+    model = shared_model(equations_of(arms, Level.CART))
     count, n = max(round(motion.duration / PERIOD), 1), arms.count
     times = np.arange(count) * PERIOD
     states, commands = motion.state(times), motion.input(times + PERIOD / 2)[:, 0]

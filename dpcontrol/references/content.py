@@ -80,7 +80,7 @@ class PlanSymbol:
     phase_in: float = 0.0
 
 
-def numbered(symbols: Sequence[PlanSymbol], place: int) -> dict[str, Any]:
+def symbol_figures(symbols: Sequence[PlanSymbol], place: int) -> dict[str, Any]:
     """Return the figures of a symbol among all symbols, or of a transfer among all transfers; none without symbols.
 
     Args:

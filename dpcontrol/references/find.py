@@ -322,7 +322,7 @@ def _failure(problem: ReferenceProblem, failed: Solved, obstacle: Obstacle) -> R
     )
 
 
-def _from_near(problem: ReferenceProblem, first: Trajectory, *, settings: ReferenceSettings, limits: Limits) -> Solved:
+def _solve_near(problem: ReferenceProblem, first: Trajectory, *, settings: ReferenceSettings, limits: Limits) -> Solved:
     """Return the solution near a motion, with a large barrier if the motion is too far for a small one."""
     solved = solve(problem, first, settings=settings, limits=limits, search="warm")
     return solved if solved.succeeded else solve(problem, first, settings=settings, limits=limits)
@@ -370,7 +370,7 @@ def find_reference(
     while True:
         progress(f"reference, {len(first.mesh) - 1} intervals", round_number / settings.rounds)
         round_number += 1
-        search = _from_near if near or round_number > 1 else solve
+        search = _solve_near if near or round_number > 1 else solve
         solved = search(problem, first, settings=settings, limits=limits)
         iterations, seconds = iterations + solved.iterations, seconds + solved.seconds
         if not solved.succeeded or _is_another_motion(problem, solved, settings):

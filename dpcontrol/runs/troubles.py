@@ -24,9 +24,9 @@ class Trouble:
     Attributes:
         setting: its path in a run's settings.
         name: name in the text of a change.
-        remedy: advice for halving it, or "". Without advice, a preflight does not try half of it.
+        remedy: advice for halving it, or "". Without advice, a preflight does not try half the value.
         nothing: value without the trouble.
-        halves, removed: True if `--why` tries half of it, or its absence.
+        halves, removed: True if `--why` tries half the value, or the bench without the trouble.
         border: name of its border in a preflight, "" if none is sought.
         unit: unit in which the border is shown.
         shown: factor from the setting to this unit.

@@ -133,7 +133,7 @@ def test_an_interrupted_campaign_continues(
 
     with pytest.raises(KeyboardInterrupt):
         run_campaign(make_plan(turn), cases, file, settings=settings, progress=stop)
-    # What is there already is a table of its own.
+    # The files of finished jobs are a table.
     assert read_rows(file)[0] == undisturbed[:8]
     begun = []
     run_job = workers.run_job
