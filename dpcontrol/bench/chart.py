@@ -46,7 +46,7 @@ LEADING = 3
 """Diagrams on a page of a chart."""
 
 
-UNITS = ("s", "m", "rad", "J", "m/s²", "m²/s³", "1/(N m s)", "N m s")
+UNITS = ("s", "m", "rad", "J", "m/s²", "m/s² per rad", "m²/s³", "1/(N m s)", "N m s")
 
 
 def split_label(label: str) -> tuple[str, str]:

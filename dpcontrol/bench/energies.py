@@ -1,4 +1,4 @@
-"""Chart of an itinerary's effort over energies, to judge the chosen one.
+"""Chart of an itinerary's effort and peak gain over energies, to judge the chosen one.
 
 A walk of the same connections exists at many energies. The connections are continued from the itinerary's energy,
 because its symbols may mean others elsewhere. Each walk is planned, and flown by the itinerary's law on plants with 5 %
@@ -15,6 +15,7 @@ from dpcontrol.bench.chart import ChartPage, Diagram, Missing, Point
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.orbits.lyapunov import equilibrium
+from dpcontrol.plans.authority import peak_gains
 from dpcontrol.plans.itinerary import Itinerary, WalkPart
 from dpcontrol.plans.plan import Plan
 from dpcontrol.plans.planning import planned
@@ -79,10 +80,12 @@ def energies_chart(itinerary: Itinerary, progress: Progress = no_progress) -> Ch
             missing.append(Missing("loop", label, f"no run completes at ±{MISMATCH:.0%}"))
     if not any(p.default for p in points):
         raise GoalMissed(f"{itinerary.name}: no comparison without its energy: {missing[0].reason}")
-    panel = Diagram(
-        itinerary.title, "energy above the highest saddle's, J", "∫u², m²/s³", tuple(points), missing=tuple(missing),
-        judged=False,
-    )  # fmt: skip
+    axis = "energy above the highest saddle's, J"
+    efforts = Diagram(itinerary.title, axis, "∫u², m²/s³", tuple(points), missing=tuple(missing), judged=False)
+    gains = tuple(
+        replace(p, method="peak gain", error=p.others["peak_gain"]) for p in points if p.method == "reference"
+    )
+    losses = Diagram("What it asks of the feedback", axis, "peak gain, m/s² per rad", gains, judged=False)
     return ChartPage(
         name=f"{itinerary.name}-energies",
         title=f"{itinerary.name}: effort over energies",
@@ -91,9 +94,10 @@ def energies_chart(itinerary: Itinerary, progress: Progress = no_progress) -> Ch
             "reference: the effort of the plan alone, on a plant equal to the model.",
             f"loop: mean effort of completed runs, of {RUNS} plants off by {MISMATCH:.0%}. The connections of "
             f"{walk.energy:.4g} J are followed to the other energies.",
+            "peak gain: the largest gain of the feedback on an arm's angle; it multiplies what hides the angle.",
         ),
         chosen=energy_text(walk.energy, points),
-        parts=(panel,),
+        parts=(efforts, losses),
     )
 
 
@@ -136,6 +140,7 @@ def at_energy(itinerary: Itinerary, walk: WalkPart, runs: int) -> dict[str, floa
         "reference": reference.rms_cart_acceleration**2 * reference.duration,
         "loop": float(np.mean(efforts)) if efforts else float("nan"),
         "completed": len(done) / runs, "duration": reference.duration, "energy": walk.energy,
+        "peak_gain": float(peak_gains(itinerary.model.arms, reference).max()),
     }  # fmt: skip
 
 
@@ -155,7 +160,8 @@ def energy_text(own: float, points: Sequence[Point]) -> str:
     completed = mine.others["completed"]
     if completed == most and mine.error <= POOR * best.error:
         return f"{own:.4g} J is a good choice: at ±{MISMATCH:.0%} no energy tried takes {1 - 1 / POOR:.0%} less effort"
+    runs = "" if completed == most else f", and {most:.0%} of runs complete it, not {completed:.0%}"
     return (
         f"{own:.4g} J is a poor choice: {best.others['energy']:.4g} J takes {best.error:.3g} m²/s³ at "
-        f"±{MISMATCH:.0%}, not {mine.error:.3g}, and {most:.0%} of runs complete it, not {completed:.0%}"
+        f"±{MISMATCH:.0%}, not {mine.error:.3g}{runs}"
     )

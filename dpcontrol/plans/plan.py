@@ -35,7 +35,7 @@ from dpcontrol.references.reference import ByReference, Reference, load_referenc
 if TYPE_CHECKING:
     from dpcontrol.walks.shadowing import ShadowingOrbit
 
-FORMAT = 3
+FORMAT = 4
 """Version of the content, raised whenever its meaning changes."""
 
 

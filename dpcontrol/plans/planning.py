@@ -14,6 +14,7 @@ sustained one (`references.sustained`), repeated for whole periods.
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise, takewhile
 
 import numpy as np
@@ -25,6 +26,7 @@ from dpcontrol.foundation.causes import ReferenceCause
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.orbits.lyapunov import equilibria, equilibrium, lyapunov_orbit, resting_place
+from dpcontrol.plans.authority import connection_loss
 from dpcontrol.plans.itinerary import HoldPart, Itinerary, OrbitPart, WalkPart
 from dpcontrol.plans.pieces import (
     Goal,
@@ -202,7 +204,8 @@ def _connections(itinerary: Itinerary, part: WalkPart, progress: Progress) -> tu
         edges = find_edges(system, part.energy, pairs=pairs, symbols=symbols, progress=progress)
         if edges.absent:
             raise GoalMissed("; ".join(reason for _, reason in edges.absent))
-        return resolve(part.walk, edges), WalkSolver(edges.known)
+        loss = partial(connection_loss, itinerary.model.arms)
+        return resolve(part.walk, edges, loss), WalkSolver(edges.known)
     except (InputError, GoalMissed) as error:
         # The name of a connection is valid at one energy only.
         named = any(simple.name is not None for symbol in symbols for simple in symbol.simple)

@@ -4,14 +4,8 @@ A transfer is cached by content as soon as it is found, at the turns of its star
 continues from there, and repeated motions, also of other itineraries, cost nothing.
 
 Of several motions that leave margin for feedback, the one with the least product of effort and squared sensitivity is
-used. Let e be the distance of the state from the motion under linear-quadratic feedback K. To first order in a relative
-error of one of the arms' parameters,
-
-    e_{k+1} = (A_k - B_k K_k) e_k + E_k,      e_0 = 0.
-
-The sensitivity is the largest root of the sum of squares of the angles' errors, over all arms and parameters. It orders
-the failures of transfers from rest to Down-Up on plants with errors of 0.3. With sensitivities of 2.3, 2.5, 3.3 and
-4.7, runs fail 5, 6, 28 and 51 times in 200. Effort gives the reverse order.
+used (see `dpcontrol.plans.authority`). With sensitivities of 2.3, 2.5, 3.3 and 4.7, transfers from rest to Down-Up fail
+5, 6, 28 and 51 times in 200 on plants with errors of 0.3. Effort gives the reverse order.
 
 The cost is the time, the cart's effort ∫u² and its stroke.
 """
@@ -25,8 +19,6 @@ from pathlib import Path
 
 import numpy as np
 
-from dpcontrol.control.interface import SampledModel
-from dpcontrol.control.tracking import TvlqrSettings, riccati_gains, terminal_cost
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.cache import cache_file, keep, kept
@@ -35,12 +27,11 @@ from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.foundation.files import content_hash
 from dpcontrol.foundation.processes import in_processes, processors
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
+from dpcontrol.plans.authority import sensitivity
 from dpcontrol.plans.candidates import (
     CART_WEIGHT,
-    PERIOD,
     Way,
     flights_between,
-    shared_model,
     smooth_motions,
 )
 from dpcontrol.plans.itinerary import Itinerary
@@ -75,8 +66,6 @@ _RANKED = 8
 """Number of motions that are compared, those of the least effort."""
 _COARSE = ReferenceSettings(pendulum_weight=0.0, cart_weight=CART_WEIGHT)
 """Settings of the solutions that are compared."""
-_SHARE = 1e-4
-"""Step of difference quotients in the comparison of motions."""
 
 
 @dataclass(frozen=True)
@@ -306,51 +295,6 @@ def _missed(wanted: Transfer, durations: Array, failed: str) -> GoalMissed:
         obstacle=wanting(problem, first, _COARSE),
     )
     return GoalMissed(ending.status)
-
-
-def sensitivity(arms: ArmChainParameters, motion: Trajectory) -> float:
-    """Return the largest deviation of angles by the parameters.
-
-    The largest deviation is per unit relative error of the arms' parameters, rad.
-
-    It is infinite if the motion's end cannot be stabilised.
-
-    Args:
-        arms: parameters of the arms.
-        motion: motion of arms and cart.
-    """
-    model = shared_model(equations_of(arms, Level.CART))
-    count, n = max(round(motion.duration / PERIOD), 1), arms.count
-    times = np.arange(count) * PERIOD
-    states, commands = motion.state(times), motion.input(times + PERIOD / 2)[:, 0]
-    a, b = model.linearised(states, commands, parameters=arms.base())
-    diagonal, effort = TvlqrSettings().weights(n, PERIOD)
-    try:
-        terminal = terminal_cost(a[-1], b[-1], weights=np.diag(diagonal), effort=effort)
-    except GoalMissed:
-        return float("inf")
-    gains, _, _ = riccati_gains(a, b, weights=diagonal, effort=effort, terminal=terminal)
-    closed, effects = a - b[:, :, None] * gains[:, None], _effects(arms, model, states, commands)
-    strayed, largest = np.zeros(effects.shape[1:]), 0.0
-    for k in range(count):
-        strayed = closed[k] @ strayed + effects[k]
-        largest = max(largest, float(np.square(strayed[:n]).sum()))
-    return float(np.sqrt(largest))
-
-
-def _effects(arms: ArmChainParameters, model: SampledModel, states: Array, commands: Array) -> Array:
-    """Return E (K, N, p).
-
-    Change of a period's step per relative error of each number of each arm.
-    """
-    others = [arms]
-    for name in ("mass", "centre_of_mass", "length", "inertia"):
-        for i, value in enumerate(getattr(arms, name)):
-            values = list(getattr(arms, name))
-            values[i] = value * (1 + _SHARE)
-            others.append(replace(arms, **{name: tuple(values)}))
-    steps = [model.steps(states, commands, one.base()) for one in others]
-    return np.stack([(step - steps[0]) / _SHARE for step in steps[1:]], axis=2)
 
 
 def turned(reference: Reference, angles: Array) -> Reference:

@@ -8,12 +8,13 @@ There are four kinds of symbols:
     "(A)·2·(B)"              a composite edge: symbols in brackets, with the wraps between them
 
 The first two kinds select one connection of the given sense. Symmetric connections take precedence, then the largest
-transversality angle. Composite edges may contain other composite edges. Their full names begin with source, target,
-winding and hits: "down-up>down-up[0,0]h1.2@(A)·2·(B)".
+transversality angle. A plan first passes over connections that ask for more than twice the smallest gain of the
+feedback. Composite edges may contain other composite edges. Their full names begin with source, target, winding and
+hits: "down-up>down-up[0,0]h1.2@(A)·2·(B)".
 """
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING
@@ -197,12 +198,19 @@ def expanded(symbols: Sequence[Symbol], wraps: Sequence[int]) -> tuple[tuple[str
     return tuple(texts), tuple(counts)
 
 
-def choose(symbol: Symbol, connections: "Sequence[Connection]") -> "Connection":
+Loss = Callable[["Connection"], float]
+"""What a connection costs its feedback, such as its peak gain."""
+_LIKE = 2.0
+"""Factor on the smallest loss below which connections count as equally good."""
+
+
+def choose(symbol: Symbol, connections: "Sequence[Connection]", loss: Loss | None = None) -> "Connection":
     """Return the connection that a symbol selects.
 
     Args:
         symbol: selection by name, or by stops and sense.
         connections: connections at one energy.
+        loss: cost of a connection; those of more than twice the smallest are passed over.
 
     Raises:
         InputError: no connection matches.
@@ -218,6 +226,9 @@ def choose(symbol: Symbol, connections: "Sequence[Connection]") -> "Connection":
         raise InputError(
             f"{symbol.text!r}: no such connection at this energy; `dpcontrol connect` lists the available ones"
         )
+    if loss is not None and len(fitting) > 1:
+        losses = [loss(c) for c in fitting]
+        fitting = [c for c, lost in zip(fitting, losses, strict=True) if lost <= _LIKE * min(losses)]
     symmetric = [c for c in fitting if c.symmetric] or fitting
     # Mirror images have the same angle up to rounding; the positive sense takes precedence.
     return max(symmetric, key=lambda c: (round(c.transversality_angle, 6), c.sense, c.name))

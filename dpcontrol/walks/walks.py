@@ -39,7 +39,7 @@ from dpcontrol.tubes.symmetric import SymmetricSearch, mirror_image
 from dpcontrol.walks.atlas import walks
 from dpcontrol.walks.edges import Edges, rotating_names
 from dpcontrol.walks.shadowing import MOST_WRAPS, FewestWraps, ShadowingOrbit, WalkSolver, check_stops, walk_of_one
-from dpcontrol.walks.symbols import ROTATING, Symbol, choose, composed, parse_walk
+from dpcontrol.walks.symbols import ROTATING, Loss, Symbol, choose, composed, parse_walk
 
 _FAR = 0.05  # scaled distance; exceeded between two stops, but not after the arrival at the last orbit
 _MIRRORED = 1e-7  # scaled distance; above the error of states (1e-11), below the distance of near mirror images
@@ -203,12 +203,13 @@ def symmetric_walk(
     return walk_of_one(nearest, walk[0], lead_in=lead_in, lead_out=lead_out)
 
 
-def resolve(texts: Sequence[str], edges: Edges) -> Walk:
+def resolve(texts: Sequence[str], edges: Edges, loss: Loss | None = None) -> Walk:
     """Return the connections that the symbols of a walk select.
 
     Args:
         texts: symbols of the walk.
         edges: connections at one energy.
+        loss: what a connection costs its feedback, see `choose`.
 
     Raises:
         InputError: a text is not a symbol, the walk is not connected, or a connection does not exist at this energy.
@@ -224,7 +225,7 @@ def resolve(texts: Sequence[str], edges: Edges) -> Walk:
     chain: list[Connection] = []
     for k, symbol in enumerate(symbols):
         try:
-            chain.append(_connection(symbol, edges))
+            chain.append(_connection(symbol, edges, loss))
         except GoalMissed as error:
             raise GoalMissed(f"symbol {k + 1} of {len(symbols)} ({symbol.text}): {error}", symbol=k) from error
         except InputError as error:
@@ -240,7 +241,7 @@ def vertex_names(system: System) -> list[str]:
     return [*system.saddles, *rotating_names(system)]
 
 
-def _connection(symbol: Symbol, edges: Edges) -> Connection:
+def _connection(symbol: Symbol, edges: Edges, loss: Loss | None) -> Connection:
     """Return the connection that a symbol selects; composite edges are solved.
 
     Raises:
@@ -249,7 +250,7 @@ def _connection(symbol: Symbol, edges: Edges) -> Connection:
     """
     if symbol.parts:
         solver = WalkSolver(edges.known)
-        orbit = solver.solve([_connection(part, edges) for part in symbol.parts], symbol.wraps)
+        orbit = solver.solve([_connection(part, edges, loss) for part in symbol.parts], symbol.wraps)
         if not orbit.converged:
             raise solver.missed(orbit)
         edge = as_connection(orbit)
@@ -265,7 +266,7 @@ def _connection(symbol: Symbol, edges: Edges) -> Connection:
         why = f" ({searches[0].status})" if searches else ""
         place = f"{edges.energy:g}{edges.system.unit('J')}"
         raise InputError(f"{symbol.text!r}: no such connection was found at {place}{why}; try another energy")
-    return choose(symbol, candidates)
+    return choose(symbol, candidates, loss)
 
 
 def _nearest(symbols: Sequence[Symbol], edges: Edges) -> str:

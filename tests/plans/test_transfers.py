@@ -15,10 +15,10 @@ from dpcontrol.control.interface import SampledModel
 from dpcontrol.control.tracking import TvlqrSettings, riccati_gains, terminal_cost
 from dpcontrol.dynamics.chain import Level, equations_of
 from dpcontrol.plans import transfers
+from dpcontrol.plans.authority import sensitivity
 from dpcontrol.plans.itinerary import HoldPart, load_itinerary
 from dpcontrol.plans.model import load_model
 from dpcontrol.plans.plan import Plan, make_plan
-from dpcontrol.plans.transfers import sensitivity
 from dpcontrol.references.reference import Reference
 
 LAB = load_model("lab")

@@ -8,7 +8,7 @@ from dpcontrol.plans.model import load_model
 from dpcontrol.tubes.connections import find_connections, orbits_between
 from dpcontrol.walks.edges import find_edges, rotating_named, rotating_names
 from dpcontrol.walks.shadowing import shadow
-from dpcontrol.walks.symbols import expanded, parse_symbol, parse_walk
+from dpcontrol.walks.symbols import choose, expanded, parse_symbol, parse_walk
 from dpcontrol.walks.walks import resolve, through, vertex_names, ways
 
 LOW = -0.06985  # J: the outer arm's fastest rotating orbit has λ = -2.74
@@ -42,6 +42,18 @@ def aligned(system):
 @pytest.fixture(scope="module")
 def found(system, aligned):
     return walk_edges(system, -0.07, aligned[0].name, "down-up +")
+
+
+def test_a_symbol_passes_over_connections_of_more_than_twice_the_smallest_loss(edges):
+    (symbol,) = parse_walk(["down-up +"], SADDLES)
+    fitting = [c for c in edges.between("down-up", "down-up") if c.sense == 1]
+    usual = choose(symbol, fitting)
+    assert usual.symmetric
+    losses = {c.name: 1.9 for c in fitting} | {usual.name: 2.1}
+    assert choose(symbol, fitting, lambda c: losses[c.name]) is usual
+    least = min(fitting, key=lambda c: c.transversality_angle)
+    chosen = choose(symbol, fitting, lambda c: losses[c.name] - (c is least))
+    assert chosen is not usual
 
 
 @pytest.mark.slow

@@ -1,0 +1,112 @@
+"""What a motion asks of its feedback, known without a run.
+
+Gains of the linear-quadratic feedback K are large where the cart hardly moves the arms' unstable direction. They
+multiply whatever hides the arms' angles, so motions between the same ends differ by orders of magnitude.
+
+Let e be the distance of the state from the motion under this feedback. To first order in a relative error of one of the
+arms' parameters,
+
+    e_{k+1} = (A_k - B_k K_k) e_k + E_k,      e_0 = 0.
+
+The sensitivity is the largest root of the sum of squares of the angles' errors, over all arms and parameters.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from dpcontrol.control.interface import SampledModel
+from dpcontrol.control.tracking import TvlqrSettings, riccati_gains, terminal_cost
+from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
+from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.errors import GoalMissed
+from dpcontrol.plans.candidates import PERIOD, shared_model
+from dpcontrol.references.reference import Reference
+from dpcontrol.references.trajectory import Trajectory
+from dpcontrol.tubes.connections import Connection
+
+_SHARE = 1e-4
+"""Step of difference quotients by the arms' parameters."""
+
+
+def _feedback(arms: ArmChainParameters, states: Array, commands: Array) -> tuple[Array, Array]:
+    """Return the gains (K, N) along a motion, and the closed loop's matrices (K, N, N).
+
+    Raises:
+        GoalMissed: the motion's end cannot be stabilised.
+    """
+    model = shared_model(equations_of(arms, Level.CART))
+    a, b = model.linearised(states, commands, parameters=arms.base())
+    diagonal, effort = TvlqrSettings().weights(arms.count, PERIOD)
+    terminal = terminal_cost(a[-1], b[-1], weights=np.diag(diagonal), effort=effort)
+    gains, _, _ = riccati_gains(a, b, weights=diagonal, effort=effort, terminal=terminal)
+    return gains, a - b[:, :, None] * gains[:, None]
+
+
+def _sampled(motion: Trajectory | Reference) -> tuple[Array, Array]:
+    """Return the states (K, N) and the cart's accelerations (K,), m/s², at steps of `PERIOD`."""
+    times = np.arange(max(round(motion.duration / PERIOD), 1), dtype=float) * PERIOD
+    return motion.state(times), motion.input(times + PERIOD / 2)[:, 0]
+
+
+def peak_gains(arms: ArmChainParameters, motion: Trajectory | Reference) -> Array:
+    """Return the largest gain on an arm's angle at each step of `PERIOD` (K,), m/s² per rad.
+
+    Args:
+        arms: parameters of the arms.
+        motion: motion of arms and cart.
+
+    Raises:
+        GoalMissed: the motion's end cannot be stabilised.
+    """
+    gains, _ = _feedback(arms, *_sampled(motion))
+    return np.abs(gains[:, : arms.count]).max(axis=1)
+
+
+def connection_loss(arms: ArmChainParameters, connection: Connection) -> float:
+    """Return the largest gain on an arm's angle along a connection, m/s² per rad, infinite if none holds its end.
+
+    Args:
+        arms: parameters of two arms.
+        connection: connection of their flow without friction.
+    """
+    states = connection.states(np.arange(*connection.time_range, PERIOD))
+    try:
+        gains, _ = _feedback(arms.frictionless(), np.pad(states, ((0, 0), (0, 2))), np.zeros(len(states)))
+    except GoalMissed:
+        return float("inf")
+    return float(np.abs(gains[:, : arms.count]).max())
+
+
+def sensitivity(arms: ArmChainParameters, motion: Trajectory | Reference) -> float:
+    """Return the largest deviation of the angles per unit relative error of the arms' parameters, rad.
+
+    It is infinite if the motion's end cannot be stabilised.
+
+    Args:
+        arms: parameters of the arms.
+        motion: motion of arms and cart.
+    """
+    states, commands = _sampled(motion)
+    try:
+        _, closed = _feedback(arms, states, commands)
+    except GoalMissed:
+        return float("inf")
+    effects = _effects(arms, shared_model(equations_of(arms, Level.CART)), states, commands)
+    strayed, largest = np.zeros(effects.shape[1:]), 0.0
+    for k in range(len(states)):
+        strayed = closed[k] @ strayed + effects[k]
+        largest = max(largest, float(np.square(strayed[: arms.count]).sum()))
+    return float(np.sqrt(largest))
+
+
+def _effects(arms: ArmChainParameters, model: SampledModel, states: Array, commands: Array) -> Array:
+    """Return the changes E (K, N, p) of a step per relative error of each number of each arm."""
+    others = [arms]
+    for name in ("mass", "centre_of_mass", "length", "inertia"):
+        for i, value in enumerate(getattr(arms, name)):
+            values = list(getattr(arms, name))
+            values[i] = value * (1 + _SHARE)
+            others.append(replace(arms, **{name: tuple(values)}))
+    steps = [model.steps(states, commands, one.base()) for one in others]
+    return np.stack([(step - steps[0]) / _SHARE for step in steps[1:]], axis=2)
