@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-VERSION = "0.2.0"
+VERSION = "0.3.0"
 __version__ = VERSION
 PROGRAM = f"dpcontrol {VERSION}"
 """Name of the program in files that it writes."""
