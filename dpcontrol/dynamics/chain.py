@@ -243,11 +243,27 @@ class ArmChainParameters(Settings):
         return mass + np.triu(mass, 1).T
 
     @property
+    def torques(self) -> Array:
+        """Gravity's largest torque (n,) on each arm and those that it carries, N m."""
+        n = self.count
+        return self.base()[n * (n + 1) // 2 :][:n]
+
+    @property
     def natural_time(self) -> float:
         """Period of the slowest swing of the hanging arms, s."""
-        n = self.count
-        weights = self.base()[n * (n + 1) // 2 :][:n]
-        return float(2 * np.pi * np.sqrt(np.linalg.eigvals(self.mass_in_line / weights[:, None]).real.max()))
+        return float(2 * np.pi * np.sqrt(np.linalg.eigvals(self.mass_in_line / self.torques[:, None]).real.max()))
+
+    def with_tip(self, mass: float) -> "ArmChainParameters":
+        """Return the same arms with a small weight at the end of the outermost one.
+
+        Args:
+            mass: mass of the weight, kg.
+        """
+        own, centre, end, inertia = self.mass[-1], self.centre_of_mass[-1], self.length[-1], self.inertia[-1]
+        middle = (own * centre + mass * end) / (own + mass)
+        inertia += own * (middle - centre) ** 2 + mass * (end - middle) ** 2
+        changes = {"mass": own + mass, "centre_of_mass": middle, "inertia": inertia}
+        return replace(self, **{name: (*getattr(self, name)[:-1], value) for name, value in changes.items()})
 
     def need(self, angles: Array) -> float | None:
         """Return the feedback that holds arms at an equilibrium, m/s² per rad; None if it is stable.
@@ -261,8 +277,8 @@ class ArmChainParameters(Settings):
         """
         from scipy.linalg import eigh
 
-        n, signs = self.count, np.cos(angles)
-        weights = signs * self.base()[n * (n + 1) // 2 :][:n]
+        signs = np.cos(angles)
+        weights = signs * self.torques
         squares, modes = eigh(-np.diag(weights), self.mass_in_line * np.outer(signs, signs))
         coupled = np.abs(weights / self.gravity @ modes) * np.abs(modes).max(axis=0)
         unstable = squares > 0

@@ -272,3 +272,18 @@ class FindingCause(StrEnum):
     SILENT = auto()
     WITHIN = "within the limits"
     LATE = auto()
+
+
+class CautionCause(StrEnum):
+    """Why runs of a plan are likely to fail, known without a run."""
+
+    AUTHORITY = auto()
+    """A stop needs more feedback than a cart gives reliably."""
+    GAINS = auto()
+    """The largest gain along the way multiplies the angles that the rig hides from the feedback."""
+    START = auto()
+    """The first gain multiplies the errors of the start."""
+    LAG = auto()
+    """The controller does not know the drive's lag."""
+    LATE = auto()
+    """Errors grow too much until a command acts."""

@@ -63,6 +63,20 @@ def peak_gains(arms: ArmChainParameters, motion: Trajectory | Reference) -> Arra
     return np.abs(gains[:, : arms.count]).max(axis=1)
 
 
+def growth_along(arms: ArmChainParameters, motion: Trajectory | Reference) -> float:
+    """Return the largest rate at which a small error of the arms grows along a motion, 1/s.
+
+    Args:
+        arms: parameters of the arms.
+        motion: motion of arms and cart.
+    """
+    states, commands = _sampled(motion)
+    model = shared_model(equations_of(arms, Level.CART))
+    jacobians, _ = model.linearised(states, commands, parameters=arms.frictionless().base())
+    n = 2 * arms.count
+    return float(np.log(np.abs(np.linalg.eigvals(jacobians[:, :n, :n])).max()) / PERIOD)
+
+
 def connection_loss(arms: ArmChainParameters, connection: Connection) -> float:
     """Return the largest gain on an arm's angle along a connection, m/s² per rad, infinite if none holds its end.
 

@@ -26,6 +26,7 @@ from dpcontrol.foundation.files import content_hash, write_whole
 from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress
 from dpcontrol.foundation.shown import Timed, checked_times
 from dpcontrol.logs.layout import state_names
+from dpcontrol.plans.cautions import Caution, cautions_of
 from dpcontrol.plans.itinerary import HoldPart, Itinerary, WalkPart, stored_itinerary
 from dpcontrol.references.content import PlanContent
 from dpcontrol.references.ending import ReferenceEnding
@@ -57,7 +58,7 @@ class Plan(ByReference, Timed, Documented):
         "walk=content.walk wraps=content.wraps shadowing=content.shadowing transfers=content.costs "
         "reference:intervals,duration,max_error_between_nodes,constraint_violation,max_cart_position,max_cart_velocity,max_cart_acceleration,"
         "rms_cart_acceleration,iterations,solve_seconds,status file=written cached status "
-        "polish?=polished margins? energies?"
+        "warnings polish?=polished margins? energies?"
     )
 
     itinerary: Itinerary
@@ -75,6 +76,11 @@ class Plan(ByReference, Timed, Documented):
     def final(self) -> "Plan":
         """The polished plan if it was asked for, otherwise this one."""
         return self if self.polished is None else self.polished.polished
+
+    @cached_property
+    def warnings(self) -> tuple[Caution, ...]:
+        """What makes its runs likely to fail, known without a run."""
+        return cautions_of(self.itinerary, self.reference) if self.converged else ()
 
     @property
     def missed(self) -> str:

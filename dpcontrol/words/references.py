@@ -29,6 +29,7 @@ def plan(found: Any) -> Iterator[Line]:
         f"{reference.rms_cart_acceleration:.3f} m/s² rms, {reference.max_cart_acceleration:.3f} m/s² at most"
     )
     yield f"{_file(found)}{' (cached)' if found.cached else ''}"
+    yield from (f"  caution          {caution.status}: {caution.remedy}" for caution in found.warnings)
     if costs := content.costs:
         columns: dict[str, Any] = {
             "transfer": "{0.text}",

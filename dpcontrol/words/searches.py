@@ -7,6 +7,7 @@ from typing import Any
 
 from dpcontrol.foundation.causes import (
     BranchCause,
+    CautionCause,
     CutCause,
     DepartureCause,
     FamilyEndCause,
@@ -495,5 +496,39 @@ SENTENCES: Mapping[type[StrEnum], Mapping[Any, Callable[[Any], str]]] = {
             lambda r: f"at {r.beyond.energy:g} J the orbit has {r.beyond.unstable_directions} unstable directions"
         ),
     },
+    CautionCause: {
+        CautionCause.AUTHORITY: lambda r: (
+            f"{r.place} needs {r.figure:.0f} m/s² per rad of feedback, and beyond {r.limit:.0f} few runs hold it"
+        ),
+        CautionCause.GAINS: lambda r: (
+            f"{r.place} and the like hide angles that cost the feedback up to {r.figure:.2g} times the drive's "
+            f"acceleration (reliable: {r.limit:g})"
+        ),
+        CautionCause.START: lambda r: (
+            f"the errors of the start ask for {r.figure:.2g} times the drive's acceleration (reliable: {r.limit:g})"
+        ),
+        CautionCause.LAG: lambda r: (
+            f"errors grow by e^{r.figure:.2g} within the part of the drive's lag that the controller does not know "
+            f"(reliable: e^{r.limit:g})"
+        ),
+        CautionCause.LATE: lambda r: (
+            f"errors grow by e^{r.figure:.2g} until a command acts (reliable: e^{r.limit:g}), most in the {r.place}"
+        ),
+    },
 }
 """The sentence of each cause, made of a result with that cause."""
+
+CAUTION_REMEDIES: Mapping[str, str] = {
+    "": "no weight at the outer tip helps: take a walk or a hold without this stop",
+    "tip_mass": "a weight of {value:.2g} kg at the outer tip brings it to {changed:.0f}, or take a walk without it",
+    "counts": "encoders of {value:.0f} counts bring it to {changed:.2g}",
+    "noise": "readings without noise bring it to {changed:.2g}",
+    "play": "joints without play bring it to {changed:.2g}",
+    "friction": "joints without dry friction bring it to {changed:.2g}",
+    "initial_error": "begin within {value:.2g} rad, or at rest",
+    "drive_lag": "tell the controller: --set drive_lag={value:g}, which `commission` measures",
+    "delay": "a delay shorter by {value:.2g} s brings it to {changed:.2g}",
+    "lag": "a lag shorter by {value:.2g} s brings it to {changed:.2g}",
+    "belt": "a stiffer belt brings it to {changed:.2g}",
+}
+"""What helps, by the change that was tried, made of the fields of a `Caution`."""

@@ -1,0 +1,143 @@
+"""What makes the runs of a plan likely to fail, known without a run.
+
+Each caution compares a figure of plan and rig with a limit, and has a change that was tried and helps. The limits
+separate itineraries that complete all runs from those that do not, among itineraries drawn at random
+(`tests/benchmarks/generated_scenes.py`).
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from dpcontrol.dynamics.chain import ArmChainParameters
+from dpcontrol.foundation.causes import CautionCause
+from dpcontrol.foundation.document import Documented
+from dpcontrol.foundation.errors import GoalMissed
+from dpcontrol.plans.authority import growth_along, peak_gains
+from dpcontrol.plans.itinerary import Itinerary
+from dpcontrol.references.reference import Reference
+from dpcontrol.words.searches import CAUTION_REMEDIES, Concluded
+
+LIMITS = {
+    CautionCause.AUTHORITY: 200.0,
+    CautionCause.GAINS: 2.0,
+    CautionCause.START: 0.5,
+    CautionCause.LAG: 0.3,
+    CautionCause.LATE: 1.2,
+}
+"""Largest figure of each kind that completes reliably."""
+_TIPS = np.geomspace(0.05, 2.0, 9)
+"""Masses to try at the outer tip, relative to the outer arm's."""
+_FINER = 4
+"""Factor on the counts to try."""
+
+
+@dataclass(frozen=True)
+class Caution(Concluded, Documented):
+    """One reason why runs are likely to fail.
+
+    Attributes:
+        cause: the kind of figure.
+        figure: m/s² per rad for `authority`, powers of e for `lag` and `late`, and shares of the drive's acceleration
+            for `gains` and `start`.
+        place: the stop, or the largest part of the figure, or "".
+        change: what was changed, or "" if nothing that was tried helps.
+        value: its value in its own unit.
+        changed: the figure with the change.
+    """
+
+    KEYS: ClassVar[str] = "cause figure limit place change value changed status remedy"
+
+    cause: CautionCause
+    figure: float
+    place: str = ""
+    change: str = ""
+    value: float = 0.0
+    changed: float = 0.0
+
+    @property
+    def limit(self) -> float:
+        """The largest figure that completes reliably."""
+        return LIMITS[self.cause]
+
+    @property
+    def remedy(self) -> str:
+        """The change that helps, in words."""
+        return CAUTION_REMEDIES[self.change].format_map(vars(self))
+
+
+def cautions_of(itinerary: Itinerary, reference: Reference) -> tuple[Caution, ...]:
+    """Return the cautions of a plan.
+
+    Args:
+        itinerary: itinerary with the settings of its runs.
+        reference: its converged reference.
+    """
+    figures = (
+        *_authority(itinerary.model.arms, reference),
+        *_gains(itinerary, reference),
+        *_late(itinerary, reference),
+    )
+    return tuple(caution for caution in figures if caution.figure > caution.limit)
+
+
+def hidden_angles(itinerary: Itinerary) -> dict[str, float]:
+    """Return the angle of an arm that each property of the rig hides from the feedback, rad.
+
+    Dry friction hides the angles at which it holds an arm against gravity.
+
+    Args:
+        itinerary: itinerary with the settings of its runs.
+    """
+    loop, arms = itinerary.loop, itinerary.model.arms
+    n, mechanics = arms.count, loop.mechanics
+    counts = [value for value in loop.sensors.of_each("counts", n) if value]
+    plants = [arms, *([loop.plant] if isinstance(loop.plant, ArmChainParameters) else [])]
+    dry = max(float(np.max(np.divide(plant.coulomb or 0.0, plant.torques))) for plant in plants)
+    return {
+        "counts": 2 * np.pi / min(counts) if counts else 0.0,
+        "noise": loop.sensors.noise,
+        "play": max(mechanics.of_each("play", n)),
+        "friction": dry + float(np.max(np.divide(mechanics.of_each("stiction", n), arms.torques))),
+    }
+
+
+def _authority(arms: ArmChainParameters, reference: Reference) -> Iterator[Caution]:
+    """Yield the need of each unstable stop, with the smallest weight at the outer tip that helps."""
+    for name, place in {stop.saddle: np.array(stop.angles) for stop in reference.content.stops}.items():
+        if (need := arms.need(place)) is None:
+            continue
+        tips = ((mass, arms.with_tip(mass).need(place) or 0.0) for mass in (_TIPS * arms.mass[-1]).tolist())
+        helps = ((mass, changed) for mass, changed in tips if changed < LIMITS[CautionCause.AUTHORITY])
+        mass, changed = next(helps, (0.0, need))
+        yield Caution(CautionCause.AUTHORITY, need, name, "tip_mass" if mass else "", mass, changed)
+
+
+def _gains(itinerary: Itinerary, reference: Reference) -> Iterator[Caution]:
+    """Yield what the gains make of hidden angles and of the errors at the start."""
+    loop, arms = itinerary.loop, itinerary.model.arms
+    try:
+        shares = peak_gains(arms, reference) / itinerary.limits.acceleration
+    except GoalMissed:
+        return
+    hidden, peak = hidden_angles(itinerary), float(shares.max())
+    largest = max(hidden, key=lambda name: hidden[name])
+    finer = _FINER * min(filter(None, loop.sensors.of_each("counts", arms.count)), default=0)
+    value, less = (finer, 1 - 1 / _FINER) if largest == "counts" else (0, 1.0)
+    figure = peak * sum(hidden.values())
+    yield Caution(CautionCause.GAINS, figure, largest, largest, value, figure - less * peak * hidden[largest])
+    figure, limit = float(shares[0]) * loop.initial_error, LIMITS[CautionCause.START]
+    yield Caution(CautionCause.START, figure, "", "initial_error", limit / float(shares[0]), limit)
+
+
+def _late(itinerary: Itinerary, reference: Reference) -> Iterator[Caution]:
+    """Yield the growth of errors until a command acts, and its part that the controller does not know."""
+    loop, rate = itinerary.loop, growth_along(itinerary.model.arms, reference)
+    lag, belt = loop.drive.lag, loop.mechanics.belt
+    parts = {"delay": (loop.drive.delay + 0.5) / loop.rate, "lag": lag, "belt": 1 / (2 * np.pi * belt) if belt else 0.0}
+    yield Caution(CautionCause.LAG, rate * abs(lag - loop.drive_lag), "", "drive_lag", lag)
+    largest, late = max(parts, key=lambda name: parts[name]), rate * sum(parts.values())
+    value = parts[largest] / 2
+    yield Caution(CautionCause.LATE, late, largest, largest, value, late - rate * value)

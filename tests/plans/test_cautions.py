@@ -1,0 +1,81 @@
+"""Cautions of plans: figures that are known without a run, and changes that help."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dpcontrol.foundation.causes import CautionCause
+from dpcontrol.plans.cautions import Caution, cautions_of
+from dpcontrol.plans.itinerary import load_itinerary
+from dpcontrol.plans.plan import Plan, make_plan
+
+EXACT = 1e-9  # the same arithmetic on another setting
+
+WITHOUT_AUTHORITY: dict[str, tuple[float, float]] = {
+    "mass": (0.189375, 0.0761645),
+    "centre_of_mass": (0.166402, 0.106205),
+    "length": (0.367051, 0.229191),
+    "inertia": (0.00154606, 0.000243133),
+}
+"""Arms near those whose cart cannot hold Down-Up: s² = g S₁ / (m₁ a₁ (l₁ - a₁) - J₁)."""
+
+
+@pytest.fixture(scope="module")
+def turn() -> Plan:
+    return make_plan(load_itinerary("outer-turn"))
+
+
+def cautions(plan: Plan, **settings: object) -> dict[CautionCause, Caution]:
+    return {one.cause: one for one in cautions_of(plan.itinerary.with_run(settings), plan.reference)}
+
+
+def test_a_shipped_itinerary_has_no_caution(turn: Plan) -> None:
+    assert turn.warnings == ()
+    assert turn.document()["warnings"] == []
+
+
+def test_coarse_encoders_cost_the_feedback_what_finer_ones_do_not(turn: Plan) -> None:
+    coarse = cautions(turn, counts=20)[CautionCause.GAINS]
+    assert (coarse.place, coarse.change, coarse.value) == ("counts", "counts", 80)
+    assert coarse.changed == pytest.approx(coarse.figure / 4, rel=EXACT)
+    assert coarse.changed < coarse.limit
+    assert CautionCause.GAINS not in cautions(turn, counts=80)
+    assert "80 counts" in coarse.remedy
+
+
+def test_an_untold_lag_is_a_caution_until_it_is_told(turn: Plan) -> None:
+    untold = cautions(turn, lag=0.03)
+    assert untold[CautionCause.LAG].change == "drive_lag"
+    told = cautions(turn, lag=0.03, drive_lag=untold[CautionCause.LAG].value)
+    assert CautionCause.LAG not in told
+    assert CautionCause.LATE not in told
+    slower = cautions(turn, lag=0.15, drive_lag=0.15)[CautionCause.LATE]
+    assert (slower.place, slower.changed) == ("lag", pytest.approx(slower.figure / 2, rel=0.1))
+
+
+def test_a_start_far_off_asks_for_more_than_the_drive_has(turn: Plan) -> None:
+    far = cautions(turn, initial_error=0.3)[CautionCause.START]
+    assert CautionCause.START not in cautions(turn, initial_error=0.99 * far.value)
+    assert CautionCause.START in cautions(turn, initial_error=1.01 * far.value)
+
+
+def test_a_weight_at_the_tip_gives_arms_without_authority_what_they_need(turn: Plan) -> None:
+    itinerary = turn.itinerary
+    heavy = replace(itinerary.model.arms, **WITHOUT_AUTHORITY)
+    model = replace(itinerary.model, parameters=heavy)
+    found = {c.cause: c for c in cautions_of(replace(itinerary, model=model), turn.reference)}[CautionCause.AUTHORITY]
+    assert found.place == "down-up"
+    assert found.figure == heavy.need(np.array([0.0, np.pi]))
+    own, weight = heavy.mass[-1], found.value
+    assert weight > 0
+    middle = (own * heavy.centre_of_mass[-1] + weight * heavy.length[-1]) / (own + weight)
+    about = heavy.inertia[-1] + own * heavy.centre_of_mass[-1] ** 2 + weight * heavy.length[-1] ** 2
+    changed = replace(
+        heavy,
+        mass=(heavy.mass[0], own + weight),
+        centre_of_mass=(heavy.centre_of_mass[0], middle),
+        inertia=(heavy.inertia[0], about - (own + weight) * middle**2),
+    )
+    assert changed.need(np.array([0.0, np.pi])) == pytest.approx(found.changed, rel=EXACT)
+    assert found.changed < found.limit
