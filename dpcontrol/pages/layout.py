@@ -31,8 +31,10 @@ from matplotlib.text import Text
 from matplotlib.textpath import TextPath
 from matplotlib.transforms import Bbox
 
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError, printable
 from dpcontrol.foundation.files import whole_file
+from dpcontrol.foundation.version import PROGRAM
 from dpcontrol.pages import style
 from dpcontrol.pages.panels import BESIDE, bare
 
@@ -152,13 +154,15 @@ class Page:
             self.rows.append((height, write))
         return self
 
-    def origin(self, path: Path, *conditions: str) -> "Page":
+    def origin(self, path: Path | None, *conditions: str) -> "Page":
         """Add the conditions of what the page shows, and the file that it shows with its date.
 
         Args:
-            path: file, which may exist in memory only.
+            path: file, which may exist in memory only; None for what this program has computed today.
             *conditions: conditions; empty ones are left out.
         """
+        if path is None:
+            return self.text("; ".join(filter(None, (*conditions, f"{PROGRAM}, {date.today()}"))))
         day = f" of {date.fromtimestamp(path.stat().st_mtime)}" if path.exists() and path.name else ""
         return self.text("; ".join(filter(None, (*conditions, f"{path.name}{day}"))))
 
@@ -410,19 +414,57 @@ _PLACES = [
 """Tried places of a label beside its point, points."""
 _LED = 10.0
 """Distance beyond which a line connects a point and its label, points."""
+_COVERS, _CROSSES = 1000.0, 30.0
+"""Costs of covering a mark or another label, and of being nearer to another mark or crossing a curve, in points."""
+_FINE = 4.0
+"""Distance of the places at which a line is looked at, pixels."""
 
 
 def _turn_aside(axes: Axes, labels: list[Any]) -> None:
-    """Move labels round their points, and away from them, until they cover neither marks nor other labels."""
+    """Move labels round their points, and away from them, so that they cover little and their lines cross little."""
     taken = [box for line in axes.lines if labels and line.get_marker() not in ("None", "") for box in _marks(line)]
+    crossed = [_finely(*line.get_transform().transform(line.get_xydata())) for line in axes.lines if labels]
+    spots = np.array([box.get_points().mean(axis=0) for box in taken]).reshape(-1, 2)
+    names: list[Bbox] = []
     for label in labels:
-        boxes = {place: _beside(label, place) for place in _PLACES}
-        inside = (place for place, box in boxes.items() if all(axes.bbox.contains(*end) for end in (box.min, box.max)))
-        place = next((place for place in inside if not boxes[place].count_overlaps(taken)), _PLACES[0])
-        taken.append(_beside(label, place))
-        if max(map(abs, place)) > _LED:
+        point = axes.transData.transform(label.xy)
+        others = spots[np.hypot(*(spots - point).T) > 1]
+        best, chosen = np.inf, (_PLACES[0], label.get_window_extent(), point[None])
+        for place in _PLACES:
+            box, far = _beside(label, place), max(map(abs, place))
+            led = _finely(point, np.clip(point, box.min, box.max)) if far > _LED else point[None]
+            cost = far + _COVERS * box.count_overlaps([*taken, *names])
+            cost += _CROSSES * int((_apart(others, box) < _apart(point, box)).sum())
+            cost += _CROSSES * sum(_inside(curve, box) for curve in crossed)
+            cost += _CROSSES * sum(_inside(led, name) for name in names)
+            if cost < best and all(axes.bbox.contains(*end) for end in (box.min, box.max)):
+                best, chosen = cost, (place, box, led)
+        place, box, led = chosen
+        _beside(label, place)
+        names.append(box)
+        crossed.append(led)
+        if len(led) > 1:
             line = {"arrowstyle": "-", "color": label.get_color(), "linewidth": 0.5, "shrinkA": 1, "shrinkB": 3}
             axes.annotate("", label.xy, xytext=place, textcoords="offset points", arrowprops=line)
+
+
+def _finely(*corners: Array) -> Array:
+    """Return places (K, 2) along a line through its corners, pixels."""
+    ends = np.array(corners, dtype=float).reshape(-1, 2)
+    ends = ends[np.isfinite(ends).all(axis=1)]
+    along = np.cumsum([0.0, *np.hypot(*np.diff(ends, axis=0).T)])[: len(ends)]
+    fine = np.linspace(0.0, along[-1], int(along[-1] / _FINE) + 2) if len(ends) > 1 else along
+    return np.stack([np.interp(fine, along, column) for column in ends.T], axis=1) if len(ends) else ends
+
+
+def _apart(places: Array, box: Bbox) -> Array:
+    """Return the distances between places (..., 2) and a box, pixels."""
+    return np.hypot(*np.moveaxis(places - np.clip(places, box.min, box.max), -1, 0))
+
+
+def _inside(places: Array, box: Bbox) -> bool:
+    """Return True if any of the places (K, 2) is in a box."""
+    return bool(((places > box.min) & (places < box.max)).all(axis=1).any())
 
 
 def _beside(label: Any, place: tuple[float, float]) -> Bbox:

@@ -61,7 +61,14 @@ def quiet_space(axes: Axes, of: System | Atlas) -> None:
             angle_axis(axes, which)
     axes.locator_params(nbins=4)
     axes.set_zlabel(of.labels[len(of.labels) // 2], fontsize=style.SMALL)  # type: ignore[attr-defined]
-    axes.view_init(elev=22, azim=-122)  # type: ignore[attr-defined]
+    axes.view_init(elev=_ELEVATION, azim=_AZIMUTH)  # type: ignore[attr-defined]
+
+
+_ELEVATION, _AZIMUTH = 22.0, -122.0
+"""Direction of the viewer of panels in space, degrees."""
+_UP, _ROUND = np.radians([_ELEVATION, _AZIMUTH])
+TOWARDS = np.array([np.cos(_UP) * np.cos(_ROUND), np.cos(_UP) * np.sin(_ROUND), np.sin(_UP)])
+"""Unit vector towards this viewer."""
 
 
 def quiet_plane(axes: Axes, of: System | Atlas, columns: tuple[int, int] = (0, 1), title: str = "") -> None:
@@ -118,16 +125,19 @@ def wrapped_runs(curve: Array, periods: tuple[float | None, ...]) -> list[Array]
     return [run for run in runs if len(run) > 1]
 
 
-def name_curves(axes: Axes, names: list[tuple[float, str, str]]) -> None:
+def name_curves(axes: Axes, names: Sequence[tuple[float, str, str] | tuple[float, str, str, str]]) -> None:
     """Name curves at the right of a panel, in the order of their ends.
 
     Args:
         axes: panel with the curves.
-        names: height of the curve's end in data, text and colour of each name.
+        names: height of the curve's end in data, text and colour of each name, and its kind of line if not solid.
     """
-    lines = [Line2D([], [], color=colour, label=text) for _, text, colour in sorted(names, reverse=True)]
+    ends = sorted(names, reverse=True)
+    lines = [
+        Line2D([], [], label=text, color=colour, linestyle="".join(line) or "-") for _, text, colour, *line in ends
+    ]
     place: dict[str, Any] = {"loc": "center left", "bbox_to_anchor": (1.0, 0.5), "borderaxespad": 0.4}
-    axes.legend(handles=lines, handlelength=0.8, labelcolor="linecolor", **place)
+    axes.legend(handles=lines, handlelength=1.4, labelcolor="linecolor", **place)
 
 
 def name_rows(axes: Axes, names: Sequence[str]) -> None:

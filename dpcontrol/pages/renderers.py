@@ -96,6 +96,27 @@ def new_axes(width: float, height: float) -> Any:
         return renderer("layout:new_figure")(width, height).add_subplot()
 
 
+def alone(result: Any, place: str) -> Any:
+    """Return a page with the only panel of a result, and its model and energy if it has them.
+
+    Args:
+        result: result to draw.
+        place: its function in `PANELS`.
+    """
+    orbit = next((part for part in (result, *(getattr(result, name, None) for name in _ORBITS)) if _is_of(part)), None)
+    page = renderer("layout:Page")("", width=7.0).row(lambda axes: renderer(place)(axes, result), height=4.8)
+    found = () if orbit is None else renderer("orbits:conditions")(orbit.system, [orbit.energy])
+    return page.origin(None, *found).figure()
+
+
+_ORBITS = ("source", "orbit")
+"""Attributes of results that are orbits."""
+
+
+def _is_of(part: object) -> bool:
+    return hasattr(part, "system") and hasattr(part, "energy")
+
+
 def renderer(place: str) -> Callable[..., Any]:
     """Return the function at `module:function` in this package, with the settings of pages."""
     module, _, name = place.partition(":")
