@@ -125,7 +125,7 @@ def wrapped_runs(curve: Array, periods: tuple[float | None, ...]) -> list[Array]
     return [run for run in runs if len(run) > 1]
 
 
-def name_curves(axes: Axes, names: Sequence[tuple[float, str, str] | tuple[float, str, str, str]]) -> None:
+def name_curves(axes: Axes, names: Sequence[tuple[Any, ...]]) -> None:
     """Name curves at the right of a panel, in the order of their ends.
 
     Args:
@@ -134,7 +134,7 @@ def name_curves(axes: Axes, names: Sequence[tuple[float, str, str] | tuple[float
     """
     ends = sorted(names, reverse=True)
     lines = [
-        Line2D([], [], label=text, color=colour, linestyle="".join(line) or "-") for _, text, colour, *line in ends
+        Line2D([], [], label=text, color=colour, linestyle=line[0] if line else "-") for _, text, colour, *line in ends
     ]
     place: dict[str, Any] = {"loc": "center left", "bbox_to_anchor": (1.0, 0.5), "borderaxespad": 0.4}
     axes.legend(handles=lines, handlelength=1.4, labelcolor="linecolor", **place)
