@@ -175,7 +175,12 @@ class DrawnChart(Documented):
 
 @dataclass(frozen=True)
 class DrawnCharts(Documented):
-    """Finished charts; with `strict`, a deviation that a chart reports counts as a failure."""
+    """Finished charts; with `strict`, a deviation that a chart reports counts as a failure.
+
+    Attributes:
+        charts: finished charts, in order.
+        strict: True if a deviation counts as a failure.
+    """
 
     KEYS: ClassVar[str] = "charts status"
 
