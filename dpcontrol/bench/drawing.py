@@ -43,7 +43,7 @@ Layer = tuple[str, Sequence[tuple[float, float]], Look]
 MARKS = "osD^v<>Pph*X8d"
 FLOOR = 1e-17
 """Drawn position of an error of exactly zero."""
-MOST_LABELS = 20
+MOST_LABELS = 17
 """Points of a diagram that all have their settings beside them."""
 _RING = 15.0
 """Diameter of a ring about a default, points."""

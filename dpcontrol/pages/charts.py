@@ -78,7 +78,7 @@ def draw_chart(axes: Axes, chart: Chart, view: RunView, *, span: Range | None = 
         axes.yaxis.set_major_locator(LogLocator(base=10, numticks=6))
     elif chart.shown is not None:
         axes.set_ylim(scale * chart.shown[0], scale * chart.shown[1])
-    _levels(axes, chart, scale=scale)
+    entries |= _levels(axes, chart, scale=scale)
     if span is not None:
         axes.set_xlim(*span)
         within = [at for at, _ in view.plan.symbols if span[0] <= at <= span[1]]
@@ -91,8 +91,8 @@ def draw_chart(axes: Axes, chart: Chart, view: RunView, *, span: Range | None = 
         key(axes, sorted(entries.items(), key=lambda entry: "alpha" in entry[1]))
 
 
-def _levels(axes: Axes, chart: Chart, *, scale: float) -> None:
-    """Draw limits, which widen the axis if they are near its range, a band, and levels with their names."""
+def _levels(axes: Axes, chart: Chart, *, scale: float) -> dict[str, dict[str, Any]]:
+    """Draw limits, which widen the axis if they are near its range, a band, and levels; return two levels' key."""
     low, high = axes.get_ylim()
     reach = 0.35 * (high - low)
     limits = [scale * level.value for level in chart.levels if level.kind == "limit"]
@@ -108,14 +108,9 @@ def _levels(axes: Axes, chart: Chart, *, scale: float) -> None:
     named = [level for level in chart.levels if level.kind == "named" and low <= level.value <= high]
     for level in named:
         axes.axhline(level.value, color=level.colour, linewidth=1.0, linestyle=style.DASHED)
-        look = {"fontsize": style.SMALL, "color": level.colour, "ha": "right", "va": "bottom"}
-        if level.name and len(named) <= MOST_IN_KEY:
-            axes.text(1.0, level.value, level.name, transform=axes.get_yaxis_transform(), **look)
-            axes.set_ylim(top=max(axes.get_ylim()[1], level.value + _NAME * (high - low)))
-
-
-_NAME = 0.2
-"""Height of a name on a line, as a share of its panel."""
+    look = {"linewidth": 1.0, "linestyle": style.DASHED}
+    few = [level for level in named if level.name] if len(named) <= 2 else []
+    return {level.name: {"color": level.colour, **look} for level in few}
 
 
 def _line(axes: Axes, line: Line, view: RunView, *, scale: float) -> None:
