@@ -17,7 +17,7 @@ from dpcontrol.foundation.document import counted
 from dpcontrol.foundation.version import PROGRAM
 from dpcontrol.pages import style
 from dpcontrol.pages.layout import Page, Panel, Stack, key
-from dpcontrol.pages.panels import TOWARDS, angle_axis, name_point, quiet, quiet_plane, quiet_space, wrapped_runs
+from dpcontrol.pages.panels import angle_axis, name_point, quiet, quiet_plane, quiet_space, wrapped_runs
 from dpcontrol.pages.rerun_recording import DARK, page, record_curves, recording_to, rr, rrb, summary_view
 from dpcontrol.walks.atlas import Atlas, AtlasConnection, AtlasCut, AtlasKind, AtlasOrbit, section_axes
 
@@ -285,12 +285,10 @@ def draw_motions(
     space = axes.name == "3d"
     picked = [0, 1, len(atlas.periods) // 2][: 3 if space else 2]
     for tube in tubes:
-        # Lines in space are drawn in a given order, so a cut that lies behind its tube is drawn before it.
-        behind = space and _nearness(tube.ends, picked) < _nearness(tube.strands, picked)
         for states in tube.strands:
             axes.plot(*states[:, picked].T, color=tube.colour, linewidth=0.5, alpha=0.8)
         for states in tube.ends:
-            axes.plot(*states[:, picked].T, color=style.CUT, linewidth=1.6, zorder=1.5 if behind else 2.0)
+            axes.plot(*states[:, picked].T, color=style.CUT, linewidth=1.6, zorder=1.5)
     ends = {end for c, _ in flights for end in ((c.source, ()), (c.target, c.winding if any(c.winding) else ()))}
     for c, colour in flights:
         axes.plot(*c.states[:, picked].T, color=colour, linewidth=1.1, zorder=8)
@@ -311,15 +309,6 @@ def draw_motions(
     lines: list[tuple[str, str | dict[str, Any]]] = [("tubes out", style.UNSTABLE), ("tubes in", style.STABLE)]
     lines += [("cuts", style.CUT), *([("connections", style.INK)] if flights else [])]
     key(axes, lines if tubes else [])
-
-
-def _nearness(curves: Sequence[Array], picked: Sequence[int]) -> float:
-    """Return how far curves lie towards the viewer of `quiet_space`, without a unit."""
-    return float((np.concatenate(curves)[:, picked].mean(axis=0) / _REACH) @ TOWARDS) if curves else 0.0
-
-
-_REACH = np.array([np.pi, np.pi, 20.0])
-"""Usual reach of two angles, rad, and a rate, rad/s."""
 
 
 def draw_atlas(atlas: Atlas) -> Figure:

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import date
-from functools import cache
+from functools import cache, partial
 from io import BytesIO
 from pathlib import Path
 from textwrap import wrap
@@ -27,11 +27,11 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.font_manager import FontProperties
 from matplotlib.lines import Line2D
+from matplotlib.path import Path as LinePath
 from matplotlib.text import Text
 from matplotlib.textpath import TextPath
 from matplotlib.transforms import Bbox
 
-from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError, printable
 from dpcontrol.foundation.files import whole_file
 from dpcontrol.foundation.version import PROGRAM
@@ -416,55 +416,33 @@ _LED = 10.0
 """Distance beyond which a line connects a point and its label, points."""
 _COVERS, _CROSSES = 1000.0, 30.0
 """Costs of covering a mark or another label, and of being nearer to another mark or crossing a curve, in points."""
-_FINE = 4.0
-"""Distance of the places at which a line is looked at, pixels."""
 
 
 def _turn_aside(axes: Axes, labels: list[Any]) -> None:
     """Move labels round their points, and away from them, so that they cover little and their lines cross little."""
     taken = [box for line in axes.lines if labels and line.get_marker() not in ("None", "") for box in _marks(line)]
-    crossed = [_finely(*line.get_transform().transform(line.get_xydata())) for line in axes.lines if labels]
-    spots = np.array([box.get_points().mean(axis=0) for box in taken]).reshape(-1, 2)
-    names: list[Bbox] = []
+    curves = [line.get_path().transformed(line.get_transform()) for line in axes.lines if labels]
     for label in labels:
-        point = axes.transData.transform(label.xy)
-        others = spots[np.hypot(*(spots - point).T) > 1]
-        best, chosen = np.inf, (_PLACES[0], label.get_window_extent(), point[None])
-        for place in _PLACES:
-            box, far = _beside(label, place), max(map(abs, place))
-            led = _finely(point, np.clip(point, box.min, box.max)) if far > _LED else point[None]
-            cost = far + _COVERS * box.count_overlaps([*taken, *names])
-            cost += _CROSSES * int((_apart(others, box) < _apart(point, box)).sum())
-            cost += _CROSSES * sum(_inside(curve, box) for curve in crossed)
-            cost += _CROSSES * sum(_inside(led, name) for name in names)
-            if cost < best and all(axes.bbox.contains(*end) for end in (box.min, box.max)):
-                best, chosen = cost, (place, box, led)
-        place, box, led = chosen
-        _beside(label, place)
-        names.append(box)
-        crossed.append(led)
-        if len(led) > 1:
+        place = min(_PLACES, key=partial(_cost, label=label, axes=axes, taken=taken, curves=curves))
+        taken.append(_beside(label, place))
+        if max(map(abs, place)) > _LED:
             line = {"arrowstyle": "-", "color": label.get_color(), "linewidth": 0.5, "shrinkA": 1, "shrinkB": 3}
             axes.annotate("", label.xy, xytext=place, textcoords="offset points", arrowprops=line)
+            start = axes.transData.transform(label.xy)
+            curves.append(LinePath([start, start + np.multiply(place, axes.figure.dpi / 72)]))
 
 
-def _finely(*corners: Array) -> Array:
-    """Return places (K, 2) along a line through its corners, pixels."""
-    ends = np.array(corners, dtype=float).reshape(-1, 2)
-    ends = ends[np.isfinite(ends).all(axis=1)]
-    along = np.cumsum([0.0, *np.hypot(*np.diff(ends, axis=0).T)])[: len(ends)]
-    fine = np.linspace(0.0, along[-1], int(along[-1] / _FINE) + 2) if len(ends) > 1 else along
-    return np.stack([np.interp(fine, along, column) for column in ends.T], axis=1) if len(ends) else ends
-
-
-def _apart(places: Array, box: Bbox) -> Array:
-    """Return the distances between places (..., 2) and a box, pixels."""
-    return np.hypot(*np.moveaxis(places - np.clip(places, box.min, box.max), -1, 0))
-
-
-def _inside(places: Array, box: Bbox) -> bool:
-    """Return True if any of the places (K, 2) is in a box."""
-    return bool(((places > box.min) & (places < box.max)).all(axis=1).any())
+def _cost(place: tuple[int, int], label: Any, axes: Axes, taken: list[Bbox], curves: list[LinePath]) -> float:
+    """Return the cost of a place of a label, infinite outside the panel."""
+    box, point = _beside(label, place), axes.transData.transform(label.xy)
+    end = np.clip(point, box.min, box.max)
+    spots = np.reshape([other.get_points().mean(axis=0) for other in taken], (-1, 2))
+    nearer = np.hypot(*(spots - np.clip(spots, box.min, box.max)).T) < np.hypot(*(end - point)) - 1
+    crossed = sum(curve.intersects_bbox(box, filled=False) for curve in curves)
+    struck = sum(LinePath([point, end]).intersects_bbox(other, filled=False) for other in taken)
+    if not all(axes.bbox.contains(*corner) for corner in (box.min, box.max)):
+        return np.inf
+    return max(map(abs, place)) + _COVERS * box.count_overlaps(taken) + _CROSSES * (crossed + nearer.sum() + 4 * struck)
 
 
 def _beside(label: Any, place: tuple[float, float]) -> Bbox:

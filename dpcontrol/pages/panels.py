@@ -61,14 +61,7 @@ def quiet_space(axes: Axes, of: System | Atlas) -> None:
             angle_axis(axes, which)
     axes.locator_params(nbins=4)
     axes.set_zlabel(of.labels[len(of.labels) // 2], fontsize=style.SMALL)  # type: ignore[attr-defined]
-    axes.view_init(elev=_ELEVATION, azim=_AZIMUTH)  # type: ignore[attr-defined]
-
-
-_ELEVATION, _AZIMUTH = 22.0, -122.0
-"""Direction of the viewer of panels in space, degrees."""
-_UP, _ROUND = np.radians([_ELEVATION, _AZIMUTH])
-TOWARDS = np.array([np.cos(_UP) * np.cos(_ROUND), np.cos(_UP) * np.sin(_ROUND), np.sin(_UP)])
-"""Unit vector towards this viewer."""
+    axes.view_init(elev=22, azim=-122)  # type: ignore[attr-defined]
 
 
 def quiet_plane(axes: Axes, of: System | Atlas, columns: tuple[int, int] = (0, 1), title: str = "") -> None:

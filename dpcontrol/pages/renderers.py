@@ -103,18 +103,10 @@ def alone(result: Any, place: str) -> Any:
         result: result to draw.
         place: its function in `PANELS`.
     """
-    orbit = next((part for part in (result, *(getattr(result, name, None) for name in _ORBITS)) if _is_of(part)), None)
+    orbit = getattr(result, "source", getattr(result, "orbit", result))
     page = renderer("layout:Page")("", width=7.0).row(lambda axes: renderer(place)(axes, result), height=4.8)
-    found = () if orbit is None else renderer("orbits:conditions")(orbit.system, [orbit.energy])
-    return page.origin(None, *found).figure()
-
-
-_ORBITS = ("source", "orbit")
-"""Attributes of results that are orbits."""
-
-
-def _is_of(part: object) -> bool:
-    return hasattr(part, "system") and hasattr(part, "energy")
+    known = hasattr(orbit, "system") and hasattr(orbit, "energy")
+    return page.origin(None, *(renderer("orbits:conditions")(orbit.system, [orbit.energy]) if known else ())).figure()
 
 
 def renderer(place: str) -> Callable[..., Any]:
