@@ -7,6 +7,7 @@ from pathlib import Path
 
 import griffe
 from griffe2md import render_object_docs
+from result_attributes import ITEMS, attributes, methods, results_of
 
 import dpcontrol as dp
 from dpcontrol import api
@@ -85,10 +86,32 @@ def module(file: str) -> griffe.Module:
 
 
 def page(stem: str) -> str:
-    """Return a page of the reference in Markdown."""
+    """Return a page of the reference in Markdown: functions, then the results that no earlier page describes."""
     title, names = GROUPS[stem]
     note = "Generated from docstrings by `python tests/api_reference.py`; see [python](python.md) for an introduction."
-    return "\n\n".join([f"# {title}", note, *map(entry, names)]) + "\n"
+    return "\n\n".join([f"# {title}", note, *map(entry, names), *map(result, results(stem))]) + "\n"
+
+
+def results(stem: str) -> list[type]:
+    """Return the classes of results to describe on a page: those of its functions, and of their items."""
+    earlier: list[type] = []
+    for one, (_, names) in GROUPS.items():
+        found = [kind for name in names if name not in CLASSES for kind in results_of(name)]
+        items = [ITEMS[kind] for kind in found if kind in ITEMS]
+        here = [
+            kind for kind in dict.fromkeys([*found, *items]) if kind not in earlier and kind.__name__ not in CLASSES
+        ]
+        if one == stem:
+            return here
+        earlier += here
+    return []
+
+
+def result(kind: type) -> str:
+    """Return a class of results with its attributes and methods."""
+    summary = (inspect.getdoc(kind) or "").split("\n\n")[0].replace("\n", " ")
+    listed = [f"- **{name}** – {text}" for name, text in (attributes(kind) | methods(kind)).items()]
+    return "\n\n".join([f"## `{kind.__name__}`", summary, "\n".join(listed)])
 
 
 def entry(name: str) -> str:

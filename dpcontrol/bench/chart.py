@@ -405,6 +405,14 @@ class ChartPage(Documented):
 
     It has a name for command line and files, a title, three reading hints, the choice, and its diagrams or maps. A
     chart that is drawn alone has a file.
+
+    Attributes:
+        name: name on the command line and of the files.
+        title: title with the result.
+        reading: three hints for reading the diagrams.
+        chosen: reason for the choice of dpcontrol.
+        parts: diagrams or maps.
+        file: file of a chart that is drawn alone, or None.
     """
 
     KEYS: ClassVar[str] = "name title headline=title reading chosen complaints findings file? panels=parts"

@@ -16,6 +16,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -42,7 +43,7 @@ Layer = tuple[str, Sequence[tuple[float, float]], Look]
 MARKS = "osD^v<>Pph*X8d"
 FLOOR = 1e-17
 """Drawn position of an error of exactly zero."""
-MOST_LABELS = 20
+MOST_LABELS = 17
 """Points of a diagram that all have their settings beside them."""
 _RING = 15.0
 """Diameter of a ring about a default, points."""
@@ -120,8 +121,9 @@ def _place(panel: Diagram, point: Point) -> tuple[float, float]:
 
 
 def _points(panel: Diagram, looks: dict[str, Look]) -> Iterator[Layer]:
-    front: Look = {"color": FAINT, "linewidth": 4, "drawstyle": "steps-post"}
-    yield "best at its cost", [_place(panel, p) for p in panel.front], front
+    front = [_place(panel, p) for p in panel.front]
+    steps = [*front[:1], *(corner for (_, up), (x, y) in pairwise(front) for corner in ((x, up), (x, y)))]
+    yield "best at its cost", steps, {"color": FAINT, "linewidth": 4}
     for p in panel.points:
         face = PAPER if p.outside or p.stored else looks[p.method]["color"]
         yield "", [_place(panel, p)], {**looks[p.method], "markersize": 6, "markerfacecolor": face, "zorder": 3}
@@ -173,7 +175,12 @@ class DrawnChart(Documented):
 
 @dataclass(frozen=True)
 class DrawnCharts(Documented):
-    """Finished charts; with `strict`, a deviation that a chart reports counts as a failure."""
+    """Finished charts; with `strict`, a deviation that a chart reports counts as a failure.
+
+    Attributes:
+        charts: finished charts, in order.
+        strict: True if a deviation counts as a failure.
+    """
 
     KEYS: ClassVar[str] = "charts status"
 

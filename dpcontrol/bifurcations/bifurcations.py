@@ -725,10 +725,17 @@ class BifurcationSearch(Shown, Documented):
     `runs` has one of each pair of connections.
 
     Attributes:
-        unexplained: changes of the count between energies without a located event.
         complete: True if there are none and every search was complete.
-        scatters_from: J, or None.
+        system: system of the orbits.
+        source: saddle that the connections leave.
+        target: saddle that they join.
+        section: section of the connections.
+        crossings: crossing numbers of the tubes.
+        events: bifurcations in order of energy.
+        counts: number of connections at each tried energy.
+        unexplained: changes of the count between energies without a located event.
         runs: connections that were followed.
+        scatters_from: J, or None.
         born: energy of the higher saddle, J, if the sweep starts just above it.
         energies: lowest and highest energy of the search, J.
     """

@@ -416,6 +416,7 @@ class Flight(Concluded, Timed):
         nodes: states (K+1, N) at the ends of the steps.
         cause: how the search ended.
         limits: limits of the cart, of which the flight leaves a reserve.
+        planner: planner that found the flight.
         remedy: name and value of a limit with which a flight was found instead, or None.
     """
 

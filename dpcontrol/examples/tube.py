@@ -19,24 +19,31 @@ cut = atlas.cuts[0]
 # %%
 def tube(axes: Axes) -> None:
     """Draw the trajectories that leave the orbit, and the orbit."""
-    quiet(axes, "Trajectories that leave the orbit form a tube", x="angle of the outer arm (rad)", y="its rate (rad/s)")
+    quiet(
+        axes,
+        "Trajectories that leave the orbit form a tube",
+        x="angle of the outer arm (rad)",
+        y="rate of the outer arm (rad/s)",
+    )
     for strand in cut.strands:
         axes.plot(strand[:, 1], strand[:, 3], color=style.UNSTABLE, linewidth=0.5, alpha=0.6)
     samples = atlas.orbits[0].samples
     axes.plot(samples[:, 1], samples[:, 3], color=style.INK, linewidth=2)
     angle_axis(axes, "x")
+    key(axes, [("tube that leaves", style.UNSTABLE), ("orbit", style.INK)])
 
 
 def section(axes: Axes) -> None:
     """Draw the cuts of both tubes, and their connections."""
     title = f"The cuts of both tubes meet in {len(atlas.connections)} connections"
-    quiet(axes, title, x="angle of the inner arm (rad)", y="its momentum, scaled")
+    quiet(axes, title, x="angle of the inner arm (rad)", y="momentum of the inner arm, p / p₀")
     for piece in cut.pieces:
         axes.plot(*piece.points.T, color=style.UNSTABLE)
         axes.plot(*piece.stable_points.T, color=style.STABLE)
     for connection in atlas.connections:
         axes.plot(*connection.point, "o", color=style.INK, markersize=5)
-    key(axes, [("tube that leaves", style.UNSTABLE), ("tube that arrives", style.STABLE)])
+    dot = {"color": style.INK, "marker": "o", "linestyle": ""}
+    key(axes, [("tube that leaves", style.UNSTABLE), ("tube that arrives", style.STABLE), ("connections", dot)])
 
 
 # %%

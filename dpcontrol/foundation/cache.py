@@ -131,6 +131,11 @@ class CacheContents(Documented):
     """Number of entries and bytes of each kind in the cache.
 
     They are counted before the cache is emptied, if it is.
+
+    Attributes:
+        folder: folder of the cache.
+        kinds: number of entries and bytes, by kind of entry.
+        emptied: True if the cache was emptied afterwards.
     """
 
     KEYS: ClassVar[str] = "folder variable entries bytes kinds:entries,bytes emptied status=sentence"

@@ -54,7 +54,7 @@ def render(result: object, axes: Axes | None = None) -> Figure:
                 raise InputError(f"the picture of a {kind.__name__} has several panels; plot it without axes")
             return table.renderer(table.RENDERERS[name])(result)
         if name in table.PANELS:
-            return render(result, table.new_axes(7.0, 5.0))
+            return table.alone(result, table.PANELS[name])
     known = ", ".join(sorted(name.rpartition(".")[2] for name in (*table.RENDERERS, *table.PARTS)))
     raise InputError(f"a {type(result).__name__} has no picture; results with one are {known}")
 

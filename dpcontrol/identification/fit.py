@@ -653,7 +653,14 @@ class Experiment(Brief):
 
 @dataclass(frozen=True, eq=False)
 class Design(Documented):
-    """Comparison of experiments for the ratios `names` (f,) of a model."""
+    """Comparison of experiments for the ratios `names` (f,) of a model.
+
+    Attributes:
+        names: names of the parameters.
+        experiments: compared recordings.
+        settings: settings of the comparison.
+        status: the best recording in words.
+    """
 
     KEYS: ClassVar[str] = (
         "unknowns=names experiments:kind,angles,amplitude,frequency,information,amplification,usable best=best.text "

@@ -304,7 +304,14 @@ class Candidate(Brief):
 
 @dataclass(frozen=True, eq=False)
 class Identification(Shown, Documented):
-    """Identified arms with errors, encoder zeros and friction laws."""
+    """Identified arms with errors, encoder zeros and friction laws.
+
+    Attributes:
+        candidates: tried friction laws, each with its errors.
+        segments: segments of the recordings, used or held out.
+        swings: measured swings.
+        status: result in words.
+    """
 
     arms: ArmChainParameters
     """Arms nearest to the starting model that have the identified ratios."""

@@ -269,7 +269,11 @@ class ReplaySettings(Settings, table="replay"):
 
 @dataclass(frozen=True, eq=False)
 class Replay(Brief, Documented):
-    """A recording of K samples and the model's predictions for it."""
+    """A recording of K samples and the model's predictions for it.
+
+    Attributes:
+        recording: replayed recording.
+    """
 
     KEYS: ClassVar[str] = (
         "log model estimator segments=stretch_errors nis_inside_95 nis_below_95 rates_rms cart status nis_means "

@@ -42,6 +42,11 @@ class RunComparison(Shown, Documented):
     """Runs on one clock, aligned at a symbol.
 
     The symbol counts from 1; its time is in s.
+
+    Attributes:
+        runs: runs with their names and views, in order.
+        symbol: number of the symbol at which they are aligned, from 1.
+        moment: time of this symbol on the common clock, s.
     """
 
     KEYS: ClassVar[str] = "symbol moment status runs=runs.name"

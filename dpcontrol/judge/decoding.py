@@ -9,7 +9,7 @@ offset, so a longer or shorter stay does not disturb later symbols. On that cloc
     min over |s| ≤ w of max over arms |θ(t) - θ*(τ(t) + s)| ≤ 1.5 rad            τ: the plan's time at run time t
 
 Angles are not wrapped, so a missing turn, a turn the wrong way, a left-out symbol and another saddle are all at least
-half a turn off. The window w is a quarter of the shortest period: a run may be early or late by less than a wobble. The
+half a turn off. The window w is a quarter of the shortest period: a run may be early or late by less than a wrap. The
 wait at rest before a first transfer is not judged. A stop counts once the run is halfway through it, or half a period
 after its arrival, whichever comes first.
 
@@ -313,7 +313,7 @@ def planned_wraps(content: PlanContent, stop: int) -> float | None:
     if arriving.section is None or leaving.section is None or content.stops[stop + 1].arrived_on is not None:
         return None
     if content.polished:
-        # A plan's crossings already count its wobbles, which need not last the orbit's period.
+        # A plan's crossings already count its wraps, which need not last the orbit's period.
         return None if (required := content.wraps[stop]) is None else float(required)
     gap = (leaving.phase_out - arriving.phase_in) % 1.0
     spare = leaving.time - arriving.time - arriving.time_in - leaving.time_out

@@ -86,7 +86,15 @@ class Drift:
 
 @dataclass(frozen=True, eq=False)
 class Night(Shown, Documented):
-    """A long run, represented by its digests in order."""
+    """A long run, represented by its digests in order.
+
+    Attributes:
+        folder: folder of the night.
+        digests: figures and events of each file, in order.
+        partials: unfinished logs.
+        spans: periods by activity, in order.
+        falls: falls in order of time.
+    """
 
     folder: Path
     digests: tuple[Digest, ...]

@@ -176,7 +176,11 @@ class Preflight(Shown, Documented):
     """Forecast before the first run.
 
     Attributes:
+        itinerary: name of the itinerary.
+        title: title of the itinerary.
+        model: name of the model.
         share: completed runs, with its interval at `confidence`.
+        confidence: confidence of the intervals, such as 0.95.
         known: properties of the bench.
         notes: warnings.
         endings: of failed runs, the most frequent first.

@@ -106,16 +106,20 @@ class Score(Documented):
     """Completion, tracking error, consistency and cart use of a run.
 
     Attributes:
+        log: path or name of the log.
+        seed: seed of the run, or None on a rig.
         completed: None if the true state is unknown, or if the log covers only a part of the run.
+        symbols_completed: number of completed symbols and transfers.
+        symbols_total: number of all symbols and transfers.
         wraps: at each interior stop reached, None beside a transfer.
         rms_tracking_error: over the angles, rad.
         max_cart_position: m.
         rms_cart_acceleration: m/s².
         nis_inside_95: share of ticks.
-        nis_means: share of means, None for a run too short for one.
         real_time_factor: None if the log lacks it.
-        thinking: duration of a tick, None if the log lacks it.
         verdict: on the plan.
+        nis_means: share of means, None for a run too short for one.
+        thinking: duration of a tick, None if the log lacks it.
         falls: number of falls, with or without return.
         returned: time from each fall, and from a start off the itinerary, until the run is on it (again), s.
         attempts: of each symbol, if returns were possible; 0 for symbols not started.
@@ -449,7 +453,7 @@ def _part(log: RunLog, flown: Flown, plan: Reference) -> FaultFigures | None:
 
 
 def stretches_of(log: RunLog) -> tuple[Stretch, ...]:
-    """Return the last lap's periods on the itinerary, from events.
+    """Return the last repetition's periods on the itinerary, from events.
 
     Without recovery the result is empty.
 

@@ -125,7 +125,7 @@ class Digest:
             self.events.append(event)
         else:
             self.others[name] = self.others.get(name, 0) + 1
-        # A lap that joins the next is reported at once, any other repetition when the itinerary is left.
+        # A repetition that joins the next is reported at once, any other repetition when the itinerary is left.
         self.repetitions += self._now_on if name == LAP else name == RETURN and event.level == "info"
         self._now_on = name in (RESUME, LAP) or (self._now_on and name != RETURN and not ends)
 

@@ -80,7 +80,7 @@ _LOOKS, _DRIFTS = 0.1, 0.005
 _FAST = 0.9
 """Fraction of the maximum speed at which a runaway cart is stopped; swinging arms push it further."""
 _MEETS = 0.05
-"""Maximum difference between the last and first state of a reference for laps without rest: rad, rad/s, m, m/s."""
+"""Maximum difference between the last and first state of a reference that repeats without rest: rad, rad/s, m, m/s."""
 LAST_SECONDS = 1.5
 """Final part of a reference that is searched for such a state, s. The last orbit may end at another phase than the
 first."""
@@ -588,10 +588,10 @@ class FallRecovery:
         return self._lapped(k, ticker.references[-1], ticker)
 
     def _lapped(self, k: int, state: Array, ticker: Ticker) -> Sequence[Event]:
-        """Begin another lap after tick k, with the reference at `state` (N,)."""
+        """Begin another repetition after tick k, with the reference at `state` (N,)."""
         self._lap, self._begins = self._lap + 1, True
         self._good = math.inf
-        # A run is judged by its last lap.
+        # A run is judged by its last repetition.
         self._flown.clear()
         self._attempts.clear()
         self._stop, self._at, self._joins = 0, 0.0, k + 1

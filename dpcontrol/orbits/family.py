@@ -417,6 +417,7 @@ class Family(Shown, Generic[Member]):
     """K members along a family's curve.
 
     Attributes:
+        members: orbits along the family.
         ends: first and last end.
     """
 
@@ -490,6 +491,10 @@ class LyapunovFamily(Family[LyapunovOrbit], Documented):
     """Lyapunov orbits along a family's curve, starting at the saddle.
 
     Attributes:
+        system: system of the orbits.
+        saddle: saddle of the family.
+        family: index of the family at the saddle, from 0.
+        events: bifurcations along the family.
         bounds: energies between which it was followed, J.
     """
 

@@ -27,6 +27,8 @@ class OrbitRecord(Brief, Documented):
         state (N,): on the reverser's fixed set.
         floquet_multipliers (N,): largest first.
         residual: largest component of x(T) - x(0).
+        saddle: name of the saddle.
+        family: index of the family at the saddle, from 0.
     """
 
     KEYS: ClassVar[str] = "energy period state floquet_multipliers residual status saddle family"
@@ -83,7 +85,9 @@ class PeriodicOrbit(OrbitRecord, Periodic, Concluded):
     """A periodic orbit with its symmetry, from which its manifolds are computed.
 
     Attributes:
+        system: system of the orbit.
         monodromy (N, N): state-transition matrix over one period.
+        outcome: cause and figures of the search.
     """
 
     system: System

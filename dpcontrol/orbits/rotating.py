@@ -82,10 +82,13 @@ class RotatingRecord(Brief, Documented):
     Attributes:
         arm: rotating arm, 1 for the inner one.
         winding (n,): whole turns per period.
-        state (N,): initial state, the arm hanging.
+        energy: energy, J.
         period: s.
+        state (N,): initial state, the arm hanging.
         floquet_multipliers (2,): larger modulus first.
         trace: sum of the multipliers.
+        kind: stability: "elliptic", "hyperbolic", "inverse hyperbolic" or "parabolic".
+        residual: largest residual of the shooting equations, scaled.
 
     The residual is the largest component of x(T) - x(0) - 2π winding.
     """
@@ -110,7 +113,12 @@ class RotatingRecord(Brief, Documented):
 
 @dataclass(frozen=True)
 class RotatingOrbit(RotatingRecord, Periodic, Concluded):
-    """A symmetric rotating orbit with the residual of its shooting equations."""
+    """A symmetric rotating orbit with the residual of its shooting equations.
+
+    Attributes:
+        system: system of the orbit.
+        outcome: cause and figures of the search.
+    """
 
     converged: ClassVar[bool] = True
 
@@ -404,6 +412,7 @@ class RotatingFamily(Family[RotatingOrbit], Documented):
     """Rotating orbits along a family's curve, from one end to the other.
 
     Attributes:
+        changes: changes of stability along the family.
         folds: folds in energy.
     """
 
@@ -508,7 +517,13 @@ def rotating_families(
 
 @dataclass(frozen=True)
 class RotatingOrbits(Documented):
-    """The symmetric orbits of one energy, J, on which an arm turns forward."""
+    """The symmetric orbits of one energy, J, on which an arm turns forward.
+
+    Attributes:
+        orbits: orbits, the longest period first.
+        arm: arm that turns over, "inner" or "outer".
+        energy: energy of the orbits, J.
+    """
 
     KEYS: ClassVar[str] = "rotating_orbits=orbits count=#orbits arm energy status"
 
@@ -524,7 +539,14 @@ class RotatingOrbits(Documented):
 
 @dataclass(frozen=True)
 class RotatingFamilies(Documented):
-    """The families of the orbits of one energy, J, on which an arm turns forward, between two energies."""
+    """The families of the orbits of one energy, J, on which an arm turns forward, between two energies.
+
+    Attributes:
+        families: families of the orbits.
+        arm: arm that turns over, "inner" or "outer".
+        energy: energy of the starting orbits, J.
+        energies: lowest and highest energy, J.
+    """
 
     KEYS: ClassVar[str] = "families count=#families arm energy energies status"
 

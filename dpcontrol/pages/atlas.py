@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.document import counted
+from dpcontrol.foundation.version import PROGRAM
 from dpcontrol.pages import style
 from dpcontrol.pages.layout import Page, Panel, Stack, key
 from dpcontrol.pages.panels import angle_axis, name_point, quiet, quiet_plane, quiet_space, wrapped_runs
@@ -287,7 +288,7 @@ def draw_motions(
         for states in tube.strands:
             axes.plot(*states[:, picked].T, color=tube.colour, linewidth=0.5, alpha=0.8)
         for states in tube.ends:
-            axes.plot(*states[:, picked].T, color=style.CUT, linewidth=1.6)
+            axes.plot(*states[:, picked].T, color=style.CUT, linewidth=1.6, zorder=1.5)
     ends = {end for c, _ in flights for end in ((c.source, ()), (c.target, c.winding if any(c.winding) else ()))}
     for c, colour in flights:
         axes.plot(*c.states[:, picked].T, color=colour, linewidth=1.1, zorder=8)
@@ -318,6 +319,8 @@ def draw_atlas(atlas: Atlas) -> Figure:
     kinds = [kind for kind in atlas.kinds if connections_of(atlas, kind)]
     counts = f"{counted(len(atlas.orbits), 'orbit')}, {counted(len(atlas.connections), 'connection')}"
     page = Page(f"{atlas.title} at {atlas.energy:g}{atlas.unit('J')}: {counts}")
+    energy = f"energy {atlas.energy:g}{atlas.unit('J')}"
+    page.origin(atlas.file, f"model {atlas.model}", energy, PROGRAM if atlas.file else "")
     space = Panel(partial(_draw_whole, atlas=atlas), space=True)
     panels = [
         partial(draw_cuts, atlas=atlas, kind=k, title=f"{k.source} → {k.target}: {k.count} at hits {list(k.hits)}")

@@ -40,6 +40,10 @@ _BROAD: dict[str, Any] = {"alpha": 0.3, "linewidth": 4.5}
 """Style of a reference behind the curve that follows it."""
 
 
+MOST_MARKED = 20
+"""Greatest number of motions whose times are marked in charts and listed."""
+
+
 def draw_chart(axes: Axes, chart: Chart, view: RunView, *, span: Range | None = None) -> None:
     """Draw a chart's lines, bands, levels and limits.
 
@@ -74,10 +78,11 @@ def draw_chart(axes: Axes, chart: Chart, view: RunView, *, span: Range | None = 
         axes.yaxis.set_major_locator(LogLocator(base=10, numticks=6))
     elif chart.shown is not None:
         axes.set_ylim(scale * chart.shown[0], scale * chart.shown[1])
-    _levels(axes, chart, scale=scale)
+    entries |= _levels(axes, chart, scale=scale)
     if span is not None:
         axes.set_xlim(*span)
-        for at in (at for at, _ in view.plan.symbols if span[0] <= at <= span[1]):
+        within = [at for at, _ in view.plan.symbols if span[0] <= at <= span[1]]
+        for at in within if len(within) <= MOST_MARKED else ():
             axes.axvline(at, color=style.MARK, linewidth=0.9, linestyle=style.DOTTED, zorder=1.5)
     if len(entries) > MOST_IN_KEY:
         name_curves(axes, list(ends.values()))
@@ -86,8 +91,8 @@ def draw_chart(axes: Axes, chart: Chart, view: RunView, *, span: Range | None = 
         key(axes, sorted(entries.items(), key=lambda entry: "alpha" in entry[1]))
 
 
-def _levels(axes: Axes, chart: Chart, *, scale: float) -> None:
-    """Draw limits, which widen the axis if they are near its range, a band, and levels with their names."""
+def _levels(axes: Axes, chart: Chart, *, scale: float) -> dict[str, dict[str, Any]]:
+    """Draw limits, which widen the axis if they are near its range, a band, and levels; return two levels' key."""
     low, high = axes.get_ylim()
     reach = 0.35 * (high - low)
     limits = [scale * level.value for level in chart.levels if level.kind == "limit"]
@@ -103,15 +108,9 @@ def _levels(axes: Axes, chart: Chart, *, scale: float) -> None:
     named = [level for level in chart.levels if level.kind == "named" and low <= level.value <= high]
     for level in named:
         axes.axhline(level.value, color=level.colour, linewidth=1.0, linestyle=style.DASHED)
-        look = {"fontsize": style.SMALL, "color": level.colour, "ha": "right", "va": "center"}
-        if len(named) <= MOST_IN_KEY:
-            axes.text(1.0, level.value, level.name, transform=axes.get_yaxis_transform(), bbox=_PALE, **look)
-    if len(named) > MOST_IN_KEY:
-        name_curves(axes, [(level.value, level.name, level.colour) for level in named])
-
-
-_PALE = {"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 0.8}
-"""Box behind a name on a line."""
+    look = {"linewidth": 1.0, "linestyle": style.DASHED}
+    few = [level for level in named if level.name] if len(named) <= 2 else []
+    return {level.name: {"color": level.colour, **look} for level in few}
 
 
 def _line(axes: Axes, line: Line, view: RunView, *, scale: float) -> None:
@@ -133,6 +132,10 @@ def _line(axes: Axes, line: Line, view: RunView, *, scale: float) -> None:
     axes.plot(time, values, **look)
 
 
+_ORBIT: dict[str, Any] = {"linewidth": 3.2}
+_REST: dict[str, Any] = {"marker": "D", "markersize": 8, "linestyle": ""}
+
+
 def draw_plane(axes: Axes, runs: list[tuple[Plane, str]], *, tubes: bool = True) -> None:
     """Draw runs in one arm's phase plane.
 
@@ -150,11 +153,13 @@ def draw_plane(axes: Axes, runs: list[tuple[Plane, str]], *, tubes: bool = True)
         if tubes and first.strands[stable]:
             axes.plot(*_joined(first.strands[stable]), color=colour, linewidth=0.45, alpha=0.35, zorder=1.2)
             axes.plot(*_joined(first.cuts[stable]), color=colour, linewidth=1.8, zorder=2.5, label=text)
-    for k, (colour, points) in enumerate(first.orbits):
+    named: list[str] = []
+    for colour, points in first.orbits:
         # An equilibrium is a single point.
-        look: dict[str, Any] = {"linewidth": 3.2} if len(points) > 3 else {"marker": "D", "markersize": 8}
-        named = None if k else "orbits"
-        axes.plot(*points.T, color=colour, zorder=1.5, alpha=0.75 if tubes else 0.4, label=named, **look)
+        kind, look = ("orbits", _ORBIT) if len(points) > 3 else ("equilibria", _REST)
+        label = kind if kind not in named else None
+        named.append(kind)
+        axes.plot(*points.T, color=colour, zorder=1.5, alpha=0.75 if tubes else 0.4, label=label, **look)
     for plane, colour in runs:
         (start, end), face = plane.ends, style.PAPER
         axes.plot(*_joined(plane.run), color=colour, linewidth=1.1, zorder=3)

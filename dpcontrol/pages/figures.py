@@ -104,7 +104,12 @@ class Drawn:
 
 @dataclass(frozen=True)
 class DrawnFigures(Documented):
-    """Figures on disk, and the file of their captions."""
+    """Figures on disk, and the file of their captions.
+
+    Attributes:
+        figures: figures with file, caption and duration.
+        captions: file of the captions.
+    """
 
     KEYS: ClassVar[str] = "figures captions status"
 

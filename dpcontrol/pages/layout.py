@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import date
-from functools import cache
+from functools import cache, partial
 from io import BytesIO
 from pathlib import Path
 from textwrap import wrap
@@ -27,12 +27,14 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.font_manager import FontProperties
 from matplotlib.lines import Line2D
+from matplotlib.path import Path as LinePath
 from matplotlib.text import Text
 from matplotlib.textpath import TextPath
 from matplotlib.transforms import Bbox
 
 from dpcontrol.foundation.errors import InputError, printable
 from dpcontrol.foundation.files import whole_file
+from dpcontrol.foundation.version import PROGRAM
 from dpcontrol.pages import style
 from dpcontrol.pages.panels import BESIDE, bare
 
@@ -152,13 +154,15 @@ class Page:
             self.rows.append((height, write))
         return self
 
-    def origin(self, path: Path, *conditions: str) -> "Page":
+    def origin(self, path: Path | None, *conditions: str) -> "Page":
         """Add the conditions of what the page shows, and the file that it shows with its date.
 
         Args:
-            path: file, which may exist in memory only.
+            path: file, which may exist in memory only; None for what this program has computed today.
             *conditions: conditions; empty ones are left out.
         """
+        if path is None:
+            return self.text("; ".join(filter(None, (*conditions, f"{PROGRAM}, {date.today()}"))))
         day = f" of {date.fromtimestamp(path.stat().st_mtime)}" if path.exists() and path.name else ""
         return self.text("; ".join(filter(None, (*conditions, f"{path.name}{day}"))))
 
@@ -410,19 +414,35 @@ _PLACES = [
 """Tried places of a label beside its point, points."""
 _LED = 10.0
 """Distance beyond which a line connects a point and its label, points."""
+_COVERS, _CROSSES = 1000.0, 30.0
+"""Costs of covering a mark or another label, and of being nearer to another mark or crossing a curve, in points."""
 
 
 def _turn_aside(axes: Axes, labels: list[Any]) -> None:
-    """Move labels round their points, and away from them, until they cover neither marks nor other labels."""
+    """Move labels round their points, and away from them, so that they cover little and their lines cross little."""
     taken = [box for line in axes.lines if labels and line.get_marker() not in ("None", "") for box in _marks(line)]
+    curves = [line.get_path().transformed(line.get_transform()) for line in axes.lines if labels]
     for label in labels:
-        boxes = {place: _beside(label, place) for place in _PLACES}
-        inside = (place for place, box in boxes.items() if all(axes.bbox.contains(*end) for end in (box.min, box.max)))
-        place = next((place for place in inside if not boxes[place].count_overlaps(taken)), _PLACES[0])
+        place = min(_PLACES, key=partial(_cost, label=label, axes=axes, taken=taken, curves=curves))
         taken.append(_beside(label, place))
         if max(map(abs, place)) > _LED:
             line = {"arrowstyle": "-", "color": label.get_color(), "linewidth": 0.5, "shrinkA": 1, "shrinkB": 3}
             axes.annotate("", label.xy, xytext=place, textcoords="offset points", arrowprops=line)
+            start = axes.transData.transform(label.xy)
+            curves.append(LinePath([start, start + np.multiply(place, axes.figure.dpi / 72)]))
+
+
+def _cost(place: tuple[int, int], label: Any, axes: Axes, taken: list[Bbox], curves: list[LinePath]) -> float:
+    """Return the cost of a place of a label, infinite outside the panel."""
+    box, point = _beside(label, place), axes.transData.transform(label.xy)
+    end = np.clip(point, box.min, box.max)
+    spots = np.reshape([other.get_points().mean(axis=0) for other in taken], (-1, 2))
+    nearer = np.hypot(*(spots - np.clip(spots, box.min, box.max)).T) < np.hypot(*(end - point)) - 1
+    crossed = sum(curve.intersects_bbox(box, filled=False) for curve in curves)
+    struck = sum(LinePath([point, end]).intersects_bbox(other, filled=False) for other in taken)
+    if not all(axes.bbox.contains(*corner) for corner in (box.min, box.max)):
+        return np.inf
+    return max(map(abs, place)) + _COVERS * box.count_overlaps(taken) + _CROSSES * (crossed + nearer.sum() + 4 * struck)
 
 
 def _beside(label: Any, place: tuple[float, float]) -> Bbox:

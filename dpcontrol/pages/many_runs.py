@@ -5,6 +5,7 @@ The page of a campaign shows the shares of completed runs, and where and why the
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from functools import partial
 from textwrap import shorten
 
@@ -14,15 +15,17 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullFormatter, PercentFormatter
 
 from dpcontrol.foundation.causes import Cause
+from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.statistics import wilson
 from dpcontrol.foundation.units import prefixed
 from dpcontrol.judge.campaign import CampaignSummary, Group
 from dpcontrol.judge.night import BETWEEN, BRAKING, FLYING, ITINERARY, STOPPED, UNKNOWN, Night
 from dpcontrol.judge.preflight import HazardBorder, Preflight, shown_number
+from dpcontrol.logs import read_log
 from dpcontrol.pages import style
 from dpcontrol.pages.layout import Page, Panel, cropped
 from dpcontrol.pages.panels import Bar, bars, name_curves, quiet
-from dpcontrol.words.runs import conditions
+from dpcontrol.words.runs import conditions, conditions_of
 
 _MOST, _APART = 28, 6
 """Most bars, and most mismatches that are drawn as separate bars."""
@@ -153,12 +156,20 @@ def draw_night(night: Night) -> Figure:
         "Encoder zeros": [name for name in night.estimated if name.startswith("zero_")],
         "Other parameters": [name for name in night.estimated if not name.startswith("zero_")],
     }
-    page = Page(night.folder.name, night.sentence).origin(night.folder)
+    page = Page(night.folder.name, night.sentence).origin(night.folder, *_conditions(night))
     page.row(partial(_draw_strip, night=night, row=row, rows=rows), height=1.0 + 0.36 * rows)
     below = [partial(_draw_times, night=night), Panel(partial(draw_causes, night=night), 1.1)]
     page.row(*below, *([partial(_draw_returns, night=night)] if len(night.returns) else []), height=2.1)
     shown = [partial(_draw_drift, night=night, what=what, names=names) for what, names in drifts.items() if names]
     return page.row(*shown, height=2.3).figure()
+
+
+def _conditions(night: Night) -> tuple[str, ...]:
+    """Return the conditions of a night by its last log that can be read."""
+    for log in sorted(night.folder.glob("*.mcap"), reverse=True):
+        with suppress(InputError):
+            return conditions_of(read_log(log).metadata)
+    return ()
 
 
 _FALLS: dict[str, str] = {
@@ -213,7 +224,7 @@ def _draw_returns(axes: Axes, night: Night) -> None:
     times = f"s; median {median:.1f}, 99 % within {late:.1f}"
     quiet(axes, "Time from the fall back onto the itinerary", x=times, y="share of falls within")
     axes.ecdf(returns, color=style.ARMS[0])
-    axes.set(xlim=(0, 1.3 * max(returns)), ylim=(0, 1.03))
+    axes.set(xlim=(0, 1.3 * max(returns)), ylim=(0, 1.08))
 
 
 def draw_causes(axes: Axes, night: Night) -> None:
@@ -228,13 +239,13 @@ def _draw_drift(axes: Axes, night: Night, what: str, names: Sequence[str]) -> No
     largest = max(float(np.abs(values - values[0]).max()) for _, values in courses)
     scale, unit = prefixed(largest, "rad") if angles else (100.0, "%")
     quiet(axes, f"{what}, change since the first file ({unit})", x="hours")
-    ends = []
+    ends: list[tuple[float, str, str, str]] = []
     for k, (name, (hours, values)) in enumerate(zip(names, courses, strict=True)):
         colour = style.RUNS[k % len(style.RUNS)]
         change = scale * (values - values[0])
-        line = "-" if k < len(style.RUNS) else "--"
+        line = ("-", "--", ":")[k // len(style.RUNS) % 3]
         axes.plot(hours, change, line, color=colour, marker="o", markersize=2.5, linewidth=1.1)
-        ends.append((float(change[-1]), name, colour))
+        ends.append((float(change[-1]), name, colour, line))
     name_curves(axes, ends)
 
 

@@ -15,6 +15,8 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.ticker import SymmetricalLogLocator
 
+from dpcontrol.dynamics.system import System
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.orbits.family import LyapunovFamily
 from dpcontrol.orbits.lyapunov import LyapunovOrbit
 from dpcontrol.orbits.rotating import RotatingFamilies, RotatingFamily, RotatingOrbit
@@ -38,6 +40,7 @@ _KINDS = {
 def draw_family(found: LyapunovFamily) -> Figure:
     """Return the page on a family of Lyapunov orbits as a figure."""
     page = Page(f"Lyapunov orbits about {found.saddle} of {found.system.name}")
+    page.origin(None, *conditions(found.system, found.energies))
     over = Stack([partial(_multipliers, family=found), partial(_periods, families=[found])])
     page.row(over, partial(_shapes, family=found), height=5.2)
     for end in found.ends:
@@ -48,9 +51,22 @@ def draw_family(found: LyapunovFamily) -> Figure:
 def draw_rotating_families(found: RotatingFamilies) -> Figure:
     """Return the page on rotating orbits as a figure."""
     families = found.families
-    page = Page(f"Orbits of {families[0].members[0].system.name} that turn the {found.arm} arm over")
+    system = families[0].members[0].system
+    page = Page(f"Orbits of {system.name} that turn the {found.arm} arm over")
+    page.origin(None, *conditions(system, found.energies))
     over = Stack([partial(_traces, families=families), partial(_periods, families=families)])
     return page.row(over, partial(_rotations, families=families), height=5.2).figure()
+
+
+def conditions(system: System, energies: Sequence[float] | Array) -> tuple[str, str]:
+    """Return the model and the energies of orbits, for the head of a page.
+
+    Args:
+        system: system of the orbits.
+        energies: energies in the system's unit.
+    """
+    ends = " to ".join(f"{energy:g}" for energy in dict.fromkeys((min(energies), max(energies))))
+    return f"model {system.name}", f"energy {ends}{system.unit('J')}"
 
 
 def _against_energy(axes: Axes, families: Sequence[Family], value: Callable[..., float]) -> None:

@@ -9,7 +9,6 @@ time follow. The page of several runs has these at the same instants.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -30,7 +29,7 @@ from dpcontrol.judge.run_view import RunView, series_of
 from dpcontrol.logs import RunLog
 from dpcontrol.pages import rerun_recording as recorded
 from dpcontrol.pages import style
-from dpcontrol.pages.charts import draw_chart, draw_plane
+from dpcontrol.pages.charts import MOST_MARKED, draw_chart, draw_plane
 from dpcontrol.pages.film import add_film, film_times
 from dpcontrol.pages.layout import Draw, Page, Stack
 from dpcontrol.pages.panels import Bar, bars, quiet
@@ -43,7 +42,7 @@ from dpcontrol.plans.plan import Plan
 from dpcontrol.references.sustained import SustainedOrbit
 from dpcontrol.references.trajectory import LimitUse
 from dpcontrol.walks.shadowing import ShadowingOrbit
-from dpcontrol.words.runs import conditions
+from dpcontrol.words.runs import conditions_of
 
 _FRAMES = 8
 _TALL = 1.5
@@ -78,7 +77,7 @@ def draw(found: RunView | RunLog | Plan) -> Figure:
         found: motion to draw.
     """
     view: RunView = view_of(found)
-    page = Page(view.title, view.verdict, view.good).origin(view.path, *conditions_of(view))
+    page = Page(view.title, view.verdict, view.good).origin(view.path, *conditions_of(view.metadata))
     for line in (closest_approach(view), nis_reading(view)):
         page.text(line, colour=style.INK, size=style.TEXT)
     if uses := limit_uses(view):
@@ -86,26 +85,14 @@ def draw(found: RunView | RunLog | Plan) -> Figure:
     add_story(page, view)
     symbols = enumerate(view.symbols, start=1)
     times = [f"{k} at {at:.2f}{'' if done is None else f' ({done:.2f})'}" for k, (_, at, done) in symbols]
-    page.text(f"Symbols as planned (and done), s: {', '.join(times)}" if times else "")
+    listed = f"Motions as planned (and symbols as done), s: {', '.join(times)}"
+    page.text(listed if 0 < len(times) <= MOST_MARKED else "")
     if view.arm_lengths:
         add_film(page, view, film_times(view, frames=_FRAMES))
     shown = [*motion_charts(view), *check_charts(view), *extra_charts(view)]
     planes = [partial(draw_plane, runs=[(plane(view, arm), style.PLANT)]) for arm in range(min(view.arms, 2))]
     _add_charts(page, shown, partial(draw_chart, view=view, span=view.time_range), planes)
     return page.figure()
-
-
-def conditions_of(view: RunView) -> tuple[str, ...]:
-    """Return the conditions of a run, for the head of its page.
-
-    Args:
-        view: run, recording or reference.
-    """
-    metadata, bench = view.metadata, ""
-    if text := metadata.get("run_settings"):
-        bench = conditions([json.loads(text)], simulated="plant_parameters" in metadata)
-    model = f"model {metadata['model']}" if "model" in metadata else ""
-    return model, bench, metadata.get("program", "")
 
 
 def _uses(axes: Axes, uses: Sequence[LimitUse]) -> None:
@@ -186,7 +173,7 @@ def draw_comparison(comparison: RunComparison) -> Figure:
     for run, colour in zip(runs, style.RUNS, strict=False):
         page.text(run.name, colour=colour, size=style.HEAD)
         page.text(run.view.verdict, colour=style.verdict_colour(run.view.good), size=style.TEXT)
-        page.origin(run.view.path, *conditions_of(run.view))
+        page.origin(run.view.path, *conditions_of(run.view.metadata))
         add_story(page, run.view, span=comparison.span)
         if len(runs) <= _FILMED:
             add_film(page, run.view, frames)

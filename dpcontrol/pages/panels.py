@@ -118,16 +118,19 @@ def wrapped_runs(curve: Array, periods: tuple[float | None, ...]) -> list[Array]
     return [run for run in runs if len(run) > 1]
 
 
-def name_curves(axes: Axes, names: list[tuple[float, str, str]]) -> None:
+def name_curves(axes: Axes, names: Sequence[tuple[Any, ...]]) -> None:
     """Name curves at the right of a panel, in the order of their ends.
 
     Args:
         axes: panel with the curves.
-        names: height of the curve's end in data, text and colour of each name.
+        names: height of the curve's end in data, text and colour of each name, and its kind of line if not solid.
     """
-    lines = [Line2D([], [], color=colour, label=text) for _, text, colour in sorted(names, reverse=True)]
+    ends = sorted(names, reverse=True)
+    lines = [
+        Line2D([], [], label=text, color=colour, linestyle=line[0] if line else "-") for _, text, colour, *line in ends
+    ]
     place: dict[str, Any] = {"loc": "center left", "bbox_to_anchor": (1.0, 0.5), "borderaxespad": 0.4}
-    axes.legend(handles=lines, handlelength=0.8, labelcolor="linecolor", **place)
+    axes.legend(handles=lines, handlelength=1.4, labelcolor="linecolor", **place)
 
 
 def name_rows(axes: Axes, names: Sequence[str]) -> None:

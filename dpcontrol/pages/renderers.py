@@ -96,6 +96,19 @@ def new_axes(width: float, height: float) -> Any:
         return renderer("layout:new_figure")(width, height).add_subplot()
 
 
+def alone(result: Any, place: str) -> Any:
+    """Return a page with the only panel of a result, and its model and energy if it has them.
+
+    Args:
+        result: result to draw.
+        place: its function in `PANELS`.
+    """
+    orbit = getattr(result, "source", getattr(result, "orbit", result))
+    page = renderer("layout:Page")("", width=7.0).row(lambda axes: renderer(place)(axes, result), height=4.8)
+    known = hasattr(orbit, "system") and hasattr(orbit, "energy")
+    return page.origin(None, *(renderer("orbits:conditions")(orbit.system, [orbit.energy]) if known else ())).figure()
+
+
 def renderer(place: str) -> Callable[..., Any]:
     """Return the function at `module:function` in this package, with the settings of pages."""
     module, _, name = place.partition(":")

@@ -213,7 +213,7 @@ def _numbers(axes: Axes, view: RunView, rows: list[str], span: Range, second: fl
     They are named above if there is room.
     """
     begin, end = span
-    free, last = begin, -1e9
+    free, last, named = begin, -1e9, []
     for i, (name, planned, done) in enumerate(view.symbols):
         for row, moment in ((rows[0], planned), ("done", done)):
             if row in rows and moment is not None and begin <= moment <= end:
@@ -225,6 +225,9 @@ def _numbers(axes: Axes, view: RunView, rows: list[str], span: Range, second: fl
         half = _width(name, second) / 2
         left = min(max(planned - half, begin), end - 2 * half)
         if left > free and begin <= planned <= end:
-            look = {"ha": "center", "va": "bottom", "fontsize": style.SMALL, "color": style.INK}
-            axes.text(left + half, len(rows) - 0.02, name, **look)  # type: ignore[arg-type]
+            named.append((left + half, name))
             free = left + 2 * half
+    look = {"ha": "center", "va": "bottom", "fontsize": style.SMALL, "color": style.INK}
+    # A few names would not tell to which of many motions they belong.
+    for middle, name in named if 2 * len(named) >= len(view.symbols) else ():
+        axes.text(middle, len(rows) - 0.02, name, **look)  # type: ignore[arg-type]

@@ -21,6 +21,7 @@ from dpcontrol.pages import style
 from dpcontrol.pages.charts import draw_chart
 from dpcontrol.pages.film import add_film, film_times
 from dpcontrol.pages.layout import Page, Panel, Stack
+from dpcontrol.pages.orbits import conditions
 from dpcontrol.pages.panels import quiet_plane, quiet_space
 from dpcontrol.pages.run_charts import Chart, LevelLine, Line, charts
 from dpcontrol.pages.story import add_story
@@ -101,6 +102,7 @@ class WalkStory:
         kind = "A periodic orbit" if orbit.periodic else "An orbit"
         energy = f"{orbit.connections[0].source.energy:g}{system.unit('J')}"
         symbols = zip(orbit.symbol_times.tolist(), map(_symbol_text, orbit.connections), strict=True)
+        wraps = f"; wraps {list(orbit.wraps_realised)}" if orbit.wraps_realised else ""
         duration = f"{'period' if orbit.periodic else 'lasts'} {orbit.duration:.3f}{system.unit('s')}"
         return RunView(
             path=Path(),
@@ -111,7 +113,7 @@ class WalkStory:
             arm_lengths=self.arm_lengths,
             has_cart=False,
             rate_hz=len(self.times) / orbit.duration,
-            verdict=f"{duration}; largest gap at a node {orbit.residual:.1e}; wraps {list(orbit.wraps_realised)}",
+            verdict=f"{duration}; largest gap at a node {orbit.residual:.1e}{wraps}",
             plan=PlanView(symbols=tuple(symbols), planned=self.stays, duration=orbit.duration),
         )
 
@@ -145,6 +147,7 @@ def draw_walk(orbit: ShadowingOrbit) -> Figure:
     walk, unit = WalkStory(orbit), orbit.system.unit("s", " ({})")
     view = walk.view
     page = Page(view.title, view.verdict)
+    page.origin(None, *conditions(orbit.system, [c.source.energy for c in orbit.connections]))
     add_story(page, view)
     if view.arm_lengths:
         add_film(page, view, film_times(view, frames=_FRAMES))

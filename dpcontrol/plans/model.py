@@ -161,6 +161,7 @@ class ModelDescription(Documented):
     """A model with its frictionless equilibria, the pivot at rest.
 
     Attributes:
+        model: the described model.
         equilibria: by name.
         mjcf: file of MuJoCo that was written, if any.
     """

@@ -47,6 +47,8 @@ class Plan(ByReference, Timed, Documented):
     There is no file if the reference did not converge, or the cache is not writable.
 
     Attributes:
+        itinerary: itinerary of the plan.
+        reference: motion that the loop follows.
         file: requested file, otherwise the one in the cache.
         cached: True if the plan was in the cache.
         polished: `Polished` plan of one optimisation problem, if requested.

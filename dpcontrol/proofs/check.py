@@ -53,6 +53,11 @@ class CertificateCheck(Documented):
     """The verdict on a certificate.
 
     It has the proved statement, or the step that fails.
+
+    Attributes:
+        proved: True if every step holds.
+        status: the step that fails, or a summary.
+        statement: proved statement, or None.
     """
 
     proved: bool

@@ -67,6 +67,13 @@ class Proof(Shown, Documented):
     """A statement with its verdict, enclosures and certificate, if any.
 
     Attributes:
+        kind: what is proved: "orbit", "connection", "walk" and so on.
+        proved: True if the statement is proved.
+        status: result in words.
+        statement: the statement in words and numbers.
+        figures: enclosures and bounds, by name.
+        seconds: duration, s.
+        certificate: certificate that `check_proof` checks, or None.
         file: file of the certificate, if it was written.
     """
 

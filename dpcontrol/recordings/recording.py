@@ -181,6 +181,7 @@ class ImportedRecording(Documented):
     """A recording that was imported or simulated.
 
     Attributes:
+        recording: imported recording.
         source: its file, or its origin.
         log: log that was written, or None.
         remarks: sentences on unusual data.

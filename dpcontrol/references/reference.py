@@ -208,6 +208,7 @@ class ReferenceFile(Documented):
 
     Attributes:
         file: the file.
+        reference: reference of the file.
         transitions: picture of the transfers between equilibria, or None.
     """
 

@@ -123,6 +123,7 @@ class Commissioning(Documented):
     """Findings of each step, and measured values for keys of the scene's [run].
 
     Attributes:
+        findings: findings in the order of the steps, each with its figures and a remedy.
         itinerary: name of the itinerary.
         bench: address or name of the rig, "" for the example bench in simulated time.
         written: the itinerary's file with the measured values, if it was written.

@@ -383,11 +383,16 @@ class Campaign(Shown):
     """Completed shares of a campaign's cases, and all runs.
 
     Attributes:
+        itinerary: name of the itinerary.
         completed: share of all runs.
+        results: result of each case, in order.
         pairs: first case, second case and their comparison, for every two of a few cases.
+        seconds: duration of the campaign, s.
+        simulated_seconds: sum of the durations of the runs, s.
         table: all runs, as Arrow columns.
         file: folder of the table, if it was written.
         alone: parts that were run separately, by name: start, end and duration, s.
+        standard: robustness score of each controller, if it was requested.
     """
 
     itinerary: str

@@ -59,6 +59,10 @@ class ClosedLoop(Timed):
 
     Raises:
         InputError: an impossible option.
+
+    Attributes:
+        planned: plan that the loop follows.
+        options: options of its runs, by name.
     """
 
     planned: Plan

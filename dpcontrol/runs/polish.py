@@ -120,6 +120,11 @@ class Polished(Shown, Documented):
     """A robust plan and the polished one with their figures.
 
     One side if the polished plan did not converge.
+
+    Attributes:
+        robust: plan part by part.
+        polished: plan as one problem.
+        sides: figures of the plans, the robust one first.
     """
 
     KEYS: ClassVar[str] = "sides plan=polished status"

@@ -112,6 +112,9 @@ class Run(Timed, Documented):
     """A run or a recording of a bench, read from its log.
 
     See `RunLog` for the arrays.
+
+    Attributes:
+        log: log of the run, in memory or of its file.
     """
 
     log: RunLog
@@ -525,7 +528,11 @@ class Demonstration(Documented):
     """An itinerary that was planned, run, scored and drawn.
 
     Attributes:
+        plan: plan of the itinerary.
+        log: path of the log.
+        score: score of the run.
         recording: recording for the viewer, None without rerun-sdk.
+        picture: path of the page.
         seconds: duration of all steps, s.
     """
 
@@ -549,8 +556,10 @@ class Repeat(Documented):
     """Score of a repeated run, compared with the original log.
 
     Attributes:
-        source: log of the original run.
+        score: score of the repeated run.
+        comparison: comparison of its messages with those of the original log.
         versions: remark on another version of the program, or None.
+        source: log of the original run.
     """
 
     KEYS = "**score repeated"

@@ -59,11 +59,18 @@ class ConnectionRecord(Brief, Documented):
     state is lifted from the source saddle's named position.
 
     Attributes:
+        name: `from>to[windings]hHITS@angle,rate`.
+        section: surface on which the tubes meet.
         state (N,): point on the section.
+        winding: whole turns of each arm.
+        sense: direction of the turn, +1 or -1.
+        symmetric: True if time reversal maps the connection to itself.
         residual: largest defect between segments.
         transversality_angle: between the cuts in (q, p/p₀), deg.
         hits: crossing numbers of the unstable and stable tubes.
         time_out, time_in: flight times, s.
+        phase_out: phase on the source orbit at which it leaves, 0 to 1.
+        phase_in: phase on the target orbit at which it arrives, 0 to 1.
 
     Flight times run from the source orbit to the section and from there to the target orbit. Both ends are at a scaled
     distance of 1e-3, at the phases `phase_out` and `phase_in`.
@@ -91,7 +98,13 @@ class ConnectionRecord(Brief, Documented):
 
 @dataclass(frozen=True)
 class Connection(ConnectionRecord, Timed):
-    """A connection with its orbit, whose time is zero at the section."""
+    """A connection with its orbit, whose time is zero at the section.
+
+    Attributes:
+        source: orbit that the connection leaves.
+        target: orbit that it joins.
+        orbit: trajectory by multiple shooting.
+    """
 
     source: LyapunovOrbit
     target: LyapunovOrbit
@@ -418,10 +431,16 @@ class ConnectionSearch(Shown, Documented, Concluded):
     """All connections found between two orbits on one section.
 
     Attributes:
+        source: orbit that the connections leave.
+        target: orbit that they join.
+        connections: connections found.
+        cuts: cuts of the unstable and the stable tube.
         failed: number of intersections that did not converge.
         left: number of intersections for which no time was left.
         even: True if closed cuts cross equally often in both directions.
+        settings: settings of the search.
         seconds: limit of the processor time, s.
+        cause: how the search ended.
         first: first crossing that was tried on the laps of a tube.
     """
 
@@ -501,7 +520,12 @@ class ConnectionSearch(Shown, Documented, Concluded):
 
 @dataclass(frozen=True)
 class ChosenConnection(Documented):
-    """A connection by its name, with the search that lists it."""
+    """A connection by its name, with the search that lists it.
+
+    Attributes:
+        search: search that found the connection.
+        connections: the chosen connection alone.
+    """
 
     KEYS: ClassVar[str] = "**search count connections"
 
@@ -512,7 +536,13 @@ class ChosenConnection(Documented):
 
 @dataclass(frozen=True)
 class RefinedConnection(Documented):
-    """A connection whose orbit is refined in 113-bit arithmetic at an exact energy, J."""
+    """A connection whose orbit is refined in 113-bit arithmetic at an exact energy, J.
+
+    Attributes:
+        connection: connection in double precision.
+        refined: its orbit in 113-bit arithmetic.
+        energy: exact energy, J, as a decimal.
+    """
 
     KEYS: ClassVar[str] = (
         "**refined_row count connections state_double=connection.state residual_double=connection.residual "

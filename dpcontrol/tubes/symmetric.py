@@ -77,7 +77,11 @@ class SymmetricSearch(Shown, Documented, Concluded):
     """Symmetric homoclinic connections of one family between two energies.
 
     Attributes:
+        saddle: saddle of the orbits.
+        family: index of the family of orbits.
+        hit: crossing at which connections are searched.
         searched: covered energy range, J.
+        connections: connections found.
         failed: number of zeros whose refinement did not converge.
         left: number of zeros for which no time was left.
         cause: why the grid of energies ended.

@@ -133,9 +133,12 @@ class Edges(Shown, Documented):
     """All connections found at one energy.
 
     Attributes:
+        system: system of the orbits.
         energy: J.
+        orbits: orbits by saddle.
         absent: (saddle, reason) for missing orbits.
         searched: pairs of saddles searched.
+        connections: edges of the graph.
         incomplete: searches that may have missed connections.
         named: connections on other sections or at other hits, outside the graph.
     """

@@ -35,6 +35,7 @@ class SymbolChange(Documented):
     """An energy beyond which a symbol selects another connection.
 
     Attributes:
+        symbol: symbol, such as "down-up +".
         energy: J.
         within: error bound of the energy, J.
         before, after: connection names.
@@ -64,7 +65,13 @@ class SymbolChange(Documented):
 
 @dataclass(frozen=True)
 class SymbolChanges(Documented):
-    """The energies between two, J, at which symbols select other connections."""
+    """The energies between two, J, at which symbols select other connections.
+
+    Attributes:
+        changes: changes in order of energy.
+        energies: energies between which they were searched, J.
+        unit: unit of the energies, "" in a system with its own units.
+    """
 
     KEYS: ClassVar[str] = "symbol_changes=changes energies status"
 

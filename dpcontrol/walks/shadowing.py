@@ -249,10 +249,19 @@ class ShadowingOrbit(Timed, Documented, Concluded):
     A walk of k symbols has k - 1 stops, or k if periodic. The last stop then leads back to the first symbol.
 
     Attributes:
-        symbol_times (k,): section crossings, s.
+        walk: names of the connections.
+        connections: connections of the walk.
         wraps: requested wraps at each stop.
         wraps_realised: counted on the result.
+        lead_in: wraps before the first symbol.
+        lead_out: wraps after the last symbol.
+        symbol_times (k,): section crossings, s.
         offsets (k + 1, N): whole turns of each symbol and the final orbit.
+        duration: duration, or the period of a closed walk, s.
+        orbit: trajectory by multiple shooting.
+        shot: result of the multiple shooting.
+        estimate: estimate of the error, or None without convergence.
+        cause: how the computation ended.
         fault: index of the failed symbol, or None.
         rival: name of the connection that the orbit follows instead of the failed symbol.
     """

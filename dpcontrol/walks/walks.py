@@ -431,8 +431,12 @@ class WalkRequest(Documented):
     """A walk to solve.
 
     Attributes:
+        chain: connections of the walk.
+        periodic: True for a closed walk.
         wraps: at each stop, or None for the fewest possible.
         extra: wraps added to the fewest possible.
+        lead_in: wraps before the first symbol.
+        lead_out: wraps after the last symbol.
     """
 
     KEYS: ClassVar[str] = "walk=chain.name wraps periodic"
@@ -652,7 +656,12 @@ class WalkSelection:
 
 @dataclass(frozen=True)
 class WalkList(Documented):
-    """Walks of a graph without their orbits."""
+    """Walks of a graph without their orbits.
+
+    Attributes:
+        edges: graph of the walks.
+        walks: walks in order.
+    """
 
     KEYS: ClassVar[str] = "energy=edges.energy count=#walks walks notes=edges.notes"
 
@@ -665,6 +674,8 @@ class SolvedWalks(Documented):
     """Walks of a graph with their orbits.
 
     Attributes:
+        edges: graph of the walks.
+        answers: walks with their orbits, in order.
         least_seen: fewest sufficient wraps between two connections, by their names.
         picture, film: files that show the orbit, if they were written.
     """

@@ -3,6 +3,7 @@
 `SENTENCES` has one for each cause, with its numbers by name. `PHRASES` has parts of them that depend on numbers.
 """
 
+import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
@@ -43,7 +44,7 @@ SENTENCES: dict[str, str] = {
     Cause.TIME_OVER: "the requested time is over",
     Cause.BEGUN: "{law}, {estimator}, {ticks} ticks at {rate:g} Hz",
     Cause.JOINED: "on the itinerary from t = {at:.4f} s of the reference: {progress}",
-    Cause.LAP_DONE: "lap {lap} is done; a flight leads to the next one",
+    Cause.LAP_DONE: "repetition {lap} is done; a flight leads to the next one",
     Cause.FLOWN: "to {goal} in {duration:.2f} s: {progress}",
     Cause.MISSED: "the arms are not near enough to {goal}",
     Cause.ANYWHERE: "a flight leads to the first stop",
@@ -110,7 +111,7 @@ def _phrases(figures: Mapping[str, Any]) -> dict[str, str]:
         "defect": _defect(figures.get("mean_nis", 0.0), figures.get("apart", 0.0)),
         "sensor_name": f"the encoder of joint {sensor}" if sensor else "the cart's scale",
         "symbol_name": named,
-        "progress": f"lap {figures['lap']}" if "lap" in figures else attempt,
+        "progress": f"repetition {figures['lap']}" if "lap" in figures else attempt,
         "goal": f"stop {figures['stop']} ({figures['stop_name']})" if figures.get("stop") else "rest",
         "last_symbol": f"after {named}" if symbols else "to be kept",
         "next_motion": repeated if again else "the itinerary restarts",
@@ -159,17 +160,17 @@ def _done(figures: Mapping[str, Any]) -> str:
 
 _TOLD = {
     "rate": ("{} Hz", 1.0),
-    "sensors.counts": ("{} counts a turn", 1.0),
-    "drive.delay": ("delay (periods) {}", 1.0),
-    "drive_lag": ("told lag {} ms", 1e3),
+    "sensors.counts": ("{} counts per turn", 1.0),
+    "drive.delay": ("delay {} periods", 1.0),
+    "drive_lag": ("assumed lag {} ms", 1e3),
 }
 """Conditions that the controller knows, by the path of their setting: text, and factor to its unit."""
 _SIMULATED = {
-    "mismatch": ("arms ±{} %", 100.0),
+    "mismatch": ("mismatch ±{} %", 100.0),
     "friction": ("friction × {}", 1.0),
     "drive.lag": ("lag {} ms", 1e3),
     "sensors.noise": ("noise {} mrad", 1e3),
-    "initial_error": ("first angles ±{} rad", 1.0),
+    "initial_error": ("initial error ±{} rad", 1.0),
 }
 """Conditions of a simulated bench."""
 
@@ -186,8 +187,21 @@ def conditions(settings: Sequence[Mapping[str, Any]], *, simulated: bool) -> str
         first, *others = (_at(one, path) for one in settings)
         if all(value == first for value in others):
             values = first if isinstance(first, list) else [first]
-            shared.append(text.format(" and ".join(f"{factor * value:g}" for value in values)))
-    return ", ".join(shared)
+            shared.append(text.format(" and ".join(f"{factor * value:,.6g}" for value in values)))
+    return ", ".join(shared).replace("delay 1 periods", "delay 1 period")
+
+
+def conditions_of(metadata: Mapping[str, str]) -> tuple[str, ...]:
+    """Return the conditions of a run, for the head of its page.
+
+    Args:
+        metadata: metadata of its log; none of a recording or a reference.
+    """
+    bench = ""
+    if text := metadata.get("run_settings"):
+        bench = conditions([json.loads(text)], simulated="plant_parameters" in metadata)
+    model = f"model {metadata['model']}" if "model" in metadata else ""
+    return model, bench, metadata.get("program", "")
 
 
 def _at(settings: Mapping[str, Any], path: str) -> Any:

@@ -20,7 +20,8 @@ from scene_flights import Flown
 from dpcontrol.control.interface import sampled_model
 from dpcontrol.control.tracking import TvlqrSettings, tracking_controller
 from dpcontrol.pages import style
-from dpcontrol.pages.layout import Page, save_figure
+from dpcontrol.pages.layout import Page, key, save_figure
+from dpcontrol.pages.panels import name_point
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.references.reference import load_reference
 
@@ -78,11 +79,13 @@ def draw_limits(flights: Sequence[Flown], folder: Path, file: Path) -> str:
             x, y = max(shaking, LEAST), max(growth, LEAST)
             axes.plot(x, y, "o", color=colour, mfc=face, ms=6)
             if share < 0.9:
-                number = str(flight.scene.seed)
-                axes.annotate(number, (x, y), (4, 3), textcoords="offset points", fontsize=style.SMALL)
+                name_point(axes, str(flight.scene.seed), (x, y), style.INK, weight="normal")
         axes.set(xscale="log", yscale="log", xlim=(LEAST / 1.5, 200), ylim=(LEAST / 1.5, 3))
         axes.set_xlabel("acceleration that friction, play and counts cost the feedback, over the drive's limit")
         axes.set_ylabel("growth of an error until a command acts (powers of e)")
+        marks = {"marker": "o", "linestyle": ""}
+        some = ("some complete", {**marks, "color": style.LIMIT, "markerfacecolor": style.PAPER})
+        key(axes, [("at least 97 %", {**marks, "color": style.GOOD}), some, ("none", {**marks, "color": style.LIMIT})])
 
     page.row(draw, height=5.0)
     save_figure(page.figure(), file)

@@ -52,6 +52,8 @@ LEAST_STEP = 1 / 16
 ENERGIES = (1.0, 1.6, 2.5)
 """Times the energy above the saddle's that are tried."""
 STORED = Path(__file__).with_name("replanning.json")
+NEAR = 0.01
+"""Difference of two shares below which one number stands for both."""
 PICTURE = Path(__file__).parents[2] / ".assets" / "replanning.png"
 
 
@@ -195,9 +197,11 @@ def drawn(found: Sequence[dict[str, Any]]) -> Figure:
             axes.plot([one["as_it_comes"], one["between_runs"]], [k, k], color=style.FAINT, linewidth=3, zorder=1)
             for key_of, _, look in kinds:
                 axes.plot(one[key_of], k, linestyle="none", markersize=8, **look)
-            for key_of, side in (("as_it_comes", -1), ("between_runs", 1)):
-                look = {"ha": "right" if side < 0 else "left", "va": "center", "fontsize": 8}
-                axes.text(one[key_of] + 0.004 * side, k, f"{one[key_of]:.0%}", **look)
+            apart = one["between_runs"] - one["as_it_comes"] > NEAR
+            for key_of, side in (*([("as_it_comes", -1)] if apart else []), ("between_runs", 1)):
+                look = {"ha": "right" if side < 0 else "left", "va": "center", "fontsize": style.SMALL}
+                place = {"xytext": (8 * side, 0), "textcoords": "offset points"}
+                axes.annotate(f"{one[key_of]:.0%}", (one[key_of], k), **place, **look)
         axes.set_yticks(range(len(found)), [f"{one['scene']}, ±{one['mismatch']:.0%}" for one in found])
         axes.set_ylim(len(found) - 0.5, -0.5)
         axes.set_xlim(0.75, 1.02)

@@ -27,7 +27,7 @@ from dpcontrol.control.estimator_settings import AdaptiveEkfSettings
 from dpcontrol.control.tracking import AdaptiveSettings
 from dpcontrol.pages import style
 from dpcontrol.pages.layout import Page, key, save_figure
-from dpcontrol.pages.panels import quiet
+from dpcontrol.pages.panels import name_point, quiet
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import make_plan
 from dpcontrol.runs.campaign import Case, Job, cases_of, run_job
@@ -100,8 +100,7 @@ def drawn(found: list[dict[str, float]]) -> Figure:
             x, y = ([one[key_of] for one in line] for key_of in ("command_minus_plan", "completed"))
             axes.plot(x, y, "o-", color=colour, markersize=5)
             for one, across, up in zip(line, x, y, strict=True):
-                look = {"fontsize": style.SMALL, "color": colour, "textcoords": "offset points", "ha": "right"}
-                axes.annotate(f"× {one['factor']:g}", (across, up), (-7, 7), **look)
+                name_point(axes, f"× {one['factor']:g}", (across, up), colour, weight="normal")
         ring = {"marker": "o", "linestyle": "none", "markerfacecolor": "none", "color": style.LIMIT}
         axes.plot(default["command_minus_plan"], default["completed"], markersize=14, **ring)
         axes.margins(0.1, 0.15)

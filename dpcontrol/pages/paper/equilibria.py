@@ -47,6 +47,9 @@ def landscape_page(gallery: Gallery) -> PaperFigure:
         page.row(Panel(partial(_landscape, system=system, field=field), 1.35), *regions, height=3.0)
         listed = ", ".join(f"{n} {p[1]:+.4f}{system.unit('J')}" for n, p in points.items())
         words.append(f"{'Pendulum' if angular else 'Three bodies'}: {listed}.")
+    page.text(
+        "Left: energy at rest. Right: accessible (blue) at an energy, or not (grey). Marks: reached (green), or not."
+    )
     return PaperFigure(
         page.figure(),
         "Above the restricted three-body problem in its rotating frame, below the lab pendulum. Left: the energy at "
@@ -85,11 +88,14 @@ def _hill(axes: Axes, system: System, field: Field, energy: float, points: Point
         edges = [{-np.pi, np.pi} if system.si and q else {q} for q in place]
         look = {"color": style.GOOD if height <= energy else style.LIMIT, "markersize": 6 if system.si else 4.5}
         for x, y in product(*edges):
-            axes.plot(x, y, mark, clip_on=False, **look)
+            axes.plot(x, y, mark, **look)
         if not system.si:
             name_point(axes, name, (float(place[0]), float(place[1])), style.INK)
     quiet_plane(axes, system, title=f"{energy:g}{system.unit('J')}")
     axes.grid(False)
+    # Marks on the edge of the plane stay clear of the numbers on the axes.
+    reach = 1.12 * field[0].max()
+    axes.set(xlim=(-reach, reach), ylim=(-reach, reach))
     axes.set_aspect("equal")
 
 
