@@ -28,6 +28,7 @@ from dpcontrol.orbits.cut import Piece
 from dpcontrol.orbits.orbit import OrbitRecord
 from dpcontrol.orbits.rotating import RotatingRecord
 from dpcontrol.tubes.connections import ConnectionRecord
+from dpcontrol.tubes.transport import Transport
 
 if TYPE_CHECKING:
     import networkx as nx
@@ -199,6 +200,7 @@ class Atlas(Shown, InUnits, Documented):
         periods (N,): 2π for angles, infinity otherwise.
         reverser (N, N): maps unstable to stable tubes.
         absent: (saddle, reason) for missing orbits.
+        transport: rates of passage through the necks, of two coordinates.
         seconds: computing time by stage, s.
         labels: axis labels of the N entries of a state.
         si: True if units are those of SI.
@@ -211,7 +213,7 @@ class Atlas(Shown, InUnits, Documented):
     __pydantic_config__: ClassVar[Any] = {"arbitrary_types_allowed": True}
     KEYS: ClassVar[str] = (
         "energy model complete status orbits rotating_orbits count=#connections connections:**,from=source,to=target "
-        "kinds absent:saddle,reason seconds file cached"
+        "kinds transport absent:saddle,reason seconds file cached"
     )
 
     model: str
@@ -230,6 +232,7 @@ class Atlas(Shown, InUnits, Documented):
     status: str
     labels: tuple[str, ...] = ("θ₁ (rad)", "θ₂ (rad)", "ω₁ (rad/s)", "ω₂ (rad/s)")
     si: bool = True
+    transport: tuple[Transport, ...] = ()
     file: Path | None = field(default=None, compare=False)
     cached: bool = field(default=False, compare=False)
 
