@@ -29,6 +29,7 @@ GROUPS = {
             "connections",
             "refine",
             "find_bifurcations",
+            "transport",
             "atlas",
             "open_atlas",
             "draw_figures",

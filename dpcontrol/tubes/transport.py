@@ -20,7 +20,7 @@ Source: MacKay, Flux over a saddle, Physics Letters A 145 (1990).
 """
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy import ndimage
@@ -30,7 +30,6 @@ from dpcontrol.foundation.arrays import Array, Flags
 from dpcontrol.foundation.causes import TransportCause
 from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.shown import Brief
 from dpcontrol.foundation.units import InUnits
 from dpcontrol.orbits.cut import Cut
 from dpcontrol.orbits.lyapunov import LyapunovOrbit
@@ -43,14 +42,14 @@ _FARTHEST = 64.0
 _BLOCK = 2.5
 """Half-width of the square about a saddle that the saddle's energy opens or closes, in cells."""
 _MOMENTS = 256
-_RADII = np.sqrt((np.arange(96) + 0.5) / 96)
+_RADII = np.sqrt((np.arange(64) + 0.5) / 64)
 """Distances of points from the middle of a cut, in equal parts of its area."""
 _CLOSED = 0.01
 """Largest relative difference of a cut's area from the action if the cut is closed."""
 
 
 @dataclass(frozen=True)
-class Transport(Brief, Concluded, InUnits, Documented):
+class Transport(Concluded, InUnits, Documented):
     """Rates of passage through the neck of a Lyapunov orbit.
 
     Attributes:
@@ -106,7 +105,9 @@ def transport(orbit: LyapunovOrbit) -> Transport:
     volume, cause = _volume(orbit, states)
     section = system.sections.get((orbit.saddle, orbit.saddle))
     cut = tube.cut(section) if section is not None and section.kept_by(orbit.reverser, orbit.centre) else None
-    first, second = (None if cut is None else _share(orbit, cut, action, branch) for branch in (1, -1))
+    branches = (1, 1) if tube.manifold.branches_are_mirrored else (1, -1)
+    shares = {branch: None if cut is None else _share(orbit, cut, action, branch) for branch in branches}
+    first, second = (shares[branch] for branch in branches)
     return Transport(orbit.saddle, orbit.energy, action, volume, (first, second), cause, system.si)
 
 
@@ -139,9 +140,10 @@ def _volume(orbit: LyapunovOrbit, states: Array) -> tuple[float, TransportCause]
             near = (np.abs(away[..., :2]) < _BLOCK * widths).all(axis=-1)
             passable[near] = system.numeric.hamiltonian(saddle) < orbit.energy
         # Of three copies along an angle, parts that leave the middle one continue in the others.
-        parts, _ = ndimage.label(np.tile(passable, tiles))
+        labelled: Any = ndimage.label(np.tile(passable, tiles))
         start = np.floor((centre - box[0]) / widths).astype(int) + _CELLS * (tiles // 2)
-        part = (parts == parts[tuple(start)]).reshape(tiles[0], _CELLS, tiles[1], _CELLS).any(axis=(0, 2))
+        part = labelled[0] == labelled[0][tuple(start)]
+        part = part.reshape(tiles[0], _CELLS, tiles[1], _CELLS).any(axis=(0, 2))
         touched = ~periodic & [[part[k].any(), part[:, k].any()] for k in (0, -1)]
         if not touched.any():
             weight = 2 * np.pi * np.sqrt(np.linalg.det(mass(rest[part])))
@@ -186,7 +188,7 @@ def _share(orbit: LyapunovOrbit, cut: Cut, action: float, branch: int) -> float 
 
 
 def _is_inside(curve: Array, points: Array) -> Flags:
-    """Return True (M,) for complex points (M,) inside a closed curve (K,), whose rays cross it an odd number of times."""
+    """Return True (M,) for points (M,) inside a curve (K,), from which a ray crosses it an odd number of times."""
     ahead, aside = np.roll(curve, -1), points[:, None]
     crosses = (curve.imag > aside.imag) != (ahead.imag > aside.imag)
     beyond = (np.conj(ahead - curve) * (aside - curve)).imag > 0

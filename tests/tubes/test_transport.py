@@ -63,7 +63,9 @@ def test_so_it_is_for_three_bodies_whose_momenta_differ_from_their_rates(saddle,
     assert area == pytest.approx(dp.transport(orbit).action, rel=AREA)
 
 
-@pytest.mark.parametrize(("saddle", "energy"), [("down-up", -0.17), ("down-up", 0.0), ("down-up", 0.2), ("up-down", 0.2)])
+@pytest.mark.parametrize(
+    ("saddle", "energy"), [("down-up", -0.17), ("down-up", 0.0), ("down-up", 0.2), ("up-down", 0.2)]
+)
 def test_volumes_agree_with_a_sum_over_points_of_the_torus(saddle: str, energy: float) -> None:
     arms, sides = Arms(), (np.arange(6000) + 0.5) * 2 * np.pi / 6000
     volume = 0.0
