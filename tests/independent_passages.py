@@ -20,7 +20,7 @@ Array = np.ndarray
 ROOT = Path(__file__).parents[1]
 TABLE = ROOT / "dpcontrol" / "pages" / "paper" / "passages.json"
 STEP = 0.005
-"""s; the energy drifts by less than 1e-4 J."""
+"""s; the energy drifts by less than 3e-4 J."""
 BEFORE = 1.5
 """Time before the window, s."""
 UPRIGHT = {"down-up": 1, "up-down": 0}

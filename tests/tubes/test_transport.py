@@ -160,7 +160,7 @@ def test_the_counted_passages_of_the_figure_are_within_three_errors_of_the_rates
 def test_mean_times_are_within_two_errors_of_passages_counted_over_the_microcanonical_ensemble(saddle, energy) -> None:
     found = dp.transport(dp.orbit("lab", saddle, energy=energy))
     counted = count_passages(saddle, energy, motions=8000, window=4.0, seed=6)
-    assert counted.drift < 1e-4
+    assert counted.drift < 3e-4
     assert counted.error < 0.025 * counted.mean_time
     assert found.mean_time == pytest.approx(counted.mean_time, abs=2 * counted.error)
     for share in found.returns:
