@@ -93,6 +93,7 @@ if TYPE_CHECKING:
         sustained_orbit,
         swings,
         symbol_changes,
+        transport,
         write_recording,
     )
     from dpcontrol.foundation.version import __version__ as __version__
@@ -185,6 +186,7 @@ __all__ = [
     "sustained_orbit",
     "swings",
     "symbol_changes",
+    "transport",
     "write_recording",
 ]
 _HOMES = {

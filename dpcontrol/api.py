@@ -92,6 +92,7 @@ STAGES = {
     "sustained_orbits": "references.sustained",
     "symmetric": "tubes.symmetric",
     "systems": "dynamics.system",
+    "transports": "tubes.transport",
     "tubes": "tubes.connections",
     "viewer": "pages.viewer",
     "graphs": "walks.edges",
@@ -175,6 +176,7 @@ if TYPE_CHECKING:
     from dpcontrol.shooting import extended
     from dpcontrol.tubes import connections as tubes
     from dpcontrol.tubes import intersections, symmetric
+    from dpcontrol.tubes import transport as transports
     from dpcontrol.walks import atlas as walk_atlases
     from dpcontrol.walks import edges as graphs
     from dpcontrol.walks import following, shadowing
@@ -232,12 +234,14 @@ def find_orbits(
     rotating: Literal["inner", "outer"] | None = None,
     sustained: bool = False,
     sections: Annotated[int, Between(1, 1000)] = 4,
+    transport: bool = False,
     energy: float | None = None,
     energies: tuple[float, float] | None = None,
     picture: Picture = None,
     progress: Reporting = None,
 ) -> (
     lyapunov.LyapunovOrbit
+    | transports.Transport
     | families.LyapunovFamily
     | sustained_orbits.SustainedOrbit
     | rotations.RotatingOrbits
@@ -261,13 +265,14 @@ def find_orbits(
         rotating: arm of the rotating orbits to find instead (default: none).
         sustained: orbit that the cart sustains against friction with the least effort instead.
         sections: resets of the input clock per period of the sustained orbit (default: 4).
+        transport: rates at which motions pass the saddle's neck at `energy`, as `transport` returns them, instead.
         energy: energy, J, zero at the pivot's height, or in the three bodies' own units (default: none).
         energies: lowest and highest energy of a family, J (default: none).
         picture: picture to write, .png, .pdf or .svg (default: none).
         progress: reports, see `dpcontrol.api`.
 
     Returns:
-        The orbit or family, with `lines()` and `document()`.
+        The orbit, family or rates, with `lines()` and `document()`.
 
     Raises:
         InputError: neither a saddle nor a rotating arm, no energy, or what `orbit` and `family` raise.
@@ -279,8 +284,8 @@ def find_orbits(
     """
     if (saddle is None) == (rotating is None):
         raise InputError("give either saddle for Lyapunov orbits, or rotating = inner or outer for rotating orbits")
-    if sustained and (saddle is None or energy is None):
-        raise InputError("a sustained orbit needs saddle and energy: give both")
+    if (sustained or transport) and (saddle is None or energy is None or sustained is transport):
+        raise InputError("sustained orbits and transport need saddle and energy: give both, and one of these flags")
     if energy is None and energies is None:
         raise InputError("give energy for the orbits of one energy, or energies for their families")
     if picture is not None and rotating is not None and energies is None:
@@ -290,6 +295,7 @@ def find_orbits(
         found = view = _rotating(system, rotating, energy, energies, progress)
     elif not sustained:
         found = view = _lyapunov(system, str(saddle), family, energy, energies, progress)
+        found = transports.transport(found) if transport else found
     else:
         # A system without arms is rejected before the search for its orbit, which can take minutes.
         arms = models.model_of(system).arms
@@ -560,6 +566,32 @@ def find_bifurcations(
     return bifurcations.find_bifurcations(
         _system(model), source, target, energies=energies, crossings=hits, settings=settings, progress=progress
     )
+
+
+@checked
+def transport(orbit: lyapunov.LyapunovOrbit) -> transports.Transport:
+    """Return the rates at which motions pass the neck of a saddle, without simulation.
+
+    The mean time between passages is the volume of the energy surface over twice the orbit's action. It holds for
+    motions that visit the energy surface evenly. The volume is that of all places that motions reach from the neck
+    at this energy, through other open necks too.
+
+    Args:
+        orbit: Lyapunov orbit about the saddle, in two coordinates: of two arms, three bodies or your own system.
+
+    Returns:
+        Action (J s), volume (J s²), mean time (s) between passages, and the share that returns at once. It is not
+        `converged` if the energy surface is unbounded.
+
+    Raises:
+        InputError: the system does not have two coordinates.
+        GoalMissed: the orbit did not converge.
+
+    Examples:
+        >>> dp.transport(dp.orbit("lab", "down-up", energy=-0.07)).mean_time
+        2.580...
+    """
+    return transports.transport(orbit)
 
 
 @checked

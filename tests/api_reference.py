@@ -30,6 +30,7 @@ GROUPS = {
             "connections",
             "refine",
             "find_bifurcations",
+            "transport",
             "atlas",
             "open_atlas",
             "draw_figures",

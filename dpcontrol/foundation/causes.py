@@ -107,6 +107,14 @@ class OpenEndCause(StrEnum):
     GRAZES = auto()
 
 
+class TransportCause(StrEnum):
+    """Whether the rates of passage through a neck are known."""
+
+    FINITE = auto()
+    UNBOUNDED = auto()
+    OTHER_KINETIC_ENERGY = auto()
+
+
 class SearchCause(StrEnum):
     """How connections between two orbits were searched."""
 

@@ -86,6 +86,7 @@ FIGURES: dict[str, Callable[[Gallery], PaperFigure]] = {
     "triple-homoclinics": partial(_page, "connecting:repeated_page", turns=3),
     "returning-homoclinics": partial(_page, "connecting:returning_page"),
     "up-up": partial(_page, "equilibria:up_up_page"),
+    "transport": partial(_page, "branches:transport_page"),
 }
 """Functions of the gallery, in the order of the paper; their modules are imported on use."""
 CAPTIONS = "captions.json"

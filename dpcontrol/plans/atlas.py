@@ -15,7 +15,8 @@ Arrays are float64 unless said otherwise. K and J count orbits, cuts, pieces and
                                    status}],
               "cuts": [{saddle, section (index), hit, trajectories, resolved, status, open_ends,
                         pieces: [{branch, direction, closed}]}],
-              "kinds": [{source, target, section, hits, count, failed, complete, open_ends, by_reversal, status}],
+              "transport": [{saddle, energy, action, volume, returns, cause, si}],
+             "kinds": [{source, target, section, hits, count, failed, complete, open_ends, by_reversal, status}],
               "connections": [{name, source, target, section (index), state, point, winding, sense, symmetric,
                                residual, transversality_angle (degrees), hits, time_out, time_in (s), phase_out,
                                phase_in}]}
@@ -74,6 +75,7 @@ from dpcontrol.orbits.rotating import RotatingOrbit, RotatingRecord, can_rotate,
 from dpcontrol.plans.model import Model
 from dpcontrol.tubes.connections import Connection, ConnectionRecord
 from dpcontrol.tubes.intersections import ConnectionSettings
+from dpcontrol.tubes.transport import transport
 from dpcontrol.walks.atlas import (
     Atlas,
     AtlasConnection,
@@ -90,7 +92,7 @@ Arrays = dict[str, NDArray[Any]]
 
 FORMAT = "dpcontrol-atlas"
 VERSION = 2
-SEARCHING = 1
+SEARCHING = 2
 """Version of the searches, part of the cache keys: raise it whenever an atlas or a branch changes."""
 _ORBIT_SAMPLES = 256
 _FLIGHT_SAMPLES = 400
@@ -254,6 +256,7 @@ def compute_atlas(
         status=_status(orbits, absent, kinds, system),
         labels=system.labels,
         si=system.si,
+        transport=tuple(transport(orbit) for orbit in orbits if system.dimension == 4),
     )
 
 

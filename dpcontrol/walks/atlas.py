@@ -28,6 +28,7 @@ from dpcontrol.orbits.cut import Piece
 from dpcontrol.orbits.orbit import OrbitRecord
 from dpcontrol.orbits.rotating import RotatingRecord
 from dpcontrol.tubes.connections import ConnectionRecord
+from dpcontrol.tubes.transport import Transport
 
 if TYPE_CHECKING:
     import networkx as nx
@@ -205,9 +206,13 @@ class Atlas(Shown, InUnits, Documented):
         orbits: Lyapunov orbits about the saddles.
         rotating_orbits: orbits on which an arm turns over.
         absent: (saddle, reason) for missing orbits.
+<<<<<<< HEAD
         cuts: cuts of the tubes with the sections.
         kinds: searched pairs of orbits, each with its section, hits and count.
         connections: all connections, by kind.
+=======
+        transport: rates of passage through the necks, of two coordinates.
+>>>>>>> transport
         seconds: computing time by stage, s.
         status: numbers of orbits and connections in words.
         labels: axis labels of the N entries of a state.
@@ -221,7 +226,7 @@ class Atlas(Shown, InUnits, Documented):
     __pydantic_config__: ClassVar[Any] = {"arbitrary_types_allowed": True}
     KEYS: ClassVar[str] = (
         "energy model complete status orbits rotating_orbits count=#connections connections:**,from=source,to=target "
-        "kinds absent:saddle,reason seconds file cached"
+        "kinds transport absent:saddle,reason seconds file cached"
     )
 
     model: str
@@ -240,6 +245,7 @@ class Atlas(Shown, InUnits, Documented):
     status: str
     labels: tuple[str, ...] = ("θ₁ (rad)", "θ₂ (rad)", "ω₁ (rad/s)", "ω₂ (rad/s)")
     si: bool = True
+    transport: tuple[Transport, ...] = ()
     file: Path | None = field(default=None, compare=False)
     cached: bool = field(default=False, compare=False)
 

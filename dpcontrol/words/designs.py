@@ -230,6 +230,7 @@ def atlas(found: Any) -> Iterator[Line]:
             "closure": "{.residual:.0e}",
         },
     )
+    yield _passages(found, found.transport)
     if found.rotating_orbits:
         yield _rotating_table(found)
     yield table(
@@ -251,6 +252,30 @@ def atlas(found: Any) -> Iterator[Line]:
     partial = any(kind.partial for kind in found.kinds)
     nowhere = "none: a partial atlas is not cached; --out keeps it" if partial else "none: the cache cannot be written"
     yield f"file  {found.file or nowhere}{' (cached)' if found.cached else ''}"
+
+
+def transport(found: Any) -> Iterator[Line]:
+    """Yield the rates of passage through a neck.
+
+    Args:
+        found: a `Transport`.
+    """
+    yield _passages(found, [found])
+    yield found.status
+
+
+def _passages(found: Any, rates: Sequence[Any]) -> TextTable:
+    return table(
+        f"passages of the necks at {found.energy:g}{found.unit('J')}",
+        rates,
+        {
+            "neck": "{.saddle}",
+            f"action{found.unit('J s', _BRACKETS)}": "{.action:.6g}",
+            f"volume{found.unit('J s²', _BRACKETS)}": "{.volume:.6g}",
+            f"mean time{found.unit('s', _BRACKETS)}": "{.mean_time:.5g}",
+            "return at once": lambda r: " ".join("-" if share is None else f"{share:.1%}" for share in r.returns),
+        },
+    )
 
 
 def _rotating_table(found: Any) -> TextTable:

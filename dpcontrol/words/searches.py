@@ -22,6 +22,7 @@ from dpcontrol.foundation.causes import (
     SearchCause,
     ShootingCause,
     ShortfallCause,
+    TransportCause,
     WalkCause,
     WrapsCause,
 )
@@ -374,6 +375,20 @@ SENTENCES: Mapping[type[StrEnum], Mapping[Any, Callable[[Any], str]]] = {
         OpenEndCause.GRAZES: lambda r: (
             f"grazes the section: crossing {r.sampler.hit} jumps where the normal rate falls to "
             f"{min(abs(r.samples.rates)):.1e}{r.sampler.manifold.orbit.system.unit('rad/s')}"
+        ),
+    },
+    TransportCause: {
+        TransportCause.FINITE: lambda r: (
+            f"the neck of {r.saddle} is passed every {r.mean_time:.4g}{r.unit('s')} on average, half of the times each "
+            "way"
+        ),
+        TransportCause.UNBOUNDED: lambda r: (
+            f"no mean time between passages of {r.saddle}: at {r.energy:g}{r.unit('J')} motions escape, because the "
+            "energy surface is unbounded; use a lower energy"
+        ),
+        TransportCause.OTHER_KINETIC_ENERGY: lambda r: (
+            f"no mean time between passages of {r.saddle}: the kinetic energy is not a positive quadratic form of the "
+            "momenta, which the volume of the energy surface requires"
         ),
     },
     SearchCause: {

@@ -56,6 +56,7 @@ TEXTS = {
     "SustainedOrbit": "designs.sustained",
     "SymbolChanges": "designs.changes",
     "SymmetricSearch": "designs.symmetric",
+    "Transport": "designs.transport",
     "UdpBench": "runs.bench_lines",
     "Unscored": "logs.unscored",
     "WalkList": "designs.walks",

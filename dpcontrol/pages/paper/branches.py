@@ -1,21 +1,27 @@
-"""Branches of connections against energy.
+"""Branches of connections against energy, with their births, splittings and grazes of the section.
 
-Their births, splittings and grazes of the section are marked.
+Also the rates at which motions pass the necks.
 """
 
+import json
 from functools import partial
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 
 from dpcontrol.bifurcations.bifurcations import BifurcationSearch, BranchDiagram, branch_diagram
+from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.document import counted
 from dpcontrol.foundation.progress import part_of
+from dpcontrol.orbits.lyapunov import equilibria, lyapunov_orbit
 from dpcontrol.pages import style
-from dpcontrol.pages.figures import Gallery, PaperFigure
-from dpcontrol.pages.layout import Page
+from dpcontrol.pages.figures import IDENTIFIED, Gallery, PaperFigure
+from dpcontrol.pages.layout import Page, key
 from dpcontrol.pages.panels import angle_axis, quiet
+from dpcontrol.tubes.transport import transport
 
 MARKS = {"saddle-node": "o", "pitchfork": "^", "section-artefact": "D"}
 KINDS = (("down-up", "down-up"), ("up-down", "up-down"), ("down-up", "up-down"))
@@ -125,3 +131,40 @@ def bifurcations(axes: Axes, found: BifurcationSearch) -> None:
     draw_momentum_branches(axes, branch_diagram(found))
     title = f"{found.source} → {found.target}: {counted(len(found.events), 'bifurcation')} on {found.section.name}"
     quiet(axes, title, x=f"energy{found.system.unit('J', ' ({})')}", y="p / p₀")
+
+
+COUNTED = Path(__file__).with_name("passages.json")
+"""Passages of the lab pendulum that `tests/independent_passages.py` counted, with its conditions."""
+
+
+def transport_page(gallery: Gallery) -> PaperFigure:
+    """Draw the rates of passage through both necks of the lab pendulum against energy."""
+    system, counts = gallery.system("lab"), json.loads(COUNTED.read_text(encoding="utf-8"))
+    page = Page("Passages of the necks of the lab pendulum, from volume and action alone")
+    panels = (partial(_rates, system=system, saddle=saddle, counts=counts) for saddle in system.saddles)
+    return PaperFigure(
+        page.row(*panels, height=4.2).figure(),
+        "Rate of passages in both directions through the necks of Down-Up and Up-Down. Curves: twice the action of the "
+        "Lyapunov orbit over the volume of the energy surface, without simulation. Points: passages counted by a "
+        f"separate program over the microcanonical ensemble, {counts[0]['motions']:,} motions of "
+        f"{counts[0]['window']:g} s without friction for each, from states drawn evenly from the energy surface; bars "
+        "are two standard errors. Dashed: energy of Up-Down, above which both necks are open.",
+        f"The paper gives no rates. {IDENTIFIED}",
+    )
+
+
+def _rates(axes: Axes, system: System, saddle: str, counts: list[dict[str, Any]]) -> None:
+    """Draw the rate of a neck from just above its saddle to beyond the last counted energy."""
+    energies, times, errors = np.array(
+        [[c["energy"], c["mean_time"], c["error"]] for c in counts if c["saddle"] == saddle]
+    ).T
+    heights = {name: equilibrium.energy for name, equilibrium in equilibria(system).items()}
+    along = np.linspace(heights[saddle] + 1e-3, energies[-1] + 0.02, 15)
+    rates = [1 / transport(lyapunov_orbit(system, saddle, energy=energy)).mean_time for energy in along]
+    axes.plot(along, rates, color=style.saddle_colour(saddle), linewidth=1.6)
+    axes.errorbar(energies, 1 / times, 2 * errors / times**2, fmt="o", color=style.INK, markersize=4, capsize=3)
+    axes.axvline(heights["up-down"], color=style.MARK, linewidth=1.0, linestyle="--")
+    quiet(axes, f"neck of {saddle}", x="energy (J)", y="passages per second")
+    key(
+        axes, [("2A/Ω", style.saddle_colour(saddle)), ("counted", {"color": style.INK, "marker": "o", "linestyle": ""})]
+    )
