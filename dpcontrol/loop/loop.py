@@ -498,9 +498,12 @@ class LoopSettings(Settings, table="run"):
         """
         sensors, supervisor = self.sensors, self.supervisor
         faults = sensors.missed_counts or np.isfinite(sensors.stuck_at)
-        hands_over = self.keep != "none" or supervisor.hold != "none" or supervisor.resynchronise
-        compiled = isinstance(self.estimator, EkfSettings) and not isinstance(self.controller, OwnLaw)
-        return compiled and self._own_plant is None and not faults and not hands_over and self.start == "planned"
+        filters = self.estimator
+        if not isinstance(filters, EkfSettings) or isinstance(self.controller, OwnLaw):
+            return False
+        by_time = self.keep == "none" or (self.keep == "tvlqr" and Augment.PARAMETERS in filters.augments)
+        hands_over = not by_time or supervisor.hold != "none" or supervisor.resynchronise
+        return self._own_plant is None and not faults and not hands_over and self.start == "planned"
 
     @property
     def flies(self) -> bool:

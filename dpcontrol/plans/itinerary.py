@@ -515,7 +515,7 @@ def _itinerary(
     settings |= {"plant": None if plant is None else plant.arms, "disturbances.explicit": run.get("blows", ())}
     supervisor = content.get("supervisor", SupervisorSettings())
     with replace(top, table="estimator"):
-        filters = estimators_of(law)[given.get("kind", "ekf")](**given)
+        filters = estimators_of(law, keep)[given.get("kind", "ekf")](**given)
     with place:
         loop = LoopSettings(seed=0, keep=keep, controller=law, estimator=filters, supervisor=supervisor).with_(settings)
     parts = content.get("parts") or (content[""],)
