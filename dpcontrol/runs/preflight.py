@@ -377,7 +377,7 @@ def seconds_of(loop: LoopSettings) -> float:
     return _TICK * (1 + _AHEAD * loop.drive.delay) if loop.lockstep else _TICK_ALONE
 
 
-_AFFORD, _AFFORD_DELAY = 180.0, 40.0
+_AFFORD, _AFFORD_DELAY = 150.0, 40.0
 """Processor time of a preflight and of its search for the border of delay, s.
 
 This is two minutes of two processors, less start-up and compilation.
@@ -432,8 +432,8 @@ def _amounts(seeds: int, seconds: float, *, lockstep: bool) -> _Amounts:
     return next((one for one in choices if one.runs * seconds <= _AFFORD), _CHOICES[-1])
 
 
-_STARTED, _SEARCHED = 3.0, 0.8
-"""Processor time of a process before its first job, s, and likely share of the runs that a preflight needs."""
+_STARTED = 3.0
+"""Processor time of a process before its first job, s."""
 _FIRST = 8
 """Seeds of the first job, which compiles and is not measured."""
 
@@ -452,9 +452,9 @@ def _seconds(job: Job, amounts: _Amounts, most: int, workers: int) -> float:
         outcomes(replace(job, seeds=seeds), most)
         times.append(time.process_time())
     first, measured = np.diff(times).tolist()
-    runs = _SEARCHED * amounts.runs * measured / len(job.seeds)
-    # Two groups of processes follow one another, and each compiles.
-    return runs / workers + (2 * (_STARTED + first) if workers > 1 else 0.0)
+    # Two groups of processes follow one another. Each compiles, and the second does so for several delays.
+    started = 2 * (_STARTED + 2 * first) if workers > 1 else 2 * first
+    return amounts.runs * measured / len(job.seeds) / workers + started
 
 
 def preflight(
