@@ -256,6 +256,9 @@ function renderList() {
         made.ariaDisabled = Boolean(why);
         return made;
       })]));
+  // What can follow is at the top.
+  if (id("list").at !== at) id("list").scrollTop = 0;
+  id("list").at = at;
 }
 // A walk there and back by recommended connections, or twice around if there is no way there.
 function example() {
