@@ -503,7 +503,7 @@ function layGraph() {
       path.bezierCurveTo(...ends[0], ...ends[1], ...to);
       // The number of those that return stands beyond their tip.
       const middle = [0, 1].map((i) => (from[i] + to[i] + 3 * (ends[0][i] + ends[1][i])) / 8)
-        .map((place, i) => (from === to ? from[i] + 1.2 * (place - from[i]) : place));
+        .map((place, i) => (from === to ? from[i] + 1.32 * (place - from[i]) : place));
       return { one: own[0], own, path, to, middle,
         angle: Math.atan2(to[1] - ends[1][1], to[0] - ends[1][0]) };
     });
