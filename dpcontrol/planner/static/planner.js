@@ -688,11 +688,13 @@ function pointAt([x, y]) {
 }
 function arrowAt([x, y]) {
   const pen = id("graph").getContext("2d"), scale = sharp(id("graph"));
-  const within = (width) => arrows.find(({ path }) => {
+  const within = (width, among = arrows) => among.find(({ path }) => {
     pen.lineWidth = width;
     return pen.isPointInStroke(path, x * scale, y * scale);
   });
-  return (within(3) ?? within(10))?.one.name ?? null;
+  // An arrow that is pointed at stays so in a wider band, so that a click at its edge counts.
+  const pointed = arrows.filter(({ own }) => own.some((one) => one.name === hovered));
+  return (within(3) ?? within(16, pointed) ?? within(10))?.one.name ?? null;
 }
 function zoom(factor, place = null) {
   const at = scales(), [x, y] = place ?? [at.x(view.x), at.y(view.y)];
