@@ -20,7 +20,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import cycle
-from typing import Any
 
 import numpy as np
 
@@ -127,16 +126,14 @@ def measured(task: ControlTask, made: Made, *, seeds: int, default: tuple[str, s
         seeds: runs at each mismatch.
         default: method and setting of the default.
     """
-    judged: dict[tuple[str, str], Judged | str] = {}
-    tried: list[Alternative[None]] = []
+    tried, runs = [], {}
     for (method, setting), (make, estimator) in made.items():
         settings = LoopSettings(seed=0, rate=RATE, estimator=estimator, initial_error=INITIAL_ERROR)
-        model = sampled_model(task.arms, RATE)
-        controller = make(model)
-        judged[method, setting] = outcome(task, controller, settings, seeds=seeds)
+        controller = make(sampled_model(task.arms, RATE))
+        runs[method, setting] = partial(outcome, task, controller, settings, seeds=seeds)
         tick = tick_of(task, controller, settings)
         tried.append(Alternative(method, setting, tick, default=(method, setting) == default))
-    return compare(tried, lambda one, _: judged[one.method, one.setting])
+    return compare(tried, lambda one, _: runs[one.method, one.setting]())
 
 
 def outcome(task: ControlTask, controller: Controller, settings: LoopSettings, *, seeds: int) -> Judged | str:
@@ -424,9 +421,7 @@ def swing(arms: ArmChainParameters, *, seconds: float, seed: int, mismatch: floa
 
 def _panel(arms: ArmChainParameters, swings: list[KnownSwing], counts: int, *, quick: bool) -> Diagram:
     model = sampled_model(arms, 1 / PERIOD)
-    judged: dict[tuple[str, str], Judged] = {}
-    tried: list[Alternative[Any]] = []
-    measured = swings[0].measured(counts)
+    trials, tried, measured = {}, [], swings[0].measured(counts)
     for name, kind in (("EKF, compiled", "ekf"), ("UKF, filterpy", "ukf")):
         for augment in AUGMENTS[:2] if quick and kind == "ukf" else AUGMENTS:
             # Every method has the settings of the law that requires these extras.
@@ -436,14 +431,14 @@ def _panel(arms: ArmChainParameters, swings: list[KnownSwing], counts: int, *, q
             label = "all extras" if augment == AUGMENTS[3] else "+".join(augment) or "state only"
             work = partial(estimator.step, last, 0.1, measured[1])
             tried.append(Alternative(name, label, work, default=kind == "ekf" and augment in AUGMENTS[2:]))
-            judged[name, label] = estimator_trial(estimator, swings, counts=counts)
+            trials[name, label] = partial(estimator_trial, estimator, swings, counts=counts)
     joints, rates = measured[:, : arms.count], swings[0].states[0, arms.count : 2 * arms.count]
     for cutoff in CUTOFFS:
         label = f"{cutoff:g} Hz" if cutoff < math.inf else "no low pass"
         tried.append(Alternative("differences", label, partial(differences, rates, joints[0], joints[1], cutoff)))
-        judged["differences", label] = derivative_trial(cutoff, swings, counts=counts)
+        trials["differences", label] = partial(derivative_trial, cutoff, swings, counts=counts)
     return replace(
-        compare(tried, lambda one, _: judged[one.method, one.setting]),
+        compare(tried, lambda one, _: trials[one.method, one.setting]()),
         title=f"{counts} counts per turn", x_label="time of a tick, s", y_label="rms error of the arms' state (scaled)",
         why="feedback on the state alone fails on zeros of a few milliradians, and estimating them costs less than "
         "twice the time; parameters are estimated if a controller requires them",

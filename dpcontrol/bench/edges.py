@@ -16,7 +16,7 @@ OGY by its sections is only measured. For random outcomes the border is at half 
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from typing import Any
 
@@ -57,16 +57,19 @@ ASTRAY = 0.3
 
 @dataclass(frozen=True, eq=False)
 class LoopCase:
-    """A controller in a loop of one rate.
+    """A controller in a loop of one rate, with its margins.
 
-    A run succeeds if its angles end within `near` rad of the reference, over its last tenth.
+    Each trial runs `seeds` seeds. A run succeeds if its angles end within `near` rad of the reference, over its last
+    tenth.
     """
 
     assembly: Assembly
+    seeds: int = 1
     near: float = ASTRAY
+    margins: Mapping[str, float] = field(default_factory=dict)
 
     def run(self, *, acceleration: float, mismatch: float = 0.0, error: float = 1e-3, delay: float = 0.0) -> Attempt:
-        """Return the outcome of a run at the reference.
+        """Return the outcome of a trial at the reference with a known delay.
 
         Args:
             acceleration: limit, m/s².
@@ -80,9 +83,24 @@ class LoopCase:
         # A long track, so that authority alone decides.
         limits = Limits(position=20.0, velocity=20.0, acceleration=acceleration)
         reference = replace(self.assembly.reference, limits=limits)
-        (run,) = replace(self.assembly, reference=reference, settings=settings).batch([0])
-        failure = failure_of(run, near=self.near)
-        return Attempt(not failure, failure)
+        return self._tried(replace(self.assembly, reference=reference, settings=settings))
+
+    def driven(self, *, gain: float = 1.0, delay: float = 0.0, lag: float = 0.0) -> Attempt:
+        """Return the outcome of a trial whose drive deviates from the model.
+
+        Args:
+            gain: gain of the drive.
+            delay: additional delay, s.
+            lag: time constant, s.
+        """
+        assumed, rate = self.assembly.delay, self.assembly.settings.rate
+        drive = replace(self.assembly.settings.drive, response=gain, lag=lag, delay=assumed + delay * rate)
+        other = self.assembly.under(replace(self.assembly.settings, drive=drive))
+        return self._tried(replace(other, believed_delay=assumed), SHAKEN * self.assembly.limits.acceleration / gain)
+
+    def _tried(self, assembly: Assembly, most: float = math.inf) -> Attempt:
+        failures = [failure_of(run, near=self.near, most=most) for run in assembly.batch(range(self.seeds))]
+        return half_of([Attempt(not failure, failure) for failure in failures], "runs lost")
 
 
 def failure_of(run: BatchRun, *, near: float = ASTRAY, most: float = math.inf) -> str:
@@ -426,38 +444,8 @@ SHORT = 0.5
 """Share by which a border may exceed its margin: a motion can end before a slow instability has grown."""
 
 
-@dataclass(frozen=True, eq=False)
-class FollowedReference:
-    """A loop that follows a reference, with its margins.
-
-    Each trial runs `seeds` seeds.
-    """
-
-    assembly: Assembly
-    margins: Mapping[str, float]
-    seeds: int
-
-    def run(self, *, gain: float = 1.0, delay: float = 0.0, lag: float = 0.0) -> Attempt:
-        """Return success if half of the seeds stay at the reference.
-
-        The drive deviates from the model.
-
-        Args:
-            gain: gain of the drive.
-            delay: additional delay, s.
-            lag: time constant, s.
-        """
-        assumed, rate = self.assembly.delay, self.assembly.settings.rate
-        drive = replace(self.assembly.settings.drive, response=gain, lag=lag, delay=assumed + delay * rate)
-        other = self.assembly.under(replace(self.assembly.settings, drive=drive))
-        runs = replace(other, believed_delay=assumed).batch(range(self.seeds))
-        most = SHAKEN * self.assembly.limits.acceleration / gain
-        failed = list(filter(None, (failure_of(run, most=most) for run in runs)))
-        return Attempt(2 * len(failed) < self.seeds, next(iter(failed), ""))
-
-
 @cache
-def followed(itinerary: str, law: str, seeds: int) -> FollowedReference:
+def followed(itinerary: str, law: str, seeds: int) -> LoopCase:
     """Return the loop of an itinerary and a law, with its margins.
 
     A stay lasts for `SECONDS` s.
@@ -477,7 +465,7 @@ def followed(itinerary: str, law: str, seeds: int) -> FollowedReference:
     if isinstance(controller, OrbitController | HoldController):
         assembly = replace(assembly, law=replace(controller, ticks=round(SECONDS * settings.rate)))
     margins = {name: value for name, (value, _) in assembly.margins().least().items()}
-    return FollowedReference(assembly, margins, seeds)
+    return LoopCase(assembly, seeds, margins=margins)
 
 
 def margin_border(name: str, case: tuple[str, str], *, seeds: int, ratio: float) -> Border:
@@ -495,7 +483,7 @@ def margin_border(name: str, case: tuple[str, str], *, seeds: int, ratio: float)
         name, (predicted / 16, 4 * predicted)
     )
     return find_border(
-        lambda value: loop.run(**{key: value}), x=float(FOLLOWED.index(case)), line=", ".join(case),
+        lambda value: loop.driven(**{key: value}), x=float(FOLLOWED.index(case)), line=", ".join(case),
         near=near, far=far, ratio=ratio, predicted=predicted if name != "gain_high" or predicted < TRIED else None,
     )  # fmt: skip
 

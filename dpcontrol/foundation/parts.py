@@ -30,8 +30,7 @@ _NEEDED = {
     "with matplotlib by --picture FILE.png",
 }
 _NEEDED["h5py"] = _NEEDED["matio"]
-for _name in ("starlette", "uvicorn", "websockets"):
-    _NEEDED[_name] = f"the planner needs {_name}; install it by `pip install 'dpcontrol[planner]'`"
+_NEEDED["websockets"] = "the planner needs websockets; install it by `pip install 'dpcontrol[planner]'`"
 
 
 def part(name: str) -> Any:

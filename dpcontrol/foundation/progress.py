@@ -148,14 +148,13 @@ class Cost:
         return f"{self.key}: {self.work} will take about {_time(self.seconds)} and {_size(self.memory)} of memory"
 
 
-def announce(cost: Cost, *, yes: bool) -> None:
+def announce(cost: Cost, *, yes: bool, above: float = ANNOUNCED_FROM) -> None:
     """Announce long work, and reject work beyond the limits.
-
-    Work is long if it takes more than a minute.
 
     Args:
         cost: predicted cost.
         yes: confirmation of the user, which lifts the limits.
+        above: duration beyond which work is long, s.
 
     Raises:
         InputError: the work is beyond the limits.
@@ -164,7 +163,7 @@ def announce(cost: Cost, *, yes: bool) -> None:
         allowed = f"{_time(MOST_SECONDS)} and {_size(MOST_BYTES)}"
         remedy = "reduce the work, or add --yes (yes=True in Python)"
         raise InputError(f"{cost.sentence}; the limit is {allowed}: {remedy}")
-    if cost.seconds > ANNOUNCED_FROM:
+    if cost.seconds > above:
         remark(cost.sentence)
 
 

@@ -9,12 +9,13 @@ from dpcontrol.foundation.toml import parse_toml, with_values
 from dpcontrol.planner.shown import energies_of, fitting_model
 from dpcontrol.plans.itinerary import Itinerary, WalkPart, itinerary_from
 from dpcontrol.plans.model import Model, quoted
-from dpcontrol.plans.plan import plan_key
+from dpcontrol.plans.plan import plan_cost, plan_key
 from dpcontrol.walks.symbols import parse_walk
 
 LONGEST = 100_000
 """Largest length of a text in characters."""
-_NAME = "itinerary"
+_NAME = "planned"
+"""Name of every itinerary, because the file's name may be chosen later."""
 _USUAL_WRAPS = 2
 """Wraps at a new stop. With two, nearly every pair of connections has an orbit."""
 _TEXT = """\
@@ -95,6 +96,17 @@ class Draft:
             return "the TOML has parts, holds, sustained orbits or repetitions: edit it as text"
         return ""
 
+    @property
+    def problem(self) -> str:
+        """Reason why the itinerary cannot be planned, or ""."""
+        missing = "" if self.itinerary else "the walk has no symbol yet: click a connection"
+        return self.mistake.message if self.mistake else missing
+
+    @property
+    def seconds(self) -> float:
+        """Likely duration of planning, s."""
+        return plan_cost(self.itinerary).seconds if self.itinerary else 0.0
+
     @cached_property
     def content(self) -> str:
         """The key of the itinerary's plan, independent of name and title, or ""."""
@@ -155,11 +167,11 @@ class Draft:
 
         Raises:
             InputError: the walk can be edited only as text.
-            KeyError: no such stop.
+            IndexError: no such stop.
         """
-        wraps = dict(enumerate(self.wraps))
+        wraps = self.wraps
         wraps[stop] = max(wraps[stop] + change, 0)
-        return self.changed("", {"wraps": list(wraps.values())})
+        return self.changed("", {"wraps": wraps})
 
 
 def first_text(model: str) -> str:
@@ -177,24 +189,24 @@ def read_draft(text: str) -> Draft:
     Args:
         text: itinerary in TOML.
     """
-    if len(text) > LONGEST:
-        return Draft(text, {}, None, None, Mistake(1, f"the text has more than {LONGEST:,} characters"))
     values: dict[str, Any] = {}
-    model = None
+    model = itinerary = mistake = None
     try:
+        if len(text) > LONGEST:
+            raise InputError(f"the text has more than {LONGEST:,} characters")
         values = parse_toml(text, f"{_NAME}.toml")
         model = fitting_model(str(values.get("model", "lab")))
-        if values.get("walk") == [] and not values.get("wraps") and "parts" not in values:
-            # If the walk is empty, the other keys are validated with a placeholder symbol.
-            begun = [f"{model.system.saddles[0]} +"]
-            itinerary_from(with_values(text, "", {"walk": begun}), _NAME, model)
-            return Draft(text, values, model, None, None)
-        return Draft(text, values, model, itinerary_from(text, _NAME, model), None)
+        is_empty = values.get("walk") == [] and not values.get("wraps") and "parts" not in values
+        # If the walk is empty, the other keys are validated with a placeholder symbol.
+        whole = with_values(text, "", {"walk": [f"{model.system.saddles[0]} +"]}) if is_empty else text
+        checked = itinerary_from(whole, _NAME, model)
+        itinerary = None if is_empty else checked
     except InputError as error:
         if values and model is None:
             error = InputError(str(error), key="model")
         message = str(error).removeprefix(f"{_NAME}.toml").lstrip(": ")
-        return Draft(text, values, model, None, Mistake(line_of(text, error), message))
+        mistake = Mistake(line_of(text, error), message)
+    return Draft(text, values, model, itinerary, mistake)
 
 
 def line_of(text: str, error: InputError) -> int:

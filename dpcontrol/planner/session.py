@@ -1,7 +1,7 @@
 """State of one page, which survives a reload of the page.
 
-A session has two slots for long jobs in separate processes. The slot "look" computes the atlas at the displayed energy,
-and a new request replaces the previous one. The slot "work" runs one job on the itinerary at a time.
+A session has slots for jobs in separate processes. The slot "look" computes the atlas at the displayed energy, and a
+new request replaces the previous one. The slot "work" runs one job on the itinerary at a time.
 """
 
 import asyncio
@@ -9,7 +9,8 @@ import itertools
 import json
 import shutil
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
 from functools import partial, partialmethod
 from pathlib import Path
 from typing import Any
@@ -19,25 +20,50 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import write_whole
 from dpcontrol.planner.draft import Draft, first_text, read_draft
 from dpcontrol.planner.shown import shown_model
-from dpcontrol.planner.workers import WorkerJob, Workers
+from dpcontrol.planner.workers import Workers
 
 _UNDONE = 200
 """Largest number of changes that can be undone."""
 _ITINERARIES, _LOGS = Path("itineraries"), Path("logs")
-_KEYS = {"": {"energy", "start", "finish"}, "run": {"mismatch", "lag", "pushes"}}
+_KEYS = {"": {"energy", "start", "finish", "wraps"}, "run": {"mismatch", "lag", "pushes"}}
 """Keys with controls on the page, by table."""
-_OUTDATED = {"plan": ("plan", "run", "seeds", "page"), "settings": ("run", "seeds", "page"), "run": ("run", "page"),
-             "seeds": ("seeds",), "page": ("page",)}  # fmt: skip
+_OUTDATED = {
+    "plan": ("plan", "run", "seeds", "page"),
+    "settings": ("run", "seeds", "page"),
+    "run": ("run", "page"),
+    "seeds": ("seeds",),
+    "page": ("page",),
+}
 """Results that become outdated, by the item that changes."""
 
-Done = Callable[[Any], None]
+
+@dataclass
+class WorkerJob:
+    """A job with its progress.
+
+    Attributes:
+        kind: name of the job.
+        seconds: likely duration, s, 0 if unknown.
+        again: function that starts it again.
+        what: current step.
+        done: completed share, 0 to 1.
+        task: task that runs it.
+    """
+
+    kind: str
+    seconds: float
+    again: Callable[[], None]
+    what: str
+    done: float = 0.0
+    task: asyncio.Task[None] = field(init=False)
 
 
 class PageSession:
-    """State of one page, which sends JSON messages by `send`."""
+    """State of one page, whose JSON messages `broadcast` sends to the browser's windows that show it."""
 
-    def __init__(self, workers: Workers, model: str, send: Callable[[str], None]) -> None:
-        self._workers, self._send = workers, send
+    def __init__(self, workers: Workers, model: str, broadcast: Callable[[Iterable[Any], str], None]) -> None:
+        self._workers, self._broadcast = workers, broadcast
+        self.windows: set[Any] = set()
         self._folder = Path(tempfile.mkdtemp(prefix="dpcontrol-planner-"))
         self._texts, self._at, self._typed = [first_text(model)], 0, False
         self._draft, shown = _parsed(self._texts[0])
@@ -45,14 +71,14 @@ class PageSession:
         self._name = next(name for name in names if not (_ITINERARIES / f"{name}.toml").exists())
         self._atlas: dict[str, Any] = {}
         self._made: dict[str, Any] = {}
-        self._made_of, self._written = "", b""
+        self._written: dict[Path, bytes] = {}
         self._saved: dict[str, str] = {}
-        self._message = {"text": "", "kind": ""}
         self._acknowledged = 0
         self._shown: dict[str, str] = {}
         self._jobs: dict[str, WorkerJob] = {}
         self._again: Callable[[], None] | None = None
         self._order = asyncio.Lock()
+        self._set_message("")
         self._take(self._draft, shown)
 
     def everything(self) -> list[str]:
@@ -63,7 +89,7 @@ class PageSession:
 
     def state(self) -> dict[str, Any]:
         """Return the page's data other than motions and drawings."""
-        working = next((job for slot in ("work", "look") if (job := self._jobs.get(slot))), None)
+        working = self._jobs.get("work") or self._jobs.get("look")
         draft, symbols = self._draft.document(), self._atlas.get("symbols", {})
         known = {*self._atlas.get("names", ()), *symbols}
         return {
@@ -74,7 +100,7 @@ class PageSession:
             "name": self._name,
             **{kind: self._made.get(kind) for kind in ("plan", "run", "seeds")},
             "saved": self._saved or None,
-            "busy": None if working is None else {"what": working.what, "done": working.done},
+            "busy": {key: getattr(working, key) for key in ("what", "done", "kind", "seconds")} if working else None,
             "working": "work" in self._jobs,
             "message": self._message,
             "retry": self._again is not None,
@@ -104,48 +130,10 @@ class PageSession:
                     await waiting
             except InputError as error:
                 self._set_message(str(error), "error")
-            except (TypeError, ValueError, OverflowError, KeyError, AttributeError, RecursionError) as error:
+            except (TypeError, ValueError, OverflowError, LookupError, AttributeError, RecursionError) as error:
                 self._set_message(f"invalid command: {error}", "error")
             self._acknowledged = number
             self._send_state()
-
-    async def do_accept(self) -> None:
-        """Set the wraps that the failed plan proposes."""
-        if not (wraps := (self._made.get("plan") or {}).get("wraps")):
-            raise InputError("no wraps are proposed for this itinerary: plan it first")
-        await self._change(lambda draft: draft.changed("", {"wraps": wraps}))
-
-    def do_plan(self) -> None:
-        """Plan the itinerary."""
-        self._work("plan", text=self._whole().text)
-
-    def do_run(self, seed: int = 0) -> None:
-        """Run the plan, which is computed first if it is not cached.
-
-        Args:
-            seed: seed of the random numbers, 0 to 2147483647.
-        """
-        if not 0 <= int(seed) < 2**31:
-            raise InputError(f"seed = {seed}: must be 0 to 2147483647")
-        log = str(self._folder / f"run-{int(seed)}.mcap")
-        self._work("run", text=self._whole().text, seed=int(seed), log=log)
-
-    def do_seeds(self) -> None:
-        """Run the plan with twenty seeds."""
-        self._work("seeds", text=self._whole().text)
-
-    def do_page(self) -> None:
-        """Draw the overview of the run."""
-        self._work("page", log=self._run()["log"])
-
-    def do_rerun(self) -> None:
-        """Open the run in the viewer."""
-        self._work("rerun", lambda _: self._set_message("the viewer is open", "good"), log=self._run()["log"])
-
-    def do_film(self) -> None:
-        """Write a film of the run."""
-        film = self._target(_LOGS / f"{self._name}-{self._run()['seed']}.gif", "film")
-        self._work("film", lambda _: self._note(film=str(film)), log=self._run()["log"], film=str(film))
 
     def do_name(self, name: str) -> None:
         """Set the name of saved files.
@@ -159,24 +147,28 @@ class PageSession:
 
     def do_save(self) -> None:
         """Save the itinerary and the log of its run, if any."""
-        text, run = self._whole().text, self._made.get("run")
-        toml = self._target(_ITINERARIES / f"{self._name}.toml", "toml")
-        log = None if run is None else self._target(_LOGS / f"{self._name}-{run['seed']}.mcap", "log")
-        write_whole(toml, text)
-        self._written = toml.read_bytes()
-        self._note(toml=str(toml))
-        if log is not None and run is not None:
-            write_whole(log, Path(run["log"]).read_bytes())
-            self._note(log=str(log))
-        self._set_message(
-            f"saved {toml}{f' and {log}' if log else ''}; run it with `dpcontrol run {self._name}`", "good"
-        )
+        files = {"toml": self._target(_ITINERARIES / f"{self._name}.toml")}
+        contents = {"toml": self._needed("text").encode()}
+        if (run := self._made.get("run")) is not None:
+            files["log"] = self._target(_LOGS / f"{self._name}-{run['seed']}.mcap")
+            contents["log"] = Path(run["log"]).read_bytes()
+        for kind, file in files.items():
+            write_whole(file, contents[kind])
+            self._note(kind, file)
+        saved = " and ".join(map(str, files.values()))
+        self._set_message(f"saved {saved}; run it with `dpcontrol run {self._name}`", "good")
+
+    def do_film(self) -> None:
+        """Write a film of the run."""
+        self._needed("log")
+        film = self._target(_LOGS / f"{self._name}-{self._made['run']['seed']}.gif")
+        self._work("film", "log", film=str(film))
 
     def do_cancel(self) -> None:
         """Cancel the current job; its cached results remain."""
         if slot := next((slot for slot in ("work", "look") if slot in self._jobs), ""):
             job = self._jobs.pop(slot)
-            job.kill()
+            job.task.cancel()
             self._again = job.again
             self._set_message(f"cancelled: {job.what}")
 
@@ -188,38 +180,29 @@ class PageSession:
     def close(self) -> None:
         """Stop all jobs and delete unsaved files."""
         for job in self._jobs.values():
-            job.kill()
-        self._jobs.clear()
+            job.task.cancel()
         shutil.rmtree(self._folder, ignore_errors=True)
 
     async def _step(self, by: int) -> None:
-        at = min(max(self._at + by, 0), len(self._texts) - 1)
-        draft, shown = await asyncio.to_thread(_parsed, self._texts[at])
-        self._at, self._typed = at, False
-        self._take(draft, shown)
+        self._at = min(max(self._at + by, 0), len(self._texts) - 1)
+        self._typed = False
+        self._take(*await asyncio.to_thread(_parsed, self._texts[self._at]))
 
-    def _whole(self) -> Draft:
-        if self._draft.itinerary is None:
-            wrong = self._draft.mistake
-            raise InputError(wrong.message if wrong else "the walk has no symbol yet: click a connection")
-        return self._draft
+    def _needed(self, what: str) -> str:
+        """Return the text of an itinerary without mistake, or the log of the last run."""
+        log = self._made.get("run", {}).get("log", "")
+        if problem := self._draft.problem if what == "text" else "" if log else "no run exists yet: press Run":
+            raise InputError(problem)
+        return self._draft.text if what == "text" else log
 
-    def _run(self) -> dict[str, Any]:
-        if self._made.get("run") is None:
-            raise InputError("no run exists yet: press Run")
-        return self._made["run"]
-
-    def _target(self, file: Path, kind: str) -> Path:
-        """Return the path, of a new file or one saved here."""
-        if file.exists() and (
-            self._saved.get(kind) != str(file) or (kind == "toml" and file.read_bytes() != self._written)
-        ):
+    def _target(self, file: Path) -> Path:
+        """Return the path, of a new file or one that is as this page saved it."""
+        if file.exists() and file.read_bytes() != self._written.get(file):
             raise InputError(f"{file} exists, and is not as this page saved it: choose another name")
         return file
 
-    def _note(self, **saved: str) -> None:
-        self._saved |= saved
-        self._set_message(f"saved {', '.join(saved.values())}", "good")
+    def _note(self, kind: str, file: Path) -> None:
+        self._written[file], self._saved[kind] = file.read_bytes(), str(file)
 
     # These commands restore the previous and the next text.
     do_undo, do_redo = partialmethod(_step, -1), partialmethod(_step, 1)
@@ -239,16 +222,14 @@ class PageSession:
         before, self._draft = self._draft, draft
         if shown:
             self._show("model", shown)
-        if self._made_of != draft.content:
-            self._forget("plan")
-        elif draft.text != before.text:
-            self._forget("settings")
+        if draft.text != before.text:
+            self._forget("settings" if draft.content == before.content else "plan")
         self._look()
 
     def _show(self, kind: str, message: str) -> None:
         if self._shown.get(kind) != message:
             self._shown[kind] = message
-            self._send(message)
+            self._broadcast(self.windows, message)
 
     def _forget(self, changed: str) -> None:
         for kind in _OUTDATED.get(changed, ()):
@@ -262,73 +243,95 @@ class PageSession:
         same = all(self._atlas.get(key) == value for key, value in given.items())
         if draft.energy is None or draft.model is None or (same and not again):
             return
-        if (job := self._jobs.get("look")) is not None:
-            job.kill()
         self._shown.pop("atlas", None)
         self._atlas = given
 
-        def found(atlas: Any) -> None:
+        def done(atlas: Any) -> None:
             self._atlas = atlas
-            self._workers.mark(given["model"])
 
-        def missed(failure: dict[str, Any]) -> None:
-            self._set_message(failure["status"], "error")
+        self._start("look", WorkerJob("atlas", 0.0, partial(self._look, again=True), "atlas"), given, done)
 
-        self._start("look", "atlas", found, missed, given, partial(self._look, again=True))
-
-    def _work(self, what: str, done: Done | None = None, **given: Any) -> None:
+    def _work(self, kind: str, needs: str, **given: Any) -> None:
+        """Start a job on the itinerary, whose result is kept unless the itinerary has changed in the meantime."""
         if (job := self._jobs.get("work")) is not None:
             raise InputError(f"{job.what} is running: wait for it, or cancel it")
-        content = self._draft.content
-        self._forget(what)
-        text = self._draft.text
+        given[needs], draft = self._needed(needs), self._draft
+        self._forget(kind)
 
-        def found(value: Any) -> None:
-            # The itinerary may have changed in the meantime.
-            if content == self._draft.content and (what == "plan" or text == self._draft.text):
-                self._made[what], self._made_of = value, content
+        def done(value: Any) -> None:
+            if kind == "rerun":
+                self._set_message("the viewer is open", "good")
+            elif kind == "film":
+                self._note(kind, Path(given[kind]))
+                self._set_message(f"saved {given[kind]}", "good")
+            elif draft.content == self._draft.content and (kind == "plan" or draft.text == self._draft.text):
+                self._made[kind] = value
 
-        def missed(failure: dict[str, Any]) -> None:
-            self._set_message(failure["status"], "error")
-            if what == "plan" and content == self._draft.content:
-                fits = failure["wraps"] and len(failure["wraps"]) == len(self._draft.wraps)
-                self._made_of = content
-                self._made[what] = {"converged": False, **failure, "wraps": failure["wraps"] if fits else None}
+        def failed(failure: dict[str, Any]) -> None:
+            if kind == "plan" and draft.content == self._draft.content:
+                fits = len(failure["wraps"] or ()) == len(draft.wraps)
+                self._made[kind] = {"converged": False, **failure, "wraps": failure["wraps"] if fits else None}
 
-        again = partial(self._work, what, done, **given)
-        self._start("work", what, done or found, missed, given, again)
+        job = WorkerJob(kind, draft.seconds if kind == "plan" else 0.0, partial(self._work, kind, needs, **given), kind)
+        self._start("work", job, given, done, failed)
+
+    # These commands start the jobs of the same names.
+    do_plan, do_seeds = partialmethod(_work, "plan", "text"), partialmethod(_work, "seeds", "text")
+    do_page, do_rerun = partialmethod(_work, "page", "log"), partialmethod(_work, "rerun", "log")
+
+    def do_run(self, seed: int = 0) -> None:
+        """Run the plan, which is computed first if it is not cached.
+
+        Args:
+            seed: seed of the random numbers, 0 to 2147483647.
+        """
+        self._work("run", "text", seed=seed, folder=str(self._folder))
 
     def _start(
-        self, slot: str, what: str, done: Done, failed: Done, given: dict[str, Any], again: Callable[[], None]
+        self,
+        slot: str,
+        job: WorkerJob,
+        given: dict[str, Any],
+        done: Callable[[Any], None] = lambda value: None,
+        failed: Callable[[Any], None] = lambda value: None,
     ) -> None:
+        """Start a job, which replaces the one in its slot."""
+
         def on_report(word: str, value: str) -> None:
             if self._jobs.get(slot) is not job:
                 return
             if word.startswith("show:"):
-                self._show(kind := word.removeprefix("show:"), f'{{"{kind}":{value}}}')
+                kind = word.removeprefix("show:")
+                self._show(kind, f'{{"{kind}":{value}}}')
                 return
-            if word == "remark":
+            if word == "progress":
+                job.what, job.done = json.loads(value)
+            elif word == "remark":
                 self._set_message(json.loads(value), "remark")
-            elif word != "progress":
+            else:
                 del self._jobs[slot]
             if word == "done":
                 done(json.loads(value))
             elif word == "failed":
-                failed(json.loads(value))
+                failure = json.loads(value)
+                self._set_message(failure["status"], "error")
+                failed(failure)
             elif word == "died":
-                self._again = again
-                self._set_message(f"the process of the {what} ended ({value}); finished parts are cached", "error")
+                self._again = job.again
+                self._set_message(f"the process of the {job.kind} ended ({value}); finished parts are cached", "error")
             self._send_state()
 
+        if (before := self._jobs.get(slot)) is not None:
+            before.task.cancel()
         self._again = None
-        job = self._jobs[slot] = WorkerJob(what, given, on_report, again)
-        job.start(self._workers)
+        self._jobs[slot] = job
+        job.task = asyncio.get_running_loop().create_task(self._workers.run(job.kind, given, on_report))
 
     def _set_message(self, text: str, kind: str = "") -> None:
         self._message = {"text": text, "kind": kind}
 
     def _send_state(self) -> None:
-        self._send(_message("state", self.state()))
+        self._broadcast(self.windows, _message("state", self.state()))
 
 
 def _message(kind: str, value: Any) -> str:

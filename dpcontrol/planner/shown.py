@@ -153,7 +153,8 @@ def _shown_connection(c: AtlasConnection, atlas: Atlas, lengths: Sequence[float]
         "source": c.source,
         "target": c.target,
         "turns": _turns(c),
-        "figures": f"{c.transversality_angle:.1f}°  {c.time_out + c.time_in:.2f} s",
+        "angle": c.transversality_angle,
+        "time": c.time_out + c.time_in,
         "place": np.round(section_place(atlas, c), 5).tolist(),
         "motion": {"rate": RATE, "frames": joints(angles, lengths)},
     }

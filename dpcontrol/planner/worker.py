@@ -15,23 +15,21 @@ import tempfile
 import threading
 import time
 import warnings
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from dpcontrol.foundation.document import plain
 from dpcontrol.foundation.errors import GoalMissed, InputError, PartMissing, Remark, printable
-from dpcontrol.foundation.progress import Progress, part_of
-from dpcontrol.foundation.toml import parse_toml
+from dpcontrol.foundation.progress import part_of
 from dpcontrol.judge.of_log import run_view
 from dpcontrol.logs import read_log
 from dpcontrol.pages.film import write_film
 from dpcontrol.pages.layout import save_figure
 from dpcontrol.pages.viewer import check_viewer, view_in_window
-from dpcontrol.planner.shown import energies_of, figures_of, fitting_model, shown_atlas, shown_plan, shown_run
-from dpcontrol.plans.atlas import make_atlas, make_branches
-from dpcontrol.plans.itinerary import itinerary_from
+from dpcontrol.planner.draft import read_draft
+from dpcontrol.planner.shown import figures_of, fitting_model, shown_atlas, shown_plan, shown_run
+from dpcontrol.plans.atlas import make_atlas
 from dpcontrol.plans.plan import Plan, make_plan
 from dpcontrol.runs.campaign import CampaignSettings, Case, run_campaign
 from dpcontrol.runs.run import Run, run_plan
@@ -40,12 +38,10 @@ SEEDS = 20
 """Number of runs in the success count."""
 _EVERY = 0.05
 """Interval between progress reports, s."""
-_NAME = "planned"
-"""Name of every plan, because the file's name may be chosen later."""
 
 
-class Reporter:
-    """Writer of a job's progress and results, one line each."""
+class Jobs:
+    """The jobs by name, whose reports are lines of one stream."""
 
     def __init__(self, handle: int) -> None:
         self._file, self._next = os.fdopen(handle, "w", encoding="utf-8"), 0.0
@@ -71,83 +67,59 @@ class Reporter:
             self._next = now + _EVERY
             self.write("progress", [what, min(max(float(done), 0.0), 1.0)])
 
+    def do_atlas(self, *, model: str, energy: float) -> dict[str, Any]:
+        """Show the atlas at an energy, and return the names of its connections."""
+        atlas = make_atlas(fitting_model(model), energy, progress=self.progress)
+        shown = {**shown_atlas(atlas, fitting_model(model)), "model": model}
+        self.write("show:atlas", shown)
+        names = [connection["name"] for connection in shown["connections"]]
+        return {"energy": energy, "model": model, "names": names, "symbols": shown["symbols"]}
 
-def _atlas(report: Reporter, *, model: str, energy: float) -> dict[str, Any]:
-    atlas = make_atlas(fitting_model(model), energy, progress=report.progress)
-    shown = {**shown_atlas(atlas, fitting_model(model)), "model": model}
-    report.write("show:atlas", shown)
-    names = [one["name"] for one in shown["connections"]]
-    return {"energy": energy, "model": model, "names": names, "symbols": shown["symbols"]}
+    def do_plan(self, *, text: str) -> dict[str, Any]:
+        """Plan an itinerary and show its motion."""
+        plan = self._planned(text).followed()
+        self.write("show:plan", shown_plan(plan))
+        return {"converged": True, "status": plan.status, **figures_of(plan)}
 
+    def do_run(self, *, text: str, seed: int, folder: str) -> dict[str, Any]:
+        """Run an itinerary and show its motion."""
+        plan = self._planned(text, 0.1)
+        plan = replace(plan, itinerary=plan.itinerary.with_run({}, seed=seed))
+        log = Path(folder) / f"run-{seed}.mcap"
+        run = run_plan(plan, log, force=True, progress=part_of(self.progress, 0.1, 1.0))
+        self.write("show:run", shown_run(run.log))
+        return {**run.document(), "sentence": run.status, "log": str(log)}
 
-def _marks(report: Reporter, *, model: str) -> list[dict[str, Any]]:
-    """Return the energies and descriptions of the connections' bifurcations."""
-    loaded, found = fitting_model(model), []
-    # Each connection has images of the opposite kind.
-    for pair in [pair for pair in loaded.system.sections if pair == tuple(sorted(pair))]:
-        found += [
-            {
-                "energy": mark.energy,
-                "text": f"{' → '.join(pair)}: {mark.kind}, connections: {mark.count_below} → {mark.count_above}",
-            }
-            for mark in make_branches(loaded, *pair, progress=report.progress).marks
-            if mark.kind != "section-artefact" and mark.energy < energies_of(loaded)[1]
-        ]
-    return found
+    def do_seeds(self, *, text: str) -> dict[str, Any]:
+        """Count the seeds with which an itinerary completes."""
+        plan = self._planned(text)
+        cases, settings = [Case(plan.itinerary.name, (), plan.itinerary.loop)], CampaignSettings(SEEDS, workers=1)
+        campaign = run_campaign(plan, cases, settings=settings, yes=True, progress=self.progress)
+        self.write("show:seeds", [row["completed"] for row in campaign.rows])
+        return {"completed": campaign.completed.successes, "runs": SEEDS}
 
+    def do_page(self, *, log: str) -> None:
+        """Show the page of a run."""
+        with tempfile.TemporaryDirectory() as folder:
+            file = Path(folder) / "page.png"
+            save_figure(Run(read_log(log)).plot(), file)
+            self.write("show:page", f"data:image/png;base64,{base64.b64encode(file.read_bytes()).decode()}")
 
-def _plan(report: Reporter, *, text: str) -> dict[str, Any]:
-    plan = _planned(text, report.progress).followed()
-    report.write("show:plan", shown_plan(plan))
-    return {"converged": True, "status": plan.status, **figures_of(plan)}
+    def do_film(self, *, log: str, film: str) -> None:
+        """Write the film of a run."""
+        write_film(run_view(read_log(log)), film, yes=True, progress=self.progress)
 
+    def do_rerun(self, *, log: str) -> None:
+        """Open the viewer with a run."""
+        check_viewer("press Page or Film, or save the log and review it on another computer")
+        view_in_window(run_view(read_log(log)), Path(log).stem)
 
-def _run(report: Reporter, *, text: str, seed: int, log: str) -> dict[str, Any]:
-    plan = _planned(text, part_of(report.progress, 0.0, 0.1))
-    plan = replace(plan, itinerary=plan.itinerary.with_run({}, seed=seed))
-    run = run_plan(plan, Path(log), force=True, progress=part_of(report.progress, 0.1, 1.0))
-    report.write("show:run", shown_run(run.log))
-    return {**run.document(), "sentence": run.status, "log": log}
-
-
-def _seeds(report: Reporter, *, text: str) -> dict[str, Any]:
-    plan = _planned(text, report.progress)
-    campaign = run_campaign(
-        plan,
-        [Case(_NAME, (), plan.itinerary.loop)],
-        settings=CampaignSettings(SEEDS, workers=1),
-        yes=True,
-        progress=report.progress,
-    )
-    report.write("show:seeds", [row["completed"] for row in campaign.rows])
-    return {"completed": campaign.completed.successes, "runs": SEEDS}
-
-
-def _page(report: Reporter, *, log: str) -> None:
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "page.png"
-        save_figure(Run(read_log(log)).plot(), file)
-        report.write("show:page", f"data:image/png;base64,{base64.b64encode(file.read_bytes()).decode()}")
-
-
-def _film(report: Reporter, *, log: str, film: str) -> None:
-    write_film(run_view(read_log(log)), film, yes=True, progress=report.progress)
-
-
-def _rerun(_: Reporter, *, log: str) -> None:
-    check_viewer("press Page or Film, or save the log and review it on another computer")
-    view_in_window(run_view(read_log(log)), Path(log).stem)
-
-
-JOBS: dict[str, Callable[..., Any]] = {
-    "atlas": _atlas, "marks": _marks, "plan": _plan, "run": _run, "seeds": _seeds, "page": _page, "film": _film,
-    "rerun": _rerun,
-}  # fmt: skip
-
-
-def _planned(text: str, progress: Progress) -> Plan:
-    model = fitting_model(str(parse_toml(text, f"{_NAME}.toml").get("model", "lab")))
-    return make_plan(itinerary_from(text, _NAME, model), progress=progress)
+    def _planned(self, text: str, share: float = 1.0) -> Plan:
+        # The page starts no job for a text with a mistake, but a model's file may have changed since.
+        draft = read_draft(text)
+        if draft.itinerary is None:
+            raise InputError(draft.problem)
+        return make_plan(draft.itinerary, progress=part_of(self.progress, 0.0, share))
 
 
 def failure_of(error: Exception) -> dict[str, Any]:
@@ -156,33 +128,32 @@ def failure_of(error: Exception) -> dict[str, Any]:
     Args:
         error: exception that ended the job.
     """
-    if not isinstance(error, GoalMissed | InputError | PartMissing):
-        return {"status": f"internal error in dpcontrol, {type(error).__name__}: {error}", "fault": None, "wraps": None}
-    symbol, wraps = getattr(error, "symbol", None), getattr(error, "wraps", None)
-    return {"status": printable(str(error)), "fault": symbol, "wraps": wraps}
+    expected = isinstance(error, GoalMissed | InputError | PartMissing)
+    status = printable(str(error)) if expected else f"internal error in dpcontrol, {type(error).__name__}: {error}"
+    return {"status": status, "fault": getattr(error, "symbol", None), "wraps": getattr(error, "wraps", None)}
 
 
 def main() -> None:
     """Run jobs until the end of input."""
-    report = Reporter(os.dup(1))
+    jobs = Jobs(os.dup(1))
     # Output of libraries is redirected to standard error.
     os.dup2(2, 1)
     warnings.simplefilter("always", Remark)
-    warnings.showwarning = lambda text, kind, *_: report.write("remark", str(text)) if kind is Remark else None
-    jobs: queue.SimpleQueue[str] = queue.SimpleQueue()
-    threading.Thread(target=_listen, args=(jobs,), daemon=True).start()
+    warnings.showwarning = lambda text, kind, *_: jobs.write("remark", str(text)) if kind is Remark else None
+    lines: queue.SimpleQueue[str] = queue.SimpleQueue()
+    threading.Thread(target=_listen, args=(lines,), daemon=True).start()
     while True:
-        given = json.loads(jobs.get())
+        given = json.loads(lines.get())
         try:
-            report.write("done", JOBS[given.pop("do")](report, **given))
+            jobs.write("done", getattr(jobs, f"do_{given.pop('do')}")(**given))
         except Exception as error:  # noqa: BLE001 - the page shows it, and the process goes on
-            report.write("failed", failure_of(error))
+            jobs.write("failed", failure_of(error))
 
 
-def _listen(jobs: "queue.SimpleQueue[str]") -> None:
+def _listen(lines: "queue.SimpleQueue[str]") -> None:
     """Queue jobs; exit at the end of input even during a computation."""
     for line in sys.stdin:
-        jobs.put(line)
+        lines.put(line)
     os._exit(0)
 
 

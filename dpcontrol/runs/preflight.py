@@ -32,6 +32,7 @@ from numpy.typing import NDArray
 from scipy.optimize import isotonic_regression
 
 from dpcontrol.foundation.cache import cache_file, keep, kept
+from dpcontrol.foundation.errors import remark
 from dpcontrol.foundation.processes import in_processes, processors
 from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress, part_of
 from dpcontrol.foundation.settings import Setting, Settings, leaves_of
@@ -361,7 +362,7 @@ def _change(trial: _Task, change: SettingChange) -> Improvement:
     )  # fmt: skip
 
 
-_TICK, _TICK_ALONE = 1.8e-6, 2e-4
+_TICK, _TICK_ALONE = 5e-6, 2e-4
 """Processor time of a tick of one run in lockstep, and of one separate run, s."""
 _AHEAD = 0.15
 """Additional share of this time for each period of predicted delay."""
@@ -376,7 +377,7 @@ def seconds_of(loop: LoopSettings) -> float:
     return _TICK * (1 + _AHEAD * loop.drive.delay) if loop.lockstep else _TICK_ALONE
 
 
-_AFFORD, _AFFORD_DELAY = 180.0, 40.0
+_AFFORD, _AFFORD_DELAY = 150.0, 40.0
 """Processor time of a preflight and of its search for the border of delay, s.
 
 This is two minutes of two processors, less start-up and compilation.
@@ -384,33 +385,40 @@ This is two minutes of two processors, less start-up and compilation.
 
 
 class _Amounts(NamedTuple):
-    """Numbers of seeds of a preflight.
+    """Numbers of seeds of a preflight, and of the kinds of borders.
 
-    They are those for the rate, for the first and last points of a border, and for each kind of a change.
+    The seeds are those for the rate, for the first and last points of a border, and for each kind of a change.
     """
 
     rate: int
     block: int
     border: int
     change: int
+    kinds: int
 
     @classmethod
-    def of(cls, rate: int) -> "_Amounts":
+    def of(cls, rate: int, kinds: int = 10) -> "_Amounts":
         """Return the amounts for a number of seeds of the rate."""
         if rate <= _FEW:
-            return cls(rate, min(24, rate), min(48, rate), max(rate // 8, 8))
-        return cls(rate, 64, rate // 2, min(SAMPLED, rate // 4))
+            return cls(rate, min(24, rate), min(48, rate), max(rate // 8, 8), kinds)
+        return cls(rate, 64, rate // 2, min(SAMPLED, rate // 4), kinds)
 
     @property
     def runs(self) -> int:
         """Approximate upper bound of the runs."""
-        return self.rate + _KINDS * (3 * self.block + 2 * self.border) + _CHANGES * min(2 * self.change, self.rate)
+        changed = _CHANGES * min(2 * self.change, self.rate) if self.kinds else 0
+        return self.rate + self.kinds * (3 * self.block + 2 * self.border) + changed
 
 
 _FEW = 128
 """Seeds for the rate up to which borders and changes use the fewest informative seeds."""
-_KINDS, _CHANGES = 10, 9
-_CHOICES = tuple(map(_Amounts.of, (320, 256, 192, 160, 128, 96, 64, 48, 32)))
+_CHANGES = 9
+_CHOICES = (
+    *map(_Amounts.of, (320, 256, 192, 160, 128, 96, 64, 48, 32)),
+    *(_Amounts.of(32, kinds) for kinds in (6, 4, 2, 1)),
+    *(_Amounts.of(rate, 0) for rate in (128, 64, 32, 16)),
+)
+"""Amounts to choose from, best first. Those of long itineraries have few borders or none."""
 
 
 def _amounts(seeds: int, seconds: float, *, lockstep: bool) -> _Amounts:
@@ -420,8 +428,33 @@ def _amounts(seeds: int, seconds: float, *, lockstep: bool) -> _Amounts:
     """
     if seeds:
         return _Amounts.of(seeds)
-    runs = ((one, one.runs if lockstep else one.rate) for one in _CHOICES)
-    return next((one for one, count in runs if count * seconds <= _AFFORD), _CHOICES[-1])
+    choices = (one if lockstep else one._replace(kinds=0) for one in _CHOICES)
+    return next((one for one in choices if one.runs * seconds <= _AFFORD), _CHOICES[-1])
+
+
+_STARTED = 3.0
+"""Processor time of a process before its first job, s."""
+_FIRST = 8
+"""Seeds of the first job, which compiles and is not measured."""
+
+
+def _seconds(job: Job, amounts: _Amounts, most: int, workers: int) -> float:
+    """Return the likely duration of a preflight on this machine, s, as its first seeds show it.
+
+    Args:
+        job: first seeds of the rate.
+        amounts: numbers of seeds.
+        most: number of seeds at once.
+        workers: number of processes.
+    """
+    times = [time.process_time()]
+    for seeds in (job.seeds[:_FIRST], job.seeds):
+        outcomes(replace(job, seeds=seeds), most)
+        times.append(time.process_time())
+    first, measured = np.diff(times).tolist()
+    # Two groups of processes follow one another. Each compiles, and the second does so for several delays.
+    started = 2 * (_STARTED + 2 * first) if workers > 1 else 2 * first
+    return amounts.runs * measured / len(job.seeds) / workers + started
 
 
 def preflight(
@@ -453,30 +486,33 @@ def preflight(
     ticks = max(round(plan.reference.duration * loop.rate), 1)
     lockstep, tick = loop.lockstep, seconds_of(loop)
     amounts = _amounts(settings.runs, ticks * tick, lockstep=lockstep)
-    searches = lockstep or settings.runs > 0
-    workers, count = settings.workers or processors(), amounts.runs if searches else amounts.rate
-    work = f"up to {count:,} runs of {ticks / loop.rate:.1f} s"
-    announce(Cost(work, count * ticks * tick / workers, 4e8 * workers, f"preflight of {name}"), yes=yes)
+    workers = settings.workers or processors()
+    work, seconds = f"up to {amounts.runs:,} runs of {ticks / loop.rate:.1f} s", amounts.runs * ticks * tick / workers
+    cost = Cost(work, seconds, 4e8 * workers, f"preflight of {name}")
+    announce(cost, yes=yes, above=math.inf)
     seeds = tuple(range(settings.first_seed, settings.first_seed + amounts.rate))
     case = Case("preflight", (), loop)
     job = Job(name, plan.archive, itinerary.model.arms, case, seeds, "compiled", itinerary.uncertainty, replayed=0)
 
     # At most the memory of a campaign's jobs.
     most = max(min(MOST_TICKS // ticks, 256), 1)
-    size = min(128 if amounts.rate > _FEW else 64, most)
+    size = min(128 if amounts.rate > _FEW else 64, most) if lockstep else 4
     jobs = [replace(job, seeds=job.seeds[k : k + size]) for k in range(0, amounts.rate, size)]
+    if kept(cache_file("preflights", name, jobs[0].key)) is None:
+        remark(replace(cost, seconds=_seconds(jobs[0], amounts, most, workers)).sentence)
     parts = in_processes(_ends, jobs, workers, what="jobs for the rate", progress=part_of(progress, 0.0, 0.15))
     ordered = sorted(row for _, part in parts for row in part)
     completed = [row.completed for row in ordered]
     share = wilson(sum(completed), len(completed), confidence=settings.confidence)
     notes = _notes(itinerary, loop)
+    most_delay = _AFFORD_DELAY / (3 * amounts.block * ticks * _TICK * _AHEAD)
+    kinds = hazards(plan, itinerary, most_delay=most_delay)
     tasks: list[_Task] = []
-    if searches:
-        most_delay = _AFFORD_DELAY / (3 * amounts.block * ticks * _TICK * _AHEAD)
-        tasks += _searches(hazards(plan, itinerary, most_delay=most_delay), job, completed, amounts, most, notes)
+    if amounts.kinds:
+        tasks += _searches(kinds[: amounts.kinds], job, completed, amounts, most, notes)
         tasks += _trials(itinerary, job, completed, amounts.change, most)
-    else:
-        notes.append("these runs go one after the other, not side by side: borders and changes with --runs only")
+    if left := ", ".join(kind.name for kind in kinds[amounts.kinds :]):
+        notes.append(f"two minutes do not suffice for the borders of {left}: --runs 32 finds them")
     work = in_processes(_do, tasks, workers, what="borders and changes", progress=part_of(progress, 0.15, 1.0))
     found = [result for _, result in work]
     borders = [b for b in found if isinstance(b, HazardBorder)]

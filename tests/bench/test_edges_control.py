@@ -44,10 +44,10 @@ def test_campaigns_end_near_the_margins_of_the_loop():
     held = followed("hold-up-up", "lqr", 8)
     for name, value in held.margins.items():
         key, inside = name.partition("_")[0], 1.25 if name == "gain_low" else 1 / 1.25
-        assert held.run(**{key: min(value * inside, TRIED)}).works, name
+        assert held.driven(**{key: min(value * inside, TRIED)}).works, name
     # A hold from its very start; what it bears of gain is decided there, and a campaign may bear more.
     for name in ("gain_low", "delay", "lag"):
         outside = 1 / 1.25 if name == "gain_low" else 1.25
-        found = held.run(**{name.partition("_")[0]: held.margins[name] * outside})
+        found = held.driven(**{name.partition("_")[0]: held.margins[name] * outside})
         assert not found.works, name
         assert found.says

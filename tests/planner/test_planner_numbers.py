@@ -6,7 +6,7 @@ import time
 import pytest
 from browser_page import Page
 
-pytest.importorskip("starlette")
+pytest.importorskip("websockets")
 pytest.importorskip("selenium")
 from selenium.webdriver.common.keys import Keys
 

@@ -9,7 +9,7 @@ from PIL import Image
 
 import dpcontrol as dp
 
-pytest.importorskip("starlette")
+pytest.importorskip("websockets")
 pytest.importorskip("selenium")
 from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.keys import Keys
@@ -58,6 +58,44 @@ def test_impossible_symbols_are_grey_with_the_reason_and_undo_reverts(page: Page
     assert len(page.press("connection", '[data-name^="down-up>down-up"]')["walk"]) == 1
     assert page.press("undo")["walk"] == []
     assert len(page.press("redo")["walk"]) == 1
+
+
+# The bottom of the list of connections, and the connections with their bottoms.
+LISTED = """
+const list = document.getElementById("list"), rows = [...list.querySelectorAll("button")];
+return [list.getBoundingClientRect().bottom, rows.map((row) => [row.ariaDisabled === "true",
+  row.getBoundingClientRect().bottom, row.classList.contains("best"), row.dataset.name])];"""
+
+
+def test_possible_successors_come_first_and_each_kind_has_a_recommended_one_in_view(page: Page) -> None:
+    page.connect(FIRST)
+    bottom, rows = page.driver.execute_script(LISTED)
+    impossible = [refused for refused, *_ in rows]
+    assert impossible == sorted(impossible)
+    starred = [(name.split("[")[0], place) for refused, place, best, name in rows if best and not refused]
+    assert {kind for kind, _ in starred} == {SECOND, "up-down>up-down"}
+    assert all(place <= bottom for _, place in starred)
+    # Of those that return, it is the most transversal of the symmetric ones, or its mirror image.
+    orbit = dp.orbit("lab", "up-down", energy=page.state["energy"])
+    angles = {one.name: one.transversality_angle for one in dp.connections(orbit, orbit).connections if one.symmetric}
+    recommended = [name for _, _, best, name in rows if best and name.startswith("up-down>up-down")]
+    assert recommended
+    assert all(angles[name] == pytest.approx(max(angles.values()), abs=1e-6) for name in recommended)
+
+
+def test_the_example_is_a_walk_that_returns_and_its_button_goes(page: Page) -> None:
+    page.press("example")
+    state = page.until(lambda state: len(state["walk"]) == 2)
+    assert state["stops"][0] == state["stops"][-1] != state["stops"][1]
+    assert not page.all('[data-role="example"]')
+    assert [name for name in ("plan", "run", "save") if "main" in page.role(name).get_attribute("class")] == ["plan"]
+
+
+def test_the_text_is_folded_until_it_is_wanted(page: Page) -> None:
+    lines = "return document.getElementById('editor').clientHeight / 16"
+    assert page.driver.execute_script(lines) < 2
+    page.role("toml").click()
+    assert page.driver.execute_script(lines) > 8
 
 
 def test_text_and_page_are_synchronised_and_errors_mark_their_line(page: Page) -> None:

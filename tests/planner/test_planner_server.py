@@ -15,7 +15,7 @@ import pytest
 import dpcontrol as dp
 from dpcontrol.foundation.errors import InputError
 
-starlette, connected = pytest.importorskip("starlette"), pytest.importorskip("websockets.sync.client")
+connected = pytest.importorskip("websockets.sync.client")
 from websockets.exceptions import InvalidStatus  # noqa: E402
 
 pytestmark = pytest.mark.slow

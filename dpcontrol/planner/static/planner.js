@@ -4,7 +4,7 @@ const role = (name) => document.querySelector(`[data-role="${name}"]`);
 const id = (name) => document.getElementById(name);
 const all = (selector) => [...document.querySelectorAll(selector)];
 const FINE = 1e4; // places come in tenths of a millimetre
-const got = { models: [], marks: {} };
+const got = { models: [] };
 let state = { walk: [], wraps: [], names: [], busy: { what: "connecting", done: 0 } };
 let hovered = null, chosen = null; // names of connections: pointed at now, and last
 let kind = null, view = null; // the section that is shown, and what part of it
@@ -19,6 +19,13 @@ const sameKind = (one, other) => one?.source === other?.source && one?.target ==
 const connections = () => got.atlas?.connections ?? [];
 const named = (name) => connections().find((one) => one.name === name);
 const shownOnes = () => connections().filter((one) => sameKind(one, kind));
+// Recommended of each kind, and of each sense if it returns: symmetric and most transversal.
+const bestOf = ({ source, target }) => (source === target
+  ? [`${source} +`, `${source} -`] : [`${source} > ${target}`]).filter((text) => symbols()[text]);
+const symbols = () => got.atlas?.symbols ?? {};
+const isBest = (one) => bestOf(one).some((text) => symbols()[text] === one.name);
+const better = (one, other) => isBest(other) - isBest(one) || other.angle - one.angle;
+const figures = (one) => `${one.angle.toFixed(1)}°  ${one.time.toFixed(2)} s`;
 const digits = (value, count = 3) => `${+value.toPrecision(count)}`;
 let socket = null, sent = 0; // commands sent
 const waiting = [], changing = new Set(); // commands, and inputs that are still being changed
@@ -118,15 +125,40 @@ function tab(text, selected, onclick) {
   return made;
 }
 
+const WORK = { connecting: "Connecting", atlas: "Finding connections", plan: "Planning",
+  run: "Running", seeds: "Running 20 seeds", page: "Drawing the page", film: "Filming",
+  rerun: "Opening the viewer" };
+const KINDS = { centre: "at rest", "index-2 saddle": "no orbit" };
+// Return the likely rest of a job's duration: as expected, and later by its progress so far.
+let job = null, begun = 0;
+function left(busy) {
+  if (job !== (busy?.kind ?? null)) [job, begun] = [busy?.kind ?? null, performance.now()];
+  if (!busy?.kind) return "";
+  const passed = (performance.now() - begun) / 1000, { done, seconds } = busy;
+  if (!seconds && (done < 0.1 || passed < 2)) return "";
+  const weight = seconds ? Math.min(2 * done, 1) : 1;
+  const total = (1 - weight) * seconds + (done > 0 ? weight * (passed / done) : 0);
+  const rest = total - passed;
+  if (rest < 5) return "a few seconds left";
+  return rest < 90 ? `about ${5 * Math.ceil(rest / 5)} s left`
+    : `about ${Math.ceil(rest / 60)} min left`;
+}
+
 function render() {
   const { busy, message, atlas } = { ...state, ...got };
   id("busy").hidden = !busy;
   id("busy").querySelector("progress").value = busy?.done ?? 0;
-  id("what").textContent = busy?.what ?? "";
-  const about = atlas ? `${atlas.energy} J: ${atlas.status}` : "";
+  id("what").textContent = busy ? WORK[busy.kind] ?? busy.what : "";
+  id("what").title = busy?.what ?? "";
+  id("left").textContent = left(busy);
+  const about = atlas ? `${atlas.orbits.length} orbits and ${connections().length
+  } connections at ${atlas.energy} J` : "";
   if (message) say(message.text || about, message.kind);
+  if (message && !message.text) role("status").title = atlas?.status ?? "";
   const free = state.whole && !state.working;
   const seen = state.run && free, { whole: save, undo, redo, fixed } = state;
+  const next = !state.plan?.converged ? "plan" : state.run ? "save" : "run";
+  for (const name of ["plan", "run", "save"]) role(name).classList.toggle("main", name === next);
   const able = { plan: free, run: free, seeds: free, page: seen, rerun: seen, film: seen,
     save, undo, redo, start: !fixed, finish: !fixed };
   for (const [name, is] of Object.entries(able)) role(name).disabled = !is;
@@ -151,7 +183,7 @@ function render() {
 }
 function renderModels() {
   fill(role("model"), [got.models, state.model], () => got.models.map((one) => make("option", {
-    value: one.name, textContent: one.problem || one.name,
+    value: one.name, textContent: one.name, title: one.problem,
     disabled: Boolean(one.problem), selected: one.name === state.model })));
 }
 function renderEnergy() {
@@ -163,13 +195,9 @@ function renderEnergy() {
     made.style.left = `${Math.max((100 * (energy - low)) / (high - low), 0)}%`;
     return made;
   };
-  const events = got.marks.model === name ? got.marks.found : [];
-  fill(id("marks"), [name, events], () => [
-    ...points.filter((one) => one.kind.startsWith("index-1")).map((one) =>
-      mark(one.energy, "saddle", title(one.name), `${digits(one.energy, 6)} J: orbits begin`)),
-    ...events.map((one) =>
-      mark(one.energy, "bifurcation", "", `${digits(one.energy, 6)} J: ${one.text}`)),
-  ]);
+  fill(id("marks"), [name], () => points.filter((one) => one.kind.startsWith("index-1")).map(
+    (one) => mark(one.energy, "saddle", title(one.name),
+      `${digits(one.energy, 6)} J: orbits begin`)));
 }
 function renderTiles() {
   if (!got.model) return;
@@ -181,8 +209,9 @@ function renderTiles() {
     return make("button", { className: "tile", data: { saddle: point.name },
       title: why[point.name] ?? `${point.kind} at ${digits(point.energy, 6)} J`,
       onclick: () => showKind(got.atlas?.kinds.find((one) => one.source === point.name)) },
-    canvas, title(point.name), make("br"),
-    make("small", { textContent: orbit ? `orbit, ${orbit.period.toFixed(3)} s` : point.kind }));
+    canvas, make("span", { textContent: title(point.name) }), make("small", {
+      textContent: orbit ? `orbit ${orbit.period.toFixed(2)} s`
+        : KINDS[point.kind] ?? "no orbit" }));
   };
   fill(id("tiles"), [got.model.points, orbits.map((one) => [one.name, one.period])], () =>
     got.model.points.flatMap((point) => {
@@ -206,27 +235,55 @@ function refusal(one) {
 }
 const append = (name) => name && send("append", { symbol: name });
 function renderList() {
-  id("count").textContent = connections().length || "";
+  const at = state.stops?.at(-1), all = got.atlas?.kinds ?? [];
+  const legal = (group) => !state.fixed && (!at || group.source === at);
+  const order = (group) => 2 * !legal(group) + (group.source === group.target);
+  const count = all.filter(legal).flatMap((group) =>
+    connections().filter((one) => sameKind(one, group))).length;
+  id("count").textContent = at ? `${count} next` : `${count || ""}`;
   const names = connections().map((one) => one.name);
-  fill(id("list"), [names, state.stops?.at(-1), state.fixed, state.names], () =>
-    (got.atlas?.kinds ?? []).flatMap((group) => [make("h3", { textContent: between(group) }),
-      ...connections().filter((one) => sameKind(one, group)).map((one) => {
-        const why = refusal(one);
+  fill(id("list"), [names, at, state.fixed, state.names], () =>
+    [...all].sort((a, b) => order(a) - order(b)).flatMap((group) => [
+      make("h3", { textContent: between(group), className: legal(group) ? "" : "other" }),
+      ...connections().filter((one) => sameKind(one, group)).sort(better).map((one) => {
+        const why = refusal(one), used = state.names.includes(one.name);
         const made = make("button", { data: { role: "connection", name: one.name },
-          title: why || one.name, className: state.names.includes(one.name) ? "used" : "",
+          title: why || `${isBest(one) ? "Recommended: symmetric and most transversal. " : ""
+          }${one.name}`, className: `${used ? "used " : ""}${isBest(one) ? "best" : ""}`,
           onclick: () => append(one.name), onmouseenter: () => hover(one.name),
           onmouseleave: () => hover(null), onfocus: () => hover(one.name),
-        }, one.turns, make("small", { textContent: one.figures }));
+        }, make("span", { textContent: one.turns }), make("small", { textContent: figures(one) }));
         made.ariaDisabled = Boolean(why);
         return made;
       })]));
+  // What can follow is at the top.
+  if (id("list").at !== at) id("list").scrollTop = 0;
+  id("list").at = at;
 }
+// A walk there and back by recommended connections, or twice around if there is no way there.
+function example() {
+  const { kinds } = got.atlas, there = kinds.find((one) => one.source !== one.target) ?? kinds[0];
+  const back = { source: there.target, target: there.source };
+  const chosen = [bestOf(there)[0], bestOf(back).at(-1)];
+  for (const symbol of chosen) send("append", { symbol });
+}
+const welcome = () => make("li", { className: "hint" },
+  make("p", { textContent: "Only the cart is driven; the arms swing freely. At this energy they "
+    + "can circle an unstable position and pass on to another. To plan such a motion:" }),
+  make("ol", {}, make("li", { textContent: "Choose an energy." }),
+    make("li", {}, "Click connections, one after the other. ", make("span", { className: "star",
+      textContent: "★" }), " is a good choice; point at one to see it move."),
+    make("li", { textContent: "Plan: how must the cart move?" }),
+    make("li", { textContent: "Run it on simulated arms that are not as assumed." }),
+    make("li", { textContent: "Save the itinerary and its run." })),
+  make("button", { className: "main", data: { role: "example" }, textContent: "Show an example",
+    disabled: !got.atlas?.kinds.length || Boolean(state.fixed), onclick: example }));
 function renderWalk() {
   const { walk, wraps, stops, names, unknown, plan, fixed } = state;
-  const key = [walk, wraps, stops, names, unknown, plan?.fault, fixed, got.atlas?.energy];
+  const key = [walk, wraps, stops, names, unknown, plan?.fault, fixed, got.atlas?.energy,
+    got.atlas?.model];
   fill(id("walk"), key, () => {
-    if (!walk.length) return [make("li", { className: "hint",
-      textContent: "Click a connection: a point, an arrow, or in the list." })];
+    if (!walk.length) return [welcome()];
     const rows = walk.map((text, k) => make("li", { title: text, data: { name: names[k] },
       className: k === plan?.fault || unknown.includes(k) ? "symbol fault" : "symbol",
       onmouseenter: () => hover(names[k]), onmouseleave: () => hover(null),
@@ -241,7 +298,8 @@ function renderWalk() {
       title: "Remove the last symbol", disabled: Boolean(fixed), data: { role: "shorten" },
       onclick: () => send("shorten") }));
     return rows.flatMap((row, k) => (k === rows.length - 1 ? [row] : [row,
-      make("li", { className: "stop" }, `wraps at ${title(stops[k + 1])}`,
+      make("li", { className: "stop", title: "Times around the orbit before going on" },
+        `wraps at ${title(stops[k + 1])}`,
         button("minus", "−", -1, k), make("b", { textContent: wraps[k] ?? "?" }),
         button("plus", "+", 1, k))]));
   });
@@ -255,11 +313,12 @@ function renderLines() {
 }
 function renderPlan() {
   const { plan } = state;
-  fill(id("plan"), [plan], () => {
-    if (!plan) return [make("p", { textContent: "No plan yet.", className: "quiet" })];
+  fill(id("plan"), [plan, state.walk.length], () => {
+    if (!plan) return [make("p", { className: "quiet", textContent: state.walk.length
+      ? "Plan computes how the cart must move." : "" })];
     if (!plan.converged) return [make("p", { className: "bad", textContent: plan.status }),
       ...(plan.wraps ? [make("button", { textContent: `Use wraps [${plan.wraps}]`,
-        onclick: () => send("accept") })] : [])];
+        onclick: () => set({ wraps: plan.wraps }) })] : [])];
     return [make("div", { className: "uses" }, ...plan.uses.flatMap((use) => [
       make("span", { textContent: use.name }),
       make("meter", { max: use.bound, high: 0.95 * use.bound, value: use.largest,
@@ -352,7 +411,8 @@ function write(pen, text, x, y, align = "center", baseline = "middle", colour = 
   pen.fillText(text, x, y);
 }
 const nothing = ({ pen, width, height }) =>
-  write(pen, state.busy ? `${state.busy.what} …` : "no atlas", width / 2, height / 2);
+  write(pen, state.busy ? `${WORK[state.busy.kind] ?? state.busy.what} …`
+    : "no connections at this energy", width / 2, height / 2);
 const LEFT = 46, RIGHT = 8, TOP = 6, BOTTOM = 30; // around the section
 function scales() {
   const { clientWidth, clientHeight } = id("section");
@@ -409,51 +469,71 @@ function ticks(low, high, step = 0) {
   return Array.from({ length: count }, (_, k) => (first + k) * each);
 }
 
-// The graph: orbits as nodes; arrows between them bow out, those that return are petals.
+// The graph: orbits as nodes. Connections with the same ends and turns share an arrow, which
+// stands for the best of them. Arrows between orbits bow out, those that return are petals.
 const NODE = 17;
+function bundles(group) {
+  const own = connections().filter((one) => sameKind(one, group)).sort(better);
+  return [...new Set(own.map((one) => one.turns))].map((turns) =>
+    own.filter((one) => one.turns === turns));
+}
 function layGraph() {
   const { clientWidth: width, clientHeight: height } = id("graph");
   const names = [...new Set((got.atlas?.orbits ?? []).map((one) => one.saddle))];
   const alone = names.length < 2;
   nodes = Object.fromEntries(names.map((name, k) =>
     [name, [width * (alone ? 0.5 : 0.3 + (0.4 * k) / (names.length - 1)), height / 2]]));
-  const size = Math.min(0.28 * width - 4, 0.46 * height) / 0.8;
+  const size = Math.min(0.25 * width - 16, 0.4 * height) / 0.72;
   arrows = (got.atlas?.kinds ?? []).flatMap((group) => {
-    const own = connections().filter((one) => sameKind(one, group));
     const [from, to] = [nodes[group.source], nodes[group.target]];
-    return own.map((one, k) => {
-      const spread = alone ? (2 * Math.PI) / own.length : Math.min(3.6 / own.length, 0.5);
+    return bundles(group).map((own, k, { length }) => {
+      const spread = alone ? (2 * Math.PI) / length : Math.min(3.9 / length, 1.1);
       const away = alone || from[0] > width / 2 ? 0 : Math.PI;
-      const angle = away + (k - (own.length - 1) / 2) * spread;
+      const angle = away + (k - (length - 1) / 2) * spread;
       const petal = (turn) => [0, 1].map((i) =>
-        from[i] + size * [Math.cos, Math.sin][i](angle + turn * Math.min(0.42 * spread, 0.3)));
-      const bow = 0.16 + 0.17 * k, [dx, dy] = [to[0] - from[0], to[1] - from[1]];
+        from[i] + size * [Math.cos, Math.sin][i](angle + turn * Math.min(0.42 * spread, 0.45)));
+      const [dx, dy] = [to[0] - from[0], to[1] - from[1]];
+      // The farthest arrow stays within the picture.
+      const most = (height / 2 - 16) / (0.75 * Math.hypot(dx, dy));
+      const bow = 0.16 + k * Math.min(0.4, (most - 0.16) / Math.max(length - 1, 1));
       const arch = ([x, y], along) => [x + dx * along + dy * bow, y + dy * along - dx * bow];
       const ends = from === to ? [petal(-1), petal(1)] : [arch(from, 0.3), arch(from, 0.7)];
       const path = new Path2D();
       path.moveTo(...from);
       path.bezierCurveTo(...ends[0], ...ends[1], ...to);
-      return { one, path, to, angle: Math.atan2(to[1] - ends[1][1], to[0] - ends[1][0]) };
+      // The number of those that return stands beyond their tip.
+      const middle = [0, 1].map((i) => (from[i] + to[i] + 3 * (ends[0][i] + ends[1][i])) / 8)
+        .map((place, i) => (from === to ? from[i] + 1.32 * (place - from[i]) : place));
+      return { one: own[0], own, path, to, middle,
+        angle: Math.atan2(to[1] - ends[1][1], to[0] - ends[1][0]) };
     });
   });
 }
 function drawGraph() {
   const area = ready(id("graph")), { pen } = area;
   if (!got.atlas) return nothing(area);
-  const rank = ({ one }) => (one.name === hovered ? 2 : Number(state.names.includes(one.name)));
+  const rank = ({ own }) => (own.some((one) => one.name === hovered) ? 2
+    : Number(own.some((one) => state.names.includes(one.name))));
   for (const item of [...arrows].sort((a, b) => rank(a) - rank(b))) {
-    const { one, path, to, angle } = item;
+    const { one, own, path, to, angle, middle } = item;
     const colour = colours[["quiet", "accent", "outer"][rank(item)]];
-    pen.globalAlpha = refusal(one) && rank(item) < 2 ? 0.28 : 1;
-    Object.assign(pen, { strokeStyle: colour, lineWidth: rank(item) ? 2.5 : 1.2 });
+    pen.globalAlpha = refusal(one) && rank(item) < 2 ? 0.35 : 1;
+    Object.assign(pen, { strokeStyle: colour,
+      lineWidth: (rank(item) ? 1.2 : 0) + 1 + 0.5 * Math.log2(own.length) });
+    pen.setLineDash([]);
     pen.stroke(path);
     const tip = [0, 1].map((i) => to[i] - (NODE + 3) * [Math.cos, Math.sin][i](angle));
     pen.beginPath();
     for (const turn of [0, 2.6, -2.6]) {
-      pen.lineTo(tip[0] + 5 * Math.cos(angle + turn), tip[1] + 5 * Math.sin(angle + turn));
+      pen.lineTo(tip[0] + 6 * Math.cos(angle + turn), tip[1] + 6 * Math.sin(angle + turn));
     }
     pen.fillStyle = colour;
     pen.fill();
+    if (own.length > 1) {
+      if (one.source !== one.target) disc(pen, ...middle, 8, colours.panel);
+      const ink = colours[rank(item) ? "ink" : "quiet"];
+      write(pen, `×${own.length}`, ...middle, "center", "middle", ink);
+    }
   }
   pen.globalAlpha = 1;
   pen.font = "600 10.5px system-ui, DejaVu Sans, sans-serif";
@@ -506,7 +586,7 @@ function drawStage() {
   drawArms(pen, joints, at, 5);
   const ghost = value?.ghost ? "; grey: the reference" : "";
   const caption = value ? `${value.duration.toFixed(1)} s${ghost}`
-    : `${between(one)}, ${one.turns}, ${one.figures}`;
+    : `${between(one)}, ${one.turns}, ${figures(one)}`;
   if (id("caption").textContent !== caption) id("caption").textContent = caption;
   if (value) drawStrip(value);
 }
@@ -608,11 +688,13 @@ function pointAt([x, y]) {
 }
 function arrowAt([x, y]) {
   const pen = id("graph").getContext("2d"), scale = sharp(id("graph"));
-  const within = (width) => arrows.find(({ path }) => {
+  const within = (width, among = arrows) => among.find(({ path }) => {
     pen.lineWidth = width;
     return pen.isPointInStroke(path, x * scale, y * scale);
   });
-  return (within(3) ?? within(10))?.one.name ?? null;
+  // An arrow that is pointed at stays so in a wider band, so that a click at its edge counts.
+  const pointed = arrows.filter(({ own }) => own.some((one) => one.name === hovered));
+  return (within(3) ?? within(16, pointed) ?? within(10))?.one.name ?? null;
 }
 function zoom(factor, place = null) {
   const at = scales(), [x, y] = place ?? [at.x(view.x), at.y(view.y)];
@@ -688,7 +770,15 @@ onkeydown = (event) => {
 onpointerdown = ({ target }) => { pressed = Boolean(target.closest("button")); };
 // The click follows in the same task.
 onpointerup = onpointercancel = () => { pressed = false; setTimeout(render); };
-new ResizeObserver(() => { layGraph(); drawGraph(); drawSection(); }).observe(id("see"));
+const sizes = new ResizeObserver(() => { layGraph(); drawGraph(); drawSection(); });
+for (const name of ["section", "graph"]) sizes.observe(id(name));
+const fold = (is) => {
+  id("fold").classList.toggle("folded", is);
+  id("unfold").ariaExpanded = String(!is);
+};
+fold(true);
+id("unfold").onclick = () => fold(!id("fold").classList.contains("folded"));
+role("toml").onfocus = () => fold(false);
 matchMedia("(prefers-color-scheme: dark)").onchange = recolour;
 recolour();
 requestAnimationFrame(frame);
