@@ -326,7 +326,7 @@ def _hold(made: LawInputs) -> Controller:
 def _tvlqr(made: LawInputs) -> Controller:
     reference, parameters, model, settings = made.reference, made.parameters, made.model, made.settings
     if made.keep == "tvlqr" and Augment.PARAMETERS in made.estimator.augments:
-        # Kept by phase with TVLQR, 13 of 20 runs complete where this law completes all.
+        # At ±5 %, 14 of 20 runs of a walk complete with feedback by phase, and 20 with this law.
         return adaptive_controller(reference, model, AdaptiveSettings(), estimator=made.estimator)
     if made.keep != "none":
         return keeping_controller(reference, parameters, model, flies=settings, keep=made.keep)
