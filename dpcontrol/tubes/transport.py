@@ -53,7 +53,8 @@ class Transport(Concluded, InUnits, Documented):
     """Rates of passage through the neck of a Lyapunov orbit.
 
     Attributes:
-        energy: J.
+        saddle: saddle of the neck.
+        energy: energy of the orbit, J.
         action: ∮ p dq of the orbit, the flux through the neck in each direction, J s.
         volume: volume of the energy surface that extends from both sides of the neck, J s²; infinite if it is
             unbounded, NaN if it is unknown.

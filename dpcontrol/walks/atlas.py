@@ -196,31 +196,28 @@ class AtlasKind(Brief, Documented):
 class Atlas(Shown, InUnits, Documented):
     """The atlas of one model at one energy.
 
-        Attributes:
-            model: name of the model.
-            title: title of the model.
-            energy: energy of all orbits, J.
-            periods (N,): 2π for angles, infinity otherwise.
-            reverser (N, N): maps unstable to stable tubes.
-            points: equilibria, each with its state and its energy.
-            orbits: Lyapunov orbits about the saddles.
-            rotating_orbits: orbits on which an arm turns over.
-            absent: (saddle, reason) for missing orbits.
-    <<<<<<< HEAD
-            cuts: cuts of the tubes with the sections.
-            kinds: searched pairs of orbits, each with its section, hits and count.
-            connections: all connections, by kind.
-    =======
-            transport: rates of passage through the necks, of two coordinates.
-    >>>>>>> transport
-            seconds: computing time by stage, s.
-            status: numbers of orbits and connections in words.
-            labels: axis labels of the N entries of a state.
-            si: True if units are those of SI.
-            file: file that holds it, if there is one.
-            cached: True if it was read from the cache.
+    Attributes:
+        model: name of the model.
+        title: title of the model.
+        energy: energy of all orbits, J.
+        periods (N,): 2π for angles, infinity otherwise.
+        reverser (N, N): maps unstable to stable tubes.
+        points: equilibria, each with its state and its energy.
+        orbits: Lyapunov orbits about the saddles.
+        rotating_orbits: orbits on which an arm turns over.
+        absent: (saddle, reason) for missing orbits.
+        cuts: cuts of the tubes with the sections.
+        kinds: searched pairs of orbits, each with its section, hits and count.
+        connections: all connections, by kind.
+        transport: rates of passage through the necks, of two coordinates.
+        seconds: computing time by stage, s.
+        status: numbers of orbits and connections in words.
+        labels: axis labels of the N entries of a state.
+        si: True if units are those of SI.
+        file: file that holds it, if there is one.
+        cached: True if it was read from the cache.
 
-        The rotating orbits are those of both arms, forward.
+    The rotating orbits are those of both arms, forward.
     """
 
     __pydantic_config__: ClassVar[Any] = {"arbitrary_types_allowed": True}
