@@ -188,11 +188,12 @@ class Preflight(Shown, Documented):
         changes: the largest gain first.
         seconds: computing time.
         picture: page that was written, if any.
+        warnings: figures of plan and bench that explain the failures, as in `Plan.warnings`.
     """
 
     KEYS: ClassVar[str] = (
         "itinerary title model status advice **share:runs,completed=successes,success_rate=rate,wilson=interval "
-        "confidence known notes endings=ending_shares borders changes seconds"
+        "confidence known notes warnings endings=ending_shares borders changes seconds"
     )
 
     itinerary: str
@@ -207,6 +208,7 @@ class Preflight(Shown, Documented):
     changes: tuple[Improvement, ...]
     seconds: float
     picture: Path | None = None
+    warnings: tuple[Any, ...] = ()
 
     def __repr__(self) -> str:
         return f"<preflight of {self.itinerary!r}: {self.status}>"

@@ -280,6 +280,8 @@ def draw_preflight(found: Preflight) -> Figure:
         page.text("No change was tried, because no run failed or none was compared.")
     for note in found.notes:
         page.text(f"Mind: {note}")
+    for caution in found.warnings:
+        page.text(f"Caution: {caution.status}: {caution.remedy}")
     return page.figure()
 
 

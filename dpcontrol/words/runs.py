@@ -421,6 +421,7 @@ def preflight_lines(found: Any) -> Iterator[Line]:
     yield f"{found.itinerary}: {found.status}"
     yield f"  {found.advice}"
     yield from (f"  mind: {note}" for note in found.notes)
+    yield from (f"  caution: {caution.status}: {caution.remedy}" for caution in found.warnings)
     yield table("", found.known, {"known of the bench": "{.name}", "": "{.value}", "from": "{.source}"})
     if found.endings:
         columns = {

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from dpcontrol.dynamics.chain import Uncertainty, ratio_names
+from dpcontrol.foundation.causes import CautionCause
 from dpcontrol.foundation.errors import Remark
 from dpcontrol.foundation.statistics import wilson
 from dpcontrol.judge.preflight import HazardBorder, Improvement, Preflight
@@ -111,6 +112,13 @@ def test_borders_for_which_there_is_no_time_are_named(turn: Plan, monkeypatch: p
     (note,) = (note for note in found.notes if "two minutes do not suffice" in note)
     assert "lag" in note
     assert all(border.name not in note for border in found.borders)
+
+
+def test_a_preflight_names_the_figures_that_explain_its_failures(turn: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
+    made_up(monkeypatch, lambda loop, random: loop.drive.lag < 0.01)
+    found = preflight(turn, {"lag": 0.04}, settings=PreflightSettings(runs=16, workers=1))
+    assert {caution.cause for caution in found.warnings} == {CautionCause.LAG}
+    assert found.document()["warnings"][0]["remedy"]
 
 
 def test_a_preflight_announces_what_its_first_runs_cost(turn: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
