@@ -20,6 +20,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from decimal import Decimal
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, overload
@@ -29,7 +30,15 @@ from dpcontrol.foundation.cache import CacheContents, cache_contents
 from dpcontrol.foundation.checked import Between, Count, Hit, Index, Positive, Seed, Workers, checked
 from dpcontrol.foundation.config import Configuration, config_file, configured, log_folder
 from dpcontrol.foundation.errors import GoalMissed, InputError, remark
-from dpcontrol.foundation.files import Film, Output, Picture, chosen_name, free_name, is_bag_folder, write_whole
+from dpcontrol.foundation.files import (
+    Film,
+    Output,
+    Picture,
+    chosen_name,
+    free_name,
+    is_bag_folder,
+    write_whole,
+)
 from dpcontrol.foundation.guide import GuidePage
 from dpcontrol.foundation.guide import page as guide_page
 from dpcontrol.foundation.parts import StageModule, installed, part
@@ -59,6 +68,7 @@ STAGES = {
     "importing": "recordings.importing",
     "intersections": "tubes.intersections",
     "itineraries": "plans.itinerary",
+    "learning": "runs.learning",
     "log_reader": "logs.reader",
     "log_recovery": "logs.recovery",
     "log_views": "judge.of_log",
@@ -167,7 +177,7 @@ if TYPE_CHECKING:
     from dpcontrol.runs import campaign as campaigns
     from dpcontrol.runs import closed_loop as loops
     from dpcontrol.runs import example_bench as example_benches
-    from dpcontrol.runs import flights
+    from dpcontrol.runs import flights, learning
     from dpcontrol.runs import night as night_runs
     from dpcontrol.runs import polish as polishing
     from dpcontrol.runs import run as single_runs
@@ -1167,6 +1177,7 @@ def launch(
     hours: Positive | None = None,
     file_minutes: Positive = 10.0,
     keep_every: Count = 1,
+    learn: bool = False,
     resume: bool = False,
     live: bool = False,
     log: LogFile = None,
@@ -1197,6 +1208,7 @@ def launch(
         hours: duration of a long run through falls, h, with the folder logs/NAME-SEED (default: a single run).
         file_minutes: duration of each log of the folder, min (default: 10).
         keep_every: interval of the older logs to keep, each N-th (default: 1).
+        learn: in a long run, a new plan after the first repetition, for the arms learnt from it (see `learn`).
         resume: continuation of the interrupted long run in this folder.
         live: view of the run while it happens.
         log: log to write, logs/NAME-SEED.mcap on the command line; a folder without .mcap for a long run (default: the
@@ -1224,8 +1236,8 @@ def launch(
             return repeat(source, str(file), force=force, progress=progress)
     if itinerary is None:
         raise InputError("itinerary is missing: give one, or with source a log to repeat")
-    if hours is None and (resume or keep_every != 1 or file_minutes != 10.0):
-        raise InputError("resume, keep_every and file_minutes apply to long runs: give hours")
+    if hours is None and (resume or learn or keep_every != 1 or file_minutes != 10.0):
+        raise InputError("learn, resume, keep_every and file_minutes apply to long runs: give hours")
     if program is not None and (hours is not None or live):
         raise InputError("program: controls single runs without a live view; omit hours and live")
     if live:
@@ -1235,7 +1247,9 @@ def launch(
     loaded = _loaded(itinerary).with_run(chosen, seed=seed)
     night = None if hours is None else night_runs.NightSettings(hours, file_minutes, keep_every)
     loaded = loaded if night is None else night_runs.night_itinerary(loaded, given=chosen)
-    check = night_runs.name_check(loaded, bench, night, resume=resume, free=log is True, force=force, yes=yes)
+    check = night_runs.name_check(
+        loaded, bench, night, resume=resume, free=log is True and not learn, force=force, yes=yes
+    )
     # Names are checked before the plan, which can take minutes.
     with chosen_name(log, single_runs.default_log(loaded), check) as file:
         loop, rest = (
@@ -1245,7 +1259,52 @@ def launch(
         if night is None:
             return loop.run(seed=seed, rig=bench, program=program, log=file, progress=rest, **shared)
         folder = file or single_runs.default_log(loaded)
-        return loop.night(night, folder, seed=seed, rig=bench, resume=resume, yes=yes, progress=rest, **shared)
+        shared |= {"resume": resume, "learn": learn, "yes": yes}
+        return loop.night(night, folder, seed=seed, rig=bench, progress=rest, **shared)
+
+
+@checked
+def learn(
+    logs: Place | Sequence[Place],
+    *,
+    out: NewModel = None,
+    force: bool = False,
+    progress: Reporting = None,
+) -> learning.Learnt:
+    """Learn the arms from runs, and plan their itinerary again for the learnt arms.
+
+    The filter of the adaptive law estimates the model's errors with their covariance. At the end of a run they give the
+    arms' ratios, those of several runs weighted by information. The new plan is of the last run's itinerary, and its
+    filter starts at the learnt covariance. Run it as `dpcontrol run models/NAME-learnt.npz`.
+
+    Args:
+        logs: logs of runs with the adaptive law on one rig, in order.
+        out: model to write, with its plan beside it as .npz, models/NAME-learnt.toml on the command line (default: no
+            files).
+        force: replace an existing model and plan.
+        progress: reports, see `dpcontrol.api`.
+
+    Returns:
+        Ratios with standard errors, model, plan, and effort of the feedback before and as expected.
+
+    Raises:
+        InputError: a log without estimates of the model's errors, logs of different arms, or a file that cannot be
+            written.
+        GoalMissed: there are no such arms near the model's, or no plan for them.
+
+    Examples:
+        >>> learnt = dp.learn(log)
+        >>> learnt.effort_expected < 0.1
+        True
+    """
+    files = [Path(log) for log in ([logs] if isinstance(logs, str | Path) else logs)]
+    if not files:
+        raise InputError("logs = []: give at least one log")
+    last, names = (runs := [*map(open_log, files)])[-1].log.metadata, [file.name for file in files]
+    check = partial(models.check_model_replaced, logs=names, starting_model=last.get("model", ""), force=force)
+    with chosen_name(out, Path("models") / f"{last.get('itinerary', 'run')}-learnt.toml", check) as file:
+        found = single_runs.learn_from(runs, progress=progress)
+        return found if file is None else found.written_to(file)
 
 
 @checked

@@ -62,7 +62,7 @@ GROUPS = {
     ),
     "api-runs": (
         "Runs and campaigns",
-        ["run", "Run", "launch", "repeat", "demo", "campaign", "open_campaign", "open_night"],
+        ["run", "Run", "learn", "launch", "repeat", "demo", "campaign", "open_campaign", "open_night"],
     ),
     "api-logs": ("Logs", ["open_log", "log_summary", "recover_log", "compare_logs", "score", "review", "report"]),
     "api-recordings": (

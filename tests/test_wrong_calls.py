@@ -202,6 +202,7 @@ MISTAKES: list[tuple[str, dict[str, Any]]] = [
     ("draw_figures", {"names": ["no such"]}),
     ("read_guide", {"topic": "../README"}),
     ("compare_logs", {"logs": []}),
+    *(("learn", {"logs": one}) for one in ([], "$garbage", "no such")),
     ("open_recording", {"mapping": "no such"}),
     ("tube.cut", {"section": "no such"}),
     ("atlas.turned", {"states": np.zeros(3)}),

@@ -123,6 +123,12 @@ GROUPS = {
             "dpcontrol run outer-turn --seed 3 --mismatch 0.05",
             names={"source": "--from", "program": "--controller-program", "log": "--out"},
         ),
+        "learn": Verb(
+            "Learn the arms from runs, and plan their itinerary again.",
+            "learn",
+            "dpcontrol learn logs/outer-turn-3.mcap --json",
+            "then: dpcontrol run models/outer-turn-learnt.npz",
+        ),
         "export": Verb(
             "Write the controller of an itinerary as C for your own target.",
             "export",

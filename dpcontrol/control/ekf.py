@@ -549,7 +549,7 @@ class KalmanFilter(Estimator):
             state: initial state (N,), to which the settings give the standard deviations.
         """
         z = np.append(state, np.zeros(len(self.extra_names)))
-        return self._begun(z, self.settings.first_sigmas(self.model.arms))
+        return self._begun(z, self.settings.first_covariance(self.model.arms))
 
     def restarted(self, estimate: Estimate, measured: Array) -> Estimate:
         """Return an estimate reset to measured positions, for recovery.
@@ -565,13 +565,13 @@ class KalmanFilter(Estimator):
         x[arms : 2 * arms] = np.clip(x[arms : 2 * arms], -3 * RESTART_RATE, 3 * RESTART_RATE)
         x[-1] = np.clip(x[-1], -3 * RESTART_VELOCITY, 3 * RESTART_VELOCITY)
         x[places] = np.where(np.isfinite(measured), measured, x[places])
-        sigmas = self.settings.first_sigmas(arms)
-        sigmas[arms : 2 * arms], sigmas[2 * arms + 1] = RESTART_RATE, RESTART_VELOCITY
-        return self._begun(np.append(x, np.zeros(len(self.extra_names))), sigmas)
+        covariance, rates = self.settings.first_covariance(arms), [*range(arms, 2 * arms), 2 * arms + 1]
+        covariance[rates, rates] = [*[RESTART_RATE**2] * arms, RESTART_VELOCITY**2]
+        return self._begun(np.append(x, np.zeros(len(self.extra_names))), covariance)
 
     @abstractmethod
-    def _begun(self, z: Array, sigmas: Array) -> Estimate:
-        """Return the estimate z (N+E,) with independent errors of the standard deviations (N+E,)."""
+    def _begun(self, z: Array, covariance: Array) -> Estimate:
+        """Return the estimate z (N+E,) with this covariance (N+E, N+E) of its errors."""
 
 
 class CompiledEkf(KalmanFilter):
@@ -591,10 +591,10 @@ class CompiledEkf(KalmanFilter):
         for inputs, places in ((self.inputs, slices), (self._ahead_inputs, self.ahead_of.slices)):
             inputs[places["parameters"]], inputs[places["process"]] = model.parameters, self.process
 
-    def _begun(self, z: Array, sigmas: Array) -> Estimate:
+    def _begun(self, z: Array, covariance: Array) -> Estimate:
         n, still = self.model.dimension, np.zeros(self.model.arms + 1)
-        memory = np.append(z, packed(np.diag(np.square(sigmas))))
-        return Estimate(z[:n], z[n:], sigmas, still, float("nan"), 0, memory)
+        memory = np.append(z, packed(covariance))
+        return Estimate(z[:n], z[n:], np.sqrt(covariance.diagonal()), still, float("nan"), 0, memory)
 
     def update(self, estimate: Estimate, measured: Array, present: Present = None) -> Estimate:
         """Return the estimate after a measurement.

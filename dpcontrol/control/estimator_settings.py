@@ -30,6 +30,7 @@ Consistency of an estimator: NIS on every run, NEES if the truth is known.
 Source: Bar-Shalom, Li & Kirubarajan, Estimation with Applications to Tracking and Navigation, section 5.4.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cache
@@ -82,6 +83,15 @@ def extra_names(arms: int, augment: tuple[Augment, ...]) -> tuple[str, ...]:
     return tuple(name for kind in Augment if kind in augment for name in names[kind])
 
 
+def constants(names: Sequence[str]) -> list[int]:
+    """Return the places of the errors of friction and parameters, which are the same in each run of a rig.
+
+    Args:
+        names: names of extras, see `extra_names`.
+    """
+    return [k for k, name in enumerate(names) if name.startswith(("friction", "dry", "M", "S"))]
+
+
 _LATE_PERIOD = 1e-3
 """Period above which late_drive is reduced in proportion, s: in full, it loses most runs at 200 Hz."""
 _MOST = 1e6
@@ -111,6 +121,8 @@ class FilterSettings(Settings, table="estimator"):
         late_drive: share of each command change that adds to the drive's error, as for an unmodelled lag. It is reduced
             in proportion at periods above 1 ms.
         friction_error, dry_error, model_error: standard deviations, relative.
+        learnt: covariance of the constant errors at the start, row by row in the order of `constants`; empty for
+            independent errors of the standard deviations above.
     """
 
     kind: str = "ekf"
@@ -163,6 +175,10 @@ class FilterSettings(Settings, table="estimator"):
     model_error: Annotated[
         float, Setting(above=0, most=_MOST, help="Standard deviation of the parameters' relative errors.")
     ] = 0.1
+    learnt: Annotated[
+        tuple[float, ...],
+        Setting(help="Covariance of friction's and parameters' errors at the start, as `dpcontrol learn` writes it."),
+    ] = ()
 
     def _check_together(self) -> None:
         """Check that each quantity is augmented once."""
@@ -174,14 +190,25 @@ class FilterSettings(Settings, table="estimator"):
         """Return the quantities estimated in addition to the state, in order."""
         return tuple(kind for kind in Augment if kind in self.augment)
 
-    def first_sigmas(self, arms: int) -> Array:
-        """Return the initial standard deviations of state and extra, (N+E,).
+    def first_covariance(self, arms: int) -> Array:
+        """Return the initial covariance of state and extra, (N+E, N+E).
 
         Args:
             arms: number of arms.
+
+        Raises:
+            InputError: `learnt` is not a covariance of these arms' constant errors.
         """
         state = [self.first_angle] * arms + [self.first_rate] * arms + [self.first_cart] * 2
-        return np.array([*state, *(self._sigma(name) for name in extra_names(arms, self.augments))])
+        names = extra_names(arms, self.augments)
+        out = np.diag(np.square([*state, *map(self._sigma, names)]))
+        rows = len(state) + np.array(constants(names), dtype=np.intp)
+        if self.learnt:
+            if len(self.learnt) != len(rows) ** 2:
+                wanted = ", ".join(names[row - len(state)] for row in rows)
+                raise self.refusal("learnt", f"must have a row and a column for each of {wanted}; learn again")
+            out[np.ix_(rows, rows)] = np.reshape(self.learnt, (len(rows), -1))
+        return out
 
     def _sigma(self, name: str) -> float:
         kind = name.partition("_")[0]

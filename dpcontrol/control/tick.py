@@ -1313,12 +1313,12 @@ class TickProgram:
         equations, arms = self.equations, model.arms
         self.period = model.period
         self.lanes = runs + -runs % VECTOR
-        again = settings.first_sigmas(arms)
-        again[arms : 2 * arms], again[2 * arms + 1] = RESTART_RATE, RESTART_VELOCITY
+        again = settings.first_covariance(arms).diagonal().copy()
+        again[arms : 2 * arms], again[2 * arms + 1] = RESTART_RATE**2, RESTART_VELOCITY**2
         known = {
             **bounds, "share": delay - whole, "lag": model.lag, "lag_keeps": model.lag_keeps,
             "noise": packed(noise),
-            "parameters": model.parameters, "process": settings.process(arms, model.period), "fresh": again**2,
+            "parameters": model.parameters, "process": settings.process(arms, model.period), "fresh": again,
         }  # fmt: skip
         if equations.plays and mechanics is not None:
             known |= {"play": np.array(mechanics.play), "moves": _MOVES * np.sqrt(noise[0, 0])}
@@ -1370,7 +1370,7 @@ class TickProgram:
         t, n = self.equations.filter.carried, self.model.arms
         start = {
             "z": np.concatenate([first, np.zeros(self.equations.filter.dimension - len(first))]),
-            "covariance": packed(t @ np.diag(self.settings.first_sigmas(self.model.arms) ** 2) @ t.T),
+            "covariance": packed(t @ self.settings.first_covariance(self.model.arms) @ t.T),
             "velocity": speed[None], "heading": speed[None], "scale_level": 1.0,
             "scale": np.array([0.0, velocity, 1.0, 0.0]),
             "drive_watch": self.equations.drive.start(velocity, first[n : 2 * n]),

@@ -93,8 +93,8 @@ class Ukf(KalmanFilter):
         out, n = self._linear(inputs, np.empty(self._linear.size_out)), self.size
         return out[:n], out[n : n + n * n].reshape(n, n).T, out[n + n * n :].reshape(n, n).T
 
-    def _begun(self, z: Array, sigmas: Array) -> Estimate:
-        return self._estimate(z, np.diag(np.square(sigmas)), np.zeros(self.model.arms + 1), float("nan"), 0)
+    def _begun(self, z: Array, covariance: Array) -> Estimate:
+        return self._estimate(z, covariance, np.zeros(self.model.arms + 1), float("nan"), 0)
 
     def _estimate(self, z: Array, covariance: Array, innovation: Array, nis: float, used: int) -> Estimate:
         n, variances = self.model.dimension, covariance.diagonal()

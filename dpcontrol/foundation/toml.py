@@ -58,7 +58,7 @@ def parse_toml(text: str, file: str) -> dict[str, Any]:
         raise InputError(f"{file} is not usable TOML: nested too deeply, or a number of too many digits") from error
 
 
-def with_values(text: str, table: str, values: Mapping[str, Any]) -> str:
+def with_values(text: str, table: str, values: Mapping[str, Any], *, number: int = 0) -> str:
     """Return TOML text with keys of one table set.
 
     Comments, order, spacing and line ends are kept. New keys follow the table's last key, and a new table follows the
@@ -68,11 +68,13 @@ def with_values(text: str, table: str, values: Mapping[str, Any]) -> str:
         text: valid TOML.
         table: name of the table; "" for the top level.
         values: texts, numbers or lists of these, by key.
+        number: number of a table in a list, from 1; 0 if it is none.
     """
     document = tomlkit.parse(text)
     if table and table not in document:
         document[table] = tomlkit.table()
     edited: Any = document[table] if table else document
+    edited = edited[number - 1] if number else edited
     for key, value in values.items():
         edited[key] = _listed(value) if isinstance(value, list | tuple) else tomlkit.item(value)
     out = tomlkit.dumps(document)

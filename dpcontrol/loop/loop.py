@@ -220,7 +220,7 @@ class ControlLoop:
         self.sink.event(self.end)
         self.progress("run", 1.0)
         kept = Ticks.joined([*self._full, self._rows.between(0, done - self._first)])
-        result = LoopResult(self.end, kept, late, elapsed, np.array(thinking))
+        result = LoopResult(self.end, kept, late, elapsed, np.array(thinking), constants=ticker.constants)
         return result if recovery is None else replace(result, falls=recovery.falls, stretches=recovery.stretches(done))
 
     def _fail(self, k: int, failure: ArithmeticError) -> None:

@@ -385,6 +385,7 @@ class LoopResult(Ended):
         falls: falls with or without recovery.
         stretches: intervals on the itinerary, if recovery was possible.
         hardest: largest acceleration of a simulated drive, m/s².
+        constants: constant errors of the model (C,) and their covariance (C, C) at the end, if they are estimated.
     """
 
     ticks: Ticks
@@ -395,6 +396,7 @@ class LoopResult(Ended):
     falls: int = 0
     stretches: tuple[Stretch, ...] = ()
     hardest: float | None = None
+    constants: tuple[Array, Array] | None = None
 
     @property
     def finished(self) -> bool:

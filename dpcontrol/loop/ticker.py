@@ -11,6 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from dpcontrol.control.ekf import unpacked
+from dpcontrol.control.estimator_settings import constants
 from dpcontrol.control.handover import NearestKeeper
 from dpcontrol.control.interface import Controller, Estimate, Estimator, GainSchedule, schedule_of
 from dpcontrol.control.tick import UNROLLED, Outcome, Report, TickProgram
@@ -83,6 +85,18 @@ class Ticker:
     def extra_names(self) -> tuple[str, ...]:
         """Names of the parameters that are estimated in addition to the state."""
         return self.program.equations.filter.extra_names
+
+    @property
+    def constants(self) -> tuple[Array, Array] | None:
+        """The constant errors of the model (C,) and their covariance (C, C), None without the compiled filter.
+
+        Their order is that of `estimator_settings.constants`; errors of parameters are logarithms.
+        """
+        rows = self._n + np.array(constants(self.extra_names), dtype=np.intp)
+        if self.estimator is not None or not len(rows):
+            return None
+        memory = self.program.memory
+        return memory.z[rows, 0], unpacked(memory.covariance[:, 0])[np.ix_(rows, rows)]
 
     def begin(self) -> None:
         """Begin a run."""

@@ -261,6 +261,7 @@ class Itinerary:
             "rest" (hanging) or "hold" (at the equilibrium of the first or last part, or at the saddle of its orbit).
             Runs start with the cart in the middle.
         transfer: time of the transfers whose parts give none.
+        near: earlier plan of the same motion of similar arms, near which transfers are sought first, if any.
         keeps: True if the file plans stops as stays on sustained orbits. Other controllers follow the same reference.
         zeros: readings (n,) of a rig's hanging arms, rad, or none.
         stored: .npz file of its existing plan, if any.
@@ -283,6 +284,7 @@ class Itinerary:
     stored: Path | None = None
     plant: str = ""
     transfer: Pace = GENTLE
+    near: Reference | None = None
 
     @property
     def stay(self) -> HoldPart | OrbitPart | None:

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields, replace
 from decimal import Decimal
 from fractions import Fraction
-from functools import cached_property, partial
+from functools import cached_property, partial, reduce
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -24,13 +24,14 @@ from dpcontrol.dynamics.chain import (
     unit_name,
 )
 from dpcontrol.dynamics.system import System, ThreeBodyParameters, three_body_system
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.checked import checked
 from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError, remark
 from dpcontrol.foundation.files import in_the_way, write_whole
 from dpcontrol.foundation.settings import Leaf, Setting, leaves_of
 from dpcontrol.foundation.shipped import find
-from dpcontrol.foundation.toml import Choice, Place, Table, parse_toml, read_toml
+from dpcontrol.foundation.toml import Choice, Place, Table, parse_toml, read_toml, with_values
 from dpcontrol.orbits.lyapunov import Equilibrium
 
 if TYPE_CHECKING:
@@ -381,6 +382,28 @@ def model_text(found: "Identification", *, title: str, logs: Sequence[str], star
         "",
     ]
     return "\n".join(lines)
+
+
+def learnt_text(model: Model, arms: ArmChainParameters, covariance: Array, logs: Sequence[str]) -> str:
+    """Return the text of a model with the numbers of arms that were learnt from runs.
+
+    Args:
+        model: model of the runs.
+        arms: learnt arms.
+        covariance: covariance (f, f) of their ratios.
+        logs: names of the logs.
+    """
+    names = ", ".join(logs)
+    source = f"Learnt from {names}: only ratios to {unit_name(arms.count)}; the rest as in {model.name}"
+    friction = {law: getattr(arms, law) for law in ("viscous", *arms.friction)}
+    tables: dict[str, dict[str, Any]] = {
+        "": {"title": f"{model.title}, learnt"},
+        "arms": {"source": source, **{name: getattr(arms, name) for name in _INERTIAL}},
+        "friction": {"source": source, **friction, **({"smoothing": arms.smoothing} if arms.friction else {})},
+        "uncertainty": {"source": source, "names": ratio_names(arms), "covariance": covariance.ravel().tolist()},
+    }
+    text = f"{_first_line(logs, model.name)}\n{model.text}"
+    return reduce(lambda text, table: with_values(text, table, tables[table]), tables, text)
 
 
 def _first_line(logs: Sequence[str], starting_model: str) -> str:

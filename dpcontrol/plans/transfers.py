@@ -19,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
+from dpcontrol.control.interface import whole_turns
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.cache import cache_file, keep, kept
@@ -38,7 +39,7 @@ from dpcontrol.plans.itinerary import Itinerary
 from dpcontrol.plans.layout import GENTLE, SHORTEST, Pace
 from dpcontrol.references.content import TransferCost
 from dpcontrol.references.ending import ReferenceEnding
-from dpcontrol.references.find import refined_transfer, wanting
+from dpcontrol.references.find import refined_transfer, tail, wanting
 from dpcontrol.references.problem import (
     NATURAL_TIME,
     PLANNING,
@@ -74,7 +75,7 @@ class Transfer:
 
     It leads from `start` (N,) to one of `ends` (N,), and has all its inputs.
 
-    text: its name. model: name of its arms' model.
+    text: its name. model: name of its arms' model. near: motion near which it is sought first.
     """
 
     text: str
@@ -85,6 +86,7 @@ class Transfer:
     start: tuple[float, ...]
     ends: tuple[tuple[float, ...], ...]
     pace: Pace = GENTLE
+    near: Trajectory | None = None
 
     @classmethod
     def of(cls, itinerary: Itinerary, text: str, start: Array, ends: Sequence[Array], pace: Pace) -> "Transfer":
@@ -101,6 +103,17 @@ class Transfer:
             text, itinerary.model.name, itinerary.model.arms.planned(), itinerary.limits, itinerary.reference,
             tuple(start.tolist()), tuple(tuple(end.tolist()) for end in ends), pace or itinerary.transfer,
         )  # fmt: skip
+
+    def starting(self, plan: Reference, span: tuple[float, float]) -> "Transfer":
+        """Return the transfer that is sought near that of another plan first.
+
+        Args:
+            plan: plan of similar arms.
+            span: begin and end of its transfer, s.
+        """
+        begin, end = span
+        turns = whole_turns(plan.state(begin)[: self.arms.count] - np.array(self.start[: self.arms.count]))
+        return replace(self, near=tail(plan, begin, seconds=end - begin, turns=turns))
 
     @property
     def key(self) -> str:
@@ -219,6 +232,18 @@ def find_transfer(wanted: Transfer, progress: Progress = no_progress) -> Referen
     scale, failed, durations = Scale.of(wanted.arms), "no first motion leads there", np.zeros(0)
     factors, arms = scale.state(wanted.arms.count), wanted.arms.scaled(scale.length, scale.time)
     start, *ends = (factors * state for state in (wanted.start, *wanted.ends))
+
+    def refined(problem: ReferenceProblem, motion: Trajectory) -> Reference:
+        found = refined_transfer(problem, motion, wanted.settings, cart_weight=CART_WEIGHT)
+        mesh, inputs = found.mesh / scale.time, found.inputs / scale.acceleration
+        return replace(found, mesh=mesh, states=found.states / factors, inputs=inputs, limits=wanted.limits)
+
+    if (near := wanted.near) is not None:
+        first = Trajectory(near.method, near.mesh * scale.time, near.states * factors, near.inputs * scale.acceleration)
+        end = min(ends, key=lambda end: np.abs(first.states[-1, -1] - end).max())
+        found = refined(_problem(arms, scale.limits(wanted.limits, TIGHT), first, (start, end)), first)
+        if found.converged:
+            return found
     for share, durations, flies in _attempts(wanted, scale, aside=np.allclose(start[:-2], ends[0][:-2])):
         room = scale.limits(wanted.limits, share)
         ways = [Way(arms, scale.limits(wanted.limits), room, start, ends[0], backwards) for backwards in (False, True)]
@@ -236,15 +261,9 @@ def find_transfer(wanted: Transfer, progress: Progress = no_progress) -> Referen
             failed = attempt.outcome
         solved = sorted(solved, key=lambda one: one[1].effort if fixed else one[1].duration)[:_RANKED]
         for problem, motion in sorted(solved, key=lambda one: _rank(wanted, arms, one[1])):
-            found = refined_transfer(problem, motion, wanted.settings, cart_weight=CART_WEIGHT)
+            found = refined(problem, motion)
             if found.converged:
-                return replace(
-                    found,
-                    mesh=found.mesh / scale.time,
-                    states=found.states / factors,
-                    inputs=found.inputs / scale.acceleration,
-                    limits=wanted.limits,
-                )
+                return found
             failed = found.status
     raise _missed(wanted, np.asarray(durations / scale.time), failed)
 

@@ -177,6 +177,7 @@ class ClosedLoop(Timed):
         force: bool = False,
         live: bool = False,
         yes: bool = False,
+        learn: bool = False,
         progress: Reporting = None,
     ) -> Night:
         """Repeat the itinerary for hours, through falls.
@@ -190,6 +191,7 @@ class ClosedLoop(Timed):
             force: replace another night there.
             live: show the run in the viewer.
             yes: accept any duration.
+            learn: learn the arms from the first repetition, and follow a new plan from then on.
             progress: receiver of progress reports (see `dpcontrol.api`).
 
         Raises:
@@ -204,7 +206,7 @@ class ClosedLoop(Timed):
         itinerary = night_itinerary(seeded, given=self.options)
         return run_night(
             replace(self.plan, itinerary=itinerary), out, night, link=link, resume=resume,
-            force=force, live=live_view if live else None, yes=yes, progress=progress,
+            force=force, live=live_view if live else None, yes=yes, learn=learn, progress=progress,
         )  # fmt: skip
 
     @checked

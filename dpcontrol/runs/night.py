@@ -26,7 +26,8 @@ from dpcontrol.foundation.files import InTheWay, checked_target
 from dpcontrol.foundation.progress import MOST_SECONDS, Cost, Progress, no_progress
 from dpcontrol.foundation.settings import Setting, Settings
 from dpcontrol.judge.night import Night, read_night
-from dpcontrol.logs import LogWriter, check_replaced, partials_of, recover
+from dpcontrol.judge.score import CONSTANTS_METADATA
+from dpcontrol.logs import LogWriter, check_replaced, partials_of, read_log, recover
 from dpcontrol.logs.reader import check_same_run
 from dpcontrol.logs.rolling import NIGHT_METADATA, RollingLog
 from dpcontrol.loop.loop import LoopSettings
@@ -36,8 +37,10 @@ from dpcontrol.plans.itinerary import Itinerary
 from dpcontrol.plans.overrides import canonical
 from dpcontrol.plans.plan import Plan, expected_seconds
 from dpcontrol.runs.run import (
+    OWN_BENCH,
     LiveSink,
     RigLink,
+    Run,
     assembled,
     bench_recipe,
     bench_record,
@@ -193,11 +196,13 @@ def run_night(
     force: bool = False,
     live: LiveSink | None = None,
     yes: bool = False,
+    learn: bool = False,
     progress: Progress = no_progress,
 ) -> Night:
     """Repeat a planned itinerary for hours.
 
-    The logs are in the folder of `out`.
+    The logs are in the folder of `out`. With `learn`, the first repetition is a session of its own, and the others
+    follow the plan that is learnt from it. A second learning would gain nothing.
 
     Args:
         plan: plan of an itinerary of `night_itinerary`.
@@ -208,6 +213,7 @@ def run_night(
         force: replace the night of that folder.
         live: makes a sink that shows the run.
         yes: accept a cost beyond the limits.
+        learn: learn the arms from the first repetition, or from that of the night to resume.
         progress: receiver of progress reports.
 
     Raises:
@@ -215,10 +221,17 @@ def run_night(
             no bench fits.
         GoalMissed: the plan did not converge, no controller can be made for it, or no plant drawn.
     """
+    folder = night_folder(out)
+    if learn:
+        if not resume:
+            lap = replace(night, hours=min(plan.followed().reference.duration / 3600, night.hours / 2))
+            run_night(plan, out, lap, link=link, force=force, live=live, yes=yes, progress=progress)
+        simulated = link is None or link.address == OWN_BENCH
+        plan, resume = _learnt_plan(folder, plan.itinerary, simulated=simulated), True
     itinerary = plan.followed().itinerary
-    settings, arms, folder = itinerary.loop, itinerary.model.arms, night_folder(out)
+    settings, arms = itinerary.loop, itinerary.model.arms
     made_by = bench_record(itinerary, link)
-    record = {**run_metadata(itinerary), **made_by}
+    record = {} if learn else {**run_metadata(itinerary), **made_by}
     check_folder(folder, record, resume=resume, force=force)
     remark(night_cost(itinerary, night, folder, real_time=link is not None, yes=yes))
     place = _place(folder, record, night, settings.rate, resume=resume, force=force)
@@ -272,6 +285,28 @@ def run_night(
             remark(f"{folder} ends here; continue it by the same command with --resume")
             raise
     return read_night(folder)
+
+
+def _learnt_plan(folder: Path, itinerary: Itinerary, *, simulated: bool) -> Plan:
+    """Return the plan that is learnt from the last session of a night that ended in order.
+
+    A simulated plant stays that of the itinerary, which is drawn from its own model.
+
+    Raises:
+        InputError: no session of the night ended in order.
+    """
+    logs = map(read_log, sorted(folder.glob(f"{folder.resolve().name}-[0-9]*.mcap"), reverse=True))
+    log = next((log for log in logs if CONSTANTS_METADATA in log.metadata), None)
+    if log is None:
+        raise InputError(f"{folder}: no session of this night ended in order; omit --learn")
+    learnt = Run(log).learn()
+    efforts = f"{learnt.effort_before:.3f} m/s² rms before, {learnt.effort_expected:.3f} expected"
+    remark(f"learnt from {log.path}; effort of the feedback: {efforts}")
+    draw = itinerary.loop.draw(itinerary.model.arms, ticks=1, uncertainty=itinerary.uncertainty)
+    settings = {"plant": draw.plant.arms, "mismatch": 0.0, "friction": 1.0, "model_uncertainty": 0.0}
+    planned = learnt.plan.itinerary
+    loop = replace(planned.loop, **settings) if simulated and not draw.own else planned.loop
+    return replace(learnt.plan, itinerary=replace(planned, loop=loop))
 
 
 _BRAKING = 2.0

@@ -54,6 +54,7 @@ from dpcontrol.foundation.toml import Place, table_of, with_values
 from dpcontrol.foundation.version import VERSION
 from dpcontrol.judge.decoding import stays
 from dpcontrol.judge.score import (
+    CONSTANTS_METADATA,
     DRAWN_METADATA,
     HARDEST_METADATA,
     MODEL_METADATA,
@@ -93,6 +94,7 @@ from dpcontrol.rig.bench import BenchProcess, BenchRecipe, BenchServerSettings, 
 from dpcontrol.rig.client import Deadlines, UdpRig, parse_address, real_time_priority, without_collecting
 from dpcontrol.rig.commissioning import Commissioning, CommissioningSettings, commission
 from dpcontrol.rig.packets import shared_key
+from dpcontrol.runs.learning import Learnt, learn
 from dpcontrol.runs.remedies import Why, why
 
 _SCENE, _MODEL = "scene.toml", "model.toml"
@@ -180,6 +182,19 @@ class Run(Timed, Documented):
             yes=yes,
             progress=progress,
         )
+
+    @checked
+    def learn(self, *, progress: Reporting = None) -> Learnt:
+        """Learn the arms from this run and plan its itinerary again; see `dp.learn`.
+
+        Args:
+            progress: receiver of progress reports (see `dpcontrol.api`).
+
+        Raises:
+            InputError: the log has no estimates of the model's errors, or no plan.
+            GoalMissed: there is no plan for the learnt arms.
+        """
+        return learn_from([self], progress=progress)
 
     def margins(self) -> Margins:
         """Return the margins of gain, delay and lag.
@@ -276,6 +291,21 @@ class Run(Timed, Documented):
             PartMissing: pandas is not installed.
         """
         return self.log.frame() if count is None else super().frame(count)
+
+
+def learn_from(runs: Sequence[Run], *, progress: Progress = no_progress) -> Learnt:
+    """Learn the arms from runs and plan the itinerary of the last one again.
+
+    Args:
+        runs: runs on one rig, in order.
+        progress: receiver of progress reports.
+
+    Raises:
+        InputError: a log has no estimates of the model's errors, or no plan.
+        GoalMissed: there is no plan for the learnt arms.
+    """
+    logs = [run.log for run in runs]
+    return learn(logs, [_plan(log, repeats=False) for log in logs], progress=progress)
 
 
 LiveSink = Callable[[RunLog], AbstractContextManager[LoopSink]]
@@ -403,7 +433,7 @@ def watched(plan: Plan, sink: LoopSink, *, live: LiveSink | None) -> Iterator[Lo
 def outcome(result: LoopResult) -> dict[str, str]:
     """Return the result of a run as metadata.
 
-    Pace, ending, computing time of ticks, hardest drive.
+    Pace, ending, computing time of ticks, hardest drive, the model's estimated errors.
 
     Args:
         result: result of the loop.
@@ -415,6 +445,8 @@ def outcome(result: LoopResult) -> dict[str, str]:
         **dict(zip(THINKING_METADATA, quantiles, strict=True)),
     }
     ending = {"ending": result.ending.value}
+    if result.constants is not None:
+        ending[CONSTANTS_METADATA] = json.dumps([values.tolist() for values in result.constants])
     return ending | {name: repr(value) for name, value in noted.items() if value is not None}
 
 

@@ -300,6 +300,20 @@ def repeat_lines(repeat: Any) -> Iterator[str]:
     yield f"  repeats {repeat.source}: {repeat.comparison.messages:,} messages are identical"
 
 
+def learnt_lines(found: Any) -> Iterator[Line]:
+    """Yield what was learnt from runs, and the effort of the feedback before and after.
+
+    Args:
+        found: a `Learnt`.
+    """
+    columns = {"name": "{0[0]}", "value": "{0[1]:.9g}", "standard error": "{0[2]:.2g}"}
+    yield table("Ratios in SI units", found.rows, columns)
+    efforts = f"{found.effort_before:.3f} m/s² rms before, {found.effort_expected:.3f} expected"
+    yield from (f"effort of the feedback after the first second: {efforts}", found.plan.status)
+    if found.file is not None:
+        yield from (str(found.file), f"run its plan by `dpcontrol run {found.plan.written}`")
+
+
 def commissioning_lines(found: Any) -> Iterator[str]:
     """Yield the findings of a commissioning with their remedies.
 

@@ -31,6 +31,7 @@ TEXTS = {
     "GuidePage": "start.page",
     "Identification": "recordings.identification",
     "ImportedRecording": "recordings.imported",
+    "Learnt": "runs.learnt_lines",
     "LogSummary": "logs.summary",
     "LyapunovFamily": "designs.family",
     "LyapunovOrbit": "designs.orbit",

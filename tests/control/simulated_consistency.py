@@ -53,7 +53,8 @@ def simulated_consistency(
     """
     random = np.random.default_rng(seed)
     equations, size, arms = ekf.equations, ekf.equations.dimension, ekf.model.arms
-    sigmas, h, root = ekf.settings.first_sigmas(arms), equations.observation, np.linalg.cholesky(ekf.noise)
+    sigmas = np.sqrt(ekf.settings.first_covariance(arms).diagonal())
+    h, root = equations.observation, np.linalg.cholesky(ekf.noise)
     linear = Compiled(equations.prediction(with_jacobian=True))
     start = np.concatenate([first, np.zeros(size - len(first))])[:, None]
     truth = start + sigmas[:, None] * random.standard_normal((size, runs))

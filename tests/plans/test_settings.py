@@ -81,7 +81,7 @@ def value_of(path: str) -> Any:
     if path == "start":
         return (0.1, 0.2, 3.0, 4.0, 0.0, 0.0)
     if isinstance(leaf.default, tuple):
-        return ("zeros",)
+        return ("zeros",) if leaf.default else (0.5, 0.25)
     if others:
         return others[0]
     low = max(leaf.bounds.least, leaf.bounds.above, -1.0)

@@ -1,0 +1,323 @@
+"""Learn a rig's arms from its runs, and plan again for these arms.
+
+A run with the adaptive law ends with estimates e of the constant errors of its model, and their covariance P. In the
+logarithms y of the identifiable inertial ratios, and in the friction over C, they are linear:
+
+    y = y₀ + J e,    Y = J P Jᵀ,    and before the run  y₀,  Y₀ = J P₀ Jᵀ
+
+The readings of a run add the information Y⁻¹ - Y₀⁻¹ to what was assumed before it. Those of several runs are added to
+what the first of them assumed, so a run that began at the result of another counts that one's readings once:
+
+    I = Y₀₁⁻¹ + Σ (Y_j⁻¹ - Y₀_j⁻¹),    I y = Y₀₁⁻¹ y₀₁ + Σ (Y_j⁻¹ y_j - Y₀_j⁻¹ y₀_j)
+
+The filter trusts its equations. If the plant has friction of another kind, the NIS exceeds the expected one by a share
+s, and the resulting error does not average out over the K ticks of a run. So the readings of such a run leave 1 + K s
+times the variance: the excess counts as one sample.
+
+Dry friction is part of the learnt model if it exceeds three standard errors. Otherwise the rest is conditioned on none.
+
+The arms are the nearest to the model's with these ratios (`nearest_arms`). An energy of the itinerary keeps its height
+above the highest of its saddles, as a share of that from hanging to upright. If a connection of the walk does not exist
+there, more energy is tried. Transfers start from those of the last plan; walks are planned afresh.
+
+Source: Bar-Shalom, Li & Kirubarajan, Estimation with Applications to Tracking and Navigation, sections 3.4 and 8.3.
+White, Maximum likelihood estimation of misspecified models (1982), for readings that contradict the model.
+"""
+
+import json
+import math
+import tomllib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+
+from dpcontrol.control.estimator_settings import Augment, EkfSettings, constants, extra_names, nis_means
+from dpcontrol.dynamics.chain import (
+    ArmChainParameters,
+    Friction,
+    base_ratios,
+    inertial_count,
+    nearest_arms,
+    ratio_names,
+    with_laws,
+)
+from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.document import Documented
+from dpcontrol.foundation.errors import GoalMissed, InputError
+from dpcontrol.foundation.files import write_whole
+from dpcontrol.foundation.progress import Progress, no_progress, part_of
+from dpcontrol.foundation.toml import with_values
+from dpcontrol.judge.decoding import stays
+from dpcontrol.judge.score import CONSTANTS_METADATA
+from dpcontrol.logs import RunLog
+from dpcontrol.loop.assembly import Assembly
+from dpcontrol.loop.result import rms
+from dpcontrol.orbits.lyapunov import equilibria
+from dpcontrol.plans.itinerary import Itinerary, itinerary_from
+from dpcontrol.plans.layout import HoldPart, WalkPart
+from dpcontrol.plans.model import Model, learnt_text, model_from
+from dpcontrol.plans.plan import Plan, make_plan
+from dpcontrol.walks.symbols import parse_walk
+
+SETTLED = 1.0
+"""Time after which the effort of the feedback counts, s: before, it removes the errors of the start."""
+_SIGNIFICANT = 3.0
+"""Standard errors from which dry friction is part of the model."""
+RAISED = (1.0, 1.6, 2.5)
+"""Factors on the energies' heights above the saddles that are tried in turn."""
+
+
+@dataclass(frozen=True, eq=False)
+class Learnt(Documented):
+    """Arms learnt from runs, with the plan for them.
+
+    Attributes:
+        names, values, errors: ratios of the arms (m,) and their standard errors, SI units; see `ratio_names`.
+        model: model of the arms, with the covariance of the ratios.
+        plan: the itinerary of the last run, planned for these arms; its filter starts at the learnt covariance.
+        effort_before: feedback beyond the feedforward in the last run, m/s² rms after its first second.
+        effort_expected: the same in a simulated run of the new plan, with a plant drawn from the covariance.
+        file: file of the model, None if it was not written.
+    """
+
+    KEYS: ClassVar[str] = (
+        "means=rows:name,value,sigma effort_before effort_expected model=model.name file plan=plan.written "
+        "status=plan.status"
+    )
+
+    names: tuple[str, ...]
+    values: Array
+    errors: Array
+    model: Model
+    plan: Plan
+    effort_before: float
+    effort_expected: float
+    file: Path | None = None
+
+    def written_to(self, file: Path) -> "Learnt":
+        """Write the model, and its plan beside it, and return this result with their names.
+
+        Args:
+            file: model to write (.toml).
+        """
+        write_whole(file, self.model.text)
+        return replace(self, file=file, plan=self.plan.written_to(file.with_suffix(".npz")))
+
+    @property
+    def rows(self) -> list[tuple[str, float, float]]:
+        """Name, value and standard error of each ratio."""
+        return [*zip(self.names, self.values.tolist(), self.errors.tolist(), strict=True)]
+
+
+def coordinates(arms: ArmChainParameters, names: Sequence[str]) -> tuple[Array, Array]:
+    """Return y₀ (m,) and J (m, C) of a model's constant errors.
+
+    Args:
+        arms: parameters of the model.
+        names: names of its constant errors (C,).
+    """
+    arms = with_laws(arms, (Friction.COULOMB,))
+    n, inertial, ratios = arms.count, inertial_count(arms.count), base_ratios(arms)
+    weights, viscous, dry = (ratios[first:][:n] for first in (n if n > 1 else 0, inertial, inertial + n))
+    labels = [name.partition("/")[0] for name in ratio_names(arms)]
+    effects = {label: {label.replace("G", "S"): 1.0} for label in labels[:inertial]}
+    effects |= {f"l{i}": {f"M{i}{i + 1}": 1.0, f"S{i + 1}": -1.0} for i in range(2, n)}
+    for i in range(n):
+        effects[f"viscous_{i + 1}"] = {f"friction_{i + 1}": viscous[i]}
+        effects[f"coulomb_{i + 1}"] = {f"friction_{i + 1}": dry[i], f"dry_{i + 1}": weights[i]}
+    slope = np.array([[effects[label].get(name, 0.0) for name in names] for label in labels])
+    return np.concatenate([np.log(ratios[:inertial]), ratios[inertial:]]), slope
+
+
+Estimate = tuple[Array, Array]
+"""Coordinates (m,) and their covariance (m, m). Those without variance, as of missing friction, are known."""
+
+
+def evidence(log: RunLog, itinerary: Itinerary) -> tuple[list[str], Estimate, Estimate]:
+    """Return the names of a filter's constant errors, and the coordinates before and after its run.
+
+    Args:
+        log: log of the run.
+        itinerary: its itinerary, with its settings.
+
+    Raises:
+        InputError: the log has no estimates of its model's errors.
+    """
+    filters, arms = itinerary.loop.estimator, itinerary.model.arms
+    noted = log.metadata.get(CONSTANTS_METADATA)
+    if noted is None or not isinstance(filters, EkfSettings) or Augment.PARAMETERS not in filters.augments:
+        raise InputError(
+            f"{log.path} has no errors of the model to learn from: they are in whole logs of this version of runs "
+            'with controller = "adaptive" and estimator = "ekf"'
+        )
+    extras, size = extra_names(arms.count, filters.augments), 2 * arms.count + 2
+    rows = constants(extras)
+    names = [extras[row] for row in rows]
+    offset, slope = coordinates(arms, names)
+    errors, covariance = map(np.array, json.loads(noted))
+    assumed = filters.first_covariance(arms.count)[size:, size:][np.ix_(rows, rows)]
+    return names, (offset, slope @ assumed @ slope.T), (offset + slope @ errors, slope @ covariance @ slope.T)
+
+
+def caution(log: RunLog) -> float:
+    """Return the factor on the variance that the readings of a run leave, 1 or more.
+
+    Args:
+        log: log of the run.
+    """
+    found = nis_means(log.control["nis"], log.measured.shape[1])
+    return 1.0 if found is None else 1.0 + len(log.time) * max(found.mean / found.expected - 1.0, 0.0)
+
+
+def combined(before: Sequence[Estimate], after: Sequence[Estimate], cautions: Sequence[float]) -> Estimate:
+    """Return the coordinates from several runs, weighted by information.
+
+    Args:
+        before: what each run assumed.
+        after: what its filter left.
+        cautions: factor on the variance that its readings leave, see `caution`.
+    """
+    values, covariance = (part.copy() for part in after[-1])
+    rows = np.flatnonzero(covariance.diagonal() > 0)
+    here, shares = np.ix_(rows, rows), 1 / np.array(cautions)
+    weighed = [(before[0], 1.0), *zip(after, shares, strict=True), *zip(before, -shares, strict=True)]
+    parts = [(weight * np.linalg.inv(one[1][here]), one[0][rows]) for one, weight in weighed]
+    covariance[here] = np.linalg.inv(np.sum([information for information, _ in parts], axis=0))
+    values[rows] = covariance[here] @ np.sum([information @ means for information, means in parts], axis=0)
+    return values, covariance
+
+
+def learnt_arms(
+    values: Array, covariance: Array, start: ArmChainParameters, names: Sequence[str]
+) -> tuple[ArmChainParameters, Array, Array]:
+    """Return the arms nearest to a model's with learnt coordinates, and the covariances of ratios and of errors.
+
+    The covariance (f, f) is that of the arms' ratios, (C, C) that of the constant errors of a filter with these arms.
+
+    Args:
+        values: coordinates (m,).
+        covariance: their covariance (m, m).
+        start: parameters of the model.
+        names: names of its constant errors (C,).
+
+    Raises:
+        GoalMissed: there are no such arms near the model's.
+    """
+    n, inertial = start.count, inertial_count(start.count)
+    viscous, dry = (np.arange(first, first + n) for first in (inertial, inertial + n))
+    none = dry[(values[dry] <= _SIGNIFICANT * np.sqrt(covariance[dry, dry])) & (not start.coulomb)]
+    values = values - covariance[:, none] @ np.linalg.pinv(covariance[np.ix_(none, none)]) @ values[none]
+    laws = tuple(law for law in Friction if getattr(start, law) or (law is Friction.COULOMB and none.size < n))
+    # Drag of the air is estimated together with viscous friction.
+    drag = np.divide(start.quadratic or np.zeros(n), start.viscous, out=np.zeros(n), where=np.array(start.viscous) > 0)
+    by_law = {
+        Friction.COULOMB: np.eye(len(values))[dry],
+        Friction.QUADRATIC: drag[:, None] * np.eye(len(values))[viscous],
+    }
+    scale = np.append(np.exp(values[:inertial]), np.ones(2 * n))
+    slope = np.concatenate([np.diag(scale)[: inertial + n], *(by_law[law] for law in laws)])
+    ratios = slope @ np.append(np.ones(inertial), values[inertial:])
+    arms = nearest_arms(ratios, with_laws(start, laws))
+    inverse = np.linalg.pinv(coordinates(arms, names)[1])
+    return arms, slope @ covariance @ slope.T, inverse @ covariance @ inverse.T
+
+
+def of_learnt_arms(itinerary: Itinerary, model: Model, errors: Array, *, raised: float = 1.0) -> Itinerary:
+    """Return the itinerary of the same motion of learnt arms, whose filter starts at a covariance.
+
+    Args:
+        itinerary: itinerary of the runs.
+        model: model of the learnt arms.
+        errors: covariance (C, C) of the model's constant errors.
+        raised: factor on the energies' heights above the saddles.
+    """
+    text, listed = itinerary.text, "parts" in tomllib.loads(itinerary.text)
+    before, after = itinerary.model.system, model.system
+    for number, part in enumerate(itinerary.parts, start=1):
+        if isinstance(part, HoldPart):
+            continue
+        symbols = parse_walk(part.walk, before.saddles) if isinstance(part, WalkPart) else ()
+        names = {name for symbol in symbols for name in (symbol.source, symbol.target)} or {getattr(part, "orbit", "")}
+        low, base = (max(equilibria(system)[name].energy for name in names) for system in (before, after))
+        energy = base + raised * (part.energy - low) * after.energy_scale / before.energy_scale
+        text = with_values(text, "parts" if listed else "", {"energy": energy}, number=number * listed)
+    learnt = tuple(errors.ravel().tolist())
+    text = with_values(with_values(text, "", {"model": model.name}), "estimator", {"learnt": learnt})
+    loop = itinerary.loop.with_({"estimator.learnt": learnt})
+    return replace(itinerary_from(text, itinerary.name, model, plant=itinerary.plant), loop=loop)
+
+
+def replanned(plan: Plan, model: Model, errors: Array, *, progress: Progress = no_progress) -> Plan:
+    """Return the plan of the same motion of learnt arms.
+
+    Args:
+        plan: plan of the runs.
+        model: model of the learnt arms.
+        errors: covariance (C, C) of the model's constant errors.
+        progress: receiver of progress reports.
+
+    Raises:
+        GoalMissed: there is none at any of the energies.
+    """
+    missed: list[str] = []
+    for raised in RAISED:
+        itinerary = of_learnt_arms(plan.itinerary, model, errors, raised=raised)
+        try:
+            found = make_plan(replace(itinerary, near=plan.reference), progress=progress)
+        except (GoalMissed, InputError) as error:
+            missed.append(str(error))
+            continue
+        if found.converged:
+            return replace(found, itinerary=itinerary)
+        missed.append(found.status)
+    raise GoalMissed(f"{plan.itinerary.name} has no plan for the learnt arms: {missed[0]}")
+
+
+def effort(times: Array, feedback: Array) -> float:
+    """Return the feedback beyond the feedforward after the first second, m/s² rms.
+
+    It is NaN for a run that is shorter.
+
+    Args:
+        times: times (K,), s.
+        feedback: feedback (K,), m/s².
+    """
+    settled = feedback[times >= times[0] + SETTLED]
+    return rms(settled) if settled.size else math.nan
+
+
+def learn(logs: Sequence[RunLog], plans: Sequence[Plan], *, progress: Progress = no_progress) -> Learnt:
+    """Learn the arms from runs and plan their itinerary again.
+
+    Args:
+        logs: logs of runs on one rig, in order.
+        plans: plan of each run, its itinerary with the settings of the run.
+        progress: receiver of progress reports.
+
+    Raises:
+        InputError: a log has no estimates of the model's errors, or the runs estimated different ones.
+        GoalMissed: there are no arms near the model's with the learnt ratios, or no plan for them.
+    """
+    last = plans[-1].itinerary
+    names, before, after = zip(*map(evidence, logs, (plan.itinerary for plan in plans)), strict=True)
+    if any(one != names[-1] for one in names):
+        raise InputError(f"{logs[0].path} and {logs[-1].path} have different arms or estimated different errors")
+    values, covariance = combined(before, after, [*map(caution, logs)])
+    arms, ratios, errors = learnt_arms(values, covariance, last.model.arms, names[-1])
+    text = learnt_text(last.model, arms, ratios, [log.path.name for log in logs])
+    model = model_from(text, f"{last.name}-learnt")
+    plan = replanned(plans[-1], model, errors, progress=part_of(progress, 0.0, 0.8))
+    loop = replace(plan.itinerary.loop, plant=None, mismatch=0.0, friction=1.0, model_uncertainty=1.0)
+    simulated = Assembly(plan.reference, arms, loop, model.uncertainty, stays=stays(plan.reference)).simulate()
+    return Learnt(
+        ratio_names(arms),
+        base_ratios(arms),
+        np.sqrt(ratios.diagonal()),
+        model,
+        plan,
+        effort(logs[-1].time, logs[-1].control["feedback"]),
+        effort(simulated.ticks.times, simulated.ticks.control[:, 2]),
+    )
