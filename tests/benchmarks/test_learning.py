@@ -2,7 +2,8 @@
 
 Each plant differs from the model by up to ±10 or ±30 % in each mass, length, centre and inertia, and by five times as
 much in friction. Its first run is learnt from, and its second run follows the new plan. The noise level is the rms
-feedback beyond the feedforward, after the first second, of runs of the old plan on a plant that equals the model.
+feedback beyond the feedforward, after the first second, of a run of the old plan with the same noise and initial error
+on a plant that equals the model.
 About twenty minutes of one core; `-k cross` runs one itinerary alone.
 """
 
@@ -27,7 +28,8 @@ SCENES = ("outer-turn", "cross", "turn-from-rest")
 PLANTS, FRESH = 20, 500
 """Plants of each itinerary, and the distance of a second run's seed from the first's."""
 NOISE, SHARE = 1.3, 0.9
-"""Noise levels that the effort of a second run may have, and the share of runs that must not have more."""
+"""Noise levels that the effort of a second run may have, and the share of runs that must not have more: 1.27 at most in
+35 runs."""
 WORSE = 1.1
 """Times the effort of the first run that no second run may have."""
 COMPLETED = 0.97
@@ -37,11 +39,11 @@ CONSISTENT = (0.5, 2.0)
 
 @pytest.mark.parametrize("name", SCENES)
 def test_after_one_run_feedback_only_works_against_noise(name: str) -> None:
-    level = float(np.sqrt(np.mean([effort_of(dp.run(name, mismatch=0.0, seed=FRESH + k)) ** 2 for k in range(PLANTS)])))
+    level = np.array([effort_of(dp.run(name, mismatch=0.0, seed=FRESH + seed)) for seed in range(PLANTS)])
     found = [second_run(name, 0.1, seed) for seed in range(PLANTS)]
     after = np.array([one["after"] for one in found])
     beyond = float(np.sqrt(np.mean([np.square(one["errors"]) for one in found])))
-    shown = {"scene": name, "noise": level, "quantiles": np.quantile(after / level, [0.5, 0.9, 1.0]).tolist()}
+    shown = {"scene": name, "noise": level.tolist(), "quantiles": np.quantile(after / level, [0.5, 0.9, 1.0]).tolist()}
     sys.stdout.write(f"\n{json.dumps({**shown, 'errors_over_sigma': beyond, 'runs': found})}\n")
     assert np.mean(after <= NOISE * level) >= SHARE
     assert not any(one["after"] > WORSE * one["before"] for one in found)
