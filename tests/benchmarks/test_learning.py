@@ -29,7 +29,7 @@ PLANTS, FRESH = 20, 500
 """Plants of each itinerary, and the distance of a second run's seed from the first's."""
 NOISE, SHARE = 1.3, 0.9
 """Noise levels that the effort of a second run may have, and the share of runs that must not have more: 1.27 at most in
-35 runs."""
+57 runs."""
 WORSE = 1.1
 """Times the effort of the first run that no second run may have."""
 COMPLETED = 0.97
