@@ -42,7 +42,6 @@ from typing import Annotated, Any, ClassVar, NamedTuple
 import numpy as np
 
 from dpcontrol.bifurcations.links import (
-    UNSOLVED,
     Gap,
     Link,
     LinkProblem,
@@ -65,11 +64,13 @@ from dpcontrol.foundation.document import Documented, fields_of
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.shown import Brief, Shown
+from dpcontrol.orbits.continuation import Newton, differenced
 from dpcontrol.orbits.cut import Cut, section_points, tube_cut
 from dpcontrol.orbits.lyapunov import equilibrium
 from dpcontrol.tubes.intersections import ConnectionSettings, intersect_cuts
 from dpcontrol.words.searches import bifurcations_sentence, caveat_sentence
 
+_NEWTON = Newton(10, 1e-9)
 _HALVINGS = 8  # largest number of bisections of a path around a turn
 
 
@@ -111,24 +112,15 @@ def _located(
     def value_at(y: Array) -> Array:
         return equations(placed(y[:-1]), float(y[-1]))
 
-    y, best, smallest = guess, guess, np.inf
-    try:
-        for _ in range(10):
-            value = value_at(y)
-            residual = float(np.abs(value).max())
-            if residual < smallest:
-                best, smallest = y, residual
-            elif smallest < 1e-9:
-                break
-            columns = [(value_at(y + h) - value_at(y - h)) / (2 * h.max()) for h in np.diag(steps)]
-            y = y - np.linalg.lstsq(np.column_stack(columns), value, rcond=1e-13)[0]
-            if np.any(np.abs(y - guess) > 1e4 * steps):
-                # Solutions must be within a tenth of the guess. Orbits may not exist farther away.
-                break
-        link, energy = placed(best[:-1]), float(best[-1])
-        return Located(kind, energy, link, problem.match(link, energy).state, smallest)
-    except UNSOLVED:
+    def linearised(y: Array) -> tuple[Array, Array]:
+        return value_at(y), differenced(value_at, y, steps)
+
+    # Solutions must be within a tenth of the guess. Orbits may not exist farther away.
+    solution = _NEWTON.solve(linearised, guess, (guess - 1e4 * steps, guess + 1e4 * steps))
+    if not np.isfinite(solution.residual):
         return None
+    link, energy = placed(solution.unknowns[:-1]), float(solution.unknowns[-1])
+    return Located(kind, energy, link, problem.match(link, energy).state, solution.residual)
 
 
 def locate_turn(problem: LinkProblem, path: Path, index: int) -> Located | None:

@@ -25,25 +25,31 @@ Source: Champneys & Kuznetsov, Numerical detection and continuation of codimensi
 Vanderbauwhede & Fiedler (1992) for the reversible case.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
+from itertools import islice
 
 import numpy as np
 
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
-from dpcontrol.foundation.causes import GapCause, OrbitCause
+from dpcontrol.foundation.causes import GapCause
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.shown import Brief
-from dpcontrol.orbits.lyapunov import (
-    LyapunovOrbit,
-    OrbitOutcome,
-    SymmetricShooting,
-    described_orbit,
-    lyapunov_orbit,
-    symmetric_shooting,
+from dpcontrol.orbits.continuation import (
+    SLOPE,
+    UNSOLVED,
+    Bounds,
+    Curve,
+    CurvePoint,
+    Function,
+    Newton,
+    differenced,
+    stepped,
 )
+from dpcontrol.orbits.lyapunov import LyapunovOrbit, lyapunov_orbit, nearby_orbit, symmetric_shooting
 from dpcontrol.orbits.manifold import UnstableManifold
 from dpcontrol.words.searches import Concluded
 
@@ -144,31 +150,30 @@ class LinkProblem:
                 "only for two"
             )
         self.system, self.source, self.target, self.distance = system, source, target, distance
-        self._shooting: dict[str, SymmetricShooting] = {}
         self._manifolds: dict[tuple[str, float], UnstableManifold] = {}
-        self._guesses: dict[str, dict[float, Array]] = {}
+        # The point of a curve, its tangent and its measures share a match.
+        self.match: Callable[[Link, float], Match] = lru_cache(maxsize=16)(self._match)
 
     def _orbit(self, saddle: str, energy: float) -> LyapunovOrbit:
         """Return the orbit at an energy (J), preferably from the nearest one."""
-        if saddle not in self._shooting:
-            self._shooting[saddle], _ = symmetric_shooting(self.system, saddle, 0)
-        problem, known = self._shooting[saddle], self._guesses.setdefault(saddle, {})
+        problem, _ = symmetric_shooting(self.system, saddle, 0)
         floor = float(self.system.numeric.hamiltonian(problem.centre))
-        near = min(known, key=lambda e: abs(e - energy), default=floor)
+        near = self._nearest(saddle, energy)
         # Unknowns grow as the square root of the height above the saddle, so the guess must be near.
-        if near != floor and 0.8 < (energy - floor) / (near - floor) < 1.25:
-            found = problem.member(known[near], energy, iterations=10, tolerance=1e-13)
-            if found.residual < 1e-12:
-                known[energy] = found.unknowns
-                outcome = OrbitOutcome(OrbitCause.NEARBY, found.residual, reached=near)
-                return described_orbit(problem, found.unknowns, saddle=saddle, family=0, energy=energy, outcome=outcome)
+        if near is not None and 0.8 < (energy - floor) / (near.orbit.energy - floor) < 1.25:
+            orbit = nearby_orbit(problem, near.orbit, energy)
+            if orbit.converged:
+                return orbit
         orbit = lyapunov_orbit(self.system, saddle, energy=energy)
         if not orbit.converged:
             unit = self.system.unit("J")
             raise ArithmeticError(f"the Lyapunov orbit about {saddle} at {energy:.9g}{unit}: {orbit.status}")
-        c = problem.start.T @ (orbit.state - problem.centre)
-        known[energy] = np.append(c, orbit.period / problem.quarters)
         return orbit
+
+    def _nearest(self, saddle: str, energy: float) -> UnstableManifold | None:
+        """Return the known manifold of a saddle at the nearest energy (J), if any."""
+        known = [manifold for (name, _), manifold in self._manifolds.items() if name == saddle]
+        return min(known, key=lambda manifold: abs(manifold.orbit.energy - energy), default=None)
 
     def manifold(self, saddle: str, energy: float) -> UnstableManifold:
         """Return the unstable manifold of a saddle's orbit.
@@ -185,13 +190,10 @@ class LinkProblem:
         """
         if (saddle, energy) not in self._manifolds:
             manifold = UnstableManifold(self._orbit(saddle, energy), self.distance)
-            kept = [m for (name, _), m in self._manifolds.items() if name == saddle]
-            if kept:
-                nearest = min(kept, key=lambda m: abs(m.orbit.energy - energy))
-                scale = self.system.scale**2
-                if float(np.sum(nearest.vector * manifold.vector / scale)) < 0:
-                    # A branch must denote the same side of the orbit at all energies.
-                    manifold = replace(manifold, side=-1)
+            nearest = self._nearest(saddle, energy)
+            if nearest is not None and float(np.sum(nearest.vector * manifold.vector / self.system.scale**2)) < 0:
+                # A branch must denote the same side of the orbit at all energies.
+                manifold = replace(manifold, side=-1)
             self._manifolds[saddle, energy] = manifold
         return self._manifolds[saddle, energy]
 
@@ -218,7 +220,7 @@ class LinkProblem:
         centre = self.system.equilibrium(self.target)
         return (states - centre) @ self.system.reversers[0].T + centre
 
-    def match(self, link: Link, energy: float) -> Match:
+    def _match(self, link: Link, energy: float) -> Match:
         """Propagate both tubes to the middle of the connection and compare.
 
         Args:
@@ -315,46 +317,88 @@ class LinkProblem:
         gaps = [abs(phase_gap(a, b)) for a, b in zip(first.phases, second.phases, strict=True)]
         return max(*gaps, abs(first.duration / second.duration - 1))
 
-    def solved(self, link: Link, energy: float, *, iterations: int = 12) -> PathPoint:
+    def solved(self, link: Link, energy: float) -> PathPoint:
         """Solve F = 0 from an initial guess.
 
         Args:
             link: initial guess.
             energy: energy of the orbits, J.
-            iterations: most steps of Newton's method.
 
         Raises:
             ArithmeticError: Newton's method left the neighbourhood or did not converge.
         """
-        best, smallest = None, np.inf
-        guess = link.unknowns
-        reach = np.array([0.1, 0.1, 0.2 * link.duration])
-        for _ in range(iterations):
-            match = self.match(link, energy)
-            residual = float(np.abs(match.gap).max())
-            here = PathPoint(link, energy, match.tangency)
-            if best is None or residual < smallest:
-                best, smallest = here, residual
-            elif smallest < 1e-10:
-                break
-            step = np.linalg.lstsq(match.jacobian, match.gap, rcond=1e-13)[0]
-            # With large multipliers, rounding limits the gap although the solution has converged.
-            if residual < 1e-8 and np.all(np.abs(step) < 1e-7 * reach):
-                return here
-            shrink = min(1.0, 0.3 / float(np.max(np.abs(step) / reach)) if np.any(step) else 1.0)
-            link = link.at(link.unknowns - shrink * step)
-            if np.any(np.abs(link.unknowns - guess) > reach) or link.duration <= 0:
-                break
-        if best is None or smallest > 1e-9:
-            raise ArithmeticError(f"not matched: gap {smallest:.1e}")
-        return best
+
+        def equations(unknowns: Array) -> tuple[Array, Array]:
+            match = self.match(link.at(unknowns), energy)
+            return match.gap, match.jacobian
+
+        low, high = (bound[:3] for bound in LinkCurve(self, link).bounds(np.append(link.unknowns, energy)))
+        solution = _AT_ENERGY.solve(equations, link.unknowns, (low, high))
+        if solution.residual > _ROUNDED:
+            raise ArithmeticError(f"not matched: gap {solution.residual:.1e}")
+        link = link.at(solution.unknowns)
+        return PathPoint(link, energy, self.match(link, energy).tangency)
 
 
-UNSOLVED = (ArithmeticError, InputError, np.linalg.LinAlgError)
-"""Errors of a diverging Newton iteration, which may reach energies without orbits."""
+@dataclass(frozen=True)
+class LinkCurve:
+    """The curve of a link's continuation (φ_u, φ_s, T, H), a problem of module continuation."""
+
+    problem: LinkProblem
+    link: Link
+    units: float = 1.0
+
+    @property
+    def scale(self) -> float:
+        """Typical energy, J."""
+        return self.problem.system.energy_scale
+
+    def near(self, guess: Array) -> Function:
+        """Return the equations F = 0, whose derivative by the energy is that of the guess.
+
+        Args:
+            guess: (φ_u, φ_s, T, H) (4,).
+        """
+        guessed, width = self.link.at(guess), np.array([1e-5 * self.scale])
+        slope = differenced(lambda energy: self.problem.match(guessed, float(energy[0])).gap, guess[3:], width)
+
+        def equations(unknowns: Array) -> tuple[Array, Array]:
+            match = self.problem.match(self.link.at(unknowns), float(unknowns[3]))
+            return match.gap, np.hstack([match.jacobian, slope])
+
+        return equations
+
+    def quantity(self, unknowns: Array) -> tuple[float, Array]:
+        """Return the energy and its gradient.
+
+        Args:
+            unknowns: (φ_u, φ_s, T, H) (4,).
+        """
+        return float(unknowns[3]), np.array([0.0, 0.0, 0.0, 1.0])
+
+    def bounds(self, guess: Array) -> Bounds:
+        """Return the lowest and highest unknowns near a guess.
+
+        Args:
+            guess: (φ_u, φ_s, T, H) (4,).
+        """
+        reach = np.array([0.1, 0.1, 0.2 * guess[2], np.inf])
+        return guess - reach, guess + reach
+
+    def measure(self, unknowns: Array) -> dict[str, float]:
+        """Return the tangency σ.
+
+        Args:
+            unknowns: (φ_u, φ_s, T, H) (4,).
+        """
+        return {TANGENCY: self.problem.match(self.link.at(unknowns), float(unknowns[3])).tangency}
+
+
+TANGENCY = "tangency"
 _MATCHED = 1e-10  # scaled gap
-_ROUNDED = 1e-8  # largest scaled gap due to rounding
-_AT_REST = 1e-7  # step of Newton's method in units of the weights
+_ROUNDED = 1e-8  # largest scaled gap due to rounding, with large multipliers
+_AT_ENERGY = Newton(12, _MATCHED, rounded=_ROUNDED, stride=0.3)
+_ON_CURVE = Newton(8, _MATCHED, enough=_MATCHED, rounded=_ROUNDED)
 
 
 @dataclass(frozen=True)
@@ -407,36 +451,24 @@ def carry(problem: LinkProblem, point: PathPoint, goal: float, *, smallest: floa
         goal: the other energy, J.
         smallest: shortest step, as a share of the whole way.
     """
-    way = goal - point.energy
-    done, share, here = 0.0, 1.0, point
-    while done < 1.0:
-        following = min(1.0, done + share)
-        energy = goal if following == 1.0 else point.energy + following * way
-        arrived = _stepped(problem, here, energy)
-        if arrived is None:
-            share /= 2
-            if share < smallest:
-                return None
-            continue
-        here, done = arrived, following
-        share *= 2
-    return here
+    way = abs(goal - point.energy)
 
+    def following(here: PathPoint, _: float, energy: float) -> PathPoint | None:
+        try:
+            match, curve = problem.match(here.link, here.energy), LinkCurve(problem, here.link)
+            by_energy = curve.near(here.coordinates)(here.coordinates)[1][:, 3]
+            slope = -np.linalg.lstsq(match.jacobian, by_energy, rcond=1e-13)[0]
+            guess = here.link.at(here.link.unknowns + slope * (energy - here.energy))
+            arrived = problem.solved(guess, energy)
+        except UNSOLVED:
+            return None
+        reach = 0.02 * np.array([1.0, 1.0, arrived.link.duration])
+        poor = np.any(np.abs(arrived.link.unknowns - guess.unknowns) > reach)
+        turned = arrived.tangency * here.tangency <= 0
+        return None if poor or turned or problem.symmetry(arrived.link) != problem.symmetry(here.link) else arrived
 
-def _stepped(problem: LinkProblem, here: PathPoint, energy: float) -> PathPoint | None:
-    """Return the connection at a nearby energy (J), or None."""
-    try:
-        match = problem.match(here.link, here.energy)
-        by_energy = _energy_slope(problem, here.link, here.energy)
-        slope = -np.linalg.lstsq(match.jacobian, by_energy, rcond=1e-13)[0]
-        guess = here.link.at(here.link.unknowns + slope * (energy - here.energy))
-        arrived = problem.solved(guess, energy)
-    except UNSOLVED:
-        return None
-    reach = 0.02 * np.array([1.0, 1.0, arrived.link.duration])
-    poor = np.any(np.abs(arrived.link.unknowns - guess.unknowns) > reach)
-    turned = arrived.tangency * here.tangency <= 0
-    return None if poor or turned or problem.symmetry(arrived.link) != problem.symmetry(here.link) else arrived
+    last, reached = stepped(point, (point.energy, goal), following, longest=way, smallest=smallest * way)
+    return last if reached == goal else None
 
 
 def follow(problem: LinkProblem, link: Link, start: float, goal: float, *, steps: int = 120) -> Path:
@@ -449,53 +481,41 @@ def follow(problem: LinkProblem, link: Link, start: float, goal: float, *, steps
         goal: final energy, J.
         steps: largest number of steps.
     """
-    way = goal - start
+    way, system = goal - start, problem.system
     # Turns are parabolas, so the change in phase is the square root of a small change in energy.
-    size = 0.05 * min(1.0, float(np.sqrt(100 * abs(way) / problem.system.energy_scale)))
-    weights = np.array([size, size, size * link.duration, abs(way)])
+    size = 0.05 * min(1.0, float(np.sqrt(100 * abs(way) / system.energy_scale)))
     points: list[PathPoint] = []
     turns: list[int] = []
     try:
         points.append(problem.solved(link, start))
-        link = points[0].link
-        symmetry = problem.symmetry(link)
-        tangent = _tangent(problem, link, start, weights, np.array([0.0, 0.0, 0.0, np.sign(way)]))
-        length = 0.25
-        for _ in range(steps):
-            here = points[-1].coordinates
-            arrived = _corrected(problem, link, here + length * tangent * weights, tangent, weights)
-            moved = np.zeros(4) if arrived is None else (arrived.coordinates - here) / weights
-            if (
-                arrived is None
-                or moved @ tangent < 0.9 * np.linalg.norm(moved)
-                # A first step that ends behind the start has skipped a turn.
-                or (len(points) == 1 and (arrived.energy - start) * way <= 0)
-                # Near a pitchfork, a long step may jump between the pair and the symmetric connection.
-                or problem.symmetry(arrived.link) != symmetry
-            ):
-                length /= 2
-                if length < 1e-5:
-                    raise ArithmeticError("Newton's method fails at the smallest step")
-                continue
-            energy = arrived.energy
+        link, symmetry, heading = points[0].link, problem.symmetry(points[0].link), np.sign(way) * np.eye(4)[3]
+        whole = LinkCurve(problem, link)
+        weights = np.array([size, size, size * link.duration, abs(way)])
+        curve = Curve(whole, weights, _ON_CURVE, _ROUNDED, whole.measure)
+        first = curve.point(points[0].coordinates, heading, 0.0)
+
+        def refused(here: CurvePoint, following: CurvePoint) -> bool:
+            # A first step that ends behind the start has skipped a turn. Near a pitchfork, a long step may jump between
+            # the pair and the symmetric connection.
+            skipped = here is first and (following.value - start) * way <= 0
+            return skipped or problem.symmetry(link.at(following.unknowns)) != symmetry
+
+        stretches = curve.followed(first, step=0.5, smallest=1e-5, first=0.25, growth=1.4, refused=refused)
+        for before, after, _ in islice(stretches, steps):
             for bound, returned in ((goal, False), (start, True)):
-                if (energy - bound) * (bound - points[-1].energy) >= 0 and points[-1].energy != bound:
-                    share = (bound - points[-1].energy) / (energy - points[-1].energy)
-                    points.append(problem.solved(link.at((here + share * (arrived.coordinates - here))[:3]), bound))
-                    return Path(tuple(points), tuple(turns), returned)
-            following = _tangent(problem, arrived.link, energy, weights, tangent)
-            if following[3] * tangent[3] < 0:
+                if (after.value - bound) * (bound - before.value) >= 0 and before.value != bound:
+                    share = (bound - before.value) / (after.value - before.value)
+                    guess = link.at(before.unknowns + share * (after.unknowns - before.unknowns))
+                    return Path((*points, problem.solved(guess, bound)), tuple(turns), returned)
+            if before.measures[SLOPE] * after.measures[SLOPE] < 0:
                 turns.append(len(points) - 1)
-            points.append(arrived)
-            tangent = following
-            length = min(1.4 * length, 0.5)
-        raise ArithmeticError(f"the goal was not reached in {steps} steps")
+            points.append(PathPoint(link.at(after.unknowns), after.value, after.measures[TANGENCY]))
     except UNSOLVED as error:
-        gap = Gap(problem.system, GapCause.UNMATCHED, error=str(error))
-        if points:
-            last = points[-1]
-            gap = replace(gap, cause=GapCause.UNFOLLOWED, energies=(last.energy,), duration=last.link.duration)
-        return Path(tuple(points), tuple(turns), gap=gap)
+        if not points:
+            return Path((), (), gap=Gap(system, GapCause.UNMATCHED, error=str(error)))
+    last = points[-1]
+    gap = Gap(system, GapCause.UNFOLLOWED, energies=(last.energy,), duration=last.link.duration)
+    return Path(tuple(points), tuple(turns), gap=gap)
 
 
 def halfway(problem: LinkProblem, first: PathPoint, second: PathPoint) -> PathPoint | None:
@@ -508,54 +528,16 @@ def halfway(problem: LinkProblem, first: PathPoint, second: PathPoint) -> PathPo
         first: point of a path.
         second: another point of the same path.
     """
-    start = first.coordinates
+    start, whole = first.coordinates, LinkCurve(problem, first.link)
     chord = second.coordinates - start
-    weights = np.maximum(np.abs(chord), 1e-3 * np.array([1.0, 1.0, first.link.duration, problem.system.energy_scale]))
+    weights = np.maximum(np.abs(chord), 1e-3 * np.array([1.0, 1.0, first.link.duration, whole.scale]))
     tangent = chord / weights / np.linalg.norm(chord / weights)
     try:
-        return _corrected(problem, first.link, start + chord / 2, tangent, weights)
+        solution = Curve(whole, weights, _ON_CURVE, _ROUNDED).onto(start + chord / 2, tangent)
     except UNSOLVED:
         return None
-
-
-def _energy_slope(problem: LinkProblem, link: Link, energy: float) -> Array:
-    """Return ∂F/∂H (N,) by a central difference."""
-    width = 1e-5 * problem.system.energy_scale
-    difference = problem.match(link, energy + width).gap - problem.match(link, energy - width).gap
-    return difference / (2 * width)
-
-
-def _tangent(problem: LinkProblem, link: Link, energy: float, weights: Array, heading: Array) -> Array:
-    """Return the scaled unit tangent (4,) of the curve along `heading`."""
-    jacobian = np.column_stack([problem.match(link, energy).jacobian, _energy_slope(problem, link, energy)])
-    tangent = np.linalg.svd(jacobian * weights)[2][-1]
-    return tangent if tangent @ heading >= 0 else -tangent
-
-
-def _corrected(
-    problem: LinkProblem, link: Link, guess: Array, tangent: Array, weights: Array
-) -> PathPoint | None:  # fmt: skip
-    """Return the curve's point on the plane through `guess` (4,), or None."""
-    unknowns, slope = guess, None
-    for _ in range(8):
-        here = PathPoint(link.at(unknowns[:3]), float(unknowns[3]), 0.0)
-        match = problem.match(here.link, here.energy)
-        off = float(tangent @ ((unknowns - guess) / weights))
-        residual = float(np.abs(match.gap).max())
-        if residual < _MATCHED and abs(off) < 1e-8:
-            return replace(here, tangency=match.tangency)
-        if slope is None:
-            slope = _energy_slope(problem, here.link, here.energy)
-        jacobian = np.vstack([np.column_stack([match.jacobian, slope]) * weights, tangent])
-        step = np.linalg.lstsq(jacobian, -np.append(match.gap, off), rcond=1e-13)[0]
-        length = float(np.linalg.norm(step))
-        if length > 2.0:
-            return None
-        if length < _AT_REST and residual < _ROUNDED and abs(off) < 1e-8:
-            # With large multipliers, rounding limits the gap although the solution has converged.
-            return replace(here, tangency=match.tangency)
-        unknowns = unknowns + step * weights
-    return None
+    link, energy = first.link.at(solution.unknowns), float(solution.unknowns[3])
+    return PathPoint(link, energy, problem.match(link, energy).tangency) if solution.residual < _ROUNDED else None
 
 
 _SAMPLES = 300  # per half of a flight, about twenty per swing of an arm

@@ -1,15 +1,13 @@
 """Families of periodic orbits, by continuation along their curve.
 
-The solutions of the shooting equations (module lyapunov) form a curve in (c, τ). Pseudo-arclength continuation places
-the next point on the plane through the predicted point, normal to the tangent, so the curve may fold in energy. The
-step is halved if Newton's method leaves the curve, and grows afterwards. Along a Lyapunov family, two tests are
-evaluated:
+The solutions of the shooting equations (module lyapunov) form a curve in (c, τ), which is followed by module
+continuation. Along it, two tests are evaluated:
 
     dH/ds = 0                                          a fold in energy,
     det(M' - σ) = 0, σ = ±1,                           a multiplier crosses σ (M' on ker ∇H modulo the flow).
 
-Each root is located along the curve, with every trial point corrected onto it. At σ = 1 a family branches or folds, and
-at σ = -1 its period doubles. In both cases the orbit may lose hyperbolicity and its tubes.
+At σ = 1 a family branches or folds, and at σ = -1 its period doubles. In both cases the orbit may lose hyperbolicity
+and its tubes.
 
 If a family ends in the homoclinics of an equilibrium, its period grows without bound. With the equilibrium's slowest
 growth rate μ and two passages per period, energy - limit ~ exp(-μ T/2). The limit is extrapolated.
@@ -18,8 +16,9 @@ Sources: Doedel et al., Computation of periodic solutions of conservative system
 (2003); Vanderbauwhede & Fiedler, Homoclinic period blow-up in reversible and conservative systems (1992).
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
+from itertools import islice
 from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
@@ -34,9 +33,9 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.rendering import DataFrame
 from dpcontrol.foundation.settings import check_choice
-from dpcontrol.foundation.shown import Brief, Shown, data_frame
+from dpcontrol.foundation.shown import Shown, data_frame
+from dpcontrol.orbits.continuation import SLOPE, Curve, CurvePoint, Newton
 from dpcontrol.orbits.lyapunov import (
-    LinearCentre,
     LyapunovOrbit,
     OrbitOutcome,
     SymmetricShooting,
@@ -45,151 +44,35 @@ from dpcontrol.orbits.lyapunov import (
 )
 from dpcontrol.words.searches import Concluded, family_sentence
 
-SLOPE = "slope"
-"""Measure of every point: the scaled derivative of the energy along the curve, zero at a fold."""
+CRITICAL = {"multiplier +1": 1.0, "multiplier -1": -1.0}
+"""Multipliers at which hyperbolicity is lost, by the test of their crossing."""
 
-FIRST_STEP = 0.01
-"""Largest first step along the curve, scaled."""
+SIZE = "size"
+"""Measure of a family's point: the modulus of the largest multiplier, or of the trace, at least one."""
 
-
-@dataclass(frozen=True)
-class FamilyPoint(Brief):
-    """A solution on a family's curve, with its unit tangent.
-
-    Attributes:
-        unknowns (n + 1,): (c, τ).
-        tangent (n + 1,): unit tangent.
-        energy: J.
-        measures: values by name.
-    """
-
-    unknowns: Array
-    tangent: Array
-    energy: float
-    residual: float
-    measures: Mapping[str, float]
-
-    def reversed(self) -> "FamilyPoint":
-        """Return the point with the opposite tangent."""
-        measures = {**self.measures, SLOPE: -self.measures[SLOPE]}
-        return replace(self, tangent=-self.tangent, measures=measures)
-
-
-@dataclass(frozen=True)
-class FamilyCurve(Brief):
-    """The curve of solutions of one shooting problem.
-
-    Attributes:
-        weights (n + 1,): units of (c, τ).
-        measure: function from unknowns to the family's measures.
-        tolerance: of Newton's method.
-        accept: largest scaled residual of a point.
-    """
-
-    problem: SymmetricShooting
-    weights: Array
-    measure: Callable[[Array], Mapping[str, float]]
-    iterations: int
-    tolerance: float
-    accept: float
-
-    def point(self, unknowns: Array, heading: Array | None, residual: float) -> FamilyPoint:
-        """Return a solution with its tangent, energy and measures.
-
-        Args:
-            unknowns: solution (n + 1,).
-            heading: row (n + 1,) along which the tangent points; None for towards higher energies.
-            residual: scaled residual of the solution.
-        """
-        _, jacobian = self.problem.arc(unknowns)
-        tangent = np.linalg.svd(jacobian * self.weights)[2][-1]
-        energy, gradient = self.problem.energy(unknowns)
-        slope = float((gradient * self.weights) @ tangent) / self.problem.system.energy_scale
-        if (slope if heading is None else tangent @ heading) < 0:
-            tangent, slope = -tangent, -slope
-        return FamilyPoint(unknowns, tangent, energy, residual, {**self.measure(unknowns), SLOPE: slope})
-
-    def step(self, start: FamilyPoint, length: float) -> FamilyPoint | None:
-        """Return the next point, None if Newton's method fails.
-
-        Args:
-            start: point of the curve.
-            length: distance along the tangent, in units of the weights.
-        """
-        guess = start.unknowns + length * start.tangent * self.weights
-        found = self.problem.along(
-            guess, start.tangent, self.weights, iterations=self.iterations, tolerance=self.tolerance
-        )
-        moved = float(np.linalg.norm((found.unknowns - guess) / self.weights))
-        # A correction of over half the step, or a tangent turned by 25 degrees, indicates another curve.
-        if found.residual > self.accept or moved > 0.5 * abs(length):
-            return None
-        try:
-            point = self.point(found.unknowns, start.tangent, found.residual)
-        except (ArithmeticError, np.linalg.LinAlgError):
-            return None
-        return point if point.tangent @ start.tangent > 0.9 else None
-
-    def followed(
-        self,
-        start: FamilyPoint,
-        *,
-        step: float,
-        smallest: float,
-        too_long: Callable[[FamilyPoint, FamilyPoint], bool] = lambda here, following: False,
-    ) -> Iterator[tuple[FamilyPoint, FamilyPoint, float]]:
-        """Yield (point, next point, length) along the curve.
-
-        It ends when no step of `smallest` converges.
-
-        Args:
-            start: first point.
-            step: longest step, in units of the weights.
-            smallest: shortest step, in units of the weights.
-            too_long: function of two successive points. If it returns True, a step that converges is still halved, if
-                possible.
-        """
-        here, length = start, min(step, FIRST_STEP)
-        while length >= smallest:
-            following = self.step(here, length)
-            if following is None or (length > 2 * smallest and too_long(here, following)):
-                length /= 2
-                continue
-            yield here, following, length
-            here, length = following, min(step, 1.5 * length)
-
-    def located(self, start: FamilyPoint, length: float, value: Callable[[FamilyPoint], float]) -> FamilyPoint | None:
-        """Return the zero of a function on the curve, or None.
-
-        Args:
-            start: point of the curve.
-            length: range of the search from `start`, in units of the weights.
-            value: continuous function of a point.
-        """
-
-        from scipy.optimize import brentq
-
-        def at(h: float) -> float:
-            point = start if h == 0 else self.step(start, h)
-            if point is None:
-                raise ArithmeticError("no longer on the curve")
-            return value(point)
-
-        try:
-            return self.step(start, float(brentq(at, 0.0, length, xtol=1e-13)))  # type: ignore[arg-type]
-        except (ArithmeticError, ValueError):
-            return None
+LINGERS = 0.05
+"""Largest scaled distance between an equilibrium and an orbit that approaches it."""
 
 
 @dataclass(frozen=True)
 class FollowingSettings:
-    """Steps and tolerance of continuation, in scaled units of (c, τ)."""
+    """Steps, tolerance and limits of continuation, in scaled units of (c, τ).
+
+    Attributes:
+        largest_multiplier: largest measure `SIZE`. Beyond 1e7, the multipliers at one have errors above 1e-2 in double
+            precision.
+        longest: longest period, s.
+        tail: number of steps beyond `largest_multiplier` that determine the end of a Lyapunov family.
+    """
 
     step: float = 0.05
     smallest_step: float = 1e-6
     most_members: int = 400
     newton_iterations: int = 12
     tolerance: float = 1e-12
+    largest_multiplier: float = 1e7
+    longest: float = np.inf
+    tail: int = 25
 
 
 @dataclass(frozen=True)
@@ -197,7 +80,7 @@ class CurveEvent:
     """A zero of the measure `test` on a family's curve."""
 
     test: str
-    place: FamilyPoint
+    place: CurvePoint
     before: float
     after: float
 
@@ -241,100 +124,89 @@ class Followed:
         last: end of the family, None if no step converges.
     """
 
-    here: FamilyPoint
-    points: list[FamilyPoint] = field(default_factory=list)
+    here: CurvePoint
+    points: list[CurvePoint] = field(default_factory=list)
     events: list[CurveEvent] = field(default_factory=list)
     first: FamilyEnd | None = None
     last: FamilyEnd | None = None
 
 
 def follow(
-    curve: FamilyCurve,
-    start: FamilyPoint,
+    curve: Curve,
+    problem: SymmetricShooting,
+    start: CurvePoint,
     energies: tuple[float, float],
     *,
-    tests: Sequence[str],
     settings: FollowingSettings,
-    stop: Callable[[FamilyPoint], FamilyEnd | None],
-    losing: Sequence[str] = (),
     born: bool = False,
-    too_long: Callable[[FamilyPoint, FamilyPoint], bool] = lambda here, following: False,
     progress: Progress = no_progress,
 ) -> Followed:
     """Follow a family from a point until it leaves the energy bounds.
 
     Args:
         curve: curve of the family.
+        problem: shooting problem of the family.
         start: first point.
         energies: (lowest, highest), J.
-        tests: measures whose zeros are located.
         settings: steps and limits.
-        stop: function that returns the end of the family at a point, or None.
-        losing: tests that end the family.
-        born: True if the family starts at this point.
-        too_long: see `FamilyCurve.followed`.
+        born: True if the family starts at this point, and ends at the loss of hyperbolicity.
         progress: called with a label and the completed share.
     """
-    (low, high), system = energies, curve.problem.system
-    run = Followed(start)
+    (low, high), run = energies, Followed(start)
+    # There, dH/ds vanishes too, which is not a fold.
+    birth = start if born else None
+    end = partial(FamilyEnd, system=problem.system)
 
     def within(energy: float) -> bool:
         return low <= energy <= high
 
-    def at(guess: FamilyPoint, energy: float) -> FamilyPoint | None:
-        found = curve.problem.member(
-            guess.unknowns, energy, iterations=settings.newton_iterations, tolerance=settings.tolerance
-        )
-        if found.residual > curve.accept:
-            return None
-        return replace(curve.point(found.unknowns, guess.tangent, found.residual), energy=energy)
+    def crossed(test: str, here: CurvePoint, following: CurvePoint) -> bool:
+        return here.measures[test] * following.measures[test] < 0
 
-    steps = curve.followed(start, step=settings.step, smallest=settings.smallest_step, too_long=too_long)
+    steps = curve.followed(
+        start,
+        step=settings.step,
+        smallest=settings.smallest_step,
+        # A step across the whole elliptic range would miss both of its ends.
+        refused=lambda here, following: here is not birth and all(crossed(t, here, following) for t in CRITICAL),
+    )
     for before, following, length in steps:
         run.here = following
-        # dH/ds also vanishes at the start of the family, which is not a fold.
-        for test in () if born and before is start else tests:
-            sides = (before.measures[test], following.measures[test])
-            if sides[0] * sides[1] < 0 and (within(before.energy) or within(following.energy)):
+        for test in () if before is birth else (SLOPE, *CRITICAL):
+            if crossed(test, before, following) and (within(before.value) or within(following.value)):
                 place = curve.located(before, length, lambda point, test=test: point.measures[test])
-                if place is not None and within(place.energy):
-                    run.events.append(CurveEvent(test, place, *sides))
-                    if test in losing and run.last is None:
+                if place is not None and within(place.value):
+                    run.events.append(CurveEvent(test, place, before.measures[test], following.measures[test]))
+                    if born and test in CRITICAL and run.last is None:
                         run.points.append(place)
-                        cause = FamilyEndCause.HYPERBOLICITY_LOST
-                        run.last = FamilyEnd(place.energy, cause, system, multiplier=CRITICAL[test])
+                        run.last = end(place.value, FamilyEndCause.HYPERBOLICITY_LOST, multiplier=CRITICAL[test])
         if run.last is not None:
-            return run
-        way = 1 if following.energy > before.energy else -1
+            break
+        way = 1 if following.value > before.value else -1
         for bound in energies[::way]:
-            if (before.energy - bound) * (following.energy - bound) < 0 or following.energy == bound:
-                place = at(following, bound)
+            if (before.value - bound) * (following.value - bound) < 0 or following.value == bound:
+                place = curve.at(following, bound)
                 run.points += [] if place is None else [place]
-                end = FamilyEnd(bound, FamilyEndCause.ENERGY_BOUND, system)
                 if bound == energies[::way][1]:
-                    run.last = end
+                    run.last = end(bound, FamilyEndCause.ENERGY_BOUND)
                     return run
-                run.first = end
-        if within(following.energy):
+                run.first = end(bound, FamilyEndCause.ENERGY_BOUND)
+        if within(following.value):
             run.points.append(following)
-            progress("family of orbits", min(1.0, abs(following.energy - start.energy) / (high - low)))
-        run.last = stop(following)
-        if run.last is None and len(run.points) >= settings.most_members:
-            cause = FamilyEndCause.MANY_MEMBERS
-            run.last = FamilyEnd(following.energy, cause, system, limit=settings.most_members)
+            progress("family of orbits", min(1.0, abs(following.value - start.value) / (high - low)))
+        period, many = problem.period(following.unknowns), len(run.points) >= settings.most_members
+        if period > settings.longest:
+            run.last = end(following.value, FamilyEndCause.LONG_PERIOD, period=period)
+        elif following.measures[SIZE] > settings.largest_multiplier:
+            run.last = end(following.value, FamilyEndCause.LARGE_MULTIPLIER, limit=settings.largest_multiplier)
+        elif many:
+            run.last = end(following.value, FamilyEndCause.MANY_MEMBERS, limit=settings.most_members)
         if run.last is not None:
-            return run
+            break
     return run
 
 
-SIZE = "size"
-"""Measure of a family's point: the modulus of the largest multiplier, at least one."""
-
-LINGERS = 0.05
-"""Largest scaled distance between an equilibrium and an orbit that approaches it."""
-
-
-def nearest_equilibrium(problem: SymmetricShooting, place: FamilyPoint) -> tuple[str, float]:
+def nearest_equilibrium(problem: SymmetricShooting, place: CurvePoint) -> tuple[str, float]:
     """Return the equilibrium nearest to an orbit, and its scaled distance.
 
     Args:
@@ -347,38 +219,36 @@ def nearest_equilibrium(problem: SymmetricShooting, place: FamilyPoint) -> tuple
     return min(distances.items(), key=lambda item: item[1])
 
 
-def family_end(
-    system: System, points: list[FamilyPoint], problem: SymmetricShooting, *, largest: float | None = None
-) -> FamilyEnd:
+def family_end(points: list[CurvePoint], problem: SymmetricShooting, *, largest: float | None = None) -> FamilyEnd:
     """Return the end of a family that could not be followed further.
 
     Args:
-        system: system of the family.
         points: the last members.
         problem: shooting problem of the family.
         largest: limit on multipliers that ended the continuation, if any.
     """
-    place = points[-1]
+    place, system, near = points[-1], problem.system, 1e-3 * problem.scale
     name, distance = nearest_equilibrium(problem, place)
-    goal = float(system.numeric.hamiltonian(system.equilibria[name]))
+    height = float(system.numeric.hamiltonian(system.equilibria[name]))
     limit = _extrapolated(points, problem)
-    if distance < LINGERS and limit is not None and abs(limit - goal) < 1e-3 * system.energy_scale:
-        period, size = problem.period(place.unknowns), place.measures[SIZE]
-        return FamilyEnd(
-            place.energy, FamilyEndCause.HOMOCLINICS, system, name, goal, distance, period, multiplier=size, limit=limit
-        )
-    if largest is not None:
-        return FamilyEnd(place.energy, FamilyEndCause.LARGE_MULTIPLIER, system, limit=largest)
-    return FamilyEnd(place.energy, FamilyEndCause.STUCK, system, residual=place.residual)
+    if distance < LINGERS and limit is not None and abs(limit - height) < near:
+        cause = FamilyEndCause.HOMOCLINICS
+    elif largest is not None:
+        cause, limit = FamilyEndCause.LARGE_MULTIPLIER, largest
+    else:
+        passes = distance <= LINGERS and abs(height - place.value) <= near
+        cause = FamilyEndCause.PASSES_EQUILIBRIUM if passes else FamilyEndCause.STUCK
+    period, size = problem.period(place.unknowns), place.measures[SIZE]
+    return FamilyEnd(place.value, cause, system, name, height, distance, period, size, limit or np.nan, place.residual)
 
 
-def _extrapolated(points: list[FamilyPoint], problem: SymmetricShooting) -> float | None:
+def _extrapolated(points: list[CurvePoint], problem: SymmetricShooting) -> float | None:
     """Extrapolate the energy to infinite period, or return None."""
     if len(points) < 9:
         return None
     # The energy is exponential in the period near homoclinics, so the rule needs equal steps in the period.
     periods = np.array([problem.period(p.unknowns) for p in points[-9:]])
-    energies = np.array([p.energy for p in points[-9:]])
+    energies = np.array([p.value for p in points[-9:]])
     if np.any(np.diff(periods) <= 0):
         return None
     rates = np.diff(energies) / np.diff(periods)
@@ -389,23 +259,6 @@ def _extrapolated(points: list[FamilyPoint], problem: SymmetricShooting) -> floa
         return None
     last = float(rates[-1] * np.exp(-decay * (periods[-1] - middles[-1])))
     return float(energies[-1] + last / decay)
-
-
-CRITICAL = {"multiplier +1": 1.0, "multiplier -1": -1.0}
-"""Multipliers at which hyperbolicity is lost, by the test of their crossing."""
-_TESTS = (SLOPE, *CRITICAL)
-
-
-@dataclass(frozen=True)
-class FamilySettings(FollowingSettings):
-    """Steps and limits of continuation of Lyapunov orbits.
-
-    Beyond `largest_multiplier`, the multipliers at one have errors above 1e-2 in double precision. The curve is
-    followed for another `tail` steps to determine its end.
-    """
-
-    largest_multiplier: float = 1e7
-    tail: int = 25
 
 
 _UNFINISHED = (FamilyEndCause.LARGE_MULTIPLIER, FamilyEndCause.MANY_MEMBERS, FamilyEndCause.STUCK)
@@ -520,7 +373,7 @@ def lyapunov_family(
     *,
     energies: tuple[float, float],
     family: int = 0,
-    settings: FamilySettings | None = None,
+    settings: FollowingSettings | None = None,
     progress: Progress = no_progress,
 ) -> LyapunovFamily:
     """Follow a family of Lyapunov orbits from its saddle.
@@ -539,7 +392,7 @@ def lyapunov_family(
     Raises:
         InputError: unknown saddle or family, or no member within the bounds.
     """
-    settings = settings or FamilySettings()
+    settings = settings or FollowingSettings()
     problem, linear = symmetric_shooting(system, saddle, family)
     low, high = energies
     if not (np.isfinite(low) and np.isfinite(high) and low < high):
@@ -550,84 +403,50 @@ def lyapunov_family(
             f"energies {low:g} to {high:g}{system.unit('J')}: the Lyapunov orbits about {saddle} exist only "
             f"{'above' if linear.sign > 0 else 'below'} its energy of {linear.energy:.6g}{system.unit('J')}"
         )
-    curve = _curve(problem, linear, settings)
-
-    def orbit(point: FamilyPoint) -> LyapunovOrbit:
-        return described_orbit(
-            problem,
-            point.unknowns,
-            saddle=saddle,
-            family=family,
-            energy=point.energy,
-            outcome=OrbitOutcome(OrbitCause.MEMBER, point.residual),
-        )
-
-    def stop(point: FamilyPoint) -> FamilyEnd | None:
-        large = point.measures[SIZE] > largest
-        return FamilyEnd(point.energy, FamilyEndCause.LARGE_MULTIPLIER, system, limit=largest) if large else None
-
-    tangent = np.append(linear.direction, 0.0) / curve.weights
-    birth, heading = np.append(0.0 * linear.direction, _birth_arc(problem, linear)), tangent / np.linalg.norm(tangent)
+    birth, weights = problem.birth(linear)
+    newton = Newton(settings.newton_iterations, settings.tolerance)
+    curve = Curve(problem, weights, newton, 10 * settings.tolerance, partial(floquet_measures, problem))
+    tangent = np.append(linear.direction, 0.0) / weights
+    heading = tangent / np.linalg.norm(tangent)
     # At the saddle the curve meets that of the resting arcs (0, τ), so its tangent comes from the linear centre.
-    here = replace(curve.point(birth, heading, 0.0), tangent=heading)
-    largest = settings.largest_multiplier
-    run = follow(
-        curve, here, energies, tests=_TESTS, losing=_TESTS[1:], settings=settings, born=True, progress=progress,
-        stop=stop,
-    )  # fmt: skip
+    start = replace(curve.point(birth, heading, 0.0), tangent=heading)
+    run = follow(curve, problem, start, energies, settings=settings, born=True, progress=progress)
     first = run.first or FamilyEnd(linear.energy, FamilyEndCause.SADDLE, system, saddle)
-    last, points = run.last, run.points
+    last, points, largest, step = run.last, run.points, settings.largest_multiplier, settings.step
     if last is None:
-        last = family_end(system, points or [run.here], problem)
+        last = family_end(points or [run.here], problem)
     elif last.cause is FamilyEndCause.LARGE_MULTIPLIER:
-        last = family_end(system, [*points, *_tail(curve, run.here, settings)], problem, largest=largest)
+        tail = islice(curve.followed(run.here, step=step, smallest=step, first=step), settings.tail)
+        last = family_end([*points, *(following for _, following, _ in tail)], problem, largest=largest)
         points = [p for p in points if p.measures[SIZE] <= largest]
     if not points:
         span = f"energies {low:g} to {high:g}{system.unit('J')}"
         raise InputError(f"{span}: the family about {saddle} does not reach them; {last.status}")
+
+    def orbit(point: CurvePoint) -> LyapunovOrbit:
+        outcome = OrbitOutcome(OrbitCause.MEMBER, point.residual)
+        return described_orbit(
+            problem, point.unknowns, saddle=saddle, family=family, energy=point.value, outcome=outcome
+        )
+
     members = tuple(orbit(p) for p in points)
     events = tuple(FamilyEvent("fold" if e.test == SLOPE else e.test, orbit(e.place)) for e in run.events)
     return LyapunovFamily(system, saddle, family, events, energies, members=members, ends=(first, last))
 
 
-def _curve(problem: SymmetricShooting, linear: LinearCentre, settings: FamilySettings) -> FamilyCurve:
-    """Return the family's curve with measures of the Floquet multipliers."""
-    system = problem.system
+def floquet_measures(problem: SymmetricShooting, unknowns: Array) -> dict[str, float]:
+    """Return the tests of the Floquet multipliers, and the largest modulus.
 
-    def measure(unknowns: Array) -> dict[str, float]:
-        state = problem.state(unknowns)
-        _, monodromy = system.propagator.flow_with_stm(state, problem.period(unknowns))
-        plane, _ = np.linalg.qr(np.column_stack([system.numeric.rate(state), system.numeric.gradient(state)]))
-        rest = np.linalg.svd(plane.T)[2][2:].T
-        reduced = rest.T @ monodromy @ rest
-        size = max(1.0, float(np.abs(np.linalg.eigvals(reduced)).max()))
-        one = np.eye(len(reduced))
-        return {
-            "multiplier +1": float(np.linalg.det(reduced - one)) / size,
-            "multiplier -1": float(np.linalg.det(reduced + one)) / size,
-            SIZE: size,
-        }
-
-    return FamilyCurve(
-        problem,
-        weights=np.append(np.abs(problem.start.T) @ system.scale, _birth_arc(problem, linear)),
-        measure=measure,
-        iterations=settings.newton_iterations,
-        tolerance=settings.tolerance,
-        accept=10 * settings.tolerance,
-    )
-
-
-def _birth_arc(problem: SymmetricShooting, linear: LinearCentre) -> float:
-    return 2 * np.pi / linear.frequency / problem.quarters
-
-
-def _tail(curve: FamilyCurve, start: FamilyPoint, settings: FamilySettings) -> list[FamilyPoint]:
-    """Follow the curve for at most `tail` more steps."""
-    points = [start]
-    for _ in range(settings.tail):
-        following = curve.step(points[-1], settings.step)
-        if following is None:
-            break
-        points.append(following)
-    return points[1:]
+    Args:
+        problem: shooting problem of the family.
+        unknowns: solution (n + 1,).
+    """
+    system, state = problem.system, problem.state(unknowns)
+    _, monodromy = system.propagator.flow_with_stm(state, problem.period(unknowns))
+    plane, _ = np.linalg.qr(np.column_stack([system.numeric.rate(state), system.numeric.gradient(state)]))
+    rest = np.linalg.svd(plane.T)[2][2:].T
+    reduced = rest.T @ monodromy @ rest
+    size = max(1.0, float(np.abs(np.linalg.eigvals(reduced)).max()))
+    identity = np.eye(len(reduced))
+    tests = {test: float(np.linalg.det(reduced - at * identity)) / size for test, at in CRITICAL.items()}
+    return {**tests, SIZE: size}

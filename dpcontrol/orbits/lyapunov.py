@@ -15,8 +15,8 @@ The module also computes the energy, eigenvalues and type of equilibria, from wh
 Source: Lamb & Roberts, Time-reversal symmetry in dynamical systems (1998), theorem 4.2.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal
 
@@ -29,6 +29,7 @@ from dpcontrol.foundation.causes import OrbitCause
 from dpcontrol.foundation.checked import checked, number
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.shown import Brief, checked_times
+from dpcontrol.orbits.continuation import Bounds, Function, Newton, member, stepped
 from dpcontrol.orbits.manifold import OrbitCurve
 from dpcontrol.orbits.orbit import OrbitOutcome, PeriodicOrbit
 from dpcontrol.orbits.tube import Tube
@@ -85,8 +86,6 @@ def resting_place(system: System) -> str:
     return min(system.equilibria, key=lambda name: float(system.numeric.hamiltonian(system.equilibrium(name))))
 
 
-Row = Callable[[Array], tuple[float, Array]]
-
 _LONGEST = 3.0
 """Largest arc duration in Newton's method, relative to the initial guess."""
 
@@ -137,7 +136,7 @@ class SymmetricShooting(Brief):
         jacobian = np.column_stack([self.target @ stm @ self.start, self.target @ self.system.numeric.rate(end)])
         return self.target @ (end - self.centre), jacobian
 
-    def energy(self, unknowns: Array) -> tuple[float, Array]:
+    def quantity(self, unknowns: Array) -> tuple[float, Array]:
         """Return the energy (J) and its derivative (n + 1,).
 
         Args:
@@ -146,94 +145,44 @@ class SymmetricShooting(Brief):
         state, numeric = self.state(unknowns), self.system.numeric
         return float(numeric.hamiltonian(state)), np.append(numeric.gradient(state) @ self.start, 0.0)
 
+    def birth(self, linear: "LinearCentre") -> tuple[Array, Array]:
+        """Return the unknowns (n + 1,) of a family at its saddle, and their units (n + 1,).
+
+        Args:
+            linear: linear limit of the family.
+        """
+        arc = 2 * np.pi / linear.frequency / self.quarters
+        units = np.append(np.abs(self.start.T) @ self.system.scale, arc)
+        return np.append(0.0 * linear.direction, arc), units
+
     @property
-    def arc_weights(self) -> Array:
-        """Weights (n,) that convert the arc's residual to scaled units."""
-        return np.abs(self.target) @ (1 / self.system.scale)
+    def units(self) -> Array:
+        """Factors (n + 1,) that scale the arc's residual, with that of another equation."""
+        return np.append(np.abs(self.target) @ (1 / self.system.scale), 1.0)
 
-    def member(
-        self, guess: Array, energy: float, *, iterations: int, tolerance: float, enough: float = 0.0
-    ) -> "FamilyMember":
-        """Return the member at an energy with the family's direction.
+    @property
+    def scale(self) -> float:
+        """Typical energy, J."""
+        return self.system.energy_scale
 
-        The residual is infinite if Newton's method left the family. This is assumed if the duration is not positive or
-        exceeds three times that of the guess.
+    def near(self, guess: Array) -> Function:
+        """Return the equations of the arc.
 
         Args:
             guess: unknowns (n + 1,).
-            energy: energy of the member, J.
-            iterations: most steps of Newton's method.
-            tolerance: largest scaled residual.
-            enough: residual at which Newton's method stops. It also stops at rounding level, which must be below
-                `tolerance`.
         """
+        return self.arc
 
-        def row(unknowns: Array) -> tuple[float, Array]:
-            here, slope = self.energy(unknowns)
-            return (here - energy) / self.system.energy_scale, slope / self.system.energy_scale
+    def bounds(self, guess: Array) -> Bounds:
+        """Return the lowest and highest unknowns (n + 1,) near a guess.
 
-        found = self._newton(guess, row, iterations=iterations, tolerance=tolerance, enough=enough)
-        return replace(found, slope=found.slope / self.system.energy_scale)
-
-    def along(
-        self, guess: Array, tangent: Array, weights: Array, *, iterations: int, tolerance: float
-    ) -> "FamilyMember":
-        """Return the member on a plane.
+        Only the duration is bounded, because long arcs are slow to integrate.
 
         Args:
-            guess: point (n + 1,) on the plane.
-            tangent: normal (n + 1,) of the plane.
-            weights: units (n + 1,) of the unknowns in the scalar product.
-            iterations: most steps of Newton's method.
-            tolerance: largest scaled residual.
+            guess: unknowns (n + 1,).
         """
-
-        def row(unknowns: Array) -> tuple[float, Array]:
-            return float(tangent @ ((unknowns - guess) / weights)), tangent / weights
-
-        return self._newton(guess, row, iterations=iterations, tolerance=tolerance)
-
-    def _newton(
-        self, guess: Array, row: Row, *, iterations: int, tolerance: float, enough: float = 0.0
-    ) -> "FamilyMember":
-        best = FamilyMember(guess, np.inf, np.zeros_like(guess))
-        unknowns = guess
-        for _ in range(iterations):
-            try:
-                miss, arc_jacobian = self.arc(unknowns)
-                extra, slope = row(unknowns)
-                right = np.column_stack([np.append(miss, extra), np.append(np.zeros_like(miss), 1.0)])
-                step, along = np.linalg.solve(np.vstack([arc_jacobian, slope]), right).T
-            except (ArithmeticError, np.linalg.LinAlgError):
-                return best
-            residual = float(np.max(np.append(np.abs(miss) * self.arc_weights, abs(extra))))
-            if residual < best.residual:
-                best = FamilyMember(unknowns, residual, along)
-                if residual <= enough:
-                    return best
-            elif best.residual < tolerance:
-                # Rounding level is reached, so further steps bring no improvement.
-                return best
-            unknowns = unknowns - step
-            # Far from the guess lie other orbits, and long arcs are slow to integrate.
-            if not 0 < unknowns[-1] <= _LONGEST * guess[-1]:
-                return replace(best, residual=np.inf)
-        return best
-
-
-@dataclass(frozen=True)
-class FamilyMember(Brief):
-    """A member of a family, found by Newton's method.
-
-    Attributes:
-        unknowns (n + 1,): (c, τ).
-        residual: scaled.
-        slope (n + 1,): derivative of the unknowns by the last equation's value, for example by the energy in J.
-    """
-
-    unknowns: Array
-    residual: float
-    slope: Array
+        high = np.append(np.full(len(guess) - 1, np.inf), _LONGEST * guess[-1])
+        return np.append(-high[:-1], 0.0), high
 
 
 def fixed_and_moved(reverser: Array) -> tuple[Array, Array]:
@@ -323,6 +272,8 @@ def _linear_centre(problem: SymmetricShooting, saddle: str, family: int) -> Line
 
 _ON_THE_WAY = 1e-7
 """Scaled residual of intermediate orbits."""
+_NEARBY = 1e-12
+"""Scaled residual of an orbit that is found from a nearby one."""
 
 
 @dataclass(frozen=True)
@@ -441,6 +392,22 @@ def described_orbit(
     )
 
 
+def nearby_orbit(problem: SymmetricShooting, near: LyapunovOrbit, energy: float) -> LyapunovOrbit:
+    """Return the orbit of a family at an energy from a nearby one.
+
+    Args:
+        problem: shooting problem of the family.
+        near: orbit of the family, or of the same family of a similar system.
+        energy: energy of the orbit, J.
+    """
+    guess = np.append(problem.start.T @ (near.state - near.centre), near.period / problem.quarters)
+    solution = member(problem, guess, energy, Newton(12, _NEARBY))
+    cause = OrbitCause.NEARBY if solution.residual < _NEARBY else OrbitCause.LOST
+    outcome = OrbitOutcome(cause, solution.residual, reached=near.energy)
+    unknowns = solution.unknowns if cause is OrbitCause.NEARBY else guess
+    return described_orbit(problem, unknowns, saddle=near.saddle, family=near.family, energy=energy, outcome=outcome)
+
+
 @dataclass(frozen=True)
 class _Passed:
     """An intermediate member at s with its unknowns (n + 1,)."""
@@ -454,37 +421,29 @@ def _follow(
     problem: SymmetricShooting, settings: ContinuationSettings, linear: LinearCentre, energy: float
 ) -> tuple[Array, OrbitOutcome]:
     """Continue in s = √(energy above the saddle) with cubic prediction."""
-    saddle_energy, sign = linear.energy, linear.sign
-    goal = np.sqrt(abs(energy - saddle_energy))
-    largest = settings.step * np.sqrt(problem.system.energy_scale)
-    at_birth = 2 * np.pi / linear.frequency / problem.quarters
-    units = np.append(np.abs(problem.start.T) @ problem.system.scale, at_birth)
-    passed = [_Passed(0.0, np.append(0 * linear.direction, at_birth), np.append(linear.direction, 0.0))]
-    step = min(largest, goal)
-    residual = np.inf
-    while passed[-1].s < goal:
-        last = passed[-1]
-        # A final step at rounding level would be too short for the test of the correction.
-        s = goal if last.s + (1 + 1e-6) * step >= goal else last.s + step
-        ends = s == goal
-        enough = 0.0 if ends else _ON_THE_WAY
+    sign, goal = linear.sign, float(np.sqrt(abs(energy - linear.energy)))
+    longest = settings.step * np.sqrt(problem.system.energy_scale)
+    unknowns, units = problem.birth(linear)
+    birth = _Passed(0.0, unknowns, np.append(linear.direction, 0.0))
+    residuals = [np.inf]
+
+    def following(passed: tuple[_Passed, ...], _: float, s: float) -> tuple[_Passed, ...] | None:
+        enough = 0.0 if s == goal else _ON_THE_WAY
+        newton = Newton(settings.newton_iterations, settings.tolerance, enough)
         guess = _predicted(passed[-2:], s)
-        found = problem.member(
-            guess, energy if ends else saddle_energy + sign * s * s, iterations=settings.newton_iterations,
-            tolerance=settings.tolerance, enough=enough,
-        )  # fmt: skip
-        residual = found.residual
-        corrected, moved = (float(np.linalg.norm(v / units)) for v in (found.unknowns - guess, guess - last.unknowns))
-        # A correction of over half the step indicates another curve, as in module family.
-        if residual > max(settings.tolerance, enough) or corrected > 0.5 * moved:
-            step = (s - last.s) / 2
-            if step < settings.smallest_step * largest:
-                reached = saddle_energy + sign * last.s**2
-                return last.unknowns, OrbitOutcome(OrbitCause.LOST, residual, reached=reached)
-            continue
-        passed.append(_Passed(s, found.unknowns, 2 * sign * s * found.slope))
-        step = min(largest, step * 1.5)
-    return passed[-1].unknowns, OrbitOutcome(OrbitCause.CONTINUED, residual, steps=len(passed) - 1)
+        solution = member(problem, guess, energy if s == goal else linear.energy + sign * s * s, newton)
+        residuals.append(solution.residual)
+        moves = solution.unknowns - guess, guess - passed[-1].unknowns
+        corrected, moved = (float(np.linalg.norm(v / units)) for v in moves)
+        # A correction of over half the step indicates another curve, as in module continuation.
+        if solution.residual > max(settings.tolerance, enough) or corrected > 0.5 * moved:
+            return None
+        return *passed, _Passed(s, solution.unknowns, 2 * sign * s * solution.slope)
+
+    smallest = settings.smallest_step * longest
+    passed, s = stepped((birth,), (0.0, goal), following, longest=longest, smallest=smallest)
+    cause, reached = OrbitCause.CONTINUED if s == goal else OrbitCause.LOST, linear.energy + sign * s**2
+    return passed[-1].unknowns, OrbitOutcome(cause, residuals[-1], steps=len(passed) - 1, reached=reached)
 
 
 def _predicted(points: Sequence[_Passed], s: float) -> Array:

@@ -33,18 +33,15 @@ from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.foundation.shown import Brief, checked_times
+from dpcontrol.orbits.continuation import SLOPE, Curve, CurvePoint, Newton, member
 from dpcontrol.orbits.family import (
-    LINGERS,
-    SLOPE,
+    CRITICAL,
+    SIZE,
     CurveEvent,
     Family,
-    FamilyCurve,
-    FamilyEnd,
-    FamilyPoint,
-    Followed,
     FollowingSettings,
+    family_end,
     follow,
-    nearest_equilibrium,
 )
 from dpcontrol.orbits.lyapunov import SymmetricShooting, fixed_and_moved
 from dpcontrol.orbits.orbit import OrbitOutcome, Periodic
@@ -199,15 +196,16 @@ def rotating_orbits(
         raise InputError(f"{system.name} is not a double pendulum: rotating orbits need two arms")
     energy = number("energy", energy)
     found: list[RotatingOrbit] = []
+    newton = Newton(settings.newton_iterations, settings.tolerance)
     for position in (0.0, np.pi):
         problem = half_turn(system, arm, sense, position)
         for guess in _guesses(problem, arm, sense, energy, settings):
-            member = problem.member(guess, energy, iterations=settings.newton_iterations, tolerance=settings.tolerance)
+            solution = member(problem, guess, energy, newton)
             # Newton's method may converge to an orbit of another winding, so results must be near their guess.
-            apart = np.abs(member.unknowns - guess) / np.append(system.scale[2:], guess[-1])
-            if member.residual > settings.tolerance or apart.max() > 0.2:
+            apart = np.abs(solution.unknowns - guess) / np.append(system.scale[2:], guess[-1])
+            if solution.residual > settings.tolerance or apart.max() > 0.2:
                 continue
-            orbit = described(problem, member.unknowns, arm, energy, member.residual)
+            orbit = described(problem, solution.unknowns, arm, energy, solution.residual)
             if not any(np.abs(orbit.state - other.state).max() < 1e-7 for other in found):
                 found.append(orbit)
     return tuple(sorted(found, key=lambda o: -o.period))
@@ -384,17 +382,7 @@ def _refined(
     return arrivals
 
 
-_TRACE = "trace"
-_CRITICAL = {"multiplier +1": 2.0, "multiplier -1": -2.0}
-"""Traces of multiplier crossings at ±1."""
-
-
-@dataclass(frozen=True)
-class RotatingFamilySettings(FollowingSettings):
-    """Steps of continuation, with limits on period (s) and trace."""
-
-    longest: float = 5.0
-    largest: float = 1e8
+ROTATING_LIMITS = FollowingSettings(largest_multiplier=1e8, longest=5.0)
 
 
 @dataclass(frozen=True)
@@ -438,7 +426,7 @@ def rotating_family(
     orbit: RotatingOrbit,
     energies: tuple[float, float],
     *,
-    settings: RotatingFamilySettings | None = None,
+    settings: FollowingSettings = ROTATING_LIMITS,
     progress: Progress = no_progress,
 ) -> RotatingFamily:
     """Follow the family of a rotating orbit in both directions.
@@ -452,7 +440,6 @@ def rotating_family(
     Raises:
         InputError: the bounds do not enclose the orbit's energy.
     """
-    settings = settings or RotatingFamilySettings()
     low, high = energies
     if not low < orbit.energy < high:
         raise InputError(f"energies {low:g} to {high:g} J: must enclose the orbit's, {orbit.energy:g} J")
@@ -462,31 +449,28 @@ def rotating_family(
 
     def measure(unknowns: Array) -> dict[str, float]:
         trace = section_trace(problem, unknowns)[0]
-        return {_TRACE: trace, **{test: trace - critical for test, critical in _CRITICAL.items()}}
+        return {**{test: trace - 2 * multiplier for test, multiplier in CRITICAL.items()}, SIZE: abs(trace)}
 
-    curve = FamilyCurve(
-        problem,
-        weights=np.append(orbit.system.scale[2:], orbit.period / 2),
-        measure=measure,
-        iterations=settings.newton_iterations,
-        tolerance=settings.tolerance,
-        accept=settings.tolerance,
-    )
+    weights = np.append(orbit.system.scale[2:], orbit.period / 2)
+    newton = Newton(settings.newton_iterations, settings.tolerance)
+    curve = Curve(problem, weights, newton, settings.tolerance, measure)
 
-    def described_point(point: FamilyPoint) -> RotatingOrbit:
-        return described(problem, point.unknowns, orbit.arm, point.energy, point.residual)
+    def described_point(point: CurvePoint) -> RotatingOrbit:
+        return described(problem, point.unknowns, orbit.arm, point.value, point.residual)
 
     unknowns = np.append(problem.start.T @ (orbit.state - problem.centre), orbit.period / 2)
     first = curve.point(unknowns, None, orbit.outcome.newton_residual)
-    up, down = (_followed(curve, start, energies, settings, progress) for start in (first, first.reversed()))
-    points = [*reversed(down.points), first, *up.points]
-    members = tuple(described_point(p) for p in points)
-    changes = [_change(event, described_point(event.place), downward=True)
-               for event in reversed(down.events) if event.test != SLOPE]  # fmt: skip
-    changes += [_change(event, described_point(event.place)) for event in up.events if event.test != SLOPE]
-    folds = tuple(described_point(e.place) for e in (*reversed(down.events), *up.events) if e.test == SLOPE)
-    lower, upper = (run.last or _homoclinics(problem, run.here) for run in (down, up))
-    return RotatingFamily(tuple(changes), folds, members=members, ends=(lower, upper))
+    up, down = (
+        follow(curve, problem, start, energies, settings=settings, progress=progress)
+        for start in (first, first.reversed())
+    )
+    members = tuple(described_point(p) for p in [*reversed(down.points), first, *up.points])
+    events = [(event, described_point(event.place), True) for event in reversed(down.events)]
+    events += [(event, described_point(event.place), False) for event in up.events]
+    changes = tuple(_change(event, place, downward) for event, place, downward in events if event.test != SLOPE)
+    folds = tuple(place for event, place, _ in events if event.test == SLOPE)
+    lower, upper = (run.last or family_end([run.here], problem) for run in (down, up))
+    return RotatingFamily(changes, folds, members=members, ends=(lower, upper))
 
 
 def rotating_families(
@@ -584,45 +568,8 @@ def _passes(family: RotatingFamily, orbit: RotatingOrbit) -> bool:
     return False
 
 
-def _followed(
-    curve: FamilyCurve,
-    start: FamilyPoint,
-    energies: tuple[float, float],
-    settings: RotatingFamilySettings,
-    progress: Progress,
-) -> Followed:
-    def too_long(here: FamilyPoint, following: FamilyPoint) -> bool:
-        # A step across the whole elliptic range would miss both of its ends.
-        first, second = here.measures[_TRACE], following.measures[_TRACE]
-        return abs(first) > 2 and abs(second) > 2 and first * second < 0
-
-    def stop(here: FamilyPoint) -> FamilyEnd | None:
-        system, period = curve.problem.system, curve.problem.period(here.unknowns)
-        if period > settings.longest:
-            return FamilyEnd(here.energy, FamilyEndCause.LONG_PERIOD, system, period=period)
-        if abs(here.measures[_TRACE]) > settings.largest:
-            return FamilyEnd(here.energy, FamilyEndCause.LARGE_MULTIPLIER, system, limit=settings.largest)
-        return None
-
-    tests = (*_CRITICAL, SLOPE)
-    return follow(
-        curve, start, energies, tests=tests, settings=settings, stop=stop, too_long=too_long, progress=progress
-    )
-
-
-def _change(event: CurveEvent, orbit: RotatingOrbit, *, downward: bool = False) -> StabilityChange:
+def _change(event: CurveEvent, orbit: RotatingOrbit, downward: bool) -> StabilityChange:
     """Return the change of stability at an event; `downward` reverses its sides."""
-    critical = _CRITICAL[event.test]
+    critical = 2 * CRITICAL[event.test]
     before, after = (kind_of(float(critical + np.sign(side))) for side in (event.before, event.after))
     return StabilityChange(orbit, critical, *((after, before) if downward else (before, after)))
-
-
-def _homoclinics(problem: SymmetricShooting, place: FamilyPoint) -> FamilyEnd:
-    """Return the end of a family at which no step converges."""
-    system = problem.system
-    name, near = nearest_equilibrium(problem, place)
-    height = float(system.numeric.hamiltonian(system.equilibria[name]))
-    if near > LINGERS or abs(height - place.energy) > 1e-3 * system.energy_scale:
-        return FamilyEnd(place.energy, FamilyEndCause.STUCK, system, residual=place.residual)
-    period = problem.period(place.unknowns)
-    return FamilyEnd(place.energy, FamilyEndCause.PASSES_EQUILIBRIUM, system, name, height, near, period)

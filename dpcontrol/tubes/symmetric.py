@@ -30,13 +30,13 @@ from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.budget import SECONDS, Budget
-from dpcontrol.foundation.causes import GridCause, OrbitCause, ShootingCause
+from dpcontrol.foundation.causes import GridCause, ShootingCause
 from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.shown import Shown
 from dpcontrol.orbits.cut import arrivals
-from dpcontrol.orbits.lyapunov import LyapunovOrbit, OrbitOutcome, SymmetricShooting, described_orbit, lyapunov_orbit
+from dpcontrol.orbits.lyapunov import LyapunovOrbit, SymmetricShooting, lyapunov_orbit, nearby_orbit
 from dpcontrol.orbits.lyapunov import symmetric_shooting as shooting_problem
 from dpcontrol.orbits.manifold import OrbitCurve, local_manifold
 from dpcontrol.shooting.newton import ManifoldEnd, ShootingOrbit
@@ -173,7 +173,7 @@ def find_symmetric_connections(
         progress(f"tubes of {saddle} at {energy:.4g} J", 0.8 * k / settings.energies)
         # The first orbit is found from its saddle, each other one from the previous orbit.
         orbit = (
-            search.member(rows[-1].orbit, energy)
+            nearby_orbit(search.problem, rows[-1].orbit, energy)
             if rows
             else lyapunov_orbit(system, saddle, energy=energy, family=family)
         )
@@ -255,23 +255,6 @@ class _FamilySearch:
         row = tuple(float(i == self.arm) for i in range(2 * n))
         hanging = float(self.system.equilibrium(self.saddle)[self.arm]) + period / 2
         return Section(f"arm {self.arm + 1} hanging", row, row, row[:n], offset=hanging, period=period)
-
-    def member(self, near: LyapunovOrbit, energy: float) -> LyapunovOrbit:
-        """Return the family's orbit at an energy (J) from a nearby one."""
-        problem = self.problem
-        guess = np.append(problem.start.T @ (near.state - problem.centre), near.period / problem.quarters)
-        found = problem.member(guess, energy, iterations=12, tolerance=1e-12)
-        converged = found.residual < 1e-12
-        return described_orbit(
-            problem,
-            found.unknowns if converged else guess,
-            saddle=self.saddle,
-            family=self.family,
-            energy=energy,
-            outcome=OrbitOutcome(
-                OrbitCause.NEARBY if converged else OrbitCause.LOST, found.residual, reached=near.energy
-            ),
-        )
 
     def flown(self, orbit: LyapunovOrbit) -> _Row:
         """Propagate the orbit's tube to the section."""
@@ -379,7 +362,7 @@ class _FamilySearch:
             step = np.linalg.lstsq(matrix, -gaps.ravel()[: size + n], rcond=None)[0]
             # The linearisation is valid for about one cell of the grid.
             step /= max(1.0, abs(step[0]) / spacing, abs(step[1]) * self.settings.phases / 4)
-            orbit = self.member(half.start.manifold.orbit, half.start.manifold.orbit.energy + step[0])
+            orbit = nearby_orbit(self.problem, half.start.manifold.orbit, half.start.manifold.orbit.energy + step[0])
             if not orbit.converged:
                 break
             manifold = local_manifold(orbit, half.start.manifold.distance)
@@ -401,7 +384,7 @@ class _FamilySearch:
         nudge = 1e-6 * self.system.energy_scale
         sides = []
         for energy in (orbit.energy - nudge, orbit.energy + nudge):
-            manifold = local_manifold(self.member(orbit, energy), end.manifold.distance)
+            manifold = local_manifold(nearby_orbit(self.problem, orbit, energy), end.manifold.distance)
             moved = replace(end, manifold=manifold, amplitude=np.sign(manifold.vector @ vector) * end.amplitude)
             sides.append(moved.states(np.zeros(1))[0])
         return end.states(np.zeros(1))[0], np.column_stack([(sides[1] - sides[0]) / (2 * nudge), by_phase])

@@ -342,7 +342,7 @@ SENTENCES: Mapping[type[StrEnum], Mapping[Any, Callable[[Any], str]]] = {
         GapCause.UNMATCHED: lambda r: f"a connection could not be matched: {r.error}",
         GapCause.UNFOLLOWED: lambda r: (
             f"a connection with a flight of {_second(r, r.duration)} could not be followed beyond "
-            f"{_joule(r, r.energies[0], 9)}: {r.error}"
+            f"{_joule(r, r.energies[0], 9)}"
         ),
         GapCause.UNSEARCHED: lambda r: f"continuation meets {r.counts[0]} connections that the searches do not find",
     },

@@ -11,7 +11,7 @@ from dpcontrol.dynamics.equations import Equations
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.causes import FamilyEndCause
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.orbits.family import FamilySettings, lyapunov_family
+from dpcontrol.orbits.family import FollowingSettings, lyapunov_family
 from dpcontrol.orbits.lyapunov import equilibrium, lyapunov_orbit
 from dpcontrol.plans.model import load_model
 from tests.reference_values import LYAPUNOV_ORBITS
@@ -48,7 +48,7 @@ def test_both_families_end_in_homoclinics_of_up_up(families, system, saddle):
 def test_the_period_grows_at_the_slow_rate_of_up_up(system, saddle):
     """With two passages of Up-Up per period, energy - limit ~ exp(-μ T/2), μ from the linearised equations."""
     # The law is asymptotic. Arcs remain accurate for much larger multipliers than monodromy matrices do.
-    family = lyapunov_family(system, saddle, energies=(0.48, 1.0), settings=FamilySettings(largest_multiplier=1e13))
+    family = lyapunov_family(system, saddle, energies=(0.48, 1.0), settings=FollowingSettings(largest_multiplier=1e13))
     gap = equilibrium(system, "up-up").energy - family.energies[-6:]
     slope = np.polyfit(family.periods[-6:], np.log(gap), 1)[0]
     growth = equilibrium(system, "up-up").eigenvalues.real
@@ -85,7 +85,7 @@ def test_the_member_at_a_bound_is_the_reference_orbit(system):
 
 
 def test_the_family_is_independent_of_the_step(families, system):
-    coarse = lyapunov_family(system, "down-up", energies=(-1.0, 0.2), settings=FamilySettings(step=0.12))
+    coarse = lyapunov_family(system, "down-up", energies=(-1.0, 0.2), settings=FollowingSettings(step=0.12))
     assert len(coarse.members) < len(families["down-up"].members)
     assert np.abs(coarse.members[-1].state - LYAPUNOV_ORBITS["lab", "down-up", 0.2][0]).max() < STATE
 
@@ -123,7 +123,7 @@ def test_hyperbolicity_is_lost_at_a_periodic_solution_of_mathieus_equation(growt
 
 
 def test_a_limit_on_members_is_reported(system):
-    family = lyapunov_family(system, "down-up", energies=(-1.0, 1.0), settings=FamilySettings(most_members=5))
+    family = lyapunov_family(system, "down-up", energies=(-1.0, 1.0), settings=FollowingSettings(most_members=5))
     assert not family.converged
     assert family.ends[1].cause is FamilyEndCause.MANY_MEMBERS
 

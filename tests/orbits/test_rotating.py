@@ -1,5 +1,7 @@
 """Rotating orbits and their families, compared with independent values, scipy and symmetries."""
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -10,7 +12,7 @@ from scipy.integrate import solve_ivp
 from dpcontrol.foundation.causes import FamilyEndCause
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.orbits.rotating import (
-    RotatingFamilySettings,
+    ROTATING_LIMITS,
     RotatingSettings,
     rotating_families,
     rotating_family,
@@ -156,7 +158,7 @@ def test_a_family_folds_when_its_multipliers_meet_at_one(family):
 
 @pytest.mark.slow
 def test_changes_of_stability_are_independent_of_the_step(found, family):
-    finer = rotating_family(found[2, -0.06985][-1], (-0.12, 0.42), settings=RotatingFamilySettings(step=0.02))
+    finer = rotating_family(found[2, -0.06985][-1], (-0.12, 0.42), settings=replace(ROTATING_LIMITS, step=0.02))
     assert len(finer.changes) == len(family.changes)
     for a, b in zip(finer.changes, family.changes, strict=True):
         assert a.orbit.energy == pytest.approx(b.orbit.energy, abs=LOCATED)

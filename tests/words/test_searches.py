@@ -103,8 +103,8 @@ def test_each_cause_of_a_finding_has_a_sentence() -> None:
         ),
         (
             GapCause.UNFOLLOWED,
-            {"duration": 2.5, "energies": (0.1,), "system": OWN_UNITS, "error": "no"},
-            ["a flight of 2.5 could not be followed beyond 0.1: no"],
+            {"duration": 2.5, "energies": (0.1,), "system": OWN_UNITS},
+            ["a flight of 2.5 could not be followed beyond 0.1"],
         ),
         (ReferenceCause.SOLVER, {"answer": "no", "obstacle": Obstacle(ObstacleCause.FRICTION, share=0.5)}, ["50%"]),
         (GridCause.TIME, GRID | {"beyond": SimpleNamespace(energy=-0.95)}, ["at least 0 between", "before -0.95 J"]),
