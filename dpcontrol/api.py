@@ -50,6 +50,7 @@ STAGES = {
     "atlases": "plans.atlas",
     "bench_server": "rig.bench",
     "bifurcations": "bifurcations.bifurcations",
+    "links": "bifurcations.links",
     "campaign_tables": "judge.campaign",
     "campaigns": "runs.campaign",
     "loops": "runs.closed_loop",
@@ -116,7 +117,7 @@ if TYPE_CHECKING:
 
     from dpcontrol.bench import chart, drawing
     from dpcontrol.bench import energies as energy_charts
-    from dpcontrol.bifurcations import bifurcations
+    from dpcontrol.bifurcations import bifurcations, links
     from dpcontrol.control import export as exports
     from dpcontrol.control.flight import Flight as Flight
     from dpcontrol.control.symbolic import Setpoint as Setpoint
@@ -535,13 +536,16 @@ def find_bifurcations(
     source: str,
     target: str,
     *,
-    energies: tuple[float, float],
+    energies: tuple[float, float] | None = None,
+    parameter: tuple[str, float, float] | None = None,
+    energy: float | None = None,
+    height: Positive | None = None,
     hits: Hit = 1,
     samples: Count = 24,
     yes: bool = False,
     progress: Reporting = None,
 ) -> bifurcations.BifurcationSearch:
-    """Find the energies at which connections appear, vanish or split.
+    """Find where connections appear, vanish or split, over the energy or a parameter of the model.
 
     There are three kinds of events. At a saddle-node, two connections meet and vanish. At a pitchfork, a mirror pair
     splits off a symmetric connection. At a section-artefact, the connection continues, but gains or loses an earlier
@@ -552,29 +556,43 @@ def find_bifurcations(
         model: model, its name, or a system.
         source: first saddle of the connections.
         target: last saddle of the connections.
-        energies: lowest and highest energy, J.
+        energies: lowest and highest energy, J (default: none).
+        parameter: name in `dpcontrol model`, lowest and highest value of a parameter, such as m2 0.05 0.3 (default:
+            none).
+        energy: energy at every value of the parameter, J (default: none).
+        height: energy above the higher saddle instead, at every value of the parameter, J (default: none).
         hits: section crossings of the connections (default: 1).
-        samples: energies of the first search, two or more (default: 24).
+        samples: energies or values of the first search, two or more (default: 24).
         yes: accept work of more than an hour or 4 GB (default: refused).
         progress: reports, see `dpcontrol.api`.
 
     Returns:
-        Events in order of energy, and unexplained changes of the count.
+        Events in order of the energy or of the parameter, and unexplained changes of the count.
 
     Raises:
-        InputError: an unknown saddle, energies without both orbits, or too much work.
+        InputError: neither energies nor a parameter with its energy or height, an unknown saddle or parameter, values
+            without both orbits, or too much work.
 
     Examples:
         >>> dp.find_bifurcations("lab", "down-up", "down-up", energies=(-0.08, -0.06), samples=2).events
         ()
     """
+    levels = [level for level in (energy, height) if level is not None]
+    if energies is not None and parameter is None and not levels:
+        course, values = links.Course.of_energy(_system(model)), energies
+    elif energies is None and parameter is not None and len(levels) == 1:
+        above = () if height is None else (source, target)
+        course = models.parameter_course(models.model_of(_system(model)), parameter, levels[0], above)
+        values = parameter[1:]
+    else:
+        raise InputError("give either energies, or a parameter and its energy or height")
     cost = Cost(
-        f"{samples:,} energies", _SWEPT * samples * hits, _SWEPT_BYTES * samples, f"samples = {samples}, hits = {hits}"
+        f"{samples:,} searches", _SWEPT * samples * hits, _SWEPT_BYTES * samples, f"samples = {samples}, hits = {hits}"
     )
     announce(cost, yes=yes)
-    settings = bifurcations.SweepSettings(energies=samples)
+    settings = bifurcations.SweepSettings(samples=samples)
     return bifurcations.find_bifurcations(
-        _system(model), source, target, energies=energies, crossings=hits, settings=settings, progress=progress
+        course, source, target, values=values, crossings=hits, settings=settings, progress=progress
     )
 
 

@@ -139,7 +139,7 @@ def briefly(monkeypatch: pytest.MonkeyPatch) -> None:
     """
     time_once(monkeypatch)
     sweep = bifurcations.SweepSettings
-    monkeypatch.setattr(bifurcations, "SweepSettings", lambda energies: sweep(energies=min(energies, 4)))
+    monkeypatch.setattr(bifurcations, "SweepSettings", lambda samples: sweep(samples=min(samples, 4)))
     hazards, changes = preflight.hazards, preflight.changes
     monkeypatch.setattr(preflight, "hazards", lambda plan, scene, **most: hazards(plan, scene, **most)[1:2])
     monkeypatch.setattr(preflight, "changes", lambda scene: islice(changes(scene), 3))

@@ -1,8 +1,9 @@
-"""Bifurcations of the connections between two saddles, and their energies.
+"""Bifurcations of the connections between two saddles over the energy or a parameter.
 
-A sweep intersects the cuts of both tubes at a series of energies. Connections are followed by continuation from one
-energy to the next. If the two sets differ, unmatched connections are followed from both sides until they turn back in
-energy, branch, or change their number of section crossings:
+A sweep intersects the cuts of both tubes at a series of values of the followed quantity, which is the energy or a
+parameter of the system. Connections are followed by continuation from one value to the next. If the two sets differ,
+unmatched connections are followed from both sides until they turn back, branch, or change their number of section
+crossings:
 
     saddle-node        two connections meet and vanish
     pitchfork          a mirror pair branches off a symmetric connection
@@ -17,7 +18,7 @@ n_u + n_s - 1 = N. First hits, [1, 1], cross once.
 
 The diagram of a sweep is a document of plain numbers, which can be stored and drawn without the sweep.
 
-*A step of the sweep* is a search at both ends of an interval. Newton's method continues connections from one energy to
+*A step of the sweep* is a search at both ends of an interval. Newton's method continues connections from one value to
 the other. A connection has not turned if the sign of the tangency is unchanged. Unmatched connections on either side
 are followed around their turns.
 
@@ -42,6 +43,7 @@ from typing import Annotated, Any, ClassVar, NamedTuple
 import numpy as np
 
 from dpcontrol.bifurcations.links import (
+    Course,
     Gap,
     Link,
     LinkProblem,
@@ -66,7 +68,7 @@ from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.shown import Brief, Shown
 from dpcontrol.orbits.continuation import Newton, differenced
 from dpcontrol.orbits.cut import Cut, section_points, tube_cut
-from dpcontrol.orbits.lyapunov import equilibrium
+from dpcontrol.orbits.lyapunov import LyapunovOrbit, equilibrium
 from dpcontrol.tubes.intersections import ConnectionSettings, intersect_cuts
 from dpcontrol.words.searches import bifurcations_sentence, caveat_sentence
 
@@ -76,16 +78,16 @@ _HALVINGS = 8  # largest number of bisections of a path around a turn
 
 @dataclass(frozen=True)
 class Located(Brief):
-    """A bifurcation or touch of the section, located in energy.
+    """A located bifurcation or touch of the section.
 
     Attributes:
-        energy: J.
+        value: of the followed quantity.
         state (N,): representative state of the connection.
         residual: of the equations.
     """
 
     kind: str
-    energy: float
+    value: float
     link: Link
     state: Array
     residual: float
@@ -103,11 +105,11 @@ def _located(
     One of the equations may be redundant. Derivatives are central differences.
 
     Args:
-        guess: unknowns of the link and the energy in J.
+        guess: unknowns of the link and the followed quantity.
         placed: function from unknowns, the duration last, to a link.
     """
-    # Phases, duration in s, energy in J.
-    steps = 1e-5 * np.array([*np.ones(len(guess) - 2), guess[-2], problem.system.energy_scale])
+    # Phases, duration in s, followed quantity.
+    steps = 1e-5 * np.array([*np.ones(len(guess) - 2), guess[-2], problem.course.scale])
 
     def value_at(y: Array) -> Array:
         return equations(placed(y[:-1]), float(y[-1]))
@@ -119,8 +121,8 @@ def _located(
     solution = _NEWTON.solve(linearised, guess, (guess - 1e4 * steps, guess + 1e4 * steps))
     if not np.isfinite(solution.residual):
         return None
-    link, energy = placed(solution.unknowns[:-1]), float(solution.unknowns[-1])
-    return Located(kind, energy, link, problem.match(link, energy).state, solution.residual)
+    link, value = placed(solution.unknowns[:-1]), float(solution.unknowns[-1])
+    return Located(kind, value, link, problem.match(link, value).state, solution.residual)
 
 
 def locate_turn(problem: LinkProblem, path: Path, index: int) -> Located | None:
@@ -133,11 +135,11 @@ def locate_turn(problem: LinkProblem, path: Path, index: int) -> Located | None:
         path: solutions in order.
         index: number of the point.
     """
-    start = path.points[0].energy
+    start = path.points[0].value
     before, after = path.points[index : index + 2]
     for _ in range(_HALVINGS):
-        for side in sorted((before, after), key=lambda p: -abs(p.energy - start)):
-            reach = 0.2 * abs(start - side.energy) + 1e-3 * problem.system.energy_scale
+        for side in sorted((before, after), key=lambda p: -abs(p.value - start)):
+            reach = 0.2 * abs(start - side.value) + 1e-3 * problem.course.scale
             event = _turn_from(problem, side, before.link, after.link, reach)
             if event is not None:
                 return event
@@ -153,31 +155,31 @@ def _turn_from(problem: LinkProblem, extreme: PathPoint, before: Link, after: Li
     """Locate a turn from a neighbouring point."""
     which = problem.symmetry(extreme.link)
     if which is not None:
-        return _near(_on_mirror(problem, extreme, which, shedding=False), extreme.energy, reach)
+        return _near(_on_mirror(problem, extreme, which, shedding=False), extreme.value, reach)
     shed = None
     for mirror in range(len(problem.system.reversers)):
         image = problem.mirrored(extreme.link, mirror)
         # A pair turns back at the symmetric connection, so a pitchfork is possible only near it.
         if image is not None and problem.distance_between(extreme.link, image) < 0.1:
-            shed = _near(_on_mirror(problem, extreme, mirror, shedding=True), extreme.energy, reach)
+            shed = _near(_on_mirror(problem, extreme, mirror, shedding=True), extreme.value, reach)
     if shed is not None and _exchanged(problem, before, after):
         return shed
-    turned = _near(_tangent(problem, extreme), extreme.energy, reach)
+    turned = _near(_tangent(problem, extreme), extreme.value, reach)
     # The saddle-node's equations are degenerate at symmetric connections. If both kinds converge, it is a pitchfork.
-    if shed is not None and (turned is None or abs(turned.energy - shed.energy) < 1e-6 * problem.system.energy_scale):
+    if shed is not None and (turned is None or abs(turned.value - shed.value) < 1e-6 * problem.course.scale):
         return shed
     return turned
 
 
-def _near(event: Located | None, energy: float, reach: float) -> Located | None:
-    return event if event is not None and event.residual < 1e-8 and abs(event.energy - energy) < reach else None
+def _near(event: Located | None, value: float, reach: float) -> Located | None:
+    return event if event is not None and event.residual < 1e-8 and abs(event.value - value) < reach else None
 
 
 def _tangent(problem: LinkProblem, point: PathPoint) -> Located | None:
     """Solve F = 0, σ = 0 from a nearby point."""
 
-    def equations(link: Link, energy: float) -> Array:
-        match = problem.match(link, energy)
+    def equations(link: Link, value: float) -> Array:
+        match = problem.match(link, value)
         return np.append(match.gap, match.tangency)
 
     return _located(problem, "saddle-node", equations, point.link.at, point.coordinates)
@@ -191,11 +193,11 @@ def _on_mirror(problem: LinkProblem, point: PathPoint, which: int, *, shedding: 
     # The symmetric link lies halfway between a link and its image.
     phase = link.phases[0] + phase_gap(image.phases[0], link.phases[0]) / 2
 
-    def equations(here: Link, energy: float) -> Array:
-        mirror = problem.mirror(here, energy, which)
+    def equations(here: Link, value: float) -> Array:
+        mirror = problem.mirror(here, value, which)
         return np.append(mirror.miss, mirror.shedding if shedding else mirror.fold)
 
-    kind, guess = "pitchfork" if shedding else "saddle-node", np.array([phase, link.duration, point.energy])
+    kind, guess = "pitchfork" if shedding else "saddle-node", np.array([phase, link.duration, point.value])
     return _located(problem, kind, equations, lambda y: link.at([y[0], y[0] + 0.5 * which, y[1]]), guess)
 
 
@@ -210,26 +212,23 @@ def _exchanged(problem: LinkProblem, before: Link, after: Link) -> bool:
     return False
 
 
-def locate_graze(problem: LinkProblem, section: Section, first: PathPoint, second: PathPoint) -> list[Located]:
+def locate_graze(problem: LinkProblem, first: PathPoint, second: PathPoint) -> list[Located]:
     """Locate every touch of the section between two points.
 
-    The path must not turn between them. The result is in order of energy, and empty without a bracket.
+    The path must not turn between them. The result is in order of value, and empty without a bracket.
 
     Args:
         problem: matching of two tubes.
-        section: section of the system.
         first: point of a path.
         second: later point of the same path.
     """
-    middle = _middle_touch(problem, section, first, second)
-    found = _touches(problem, section, first, second) if middle is None else [middle]
-    return sorted(found, key=lambda e: e.energy)
+    middle = _middle_touch(problem, first, second)
+    found = _touches(problem, first, second) if middle is None else [middle]
+    return sorted(found, key=lambda e: e.value)
 
 
-def _touches(
-    problem: LinkProblem, section: Section, first: PathPoint, second: PathPoint, halvings: int = 31
-) -> list[Located]:
-    a, b = (profile(problem, p.link, p.energy, section) for p in (first, second))
+def _touches(problem: LinkProblem, first: PathPoint, second: PathPoint, halvings: int = 31) -> list[Located]:
+    a, b = (profile(problem, p.link, p.value) for p in (first, second))
     if a.count == b.count:
         return []
     if len(a.heights) == len(b.heights):
@@ -237,46 +236,51 @@ def _touches(
         found = []
         for k in range(1, len(a.heights) - 1):
             low, high = sorted((a.heights[k], b.heights[k]))
-            level = np.ceil(low / section.period) * section.period if section.period else 0.0
+            period = problem.section(first.value).period
+            level = np.ceil(low / period) * period if period else 0.0
             if low < level <= high:
-                found.append(_touch(problem, section, first, second, k, float(level), len(a.heights)))
+                found.append(_touch(problem, first, second, k, float(level), len(a.heights)))
         return [touch for touch in found if touch is not None]
     if not halvings:
         return []
     try:
-        middle = problem.solved(_between(first, second, 0.5), (first.energy + second.energy) / 2)
+        middle = problem.solved(_between(first, second, 0.5), (first.value + second.value) / 2)
     except ArithmeticError:
         return []
     halves = (first, middle), (middle, second)
-    return [touch for half in halves for touch in _touches(problem, section, *half, halvings - 1)]
+    return [touch for half in halves for touch in _touches(problem, *half, halvings - 1)]
 
 
-def _middle_touch(problem: LinkProblem, section: Section, first: PathPoint, second: PathPoint) -> Located | None:
+def _middle_touch(problem: LinkProblem, first: PathPoint, second: PathPoint) -> Located | None:
     """Locate a tangency of a symmetric connection's midpoint to the section."""
     which = problem.symmetry(first.link)
     if which is None or problem.symmetry(second.link) != which:
         return None
-    normal, system = np.asarray(section.normal), problem.system
-    states = [problem.match(p.link, p.energy).state for p in (first, second)]
-    if any(abs(normal @ x - section.level(x)) > 1e-6 for x in states):
+    normal = np.asarray(problem.section(first.value).normal)
+
+    def rate(state: Array, value: float) -> float:
+        return float(normal @ problem.course.at(value)[0].numeric.rate(state))
+
+    states = [(problem.match(p.link, p.value).state, p.value) for p in (first, second)]
+    if any(abs(normal @ x - problem.section(value).level(x)) > 1e-6 for x, value in states):
         return None
-    rates = [float(normal @ system.numeric.rate(x)) for x in states]
+    rates = [rate(*state) for state in states]
     if rates[0] * rates[1] > 0:
         return None
     share = rates[0] / (rates[0] - rates[1])
     guess = _between(first, second, share)
     offset = guess.phases[1] - guess.phases[0]
 
-    def tangent(here: Link, energy: float) -> Array:
-        state = problem.match(here, energy).state
-        return np.append(problem.mirror(here, energy, which).miss, normal @ system.numeric.rate(state) / 10)
+    def tangent(here: Link, value: float) -> Array:
+        state = problem.match(here, value).state
+        return np.append(problem.mirror(here, value, which).miss, rate(state, value) / 10)
 
-    start = np.array([guess.phases[0], guess.duration, first.energy + share * (second.energy - first.energy)])
+    start = np.array([guess.phases[0], guess.duration, first.value + share * (second.value - first.value)])
     event = _located(
         problem, "section-artefact", tangent, lambda y: guess.at([y[0], y[0] + offset, y[1]]), start
     )  # fmt: skip
-    low, high = sorted((first.energy, second.energy))
-    return event if event is not None and event.residual <= 1e-8 and low <= event.energy <= high else None
+    low, high = sorted((first.value, second.value))
+    return event if event is not None and event.residual <= 1e-8 and low <= event.value <= high else None
 
 
 def _between(first: PathPoint, second: PathPoint, share: float) -> Link:
@@ -285,45 +289,45 @@ def _between(first: PathPoint, second: PathPoint, share: float) -> Link:
 
 
 def _touch(
-    problem: LinkProblem, section: Section, first: PathPoint, second: PathPoint, k: int, level: float, extrema: int
+    problem: LinkProblem, first: PathPoint, second: PathPoint, k: int, level: float, extrema: int
 ) -> Located | None:
-    """Solve for the energy at which an extremum reaches a level."""
-    width = second.energy - first.energy
+    """Solve for the value of the followed quantity at which an extremum reaches a level."""
+    width = second.value - first.value
     kept: dict[float, tuple[Link, Profile]] = {}
 
     from scipy.optimize import brentq
 
-    def above(energy: float) -> float:
-        link = problem.solved(_between(first, second, (energy - first.energy) / width), energy).link
-        flown = profile(problem, link, energy, section)
+    def above(value: float) -> float:
+        link = problem.solved(_between(first, second, (value - first.value) / width), value).link
+        flown = profile(problem, link, value)
         if len(flown.heights) != extrema:
             raise ArithmeticError("an extremum vanished")
-        kept[energy] = (link, flown)
+        kept[value] = (link, flown)
         return float(flown.heights[k] - level)
 
     try:
-        energy = float(brentq(above, first.energy, second.energy, xtol=1e-12, rtol=1e-14))  # type: ignore[arg-type]
-        residual = abs(above(energy))
+        value = float(brentq(above, first.value, second.value, xtol=1e-12, rtol=1e-14))  # type: ignore[arg-type]
+        residual = abs(above(value))
     except (ArithmeticError, ValueError):
         return None
-    link, flown = kept[energy]
-    return Located("section-artefact", energy, link, flown.states[k], residual)
+    link, flown = kept[value]
+    return Located("section-artefact", value, link, flown.states[k], residual)
 
 
 @dataclass(frozen=True)
 class SweepSettings:
-    """Energies, bisections and tolerances of a search for bifurcations.
+    """Values, bisections and tolerances of a search for bifurcations.
 
-    Energies within `closest` of a saddle's, relative to the energy scale, are excluded, because the tubes are thinner
+    Energies within `closest` of a saddle's, relative to the value scale, are excluded, because the tubes are thinner
     there than the distance of their seeds.
 
     Attributes:
-        energies: initial number of energies.
+        samples: initial number of values.
         halvings: of an unexplained interval.
         same: largest phase difference between equal links.
     """
 
-    energies: int = 24
+    samples: int = 24
     halvings: int = 3
     same: float = 1e-4
     closest: float = 1e-4
@@ -332,27 +336,28 @@ class SweepSettings:
 
 @dataclass(frozen=True)
 class Found:
-    """Solved links at one energy, without images under the symmetry S.
+    """Solved links at one value of the followed quantity, without images under the symmetry S.
 
     Attributes:
         unmatched: number of crossings of the cuts that are no connections.
         failed: number of crossings that did not converge.
         unresolved: cuts that are not resolved.
-        tubes: False if an orbit or its tube does not exist.
+        orbits: those of both saddles, one if they are the same; none if an orbit or its tube does not exist.
     """
 
+    value: float
     energy: float
     points: tuple[PathPoint, ...]
     weight: int
     unmatched: int
     failed: int
     unresolved: tuple[Cut, ...]
-    tubes: bool = True
+    orbits: tuple[LyapunovOrbit, ...] = ()
 
     @property
     def complete(self) -> bool:
         """True if each crossing of resolved cuts is a connection."""
-        return self.tubes and not (self.unmatched or self.failed or self.unresolved)
+        return bool(self.orbits) and not (self.unmatched or self.failed or self.unresolved)
 
     @property
     def caveat(self) -> str:
@@ -367,27 +372,27 @@ class Found:
 
 @dataclass(frozen=True)
 class Change:
-    """An event and the number of links gained with increasing energy."""
+    """An event and the number of links gained with increasing value."""
 
     event: Located
     gain: int
 
 
 class Branch(NamedTuple):
-    """A connection with the required number of section crossings, followed in energy.
+    """A connection with the required number of section crossings, which is followed.
 
     Attributes:
-        energies (K,): along the branch, J.
+        values (K,): of the followed quantity along the branch.
         points (K, 2): first crossing in (q, p/p₀).
     """
 
-    energies: Array
+    values: Array
     points: Array
 
 
 @dataclass(frozen=True)
 class Interval:
-    """Changes of the connections between two energies.
+    """Changes of the connections between two values.
 
     Attributes:
         changes: located events.
@@ -401,52 +406,53 @@ class Interval:
 
     @property
     def gain(self) -> int:
-        """Number of links gained with increasing energy."""
+        """Number of links gained with increasing value."""
         return sum(c.gain for c in self.changes)
 
 
 class Sweep:
-    """The problem of an energy sweep, with cached searches."""
+    """The problem of a sweep, with cached searches."""
 
-    def __init__(self, system: System, source: str, target: str, crossings: int, settings: SweepSettings) -> None:
-        self.problem = LinkProblem(system, source, target, distance=settings.search.distance)
-        self.section = system.sections[source, target]
+    def __init__(self, course: Course, source: str, target: str, crossings: int, settings: SweepSettings) -> None:
+        self.problem = LinkProblem(course, source, target, distance=settings.search.distance)
         self.crossings, self.settings = crossings, settings
         self._found: dict[float, Found] = {}
         self._intervals: dict[tuple[float, float], Interval] = {}
         self._counts: dict[tuple[Link, float], int] = {}
 
-    def search(self, energy: float) -> Found:
-        """Find the links with the required crossings at an energy.
+    def search(self, value: float) -> Found:
+        """Find the links with the required crossings at a value of the followed quantity.
 
         Results are cached, and later finds are added. If intersections of the cuts do not converge, for example next
         to a graze, the search is repeated with finer cuts. Cuts that scatter are excluded, because finer ones stop
         earlier and have fewer intersections.
 
         Args:
-            energy: energy, J.
+            value: value of the followed quantity.
         """
-        if energy not in self._found:
-            found, resolved = self._searched(energy, 1.0)
+        if value not in self._found:
+            found, resolved = self._searched(value, 1.0)
             if resolved and not found.complete:
-                found, _ = self._searched(energy, 0.25)
-            self._found[energy] = found
-        return self._found[energy]
+                found, _ = self._searched(value, 0.25)
+            self._found[value] = found
+        return self._found[value]
 
-    def _searched(self, energy: float, fineness: float) -> tuple[Found, bool]:
+    def _searched(self, value: float, fineness: float) -> tuple[Found, bool]:
         """Search with scaled chords; also return True if cuts are resolved."""
+        system, energy = self.problem.course.at(value)
+        section = self.problem.section(value)
         try:
-            manifolds = self.problem.manifolds(energy)
+            manifolds = self.problem.manifolds(value)
         except (ArithmeticError, InputError):
-            return Found(energy, (), 1, 0, 0, (), tubes=False), False
+            return Found(value, energy, (), 1, 0, 0, ()), False
         settings = self.settings.search
         settings = replace(settings, cut=replace(settings.cut, chord=fineness * settings.cut.chord))
         # Both tubes have similar flight times.
         hits = (self.crossings // 2 + 1, self.crossings - self.crossings // 2)
-        unstable = tube_cut(manifolds[0], self.section, hit=hits[0], settings=settings.cut)
+        unstable = tube_cut(manifolds[0], section, hit=hits[0], settings=settings.cut)
         shared = manifolds[0] is manifolds[1] and hits[0] == hits[1]
-        stable = unstable if shared else tube_cut(manifolds[1], self.section, hit=hits[1], settings=settings.cut)
-        crossed = intersect_cuts(self.problem.system, self.section, manifolds, (unstable, stable), settings)
+        stable = unstable if shared else tube_cut(manifolds[1], section, hit=hits[1], settings=settings.cut)
+        crossed = intersect_cuts(system, section, manifolds, (unstable, stable), settings)
         points: list[PathPoint] = []
         unmatched = 0
         for c in crossed.found:
@@ -454,7 +460,7 @@ class Sweep:
             phases = (float(c.phases[0]) % 1.0, float(c.phases[1]) % 1.0)
             guess = Link(branches, phases, float(sum(c.times)), tuple(float(k) + 0.0 for k in c.turns))
             try:
-                point = self.problem.solved(guess, energy)
+                point = self.problem.solved(guess, value)
             except ArithmeticError:
                 unmatched += 1
                 continue
@@ -462,14 +468,16 @@ class Sweep:
                 points.append(point)
         weight = 2 if all(m.branches_are_mirrored for m in manifolds) else 1
         unresolved = tuple(cut for cut in (unstable, stable) if not cut.resolved)
-        return Found(energy, tuple(points), weight, unmatched, crossed.failed, unresolved), not unresolved
+        orbits = tuple({manifold.orbit.saddle: manifold.orbit for manifold in manifolds}.values())
+        found = Found(value, energy, tuple(points), weight, unmatched, crossed.failed, unresolved, orbits)
+        return found, not unresolved
 
     def among(self, link: Link, points: list[PathPoint] | tuple[PathPoint, ...]) -> int | None:
         """Return the index of the point with this link, or None.
 
         Args:
             link: link to find.
-            points: points at the energy of the link.
+            points: points at the value of the link.
         """
         gaps = [self.problem.distance_between(link, p.link) for p in points]
         if not gaps or min(gaps) > self.settings.same:
@@ -480,11 +488,11 @@ class Sweep:
         """Return the number of section crossings of a solved link.
 
         Args:
-            point: solution at its energy.
+            point: solution at its value.
         """
-        key = (point.link, point.energy)
+        key = (point.link, point.value)
         if key not in self._counts:
-            self._counts[key] = profile(self.problem, point.link, point.energy, self.section).count
+            self._counts[key] = profile(self.problem, point.link, point.value).count
         return self._counts[key]
 
     def place(self, event: Located) -> tuple[float, float]:
@@ -493,15 +501,16 @@ class Sweep:
         Args:
             event: located bifurcation or section artefact.
         """
-        if event.kind == "section-artefact":
-            q, p = section_points(self.problem.system, self.section, event.state)
-        else:
-            q, p = self._first_crossing(event.link, event.energy)
+        artefact = event.kind == "section-artefact"
+        q, p = self._placed(event.state, event.value) if artefact else self._first_crossing(event.link, event.value)
         return float(q), float(p)
 
-    def _first_crossing(self, link: Link, energy: float) -> Array:
-        state = first_crossing(self.problem, link, energy, self.section)
-        return np.full(2, np.nan) if state is None else section_points(self.problem.system, self.section, state)
+    def _placed(self, state: Array, value: float) -> Array:
+        return section_points(self.problem.course.at(value)[0], self.problem.section(value), state)
+
+    def _first_crossing(self, link: Link, value: float) -> Array:
+        state = first_crossing(self.problem, link, value)
+        return np.full(2, np.nan) if state is None else self._placed(state, value)
 
     def _runs(self, points: Sequence[PathPoint]) -> list[Branch]:
         """Return the stretches of a path with the required number of crossings."""
@@ -509,28 +518,28 @@ class Sweep:
         runs = [list(run) for crosses, run in groupby(zip(asked, points, strict=True), lambda pair: pair[0]) if crosses]
         branches = []
         for run in runs:
-            energies = np.array([point.energy for _, point in run])
-            places = np.array([self._first_crossing(point.link, point.energy) for _, point in run])
+            values = np.array([point.value for _, point in run])
+            places = np.array([self._first_crossing(point.link, point.value) for _, point in run])
             seen = np.isfinite(places[:, 0])
             if np.count_nonzero(seen) > 1:
-                branches.append(Branch(energies[seen], places[seen]))
+                branches.append(Branch(values[seen], places[seen]))
         return branches
 
     def between(self, low: float, high: float) -> Interval:
         """Explain the differences between two searches, with a cache.
 
         Args:
-            low: energy of the first search, J.
-            high: energy of the second search, J.
+            low: value of the first search, J.
+            high: value of the second search, J.
         """
         before, after = self.search(low), self.search(high)
         if (low, high) not in self._intervals:
             interval, missed = self._changes(before, after)
-            amended = [self._amend(e, [p for p in missed if p.energy == e]) for e in sorted({p.energy for p in missed})]
+            amended = [self._amend(e, [p for p in missed if p.value == e]) for e in sorted({p.value for p in missed})]
             if any(amended):
                 return self.between(low, high)
             if missed:
-                gap = Gap(self.problem.system, GapCause.UNSEARCHED, counts=(len(missed),))
+                gap = Gap(self.problem.course, GapCause.UNSEARCHED, counts=(len(missed),))
                 interval = replace(interval, gaps=(*interval.gaps, gap))
             self._intervals[low, high] = interval
         return self._intervals[low, high]
@@ -539,23 +548,23 @@ class Sweep:
         """Return True if an interval's cached explanation is up to date.
 
         Args:
-            low: lowest energy of the interval, J.
-            high: highest energy of the interval, J.
+            low: lowest value of the interval, J.
+            high: highest value of the interval, J.
         """
         return (low, high) in self._intervals
 
-    def _amend(self, energy: float, missed: list[PathPoint]) -> bool:
+    def _amend(self, value: float, missed: list[PathPoint]) -> bool:
         """Add missed connections with mirror images; return True if any is new."""
-        points = list(self._found[energy].points)
+        points = list(self._found[value].points)
         before = len(points)
         for point in missed:
             images = [self.problem.mirrored(point.link, k) for k in range(len(self.problem.system.reversers))]
             for link in [point.link, *(i for i in images if i is not None)]:
                 known_branch = any(link.branches[0] == p.link.branches[0] for p in [*points, point])
                 if known_branch and self.among(link, points) is None:
-                    points.append(PathPoint(link, energy, point.tangency))
-        self._found[energy] = replace(self._found[energy], points=tuple(points))
-        self._intervals = {k: v for k, v in self._intervals.items() if energy not in k}
+                    points.append(PathPoint(link, value, point.tangency))
+        self._found[value] = replace(self._found[value], points=tuple(points))
+        self._intervals = {k: v for k, v in self._intervals.items() if value not in k}
         return len(points) > before
 
     def _changes(self, before: Found, after: Found) -> tuple[Interval, list[PathPoint]]:
@@ -568,7 +577,7 @@ class Sweep:
         missed: list[PathPoint] = []
         lost, born = set(range(len(before.points))), set(range(len(after.points)))
         for k, point in enumerate(before.points):
-            arrived = carry(self.problem, point, after.energy)
+            arrived = carry(self.problem, point, after.value)
             match = None if arrived is None else self.among(arrived.link, after.points)
             if match is not None and match in born:
                 lost.discard(k)
@@ -584,7 +593,7 @@ class Sweep:
             while left:
                 k = min(left)
                 left.discard(k)
-                path = follow(self.problem, start.points[k].link, start.energy, goal.energy)
+                path = follow(self.problem, start.points[k].link, start.value, goal.value)
                 if path.gap is not None:
                     gaps.append(path.gap)
                     continue
@@ -602,38 +611,38 @@ class Sweep:
 
     def _along(self, path: Path, changes: list[Change], gaps: list[Gap]) -> None:
         """Add the turns and touches along a path."""
-        points, gap = path.points, partial(Gap, self.problem.system)
+        points, gap = path.points, partial(Gap, self.problem.course)
         counts = [self.count(p) for p in points]
         for k in range(len(points) - 1):
             if k in path.turns:
                 event = locate_turn(self.problem, path, k)
                 if event is None:
-                    gaps.append(gap(GapCause.TURN, (points[k].energy,)))
+                    gaps.append(gap(GapCause.TURN, (points[k].value,)))
                     continue
                 if counts[k] != counts[k + 1]:
-                    gaps.append(gap(GapCause.TOUCH_AT_TURN, (event.energy,)))
+                    gaps.append(gap(GapCause.TOUCH_AT_TURN, (event.value,)))
                 if counts[k] == self.crossings:
                     # The partners are on the side from which the path came.
-                    came_from = points[k].energy if points[k].energy != event.energy else points[k - 1].energy
-                    changes.append(Change(event, 2 if came_from > event.energy else -2))
+                    came_from = points[k].value if points[k].value != event.value else points[k - 1].value
+                    changes.append(Change(event, 2 if came_from > event.value else -2))
             elif counts[k] != counts[k + 1]:
-                touches = locate_graze(self.problem, self.section, points[k], points[k + 1])
+                touches = locate_graze(self.problem, points[k], points[k + 1])
                 gain = (counts[k + 1] == self.crossings) - (counts[k] == self.crossings)
                 if gain and not touches:
-                    energies = points[k].energy, points[k + 1].energy
-                    gaps.append(gap(GapCause.TOUCH, energies, (counts[k], counts[k + 1])))
+                    values = points[k].value, points[k + 1].value
+                    gaps.append(gap(GapCause.TOUCH, values, (counts[k], counts[k + 1])))
                 elif gain:
-                    rising = 1 if points[k + 1].energy > points[k].energy else -1
+                    rising = 1 if points[k + 1].value > points[k].value else -1
                     # Of several touches, the one next to the required count changed it.
-                    near_end = points[k + 1].energy if gain > 0 else points[k].energy
-                    event = min(touches, key=lambda t: abs(t.energy - near_end))
+                    near_end = points[k + 1].value if gain > 0 else points[k].value
+                    event = min(touches, key=lambda t: abs(t.value - near_end))
                     changes.append(Change(event, gain * rising))
 
     def _distinct(self, changes: list[Change]) -> list[Change]:
         """Remove events found twice, from both partners."""
 
         def same(a: Located, b: Located) -> bool:
-            near = abs(a.energy - b.energy) < 1e-7 * self.problem.system.energy_scale
+            near = abs(a.value - b.value) < 1e-7 * self.problem.course.scale
             return a.kind == b.kind and near and self.problem.distance_between(a.link, b.link) < 10 * self.settings.same
 
         kept: list[Change] = []
@@ -650,6 +659,7 @@ class Mark:
     The counts are numbers of connections on the torus with the required crossings.
 
     Attributes:
+        value: of the followed quantity.
         energy: J.
         kind: "saddle-node", "pitchfork" or "section-artefact".
         point: first section crossing, (q, p/p₀).
@@ -657,6 +667,7 @@ class Mark:
         at_least: True if counts are lower bounds.
     """
 
+    value: float
     energy: float
     kind: str
     point: tuple[float, float]
@@ -692,9 +703,9 @@ class Bifurcation(Mark):
 
 @dataclass(frozen=True)
 class UnexplainedChange:
-    """A change of the count between two energies, J, that located events do not explain."""
+    """A change of the count between two values that located events do not explain."""
 
-    energies: tuple[float, float]
+    values: tuple[float, float]
     gaps: tuple[Gap, ...]
 
     @property
@@ -710,35 +721,36 @@ class UnexplainedChange:
 
 @dataclass(frozen=True)
 class BifurcationSearch(Shown, Documented):
-    """Bifurcations in order of energy, with the counts they explain.
+    """Bifurcations in order of value, with the counts they explain.
 
     Above `scatters_from`, no search is complete, because trajectories of a tube scatter before they arrive and
     connections accumulate without end. Counts are then lower bounds. If a symmetry exchanges the tubes' branches,
     `runs` has one of each pair of connections.
 
     Attributes:
-        complete: True if there are none and every search was complete.
-        system: system of the orbits.
+        course: quantity that is followed.
         source: saddle that the connections leave.
         target: saddle that they join.
         section: section of the connections.
         crossings: crossing numbers of the tubes.
-        events: bifurcations in order of energy.
-        counts: number of connections at each tried energy.
-        unexplained: changes of the count between energies without a located event.
+        events: bifurcations in order of the followed quantity.
+        counts: number of connections at each tried value, with the orbits.
+        unexplained: changes of the count between values without a located event.
         runs: connections that were followed.
-        scatters_from: J, or None.
+        scatters_from: value of the followed quantity, or None.
         born: energy of the higher saddle, J, if the sweep starts just above it.
-        energies: lowest and highest energy of the search, J.
+        values: lowest and highest value of the search.
+        complete: True if no change is unexplained and every search is complete.
     """
 
     KEYS: ClassVar[str] = (
-        "events:energy,kind,state,count_below,count_above,at_least,symmetric,winding,residual,point "
-        "counts:energy,count,complete,caveat unexplained:energies,causes,reason scatters_from complete status "
-        "section=section.name from=source to=target hits=crossings energies"
+        "events:value,energy,kind,state,count_below,count_above,at_least,symmetric,winding,residual,point "
+        "counts:value,energy,count,complete,caveat,orbits unexplained:values,causes,reason scatters_from complete "
+        "status section=section.name from=source to=target hits=crossings quantity=course.quantity values energies "
+        "branches=runs:values,points"
     )
 
-    system: System
+    course: Course
     source: str
     target: str
     section: Section
@@ -749,7 +761,18 @@ class BifurcationSearch(Shown, Documented):
     runs: tuple[Branch, ...]
     scatters_from: float | None
     born: float | None
-    energies: tuple[float, float]
+    values: tuple[float, float]
+
+    @property
+    def system(self) -> System:
+        """System of the names and scales."""
+        return self.course.system
+
+    @property
+    def energies(self) -> tuple[float, float]:
+        """Energies at the lowest and highest value, J."""
+        low, high = self.values
+        return self.course.at(low)[1], self.course.at(high)[1]
 
     @property
     def missed(self) -> str:
@@ -771,22 +794,22 @@ class BifurcationSearch(Shown, Documented):
 
 
 def find_bifurcations(
-    system: System,
+    course: Course,
     source: str,
     target: str,
     *,
-    energies: tuple[float, float],
+    values: tuple[float, float],
     crossings: int = 1,
     settings: SweepSettings | None = None,
     progress: Progress = no_progress,
 ) -> BifurcationSearch:
-    """Find the bifurcations of connections between two energies.
+    """Find the bifurcations of connections between two values of a quantity.
 
     Args:
-        system: system of two degrees of freedom.
+        course: followed quantity of systems of two degrees of freedom.
         source: name of the saddle that connections leave.
         target: name of the saddle that they approach.
-        energies: (lowest, highest), J.
+        values: (lowest, highest).
         crossings: number of section crossings, 1 for first hits.
         settings: settings of the sweep.
         progress: called with a label and the completed share.
@@ -795,52 +818,66 @@ def find_bifurcations(
         InputError: an unknown saddle, no section between the saddles, bounds without orbits, or a system without two
             degrees of freedom.
     """
-    settings = settings or SweepSettings()
+    settings, system = settings or SweepSettings(), course.system
     if (source, target) not in system.sections:
         raise InputError(f"{system.name} has no section between {source} and {target}")
-    low, high = numbers("energies", energies, 2)
-    check("samples", settings.energies, Annotated[int, Between(2, 1_000_000)])
-    if not low < high:
-        raise InputError(f"energies {low:g} to {high:g}: must be two finite numbers in ascending order")
-    births = [equilibrium(system, name).energy for name in (source, target)]
-    floor = max(births) + settings.closest * system.energy_scale
-    start = max(low, floor)
-    if start >= high:
-        span, least = f"{low:g} to {high:g}{system.unit('J')}", f"{max(births):.6g}{system.unit('J')}"
-        raise InputError(f"energies {span}: both orbits, and thus connections, exist only above {least}")
-    sweep = Sweep(system, source, target, crossings, settings)
-    grid = [float(e) for e in np.linspace(start, high, settings.energies)]
+    low, high = numbers(course.quantity, values, 2)
+    check("samples", settings.samples, Annotated[int, Between(2, 1_000_000)])
+    start, born = _beginning(course, (source, target), (low, high), settings.closest)
+    sweep = Sweep(course, source, target, crossings, settings)
+    grid = [float(e) for e in np.linspace(start, high, settings.samples)]
     narrowest = 1.001 * (grid[1] - grid[0]) / 2**settings.halvings
     k = 0
     while k < len(grid) - 1:
-        progress(f"{source} → {target} at {grid[k]:.4f} J", (grid[k] - start) / (high - start))
+        progress(f"{source} → {target} at {course.quantity} = {grid[k]:.4f}", (grid[k] - start) / (high - start))
         ends = grid[k], grid[k + 1]
-        searched = all(sweep.search(energy).complete for energy in ends)
+        searched = all(sweep.search(value).complete for value in ends)
         if not _adds_up(sweep, *ends) and ends[1] - ends[0] > narrowest and searched:
             grid.insert(k + 1, sum(ends) / 2)
             continue
         # New finds of a search may invalidate the explanation of an earlier interval.
         k = k - 1 if k > 0 and not sweep.explained(grid[k - 1], grid[k]) else k + 1
     progress("bifurcations", 1.0)
-    counts = tuple(sweep.search(energy) for energy in grid)
+    counts = tuple(sweep.search(value) for value in grid)
     pairs = list(pairwise(grid))
     unexplained = tuple(_unexplained(sweep, a, b) for a, b in pairs if not _adds_up(sweep, a, b))
     events = _with_counts(sweep, [c for a, b in pairs for c in sweep.between(a, b).changes], counts)
-    scatters_from = next((c.energy for k, c in enumerate(counts) if not any(d.complete for d in counts[k:])), None)
+    scatters_from = next((c.value for k, c in enumerate(counts) if not any(d.complete for d in counts[k:])), None)
     return BifurcationSearch(
-        system=system,
+        course=course,
         source=source,
         target=target,
-        section=sweep.section,
+        section=system.sections[source, target],
         crossings=crossings,
         events=events,
         counts=counts,
         unexplained=unexplained,
         runs=tuple(run for a, b in pairs for run in sweep.between(a, b).runs),
         scatters_from=scatters_from,
-        born=max(births) if start > low else None,
-        energies=(low, high),
+        born=born,
+        values=(low, high),
     )
+
+
+def _beginning(
+    course: Course, saddles: tuple[str, str], values: tuple[float, float], closest: float
+) -> tuple[float, float | None]:
+    """Return the first value of a sweep, and the energy of the higher saddle if the sweep starts just above it."""
+    (low, high), joule = values, course.system.unit("J")
+    if not low < high:
+        raise InputError(f"{course.quantity} {low:g} to {high:g}: must be two finite numbers in ascending order")
+    systems = [course.at(value)[0] for value in values]
+    births = [max(equilibrium(system, name).energy for name in saddles) for system in systems]
+    floors = [birth + closest * system.energy_scale for birth, system in zip(births, systems, strict=True)]
+    # Of one system, only energies above both saddles have connections.
+    start = max(low, floors[0]) if systems[0] is systems[1] else low
+    for value, floor, birth in zip((start, high), floors, births, strict=True):
+        if course.at(value)[1] < floor or start >= high:
+            raise InputError(
+                f"{course.quantity} {low:g} to {high:g}{course.unit}: both orbits, and thus connections, exist only "
+                f"above {birth:.6g}{joule}, and not at {course.quantity} = {min(value, high):g}{course.unit}"
+            )
+    return start, births[0] if start > low else None
 
 
 def _adds_up(sweep: Sweep, low: float, high: float) -> bool:
@@ -854,18 +891,18 @@ def _unexplained(sweep: Sweep, low: float, high: float) -> UnexplainedChange:
     interval, before, after = sweep.between(low, high), sweep.search(low), sweep.search(high)
     counts = before.count, after.count, interval.gain * after.weight
     return UnexplainedChange(
-        (low, high), (Gap(sweep.problem.system, GapCause.COUNT, counts=counts), *interval.gaps[:2])
+        (low, high), (Gap(sweep.problem.course, GapCause.COUNT, counts=counts), *interval.gaps[:2])
     )
 
 
 def _with_counts(sweep: Sweep, changes: Sequence[Change], counts: Sequence[Found]) -> tuple[Bifurcation, ...]:
     """Merge images of one event and add counts to the events."""
     weight = max((c.weight for c in counts), default=1)
-    near = 1e-8 * sweep.problem.system.energy_scale
+    near = 1e-8 * sweep.problem.course.scale
     groups: list[list[Change]] = []
-    for change in sorted(changes, key=lambda c: c.event.energy):
-        kind, energy = change.event.kind, change.event.energy
-        same = (g for g in groups if g[0].event.kind == kind and abs(g[0].event.energy - energy) < near)
+    for change in sorted(changes, key=lambda c: c.event.value):
+        kind, value = change.event.kind, change.event.value
+        same = (g for g in groups if g[0].event.kind == kind and abs(g[0].event.value - value) < near)
         group = next(same, None)
         if group is None:
             groups.append([change])
@@ -874,15 +911,16 @@ def _with_counts(sweep: Sweep, changes: Sequence[Change], counts: Sequence[Found
     events: list[Bifurcation] = []
     for group in groups:
         event = group[0].event
-        below, above = ([c for c in counts if (c.energy <= event.energy) is side] for side in (True, False))
+        below, above = ([c for c in counts if (c.value <= event.value) is side] for side in (True, False))
         # The count restarts at each search, so that an unexplained interval has no effect on the rest.
         running = events[-1].count_above if events else 0
-        if below and not (events and events[-1].energy > below[-1].energy):
+        if below and not (events and events[-1].value > below[-1].value):
             running = below[-1].count
         link = replace(event.link, phases=(event.link.phases[0] % 1.0, event.link.phases[1] % 1.0))
         events.append(
             Bifurcation(
-                energy=event.energy,
+                value=event.value,
+                energy=sweep.problem.course.at(event.value)[1],
                 kind=event.kind,
                 point=sweep.place(event),
                 count_below=running,
@@ -900,16 +938,16 @@ def _with_counts(sweep: Sweep, changes: Sequence[Change], counts: Sequence[Found
 
 @dataclass(frozen=True)
 class BranchDiagram(Documented):
-    """Connections between two saddles as a function of energy.
+    """Connections between two saddles as a function of value.
 
     Attributes:
         runs: connections that were followed.
         marks: events.
-        counts: (energy in J, number on the torus, True if complete).
+        counts: (value in J, number on the torus, True if complete).
         scatters_from: J, as in BifurcationSearch.
     """
 
-    KEYS: ClassVar[str] = "source target section counts scatters_from unexplained runs:energies,points marks"
+    KEYS: ClassVar[str] = "source target section counts scatters_from unexplained runs:values,points marks"
 
     source: str
     target: str
@@ -924,7 +962,7 @@ class BranchDiagram(Documented):
 def branch_diagram(search: BifurcationSearch) -> BranchDiagram:
     """Return the diagram of a sweep."""
     marks = tuple(Mark(**fields_of(Mark, event)) for event in search.events)
-    counts = tuple((c.energy, c.count, c.complete) for c in search.counts)
+    counts = tuple((c.value, c.count, c.complete) for c in search.counts)
     return BranchDiagram(
         search.source, search.target, search.section.name, search.runs, marks, counts, search.scatters_from,
         len(search.unexplained),
@@ -940,7 +978,7 @@ def diagram_from(document: dict[str, Any]) -> BranchDiagram:
     Raises:
         KeyError, TypeError, ValueError: the document is not a diagram.
     """
-    runs = (Branch(np.array(r["energies"], dtype=float), np.array(r["points"], dtype=float)) for r in document["runs"])
+    runs = (Branch(np.array(r["values"], dtype=float), np.array(r["points"], dtype=float)) for r in document["runs"])
     marks = (Mark(**{**m, "point": (float(m["point"][0]), float(m["point"][1]))}) for m in document["marks"])
     counts = tuple((float(e), int(n), bool(c)) for e, n, c in document["counts"])
     return BranchDiagram(**{**document, "runs": tuple(runs), "marks": tuple(marks), "counts": counts})

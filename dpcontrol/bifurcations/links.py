@@ -55,6 +55,34 @@ from dpcontrol.words.searches import Concluded
 
 
 @dataclass(frozen=True)
+class Course:
+    """A quantity that is followed: the energy, or a parameter at a given energy or height.
+
+    Attributes:
+        system: system of the names, scales and symmetries, which are the same at all values.
+        quantity: "energy", or the name of the parameter.
+        unit: unit of the quantity, as a suffix of numbers.
+        scale: typical size of the quantity.
+        at: function from a value to the system and the energy, J.
+    """
+
+    system: System
+    quantity: str
+    unit: str
+    scale: float
+    at: Callable[[float], tuple[System, float]]
+
+    @classmethod
+    def of_energy(cls, system: System) -> "Course":
+        """Return the energies of one system.
+
+        Args:
+            system: system of any energy.
+        """
+        return cls(system, "energy", system.unit("J"), system.energy_scale, lambda energy: (system, energy))
+
+
+@dataclass(frozen=True)
 class Link:
     """A connection between two seeds.
 
@@ -86,16 +114,16 @@ class Link:
 
 @dataclass(frozen=True)
 class PathPoint:
-    """A solved point of a path: energy (J) and tangency σ."""
+    """A solved point of a path: value of the followed quantity and tangency σ."""
 
     link: Link
-    energy: float
+    value: float
     tangency: float
 
     @property
     def coordinates(self) -> Array:
         """(φ_u, φ_s, T, H)."""
-        return np.append(self.link.unknowns, self.energy)
+        return np.append(self.link.unknowns, self.value)
 
 
 @dataclass(frozen=True)
@@ -135,107 +163,120 @@ def phase_gap(first: float, second: float) -> float:
 
 
 class LinkProblem:
-    """Matching of two saddles' tubes at any energy, with cached orbits.
+    """Matching of two saddles' tubes at any value of the followed quantity, with cached orbits.
 
     Args:
-        system: system with two degrees of freedom.
+        course: followed quantity of systems with two degrees of freedom.
         source, target: names of the saddles.
         distance: of seeds from their orbits, scaled.
     """
 
-    def __init__(self, system: System, source: str, target: str, *, distance: float) -> None:
+    def __init__(self, course: Course, source: str, target: str, *, distance: float) -> None:
+        system = course.system
         if system.dimension != 4:
             raise InputError(
-                f"{system.name} has {system.dimension // 2} degrees of freedom: connections can be followed in energy "
-                "only for two"
+                f"{system.name} has {system.dimension // 2} degrees of freedom: connections can be followed only "
+                "for two"
             )
-        self.system, self.source, self.target, self.distance = system, source, target, distance
+        self.course, self.system = course, system
+        self.source, self.target, self.distance = source, target, distance
         self._manifolds: dict[tuple[str, float], UnstableManifold] = {}
         # The point of a curve, its tangent and its measures share a match.
         self.match: Callable[[Link, float], Match] = lru_cache(maxsize=16)(self._match)
 
-    def _orbit(self, saddle: str, energy: float) -> LyapunovOrbit:
-        """Return the orbit at an energy (J), preferably from the nearest one."""
-        problem, _ = symmetric_shooting(self.system, saddle, 0)
-        floor = float(self.system.numeric.hamiltonian(problem.centre))
-        near = self._nearest(saddle, energy)
-        # Unknowns grow as the square root of the height above the saddle, so the guess must be near.
-        if near is not None and 0.8 < (energy - floor) / (near.orbit.energy - floor) < 1.25:
-            orbit = nearby_orbit(problem, near.orbit, energy)
-            if orbit.converged:
-                return orbit
-        orbit = lyapunov_orbit(self.system, saddle, energy=energy)
+    def section(self, value: float) -> Section:
+        """Return the section between the saddles.
+
+        Args:
+            value: value of the followed quantity.
+        """
+        return self.course.at(value)[0].sections[self.source, self.target]
+
+    def _orbit(self, saddle: str, value: float) -> LyapunovOrbit:
+        """Return the orbit at a value, preferably from the nearest one."""
+        system, energy = self.course.at(value)
+        problem, linear = symmetric_shooting(system, saddle, 0)
+        nearest = self._nearest(saddle, value)
+        if nearest is not None:
+            near = nearest.orbit
+            height = near.energy - float(near.system.numeric.hamiltonian(near.centre))
+            # Unknowns grow as the square root of the height above the saddle, so the guess must be near.
+            if 0.8 < (energy - linear.energy) / height < 1.25:
+                orbit = nearby_orbit(problem, near, energy)
+                if orbit.converged:
+                    return orbit
+        orbit = lyapunov_orbit(system, saddle, energy=energy)
         if not orbit.converged:
-            unit = self.system.unit("J")
+            unit = system.unit("J")
             raise ArithmeticError(f"the Lyapunov orbit about {saddle} at {energy:.9g}{unit}: {orbit.status}")
         return orbit
 
-    def _nearest(self, saddle: str, energy: float) -> UnstableManifold | None:
-        """Return the known manifold of a saddle at the nearest energy (J), if any."""
-        known = [manifold for (name, _), manifold in self._manifolds.items() if name == saddle]
-        return min(known, key=lambda manifold: abs(manifold.orbit.energy - energy), default=None)
+    def _nearest(self, saddle: str, value: float) -> UnstableManifold | None:
+        """Return the known manifold of a saddle at the nearest value, if any."""
+        known = [(abs(at - value), manifold) for (name, at), manifold in self._manifolds.items() if name == saddle]
+        return min(known, key=lambda pair: pair[0], default=(0.0, None))[1]
 
-    def manifold(self, saddle: str, energy: float) -> UnstableManifold:
+    def manifold(self, saddle: str, value: float) -> UnstableManifold:
         """Return the unstable manifold of a saddle's orbit.
 
         Its vector has the same orientation at all energies.
 
         Args:
             saddle: name of the saddle.
-            energy: energy of the orbit, J.
+            value: value of the followed quantity.
 
         Raises:
             ArithmeticError: the orbit did not converge.
-            InputError: no orbit exists at this energy.
+            InputError: no orbit exists at this value.
         """
-        if (saddle, energy) not in self._manifolds:
-            manifold = UnstableManifold(self._orbit(saddle, energy), self.distance)
-            nearest = self._nearest(saddle, energy)
+        if (saddle, value) not in self._manifolds:
+            manifold = UnstableManifold(self._orbit(saddle, value), self.distance)
+            nearest = self._nearest(saddle, value)
             if nearest is not None and float(np.sum(nearest.vector * manifold.vector / self.system.scale**2)) < 0:
                 # A branch must denote the same side of the orbit at all energies.
                 manifold = replace(manifold, side=-1)
-            self._manifolds[saddle, energy] = manifold
-        return self._manifolds[saddle, energy]
+            self._manifolds[saddle, value] = manifold
+        return self._manifolds[saddle, value]
 
-    def manifolds(self, energy: float) -> tuple[UnstableManifold, UnstableManifold]:
+    def manifolds(self, value: float) -> tuple[UnstableManifold, UnstableManifold]:
         """Return the manifolds of source and target, one object if identical.
 
         Args:
-            energy: energy of the orbits, J.
+            value: value of the followed quantity.
         """
-        return self.manifold(self.source, energy), self.manifold(self.target, energy)
+        return self.manifold(self.source, value), self.manifold(self.target, value)
 
     def _flown(self, manifold: UnstableManifold, branch: int, phase: float, seconds: float) -> tuple[Array, Array]:
         """Return a seed's state after `seconds` (s), and its derivative by phase."""
         seeds, slopes = manifold.seeds(np.array([phase]), branch)
-        state, stm = self.system.propagator.flow_with_stm(seeds[0], seconds)
+        state, stm = manifold.orbit.system.propagator.flow_with_stm(seeds[0], seconds)
         return state, stm @ slopes[0]
 
-    def turned(self, states: Array) -> Array:
+    def turned(self, states: Array, centre: Array) -> Array:
         """Return the time-reversed states (…, N) about the target.
 
         Args:
             states: states (…, N).
+            centre: the target (N,).
         """
-        centre = self.system.equilibrium(self.target)
         return (states - centre) @ self.system.reversers[0].T + centre
 
-    def _match(self, link: Link, energy: float) -> Match:
+    def _match(self, link: Link, value: float) -> Match:
         """Propagate both tubes to the middle of the connection and compare.
 
         Args:
             link: guess or solution.
-            energy: energy of the orbits, J.
+            value: value of the followed quantity.
 
         Raises:
             ArithmeticError: an orbit did not converge or a state diverged.
         """
-        system, scale = self.system, self.system.scale
-        first, second = self.manifolds(energy)
+        first, second = self.manifolds(value)
+        system, scale = first.orbit.system, self.system.scale
         half = link.duration / 2
         xu, du = self._flown(first, link.branches[0], link.phases[0], half)
         back, ds = self._flown(second, link.branches[1], link.phases[1], half)
-        xs, ds = self.turned(back), system.reversers[0] @ ds
+        xs, ds = self.turned(back, second.orbit.centre), system.reversers[0] @ ds
         gap = (xu - xs - np.asarray(link.turns) * system.turn_lengths) / scale
         along = (system.numeric.rate(xu) + system.numeric.rate(xs)) / 2
         jacobian = np.column_stack([du, -ds, along]) / scale[:, None]
@@ -243,16 +284,16 @@ class LinkProblem:
         tangency = float(np.linalg.det(columns / np.linalg.norm(columns, axis=0)))
         return Match(gap, jacobian, tangency, xu)
 
-    def mirror(self, link: Link, energy: float, which: int) -> MirrorMatch:
+    def mirror(self, link: Link, value: float, which: int) -> MirrorMatch:
         """Compare the middle of a connection with a reverser's fixed set.
 
         Args:
             link: guess or solution.
-            energy: energy of the orbits, J.
+            value: value of the followed quantity.
             which: index of the reverser.
         """
-        system, scale = self.system, self.system.scale
-        manifold = self.manifold(self.source, energy)
+        manifold = self.manifold(self.source, value)
+        system, scale = manifold.orbit.system, self.system.scale
         x, slope = self._flown(manifold, link.branches[0], link.phases[0], link.duration / 2)
         reverser = system.reversers[which]
         turned_over = (np.eye(4) - reverser) / 2
@@ -309,35 +350,35 @@ class LinkProblem:
         The distance is infinite for different branches.
 
         Args:
-            first: link at any energy.
-            second: link at any energy, whose duration is the unit.
+            first: link at any value.
+            second: link at any value, whose duration is the unit.
         """
         if first.branches != second.branches:
             return float("inf")
         gaps = [abs(phase_gap(a, b)) for a, b in zip(first.phases, second.phases, strict=True)]
         return max(*gaps, abs(first.duration / second.duration - 1))
 
-    def solved(self, link: Link, energy: float) -> PathPoint:
+    def solved(self, link: Link, value: float) -> PathPoint:
         """Solve F = 0 from an initial guess.
 
         Args:
             link: initial guess.
-            energy: energy of the orbits, J.
+            value: value of the followed quantity.
 
         Raises:
             ArithmeticError: Newton's method left the neighbourhood or did not converge.
         """
 
         def equations(unknowns: Array) -> tuple[Array, Array]:
-            match = self.match(link.at(unknowns), energy)
+            match = self.match(link.at(unknowns), value)
             return match.gap, match.jacobian
 
-        low, high = (bound[:3] for bound in LinkCurve(self, link).bounds(np.append(link.unknowns, energy)))
+        low, high = (bound[:3] for bound in LinkCurve(self, link).bounds(np.append(link.unknowns, value)))
         solution = _AT_ENERGY.solve(equations, link.unknowns, (low, high))
         if solution.residual > _ROUNDED:
             raise ArithmeticError(f"not matched: gap {solution.residual:.1e}")
         link = link.at(solution.unknowns)
-        return PathPoint(link, energy, self.match(link, energy).tangency)
+        return PathPoint(link, value, self.match(link, value).tangency)
 
 
 @dataclass(frozen=True)
@@ -350,17 +391,17 @@ class LinkCurve:
 
     @property
     def scale(self) -> float:
-        """Typical energy, J."""
-        return self.problem.system.energy_scale
+        """Typical size of the followed quantity."""
+        return self.problem.course.scale
 
     def near(self, guess: Array) -> Function:
-        """Return the equations F = 0, whose derivative by the energy is that of the guess.
+        """Return the equations F = 0, whose derivative by the followed quantity is that of the guess.
 
         Args:
             guess: (φ_u, φ_s, T, H) (4,).
         """
         guessed, width = self.link.at(guess), np.array([1e-5 * self.scale])
-        slope = differenced(lambda energy: self.problem.match(guessed, float(energy[0])).gap, guess[3:], width)
+        slope = differenced(lambda value: self.problem.match(guessed, float(value[0])).gap, guess[3:], width)
 
         def equations(unknowns: Array) -> tuple[Array, Array]:
             match = self.problem.match(self.link.at(unknowns), float(unknowns[3]))
@@ -369,7 +410,7 @@ class LinkCurve:
         return equations
 
     def quantity(self, unknowns: Array) -> tuple[float, Array]:
-        """Return the energy and its gradient.
+        """Return the followed quantity and its gradient.
 
         Args:
             unknowns: (φ_u, φ_s, T, H) (4,).
@@ -406,15 +447,15 @@ class Gap(Concluded):
     """Why a change of the number of connections is not explained by an event.
 
     Attributes:
-        energies: energies that the cause concerns, J.
+        values: values of the followed quantity that the cause concerns.
         counts: numbers of connections or crossings that the cause concerns.
         duration: flight of a connection that could not be followed, s.
         error: message of the numerical method.
     """
 
-    system: System
+    course: Course
     cause: GapCause
-    energies: tuple[float, ...] = ()
+    values: tuple[float, ...] = ()
     counts: tuple[int, ...] = ()
     duration: float = np.nan
     error: str = ""
@@ -422,11 +463,11 @@ class Gap(Concluded):
 
 @dataclass(frozen=True)
 class Path:
-    """A connection followed in energy.
+    """A connection that is followed.
 
     Attributes:
         points: the connection at each step.
-        turns: indices of points before a fold in energy.
+        turns: indices of points before a fold in the quantity.
         returned: True if the path came back to its start, False if it reached the goal.
         gap: why the path was lost, or None.
     """
@@ -438,28 +479,28 @@ class Path:
 
 
 def carry(problem: LinkProblem, point: PathPoint, goal: float, *, smallest: float = 1 / 32) -> PathPoint | None:
-    """Continue a connection to another energy.
+    """Continue a connection to another value of the followed quantity.
 
     The result is None if it may turn.
 
-    Each step is predicted along ∂(φ_u, φ_s, T)/∂H and solved at fixed energy. The tangency σ must keep its sign, which
+    Each step is predicted along ∂(φ_u, φ_s, T)/∂H and solved at fixed value. The tangency σ must keep its sign, which
     changes at a turn. This is cheaper than `follow`, which handles turns.
 
     Args:
         problem: matching of two tubes.
-        point: solution at its energy.
-        goal: the other energy, J.
+        point: solution at its value.
+        goal: the other value, J.
         smallest: shortest step, as a share of the whole way.
     """
-    way = abs(goal - point.energy)
+    way = abs(goal - point.value)
 
-    def following(here: PathPoint, _: float, energy: float) -> PathPoint | None:
+    def following(here: PathPoint, _: float, value: float) -> PathPoint | None:
         try:
-            match, curve = problem.match(here.link, here.energy), LinkCurve(problem, here.link)
-            by_energy = curve.near(here.coordinates)(here.coordinates)[1][:, 3]
-            slope = -np.linalg.lstsq(match.jacobian, by_energy, rcond=1e-13)[0]
-            guess = here.link.at(here.link.unknowns + slope * (energy - here.energy))
-            arrived = problem.solved(guess, energy)
+            match, curve = problem.match(here.link, here.value), LinkCurve(problem, here.link)
+            by_value = curve.near(here.coordinates)(here.coordinates)[1][:, 3]
+            slope = -np.linalg.lstsq(match.jacobian, by_value, rcond=1e-13)[0]
+            guess = here.link.at(here.link.unknowns + slope * (value - here.value))
+            arrived = problem.solved(guess, value)
         except UNSOLVED:
             return None
         reach = 0.02 * np.array([1.0, 1.0, arrived.link.duration])
@@ -467,7 +508,7 @@ def carry(problem: LinkProblem, point: PathPoint, goal: float, *, smallest: floa
         turned = arrived.tangency * here.tangency <= 0
         return None if poor or turned or problem.symmetry(arrived.link) != problem.symmetry(here.link) else arrived
 
-    last, reached = stepped(point, (point.energy, goal), following, longest=way, smallest=smallest * way)
+    last, reached = stepped(point, (point.value, goal), following, longest=way, smallest=smallest * way)
     return last if reached == goal else None
 
 
@@ -476,14 +517,14 @@ def follow(problem: LinkProblem, link: Link, start: float, goal: float, *, steps
 
     Args:
         problem: matching of two tubes.
-        link: connection solved at energy `start`.
-        start: initial energy, J.
-        goal: final energy, J.
+        link: connection solved at value `start`.
+        start: initial value, J.
+        goal: final value, J.
         steps: largest number of steps.
     """
-    way, system = goal - start, problem.system
-    # Turns are parabolas, so the change in phase is the square root of a small change in energy.
-    size = 0.05 * min(1.0, float(np.sqrt(100 * abs(way) / system.energy_scale)))
+    way = goal - start
+    # Turns are parabolas, so the change in phase is the square root of a small change in the quantity.
+    size = 0.05 * min(1.0, float(np.sqrt(100 * abs(way) / problem.course.scale)))
     points: list[PathPoint] = []
     turns: list[int] = []
     try:
@@ -512,9 +553,9 @@ def follow(problem: LinkProblem, link: Link, start: float, goal: float, *, steps
             points.append(PathPoint(link.at(after.unknowns), after.value, after.measures[TANGENCY]))
     except UNSOLVED as error:
         if not points:
-            return Path((), (), gap=Gap(system, GapCause.UNMATCHED, error=str(error)))
+            return Path((), (), gap=Gap(problem.course, GapCause.UNMATCHED, error=str(error)))
     last = points[-1]
-    gap = Gap(system, GapCause.UNFOLLOWED, energies=(last.energy,), duration=last.link.duration)
+    gap = Gap(problem.course, GapCause.UNFOLLOWED, values=(last.value,), duration=last.link.duration)
     return Path(tuple(points), tuple(turns), gap=gap)
 
 
@@ -536,8 +577,8 @@ def halfway(problem: LinkProblem, first: PathPoint, second: PathPoint) -> PathPo
         solution = Curve(whole, weights, _ON_CURVE, _ROUNDED).onto(start + chord / 2, tangent)
     except UNSOLVED:
         return None
-    link, energy = first.link.at(solution.unknowns), float(solution.unknowns[3])
-    return PathPoint(link, energy, problem.match(link, energy).tangency) if solution.residual < _ROUNDED else None
+    link, value = first.link.at(solution.unknowns), float(solution.unknowns[3])
+    return PathPoint(link, value, problem.match(link, value).tangency) if solution.residual < _ROUNDED else None
 
 
 _SAMPLES = 300  # per half of a flight, about twenty per swing of an arm
@@ -558,40 +599,40 @@ class Profile(Brief):
     count: int
 
 
-def fly_whole(problem: LinkProblem, link: Link, energy: float) -> tuple[Array, Array]:
+def fly_whole(problem: LinkProblem, link: Link, value: float) -> tuple[Array, Array]:
     """Return times (M,) and states (M, N) from seed to seed.
 
     Args:
         problem: matching of two tubes.
         link: solution.
-        energy: energy of the orbits, J.
+        value: value of the followed quantity.
 
     Returns:
         Times (M,), s, and states (M, N).
     """
-    half = np.linspace(0.0, link.duration / 2, _SAMPLES + 1)
+    half, manifolds = np.linspace(0.0, link.duration / 2, _SAMPLES + 1), problem.manifolds(value)
     out, back = (
-        problem.system.propagator.sample(manifold.seeds(np.array([phase]), branch)[0][0], half)
-        for manifold, phase, branch in zip(problem.manifolds(energy), link.phases, link.branches, strict=True)
+        manifold.orbit.system.propagator.sample(manifold.seeds(np.array([phase]), branch)[0][0], half)
+        for manifold, phase, branch in zip(manifolds, link.phases, link.branches, strict=True)
     )
-    back = problem.turned(back) + np.asarray(link.turns) * problem.system.turn_lengths
+    back = problem.turned(back, manifolds[1].orbit.centre) + np.asarray(link.turns) * problem.system.turn_lengths
     return np.concatenate([half, link.duration - half[::-1][1:]]), np.vstack([out, back[::-1][1:]])
 
 
-def profile(problem: LinkProblem, link: Link, energy: float, section: Section) -> Profile:
+def profile(problem: LinkProblem, link: Link, value: float) -> Profile:
     """Count a solved connection's section crossings between extrema of the height.
 
     Args:
         problem: matching of two tubes.
         link: solution.
-        energy: energy of the orbits, J.
-        section: section of the system.
+        value: value of the followed quantity.
     """
-    times, states = fly_whole(problem, link, energy)
-    rates = problem.system.numeric.rate(states) @ np.asarray(section.normal)
+    times, states = fly_whole(problem, link, value)
+    system, section = problem.course.at(value)[0], problem.section(value)
+    rates = system.numeric.rate(states) @ np.asarray(section.normal)
     turning = np.flatnonzero(np.sign(rates[:-1]) * np.sign(rates[1:]) < 0)
     extrema = [
-        _extremum(problem, states[k], times[k + 1] - times[k], rates[k] / (rates[k] - rates[k + 1]), section)
+        _extremum(system, states[k], times[k + 1] - times[k], rates[k] / (rates[k] - rates[k + 1]), section)
         for k in turning
     ]
     knots, heights = np.array([states[0], *extrema, states[-1]]), section.height(states)
@@ -609,17 +650,16 @@ def profile(problem: LinkProblem, link: Link, energy: float, section: Section) -
     return Profile(levels, knots, count)
 
 
-def first_crossing(problem: LinkProblem, link: Link, energy: float, section: Section) -> Array | None:
-    """Return the lifted state (N,) at the first crossing of a section.
+def first_crossing(problem: LinkProblem, link: Link, value: float) -> Array | None:
+    """Return the lifted state (N,) at the first crossing of the section.
 
     Args:
         problem: matching of two tubes.
         link: solution.
-        energy: energy of the orbits, J.
-        section: section of the system.
+        value: value of the followed quantity.
     """
-    system = problem.system
-    _, states = fly_whole(problem, link, energy)
+    system, section = problem.course.at(value)[0], problem.section(value)
+    _, states = fly_whole(problem, link, value)
     heights, sheets = section.height(states), section.sheets(states)
     for k in np.flatnonzero(np.diff(sheets)):
         height = max(sheets[k], sheets[k + 1]) * section.period if section.period else 0.0
@@ -632,7 +672,7 @@ def first_crossing(problem: LinkProblem, link: Link, energy: float, section: Sec
     return None
 
 
-def _extremum(problem: LinkProblem, state: Array, span: float, share: float, section: Section) -> Array:
+def _extremum(system: System, state: Array, span: float, share: float, section: Section) -> Array:
     """Return the state (N,) at an extremum of the section's height.
 
     Args:
@@ -640,7 +680,7 @@ def _extremum(problem: LinkProblem, state: Array, span: float, share: float, sec
         span: time between the samples, s.
         share: initial guess as a share of the span.
     """
-    numeric, propagator, normal = problem.system.numeric, problem.system.propagator, np.asarray(section.normal)
+    numeric, propagator, normal = system.numeric, system.propagator, np.asarray(section.normal)
     step = share * span
     for _ in range(4):
         x = propagator.flow(state, step)

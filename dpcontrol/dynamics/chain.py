@@ -57,7 +57,7 @@ from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System, described_system
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import GoalMissed, InputError
-from dpcontrol.foundation.settings import Setting, Settings, leaves_of
+from dpcontrol.foundation.settings import Setting, Settings, check_choice, leaves_of
 from dpcontrol.foundation.shown import Brief
 from dpcontrol.foundation.units import OTHER_UNITS
 
@@ -182,6 +182,25 @@ class ArmChainParameters(Settings):
             many = enumerate(value, start=1) if isinstance(value, tuple) else [("", value)]
             out |= {f"{letter}{place}": (one, units[field]) for place, one in many}
         return out
+
+    def with_value(self, name: str, value: float) -> "ArmChainParameters":
+        """Return the same arms with another value of one parameter.
+
+        Args:
+            name: name of the parameter, as in `named`.
+            value: its value, SI.
+
+        Raises:
+            InputError: an unknown name, or a value out of range.
+        """
+        check_choice("parameter", self.named(), name)
+        letters = {**_INERTIAL, "gravity": "g", **_FRICTION, "smoothing": "w"}
+        field = next(field for field, letter in letters.items() if letter == name[0])
+        if field in ("gravity", "smoothing"):
+            return replace(self, **{field: value})
+        values = list(getattr(self, field))
+        values[int(name[1:]) - 1] = value
+        return replace(self, **{field: tuple(values)})
 
     def base(self) -> Array:
         """Return the base parameters (n(n+1)/2 + 3n + …,).

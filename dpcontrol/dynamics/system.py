@@ -724,6 +724,19 @@ class ThreeBodyParameters(Settings):
         """Return {name: (value, unit)}."""
         return {"mu": (self.mass_ratio, "1")}
 
+    def with_value(self, name: str, value: float) -> "ThreeBodyParameters":
+        """Return the problem with another mass ratio.
+
+        Args:
+            name: "mu".
+            value: mass ratio.
+
+        Raises:
+            InputError: an unknown name, or a value out of range.
+        """
+        check_choice("parameter", self.named(), name)
+        return ThreeBodyParameters(mass_ratio=value)
+
 
 def _lagrangian(q: tuple[ca.SX, ...], v: tuple[ca.SX, ...], parameters: dict[str, ca.SX]) -> ca.SX:
     (x, y), (vx, vy), mu = q, v, parameters["mu"]

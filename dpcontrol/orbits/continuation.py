@@ -105,6 +105,10 @@ class Newton:
         return best
 
 
+TO_ROUNDING = Newton(12, 1e-12)
+"""Newton's method for scaled equations of double precision."""
+
+
 def bordered(equations: Function, row: Callable[[Array], tuple[float, Array]]) -> Function:
     """Return equations with another one at their end.
 

@@ -34,7 +34,7 @@ from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.rendering import DataFrame
 from dpcontrol.foundation.settings import check_choice
 from dpcontrol.foundation.shown import Shown, data_frame
-from dpcontrol.orbits.continuation import SLOPE, Curve, CurvePoint, Newton
+from dpcontrol.orbits.continuation import SLOPE, TO_ROUNDING, Curve, CurvePoint, Newton
 from dpcontrol.orbits.lyapunov import (
     LyapunovOrbit,
     OrbitOutcome,
@@ -68,8 +68,7 @@ class FollowingSettings:
     step: float = 0.05
     smallest_step: float = 1e-6
     most_members: int = 400
-    newton_iterations: int = 12
-    tolerance: float = 1e-12
+    newton: Newton = TO_ROUNDING
     largest_multiplier: float = 1e7
     longest: float = np.inf
     tail: int = 25
@@ -404,8 +403,7 @@ def lyapunov_family(
             f"{'above' if linear.sign > 0 else 'below'} its energy of {linear.energy:.6g}{system.unit('J')}"
         )
     birth, weights = problem.birth(linear)
-    newton = Newton(settings.newton_iterations, settings.tolerance)
-    curve = Curve(problem, weights, newton, 10 * settings.tolerance, partial(floquet_measures, problem))
+    curve = Curve(problem, weights, settings.newton, 10 * settings.newton.tolerance, partial(floquet_measures, problem))
     tangent = np.append(linear.direction, 0.0) / weights
     heading = tangent / np.linalg.norm(tangent)
     # At the saddle the curve meets that of the resting arcs (0, τ), so its tangent comes from the linear centre.

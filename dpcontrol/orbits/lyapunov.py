@@ -29,7 +29,7 @@ from dpcontrol.foundation.causes import OrbitCause
 from dpcontrol.foundation.checked import checked, number
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.shown import Brief, checked_times
-from dpcontrol.orbits.continuation import Bounds, Function, Newton, member, stepped
+from dpcontrol.orbits.continuation import TO_ROUNDING, Bounds, Function, Newton, member, stepped
 from dpcontrol.orbits.manifold import OrbitCurve
 from dpcontrol.orbits.orbit import OrbitOutcome, PeriodicOrbit
 from dpcontrol.orbits.tube import Tube
@@ -272,8 +272,6 @@ def _linear_centre(problem: SymmetricShooting, saddle: str, family: int) -> Line
 
 _ON_THE_WAY = 1e-7
 """Scaled residual of intermediate orbits."""
-_NEARBY = 1e-12
-"""Scaled residual of an orbit that is found from a nearby one."""
 
 
 @dataclass(frozen=True)
@@ -401,8 +399,8 @@ def nearby_orbit(problem: SymmetricShooting, near: LyapunovOrbit, energy: float)
         energy: energy of the orbit, J.
     """
     guess = np.append(problem.start.T @ (near.state - near.centre), near.period / problem.quarters)
-    solution = member(problem, guess, energy, Newton(12, _NEARBY))
-    cause = OrbitCause.NEARBY if solution.residual < _NEARBY else OrbitCause.LOST
+    solution = member(problem, guess, energy, TO_ROUNDING)
+    cause = OrbitCause.NEARBY if solution.residual < TO_ROUNDING.tolerance else OrbitCause.LOST
     outcome = OrbitOutcome(cause, solution.residual, reached=near.energy)
     unknowns = solution.unknowns if cause is OrbitCause.NEARBY else guess
     return described_orbit(problem, unknowns, saddle=near.saddle, family=near.family, energy=energy, outcome=outcome)

@@ -33,7 +33,7 @@ from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.foundation.shown import Brief, checked_times
-from dpcontrol.orbits.continuation import SLOPE, Curve, CurvePoint, Newton, member
+from dpcontrol.orbits.continuation import SLOPE, TO_ROUNDING, Curve, CurvePoint, Newton, member
 from dpcontrol.orbits.family import (
     CRITICAL,
     SIZE,
@@ -66,8 +66,7 @@ class RotatingSettings:
     finest: float = 1e-5
     most_angles: int = 5_000
     longest: float = 1.0
-    newton_iterations: int = 12
-    tolerance: float = 1e-12
+    newton: Newton = TO_ROUNDING
 
 
 @dataclass(frozen=True)
@@ -196,14 +195,13 @@ def rotating_orbits(
         raise InputError(f"{system.name} is not a double pendulum: rotating orbits need two arms")
     energy = number("energy", energy)
     found: list[RotatingOrbit] = []
-    newton = Newton(settings.newton_iterations, settings.tolerance)
     for position in (0.0, np.pi):
         problem = half_turn(system, arm, sense, position)
         for guess in _guesses(problem, arm, sense, energy, settings):
-            solution = member(problem, guess, energy, newton)
+            solution = member(problem, guess, energy, settings.newton)
             # Newton's method may converge to an orbit of another winding, so results must be near their guess.
             apart = np.abs(solution.unknowns - guess) / np.append(system.scale[2:], guess[-1])
-            if solution.residual > settings.tolerance or apart.max() > 0.2:
+            if solution.residual > settings.newton.tolerance or apart.max() > 0.2:
                 continue
             orbit = described(problem, solution.unknowns, arm, energy, solution.residual)
             if not any(np.abs(orbit.state - other.state).max() < 1e-7 for other in found):
@@ -452,8 +450,7 @@ def rotating_family(
         return {**{test: trace - 2 * multiplier for test, multiplier in CRITICAL.items()}, SIZE: abs(trace)}
 
     weights = np.append(orbit.system.scale[2:], orbit.period / 2)
-    newton = Newton(settings.newton_iterations, settings.tolerance)
-    curve = Curve(problem, weights, newton, settings.tolerance, measure)
+    curve = Curve(problem, weights, settings.newton, settings.newton.tolerance, measure)
 
     def described_point(point: CurvePoint) -> RotatingOrbit:
         return described(problem, point.unknowns, orbit.arm, point.value, point.residual)

@@ -57,6 +57,7 @@ from dpcontrol.bifurcations.bifurcations import (
     diagram_from,
     find_bifurcations,
 )
+from dpcontrol.bifurcations.links import Course
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
@@ -501,7 +502,7 @@ def _unpacked(
     return values
 
 
-BRANCHES_FORMAT = 1
+BRANCHES_FORMAT = 2
 LOWEST, HIGHEST, HIGHEST_BETWEEN = -0.49, 0.26, 0.236
 """Energies in J between which connections are drawn: sweeps begin at the later of both saddles. Those between different
 saddles end earlier: cuts of the lab pendulum's tubes scatter from about 0.237 J on, where counts are lower bounds."""
@@ -531,7 +532,7 @@ def make_branches(
     Raises:
         InputError: saddles or energies without a range to sweep.
     """
-    settings = SweepSettings(energies=samples)
+    settings = SweepSettings(samples=samples)
     energies = energies or (LOWEST, HIGHEST if source == target else HIGHEST_BETWEEN)
     content = {
         "format": BRANCHES_FORMAT,
@@ -546,7 +547,8 @@ def make_branches(
     file = cache_file("branches", f"{model.name}-{source}-{target}", key)
     if (known := kept(file)) is not None:
         return diagram_from(json.loads(known))
-    found = find_bifurcations(model.system, source, target, energies=energies, settings=settings, progress=progress)
+    course = Course.of_energy(model.system)
+    found = find_bifurcations(course, source, target, values=energies, settings=settings, progress=progress)
     diagram = branch_diagram(found)
     keep(file, json.dumps(diagram.document()).encode() + b"\n")
     return diagram

@@ -8,12 +8,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields, replace
 from decimal import Decimal
 from fractions import Fraction
-from functools import cached_property, partial, reduce
+from functools import cache, cached_property, partial, reduce
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
+from dpcontrol.bifurcations.links import Course
 from dpcontrol.dynamics.chain import (
     ArmChainParameters,
     Friction,
@@ -32,7 +33,7 @@ from dpcontrol.foundation.files import in_the_way, write_whole
 from dpcontrol.foundation.settings import Leaf, Setting, leaves_of
 from dpcontrol.foundation.shipped import find
 from dpcontrol.foundation.toml import Choice, Place, Table, parse_toml, read_toml, with_values
-from dpcontrol.orbits.lyapunov import Equilibrium
+from dpcontrol.orbits.lyapunov import Equilibrium, equilibrium
 
 if TYPE_CHECKING:
     from dpcontrol.identification.identify import Identification
@@ -155,6 +156,42 @@ def model_of(system: System) -> Model:
     if not isinstance(system, ModelSystem):
         raise InputError(f"{system.name} has no arms and no cart: start from a model of arms, such as lab")
     return system.model
+
+
+def parameter_course(
+    model: Model,
+    parameter: tuple[str, float, float],
+    energy: float,
+    saddles: Sequence[str] = (),
+) -> Course:
+    """Return the values of a parameter of a model, over which connections are followed.
+
+    Args:
+        model: model with all other parameters.
+        parameter: its name as in `named`, lowest and highest value.
+        energy: energy at every value, J.
+        saddles: saddles above the highest of which this energy is counted (default: none).
+
+    Raises:
+        InputError: an unknown parameter, a value out of range, or one without effect.
+    """
+
+    name, low, high = parameter
+
+    @cache
+    def at(value: float) -> tuple[System, float]:
+        system = replace(model, parameters=model.parameters.with_value(name, value)).system
+        return system, energy + max((equilibrium(system, saddle).energy for saddle in saddles), default=0.0)
+
+    # Friction is among the parameters of the equations, but not in the motion.
+    rates = [at(value)[0].numeric.rate(0.3 * model.system.scale) for value in (low, high)]
+    if low < high and np.array_equal(rates[0], rates[1]):
+        raise InputError(
+            f"{name} from {low:g} to {high:g}: the motion without friction does not depend on it; choose two values of "
+            "a parameter of inertia or gravity"
+        )
+    unit = model.parameters.named()[name][1]
+    return Course(model.system, name, "" if unit == "1" else f" {unit}", max(abs(low), abs(high)), at)
 
 
 @dataclass(frozen=True)

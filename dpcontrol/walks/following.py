@@ -14,7 +14,7 @@ from typing import ClassVar
 import numpy as np
 
 from dpcontrol.bifurcations.bifurcations import Sweep, SweepSettings
-from dpcontrol.bifurcations.links import PathPoint, carry, first_crossing
+from dpcontrol.bifurcations.links import Course, PathPoint, carry, first_crossing
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError, remark
@@ -97,7 +97,7 @@ class SymbolBranches:
 
     @cached_property
     def _sweep(self) -> Sweep:
-        return Sweep(self.system, self.symbol.source, self.symbol.target, 1, SweepSettings())
+        return Sweep(Course.of_energy(self.system), self.symbol.source, self.symbol.target, 1, SweepSettings())
 
     def connections(self, energy: float) -> tuple[Connection, ...]:
         """Return the connections at an energy, none without both orbits.
@@ -142,7 +142,7 @@ class SymbolBranches:
             carried = point if energy == begin else carry(self._sweep.problem, point, energy)
             if carried is None:
                 return None
-            state = first_crossing(self._sweep.problem, carried.link, energy, self._sweep.section)
+            state = first_crossing(self._sweep.problem, carried.link, energy)
             if state is None:
                 return None
             for c in self.connections(energy):
@@ -153,9 +153,8 @@ class SymbolBranches:
         return None
 
     def _point(self, connection: Connection, energy: float) -> PathPoint | None:
-        problem, section = self._sweep.problem, self._sweep.section
         for point in self._sweep.search(energy).points:
-            state = first_crossing(problem, point.link, energy, section)
+            state = first_crossing(self._sweep.problem, point.link, energy)
             if state is not None and float(self.system.scaled_distance(state, connection.state)) < _SAME:
                 return point
         return None

@@ -171,19 +171,24 @@ def caveat_sentence(r: Any) -> str:
         return f"{r.failed} crossings of the cuts did not converge"
     if r.unmatched:
         return f"{r.unmatched} crossings of the cuts are not connections"
-    return "" if r.tubes else "an orbit or its tube does not exist"
+    return "" if r.orbits else "an orbit or its tube does not exist"
+
+
+def _followed(gap: Any, k: int) -> str:
+    return f"{gap.course.quantity} = {gap.values[k]:.9g}{gap.course.unit}"
 
 
 def bifurcations_sentence(r: Any) -> str:
     """Return the outcome of a search for bifurcations."""
-    found, unit = counted(len(r.events), "event"), r.system.unit("J")
-    shown = [(*change.energies, change.reason) for change in r.unexplained[:5]]
+    plural = "energies" if r.course.quantity == "energy" else f"values of {r.course.quantity}"
+    found, unit = counted(len(r.events), "event"), r.course.unit
+    shown = [(*change.values, change.reason) for change in r.unexplained[:5]]
     gaps = "; ".join(f"{low:.6g} to {high:.6g}{unit}, {reason}" for low, high, reason in shown)
-    single = [c for c in r.counts if not c.complete and (r.scatters_from is None or c.energy < r.scatters_from)]
-    single_at = "; ".join(f"at {c.energy:.6g}{unit} {c.caveat}" for c in single[:3])
-    begin = f"{r.counts[0].energy:.6g}{unit}, just above the higher saddle's energy of {r.born or 0:.6g}{unit}"
+    single = [c for c in r.counts if not c.complete and (r.scatters_from is None or c.value < r.scatters_from)]
+    single_at = "; ".join(f"at {c.value:.6g}{unit} {c.caveat}" for c in single[:3])
+    begin = f"{r.counts[0].value:.6g}{unit}, just above the higher saddle's energy of {r.born or 0:.6g}{unit}"
     return _joined(
-        (not gaps, f"{found}; every change of the count over {len(r.counts)} energies is explained"),
+        (not gaps, f"{found}; every change of the count over {len(r.counts)} {plural} is explained"),
         (
             gaps,
             f"{found} located, but not the cause of {counted(len(r.unexplained), 'change')} of the count: {gaps}",
@@ -333,16 +338,16 @@ SENTENCES: Mapping[type[StrEnum], Mapping[Any, Callable[[Any], str]]] = {
         GapCause.COUNT: lambda r: (
             f"the count changes from {r.counts[0]} to {r.counts[1]}, but located events account for {r.counts[2]:+d}"
         ),
-        GapCause.TURN: lambda r: f"a turn in energy near {_joule(r, r.energies[0], 9)} could not be located",
-        GapCause.TOUCH_AT_TURN: lambda r: f"a touch of the section next to the turn at {_joule(r, r.energies[0], 9)}",
+        GapCause.TURN: lambda r: f"a turn near {_followed(r, 0)} could not be located",
+        GapCause.TOUCH_AT_TURN: lambda r: f"a touch of the section next to the turn at {_followed(r, 0)}",
         GapCause.TOUCH: lambda r: (
-            f"crossings change from {r.counts[0]} to {r.counts[1]} between {r.energies[0]:.9g} and "
-            f"{_joule(r, r.energies[1], 9)} without a located touch"
+            f"crossings change from {r.counts[0]} to {r.counts[1]} between "
+            f"{_followed(r, 0)} and {r.values[1]:.9g}{r.course.unit} without a located touch"
         ),
         GapCause.UNMATCHED: lambda r: f"a connection could not be matched: {r.error}",
         GapCause.UNFOLLOWED: lambda r: (
-            f"a connection with a flight of {_second(r, r.duration)} could not be followed beyond "
-            f"{_joule(r, r.energies[0], 9)}"
+            f"a connection with a flight of {_second(r.course, r.duration)} could not be followed beyond "
+            f"{_followed(r, 0)}"
         ),
         GapCause.UNSEARCHED: lambda r: f"continuation meets {r.counts[0]} connections that the searches do not find",
     },

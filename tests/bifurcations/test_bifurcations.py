@@ -9,7 +9,7 @@ from quick_rate import quick_rate
 from scipy.integrate import solve_ivp
 
 from dpcontrol.bifurcations.bifurcations import Sweep, SweepSettings, find_bifurcations
-from dpcontrol.bifurcations.links import LinkProblem, carry, follow
+from dpcontrol.bifurcations.links import Course, LinkProblem, carry, follow
 from dpcontrol.foundation.causes import BranchCause
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.orbits.cut import CutSettings, section_points
@@ -44,8 +44,8 @@ def system():
 
 def located(system, energies, *, source="down-up", target="down-up", distance=1e-4, chord=0.05, samples=2):
     search = ConnectionSettings(distance=distance, cut=CutSettings(chord=chord))
-    settings = SweepSettings(energies=samples, search=search)
-    return find_bifurcations(system, source, target, energies=energies, settings=settings)
+    settings = SweepSettings(samples=samples, search=search)
+    return find_bifurcations(Course.of_energy(system), source, target, values=energies, settings=settings)
 
 
 class Events(dict):
@@ -94,7 +94,7 @@ def test_each_event_has_its_kind_and_counts(events, name, expected):
 def test_counts_of_searches_change_at_the_located_energies(system, events):
     for name in (SADDLE_NODE, PITCHFORK):
         event = events[name][0]
-        sweep = Sweep(system, "down-up", "down-up", 1, SweepSettings())
+        sweep = Sweep(Course.of_energy(system), "down-up", "down-up", 1, SweepSettings())
         counts = [sweep.search(event.energy + d).count for d in (-2e-6, 2e-6)]
         assert counts == [event.count_below, event.count_above]
 
@@ -222,7 +222,7 @@ def test_a_connection_that_grazes_its_section_continues_beyond(system, events):
 
 
 def test_continuation_finds_a_connection_that_a_search_misses(system, monkeypatch):
-    sweep = Sweep(system, "down-up", "down-up", 1, SweepSettings())
+    sweep = Sweep(Course.of_energy(system), "down-up", "down-up", 1, SweepSettings())
     low, high = -0.13, -0.12
     whole = sweep.search(low)
     with monkeypatch.context() as patch:
@@ -238,9 +238,9 @@ def test_continuation_finds_a_connection_that_a_search_misses(system, monkeypatc
 
 def test_a_tangency_between_samples_is_found_from_both_sides(system):
     """A pitchfork's pair is followed from above. Its path turns at the symmetric connection and returns."""
-    sweep = Sweep(system, "down-up", "down-up", 1, SweepSettings())
+    sweep = Sweep(Course.of_energy(system), "down-up", "down-up", 1, SweepSettings())
     below, above = sweep.search(PITCHFORK[0]), sweep.search(PITCHFORK[1])
-    problem = LinkProblem(system, "down-up", "down-up", distance=1e-4)
+    problem = LinkProblem(Course.of_energy(system), "down-up", "down-up", distance=1e-4)
     problem.manifolds(PITCHFORK[1])
     assert [problem.symmetry(p.link) for p in below.points] == [1, 1]
     assert sorted(str(problem.symmetry(p.link)) for p in above.points) == ["1", "1", "None", "None"]
@@ -248,12 +248,12 @@ def test_a_tangency_between_samples_is_found_from_both_sides(system):
 
 def test_a_path_passes_a_fold_and_returns_as_the_partner(system, events):
     fold = events[SADDLE_NODE][0].energy
-    sweep = Sweep(system, "down-up", "down-up", 1, SweepSettings())
+    sweep = Sweep(Course.of_energy(system), "down-up", "down-up", 1, SweepSettings())
     start, goal = SADDLE_NODE[1], SADDLE_NODE[0]
     first, second = sweep.search(start).points
     path = follow(sweep.problem, first.link, start, goal)
     assert path.returned
-    energies = np.array([p.energy for p in path.points])
+    energies = np.array([p.value for p in path.points])
     (turn,) = path.turns
     # The path reaches the fold, does not go below it, and returns.
     assert np.all(np.diff(energies[: turn + 1]) < 0)
@@ -263,12 +263,12 @@ def test_a_path_passes_a_fold_and_returns_as_the_partner(system, events):
     # The tangency changes its sign only at the fold, and every point is a connection.
     signs = np.sign([p.tangency for p in path.points])
     assert np.count_nonzero(np.diff(signs)) == 1
-    assert max(np.abs(sweep.problem.match(p.link, p.energy).gap).max() for p in path.points) < 1e-8
+    assert max(np.abs(sweep.problem.match(p.link, p.value).gap).max() for p in path.points) < 1e-8
 
 
 @pytest.mark.slow
 def test_continuation_without_turns_stops_at_a_fold(system):
-    sweep = Sweep(system, "down-up", "down-up", 1, SweepSettings())
+    sweep = Sweep(Course.of_energy(system), "down-up", "down-up", 1, SweepSettings())
     point = sweep.search(SADDLE_NODE[1]).points[0]
     assert carry(sweep.problem, point, SADDLE_NODE[0]) is None
     arrived = carry(sweep.problem, point, -0.1400)
@@ -311,10 +311,10 @@ def test_runs_follow_every_connection_around_its_fold(system):
     """Only one of each symmetric pair is followed, along both parts of a parabola."""
     top = -0.1380
     found = located(system, (SADDLE_NODE[0], top), samples=3)
-    fold = min(found.runs, key=lambda run: run.energies.min())
-    assert 0 < fold.energies.min() - found.events[0].energy < 1e-5
-    assert np.abs(fold.points[int(np.argmin(fold.energies))] - found.events[0].point).max() < 0.01
-    arrived = sorted(abs(run.points[-1][1]) for run in found.runs if run.energies[-1] == top)
+    fold = min(found.runs, key=lambda run: run.values.min())
+    assert 0 < fold.values.min() - found.events[0].energy < 1e-5
+    assert np.abs(fold.points[int(np.argmin(fold.values))] - found.events[0].point).max() < 0.01
+    arrived = sorted(abs(run.points[-1][1]) for run in found.runs if run.values[-1] == top)
     connections = connections_at(system, top)
     expected = {round(abs(float(section_points(system, c.section, c.state)[1])), 8) for c in connections}
     assert arrived == pytest.approx(sorted(expected), abs=1e-7)
@@ -329,7 +329,7 @@ def test_runs_follow_every_connection_around_its_fold(system):
 )
 def test_impossible_searches_are_refused_with_the_valid_range(model, saddles, energies, fragment):
     with pytest.raises(InputError, match=fragment):
-        find_bifurcations(load_model(model).system, *saddles, energies=energies)
+        find_bifurcations(Course.of_energy(load_model(model).system), *saddles, values=energies)
 
 
 @pytest.mark.slow

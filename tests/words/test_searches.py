@@ -34,6 +34,7 @@ OTHERS = {StrEnum, causes.Cause, causes.Fault, causes.FindingCause}  # The table
 KINDS = [kind for kind in vars(causes).values() if isinstance(kind, type) and issubclass(kind, StrEnum)]
 KINDS = [kind for kind in KINDS if kind not in OTHERS]
 JOULE, OWN_UNITS = SimpleNamespace(unit=" {}".format), SimpleNamespace(unit=lambda name: "")
+JOULES = SimpleNamespace(quantity="energy", unit=" J")
 SHOT = {"residual": 1e-3, "iterations": 30}
 WALK = {"walk": ("a", "b", "c"), "fault": 1, "wraps": (3,), "wraps_realised": (2,), "rival": "d"}
 CUT = {"chord": 0.05, "trajectories": 100, "hit": 1, "section": SimpleNamespace(name="θ₂ = 0"), "longest": 12.0}
@@ -98,13 +99,13 @@ def test_each_cause_of_a_finding_has_a_sentence() -> None:
         ),
         (
             GapCause.TOUCH,
-            {"counts": (1, 2), "energies": (0.1, 0.2), "system": JOULE},
-            ["crossings change from 1 to 2 between 0.1 and 0.2 J"],
+            {"counts": (1, 2), "values": (0.1, 0.2), "course": JOULES},
+            ["crossings change from 1 to 2 between energy = 0.1 J and 0.2 J"],
         ),
         (
             GapCause.UNFOLLOWED,
-            {"duration": 2.5, "energies": (0.1,), "system": OWN_UNITS},
-            ["a flight of 2.5 could not be followed beyond 0.1"],
+            {"duration": 2.5, "values": (0.1,), "course": SimpleNamespace(quantity="m2", unit="", system=OWN_UNITS)},
+            ["a flight of 2.5 could not be followed beyond m2 = 0.1"],
         ),
         (ReferenceCause.SOLVER, {"answer": "no", "obstacle": Obstacle(ObstacleCause.FRICTION, share=0.5)}, ["50%"]),
         (GridCause.TIME, GRID | {"beyond": SimpleNamespace(energy=-0.95)}, ["at least 0 between", "before -0.95 J"]),

@@ -91,17 +91,17 @@ def draw_momentum_branches(axes: Axes, diagram: BranchDiagram) -> None:
 
 def _branches(axes: Axes, diagram: BranchDiagram, coordinate: int) -> None:
     homoclinic = diagram.source == diagram.target
-    for energies, points in diagram.runs:
+    for values, points in diagram.runs:
         symmetric = homoclinic and bool(np.all(np.abs(np.sin(points[:, 0])) < _ON_MIRROR))
         colour = style.saddle_colour(diagram.source) if symmetric else _PAIR if homoclinic else _BETWEEN
         look = {"color": colour, "linewidth": 1.8 if symmetric else 1.1, "solid_capstyle": "round"}
-        values = _wrapped(points)[:, coordinate]
+        heights = _wrapped(points)[:, coordinate]
         # A branch that leaves the period on one side enters on the other.
-        for part in np.split(np.arange(len(values)), np.flatnonzero(np.abs(np.diff(values)) > np.pi) + 1):
-            axes.plot(energies[part], values[part], **look, zorder=3 if symmetric else 2)
+        for part in np.split(np.arange(len(heights)), np.flatnonzero(np.abs(np.diff(heights)) > np.pi) + 1):
+            axes.plot(values[part], heights[part], **look, zorder=3 if symmetric else 2)
     for mark in diagram.marks:
-        value = _wrapped(np.array([mark.point]))[0, coordinate]
-        axes.plot(mark.energy, value, MARKS[mark.kind], color=style.INK, mfc="white", markersize=5.5, zorder=5)
+        height = _wrapped(np.array([mark.point]))[0, coordinate]
+        axes.plot(mark.value, height, MARKS[mark.kind], color=style.INK, mfc="white", markersize=5.5, zorder=5)
     if diagram.scatters_from is not None:
         axes.axvspan(diagram.scatters_from, diagram.counts[-1][0], color="#f3e9e8", zorder=0)
     axes.set_xlim(diagram.counts[0][0], diagram.counts[-1][0])
@@ -120,7 +120,7 @@ def pair_name(diagram: BranchDiagram) -> str:
 
 
 def bifurcations(axes: Axes, found: BifurcationSearch) -> None:
-    """Draw the section's momentum of each connection over the energy.
+    """Draw the section's momentum of each connection over the energy or the followed parameter.
 
     The bifurcations and the counts are added.
 
@@ -130,7 +130,8 @@ def bifurcations(axes: Axes, found: BifurcationSearch) -> None:
     """
     draw_momentum_branches(axes, branch_diagram(found))
     title = f"{found.source} → {found.target}: {counted(len(found.events), 'bifurcation')} on {found.section.name}"
-    quiet(axes, title, x=f"energy{found.system.unit('J', ' ({})')}", y="p / p₀")
+    unit = f" ({found.course.unit.strip()})" if found.course.unit else ""
+    quiet(axes, title, x=f"{found.course.quantity}{unit}", y="p / p₀")
 
 
 COUNTED = Path(__file__).with_name("passages.json")
