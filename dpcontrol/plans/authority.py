@@ -71,8 +71,9 @@ def growth_along(arms: ArmChainParameters, motion: Trajectory | Reference) -> fl
         motion: motion of arms and cart.
     """
     states, commands = _sampled(motion)
-    model = shared_model(equations_of(arms, Level.CART))
-    jacobians, _ = model.linearised(states, commands, parameters=arms.frictionless().base())
+    free = arms.frictionless()
+    model = shared_model(equations_of(free, Level.CART))
+    jacobians, _ = model.linearised(states, commands, parameters=free.base())
     n = 2 * arms.count
     return float(np.log(np.abs(np.linalg.eigvals(jacobians[:, :n, :n])).max()) / PERIOD)
 

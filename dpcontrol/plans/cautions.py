@@ -21,10 +21,10 @@ from dpcontrol.references.reference import Reference
 from dpcontrol.words.searches import CAUTION_REMEDIES, Concluded
 
 LIMITS = {
-    CautionCause.AUTHORITY: 200.0,
+    CautionCause.AUTHORITY: 175.0,
     CautionCause.GAINS: 2.0,
     CautionCause.START: 0.5,
-    CautionCause.LAG: 0.3,
+    CautionCause.LAG: 0.5,
     CautionCause.LATE: 1.2,
 }
 """Largest figure of each kind that completes reliably."""

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dpcontrol.foundation.causes import CautionCause
-from dpcontrol.plans.cautions import Caution, cautions_of
+from dpcontrol.plans.cautions import Caution, cautions_of, hidden_angles
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import Plan, make_plan
 
@@ -35,6 +35,16 @@ def test_a_shipped_itinerary_has_no_caution(turn: Plan) -> None:
     assert turn.document()["warnings"] == []
 
 
+def test_arms_with_dry_friction_have_cautions_too(turn: Plan) -> None:
+    itinerary = turn.itinerary
+    dry = replace(itinerary.model, parameters=replace(itinerary.model.arms, coulomb=(0.05, 0.05)))
+    found = {one.cause: one for one in cautions_of(replace(itinerary, model=dry), turn.reference)}
+    assert found[CautionCause.GAINS].place == "friction"
+    # Gravity turns the outer arm by at most m₂ g a₂ = 0.158 N m, so 0.05 N m hide 0.317 rad.
+    hidden = hidden_angles(replace(itinerary, model=dry))
+    assert hidden["friction"] == pytest.approx(0.05 / (0.137596 * 9.80858 * 0.116779), rel=1e-4)
+
+
 def test_coarse_encoders_cost_the_feedback_what_finer_ones_do_not(turn: Plan) -> None:
     coarse = cautions(turn, counts=20)[CautionCause.GAINS]
     assert (coarse.place, coarse.change, coarse.value) == ("counts", "counts", 80)
@@ -45,9 +55,9 @@ def test_coarse_encoders_cost_the_feedback_what_finer_ones_do_not(turn: Plan) ->
 
 
 def test_an_untold_lag_is_a_caution_until_it_is_told(turn: Plan) -> None:
-    untold = cautions(turn, lag=0.03)
+    untold = cautions(turn, lag=0.05)
     assert untold[CautionCause.LAG].change == "drive_lag"
-    told = cautions(turn, lag=0.03, drive_lag=untold[CautionCause.LAG].value)
+    told = cautions(turn, lag=0.05, drive_lag=untold[CautionCause.LAG].value)
     assert CautionCause.LAG not in told
     assert CautionCause.LATE not in told
     slower = cautions(turn, lag=0.15, drive_lag=0.15)[CautionCause.LATE]
