@@ -24,9 +24,10 @@ from dpcontrol.foundation.shown import Shown
 from dpcontrol.orbits.lyapunov import LyapunovOrbit
 from dpcontrol.plans.model import ModelSystem
 from dpcontrol.proofs.balls import NotClosed, ball, bound, decimal, flint, located, symmetric, working
-from dpcontrol.proofs.charts import ChartSegment, Surface
+from dpcontrol.proofs.charts import Surface
 from dpcontrol.proofs.check import FORMAT, digest
-from dpcontrol.proofs.connect import check_distinct, horseshoe, link, orbit_boxes
+from dpcontrol.proofs.connect import Route, enclosure_of, link_data, orbit_data, transversality
+from dpcontrol.proofs.covering import ChartSegment, Network, OrbitBoxes, link, orbit_boxes
 from dpcontrol.proofs.flow import Field, FlowSettings
 from dpcontrol.proofs.periodic import (
     Chain,
@@ -106,14 +107,25 @@ def exact_energy(energy: Any) -> Fraction:
     return Fraction(repr(float(energy)) if isinstance(energy, float) else str(energy))
 
 
-def surface_of(system: System, energy: Fraction) -> Surface:
+def energy_text(energy: Any) -> str:
+    """Return the words on an exact energy, or on all energies between two.
+
+    Args:
+        energy: exact, or the lowest and highest one.
+    """
+    return f"the energy {decimal(energy)}" if isinstance(energy, Fraction) else (
+        f"every energy from {decimal(energy[0])} to {decimal(energy[1])}"
+    )
+
+
+def surface_of(system: System, energy: Any) -> Surface:
     """Return the energy surface of a system at the working precision.
 
     Parameters are the decimals of the model's file, or else the shortest decimals that read as their doubles.
 
     Args:
         system: system of two degrees of freedom.
-        energy: exact energy, in the system's unit.
+        energy: exact energy, in the system's unit, or the lowest and highest one.
 
     Raises:
         InputError: the system has more than two degrees of freedom, or unsupported operations.
@@ -122,7 +134,8 @@ def surface_of(system: System, energy: Fraction) -> Surface:
         raise InputError(f"{system.name} has {system.dimension // 2} degrees of freedom: proofs support only two")
     values = [Fraction(repr(v)) for v in system.parameters.tolist()]
     exact = system.model.exact_parameters if isinstance(system, ModelSystem) else values
-    return Surface(Field.of(system, exact), energy, tuple(bool(p == 2 * np.pi) for p in system.periods))
+    height = energy if isinstance(energy, Fraction) else ball(energy[0]).union(ball(energy[1]))
+    return Surface(Field.of(system, exact), height, tuple(bool(p == 2 * np.pi) for p in system.periods))
 
 
 def attempted(kind: str, statement: str, bits: int, work: Callable[[], Proof]) -> Proof:
@@ -156,33 +169,18 @@ def plain(value: Any) -> Any:
     return decimal(value) if isinstance(value, Fraction) else repr(value) if isinstance(value, float) else value
 
 
-def certificate(
-    system: System,
-    chain: tuple[Surface, Chain],
-    proof: tuple[list[ChartSegment], Newton],
-    claims: Sequence[Mapping[str, Any]] = (),
-) -> dict[str, Any] | None:
-    """Return the certificate of a closed chain with its claims on symbols.
-
-    Only models from files with proved multipliers have one. Its radii include a margin for the enclosures of module
-    check, which confirms its bounds.
+def certificate(system: System, energy: Any, content: Mapping[str, Any]) -> dict[str, Any] | None:
+    """Return a certificate with its statement and digest, or None for a system without a model file.
 
     Args:
-        system: system of the orbit.
-        chain: energy surface and legs.
-        proof: enclosures of the legs and the Newton step.
-        claims: claims on symbols, see `claims_of`.
+        system: system of the proof.
+        energy: exact energy, or the lowest and highest one.
+        content: its other numbers.
     """
-    (surface, legs), (segments, found) = chain, proof
-    pair = multipliers(segments)
-    if not isinstance(system, ModelSystem) or pair is None:
+    if not isinstance(system, ModelSystem):
         return None
     equations = "double pendulum" if isinstance(system.model.parameters, ArmChainParameters) else "three bodies"
-    exists = max(100 * float(found.exists), _LEAST_RADIUS)
-    durations = [leg.duration for leg in legs]
-    reach = Fraction(exists) * 2 * len(durations)
-    scale = system.scale.tolist()
-    content = plain(
+    whole = plain(
         {
             "format": FORMAT,
             "versions": {name: number for name, number in versions().items() if name in ("dpcontrol", "python-flint")},
@@ -190,21 +188,54 @@ def certificate(
                 "equations": equations,
                 **{key: system.model.decimals[key] for key in EQUATIONS[equations][1]},
             },
-            "energy": surface.energy,
-            "nodes": [leg.first.node for leg in legs],
-            "normals": [[row[2] / s**2 for row, s in zip(leg.first.basis, scale, strict=True)] for leg in legs],
-            "durations": durations,
-            "turns": legs[-1].shift,
-            "scale": scale,
-            "exists": f"{exists:.3e}",
-            "unique": f"{max(_UNIQUE, 10 * exists):.3e}",
-            "period": [sum(durations) - reach, sum(durations) + reach],
-            "multiplier_exceeds": f"{0.9 * float(abs(pair[0])):.3e}",
-            "symbols": list(claims),
+            "energy": energy,
+            "scale": system.scale.tolist(),
+            **content,
         }
     )
-    content = {"statement": statement(content), **content}
-    return {**content, "digest": digest(content)}
+    whole = {"statement": statement(whole), **whole}
+    return {**whole, "digest": digest(whole)}
+
+
+def orbit_certificate(
+    system: System,
+    chain: tuple[Surface, Chain],
+    proof: tuple[list[ChartSegment], Newton],
+    claims: Sequence[Mapping[str, Any]] = (),
+) -> dict[str, Any] | None:
+    """Return the certificate of a closed chain with its claims on symbols.
+
+    Only chains with proved multipliers have one. Its radii include a margin for the enclosures of module check, which
+    confirms its bounds.
+
+    Args:
+        system: system of the orbit.
+        chain: energy surface and legs.
+        proof: enclosures of the legs and the Newton step.
+        claims: claims on symbols, see `Route.claims`.
+    """
+    (surface, legs), (segments, found) = chain, proof
+    pair = multipliers(segments)
+    if pair is None:
+        return None
+    exists = max(100 * float(found.exists), _LEAST_RADIUS)
+    durations = [leg.duration for leg in legs]
+    reach = Fraction(exists) * 2 * len(durations)
+    content = {
+        "nodes": [leg.first.node for leg in legs],
+        "normals": [
+            [float(row[2]) / s**2 for row, s in zip(leg.first.basis, system.scale.tolist(), strict=True)]
+            for leg in legs
+        ],
+        "durations": durations,
+        "turns": legs[-1].shift,
+        "exists": f"{exists:.3e}",
+        "unique": f"{max(_UNIQUE, 10 * exists):.3e}",
+        "period": [sum(durations) - reach, sum(durations) + reach],
+        "multiplier_exceeds": f"{0.9 * float(abs(pair[0])):.3e}",
+        "symbols": list(claims),
+    }
+    return certificate(system, surface.energy, content)
 
 
 _LEAST_RADIUS, _UNIQUE = 1e-12, 1e-10
@@ -311,7 +342,7 @@ def prove_orbit(
             )  # fmt: skip
         return Proof(
             "orbit", True, f"proved: {_unique(found, count)}", stated, figures, 0.0,
-            certificate(system, (surface, chain), (sharp, found)),
+            orbit_certificate(system, (surface, chain), (sharp, found)),
         )  # fmt: skip
 
     return attempted("orbit", stated, settings.bits, work)
@@ -326,39 +357,6 @@ def _unique(found: Newton, count: int) -> str:
     )
 
 
-def claims_of(walk: ShadowingOrbit, rivals: Sequence[Connection]) -> list[dict[str, Any]]:
-    """Return the claims on each symbol of a closed walk.
-
-    Each has its section, the segments from the middle of one stop to the middle of the next, and the marked node.
-    Saddles are lifted by whole turns. If a stop had no wraps, it would last for `rest` s between marked nodes.
-
-    Args:
-        walk: closed orbit.
-        rivals: connections that the orbit must not follow.
-    """
-    lasts, nodes, out = walk.shot.guess.joints, sorted(walk.shot.guess.markers), []
-    kind = attrgetter("source.saddle", "target.saddle", "winding", "section")
-    for k, own in enumerate(walk.connections):
-        after, period = walk.connections[(k + 1) % len(walk.connections)], own.target.period
-        others = [other for other in rivals if kind(other) == kind(own) and other.name != own.name]
-        out.append(
-            {
-                "section": described(own.section),
-                "hits": [int(v) for v in own.hits],
-                "segments": [lasts[k - 1] + 1 if k else 0, lasts[k]],
-                "node": int(nodes[k]),
-                "turns": [int(v) for v in walk.offsets[k]],
-                "states": [[repr(float(v)) for v in one.state] for one in (own, *others)],
-                "stop": [repr(float(v)) for v in own.target.centre],
-                "stop_turns": [int(v) for v in walk.offsets[k + 1]],
-                "wraps": int(walk.wraps[k]),
-                "period": repr(float(period)),
-                "rest": repr(float(own.time_in + after.time_out + phase_gap(own, after) * period)),
-            }
-        )
-    return out
-
-
 def prove_walk(
     walk: ShadowingOrbit,
     *,
@@ -367,24 +365,24 @@ def prove_walk(
     settings: ProofSettings | None = None,
     progress: Progress = no_progress,
 ) -> Proof:
-    """Prove existence and uniqueness of a closed walk's orbit, and its symbols.
+    """Prove existence of a walk's orbit, and its symbols; that of a closed walk is unique.
 
     Args:
-        walk: computed orbit of a closed walk.
+        walk: computed orbit of a walk.
         energy: exact, J.
         rivals: other connections at this energy.
         settings: precision, radii and integrator.
         progress: called with a label and the completed share.
 
     Raises:
-        InputError: an open walk, or unsupported equations.
+        InputError: unsupported equations.
         GoalMissed: the walk's orbit did not converge.
     """
     settings = settings or ProofSettings()
-    if not walk.periodic:
-        raise InputError("only closed walks can be proved: close the walk with --periodic (periodic=True in Python)")
     if not walk.converged:
         raise GoalMissed(f"no orbit to prove: {walk.status}")
+    if not walk.periodic:
+        return prove_network("walk", [walk], energy=energy, rivals=rivals, settings=settings, progress=progress)
     system, orbit = walk.orbit.system, walk.orbit
     count = len(orbit.states) - 1
     stated = (
@@ -402,7 +400,9 @@ def prove_walk(
         chain, _ = closed_chain(system, orbit.states[:-1], np.diff(orbit.times), turns)
         segments, found = proved_chain(surface, chain, settings, progress)
         pair = multipliers(segments)
-        claims = claims_of(walk, rivals)
+        joints, marks = walk.shot.guess.joints, sorted(walk.shot.guess.markers)
+        stretches = list(zip([0, *(k + 1 for k in joints)], joints, strict=False))
+        claims = Route.of(walk).claims(stretches, marks, rivals)
         figures = {
             "period": total_time(segments, found.exists).str(20),
             "multipliers": None if pair is None else [v.str(8) for v in pair],
@@ -426,76 +426,136 @@ def prove_walk(
             )
         return Proof(
             "walk", True, f"proved: {_unique(found, count)}, and it follows its symbols", stated, figures, 0.0,
-            certificate(system, (surface, chain), (segments, found), claims),
+            orbit_certificate(system, (surface, chain), (segments, found), claims),
         )  # fmt: skip
 
     return attempted("walk", stated, settings.bits, work)
 
 
-def prove_connections(
-    connections: Sequence[Connection],
+def prove_network(
+    kind: str,
+    found: Sequence[Connection | ShadowingOrbit],
     *,
-    energy: Fraction,
+    energy: Any,
+    rivals: Sequence[Connection] = (),
     settings: ProofSettings | None = None,
-    whole: bool = False,
     progress: Progress = no_progress,
 ) -> Proof:
-    """Prove existence and transversality of connections between two orbits.
+    """Prove connections or an open walk by covering relations, or the graph of all connections with its entropy.
 
     Args:
-        connections: computed connections between the same orbits.
-        energy: exact, J.
+        kind: "connection", "walk", "horseshoe" or "graph".
+        found: computed connections or one open walk.
+        energy: exact, J, or the lowest and highest one.
+        rivals: other connections at this energy, for walks.
         settings: precision, radii and integrator.
-        whole: also prove the horseshoe of all homoclinics of one orbit.
         progress: called with a label and the completed share.
 
     Raises:
         InputError: no connections, or unsupported equations.
     """
     settings = settings or ProofSettings()
-    if not connections:
+    if not found:
         raise InputError("no connections to prove; find some with `dpcontrol connect`")
-    system, first, last = connections[0].source.system, connections[0].source, connections[0].target
-    kind, count = "horseshoe" if whole else "connection", counted(len(connections), "transversal connection")
-    stated = (
-        f"{system.name} at the energy {decimal(energy)}: {count} from the orbit about {first.saddle} to that about "
-        f"{last.saddle}"
-    )
+    routes, system = [Route.of(one) for one in found], found[0].orbit.system
+    near = {
+        (stop.saddle, stop.period): stop for route in routes for stop in (route.stops[0], route.stops[-1])
+    }  # the same orbit may be given by equal objects
+    stated = network_stated(kind, system.name, energy, routes)
 
     def work() -> Proof:
-        surface, links, failed = surface_of(system, energy), [], []
-        source = orbit_boxes(surface, first, settings.box, settings.flow)
-        target = source if last is first else orbit_boxes(surface, last, settings.box, settings.flow)
-        for k, connection in enumerate(connections):
-            progress(connection.name, k / len(connections))
+        surface = surface_of(system, energy)
+        enclosure, keys = enclosure_of(surface, system.scale, settings.flow), list(near)
+        numbers, orbits = [orbit_data(orbit, settings.box) for orbit in near.values()], list[OrbitBoxes]()
+        for (saddle, _), data in zip(keys, numbers, strict=True):
+            with located(f"the orbit about {saddle}:"):
+                orbits.append(orbit_boxes(data, enclosure))
+        links, rows, failed = [], [], []
+        for k, route in enumerate(routes):
+            progress(route.name, k / len(routes))
+            ends = [keys.index((stop.saddle, stop.period)) for stop in (route.stops[0], route.stops[-1])]
             try:
-                links.append(link(surface, connection, source, target, settings.flow))
+                one = link(link_data(route, ends, numbers, settings.box, rivals), numbers, enclosure)
+                angle = transversality(surface, route.connections[0], one, orbits)
             except NotClosed as error:
-                failed.append(f"{connection.name}: {error}")
-        figures: dict[str, Any] = {
-            "box": settings.box,
-            "connections": [
-                {
-                    "name": one.connection.name,
-                    "angle_deg": one.angle.str(8, more=True),
-                    "state": [x.str(8) for x in one.state],
-                }
-                for one in links
-            ],
-            "failed": failed,
-        }
-        if failed:
-            status = f"not proved: {len(failed)} of {len(connections)} ({failed[0]})"
-            return Proof(kind, False, status, stated, figures, 0.0)
-        check_distinct(surface, links)
-        status = f"proved: {counted(len(links), 'distinct transversal connection')}"
-        if whole:
-            least, entropy = horseshoe(surface, source, links)
-            figures |= {"least_wraps": max(map(max, least)), "entropy_at_least": entropy.str(12), "least": least}
-            status += (
-                f"; every walk on them with at least {figures['least_wraps']} wraps at each stop is realised by an "
-                f"orbit, and the topological entropy is at least {float(entropy) - 5e-5:.4f} per second"
+                failed.append(f"{route.name}: {error}")
+                continue
+            links.append(one)
+            state = one.legs[one.marks[0]].start
+            rows.append(
+                {"name": route.name, "angle_deg": angle.str(8, more=True), "state": [x.str(8) for x in state]}
             )
-        return Proof(kind, True, status, stated, figures, 0.0)
+        figures: dict[str, Any] = {"box": settings.box, "links": rows, "failed": failed}
+        if failed:
+            status = f"not proved: {len(failed)} of {len(routes)} ({failed[0]})"
+            return Proof(kind, False, status, stated, figures, 0.0)
+        content: dict[str, Any] = {"orbits": numbers, "links": [one.data for one in links]}
+        network, claims = Network(orbits, links, enclosure), {}
+        if kind != "walk":
+            network.check_marks()
+        if kind in ("horseshoe", "graph"):
+            least = network.fewest_wraps()
+            claims = {"wraps": max(n for row in least for n in row if n is not None), "entropy": entropy_of(network)}
+            figures |= {**claims, "least": least}
+        return Proof(
+            kind, True, network_status(kind, len(links), claims), stated, figures, 0.0,
+            certificate(system, energy, {**content, **claims}),
+        )  # fmt: skip
 
     return attempted(kind, stated, settings.bits, work)
+
+
+def network_stated(kind: str, name: str, energy: Any, routes: Sequence[Route]) -> str:
+    """Return what is to be proved of links.
+
+    Args:
+        kind: "connection", "walk", "horseshoe" or "graph".
+        name: name of the system.
+        energy: exact energy, or the lowest and highest one.
+        routes: computed links.
+    """
+    start = f"{name} at {energy_text(energy)}: "
+    saddles = list(dict.fromkeys(stop.saddle for route in routes for stop in (route.stops[0], route.stops[-1])))
+    if kind == "walk":
+        return (
+            f"{start}an orbit leads from the orbit about {saddles[0]} to that about {saddles[-1]} and follows "
+            f"{routes[0].name} with wraps {list(routes[0].wraps)}"
+        )
+    count = counted(len(routes), "transversal connection")
+    listed = "; ".join(route.name for route in routes)
+    if kind == "connection":
+        return f"{start}{count} from the orbit about {saddles[0]} to that about {saddles[-1]}"
+    return f"{start}{count} between the orbits about {' and '.join(saddles)}, and orbits along all walks on {listed}"
+
+
+def network_status(kind: str, count: int, claims: Mapping[str, Any]) -> str:
+    """Return the verdict on proved links.
+
+    Args:
+        kind: "connection", "walk", "horseshoe" or "graph".
+        count: number of links.
+        claims: wraps and entropy of a graph.
+    """
+    if kind == "walk":
+        return "proved: an orbit leads from orbit to orbit in boxes about the computed one, and follows its symbols"
+    status = f"proved: {counted(count, 'distinct transversal connection')}"
+    if claims:
+        status += (
+            f"; every walk on them, open or closed, with at least {claims['wraps']} wraps at each stop is realised by "
+            f"an orbit, and the topological entropy is at least {claims['entropy']} per second"
+        )
+    return status
+
+
+def entropy_of(network: Network) -> float:
+    """Return a lower bound of the entropy that the check confirms with its own enclosures of durations, 1/s.
+
+    Args:
+        network: proved links.
+    """
+    low, high = 0, 10_000_000
+    while high - low > 1:
+        middle = (low + high) // 2
+        # With a relative margin of 1e-6, which other enclosures of the durations need.
+        low, high = (middle, high) if network.has_entropy(flint.arb(middle) / 99999.9) else (low, middle)
+    return low / 1e5

@@ -33,6 +33,8 @@ def statement(data: Mapping[str, Any]) -> str:
         LookupError: a value is missing.
     """
     angles, keys = EQUATIONS[data["system"]["equations"]]
+    if "links" in data:
+        return "\n".join([*_network(data, angles), *_parameters(data, keys)])
     unique, exists, energy, least = (_exact(data[key]) for key in ("unique", "exists", "energy", "multiplier_exceeds"))
     turned, time = ", ".join(str(int(k)) for k in data["turns"][:angles]), sum(map(fraction, data["durations"]))
     return "\n".join(
@@ -44,9 +46,17 @@ def statement(data: Mapping[str, Any]) -> str:
             f"it starts near {_state(map(number, data['nodes'][0]))} and is hyperbolic: a multiplier exceeds {least} "
             "in modulus",
             *(_symbol(data, k, angles) for k in range(len(data["symbols"]))),
-            "parameters: " + "; ".join(f"{key} {', '.join(map(_exact, data['system'][key]))}" for key in keys),
+            *_parameters(data, keys),
         ]
     )
+
+
+def _parameters(data: Mapping[str, Any], keys: Sequence[str]) -> list[str]:
+    return ["parameters: " + "; ".join(f"{key} {', '.join(map(_exact, data['system'][key]))}" for key in keys)]
+
+
+def _network(data, angles):
+    return ["todo"]
 
 
 def _symbol(data: Mapping[str, Any], k: int, angles: int) -> str:
