@@ -20,7 +20,7 @@ import numpy as np
 from dpcontrol.dynamics.system import momentum_scale
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.orbits.lyapunov import LyapunovOrbit
-from dpcontrol.proofs.balls import Fraction, NotClosed, ball, flint, folded, symmetric
+from dpcontrol.proofs.balls import Fraction, NotClosed, ball, flint, folded
 from dpcontrol.proofs.charts import Leg, SectionChart, Surface, passage, segment
 from dpcontrol.proofs.covering import Enclosure, Link, OrbitBoxes, backward, forward
 from dpcontrol.proofs.flow import FlowSettings
@@ -137,7 +137,7 @@ def enclosure_of(surface: Surface, scale: Array, settings: FlowSettings) -> Encl
 
     def enclosed(charts: Sequence[Any], widths: Any, duration: Fraction, turns: Sequence[int]) -> Any:
         first, second = map(chart_of, charts)
-        return segment(surface, Leg(first, second, duration, tuple(turns)), *widths, settings)
+        return segment(surface, Leg(first, second, duration, tuple(turns)), widths[0], widths[1], settings)
 
     return Enclosure(enclosed, surface.field.rates, surface.turns, [ball(v) for v in scale])
 
@@ -238,9 +238,7 @@ def transversality(surface: Surface, connection: Connection, proved: Link, orbit
     return _angle(surface, connection, chart_of(proved.data["charts"][mark - 1]), legs[mark].start, (slope, back))
 
 
-def _angle(
-    surface: Surface, connection: Connection, chart: SectionChart, state: Any, slopes: tuple[Any, Any]
-) -> Any:
+def _angle(surface: Surface, connection: Connection, chart: SectionChart, state: Any, slopes: tuple[Any, Any]) -> Any:
     """Return the angle at the section between directions in two cones, deg."""
     section = connection.section
     normal, position = ([ball(v) for v in row] for row in (section.normal, section.position))

@@ -21,14 +21,14 @@ the shrinking cone, because both cones together are the plane. Once it grows, it
 duration from the period in the boxes. The deviations sum up to at most 2E while the difference shrinks and to 2E while
 it grows. The round in between adds at most E, and so do the legs before the first and after the last full round.
 
-The entropy needs orbits of different walks to separate. Let the mark of a link be its box on its section. No step of any
-orbit along the network's boxes meets a mark, except in the two legs beside it. If two orbits stay close, one is in these
-legs of a link whenever the other one passes its mark. So both pass marks of the same links, at times that differ by at
-most the longest of these legs, η. Passages last longer than 2η, and passages with different wraps differ by more than
-2η. So both follow the same links with the same wraps, and orbits of different walks are (ε, T)-separated for a small ε.
-Their number grows as that of walks of duration T. With M(h)_ab = Σ exp(-h τ) over the links and rounds from the first
-box of orbit a to that of orbit b, where τ is an upper bound of the duration, it grows at least as exp(h T) if the
-spectral radius of M(h) is at least one. This holds if M(h) v ≥ v for a vector v ≥ 0 (Collatz and Wielandt).
+The entropy needs orbits of different walks to separate. Let the mark of a link be its box on its section. No step of
+any orbit along the network's boxes meets a mark, except in the two legs beside it. If two orbits stay close, one is in
+these legs of a link whenever the other one passes its mark. So both pass marks of the same links, at times that differ
+by at most the longest of these legs, η. Passages last longer than 2η, and passages with different wraps differ by more
+than 2η. So both follow the same links with the same wraps, and orbits of different walks are (ε, T)-separated for a
+small ε. Their number grows as that of walks of duration T. With M(h)_ab = Σ exp(-h τ) over the links and rounds from
+the first box of orbit a to that of orbit b, where τ is an upper bound of the duration, it grows at least as exp(h T)
+if the spectral radius of M(h) is at least one. This holds if M(h) v ≥ v for a vector v ≥ 0 (Collatz and Wielandt).
 
 `prove` and the independent check use these functions with different equations, charts and integrators.
 

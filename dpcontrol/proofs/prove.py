@@ -8,7 +8,6 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
-from operator import attrgetter
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -41,10 +40,10 @@ from dpcontrol.proofs.periodic import (
     total_time,
 )
 from dpcontrol.proofs.statements import EQUATIONS, passing, statement
-from dpcontrol.proofs.symbols import Enclosed, check_symbols, described
+from dpcontrol.proofs.symbols import Enclosed, check_symbols
 from dpcontrol.tubes.connections import Connection
 from dpcontrol.tubes.frames import node_count, orbit_nodes
-from dpcontrol.walks.shadowing import ShadowingOrbit, phase_gap
+from dpcontrol.walks.shadowing import ShadowingOrbit
 
 
 @dataclass(frozen=True)
@@ -61,6 +60,7 @@ class ProofSettings:
     box: float = 1e-7
     tries: int = 2
     flow: FlowSettings = FlowSettings()  # noqa: RUF009 - frozen, so it may be shared
+    links: FlowSettings = FlowSettings(24, 14, 1e-13)  # noqa: RUF009 - for boxes, which are wider than balls
 
 
 @dataclass(frozen=True)
@@ -113,8 +113,10 @@ def energy_text(energy: Any) -> str:
     Args:
         energy: exact, or the lowest and highest one.
     """
-    return f"the energy {decimal(energy)}" if isinstance(energy, Fraction) else (
-        f"every energy from {decimal(energy[0])} to {decimal(energy[1])}"
+    return (
+        f"the energy {decimal(energy)}"
+        if isinstance(energy, Fraction)
+        else (f"every energy from {decimal(energy[0])} to {decimal(energy[1])}")
     )
 
 
@@ -465,7 +467,7 @@ def prove_network(
 
     def work() -> Proof:
         surface = surface_of(system, energy)
-        enclosure, keys = enclosure_of(surface, system.scale, settings.flow), list(near)
+        enclosure, keys = enclosure_of(surface, system.scale, settings.links), list(near)
         numbers, orbits = [orbit_data(orbit, settings.box) for orbit in near.values()], list[OrbitBoxes]()
         for (saddle, _), data in zip(keys, numbers, strict=True):
             with located(f"the orbit about {saddle}:"):
@@ -482,9 +484,7 @@ def prove_network(
                 continue
             links.append(one)
             state = one.legs[one.marks[0]].start
-            rows.append(
-                {"name": route.name, "angle_deg": angle.str(8, more=True), "state": [x.str(8) for x in state]}
-            )
+            rows.append({"name": route.name, "angle_deg": angle.str(8, more=True), "state": [x.str(8) for x in state]})
         figures: dict[str, Any] = {"box": settings.box, "links": rows, "failed": failed}
         if failed:
             status = f"not proved: {len(failed)} of {len(routes)} ({failed[0]})"
