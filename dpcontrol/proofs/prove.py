@@ -60,7 +60,7 @@ class ProofSettings:
     box: float = 1e-7
     tries: int = 2
     flow: FlowSettings = FlowSettings()  # noqa: RUF009 - frozen, so it may be shared
-    links: FlowSettings = FlowSettings(24, 14, 1e-13)  # noqa: RUF009 - for boxes, which are wider than balls
+    links: FlowSettings = FlowSettings(24, 18, 1e-14)  # noqa: RUF009 - for boxes, which are wider than balls
 
 
 @dataclass(frozen=True)
