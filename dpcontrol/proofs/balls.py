@@ -141,18 +141,6 @@ def number(text: Any) -> Any:
     return ball(fraction(text))
 
 
-def interval(values: Any) -> Any:
-    """Return a decimal, or all numbers between two decimals, as a ball.
-
-    Args:
-        values: see `fraction`, or a list of two.
-    """
-    low, high = values if isinstance(values, list) else (values, values)
-    if not fraction(low) <= fraction(high):
-        raise ValueError("the ends of an interval are not in order")
-    return number(low).union(number(high))
-
-
 def decimal(value: Fraction) -> str:
     """Return the decimal digits of a fraction.
 

@@ -111,10 +111,10 @@ class Leg:
 
 @dataclass(frozen=True)
 class Surface:
-    """An energy surface, or all of an interval as a ball; some states (N,) have period 2π."""
+    """An energy surface; some states (N,) have period 2π."""
 
     field: Field
-    energy: Any
+    energy: Fraction
     turns: tuple[bool, ...]
 
 

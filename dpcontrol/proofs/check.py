@@ -47,14 +47,13 @@ from dpcontrol.proofs.balls import (
     flint,
     fraction,
     identity,
-    interval,
     largest,
     located,
     number,
     symmetric,
     working,
 )
-from dpcontrol.proofs.covering import ChartSegment, Enclosure, Network, link, orbit_boxes
+from dpcontrol.proofs.covering import ChartSegment, Enclosure, Network, orbit_boxes, proved_link
 from dpcontrol.proofs.statements import statement
 from dpcontrol.proofs.symbols import Enclosed, check_symbols
 
@@ -364,7 +363,7 @@ _KEYS = {
 
 def _checked_network(own: _Flow, data: Mapping[str, Any], progress: Progress) -> str:
     """Return the statement of a certificate of links after proving it."""
-    said, energy, charts = statement(data), interval(data["energy"]), dict[str, _Chart]()
+    said, energy, charts = statement(data), number(data["energy"]), dict[str, _Chart]()
     if {*data} not in [{*keys.split()} for keys in _KEYS] or data["statement"] != said:
         raise NotClosed("its statement is not that of its numbers, or it has other numbers")
 
@@ -385,7 +384,7 @@ def _checked_network(own: _Flow, data: Mapping[str, Any], progress: Progress) ->
         progress("checking the flow", k / len(data["links"]))
         own.left = _MOST_STEPS
         with located(f"link {k + 1}:"):
-            links.append(link(numbers, data["orbits"], enclosure))
+            links.append(proved_link(numbers, data["orbits"], enclosure))
     network = Network(orbits, links, enclosure)
     if all(len(one.marks) == 1 for one in links):
         network.check_marks()

@@ -224,7 +224,7 @@ class Link:
         return (int(self.data[key]) for key in keys)
 
 
-def link(data: Mapping[str, Any], orbits: Sequence[Mapping[str, Any]], enclosure: Enclosure) -> Link:
+def proved_link(data: Mapping[str, Any], orbits: Sequence[Mapping[str, Any]], enclosure: Enclosure) -> Link:
     """Prove that a chain of boxes leads from orbit to orbit, and that it follows its symbols.
 
     Args:
@@ -274,8 +274,8 @@ class Network:
         enclosure: enclosures of the system.
     """
 
-    orbits: Sequence[OrbitBoxes]
-    links: Sequence[Link]
+    orbits: list[OrbitBoxes]
+    links: list[Link]
     enclosure: Enclosure
 
     def check_marks(self) -> None:

@@ -26,7 +26,7 @@ from dpcontrol.proofs.balls import NotClosed, ball, bound, decimal, flint, locat
 from dpcontrol.proofs.charts import Surface
 from dpcontrol.proofs.check import FORMAT, digest
 from dpcontrol.proofs.connect import Route, enclosure_of, link_data, orbit_data, transversality
-from dpcontrol.proofs.covering import ChartSegment, Network, OrbitBoxes, link, orbit_boxes
+from dpcontrol.proofs.covering import ChartSegment, Network, orbit_boxes, proved_link
 from dpcontrol.proofs.flow import Field, FlowSettings
 from dpcontrol.proofs.periodic import (
     Chain,
@@ -107,27 +107,14 @@ def exact_energy(energy: Any) -> Fraction:
     return Fraction(repr(float(energy)) if isinstance(energy, float) else str(energy))
 
 
-def energy_text(energy: Any) -> str:
-    """Return the words on an exact energy, or on all energies between two.
-
-    Args:
-        energy: exact, or the lowest and highest one.
-    """
-    return (
-        f"the energy {decimal(energy)}"
-        if isinstance(energy, Fraction)
-        else (f"every energy from {decimal(energy[0])} to {decimal(energy[1])}")
-    )
-
-
-def surface_of(system: System, energy: Any) -> Surface:
+def surface_of(system: System, energy: Fraction) -> Surface:
     """Return the energy surface of a system at the working precision.
 
     Parameters are the decimals of the model's file, or else the shortest decimals that read as their doubles.
 
     Args:
         system: system of two degrees of freedom.
-        energy: exact energy, in the system's unit, or the lowest and highest one.
+        energy: exact energy, in the system's unit.
 
     Raises:
         InputError: the system has more than two degrees of freedom, or unsupported operations.
@@ -136,8 +123,7 @@ def surface_of(system: System, energy: Any) -> Surface:
         raise InputError(f"{system.name} has {system.dimension // 2} degrees of freedom: proofs support only two")
     values = [Fraction(repr(v)) for v in system.parameters.tolist()]
     exact = system.model.exact_parameters if isinstance(system, ModelSystem) else values
-    height = energy if isinstance(energy, Fraction) else ball(energy[0]).union(ball(energy[1]))
-    return Surface(Field.of(system, exact), height, tuple(bool(p == 2 * np.pi) for p in system.periods))
+    return Surface(Field.of(system, exact), energy, tuple(bool(p == 2 * np.pi) for p in system.periods))
 
 
 def attempted(kind: str, statement: str, bits: int, work: Callable[[], Proof]) -> Proof:
@@ -171,12 +157,12 @@ def plain(value: Any) -> Any:
     return decimal(value) if isinstance(value, Fraction) else repr(value) if isinstance(value, float) else value
 
 
-def certificate(system: System, energy: Any, content: Mapping[str, Any]) -> dict[str, Any] | None:
+def certificate(system: System, energy: Fraction, content: Mapping[str, Any]) -> dict[str, Any] | None:
     """Return a certificate with its statement and digest, or None for a system without a model file.
 
     Args:
         system: system of the proof.
-        energy: exact energy, or the lowest and highest one.
+        energy: exact energy.
         content: its other numbers.
     """
     if not isinstance(system, ModelSystem):
@@ -438,7 +424,7 @@ def prove_network(
     kind: str,
     found: Sequence[Connection | ShadowingOrbit],
     *,
-    energy: Any,
+    energy: Fraction,
     rivals: Sequence[Connection] = (),
     settings: ProofSettings | None = None,
     progress: Progress = no_progress,
@@ -448,7 +434,7 @@ def prove_network(
     Args:
         kind: "connection", "walk", "horseshoe" or "graph".
         found: computed connections or one open walk.
-        energy: exact, J, or the lowest and highest one.
+        energy: exact, J.
         rivals: other connections at this energy, for walks.
         settings: precision, radii and integrator.
         progress: called with a label and the completed share.
@@ -460,72 +446,91 @@ def prove_network(
     if not found:
         raise InputError("no connections to prove; find some with `dpcontrol connect`")
     routes, system = [Route.of(one) for one in found], found[0].orbit.system
-    near = {
-        (stop.saddle, stop.period): stop for route in routes for stop in (route.stops[0], route.stops[-1])
-    }  # the same orbit may be given by equal objects
-    stated = network_stated(kind, system.name, energy, routes)
+    joined = [(route.stops[0], route.stops[-1]) for route in routes]
+    # Connections have equal copies of an orbit.
+    near = {(stop.saddle, stop.period): stop for pair in joined for stop in pair}
+    ends = [[list(near).index((stop.saddle, stop.period)) for stop in pair] for pair in joined]
+    stated = f"{system.name} at the energy {decimal(energy)}: {network_stated(kind, routes)}"
 
     def work() -> Proof:
-        surface = surface_of(system, energy)
-        enclosure, keys = enclosure_of(surface, system.scale, settings.links), list(near)
-        numbers, orbits = [orbit_data(orbit, settings.box) for orbit in near.values()], list[OrbitBoxes]()
-        for (saddle, _), data in zip(keys, numbers, strict=True):
+        surface, failed = surface_of(system, energy), list[str]()
+        enclosure, numbers = (
+            enclosure_of(surface, system.scale, settings.links),
+            [orbit_data(orbit, settings.box) for orbit in near.values()],
+        )
+        network, rows = Network([], [], enclosure), []
+        for (saddle, _), data in zip(near, numbers, strict=True):
             with located(f"the orbit about {saddle}:"):
-                orbits.append(orbit_boxes(data, enclosure))
-        links, rows, failed = [], [], []
-        for k, route in enumerate(routes):
+                network.orbits.append(orbit_boxes(data, enclosure))
+        for k, (route, pair) in enumerate(zip(routes, ends, strict=True)):
             progress(route.name, k / len(routes))
-            ends = [keys.index((stop.saddle, stop.period)) for stop in (route.stops[0], route.stops[-1])]
             try:
-                one = link(link_data(route, ends, numbers, settings.box, rivals), numbers, enclosure)
-                angle = transversality(surface, route.connections[0], one, orbits)
+                link = proved_link(link_data(route, pair, numbers, settings.box, rivals), numbers, enclosure)
+                angle = transversality(surface, route.connections[0], link, network.orbits)
+                state = [x.str(8) for x in link.legs[link.marks[0]].start]
+                rows.append({"name": route.name, "angle_deg": angle.str(8, more=True), "state": state})
+                network.links.append(link)
             except NotClosed as error:
                 failed.append(f"{route.name}: {error}")
-                continue
-            links.append(one)
-            state = one.legs[one.marks[0]].start
-            rows.append({"name": route.name, "angle_deg": angle.str(8, more=True), "state": [x.str(8) for x in state]})
         figures: dict[str, Any] = {"box": settings.box, "links": rows, "failed": failed}
         if failed:
             status = f"not proved: {len(failed)} of {len(routes)} ({failed[0]})"
             return Proof(kind, False, status, stated, figures, 0.0)
-        content: dict[str, Any] = {"orbits": numbers, "links": [one.data for one in links]}
-        network, claims = Network(orbits, links, enclosure), {}
-        if kind != "walk":
-            network.check_marks()
-        if kind in ("horseshoe", "graph"):
-            least = network.fewest_wraps()
-            claims = {"wraps": max(n for row in least for n in row if n is not None), "entropy": entropy_of(network)}
-            figures |= {**claims, "least": least}
+        claims = network_claims(network, kind)
+        content = {"orbits": numbers, "links": [link.data for link in network.links]}
+        whole = {key: value for key, value in claims.items() if key != "least"}
         return Proof(
-            kind, True, network_status(kind, len(links), claims), stated, figures, 0.0,
-            certificate(system, energy, {**content, **claims}),
+            kind, True, network_status(kind, len(routes), claims), stated, figures | claims, 0.0,
+            certificate(system, energy, content | whole),
         )  # fmt: skip
 
     return attempted(kind, stated, settings.bits, work)
 
 
-def network_stated(kind: str, name: str, energy: Any, routes: Sequence[Route]) -> str:
+def network_claims(network: Network, kind: str) -> dict[str, Any]:
+    """Return the fewest wraps and the entropy of a graph or a horseshoe, after proving that its walks differ.
+
+    The check confirms the entropy with its own enclosures of durations.
+
+    Args:
+        network: proved links.
+        kind: "connection", "walk", "horseshoe" or "graph".
+
+    Raises:
+        NotClosed: orbits of different walks are not proved to separate.
+    """
+    if kind != "walk":
+        network.check_marks()
+    if kind not in ("horseshoe", "graph"):
+        return {}
+    least, low, high = network.fewest_wraps(), 0, 10_000_000
+    while high - low > 1:
+        middle = (low + high) // 2
+        # Other enclosures of durations need the relative margin of 1e-6.
+        low, high = (middle, high) if network.has_entropy(flint.arb(middle) / 99999.9) else (low, middle)
+    return {"wraps": max(n for row in least for n in row if n is not None), "entropy": low / 1e5, "least": least}
+
+
+def network_stated(kind: str, routes: Sequence[Route]) -> str:
     """Return what is to be proved of links.
 
     Args:
         kind: "connection", "walk", "horseshoe" or "graph".
-        name: name of the system.
-        energy: exact energy, or the lowest and highest one.
         routes: computed links.
     """
-    start = f"{name} at {energy_text(energy)}: "
-    saddles = list(dict.fromkeys(stop.saddle for route in routes for stop in (route.stops[0], route.stops[-1])))
+    first, *_, last = saddles = [end.saddle for route in routes for end in (route.stops[0], route.stops[-1])]
     if kind == "walk":
         return (
-            f"{start}an orbit leads from the orbit about {saddles[0]} to that about {saddles[-1]} and follows "
-            f"{routes[0].name} with wraps {list(routes[0].wraps)}"
+            f"an orbit leads from the orbit about {first} to that about {last} and follows {routes[0].name} with wraps "
+            f"{list(routes[0].wraps)}"
         )
     count = counted(len(routes), "transversal connection")
-    listed = "; ".join(route.name for route in routes)
     if kind == "connection":
-        return f"{start}{count} from the orbit about {saddles[0]} to that about {saddles[-1]}"
-    return f"{start}{count} between the orbits about {' and '.join(saddles)}, and orbits along all walks on {listed}"
+        return f"{count} from the orbit about {first} to that about {last}"
+    return (
+        f"{count} between the orbits about {' and '.join(dict.fromkeys(saddles))}, and orbits along all walks on "
+        f"{'; '.join(route.name for route in routes)}"
+    )
 
 
 def network_status(kind: str, count: int, claims: Mapping[str, Any]) -> str:
@@ -538,24 +543,8 @@ def network_status(kind: str, count: int, claims: Mapping[str, Any]) -> str:
     """
     if kind == "walk":
         return "proved: an orbit leads from orbit to orbit in boxes about the computed one, and follows its symbols"
-    status = f"proved: {counted(count, 'distinct transversal connection')}"
-    if claims:
-        status += (
-            f"; every walk on them, open or closed, with at least {claims['wraps']} wraps at each stop is realised by "
-            f"an orbit, and the topological entropy is at least {claims['entropy']} per second"
-        )
-    return status
-
-
-def entropy_of(network: Network) -> float:
-    """Return a lower bound of the entropy that the check confirms with its own enclosures of durations, 1/s.
-
-    Args:
-        network: proved links.
-    """
-    low, high = 0, 10_000_000
-    while high - low > 1:
-        middle = (low + high) // 2
-        # With a relative margin of 1e-6, which other enclosures of the durations need.
-        low, high = (middle, high) if network.has_entropy(flint.arb(middle) / 99999.9) else (low, middle)
-    return low / 1e5
+    after = (
+        "; every walk on them, open or closed, with at least {wraps} wraps at each stop is realised by an orbit, and "
+        "the topological entropy is at least {entropy} per second"
+    )
+    return f"proved: {counted(count, 'distinct transversal connection')}" + (after.format(**claims) if claims else "")

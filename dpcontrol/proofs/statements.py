@@ -57,12 +57,10 @@ def _parameters(data: Mapping[str, Any], keys: Sequence[str]) -> list[str]:
 
 def _network(data: Mapping[str, Any], angles: int) -> list[str]:
     """Return the sentences on a network of orbits and links."""
-    energies = [_exact(v) for v in data["energy"]] if isinstance(data["energy"], list) else [_exact(data["energy"])]
-    system, orbits = data["system"]["equations"], counted(len(data["orbits"]), "ring")
-    at = f"at every energy from {' to '.join(energies)}" if energies[1:] else f"at the energy {energies[0]}"
+    orbits = counted(len(data["orbits"]), "ring")
     lines = [
-        f"{at}, each of {orbits} of boxes contains exactly one orbit of the {system} that stays in it; it is periodic "
-        "and hyperbolic"
+        f"at the energy {_exact(data['energy'])}, each of {orbits} of boxes contains exactly one orbit of the "
+        f"{data['system']['equations']} that stays in it; it is periodic and hyperbolic"
     ]
     for k, orbit in enumerate(data["orbits"], start=1):
         lines.append(
