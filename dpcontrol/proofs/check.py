@@ -386,9 +386,8 @@ def _checked_network(own: _Flow, data: Mapping[str, Any], progress: Progress) ->
         with located(f"link {k + 1}:"):
             links.append(proved_link(numbers, data["orbits"], enclosure))
     network = Network(orbits, links, enclosure)
-    if all(len(one.marks) == 1 for one in links):
-        network.check_marks()
     if "wraps" in data:
+        network.check_marks()
         least = [n for row in network.fewest_wraps() for n in row if n is not None]
         if max(least) != int(data["wraps"]):
             raise NotClosed(f"its links need {max(least)} wraps, not {data['wraps']}")

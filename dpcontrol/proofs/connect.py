@@ -70,7 +70,7 @@ class Route:
         return [self.connections[0].source, *(connection.target for connection in self.connections)]
 
     def claims(
-        self, segments: Sequence[Sequence[int]], nodes: Sequence[int], rivals: Sequence[Connection]
+        self, segments: Sequence[Sequence[int]], nodes: Sequence[int], rivals: Sequence[Connection] | None
     ) -> list[dict[str, Any]]:
         """Return the claims on each symbol.
 
@@ -80,18 +80,19 @@ class Route:
         Args:
             segments: first and last segment of each symbol (S, 2).
             nodes: marked nodes (S,).
-            rivals: connections that the orbit must not follow.
+            rivals: connections that the orbit must not follow, None if its nearest connection is not claimed.
         """
         out = []
         for k, connection in enumerate(self.connections):
-            others = [other for other in rivals if _kind(other) == _kind(connection) and other.name != connection.name]
+            others = [one for one in rivals or () if _kind(one) == _kind(connection) and one.name != connection.name]
+            near = () if rivals is None else (connection, *others)
             claim = {
                 "section": described(connection.section),
                 "hits": [int(v) for v in connection.hits],
                 "segments": [int(v) for v in segments[k]],
                 "node": int(nodes[k]),
                 "turns": [int(v) for v in self.offsets[k]],
-                "states": [[repr(float(v)) for v in one.state] for one in (connection, *others)],
+                "states": [[repr(float(v)) for v in one.state] for one in near],
                 "stop": [repr(float(v)) for v in connection.target.centre],
                 "stop_turns": [int(v) for v in self.offsets[k + 1]],
             }
@@ -167,7 +168,7 @@ def _decimals(values: Array) -> Any:
 
 
 def link_data(
-    route: Route, ends: Sequence[int], orbits: Sequence[Any], radius: float, rivals: Sequence[Connection] = ()
+    route: Route, ends: Sequence[int], orbits: Sequence[Any], radius: float, rivals: Sequence[Connection] | None = None
 ) -> dict[str, Any]:
     """Return charts, half-widths, durations and claims of a chain of boxes along a route.
 
@@ -176,7 +177,7 @@ def link_data(
         ends: index of the first and of the last orbit.
         orbits: numbers of all orbits.
         radius: largest half-width of the boxes.
-        rivals: connections that the orbit must not follow.
+        rivals: connections that the orbit must not follow, None without such a claim.
     """
     system, stops, (source, target) = route.orbit.system, route.stops, (orbits[k] for k in ends)
     times, first, last = phased_times(route.orbit, route.times, stops, radius)

@@ -104,8 +104,8 @@ class Enclosure:
             NotClosed: a covering is not proved.
         """
         sizes, legs = [[number(v) for v in row] for row in widths], list[ChartSegment]()
-        if not all(v > 0 for v in chain(*sizes)) or len(durations) < 2:
-            raise NotClosed("a chain has fewer than two legs, or a box without width")
+        if not all(v > 0 for v in (*chain(*sizes), *map(number, durations))) or len(durations) < 2:
+            raise NotClosed("a chain has fewer than two legs, or one without width or duration")
         rows = zip(pairwise(charts), pairwise(sizes), durations, strict=True)
         for k, (ends, ((u, s), (wide, high)), duration) in enumerate(rows, start=1):
             with located(f"in segment {k} of {len(durations)}:"):
@@ -282,8 +282,10 @@ class Network:
         """Prove that no step along other boxes meets the mark of a link, which includes that links are distinct.
 
         Raises:
-            NotClosed: a step is not proved to avoid a mark.
+            NotClosed: a step is not proved to avoid a mark, or a link has more than one mark.
         """
+        if any(len(one.marks) > 1 for one in self.links):
+            raise NotClosed("a link has more than one mark")
         chains = [row.legs for row in (*self.orbits, *self.links)]
         for k, one in enumerate(self.links, start=1):
             for j, legs in enumerate(chains, start=1 - len(self.orbits)):
@@ -316,7 +318,7 @@ class Network:
                 return None
             orbit = self.orbits[target]
             stay, period = one.after + orbit.way(joins, leaves) + other.before + orbit.slack, orbit.way(0, 0, 1)
-            if not (stay > apart and period - 2 * abs(orbit.slack) > apart):
+            if not (stay > apart and period - 2 * stay.rad() > apart):
                 raise NotClosed("orbits of different walks are not proved to separate")
             rest = number(one.data["time_in"]) + number(other.data["time_out"])
             phases = fraction(other.data["phase_out"]) - fraction(one.data["phase_in"])

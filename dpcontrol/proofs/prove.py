@@ -425,7 +425,7 @@ def prove_network(
     found: Sequence[Connection | ShadowingOrbit],
     *,
     energy: Fraction,
-    rivals: Sequence[Connection] = (),
+    rivals: Sequence[Connection] | None = None,
     settings: ProofSettings | None = None,
     progress: Progress = no_progress,
 ) -> Proof:
@@ -435,7 +435,7 @@ def prove_network(
         kind: "connection", "walk", "horseshoe" or "graph".
         found: computed connections or one open walk.
         energy: exact, J.
-        rivals: other connections at this energy, for walks.
+        rivals: for a walk: connections that its orbit must not follow.
         settings: precision, radii and integrator.
         progress: called with a label and the completed share.
 

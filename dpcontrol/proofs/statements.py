@@ -74,7 +74,7 @@ def _network(data: Mapping[str, Any], angles: int) -> list[str]:
             + f", with the turns {turned} of its angles" * bool(angles)
             + f", in boxes of half-widths up to {_widest(link)}"
         )
-        lines += [_crossed(link, j) for j in range(len(link["symbols"]))]
+        lines += [_crossed(link, j, angles) for j in range(len(link["symbols"]))]
         if "wraps" in data:
             places = (_number(link[key]) for key in ("time_out", "phase_out", "time_in", "phase_in"))
             lines.append("it departs {} before at the phase {} and arrives {} after at the phase {}".format(*places))
@@ -91,17 +91,22 @@ def _network(data: Mapping[str, Any], angles: int) -> list[str]:
     return lines
 
 
-def _crossed(link: Mapping[str, Any], k: int) -> str:
+def _crossed(link: Mapping[str, Any], k: int, angles: int) -> str:
     """Return the sentence on a symbol of a link, counted from zero."""
     claim, charts = link["symbols"][k], link["charts"]
     first, second = map(int, claim["hits"])
-    near, *others = claim["states"]
-    return (
+    sentence = (
         f"it crosses the section {_section(claim['section'])} {counted(first + second - 1, 'time')}; crossing {first} "
-        f"is in the box about {_state(map(number, charts[int(claim['node']) - 1]['node']))}, near "
-        f"{_state(_lifted(near, claim['turns']))}"
-        + f", nearer than to {counted(len(others), 'other state')}" * bool(others)
-        + (f"; the next one follows after a time nearest to {_rest(claim)}" if "wraps" in claim else "")
+        f"is in the box about {_state(map(number, charts[int(claim['node']) - 1]['node']))}"
+    )
+    if len(claim["states"]) > 1:
+        near, *others = claim["states"]
+        sentence += f", nearer to {_state(_lifted(near, claim['turns']))} than to {counted(len(others), 'other state')}"
+    stop = _state(_lifted(claim["stop"], claim["stop_turns"])[:angles])
+    return (
+        sentence
+        + f"; then its angles are within half a turn of {stop}" * bool(angles)
+        + (f", and the next crossing follows after a time nearest to {_rest(claim)}" if "wraps" in claim else "")
     )
 
 

@@ -156,7 +156,7 @@ def check_symbols(claims: Sequence[Mapping[str, Any]], flown: Enclosed) -> None:
         first, node, last = (int(edge) for edge in (claim["segments"][0], claim["node"], claim["segments"][1]))
         stopped = flown.away(flown.flights[last][len(flown.flights[last]) // 2], claim["stop"], claim["stop_turns"])
         gaps = [flown.away(flown.nodes[node], state, claim["turns"]) for state in claim["states"]]
-        own, *others = (largest([v / s for v, s in zip(gap, flown.scale, strict=True)]) for gap in gaps)
+        distances = [largest([v / s for v, s in zip(gap, flown.scale, strict=True)]) for gap in gaps]
         stay = sum((flown.times[i % count] for i in range(node, following)), flint.arb(0))
         section, begun = claim["section"], flown.flights[node][0]
         level = dot([number(v) for v in section["normal"]], begun) - number(section["offset"])
@@ -173,7 +173,7 @@ def check_symbols(claims: Sequence[Mapping[str, Any]], flown: Enclosed) -> None:
                 )
             if not all(abs(v) < flint.arb.pi() for v, turning in zip(stopped, flown.angles, strict=True) if turning):
                 raise NotClosed("the whole turns up to the next stop differ from those of the walk")
-            if not all(own < other for other in others):
+            if not all(distances[0] < other for other in distances[1:]):
                 raise NotClosed("the orbit is not proved to be nearer to its connection than to all others")
             if k == len(claims) and not flown.closed:
                 return

@@ -60,6 +60,7 @@ ALTERATIONS: dict[str, Change] = {
     "a negative width": put("orbits", 0, "widths", 2, 1, value="-1e-8"),
     "a wide box": scaled(3, "links", 0, "widths", 20, 0),
     "a narrow box": scaled(0.1, "orbits", 0, "widths", 2, 0),
+    "a negative duration": put("links", 0, "durations", 9, value="-0.1"),
     "a node": put("links", 0, "charts", 12, "node", 1, by="1e-6"),
     "a basis": put("links", 1, "charts", 12, "basis", 0, 0, value="0"),
     "a duration": put("links", 0, "durations", 9, by="1e-3"),
@@ -68,7 +69,7 @@ ALTERATIONS: dict[str, Change] = {
     "the hits": put("links", 0, "symbols", 0, "hits", value=[1, 2]),
     "a section that is not crossed": put("links", 0, "symbols", 0, "section", "normal", value=["1", "0", "0", "0"]),
     "the marked node": put("links", 0, "symbols", 0, "node", value=3),
-    "the stop": put("links", 0, "symbols", 0, "stop", 1, value="0"),
+    "the stop": put("links", 0, "symbols", 0, "stop", 1, value="-3.2"),
     "the box that it joins": put("links", 1, "joins", value=0),
     "the energy": put("energy", by="1e-6"),
     "a mass": put("system", "mass", 0, by="1e-6"),
@@ -139,7 +140,7 @@ def test_an_open_walk_is_proved_and_checked_on_the_command_line(tmp_path: Path) 
     content = json.loads(file.read_text(encoding="utf-8"))
     found = check(content)
     assert found.proved, found.status
-    assert "the next one follows after a time nearest to" in str(found.statement)
+    assert "the next crossing follows after a time nearest to" in str(found.statement)
     assert rejected(corrupted(content, put("links", 0, "symbols", 0, "wraps", value=2), sealed=True))
     assert rejected(corrupted(content, put("links", 0, "symbols", 1, "turns", value=[0, 0, 0, 0]), sealed=True))
 
