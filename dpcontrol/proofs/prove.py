@@ -477,12 +477,10 @@ def prove_network(
             status = f"not proved: {len(failed)} of {len(routes)} ({failed[0]})"
             return Proof(kind, False, status, stated, figures, 0.0)
         claims = network_claims(network, kind)
-        content = {"orbits": numbers, "links": [link.data for link in network.links]}
-        whole = {key: value for key, value in claims.items() if key != "least"}
-        return Proof(
-            kind, True, network_status(kind, len(routes), claims), stated, figures | claims, 0.0,
-            certificate(system, energy, content | whole),
-        )  # fmt: skip
+        content = {"orbits": numbers, "links": [link.data for link in network.links], **claims}
+        content.pop("least", None)
+        status = network_status(kind, len(routes), claims)
+        return Proof(kind, True, status, stated, figures | claims, 0.0, certificate(system, energy, content))
 
     return attempted(kind, stated, settings.bits, work)
 

@@ -22,8 +22,8 @@ from dpcontrol.proofs.check import check
 from dpcontrol.proofs.prove import Proof
 
 pytestmark = pytest.mark.slow
-PHASES = 2e-3
-"""Phases at a distance of 1e-3 of the orbit differ from the asymptotic ones by about as much."""
+THROUGH_FIRST_BOX = 0.9
+"""Passages that avoid the first box are shorter by less than a period of about ten."""
 
 Change = Callable[[dict[str, Any]], None]
 
@@ -62,7 +62,7 @@ ALTERATIONS: dict[str, Change] = {
     "a narrow box": scaled(0.1, "orbits", 0, "widths", 2, 0),
     "a negative duration": put("links", 0, "durations", 9, value="-0.1"),
     "a node": put("links", 0, "charts", 12, "node", 1, by="1e-6"),
-    "a basis": put("links", 1, "charts", 12, "basis", 0, 0, value="0"),
+    "a basis": put("links", 1, "charts", 12, "basis", 0, value=["0", "0", "0", "0"]),
     "a duration": put("links", 0, "durations", 9, by="1e-3"),
     "the winding": put("links", 0, "turns", value=[0, -1, 0, 0]),
     "turns of a rate": put("links", 0, "turns", value=[0, 1, 1, 0]),
@@ -73,8 +73,7 @@ ALTERATIONS: dict[str, Change] = {
     "the box that it joins": put("links", 1, "joins", value=0),
     "the energy": put("energy", by="1e-6"),
     "a mass": put("system", "mass", 0, by="1e-6"),
-    "the arrival": put("links", 0, "time_in", by="0.5"),
-    "the phase": put("links", 0, "phase_in", by="0.6"),
+    "the arrival": put("links", 0, "time_in", by="-0.5"),
     "fewer wraps": put("wraps", value=3),
     "more wraps": put("wraps", value=5),
     "a greater entropy": put("entropy", by="1e-3"),
@@ -97,11 +96,12 @@ def test_the_check_confirms_a_graph_with_its_wraps_and_its_entropy(network: Proo
     assert any(f"entropy is at least {network.figures['entropy']}" in line for line in lines)
 
 
-def test_the_entropy_solves_the_equation_of_computed_passages(network: Proof, graph: Edges) -> None:
+def test_the_entropy_is_a_bound_of_that_of_computed_passages(network: Proof, graph: Edges) -> None:
     """Durations are those of the computed connections and orbit, in doubles.
 
     Between the marks of two links pass the wraps' time and any number of rounds, so with x = exp(-h T) the entropy
-    solves det(1 - A/(1 - x)) = 0, where A has the exponentials of the shortest passages.
+    solves det(1 - A/(1 - x)) = 0, where A has the exponentials of the shortest passages. The proof counts only passages
+    through the orbit's first box.
     """
     first, second = (graph.connections[k] for k in (2, 5))
     period, pairs = first.source.period, list(product((first, second), repeat=2))
@@ -113,7 +113,8 @@ def test_the_entropy_solves_the_equation_of_computed_passages(network: Proof, gr
         matrix = np.exp(-h * np.reshape(stays, (2, 2))) / (1 - np.exp(-h * period))
         return float(np.abs(np.linalg.eigvals(matrix)).max()) - 1
 
-    assert network.figures["entropy"] == pytest.approx(brentq(gap, 0.05, 5.0), rel=PHASES)
+    exact = float(brentq(gap, 0.05, 5.0))
+    assert THROUGH_FIRST_BOX * exact < network.figures["entropy"] < exact
 
 
 @pytest.mark.usefixtures("remembered")
