@@ -454,10 +454,8 @@ def prove_network(
 
     def work() -> Proof:
         surface, failed = surface_of(system, energy), list[str]()
-        enclosure, numbers = (
-            enclosure_of(surface, system.scale, settings.links),
-            [orbit_data(orbit, settings.box) for orbit in near.values()],
-        )
+        enclosure = enclosure_of(surface, system.scale, settings.links)
+        numbers = [orbit_data(orbit, settings.box) for orbit in near.values()]
         network, rows = Network([], [], enclosure), []
         for (saddle, _), data in zip(near, numbers, strict=True):
             with located(f"the orbit about {saddle}:"):
