@@ -368,7 +368,7 @@ def _checked_network(own: _Flow, data: Mapping[str, Any], progress: Progress) ->
         raise NotClosed("its statement is not that of its numbers, or it has other numbers")
 
     # The boxes of links are wider than the balls of closed orbits.
-    own.longest, own.remainder = 2 * _LONGEST, _WIDE_REMAINDER
+    own.longest, own.remainder, own.left = 2 * _LONGEST, _WIDE_REMAINDER, 10 * _MOST_STEPS
 
     def enclosed(ends: Sequence[Any], widths: Any, duration: Fraction, turns: Sequence[int]) -> ChartSegment:
         if duration > _LONGEST * _MOST_STEPS:
@@ -382,7 +382,6 @@ def _checked_network(own: _Flow, data: Mapping[str, Any], progress: Progress) ->
     orbits, links = [orbit_boxes(orbit, enclosure) for orbit in data["orbits"]], []
     for k, numbers in enumerate(data["links"]):
         progress("checking the flow", k / len(data["links"]))
-        own.left = _MOST_STEPS
         with located(f"link {k + 1}:"):
             links.append(proved_link(numbers, data["orbits"], enclosure))
     network = Network(orbits, links, enclosure)
