@@ -256,11 +256,16 @@ def proved_link(data: Mapping[str, Any], orbits: Sequence[Mapping[str, Any]], en
 
 
 def _delay(section: Mapping[str, Any], beside: Sequence[ChartSegment], enclosure: Enclosure) -> Any:
-    """Return the time from a mark's chart to its section; the only crossing is in the two steps beside the chart."""
-    normal = [number(v) for v in section["normal"]]
+    """Return the time from a mark's chart, between two legs, to its section.
+
+    Chart and crossing are in the same boxes, in which the speed across the section has a sign.
+    """
+    normal, boxes = [number(v) for v in section["normal"]], [box for leg in beside for box in leg.spans]
     height = folded(dot(normal, beside[1].start) - number(section["offset"]), period_of(section))
-    boxes = [beside[0].spans[-1], beside[1].spans[0]]
-    around = reduce(lambda a, b: [x.union(y) for x, y in zip(a, b, strict=True)], boxes)
+    near = [hit for hit in crossings(section, boxes, enclosure.rates) if len(beside[0].spans) in hit]
+    if len(near) != 1:
+        raise NotClosed("the time of a section crossing is not determined")
+    around = reduce(lambda a, b: [x.union(y) for x, y in zip(a, b, strict=True)], [boxes[k] for k in near[0]])
     return -height / dot(normal, enclosure.rates(around))
 
 
