@@ -742,7 +742,7 @@ def prove(
     """Prove in ball arithmetic that orbits or connections exist.
 
     Args:
-        found: orbit, closed walk, or search for connections.
+        found: orbit, walk, or search for connections.
         energy: exact energy, J (default: the shortest decimal that reads as the orbit's).
         rivals: graph whose other connections the walk must not follow (default: not checked).
         horseshoe: prove also the horseshoe of homoclinic connections of one orbit (default: True).
@@ -753,7 +753,7 @@ def prove(
         "proved" with enclosures and certificate, or the step that does not close.
 
     Raises:
-        InputError: an open walk, or a system without enclosures.
+        InputError: no connection, or a system without enclosures.
         GoalMissed: the orbit did not converge.
         PartMissing: the extra `proof` is not installed.
 
@@ -769,10 +769,8 @@ def prove(
         _same_level(own.system, own.energy, rivals.system, rivals.energy)
     height = proofs.exact_energy(own.energy if energy is None else energy)
     if not isinstance(found, lyapunov.LyapunovOrbit | shadowing.ShadowingOrbit):
-        whole = horseshoe and own is found.connections[0].target
-        return proofs.prove_connections(
-            found.connections, energy=height, settings=settings, whole=whole, progress=progress
-        )
+        kind = "horseshoe" if horseshoe and own is found.connections[0].target else "connection"
+        return proofs.prove_network(kind, found.connections, energy=height, settings=settings, progress=progress)
     if isinstance(found, shadowing.ShadowingOrbit):
         known = () if rivals is None else rivals.known
         return proofs.prove_walk(found, energy=height, rivals=known, settings=settings, progress=progress)
@@ -780,8 +778,57 @@ def prove(
 
 
 @checked
+def prove_graph(
+    model: Model | System | graphs.Edges | str,
+    *,
+    energy: Decimal | Fraction | float | None = None,
+    settings: proofs.ProofSettings | None = None,
+    out: Annotated[Path | str | None, Output((".json",))] = None,
+    yes: bool = False,
+    progress: Reporting = None,
+) -> proofs.Proof:
+    """Prove that every walk on the connection graph of an energy is followed by an orbit.
+
+    The connections between the orbits of all saddles are one network of covering relations. The proof has the fewest
+    wraps at which all walks exist, and a lower bound of the topological entropy of the flow.
+
+    Args:
+        model: model, its name, a system, or its graph.
+        energy: energy, J, as an exact decimal (default: that of the graph).
+        settings: precision and radii (default: those of `dpcontrol prove`).
+        out: certificate to write, .json, for `prove check` (default: none).
+        yes: accept work of more than an hour or 4 GB (default: refused).
+        progress: reports, see `dpcontrol.api`.
+
+    Returns:
+        "proved" with links, wraps, entropy and certificate, or the link that does not close.
+
+    Raises:
+        InputError: the energy is missing, no saddle has an orbit, or a system without enclosures.
+        PartMissing: the extra `proof` is not installed.
+
+    Examples:
+        >>> dp.prove_graph("lab", energy=-0.07).figures["wraps"]
+        4
+    """
+    part("flint")
+    if not isinstance(model, graphs.Edges):
+        if energy is None:
+            raise InputError("energy is missing: give the energy, J")
+        model = graph(model, energy=float(energy), yes=yes, progress=part_of(progress, 0.0, 0.1))
+    exact = proofs.exact_energy(model.energy if energy is None else energy)
+    _same_level(model.system, model.energy, model.system, float(exact))
+    periods = (4 + (c.time_out + c.time_in) / c.source.period for c in model.connections)
+    announce(_proof_cost(sum(periods)), yes=yes)
+    proof = proofs.prove_network(
+        "graph", model.connections, energy=exact, settings=settings, progress=part_of(progress, 0.1, 1.0)
+    )
+    return _certified(proof, out)
+
+
+@checked
 def prove_statement(
-    statement: Literal["orbit", "walk", "connection", "horseshoe", "check"],
+    statement: Literal["orbit", "walk", "connection", "horseshoe", "graph", "check"],
     model: Model | System | str,
     *,
     energy: Decimal | Fraction | float | None = None,
@@ -803,7 +850,8 @@ def prove_statement(
 ) -> proofs.Proof | proof_checks.CertificateCheck:
     """Prove in ball arithmetic that orbits exist, or check a certificate.
 
-    Statements concern an orbit, a closed walk, a connection or a horseshoe. Parameters and energy are exact decimals.
+    Statements concern an orbit, a walk, connections, the horseshoe of one orbit, or the graph of all connections.
+    Parameters and energy are exact decimals.
     The answer is "proved", or "not proved" with the enclosure that does not close. The latter is not a disproof.
     Separate code checks certificates.
 
@@ -815,15 +863,15 @@ def prove_statement(
         family: for orbit: family of orbits about the saddle, slowest first (default: 0).
         symbols: for walk: symbol, in order, as for `dpcontrol walk` (default: none).
         wraps: for walk: wraps at the stops, such as 2,3 (default: the fewest that work).
-        periodic: for walk: closed walk, which is required for a proof.
+        periodic: for walk: closed walk.
         source: for connection, horseshoe: first saddle (default: saddle).
         target: for connection: last saddle (default: the first one).
         names: for connection: name from the list of `dpcontrol connect` (default: all).
         hits: section crossings of the connections, of the unstable and the stable tube (default: 1).
         bits: working precision, 64 to 1024 bits (default: 128).
         radius: radius of the balls in which orbits are unique, scaled, 1e-20 to 1e-3 (default: 1e-8).
-        box: for connection, horseshoe: half-width of the boxes, scaled, 1e-12 to 1e-4 (default: 1e-7).
-        out: for orbit, walk: certificate to write, .json, for `prove check` (default: none).
+        box: for connections and open walks: half-width of the boxes, scaled, 1e-12 to 1e-4 (default: 1e-7).
+        out: certificate to write, .json, for `prove check` (default: none).
         yes: accept work of more than an hour or 4 GB (default: refused).
         progress: reports, see `dpcontrol.api`.
 
@@ -840,18 +888,20 @@ def prove_statement(
         True
     """
     part("flint")
-    if out is not None and statement not in ("orbit", "walk"):
-        raise InputError(f"out = {out}: only orbits and walks have certificates; omit it")
     if statement == "check":
+        if out is not None:
+            raise InputError(f"out = {out}: a check writes no certificate; omit it")
         return check_proof(str(model), progress=progress)
     system, first, settings = _system(model), source or saddle, proofs.ProofSettings(bits, radius, box)
     if energy is None:
         raise InputError("energy is missing: give the energy, J")
+    if statement == "graph":
+        return prove_graph(system, energy=energy, settings=settings, out=out, yes=yes, progress=progress)
     if statement == "walk":
-        if not (symbols and periodic):
-            raise InputError("only closed walks can be proved: give the symbols, and periodic")
+        if not symbols:
+            raise InputError("a walk is missing: give its symbols")
         edges = graph(system, energy=float(energy), symbols=symbols, yes=yes, progress=part_of(progress, 0.0, 0.2))
-        walk = shadow(edges, symbols, wraps=wraps, periodic=True, yes=yes)
+        walk = shadow(edges, symbols, wraps=wraps, periodic=periodic, yes=yes)
         announce(_proof_cost(walk.duration / walk.connections[0].source.period), yes=yes)
         work = part_of(progress, 0.2, 1.0)
         return _certified(prove(walk, energy=energy, rivals=edges, settings=settings, progress=work), out)
@@ -867,7 +917,7 @@ def prove_statement(
     chosen = tuple(search.named(name) for name in dict.fromkeys(names)) or search.connections
     announce(_proof_cost(sum(4 + (c.time_out + c.time_in) / near.period for c in chosen)), yes=yes)
     found, whole, work = replace(search, connections=chosen), statement == "horseshoe", part_of(progress, 0.1, 1.0)
-    return prove(found, energy=energy, horseshoe=whole, settings=settings, progress=work)
+    return _certified(prove(found, energy=energy, horseshoe=whole, settings=settings, progress=work), out)
 
 
 @checked
@@ -3258,7 +3308,7 @@ def _certified(proof: proofs.Proof, out: Place | None) -> proofs.Proof:
     if out is None or not proof.proved:
         return proof
     if proof.certificate is None:
-        remark(f"{out} is not written: the proof has no certificate, because its multipliers are not enclosed")
+        remark(f"{out} is not written: the proof has no certificate, because the system has no model file")
         return proof
     write_whole(Path(out), json.dumps(proof.certificate, indent=1) + "\n")
     return replace(proof, file=Path(out))

@@ -48,6 +48,7 @@ GROUPS = {
             "shortest_walk",
             "symbol_changes",
             "prove_statement",
+            "prove_graph",
             "prove",
             "check_proof",
         ],

@@ -19,9 +19,9 @@ FUNCTIONS = [name for name in dp.__all__ if inspect.isfunction(getattr(dp, name)
 
 @pytest.fixture(scope="module", autouse=True)
 def briefly() -> Iterator[None]:
-    """Prove an orbit once for all examples of proofs, and do not compile exported code to measure it."""
+    """Prove an orbit once for all examples, a single connection of a graph, and do not compile exported code."""
     proofs: dict[float, prove.Proof] = {}
-    prove_orbit = prove.prove_orbit
+    prove_orbit, prove_network = prove.prove_orbit, prove.prove_network
 
     def proved(orbit: Any, **settings: Any) -> prove.Proof:
         if orbit.energy not in proofs:
@@ -30,6 +30,7 @@ def briefly() -> Iterator[None]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(prove, "prove_orbit", proved)
+        patch.setattr(prove, "prove_network", lambda kind, found, **others: prove_network(kind, found[:1], **others))
         patch.setattr(export, "_measured", lambda files: (None, None))
         yield
 

@@ -69,6 +69,7 @@ GOOD: dict[str, dict[str, Any]] = {
     "connections": {"source": "$orbit"},
     "flight": {"model": "lab", "state": np.zeros(4), "target": "up-up"},
     "prove": {"found": "$orbit"},
+    "prove_graph": {"model": "lab", "energy": -0.07},
     "prove_statement": {"statement": "orbit", "saddle": "down-up", "energy": -0.07},
     "refine": {"found": "$connection"},
     "rotating_families": {"energies": (0.29, 0.31)},
@@ -174,7 +175,6 @@ MISTAKES: list[tuple[str, dict[str, Any]]] = [
     ("shortest_walk", {"stops": ["down-up"]}),
     ("reference", {"walks": []}),
     ("sustained_orbit", {"orbit": "$hill_orbit"}),
-    ("prove", {"found": "$walk"}),
     *(
         ("run", {"settings": one})
         for one in (

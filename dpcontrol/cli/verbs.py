@@ -88,7 +88,7 @@ GROUPS = {
             names={"symbols": ("-s", "--symbol"), "source": "--from", "target": "--to"},
         ),
         "prove": Verb(
-            "Prove that an orbit or a closed walk exists, or check a certificate.",
+            "Prove that orbits, walks or all walks on a graph exist, or check a certificate.",
             "prove_statement",
             "dpcontrol prove orbit lab --saddle down-up --energy -0.07",
             "For check, MODEL is the file of a certificate.",

@@ -22,6 +22,7 @@ from typing import Any
 
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.proofs.balls import Fraction, NotClosed, ball, columns, flint, identity, symmetric
+from dpcontrol.proofs.covering import ChartSegment
 from dpcontrol.proofs.flow import Field, FlowSettings, Vector, fly
 from dpcontrol.proofs.symbols import dot
 
@@ -31,7 +32,7 @@ class SectionChart:
     """An exact node (N,) with the basis (N, N) of its section."""
 
     node: tuple[Fraction, ...]
-    basis: tuple[tuple[float, ...], ...]
+    basis: tuple[tuple[float | Fraction, ...], ...]
 
     @cached_property
     def columns(self) -> list[Vector]:
@@ -96,28 +97,6 @@ class SectionChart:
         across = dot(gradient, w)
         along = [dot(gradient, t) / across for t in (u, s)]
         return columns([[u[i] - w[i] * along[0], s[i] - w[i] * along[1]] for i in range(len(w))])
-
-
-@dataclass(frozen=True)
-class ChartSegment:
-    """The map g between two charts over a box about zero.
-
-    The duration (s) is `time` over the box and `at_node` from the node. Its derivative by y is `delays` (2,). `start`
-    (N,) encloses the box's states. Balls in `spans` enclose all solutions during each step, and finally near the second
-    section.
-
-    Attributes:
-        value (2,): g(0).
-        slope (2, 2): Dg over the box.
-    """
-
-    value: Vector
-    slope: Any
-    time: Any
-    at_node: Any
-    delays: Vector
-    spans: list[Vector]
-    start: Vector
 
 
 @dataclass(frozen=True)

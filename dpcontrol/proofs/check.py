@@ -1,11 +1,11 @@
-"""Independent check of certificates of periodic orbits and closed walks.
+"""Independent check of certificates of periodic orbits, walks, and networks of connections.
 
-This code shares only flint's arithmetic with the search.
+This code shares flint's arithmetic with the search, and what follows from enclosures: modules symbols and covering.
 
 The equations of two arms and of three bodies are written by hand, with derivatives from dual numbers. The integrator is
 classical: Picard's iteration for a box that holds a step's solutions, Taylor polynomials, and Lagrange's remainder from
-the next coefficient over that box. Steps are halved until both are good. Charts are not used. The unknowns are all
-nodes x_k, durations τ_k and one number ε,
+the next coefficient over that box. Steps are halved until both are good. For closed orbits, charts are not used. The
+unknowns are all nodes x_k, durations τ_k and one number ε,
 
     Φ(x_k, τ_k) - x_{k+1} - [k last] (turn + ε v) = 0,      n_k·(x_k - x̄_k) = 0,      H(x_0) = h,
 
@@ -14,6 +14,10 @@ H(x_0 + ε v) = H(x_0) along a solution and ∇H·v has a sign, ε vanishes.
 
 A symbol's claims are then checked in the boxes of all steps: its section crossings, the lifted saddle at its stop, the
 nearest connection at its node, and its wraps.
+
+Networks have charts x = x̄ + u y_1 + s y_2 + w z with columns u, s, f, w of a basis. H = h determines z over a box of y,
+since H changes along w and its variation over the box is small. The derivative of the flow's map from chart to chart
+follows by the chain rule, with the time at which the normal coordinate, along f, vanishes.
 
 The statement is composed from the certificate's numbers. A certificate with another statement is rejected.
 
@@ -38,12 +42,23 @@ from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import checked_source
 from dpcontrol.foundation.progress import Progress, no_progress
-from dpcontrol.proofs.balls import NotClosed, flint, fraction, identity, largest, number, symmetric, working
+from dpcontrol.proofs.balls import (
+    NotClosed,
+    flint,
+    fraction,
+    identity,
+    largest,
+    located,
+    number,
+    symmetric,
+    working,
+)
+from dpcontrol.proofs.covering import ChartSegment, Enclosure, Network, orbit_boxes, proved_link
 from dpcontrol.proofs.statements import statement
 from dpcontrol.proofs.symbols import Enclosed, check_symbols
 
 FORMAT = "dpcontrol proof 3"
-_BITS, _ORDER, _BOX_ORDER, _REMAINDER = 140, 18, 7, "1e-18"
+_BITS, _ORDER, _BOX_ORDER, _REMAINDER, _WIDE_REMAINDER = 140, 18, 7, "1e-18", "1e-13"
 _LONGEST, _SHORTEST, _MOST_STEPS, _MOST_NODES = Fraction(1, 128), Fraction(1, 2**20), 30_000, 500
 """Steps in s, and limits on the work that a file can cause."""
 
@@ -123,7 +138,8 @@ class _Flow(ABC):
     angles: int
 
     def __init__(self) -> None:
-        self.pace, self.left = _LONGEST, _MOST_STEPS
+        self.longest, self.remainder = _LONGEST, _REMAINDER
+        self.pace, self.left = self.longest, _MOST_STEPS
 
     @abstractmethod
     def rate(self, x: Sequence[_Dual]) -> list[_Dual]:
@@ -184,7 +200,7 @@ class _Flow(ABC):
             ]
 
         far = [c[-1] for c in self.series(around, _ORDER + 1, 0)]
-        if not all(abs(r) * h ** (_ORDER + 1) < number(_REMAINDER) for r in far):
+        if not all(abs(r) * h ** (_ORDER + 1) < number(self.remainder) for r in far):
             raise NotClosed("the remainder of a step is too large")
         # Coefficient k along a solution equals the coefficient at its state times the derivative.
         rest = flint.arb_mat(4, 4, [c[-1] for c in self.series(around, _BOX_ORDER + 1, 4)[4:]])
@@ -195,7 +211,7 @@ class _Flow(ABC):
     def flight(self, x: Sequence[Any], spread: Any, duration: Fraction) -> tuple[list[Any], Any, list[list[Any]]]:
         """Return the thin end, the derivative and the boxes of all steps."""
         carried, thin, boxes, flown = identity(), list(x), [], Fraction(0)
-        self.pace = min(2 * self.pace, _LONGEST)
+        self.pace = min(2 * self.pace, self.longest)
         while flown < duration:
             h, self.left = min(self.pace, duration - flown), self.left - 1
             if self.pace < _SHORTEST or self.left < 0:
@@ -270,6 +286,115 @@ class _ThreeBodies(_Flow):
 _SYSTEMS = {"double pendulum": _Pendulum, "three bodies": _ThreeBodies}
 
 
+class _Chart:
+    """The plane through a node along u, s and w, on which the energy determines w's coordinate z over a box."""
+
+    def __init__(self, own: _Flow, data: Mapping[str, Any], energy: Any) -> None:
+        self.own, self.node = own, [number(v) for v in data["node"]]
+        self.basis = flint.arb_mat([[number(v) for v in row] for row in data["basis"]])
+        self.rows, self.level = self.basis.inv().tolist(), own.energy(self.node).value - energy
+
+    def box(self, widths: Sequence[Any], z: Any) -> tuple[list[Any], list[Any]]:
+        """Return the states of a box with z, and the derivative of H along the basis."""
+        column = [[symmetric(widths[0])], [symmetric(widths[1])], [flint.arb(0)], [z]]
+        around = [c + d for c, d in zip(self.node, (self.basis * flint.arb_mat(column)).entries(), strict=True)]
+        return around, (flint.arb_mat([self.own.energy(around).partials]) * self.basis).entries()
+
+    def height(self, widths: Sequence[Any]) -> Any:
+        """Return an interval that contains exactly one z of the energy for each y of a box."""
+        reach = flint.arb(0)
+        for _ in range(8):
+            _, (along, beside, _, across) = self.box(widths, symmetric(reach))
+            needed = (abs(self.level) + abs(along) * widths[0] + abs(beside) * widths[1]) / abs(across)
+            if needed < reach:
+                return symmetric(reach)
+            reach = 2 * needed.upper() + number("1e-30")
+        raise NotClosed("the energy does not determine the states of a box")
+
+    def away(self, row: int, state: Sequence[Any], shift: Sequence[Any]) -> Any:
+        """Return a coordinate of a state that is shifted by whole turns."""
+        gaps = zip(self.rows[row], state, self.node, shift, strict=True)
+        return sum((r * (x - c - t) for r, x, c, t in gaps), flint.arb(0))
+
+
+def _segment(
+    own: _Flow, charts: tuple[_Chart, _Chart], widths: Sequence[Any], duration: Fraction, turns: Sequence[int]
+) -> ChartSegment:
+    """Enclose the map from a chart's box to the next chart."""
+    (first, second), shift = charts, [2 * flint.arb.pi() * int(k) for k in turns]
+    z = first.height(widths[0])
+    states, (along, beside, _, across) = first.box(widths[0], z)
+    tangents = first.basis * flint.arb_mat([[1, 0], [0, 1], [0, 0], [-along / across, -beside / across]])
+    thin, _ = first.box([flint.arb(0)] * 2, -first.level / first.box([flint.arb(0)] * 2, z)[1][3])
+    spread = flint.arb_mat([[x - c] for x, c in zip(states, thin, strict=True)])
+    end, derivative, boxes = own.flight(thin, spread, duration)
+    ends = [c + d for c, d in zip(end, (derivative * spread).entries(), strict=True)]
+    normal = second.rows[2]
+
+    def across_plane(vector: Sequence[Any]) -> Any:
+        return sum((n * v for n, v in zip(normal, vector, strict=True)), flint.arb(0))
+
+    reach = symmetric(2 * second.away(2, ends, shift) / across_plane(own.slopes(ends)[0])) + symmetric(number("1e-30"))
+    around = own.rough(ends, reach)
+    rates, slopes = own.slopes(around)
+    speed = across_plane(rates)
+    time, exact = (-second.away(2, x, shift) / speed for x in (ends, end))
+    if not abs(time) < reach.abs_upper():
+        raise NotClosed("a box is not proved to meet the next chart once")
+    moved = (own.late(slopes, reach) * derivative * tangents).transpose().tolist()
+    delays = [-across_plane(column) / speed for column in moved]
+    projected = flint.arb_mat(
+        [[m + f * d for m, f in zip(column, rates, strict=True)] for column, d in zip(moved, delays, strict=True)]
+    ).transpose()
+    slope = flint.arb_mat(second.rows[:2]) * projected
+    landed, arrived = ([x + t * f for x, f in zip(v, rates, strict=True)] for v, t in ((end, exact), (ends, time)))
+    if second.box(widths[1], second.height(widths[1]).union(second.away(3, arrived, shift)))[1][3].contains(0):
+        raise NotClosed("the energy does not determine the states of a box")
+    value = [second.away(k, landed, shift) for k in range(2)]
+    total = number(duration)
+    return ChartSegment(value, slope, total + time, total + exact, delays, [*boxes, around], states)
+
+
+_KEYS = {
+    "format statement versions system energy scale orbits links digest",
+    "format statement versions system energy scale orbits links wraps entropy digest",
+}
+
+
+def _checked_network(own: _Flow, data: Mapping[str, Any], progress: Progress) -> str:
+    """Return the statement of a certificate of links after proving it."""
+    said, energy, charts = statement(data), number(data["energy"]), dict[str, _Chart]()
+    if {*data} not in [{*keys.split()} for keys in _KEYS] or data["statement"] != said:
+        raise NotClosed("its statement is not that of its numbers, or it has other numbers")
+
+    # The boxes of links are wider than the balls of closed orbits.
+    own.longest, own.remainder, own.left = 2 * _LONGEST, _WIDE_REMAINDER, 10 * _MOST_STEPS
+
+    def enclosed(ends: Sequence[Any], widths: Any, duration: Fraction, turns: Sequence[int]) -> ChartSegment:
+        if duration > _LONGEST * _MOST_STEPS:
+            raise NotClosed("a flight is too long")
+        first, second = (charts.setdefault(repr(end), _Chart(own, end, energy)) for end in ends)
+        return _segment(own, (first, second), widths, duration, turns)
+
+    enclosure = Enclosure(
+        enclosed, lambda box: own.slopes(box)[0], [k < own.angles for k in range(4)], [number(v) for v in data["scale"]]
+    )
+    orbits, links = [orbit_boxes(orbit, enclosure) for orbit in data["orbits"]], []
+    for k, numbers in enumerate(data["links"]):
+        progress("checking the flow", k / len(data["links"]))
+        with located(f"link {k + 1}:"):
+            links.append(proved_link(numbers, data["orbits"], enclosure))
+    network = Network(orbits, links, enclosure)
+    if "wraps" in data:
+        network.check_marks()
+        least = [n for row in network.fewest_wraps() for n in row if n is not None]
+        if max(least) != int(data["wraps"]):
+            raise NotClosed(f"its links need {max(least)} wraps, not {data['wraps']}")
+        if not network.has_entropy(number(data["entropy"])):
+            raise NotClosed("its entropy is not proved")
+    return said
+
+
 def check(certificate: Mapping[str, Any], progress: Progress = no_progress) -> CertificateCheck:
     """Check a certificate with the equations and integrator of this module.
 
@@ -285,7 +410,8 @@ def check(certificate: Mapping[str, Any], progress: Progress = no_progress) -> C
             raise NotClosed("its digest does not match its content, or its format is unknown")
         with working(_BITS):
             own = _SYSTEMS[certificate["system"]["equations"]](certificate["system"])
-            return CertificateCheck(True, "the certificate proves its statement", _checked(own, certificate, progress))
+            proved = _checked_network if "links" in certificate else _checked
+            return CertificateCheck(True, "the certificate proves its statement", proved(own, certificate, progress))
     except (NotClosed, LookupError, TypeError, ValueError, AttributeError, ArithmeticError, RecursionError) as error:
         invalid = "" if isinstance(error, NotClosed) else f"a value is missing or invalid, {type(error).__name__}: "
         return CertificateCheck(
@@ -310,7 +436,7 @@ def check_file(file: Path, progress: Progress = no_progress) -> CertificateCheck
         raise InputError(f"cannot read {file}: {error.strerror}; give a file of `prove --out`") from error
     except (ValueError, RecursionError) as error:
         raise InputError(f"{file} is not a certificate: it is not JSON; give a file of `prove --out`") from error
-    if not isinstance(content, dict) or not {"format", "nodes", "digest"} & set(content):
+    if not isinstance(content, dict) or not {"format", "nodes", "links", "digest"} & set(content):
         raise InputError(f"{file} is not a certificate: none of its keys is one's; give a file of `prove --out`")
     return check(content, progress)
 

@@ -27,7 +27,8 @@ from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.proofs.balls import ball, columns, exact, flint, largest, located, symmetric
-from dpcontrol.proofs.charts import ChartSegment, Leg, Surface, legs_of, segment
+from dpcontrol.proofs.charts import Leg, Surface, legs_of, segment
+from dpcontrol.proofs.covering import ChartSegment
 from dpcontrol.proofs.flow import FlowSettings
 from dpcontrol.tubes.frames import closed_frames
 

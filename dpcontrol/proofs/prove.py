@@ -8,7 +8,6 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
-from operator import attrgetter
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -24,9 +23,10 @@ from dpcontrol.foundation.shown import Shown
 from dpcontrol.orbits.lyapunov import LyapunovOrbit
 from dpcontrol.plans.model import ModelSystem
 from dpcontrol.proofs.balls import NotClosed, ball, bound, decimal, flint, located, symmetric, working
-from dpcontrol.proofs.charts import ChartSegment, Surface
+from dpcontrol.proofs.charts import Surface
 from dpcontrol.proofs.check import FORMAT, digest
-from dpcontrol.proofs.connect import check_distinct, horseshoe, link, orbit_boxes
+from dpcontrol.proofs.connect import Route, enclosure_of, link_data, orbit_data, transversality
+from dpcontrol.proofs.covering import ChartSegment, Network, orbit_boxes, proved_link
 from dpcontrol.proofs.flow import Field, FlowSettings
 from dpcontrol.proofs.periodic import (
     Chain,
@@ -40,10 +40,10 @@ from dpcontrol.proofs.periodic import (
     total_time,
 )
 from dpcontrol.proofs.statements import EQUATIONS, passing, statement
-from dpcontrol.proofs.symbols import Enclosed, check_symbols, described
+from dpcontrol.proofs.symbols import Enclosed, check_symbols
 from dpcontrol.tubes.connections import Connection
 from dpcontrol.tubes.frames import node_count, orbit_nodes
-from dpcontrol.walks.shadowing import ShadowingOrbit, phase_gap
+from dpcontrol.walks.shadowing import ShadowingOrbit
 
 
 @dataclass(frozen=True)
@@ -60,6 +60,7 @@ class ProofSettings:
     box: float = 1e-7
     tries: int = 2
     flow: FlowSettings = FlowSettings()  # noqa: RUF009 - frozen, so it may be shared
+    links: FlowSettings = FlowSettings(24, 18, 1e-14)  # noqa: RUF009 - for boxes, which are wider than balls
 
 
 @dataclass(frozen=True)
@@ -156,33 +157,18 @@ def plain(value: Any) -> Any:
     return decimal(value) if isinstance(value, Fraction) else repr(value) if isinstance(value, float) else value
 
 
-def certificate(
-    system: System,
-    chain: tuple[Surface, Chain],
-    proof: tuple[list[ChartSegment], Newton],
-    claims: Sequence[Mapping[str, Any]] = (),
-) -> dict[str, Any] | None:
-    """Return the certificate of a closed chain with its claims on symbols.
-
-    Only models from files with proved multipliers have one. Its radii include a margin for the enclosures of module
-    check, which confirms its bounds.
+def certificate(system: System, energy: Fraction, content: Mapping[str, Any]) -> dict[str, Any] | None:
+    """Return a certificate with its statement and digest, or None for a system without a model file.
 
     Args:
-        system: system of the orbit.
-        chain: energy surface and legs.
-        proof: enclosures of the legs and the Newton step.
-        claims: claims on symbols, see `claims_of`.
+        system: system of the proof.
+        energy: exact energy.
+        content: its other numbers.
     """
-    (surface, legs), (segments, found) = chain, proof
-    pair = multipliers(segments)
-    if not isinstance(system, ModelSystem) or pair is None:
+    if not isinstance(system, ModelSystem):
         return None
     equations = "double pendulum" if isinstance(system.model.parameters, ArmChainParameters) else "three bodies"
-    exists = max(100 * float(found.exists), _LEAST_RADIUS)
-    durations = [leg.duration for leg in legs]
-    reach = Fraction(exists) * 2 * len(durations)
-    scale = system.scale.tolist()
-    content = plain(
+    whole = plain(
         {
             "format": FORMAT,
             "versions": {name: number for name, number in versions().items() if name in ("dpcontrol", "python-flint")},
@@ -190,21 +176,54 @@ def certificate(
                 "equations": equations,
                 **{key: system.model.decimals[key] for key in EQUATIONS[equations][1]},
             },
-            "energy": surface.energy,
-            "nodes": [leg.first.node for leg in legs],
-            "normals": [[row[2] / s**2 for row, s in zip(leg.first.basis, scale, strict=True)] for leg in legs],
-            "durations": durations,
-            "turns": legs[-1].shift,
-            "scale": scale,
-            "exists": f"{exists:.3e}",
-            "unique": f"{max(_UNIQUE, 10 * exists):.3e}",
-            "period": [sum(durations) - reach, sum(durations) + reach],
-            "multiplier_exceeds": f"{0.9 * float(abs(pair[0])):.3e}",
-            "symbols": list(claims),
+            "energy": energy,
+            "scale": system.scale.tolist(),
+            **content,
         }
     )
-    content = {"statement": statement(content), **content}
-    return {**content, "digest": digest(content)}
+    whole = {"statement": statement(whole), **whole}
+    return {**whole, "digest": digest(whole)}
+
+
+def orbit_certificate(
+    system: System,
+    chain: tuple[Surface, Chain],
+    proof: tuple[list[ChartSegment], Newton],
+    claims: Sequence[Mapping[str, Any]] = (),
+) -> dict[str, Any] | None:
+    """Return the certificate of a closed chain with its claims on symbols.
+
+    Only chains with proved multipliers have one. Its radii include a margin for the enclosures of module check, which
+    confirms its bounds.
+
+    Args:
+        system: system of the orbit.
+        chain: energy surface and legs.
+        proof: enclosures of the legs and the Newton step.
+        claims: claims on symbols, see `Route.claims`.
+    """
+    (surface, legs), (segments, found) = chain, proof
+    pair = multipliers(segments)
+    if pair is None:
+        return None
+    exists = max(100 * float(found.exists), _LEAST_RADIUS)
+    durations = [leg.duration for leg in legs]
+    reach = Fraction(exists) * 2 * len(durations)
+    content = {
+        "nodes": [leg.first.node for leg in legs],
+        "normals": [
+            [float(row[2]) / s**2 for row, s in zip(leg.first.basis, system.scale.tolist(), strict=True)]
+            for leg in legs
+        ],
+        "durations": durations,
+        "turns": legs[-1].shift,
+        "exists": f"{exists:.3e}",
+        "unique": f"{max(_UNIQUE, 10 * exists):.3e}",
+        "period": [sum(durations) - reach, sum(durations) + reach],
+        "multiplier_exceeds": f"{0.9 * float(abs(pair[0])):.3e}",
+        "symbols": list(claims),
+    }
+    return certificate(system, surface.energy, content)
 
 
 _LEAST_RADIUS, _UNIQUE = 1e-12, 1e-10
@@ -311,7 +330,7 @@ def prove_orbit(
             )  # fmt: skip
         return Proof(
             "orbit", True, f"proved: {_unique(found, count)}", stated, figures, 0.0,
-            certificate(system, (surface, chain), (sharp, found)),
+            orbit_certificate(system, (surface, chain), (sharp, found)),
         )  # fmt: skip
 
     return attempted("orbit", stated, settings.bits, work)
@@ -326,39 +345,6 @@ def _unique(found: Newton, count: int) -> str:
     )
 
 
-def claims_of(walk: ShadowingOrbit, rivals: Sequence[Connection]) -> list[dict[str, Any]]:
-    """Return the claims on each symbol of a closed walk.
-
-    Each has its section, the segments from the middle of one stop to the middle of the next, and the marked node.
-    Saddles are lifted by whole turns. If a stop had no wraps, it would last for `rest` s between marked nodes.
-
-    Args:
-        walk: closed orbit.
-        rivals: connections that the orbit must not follow.
-    """
-    lasts, nodes, out = walk.shot.guess.joints, sorted(walk.shot.guess.markers), []
-    kind = attrgetter("source.saddle", "target.saddle", "winding", "section")
-    for k, own in enumerate(walk.connections):
-        after, period = walk.connections[(k + 1) % len(walk.connections)], own.target.period
-        others = [other for other in rivals if kind(other) == kind(own) and other.name != own.name]
-        out.append(
-            {
-                "section": described(own.section),
-                "hits": [int(v) for v in own.hits],
-                "segments": [lasts[k - 1] + 1 if k else 0, lasts[k]],
-                "node": int(nodes[k]),
-                "turns": [int(v) for v in walk.offsets[k]],
-                "states": [[repr(float(v)) for v in one.state] for one in (own, *others)],
-                "stop": [repr(float(v)) for v in own.target.centre],
-                "stop_turns": [int(v) for v in walk.offsets[k + 1]],
-                "wraps": int(walk.wraps[k]),
-                "period": repr(float(period)),
-                "rest": repr(float(own.time_in + after.time_out + phase_gap(own, after) * period)),
-            }
-        )
-    return out
-
-
 def prove_walk(
     walk: ShadowingOrbit,
     *,
@@ -367,24 +353,24 @@ def prove_walk(
     settings: ProofSettings | None = None,
     progress: Progress = no_progress,
 ) -> Proof:
-    """Prove existence and uniqueness of a closed walk's orbit, and its symbols.
+    """Prove existence of a walk's orbit, and its symbols; that of a closed walk is unique.
 
     Args:
-        walk: computed orbit of a closed walk.
+        walk: computed orbit of a walk.
         energy: exact, J.
         rivals: other connections at this energy.
         settings: precision, radii and integrator.
         progress: called with a label and the completed share.
 
     Raises:
-        InputError: an open walk, or unsupported equations.
+        InputError: unsupported equations.
         GoalMissed: the walk's orbit did not converge.
     """
     settings = settings or ProofSettings()
-    if not walk.periodic:
-        raise InputError("only closed walks can be proved: close the walk with --periodic (periodic=True in Python)")
     if not walk.converged:
         raise GoalMissed(f"no orbit to prove: {walk.status}")
+    if not walk.periodic:
+        return prove_network("walk", [walk], energy=energy, rivals=rivals, settings=settings, progress=progress)
     system, orbit = walk.orbit.system, walk.orbit
     count = len(orbit.states) - 1
     stated = (
@@ -402,7 +388,9 @@ def prove_walk(
         chain, _ = closed_chain(system, orbit.states[:-1], np.diff(orbit.times), turns)
         segments, found = proved_chain(surface, chain, settings, progress)
         pair = multipliers(segments)
-        claims = claims_of(walk, rivals)
+        joints, marks = walk.shot.guess.joints, sorted(walk.shot.guess.markers)
+        stretches = list(zip([0, *(k + 1 for k in joints)], joints, strict=False))
+        claims = Route.of(walk).claims(stretches, marks, rivals)
         figures = {
             "period": total_time(segments, found.exists).str(20),
             "multipliers": None if pair is None else [v.str(8) for v in pair],
@@ -426,76 +414,133 @@ def prove_walk(
             )
         return Proof(
             "walk", True, f"proved: {_unique(found, count)}, and it follows its symbols", stated, figures, 0.0,
-            certificate(system, (surface, chain), (segments, found), claims),
+            orbit_certificate(system, (surface, chain), (segments, found), claims),
         )  # fmt: skip
 
     return attempted("walk", stated, settings.bits, work)
 
 
-def prove_connections(
-    connections: Sequence[Connection],
+def prove_network(
+    kind: str,
+    found: Sequence[Connection | ShadowingOrbit],
     *,
     energy: Fraction,
+    rivals: Sequence[Connection] | None = None,
     settings: ProofSettings | None = None,
-    whole: bool = False,
     progress: Progress = no_progress,
 ) -> Proof:
-    """Prove existence and transversality of connections between two orbits.
+    """Prove connections or an open walk by covering relations, or the graph of all connections with its entropy.
 
     Args:
-        connections: computed connections between the same orbits.
+        kind: "connection", "walk", "horseshoe" or "graph".
+        found: computed connections or one open walk.
         energy: exact, J.
+        rivals: for a walk: connections that its orbit must not follow.
         settings: precision, radii and integrator.
-        whole: also prove the horseshoe of all homoclinics of one orbit.
         progress: called with a label and the completed share.
 
     Raises:
         InputError: no connections, or unsupported equations.
     """
     settings = settings or ProofSettings()
-    if not connections:
+    if not found:
         raise InputError("no connections to prove; find some with `dpcontrol connect`")
-    system, first, last = connections[0].source.system, connections[0].source, connections[0].target
-    kind, count = "horseshoe" if whole else "connection", counted(len(connections), "transversal connection")
-    stated = (
-        f"{system.name} at the energy {decimal(energy)}: {count} from the orbit about {first.saddle} to that about "
-        f"{last.saddle}"
-    )
+    routes, system = [Route.of(one) for one in found], found[0].orbit.system
+    joined = [(route.stops[0], route.stops[-1]) for route in routes]
+    # Connections have equal copies of an orbit.
+    near = {(stop.saddle, stop.period): stop for pair in joined for stop in pair}
+    ends = [[list(near).index((stop.saddle, stop.period)) for stop in pair] for pair in joined]
+    stated = f"{system.name} at the energy {decimal(energy)}: {network_stated(kind, routes)}"
 
     def work() -> Proof:
-        surface, links, failed = surface_of(system, energy), [], []
-        source = orbit_boxes(surface, first, settings.box, settings.flow)
-        target = source if last is first else orbit_boxes(surface, last, settings.box, settings.flow)
-        for k, connection in enumerate(connections):
-            progress(connection.name, k / len(connections))
+        surface, failed = surface_of(system, energy), list[str]()
+        enclosure = enclosure_of(surface, system.scale, settings.links)
+        numbers = [orbit_data(orbit, settings.box) for orbit in near.values()]
+        network, rows = Network([], [], enclosure), []
+        for (saddle, _), data in zip(near, numbers, strict=True):
+            with located(f"the orbit about {saddle}:"):
+                network.orbits.append(orbit_boxes(data, enclosure))
+        for k, (route, pair) in enumerate(zip(routes, ends, strict=True)):
+            progress(route.name, k / len(routes))
             try:
-                links.append(link(surface, connection, source, target, settings.flow))
+                link = proved_link(link_data(route, pair, numbers, settings.box, rivals), numbers, enclosure)
+                angle = transversality(surface, route.connections[0], link, network.orbits)
+                state = [x.str(8) for x in link.legs[link.marks[0]].start]
+                rows.append({"name": route.name, "angle_deg": angle.str(8, more=True), "state": state})
+                network.links.append(link)
             except NotClosed as error:
-                failed.append(f"{connection.name}: {error}")
-        figures: dict[str, Any] = {
-            "box": settings.box,
-            "connections": [
-                {
-                    "name": one.connection.name,
-                    "angle_deg": one.angle.str(8, more=True),
-                    "state": [x.str(8) for x in one.state],
-                }
-                for one in links
-            ],
-            "failed": failed,
-        }
+                failed.append(f"{route.name}: {error}")
+        figures: dict[str, Any] = {"box": settings.box, "links": rows, "failed": failed}
         if failed:
-            status = f"not proved: {len(failed)} of {len(connections)} ({failed[0]})"
+            status = f"not proved: {len(failed)} of {len(routes)} ({failed[0]})"
             return Proof(kind, False, status, stated, figures, 0.0)
-        check_distinct(surface, links)
-        status = f"proved: {counted(len(links), 'distinct transversal connection')}"
-        if whole:
-            least, entropy = horseshoe(surface, source, links)
-            figures |= {"least_wraps": max(map(max, least)), "entropy_at_least": entropy.str(12), "least": least}
-            status += (
-                f"; every walk on them with at least {figures['least_wraps']} wraps at each stop is realised by an "
-                f"orbit, and the topological entropy is at least {float(entropy) - 5e-5:.4f} per second"
-            )
-        return Proof(kind, True, status, stated, figures, 0.0)
+        claims = network_claims(network, kind)
+        content = {"orbits": numbers, "links": [link.data for link in network.links], **claims}
+        content.pop("least", None)
+        status = network_status(kind, len(routes), claims)
+        return Proof(kind, True, status, stated, figures | claims, 0.0, certificate(system, energy, content))
 
     return attempted(kind, stated, settings.bits, work)
+
+
+def network_claims(network: Network, kind: str) -> dict[str, Any]:
+    """Return the fewest wraps and the entropy of a graph or a horseshoe, after proving that its walks differ.
+
+    The check confirms the entropy with its own enclosures of durations.
+
+    Args:
+        network: proved links.
+        kind: "connection", "walk", "horseshoe" or "graph".
+
+    Raises:
+        NotClosed: orbits of different walks are not proved to separate.
+    """
+    if kind != "walk":
+        network.check_marks()
+    if kind not in ("horseshoe", "graph"):
+        return {}
+    least, low, high = network.fewest_wraps(), 0, 10_000_000
+    while high - low > 1:
+        middle = (low + high) // 2
+        # Other enclosures of durations need the relative margin of 1e-6.
+        low, high = (middle, high) if network.has_entropy(flint.arb(middle) / 99999.9) else (low, middle)
+    return {"wraps": max(n for row in least for n in row if n is not None), "entropy": low / 1e5, "least": least}
+
+
+def network_stated(kind: str, routes: Sequence[Route]) -> str:
+    """Return what is to be proved of links.
+
+    Args:
+        kind: "connection", "walk", "horseshoe" or "graph".
+        routes: computed links.
+    """
+    first, *_, last = saddles = [end.saddle for route in routes for end in (route.stops[0], route.stops[-1])]
+    if kind == "walk":
+        return (
+            f"an orbit leads from the orbit about {first} to that about {last} and follows {routes[0].name} with wraps "
+            f"{list(routes[0].wraps)}"
+        )
+    count = counted(len(routes), "transversal connection")
+    if kind == "connection":
+        return f"{count} from the orbit about {first} to that about {last}"
+    return (
+        f"{count} between the orbits about {' and '.join(dict.fromkeys(saddles))}, and orbits along all walks on "
+        f"{'; '.join(route.name for route in routes)}"
+    )
+
+
+def network_status(kind: str, count: int, claims: Mapping[str, Any]) -> str:
+    """Return the verdict on proved links.
+
+    Args:
+        kind: "connection", "walk", "horseshoe" or "graph".
+        count: number of links.
+        claims: wraps and entropy of a graph.
+    """
+    if kind == "walk":
+        return "proved: an orbit leads from orbit to orbit in boxes about the computed one, and follows its symbols"
+    after = (
+        "; every walk on them, open or closed, with at least {wraps} wraps at each stop is realised by an orbit, and "
+        "the topological entropy is at least {entropy} per second"
+    )
+    return f"proved: {counted(count, 'distinct transversal connection')}" + (after.format(**claims) if claims else "")

@@ -33,20 +33,98 @@ def statement(data: Mapping[str, Any]) -> str:
         LookupError: a value is missing.
     """
     angles, keys = EQUATIONS[data["system"]["equations"]]
+    if "links" in data:
+        return "\n".join([*_network(data, angles), *_parameters(data, keys)])
     unique, exists, energy, least = (_exact(data[key]) for key in ("unique", "exists", "energy", "multiplier_exceeds"))
-    turned, time = ", ".join(str(int(k)) for k in data["turns"][:angles]), sum(map(fraction, data["durations"]))
+    turned = ", ".join(str(int(k)) for k in data["turns"][:angles])
     return "\n".join(
         [
             f"at the energy {energy}, exactly one orbit of the {data['system']['equations']} "
             f"{passing(len(data['nodes']))}, within {unique} of the nodes and of the flight times",
-            f"it is within {exists} of them and closes after {float(time):.7g} time units"
+            f"it is within {exists} of them and closes after {_sum(data['durations'])} time units"
             + f", with the turns {turned} of its angles" * bool(angles),
             f"it starts near {_state(map(number, data['nodes'][0]))} and is hyperbolic: a multiplier exceeds {least} "
             "in modulus",
             *(_symbol(data, k, angles) for k in range(len(data["symbols"]))),
-            "parameters: " + "; ".join(f"{key} {', '.join(map(_exact, data['system'][key]))}" for key in keys),
+            *_parameters(data, keys),
         ]
     )
+
+
+def _parameters(data: Mapping[str, Any], keys: Sequence[str]) -> list[str]:
+    return ["parameters: " + "; ".join(f"{key} {', '.join(map(_exact, data['system'][key]))}" for key in keys)]
+
+
+def _network(data: Mapping[str, Any], angles: int) -> list[str]:
+    """Return the sentences on a network of orbits and links."""
+    orbits = counted(len(data["orbits"]), "ring")
+    lines = [
+        f"at the energy {_exact(data['energy'])}, each of {orbits} of boxes contains exactly one orbit of the "
+        f"{data['system']['equations']} that stays in it; it is periodic and hyperbolic"
+    ]
+    for k, orbit in enumerate(data["orbits"], start=1):
+        lines.append(
+            f"orbit {k} is in {len(orbit['charts'])} boxes of half-widths up to {_widest(orbit)} about "
+            f"{_state(map(number, orbit['charts'][0]['node']))} and on, with a period near {_sum(orbit['durations'])}"
+        )
+    for k, link in enumerate(data["links"], start=1):
+        turned = ", ".join(str(int(v)) for v in link["turns"][:angles])
+        lines.append(
+            f"link {k}: an orbit leads from orbit {int(link['source']) + 1} to orbit {int(link['target']) + 1}"
+            + f", with the turns {turned} of its angles" * bool(angles)
+            + f", in boxes of half-widths up to {_widest(link)}"
+        )
+        lines += [_crossed(link, j, angles) for j in range(len(link["symbols"]))]
+        if "wraps" in data:
+            places = (_number(link[key]) for key in ("time_out", "phase_out", "time_in", "phase_in"))
+            lines.append("it departs {} before at the phase {} and arrives {} after at the phase {}".format(*places))
+    if "wraps" in data:
+        lines += [
+            "every sequence of these links in which each leaves the orbit that the one before joins, finite, infinite "
+            f"or periodic, with any numbers of at least {int(data['wraps'])} wraps at the stops, is followed by an "
+            "orbit, by a closed one if sequence and wraps are periodic",
+            "with N wraps, the next crossing follows after arrival + departure + (N + phase) T within T/2, where T is "
+            "the period of the orbit, and the phase is that of departure minus that of arrival modulo one",
+            "no other link or orbit passes the box of a link's crossing, so orbits of different sequences separate, "
+            f"and the topological entropy is at least {_exact(data['entropy'])} per time unit",
+        ]
+    return lines
+
+
+def _crossed(link: Mapping[str, Any], k: int, angles: int) -> str:
+    """Return the sentence on a symbol of a link, counted from zero."""
+    claim, charts = link["symbols"][k], link["charts"]
+    first, second = map(int, claim["hits"])
+    sentence = (
+        f"it crosses the section {_section(claim['section'])} {counted(first + second - 1, 'time')}; crossing {first} "
+        f"is in the box about {_state(map(number, charts[int(claim['node']) - 1]['node']))}"
+    )
+    if len(claim["states"]) > 1:
+        near, *others = claim["states"]
+        sentence += f", nearer to {_state(_lifted(near, claim['turns']))} than to {counted(len(others), 'other state')}"
+    stop = _state(_lifted(claim["stop"], claim["stop_turns"])[:angles])
+    return (
+        sentence
+        + f"; then its angles are within half a turn of {stop}" * bool(angles)
+        + (f", and the next crossing follows after a time nearest to {_rest(claim)}" if "wraps" in claim else "")
+    )
+
+
+def _widest(data: Mapping[str, Any]) -> str:
+    return bound(number(max(fraction(v) for row in data["widths"] for v in row)))
+
+
+def _number(value: Any) -> str:
+    return f"{float(fraction(value)):.7g}"
+
+
+def _sum(values: Iterable[Any]) -> str:
+    return _number(sum(map(fraction, values)))
+
+
+def _rest(claim: Mapping[str, Any]) -> str:
+    """Return the time after which the next symbol follows."""
+    return f"{_number(claim['rest'])} + {int(claim['wraps'])} · {_number(claim['period'])}"
 
 
 def _symbol(data: Mapping[str, Any], k: int, angles: int) -> str:
@@ -56,7 +134,7 @@ def _symbol(data: Mapping[str, Any], k: int, angles: int) -> str:
     first, second = map(int, claim["hits"])
     near, *others = claim["states"]
     node, following = int(claim["node"]), int(after["node"]) + count * (k + 1 == len(claims))
-    stay = sum(fraction(data["durations"][i % count]) for i in range(node, following))
+    stay = _sum(data["durations"][i % count] for i in range(node, following))
     leaves, enters = (
         _state(_lifted(one["stop"], turns)[:angles])
         for one, turns in ((before, claim["turns"]), (claim, claim["stop_turns"]))
@@ -66,10 +144,8 @@ def _symbol(data: Mapping[str, Any], k: int, angles: int) -> str:
         + f"from within half a turn of the angles {leaves} to within half a turn of {enters}, " * bool(angles)
         + f"it crosses the section {_section(claim['section'])} {counted(first + second - 1, 'time')}; at crossing "
         f"{first}, node {node + 1} is within {_distance(data, claim)} of {_state(map(number, near))}"
-        + f", nearer than to {counted(len(others), 'other state')}"
-        * bool(others)
-        + f"; the next symbol's node follows after {float(stay):.7g}, nearest to "
-        f"{float(fraction(claim['rest'])):.7g} + {int(claim['wraps'])} · {float(fraction(claim['period'])):.7g}"
+        + f", nearer than to {counted(len(others), 'other state')}" * bool(others)
+        + f"; the next symbol's node follows after {stay}, nearest to {_rest(claim)}"
     )
 
 

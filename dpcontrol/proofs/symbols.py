@@ -1,4 +1,4 @@
-"""Claims on the symbols of a closed walk, and their proof.
+"""Claims on the symbols of a walk, and their proof.
 
 The proof is in boxes that enclose a flight.
 
@@ -101,16 +101,17 @@ def crossings(section: Mapping[str, Any], boxes: Sequence[Vector], rates: Callab
 
 @dataclass(frozen=True)
 class Enclosed:
-    """A closed flight in boxes.
+    """A flight in boxes.
 
     Attributes:
         flights (K,): boxes of all steps in each segment.
         nodes (K, N): boxes of first states.
         times (K,): durations, s.
-        turns (N,): whole turns in one period.
+        turns (N,): whole turns from its start to its end.
         angles (N,): True for the period 2π.
         scale (N,): units of states.
         rates: encloses f over a box.
+        closed: True for a closed orbit, False for a chain between two orbits.
     """
 
     flights: Sequence[Sequence[Vector]]
@@ -120,6 +121,7 @@ class Enclosed:
     angles: Sequence[bool]
     scale: Vector
     rates: Callable[[Vector], Vector]
+    closed: bool = True
 
     def away(self, box: Vector, state: Sequence[str], turns: Sequence[int]) -> Vector:
         """Return the difference of a box and a lifted state.
@@ -133,7 +135,9 @@ class Enclosed:
 
 
 def check_symbols(claims: Sequence[Mapping[str, Any]], flown: Enclosed) -> None:
-    """Prove that a closed orbit follows its symbols.
+    """Prove that an orbit follows its symbols.
+
+    An open one has no next mark after its last symbol, so this has no wraps.
 
     Args:
         claims: claims in the order of the symbols.
@@ -147,12 +151,12 @@ def check_symbols(claims: Sequence[Mapping[str, Any]], flown: Enclosed) -> None:
     lifts = [lift for claim in claims for lift in (claim["turns"], claim["stop_turns"])]
     joined = [edge + 1 for edge in edges[2:-1:3]] == edges[3::3] and (edges[0], edges[-1]) == (0, count - 1)
     if not joined or edges != sorted(edges) or [[0] * 4, *lifts[1::2]] != [*lifts[::2], list(flown.turns)]:
-        raise NotClosed("the symbols do not follow one another around the orbit")
+        raise NotClosed("the symbols do not follow one another along the orbit")
     for k, (claim, following) in enumerate(zip(claims, [*nodes[1:], nodes[0] + count], strict=True), start=1):
         first, node, last = (int(edge) for edge in (claim["segments"][0], claim["node"], claim["segments"][1]))
         stopped = flown.away(flown.flights[last][len(flown.flights[last]) // 2], claim["stop"], claim["stop_turns"])
         gaps = [flown.away(flown.nodes[node], state, claim["turns"]) for state in claim["states"]]
-        own, *others = (largest([v / s for v, s in zip(gap, flown.scale, strict=True)]) for gap in gaps)
+        distances = [largest([v / s for v, s in zip(gap, flown.scale, strict=True)]) for gap in gaps]
         stay = sum((flown.times[i % count] for i in range(node, following)), flint.arb(0))
         section, begun = claim["section"], flown.flights[node][0]
         level = dot([number(v) for v in section["normal"]], begun) - number(section["offset"])
@@ -169,8 +173,10 @@ def check_symbols(claims: Sequence[Mapping[str, Any]], flown: Enclosed) -> None:
                 )
             if not all(abs(v) < flint.arb.pi() for v, turning in zip(stopped, flown.angles, strict=True) if turning):
                 raise NotClosed("the whole turns up to the next stop differ from those of the walk")
-            if not all(own < other for other in others):
+            if not all(distances[0] < other for other in distances[1:]):
                 raise NotClosed("the orbit is not proved to be nearer to its connection than to all others")
+            if k == len(claims) and not flown.closed:
+                return
             wraps = whole((stay - number(claim["rest"])) / number(claim["period"]))
             if wraps != claim["wraps"]:
                 raise NotClosed(f"the duration of its stop is that of {wraps} wraps instead of {claim['wraps']}")

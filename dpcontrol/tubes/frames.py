@@ -4,12 +4,14 @@ Proofs enclose the flow between sections through these nodes, in coordinates alo
 no statement rests on them.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.orbits.lyapunov import LyapunovOrbit
-from dpcontrol.tubes.connections import Connection
+from dpcontrol.shooting.newton import ShootingOrbit
 
 
 def directions(system: System, states: Array, stms: Array, *, closed: bool, first: Array, last: Array) -> Array:
@@ -107,16 +109,20 @@ def orbit_nodes(orbit: LyapunovOrbit, count: int) -> tuple[Array, Array]:
     return np.array([flow(orbit.state, step * k) for k in ways]), np.full(count, step)
 
 
-def phased_times(connection: Connection, radius: float) -> tuple[Array, int, int, int]:
-    """Return a connection's node times (K,), section index and end phases.
+def phased_times(
+    orbit: ShootingOrbit, marks: Array, stops: Sequence[LyapunovOrbit], radius: float
+) -> tuple[Array, int, int]:
+    """Return node times (K,) along an orbit between two periodic orbits, which include the marks, and end phases.
 
-    The ends are in phase with a node of the orbit, at half the radius from it.
+    The ends are in phase with a node of the first and the last periodic orbit, at half the radius from it.
 
     Args:
-        connection: connection between two orbits.
-        radius: scaled distance from the orbit.
+        orbit: orbit with both ends on local manifolds.
+        marks: times (S,) at which nodes are needed.
+        stops: periodic orbits before, between and after the marks (S + 1,).
+        radius: scaled distance from the orbits.
     """
-    orbit, ends = connection.orbit, []
+    ends, steps = [], [stop.period / node_count(stop) for stop in stops]
     for end, at, sign in ((orbit.start, orbit.times[0], 1), (orbit.end, orbit.times[-1], -1)):
         around = end.manifold.orbit
         system, count = around.system, node_count(around)
@@ -126,12 +132,11 @@ def phased_times(connection: Connection, radius: float) -> tuple[Array, int, int
         gap = np.linalg.norm((orbit.sample(np.array([at]))[0] - lifted) / system.scale)
         rounds = np.log(gap / (radius / 2)) / np.log(abs(around.unstable_multiplier))
         node = np.floor(sign * (phase - sign * rounds) * count) * sign
-        ends.append((float(at + (node / count - phase) * around.period), int(node) % count, around.period / count))
-    (start, first, step), (stop, last, late) = ends
-    before, after = int(np.ceil(-start / step)), int(np.ceil(stop / late))
-    return (
-        np.concatenate([np.linspace(start, 0.0, before + 1), np.linspace(0.0, stop, after + 1)[1:]]),
-        before,
-        first,
-        last,
-    )
+        ends.append((float(at + (node / count - phase) * around.period), int(node) % count))
+    (start, first), (stop, last) = ends
+    edges = np.array([start, *marks, stop])
+    parts = [
+        np.linspace(a, b, int(np.ceil((b - a) / step)) + 1)[1:]
+        for a, b, step in zip(edges[:-1], edges[1:], steps, strict=True)
+    ]
+    return np.concatenate([[start], *parts]), first, last

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -37,6 +38,14 @@ def proofs(graph: Edges, turn: ShadowingOrbit) -> "dict[str, Proof]":
     }
     assert all(proof.proved for proof in found.values())
     return found
+
+
+@pytest.fixture(scope="session")
+def network(graph: Edges) -> "Proof":
+    """Of both symmetric connections of lab at -0.07 J that are nearest to orthogonal."""
+    proof = dp.prove_graph(replace(graph, connections=tuple(graph.connections[k] for k in (2, 5))))
+    assert proof.proved, proof.status
+    return proof
 
 
 @pytest.fixture(scope="session")

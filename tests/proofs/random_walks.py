@@ -4,6 +4,7 @@ As a program, this module proves walks on the command line and appends one line 
 file are not repeated:
 
     python tests/proofs/random_walks.py walks.jsonl 0 40
+    python tests/proofs/random_walks.py open.jsonl 0 40 open
 """
 
 import json
@@ -12,7 +13,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -140,6 +141,17 @@ def _three_body(random: np.random.Generator) -> WalkCase:
     return WalkCase("three-body", text, _arguments(level + random.uniform(2e-3, 5e-3), symbols, random))
 
 
+def opened(case: WalkCase) -> WalkCase:
+    """Return a closed walk's case as an open walk, which has a stop less.
+
+    Args:
+        case: case of a closed walk.
+    """
+    *arguments, _, wraps, _ = case.arguments
+    stops = wraps.split(",")[:-1]
+    return replace(case, arguments=(*arguments, *(("--wraps", ",".join(stops)) if stops else ())))
+
+
 def write(case: WalkCase, folder: Path) -> Path:
     """Write a case's model to a file."""
     file = folder / "random-model.toml"
@@ -147,9 +159,9 @@ def write(case: WalkCase, folder: Path) -> Path:
     return file
 
 
-def proved(seed: int, file: Path) -> dict[str, Any]:
+def proved(seed: int, file: Path, *, closed: bool = True) -> dict[str, Any]:
     """Return the verdict on a walk, its message and the processor time of `dpcontrol prove walk`."""
-    case = walk_case(seed)
+    case = walk_case(seed) if closed else opened(walk_case(seed))
     before = _spent()
     with tempfile.TemporaryDirectory() as folder:
         line = ["prove", "walk", str(write(case, Path(folder))), *case.arguments, "--yes", "--json"]
@@ -195,7 +207,7 @@ def main() -> None:
     done = {one["seed"] for one in read(file)}
     for seed in range(first, last):
         if seed not in done:
-            proved(seed, file)
+            proved(seed, file, closed="open" not in sys.argv[4:])
     sys.stdout.write(summary(read(file)) + "\n")
 
 

@@ -1,0 +1,359 @@
+"""Networks of covering relations, and what follows from them.
+
+A chart has boxes |y_1| ≤ r_u, |y_2| ≤ r_s. A box covers the next one if its image under the flow stretches across it,
+
+    |Dg_uu| r_u - |Dg_us| r_s - |g_u(0)| > r_u',        |Dg_su| r_u + |Dg_ss| r_s + |g_s(0)| < r_s',
+
+for every Dg over the box. For each finite, infinite or closed path along covering relations there is an orbit in the
+boxes of this path; if the path is closed, it is a closed orbit. The boxes about a periodic orbit cover one another in a
+circle. A link is a chain of boxes from a box of one orbit to a box of another one or the same. Orbits and links are a
+graph, and every walk on it is followed by an orbit.
+
+Slopes of growing directions are propagated forward and those of shrinking directions backward. Around an orbit, they
+return to the initial cone, in which lengths have grown. The points that stay in an orbit's boxes for all past times
+therefore form a disc of its unstable manifold that crosses the boxes. For all future times, they form a disc of the
+stable manifold. An orbit that stays in the boxes of a link and of both its orbits is a connection of them.
+
+The wraps of a passage from link to link follow from its duration, for any number n of extra rounds. Consider the
+difference between an orbit in the boxes and the periodic orbit. At the start of each round, it lies in the growing or
+the shrinking cone, because both cones together are the plane. Once it grows, it keeps growing. It is therefore at most
+2^-j of the boxes' widths j rounds after the first or before the last one. Let E bound the deviation of one round's
+duration from the period in the boxes. The deviations sum up to at most 2E while the difference shrinks and to 2E while
+it grows. The round in between adds at most E, and so do the legs before the first and after the last full round.
+
+The entropy needs orbits of different walks to separate. Let the mark of a link be its box on its section. No step of
+any orbit along the network's boxes meets a mark, except in the two legs beside it. If two orbits stay close, one is in
+these legs of a link whenever the other one passes its mark. So both pass marks of the same links, at times that differ
+by at most the longest of these legs, η. Passages last longer than 2η, and passages with different wraps differ by more
+than 2η. So both follow the same links with the same wraps, and orbits of different walks are (ε, T)-separated for a
+small ε. Their number grows as that of walks of duration T. With M(h)_ab = Σ exp(-h τ) over the links and rounds from
+the first box of orbit a to that of orbit b, where τ is an upper bound of the duration, it grows at least as exp(h T)
+if the spectral radius of M(h) is at least one. This holds if M(h) v ≥ v for a vector v ≥ 0 (Collatz and Wielandt).
+
+`prove` and the independent check use these functions with different equations, charts and integrators.
+
+Sources: Zgliczyński, Gidea, Covering relations for multidimensional dynamical systems (2004); Zgliczyński, Covering
+relations, cone conditions and the stable manifold theorem (2009); Bowen, Walters, Expansive one-parameter flows (1972).
+"""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import reduce
+from itertools import chain, pairwise
+from typing import Any
+
+import numpy as np
+
+from dpcontrol.proofs.balls import NotClosed, flint, folded, fraction, located, number, symmetric
+from dpcontrol.proofs.symbols import Enclosed, check_symbols, crossings, dot, period_of, whole
+
+Vector = list[Any]
+"""A list of balls."""
+
+
+@dataclass(frozen=True)
+class ChartSegment:
+    """The map g between two charts over a box about zero.
+
+    The duration (s) is `time` over the box and `at_node` from the node. Its derivative by y is `delays` (2,). `start`
+    (N,) encloses the box's states. Balls in `spans` enclose all solutions during each step, and finally near the second
+    section.
+
+    Attributes:
+        value (2,): g(0).
+        slope (2, 2): Dg over the box.
+    """
+
+    value: Vector
+    slope: Any
+    time: Any
+    at_node: Any
+    delays: Vector
+    spans: list[Vector]
+    start: Vector
+
+
+@dataclass(frozen=True)
+class Enclosure:
+    """The enclosures of a system on an energy surface.
+
+    Attributes:
+        segment: encloses the map between two charts over boxes of given half-widths, with its duration and turns.
+        rates: encloses f over a box.
+        angles (N,): True for the period 2π.
+        scale (N,): units of states.
+    """
+
+    segment: Callable[[Sequence[Any], Sequence[Vector], Any, Sequence[int]], ChartSegment]
+    rates: Callable[[Vector], Vector]
+    angles: Sequence[bool]
+    scale: Vector
+
+    def covered(
+        self, charts: Sequence[Any], widths: Sequence[Sequence[Any]], durations: Sequence[Any], turns: Sequence[int]
+    ) -> list[ChartSegment]:
+        """Return the maps of a chain in which each box covers the next one.
+
+        Args:
+            charts (K + 1,): the chain's charts.
+            widths (K + 1, 2): half-widths of the boxes.
+            durations (K,): flight times, s.
+            turns (N,): whole turns at the end of the chain.
+
+        Raises:
+            NotClosed: a covering is not proved.
+        """
+        sizes, legs = [[number(v) for v in row] for row in widths], list[ChartSegment]()
+        if not all(v > 0 for v in (*chain(*sizes), *map(number, durations))) or len(durations) < 2:
+            raise NotClosed("a chain has fewer than two legs, or one without width or duration")
+        rows = zip(pairwise(charts), pairwise(sizes), durations, strict=True)
+        for k, (ends, ((u, s), (wide, high)), duration) in enumerate(rows, start=1):
+            with located(f"in segment {k} of {len(durations)}:"):
+                shift = turns if k == len(durations) else [0] * len(turns)
+                leg = self.segment(ends, [[u, s], [wide, high]], fraction(duration), shift)
+                (a, b), (c, d) = leg.slope.tolist()
+                across = abs(a) * u - abs(b) * s - abs(leg.value[0]) > wide
+                if not (across and abs(c) * u + abs(d) * s + abs(leg.value[1]) < high):
+                    raise NotClosed("the image of a box does not stretch across the next one")
+            legs.append(leg)
+        return legs
+
+
+def forward(leg: ChartSegment, slope: Any) -> tuple[Any, Any]:
+    """Return slope and least growth of the growing cone after a segment.
+
+    Args:
+        leg: segment.
+        slope: slopes s over u before it.
+    """
+    (a, b), (c, d) = leg.slope.tolist()
+    return (c + d * slope) / (a + b * slope), abs(a + b * slope)
+
+
+def backward(leg: ChartSegment, slope: Any) -> tuple[Any, Any]:
+    """Return slope and backward growth of the shrinking cone before a segment.
+
+    Args:
+        leg: segment.
+        slope: slopes u over s after it.
+    """
+    (a, b), (c, d) = leg.slope.tolist()
+    return (d * slope - b) / (a - c * slope), abs((a - c * slope) / (a * d - b * c))
+
+
+@dataclass(frozen=True)
+class OrbitBoxes:
+    """Covering boxes about a periodic orbit.
+
+    Slopes of the growing directions (`grows`) are s over u, and those of the shrinking directions u over s.
+
+    Attributes:
+        legs (K,): maps between the boxes.
+        slack: bound of a passage's deviation from whole rounds, s.
+    """
+
+    legs: Sequence[ChartSegment]
+    grows: Sequence[Any]
+    shrinks: Sequence[Any]
+    slack: Any
+
+    def way(self, here: int, there: int, rounds: int = 0) -> Any:
+        """Return the time (s) from a box to another one.
+
+        Args:
+            here: first box.
+            there: last box.
+            rounds: full rounds in addition.
+        """
+        count = len(self.legs)
+        passed = range(here, here + (there - here) % count + rounds * count)
+        return sum((self.legs[k % count].time for k in passed), flint.arb(0))
+
+
+def orbit_boxes(data: Mapping[str, Any], enclosure: Enclosure) -> OrbitBoxes:
+    """Prove that boxes about a periodic orbit cover one another and have invariant cones.
+
+    Args:
+        data: charts, half-widths and durations.
+        enclosure: enclosures of the system.
+
+    Raises:
+        NotClosed: the covering or the cones are not proved.
+    """
+    charts, widths = data["charts"], data["widths"]
+    legs = enclosure.covered([*charts, charts[0]], [*widths, widths[0]], data["durations"], [0] * 4)
+    cone, longer, shorter = symmetric(1), flint.arb(1), flint.arb(1)
+    grows, shrinks = [cone], [cone]
+    for leg, back in zip(legs, reversed(legs), strict=True):
+        (slope, by), (back_slope, back_by) = forward(leg, grows[-1]), backward(back, shrinks[-1])
+        grows, shrinks, longer, shorter = [*grows, slope], [*shrinks, back_slope], longer * by, shorter * back_by
+    if not (all(slope in cone for slope in [*grows, *shrinks]) and longer > 2 and shorter > 2):
+        raise NotClosed("its cones are not invariant")
+    sizes = zip(legs, (max(map(fraction, row)) for row in widths), strict=True)
+    deviation = sum((2 * number(w) * (abs(leg.delays[0]) + abs(leg.delays[1])) for leg, w in sizes), flint.arb(0))
+    # After a round, the cones at the first node are narrower.
+    return OrbitBoxes(
+        legs, [grows[-1], *grows[1:-1]], [shrinks[-1], *reversed(shrinks[1:-1])], symmetric(6 * deviation)
+    )
+
+
+@dataclass(frozen=True)
+class Link:
+    """A chain of covering relations from a box of one orbit to a box of another one or the same.
+
+    Attributes:
+        data: its numbers, as certificates hold them.
+        legs (K,): maps between its boxes.
+        marks: number of the leg that begins at each symbol's section.
+        before: enclosed time from the source's box to the first mark's section, s.
+        after: enclosed time from the last mark's section to the target's box, s.
+    """
+
+    data: Mapping[str, Any]
+    legs: Sequence[ChartSegment]
+    marks: Sequence[int]
+    before: Any
+    after: Any
+
+    def numbers(self, *keys: str) -> Iterable[int]:
+        """Return whole numbers of its data.
+
+        Args:
+            keys: their keys.
+        """
+        return (int(self.data[key]) for key in keys)
+
+
+def proved_link(data: Mapping[str, Any], orbits: Sequence[Mapping[str, Any]], enclosure: Enclosure) -> Link:
+    """Prove that a chain of boxes leads from orbit to orbit, and that it follows its symbols.
+
+    Args:
+        data: source, target, leaves, joins, charts, widths, durations, turns and symbols.
+        orbits: numbers of all orbits.
+        enclosure: enclosures of the system.
+
+    Raises:
+        NotClosed: a covering or a symbol is not proved.
+    """
+    ends = [(orbits[int(data[key])], int(data[at])) for key, at in (("source", "leaves"), ("target", "joins"))]
+    charts, widths = (
+        [ends[0][0][key][ends[0][1]], *data[key], ends[1][0][key][ends[1][1]]] for key in ("charts", "widths")
+    )
+    turns, symbols = [int(k) for k in data["turns"]], data["symbols"]
+    legs = enclosure.covered(charts, widths, data["durations"], turns)
+    flights, starts, times = zip(*((leg.spans, leg.start, leg.time) for leg in legs), strict=True)
+    check_symbols(
+        symbols,
+        Enclosed(flights, starts, times, turns, enclosure.angles, enclosure.scale, enclosure.rates, closed=False),
+    )
+    marks = [int(symbol["node"]) for symbol in symbols]
+    early, late = (
+        _delay(symbol["section"], legs[k - 1 : k + 1], enclosure)
+        for symbol, k in ((symbols[0], marks[0]), (symbols[-1], marks[-1]))
+    )
+    before, after = sum(times[: marks[0]], early), sum(times[marks[-1] :], -late)
+    return Link(data, legs, marks, before, after)
+
+
+def _delay(section: Mapping[str, Any], beside: Sequence[ChartSegment], enclosure: Enclosure) -> Any:
+    """Return the time from a mark's chart, between two legs, to its section.
+
+    Chart and crossing are in the same boxes, in which the speed across the section has a sign.
+    """
+    normal, boxes = [number(v) for v in section["normal"]], [box for leg in beside for box in leg.spans]
+    height = folded(dot(normal, beside[1].start) - number(section["offset"]), period_of(section))
+    near = [hit for hit in crossings(section, boxes, enclosure.rates) if len(beside[0].spans) in hit]
+    if len(near) != 1:
+        raise NotClosed("the time of a section crossing is not determined")
+    around = reduce(lambda a, b: [x.union(y) for x, y in zip(a, b, strict=True)], [boxes[k] for k in near[0]])
+    return -height / dot(normal, enclosure.rates(around))
+
+
+@dataclass(frozen=True)
+class Network:
+    """Orbits and links with proved covering relations.
+
+    Attributes:
+        orbits: boxes about each orbit.
+        links: the chains between them.
+        enclosure: enclosures of the system.
+    """
+
+    orbits: list[OrbitBoxes]
+    links: list[Link]
+    enclosure: Enclosure
+
+    def check_marks(self) -> None:
+        """Prove that no step along other boxes meets the mark of a link, which includes that links are distinct.
+
+        Raises:
+            NotClosed: a step is not proved to avoid a mark, or a link has more than one mark.
+        """
+        if any(len(one.marks) > 1 for one in self.links):
+            raise NotClosed("a link has more than one mark")
+        chains = [row.legs for row in (*self.orbits, *self.links)]
+        for k, one in enumerate(self.links, start=1):
+            for j, legs in enumerate(chains, start=1 - len(self.orbits)):
+                beside = (one.marks[0] - 1, one.marks[0]) if j == k else ()
+                spans = (box for i, leg in enumerate(legs) if i not in beside for box in leg.spans)
+                if any(self._meet(one.legs[one.marks[0]].start, box) for box in spans):
+                    other = f"link {j}" if j > 0 else f"orbit {j + len(self.orbits)}"
+                    raise NotClosed(f"{other} is not proved to avoid the box of link {k} on its section")
+
+    def _meet(self, mark: Vector, box: Vector) -> bool:
+        """Return True if two boxes of states may have a state in common, up to whole turns."""
+        turn = 2 * flint.arb.pi()
+        return all(
+            (folded(a - b, turn) if turning else a - b).contains(0)
+            for a, b, turning in zip(mark, box, self.enclosure.angles, strict=True)
+        )
+
+    def fewest_wraps(self) -> list[list[int | None]]:
+        """Return the wraps of the shortest passage between each two links (L, L), None where they do not meet.
+
+        Raises:
+            NotClosed: a duration does not determine its wraps, or orbits of different walks are not proved to separate.
+        """
+        beside = [one.legs[k].time for one in self.links for k in (one.marks[0] - 1, one.marks[0])]
+        apart = 2 * reduce(lambda a, b: a.max(b), beside)
+
+        def fewest(one: Link, other: Link) -> int | None:
+            ((target, joins), (source, leaves)) = one.numbers("target", "joins"), other.numbers("source", "leaves")
+            if target != source:
+                return None
+            orbit = self.orbits[target]
+            stay, period = one.after + orbit.way(joins, leaves) + other.before + orbit.slack, orbit.way(0, 0, 1)
+            if not (stay > apart and period - 2 * stay.rad() > apart):
+                raise NotClosed("orbits of different walks are not proved to separate")
+            rest = number(one.data["time_in"]) + number(other.data["time_out"])
+            phases = fraction(other.data["phase_out"]) - fraction(one.data["phase_in"])
+            return whole((stay - rest) / period - number(phases % 1))
+
+        for orbit, section in (
+            (self.orbits[index], one.data["symbols"][0]["section"])
+            for one in self.links
+            for index in one.numbers("source", "target")
+        ):
+            if crossings(section, [box for leg in orbit.legs for box in leg.spans], self.enclosure.rates):
+                raise NotClosed("an orbit's boxes meet the section of its link")
+        return [[fewest(one, other) for other in self.links] for one in self.links]
+
+    def has_entropy(self, rate: Any) -> bool:
+        """Return True if the topological entropy is proved to be at least a rate.
+
+        Args:
+            rate: ball, per time unit.
+        """
+        count = len(self.orbits)
+        rows = [[flint.arb(0)] * count for _ in range(count)]
+        loops = [((k, k), orbit.way(0, 0, 1)) for k, orbit in enumerate(self.orbits)]
+        for one in self.links:
+            a, leaves, b, joins = one.numbers("source", "leaves", "target", "joins")
+            ways = self.orbits[a].way(0, leaves) + self.orbits[b].way(joins, 0)
+            loops.append(((a, b), ways + one.before + one.after))
+        for (a, b), time in loops:
+            rows[a][b] += (-rate * time).exp()
+        values, vectors = np.linalg.eig([[float(v.mid()) for v in row] for row in rows])
+        # Entries of rounding errors would belong to orbits outside the part of the graph that has this entropy.
+        vector = [flint.arb(float(v) if v > 1e-9 else 0.0) for v in np.abs(vectors[:, np.argmax(values.real)])]
+        return all(dot(row, vector) >= v for row, v in zip(rows, vector, strict=True))
