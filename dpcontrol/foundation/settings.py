@@ -223,7 +223,7 @@ class Leaf:
 
         key = key or self.name
         try:
-            value = adapter(self.hint).validate_python(_plain(value), strict=strict)
+            value = adapter(self.annotation).validate_python(_plain(value), strict=strict)
         except ValidationError as error:
             raise InputError(self._complaint(key, value, error.errors(include_url=False)), key=key) from error
         self.bounds.check(key, value)
