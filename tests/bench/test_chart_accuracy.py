@@ -11,7 +11,6 @@ from dpcontrol.bench.propagation import (
     candidates,
     classical_step,
     compiled_rate,
-    symplectic_gauss,
     work_of,
 )
 from dpcontrol.dynamics.compiled import fixed_step
@@ -47,44 +46,13 @@ def test_the_truth_agrees_with_scipy(system, work):
     [
         (classical_step, 4, 2e-3),
         (fixed_step, 8, 2e-2),
-        (lambda e: symplectic_gauss(e, 1), 2, 2e-3),
-        (lambda e: symplectic_gauss(e, 2), 4, 4e-3),
-        (lambda e: symplectic_gauss(e, 3), 6, 8e-3),
     ],
-    ids=["rk4", "dop853", "midpoint", "gauss-4", "gauss-6"],
+    ids=["rk4", "dop853"],
 )
 def test_a_scheme_has_its_order(system, work, function, order, step):
     scheme = Stepper(function(system.equations), system.parameters)
     coarse, fine = (work.error(scheme.fly(START[0], SECONDS, step=h)[None]) for h in (step, step / 2))
     assert np.log2(coarse / fine) == pytest.approx(order, abs=ORDER_SLACK)
-
-
-def test_the_midpoint_rule_is_symplectic_and_rk4_is_not(system):
-    n, step = 2, 0.02
-    mass = system.numeric.mass_matrix
-
-    def canonical_jacobian(function):
-        flow = Stepper(function, system.parameters)
-
-        def moved(z):
-            rates = np.linalg.solve(mass(np.concatenate([z[:n], np.zeros(n)])), z[n:])
-            x = flow.fly(np.concatenate([z[:n], rates]), step, step=step)
-            return np.concatenate([x[:n], mass(x) @ x[n:]])
-
-        z = np.concatenate([START[0, :n], mass(START[0]) @ START[0, n:]])
-        shift = 1e-5 * np.array([1, 1, 0.01, 0.01])
-        columns = [(moved(z + d) - moved(z - d)) / (2 * d[k]) for k, d in enumerate(np.diag(shift))]
-        return np.array(columns).T
-
-    form = np.block([[np.zeros((n, n)), np.eye(n)], [-np.eye(n), np.zeros((n, n))]])
-
-    def defect(function):
-        j = canonical_jacobian(function)
-        return np.abs(j.T @ form @ j - form).max()
-
-    midpoint, rk4 = defect(symplectic_gauss(system.equations, 1)), defect(classical_step(system.equations))
-    assert midpoint < 1e-7  # of differences
-    assert rk4 > 10 * midpoint
 
 
 def test_a_tighter_tolerance_is_nearer_and_the_default_is_at_rounding(work):
