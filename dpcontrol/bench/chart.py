@@ -364,8 +364,7 @@ class EdgeMap(Documented):
         measured = [b.measured for b in self.borders if b.measured is not None]
         if not measured:
             return f"no line {self.far}"
-        unit = split_label(self.y_label)[1]
-        limits = dict.fromkeys(quantity(y, unit) for y in (min(measured), max(measured)))
+        limits = dict.fromkeys(quantity(y, split_label(self.y_label)[1]) for y in (min(measured), max(measured)))
         off = [b.off for b in self.borders if b.off is not None]
         predicted = f", at most {max(off):.0%} from the prediction" if off else ""
         return f"{self.far} at {' to '.join(limits)}{predicted}"
@@ -403,13 +402,13 @@ class EdgeMap(Documented):
 class ChartPage(Documented):
     """A page of `dpcontrol bench`.
 
-    It has a name for command line and files, a title, three reading hints, the choice, and its diagrams or maps. A
+    It has a name for command line and files, a title, reading hints, the choice, and its diagrams or maps. A
     chart that is drawn alone has a file.
 
     Attributes:
         name: name on the command line and of the files.
         title: title with the result.
-        reading: three hints for reading the diagrams.
+        reading: hints for reading the diagrams.
         chosen: reason for the choice of dpcontrol.
         parts: diagrams or maps.
         file: file of a chart that is drawn alone, or None.
@@ -419,7 +418,7 @@ class ChartPage(Documented):
 
     name: str
     title: str
-    reading: tuple[str, str, str]
+    reading: tuple[str, ...]
     chosen: str
     parts: tuple[Any, ...]
     file: Path | None = None

@@ -199,22 +199,17 @@ def keeps(orbit: SustainedOrbit) -> Judge:
     Args:
         orbit: orbit to hold.
     """
-    angles = orbit.state(np.linspace(0, orbit.period, 1000))[:, : orbit.arms.count]
-    return held(angles, period=orbit.period)
+    return held(orbit.state(np.linspace(0, orbit.period, 1000))[:, : orbit.arms.count], period=orbit.period)
 
 
-def _completed(reference: Reference) -> Judge:
+def _completed(reference: Reference, run: BatchRun) -> bool:
     limits = reference.limits
-
-    def judge(run: BatchRun) -> bool:
-        flown = Flown(
-            time=run.times, states=run.truth, reference_angles=run.references[:, :2], applied=run.applied,
-            rate_hz=RATE, limits=(limits.position, limits.velocity, limits.acceleration),
-            end=None if run.ending is Ending.FINISHED else run.end,
-        )  # fmt: skip
-        return verdict_on(flown, reference).completed
-
-    return judge
+    flown = Flown(
+        time=run.times, states=run.truth, reference_angles=run.references[:, :2], applied=run.applied,
+        rate_hz=RATE, limits=(limits.position, limits.velocity, limits.acceleration),
+        end=None if run.ending is Ending.FINISHED else run.end,
+    )  # fmt: skip
+    return verdict_on(flown, reference).completed
 
 
 def tick_of(task: ControlTask, controller: Controller, settings: LoopSettings) -> Callable[[], None]:
@@ -257,7 +252,7 @@ def _pair(task: ControlTask, found: Diagram, *, why: str) -> tuple[Diagram, Diag
 def _tracking(seeds: int) -> tuple[Diagram, Diagram]:
     itinerary = load_itinerary("outer-turn")
     reference, arms = make_plan(itinerary).reference, itinerary.model.arms
-    task = ControlTask("One turn", reference, arms, _completed(reference))
+    task = ControlTask("One turn", reference, arms, partial(_completed, reference))
     made: Made = {
         ("feedforward", ""): (lambda m: tracking_controller(reference, m, FeedforwardSettings()), _PLAIN),
         ("TVLQR", "time"): (lambda m: tracking_controller(reference, m, TvlqrSettings()), _PLAIN),
@@ -266,8 +261,8 @@ def _tracking(seeds: int) -> tuple[Diagram, Diagram]:
             lambda m: adaptive_controller(reference, m, AdaptiveSettings(), estimator=AUGMENTED), AUGMENTED,
         ),
     }  # fmt: skip
-    found = measured(task, made, seeds=seeds, default=("adaptive", ""))
-    return _pair(task, found, why="the filter's estimates of arms, drive and encoders leave little for feedback to do")
+    why = "the filter's estimates of arms, drive and encoders leave little for feedback to do"
+    return _pair(task, measured(task, made, seeds=seeds, default=("adaptive", "")), why=why)
 
 
 def _orbit(sections: tuple[int, ...], seeds: int, seconds: float) -> tuple[Diagram, Diagram, Diagram]:
@@ -305,7 +300,7 @@ def _hold(weights: tuple[float, ...], seeds: int) -> Diagram:
     `weights` are multiples of the default effort weight.
     """
     start = np.array([np.pi, np.pi, 0.0, 0.0])
-    whole = np.concatenate([start, [0.0, 0.0]])
+    whole = np.append(start, [0.0, 0.0])
     place = still(whole, 1.0, method=method_named("radau-5"), limits=Limits(), interval=0.1)
     task = ControlTask("Both arms up", place, load_model("lab").arms, held(start[None, :2], period=1.0))
     plain = HoldSettings()

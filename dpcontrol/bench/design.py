@@ -205,8 +205,8 @@ def three_body_panel(*, quick: bool) -> Diagram:
     def judge(_: Alternative[ConnectionSearch], found: ConnectionSearch) -> Judged:
         return Judged(max(c.residual for c in found.connections), note=f"{len(found.connections)} connections")
 
-    tried = [Alternative("dpcontrol", "", ours, default=True)]
-    own = compare(tried, judge, rounds=3 if quick else 7, most=0.5 if quick else 4.0, least=1).points[0]
+    turns = {"rounds": 3 if quick else 7, "most": 0.5 if quick else 4.0, "least": 1}
+    own = compare([Alternative("dpcontrol", "", ours, default=True)], judge, **turns).points[0]
     note = "ratios stored by tests/benchmarks/test_against_hiten.py: of a fresh process; gap at least"
     stored = Point(
         "hiten 0.5.4 (stored)", "", own.seconds * SLOWER, own.error * WIDER, outside=True, stored=True, note=note

@@ -209,16 +209,6 @@ _SECONDS = {False: 150.0, True: 25.0}
 """Cost of a chart, s of one processor, for full and quick charts."""
 
 
-def charts_cost(names: Sequence[str], *, quick: bool) -> Cost:
-    """Return the expected cost of charts.
-
-    Args:
-        names: charts to draw.
-        quick: shorter measurements.
-    """
-    return Cost(counted(len(names), "chart"), len(names) * _SECONDS[quick], 4e8, "bench")
-
-
 def draw_charts(
     names: Sequence[str], folder: Path, *, quick: bool = False, yes: bool = False, progress: Progress = no_progress
 ) -> DrawnCharts:
@@ -237,7 +227,7 @@ def draw_charts(
         InputError: a name is unknown, the folder is not writable, or the charts would take too long.
     """
     chosen = check_names(tuple(names))
-    announce(charts_cost(chosen, quick=quick), yes=yes)
+    announce(Cost(counted(len(chosen), "chart"), len(chosen) * _SECONDS[quick], 4e8, "bench"), yes=yes)
     # Read before the work, so that later edits of the checkout do not matter.
     made_with = {"quick": quick, "machine": machine(), "versions": versions(), "commit": commit()}
     drawn = []

@@ -74,8 +74,7 @@ def energies_chart(itinerary: Itinerary, progress: Progress = no_progress) -> Ch
         points.append(Point("reference", label, energy - floor, found["reference"], others=found))
         if found["completed"]:
             note = f"{found['completed']:.0%} come through"
-            loop = Point("loop", label, energy - floor, found["loop"], factor == 1.0, note=note, others=found)
-            points.append(loop)
+            points.append(Point("loop", label, energy - floor, found["loop"], factor == 1.0, note=note, others=found))
         else:
             missing.append(Missing("loop", label, f"no run completes at ±{MISMATCH:.0%}"))
     if not any(p.default for p in points):
@@ -131,9 +130,8 @@ def at_energy(itinerary: Itinerary, walk: WalkPart, runs: int) -> dict[str, floa
     if not reference.converged:
         raise GoalMissed(reference.status)
     plan = Plan(itinerary, reference, Path(), cached=False)
-    loop = replace(itinerary.loop, mismatch=MISMATCH)
-    job = Job(itinerary.name, plan.archive, itinerary.model.arms, Case("", (), loop), tuple(range(runs)), "compiled",
-              replayed=0)  # fmt: skip
+    case = Case("", (), replace(itinerary.loop, mismatch=MISMATCH))
+    job = Job(itinerary.name, plan.archive, itinerary.model.arms, case, tuple(range(runs)), "compiled", replayed=0)
     done = [row for row in run_job(job) if row["completed"]]
     efforts = [row["rms_cart_acceleration"] ** 2 * row["simulated_seconds"] for row in done]
     return {

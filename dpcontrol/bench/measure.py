@@ -175,7 +175,6 @@ def compare(
         if isinstance(found, str):
             missing.append(Missing(one.method, one.setting, found))
             continue
-        seconds = run.seconds / one.units
-        point = Point(one.method, one.setting, seconds, found.error, one.default, note=found.note, others=found.others)
-        points.append(point)
+        about = {"note": found.note, "others": found.others}
+        points.append(Point(one.method, one.setting, run.seconds / one.units, found.error, one.default, **about))
     return Diagram("", "", "", tuple(points), tuple(missing))

@@ -13,6 +13,11 @@ Flags = NDArray[np.bool_]
 """Array of booleans."""
 
 
+def true_runs(which: Flags) -> NDArray[np.intp]:
+    """Return (first, end) of each run of true entries (N,)."""
+    return np.flatnonzero(np.diff(np.concatenate([[False], which, [False]]).astype(np.int8))).reshape(-1, 2)
+
+
 def checked_array(name: str, values: Any, width: int | None = None) -> Array:
     """Return real numbers as an array of floats.
 

@@ -68,8 +68,7 @@ def section_curves(atlas: Atlas, kind: AtlasKind) -> list[tuple[bool, int, Array
             points = piece.stable_points if stable else piece.points
             closed = np.vstack([points, points[:1]]) if piece.closed else points
             sign = stable_direction(atlas, cut, piece.direction) if stable else piece.direction
-            runs = wrapped_runs(closed, (period, None))
-            found += [(stable, 1 if sign > 0 else -1, run) for run in runs]
+            found += [(stable, 1 if sign > 0 else -1, run) for run in wrapped_runs(closed, (period, None))]
     return found
 
 
@@ -153,13 +152,11 @@ def colours(connections: tuple[AtlasConnection, ...]) -> dict[str, str]:
     Mirror images (the other sense) share one.
     """
     chosen: dict[str, str] = {}
-    keys: list[tuple[object, ...]] = []
+    shades: dict[tuple[float, float], str] = {}
     for c in sorted(connections, key=lambda c: -round(c.transversality_angle, 3)):
         # Quantities that mirror images share, rounded as coarsely as in names.
         key = (round(c.transversality_angle, 3), round(c.time_in + c.time_out, 3))
-        if key not in keys:
-            keys.append(key)
-        chosen[c.name] = style.CONNECTIONS[keys.index(key) % len(style.CONNECTIONS)]
+        chosen[c.name] = shades.setdefault(key, style.CONNECTIONS[len(shades) % len(style.CONNECTIONS)])
     return chosen
 
 
@@ -213,8 +210,8 @@ def draw_cuts(
         axes.plot(*place, "o", color=look[c.name], markeredgecolor="white", markersize=7, zorder=4)
         if numbers and c.name in numbers:
             name_point(axes, numbers[c.name], (float(place[0]), float(place[1])), look[c.name])
-    label = f"{coordinate} on the section" + (" (rad)" if period else "")
-    quiet(axes, title, x=label, y="p / p₀" if period else "momentum")
+    unit, momentum = (" (rad)", "p / p₀") if period else ("", "momentum")
+    quiet(axes, title, x=f"{coordinate} on the section{unit}", y=momentum)
     if period:
         angle_axis(axes, "x")
     every = len(connections_of(atlas, kind))
@@ -306,9 +303,9 @@ def draw_motions(
     else:
         quiet_plane(axes, atlas, title=title)
         axes.set_aspect("equal", adjustable="datalim")
-    lines: list[tuple[str, str | dict[str, Any]]] = [("tubes out", style.UNSTABLE), ("tubes in", style.STABLE)]
-    lines += [("cuts", style.CUT), *([("connections", style.INK)] if flights else [])]
-    key(axes, lines if tubes else [])
+    if tubes:
+        lines = [("tubes out", style.UNSTABLE), ("tubes in", style.STABLE), ("cuts", style.CUT)]
+        key(axes, [*lines, *([("connections", style.INK)] if flights else [])])
 
 
 def draw_atlas(atlas: Atlas) -> Figure:
@@ -318,9 +315,9 @@ def draw_atlas(atlas: Atlas) -> Figure:
     """
     kinds = [kind for kind in atlas.kinds if connections_of(atlas, kind)]
     counts = f"{counted(len(atlas.orbits), 'orbit')}, {counted(len(atlas.connections), 'connection')}"
-    page = Page(f"{atlas.title} at {atlas.energy:g}{atlas.unit('J')}: {counts}")
-    energy = f"energy {atlas.energy:g}{atlas.unit('J')}"
-    page.origin(atlas.file, f"model {atlas.model}", energy, PROGRAM if atlas.file else "")
+    energy = f"{atlas.energy:g}{atlas.unit('J')}"
+    page = Page(f"{atlas.title} at {energy}: {counts}")
+    page.origin(atlas.file, f"model {atlas.model}", f"energy {energy}", PROGRAM if atlas.file else "")
     space = Panel(partial(_draw_whole, atlas=atlas), space=True)
     panels = [
         partial(draw_cuts, atlas=atlas, kind=k, title=f"{k.source} → {k.target}: {k.count} at hits {list(k.hits)}")

@@ -108,9 +108,8 @@ def _levels(axes: Axes, chart: Chart, *, scale: float) -> dict[str, dict[str, An
     named = [level for level in chart.levels if level.kind == "named" and low <= level.value <= high]
     for level in named:
         axes.axhline(level.value, color=level.colour, linewidth=1.0, linestyle=style.DASHED)
-    look = {"linewidth": 1.0, "linestyle": style.DASHED}
     few = [level for level in named if level.name] if len(named) <= 2 else []
-    return {level.name: {"color": level.colour, **look} for level in few}
+    return {level.name: {"color": level.colour, "linewidth": 1.0, "linestyle": style.DASHED} for level in few}
 
 
 def _line(axes: Axes, line: Line, view: RunView, *, scale: float) -> None:

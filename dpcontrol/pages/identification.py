@@ -64,8 +64,7 @@ def _errors(axes: Axes, found: Identification) -> None:
 
 
 def _correlation(axes: Axes, found: Identification) -> None:
-    matrix = np.nan_to_num(found.correlation)
-    image = axes.imshow(matrix, cmap="RdBu_r", vmin=-1, vmax=1)
+    image = axes.imshow(np.nan_to_num(found.correlation), cmap="RdBu_r", vmin=-1, vmax=1)
     names = [name.partition("/")[0] for name in found.names]
     axes.set_xticks(range(len(names)), names, rotation=90, fontsize=style.SMALL)
     axes.set_yticks(range(len(names)), names, fontsize=style.SMALL)

@@ -259,17 +259,16 @@ def new_figure(width: float, height: float) -> Figure:
     return figure
 
 
-def _literal_texts(figure: Figure) -> None:
+def _literal_texts(figure: Any) -> None:
     """Draw texts literally.
 
     A dollar sign begins no formula, and control characters are written out.
     """
     for text in figure.findobj(Text):
         # The tick labels of a logarithmic axis are formulas of matplotlib.
-        if isinstance(text, Text) and "$" in text.get_text() and "\\mathdefault" not in text.get_text():
+        if "$" in text.get_text() and "\\mathdefault" not in text.get_text():
             text.set_parse_math(False)
-        if isinstance(text, Text):
-            text.set_text(printable(text.get_text()))
+        text.set_text(printable(text.get_text()))
 
 
 @contextmanager

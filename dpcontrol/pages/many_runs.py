@@ -113,10 +113,9 @@ def _draw_levels(axes: Axes, summary: CampaignSummary) -> None:
 def _draw_symbols(axes: Axes, summary: CampaignSummary) -> None:
     failed = sorted(summary.failed_symbols, key=lambda failure: -failure[2])[:_SYMBOLS]
     colours = _group_colours(summary, [label for label, _, _ in failed])
-    places = [f"symbol {symbol}" if symbol else "not named" for _, symbol, _ in failed]
     rows = [
-        Bar(f"{label}, {place}".removeprefix(", "), count, colour)
-        for (label, _, count), place, colour in zip(failed, places, colours, strict=True)
+        Bar(f"{label}, {f'symbol {symbol}' if symbol else 'not named'}".removeprefix(", "), count, colour)
+        for (label, symbol, count), colour in zip(failed, colours, strict=True)
     ]
     bars(axes, "Failed runs by the symbol that was not done; beyond the last: not held to the end", rows)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))

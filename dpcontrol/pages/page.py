@@ -200,8 +200,7 @@ def compared_charts(comparison: RunComparison) -> tuple[Chart, ...]:
     wanted = [
         ("angles", f"angle_{arm + 1}", f"Arm {arm + 1}'s angle θ{style.number(arm)}", f"arm_{arm + 1}/")
         for arm in range(min(first.arms, 2))
-    ]
-    wanted += [
+    ] + [
         ("cart", "cart", "Cart position", ""),
         ("tracking_error", "tracking_error", "Tracking error, largest of the angles", ""),
         ("acceleration", "acceleration", "Acceleration applied", "applied"),
@@ -272,10 +271,9 @@ def write_comparison_recording(comparison: RunComparison, path: Path) -> None:
     runs, shared = comparison.runs, compared_charts(comparison)
     # The sheet of each arm holds all runs.
     sheets = [Sheet.around(*(plane(run.view, arm) for run in runs)) for arm in range(runs[0].view.arms)]
-    rows = [f"**{comparison.title}**", "", comparison.status, ""]
-    rows += [f"{k + 1}. **{run.name}**: {run.view.verdict}" for k, run in enumerate(runs)]
-    blueprint = _blueprint(comparison, shared, sheets)
-    with recorded.recording_to(path, comparison.title, blueprint, "\n".join(rows)) as recording:
+    listed = [f"{k + 1}. **{run.name}**: {run.view.verdict}" for k, run in enumerate(runs)]
+    summary = "\n".join([f"**{comparison.title}**", "", comparison.status, "", *listed])
+    with recorded.recording_to(path, comparison.title, _blueprint(comparison, shared, sheets), summary) as recording:
         for k, run in enumerate(runs):
             recorded.draw_pendulum(recording, f"runs/{k + 1}/scene", run.view)
             recorded.record_planes(recording, f"runs/{k + 1}/planes", run.view, sheets)

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.arrays import Array, true_runs
 from dpcontrol.judge.run_view import RunView
 from dpcontrol.pages import style
 
@@ -28,9 +28,7 @@ def spans(time: Array, flags: NDArray[np.bool_]) -> list[Range]:
         time: (N,) s.
         flags: (N,) bool.
     """
-    padded_flags = np.concatenate([[False], flags, [False]])
-    edges = np.flatnonzero(padded_flags[1:] != padded_flags[:-1])
-    return [(float(time[a]), float(time[min(b, len(time) - 1)])) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    return [(float(time[first]), float(time[min(end, len(time) - 1)])) for first, end in true_runs(flags)]
 
 
 def extreme_rows(values: Array, *, bins: int) -> NDArray[np.int64]:
@@ -114,9 +112,8 @@ def plane(view: RunView, arm: int) -> Plane:
 
 def _known(points: Array) -> list[Array]:
     """Return the stretches of points (K, 2) between nan ones."""
-    known = np.isfinite(points).all(axis=1)
-    edges = np.flatnonzero(np.diff(known.astype(int))) + 1
-    return [run for run in np.split(points, edges) if len(run) > 1 and np.isfinite(run).all()]
+    runs = true_runs(np.all(np.isfinite(points), axis=1))
+    return [points[first:end] for first, end in runs if end - first > 1]
 
 
 def arm_points(angles: Array, arm_lengths: Sequence[float]) -> Array:

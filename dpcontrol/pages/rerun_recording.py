@@ -76,8 +76,8 @@ class Sheet:
         (left, bottom), (right, top) = self.low, self.high
         across, up = np.pi * _round_values(left / np.pi, right / np.pi, integer=True), _round_values(bottom, top)
         lines = [[(x, bottom), (x, top)] for x in across] + [[(left, y), (right, y)] for y in up]
-        places = [(x, bottom + 0.04 * (top - bottom)) for x in across]
-        places += [(left + 0.06 * (right - left), y) for y in up]
+        beside, above = self.low + [0.06, 0.04] * (self.high - self.low)
+        places = [(x, above) for x in across] + [(beside, y) for y in up]
         labels = [style.in_pi(x / np.pi) for x in across] + [f"{y + 0.0:.6g}" for y in up]
         if lines:
             ends = [self.drawn(line) for line in lines]
@@ -305,10 +305,10 @@ def draw_pendulum(recording: rr.RecordingStream, home: str, view: RunView) -> No
             look = rr.LineStrips3D.from_fields(colors=[style.rgb(colour)], radii=radius * reach / 2)
             columns = rr.LineStrips3D.columns(strips=list(points[:, arm : arm + 2]))
             follow(recording, f"{home}/{name}/arm_{arm + 1}", look, time, columns)
-    tip = style.rgb(style.arm_colour(view.arms - 1))
     length, tips = round(_TRACE_SECONDS * TRACE_RATE), arms[:, -1] + [0.0, -0.05, 0.0]
     columns = rr.LineStrips3D.columns(strips=[tips[max(0, k - length) : k + 1] for k in range(len(rows))])
-    look = rr.LineStrips3D.from_fields(colors=[tip], radii=rr.Radius.ui_points(1.5))
+    tint = style.rgb(style.arm_colour(view.arms - 1))
+    look = rr.LineStrips3D.from_fields(colors=[tint], radii=rr.Radius.ui_points(1.5))
     follow(recording, f"{home}/tip", look, time, columns)
     if view.has_cart:
         finite = np.abs(view.pivot[np.isfinite(view.pivot)])

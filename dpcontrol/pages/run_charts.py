@@ -15,6 +15,7 @@ from dpcontrol.judge.run_view import ACTUAL, RunView, clean
 from dpcontrol.logs import Extras
 from dpcontrol.pages import style
 from dpcontrol.pages.planes import Range, padded, spans
+from dpcontrol.references.reference import Reference
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,8 +201,11 @@ def _limit(view: RunView, which: int) -> dict[str, Any]:
     if view.limits is None:
         return {"used": used}
     bound = view.limits[which]
-    ends = (("limit_lower", "lower limit", -bound), ("limit_upper", "upper limit", bound))
-    return {"bound": bound, "used": used, "levels": tuple(LevelLine(*end, style.LIMIT, "limit") for end in ends)}
+    levels = (
+        LevelLine("limit_lower", "lower limit", -bound, style.LIMIT, "limit"),
+        LevelLine("limit_upper", "upper limit", bound, style.LIMIT, "limit"),
+    )
+    return {"bound": bound, "used": used, "levels": levels}
 
 
 def _acceleration(view: RunView, control: dict[str, Array]) -> Chart:
@@ -216,23 +220,20 @@ def _acceleration(view: RunView, control: dict[str, Array]) -> Chart:
 
 def check_charts(view: RunView) -> tuple[Chart, ...]:
     """Return the charts of the run's quality, as far as known: errors, energy and NIS, or a reference's mesh."""
-    of_reference = () if view.source is None else _source_charts(view)
+    of_reference = () if view.source is None else _source_charts(view, view.source)
     charts = (*of_reference[:1], _tracking_error(view), _estimation_error(view), _energy(view), _nis(view))
     return tuple(chart for chart in (*charts, *of_reference[1:]) if chart is not None)
 
 
-def _source_charts(view: RunView) -> tuple[Chart, ...]:
+def _source_charts(view: RunView, source: Reference) -> tuple[Chart, ...]:
     """Return a reference's cart velocity, which has a limit, and its errors between nodes on its mesh."""
-    source = view.source
-    assert source is not None
     speed = (Line("cart", "cart", "", view.time, view.state[:, -1], style.PLANT),)
     velocity = Chart("velocity", "Cart velocity", "m/s", speed, shown=_shown(speed), **_limit(view, 1))
-    stairs = np.repeat(source.mesh, 2)[1:-1]
     title = f"Error between nodes of {len(source.mesh) - 1} intervals of {source.method.name} (scaled)"
     if source.errors is None:
         return velocity, Chart("", f"{title}: the arms are not known", "", ())
     errors = np.where(np.isfinite(source.errors), np.maximum(source.errors, 1e-17), np.nan)
-    line = Line("", "", "", stairs, np.repeat(errors, 2), style.REFERENCE, 1.1)
+    line = Line("", "", "", np.repeat(source.mesh, 2)[1:-1], np.repeat(errors, 2), style.REFERENCE, 1.1)
     stored = source.max_error_between_nodes
     levels = (LevelLine("", "largest, as stored", stored, style.LIMIT, "named"),) if 0 < stored < np.inf else ()
     return velocity, Chart("", title, "", (line,), levels=levels, log=True)
@@ -258,9 +259,13 @@ def _arm_lines(view: RunView, values: Array, width: float, reach: Array | None =
 def _tracking_error(view: RunView) -> Chart | None:
     if view.reference is None:
         return None
-    lines = _arm_lines(view, view.state - view.reference, 1.1)
-    note = f": {view.what} minus {view.against}"
-    return Chart("tracking_error", f"{view.error_name} of the angles", "rad", lines, note=note)
+    return Chart(
+        "tracking_error",
+        f"{view.error_name} of the angles",
+        "rad",
+        _arm_lines(view, view.state - view.reference, 1.1),
+        note=f": {view.what} minus {view.against}",
+    )
 
 
 def _estimation_error(view: RunView) -> Chart | None:
@@ -303,7 +308,6 @@ def _nis(view: RunView) -> Chart | None:
     known, (low, high) = np.isfinite(view.nis), mean_band(view.sensors)
     means = means_of(view.nis[known])
     line = Line("mean", f"mean of {MEANS_OF} updates", "", means_of(view.time[known]), means, style.ESTIMATE, 1.0)
-    levels = (("least", "least for 95 %", low), ("greatest", "greatest for 95 %", high))
     highest = float(np.nanquantile(means, 0.98)) if len(means) else 0.0
     # A lost estimate would compress the rest of the axis.
     lost = highest > _NIS_LOST * view.sensors
@@ -312,7 +316,10 @@ def _nis(view: RunView) -> Chart | None:
         f"NIS, means of {MEANS_OF} updates",
         "",
         (line,),
-        levels=tuple(LevelLine(*level, style.GOOD, "band") for level in levels),
+        levels=(
+            LevelLine("least", "least for 95 %", low, style.GOOD, "band"),
+            LevelLine("greatest", "greatest for 95 %", high, style.GOOD, "band"),
+        ),
         shown=(0.0, _NIS_LOST * view.sensors if lost else max(1.15 * highest, 1.6 * view.sensors)),
         log=lost,
         note=f"; band for 95 %: {low:.1f} to {high:.1f}",

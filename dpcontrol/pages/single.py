@@ -39,8 +39,7 @@ def tube(axes: Axes, found: Tube) -> None:
         branch = found.branches[k * len(found.branches) // len(strands)]
         axes.plot(*strand[:, :2].T, color=BRANCHES[found.stable, branch], linewidth=0.5, alpha=0.8)
     _ring(axes, found.orbit)
-    kind = "stable" if found.stable else "unstable"
-    quiet_plane(axes, found.orbit.system, title=f"{kind} tube of {found.orbit.name}")
+    quiet_plane(axes, found.orbit.system, title=f"{'' if found.stable else 'un'}stable tube of {found.orbit.name}")
 
 
 def _ring(axes: Axes, orbit: PeriodicOrbit, shift: Array | float = 0.0) -> None:
@@ -92,8 +91,8 @@ def search(axes: Axes, found: ConnectionSearch, shown: Sequence[Connection] | No
             q - (turns and turns * period), p, "o", color=style.INK, markeredgecolor="white", markersize=6, zorder=4
         )
     title = f"{found.source.saddle} → {found.target.saddle}: {counted(len(shown), 'connection')}"
-    name = found.source.system.labels[coordinate]
-    quiet(axes, f"{title} on {section.name}", x=f"{name} on the section", y=_MOMENTUM)
+    across = f"{found.source.system.labels[coordinate]} on the section"
+    quiet(axes, f"{title} on {section.name}", x=across, y=_MOMENTUM)
     look = {"color": style.INK, "marker": "o", "linestyle": ""}
     tubes = [(f"tube from {found.source.saddle}", style.UNSTABLE), (f"tube to {found.target.saddle}", style.STABLE)]
     key(axes, [*tubes, _BACKWARD, ("connections", look)])
@@ -107,9 +106,8 @@ def flights(axes: Axes, connections: Sequence[Connection]) -> None:
         connections: connections of one source and one target.
     """
     for connection, colour in zip(connections, cycle(style.SERIES), strict=False):
-        turn_lengths = connection.source.system.turn_lengths
         _ring(axes, connection.source)
-        _ring(axes, connection.target, np.asarray(connection.orbit.end.turns) * turn_lengths)
+        _ring(axes, connection.target, connection.orbit.end.turns * connection.source.system.turn_lengths)
         axes.plot(*connection.sample(600)[:, :2].T, color=colour, linewidth=1.0)
 
 

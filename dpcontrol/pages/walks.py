@@ -131,8 +131,7 @@ class WalkStory:
             for saddle, curve in self.curves.items()
         )
         title = "Distance from the periodic orbits (scaled); wraps are counted below the dashed line"
-        level = LevelLine("", "", NEAR, style.MARK, "named")
-        return Chart("", title, "", lines, levels=(level,), log=True)
+        return Chart("", title, "", lines, levels=(LevelLine("", "", NEAR, style.MARK, "named"),), log=True)
 
 
 def _symbol_text(connection: Connection) -> str:

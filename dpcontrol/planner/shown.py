@@ -15,6 +15,7 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs import RunLog
 from dpcontrol.orbits.lyapunov import equilibria
 from dpcontrol.pages.atlas import connections_of, section_curves, section_place
+from dpcontrol.pages.planes import arm_points
 from dpcontrol.plans.model import Model, load_model
 from dpcontrol.plans.plan import Plan
 from dpcontrol.walks.atlas import Atlas, AtlasConnection, section_axes
@@ -39,11 +40,11 @@ def joints(angles: Array, lengths: Sequence[float], cart: Array | float = 0.0) -
         lengths: lengths (n,) of the arms, m.
         cart: cart positions (K,) or one for all rows, m.
     """
-    along = np.asarray(lengths) * np.sin(angles)
-    up = -np.asarray(lengths) * np.cos(angles)
-    pivot = np.broadcast_to(np.asarray(cart, dtype=float), (len(angles),))
-    ends = np.stack([pivot[:, None] + np.cumsum(along, axis=1), np.cumsum(up, axis=1)], axis=-1)
-    return np.rint(_FINE * np.column_stack([pivot, ends.reshape(len(angles), -1)])).astype(int).tolist()
+    points = arm_points(angles, lengths)
+    points[..., 0] += np.reshape(cart, (-1, 1))
+    rows = points.reshape(len(angles), -1)
+    # The pivot has no height.
+    return np.rint(_FINE * np.delete(rows, 1, axis=1)).astype(int).tolist()
 
 
 def energies_of(model: Model) -> tuple[float, float, float]:
@@ -161,7 +162,7 @@ def _shown_connection(c: AtlasConnection, atlas: Atlas, lengths: Sequence[float]
 
 
 def _turns(c: AtlasConnection) -> str:
-    turns = [f"{arm} {turn:+d}" for arm, turn in zip(_ARMS, c.winding, strict=True) if turn]
+    turns = (f"{arm} {turn:+d}" for arm, turn in zip(_ARMS, c.winding, strict=True) if turn)
     return ", ".join(turns).replace("-", "−") or "no turn"
 
 
@@ -224,7 +225,6 @@ def shown_run(log: RunLog) -> dict[str, Any]:
     n = len(log.arm_lengths)
     rows = np.clip(np.searchsorted(log.time, times), 0, len(log.time) - 1)
     states = log.estimate if log.truth is None else log.truth
-    limits = log.limits or (0.0, 0.0, 0.0)
     return {
         "motion": {"rate": RATE, "frames": joints(states[rows, :n], log.arm_lengths, states[rows, 2 * n])},
         "ghost": {
@@ -232,7 +232,7 @@ def shown_run(log: RunLog) -> dict[str, Any]:
             "frames": joints(log.reference[rows, :n], log.arm_lengths, log.reference[rows, 2 * n]),
         },
         "duration": float(log.time[-1] - log.time[0]),
-        "travel": limits[0],
+        "travel": log.limits[0] if log.limits else 0.0,
         "series": {
             "position": np.round(states[rows, 2 * n], 5).tolist(),
             "reference": np.round(log.reference[rows, 2 * n], 5).tolist(),

@@ -23,7 +23,7 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import median_filter
 
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
-from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.arrays import Array, true_runs
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.recordings.recording import Recording, cart_motion, smoothed_derivative
 
@@ -167,15 +167,10 @@ def _filled(samples: Samples, marks: Marks, period: float) -> list[Samples]:
     turns = (known - values[~missing])[np.maximum(np.cumsum(~missing) - 1, 0)[missing]]
     # A cubic is used because over ten samples a swinging arm leaves a straight line by several counts.
     values[missing] = CubicSpline(samples.time[~missing], known)(samples.time[missing]) - turns
-    for first, end in _runs(missing):
+    for first, end in true_runs(missing):
         missing[first:end] = end - first > _FILLED_IN_A_ROW or first == 0 or end == len(missing)
     filled = replace(samples, values=values)
-    return [filled.taken(np.arange(first, end)) for first, end in _runs(~missing)]
-
-
-def _runs(which: Marks) -> NDArray[np.intp]:
-    """Return (first, end) of each run of true entries."""
-    return np.flatnonzero(np.diff(np.concatenate([[False], which, [False]]).astype(np.int8))).reshape(-1, 2)
+    return [filled.taken(np.arange(first, end)) for first, end in true_runs(~missing)]
 
 
 def _smooth(samples: Samples) -> Array:
