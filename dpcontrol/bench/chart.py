@@ -352,7 +352,6 @@ class EdgeMap(Documented):
     theory: str = ""
     far: str = "fails"
     near: str = "works"
-    log_x: bool = True
     agrees: float = AGREES
     default: tuple[float, float] | None = None
 

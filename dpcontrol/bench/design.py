@@ -128,8 +128,6 @@ def worst(orbit: LyapunovOrbit, states: Sequence[Array], truths: Sequence[Truth]
         states: states found (N,).
         truths: states to match.
     """
-    if not len(states):
-        return float("inf")
     error = max(float(np.min(orbit.system.scaled_distance(np.array(states), exact))) for _, exact in truths)
     return error if error < 0.01 else float("inf")
 
@@ -161,9 +159,8 @@ def search_panel(orbit: LyapunovOrbit, truths: Sequence[Truth], progress: Progre
     tried.append(Alternative("chosen", "1e-4, 100, 0.05, 3e-7", partial(searched, base), default=True))
 
     def judge(_: Alternative[list[Array]], states: list[Array]) -> Judged | str:
-        error = worst(orbit, states, truths)
-        every = len(states) >= expected and np.isfinite(error)
-        return Judged(error) if every else f"{len(states)} of {expected} found"
+        error = worst(orbit, states, truths) if len(states) >= expected else np.inf
+        return Judged(error) if np.isfinite(error) else f"{len(states)} of {expected} found"
 
     return replace(
         compare(tried, judge, rounds=9 if quick else 15, most=1.2 if quick else 6.0, progress=progress),

@@ -323,7 +323,7 @@ def estimation_chart(quick: bool, progress: Progress) -> ChartPage:
     )  # fmt: skip
     stuck = EdgeMap(
         "A stuck encoder of the outer arm, on the orbit about Down-Up", "phase at which it sticks",
-        "time until it is reported, s", far="reported", near="goes on", log_x=False,
+        "time until it is reported, s", far="reported", near="goes on",
     )  # fmt: skip
     return ChartPage(
         name="edges-estimation",
@@ -499,7 +499,7 @@ def margins_chart(quick: bool, progress: Progress) -> ChartPage:
     theory = "the loop's margin, least along the reference"
     maps = [
         (
-            EdgeMap(title, "itinerary and law", label, theory=theory, far="lost", log_x=False, agrees=SHORT),
+            EdgeMap(title, "itinerary and law", label, theory=theory, far="lost", agrees=SHORT),
             partial(margin_border, name, seeds=seeds, ratio=ratio), cases,
         )
         for name, title, label in (

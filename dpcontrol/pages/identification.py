@@ -84,13 +84,16 @@ def draw_design(design: Design, *, title: str) -> Figure:
     """
     first, second = design.best_pair()
     swings = [e for e in design.experiments if e.kind == "swing"]
-    page = Page(f"Accuracy expected from a recording of {design.settings.seconds:g} s: {title}")
-    return page.row(
-        Panel(partial(_swing_map, swings=swings, pair=(first, second)), 1.1),
-        partial(_sines, design=design, swings=swings),
-        partial(_accuracy, design=design, pair=(first, second)),
-        height=4.4,
-    ).figure()
+    return (
+        Page(f"Accuracy expected from a recording of {design.settings.seconds:g} s: {title}")
+        .row(
+            Panel(partial(_swing_map, swings=swings, pair=(first, second)), 1.1),
+            partial(_sines, design=design, swings=swings),
+            partial(_accuracy, design=design, pair=(first, second)),
+            height=4.4,
+        )
+        .figure()
+    )
 
 
 def _sines(axes: Axes, design: Design, swings: list) -> None:

@@ -170,8 +170,9 @@ class Page:
         """Return the page as a figure."""
         # Bold letters are wider than those that are measured.
         head = Page("", width=self.width / 1.12).text(self.title, colour=style.INK, size=style.TITLE)
-        result = Page("", width=self.width)
-        result.text(self.verdict, colour=style.verdict_colour(self.good), size=style.VERDICT)
+        result = Page("", width=self.width).text(
+            self.verdict, colour=style.verdict_colour(self.good), size=style.VERDICT
+        )
         rows = [*head.rows, *result.rows, *self.rows]
         heights = [height for height, _ in rows]
         with rc_context(style.PRINTED):

@@ -255,21 +255,21 @@ _COLUMNS = 4
 
 def draw_preflight(found: Preflight) -> Figure:
     """Return a preflight's page as a figure."""
-    title = f"Before the first run: {found.itinerary}"
-    page = Page(title, found.status, found.likely, width=_WIDTH)
+    page = Page(f"Before the first run: {found.itinerary}", found.status, found.likely, width=_WIDTH)
     page.text(found.advice, colour=style.INK, size=style.TEXT)
-    page.text(f"The bench as described, model {found.model}", colour=style.INK, size=style.HEAD)
     text = partial(cropped, size=style.TEXT)
-    page.table([(one.name, text(one.value, width=2.4), text(one.source, width=4.0)) for one in found.known])
-    page.text("Endings of failed runs, share of all runs", colour=style.INK, size=style.HEAD)
+    page.text(f"The bench as described, model {found.model}", colour=style.INK, size=style.HEAD).table(
+        [(one.name, text(one.value, width=2.4), text(one.source, width=4.0)) for one in found.known]
+    )
     runs, endings = found.share.runs, found.endings[:_REASONS]
     rows = [(f"{e.runs / runs:.1%}", text(e.cause, width=1.6), text(e.example, width=5.0)) for e in endings]
-    page.table(rows or [("", "none: every run completed", "")])
+    page.text("Endings of failed runs, share of all runs", colour=style.INK, size=style.HEAD).table(
+        rows or [("", "none: every run completed", "")]
+    )
     if found.borders:
         title = "Borders: half as many runs complete as on the bench as described"
-        page.text(title, colour=style.INK, size=style.HEAD)
-        page.grid([partial(_border, border=border) for border in found.borders], across=_COLUMNS, height=1.55)
-        page.text(
+        panels = [partial(_border, border=border) for border in found.borders]
+        page.text(title, colour=style.INK, size=style.HEAD).grid(panels, across=_COLUMNS, height=1.55).text(
             "Dots: share of completed runs, relative to the bench as described; to the right it gets worse. Dashed "
             "green: the bench as described. Red: border with its 95 % interval."
         )

@@ -40,9 +40,8 @@ _KINDS = {
 def draw_family(found: LyapunovFamily) -> Figure:
     """Return the page on a family of Lyapunov orbits as a figure."""
     page = Page(f"Lyapunov orbits about {found.saddle} of {found.system.name}")
-    page.origin(None, *conditions(found.system, found.energies))
     over = Stack([partial(_multipliers, family=found), partial(_periods, families=[found])])
-    page.row(over, partial(_shapes, family=found), height=5.2)
+    page.origin(None, *conditions(found.system, found.energies)).row(over, partial(_shapes, family=found), height=5.2)
     for end in found.ends:
         page.text(f"to {end.energy:.6g}{found.system.unit('J')}: {end.status}")
     return page.figure()
@@ -53,9 +52,12 @@ def draw_rotating_families(found: RotatingFamilies) -> Figure:
     families = found.families
     system = families[0].members[0].system
     page = Page(f"Orbits of {system.name} that turn the {found.arm} arm over")
-    page.origin(None, *conditions(system, found.energies))
     over = Stack([partial(_traces, families=families), partial(_periods, families=families)])
-    return page.row(over, partial(_rotations, families=families), height=5.2).figure()
+    return (
+        page.origin(None, *conditions(system, found.energies))
+        .row(over, partial(_rotations, families=families), height=5.2)
+        .figure()
+    )
 
 
 def conditions(system: System, energies: Sequence[float] | Array) -> tuple[str, str]:

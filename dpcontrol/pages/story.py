@@ -70,8 +70,7 @@ def strips(view: RunView, *, until: float | None = None) -> tuple[Strip, ...]:
         found.append(Strip("symbol", "", tuple(Span(a, b, name, tint, "symbol") for (a, b), name, tint in parts)))
     if motions := tuple(_motions(view)):
         found.append(Strip("motion", "motion", motions))
-    modes = tuple(Span(a, b, name, style.MODES.get(name, style.FAINT), "mode") for a, b, name in mode_spans(view))
-    if modes:
+    if modes := tuple(Span(a, b, name, style.MODES.get(name, style.FAINT), "mode") for a, b, name in mode_spans(view)):
         found.append(Strip("mode", "controller", (*modes, *ended)))
     return tuple(found)
 

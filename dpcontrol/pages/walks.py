@@ -145,8 +145,9 @@ def draw_walk(orbit: ShadowingOrbit) -> Figure:
     """Return the page of a walk as a figure."""
     walk, unit = WalkStory(orbit), orbit.system.unit("s", " ({})")
     view = walk.view
-    page = Page(view.title, view.verdict)
-    page.origin(None, *conditions(orbit.system, [c.source.energy for c in orbit.connections]))
+    page = Page(view.title, view.verdict).origin(
+        None, *conditions(orbit.system, [c.source.energy for c in orbit.connections])
+    )
     add_story(page, view)
     if view.arm_lengths:
         add_film(page, view, film_times(view, frames=_FRAMES))

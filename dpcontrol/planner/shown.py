@@ -109,7 +109,6 @@ def shown_atlas(atlas: Atlas, model: Model) -> dict[str, Any]:
         model: model of two arms.
     """
     lengths = model.arms.length
-    n = len(lengths)
     kinds = []
     for kind in atlas.kinds:
         connections = connections_of(atlas, kind)
@@ -136,7 +135,7 @@ def shown_atlas(atlas: Atlas, model: Model) -> dict[str, Any]:
                 "name": orbit.name,
                 "saddle": orbit.saddle,
                 "period": orbit.period,
-                "frames": joints(orbit.samples[:, :n], lengths),
+                "frames": joints(orbit.samples[:, : len(lengths)], lengths),
             }
             for orbit in atlas.orbits
         ],

@@ -39,8 +39,7 @@ def branches_page(gallery: Gallery) -> PaperFigure:
         gallery.branches("lab", source, target, part_of(gallery.progress, k / len(KINDS), (k + 1) / len(KINDS)))
         for k, (source, target) in enumerate(KINDS)
     ]
-    page = Page("Connections of the lab pendulum against energy (first hits)")
-    page.text(
+    page = Page("Connections of the lab pendulum against energy (first hits)").text(
         "Thick: symmetric. Thin grey: one of a mirror pair. Magenta: between different saddles. Marks: circles are "
         "saddle-nodes (two are born), triangles are pitchforks (one sheds a mirror pair), and diamonds are grazes of "
         "the section (no birth).",
@@ -141,10 +140,11 @@ COUNTED = Path(__file__).with_name("passages.json")
 def transport_page(gallery: Gallery) -> PaperFigure:
     """Draw the rates of passage through both necks of the lab pendulum against energy."""
     system, counts = gallery.system("lab"), json.loads(COUNTED.read_text(encoding="utf-8"))
-    page = Page("Passages of the necks of the lab pendulum, from volume and action alone")
     panels = (partial(_rates, system=system, saddle=saddle, counts=counts) for saddle in system.saddles)
     return PaperFigure(
-        page.row(*panels, height=4.2).figure(),
+        Page("Passages of the necks of the lab pendulum, from volume and action alone")
+        .row(*panels, height=4.2)
+        .figure(),
         "Rate of passages in both directions through the necks of Down-Up and Up-Down. Curves: twice the action of the "
         "Lyapunov orbit over the volume of the energy surface, without simulation. Points: passages counted by a "
         f"separate program over the microcanonical ensemble, {counts[0]['motions']:,} motions of "

@@ -46,9 +46,11 @@ def senses_page(gallery: Gallery, *, saddle: str) -> PaperFigure:
         spaces.append(Panel(motions, space=True))
         panels.append(partial(draw_cuts, atlas=atlas, kind=kind, shown=shown, legend=False, sense=sense, title=cuts))
         counts.append(f"{len(shown)} {way}")
-    page = Page(f"The tubes of {saddle} at {SENSES_ENERGY:g} J: the {arm} arm turns either way")
     return PaperFigure(
-        page.row(*spaces, height=4.8).row(*panels, height=3.4).figure(),
+        Page(f"The tubes of {saddle} at {SENSES_ENERGY:g} J: the {arm} arm turns either way")
+        .row(*spaces, height=4.8)
+        .row(*panels, height=3.4)
+        .figure(),
         f"Trajectories that leave the Lyapunov orbit about {saddle} at {SENSES_ENERGY:g} J (red) and that approach it "
         f"(green), in (θ₁, θ₂, ω₁), up to the section {section}. Panels a and b: the two senses of the {arm} arm. "
         f"Below, the corresponding cuts: {coordinate} on the section and its momentum over p₀. Homoclinic "
@@ -70,9 +72,10 @@ def cuts_page(gallery: Gallery) -> PaperFigure:
         title = f"{'abcdef'[k]}  {energy:g} J: {kind.count} connections, {symmetric} symmetric"
         panels.append(partial(draw_cuts, atlas=atlas, kind=kind, title=title, legend=k == 0))
         words.append(f"{kind.count} at {energy:g} J")
-    page = Page("Cuts of the tubes of Down-Up on θ₂ = 2πk, as energy grows (first hits)")
     return PaperFigure(
-        page.grid(panels, across=3, height=3.4).figure(),
+        Page("Cuts of the tubes of Down-Up on θ₂ = 2πk, as energy grows (first hits)")
+        .grid(panels, across=3, height=3.4)
+        .figure(),
         "First cuts of the unstable (red) and stable (green) tubes of the Lyapunov orbit about Down-Up on the section "
         "with the outer arm hanging, at six energies: the inner arm's angle and its momentum over p₀. Solid: a "
         "rising angle of the outer arm; dashed: a falling one. Homoclinic connections, both senses: "
@@ -242,9 +245,11 @@ def shadowing_page(gallery: Gallery) -> PaperFigure:
         above.append(partial(_outer_arm, orbit=found, title=title))
         below.append(partial(angles, found=found))
         words.append(f"{title[0]} {found.duration:.2f} s, residual {found.residual:.0e}")
-    page = Page("One homoclinic orbit of Down-Up at -0.07 J, and orbits that shadow it")
     return PaperFigure(
-        page.row(*above, height=3.2).row(*below, height=3.0).figure(),
+        Page("One homoclinic orbit of Down-Up at -0.07 J, and orbits that shadow it")
+        .row(*above, height=3.2)
+        .row(*below, height=3.0)
+        .figure(),
         "Above, the outer arm in its phase plane; below, both angles against time. The homoclinic orbit leaves the "
         "Lyapunov orbit, turns the outer arm once and returns. Beside it lie an orbit that does this twice, "
         "with the fewest sufficient wobbles between, and a periodic one that repeats it with as many wobbles in each "

@@ -167,10 +167,11 @@ def up_up_page(gallery: Gallery) -> PaperFigure:
     points = section_points(system, section, states)
     sense = np.sign(system.numeric.rate(states) @ np.asarray(section.normal))
     energy = float(system.numeric.hamiltonian(system.equilibria["up-up"]))
-    page = Page(f"The manifolds of Up-Up at its energy of {energy:.4f} J on the section θ₂ = 2πk")
     panels = (partial(_manifolds, points=points, sense=sense, way=way) for way in (1, -1))
     return PaperFigure(
-        page.row(*panels, height=5.0).figure(),
+        Page(f"The manifolds of Up-Up at its energy of {energy:.4f} J on the section θ₂ = 2πk")
+        .row(*panels, height=5.0)
+        .figure(),
         f"Up-Up has two unstable directions, so at its energy of {energy:.4f} J its unstable manifold is a surface "
         f"that starts at a point, and no tube. {len(points):,} trajectories that leave it in all directions of the "
         "unstable plane are drawn as points (red) at their first crossing of the section with the outer arm hanging. "
