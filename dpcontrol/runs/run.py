@@ -304,8 +304,7 @@ def learn_from(runs: Sequence[Run], *, progress: Progress = no_progress) -> Lear
         InputError: a log has no estimates of the model's errors, or no plan.
         GoalMissed: there is no plan for the learnt arms.
     """
-    logs = [run.log for run in runs]
-    return learn(logs, [_plan(log, repeats=False) for log in logs], progress=progress)
+    return learn([run.log for run in runs], _plan(runs[-1].log, repeats=False), progress=progress)
 
 
 LiveSink = Callable[[RunLog], AbstractContextManager[LoopSink]]
@@ -446,7 +445,8 @@ def outcome(result: LoopResult) -> dict[str, str]:
     }
     ending = {"ending": result.ending.value}
     if result.constants is not None:
-        ending[CONSTANTS_METADATA] = json.dumps([values.tolist() for values in result.constants])
+        names, *values = result.constants
+        ending[CONSTANTS_METADATA] = json.dumps([names, *(value.tolist() for value in values)])
     return ending | {name: repr(value) for name, value in noted.items() if value is not None}
 
 
