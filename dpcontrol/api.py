@@ -1374,7 +1374,7 @@ def learn(
         Path("models") / f"{last.get('itinerary', 'run')}-learnt.toml",
         lambda file: models.check_model_replaced(file, logs=names, starting_model=last.get("model", ""), force=force),
     ) as file:
-        found = single_runs.learn_from(runs, progress=progress)
+        found = runs[-1].learn(runs[:-1], progress=progress)
         return found if file is None else found.written_to(file)
 
 

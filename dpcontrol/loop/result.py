@@ -396,7 +396,7 @@ class LoopResult(Ended):
     falls: int = 0
     stretches: tuple[Stretch, ...] = ()
     hardest: float | None = None
-    constants: tuple[list[str], Array, Array, Array] | None = None
+    constants: tuple[list[Any], ...] | None = None
 
     @property
     def finished(self) -> bool:

@@ -87,7 +87,7 @@ class Ticker:
         return self.program.equations.filter.extra_names
 
     @property
-    def constants(self) -> tuple[list[str], Array, Array, Array] | None:
+    def constants(self) -> tuple[list[Any], ...] | None:
         """Names (C,), values (C,) and covariances (C, C), now and at the start, of the model's constant errors.
 
         The result is None unless the compiled filter estimates parameters.
@@ -100,7 +100,7 @@ class Ticker:
         names = list(constants(self._arms, settings.augments))
         part = np.s_[-len(names) :, -len(names) :]
         before, now = settings.first_covariance(self._arms)[part], unpacked(memory.covariance[:, 0])[part]
-        return names, memory.z[-len(names) :, 0], now, before
+        return names, memory.z[-len(names) :, 0].tolist(), now.tolist(), before.tolist()
 
     def begin(self) -> None:
         """Begin a run."""

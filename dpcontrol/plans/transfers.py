@@ -222,18 +222,20 @@ def find_transfer(wanted: Transfer, progress: Progress = no_progress) -> Referen
     scale, failed, durations = Scale.of(wanted.arms), "no first motion leads there", np.zeros(0)
     factors, arms = scale.state(wanted.arms.count), wanted.arms.scaled(scale.length, scale.time)
     start, *ends = (factors * state for state in (wanted.start, *wanted.ends))
-    attempts = _attempts(wanted, scale, aside=np.allclose(start[:-2], ends[0][:-2]))
-    earlier: list[tuple[Trajectory, Array]] = []
+    aside, earlier = np.allclose(start[:-2], ends[0][:-2]), list[tuple[Trajectory, Array]]()
     if wanted.near is not None:
         near = turned(wanted.near, -whole_turns((wanted.near.states[0, 0] - start)[: arms.count]))
         first = Trajectory(near.method, near.mesh * scale.time, near.states * factors, near.inputs * scale.acceleration)
         earlier = [(first, min(ends, key=lambda end: np.abs(first.states[-1, -1] - end).max()))]
-    for share, durations, flies in [(TIGHT, np.zeros(0), False), *attempts]:
+    for share, durations, flies in [(TIGHT, np.zeros(0), False), *_attempts(wanted, scale, aside=aside)]:
         room = scale.limits(wanted.limits, share)
         ways = [Way(arms, scale.limits(wanted.limits), room, start, ends[0], backwards) for backwards in (False, True)]
         fixed = wanted.pace != SHORTEST
-        smooth = [*earlier, *smooth_motions(start, ends, durations)]
-        firsts = flights_between(ways, ends, durations, fixed=fixed) if flies else smooth
+        firsts = (
+            flights_between(ways, ends, durations, fixed=fixed)
+            if flies
+            else [*earlier, *smooth_motions(start, ends, durations)]
+        )
         solved: list[tuple[ReferenceProblem, Trajectory]] = []
         for k, (first, end) in enumerate(firsts):
             progress("transfer", k / len(firsts))
