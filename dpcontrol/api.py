@@ -20,7 +20,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from decimal import Decimal
 from fractions import Fraction
-from functools import partial
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, overload
@@ -1327,8 +1326,9 @@ def launch(
         if night is None:
             return loop.run(seed=seed, rig=bench, program=program, log=file, progress=rest, **shared)
         folder = file or single_runs.default_log(loaded)
-        shared |= {"resume": resume, "learn": learn, "yes": yes}
-        return loop.night(night, folder, seed=seed, rig=bench, progress=rest, **shared)
+        return loop.night(
+            night, folder, seed=seed, rig=bench, resume=resume, learn=learn, yes=yes, progress=rest, **shared
+        )
 
 
 @checked
@@ -1369,9 +1369,12 @@ def learn(
     if not files:
         raise InputError("logs = []: give at least one log")
     last, names = (runs := [*map(open_log, files)])[-1].log.metadata, [file.name for file in files]
-    check = partial(models.check_model_replaced, logs=names, starting_model=last.get("model", ""), force=force)
-    with chosen_name(out, Path("models") / f"{last.get('itinerary', 'run')}-learnt.toml", check) as file:
-        found = single_runs.learn_from(runs, progress=progress)
+    with chosen_name(
+        out,
+        Path("models") / f"{last.get('itinerary', 'run')}-learnt.toml",
+        lambda file: models.check_model_replaced(file, logs=names, starting_model=last.get("model", ""), force=force),
+    ) as file:
+        found = runs[-1].learn(runs[:-1], progress=progress)
         return found if file is None else found.written_to(file)
 
 

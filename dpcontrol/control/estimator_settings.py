@@ -30,7 +30,6 @@ Consistency of an estimator: NIS on every run, NEES if the truth is known.
 Source: Bar-Shalom, Li & Kirubarajan, Estimation with Applications to Tracking and Navigation, section 5.4.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cache
@@ -83,13 +82,17 @@ def extra_names(arms: int, augment: tuple[Augment, ...]) -> tuple[str, ...]:
     return tuple(name for kind in Augment if kind in augment for name in names[kind])
 
 
-def constants(names: Sequence[str]) -> list[int]:
-    """Return the places of the errors of friction and parameters, which are the same in each run of a rig.
+def constants(arms: int, augment: tuple[Augment, ...]) -> tuple[str, ...]:
+    """Return the names of the errors of friction and parameters, which are the same in each run of a rig.
+
+    They are the last of `extra_names`.
 
     Args:
-        names: names of extras, see `extra_names`.
+        arms: number n of arms.
+        augment: kinds of extras.
     """
-    return [k for k, name in enumerate(names) if name.startswith(("friction", "dry", "M", "S"))]
+    constant = {Augment.FRICTION, Augment.DRY, Augment.PARAMETERS}
+    return extra_names(arms, tuple(kind for kind in augment if kind in constant))
 
 
 _LATE_PERIOD = 1e-3
@@ -200,14 +203,12 @@ class FilterSettings(Settings, table="estimator"):
             InputError: `learnt` is not a covariance of these arms' constant errors.
         """
         state = [self.first_angle] * arms + [self.first_rate] * arms + [self.first_cart] * 2
-        names = extra_names(arms, self.augments)
-        out = np.diag(np.square([*state, *map(self._sigma, names)]))
-        rows = len(state) + np.array(constants(names), dtype=np.intp)
+        out = np.diag(np.square([*state, *map(self._sigma, extra_names(arms, self.augments))]))
+        count = len(constants(arms, self.augments))
+        if len(self.learnt) not in (0, count**2):
+            raise self.refusal("learnt", f"must have {count} rows and columns for these arms; learn again")
         if self.learnt:
-            if len(self.learnt) != len(rows) ** 2:
-                wanted = ", ".join(names[row - len(state)] for row in rows)
-                raise self.refusal("learnt", f"must have a row and a column for each of {wanted}; learn again")
-            out[np.ix_(rows, rows)] = np.reshape(self.learnt, (len(rows), -1))
+            out[-count:, -count:] = np.reshape(self.learnt, (count, count))
         return out
 
     def _sigma(self, name: str) -> float:

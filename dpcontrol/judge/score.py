@@ -47,7 +47,7 @@ PLANT_METADATA, DRAWN_METADATA = "plant_parameters", "drawn"
 THINKING_METADATA = ("thinking_median", "thinking_99")
 """Metadata key of a run: duration of a tick of controller and estimator, s."""
 CONSTANTS_METADATA = "model_errors"
-"""Metadata key of a run: constant errors of its model at its end and their covariance, JSON; see `Ticker.constants`."""
+"""Metadata key of a run: constant errors of its model at its end, JSON; see `Ticker.constants`."""
 HARDEST_METADATA = "hardest_acceleration"
 """Metadata key of a simulated run: greatest acceleration applied by the drive, m/s²."""
 

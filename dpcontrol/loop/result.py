@@ -385,7 +385,7 @@ class LoopResult(Ended):
         falls: falls with or without recovery.
         stretches: intervals on the itinerary, if recovery was possible.
         hardest: largest acceleration of a simulated drive, m/s².
-        constants: constant errors of the model (C,) and their covariance (C, C) at the end, if they are estimated.
+        constants: the model's constant errors at the end, if they are estimated; see `Ticker.constants`.
     """
 
     ticks: Ticks
@@ -396,7 +396,7 @@ class LoopResult(Ended):
     falls: int = 0
     stretches: tuple[Stretch, ...] = ()
     hardest: float | None = None
-    constants: tuple[Array, Array] | None = None
+    constants: tuple[list[Any], ...] | None = None
 
     @property
     def finished(self) -> bool:

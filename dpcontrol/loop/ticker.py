@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from dpcontrol.control.ekf import unpacked
-from dpcontrol.control.estimator_settings import constants
+from dpcontrol.control.estimator_settings import Augment, constants
 from dpcontrol.control.handover import NearestKeeper
 from dpcontrol.control.interface import Controller, Estimate, Estimator, GainSchedule, schedule_of
 from dpcontrol.control.tick import UNROLLED, Outcome, Report, TickProgram
@@ -87,16 +87,20 @@ class Ticker:
         return self.program.equations.filter.extra_names
 
     @property
-    def constants(self) -> tuple[Array, Array] | None:
-        """The constant errors of the model (C,) and their covariance (C, C), None without the compiled filter.
+    def constants(self) -> tuple[list[Any], ...] | None:
+        """Names (C,), values (C,) and covariances (C, C), now and at the start, of the model's constant errors.
+
+        The result is None unless the compiled filter estimates parameters.
 
         Their order is that of `estimator_settings.constants`; errors of parameters are logarithms.
         """
-        rows = self._n + np.array(constants(self.extra_names), dtype=np.intp)
-        if self.estimator is not None or not len(rows):
+        settings, memory = self.program.settings, self.program.memory
+        if self.estimator is not None or Augment.PARAMETERS not in settings.augments:
             return None
-        memory = self.program.memory
-        return memory.z[rows, 0], unpacked(memory.covariance[:, 0])[np.ix_(rows, rows)]
+        names = list(constants(self._arms, settings.augments))
+        part = np.s_[-len(names) :, -len(names) :]
+        before, now = settings.first_covariance(self._arms)[part], unpacked(memory.covariance[:, 0])[part]
+        return names, memory.z[-len(names) :, 0].tolist(), now.tolist(), before.tolist()
 
     def begin(self) -> None:
         """Begin a run."""

@@ -430,13 +430,12 @@ def learnt_text(model: Model, arms: ArmChainParameters, covariance: Array, logs:
         covariance: covariance (f, f) of their ratios.
         logs: names of the logs.
     """
-    names = ", ".join(logs)
-    source = f"Learnt from {names}: only ratios to {unit_name(arms.count)}; the rest as in {model.name}"
-    friction = {law: getattr(arms, law) for law in ("viscous", *arms.friction)}
+    source = f"Learnt from {', '.join(logs)}: only ratios to {unit_name(arms.count)}; the rest as in {model.name}"
+    friction = ("viscous", *arms.friction, *(["smoothing"] if arms.friction else []))
     tables: dict[str, dict[str, Any]] = {
         "": {"title": f"{model.title}, learnt"},
         "arms": {"source": source, **{name: getattr(arms, name) for name in _INERTIAL}},
-        "friction": {"source": source, **friction, **({"smoothing": arms.smoothing} if arms.friction else {})},
+        "friction": {"source": source, **{name: getattr(arms, name) for name in friction}},
         "uncertainty": {"source": source, "names": ratio_names(arms), "covariance": covariance.ravel().tolist()},
     }
     text = f"{_first_line(logs, model.name)}\n{model.text}"

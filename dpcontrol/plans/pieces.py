@@ -180,7 +180,7 @@ def solve_pieces(
         GoalMissed: there is no transfer between two goals.
     """
     ways = [_way(itinerary, *pair) for pair in pairwise(goals)]
-    wanted = _wanted(itinerary, ways, goals)
+    wanted = [way.transfer for way in ways if way is not None]
     ready = 0.5 if wanted else 0.0
     first = part_of(progress, 0.0, ready)
     transfers = find_transfers(wanted, workers=workers, fresh=fresh, progress=first)
@@ -202,16 +202,6 @@ def solve_pieces(
         if not pieces[-1].reference.converged:
             break
     return pieces
-
-
-def _wanted(itinerary: Itinerary, ways: "Sequence[_Way | None]", goals: Sequence[Goal]) -> list[Transfer]:
-    """Return the transfers to find, near those of the itinerary's earlier plan if there is one."""
-    # Changes of energy at a saddle are transfers of the plan as well.
-    changes = [way for way, goal in zip(ways, goals[1:], strict=True) if way is not None or goal.shadowing is not None]
-    if (plan := itinerary.near) is None or len(plan.content.transfers) != len(changes):
-        return [way.transfer for way in ways if way is not None]
-    spans = zip(changes, plan.content.transfers, strict=True)
-    return [way.transfer.starting(plan, span) for way, span in spans if way is not None]
 
 
 def cart_problem(itinerary: Itinerary, guess: Guess, duration: float, ends: EndConditions) -> ReferenceProblem:

@@ -39,7 +39,7 @@ from dpcontrol.plans.itinerary import Itinerary
 from dpcontrol.plans.layout import GENTLE, SHORTEST, Pace
 from dpcontrol.references.content import TransferCost
 from dpcontrol.references.ending import ReferenceEnding
-from dpcontrol.references.find import refined_transfer, tail, wanting
+from dpcontrol.references.find import refined_transfer, wanting
 from dpcontrol.references.problem import (
     NATURAL_TIME,
     PLANNING,
@@ -86,7 +86,7 @@ class Transfer:
     start: tuple[float, ...]
     ends: tuple[tuple[float, ...], ...]
     pace: Pace = GENTLE
-    near: Trajectory | None = None
+    near: Reference | None = None
 
     @classmethod
     def of(cls, itinerary: Itinerary, text: str, start: Array, ends: Sequence[Array], pace: Pace) -> "Transfer":
@@ -102,18 +102,8 @@ class Transfer:
         return cls(
             text, itinerary.model.name, itinerary.model.arms.planned(), itinerary.limits, itinerary.reference,
             tuple(start.tolist()), tuple(tuple(end.tolist()) for end in ends), pace or itinerary.transfer,
+            itinerary.near.get(text),
         )  # fmt: skip
-
-    def starting(self, plan: Reference, span: tuple[float, float]) -> "Transfer":
-        """Return the transfer that is sought near that of another plan first.
-
-        Args:
-            plan: plan of similar arms.
-            span: begin and end of its transfer, s.
-        """
-        begin, end = span
-        turns = whole_turns(plan.state(begin)[: self.arms.count] - np.array(self.start[: self.arms.count]))
-        return replace(self, near=tail(plan, begin, seconds=end - begin, turns=turns))
 
     @property
     def key(self) -> str:
@@ -232,24 +222,19 @@ def find_transfer(wanted: Transfer, progress: Progress = no_progress) -> Referen
     scale, failed, durations = Scale.of(wanted.arms), "no first motion leads there", np.zeros(0)
     factors, arms = scale.state(wanted.arms.count), wanted.arms.scaled(scale.length, scale.time)
     start, *ends = (factors * state for state in (wanted.start, *wanted.ends))
-
-    def refined(problem: ReferenceProblem, motion: Trajectory) -> Reference:
-        found = refined_transfer(problem, motion, wanted.settings, cart_weight=CART_WEIGHT)
-        mesh, inputs = found.mesh / scale.time, found.inputs / scale.acceleration
-        return replace(found, mesh=mesh, states=found.states / factors, inputs=inputs, limits=wanted.limits)
-
-    if (near := wanted.near) is not None:
+    aside, earlier = np.allclose(start[:-2], ends[0][:-2]), list[tuple[Trajectory, Array]]()
+    if wanted.near is not None:
+        near = turned(wanted.near, -whole_turns((wanted.near.states[0, 0] - start)[: arms.count]))
         first = Trajectory(near.method, near.mesh * scale.time, near.states * factors, near.inputs * scale.acceleration)
-        end = min(ends, key=lambda end: np.abs(first.states[-1, -1] - end).max())
-        found = refined(_problem(arms, scale.limits(wanted.limits, TIGHT), first, (start, end)), first)
-        if found.converged:
-            return found
-    for share, durations, flies in _attempts(wanted, scale, aside=np.allclose(start[:-2], ends[0][:-2])):
+        earlier = [(first, min(ends, key=lambda end: np.abs(first.states[-1, -1] - end).max()))]
+    for share, durations, flies in [(TIGHT, np.zeros(0), False), *_attempts(wanted, scale, aside=aside)]:
         room = scale.limits(wanted.limits, share)
         ways = [Way(arms, scale.limits(wanted.limits), room, start, ends[0], backwards) for backwards in (False, True)]
         fixed = wanted.pace != SHORTEST
         firsts = (
-            flights_between(ways, ends, durations, fixed=fixed) if flies else smooth_motions(start, ends, durations)
+            flights_between(ways, ends, durations, fixed=fixed)
+            if flies
+            else [*earlier, *smooth_motions(start, ends, durations)]
         )
         solved: list[tuple[ReferenceProblem, Trajectory]] = []
         for k, (first, end) in enumerate(firsts):
@@ -261,9 +246,15 @@ def find_transfer(wanted: Transfer, progress: Progress = no_progress) -> Referen
             failed = attempt.outcome
         solved = sorted(solved, key=lambda one: one[1].effort if fixed else one[1].duration)[:_RANKED]
         for problem, motion in sorted(solved, key=lambda one: _rank(wanted, arms, one[1])):
-            found = refined(problem, motion)
+            found = refined_transfer(problem, motion, wanted.settings, cart_weight=CART_WEIGHT)
             if found.converged:
-                return found
+                return replace(
+                    found,
+                    mesh=found.mesh / scale.time,
+                    states=found.states / factors,
+                    inputs=found.inputs / scale.acceleration,
+                    limits=wanted.limits,
+                )
             failed = found.status
     raise _missed(wanted, np.asarray(durations / scale.time), failed)
 

@@ -17,16 +17,14 @@ times the variance: the excess counts as one sample.
 Dry friction is part of the learnt model if it exceeds three standard errors. Otherwise the rest is conditioned on none.
 
 The arms are the nearest to the model's with these ratios (`nearest_arms`). An energy of the itinerary keeps its height
-above the highest of its saddles, as a share of that from hanging to upright. If a connection of the walk does not exist
-there, more energy is tried. Transfers start from those of the last plan; walks are planned afresh.
+above the highest equilibrium below it, as a share of that from hanging to upright. If a connection of the walk does not
+exist there, more energy is tried. Transfers start from those of the last plan; walks are planned afresh.
 
 Source: Bar-Shalom, Li & Kirubarajan, Estimation with Applications to Tracking and Navigation, sections 3.4 and 8.3.
 White, Maximum likelihood estimation of misspecified models (1982), for readings that contradict the model.
 """
 
 import json
-import math
-import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -34,7 +32,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from dpcontrol.control.estimator_settings import Augment, EkfSettings, constants, extra_names, nis_means
+from dpcontrol.control.estimator_settings import nis_means
 from dpcontrol.dynamics.chain import (
     ArmChainParameters,
     Friction,
@@ -49,18 +47,18 @@ from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.files import write_whole
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
-from dpcontrol.foundation.toml import with_values
+from dpcontrol.foundation.toml import parse_toml, with_values
 from dpcontrol.judge.decoding import stays
-from dpcontrol.judge.score import CONSTANTS_METADATA
+from dpcontrol.judge.score import CONSTANTS_METADATA, MODEL_METADATA, arms_in
 from dpcontrol.logs import RunLog
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.result import rms
 from dpcontrol.orbits.lyapunov import equilibria
 from dpcontrol.plans.itinerary import Itinerary, itinerary_from
-from dpcontrol.plans.layout import HoldPart, WalkPart
+from dpcontrol.plans.layout import HoldPart
 from dpcontrol.plans.model import Model, learnt_text, model_from
 from dpcontrol.plans.plan import Plan, make_plan
-from dpcontrol.walks.symbols import parse_walk
+from dpcontrol.references.find import tail
 
 SETTLED = 1.0
 """Time after which the effort of the feedback counts, s: before, it removes the errors of the start."""
@@ -120,46 +118,41 @@ def coordinates(arms: ArmChainParameters, names: Sequence[str]) -> tuple[Array, 
         names: names of its constant errors (C,).
     """
     arms = with_laws(arms, (Friction.COULOMB,))
-    n, inertial, ratios = arms.count, inertial_count(arms.count), base_ratios(arms)
-    weights, viscous, dry = (ratios[first:][:n] for first in (n if n > 1 else 0, inertial, inertial + n))
-    labels = [name.partition("/")[0] for name in ratio_names(arms)]
-    effects = {label: {label.replace("G", "S"): 1.0} for label in labels[:inertial]}
-    effects |= {f"l{i}": {f"M{i}{i + 1}": 1.0, f"S{i + 1}": -1.0} for i in range(2, n)}
-    for i in range(n):
-        effects[f"viscous_{i + 1}"] = {f"friction_{i + 1}": viscous[i]}
-        effects[f"coulomb_{i + 1}"] = {f"friction_{i + 1}": dry[i], f"dry_{i + 1}": weights[i]}
-    slope = np.array([[effects[label].get(name, 0.0) for name in names] for label in labels])
-    return np.concatenate([np.log(ratios[:inertial]), ratios[inertial:]]), slope
+    labels, count = [name.partition("/")[0].replace("G", "S") for name in ratio_names(arms)], inertial_count(arms.count)
+    ratio = dict(zip(labels, base_ratios(arms), strict=True))
+    effects = {(label, label): 1.0 for label in labels[:count]}
+    for i in range(1, arms.count + 1):
+        effects |= {(f"l{i}", f"M{i}{i + 1}"): 1.0, (f"l{i}", f"S{i + 1}"): -1.0}
+        effects |= {(f"{law}_{i}", f"friction_{i}"): ratio[f"{law}_{i}"] for law in ("viscous", "coulomb")}
+        effects[f"coulomb_{i}", f"dry_{i}"] = ratio[f"S{i}"]
+    slope = np.array([[effects.get((label, name), 0.0) for name in names] for label in labels])
+    values = [*ratio.values()]
+    return np.concatenate([np.log(values[:count]), values[count:]]), slope
 
 
 Estimate = tuple[Array, Array]
 """Coordinates (m,) and their covariance (m, m). Those without variance, as of missing friction, are known."""
 
 
-def evidence(log: RunLog, itinerary: Itinerary) -> tuple[list[str], Estimate, Estimate]:
+def evidence(log: RunLog) -> tuple[list[str], Estimate, Estimate]:
     """Return the names of a filter's constant errors, and the coordinates before and after its run.
 
     Args:
         log: log of the run.
-        itinerary: its itinerary, with its settings.
 
     Raises:
         InputError: the log has no estimates of its model's errors.
     """
-    filters, arms = itinerary.loop.estimator, itinerary.model.arms
-    noted = log.metadata.get(CONSTANTS_METADATA)
-    if noted is None or not isinstance(filters, EkfSettings) or Augment.PARAMETERS not in filters.augments:
+    noted, arms = log.metadata.get(CONSTANTS_METADATA), arms_in(log, MODEL_METADATA)
+    if noted is None or arms is None:
         raise InputError(
             f"{log.path} has no errors of the model to learn from: they are in whole logs of this version of runs "
             'with controller = "adaptive" and estimator = "ekf"'
         )
-    extras, size = extra_names(arms.count, filters.augments), 2 * arms.count + 2
-    rows = constants(extras)
-    names = [extras[row] for row in rows]
+    names, errors, *covariances = json.loads(noted)
     offset, slope = coordinates(arms, names)
-    errors, covariance = map(np.array, json.loads(noted))
-    assumed = filters.first_covariance(arms.count)[size:, size:][np.ix_(rows, rows)]
-    return names, (offset, slope @ assumed @ slope.T), (offset + slope @ errors, slope @ covariance @ slope.T)
+    after, before = (slope @ covariance @ slope.T for covariance in covariances)
+    return names, (offset, before), (offset + slope @ errors, after)
 
 
 def caution(log: RunLog) -> float:
@@ -234,16 +227,16 @@ def of_learnt_arms(itinerary: Itinerary, model: Model, errors: Array, *, raised:
         errors: covariance (C, C) of the model's constant errors.
         raised: factor on the energies' heights above the saddles.
     """
-    text, listed = itinerary.text, "parts" in tomllib.loads(itinerary.text)
-    before, after = itinerary.model.system, model.system
+    text, listed = itinerary.text, "parts" in parse_toml(itinerary.text, itinerary.name)
+    systems = (itinerary.model.system, model.system)
+    before, after = map(equilibria, systems)
+    scale = systems[1].energy_scale / systems[0].energy_scale
     for number, part in enumerate(itinerary.parts, start=1):
-        if isinstance(part, HoldPart):
-            continue
-        symbols = parse_walk(part.walk, before.saddles) if isinstance(part, WalkPart) else ()
-        names = {name for symbol in symbols for name in (symbol.source, symbol.target)} or {getattr(part, "orbit", "")}
-        low, base = (max(equilibria(system)[name].energy for name in names) for system in (before, after))
-        energy = base + raised * (part.energy - low) * after.energy_scale / before.energy_scale
-        text = with_values(text, "parts" if listed else "", {"energy": energy}, number=number * listed)
+        if not isinstance(part, HoldPart):
+            below = [name for name, point in before.items() if point.energy < part.energy]
+            low, base = (max(points[name].energy for name in below) for points in (before, after))
+            energy = base + raised * scale * (part.energy - low)
+            text = with_values(text, "parts" if listed else "", {"energy": energy}, number=number * listed)
     learnt = tuple(errors.ravel().tolist())
     text = with_values(with_values(text, "", {"model": model.name}), "estimator", {"learnt": learnt})
     loop = itinerary.loop.with_({"estimator.learnt": learnt})
@@ -263,53 +256,51 @@ def replanned(plan: Plan, model: Model, errors: Array, *, progress: Progress = n
         GoalMissed: there is none at any of the energies.
     """
     missed: list[str] = []
+    costs, still = plan.content.costs, np.zeros(0)
+    near = {cost.text: tail(plan.reference, cost.begin, seconds=cost.duration, turns=still) for cost in costs}
     for raised in RAISED:
         itinerary = of_learnt_arms(plan.itinerary, model, errors, raised=raised)
         try:
-            found = make_plan(replace(itinerary, near=plan.reference), progress=progress)
+            planned = make_plan(replace(itinerary, near=near), progress=progress).followed()
+            return replace(planned, itinerary=itinerary)
         except (GoalMissed, InputError) as error:
             missed.append(str(error))
-            continue
-        if found.converged:
-            return replace(found, itinerary=itinerary)
-        missed.append(found.status)
     raise GoalMissed(f"{plan.itinerary.name} has no plan for the learnt arms: {missed[0]}")
 
 
 def effort(times: Array, feedback: Array) -> float:
     """Return the feedback beyond the feedforward after the first second, m/s² rms.
 
-    It is NaN for a run that is shorter.
+    For a shorter run, it is that of its last row.
 
     Args:
         times: times (K,), s.
         feedback: feedback (K,), m/s².
     """
-    settled = feedback[times >= times[0] + SETTLED]
-    return rms(settled) if settled.size else math.nan
+    return rms(feedback[times >= min(times[0] + SETTLED, times[-1])])
 
 
-def learn(logs: Sequence[RunLog], plans: Sequence[Plan], *, progress: Progress = no_progress) -> Learnt:
-    """Learn the arms from runs and plan their itinerary again.
+def learn(logs: Sequence[RunLog], plan: Plan, *, progress: Progress = no_progress) -> Learnt:
+    """Learn the arms from runs and plan an itinerary again.
 
     Args:
         logs: logs of runs on one rig, in order.
-        plans: plan of each run, its itinerary with the settings of the run.
+        plan: plan of the last run, its itinerary with the settings of the run.
         progress: receiver of progress reports.
 
     Raises:
         InputError: a log has no estimates of the model's errors, or the runs estimated different ones.
         GoalMissed: there are no arms near the model's with the learnt ratios, or no plan for them.
     """
-    last = plans[-1].itinerary
-    names, before, after = zip(*map(evidence, logs, (plan.itinerary for plan in plans)), strict=True)
+    last = plan.itinerary
+    names, before, after = zip(*map(evidence, logs), strict=True)
     if any(one != names[-1] for one in names):
         raise InputError(f"{logs[0].path} and {logs[-1].path} have different arms or estimated different errors")
     values, covariance = combined(before, after, [*map(caution, logs)])
     arms, ratios, errors = learnt_arms(values, covariance, last.model.arms, names[-1])
     text = learnt_text(last.model, arms, ratios, [log.path.name for log in logs])
     model = model_from(text, f"{last.name}-learnt")
-    plan = replanned(plans[-1], model, errors, progress=part_of(progress, 0.0, 0.8))
+    plan = replanned(plan, model, errors, progress=part_of(progress, 0.0, 0.8))
     loop = replace(plan.itinerary.loop, plant=None, mismatch=0.0, friction=1.0, model_uncertainty=1.0)
     simulated = Assembly(plan.reference, arms, loop, model.uncertainty, stays=stays(plan.reference)).simulate()
     return Learnt(

@@ -226,8 +226,8 @@ def run_night(
         if not resume:
             lap = replace(night, hours=min(plan.followed().reference.duration / 3600, night.hours / 2))
             run_night(plan, out, lap, link=link, force=force, live=live, yes=yes, progress=progress)
-        simulated = link is None or link.address == OWN_BENCH
-        plan, resume = _learnt_plan(folder, plan.itinerary, simulated=simulated), True
+        plan = _learnt_plan(folder, plan.itinerary, simulated=link is None or link.address == OWN_BENCH)
+        resume = True
     itinerary = plan.followed().itinerary
     settings, arms = itinerary.loop, itinerary.model.arms
     made_by = bench_record(itinerary, link)
@@ -295,18 +295,19 @@ def _learnt_plan(folder: Path, itinerary: Itinerary, *, simulated: bool) -> Plan
     Raises:
         InputError: no session of the night ended in order.
     """
-    logs = map(read_log, sorted(folder.glob(f"{folder.resolve().name}-[0-9]*.mcap"), reverse=True))
+    logs = map(read_log, sorted(folder.glob("*.mcap"), reverse=True))
     log = next((log for log in logs if CONSTANTS_METADATA in log.metadata), None)
     if log is None:
         raise InputError(f"{folder}: no session of this night ended in order; omit --learn")
     learnt = Run(log).learn()
-    efforts = f"{learnt.effort_before:.3f} m/s² rms before, {learnt.effort_expected:.3f} expected"
-    remark(f"learnt from {log.path}; effort of the feedback: {efforts}")
+    remark(
+        f"learnt from {log.path}; effort of the feedback: {learnt.effort_before:.3f} m/s² rms before, "
+        f"{learnt.effort_expected:.3f} expected"
+    )
     draw = itinerary.loop.draw(itinerary.model.arms, ticks=1, uncertainty=itinerary.uncertainty)
-    settings = {"plant": draw.plant.arms, "mismatch": 0.0, "friction": 1.0, "model_uncertainty": 0.0}
-    planned = learnt.plan.itinerary
-    loop = replace(planned.loop, **settings) if simulated and not draw.own else planned.loop
-    return replace(learnt.plan, itinerary=replace(planned, loop=loop))
+    drawn = {"plant": draw.plant.arms, "mismatch": 0.0, "friction": 1.0, "model_uncertainty": 0.0}
+    loop = learnt.plan.itinerary.loop.with_(drawn if simulated and not draw.own else {})
+    return replace(learnt.plan, itinerary=replace(learnt.plan.itinerary, loop=loop))
 
 
 _BRAKING = 2.0

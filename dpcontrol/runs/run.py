@@ -184,17 +184,19 @@ class Run(Timed, Documented):
         )
 
     @checked
-    def learn(self, *, progress: Reporting = None) -> Learnt:
+    def learn(self, earlier: "Sequence[Run]" = (), *, progress: Reporting = None) -> Learnt:
         """Learn the arms from this run and plan its itinerary again; see `dp.learn`.
 
         Args:
+            earlier: earlier runs on the same rig, in order, from which the arms are learnt as well.
             progress: receiver of progress reports (see `dpcontrol.api`).
 
         Raises:
-            InputError: the log has no estimates of the model's errors, or no plan.
+            InputError: a log has no estimates of the model's errors, or no plan.
             GoalMissed: there is no plan for the learnt arms.
         """
-        return learn_from([self], progress=progress)
+        logs = [run.log for run in (*earlier, self)]
+        return learn(logs, _plan(self.log, repeats=False), progress=progress)
 
     def margins(self) -> Margins:
         """Return the margins of gain, delay and lag.
@@ -291,21 +293,6 @@ class Run(Timed, Documented):
             PartMissing: pandas is not installed.
         """
         return self.log.frame() if count is None else super().frame(count)
-
-
-def learn_from(runs: Sequence[Run], *, progress: Progress = no_progress) -> Learnt:
-    """Learn the arms from runs and plan the itinerary of the last one again.
-
-    Args:
-        runs: runs on one rig, in order.
-        progress: receiver of progress reports.
-
-    Raises:
-        InputError: a log has no estimates of the model's errors, or no plan.
-        GoalMissed: there is no plan for the learnt arms.
-    """
-    logs = [run.log for run in runs]
-    return learn(logs, [_plan(log, repeats=False) for log in logs], progress=progress)
 
 
 LiveSink = Callable[[RunLog], AbstractContextManager[LoopSink]]
@@ -446,7 +433,7 @@ def outcome(result: LoopResult) -> dict[str, str]:
     }
     ending = {"ending": result.ending.value}
     if result.constants is not None:
-        ending[CONSTANTS_METADATA] = json.dumps([values.tolist() for values in result.constants])
+        ending[CONSTANTS_METADATA] = json.dumps(result.constants)
     return ending | {name: repr(value) for name, value in noted.items() if value is not None}
 
 

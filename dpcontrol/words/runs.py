@@ -308,8 +308,11 @@ def learnt_lines(found: Any) -> Iterator[Line]:
     """
     columns = {"name": "{0[0]}", "value": "{0[1]:.9g}", "standard error": "{0[2]:.2g}"}
     yield table("Ratios in SI units", found.rows, columns)
-    efforts = f"{found.effort_before:.3f} m/s² rms before, {found.effort_expected:.3f} expected"
-    yield from (f"effort of the feedback after the first second: {efforts}", found.plan.status)
+    yield from (
+        f"effort of the feedback after the first second: {found.effort_before:.3f} m/s² rms before, "
+        f"{found.effort_expected:.3f} expected",
+        found.plan.status,
+    )
     if found.file is not None:
         yield from (str(found.file), f"run its plan by `dpcontrol run {found.plan.written}`")
 

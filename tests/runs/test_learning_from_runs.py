@@ -115,7 +115,7 @@ def test_runs_combine_as_least_squares_over_all_their_readings() -> None:
 
 def test_a_filter_starts_at_a_learnt_covariance() -> None:
     names = extra_names(2, AdaptiveEkfSettings().augments)
-    rows = 6 + np.array(constants(names))
+    rows = 6 + np.flatnonzero(np.isin(names, constants(2, AdaptiveEkfSettings().augments)))
     root = np.random.default_rng(4).standard_normal((len(rows), len(rows)))
     learnt = AdaptiveEkfSettings(learnt=tuple((root @ root.T).ravel().tolist())).first_covariance(2)
     plain = AdaptiveEkfSettings().first_covariance(2)
