@@ -25,9 +25,9 @@ def test_the_example_of_the_readme_runs_unchanged(example: dict[str, Any]) -> No
     assert 150 < example["campaign"].completed.successes <= 200
 
 
-def test_there_are_at_most_seventy_functions_and_none_has_the_name_of_a_subpackage() -> None:
+def test_there_are_at_most_seventy_two_functions_and_none_has_the_name_of_a_subpackage() -> None:
     """Importing the subpackage would otherwise replace the function."""
-    assert len([name for name in dp.__all__ if inspect.isfunction(getattr(dp, name))]) <= 70
+    assert len([name for name in dp.__all__ if inspect.isfunction(getattr(dp, name))]) <= 72
     assert not {folder.name for folder in Path(dp.__file__).parent.iterdir()} & set(dp.__all__)
 
 

@@ -88,7 +88,7 @@ def even(chain: Chain, radius: Any) -> list[list[Any]]:
 
 
 @dataclass(frozen=True)
-class Newton:
+class KantorovichBounds:
     """Result of Newton–Kantorovich: radii of existence and uniqueness, and the step."""
 
     residual: Any
@@ -103,7 +103,7 @@ class Newton:
         return bool(self.contraction < 1 and self.exists <= self.unique)
 
 
-def newton(segments: Sequence[ChartSegment], radius: Any) -> Newton:
+def newton(segments: Sequence[ChartSegment], radius: Any) -> KantorovichBounds:
     """Apply the theorem to a closed chain over boxes of one radius.
 
     Args:
@@ -122,10 +122,10 @@ def newton(segments: Sequence[ChartSegment], radius: Any) -> Newton:
     sums = [sum((abs(v - int(i == j)) for j, v in enumerate(row)), flint.arb(0)) for i, row in enumerate(off)]
     residual, contraction = largest(step), largest(sums)
     exists = flint.arb((residual / (1 - contraction)).upper())
-    return Newton(residual, contraction, exists, ball(radius), [float(v.mid()) for v in step])
+    return KantorovichBounds(residual, contraction, exists, ball(radius), [float(v.mid()) for v in step])
 
 
-def improved(surface: Surface, chain: Chain, segments: Sequence[ChartSegment], found: Newton) -> Chain:
+def improved(surface: Surface, chain: Chain, segments: Sequence[ChartSegment], found: KantorovichBounds) -> Chain:
     """Return the chain after a Newton step, rounded to decimals.
 
     Args:

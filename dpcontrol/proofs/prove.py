@@ -30,7 +30,7 @@ from dpcontrol.proofs.covering import ChartSegment, Network, orbit_boxes, proved
 from dpcontrol.proofs.flow import Field, FlowSettings
 from dpcontrol.proofs.periodic import (
     Chain,
-    Newton,
+    KantorovichBounds,
     closed_chain,
     enclose,
     even,
@@ -188,7 +188,7 @@ def certificate(system: System, energy: Fraction, content: Mapping[str, Any]) ->
 def orbit_certificate(
     system: System,
     chain: tuple[Surface, Chain],
-    proof: tuple[list[ChartSegment], Newton],
+    proof: tuple[list[ChartSegment], KantorovichBounds],
     claims: Sequence[Mapping[str, Any]] = (),
 ) -> dict[str, Any] | None:
     """Return the certificate of a closed chain with its claims on symbols.
@@ -232,7 +232,7 @@ _LEAST_RADIUS, _UNIQUE = 1e-12, 1e-10
 
 def proved_chain(
     surface: Surface, chain: Chain, settings: ProofSettings, progress: Progress = no_progress
-) -> tuple[list[ChartSegment], Newton]:
+) -> tuple[list[ChartSegment], KantorovichBounds]:
     """Prove that a chain contains exactly one orbit.
 
     The result has its enclosures and the Newton step.
@@ -336,7 +336,7 @@ def prove_orbit(
     return attempted("orbit", stated, settings.bits, work)
 
 
-def _unique(found: Newton, count: int) -> str:
+def _unique(found: KantorovichBounds, count: int) -> str:
     """Return the words on existence and uniqueness of an orbit."""
     unique, exists = bound(found.unique, lower=True), bound(found.exists)
     return (

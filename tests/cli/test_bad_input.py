@@ -28,7 +28,7 @@ LINES = {
     # Following the family up to this energy would take minutes.
     "orbit three-body --saddle L1 --energy 0.5 --sustained": "no arms",
     # Options that lack another, or exclude one another.
-    "orbit lab --saddle down-up --sustained": "needs saddle and energy",
+    "orbit lab --saddle down-up --sustained": "need saddle and energy",
     "run": "itinerary is missing",
     "run outer-turn --rig tcp://x:1": "udp://HOST:PORT",
     "commission outer-turn --rig udp://127.0.0.1:1 --fault zeros-off": "rig = udp://127.0.0.1:1",

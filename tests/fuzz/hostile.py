@@ -79,6 +79,7 @@ BASES: dict[str, tuple[str, ...]] = {
     "run": ("rest.toml", "--from=run.mcap"),
     "campaign": ("rest.toml --runs=2 --workers=1",),
     "commission": ("rest.toml --seed=1",),
+    "learn": ("run.mcap",),
     "preflight": ("rest.toml --runs=3 --workers=1",),
     "rig": ("rest.toml --runs=1",),
     "export": ("rest.toml --out=exported",),
