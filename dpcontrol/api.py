@@ -578,7 +578,7 @@ def find_bifurcations(
     """
     levels = [level for level in (energy, height) if level is not None]
     if energies is not None and parameter is None and not levels:
-        course, values = links.Followed.of_energy(_system(model)), energies
+        course, values = links.Quantity.of_energy(_system(model)), energies
     elif energies is None and parameter is not None and len(levels) == 1:
         above = () if height is None else (source, target)
         course = models.parameter_course(models.model_of(_system(model)), parameter, levels[0], above)

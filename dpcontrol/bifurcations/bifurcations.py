@@ -43,7 +43,7 @@ from typing import Annotated, Any, ClassVar, NamedTuple
 import numpy as np
 
 from dpcontrol.bifurcations.links import (
-    Followed,
+    Quantity,
     Gap,
     Link,
     LinkProblem,
@@ -413,7 +413,7 @@ class Interval:
 class Sweep:
     """The problem of a sweep, with cached searches."""
 
-    def __init__(self, course: Followed, source: str, target: str, crossings: int, settings: SweepSettings) -> None:
+    def __init__(self, course: Quantity, source: str, target: str, crossings: int, settings: SweepSettings) -> None:
         self.problem = LinkProblem(course, source, target, distance=settings.search.distance)
         self.crossings, self.settings = crossings, settings
         self._found: dict[float, Found] = {}
@@ -750,7 +750,7 @@ class BifurcationSearch(Shown, Documented):
         "branches=runs:values,points"
     )
 
-    course: Followed
+    course: Quantity
     source: str
     target: str
     section: Section
@@ -794,7 +794,7 @@ class BifurcationSearch(Shown, Documented):
 
 
 def find_bifurcations(
-    course: Followed,
+    course: Quantity,
     source: str,
     target: str,
     *,
@@ -860,7 +860,7 @@ def find_bifurcations(
 
 
 def _beginning(
-    course: Followed, saddles: tuple[str, str], values: tuple[float, float], closest: float
+    course: Quantity, saddles: tuple[str, str], values: tuple[float, float], closest: float
 ) -> tuple[float, float | None]:
     """Return the first value of a sweep, and the energy of the higher saddle if the sweep starts just above it."""
     (low, high), joule = values, course.system.unit("J")

@@ -55,7 +55,7 @@ from dpcontrol.words.searches import Concluded
 
 
 @dataclass(frozen=True)
-class Followed:
+class Quantity:
     """A quantity that is followed: the energy, or a parameter at a given energy or height.
 
     Attributes:
@@ -73,7 +73,7 @@ class Followed:
     at: Callable[[float], tuple[System, float]]
 
     @classmethod
-    def of_energy(cls, system: System) -> "Followed":
+    def of_energy(cls, system: System) -> "Quantity":
         """Return the energies of one system.
 
         Args:
@@ -171,7 +171,7 @@ class LinkProblem:
         distance: of seeds from their orbits, scaled.
     """
 
-    def __init__(self, course: Followed, source: str, target: str, *, distance: float) -> None:
+    def __init__(self, course: Quantity, source: str, target: str, *, distance: float) -> None:
         system = course.system
         if system.dimension != 4:
             raise InputError(
@@ -453,7 +453,7 @@ class Gap(Concluded):
         error: message of the numerical method.
     """
 
-    course: Followed
+    course: Quantity
     cause: GapCause
     values: tuple[float, ...] = ()
     counts: tuple[int, ...] = ()

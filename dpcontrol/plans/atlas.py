@@ -57,7 +57,7 @@ from dpcontrol.bifurcations.bifurcations import (
     diagram_from,
     find_bifurcations,
 )
-from dpcontrol.bifurcations.links import Followed
+from dpcontrol.bifurcations.links import Quantity
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
@@ -547,7 +547,7 @@ def make_branches(
     file = cache_file("branches", f"{model.name}-{source}-{target}", key)
     if (known := kept(file)) is not None:
         return diagram_from(json.loads(known))
-    course = Followed.of_energy(model.system)
+    course = Quantity.of_energy(model.system)
     found = find_bifurcations(course, source, target, values=energies, settings=settings, progress=progress)
     diagram = branch_diagram(found)
     keep(file, json.dumps(diagram.document()).encode() + b"\n")

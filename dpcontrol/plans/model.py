@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
-from dpcontrol.bifurcations.links import Followed
+from dpcontrol.bifurcations.links import Quantity
 from dpcontrol.dynamics.chain import (
     ArmChainParameters,
     Friction,
@@ -163,7 +163,7 @@ def parameter_course(
     parameter: tuple[str, float, float],
     energy: float,
     saddles: Sequence[str] = (),
-) -> Followed:
+) -> Quantity:
     """Return the values of a parameter of a model, over which connections are followed.
 
     Args:
@@ -191,7 +191,7 @@ def parameter_course(
             "a parameter of inertia or gravity"
         )
     unit = model.parameters.named()[name][1]
-    return Followed(model.system, name, "" if unit == "1" else f" {unit}", max(abs(low), abs(high)), at)
+    return Quantity(model.system, name, "" if unit == "1" else f" {unit}", max(abs(low), abs(high)), at)
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from typing import ClassVar
 import numpy as np
 
 from dpcontrol.bifurcations.bifurcations import Sweep, SweepSettings
-from dpcontrol.bifurcations.links import Followed, PathPoint, carry, first_crossing
+from dpcontrol.bifurcations.links import Quantity, PathPoint, carry, first_crossing
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError, remark
@@ -97,7 +97,7 @@ class SymbolBranches:
 
     @cached_property
     def _sweep(self) -> Sweep:
-        return Sweep(Followed.of_energy(self.system), self.symbol.source, self.symbol.target, 1, SweepSettings())
+        return Sweep(Quantity.of_energy(self.system), self.symbol.source, self.symbol.target, 1, SweepSettings())
 
     def connections(self, energy: float) -> tuple[Connection, ...]:
         """Return the connections at an energy, none without both orbits.

@@ -9,7 +9,7 @@ from quick_rate import quick_rate
 from scipy.integrate import solve_ivp
 
 from dpcontrol.bifurcations.bifurcations import Sweep, SweepSettings, find_bifurcations
-from dpcontrol.bifurcations.links import Followed, LinkProblem, carry, follow
+from dpcontrol.bifurcations.links import Quantity, LinkProblem, carry, follow
 from dpcontrol.foundation.causes import BranchCause
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.orbits.cut import CutSettings, section_points
@@ -45,7 +45,7 @@ def system():
 def located(system, energies, *, source="down-up", target="down-up", distance=1e-4, chord=0.05, samples=2):
     search = ConnectionSettings(distance=distance, cut=CutSettings(chord=chord))
     settings = SweepSettings(samples=samples, search=search)
-    return find_bifurcations(Followed.of_energy(system), source, target, values=energies, settings=settings)
+    return find_bifurcations(Quantity.of_energy(system), source, target, values=energies, settings=settings)
 
 
 class Events(dict):
@@ -94,7 +94,7 @@ def test_each_event_has_its_kind_and_counts(events, name, expected):
 def test_counts_of_searches_change_at_the_located_energies(system, events):
     for name in (SADDLE_NODE, PITCHFORK):
         event = events[name][0]
-        sweep = Sweep(Followed.of_energy(system), "down-up", "down-up", 1, SweepSettings())
+        sweep = Sweep(Quantity.of_energy(system), "down-up", "down-up", 1, SweepSettings())
         counts = [sweep.search(event.energy + d).count for d in (-2e-6, 2e-6)]
         assert counts == [event.count_below, event.count_above]
 
@@ -222,7 +222,7 @@ def test_a_connection_that_grazes_its_section_continues_beyond(system, events):
 
 
 def test_continuation_finds_a_connection_that_a_search_misses(system, monkeypatch):
-    sweep = Sweep(Followed.of_energy(system), "down-up", "down-up", 1, SweepSettings())
+    sweep = Sweep(Quantity.of_energy(system), "down-up", "down-up", 1, SweepSettings())
     low, high = -0.13, -0.12
     whole = sweep.search(low)
     with monkeypatch.context() as patch:
@@ -238,9 +238,9 @@ def test_continuation_finds_a_connection_that_a_search_misses(system, monkeypatc
 
 def test_a_tangency_between_samples_is_found_from_both_sides(system):
     """A pitchfork's pair is followed from above. Its path turns at the symmetric connection and returns."""
-    sweep = Sweep(Followed.of_energy(system), "down-up", "down-up", 1, SweepSettings())
+    sweep = Sweep(Quantity.of_energy(system), "down-up", "down-up", 1, SweepSettings())
     below, above = sweep.search(PITCHFORK[0]), sweep.search(PITCHFORK[1])
-    problem = LinkProblem(Followed.of_energy(system), "down-up", "down-up", distance=1e-4)
+    problem = LinkProblem(Quantity.of_energy(system), "down-up", "down-up", distance=1e-4)
     problem.manifolds(PITCHFORK[1])
     assert [problem.symmetry(p.link) for p in below.points] == [1, 1]
     assert sorted(str(problem.symmetry(p.link)) for p in above.points) == ["1", "1", "None", "None"]
@@ -248,7 +248,7 @@ def test_a_tangency_between_samples_is_found_from_both_sides(system):
 
 def test_a_path_passes_a_fold_and_returns_as_the_partner(system, events):
     fold = events[SADDLE_NODE][0].energy
-    sweep = Sweep(Followed.of_energy(system), "down-up", "down-up", 1, SweepSettings())
+    sweep = Sweep(Quantity.of_energy(system), "down-up", "down-up", 1, SweepSettings())
     start, goal = SADDLE_NODE[1], SADDLE_NODE[0]
     first, second = sweep.search(start).points
     path = follow(sweep.problem, first.link, start, goal)
@@ -268,7 +268,7 @@ def test_a_path_passes_a_fold_and_returns_as_the_partner(system, events):
 
 @pytest.mark.slow
 def test_continuation_without_turns_stops_at_a_fold(system):
-    sweep = Sweep(Followed.of_energy(system), "down-up", "down-up", 1, SweepSettings())
+    sweep = Sweep(Quantity.of_energy(system), "down-up", "down-up", 1, SweepSettings())
     point = sweep.search(SADDLE_NODE[1]).points[0]
     assert carry(sweep.problem, point, SADDLE_NODE[0]) is None
     arrived = carry(sweep.problem, point, -0.1400)
@@ -329,7 +329,7 @@ def test_runs_follow_every_connection_around_its_fold(system):
 )
 def test_impossible_searches_are_refused_with_the_valid_range(model, saddles, energies, fragment):
     with pytest.raises(InputError, match=fragment):
-        find_bifurcations(Followed.of_energy(load_model(model).system), *saddles, values=energies)
+        find_bifurcations(Quantity.of_energy(load_model(model).system), *saddles, values=energies)
 
 
 @pytest.mark.slow

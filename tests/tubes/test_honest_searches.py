@@ -6,7 +6,7 @@ from command_line import dpcontrol
 from uniform_rods import uniform_rods
 
 from dpcontrol.bifurcations.bifurcations import SweepSettings, find_bifurcations
-from dpcontrol.bifurcations.links import Followed
+from dpcontrol.bifurcations.links import Quantity
 from dpcontrol.plans.model import load_model
 from dpcontrol.tubes.connections import ConnectionSearch, find_connections, orbits_between
 from dpcontrol.walks.edges import find_edges
@@ -24,7 +24,7 @@ def homoclinics(model: str, saddle: str, energy: float) -> ConnectionSearch:
 def test_a_trajectory_that_returns_near_its_orbit_is_not_a_saddle_node():
     system, settings = load_model("printed").system, SweepSettings(samples=2)
     found = find_bifurcations(
-        Followed.of_energy(system), "down-up", "down-up", values=(0.0975, 0.0979), settings=settings
+        Quantity.of_energy(system), "down-up", "down-up", values=(0.0975, 0.0979), settings=settings
     )
     assert found.complete
     assert not found.events
