@@ -43,13 +43,13 @@ from typing import Annotated, Any, ClassVar, NamedTuple
 import numpy as np
 
 from dpcontrol.bifurcations.links import (
-    Quantity,
     Gap,
     Link,
     LinkProblem,
     Path,
     PathPoint,
     Profile,
+    Quantity,
     carry,
     first_crossing,
     follow,

@@ -14,7 +14,7 @@ from typing import ClassVar
 import numpy as np
 
 from dpcontrol.bifurcations.bifurcations import Sweep, SweepSettings
-from dpcontrol.bifurcations.links import Quantity, PathPoint, carry, first_crossing
+from dpcontrol.bifurcations.links import PathPoint, Quantity, carry, first_crossing
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError, remark

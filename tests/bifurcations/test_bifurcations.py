@@ -9,7 +9,7 @@ from quick_rate import quick_rate
 from scipy.integrate import solve_ivp
 
 from dpcontrol.bifurcations.bifurcations import Sweep, SweepSettings, find_bifurcations
-from dpcontrol.bifurcations.links import Quantity, LinkProblem, carry, follow
+from dpcontrol.bifurcations.links import LinkProblem, Quantity, carry, follow
 from dpcontrol.foundation.causes import BranchCause
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.orbits.cut import CutSettings, section_points
