@@ -19,9 +19,11 @@ from scene_flights import Flown, failures, flown_scene, planned_scene, table_by_
 from scene_limits import draw_limits
 from scipy.stats import binom
 
+from dpcontrol.plans.cautions import cautions_of
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.model import load_model
 from dpcontrol.plans.plan import make_plan
+from dpcontrol.references.reference import load_reference
 
 PLANNED, COMPLETED = 0.8, 0.97
 """Shares of the scenes that are planned, and of their runs that are completed, at least."""
@@ -48,9 +50,27 @@ def _flown(folder: Path, seeds: Sequence[int], *, runs: int, limit: float) -> li
     return flights
 
 
+def _warned(flights: Sequence[Flown], folder: Path) -> str:
+    """Return how well the cautions of plans tell the scenes that fail."""
+    warned: list[Flown] = []
+    for flight in flights:
+        name = flight.scene.name
+        if cautions_of(load_itinerary(str(folder / f"{name}.toml")), load_reference(folder / f"{name}.npz")):
+            warned.append(flight)
+    low = [flight for flight in flights if flight.completed < 0.9 * len(flight.runs)]
+    whole = [flight for flight in warned if flight.completed == len(flight.runs)]
+    others = [flight for flight in flights if flight not in warned]
+    done, runs = sum(flight.completed for flight in others), sum(len(flight.runs) for flight in others)
+    return (
+        f"{len(low)} of {len(flights)} scenes complete less than 90 %, {sum(f in warned for f in low)} of them have a "
+        f"caution. Of {len(warned)} with one, {len(whole)} complete all runs; those without complete {done} of {runs}"
+    )
+
+
 def _check(flights: list[Flown], folder: Path, *, risk: float = 0.0, searches: bool = True) -> None:
     """Check shares; that of the runs may be too small by chance at this `risk`."""
     sys.stdout.write(f"\n{table_by_factor(flights)}\n\n{failures(flights, folder, searches=searches)}\n")
+    sys.stdout.write(f"{_warned([one for one in flights if one.runs], folder)}\n")
     chart = folder / "limits.png"
     sys.stdout.write(f"{draw_limits([one for one in flights if one.runs], folder, chart)}: {chart}\n")
     ready = sum(one.planned.outcome == "planned" for one in flights)
