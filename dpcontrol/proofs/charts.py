@@ -14,13 +14,10 @@ with crossing time s(y) near zero after the segment's duration. The derivative o
 where L and n are rows of the inverse basis, and V and M are derivatives of the flow over s and over the duration.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 from typing import Any
 
-from dpcontrol.foundation.arrays import Array
 from dpcontrol.proofs.balls import Fraction, NotClosed, ball, columns, flint, identity, symmetric
 from dpcontrol.proofs.covering import ChartSegment
 from dpcontrol.proofs.flow import Field, FlowSettings, Vector, fly
@@ -206,23 +203,3 @@ def segment(surface: Surface, leg: Leg, radii: Vector, arriving: Vector, setting
         raise NotClosed("the energy does not fix a node's section")
     duration, value = ball(leg.duration), chart.coordinates(landed, shift)[:2]
     return ChartSegment(value, slope, duration + box.time, duration + point.time, delays, [*steps, box.around], states)
-
-
-def legs_of(states: Array, bases: Array, durations: Array, turns: Sequence[int]) -> tuple[Leg, ...]:
-    """Return the legs between nodes.
-
-    The last of them has whole turns.
-
-    Args:
-        states: nodes (K + 1, N).
-        bases: bases (K + 1, N, N) at the nodes.
-        durations: flight times (K,), s.
-        turns: whole turns (N,).
-    """
-    charts = [
-        SectionChart(tuple(Fraction(float(v)) for v in state), tuple(tuple(float(v) for v in row) for row in basis))
-        for state, basis in zip(states, bases, strict=True)
-    ]
-    shifts = [(0,) * len(turns)] * (len(durations) - 1) + [tuple(int(k) for k in turns)]
-    pairs = zip(pairwise(charts), durations, shifts, strict=True)
-    return tuple(Leg(first, second, Fraction(float(time)), shift) for (first, second), time, shift in pairs)

@@ -55,7 +55,7 @@ from dpcontrol.proofs.balls import (
 )
 from dpcontrol.proofs.covering import ChartSegment, Enclosure, Network, orbit_boxes, proved_link
 from dpcontrol.proofs.statements import statement
-from dpcontrol.proofs.symbols import Enclosed, check_symbols
+from dpcontrol.proofs.symbols import Enclosed, check_symbols, dot
 
 FORMAT = "dpcontrol proof 3"
 _BITS, _ORDER, _BOX_ORDER, _REMAINDER, _WIDE_REMAINDER = 140, 18, 7, "1e-18", "1e-13"
@@ -313,8 +313,7 @@ class _Chart:
 
     def away(self, row: int, state: Sequence[Any], shift: Sequence[Any]) -> Any:
         """Return a coordinate of a state that is shifted by whole turns."""
-        gaps = zip(self.rows[row], state, self.node, shift, strict=True)
-        return sum((r * (x - c - t) for r, x, c, t in gaps), flint.arb(0))
+        return dot(self.rows[row], [x - c - t for x, c, t in zip(state, self.node, shift, strict=True)])
 
 
 def _segment(
@@ -330,19 +329,15 @@ def _segment(
     end, derivative, boxes = own.flight(thin, spread, duration)
     ends = [c + d for c, d in zip(end, (derivative * spread).entries(), strict=True)]
     normal = second.rows[2]
-
-    def across_plane(vector: Sequence[Any]) -> Any:
-        return sum((n * v for n, v in zip(normal, vector, strict=True)), flint.arb(0))
-
-    reach = symmetric(2 * second.away(2, ends, shift) / across_plane(own.slopes(ends)[0])) + symmetric(number("1e-30"))
+    reach = symmetric(2 * second.away(2, ends, shift) / dot(normal, own.slopes(ends)[0])) + symmetric(number("1e-30"))
     around = own.rough(ends, reach)
     rates, slopes = own.slopes(around)
-    speed = across_plane(rates)
+    speed = dot(normal, rates)
     time, exact = (-second.away(2, x, shift) / speed for x in (ends, end))
     if not abs(time) < reach.abs_upper():
         raise NotClosed("a box is not proved to meet the next chart once")
     moved = (own.late(slopes, reach) * derivative * tangents).transpose().tolist()
-    delays = [-across_plane(column) / speed for column in moved]
+    delays = [-dot(normal, column) / speed for column in moved]
     projected = flint.arb_mat(
         [[m + f * d for m, f in zip(column, rates, strict=True)] for column, d in zip(moved, delays, strict=True)]
     ).transpose()
@@ -501,7 +496,7 @@ def _checked(own: _Flow, data: Mapping[str, Any], progress: Progress) -> str:
     matrix[last][:4] = [p * s for p, s in zip(own.energy(start).partials, scale, strict=True)]
     _check_solution(matrix, residual, exists)
     moved = [x + p * symmetric(unique) for x, p in zip(start, push, strict=True)]
-    if sum((a * b for a, b in zip(own.energy(moved).partials, push, strict=True)), flint.arb(0)).contains(0):
+    if dot(own.energy(moved).partials, push).contains(0):
         raise NotClosed("the energy does not determine the orbit")
     _check_bounds(data, number(sum(durations)) + count * symmetric(exists), maps)
     near = [[c + symmetric(s * exists) for c, s in zip(node, scale, strict=True)] for node in nodes]

@@ -20,7 +20,7 @@ import numpy as np
 from dpcontrol.dynamics.system import momentum_scale
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.orbits.lyapunov import LyapunovOrbit
-from dpcontrol.proofs.balls import Fraction, NotClosed, ball, flint, folded
+from dpcontrol.proofs.balls import Fraction, ball, flint, folded
 from dpcontrol.proofs.charts import Leg, SectionChart, Surface, passage, segment
 from dpcontrol.proofs.covering import Enclosure, Link, OrbitBoxes, backward, forward
 from dpcontrol.proofs.flow import FlowSettings
@@ -223,6 +223,8 @@ def link_data(
 def transversality(surface: Surface, connection: Connection, proved: Link, orbits: Sequence[OrbitBoxes]) -> Any:
     """Enclose the angle between both tubes' cuts in (q, p/p₀) at the first mark of a link, deg.
 
+    The result is None if the cones are not proved to be disjoint. Covering relations do not need it.
+
     Args:
         surface: energy surface.
         connection: connection of the first mark.
@@ -230,7 +232,7 @@ def transversality(surface: Surface, connection: Connection, proved: Link, orbit
         orbits: boxes of all orbits.
 
     Raises:
-        NotClosed: the cones are not proved to be disjoint.
+        NotClosed: the crossing of the section is not enclosed.
     """
     mark, legs = proved.marks[0], proved.legs
     source, leaves, target, joins = proved.numbers("source", "leaves", "target", "joins")
@@ -240,7 +242,7 @@ def transversality(surface: Surface, connection: Connection, proved: Link, orbit
 
 
 def _angle(surface: Surface, connection: Connection, chart: SectionChart, state: Any, slopes: tuple[Any, Any]) -> Any:
-    """Return the angle at the section between directions in two cones, deg."""
+    """Return the angle at the section between directions in two cones, deg, or None if they may meet."""
     section = connection.section
     normal, position = ([ball(v) for v in row] for row in (section.normal, section.position))
     height = folded(dot(normal, state) - ball(section.offset), period_of(described(section)))
@@ -256,6 +258,4 @@ def _angle(surface: Surface, connection: Connection, chart: SectionChart, state:
         flat.append((dot(position, v), dot([ball(m) for m in section.momentum], p) / scale))
     (a, b), (c, d) = flat
     across = abs(a * d - b * c)
-    if not across > 0:
-        raise NotClosed("the cones of both manifolds are not proved to be disjoint")
-    return flint.arb.atan2(across, abs(a * c + b * d)) * 180 / flint.arb.pi()
+    return flint.arb.atan2(across, abs(a * c + b * d)) * 180 / flint.arb.pi() if across > 0 else None

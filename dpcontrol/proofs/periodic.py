@@ -18,7 +18,9 @@ Equations (1990), section 5.1.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from fractions import Fraction
 from functools import reduce
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -27,7 +29,7 @@ from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.proofs.balls import ball, columns, exact, flint, largest, located, symmetric
-from dpcontrol.proofs.charts import Leg, Surface, legs_of, segment
+from dpcontrol.proofs.charts import Leg, SectionChart, Surface, segment
 from dpcontrol.proofs.covering import ChartSegment
 from dpcontrol.proofs.flow import FlowSettings
 from dpcontrol.tubes.frames import closed_frames
@@ -36,8 +38,8 @@ Chain = tuple[Leg, ...]
 """A closed chain of legs, each of which ends at the next one's first chart."""
 
 
-def closed_chain(system: System, states: Array, durations: Array, turns: Sequence[int]) -> tuple[Chain, Array]:
-    """Return a closed orbit's chain and growth factors (K, 2).
+def closed_chain(system: System, states: Array, durations: Array, turns: Sequence[int]) -> Chain:
+    """Return the legs of a closed orbit, the last of which has its whole turns.
 
     Args:
         system: system of two degrees of freedom.
@@ -45,8 +47,14 @@ def closed_chain(system: System, states: Array, durations: Array, turns: Sequenc
         durations: flight times (K,), s.
         turns: whole turns in a period (N,).
     """
-    bases, rates = closed_frames(system, states, durations)
-    return legs_of(np.concatenate([states, states[:1]]), bases, durations, turns), rates
+    bases, _ = closed_frames(system, states, durations)
+    charts = [
+        SectionChart(tuple(map(Fraction, state)), tuple(tuple(row) for row in basis))
+        for state, basis in zip([*states.tolist(), states[0].tolist()], bases.tolist(), strict=True)
+    ]
+    shifts = [(0,) * len(turns)] * (len(durations) - 1) + [tuple(int(k) for k in turns)]
+    pairs = zip(pairwise(charts), durations.tolist(), shifts, strict=True)
+    return tuple(Leg(first, second, Fraction(time), shift) for (first, second), time, shift in pairs)
 
 
 def enclose(

@@ -298,7 +298,7 @@ def prove_orbit(
 
     def work() -> Proof:
         surface = surface_of(system, energy)
-        chain, _ = closed_chain(system, *orbit_nodes(orbit, count), [0] * 4)
+        chain = closed_chain(system, *orbit_nodes(orbit, count), [0] * 4)
         segments, found = proved_chain(surface, chain, settings, part_of(progress, 0.0, 0.25))
         fine = replace(settings.flow, order=44, left=1e-28)
         # After two Newton steps, the theorem is applied to nodes accurate to the precision.
@@ -385,7 +385,7 @@ def prove_walk(
         turns = [round(float(turn / length)) if length else 0 for turn, length in lengths]
         if any(turn and not turning for turn, turning in zip(turns, surface.turns, strict=True)):
             raise InputError(f"{system.name} turns in a coordinate with a period other than 2π; it cannot be proved")
-        chain, _ = closed_chain(system, orbit.states[:-1], np.diff(orbit.times), turns)
+        chain = closed_chain(system, orbit.states[:-1], np.diff(orbit.times), turns)
         segments, found = proved_chain(surface, chain, settings, progress)
         pair = multipliers(segments)
         joints, marks = walk.shot.guess.joints, sorted(walk.shot.guess.markers)
@@ -465,8 +465,11 @@ def prove_network(
             try:
                 link = proved_link(link_data(route, pair, numbers, settings.box, rivals), numbers, enclosure)
                 angle = transversality(surface, route.connections[0], link, network.orbits)
+                if angle is None and kind == "connection":
+                    raise NotClosed("the cones of both manifolds are not proved to be disjoint")
                 state = [x.str(8) for x in link.legs[link.marks[0]].start]
-                rows.append({"name": route.name, "angle_deg": angle.str(8, more=True), "state": state})
+                degrees = None if angle is None else angle.str(8, more=True)
+                rows.append({"name": route.name, "angle_deg": degrees, "state": state})
                 network.links.append(link)
             except NotClosed as error:
                 failed.append(f"{route.name}: {error}")
@@ -477,7 +480,7 @@ def prove_network(
         claims = network_claims(network, kind)
         content = {"orbits": numbers, "links": [link.data for link in network.links], **claims}
         content.pop("least", None)
-        status = network_status(kind, len(routes), claims)
+        status = network_status(kind, [row["angle_deg"] for row in rows], claims)
         return Proof(kind, True, status, stated, figures | claims, 0.0, certificate(system, energy, content))
 
     return attempted(kind, stated, settings.bits, work)
@@ -520,21 +523,20 @@ def network_stated(kind: str, routes: Sequence[Route]) -> str:
             f"an orbit leads from the orbit about {first} to that about {last} and follows {routes[0].name} with wraps "
             f"{list(routes[0].wraps)}"
         )
-    count = counted(len(routes), "transversal connection")
     if kind == "connection":
-        return f"{count} from the orbit about {first} to that about {last}"
+        return f"{counted(len(routes), 'transversal connection')} from the orbit about {first} to that about {last}"
     return (
-        f"{count} between the orbits about {' and '.join(dict.fromkeys(saddles))}, and orbits along all walks on "
-        f"{'; '.join(route.name for route in routes)}"
+        f"{counted(len(routes), 'connection')} between the orbits about {' and '.join(dict.fromkeys(saddles))}, and "
+        f"orbits along all walks on {'; '.join(route.name for route in routes)}"
     )
 
 
-def network_status(kind: str, count: int, claims: Mapping[str, Any]) -> str:
+def network_status(kind: str, angles: Sequence[str | None], claims: Mapping[str, Any]) -> str:
     """Return the verdict on proved links.
 
     Args:
         kind: "connection", "walk", "horseshoe" or "graph".
-        count: number of links.
+        angles: enclosed angle of each link, None where its cones are not proved to be disjoint.
         claims: wraps and entropy of a graph.
     """
     if kind == "walk":
@@ -543,4 +545,10 @@ def network_status(kind: str, count: int, claims: Mapping[str, Any]) -> str:
         "; every walk on them, open or closed, with at least {wraps} wraps at each stop is realised by an orbit, and "
         "the topological entropy is at least {entropy} per second"
     )
-    return f"proved: {counted(count, 'distinct transversal connection')}" + (after.format(**claims) if claims else "")
+    across = len(angles) - angles.count(None)
+    links = (
+        counted(across, "distinct transversal connection")
+        if across == len(angles)
+        else f"{counted(len(angles), 'distinct connection')}, of which {across} are proved to be transversal"
+    )
+    return f"proved: {links}" + (after.format(**claims) if claims else "")

@@ -3,6 +3,7 @@
 import json
 from collections.abc import Callable
 from dataclasses import replace
+from fractions import Fraction
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -19,11 +20,13 @@ from dpcontrol.walks.edges import Edges
 pytest.importorskip("flint")
 
 from dpcontrol.proofs.check import check
-from dpcontrol.proofs.prove import Proof
+from dpcontrol.proofs.prove import Proof, prove_network
 
 pytestmark = pytest.mark.slow
 THROUGH_FIRST_BOX = 0.9
 """Passages that avoid the first box are shorter by less than a period of about ten."""
+NEARLY_TANGENT = 0.1
+"""Degrees; the cones of boxes of 1e-7 are wider at such an angle."""
 
 Change = Callable[[dict[str, Any]], None]
 
@@ -129,6 +132,21 @@ def test_a_link_given_twice_has_no_entropy(graph: Edges) -> None:
     proof = dp.prove_graph(replace(graph, connections=(graph.connections[2],) * 2))
     assert not proof.proved
     assert "link 2 is not proved to avoid the box of link 1 on its section" in proof.status
+
+
+def test_a_graph_includes_a_connection_whose_manifolds_may_be_tangent() -> None:
+    """The computed angle is 0.03°. Walks do not need it, but a proved connection does."""
+    near = dp.graph("point-mass", energy=0.2)
+    flat = min(near.connections, key=lambda c: c.transversality_angle)
+    assert flat.transversality_angle < NEARLY_TANGENT
+    proof = dp.prove_graph(replace(near, connections=(flat,)), energy=Fraction("0.2"))
+    assert proof.proved, proof.status
+    assert proof.status.startswith("proved: 1 distinct connection, of which 0 are proved to be transversal")
+    assert [row["angle_deg"] for row in proof.figures["links"]] == [None]
+    assert check(json.loads(json.dumps(proof.certificate))).proved
+    alone = prove_network("connection", [flat], energy=Fraction("0.2"))
+    assert not alone.proved
+    assert "the cones of both manifolds are not proved to be disjoint" in alone.status
 
 
 def test_an_open_walk_is_proved_and_checked_on_the_command_line(tmp_path: Path) -> None:

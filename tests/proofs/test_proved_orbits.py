@@ -172,7 +172,7 @@ def test_nodes_are_corrected_to_the_energy() -> None:
     states = np.array([system.propagator.flow(orbit.state, orbit.period * k / 4) for k in range(4)])
     with working(128):
         surface = surface_of(system, Fraction("-0.07000000001"))
-        chain, _ = closed_chain(system, states, np.full(4, orbit.period / 4), [0] * 4)
+        chain = closed_chain(system, states, np.full(4, orbit.period / 4), [0] * 4)
         _, found = proved_chain(surface, chain, ProofSettings())
     assert found.proved
     assert found.exists > flint.arb(1e-13)
