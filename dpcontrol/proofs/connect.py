@@ -22,7 +22,7 @@ from dpcontrol.foundation.arrays import Array
 from dpcontrol.orbits.lyapunov import LyapunovOrbit
 from dpcontrol.proofs.balls import Fraction, ball, flint, folded
 from dpcontrol.proofs.charts import Leg, SectionChart, Surface, passage, segment
-from dpcontrol.proofs.covering import Enclosure, Link, OrbitBoxes, backward, forward
+from dpcontrol.proofs.covering import CoveringLink, Enclosure, OrbitBoxes, backward, forward
 from dpcontrol.proofs.flow import FlowSettings
 from dpcontrol.proofs.symbols import described, dot, period_of
 from dpcontrol.shooting.newton import ShootingOrbit
@@ -220,7 +220,7 @@ def link_data(
     }
 
 
-def transversality(surface: Surface, connection: Connection, proved: Link, orbits: Sequence[OrbitBoxes]) -> Any:
+def transversality(surface: Surface, connection: Connection, proved: CoveringLink, orbits: Sequence[OrbitBoxes]) -> Any:
     """Enclose the angle between both tubes' cuts in (q, p/p₀) at the first mark of a link, deg.
 
     The result is None if the cones are not proved to be disjoint. Covering relations do not need it.

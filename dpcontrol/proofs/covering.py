@@ -198,7 +198,7 @@ def orbit_boxes(data: Mapping[str, Any], enclosure: Enclosure) -> OrbitBoxes:
 
 
 @dataclass(frozen=True)
-class Link:
+class CoveringLink:
     """A chain of covering relations from a box of one orbit to a box of another one or the same.
 
     Attributes:
@@ -224,7 +224,7 @@ class Link:
         return (int(self.data[key]) for key in keys)
 
 
-def proved_link(data: Mapping[str, Any], orbits: Sequence[Mapping[str, Any]], enclosure: Enclosure) -> Link:
+def proved_link(data: Mapping[str, Any], orbits: Sequence[Mapping[str, Any]], enclosure: Enclosure) -> CoveringLink:
     """Prove that a chain of boxes leads from orbit to orbit, and that it follows its symbols.
 
     Args:
@@ -252,7 +252,7 @@ def proved_link(data: Mapping[str, Any], orbits: Sequence[Mapping[str, Any]], en
         for symbol, k in ((symbols[0], marks[0]), (symbols[-1], marks[-1]))
     )
     before, after = sum(times[: marks[0]], early), sum(times[marks[-1] :], -late)
-    return Link(data, legs, marks, before, after)
+    return CoveringLink(data, legs, marks, before, after)
 
 
 def _delay(section: Mapping[str, Any], beside: Sequence[ChartSegment], enclosure: Enclosure) -> Any:
@@ -280,7 +280,7 @@ class Network:
     """
 
     orbits: list[OrbitBoxes]
-    links: list[Link]
+    links: list[CoveringLink]
     enclosure: Enclosure
 
     def check_marks(self) -> None:
@@ -317,7 +317,7 @@ class Network:
         beside = [one.legs[k].time for one in self.links for k in (one.marks[0] - 1, one.marks[0])]
         apart = 2 * reduce(lambda a, b: a.max(b), beside)
 
-        def fewest(one: Link, other: Link) -> int | None:
+        def fewest(one: CoveringLink, other: CoveringLink) -> int | None:
             ((target, joins), (source, leaves)) = one.numbers("target", "joins"), other.numbers("source", "leaves")
             if target != source:
                 return None
