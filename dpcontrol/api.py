@@ -1361,8 +1361,7 @@ def learn(
         GoalMissed: there are no such arms near the model's, or no plan for them.
 
     Examples:
-        >>> learnt = dp.learn(log)
-        >>> learnt.effort_expected < 0.1
+        >>> dp.learn("logs/outer-turn.mcap").effort_expected < 0.1  # doctest: +SKIP
         True
     """
     files = [Path(log) for log in ([logs] if isinstance(logs, str | Path) else logs)]
