@@ -122,6 +122,17 @@ KEEPERS = ("none", "ogy", "ogy-classic", "tvlqr")
 """Laws that can keep the stops of a walk; with none, one law follows the whole reference."""
 
 
+def keeps_by_phase(keep: str, estimator: FilterSettings | EstimatorSettings | OwnEstimator) -> bool:
+    """Return True if laws with internal timing keep the stops, and not gains by time with the estimated arms.
+
+    Args:
+        keep: law that keeps the stops, one of `KEEPERS`.
+        estimator: settings of the estimator.
+    """
+    estimates = isinstance(estimator, FilterSettings) and Augment.PARAMETERS in estimator.augments
+    return keep != "none" and not (keep == "tvlqr" and estimates)
+
+
 def keeping_controller(
     reference: Reference, parameters: ArmChainParameters, model: SampledModel, *, flies: TvlqrSettings, keep: str
 ) -> Program:
@@ -325,11 +336,13 @@ def _hold(made: LawInputs) -> Controller:
 
 def _tvlqr(made: LawInputs) -> Controller:
     reference, parameters, model, settings = made.reference, made.parameters, made.model, made.settings
-    if made.keep == "tvlqr" and Augment.PARAMETERS in made.estimator.augments:
-        # At ±5 %, 14 of 20 runs of a walk complete with feedback by phase, and 20 with this law.
-        return adaptive_controller(reference, model, AdaptiveSettings(), estimator=made.estimator)
-    if made.keep != "none":
+    if keeps_by_phase(made.keep, made.estimator):
         return keeping_controller(reference, parameters, model, flies=settings, keep=made.keep)
+    if made.keep != "none":
+        # At ±5 %, 14 of 20 runs of a walk complete with feedback by phase, and 20 with this law.
+        usual = vars(TvlqrSettings())
+        chosen = {name: value for name, value in vars(settings).items() if value != usual[name] and name != "schedule"}
+        return adaptive_controller(reference, model, AdaptiveSettings(**chosen), estimator=made.estimator)
     if made.stay is not None:
         orbit = kept_orbit(reference, made.stay, parameters)
         return orbit_controller(orbit, model, settings, seconds=reference.duration)

@@ -41,7 +41,7 @@ from dpcontrol.loop.bench import (
     Unlike,
     draw_bench,
 )
-from dpcontrol.loop.controllers import KEEPERS, ControllerSettings
+from dpcontrol.loop.controllers import KEEPERS, ControllerSettings, keeps_by_phase
 from dpcontrol.loop.own import OwnEstimator, OwnFailure, OwnLaw, OwnObject, OwnPlant
 from dpcontrol.loop.recovery import FallRecovery
 from dpcontrol.loop.result import (
@@ -414,7 +414,7 @@ class LoopSettings(Settings, table="run"):
             )
         if self.keep != "none" and not isinstance(self.controller, TvlqrSettings):
             raise self.refusal("keep", f'the law between the stops must be "tvlqr", not "{self.controller.kind}"')
-        if self.keep != "none" and self.supervisor.on_fall != "stop":
+        if self.keeps_by_phase and self.supervisor.on_fall != "stop":
             raise self.refusal(
                 "keep",
                 f'a keeper of stops has internal timing, and on_fall = "{self.supervisor.on_fall}" needs gains by '
@@ -491,6 +491,11 @@ class LoopSettings(Settings, table="run"):
         return None if own is None or own.symbolic else own
 
     @property
+    def keeps_by_phase(self) -> bool:
+        """True if laws with internal timing keep the stops."""
+        return keeps_by_phase(self.keep, self.estimator)
+
+    @property
     def lockstep(self) -> bool:
         """True if runs of these settings can be computed in lockstep, up to a flight.
 
@@ -498,12 +503,9 @@ class LoopSettings(Settings, table="run"):
         """
         sensors, supervisor = self.sensors, self.supervisor
         faults = sensors.missed_counts or np.isfinite(sensors.stuck_at)
-        filters = self.estimator
-        if not isinstance(filters, EkfSettings) or isinstance(self.controller, OwnLaw):
-            return False
-        by_time = self.keep == "none" or (self.keep == "tvlqr" and Augment.PARAMETERS in filters.augments)
-        hands_over = not by_time or supervisor.hold != "none" or supervisor.resynchronise
-        return self._own_plant is None and not faults and not hands_over and self.start == "planned"
+        hands_over = self.keeps_by_phase or supervisor.hold != "none" or supervisor.resynchronise
+        compiled = isinstance(self.estimator, EkfSettings) and not isinstance(self.controller, OwnLaw)
+        return compiled and self._own_plant is None and not faults and not hands_over and self.start == "planned"
 
     @property
     def flies(self) -> bool:

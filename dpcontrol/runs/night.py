@@ -114,18 +114,19 @@ def night_itinerary(itinerary: Itinerary, *, given: Mapping[str, object]) -> Iti
         given: settings by path that override the defaults.
     """
     given = canonical(given)
-    supervisor, keep = itinerary.loop.supervisor, itinerary.loop.keep
+    loop, keep = itinerary.loop, itinerary.loop.keep
+    supervisor = loop.supervisor
     if supervisor.on_fall == "stop" and "supervisor.on_fall" not in given:
         supervisor = replace(supervisor, on_fall="resume")
     if "supervisor.attempts" not in given:
         supervisor = replace(supervisor, attempts=0)
-    if keep != "none" and supervisor.on_fall != "stop" and "controller.keep" not in given:
+    if loop.keeps_by_phase and supervisor.on_fall != "stop" and "controller.keep" not in given:
         remark(
             f'{itinerary.path}: [controller] keep = "{keep}" has internal timing and cannot resume after a fall; '
             "this long run keeps its stops with gains by time, as with --set keep=none"
         )
         keep = "none"
-    return replace(itinerary, loop=replace(itinerary.loop, supervisor=supervisor, keep=keep))
+    return replace(itinerary, loop=replace(loop, supervisor=supervisor, keep=keep))
 
 
 def night_cost(

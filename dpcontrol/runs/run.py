@@ -743,7 +743,7 @@ def check_exportable(itinerary: Itinerary) -> None:
     own = isinstance(loop.controller, OwnLaw)
     refused = (
         (
-            loop.keep != "none",
+            loop.keeps_by_phase,
             f'run: keep = "{loop.keep}" has an internal clock that C export does not support; export without it',
         ),
         (

@@ -28,8 +28,11 @@ def test_a_night_continues_after_falls_by_default() -> None:
     as_given = night_itinerary(TURN, given={}).loop.supervisor
     assert (as_given.on_fall, as_given.attempts) == ("resume", 0)
     linger = load_itinerary("linger")
-    with pytest.warns(Remark, match=r'linger.toml: \[controller\] keep = "tvlqr" has internal timing'):
-        loop = night_itinerary(linger, given={}).loop
+    by_time = night_itinerary(linger, given={}).loop
+    assert (by_time.keep, by_time.supervisor.on_fall) == ("tvlqr", "resume")
+    by_pulses = linger.with_run({"controller.keep": "ogy"})
+    with pytest.warns(Remark, match=r'linger.toml: \[controller\] keep = "ogy" has internal timing'):
+        loop = night_itinerary(by_pulses, given={}).loop
     assert (loop.keep, loop.supervisor.on_fall) == ("none", "resume")
     stops = night_itinerary(linger, given={"on_fall": "stop", "attempts": 10}).loop
     assert (stops.keep, stops.supervisor.on_fall, stops.supervisor.attempts) == ("tvlqr", "stop", 10)
