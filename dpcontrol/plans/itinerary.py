@@ -12,7 +12,7 @@ times, plant names a model file for the plant's own arms, and zeros are the read
 """
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -261,7 +261,7 @@ class Itinerary:
             "rest" (hanging) or "hold" (at the equilibrium of the first or last part, or at the saddle of its orbit).
             Runs start with the cart in the middle.
         transfer: time of the transfers whose parts give none.
-        near: motions of similar arms, near which transfers are sought first, by the transfer's text.
+        near: transfers of similar arms, near which those of this itinerary are sought first.
         keeps: True if the file plans stops as stays on sustained orbits. Other controllers follow the same reference.
         zeros: readings (n,) of a rig's hanging arms, rad, or none.
         stored: .npz file of its existing plan, if any.
@@ -284,7 +284,7 @@ class Itinerary:
     stored: Path | None = None
     plant: str = ""
     transfer: Pace = GENTLE
-    near: Mapping[str, Reference] = field(default_factory=dict)
+    near: tuple[Reference, ...] = ()
 
     @property
     def stay(self) -> HoldPart | OrbitPart | None:

@@ -102,7 +102,7 @@ class Transfer:
         return cls(
             text, itinerary.model.name, itinerary.model.arms.planned(), itinerary.limits, itinerary.reference,
             tuple(start.tolist()), tuple(tuple(end.tolist()) for end in ends), pace or itinerary.transfer,
-            itinerary.near.get(text),
+            min(itinerary.near, key=lambda motion: _between(motion, start, ends)[0], default=None),
         )  # fmt: skip
 
     @property
@@ -223,11 +223,14 @@ def find_transfer(wanted: Transfer, progress: Progress = no_progress) -> Referen
     factors, arms = scale.state(wanted.arms.count), wanted.arms.scaled(scale.length, scale.time)
     start, *ends = (factors * state for state in (wanted.start, *wanted.ends))
     aside, earlier = np.allclose(start[:-2], ends[0][:-2]), list[tuple[Trajectory, Array]]()
+    attempts = _attempts(wanted, scale, aside=aside)
     if wanted.near is not None:
-        near = turned(wanted.near, -whole_turns((wanted.near.states[0, 0] - start)[: arms.count]))
+        begin = np.array(wanted.start)
+        _, end = _between(wanted.near, begin, np.array(wanted.ends))
+        near = turned(wanted.near, -whole_turns((wanted.near.states[0, 0] - begin)[: arms.count]))
         first = Trajectory(near.method, near.mesh * scale.time, near.states * factors, near.inputs * scale.acceleration)
-        earlier = [(first, min(ends, key=lambda end: np.abs(first.states[-1, -1] - end).max()))]
-    for share, durations, flies in [(TIGHT, np.zeros(0), False), *_attempts(wanted, scale, aside=aside)]:
+        earlier, attempts = [(first, factors * end)], [(TIGHT, np.zeros(0), False), *attempts]
+    for share, durations, flies in attempts:
         room = scale.limits(wanted.limits, share)
         ways = [Way(arms, scale.limits(wanted.limits), room, start, ends[0], backwards) for backwards in (False, True)]
         fixed = wanted.pace != SHORTEST
@@ -236,6 +239,7 @@ def find_transfer(wanted: Transfer, progress: Progress = no_progress) -> Referen
             if flies
             else [*earlier, *smooth_motions(start, ends, durations)]
         )
+        earlier = []
         solved: list[tuple[ReferenceProblem, Trajectory]] = []
         for k, (first, end) in enumerate(firsts):
             progress("transfer", k / len(firsts))
@@ -305,6 +309,15 @@ def _missed(wanted: Transfer, durations: Array, failed: str) -> GoalMissed:
         obstacle=wanting(problem, first, _COARSE),
     )
     return GoalMissed(ending.status)
+
+
+def _between(motion: Reference, start: Array, ends: Sequence[Array] | Array) -> tuple[float, Array]:
+    """Return the distance of a motion's ends from a start and the nearest of several ends, whole turns apart."""
+    n = len(start) // 2 - 1
+    turns = np.pad(whole_turns((motion.states[0, 0] - start)[:n]), (0, n + 2))
+    away = [float(np.abs(motion.states[-1, -1] - turns - end).max()) for end in ends]
+    nearest = int(np.argmin(away))
+    return away[nearest] + float(np.abs(motion.states[0, 0] - turns - start).max()), np.asarray(ends[nearest])
 
 
 def turned(reference: Reference, angles: Array) -> Reference:

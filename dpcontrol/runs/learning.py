@@ -257,7 +257,7 @@ def replanned(plan: Plan, model: Model, errors: Array, *, progress: Progress = n
     """
     missed: list[str] = []
     costs, still = plan.content.costs, np.zeros(0)
-    near = {cost.text: tail(plan.reference, cost.begin, seconds=cost.duration, turns=still) for cost in costs}
+    near = tuple(tail(plan.reference, cost.begin, seconds=cost.duration, turns=still) for cost in costs)
     for raised in RAISED:
         itinerary = of_learnt_arms(plan.itinerary, model, errors, raised=raised)
         try:
