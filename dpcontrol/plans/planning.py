@@ -14,7 +14,7 @@ sustained one (`references.sustained`), repeated for whole periods.
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
+from functools import cache
 from itertools import pairwise, takewhile
 
 import numpy as np
@@ -204,8 +204,9 @@ def _connections(itinerary: Itinerary, part: WalkPart, progress: Progress) -> tu
         edges = find_edges(system, part.energy, pairs=pairs, symbols=symbols, progress=progress)
         if edges.absent:
             raise GoalMissed("; ".join(reason for _, reason in edges.absent))
-        loss = partial(connection_loss, itinerary.model.arms)
-        return resolve(part.walk, edges, loss), WalkSolver(edges.known)
+        known = {connection.name: connection for connection in edges.known}
+        loss = cache(lambda name: connection_loss(itinerary.model.arms, known[name]))
+        return resolve(part.walk, edges, lambda connection: loss(connection.name)), WalkSolver(edges.known)
     except (InputError, GoalMissed) as error:
         # The name of a connection is valid at one energy only.
         named = any(simple.name is not None for symbol in symbols for simple in symbol.simple)
