@@ -294,8 +294,10 @@ def find_orbits(
     """
     if (saddle is None) == (rotating is None):
         raise InputError("give either saddle for Lyapunov orbits, or rotating = inner or outer for rotating orbits")
-    if (sustained or transport) and (saddle is None or energy is None or sustained is transport):
-        raise InputError("sustained orbits and transport need saddle and energy: give both, and one of these flags")
+    if sustained and transport:
+        raise InputError("give either sustained or transport")
+    if (sustained or transport) and (saddle is None or energy is None):
+        raise InputError("a sustained orbit and rates of transport need saddle and energy: give both")
     if energy is None and energies is None:
         raise InputError("give energy for the orbits of one energy, or energies for their families")
     if picture is not None and rotating is not None and energies is None:
@@ -1367,7 +1369,8 @@ def learn(
     files = [Path(log) for log in ([logs] if isinstance(logs, str | Path) else logs)]
     if not files:
         raise InputError("logs = []: give at least one log")
-    last, names = (runs := [*map(open_log, files)])[-1].log.metadata, [file.name for file in files]
+    runs, names = [open_log(file) for file in files], [file.name for file in files]
+    last = runs[-1].log.metadata
     with chosen_name(
         out,
         Path("models") / f"{last.get('itinerary', 'run')}-learnt.toml",

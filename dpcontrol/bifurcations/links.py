@@ -61,6 +61,7 @@ class Quantity:
     Attributes:
         system: system of the names, scales and symmetries, which are the same at all values.
         quantity: "energy", or the name of the parameter.
+        plural: the values in words, such as "energies".
         unit: unit of the quantity, as a suffix of numbers.
         scale: typical size of the quantity.
         at: function from a value to the system and the energy, J.
@@ -68,6 +69,7 @@ class Quantity:
 
     system: System
     quantity: str
+    plural: str
     unit: str
     scale: float
     at: Callable[[float], tuple[System, float]]
@@ -79,7 +81,7 @@ class Quantity:
         Args:
             system: system of any energy.
         """
-        return cls(system, "energy", system.unit("J"), system.energy_scale, lambda energy: (system, energy))
+        return cls(system, "energy", "energies", system.unit("J"), system.energy_scale, lambda energy: (system, energy))
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ Arrays are float64 unless said otherwise. K and J count orbits, cuts, pieces and
               "cuts": [{saddle, section (index), hit, trajectories, resolved, status, open_ends,
                         pieces: [{branch, direction, closed}]}],
               "transport": [{saddle, energy, action, volume, returns, cause, si}],
-             "kinds": [{source, target, section, hits, count, failed, complete, open_ends, by_reversal, status}],
+              "kinds": [{source, target, section, hits, count, failed, complete, open_ends, by_reversal, status}],
               "connections": [{name, source, target, section (index), state, point, winding, sense, symmetric,
                                residual, transversality_angle (degrees), hits, time_out, time_in (s), phase_out,
                                phase_in}]}

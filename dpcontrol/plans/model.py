@@ -191,7 +191,8 @@ def parameter_course(
             "a parameter of inertia or gravity"
         )
     unit = model.parameters.named()[name][1]
-    return Quantity(model.system, name, "" if unit == "1" else f" {unit}", max(abs(low), abs(high)), at)
+    unit = "" if unit == "1" else f" {unit}"
+    return Quantity(model.system, name, f"values of {name}", unit, max(abs(low), abs(high)), at)
 
 
 @dataclass(frozen=True)

@@ -511,7 +511,7 @@ def network_claims(network: Network, kind: str) -> dict[str, Any]:
 
 
 def network_stated(kind: str, routes: Sequence[Route]) -> str:
-    """Return what is to be proved of links.
+    """Return the claim on links, in words.
 
     Args:
         kind: "connection", "walk", "horseshoe" or "graph".

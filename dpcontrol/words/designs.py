@@ -198,13 +198,12 @@ def bifurcations(found: Any) -> Iterator[Line]:
         found: a `BifurcationSearch`.
     """
     unit, course = found.system.unit, found.course
-    name = f"{course.quantity} ({course.unit.strip()})"
-    over = {} if course.quantity == "energy" else {name: "{.value:.10f}"}
+    measured = _BRACKETS.format(course.unit.strip()) if course.unit else ""
     yield table(
         f"{found.source} → {found.target}, {counted(found.crossings, 'crossing')} of {found.section.name}",
         found.events,
         {
-            **over,
+            f"{course.quantity}{measured}": "{.value:.10f}",
             f"energy{unit('J', _BRACKETS)}": "{.energy:.10f}",
             "kind": "{.kind}",
             "count": lambda e: f"{'at least ' if e.at_least else ''}{e.count_below} → {e.count_above}",

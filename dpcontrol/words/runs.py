@@ -161,7 +161,7 @@ def _done(figures: Mapping[str, Any]) -> str:
 _TOLD = {
     "rate": ("{} Hz", 1.0),
     "sensors.counts": ("{} counts per turn", 1.0),
-    "drive.delay": ("delay {} periods", 1.0),
+    "drive.delay": ("delay {} × period", 1.0),
     "drive_lag": ("assumed lag {} ms", 1e3),
 }
 """Conditions that the controller knows, by the path of their setting: text, and factor to its unit."""
@@ -188,7 +188,7 @@ def conditions(settings: Sequence[Mapping[str, Any]], *, simulated: bool) -> str
         if all(value == first for value in others):
             values = first if isinstance(first, list) else [first]
             shared.append(text.format(" and ".join(f"{factor * value:,.6g}" for value in values)))
-    return ", ".join(shared).replace("delay 1 periods", "delay 1 period")
+    return ", ".join(shared)
 
 
 def conditions_of(metadata: Mapping[str, str]) -> tuple[str, ...]:

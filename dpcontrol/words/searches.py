@@ -180,7 +180,6 @@ def _followed(gap: Any, k: int) -> str:
 
 def bifurcations_sentence(r: Any) -> str:
     """Return the outcome of a search for bifurcations."""
-    plural = "energies" if r.course.quantity == "energy" else f"values of {r.course.quantity}"
     found, unit = counted(len(r.events), "event"), r.course.unit
     shown = [(*change.values, change.reason) for change in r.unexplained[:5]]
     gaps = "; ".join(f"{low:.6g} to {high:.6g}{unit}, {reason}" for low, high, reason in shown)
@@ -188,7 +187,7 @@ def bifurcations_sentence(r: Any) -> str:
     single_at = "; ".join(f"at {c.value:.6g}{unit} {c.caveat}" for c in single[:3])
     begin = f"{r.counts[0].value:.6g}{unit}, just above the higher saddle's energy of {r.born or 0:.6g}{unit}"
     return _joined(
-        (not gaps, f"{found}; every change of the count over {len(r.counts)} {plural} is explained"),
+        (not gaps, f"{found}; every change of the count over {len(r.counts)} {r.course.plural} is explained"),
         (
             gaps,
             f"{found} located, but not the cause of {counted(len(r.unexplained), 'change')} of the count: {gaps}",
@@ -521,7 +520,7 @@ SENTENCES: Mapping[type[StrEnum], Mapping[Any, Callable[[Any], str]]] = {
             f"{r.place} needs {r.figure:.0f} m/s² per rad of feedback, and beyond {r.limit:.0f} few runs hold it"
         ),
         CautionCause.GAINS: lambda r: (
-            f"{r.place} and the like hide angles that cost the feedback up to {r.figure:.2g} times the drive's "
+            f"hidden angles, most of them due to {r.place}, cost the feedback up to {r.figure:.2g} times the drive's "
             f"acceleration (reliable: {r.limit:g})"
         ),
         CautionCause.START: lambda r: (

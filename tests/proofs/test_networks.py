@@ -102,9 +102,9 @@ def test_the_check_confirms_a_graph_with_its_wraps_and_its_entropy(network: Proo
 def test_the_entropy_is_a_bound_of_that_of_computed_passages(network: Proof, graph: Edges) -> None:
     """Durations are those of the computed connections and orbit, in doubles.
 
-    Between the marks of two links pass the wraps' time and any number of rounds, so with x = exp(-h T) the entropy
-    solves det(1 - A/(1 - x)) = 0, where A has the exponentials of the shortest passages. The proof counts only passages
-    through the orbit's first box.
+    A passage between the marks of two links lasts as long as its wraps, with any number of extra rounds. So with
+    x = exp(-h T) the entropy solves det(1 - A/(1 - x)) = 0. A has the exponentials of the shortest passages. The proof
+    counts only passages through the orbit's first box.
     """
     first, second = (graph.connections[k] for k in (2, 5))
     period, pairs = first.source.period, list(product((first, second), repeat=2))
