@@ -38,8 +38,7 @@ from dpcontrol.foundation.files import (
     is_bag_folder,
     write_whole,
 )
-from dpcontrol.foundation.guide import GuidePage
-from dpcontrol.foundation.guide import page as guide_page
+from dpcontrol.foundation.guide import GuidePage, page as guide_page
 from dpcontrol.foundation.parts import StageModule, installed, part
 from dpcontrol.foundation.progress import Cost, Progress, Reporting, announce, part_of
 from dpcontrol.foundation.rendering import render
@@ -114,84 +113,79 @@ STAGES = {
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from dpcontrol.bench import chart, drawing
-    from dpcontrol.bench import energies as energy_charts
+    from dpcontrol.bench import chart, drawing, energies as energy_charts
     from dpcontrol.bifurcations import bifurcations, links
     from dpcontrol.control import export as exports
     from dpcontrol.control.flight import Flight as Flight
-    from dpcontrol.control.symbolic import Setpoint as Setpoint
-    from dpcontrol.control.symbolic import SymbolicLaw as SymbolicLaw
-    from dpcontrol.dynamics import chain as chains
-    from dpcontrol.dynamics import mjcf as mjcf_files
-    from dpcontrol.dynamics import system as systems
-    from dpcontrol.dynamics.components import Sizes as Sizes
-    from dpcontrol.dynamics.components import SymbolicPlant as SymbolicPlant
-    from dpcontrol.dynamics.components import Terms as Terms
+    from dpcontrol.control.symbolic import Setpoint as Setpoint, SymbolicLaw as SymbolicLaw
+    from dpcontrol.dynamics import chain as chains, mjcf as mjcf_files, system as systems
+    from dpcontrol.dynamics.components import Sizes as Sizes, SymbolicPlant as SymbolicPlant, Terms as Terms
     from dpcontrol.dynamics.propagator import Section as Section
     from dpcontrol.dynamics.system import System as System
-    from dpcontrol.identification import fit as fits
-    from dpcontrol.identification import identify as identification
-    from dpcontrol.identification import replay as replays
-    from dpcontrol.judge import campaign as campaign_tables
-    from dpcontrol.judge import comparison
-    from dpcontrol.judge import night as night_logs
-    from dpcontrol.judge import of_log as log_views
-    from dpcontrol.judge import preflight as preflights
-    from dpcontrol.judge import score as scoring
-    from dpcontrol.logs import reader as log_reader
-    from dpcontrol.logs import recovery as log_recovery
+    from dpcontrol.identification import fit as fits, identify as identification, replay as replays
+    from dpcontrol.judge import (
+        campaign as campaign_tables,
+        comparison,
+        night as night_logs,
+        of_log as log_views,
+        preflight as preflights,
+        score as scoring,
+    )
+    from dpcontrol.logs import reader as log_reader, recovery as log_recovery
     from dpcontrol.loop import own as own_objects
-    from dpcontrol.loop.protocols import Reading as Reading
-    from dpcontrol.loop.protocols import UserEstimator, UserLaw, UserPlant, UserRig
-    from dpcontrol.orbits import family as families
-    from dpcontrol.orbits import lyapunov
-    from dpcontrol.orbits import rotating as rotations
-    from dpcontrol.pages import figures as paper_figures
-    from dpcontrol.pages import film as films
-    from dpcontrol.pages import identification as identification_pages
-    from dpcontrol.pages import layout as page_layout
-    from dpcontrol.pages import page as report_pages
-    from dpcontrol.pages import renderers, viewer
-    from dpcontrol.pages import rerun_recording as rerun_recordings
+    from dpcontrol.loop.protocols import Reading as Reading, UserEstimator, UserLaw, UserPlant, UserRig
+    from dpcontrol.orbits import family as families, lyapunov, rotating as rotations
+    from dpcontrol.pages import (
+        figures as paper_figures,
+        film as films,
+        identification as identification_pages,
+        layout as page_layout,
+        page as report_pages,
+        renderers,
+        rerun_recording as rerun_recordings,
+        viewer,
+    )
     from dpcontrol.planner import server as servers
-    from dpcontrol.plans import atlas as atlases
-    from dpcontrol.plans import itinerary as itineraries
-    from dpcontrol.plans import model as models
-    from dpcontrol.plans import overrides
-    from dpcontrol.plans import plan as plans
-    from dpcontrol.plans import schema as schemas
-    from dpcontrol.plans.model import Model as Model
-    from dpcontrol.plans.model import load_model as load_model
-    from dpcontrol.proofs import check as proof_checks
-    from dpcontrol.proofs import prove as proofs
-    from dpcontrol.recordings import checks as recording_checks
-    from dpcontrol.recordings import importing
-    from dpcontrol.recordings import recording as recording_files
-    from dpcontrol.references import problem as reference_problems
-    from dpcontrol.references import reference as references
-    from dpcontrol.references import sustained as sustained_orbits
-    from dpcontrol.references.problem import Limits as Limits
-    from dpcontrol.references.problem import ReferenceSettings as ReferenceSettings
-    from dpcontrol.rig import bench as bench_server
-    from dpcontrol.rig import commissioning
-    from dpcontrol.runs import campaign as campaigns
-    from dpcontrol.runs import closed_loop as loops
-    from dpcontrol.runs import example_bench as example_benches
-    from dpcontrol.runs import flights, learning
-    from dpcontrol.runs import night as night_runs
-    from dpcontrol.runs import polish as polishing
-    from dpcontrol.runs import run as single_runs
+    from dpcontrol.plans import (
+        atlas as atlases,
+        itinerary as itineraries,
+        model as models,
+        overrides,
+        plan as plans,
+        schema as schemas,
+    )
+    from dpcontrol.plans.model import Model as Model, load_model as load_model
+    from dpcontrol.proofs import check as proof_checks, prove as proofs
+    from dpcontrol.recordings import checks as recording_checks, importing, recording as recording_files
+    from dpcontrol.references import (
+        problem as reference_problems,
+        reference as references,
+        sustained as sustained_orbits,
+    )
+    from dpcontrol.references.problem import Limits as Limits, ReferenceSettings as ReferenceSettings
+    from dpcontrol.rig import bench as bench_server, commissioning
+    from dpcontrol.runs import (
+        campaign as campaigns,
+        closed_loop as loops,
+        example_bench as example_benches,
+        flights,
+        learning,
+        night as night_runs,
+        polish as polishing,
+        run as single_runs,
+    )
     from dpcontrol.runs.campaign import CampaignSettings as CampaignSettings
     from dpcontrol.runs.night import NightSettings as NightSettings
     from dpcontrol.shooting import extended
-    from dpcontrol.tubes import connections as tubes
-    from dpcontrol.tubes import intersections, symmetric
-    from dpcontrol.tubes import transport as transports
-    from dpcontrol.walks import atlas as walk_atlases
-    from dpcontrol.walks import edges as graphs
-    from dpcontrol.walks import following, shadowing
-    from dpcontrol.walks import symbols as walk_symbols
-    from dpcontrol.walks import walks as walk_lists
+    from dpcontrol.tubes import connections as tubes, intersections, symmetric, transport as transports
+    from dpcontrol.walks import (
+        atlas as walk_atlases,
+        edges as graphs,
+        following,
+        shadowing,
+        symbols as walk_symbols,
+        walks as walk_lists,
+    )
 
     Law: TypeAlias = UserLaw
     Estimator: TypeAlias = UserEstimator

@@ -19,8 +19,7 @@ from typing import Annotated, Any, Literal, NamedTuple, TypeVar, Union, get_args
 from dpcontrol.foundation.errors import InputError, printable, shortened
 from dpcontrol.foundation.parts import StageModule
 from dpcontrol.foundation.progress import reporting
-from dpcontrol.foundation.settings import Setting as Between
-from dpcontrol.foundation.settings import is_finite, suggest
+from dpcontrol.foundation.settings import Setting as Between, is_finite, suggest
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 

@@ -27,8 +27,7 @@ from dpcontrol.judge.nearest import closest_approach, limit_uses, nis_reading
 from dpcontrol.judge.of_log import reference_view, run_view, sustained_view
 from dpcontrol.judge.run_view import RunView, series_of
 from dpcontrol.logs import RunLog
-from dpcontrol.pages import rerun_recording as recorded
-from dpcontrol.pages import style
+from dpcontrol.pages import rerun_recording as recorded, style
 from dpcontrol.pages.charts import MOST_MARKED, draw_chart, draw_plane
 from dpcontrol.pages.film import add_film, film_times
 from dpcontrol.pages.layout import Draw, Page, Stack

@@ -18,8 +18,7 @@ import csv
 import re
 import struct
 import zlib
-from collections.abc import Collection, Iterator, Sequence
-from collections.abc import Mapping as Columns
+from collections.abc import Collection, Iterator, Mapping as Columns, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, pairwise, zip_longest
 from pathlib import Path

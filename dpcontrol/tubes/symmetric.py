@@ -36,8 +36,13 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.shown import Shown
 from dpcontrol.orbits.cut import arrivals
-from dpcontrol.orbits.lyapunov import LyapunovOrbit, SymmetricShooting, lyapunov_orbit, nearby_orbit
-from dpcontrol.orbits.lyapunov import symmetric_shooting as shooting_problem
+from dpcontrol.orbits.lyapunov import (
+    LyapunovOrbit,
+    SymmetricShooting,
+    lyapunov_orbit,
+    nearby_orbit,
+    symmetric_shooting as shooting_problem,
+)
 from dpcontrol.orbits.manifold import OrbitCurve, local_manifold
 from dpcontrol.shooting.newton import ManifoldEnd, ShootingOrbit
 from dpcontrol.tubes.connections import Connection, approach, mirrored, named

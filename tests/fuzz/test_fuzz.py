@@ -14,8 +14,7 @@ import time
 
 import pytest
 from hostile import KINDS, VERBS, Trial, all_trials, file_trials, option_trials
-from hypothesis import HealthCheck, Phase, given, seed, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, Phase, given, seed, settings, strategies as st
 from laboratory import Laboratory, make_laboratory
 from trials import attempt, complaints, explained
 

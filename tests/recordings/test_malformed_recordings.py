@@ -10,8 +10,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from bench_recordings import rig_variables, table_columns, write_csv, write_mat
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.recordings.importing import import_recording

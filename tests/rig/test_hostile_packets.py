@@ -16,8 +16,7 @@ from pathlib import Path
 import pytest
 from bench_at_hand import KEY, LONG, PATIENT, Raw, Toy, next_reading, raw, served, welcomed
 from command_line import dpcontrol
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.rig import packets as packets

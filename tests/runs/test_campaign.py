@@ -18,8 +18,7 @@ from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.statistics import paired, wilson
 from dpcontrol.plans.itinerary import Itinerary, load_itinerary
 from dpcontrol.plans.plan import make_plan
-from dpcontrol.runs import campaign as campaign_jobs
-from dpcontrol.runs import campaign as workers
+from dpcontrol.runs import campaign as campaign_jobs, campaign as workers
 from dpcontrol.runs.campaign import (
     LEVELS,
     STANDARD,
