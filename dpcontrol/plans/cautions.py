@@ -24,7 +24,7 @@ LIMITS = {
     CautionCause.AUTHORITY: 175.0,
     CautionCause.GAINS: 2.0,
     CautionCause.START: 0.5,
-    CautionCause.LAG: 0.5,
+    CautionCause.LAG: 0.7,
     CautionCause.LATE: 1.2,
 }
 """Largest figure of each kind that completes reliably."""
@@ -121,6 +121,7 @@ def _gains(itinerary: Itinerary, reference: Reference) -> Iterator[Caution]:
     try:
         shares = peak_gains(arms, reference) / itinerary.limits.acceleration
     except GoalMissed:
+        # The end cannot be held: its need is infinite, which is a caution already.
         return
     hidden, peak = hidden_angles(itinerary), float(shares.max())
     largest = max(hidden, key=lambda name: hidden[name])
