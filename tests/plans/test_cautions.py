@@ -55,9 +55,9 @@ def test_coarse_encoders_cost_the_feedback_what_finer_ones_do_not(turn: Plan) ->
 
 
 def test_an_untold_lag_is_a_caution_until_it_is_told(turn: Plan) -> None:
-    untold = cautions(turn, lag=0.08)
+    untold = cautions(turn, lag=0.04)
     assert untold[CautionCause.LAG].change == "drive_lag"
-    told = cautions(turn, lag=0.08, drive_lag=untold[CautionCause.LAG].value)
+    told = cautions(turn, lag=0.04, drive_lag=untold[CautionCause.LAG].value)
     assert CautionCause.LAG not in told
     assert CautionCause.LATE not in told
     slower = cautions(turn, lag=0.15, drive_lag=0.15)[CautionCause.LATE]

@@ -116,7 +116,7 @@ def test_borders_for_which_there_is_no_time_are_named(turn: Plan, monkeypatch: p
 
 def test_a_preflight_names_the_figures_that_explain_its_failures(turn: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
     made_up(monkeypatch, lambda loop, random: loop.drive.lag < 0.01)
-    found = preflight(turn, {"lag": 0.08}, settings=PreflightSettings(runs=16, workers=1))
+    found = preflight(turn, {"lag": 0.04}, settings=PreflightSettings(runs=16, workers=1))
     assert {caution.cause for caution in found.warnings} == {CautionCause.LAG}
     assert found.document()["warnings"][0]["remedy"]
 
