@@ -73,9 +73,9 @@ class Learnt(Documented):
     """Arms learnt from runs, with the plan for them.
 
     Attributes:
-        names, values, errors: ratios of the arms (m,) and their standard errors, SI units; see `ratio_names`.
+        names, values, errors: ratios of the arms (m,), as `ratio_names` lists them, and their standard errors, SI units.
         model: model of the arms, with the covariance of the ratios.
-        plan: the itinerary of the last run, planned for these arms; its filter starts at the learnt covariance.
+        plan: plan of the last run's itinerary for these arms, with a filter that starts at the learnt covariance.
         effort_before: feedback beyond the feedforward in the last run, m/s² rms after its first second.
         effort_expected: the same in a simulated run of the new plan, with a plant drawn from the covariance.
         file: file of the model, None if it was not written.
