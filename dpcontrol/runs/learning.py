@@ -73,7 +73,7 @@ class Learnt(Documented):
     """Arms learnt from runs, with the plan for them.
 
     Attributes:
-        names, values, errors: ratios of the arms (m,), as `ratio_names` lists them, and their standard errors, SI units.
+        names, values, errors: ratios of the arms (m,) by `ratio_names`, and their standard errors, SI units.
         model: model of the arms, with the covariance of the ratios.
         plan: plan of the last run's itinerary for these arms, with a filter that starts at the learnt covariance.
         effort_before: feedback beyond the feedforward in the last run, m/s² rms after its first second.
