@@ -65,13 +65,13 @@ class Arms:
         """Return the model file; coulomb: whether it has the Coulomb friction."""
         source = 'source = "Drawn at random from the ranges that laboratories build"'
         lines = [
-            f'title = "{title}"', 'system = "arm-chain"', "", "[arms]", source, f"mass = {_list(self.mass)}",
-            f"centre_of_mass = {_list(self.centre_of_mass)}", f"length = {_list(self.length)}",
-            f"inertia = {_list(self.inertia)}", "", "[gravity]", source, f"acceleration = {GRAVITY}", "",
-            "[friction]", source, f"viscous = {_list(self.viscous)}",
+            f'title = "{title}"', 'system = "arm-chain"', "", "[arms]", source, f"mass = {list_text(self.mass)}",
+            f"centre_of_mass = {list_text(self.centre_of_mass)}", f"length = {list_text(self.length)}",
+            f"inertia = {list_text(self.inertia)}", "", "[gravity]", source, f"acceleration = {GRAVITY}", "",
+            "[friction]", source, f"viscous = {list_text(self.viscous)}",
         ]  # fmt: skip
         if coulomb and any(self.coulomb):
-            lines += [f"coulomb = {_list(self.coulomb)}", f"smoothing = {self.smoothing:.4g}"]
+            lines += [f"coulomb = {list_text(self.coulomb)}", f"smoothing = {self.smoothing:.4g}"]
         return "\n".join(lines) + "\n"
 
 
@@ -84,11 +84,12 @@ class Scene:
     plant: str
     itinerary: str
     factors: dict[str, float | str]
+    kind: str = "scene"
 
     @property
     def name(self) -> str:
         """The file name without its suffix."""
-        return f"scene-{self.seed:04d}"
+        return f"{self.kind}-{self.seed:04d}"
 
     def write(self, folder: Path) -> Path:
         """Write the files and return the path of the itinerary."""
@@ -111,7 +112,7 @@ def sampled_scene(seed: int) -> Scene:
     rig, factors = _rig(np.random.default_rng([seed, RIG]))
     mechanics, mechanics_factors = _mechanics(np.random.default_rng([seed, MECHANICS]), arms)
     rig += mechanics
-    lines, itinerary_factors = _itinerary(np.random.default_rng([seed, ITINERARY]), arms)
+    lines, itinerary_factors = drawn_motion(np.random.default_rng([seed, ITINERARY]), arms)
     rig.append(f"travel = {itinerary_factors['half track']:.3f}")
     if frictional and not known:
         rig.append(f'plant = "{name}-plant.toml"')
@@ -130,18 +131,20 @@ def sampled_scene(seed: int) -> Scene:
     )  # fmt: skip
 
 
-def _list(values: Sequence[float]) -> str:
+def list_text(values: Sequence[float]) -> str:
+    """Return numbers as a list of TOML."""
     return "[" + ", ".join(f"{value:.6g}" for value in values) + "]"
 
 
-def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
+def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
+    """Return a number whose logarithm is distributed evenly."""
     return float(np.exp(rng.uniform(np.log(low), np.log(high))))
 
 
 def _arms(rng: np.random.Generator) -> Arms:
     count = int(rng.choice([1, 2, 3], p=[0.14, 0.8, 0.06]))
-    length = [_log_uniform(rng, 0.1, 0.5) for _ in range(count)]
-    mass = [one * _log_uniform(rng, 0.3, 2.0) for one in length]
+    length = [log_uniform(rng, 0.1, 0.5) for _ in range(count)]
+    mass = [one * log_uniform(rng, 0.3, 2.0) for one in length]
     centre = [one * rng.uniform(0.3, 0.7) for one in length]
     inertia = [m * one**2 / 12 * rng.uniform(0.7, 1.3) for m, one in zip(mass, length, strict=True)]
     viscous = []
@@ -151,9 +154,9 @@ def _arms(rng: np.random.Generator) -> Arms:
         for j in range(i, count):
             about += inertia[j] + mass[j] * (reach + centre[j]) ** 2
             reach += length[j]
-        viscous.append(2 * about / _log_uniform(rng, 5.0, 200.0))
+        viscous.append(2 * about / log_uniform(rng, 5.0, 200.0))
     arms = Arms(tuple(mass), tuple(centre), tuple(length), tuple(inertia), tuple(viscous), (0.0,) * count, 0.0)
-    frictional, smoothing = rng.random() >= 0.4, _log_uniform(rng, 0.005, 0.5)
+    frictional, smoothing = rng.random() >= 0.4, log_uniform(rng, 0.005, 0.5)
     coulomb = tuple(rng.uniform(0, 0.015) * torque for torque in arms.torques)
     if not frictional:
         return arms
@@ -176,7 +179,7 @@ _KINDS = {
 }  # fmt: skip
 
 
-def _itinerary(rng: np.random.Generator, arms: Arms) -> tuple[list[str], dict[str, float | str]]:
+def drawn_motion(rng: np.random.Generator, arms: Arms) -> tuple[list[str], dict[str, float | str]]:
     """Return the lines of the itinerary, limits included, and its factors."""
     count = len(arms.mass)
     track = float(np.clip(sum(arms.length) * rng.uniform(1.2, 2.5), 0.3, 1.0))
@@ -242,7 +245,7 @@ def _walk(rng: np.random.Generator, arms: Arms, count: int) -> list[str]:
 def _energy(rng: np.random.Generator, arms: Arms, visited: Sequence[str]) -> float:
     """Return an energy above all visited saddles, J."""
     lowest = max(arms.energy(saddle) for saddle in visited)
-    return lowest + _log_uniform(rng, 0.03, 0.5) * (arms.energy("up-up") - lowest)
+    return lowest + log_uniform(rng, 0.03, 0.5) * (arms.energy("up-up") - lowest)
 
 
 def _rig(rng: np.random.Generator) -> tuple[list[str], dict[str, float | str]]:
@@ -251,10 +254,10 @@ def _rig(rng: np.random.Generator) -> tuple[list[str], dict[str, float | str]]:
     delay = float(rng.choice([0.0, 1.0, 2.0, 3.0, round(rng.uniform(0, 3), 2)]))
     lag = float(rng.choice([0.0, round(rng.uniform(0.001, 0.02), 4)], p=[0.3, 0.7]))
     known = bool(rng.random() < 0.5)
-    counts = round(_log_uniform(rng, 1e3, 4e4))
-    resolution = _log_uniform(rng, 1e-6, 2e-4)
+    counts = round(log_uniform(rng, 1e3, 4e4))
+    resolution = log_uniform(rng, 1e-6, 2e-4)
     jitter = float(rng.choice([0.0, rng.uniform(0, min(1 / rate, 2e-3))], p=[2 / 3, 1 / 3]))
-    noise = float(rng.choice([0.0, _log_uniform(rng, 1e-4, 1e-3)], p=[2 / 3, 1 / 3]))
+    noise = float(rng.choice([0.0, log_uniform(rng, 1e-4, 1e-3)], p=[2 / 3, 1 / 3]))
     lines = [
         f"rate = {rate:g}", f"delay = {delay:g}", f"lag = {lag:g}", f"drive_lag = {lag if known else 0.0:g}",
         f"counts = {counts}", f"cart_resolution = {resolution:.3g}", f"jitter = {jitter:.3g}",
@@ -273,13 +276,13 @@ def _mechanics(rng: np.random.Generator, arms: Arms) -> tuple[list[str], dict[st
     """Return the lines of [run] that describe belt, play, cable and stiction, and their factors."""
     lines: list[str] = []
     with_belt, with_play, with_cable, with_stiction = rng.random(4) < [0.2, 1 / 3, 0.25, 0.25]
-    belt, damping, measured = _log_uniform(rng, 20, 100), rng.uniform(0.03, 0.1), rng.uniform(0.9, 1.1)
+    belt, damping, measured = log_uniform(rng, 20, 100), rng.uniform(0.03, 0.1), rng.uniform(0.9, 1.1)
     scale = str(rng.choice(["motor", "cart"], p=[2 / 3, 1 / 3]))
     if with_belt:
         lines += [f"belt = {belt:.1f}", f"belt_damping = {damping:.3f}", f'belt_scale = "{scale}"']
         lines += [f"known_belt = {belt * measured:.1f}"]
     low, high = (5e-3, 2e-2) if rng.random() < 0.5 else (5e-4, 4e-3)
-    play, measured = _log_uniform(rng, low, high), rng.uniform(0.7, 1.3)
+    play, measured = log_uniform(rng, low, high), rng.uniform(0.7, 1.3)
     if with_play:
         lines += [f"play = {play:.3g}", f"known_play = {play * measured if play > 4e-3 else 0:.3g}"]
     torque, turning = rng.uniform(-1, 1) * 0.005, rng.uniform(0, 1) * 0.005
@@ -288,7 +291,7 @@ def _mechanics(rng: np.random.Generator, arms: Arms) -> tuple[list[str], dict[st
         lines += [f"cable_stiffness = {turning * arms.torques[0] / (2 * np.pi):.3g}"]
     share, kinetic = rng.uniform(0, 0.003), rng.uniform(0.6, 0.9)
     if with_stiction:
-        lines += [f"stiction = {_list([share * one for one in arms.torques])}", f"kinetic = {kinetic:.2f}"]
+        lines += [f"stiction = {list_text([share * one for one in arms.torques])}", f"kinetic = {kinetic:.2f}"]
     factors: dict[str, float | str] = {
         "belt": belt if with_belt else 0.0, "belt scale": scale if with_belt else "-",
         "play": play if with_play else 0.0, "cable": max(abs(torque), turning) if with_cable else 0.0,
