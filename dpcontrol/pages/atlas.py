@@ -32,12 +32,8 @@ BRANCHES = {
 
 @dataclass(frozen=True, eq=False)
 class TubePart:
-    """One branch of a tube in space.
-
-    It has trajectories (M, N) up to its section, and their end points (K, N).
-
-    `sense` is the sign of the final crossing, 0 without one.
-    """
+    """One branch of a tube in space: trajectories (M, N) up to its section, their end points (K, N), and the sign
+    `sense` of the final crossing, 0 without a section."""
 
     stable: bool
     branch: int
@@ -52,15 +48,14 @@ class TubePart:
 
 
 def section_curves(atlas: Atlas, kind: AtlasKind) -> list[tuple[bool, int, Array]]:
-    """Return the cuts of a kind's tubes as runs.
-
-    A run has (stable, sign of the crossing, points (K, 2) within a period).
+    """Return the cuts of a kind's tubes as curves: stable or not, sign of the crossing, and points (K, 2) within a
+    period.
 
     Args:
         atlas: atlas with the kind.
         kind: kind of connection.
     """
-    found = []
+    curves = []
     for stable, saddle, hit in ((False, kind.source, kind.hits[0]), (True, kind.target, kind.hits[1])):
         cut = atlas.cut(saddle, kind.section, hit)
         _, period = section_axes(cut.section, atlas)
@@ -68,14 +63,12 @@ def section_curves(atlas: Atlas, kind: AtlasKind) -> list[tuple[bool, int, Array
             points = piece.stable_points if stable else piece.points
             closed = np.vstack([points, points[:1]]) if piece.closed else points
             sign = stable_direction(atlas, cut, piece.direction) if stable else piece.direction
-            found += [(stable, 1 if sign > 0 else -1, run) for run in wrapped_runs(closed, (period, None))]
-    return found
+            curves += [(stable, 1 if sign > 0 else -1, run) for run in wrapped_runs(closed, (period, None))]
+    return curves
 
 
 def section_place(atlas: Atlas, connection: AtlasConnection) -> Array:
-    """Return the point (q, p/p₀) of a connection on its section.
-
-    The angle q is within a period.
+    """Return the point (q, p/p₀) of a connection on its section, with the angle q within a period.
 
     Args:
         atlas: atlas with the connection.
@@ -87,9 +80,7 @@ def section_place(atlas: Atlas, connection: AtlasConnection) -> Array:
 
 
 def tubes_of_cut(atlas: Atlas, cut: AtlasCut) -> list[TubePart]:
-    """Return both branches of a saddle's tubes up to a cut.
-
-    The stable tube is found by time reversal.
+    """Return both branches of a saddle's tubes up to a cut; time reversal gives the stable tube.
 
     Args:
         atlas: atlas with the cut.
@@ -109,9 +100,7 @@ def tubes_of_cut(atlas: Atlas, cut: AtlasCut) -> list[TubePart]:
 
 
 def kind_of(atlas: Atlas, source: str, target: str) -> AtlasKind:
-    """Return the last kind searched between two saddles.
-
-    A search ends with the first kind that has connections.
+    """Return the last kind searched between two saddles, since a search ends with the first kind that has connections.
 
     Args:
         atlas: atlas with the kinds.
@@ -132,9 +121,7 @@ def connections_of(atlas: Atlas, kind: AtlasKind) -> tuple[AtlasConnection, ...]
 
 
 def stable_direction(atlas: Atlas, cut: AtlasCut, direction: int) -> int:
-    """Return the sign of a stable tube's crossing of the section.
-
-    It follows from its unstable image's.
+    """Return the sign of a stable tube's crossing of the section, which follows from that of its unstable image.
 
     Args:
         atlas: atlas with the cut.
@@ -147,10 +134,7 @@ def stable_direction(atlas: Atlas, cut: AtlasCut, direction: int) -> int:
 
 
 def colours(connections: tuple[AtlasConnection, ...]) -> dict[str, str]:
-    """Return a colour for each connection by name.
-
-    Mirror images (the other sense) share one.
-    """
+    """Return a colour for each connection by name, the same one for mirror images (the other sense)."""
     chosen: dict[str, str] = {}
     shades: dict[tuple[float, float], str] = {}
     for c in sorted(connections, key=lambda c: -round(c.transversality_angle, 3)):
@@ -293,8 +277,8 @@ def draw_motions(
             axes.plot(*c.state[:2], "o", color=colour, markeredgecolor="white", markersize=6, zorder=9)
     look = {"linewidth": 2.5, "zorder": 10} if space else {"linewidth": 3.5, "alpha": 0.45, "zorder": 1}
     for orbit in atlas.orbits:
-        own = {winding for saddle, winding in ends if saddle == orbit.saddle and orbit.family == 0}
-        for winding in own | ({()} if saddles is None or orbit.saddle in saddles else set()):
+        own_windings = {winding for saddle, winding in ends if saddle == orbit.saddle and orbit.family == 0}
+        for winding in own_windings | ({()} if saddles is None or orbit.saddle in saddles else set()):
             closed = placed(atlas, orbit, winding)
             axes.plot(*closed[:, picked].T, color=style.saddle_colour(orbit.saddle), **look)
     if space:
@@ -309,10 +293,7 @@ def draw_motions(
 
 
 def draw_atlas(atlas: Atlas) -> Figure:
-    """Return the atlas on one page.
-
-    It shows tubes, orbits and flights in space, and the cuts of every kind.
-    """
+    """Return the atlas on one page: tubes, orbits and flights in space, and the cuts of every kind."""
     kinds = [kind for kind in atlas.kinds if connections_of(atlas, kind)]
     counts = f"{counted(len(atlas.orbits), 'orbit')}, {counted(len(atlas.connections), 'connection')}"
     energy = f"{atlas.energy:g}{atlas.unit('J')}"
@@ -336,15 +317,15 @@ def _draw_whole(axes: Axes, atlas: Atlas) -> None:
     axes.set_box_aspect(None, zoom=0.95)  # type: ignore[call-arg]
 
 
-def atlas(axes: Axes, found: Atlas) -> None:
+def atlas(axes: Axes, shown: Atlas) -> None:
     """Draw the cuts of the first kind of connections.
 
     Args:
         axes: panel to draw on.
-        found: atlas to draw.
+        shown: atlas to draw.
     """
-    if found.kinds:
-        draw_cuts(axes, found, max(found.kinds, key=lambda kind: kind.count), legend=False)
+    if shown.kinds:
+        draw_cuts(axes, shown, max(shown.kinds, key=lambda kind: kind.count), legend=False)
 
 
 TIMELINE = "time_from_section"
@@ -423,14 +404,18 @@ def _connections(
 
 
 def _blueprint(atlas: Atlas, *, centre: Array, size: float) -> rrb.Blueprint:
-    """Return the layout: space with the summary beside it.
+    """Return the layout, space with the summary beside it.
 
-    Only each saddle's tubes to one section are visible at first; all together would hide everything.
+    At first only each saddle's tubes to one section are visible, because all together would hide everything.
     """
     axes = ", ".join(atlas.labels[k].partition(" ")[0] for k in (0, 1, len(atlas.labels) // 2))
     eye = centre + np.array([-1.0, -1.4, 0.8]) * size
-    own = {(k.source, k.section, k.hits[0]) for k in atlas.kinds if k.source == k.target}
-    hidden = [_tube_path(c) for c in atlas.cuts if own and (c.saddle, c.section.name, c.hit) not in own]
+    first_crossings = {(k.source, k.section, k.hits[0]) for k in atlas.kinds if k.source == k.target}
+    hidden = [
+        _tube_path(c)
+        for c in atlas.cuts
+        if first_crossings and (c.saddle, c.section.name, c.hit) not in first_crossings
+    ]
     space = rrb.Spatial3DView(
         name=f"Space ({axes}): orbits thick, tubes from them red, to them green, where these end golden",
         origin="/space",

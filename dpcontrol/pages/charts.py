@@ -18,9 +18,7 @@ _BINS = 1500
 
 
 def curve(view: RunView, time: Array, values: Array) -> tuple[Array, Array]:
-    """Return a series (K,) of a view, thinned to its peaks.
-
-    In its gaps nan interrupts lines.
+    """Return a series (K,) of a view, thinned to its peaks, with nan in its gaps to interrupt lines.
 
     Args:
         view: run with the gaps.
@@ -63,11 +61,11 @@ def draw_chart(axes: Axes, chart: Chart, view: RunView, *, span: Range | None = 
     for line in (line for line in chart.lines if line.role != "detail"):
         _line(axes, line, view, scale=scale)
         if line.label:
-            known = line.values[np.isfinite(line.values)]
+            finite = line.values[np.isfinite(line.values)]
             look = {"color": style.REFERENCE, **_BROAD, "alpha": 0.6} if line.role == "reference" else {}
             dashes = {"linestyle": style.DASHED} if line.dashed else {}
             entries[line.label] = {"color": line.colour, "linewidth": max(line.width, 1.5)} | look | dashes
-            ends[line.label] = (scale * float(known[-1]) if len(known) else 0.0, line.label, line.colour)
+            ends[line.label] = (scale * float(finite[-1]) if len(finite) else 0.0, line.label, line.colour)
     for first, last in chart.cut:
         axes.axvspan(first, last, color=style.LIMIT, alpha=0.3, linewidth=0.8, zorder=0.5)
         entries["cut"] = {"color": style.LIMIT, "linewidth": 6, "alpha": 0.3}
@@ -136,9 +134,7 @@ _REST: dict[str, Any] = {"marker": "D", "markersize": 8, "linestyle": ""}
 
 
 def draw_plane(axes: Axes, runs: list[tuple[Plane, str]], *, tubes: bool = True) -> None:
-    """Draw runs in one arm's phase plane.
-
-    Orbits and tubes are those of the first run.
+    """Draw runs in one arm's phase plane, with the orbits and tubes of the first run.
 
     Args:
         axes: panel to draw on.
@@ -171,10 +167,7 @@ def draw_plane(axes: Axes, runs: list[tuple[Plane, str]], *, tubes: bool = True)
 
 
 def _joined(curves: list[Array]) -> Array:
-    """Return curves (K, 2) as one (2, M).
-
-    The curves are separated by nan.
-    """
+    """Return curves (K, 2) as one (2, M), separated by nan."""
     apart = np.full((1, 2), np.nan)
     parts = [part for points in curves for part in (points, apart)]
     return np.concatenate(parts).T if parts else np.zeros((2, 0))

@@ -41,10 +41,7 @@ class Gallery:
 
 
 def cached_gallery() -> Gallery:
-    """Return the gallery whose data is kept in the cache.
-
-    The data is computed on first use.
-    """
+    """Return the gallery whose data are computed on first use and kept in the cache."""
     model = cache(load_model)
     return Gallery(
         system=lambda name: model(name).system,
@@ -129,9 +126,7 @@ class DrawnFigures(Documented):
 def draw_figures(
     names: Sequence[str], gallery: Gallery, folder: Path, *, progress: Progress = no_progress
 ) -> DrawnFigures:
-    """Draw figures to NAME.png in a folder.
-
-    Their captions are written to captions.json there.
+    """Draw figures to NAME.png in a folder, and their captions to captions.json.
 
     Args:
         names: names of the figures; all if empty.

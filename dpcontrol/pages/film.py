@@ -61,7 +61,7 @@ def _draw_film(axes: Axes, view: RunView, times: Array, rows: NDArray[np.int64],
 def draw_pose(
     axes: Axes, view: RunView, ticks: tuple[int, int], *, at: float, thick: float, shade: float = 1.0
 ) -> None:
-    """Draw the arms at a tick on their cart, with the grey reference behind them and the tip's path.
+    """Draw the arms at a tick on their cart, with the tip's path, and the reference in grey behind them.
 
     Args:
         axes: panel to draw on.
@@ -330,9 +330,7 @@ _POSES, _FAINTEST = 9, 0.12
 
 
 def draw_transitions(reference: Reference) -> Figure:
-    """Draw each transfer in the cell of its two equilibria.
-
-    Repeated ones are drawn once.
+    """Draw each transfer once, in the cell of its two equilibria.
 
     Raises:
         InputError: the reference has no plan, or no transfers between equilibria.
@@ -382,10 +380,7 @@ def _ways(view: RunView, transfer: Range) -> tuple[list[int], np.ndarray]:
 
 
 def _cell(axes: Axes, view: RunView, transfer: Range | None, box: Range, *, title: str, name: str) -> None:
-    """Draw one transfer in its cell.
-
-    Its equilibria's names are at the edges of the square.
-    """
+    """Draw one transfer in its cell, with its equilibria's names at the edges of the square."""
     half, high = box
     axes.set(xlim=(-half, half), ylim=(-high, high), xticks=[], yticks=[])
     axes.set_aspect("equal")

@@ -1,7 +1,5 @@
-"""Identification on one page: its accuracy and errors, or which recordings would identify the arms best.
-
-Accuracy is that on recordings that the fit did not use.
-"""
+"""Identification on one page: accuracy on recordings that the fit did not use, and errors; or the best recordings to
+make."""
 
 from functools import partial
 from itertools import cycle
@@ -20,28 +18,36 @@ from dpcontrol.pages.panels import name_curves, quiet
 USED, LEFT, _BEFORE, LINE = style.REFERENCE, style.SERIES[1], style.NOTE, style.SERIES[0]
 
 
-def draw_identification(found: Identification, *, title: str = "Identified arms") -> Figure:
+def draw_identification(identification: Identification, *, title: str = "Identified arms") -> Figure:
     """Return the page on an identification as a figure.
 
     Args:
-        found: identification to draw.
+        identification: identification to draw.
         title: title of the page.
     """
-    errors = Panel(partial(_errors, found=found), 1.4), Panel(partial(_correlation, found=found), 0.9)
-    page = Page(title).row(partial(draw_candidates, found=found), height=1.2 + 0.2 * len(found.candidates))
-    return page.row(*errors, height=0.9 + max(2.4, 0.19 * len(found.names))).figure()
+    errors = (
+        Panel(partial(_errors, identification=identification), 1.4),
+        Panel(partial(_correlation, identification=identification), 0.9),
+    )
+    page = Page(title).row(
+        partial(draw_candidates, identification=identification), height=1.2 + 0.2 * len(identification.candidates)
+    )
+    return page.row(*errors, height=0.9 + max(2.4, 0.19 * len(identification.names))).figure()
 
 
-def draw_candidates(axes: Axes, found: Identification) -> None:
+def draw_candidates(axes: Axes, identification: Identification) -> None:
     """Draw each candidate's errors on the segments left out.
 
     Args:
         axes: panel to draw on.
-        found: identification with the candidates.
+        identification: identification with the candidates.
     """
-    rows = [("the starting model", found.started_at), *((" + ".join(c.terms), c.left_out) for c in found.candidates)]
+    rows = [
+        ("the starting model", identification.started_at),
+        *((" + ".join(c.terms), c.left_out) for c in identification.candidates),
+    ]
     for y, (_, rms) in enumerate(rows):
-        chosen = y == found.chosen + 1
+        chosen = y == identification.chosen + 1
         axes.plot(1e3 * rms, np.full(len(rms), y), "o", color=LEFT if chosen else USED, markersize=4)
         axes.plot(1e3 * np.sqrt((rms**2).mean()), y, "|", color=_BEFORE, markersize=14, markeredgewidth=2)
     axes.set_yticks(range(len(rows)), [name for name, _ in rows], fontsize=style.SMALL)
@@ -50,22 +56,22 @@ def draw_candidates(axes: Axes, found: Identification) -> None:
     quiet(axes, "Terms tried; the chosen ones in colour", x="error (mrad): each segment left out, and | all together")
 
 
-def _errors(axes: Axes, found: Identification) -> None:
+def _errors(axes: Axes, identification: Identification) -> None:
     """Draw the residual angles over time, on the segments left out."""
-    shown = [k for k, s in enumerate(found.segments) if not s.used]
+    shown = [k for k, s in enumerate(identification.segments) if not s.used]
     for k in shown:
-        residual, period = found.residuals[k], found.swings[k].period
-        times = found.segments[k].start + period * np.arange(len(residual))
+        residual, period = identification.residuals[k], identification.swings[k].period
+        times = identification.segments[k].start + period * np.arange(len(residual))
         for arm in range(residual.shape[1]):
             axes.plot(times, 1e3 * residual[:, arm], linewidth=0.8, color=style.arm_colour(arm))
     axes.axhline(0.0, color=_BEFORE, linewidth=0.6)
-    key(axes, [(f"arm {arm + 1}", style.arm_colour(arm)) for arm in range(found.arms.count)])
+    key(axes, [(f"arm {arm + 1}", style.arm_colour(arm)) for arm in range(identification.arms.count)])
     quiet(axes, "Measured less predicted angle on segments left out (mrad)", x="time in the recording (s)")
 
 
-def _correlation(axes: Axes, found: Identification) -> None:
-    image = axes.imshow(np.nan_to_num(found.correlation), cmap="RdBu_r", vmin=-1, vmax=1)
-    names = [name.partition("/")[0] for name in found.names]
+def _correlation(axes: Axes, identification: Identification) -> None:
+    image = axes.imshow(np.nan_to_num(identification.correlation), cmap="RdBu_r", vmin=-1, vmax=1)
+    names = [name.partition("/")[0] for name in identification.names]
     axes.set_xticks(range(len(names)), names, rotation=90, fontsize=style.SMALL)
     axes.set_yticks(range(len(names)), names, fontsize=style.SMALL)
     axes.set_title("Correlation of the errors", loc="left")
@@ -74,9 +80,7 @@ def _correlation(axes: Axes, found: Identification) -> None:
 
 
 def draw_design(design: Design, *, title: str) -> Figure:
-    """Return a figure that compares designs.
-
-    Swings are drawn over their first two angles, the cart's sines over frequency.
+    """Return a figure that compares designs: swings over their first two angles, the cart's sines over frequency.
 
     Args:
         design: designs to compare.
@@ -132,13 +136,13 @@ def _swing_map(axes: Axes, swings: list, pair: tuple) -> None:
         return
     shown = [e for e in swings if len(e.angles) == 2 or abs(e.angles[2]) < 1e-9]
     x, y, digits, usable = np.array([(*np.degrees(e.angles[:2]), e.information, e.usable) for e in shown]).T
-    known = usable > 0
-    dots = axes.scatter(x[known], y[known], c=digits[known], s=150, marker="s", cmap="viridis")
-    axes.plot(x[~known], y[~known], "x", color=USED, markersize=6)
+    usable_places = usable > 0
+    dots = axes.scatter(x[usable_places], y[usable_places], c=digits[usable_places], s=150, marker="s", cmap="viridis")
+    axes.plot(x[~usable_places], y[~usable_places], "x", color=USED, markersize=6)
     look: dict[str, Any] = {"color": "white", "ha": "center", "va": "center", "weight": "bold", "fontsize": style.TEXT}
-    for number, one in enumerate(pair, start=1):
-        if one.kind == "swing":
-            inner, outer = np.degrees(one.angles[:2])
+    for number, motion in enumerate(pair, start=1):
+        if motion.kind == "swing":
+            inner, outer = np.degrees(motion.angles[:2])
             axes.text(inner, outer, str(number), **look)
     axes.figure.colorbar(dots, ax=axes).ax.set_title("digits", fontsize=style.SMALL)
     quiet(axes, title, x="inner arm let go at (degrees)", y="outer arm (degrees)")

@@ -134,9 +134,7 @@ class Page:
         return self.row(draw, height=2 * _EDGE + max(len(every), 1) * _height(style.TEXT))
 
     def text(self, text: str, *, colour: str = style.NOTE, size: float = style.SMALL) -> "Page":
-        """Add a paragraph, wrapped to the width of the page.
-
-        An empty one adds nothing.
+        """Add a paragraph, wrapped to the width of the page; an empty text adds nothing.
 
         Args:
             text: text of the paragraph.
@@ -274,10 +272,7 @@ def _literal_texts(figure: Any) -> None:
 
 @contextmanager
 def missing_glyphs_as_boxes() -> Iterator[None]:
-    """Draw characters that no font has as boxes.
-
-    There is no warning for each of them.
-    """
+    """Draw characters that no font has as boxes, without a warning for each."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Glyph .* missing from font", category=UserWarning)
         yield
@@ -324,9 +319,7 @@ def text_width(text: str, size: float) -> float:
 
 
 def wrapped(text: str, size: float, width: float) -> list[str]:
-    """Return a text as lines within a width.
-
-    Longer words are broken.
+    """Return a text as lines within a width, with longer words broken.
 
     Args:
         text: text to wrap.
@@ -361,8 +354,8 @@ def key(axes: Axes, entries: Iterable[tuple[str, str | dict[str, Any]]] | None =
         entries: labels, each with a colour or a line style; by default the labels of what was drawn.
     """
     handles = axes.get_legend_handles_labels()[0] if entries is None else []
-    for label, given in entries or ():
-        look: dict[str, Any] = {"color": given} if isinstance(given, str) else given
+    for label, entry in entries or ():
+        look: dict[str, Any] = {"color": entry} if isinstance(entry, str) else entry
         handles.append(Line2D([], [], label=label, **look))
     if handles:
         # Pages place key and title by their widths; a panel alone has the key below its title.
@@ -384,10 +377,7 @@ MOST_IN_KEY = 4
 
 
 def settle(figure: Figure) -> None:
-    """Arrange titles, keys and labels of points.
-
-    Titles are wrapped to the widths of their panels and moved above keys.
-    """
+    """Arrange titles, keys and labels of points: titles are wrapped to their panels' widths and moved above keys."""
     _literal_texts(figure)
     with missing_glyphs_as_boxes():
         figure.draw_without_rendering()

@@ -56,10 +56,7 @@ def _group_colours(summary: CampaignSummary, labels: Sequence[str]) -> list[str]
 
 
 def _bars_of(summary: CampaignSummary) -> list[tuple[Group, str]]:
-    """Return the groups to draw as bars with their labels.
-
-    Few mismatches are kept apart.
-    """
+    """Return the groups to draw as bars with their labels; a few mismatches have a bar each."""
     families = {level.label for level in summary.levels}
     if summary.axis == "mismatch" and 0 < len(summary.levels) <= _APART * len(families):
         return [(level, f"{level.label} · mismatch {level.low:.3g}") for level in summary.levels]
@@ -144,10 +141,8 @@ _REMAINDER = 5.0
 
 
 def draw_night(night: Night) -> Figure:
-    """Return one page on a night.
-
-    It shows strips of half an hour, times by activity and to return, causes, and drift of the parameters.
-    """
+    """Return one page on a night: half-hour strips, times by activity and to return, causes, and drift of the
+    parameters."""
     last = max(span.end for span in night.spans)
     row = last if last <= 600.0 + _REMAINDER else 600.0 if last <= 3600.0 else _ROW * math.ceil(last / _ROW / _ROWS)
     rows = max(1, math.ceil((last - _REMAINDER) / row))
@@ -187,7 +182,7 @@ _FALLS: dict[str, str] = {
 def _draw_strip(axes: Axes, night: Night, row: float, rows: int) -> None:
     quiet(axes, "Rows of up to half an hour, with the share on the itinerary; triangles are falls", x="minutes")
     for k in range(rows):
-        begin, known, on = k * row, 0.0, 0.0
+        begin, recorded, on = k * row, 0.0, 0.0
         for span in night.spans:
             first, last = max(span.first, begin), min(span.end, begin + row)
             if last <= first:
@@ -196,9 +191,9 @@ def _draw_strip(axes: Axes, night: Night, row: float, rows: int) -> None:
             edge = 0.0 if span.kind in (ITINERARY, STOPPED) else 0.8
             look = {"facecolor": _COLOURS[span.kind], "edgecolor": _COLOURS[span.kind], "linewidth": edge}
             axes.broken_barh([((first - begin) / 60, (last - first) / 60)], (k - 0.39, 0.78), **look)
-            known += (last - first) * (span.kind != UNKNOWN)
+            recorded += (last - first) * (span.kind != UNKNOWN)
             on += (last - first) * (span.kind == ITINERARY)
-        text = f"{on / known:.0%}" if known else ""
+        text = f"{on / recorded:.0%}" if recorded else ""
         axes.text(1.008, k, text, transform=axes.get_yaxis_transform(), va="center", fontsize=style.SMALL)
     for fall in night.falls:
         k = min(int(fall.time / row), rows - 1)
@@ -253,33 +248,33 @@ _WIDTH = 8.27
 _COLUMNS = 4
 
 
-def draw_preflight(found: Preflight) -> Figure:
+def draw_preflight(preflight: Preflight) -> Figure:
     """Return a preflight's page as a figure."""
-    page = Page(f"Before the first run: {found.itinerary}", found.status, found.likely, width=_WIDTH)
-    page.text(found.advice, colour=style.INK, size=style.TEXT)
+    page = Page(f"Before the first run: {preflight.itinerary}", preflight.status, preflight.likely, width=_WIDTH)
+    page.text(preflight.advice, colour=style.INK, size=style.TEXT)
     text = partial(cropped, size=style.TEXT)
-    page.text(f"The bench as described, model {found.model}", colour=style.INK, size=style.HEAD).table(
-        [(one.name, text(one.value, width=2.4), text(one.source, width=4.0)) for one in found.known]
+    page.text(f"The bench as described, model {preflight.model}", colour=style.INK, size=style.HEAD).table(
+        [(fact.name, text(fact.value, width=2.4), text(fact.source, width=4.0)) for fact in preflight.known]
     )
-    runs, endings = found.share.runs, found.endings[:_REASONS]
+    runs, endings = preflight.share.runs, preflight.endings[:_REASONS]
     rows = [(f"{e.runs / runs:.1%}", text(e.cause, width=1.6), text(e.example, width=5.0)) for e in endings]
     page.text("Endings of failed runs, share of all runs", colour=style.INK, size=style.HEAD).table(
         rows or [("", "none: every run completed", "")]
     )
-    if found.borders:
+    if preflight.borders:
         title = "Borders: half as many runs complete as on the bench as described"
-        panels = [partial(_border, border=border) for border in found.borders]
+        panels = [partial(_border, border=border) for border in preflight.borders]
         page.text(title, colour=style.INK, size=style.HEAD).grid(panels, across=_COLUMNS, height=1.55).text(
             "Dots: share of completed runs, relative to the bench as described; to the right it gets worse. Dashed "
             "green: the bench as described. Red: border with its 95 % interval."
         )
-    if found.changes:
-        page.row(partial(_changes, found=found), height=0.75 + 0.19 * len(found.changes))
+    if preflight.changes:
+        page.row(partial(_changes, preflight=preflight), height=0.75 + 0.19 * len(preflight.changes))
     else:
         page.text("No change was tried, because no run failed or none was compared.")
-    for note in found.notes:
+    for note in preflight.notes:
         page.text(f"Mind: {note}")
-    for caution in found.warnings:
+    for caution in preflight.warnings:
         page.text(f"Caution: {caution.status}: {caution.remedy}")
     return page.figure()
 
@@ -290,15 +285,15 @@ _REASONS = 5
 def _border(axes: Axes, border: HazardBorder) -> None:
     margin = "" if border.margin is None else f" ({border.margin:.1f}×)"
     quiet(axes, f"{border.name}: {border.sentence}{margin}", x=border.unit)
-    own = border.set if border.set and math.isfinite(border.set) else None
+    set_value = border.set if border.set and math.isfinite(border.set) else None
     values = [point.value for point in border.points]
     for point in border.points:
         band = wilson(min(point.completed, point.reference), point.reference)
         axes.plot([point.value] * 2, [band.low, band.high], color=style.CART, linewidth=0.9, alpha=0.6)
         axes.plot(point.value, min(point.share, 1.0), "o", color=style.INK, markersize=3)
-    if own is not None:
-        axes.axvline(own, color=style.GOOD, linewidth=1.2, linestyle=style.DASHED)
-        values.append(own)
+    if set_value is not None:
+        axes.axvline(set_value, color=style.GOOD, linewidth=1.2, linestyle=style.DASHED)
+        values.append(set_value)
     if border.border is not None:
         axes.axvspan(border.low or border.border, border.high or border.border, color=style.LIMIT, alpha=0.15)
         axes.axvline(border.border, color=style.LIMIT, linewidth=1.2)
@@ -316,22 +311,22 @@ def _border(axes: Axes, border: HazardBorder) -> None:
     axes.set_yticks([0, 0.5, 1])
 
 
-def _changes(axes: Axes, found: Preflight) -> None:
+def _changes(axes: Axes, preflight: Preflight) -> None:
     rows = [
-        Bar(one.text, gain, style.GOOD if gain > reach else style.FAINT, (gain - reach, gain + reach))
-        for one, gain, reach in ((one, 100 * one.gain, 200 * one.error) for one in found.changes)
+        Bar(change.text, gain, style.GOOD if gain > reach else style.FAINT, (gain - reach, gain + reach))
+        for change, gain, reach in ((change, 100 * change.gain, 200 * change.error) for change in preflight.changes)
     ]
     bars(axes, "Gain of each change, on the same seeds; lines: two standard errors", rows, x="points of all runs")
     axes.axvline(0, color=style.MARK, linewidth=0.8)
 
 
-def whole_preflight(axes: Axes, found: Preflight) -> None:
+def whole_preflight(axes: Axes, preflight: Preflight) -> None:
     """Draw the shares of completed runs and of each other ending.
 
     Args:
         axes: panel to draw on.
-        found: preflight to draw.
+        preflight: preflight to draw.
     """
-    rows = [Bar("completed", found.share.rate, style.GOOD)]
-    rows += [Bar(one.cause, one.runs / found.share.runs, style.LIMIT) for one in found.endings]
-    bars(axes, found.status, rows, x="share of runs that end so")
+    rows = [Bar("completed", preflight.share.rate, style.GOOD)]
+    rows += [Bar(ending.cause, ending.runs / preflight.share.runs, style.LIMIT) for ending in preflight.endings]
+    bars(axes, preflight.status, rows, x="share of runs that end so")

@@ -37,24 +37,26 @@ _KINDS = {
 """Colours of rotating orbits by their stability."""
 
 
-def draw_family(found: LyapunovFamily) -> Figure:
+def draw_family(family: LyapunovFamily) -> Figure:
     """Return the page on a family of Lyapunov orbits as a figure."""
-    page = Page(f"Lyapunov orbits about {found.saddle} of {found.system.name}")
-    over = Stack([partial(_multipliers, family=found), partial(_periods, families=[found])])
-    page.origin(None, *conditions(found.system, found.energies)).row(over, partial(_shapes, family=found), height=5.2)
-    for end in found.ends:
-        page.text(f"to {end.energy:.6g}{found.system.unit('J')}: {end.status}")
+    page = Page(f"Lyapunov orbits about {family.saddle} of {family.system.name}")
+    over = Stack([partial(_multipliers, family=family), partial(_periods, families=[family])])
+    page.origin(None, *conditions(family.system, family.energies)).row(
+        over, partial(_shapes, family=family), height=5.2
+    )
+    for end in family.ends:
+        page.text(f"to {end.energy:.6g}{family.system.unit('J')}: {end.status}")
     return page.figure()
 
 
-def draw_rotating_families(found: RotatingFamilies) -> Figure:
+def draw_rotating_families(search: RotatingFamilies) -> Figure:
     """Return the page on rotating orbits as a figure."""
-    families = found.families
+    families = search.families
     system = families[0].members[0].system
-    page = Page(f"Orbits of {system.name} that turn the {found.arm} arm over")
+    page = Page(f"Orbits of {system.name} that turn the {search.arm} arm over")
     over = Stack([partial(_traces, families=families), partial(_periods, families=families)])
     return (
-        page.origin(None, *conditions(system, found.energies))
+        page.origin(None, *conditions(system, search.energies))
         .row(over, partial(_rotations, families=families), height=5.2)
         .figure()
     )
@@ -80,8 +82,8 @@ def _against_energy(axes: Axes, families: Sequence[Family], value: Callable[...,
             events = [(event.orbit, event.kind) for event in family.events]
         else:
             for kind, colour in _KINDS.items():
-                own = np.where([member.kind == kind for member in family.members], values, np.nan)
-                axes.plot(family.energies, own, color=colour, linewidth=1.6)
+                of_kind = np.where([member.kind == kind for member in family.members], values, np.nan)
+                axes.plot(family.energies, of_kind, color=colour, linewidth=1.6)
             events = [(orbit, "") for orbit in (*(change.orbit for change in family.changes), *family.folds)]
         for orbit, text in events:
             axes.plot(orbit.energy, value(orbit), "o", color=style.INK, markersize=4)
@@ -145,26 +147,24 @@ def _rotations(axes: Axes, families: Sequence[RotatingFamily]) -> None:
     quiet_plane(axes, families[0].members[0].system, title="Some of the orbits over one period")
 
 
-def orbit(axes: Axes, found: Orbit) -> None:
-    """Draw an orbit in the phase plane of its most active arm.
-
-    Without angles it is drawn in the plane of positions.
+def orbit(axes: Axes, shown: Orbit) -> None:
+    """Draw an orbit in the phase plane of its most active arm, or without angles in the plane of positions.
 
     Args:
         axes: panel to draw on.
-        found: orbit to draw.
+        shown: orbit to draw.
     """
-    columns, unit = _active(found), found.system.unit
-    axes.plot(*found.sample(400)[:, list(columns)].T, color=style.saddle_colour(found.name), linewidth=1.8)
-    title = f"{found.name} at {found.energy:g}{unit('J')}, period {found.period:.4g}{unit('s')}"
-    quiet_plane(axes, found.system, columns, title)
+    columns, unit = _active(shown), shown.system.unit
+    axes.plot(*shown.sample(400)[:, list(columns)].T, color=style.saddle_colour(shown.name), linewidth=1.8)
+    title = f"{shown.name} at {shown.energy:g}{unit('J')}, period {shown.period:.4g}{unit('s')}"
+    quiet_plane(axes, shown.system, columns, title)
 
 
-def family(axes: Axes, found: Family) -> None:
+def family(axes: Axes, shown: Family) -> None:
     """Draw the periods of a family over the energy.
 
     Args:
         axes: panel to draw on.
-        found: family to draw.
+        shown: family to draw.
     """
-    _periods(axes, [found], f"{len(found.members)} orbits about {found.members[0].name}")
+    _periods(axes, [shown], f"{len(shown.members)} orbits about {shown.members[0].name}")

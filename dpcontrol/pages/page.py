@@ -69,13 +69,13 @@ class Report(Documented):
     margins: Margins | None = None
 
 
-def draw(found: RunView | RunLog | Plan) -> Figure:
+def draw(motion: RunView | RunLog | Plan) -> Figure:
     """Return the page of a motion as a figure.
 
     Args:
-        found: motion to draw.
+        motion: motion to draw.
     """
-    view: RunView = view_of(found)
+    view: RunView = view_of(motion)
     page = Page(view.title, view.verdict, view.good).origin(view.path, *conditions_of(view.metadata))
     for line in (closest_approach(view), nis_reading(view)):
         page.text(line, colour=style.INK, size=style.TEXT)
@@ -95,10 +95,7 @@ def draw(found: RunView | RunLog | Plan) -> Figure:
 
 
 def _uses(axes: Axes, uses: Sequence[LimitUse]) -> None:
-    """Draw the largest values as shares of their limits.
-
-    The largest share is at the top.
-    """
+    """Draw the largest values as shares of their limits, the largest share at the top."""
     rows = [
         Bar(use.name, min(use.share, _FULL), style.LIMIT if use.share > _NEAR else style.CART, note=use.sentence)
         for use in uses
@@ -127,35 +124,33 @@ def _chart(axes: Axes, chart: Chart, drawn: Callable[..., None], *, last: bool) 
         axes.tick_params(labelbottom=False)
 
 
-def view_of(found: Any) -> Any:
+def view_of(result: Any) -> Any:
     """Return the motion to draw of a run, a plan, a log, a sustained orbit or a walk, or the object itself."""
-    found = getattr(found, "log", found)
-    match found:
+    result = getattr(result, "log", result)
+    match result:
         case Plan():
-            return reference_view(found.reference, found.file)
+            return reference_view(result.reference, result.file)
         case SustainedOrbit():
-            return sustained_view(found, found.arms.length)
+            return sustained_view(result, result.arms.length)
         case ShadowingOrbit():
-            return WalkStory(found).view
+            return WalkStory(result).view
         case RunLog():
-            return run_view(found) if "reference.npz" in found.attachments else series_of(found)
+            return run_view(result) if "reference.npz" in result.attachments else series_of(result)
         case _:
-            return found
+            return result
 
 
-def angles(axes: Axes, found: Plan | RunLog | SustainedOrbit | ShadowingOrbit) -> None:
-    """Draw the angles of a plan, a log, a sustained orbit or a walk over time.
-
-    The orbit of a walk without angles is drawn in the plane of positions.
+def angles(axes: Axes, motion: Plan | RunLog | SustainedOrbit | ShadowingOrbit) -> None:
+    """Draw the angles of a plan, a log, a sustained orbit or a walk over time, or a walk without angles in the plane.
 
     Args:
         axes: panel to draw on.
-        found: motion to draw.
+        motion: motion to draw.
     """
-    if isinstance(found, ShadowingOrbit) and not WalkStory(found).has_angles:
-        draw_shape(axes, WalkStory(found))
+    if isinstance(motion, ShadowingOrbit) and not WalkStory(motion).has_angles:
+        draw_shape(axes, WalkStory(motion))
         return
-    view = view_of(found)
+    view = view_of(motion)
     draw_chart(axes, charts(view)["angles"], view)
 
 
@@ -190,10 +185,7 @@ def _draw_compared(axes: Axes, chart: Chart, comparison: RunComparison) -> None:
 
 
 def compared_charts(comparison: RunComparison) -> tuple[Chart, ...]:
-    """Return the common charts with a line for each run.
-
-    The first run's reference and levels are included.
-    """
+    """Return the common charts with a line for each run, and with the reference and levels of the first run."""
     first = comparison.runs[0].view
     every = [charts(run.view) for run in comparison.runs]
     wanted = [
@@ -206,17 +198,19 @@ def compared_charts(comparison: RunComparison) -> tuple[Chart, ...]:
         ("energy", "energy", "Energy of the pendulum", ""),
         ("nis", "nis", "NIS, means of 50 updates", ""),
     ]
-    found = [_compared_chart(comparison, [own.get(source) for own in every], *rest) for source, *rest in wanted]
-    return tuple(chart for chart in found if chart is not None and chart.lines)
+    shared = [
+        _compared_chart(comparison, [charts_of_run.get(source) for charts_of_run in every], *rest)
+        for source, *rest in wanted
+    ]
+    return tuple(chart for chart in shared if chart is not None and chart.lines)
 
 
 def _compared_chart(
     comparison: RunComparison, every: list[Chart | None], key: str, title: str, prefix: str
 ) -> Chart | None:
-    """Return one chart of all runs.
+    """Return one chart of all runs with those of their lines whose keys start with `prefix`.
 
-    The chart has those of their lines whose keys start with `prefix`. Several such lines of a run, such as errors
-    of several arms, are replaced by their largest size at each time.
+    Several of these lines of a run, such as errors of several arms, are replaced by their largest size at each time.
     """
     of_first = every[0].lines if every[0] else ()
     look = {"key": "0_reference", "name": f"reference of {comparison.runs[0].name}", "label": "the first's reference"}
@@ -225,22 +219,22 @@ def _compared_chart(
         for line in of_first
         if line.role == "reference" and line.key.startswith(prefix)
     ]
-    for k, (run, own) in enumerate(zip(comparison.runs, every, strict=True)):
-        shown = [line for line in own.lines if line.key.startswith(prefix)] if own else []
+    for k, (run, run_chart) in enumerate(zip(comparison.runs, every, strict=True)):
+        shown = [line for line in run_chart.lines if line.key.startswith(prefix)] if run_chart else []
         parts = [line for line in shown if line.role == "run"]
         if parts:
             values = parts[0].values if len(parts) == 1 else np.max([np.abs(line.values) for line in parts], axis=0)
             lines.append(Line(run_path(k, run), run.name, "", parts[0].time, values, style.RUNS[k], dashed=k > 0))
-    known = next((own for own in every if own), None)
-    if known is None:
+    first_chart = next((run_chart for run_chart in every if run_chart), None)
+    if first_chart is None:
         return None
     return replace(
-        known,
+        first_chart,
         key=key,
         title=title,
         note="",
         lines=tuple(lines),
-        levels=tuple(level for level in known.levels if level.kind == "limit" or key == "energy"),
+        levels=tuple(level for level in first_chart.levels if level.kind == "limit" or key == "energy"),
         cut=(),
         shown=None,
         log=False,
@@ -301,14 +295,14 @@ def _blueprint(comparison: RunComparison, charts: Sequence[Chart], sheets: Seque
     return recorded.page([left, *(rrb.Vertical(*views) for views in (middle, checks) if views)], [5, 4, 4])
 
 
-def comparison(axes: Axes, found: RunComparison) -> None:
+def comparison(axes: Axes, compared: RunComparison) -> None:
     """Draw the angles of all runs on one clock.
 
     Args:
         axes: panel to draw on.
-        found: runs to draw.
+        compared: runs to draw.
     """
-    for run in found.runs:
+    for run in compared.runs:
         for arm in range(run.view.arms):
             axes.plot(run.view.time, run.view.state[:, arm], color=style.arm_colour(arm), linewidth=0.9)
-    quiet(axes, found.title, x="time (s)", y="angles (rad)")
+    quiet(axes, compared.title, x="time (s)", y="angles (rad)")

@@ -1,7 +1,4 @@
-"""Parts of panels that every page shares.
-
-They are frames, axes in units of π, badges, marks and direct labels.
-"""
+"""Parts of panels that every page shares: frames, axes in units of π, badges, marks and direct labels."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -47,9 +44,7 @@ def bare(axes: Axes, title: str = "") -> None:
 
 
 def quiet_space(axes: Axes, of: System | Atlas) -> None:
-    """Label the axes of a panel in space.
-
-    They are (first coordinate, second, first rate).
+    """Label the axes of a panel in space: first coordinate, second coordinate, first rate.
 
     Args:
         axes: panel in space.
@@ -99,9 +94,7 @@ def angle_axis(axes: Axes, which: str) -> None:
 
 
 def wrapped_runs(curve: Array, periods: tuple[float | None, ...]) -> list[Array]:
-    """Return a curve (K, D) as runs within one period about zero.
-
-    The curve is split at the bounds.
+    """Return a curve (K, D) as runs within one period about zero, split at the bounds.
 
     Args:
         curve: (K, D) in any unit.

@@ -20,9 +20,7 @@ def gap_times(view: RunView) -> Array:
 
 
 def spans(time: Array, flags: NDArray[np.bool_]) -> list[Range]:
-    """Return start and end in s of each stretch with true flags.
-
-    A stretch lasts at least a tick.
+    """Return start and end in s of each stretch with true flags, which lasts at least a tick.
 
     Args:
         time: (N,) s.
@@ -32,9 +30,7 @@ def spans(time: Array, flags: NDArray[np.bool_]) -> list[Range]:
 
 
 def extreme_rows(values: Array, *, bins: int) -> NDArray[np.int64]:
-    """Return the rows of the extremes of values (N,) in `bins`.
-
-    The last row is included. Few values are all returned.
+    """Return the rows of the extremes of values (N,) in `bins`, and the last row; few values are all returned.
 
     Args:
         values: (N,) in any unit.
@@ -43,8 +39,8 @@ def extreme_rows(values: Array, *, bins: int) -> NDArray[np.int64]:
     size = len(values) // bins
     if size < 3:
         return np.arange(len(values))
-    kept = len(values) // size * size
-    block = values[:kept].reshape(-1, size)
+    full = len(values) // size * size
+    block = values[:full].reshape(-1, size)
     if not np.isfinite(block).all():
         block = np.where(np.isfinite(block), block, 0.0)
     ends = np.sort(np.stack([block.argmin(axis=1), block.argmax(axis=1)], axis=1), axis=1)
@@ -117,9 +113,7 @@ def _known(points: Array) -> list[Array]:
 
 
 def arm_points(angles: Array, arm_lengths: Sequence[float]) -> Array:
-    """Return pivot, elbows and tip relative to the pivot.
-
-    The x axis points right and y up.
+    """Return pivot, elbows and tip relative to the pivot, with x to the right and y up.
 
     Args:
         angles: (K, n) absolute, from hanging, counter-clockwise; rad.

@@ -105,8 +105,10 @@ def alone(result: Any, place: str) -> Any:
     """
     orbit = getattr(result, "source", getattr(result, "orbit", result))
     page = renderer("layout:Page")("", width=7.0).row(lambda axes: renderer(place)(axes, result), height=4.8)
-    known = hasattr(orbit, "system") and hasattr(orbit, "energy")
-    return page.origin(None, *(renderer("orbits:conditions")(orbit.system, [orbit.energy]) if known else ())).figure()
+    has_conditions = hasattr(orbit, "system") and hasattr(orbit, "energy")
+    return page.origin(
+        None, *(renderer("orbits:conditions")(orbit.system, [orbit.energy]) if has_conditions else ())
+    ).figure()
 
 
 def renderer(place: str) -> Callable[..., Any]:

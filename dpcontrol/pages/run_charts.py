@@ -1,7 +1,5 @@
-"""Charts of a motion over time, as descriptions from which both matplotlib and Rerun draw.
-
-They are the motion, the drive, the errors, a reference's mesh, and the estimated parameters.
-"""
+"""Charts of a motion over time, as descriptions from which both matplotlib and Rerun draw: the motion, the drive, the
+errors, a reference's mesh, and the estimated parameters."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -108,10 +106,7 @@ class Chart:
         return f"{self.title}{f' ({self.unit})' if self.unit else ''}"
 
     def scaled(self) -> tuple[float, str]:
-        """Return the factor and the title for a page.
-
-        The factor converts SI units to the page's unit.
-        """
+        """Return the factor from SI units to the unit of a page, and the title with that unit."""
         parts = [np.abs(self.shown)] if self.shown else [np.abs(line.values) for line in self.lines]
         finite = [part[np.isfinite(part)] for part in parts]
         largest = max((float(part.max()) for part in finite if part.size), default=0.0)
@@ -305,9 +300,9 @@ def _nis(view: RunView) -> Chart | None:
     """Return the chart of means of the NIS over windows, with the 95 % range of a consistent estimator."""
     if view.nis is None:
         return None
-    known, (low, high) = np.isfinite(view.nis), mean_band(view.sensors)
-    means = means_of(view.nis[known])
-    line = Line("mean", f"mean of {MEANS_OF} updates", "", means_of(view.time[known]), means, style.ESTIMATE, 1.0)
+    updated, (low, high) = np.isfinite(view.nis), mean_band(view.sensors)
+    means = means_of(view.nis[updated])
+    line = Line("mean", f"mean of {MEANS_OF} updates", "", means_of(view.time[updated]), means, style.ESTIMATE, 1.0)
     highest = float(np.nanquantile(means, 0.98)) if len(means) else 0.0
     # A lost estimate would compress the rest of the axis.
     lost = highest > _NIS_LOST * view.sensors
@@ -354,8 +349,8 @@ def _extra_chart(view: RunView, extras: Extras, names: list[str], key: str, titl
             lines.append(Line(f"{name}_truth", f"{name} true", "", extras.time, truth, colour, 1.1, dashed=True))
             reaches.append(truth)
     every = np.concatenate(reaches)
-    known = every[np.isfinite(every)]
-    shown = padded(np.quantile(known, [0.01, 0.99])) if known.size else None
+    finite = every[np.isfinite(every)]
+    shown = padded(np.quantile(finite, [0.01, 0.99])) if finite.size else None
     dashed = ", dashed: true" if any(line.dashed for line in lines) else ""
     return Chart(key, title, unit, tuple(lines), shown=shown, note=f", ±2σ{dashed}")
 

@@ -1,7 +1,4 @@
-"""One chart of each result, drawn in given axes.
-
-It is the most informative chart of the result.
-"""
+"""One chart of each result, the most informative one, drawn in given axes."""
 
 from collections.abc import Iterable, Sequence
 from itertools import cycle
@@ -27,19 +24,19 @@ from dpcontrol.tubes.symmetric import SymmetricSearch
 from dpcontrol.walks.edges import Edges
 
 
-def tube(axes: Axes, found: Tube) -> None:
+def tube(axes: Axes, shown: Tube) -> None:
     """Draw the trajectories of a tube and its orbit in the plane of positions.
 
     Args:
         axes: panel to draw on.
-        found: tube to draw.
+        shown: tube to draw.
     """
-    strands = found.strands()
+    strands = shown.strands()
     for k, strand in enumerate(strands):
-        branch = found.branches[k * len(found.branches) // len(strands)]
-        axes.plot(*strand[:, :2].T, color=BRANCHES[found.stable, branch], linewidth=0.5, alpha=0.8)
-    _ring(axes, found.orbit)
-    quiet_plane(axes, found.orbit.system, title=f"{'' if found.stable else 'un'}stable tube of {found.orbit.name}")
+        branch = shown.branches[k * len(shown.branches) // len(strands)]
+        axes.plot(*strand[:, :2].T, color=BRANCHES[shown.stable, branch], linewidth=0.5, alpha=0.8)
+    _ring(axes, shown.orbit)
+    quiet_plane(axes, shown.orbit.system, title=f"{'' if shown.stable else 'un'}stable tube of {shown.orbit.name}")
 
 
 def _ring(axes: Axes, orbit: PeriodicOrbit, shift: Array | float = 0.0) -> None:
@@ -54,16 +51,16 @@ def _curves(axes: Axes, pieces: Iterable[Piece], *, stable: bool, period: float 
             axes.plot(*run.T, color=BRANCHES[stable, 1], linewidth=1.3, linestyle=line, zorder=2)
 
 
-def cut(axes: Axes, found: Cut) -> None:
+def cut(axes: Axes, shown: Cut) -> None:
     """Draw a cut in the section's coordinates.
 
     Args:
         axes: panel to draw on.
-        found: cut to draw.
+        shown: cut to draw.
     """
-    _curves(axes, found.pieces, stable=found.stable)
-    quiet(axes, f"crossing {found.hit} of {found.section.name}", x="coordinate on the section", y=_MOMENTUM)
-    key(axes, [(f"{'stable' if found.stable else 'unstable'} tube", BRANCHES[found.stable, 1]), _BACKWARD])
+    _curves(axes, shown.pieces, stable=shown.stable)
+    quiet(axes, f"crossing {shown.hit} of {shown.section.name}", x="coordinate on the section", y=_MOMENTUM)
+    key(axes, [(f"{'stable' if shown.stable else 'unstable'} tube", BRANCHES[shown.stable, 1]), _BACKWARD])
 
 
 _BACKWARD: tuple[str, dict[str, Any]] = ("crossed backward", {"color": style.CART, "linestyle": "--"})
@@ -71,30 +68,30 @@ _BACKWARD: tuple[str, dict[str, Any]] = ("crossed backward", {"color": style.CAR
 _MOMENTUM = "its momentum on the section, p / p₀"
 
 
-def search(axes: Axes, found: ConnectionSearch, shown: Sequence[Connection] | None = None) -> None:
+def search(axes: Axes, result: ConnectionSearch, shown: Sequence[Connection] | None = None) -> None:
     """Draw the cuts of both tubes and the connections.
 
     Args:
         axes: panel to draw on.
-        found: search to draw.
+        result: search to draw.
         shown: marked connections; all by default.
     """
-    shown = found.connections if shown is None else shown
-    section = found.cuts[0].section
+    shown = result.connections if shown is None else shown
+    section = result.cuts[0].section
     coordinate = int(np.argmax(np.abs(section.position)))
-    period = float(found.source.system.periods[coordinate])
-    for side, cut in zip((found.source.manifold(), found.target.manifold(stable=True)), found.cuts, strict=True):
+    period = float(result.source.system.periods[coordinate])
+    for side, cut in zip((result.source.manifold(), result.target.manifold(stable=True)), result.cuts, strict=True):
         _curves(axes, (side.placed(piece, section) for piece in cut.pieces), stable=side.stable, period=period)
     for q, p in (connection.place for connection in shown):
         turns = np.rint(q / period)
         axes.plot(
             q - (turns and turns * period), p, "o", color=style.INK, markeredgecolor="white", markersize=6, zorder=4
         )
-    title = f"{found.source.saddle} → {found.target.saddle}: {counted(len(shown), 'connection')}"
-    across = f"{found.source.system.labels[coordinate]} on the section"
+    title = f"{result.source.saddle} → {result.target.saddle}: {counted(len(shown), 'connection')}"
+    across = f"{result.source.system.labels[coordinate]} on the section"
     quiet(axes, f"{title} on {section.name}", x=across, y=_MOMENTUM)
     look = {"color": style.INK, "marker": "o", "linestyle": ""}
-    tubes = [(f"tube from {found.source.saddle}", style.UNSTABLE), (f"tube to {found.target.saddle}", style.STABLE)]
+    tubes = [(f"tube from {result.source.saddle}", style.UNSTABLE), (f"tube to {result.target.saddle}", style.STABLE)]
     key(axes, [*tubes, _BACKWARD, ("connections", look)])
 
 
@@ -111,92 +108,89 @@ def flights(axes: Axes, connections: Sequence[Connection]) -> None:
         axes.plot(*connection.sample(600)[:, :2].T, color=colour, linewidth=1.0)
 
 
-def flown(axes: Axes, found: Connection | SymmetricSearch) -> None:
+def flown(axes: Axes, result: Connection | SymmetricSearch) -> None:
     """Draw a connection, or all connections of a search, between their orbits in the plane of positions.
 
     Args:
         axes: panel to draw on.
-        found: connection or search to draw.
+        result: connection or search to draw.
     """
-    connections = found.connections if isinstance(found, SymmetricSearch) else (found,)
+    connections = result.connections if isinstance(result, SymmetricSearch) else (result,)
     flights(axes, connections)
-    counts = f"{found.saddle}: {counted(len(connections), 'connection')}" if isinstance(found, SymmetricSearch) else ""
+    counts = (
+        f"{result.saddle}: {counted(len(connections), 'connection')}" if isinstance(result, SymmetricSearch) else ""
+    )
     if connections:
         quiet_plane(axes, connections[0].source.system, title=counts or connections[0].name)
 
 
-def proof(axes: Axes, found: Any) -> None:
-    """Draw the bounds of a proof that are small numbers.
-
-    The radii of its balls are an example.
+def proof(axes: Axes, result: Any) -> None:
+    """Draw the bounds of a proof that are small numbers, such as the radii of its balls.
 
     Args:
         axes: panel to draw on.
-        found: proof to draw.
+        result: proof to draw.
     """
-    colour = style.GOOD if found.proved else style.LIMIT
-    sizes = {name.replace("_", " "): _size(value) for name, value in found.figures.items()}
-    title = f"{found.kind}: {'proved' if found.proved else 'not proved'}"
+    colour = style.GOOD if result.proved else style.LIMIT
+    sizes = {name.replace("_", " "): _size(value) for name, value in result.figures.items()}
+    title = f"{result.kind}: {'proved' if result.proved else 'not proved'}"
     bars(axes, title, [Bar(name, size, colour) for name, size in sizes.items() if 0 < size < 1])
     axes.set_xscale("log")
 
 
 def _size(value: object) -> float:
-    """Return a number of a proof's figures, or 0.
-
-    Enclosures and lists return 0.
-    """
+    """Return a number of a proof's figures, or 0 for enclosures and lists."""
     try:
         return float(value)  # type: ignore[arg-type]
     except (TypeError, ValueError):
         return 0.0
 
 
-def polished(axes: Axes, found: Polished) -> None:
+def polished(axes: Axes, result: Polished) -> None:
     """Draw the effort of the robust plan and of the polished one.
 
     Args:
         axes: panel to draw on.
-        found: both plans.
+        result: both plans.
     """
-    bars(axes, found.status, [Bar(side.name, side.effort, style.ARMS[0]) for side in found.sides], x="effort (m²/s³)")
+    bars(axes, result.status, [Bar(side.name, side.effort, style.ARMS[0]) for side in result.sides], x="effort (m²/s³)")
 
 
-def edges(axes: Axes, found: Edges) -> None:
+def edges(axes: Axes, result: Edges) -> None:
     """Draw a connection graph.
 
     Args:
         axes: panel to draw on.
-        found: edges of the graph.
+        result: edges of the graph.
     """
-    draw_graph(axes, found.graph(), f"{found.system.name} at {found.energy:g}{found.system.unit('J')}")
+    draw_graph(axes, result.graph(), f"{result.system.name} at {result.energy:g}{result.system.unit('J')}")
 
 
-def flight(axes: Axes, found: Flight) -> None:
+def flight(axes: Axes, result: Flight) -> None:
     """Draw the angles of a flight in turns, and the cart's position as a share of its limit.
 
     Args:
         axes: panel to draw on.
-        found: flight to draw.
+        result: flight to draw.
     """
-    times = np.linspace(*found.time_range, 400)
-    states, arms = found.states(times), found.nodes.shape[1] // 2 - 1
+    times = np.linspace(*result.time_range, 400)
+    states, arms = result.states(times), result.nodes.shape[1] // 2 - 1
     for arm in range(arms):
         axes.plot(times, states[:, arm] / (2 * np.pi), color=style.arm_colour(arm), label=f"arm {arm + 1}, turns")
-    limit = found.limits.position
+    limit = result.limits.position
     axes.plot(times, states[:, -2] / limit, color=style.INK, linestyle="--", label=f"cart, shares of {limit:g} m")
-    quiet(axes, found.status, x="s")
+    quiet(axes, result.status, x="s")
     key(axes)
 
 
-def recording(axes: Axes, found: Recording) -> None:
+def recording(axes: Axes, shown: Recording) -> None:
     """Draw the measured angles, segment by segment.
 
     Args:
         axes: panel to draw on.
-        found: recording to draw.
+        shown: recording to draw.
     """
-    for part in found.split():
-        for arm in range(found.arms):
+    for part in shown.split():
+        for arm in range(shown.arms):
             axes.plot(part.time, part.angles[:, arm], color=style.arm_colour(arm), linewidth=0.9)
-    quiet(axes, f"{found.name}: {len(found.segments)} segments", x="time (s)", y="angles (rad)")
+    quiet(axes, f"{shown.name}: {len(shown.segments)} segments", x="time (s)", y="angles (rad)")

@@ -43,9 +43,7 @@ class Strip:
 
 
 def strips(view: RunView, *, until: float | None = None) -> tuple[Strip, ...]:
-    """Return the strips of itinerary, symbols and modes that exist.
-
-    The itinerary has a planned and a flown strip.
+    """Return the strips of itinerary (planned and flown), symbols and modes that exist.
 
     Args:
         view: run to draw.
@@ -55,24 +53,26 @@ def strips(view: RunView, *, until: float | None = None) -> tuple[Strip, ...]:
     due = view.plan.duration if until is None else until
     stopped = due is not None and end < due - 2 / view.rate_hz
     ended = (Span(end, due, "ended", style.FAINT, "ended"),) if due is not None and stopped else ()
-    found = []
+    strips_of_run = []
     if view.plan.planned:
         between = [Span(a, b, "change of orbit", style.FAINT, "transfer") for a, b in view.plan.transfers]
         name = "near" if view.what == "walk" else "planned"
-        found.append(Strip("asked", name, (*_stays(view.plan.planned), *between)))
+        strips_of_run.append(Strip("asked", name, (*_stays(view.plan.planned), *between)))
         if view.what not in ("reference", "walk"):
-            found.append(Strip("done", "done", (*_stays(view.done), *ended)))
+            strips_of_run.append(Strip("done", "done", (*_stays(view.done), *ended)))
     if view.plan.symbols:
         moments = [begin, *(at for at, _ in view.plan.symbols), end]
         names = ["before the first", *(f"{k + 1}: {name}" for k, (_, name) in enumerate(view.plan.symbols))]
         tints = [style.FAINT, *(style.RUNS[k % len(style.RUNS)] for k in range(len(view.plan.symbols)))]
         parts = zip(pairwise(moments), names, tints, strict=True)
-        found.append(Strip("symbol", "", tuple(Span(a, b, name, tint, "symbol") for (a, b), name, tint in parts)))
+        strips_of_run.append(
+            Strip("symbol", "", tuple(Span(a, b, name, tint, "symbol") for (a, b), name, tint in parts))
+        )
     if motions := tuple(_motions(view)):
-        found.append(Strip("motion", "motion", motions))
+        strips_of_run.append(Strip("motion", "motion", motions))
     if modes := tuple(Span(a, b, name, style.MODES.get(name, style.FAINT), "mode") for a, b, name in mode_spans(view)):
-        found.append(Strip("mode", "controller", (*modes, *ended)))
-    return tuple(found)
+        strips_of_run.append(Strip("mode", "controller", (*modes, *ended)))
+    return tuple(strips_of_run)
 
 
 _MOTIONS = {
@@ -85,10 +85,7 @@ _MOTIONS = {
 
 
 def _motions(view: RunView) -> Iterator[Span]:
-    """Yield the periods of a run by activity.
-
-    The run is on its itinerary, brakes after a fall, or flies back.
-    """
+    """Yield the periods of a run by activity: on its itinerary, braking after a fall, or flying back."""
     changes = [event for event in view.events if event.name in _MOTIONS]
     if not any(event.name == RETURN for event in changes):
         return
@@ -105,10 +102,7 @@ def _stays(stays: tuple[Stay, ...]) -> Iterator[Span]:
 
 
 def mode_spans(view: RunView) -> list[tuple[float, float, str]]:
-    """Return start, end and name of each stretch of constant mode.
-
-    Times are in s. Other numbers are "unknown mode".
-    """
+    """Return start and end in s and name of each stretch of constant mode, "unknown mode" for other numbers."""
     if view.control is None or "mode" not in view.control:
         return []
     names = {float(mode): mode.name.lower() for mode in Mode}
@@ -175,10 +169,7 @@ def _story(axes: Axes, view: RunView, rows: list[Strip], span: Range, width: flo
 
 
 def _part(axes: Axes, part: Span, place: int, second: float, *, marks: list[float], mode: bool) -> None:
-    """Draw a span of a strip, with its text if possible.
-
-    The text needs room between the symbols' marks, s.
-    """
+    """Draw a span of a strip, with its text if this has room between the symbols' marks, s."""
     # A mode of one tick, as at an end, is widened to remain visible.
     width = max(part.last - part.first, (0.06 if part.kind == "mode" else 0.04) * second)
     first = part.last - width if part.kind == "mode" else part.first
@@ -207,10 +198,7 @@ def _part(axes: Axes, part: Span, place: int, second: float, *, marks: list[floa
 
 
 def _numbers(axes: Axes, view: RunView, rows: list[str], span: Range, second: float) -> None:
-    """Number the symbols at their planned and actual times.
-
-    They are named above if there is room.
-    """
+    """Number the symbols at their planned and actual times, and name them above if there is room."""
     begin, end = span
     free, last, named = begin, -1e9, []
     for i, (name, planned, done) in enumerate(view.symbols):

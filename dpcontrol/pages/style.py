@@ -1,6 +1,4 @@
-"""The visual standard of all pages, figures, films and recordings (see `guide/style.md`).
-
-It sets type scale, palette and numbers.
+"""The visual standard of all pages, figures, films and recordings: type scale, palette, numbers (see `guide/style.md`).
 
 A colour has one meaning. The roles in `ROLES` remain distinct for people with deuteranopia, protanopia or tritanopia.
 `SERIES` numbers items without a role, such as the runs of a comparison.
@@ -120,10 +118,7 @@ def rgb(colour: str) -> tuple[int, int, int]:
 
 
 def number(i: int) -> str:
-    """Return the number of an arm as a subscript.
-
-    The argument counts from zero, the subscript from one.
-    """
+    """Return the number of an arm, counted from zero, as a subscript that counts from one."""
     return str(i + 1).translate(_SUBSCRIPTS)
 
 

@@ -53,8 +53,8 @@ def viewer_program() -> Path | None:
         return None
     import rerun_cli
 
-    found = shutil.which("rerun", path=Path(rerun_cli.__file__).parent)
-    return None if found is None else Path(found)
+    program = shutil.which("rerun", path=Path(rerun_cli.__file__).parent)
+    return None if program is None else Path(program)
 
 
 _QUIET = {"CI": "1"}
@@ -69,9 +69,7 @@ LIVE_REMEDY = "leave out --live, and draw the log with `dpcontrol review LOG --p
 
 
 def check_viewer(remedy: str = REVIEW_REMEDY) -> Path:
-    """Return the viewer's executable.
-
-    The `remedy` is advice for a user without a display.
+    """Return the viewer's executable; `remedy` is advice for a user without a display.
 
     Raises:
         InputError: there is no viewer, or no display to open it on.
@@ -94,9 +92,7 @@ def check_viewer(remedy: str = REVIEW_REMEDY) -> Path:
 
 
 def viewer_command(*arguments: str) -> tuple[list[str], dict[str, str]]:
-    """Return command and environment of a private viewer.
-
-    It accepts local connections only and reports nothing.
+    """Return command and environment of a private viewer, which accepts local connections only and reports nothing.
 
     Raises:
         InputError: there is no viewer, or no display to open it on.
@@ -169,8 +165,8 @@ def opened(files: Sequence[Path], *, symbol: int = 1) -> Shown:
     """
     if not files:
         raise InputError("files = []: give one at least")
-    first, *others = files
-    if others:
+    first, *more_files = files
+    if more_files:
         if other := next((file for file in files if file.suffix.lower() == ".npz"), None):
             raise InputError(
                 f"{other} is not a log: several files can be compared only if all are logs; review it alone"
@@ -196,9 +192,7 @@ _MEMORY = "1GB"
 
 
 class LiveView(LoopSink):
-    """A sink that shows a run live and drops rows under load.
-
-    It is a context manager.
+    """A sink, and context manager, that shows a run live and drops rows under load.
 
     Args:
         start: log of the run before its first row, with itinerary, model and reference attached.
@@ -346,7 +340,7 @@ def _view(start: RunLog, planned: RunView, rows: Array, events: tuple[Event, ...
 
 
 def _run(start: RunLog, address: str, pipe: Connection) -> None:
-    """Show the rows in a pipe in the viewer at an address; "" opens one. This is the separate process."""
+    """Show the rows in a pipe in the viewer at an address, or with "" open one; this is the separate process."""
     # Ctrl-C ends the run, and neither this process nor the viewer.
     os.setsid()
     os.nice(10)

@@ -1,7 +1,5 @@
-"""Branches of connections against energy, with their births, splittings and grazes of the section.
-
-Also the rates at which motions pass the necks.
-"""
+"""Connections against energy with their births, splittings and grazes of the section, and rates of passage of the
+necks."""
 
 import json
 from functools import partial
@@ -31,10 +29,7 @@ _ON_MIRROR = 1e-5  # rad
 
 
 def branches_page(gallery: Gallery) -> PaperFigure:
-    """Draw first-hit connections of the lab pendulum against energy.
-
-    They are homoclinics of both saddles and heteroclinics.
-    """
+    """Draw first-hit connections of the lab pendulum against energy: homoclinics of both saddles, and heteroclinics."""
     diagrams = [
         gallery.branches("lab", source, target, part_of(gallery.progress, k / len(KINDS), (k + 1) / len(KINDS)))
         for k, (source, target) in enumerate(KINDS)
@@ -118,19 +113,18 @@ def pair_name(diagram: BranchDiagram) -> str:
     return f"{diagram.source} to {'itself' if diagram.source == diagram.target else diagram.target}"
 
 
-def bifurcations(axes: Axes, found: BifurcationSearch) -> None:
-    """Draw the section's momentum of each connection over the energy or the followed parameter.
-
-    The bifurcations and the counts are added.
+def bifurcations(axes: Axes, search: BifurcationSearch) -> None:
+    """Draw each connection's momentum on the section over the energy or the followed parameter, with bifurcations and
+    counts.
 
     Args:
         axes: panel to draw on.
-        found: search to draw.
+        search: search to draw.
     """
-    draw_momentum_branches(axes, branch_diagram(found))
-    title = f"{found.source} → {found.target}: {counted(len(found.events), 'bifurcation')} on {found.section.name}"
-    unit = f" ({found.course.unit.strip()})" if found.course.unit else ""
-    quiet(axes, title, x=f"{found.course.quantity}{unit}", y="p / p₀")
+    draw_momentum_branches(axes, branch_diagram(search))
+    title = f"{search.source} → {search.target}: {counted(len(search.events), 'bifurcation')} on {search.section.name}"
+    unit = f" ({search.course.unit.strip()})" if search.course.unit else ""
+    quiet(axes, title, x=f"{search.course.quantity}{unit}", y="p / p₀")
 
 
 COUNTED = Path(__file__).with_name("passages.json")

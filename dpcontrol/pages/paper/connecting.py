@@ -128,8 +128,8 @@ def repeated_page(gallery: Gallery, *, turns: int) -> PaperFigure:
     lengths: dict[float, AtlasConnection] = {}
     for c in sorted(repeated, key=lambda c: (c.time_in + c.time_out, c.name)):
         lengths.setdefault(round(c.time_in + c.time_out, 4), c)
-    kept = list(lengths.values())[:_REPEATED] or [c for c in connections if c.sense > 0][:_REPEATED]
-    names = {c.name: letter for c, letter in zip(kept, "abc", strict=False)}
+    shown = list(lengths.values())[:_REPEATED] or [c for c in connections if c.sense > 0][:_REPEATED]
+    names = {c.name: letter for c, letter in zip(shown, "abc", strict=False)}
     page = Page(f"{title} homoclinic connections of Down-Up at {ENERGY:g} J (hits {[turns, 1]})")
     windings = [tuple(abs(int(turn)) for turn in c.winding) for c in connections]
     counts = ", ".join(
@@ -139,7 +139,7 @@ def repeated_page(gallery: Gallery, *, turns: int) -> PaperFigure:
     resolved = all(atlas.cut(SADDLE, kind.section, hit).resolved for hit in kind.hits)
     torn = " and is drawn as far as it could be resolved: more connections than these exist"
     return PaperFigure(
-        page.row(*row_of(atlas, kind, kept, numbers=names, marked=tuple(kept)), height=4.4).figure(),
+        page.row(*row_of(atlas, kind, shown, numbers=names, marked=tuple(shown)), height=4.4).figure(),
         f"Above, left: the cuts of the unstable tube at its {ordinal} crossing of θ₂ = 2πk and of the stable tube at "
         "its first one back. Right: the connections as flights in the plane of the angles, with the "
         f"outer arm turning {times} before the arms settle about Down-Up again, {number} turns on (dot: the section at "
@@ -180,10 +180,7 @@ _RETURN_FLIGHT = 2.0
 
 
 def returning_search(system: System) -> ConnectionSearch:
-    """Search homoclinics of Down-Up that cross θ₁ = θ₂ twice.
-
-    The energy is 0.2 J.
-    """
+    """Search homoclinics of Down-Up at 0.2 J that cross θ₁ = θ₂ twice."""
     orbit = lyapunov_orbit(system, "down-up", energy=SENSES_ENERGY)
     return find_connections(
         orbit,
@@ -195,21 +192,18 @@ def returning_search(system: System) -> ConnectionSearch:
 
 
 def returning_page(gallery: Gallery) -> PaperFigure:
-    """Draw homoclinics of Down-Up that cross θ₁ = θ₂ and return.
-
-    They pass Up-Down's side.
-    """
+    """Draw homoclinics of Down-Up that cross θ₁ = θ₂, pass Up-Down's side and return."""
     search = returning_search(gallery.system("lab"))
     back = [c for c in search.connections if not any(c.winding)]
     page = Page("Homoclinic orbits of Down-Up that return through θ₁ = θ₂ the other way, at 0.2 J")
     flights = partial(_returning_flights, search=search, connections=[c for c in back if c.sense > 0])
-    whole = "" if search.complete else "at least "
+    at_least = "" if search.complete else "at least "
     return PaperFigure(
-        page.row(flights, partial(single.search, found=search, shown=back), height=4.8).figure(),
+        page.row(flights, partial(single.search, result=search, shown=back), height=4.8).figure(),
         f"Connections from the Lyapunov orbit about Down-Up at {SENSES_ENERGY:g} J to the same orbit without a turn "
         "of an arm. They pass θ₁ = θ₂ (dotted) towards Up-Down's side and return the other way. Left: flights "
         "of one sense. Right: the unstable tube (red) at its first crossing of θ₁ = θ₂ and the stable tube (green) at "
-        f"the second before it arrives, with the connections. Found: {whole}{len(back)} of flights up to "
+        f"the second before it arrives, with the connections. Found: {at_least}{len(back)} of flights up to "
         f"{_RETURN_FLIGHT:g} periods.",
         "Tubes scatter before later crossings, so longer flights are not listed; `dpcontrol connect lab --section "
         f"aligned --hits 1,2 --longest 2` lists these. {IDENTIFIED}",
@@ -224,10 +218,7 @@ def _returning_flights(axes: Axes, search: ConnectionSearch, connections: Sequen
 
 
 def shadowing_page(gallery: Gallery) -> PaperFigure:
-    """Draw a homoclinic connection and two orbits that shadow it.
-
-    One follows it twice, the other is periodic.
-    """
+    """Draw a homoclinic connection and two orbits that shadow it, one of them twice, the other periodically."""
     system = gallery.system("lab")
     orbit = lyapunov_orbit(system, "down-up", energy=-0.07)
     search = find_connections(orbit, orbit)
@@ -240,11 +231,11 @@ def shadowing_page(gallery: Gallery) -> PaperFigure:
         "c  a periodic orbit beside it": solver.solve(once, solver.least(once, periodic=True), periodic=True),
     }
     words, above, below = [], [], []
-    for title, found in shapes.items():
-        assert found.converged, found.status
-        above.append(partial(_outer_arm, orbit=found, title=title))
-        below.append(partial(angles, found=found))
-        words.append(f"{title[0]} {found.duration:.2f} s, residual {found.residual:.0e}")
+    for title, shadow in shapes.items():
+        assert shadow.converged, shadow.status
+        above.append(partial(_outer_arm, orbit=shadow, title=title))
+        below.append(partial(angles, motion=shadow))
+        words.append(f"{title[0]} {shadow.duration:.2f} s, residual {shadow.residual:.0e}")
     return PaperFigure(
         Page("One homoclinic orbit of Down-Up at -0.07 J, and orbits that shadow it")
         .row(*above, height=3.2)
@@ -273,10 +264,7 @@ WHOLE: dict[str, Extent] = {"L1": ((-1.15, 1.25), (-1.15, 1.15)), "L2": ((-2.2, 
 
 
 def three_body_page(gallery: Gallery) -> PaperFigure:
-    """Draw L1's and L2's orbits, their tubes and first connections.
-
-    The section is x = 1 - μ. Both directions are drawn.
-    """
+    """Draw L1's and L2's orbits, their tubes, and their first connections in both directions on x = 1 - μ."""
     atlas = gallery.atlas("three-body", BETWEEN_ENERGY, None)
     pairs = (("L1", "L2"), ("L2", "L1"))
     page = Page(f"Three bodies: heteroclinic connections of L1 and L2 at energy {BETWEEN_ENERGY:g}")
@@ -297,10 +285,7 @@ def three_body_page(gallery: Gallery) -> PaperFigure:
 
 
 def three_body_homoclinics_page(gallery: Gallery) -> PaperFigure:
-    """Draw the homoclinic connections of L1 and of L2.
-
-    The page shows tubes, cuts on y = 0, x < 0, and the orbits.
-    """
+    """Draw the homoclinic connections of L1 and of L2, with tubes, orbits and the cuts on y = 0, x < 0."""
     rows = [
         (gallery.atlas("three-body", energy, (1, 1)), saddle, saddle, WHOLE[saddle])
         for saddle, energy in HOMOCLINIC_ENERGIES.items()
@@ -326,8 +311,8 @@ def _rows(page: Page, gallery: Gallery, rows: Sequence[tuple[Atlas, str, str, Ex
         connections, section = connections_of(atlas, kind), kind.section.replace("mu", "μ")
         look = colours(connections)
         chosen = {look[c.name]: c for c in sorted(connections, key=lambda c: c.name, reverse=True)}.values()
-        kept = sorted(chosen, key=lambda c: (not c.symmetric, c.name))[: 1 if between else 4]
-        numbers = {c.name: str(k) for k, c in enumerate(kept, start=1)}
+        shown = sorted(chosen, key=lambda c: (not c.symmetric, c.name))[: 1 if between else 4]
+        numbers = {c.name: str(k) for k, c in enumerate(shown, start=1)}
         cuts = f"{letters[1]}  cuts on {section}, hits {list(kind.hits)}"
         ends = ((source, kind.hits[0], False), (target, kind.hits[1], True))
         tubes = [
@@ -340,8 +325,8 @@ def _rows(page: Page, gallery: Gallery, rows: Sequence[tuple[Atlas, str, str, Ex
         both = f"{source} and {target}" if between else source
         plane = partial(_plane, atlas=atlas, system=gallery.system("three-body"), extent=extent, section=section)
         of_tubes = partial(plane, tubes=tubes, title=f"{letters[0]}  tubes of {both}, energy {atlas.energy:g}")
-        flown = f"{letters[2]}  from {source}'s orbit to {target}'s" if kept else "none found"
-        of_flights = partial(plane, flights=[(c, look[c.name]) for c in kept], title=flown)
+        flown = f"{letters[2]}  from {source}'s orbit to {target}'s" if shown else "none found"
+        of_flights = partial(plane, flights=[(c, look[c.name]) for c in shown], title=flown)
         of_cuts = partial(draw_cuts, atlas=atlas, kind=kind, numbers=numbers, legend=False, title=cuts)
         page.row(Panel(of_tubes, 1.3), of_cuts, Panel(of_flights, 1.3), height=4.0)
         energy, least = "" if between else f"at {atlas.energy:g} ", "" if kind.complete else "at least "

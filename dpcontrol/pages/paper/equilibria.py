@@ -23,10 +23,7 @@ _REACHED, _FORBIDDEN = "#dbe9f6", "#8d959e"
 
 
 def landscape_page(gallery: Gallery) -> PaperFigure:
-    """Draw potential energies and Hill's regions at four energies.
-
-    Both are drawn for three bodies and the pendulum.
-    """
+    """Draw potential energies and Hill's regions at four energies, of three bodies and of the pendulum."""
     page = Page("Energy landscapes and Hill's regions: higher energies open more saddles")
     words = []
     for name, energies in LANDSCAPES.items():
@@ -121,7 +118,7 @@ def lyapunov_orbits_page(gallery: Gallery) -> PaperFigure:
 
 
 def _orbits(axes: Axes, orbits: Sequence[LyapunovOrbit], arm: int) -> None:
-    """Draw orbits in the phase plane of an arm, whose energies are named beside the inner arm's."""
+    """Draw orbits in the phase plane of an arm; in the inner arm's plane they are labelled with their energies."""
     saddle, system = orbits[0].saddle, orbits[0].system
     for orbit, colour in zip(orbits, style.SERIES, strict=False):
         axes.plot(*orbit.sample(400)[:, [arm, 2 + arm]].T, color=colour, linewidth=1.4)
@@ -138,10 +135,7 @@ _FALL = 60.0
 
 
 def up_up_states(system: System) -> Array:
-    """Return the first crossings of θ₂ = 2πk on Up-Up's unstable manifold.
-
-    The first crossings are states (K, N).
-    """
+    """Return the states (K, N) of the first crossings of θ₂ = 2πk on Up-Up's unstable manifold."""
     top = system.equilibria["up-up"]
     values, vectors = np.linalg.eig(system.numeric.jacobian(top))
     rising = np.argsort(np.real(values))[-2:]
@@ -154,14 +148,11 @@ def up_up_states(system: System) -> Array:
     met = system.propagator.crossings(
         top + _OFF * seeds @ plane.T, section, longest=_FALL / float(np.sort(np.real(values))[-2])
     )
-    return np.array([one.state for one in met if one is not None])
+    return np.array([crossing.state for crossing in met if crossing is not None])
 
 
 def up_up_page(gallery: Gallery) -> PaperFigure:
-    """Draw the intersections of Up-Up's manifolds with θ₂ = 2πk.
-
-    Unstable and stable manifold are drawn as points.
-    """
+    """Draw the points where Up-Up's stable and unstable manifolds cross θ₂ = 2πk."""
     system = gallery.system("lab")
     states, section = up_up_states(system), system.sections["down-up", "down-up"]
     points = section_points(system, section, states)
@@ -188,8 +179,8 @@ def _manifolds(axes: Axes, points: Array, sense: Array, way: int) -> None:
     q = (points[:, 0] + np.pi) % (2 * np.pi) - np.pi
     # Time reversal changes the sign of momenta and of the crossing.
     for sign, colour in ((1, style.UNSTABLE), (-1, style.STABLE)):
-        here = sense * sign == way
-        axes.scatter(q[here], sign * points[here, 1], s=2.0, color=colour, linewidths=0)
+        in_direction = sense * sign == way
+        axes.scatter(q[in_direction], sign * points[in_direction, 1], s=2.0, color=colour, linewidths=0)
     quiet(axes, f"θ₂ {'rises' if way > 0 else 'falls'}", x="θ₁ on the section (rad)", y="p / p₀")
     key(axes, [("unstable manifold", style.UNSTABLE), ("stable manifold", style.STABLE)])
     angle_axis(axes, "x")
