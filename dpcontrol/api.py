@@ -1309,7 +1309,7 @@ def launch(
     chosen, shared = _settings(settings), {"force": force, "live": live}
     loaded = _loaded(itinerary).with_run(chosen, seed=seed)
     night = None if hours is None else night_runs.NightSettings(hours, file_minutes, keep_every)
-    loaded = loaded if night is None else night_runs.night_itinerary(loaded, given=chosen)
+    loaded = loaded if night is None else night_runs.night_itinerary(loaded, overrides=chosen)
     check = night_runs.name_check(
         loaded, bench, night, resume=resume, free=log is True and not learn, force=force, yes=yes
     )

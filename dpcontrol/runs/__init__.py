@@ -1,4 +1,1 @@
-"""Runs, campaigns, nights and preflights of a plan.
-
-They share the closed loop.
-"""
+"""Runs, campaigns, nights and preflights of a plan, which share the closed loop."""

@@ -135,10 +135,7 @@ _ONE_AT_A_TIME = threading.Lock()
 
 @dataclass(frozen=True)
 class Case(Brief):
-    """One combination of varied values.
-
-    Its label, the values by name, and the loop's settings.
-    """
+    """One combination of varied values: its label, the values by name, and the loop's settings."""
 
     label: str
     values: tuple[tuple[str, float | str], ...]
@@ -213,7 +210,9 @@ def run_job(job: Job) -> list[Row]:
             for seed, mismatch, run in zip(job.seeds, mismatches, runs, strict=True)
         ]
         alike = zip(rows, mismatches, strict=True)
-        failed = [(row, own) for row, own in alike if not row["completed"] and row["path"] == "compiled"]
+        failed = [
+            (row, run_mismatch) for row, run_mismatch in alike if not row["completed"] and row["path"] == "compiled"
+        ]
         for row, mismatch in failed[: job.replayed]:
             # A listed failure should also fail when its seed is run separately. For laws with internal timing,
             # rounding decides a few runs.
@@ -222,7 +221,6 @@ def run_job(job: Job) -> list[Row]:
 
 
 def _assembled(job: Job) -> Assembly:
-    """Return the parts of a job's runs."""
     loop = job.case.loop
     # By the inputs of a controller: cases that differ only in the bench share one.
     decisive = LoopSettings(
@@ -284,9 +282,7 @@ def _schema(cases: Sequence[Case], record: Mapping[str, Any]) -> "pa.Schema":
 
 
 def run_locally(jobs: Sequence[Job], workers: int, progress: Progress = no_progress) -> Iterator[tuple[Job, list[Row]]]:
-    """Run jobs in several processes.
-
-    The processes end if the caller is interrupted or stops iterating.
+    """Run jobs in several processes, which end if the caller is interrupted or stops iterating.
 
     Args:
         jobs: jobs in any order.
@@ -453,14 +449,22 @@ class Campaign(Shown):
 
     def document(self) -> dict[str, Any]:
         """Return the JSON output of `dpcontrol campaign`."""
-        kept = [*(["itinerary"] if self.transitions else []), "seed", "symbol", "cause", "reason", "ending", "replays"]
+        columns = [
+            *(["itinerary"] if self.transitions else []),
+            "seed",
+            "symbol",
+            "cause",
+            "reason",
+            "ending",
+            "replays",
+        ]
         cases = [
             {
                 "case": r.case.label,
                 **dict(r.case.values),
                 **share_document(r.completed),
                 "returned": r.returned,
-                "failures": r.failed.select(kept).to_pylist(),
+                "failures": r.failed.select(columns).to_pylist(),
             }
             for r in self.results
         ]
@@ -505,11 +509,11 @@ def cases_of(itinerary: Itinerary, *, fixed: Mapping[str, Any], over: Mapping[st
     over = {name: values if is_list(values) else [values] for name, values in over.items()}
     count = math.prod(len(values) for values in over.values())
     if not count:
-        raise InputError(f"over: {', '.join(name for name, one in over.items() if not len(one))} has no values")
+        raise InputError(f"over: {', '.join(name for name, choices in over.items() if not len(choices))} has no values")
     if count > MOST_CASES:
         raise InputError(f"over: {count:,} cases, every combination of the values; at most {MOST_CASES:,} are compared")
     cases = []
-    for values in itertools.product(*(zip(given, _shown(given), strict=True) for given in over.values())):
+    for values in itertools.product(*(zip(choices, _shown(choices), strict=True) for choices in over.values())):
         varied = itinerary.with_run(
             {**canonical(fixed), **canonical({name: value for name, (value, _) in zip(names, values, strict=True)})}
         )
@@ -523,26 +527,21 @@ def cases_of(itinerary: Itinerary, *, fixed: Mapping[str, Any], over: Mapping[st
 
 
 def _shown(values: Sequence[Any]) -> list[Any]:
-    """Return the values for display.
-
-    Objects by name, repeated names numbered from the second on.
-    """
+    """Return the values for display: objects by name, and a repeated name numbered from the second object on."""
     out: list[Any] = []
-    for given in values:
+    for choice in values:
         # Numbers of numpy are shown as Python's, and lists as the command line takes them.
-        value = "as planned" if given is None else given.item() if isinstance(given, np.generic) else given
+        value = "as planned" if choice is None else choice.item() if isinstance(choice, np.generic) else choice
         value = f"[{','.join(map(str, value))}]" if is_list(value) else value
         plain = isinstance(value, int | float | str)
         name = value if plain else getattr(value, "__name__", type(value).__name__)
-        same = 0 if plain else sum(str(one).partition(" ")[0] == name for one in out)
+        same = 0 if plain else sum(str(shown).partition(" ")[0] == name for shown in out)
         out.append(f"{name} {same + 1}" if same else name)
     return out
 
 
 def transitions_of(plan: Plan) -> tuple[Plan, ...]:
-    """Return the transitions of a plan between equilibria.
-
-    Each has the rests before and after it.
+    """Return the transitions of a plan between equilibria, each with the rests before and after it.
 
     If several connect the same equilibria, only the first is returned.
 
@@ -554,7 +553,7 @@ def transitions_of(plan: Plan) -> tuple[Plan, ...]:
     """
     itinerary, reference, content = plan.itinerary, plan.reference, plan.content
     ends = [0.0, *(time for way in content.transfers for time in way), float(reference.mesh[-1])]
-    found: list[Plan] = []
+    transitions: list[Plan] = []
     for k, way in content.transitions():
         symbol = content.symbols[k]
         name = f"{symbol.source} to {symbol.target}"
@@ -576,10 +575,10 @@ def transitions_of(plan: Plan) -> tuple[Plan, ...]:
             inputs=reference.inputs[first:last],
             plan=part,
         )
-        found.append(Plan(replace(itinerary, name=name, title=name), alone, plan.file, cached=True))
-    if not found:
+        transitions.append(Plan(replace(itinerary, name=name, title=name), alone, plan.file, cached=True))
+    if not transitions:
         raise InputError(f"{itinerary.name} has no transitions: they lead from one equilibrium to another; see twelve")
-    return tuple(found)
+    return tuple(transitions)
 
 
 def run_campaign(
@@ -617,7 +616,7 @@ def run_campaign(
     announce(_cost(plans, cases, settings), yes=yes)
     if transitions and any(case.loop.supervisor.on_fall != "stop" for case in cases):
         raise InputError("transitions alone end with a fall: leave on_fall at stop, or run the whole itinerary")
-    jobs = [job for one in (plans if transitions else (plan,)) for job in _jobs(one, cases, settings)]
+    jobs = [job for each_plan in (plans if transitions else (plan,)) for job in _jobs(each_plan, cases, settings)]
     record = campaign_record(plan.itinerary, cases, settings, transitions=transitions)
     if file is not None and not force:
         check_table(file, record)
@@ -629,16 +628,16 @@ def run_campaign(
         table = campaign_table(folder)
     alone = {
         content.itinerary: (content.symbols[0].source, content.symbols[0].target, float(np.ptp(content.transfers[0])))
-        for content in (one.content for one in plans if transitions)
+        for content in (each_plan.content for each_plan in plans if transitions)
     }
-    found = _summary(plan.itinerary.name, cases, table, seconds=time.perf_counter() - began, file=file)
-    return replace(found, alone=alone)
+    summary = _summary(plan.itinerary.name, cases, table, seconds=time.perf_counter() - began, file=file)
+    return replace(summary, alone=alone)
 
 
 def _run_missing(jobs: Sequence[Job], folder: Path, schema: "pa.Schema", *, workers: int, progress: Progress) -> None:
-    """Run the jobs whose rows are not in the folder, and write the rows of each to a file of its own.
+    """Run the jobs whose rows are not in the folder, and write the rows of each job to a separate file.
 
-    Files are numbered in the order of the jobs. Those of other jobs are removed.
+    Files are numbered in the order of the jobs; files of jobs that are not in this campaign are removed.
     """
     places = {job.key: folder / f"{k:06d}-{job.key}.parquet" for k, job in enumerate(jobs)}
     for stored in folder.glob("*.parquet"):
@@ -672,11 +671,11 @@ def check_table(file: Path, record: Mapping[str, Any]) -> None:
         return
     try:
         table = campaign_table(file)
-        there = json.loads(table.schema.metadata[METADATA])
+        existing = json.loads(table.schema.metadata[METADATA])
         seeds = pc.min_max(table["seed"]).as_py()
     except (InputError, LookupError, TypeError) as error:
         raise in_the_way(file, "is no table of a campaign, or was changed after it was written") from error
-    first, same = record["settings"]["first_seed"], all(there.get(key) == record.get(key) for key in _DECISIVE)
+    first, same = record["settings"]["first_seed"], all(existing.get(key) == record.get(key) for key in _DECISIVE)
     if not (same and first <= seeds["min"] and seeds["max"] < first + record["settings"]["runs"]):
         raise in_the_way(file, "holds another campaign, or more runs of this one")
 
@@ -690,10 +689,7 @@ _ROW_BYTES = 1000.0
 
 
 def _cost(plans: Sequence[Plan], cases: Sequence[Case], settings: CampaignSettings) -> Cost:
-    """Estimate the cost of a whole campaign.
-
-    It runs on this machine, or on as many processes of a cluster.
-    """
+    """Estimate the cost of a whole campaign on this machine, or on as many processes of a cluster."""
     runs = settings.runs * len(cases) * len(plans)
     ticks = settings.runs * sum(case.loop.rate for case in cases) * sum(plan.reference.duration for plan in plans)
     lasting = ticks / 1000 / _PACES[settings.path] / (settings.workers or processors())
@@ -805,10 +801,7 @@ STANDARD_CAMPAIGN = CampaignSettings(runs=8, replayed=0)
 
 @dataclass(frozen=True)
 class StandardScore(Documented):
-    """One controller's shares of completed runs by kind.
-
-    `total` is their mean, 0 to 1.
-    """
+    """One controller's shares of completed runs by kind, and their mean `total`, 0 to 1."""
 
     KEYS: ClassVar[str] = f"controller score=total kinds:{_SHARE}"
 
@@ -836,11 +829,11 @@ def asked_cases(
         return cases_of(itinerary, fixed=fixed, over=over)
     if transitions:
         raise InputError("transitions: the robustness score needs the whole itinerary; omit standard or transitions")
-    if others := [name for name in over if name != "controller"]:
-        raise InputError(f"over {others[0]}: the robustness score compares controllers only; omit {others[0]}")
+    if surplus := [name for name in over if name != "controller"]:
+        raise InputError(f"over {surplus[0]}: the robustness score compares controllers only; omit {surplus[0]}")
     law = itinerary.loop.controller
-    own = law.own.source or law.own.thing if isinstance(law, OwnLaw | OwnExpressions) else law.kind
-    controllers = over.get("controller", [fixed.get("controller") or own])
+    planned_controller = law.own.source or law.own.thing if isinstance(law, OwnLaw | OwnExpressions) else law.kind
+    controllers = over.get("controller", [fixed.get("controller") or planned_controller])
     return standard_cases(itinerary, fixed=fixed, controllers=controllers)
 
 

@@ -1,7 +1,4 @@
-"""The closed loop of a plan, with components built once.
-
-Runs, campaigns, margins and export share the components.
-"""
+"""The closed loop of a plan, with components built once and shared by runs, campaigns, margins and export."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -203,7 +200,7 @@ class ClosedLoop(Timed):
         if isinstance(link, OwnObject):
             raise InputError(f'rig = {link}: a night needs a bench at an address; give "udp" or udp://HOST:PORT')
         seeded = self.plan.itinerary.with_run({}, seed=seed)
-        itinerary = night_itinerary(seeded, given=self.options)
+        itinerary = night_itinerary(seeded, overrides=self.options)
         return run_night(
             replace(self.plan, itinerary=itinerary), out, night, link=link, resume=resume,
             force=force, live=live_view if live else None, yes=yes, learn=learn, progress=progress,
@@ -240,18 +237,19 @@ class ClosedLoop(Timed):
             InputError: an unknown option or impossible value, or the file cannot be written.
             GoalMissed: there is no reference to follow, or a process died.
         """
-        itinerary, own = self.planned.itinerary, settings or (STANDARD_CAMPAIGN if standard else CampaignSettings(runs))
+        itinerary, chosen = (
+            self.planned.itinerary,
+            settings or (STANDARD_CAMPAIGN if standard else CampaignSettings(runs)),
+        )
         cases = asked_cases(itinerary, fixed=self.options, over=over or {}, standard=standard, transitions=transitions)
-        found = run_campaign(
-            self.planned, cases, _path(out), settings=own,
+        result = run_campaign(
+            self.planned, cases, _path(out), settings=chosen,
             transitions=transitions, force=force, yes=yes, progress=progress,
         )  # fmt: skip
-        return replace(found, standard=standard_scores(found.results)) if standard else found
+        return replace(result, standard=standard_scores(result.results)) if standard else result
 
     def margins(self) -> Margins:
-        """Return the margins of gain, delay and lag along the reference.
-
-        This takes a few seconds.
+        """Return the margins of gain, delay and lag along the reference, after a few seconds of simulation.
 
         Raises:
             InputError: the law has no margins.
@@ -295,9 +293,7 @@ class ClosedLoop(Timed):
         force: bool = False,
         progress: Reporting = None,
     ) -> ControllerSource:
-        """Return the controller as C99.
-
-        The controller is written to a folder or a unit if one is given.
+        """Return the controller as C99, and write it to the folder or unit if one is given.
 
         Args:
             folder: folder to write, or NAME.fmu for a co-simulation unit (FMI 2.0).

@@ -1,7 +1,4 @@
-"""The example bench: an itinerary's arms and cart over UDP.
-
-They are simulated in real time.
-"""
+"""The example bench: an itinerary's arms and cart, simulated in real time and driven over UDP."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -45,9 +42,7 @@ def example_bench(
     yes: bool = False,
     progress: Progress = no_progress,
 ) -> UdpBench:
-    """Return the example bench of an itinerary, ready to serve runs.
-
-    The example bench is compiled already.
+    """Return the compiled example bench of an itinerary, ready to serve runs.
 
     Args:
         itinerary: arms, cart and settings of the bench.
@@ -65,11 +60,11 @@ def example_bench(
     """
     key = shared_key(at.key_file)
     resolved(at.host, at.port, name=f"rig: --host {at.host}", key=key, insecure=at.insecure, family=AF_INET)
-    found = checked_faults(faults, itinerary.model.arms.count)
+    checked = checked_faults(faults, itinerary.model.arms.count)
     if hanging:
-        recipe = hanging_recipe(itinerary, faults=found)
+        recipe = hanging_recipe(itinerary, faults=checked)
     else:
-        recipe = replace(bench_recipe(make_plan(itinerary, progress=progress, yes=yes)), faults=found)
+        recipe = replace(bench_recipe(make_plan(itinerary, progress=progress, yes=yes)), faults=checked)
     recipe.rehearse()
     return UdpBench(
         recipe.rig,

@@ -161,8 +161,8 @@ def caution(log: RunLog) -> float:
     Args:
         log: log of the run.
     """
-    found = nis_means(log.control["nis"], log.measured.shape[1])
-    return 1.0 if found is None else 1.0 + len(log.time) * max(found.mean / found.expected - 1.0, 0.0)
+    nis = nis_means(log.control["nis"], log.measured.shape[1])
+    return 1.0 if nis is None else 1.0 + len(log.time) * max(nis.mean / nis.expected - 1.0, 0.0)
 
 
 def combined(before: Sequence[Estimate], after: Sequence[Estimate], cautions: Sequence[float]) -> Estimate:
@@ -175,11 +175,11 @@ def combined(before: Sequence[Estimate], after: Sequence[Estimate], cautions: Se
     """
     values, covariance = (part.copy() for part in after[-1])
     rows = np.flatnonzero(covariance.diagonal() > 0)
-    here, shares = np.ix_(rows, rows), 1 / np.array(cautions)
+    block, shares = np.ix_(rows, rows), 1 / np.array(cautions)
     weighed = [(before[0], 1.0), *zip(after, shares, strict=True), *zip(before, -shares, strict=True)]
-    parts = [(weight * np.linalg.inv(one[1][here]), one[0][rows]) for one, weight in weighed]
-    covariance[here] = np.linalg.inv(np.sum([information for information, _ in parts], axis=0))
-    values[rows] = covariance[here] @ np.sum([information @ means for information, means in parts], axis=0)
+    parts = [(weight * np.linalg.inv(run[1][block]), run[0][rows]) for run, weight in weighed]
+    covariance[block] = np.linalg.inv(np.sum([information for information, _ in parts], axis=0))
+    values[rows] = covariance[block] @ np.sum([information @ means for information, means in parts], axis=0)
     return values, covariance
 
 
@@ -269,9 +269,7 @@ def replanned(plan: Plan, model: Model, errors: Array, *, progress: Progress = n
 
 
 def effort(times: Array, feedback: Array) -> float:
-    """Return the feedback beyond the feedforward after the first second, m/s² rms.
-
-    For a shorter run, it is that of its last row.
+    """Return the feedback beyond the feedforward after the first second, or of a shorter run's last row, m/s² rms.
 
     Args:
         times: times (K,), s.
@@ -294,7 +292,7 @@ def learn(logs: Sequence[RunLog], plan: Plan, *, progress: Progress = no_progres
     """
     last = plan.itinerary
     names, before, after = zip(*map(evidence, logs), strict=True)
-    if any(one != names[-1] for one in names):
+    if any(run_names != names[-1] for run_names in names):
         raise InputError(f"{logs[0].path} and {logs[-1].path} have different arms or estimated different errors")
     values, covariance = combined(before, after, [*map(caution, logs)])
     arms, ratios, errors = learnt_arms(values, covariance, last.model.arms, names[-1])

@@ -102,25 +102,23 @@ def night_folder(out: Path) -> Path:
     return out.with_suffix("") if out.suffix == ".mcap" else out
 
 
-def night_itinerary(itinerary: Itinerary, *, given: Mapping[str, object]) -> Itinerary:
-    """Return an itinerary with the defaults of long runs.
+def night_itinerary(itinerary: Itinerary, *, overrides: Mapping[str, object]) -> Itinerary:
+    """Return an itinerary with the defaults of long runs, which continue after every fall.
 
-    After a fall they continue, without limit.
-
-    Settings in `given` override these defaults. A keeper of stops with internal timing is replaced by gains by time.
+    Settings in `overrides` replace these defaults. A keeper of stops with internal timing is replaced by gains by time.
 
     Args:
         itinerary: itinerary of a single run.
-        given: settings by path that override the defaults.
+        overrides: settings by path that override the defaults.
     """
-    given = canonical(given)
+    overrides = canonical(overrides)
     loop, keep = itinerary.loop, itinerary.loop.keep
     supervisor = loop.supervisor
-    if supervisor.on_fall == "stop" and "supervisor.on_fall" not in given:
+    if supervisor.on_fall == "stop" and "supervisor.on_fall" not in overrides:
         supervisor = replace(supervisor, on_fall="resume")
-    if "supervisor.attempts" not in given:
+    if "supervisor.attempts" not in overrides:
         supervisor = replace(supervisor, attempts=0)
-    if loop.keeps_by_phase and supervisor.on_fall != "stop" and "controller.keep" not in given:
+    if loop.keeps_by_phase and supervisor.on_fall != "stop" and "controller.keep" not in overrides:
         remark(
             f'{itinerary.path}: [controller] keep = "{keep}" has internal timing and cannot resume after a fall; '
             "this long run keeps its stops with gains by time, as with --set keep=none"
@@ -157,8 +155,8 @@ def night_cost(
     files = f"{night.files:,} file{'s' if night.files > 1 else ''} of {night.file_minutes:g} minutes"
     thinned = f", of which one in {night.keep_every} is kept" if night.keep_every > 1 else ""
     text = f"{cost.sentence}, and {_gigabytes(disk)} of disk in {folder}: {files}{thinned}"
-    there = next(place for place in (folder.absolute(), *folder.absolute().parents) if place.exists())
-    free = shutil.disk_usage(there).free
+    existing = next(place for place in (folder.absolute(), *folder.absolute().parents) if place.exists())
+    free = shutil.disk_usage(existing).free
     if disk + _SPARE_DISK > free:
         raise InputError(
             f"{text}; {_gigabytes(free)} are free there: thin the logs with --keep-every, or give another --out"
@@ -177,10 +175,7 @@ def _gigabytes(size: float) -> str:
 
 @dataclass(frozen=True)
 class _Resumption:
-    """Start of a night or of its next session.
-
-    Session and number of the first file, from 1, and time, s.
-    """
+    """Start of a night or of its next session: numbers of the session and of its first file, from 1, and time, s."""
 
     session: int = 1
     number: int = 1
@@ -317,10 +312,7 @@ _BRAKING = 2.0
 
 @contextmanager
 def _switching_soon() -> Iterator[None]:
-    """Limit the loop's wait for the interpreter.
-
-    The limit is a tenth of a period while a thread writes the log.
-    """
+    """Limit the loop's wait for the interpreter to a tenth of a period while a thread writes the log."""
     was = sys.getswitchinterval()
     sys.setswitchinterval(1e-4)
     try:
@@ -363,9 +355,7 @@ def name_check(
 
 
 def check_folder(folder: Path, record: Mapping[str, str], *, resume: bool, force: bool) -> list[Path]:
-    """Return the files of the long run in a folder.
-
-    This check comes before planning.
+    """Return the files of the long run in a folder, checked before planning.
 
     Args:
         folder: folder of the logs.
@@ -380,24 +370,21 @@ def check_folder(folder: Path, record: Mapping[str, str], *, resume: bool, force
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder} is not a folder; a long run writes a folder: choose another --out")
     name = folder.resolve().name
-    there = [file for file in folder.glob(f"{name}-[0-9]*") if file.suffix in (".mcap", ".json", ".partial")]
-    if there and not resume and not force:
+    existing = [file for file in folder.glob(f"{name}-[0-9]*") if file.suffix in (".mcap", ".json", ".partial")]
+    if existing and not resume and not force:
         raise InTheWay(
             f"{folder} already holds a long run; continue it with --resume, choose another --out, or replace it "
             "with --force"
         )
-    if resume and not there:
+    if resume and not existing:
         raise InputError(f"{folder} holds no long run to resume; omit --resume to begin one")
     for log in sorted(folder.glob(f"{name}-[0-9]*.mcap"))[-1:] if resume and record else ():
         check_same_run(log, record, also=(NIGHT_METADATA,))
-    return there
+    return existing
 
 
 def _since(settings: LoopSettings, begin: float) -> LoopSettings:
-    """Return the settings of a bench after `begin` s.
-
-    Sticking parts may have recovered by then.
-    """
+    """Return the settings of a bench after `begin` s, by when its sticking parts may have recovered."""
     sensors = settings.sensors
     first, end = max(sensors.stuck_at - begin, 0.0), sensors.stuck_at + sensors.stuck_for - begin
     later = (
@@ -411,17 +398,15 @@ def _since(settings: LoopSettings, begin: float) -> LoopSettings:
 def _place(
     folder: Path, metadata: Mapping[str, str], night: NightSettings, rate: float, *, resume: bool, force: bool
 ) -> _Resumption:
-    """Return the start of the next session.
-
-    The logs of an interrupted session are closed first.
+    """Return the start of the next session, after closing the logs of an interrupted one.
 
     Raises:
         InputError: the folder holds another, a complete or no night, or one that must not be resumed.
     """
     name = folder.resolve().name
-    there = check_folder(folder, metadata, resume=resume, force=force)
+    existing = check_folder(folder, metadata, resume=resume, force=force)
     if not resume:
-        for file in there:
+        for file in existing:
             file.unlink()
         return _Resumption()
     for partial in partials_of(folder / name):
@@ -438,5 +423,5 @@ def _place(
         raise InputError(
             f"{folder} is complete: {last.end / 3600:.4g} of {night.hours:g} hours; raise --hours to continue"
         )
-    number = max(int(file.name[len(name) + 1 :].partition(".")[0]) for file in there)
+    number = max(int(file.name[len(name) + 1 :].partition(".")[0]) for file in existing)
     return _Resumption(last.session + 1, number + 1, ceil(last.end * rate - 1e-6) / rate)

@@ -1,6 +1,4 @@
-"""A plan from rest to rest re-optimised as one problem.
-
-The robust plan that it starts from is kept beside it.
+"""A plan from rest to rest re-optimised as one problem, with the robust plan that it starts from beside it.
 
     minimise ∫ u² + w_x x² dt      subject to  the plan's dynamics, time and ends, and shares of the cart's limits
 
@@ -62,9 +60,7 @@ SHARE = 0.7
 
 @dataclass(frozen=True)
 class _JointSearch:
-    """One search: method, interval in s, weight and limit of iterations.
-
-    The weight is that of the distance to the robust plan.
+    """One search: method, interval in s, weight of the distance to the robust plan, and limit of iterations.
 
     far: True if IPOPT adapts its barrier. Long motions need it. Short ones then may end in a more costly minimum.
     """
@@ -151,9 +147,7 @@ def polish(
     plan: Plan, *, fresh: bool = False, runs: int = RUNS, workers: int = 0, yes: bool = False,
     progress: Progress = no_progress,
 ) -> Polished:  # fmt: skip
-    """Re-optimise the walk of a plan as a whole.
-
-    The plan must lead from rest to rest.
+    """Re-optimise the walk of a plan from rest to rest as a whole.
 
     Args:
         plan: robust plan.
@@ -186,9 +180,7 @@ def polish(
 
 
 def check_polishable(plan: Plan) -> None:
-    """Check that a plan leads from rest to rest.
-
-    It must not be polished already.
+    """Check that a plan leads from rest to rest and is not polished already.
 
     Args:
         plan: plan to check.
@@ -218,41 +210,37 @@ def _key(plan: Plan) -> str:
 
 
 def _polished(plan: Plan, progress: Progress) -> Reference:
-    """Return the polished reference, or the robust one.
-
-    The robust one has the reason in its status.
-    """
+    """Return the polished reference, or the robust one with the reason in its status."""
     robust, none = plan.reference, np.zeros(plan.itinerary.model.arms.count)
     spans = list(stretches(robust))
     parts = [tail(robust, begin, seconds=end - begin, turns=none) for begin, end, _ in spans]
     moving = [k for k, span in enumerate(spans) if span[2]]
-    found: dict[int, list[Trajectory]] = {}
+    candidates: dict[int, list[Trajectory]] = {}
     for count, k in enumerate(moving):
-        here = part_of(progress, 0.8 * count / len(moving), 0.8 * (count + 1) / len(moving))
-        found[k] = _searched(_problem(plan, parts[k]), parts[k], plan.itinerary.reference, here)
+        portion = part_of(progress, 0.8 * count / len(moving), 0.8 * (count + 1) / len(moving))
+        candidates[k] = _searched(_problem(plan, parts[k]), parts[k], plan.itinerary.reference, portion)
     # The least costly motion of each part comes first. Then the second best of one part replaces it.
     missed: Concluded | None = None
     choice = dict.fromkeys(moving, 0)
-    while all(place < len(found[k]) for k, place in choice.items()):
+    while all(place < len(candidates[k]) for k, place in choice.items()):
         progress("refining", 0.8)
-        pieces = [_refined(plan, part, found[k][choice[k]]) if k in choice else part for k, part in enumerate(parts)]
-        whole = joined(pieces)[0]
-        missed = departure(robust, whole) if whole.converged else whole.ending
+        pieces = [
+            _refined(plan, part, candidates[k][choice[k]]) if k in choice else part for k, part in enumerate(parts)
+        ]
+        motion = joined(pieces)[0]
+        missed = departure(robust, motion) if motion.converged else motion.ending
         if missed is None:
-            whole = _noted(plan, whole)
-            missed = shortfall(whole)
+            motion = _noted(plan, motion)
+            missed = shortfall(motion)
         if missed is None:
             progress("polished", 1.0)
-            return whole
+            return motion
         choice = {k: place + 1 for k, place in choice.items()}
     return replace(robust, converged=False, ending=ReferenceEnding(ReferenceCause.NO_CHEAPER, inner=missed))
 
 
 def _problem(plan: Plan, part: Reference) -> ReferenceProblem:
-    """Return the problem of one part of the robust plan.
-
-    Time and ends are the same.
-    """
+    """Return the problem of one part of the robust plan, with the same time and ends."""
     robust, arms = plan.reference, plan.itinerary.model.arms.planned()
     bounds = {name: max(SHARE * bound, robust.largest[name]) for name, bound in robust.limits.named().items()}
     ends = EndConditions(start=part.state(0.0), end=part.state(part.duration))
@@ -268,19 +256,16 @@ def _along(motion: Trajectory) -> Guess:
 def _searched(
     problem: ReferenceProblem, part: Reference, settings: ReferenceSettings, progress: Progress
 ) -> list[Trajectory]:
-    """Return motions found from a part, the least costly first.
-
-    The part is one of the robust plan.
-    """
-    found: list[Trajectory] = []
+    """Return the motions that the searches from a part of the robust plan yield, the least costly first."""
+    motions: list[Trajectory] = []
     for k, search in enumerate(_SEARCHES):
         progress(f"as one, {part.duration:.1f} s", k / len(_SEARCHES))
         wanted = _settings(settings, search.weight, search.method, search.iterations)
         first = on_mesh(part, even_mesh(part.duration, search.interval), method_named(search.method))
         solved = solve(problem, first, settings=wanted, limits=problem.limits, search="far" if search.far else "fresh")
         if solved.succeeded:
-            found.append(solved.trajectory)
-    return sorted(found, key=lambda motion: motion.effort)
+            motions.append(solved.trajectory)
+    return sorted(motions, key=lambda motion: motion.effort)
 
 
 def _settings(settings: ReferenceSettings, weight: float, method: str, iterations: int) -> ReferenceSettings:
@@ -291,23 +276,19 @@ def _settings(settings: ReferenceSettings, weight: float, method: str, iteration
 
 
 def _refined(plan: Plan, part: Reference, motion: Trajectory) -> Reference:
-    """Return a refined motion for a part of the plan.
-
-    Its mesh is of the plan's method and meets its tolerance.
-    """
-    own = plan.itinerary.reference
-    settings = _settings(own, _HOLD, own.method, max(own.iterations, 100))
+    """Return a refined motion for a part of the plan, on a mesh of the plan's method and within its tolerance."""
+    planned = plan.itinerary.reference
+    settings = _settings(planned, _HOLD, planned.method, max(planned.iterations, 100))
     problem = replace(_problem(plan, part), guess=_along(motion))
-    near = on_mesh(motion, even_mesh(part.duration, own.interval), method_named(own.method))
-    found = solve(problem, near, settings=settings, limits=problem.limits)
-    reference = find_reference(problem, settings, near=found.trajectory if found.succeeded else near)
+    near = on_mesh(motion, even_mesh(part.duration, planned.interval), method_named(planned.method))
+    fine = solve(problem, near, settings=settings, limits=problem.limits)
+    reference = find_reference(problem, settings, near=fine.trajectory if fine.succeeded else near)
     return replace(reference, limits=plan.reference.limits)
 
 
 def stretches(robust: Reference) -> Iterator[tuple[float, float, bool]]:
-    """Yield the stretches of a plan.
-
-    The items are begin and end, s, and True if the stretch moves, unlike interior holds and the final rest.
+    """Yield begin and end, s, of each stretch of a plan, and True if it moves, unlike interior holds and the final
+    rest.
 
     Args:
         robust: reference of the robust plan.
@@ -408,10 +389,7 @@ def _crossed(robust: Reference, motion: Reference) -> _Crossed:
 
 
 def _events(walk: list[PlanSymbol], angles: Array) -> list[tuple[int, int, int]]:
-    """Return the crossings of a walk's sections in order.
-
-    Each is section, turn and direction. The angles are (K, n).
-    """
+    """Return the crossings of a walk's sections in order as section, turn and direction; the angles are (K, n)."""
     events = list[tuple[int, int, int, int]]()
     # The first value of each normal counts.
     sections = [symbol.section for symbol in reversed(walk) if symbol.section is not None]
@@ -445,9 +423,7 @@ def _noted(plan: Plan, motion: Reference) -> Reference:
 
 
 def nearness(plan: Reference) -> tuple[float, ...]:
-    """Return the least scaled distance to each stop's orbit.
-
-    The distance is that of the plan's reference, from stop to stop.
+    """Return the least scaled distance to each stop's orbit, measured from stop to stop as in the plan's reference.
 
     Args:
         plan: reference of a plan.
@@ -460,10 +436,7 @@ def nearness(plan: Reference) -> tuple[float, ...]:
 
 
 def _sides(plans: list[tuple[str, Plan]], runs: int, workers: int, progress: Progress) -> Iterator[Side]:
-    """Yield the figures of plans by name.
-
-    There are `runs` runs at each mismatch.
-    """
+    """Yield the figures of plans by name, from `runs` runs at each mismatch."""
     jobs = {
         (name, mismatch): Job(
             plan.itinerary.name, plan.archive, plan.itinerary.model.arms,

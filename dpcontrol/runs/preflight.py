@@ -79,24 +79,26 @@ def changes(itinerary: Itinerary) -> Iterator[Sequence[SettingChange]]:
         SettingChange(f"a travel of ±{wide:g} m", {"travel": wide}, f"more travel: ±{wide:g} m"),
         *(SettingChange(f"a travel of ±{more:g} m", {"travel": more}) for more in wider),
     )
-    for one in TROUBLES:
-        value, tried = setting_of(loop, one.setting), []
-        if value == one.nothing or (one.setting == "knock_impulse" and not loop.disturbances.knocks_per_minute):
+    for trouble in TROUBLES:
+        value, tried = setting_of(loop, trouble.setting), []
+        if value == trouble.nothing or (trouble.setting == "knock_impulse" and not loop.disturbances.knocks_per_minute):
             continue
-        if one.halves:
+        if trouble.halves:
             smaller = (
-                tuple(_short(v / 2) for v in value) if isinstance(value, tuple) else _short((value + one.nothing) / 2)
+                tuple(_short(v / 2) for v in value)
+                if isinstance(value, tuple)
+                else _short((value + trouble.nothing) / 2)
             )
-            half, text = {one.setting: smaller}, f"half the {one.name}"
-            tried.append(SettingChange(text, half, one.remedy and f"{one.remedy}: {text}"))
-        if one.removed:
-            tried.append(SettingChange(f"no {one.name}", {one.setting: one.nothing}))
+            half, text = {trouble.setting: smaller}, f"half the {trouble.name}"
+            tried.append(SettingChange(text, half, trouble.remedy and f"{trouble.remedy}: {text}"))
+        if trouble.removed:
+            tried.append(SettingChange(f"no {trouble.name}", {trouble.setting: trouble.nothing}))
         yield tried
     counts = 4 * _fewest_counts(itinerary)
     # The delay stays the same in seconds.
     delay = {"delay": _short(drive.delay * _QUICK / loop.rate)} if drive.delay else {}
     law = "tvlqr" if loop.controller.kind == "adaptive" else "adaptive"
-    others = (
+    other_changes = (
         (
             drive.lag and loop.drive_lag != drive.lag,
             SettingChange(
@@ -112,7 +114,7 @@ def changes(itinerary: Itinerary) -> Iterator[Sequence[SettingChange]]:
             SettingChange(f"{law} as the law", {"controller": law}, f"another law: {law}"),
         ),
     )
-    yield from ((change,) for helps, change in others if helps)
+    yield from ((change,) for helps, change in other_changes if helps)
 
 
 def _short(value: float) -> float:
@@ -256,10 +258,7 @@ _MOST_VALUES = 8
 
 
 def _border(search: _Task, hazard: Hazard) -> HazardBorder:
-    """Return the border of a hazard.
-
-    The value that halves the present number of completed runs.
-    """
+    """Return the border of a hazard: the value that halves the present number of completed runs."""
     points: dict[float, ShareAt] = {}
 
     def share(place: float) -> float:
@@ -268,7 +267,7 @@ def _border(search: _Task, hazard: Hazard) -> HazardBorder:
             points[value] = _point(search, hazard, value)
         return points[value].share
 
-    def found(at: Sequence[float | None]) -> HazardBorder:
+    def border_at(at: Sequence[float | None]) -> HazardBorder:
         trouble = hazard.trouble
         ends = [None if p is None else hazard.shown * math.exp(-p if trouble.falling else p) for p in at]
         shown = [replace(p, value=hazard.shown * p.value) for p in points.values()]
@@ -278,36 +277,33 @@ def _border(search: _Task, hazard: Hazard) -> HazardBorder:
             points=tuple(sorted(shown, key=lambda p: p.value)),
         )  # fmt: skip
 
-    own, end = hazard.place(hazard.set), hazard.place(hazard.end)
-    good = own
-    place = max(hazard.place(hazard.first), own + math.log(1.5))
-    place = min(place, (own + end) / 2 if math.isfinite(own) else end)
+    present, end = hazard.place(hazard.set), hazard.place(hazard.end)
+    good = present
+    place = max(hazard.place(hazard.first), present + math.log(1.5))
+    place = min(place, (present + end) / 2 if math.isfinite(present) else end)
     while share(place) >= 0.5:
         good = place
         if place >= end:
-            return found([None, None, None])
+            return border_at([None, None, None])
         place = min(place + math.log(2), end)
     bad = place
     while math.isinf(good) and len(points) < _MOST_VALUES:
         place = bad - math.log(3)
         good, bad = (place, bad) if share(place) >= 0.5 else (good, place)
     while bad - good > _NARROW and len(points) < _MOST_VALUES:
-        above = 1.0 if good == own else share(good)
+        above = 1.0 if good == present else share(good)
         along = (above - 0.5) / (above - share(bad))
         place = good + float(np.clip(along, 0.3, 0.7)) * (bad - good)
         if hazard.value(place) in points:
             break
         good, bad = (place, bad) if share(place) >= 0.5 else (good, place)
-    for value in {hazard.value(place) for place in (good, bad) if place != own and math.isfinite(place)}:
+    for value in {hazard.value(place) for place in (good, bad) if place != present and math.isfinite(place)}:
         points[value] = _point(search, hazard, value, until_clear=False)
-    return found(_read_off(hazard, list(points.values())))
+    return border_at(_read_off(hazard, list(points.values())))
 
 
 def _point(search: _Task, hazard: Hazard, value: float, *, until_clear: bool = True) -> ShareAt:
-    """Run a value until its side of the border is clear.
-
-    It runs on blocks of seeds, or on all seeds.
-    """
+    """Run a value on blocks of seeds until its side of the border is clear, or on all seeds."""
     job = search.job
     loop = overridden(job.case.loop, {hazard.trouble.setting: value, **dict(hazard.besides)})
     done = of = used = 0
@@ -324,28 +320,22 @@ def _point(search: _Task, hazard: Hazard, value: float, *, until_clear: bool = T
 
 
 def _read_off(hazard: Hazard, points: Sequence[ShareAt]) -> list[float | None]:
-    """Return the places where the share is one half, or None.
-
-    The same places of the ends of its 95 % interval follow.
-    """
-    found = sorted(points, key=lambda p: hazard.place(p.value))
-    places = [hazard.place(p.value) for p in found]
-    weights = [max(p.reference, 1) for p in found]
-    shares = isotonic_regression([p.share for p in found], weights=weights, increasing=False).x
-    bands = [wilson(min(p.completed, p.reference), p.reference) for p in found]
+    """Return the places where the share and each end of its 95 % interval are one half, or None."""
+    ordered = sorted(points, key=lambda p: hazard.place(p.value))
+    places = [hazard.place(p.value) for p in ordered]
+    weights = [max(p.reference, 1) for p in ordered]
+    shares = isotonic_regression([p.share for p in ordered], weights=weights, increasing=False).x
+    bands = [wilson(min(p.completed, p.reference), p.reference) for p in ordered]
     low = np.minimum.accumulate([band.low for band in bands])
     high = np.maximum.accumulate([band.high for band in bands][::-1])[::-1]
-    own = hazard.place(hazard.set)
-    start = [own] if math.isfinite(own) and own < places[0] else []
+    present = hazard.place(hazard.set)
+    start = [present] if math.isfinite(present) and present < places[0] else []
     x = np.array([*start, *places])
     return [_crossing(x, np.concatenate([np.ones(len(start)), curve])) for curve in (shares, low, high)]
 
 
 def _crossing(x: NDArray[np.float64], falls: NDArray[np.float64]) -> float | None:
-    """Return the point where a falling curve is one half, or None.
-
-    The curve is piecewise linear.
-    """
+    """Return the point where a falling, piecewise linear curve is one half, or None."""
     below = np.flatnonzero(falls < 0.5)
     if not below.size or not below[0]:
         return None
@@ -386,9 +376,9 @@ This is two minutes of two processors, less start-up and compilation.
 
 
 class _Amounts(NamedTuple):
-    """Numbers of seeds of a preflight, and of the kinds of borders.
+    """Numbers of seeds: for the rate, for the first and last points of a border, and for each kind of a change.
 
-    The seeds are those for the rate, for the first and last points of a border, and for each kind of a change.
+    The last number is that of the kinds of borders.
     """
 
     rate: int
@@ -423,14 +413,11 @@ _CHOICES = (
 
 
 def _amounts(seeds: int, seconds: float, *, lockstep: bool) -> _Amounts:
-    """Return the numbers of seeds.
-
-    They follow from the given seeds for the rate, or from what is affordable at `seconds` each.
-    """
+    """Return the numbers of seeds for a chosen number for the rate, or as many as are affordable at `seconds` each."""
     if seeds:
         return _Amounts.of(seeds)
-    choices = (one if lockstep else one._replace(kinds=0) for one in _CHOICES)
-    return next((one for one in choices if one.runs * seconds <= _AFFORD), _CHOICES[-1])
+    choices = (amounts if lockstep else amounts._replace(kinds=0) for amounts in _CHOICES)
+    return next((amounts for amounts in choices if amounts.runs * seconds <= _AFFORD), _CHOICES[-1])
 
 
 _STARTED = 3.0
@@ -466,9 +453,7 @@ def preflight(
     progress: Progress = no_progress,
     yes: bool = False,
 ) -> Preflight:
-    """Predict the success rate of a planned itinerary on its bench.
-
-    Causes of failure and useful changes are predicted as well.
+    """Predict the success rate of a planned itinerary on its bench, causes of failure, and useful changes.
 
     Args:
         plan: plan of the itinerary.
@@ -482,7 +467,7 @@ def preflight(
         GoalMissed: the plan did not converge, no controller can be made for it, or a process died.
     """
     began, options, settings = time.perf_counter(), options or {}, settings or PreflightSettings()
-    itinerary, known = with_known_errors(plan.followed().itinerary, options)
+    itinerary, facts = with_known_errors(plan.followed().itinerary, options)
     loop, name = itinerary.loop, itinerary.name
     ticks = max(round(plan.reference.duration * loop.rate), 1)
     lockstep, tick = loop.lockstep, seconds_of(loop)
@@ -515,19 +500,19 @@ def preflight(
     if left := ", ".join(kind.name for kind in kinds[amounts.kinds :]):
         notes.append(f"two minutes do not suffice for the borders of {left}: --runs 32 finds them")
     work = in_processes(_do, tasks, workers, what="borders and changes", progress=part_of(progress, 0.15, 1.0))
-    found = [result for _, result in work]
-    borders = [b for b in found if isinstance(b, HazardBorder)]
+    results = [result for _, result in work]
+    borders = [b for b in results if isinstance(b, HazardBorder)]
     return Preflight(
         itinerary=name,
         title=itinerary.title,
         model=itinerary.model.name,
         share=share,
         confidence=settings.confidence,
-        known=tuple(known),
+        known=tuple(facts),
         notes=tuple(notes),
         endings=endings(ordered),
         borders=tuple(sorted(borders, key=lambda b: (b.margin is None, b.margin or 0.0, b.name))),
-        changes=tuple(sorted((c for c in found if isinstance(c, Improvement)), key=lambda c: (-c.gain, c.text))),
+        changes=tuple(sorted((c for c in results if isinstance(c, Improvement)), key=lambda c: (-c.gain, c.text))),
         seconds=time.perf_counter() - began,
         warnings=cautions_of(itinerary, plan.reference),
     )
@@ -548,9 +533,7 @@ def endings(ends: Sequence[RunEnd]) -> tuple[EndingShare, ...]:
 
 
 def with_known_errors(itinerary: Itinerary, options: Mapping[str, Any]) -> tuple[Itinerary, list[Assumption]]:
-    """Return the itinerary with known errors of arms and bench.
-
-    Its runs are drawn from these errors, and a list of them follows.
+    """Return the itinerary whose runs are drawn from the known errors of arms and bench, and a list of these errors.
 
     Args:
         itinerary: itinerary of the run.
@@ -559,18 +542,18 @@ def with_known_errors(itinerary: Itinerary, options: Mapping[str, Any]) -> tuple
     Raises:
         InputError: an impossible setting.
     """
-    given = {path.rpartition(".")[2] for path in canonical(options)}
+    set_names = {path.rpartition(".")[2] for path in canonical(options)}
     identified = itinerary.model.uncertainty is not None
     chosen = itinerary.with_run(options)
-    if identified and not {"mismatch", "model_uncertainty"} & given and not itinerary.loop.model_uncertainty:
+    if identified and not {"mismatch", "model_uncertainty"} & set_names and not itinerary.loop.model_uncertainty:
         chosen = chosen.with_run({"model_uncertainty": 1.0, "mismatch": 0.0})
     drawn = chosen.loop.model_uncertainty or chosen.loop.mismatch or chosen.loop.plant is not None
-    assumed = not drawn and "mismatch" not in given
+    assumed = not drawn and "mismatch" not in set_names
     chosen = chosen.with_run({"mismatch": ASSUMED_MISMATCH}) if assumed else chosen
     loop, file = chosen.loop, f"[run] of {itinerary.path.name}"
 
     def of(*names: str) -> str:
-        return "given" if any(name in given for name in names) else file
+        return "given" if any(name in set_names for name in names) else file
 
     drive, sensors, blows = loop.drive, loop.sensors, loop.disturbances
     limit, counts = loop.travel or itinerary.limits.position, _fewest_counts(itinerary)
@@ -631,7 +614,7 @@ def _notes(itinerary: Itinerary, loop: LoopSettings) -> list[str]:
 def _searches(
     kinds: Sequence[Hazard], job: Job, completed: Sequence[bool], amounts: _Amounts, most: int, notes: list[str]
 ) -> list[_Task]:
-    """Return the searches for borders.
+    """Return the searches for borders, or none and the reasons in `notes`.
 
     Notes receives the reasons if there are none.
     """
@@ -643,8 +626,8 @@ def _searches(
     count = min(math.ceil(amounts.border * max(1.0, 0.6 * len(completed) / done)), len(completed))
     counts = [amounts.block if kind.trouble.in_periods else count for kind in kinds]
     return [
-        _Task(kind, replace(job, seeds=job.seeds[:own]), tuple(completed[:own]), most, amounts.block)
-        for kind, own in zip(kinds, counts, strict=True)
+        _Task(kind, replace(job, seeds=job.seeds[:seeds]), tuple(completed[:seeds]), most, amounts.block)
+        for kind, seeds in zip(kinds, counts, strict=True)
     ]
 
 
@@ -653,7 +636,7 @@ _FEWEST = 8
 
 
 def hazards(plan: Plan, itinerary: Itinerary, *, most_delay: float) -> list[Hazard]:
-    """Return the troubles with borders, with the bench's own values.
+    """Return the troubles with borders, with the bench's present values.
 
     Prediction over a delay takes time in proportion, and each delay needs separate code. Its border is therefore sought
     within 40 ms and on few seeds.
@@ -664,35 +647,42 @@ def hazards(plan: Plan, itinerary: Itinerary, *, most_delay: float) -> list[Haza
         most_delay: largest delay, in periods, that the computing time allows.
     """
     loop = itinerary.loop
-    own = isinstance(loop.plant, OwnPlant) and not loop.plant.own.symbolic
+    python_plant = isinstance(loop.plant, OwnPlant) and not loop.plant.own.symbolic
     pushes, rig = loop.disturbances.pushes, loop.mechanics
     travel, least = loop.limits(plan.reference.limits).position, plan.reference.max_cart_position
     # The loop's model of the bench stays unchanged.
-    known = (("known_belt", loop.known_belt), ("known_play", rig.of_each("known_play", itinerary.model.arms.count)))
-    besides = {"push_impulse": (("pushes", pushes or 2),), "belt": known, "play": known}
+    corrections = (
+        ("known_belt", loop.known_belt),
+        ("known_play", rig.of_each("known_play", itinerary.model.arms.count)),
+    )
+    besides = {"push_impulse": (("pushes", pushes or 2),), "belt": corrections, "play": corrections}
     present = {
         "push_impulse": loop.disturbances.push_impulse if pushes else 0.0,
         "counts": _fewest_counts(itinerary) or math.inf,
         "travel": travel,
         "belt": rig.belt or math.inf,
     }
-    found = []
-    for one in TROUBLES:
-        value = present.get(one.setting, setting_of(loop, one.setting))
+    searches = []
+    for trouble in TROUBLES:
+        value = present.get(trouble.setting, setting_of(loop, trouble.setting))
         value = max(value) if isinstance(value, tuple) else value
-        if not one.border or not (one.always or value) or (own and one.setting not in _WITH_OWN_PLANT):
+        if (
+            not trouble.border
+            or not (trouble.always or value)
+            or (python_plant and trouble.setting not in _WITH_OWN_PLANT)
+        ):
             continue
-        first, end, shown = one.first, one.last, one.shown
-        if one.in_periods:
+        first, end, shown = trouble.first, trouble.last, trouble.shown
+        if trouble.in_periods:
             first, shown = first * loop.rate, shown / loop.rate
             end = max(min(end * loop.rate, most_delay), 2 * value, 2)
-        elif one.setting == "travel":
+        elif trouble.setting == "travel":
             # A reference whose cart stays at the centre needs some travel as well.
             end = max(least, 1e-3 * travel)
-        step = 1.0 if one.in_periods or one.setting == "counts" else 0.0
-        name = one.border.format(pushes=pushes or 2)
-        found.append(Hazard(one, name, abs(value), first, end, shown, step, besides.get(one.setting, ())))
-    return found
+        step = 1.0 if trouble.in_periods or trouble.setting == "counts" else 0.0
+        name = trouble.border.format(pushes=pushes or 2)
+        searches.append(Hazard(trouble, name, abs(value), first, end, shown, step, besides.get(trouble.setting, ())))
+    return searches
 
 
 _WITH_OWN_PLANT = ("delay", "push_impulse", "zero_error", "counts", "travel", "initial_rate", "initial_cart")
@@ -700,10 +690,7 @@ _WITH_OWN_PLANT = ("delay", "push_impulse", "zero_error", "counts", "travel", "i
 
 
 def _trials(itinerary: Itinerary, job: Job, completed: Sequence[bool], count: int, most: int) -> list[_Task]:
-    """Return the changes to try, none if every run completes.
-
-    Each kind is tried on `count` seeds.
-    """
+    """Return the changes to try, each kind on `count` seeds, or none if every run completes."""
     if all(completed):
         return []
     failing = [k for k, done in enumerate(completed) if not done][:count]

@@ -40,10 +40,7 @@ _LEVEL = 0.02
 
 @dataclass(frozen=True)
 class Completed:
-    """Numbers of completed runs in two groups, each of `of`.
-
-    The groups are variants of the failed run, and neighbouring seeds.
-    """
+    """Numbers of completed runs among `of` variants of the failed run and among `of` neighbouring seeds."""
 
     same_seed: int
     neighbours: int
@@ -99,7 +96,7 @@ class Why(Documented):
     @property
     def remedies(self) -> tuple[TriedChange, ...]:
         """The changes that help, the surest first."""
-        return tuple(sorted((one for one in self.trials if one.helps), key=lambda one: -one.total))
+        return tuple(sorted((trial for trial in self.trials if trial.helps), key=lambda trial: -trial.total))
 
     @property
     def saves(self) -> tuple[str, ...]:
@@ -113,7 +110,7 @@ class Why(Documented):
             return "the run was completed, so no change was tried"
         count = f"{len(self.trials)} change{'s' * (len(self.trials) != 1)}"
         if self.saves:
-            return f"completed with {', or with '.join(f'`{one}`' for one in self.saves)} ({count} tried)"
+            return f"completed with {', or with '.join(f'`{option}`' for option in self.saves)} ({count} tried)"
         text = f"none of {count} completes this run more often than harmless changes do"
         if 2 * self.unchanged.same_seed >= self.unchanged.of:
             text += f"; these complete it {self.unchanged.same_seed} times in {self.unchanged.of}, so chance decides"
@@ -125,10 +122,10 @@ class Why(Documented):
         if null is None:
             return []
         head = f"unchanged: {null.same_seed} of {null.of} harmless variants, {null.neighbours} of {null.of} other seeds"
-        counts = [(one, one.counts) for one in self.remedies if one.counts is not None]
+        counts = [(trial, trial.counts) for trial in self.remedies if trial.counts is not None]
         return [head] + [
-            f"{one.option}: {found.same_seed} and {found.neighbours} of {null.of} ({one.change})"
-            for one, found in counts
+            f"{trial.option}: {completed.same_seed} and {completed.neighbours} of {null.of} ({trial.change})"
+            for trial, completed in counts
         ]
 
     def __repr__(self) -> str:
@@ -186,9 +183,9 @@ def why(
     before, _ = _tried(([(SettingChange("", {}), _job(plan, size))], ()))[0]
     null, trials = Completed(sum(before[:size]), sum(before[size:]), size), list[TriedChange]()
 
-    pieces: list[_Group] = [(made, before) for group in groups if (made := tuple(jobs(group)))]
-    for (jobs_of, _), found in in_processes(_tried, pieces, workers, what="kinds of changes", progress=progress):
-        for (change, _), (done, verdict) in zip(jobs_of, found, strict=False):
+    pieces: list[_Group] = [(jobs_of_group, before) for group in groups if (jobs_of_group := tuple(jobs(group)))]
+    for (jobs_of, _), results in in_processes(_tried, pieces, workers, what="kinds of changes", progress=progress):
+        for (change, _), (done, verdict) in zip(jobs_of, results, strict=False):
             trials.append(_judged(change, done, verdict, before, lambda options: flown(typed(options))))
     progress("why", 1.0)
     return Why(failed.log, failed.seed, failed.reason, tuple(trials), null)
@@ -199,10 +196,7 @@ _OVERHEAD = 2.0
 
 
 def _job(plan: Plan, size: int) -> Job:
-    """Return the job of a failed run's variants.
-
-    The run itself is first, and as many neighbouring seeds follow.
-    """
+    """Return the job of a failed run's variants, the run itself first, and of as many neighbouring seeds."""
     itinerary, loop = plan.itinerary, plan.itinerary.loop
     seeds = (*[loop.seed] * size, *range(loop.seed + 1, loop.seed + 1 + size))
     variants = [loop.mismatch * (1 - _HARMLESS * k) if loop.mismatch else 1e-2 * _HARMLESS * k for k in range(size)]
@@ -213,13 +207,11 @@ def _job(plan: Plan, size: int) -> Job:
 
 
 def _tried(group: _Group) -> list[tuple[tuple[bool, ...], str]]:
-    """Return completed runs and the first run's verdict of each job.
-
-    The first job that beats the null group is the last.
+    """Return completed runs and the first run's verdict of each job, up to the first job that beats the null group.
 
     If runs are sequential, the rest of a job runs only if its first run is completed.
     """
-    found: list[tuple[tuple[bool, ...], str]] = []
+    verdicts: list[tuple[tuple[bool, ...], str]] = []
     (tried, before), first = group, slice(1)
     for _, job in tried:
         alone = replace(job, seeds=job.seeds[first], mismatches=job.mismatches[first])
@@ -228,26 +220,23 @@ def _tried(group: _Group) -> list[tuple[tuple[bool, ...], str]]:
             if ended[0].completed and len(ended) == 1:
                 ended = outcomes(job, len(job.seeds))
         except (GoalMissed, InputError) as missed:
-            found.append(((), str(missed)))
+            verdicts.append(((), str(missed)))
             continue
         done = tuple(row.completed for row in ended)
-        found.append((done, ended[0].reason))
+        verdicts.append((done, ended[0].reason))
         if done[0] and _beats(done, before):
             break
-    return found
+    return verdicts
 
 
 def _beats(done: Sequence[bool], before: Sequence[bool]) -> bool:
-    """True if runs beat the null group, pair by pair.
-
-    They are then completed more often.
-    """
+    """True if runs are completed significantly more often than the null group, compared pair by pair."""
     if len(done) != len(before):
         return False
     half = len(done) // 2
-    all_pairs, others = paired(before, done), paired(before[half:], done[half:])
+    all_pairs, neighbours = paired(before, done), paired(before[half:], done[half:])
     surely = all_pairs.only_second > all_pairs.only_first and all_pairs.p_value <= _LEVEL
-    return surely and others.only_second >= others.only_first
+    return surely and neighbours.only_second >= neighbours.only_first
 
 
 def _judged(
@@ -257,10 +246,7 @@ def _judged(
     before: Sequence[bool],
     alone: Callable[[Mapping[str, Any]], Score],
 ) -> TriedChange:
-    """Return a change with its verdict.
-
-    One that beats the null group is typed.
-    """
+    """Return a change with its verdict, and if it beats the null group, run it as typed on the command line."""
     half = len(before) // 2
     counts = Completed(sum(done[:half]), sum(done[half:]), half) if len(done) == len(before) else None
     completed = any(done[:1])

@@ -160,9 +160,7 @@ class Run(Timed, Documented):
 
     @checked
     def why(self, *, workers: Workers = 0, yes: bool = False, progress: Reporting = None) -> Why:
-        """Find options that complete the failed run.
-
-        Options of `dpcontrol run` must do so more often than harmless changes.
+        """Find options of `dpcontrol run` that complete the failed run more often than harmless changes do.
 
         Args:
             workers: processes, 0 for one per processor.
@@ -177,7 +175,7 @@ class Run(Timed, Documented):
         return why(
             self.score(),
             typed,
-            lambda one: run_plan(one).score(),
+            lambda changed: run_plan(changed).score(),
             workers=workers,
             yes=yes,
             progress=progress,
@@ -242,9 +240,7 @@ class Run(Timed, Documented):
 
     @property
     def plant(self) -> ArmChainParameters | None:
-        """The simulated arms as drawn for this run, or None.
-
-        The result is None for logs of rigs and of early versions.
+        """The simulated arms as drawn for this run; None for logs of rigs and of early versions.
 
         Raises:
             InputError: this part of the log is damaged.
@@ -280,7 +276,7 @@ class Run(Timed, Documented):
             raise InputError(f"{self.log.path} has measurements and no states; use frame()")
         if times is None:
             return self.sample()
-        return np.stack([np.interp(checked_times(times), self.log.time, one) for one in states.T], axis=-1)
+        return np.stack([np.interp(checked_times(times), self.log.time, column) for column in states.T], axis=-1)
 
     @checked
     def frame(self, count: Count | None = None) -> DataFrame:
@@ -418,9 +414,8 @@ def watched(plan: Plan, sink: LoopSink, *, live: LiveSink | None) -> Iterator[Lo
 
 
 def outcome(result: LoopResult) -> dict[str, str]:
-    """Return the result of a run as metadata.
-
-    Pace, ending, computing time of ticks, hardest drive, the model's estimated errors.
+    """Return the result of a run as metadata: pace, ending, computing time of ticks, hardest drive, estimated model
+    errors.
 
     Args:
         result: result of the loop.
@@ -438,9 +433,7 @@ def outcome(result: LoopResult) -> dict[str, str]:
 
 
 def drawn_metadata(itinerary: Itinerary) -> dict[str, str]:
-    """Return the metadata of values drawn once for a run.
-
-    They include the simulated plant.
+    """Return the metadata of values drawn once for a run, among them the simulated plant.
 
     Args:
         itinerary: itinerary with the seed of the run.
@@ -453,7 +446,7 @@ def drawn_metadata(itinerary: Itinerary) -> dict[str, str]:
 
 
 def _log_in_memory(plan: Plan, ticks: Ticks, events: Sequence[Event], **more: str) -> RunLog:
-    """Return the contents of a run's log; more: metadata."""
+    """Return the contents of a run's log with further metadata."""
     itinerary = plan.itinerary
     lengths, limits = itinerary.model.arms.length, itinerary.loop.limits(plan.reference.limits)
     states = {"estimate": ticks.estimates, "reference": ticks.references}
@@ -487,9 +480,7 @@ def _extras(ticks: Ticks, names: tuple[str, ...]) -> Extras | None:
 
 
 def log_writer(plan: Plan, out: Path, **more: str) -> LogWriter:
-    """Return the writer of a run's log.
-
-    The writer has the metadata known before the run.
+    """Return the writer of a run's log, with the metadata known before the run.
 
     Args:
         plan: plan of the run.
@@ -521,9 +512,7 @@ def _attachments(plan: Plan) -> dict[str, bytes]:
 
 
 def run_metadata(itinerary: Itinerary) -> Mapping[str, str]:
-    """Return the metadata that distinguish this run.
-
-    Its settings are JSON, overrides included.
+    """Return the metadata that distinguish this run, with its settings, overrides included, as JSON.
 
     Args:
         itinerary: itinerary with the settings of the run.
@@ -613,9 +602,7 @@ def repeated_log(source: Path) -> Path:
 
 
 def repeat_run(source: Path, out: Path, *, force: bool = False, progress: Progress = no_progress) -> Repeat:
-    """Repeat a logged run and compare the two logs.
-
-    They are compared message for message.
+    """Repeat a logged run and compare the two logs message for message.
 
     Args:
         source: log of the original run.
@@ -636,10 +623,7 @@ def repeat_run(source: Path, out: Path, *, force: bool = False, progress: Progre
 
 
 def _plan(log: RunLog, *, repeats: bool = True) -> Plan:
-    """Return the plan of a logged run.
-
-    It serves a repetition, or else the margins.
-    """
+    """Return the plan of a logged run, for a repetition or for the margins."""
     cannot = "be repeated" if repeats else "have margins"
     if repeats and (log.truth is None or "rig" in log.metadata):
         where = f"the rig at {log.metadata['rig']}" if "rig" in log.metadata else "a rig"
@@ -653,25 +637,25 @@ def _plan(log: RunLog, *, repeats: bool = True) -> Plan:
 
 
 def _with_options(plan: Plan, itinerary: Itinerary, change: Mapping[str, Any]) -> Plan:
-    """Return the plan of a logged run with more options.
+    """Return the plan of a logged run with options added to its command line.
 
-    The options are added to its command line.
-
-    The run's own options are the settings that differ from those of the itinerary without options. If these do
-    not explain all recorded settings, the options are applied to the recorded settings.
+    The run's options are the settings that differ from those of the itinerary without options. If these do not explain
+    all recorded settings, the options are applied to the recorded settings.
     """
     then = plan.itinerary
     pairs = {
         path: (setting_of(itinerary.loop, path), setting_of(then.loop, path)) for path in paths() if path != "plant"
     }
-    own = {path: noted for path, (before, noted) in pairs.items() if noted is not None and before != noted}
+    options = {path: noted for path, (before, noted) in pairs.items() if noted is not None and before != noted}
     # Another law or filter brings its own defaults.
     switched = {"controller": ("controller.", "estimator."), "estimator": ("estimator.",)}
-    reset = tuple(start for role, starts in switched.items() if role in own for start in starts)
-    own = {path: noted for path, noted in own.items() if not path.startswith(reset)} if reset else own
-    accounted = itinerary.with_run(own, seed=then.loop.seed).loop == then.loop
+    reset = tuple(start for role, starts in switched.items() if role in options for start in starts)
+    options = {path: noted for path, noted in options.items() if not path.startswith(reset)} if reset else options
+    accounted = itinerary.with_run(options, seed=then.loop.seed).loop == then.loop
     chosen = (
-        itinerary.with_run({**own, **canonical(change)}, seed=then.loop.seed) if accounted else then.with_run(change)
+        itinerary.with_run({**options, **canonical(change)}, seed=then.loop.seed)
+        if accounted
+        else then.with_run(change)
     )
     chosen.check_parts(then)
     return replace(plan, itinerary=chosen)
@@ -691,9 +675,7 @@ def _with_settings(itinerary: Itinerary, log: RunLog, *, cannot: str) -> Itinera
 
 
 def stored_settings(values: Mapping[str, Any], file: str) -> LoopSettings:
-    """Return a run's settings from the JSON of a log.
-
-    Settings of later versions have their defaults.
+    """Return a run's settings from the JSON of a log, with defaults for settings that later versions added.
 
     Args:
         values: settings as decoded JSON.
@@ -703,21 +685,21 @@ def stored_settings(values: Mapping[str, Any], file: str) -> LoopSettings:
         InputError: an unknown setting or an impossible value.
         LookupError: a user's object, which the log does not hold.
     """
-    top, own, kinds = Place(file), {"disturbances": {}, **values}, dict[str, Any](CONTROLLERS)
+    top, tables, kinds = Place(file), {"disturbances": {}, **values}, dict[str, Any](CONTROLLERS)
     for name in ("controller", "estimator"):
-        kind = own[name]["kind"]
+        kind = tables[name]["kind"]
         if kind not in kinds:
             raise LookupError(f"{name} = {kind} is a user's object, which is not in the log")
-        own[name] = table_of(kinds[kind]).read(own[name], top.within(name))
-        kinds = estimators_of(own["controller"])
-    own["disturbances"] = dict(own["disturbances"])
-    blows = own["disturbances"].pop("explicit", None)
+        tables[name] = table_of(kinds[kind]).read(tables[name], top.within(name))
+        kinds = estimators_of(tables["controller"])
+    tables["disturbances"] = dict(tables["disturbances"])
+    blows = tables["disturbances"].pop("explicit", None)
     for name, kind in {**BENCH, "supervisor": SupervisorSettings}.items():
-        if name in own:
-            own[name] = table_of(kind).read(own[name], top.within(name))
-    if own.get("plant") is not None:
-        own["plant"] = ArmChainParameters(**frozen(own["plant"]))
-    return LoopSettings(**own).with_(
+        if name in tables:
+            tables[name] = table_of(kind).read(tables[name], top.within(name))
+    if tables.get("plant") is not None:
+        tables["plant"] = ArmChainParameters(**frozen(tables["plant"]))
+    return LoopSettings(**tables).with_(
         {"disturbances.explicit": BLOWS.read(blows, Place(file, "run.blows"))} if blows else {}
     )
 
@@ -727,9 +709,7 @@ _CHECKED_TICKS = 4000
 
 
 def check_exportable(itinerary: Itinerary) -> None:
-    """Reject an itinerary that cannot be exported to C.
-
-    Its settings are checked before it is planned.
+    """Reject an itinerary whose settings cannot be exported to C, before it is planned.
 
     Args:
         itinerary: itinerary to check.
@@ -740,7 +720,7 @@ def check_exportable(itinerary: Itinerary) -> None:
     loop = itinerary.loop
     kind, by, supervisor = loop.controller.kind, getattr(loop.controller, "schedule", "time"), loop.supervisor
     what = f'schedule = "{by}"' if by != "time" else f'kind = "{kind}"'
-    own = isinstance(loop.controller, OwnLaw)
+    python_law = isinstance(loop.controller, OwnLaw)
     refused = (
         (
             loop.keeps_by_phase,
@@ -756,9 +736,9 @@ def check_exportable(itinerary: Itinerary) -> None:
             f'supervisor: on_fall = "{supervisor.on_fall}" changes the reference during a run and cannot be exported '
             'to C; export with on_fall = "stop"',
         ),
-        (own, f"controller = {kind}: Python code cannot be exported to C; use a dp.SymbolicLaw"),
+        (python_law, f"controller = {kind}: Python code cannot be exported to C; use a dp.SymbolicLaw"),
         (
-            by != "time" or not (own or law_of(loop.controller).symbolic),
+            by != "time" or not (python_law or law_of(loop.controller).symbolic),
             f"controller: {what} has an internal clock that C export does not support; {LEAVING}",
         ),
         (
@@ -781,9 +761,9 @@ def export_plan(
     force: bool = False,
     progress: Progress = no_progress,
 ) -> ControllerSource:
-    """Return the controller of a planned itinerary as C.
+    """Return the controller of a planned itinerary as C, and write it if a folder or a unit is given.
 
-    The controller is written if a folder or a unit is given. A unit without a binary for this platform causes a remark.
+    A unit without a binary for this platform causes a remark.
 
     Args:
         plan: plan of the itinerary.
@@ -816,10 +796,7 @@ def export_plan(
 def _exported(
     plan: Plan, assembly: Assembly, single: bool, progress: Progress, *, clock: float | None = None
 ) -> tuple[ControllerSource, TickProgram, GainSchedule]:
-    """Return a controller as C, and its components.
-
-    It contains readings of a simulated run for a replay.
-    """
+    """Return a controller as C with readings of a simulated run for a replay, its program, and its schedule."""
     itinerary = plan.itinerary
     check_exportable(itinerary)
     if any(itinerary.zeros):
@@ -834,11 +811,11 @@ def _exported(
     names = [f"measured.{name}" for name in joint_names(itinerary.model.arms.count, has_cart=True)]
     rows = np.column_stack([ran.ticks.measured, ran.ticks.control[:, 0]]).tolist()
     readings = "".join(f"{','.join(map(repr, row))}\n" for row in rows)
-    made = controller_source(
+    code = controller_source(
         program, controller, schedule, itinerary=itinerary.name, title=itinerary.title, single=single,
         clock=clock, readings=f"{','.join([*names, 'control.command'])}\n{readings}",
     )  # fmt: skip
-    source = replace(made, itinerary=itinerary.name, rate=loop.rate, single=single, clock=clock)
+    source = replace(code, itinerary=itinerary.name, rate=loop.rate, single=single, clock=clock)
     return source, program, schedule
 
 
@@ -882,9 +859,7 @@ _HANGING = 600.0
 
 
 def hanging_recipe(itinerary: Itinerary, *, faults: Sequence[str] = ()) -> BenchRecipe:
-    """Return the itinerary's simulated bench with hanging arms.
-
-    It serves commissioning and needs no plan.
+    """Return the itinerary's simulated bench with hanging arms, for commissioning without a plan.
 
     Args:
         itinerary: arms, cart and settings of the bench.
@@ -963,15 +938,15 @@ class RigLink:
             else:
                 where = parse_address(self.address)
             rig = stack.enter_context(UdpRig(where, key=key, insecure=self.insecure, **begun))
-            there, own = rig.welcome, 1 / rig.welcome.period
-            if there.arms != arms:
-                raise InputError(f"rig {rig.address} has {there.arms} arms, the itinerary's model {arms}")
-            if abs(there.period * rate - 1) > 1e-6:
-                remedy = f"set rate = {own:g} in [run]" if loop is None else f"run with --rate {own:g}"
-                raise InputError(f"rig {rig.address} ticks at {own:g} Hz, the loop at {rate:g} Hz; {remedy}")
-            if there.ticks < ticks:
+            welcome, rig_rate = rig.welcome, 1 / rig.welcome.period
+            if welcome.arms != arms:
+                raise InputError(f"rig {rig.address} has {welcome.arms} arms, the itinerary's model {arms}")
+            if abs(welcome.period * rate - 1) > 1e-6:
+                remedy = f"set rate = {rig_rate:g} in [run]" if loop is None else f"run with --rate {rig_rate:g}"
+                raise InputError(f"rig {rig.address} ticks at {rig_rate:g} Hz, the loop at {rate:g} Hz; {remedy}")
+            if welcome.ticks < ticks:
                 longer = "; start the example bench with --hanging" if loop is None else ""
-                raise InputError(f"rig {rig.address} can run for {there.ticks} ticks, {what} takes {ticks}{longer}")
+                raise InputError(f"rig {rig.address} can run for {welcome.ticks} ticks, {what} takes {ticks}{longer}")
             stack.enter_context(without_collecting())
             if self.real_time:
                 stack.enter_context(real_time_priority())
@@ -1033,11 +1008,9 @@ def commission_rig(
 
 
 def measured_text(itinerary: Itinerary, values: Mapping[str, Any]) -> tuple[Path, str]:
-    """Return an itinerary's file and its text with measured values.
+    """Return an itinerary's file, and its text with measured values in [run].
 
-    The values are in its [run].
-
-    This is the itinerary's file, or for a shipped one a copy in the working folder's `itineraries`.
+    For a shipped itinerary the file is a copy in the working folder's `itineraries`.
 
     Args:
         itinerary: itinerary from a TOML file.
@@ -1049,29 +1022,29 @@ def measured_text(itinerary: Itinerary, values: Mapping[str, Any]) -> tuple[Path
     if itinerary.stored is not None:
         raise InputError(f"{itinerary.stored} is a plan and is not changed; give the itinerary's .toml")
     text = itinerary.path.read_bytes().decode("utf-8-sig")
-    own, shipped = folders("itineraries")
+    own_folder, shipped = folders("itineraries")
     path = itinerary.path.resolve()
-    if path.is_relative_to(shipped.resolve()) and not path.is_relative_to(own.resolve()):
-        path = own / path.name
+    if path.is_relative_to(shipped.resolve()) and not path.is_relative_to(own_folder.resolve()):
+        path = own_folder / path.name
     return path, with_values(text, "run", values)
 
 
-def written(found: Commissioning, itinerary: Itinerary) -> Commissioning:
+def written(commissioning: Commissioning, itinerary: Itinerary) -> Commissioning:
     """Write the measured values of a commissioning into [run] of the itinerary, unless the rig has a fault.
 
     Args:
-        found: findings on the itinerary's rig.
+        commissioning: findings on the itinerary's rig.
         itinerary: itinerary of `measured_text`.
     """
-    if not found.changes:
-        return replace(found, unwritten=f"{itinerary.path} is unchanged until the rig has no fault")
-    path, text = measured_text(itinerary, found.changes)
+    if not commissioning.changes:
+        return replace(commissioning, unwritten=f"{itinerary.path} is unchanged until the rig has no fault")
+    path, text = measured_text(itinerary, commissioning.changes)
     try:
         write_whole(path, text)
     except InputError as error:
         # The measurements are shown nevertheless.
-        return replace(found, unwritten=str(error))
-    return replace(found, written=path)
+        return replace(commissioning, unwritten=str(error))
+    return replace(commissioning, written=path)
 
 
 PROGRAM_WATCHDOG = 0.03
@@ -1079,9 +1052,8 @@ PROGRAM_WATCHDOG = 0.03
 
 
 def run_with_program(plan: Plan, out: Path, program: Path, *, real_time: bool = False, force: bool = False) -> Run:
-    """Run a planned itinerary with an external program as the controller.
-
-    It runs on an example bench, and is logged and scored.
+    """Run a planned itinerary with an external program as the controller, on an example bench, and log and score the
+    run.
 
     The log is written after the run: the loop processes the recorded readings, which gives its estimates and demands.
     The log contains the true states and differs from that of a simulated run by the effects of real time.
@@ -1117,7 +1089,7 @@ def run_with_program(plan: Plan, out: Path, program: Path, *, real_time: bool = 
 
 
 def _log_recorded(
-    plan: Plan, out: Path, program: Path, assembly: Assembly, process: BenchProcess, kept: Deadlines | None
+    plan: Plan, out: Path, program: Path, assembly: Assembly, process: BenchProcess, deadlines: Deadlines | None
 ) -> Run:
     if process.record is None:
         raise GoalMissed("the example bench did not end its run in order")
@@ -1132,6 +1104,6 @@ def _log_recorded(
         writer.result(
             **outcome(result), rig=f"udp://{process.address[0]}:{process.address[1]}",
             controller_program=content_hash(program.read_bytes()), command_difference=repr(rig.difference),
-            **(kept.record() if kept else {}),
+            **(deadlines.record() if deadlines else {}),
         )  # fmt: skip
     return Run(read_log(out))

@@ -74,7 +74,7 @@ def test_two_blows_are_recovered_from(name: str, impulse: float) -> None:
 
 
 def test_catching_spares_falls(monkeypatch) -> None:
-    scene = night_itinerary(load_itinerary(ITINERARY).with_run(BENCH), given={})
+    scene = night_itinerary(load_itinerary(ITINERARY).with_run(BENCH), overrides={})
     plan = make_plan(scene)
     scene = plan.followed().itinerary
     assembly = Assembly(plan.reference, scene.model.arms, scene.loop, stays=stays(plan.reference))

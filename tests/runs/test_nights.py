@@ -25,16 +25,16 @@ BENCH = {"mismatch": 0.02, "initial_error": 0.01, "travel": 0.8}
 
 
 def test_a_night_continues_after_falls_by_default() -> None:
-    as_given = night_itinerary(TURN, given={}).loop.supervisor
+    as_given = night_itinerary(TURN, overrides={}).loop.supervisor
     assert (as_given.on_fall, as_given.attempts) == ("resume", 0)
     linger = load_itinerary("linger")
-    by_time = night_itinerary(linger, given={}).loop
+    by_time = night_itinerary(linger, overrides={}).loop
     assert (by_time.keep, by_time.supervisor.on_fall) == ("tvlqr", "resume")
     by_pulses = linger.with_run({"controller.keep": "ogy"})
     with pytest.warns(Remark, match=r'linger.toml: \[controller\] keep = "ogy" has internal timing'):
-        loop = night_itinerary(by_pulses, given={}).loop
+        loop = night_itinerary(by_pulses, overrides={}).loop
     assert (loop.keep, loop.supervisor.on_fall) == ("none", "resume")
-    stops = night_itinerary(linger, given={"on_fall": "stop", "attempts": 10}).loop
+    stops = night_itinerary(linger, overrides={"on_fall": "stop", "attempts": 10}).loop
     assert (stops.keep, stops.supervisor.on_fall, stops.supervisor.attempts) == ("tvlqr", "stop", 10)
 
 
@@ -55,7 +55,7 @@ def test_the_cost_of_a_night_is_stated_and_too_much_is_refused(tmp_path: Path) -
 
 @pytest.mark.slow
 def test_a_short_night_is_repeated_interrupted_resumed_and_reported(tmp_path: Path) -> None:
-    scene = night_itinerary(TURN.with_run(BENCH, seed=5), given={})
+    scene = night_itinerary(TURN.with_run(BENCH, seed=5), overrides={})
     plan, out = make_plan(scene), tmp_path / "turn.mcap"
     night = NightSettings(hours=6 / 3600, file_minutes=0.05)
     done = run_night(plan, out, night)
