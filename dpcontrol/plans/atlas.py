@@ -224,12 +224,12 @@ def compute_atlas(
     with _timed(seconds, "connections"):
         within = part_of(progress, 0.2, 0.9)
         searches = search_pairs(tubes, first, pairs, hits, until_found=True, yes=yes, progress=within)
-        connections = tuple(_sampled_connection(c) for one in searches for c in one.search.connections)
+        connections = tuple(_sampled_connection(c) for result in searches for c in result.search.connections)
     seconds["tubes"], seconds["connections"] = tubes.seconds, seconds["connections"] - tubes.seconds
     progress("tubes", 0.9)
     with _timed(seconds, "tubes"):
         cuts = tuple(_sampled_cut(tubes.manifold(first[saddle]), cut, settings)
-                     for (saddle, _, _), cut in tubes.made.items())  # fmt: skip
+                     for (saddle, _, _), cut in tubes.cuts.items())  # fmt: skip
     with _timed(seconds, "orbits"):
         samples = tuple(_sampled_orbit(orbit) for orbit in orbits)
         progress("rotating orbits", 0.95)
@@ -238,7 +238,7 @@ def compute_atlas(
             for arm in ((1, 2) if can_rotate(system) else ())
             for orbit in rotating_orbits(system, arm, energy)
         )
-    kinds = tuple(_kind(one) for one in searches)
+    kinds = tuple(_kind(result) for result in searches)
     progress("atlas", 1.0)
     return Atlas(
         model=model.name,
@@ -304,14 +304,14 @@ def _sampled_connection(connection: Connection) -> AtlasConnection:
         end = min(end, connection.time_in + connection.target.period)
     dense = np.linspace(begin, end, _DENSE * _FLIGHT_SAMPLES)
     flown = orbit.sample(dense)
-    kept = np.unique(_evenly(system, dense, flown, _FLIGHT_SAMPLES))
+    rows = np.unique(_evenly(system, dense, flown, _FLIGHT_SAMPLES))
     return AtlasConnection(
         **fields_of(ConnectionRecord, connection),
         source=connection.source.saddle,
         target=connection.target.saddle,
         point=section_points(system, connection.section, connection.state),
-        times=dense[kept],
-        states=flown[kept],
+        times=dense[rows],
+        states=flown[rows],
         node_times=orbit.times,
         nodes=orbit.states,
     )
@@ -323,13 +323,13 @@ def _sampled_cut(manifold: UnstableManifold, cut: Cut, settings: AtlasSettings) 
     system = orbit.system
     flown = [strand for branch in (1, -1) for strand in _strands(manifold, cut, branch, settings)]
 
-    def piece(one: Piece) -> AtlasPiece:
-        turned = (one.states - orbit.centre) @ orbit.reverser.T + orbit.centre
-        return AtlasPiece(**fields_of(Piece, one), stable_points=section_points(system, cut.section, turned))
+    def piece(cut_piece: Piece) -> AtlasPiece:
+        turned = (cut_piece.states - orbit.centre) @ orbit.reverser.T + orbit.centre
+        return AtlasPiece(**fields_of(Piece, cut_piece), stable_points=section_points(system, cut.section, turned))
 
     return AtlasCut(
         saddle=orbit.saddle,
-        pieces=tuple(piece(one) for one in cut.pieces),
+        pieces=tuple(piece(cut_piece) for cut_piece in cut.pieces),
         open_ends=tuple((end.branch, end.phase_interval, end.status) for end in cut.open_ends),
         **picked(cut, "section", "hit", "trajectories", "resolved", "status"),
         strands=np.array([states for _, _, states in flown]).reshape(-1, instants, system.dimension),
@@ -341,10 +341,7 @@ def _sampled_cut(manifold: UnstableManifold, cut: Cut, settings: AtlasSettings) 
 def _strands(
     manifold: UnstableManifold, cut: Cut, branch: int, settings: AtlasSettings
 ) -> Iterator[tuple[int, float, Array]]:
-    """Yield trajectories that reach the section.
-
-    The items are (branch, phase, states), spread evenly over the phases.
-    """
+    """Yield trajectories that reach the section as (branch, phase, states), spread evenly over the phases."""
     pieces = [piece for piece in cut.pieces if piece.branch == branch]
     if not pieces:
         return
@@ -360,25 +357,22 @@ def _strands(
 
 
 def _evenly(system: System, times: Array, states: Array, count: int) -> NDArray[np.int64]:
-    """Return `count` of the indices of samples.
-
-    The samples are spread evenly over half the time and half the scaled path.
-    """
+    """Return `count` of the indices of samples, spread evenly over half the time and half the scaled path."""
     path = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(states / system.scale, axis=0), axis=1))]
     along = (times - times[0]) / (times[-1] - times[0]) + path / path[-1]
     return np.rint(np.interp(np.linspace(0.0, along[-1], count), along, np.arange(len(times)))).astype(np.int64)
 
 
-def _kind(one: PairSearch) -> AtlasKind:
-    search = one.search
+def _kind(result: PairSearch) -> AtlasKind:
+    search = result.search
     return AtlasKind(
-        source=one.pair[0],
-        target=one.pair[1],
+        source=result.pair[0],
+        target=result.pair[1],
         section=search.cuts[0].section.name,
         hits=(search.cuts[0].hit, search.cuts[1].hit),
         count=len(search.connections),
         open_ends=tuple((tube, end.branch, end.phase_interval, end.status) for tube, end in search.open_ends),
-        by_reversal=one.by_reversal,
+        by_reversal=result.by_reversal,
         **picked(search, "failed", "complete", "status", "partial"),
     )
 
@@ -423,7 +417,7 @@ def save_atlas(path: Path | BytesIO, atlas: Atlas) -> None:
         InputError: the file cannot be written.
     """
     arrays: Arrays = {}
-    sections = list(dict.fromkeys(one.section for one in (*atlas.cuts, *atlas.connections)))
+    sections = list(dict.fromkeys(record.section for record in (*atlas.cuts, *atlas.connections)))
     header = {
         "format": FORMAT,
         "version": VERSION,
@@ -434,9 +428,7 @@ def save_atlas(path: Path | BytesIO, atlas: Atlas) -> None:
 
 
 def _packed(record: Any, prefix: str, arrays: Arrays, sections: list[Section]) -> dict[str, Any]:
-    """Return a record's entry in the header.
-
-    Its arrays go into `arrays` under `prefix` and their names.
+    """Return a record's entry in the header, and put its arrays into `arrays` under `prefix` and their names.
 
     Entries of a list "orbits" have the prefix "orbit_0_" and so on. A single state or point is in the header.
     """
@@ -448,7 +440,7 @@ def _packed(record: Any, prefix: str, arrays: Arrays, sections: list[Section]) -
             entry[name] = sections.index(value)
         elif isinstance(value, tuple) and value and is_dataclass(value[0]):
             each = f"{prefix}{name.removesuffix('s')}"
-            entry[name] = [_packed(one, f"{each}_{k}_", arrays, sections) for k, one in enumerate(value)]
+            entry[name] = [_packed(item, f"{each}_{k}_", arrays, sections) for k, item in enumerate(value)]
         elif isinstance(value, np.ndarray) and name not in ("state", "point") and not np.iscomplexobj(value):
             arrays[prefix + name] = value
         else:
@@ -481,12 +473,12 @@ def _unpacked(
 ) -> dict[str, Any]:
     """Return an entry of `_packed` with its arrays and sections."""
     values, hints = dict(entry), get_type_hints(kind)
-    for one in fields(kind):
-        name, hint = one.name, hints[one.name]
+    for attribute in fields(kind):
+        name, hint = attribute.name, hints[attribute.name]
         member = next((part for part in get_args(hint) if is_dataclass(part)), None)
         if name not in entry:
             # Fields with a default came later, and older files lack them.
-            values |= {} if one.default is not MISSING else {name: arrays[prefix + name]}
+            values |= {} if attribute.default is not MISSING else {name: arrays[prefix + name]}
         elif hint is Section:
             values[name] = sections[entry[name]]
         elif member is not None:
@@ -517,9 +509,7 @@ def make_branches(
     samples: int = 28,
     progress: Progress = no_progress,
 ) -> BranchDiagram:
-    """Return the diagram of first-hit connections between two saddles.
-
-    It comes from the cache if possible.
+    """Return the diagram of first-hit connections between two saddles, from the cache if possible.
 
     Args:
         model: model of the arms.
@@ -545,10 +535,10 @@ def make_branches(
     }
     key = content_hash(json.dumps(content, sort_keys=True))
     file = cache_file("branches", f"{model.name}-{source}-{target}", key)
-    if (known := kept(file)) is not None:
-        return diagram_from(json.loads(known))
+    if (stored := kept(file)) is not None:
+        return diagram_from(json.loads(stored))
     course = Quantity.of_energy(model.system)
-    found = find_bifurcations(course, source, target, values=energies, settings=settings, progress=progress)
-    diagram = branch_diagram(found)
+    search = find_bifurcations(course, source, target, values=energies, settings=settings, progress=progress)
+    diagram = branch_diagram(search)
     keep(file, json.dumps(diagram.document()).encode() + b"\n")
     return diagram

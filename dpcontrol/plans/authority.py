@@ -96,7 +96,7 @@ def connection_loss(arms: ArmChainParameters, connection: Connection) -> float:
 def sensitivity(arms: ArmChainParameters, motion: Trajectory | Reference) -> float:
     """Return the largest deviation of the angles per unit relative error of the arms' parameters, rad.
 
-    It is infinite if the motion's end cannot be stabilised.
+    The deviation is infinite if the motion's end cannot be stabilised.
 
     Args:
         arms: parameters of the arms.
@@ -117,11 +117,11 @@ def sensitivity(arms: ArmChainParameters, motion: Trajectory | Reference) -> flo
 
 def _effects(arms: ArmChainParameters, model: SampledModel, states: Array, commands: Array) -> Array:
     """Return the changes E (K, N, p) of a step per relative error of each number of each arm."""
-    others = [arms]
+    variants = [arms]
     for name in ("mass", "centre_of_mass", "length", "inertia"):
         for i, value in enumerate(getattr(arms, name)):
             values = list(getattr(arms, name))
             values[i] = value * (1 + _SHARE)
-            others.append(replace(arms, **{name: tuple(values)}))
-    steps = [model.steps(states, commands, one.base()) for one in others]
+            variants.append(replace(arms, **{name: tuple(values)}))
+    steps = [model.steps(states, commands, variant.base()) for variant in variants]
     return np.stack([(step - steps[0]) / _SHARE for step in steps[1:]], axis=2)

@@ -50,7 +50,7 @@ _TRIED = 4
 
 
 def coarse(arms: int) -> Method:
-    """Return the collocation method of first motions. Three arms swing faster, and would gain energy between points.
+    """Return the collocation method of first motions, a finer one for three arms, which swing faster.
 
     Args:
         arms: number of arms.
@@ -109,7 +109,7 @@ class Way:
         """
         last = self.mirror * (self.start if self.backwards else self.end)
         model = shared_model(equations_of(self.arms, Level.CART))
-        a, b = (found[0] for found in model.linearised(last[None], np.zeros(1), parameters=self.parameters))
+        a, b = (matrices[0] for matrices in model.linearised(last[None], np.zeros(1), parameters=self.parameters))
         diagonal, effort = TvlqrSettings().weights(self.arms.count, PERIOD)
         cost = terminal_cost(a, b, weights=np.diag(diagonal), effort=effort)
         gain = b @ cost @ a / (effort + b @ cost @ b)
@@ -130,13 +130,15 @@ class Way:
         planner = FlightPlanner(self.arms, self.limits).with_parameters(self.parameters)
         planner = planner.with_room(self.room, centring=CART_WEIGHT if fixed else 0.0)
         begin = self.mirror * (self.end if self.backwards else self.start)
-        found = planner.timed(begin, self.target(), np.repeat(durations, len(_PUSHES)), inputs, fixed=fixed)
-        found = found.picked(found.reached)
-        for nodes, pushes, duration in zip(found.nodes, found.inputs, found.durations, strict=True):
+        flights = planner.timed(begin, self.target(), np.repeat(durations, len(_PUSHES)), inputs, fixed=fixed)
+        flights = flights.picked(flights.reached)
+        for nodes, pushes, duration in zip(flights.nodes, flights.inputs, flights.durations, strict=True):
             mesh = even_mesh(duration, _INTERVAL)
             times, moments = times_on(mesh, method.support), times_on(mesh, method.points)
-            own = (duration - times if self.backwards else times).clip(0.0, duration)
-            states = planner.states(nodes, pushes, duration, own.ravel())[0].reshape(*times.shape, -1) * self.mirror
+            flight_times = (duration - times if self.backwards else times).clip(0.0, duration)
+            states = (
+                planner.states(nodes, pushes, duration, flight_times.ravel())[0].reshape(*times.shape, -1) * self.mirror
+            )
             # The steps of the inputs approximate a smooth input at their middles.
             middles = (np.arange(STEPS) + 0.5) * duration / STEPS
             commands = np.interp(moments, middles, pushes[::-1] if self.backwards else pushes)[..., None]
@@ -179,12 +181,12 @@ def smooth_motions(start: Array, ends: Sequence[Array], durations: Array) -> lis
         ends: possible states (N,) at the end.
         durations: durations, s.
     """
-    method, found = coarse(len(start) // 2 - 1), list[tuple[Trajectory, Array]]()
+    method, motions = coarse(len(start) // 2 - 1), list[tuple[Trajectory, Array]]()
     for duration, end in product(durations, ends):
         mesh = even_mesh(duration, _INTERVAL)
         times = times_on(mesh, method.support)
         states = np.zeros((*times.shape, len(end)))
         states[..., :-2] = smooth_guess(start[:-2], end[:-2], duration)(times.ravel()).reshape(*times.shape, -1)
         states[..., -2] = start[-2] + (end[-2] - start[-2]) * times / duration
-        found.append((Trajectory(method, mesh, states, np.zeros((len(mesh) - 1, len(method.points), 1))), end))
-    return found
+        motions.append((Trajectory(method, mesh, states, np.zeros((len(mesh) - 1, len(method.points), 1))), end))
+    return motions

@@ -108,11 +108,11 @@ def _expanded(part: WalkPart, saddles: Sequence[str]) -> WalkPart:
 def _law_table(kind: Any) -> Table:
     """Return the table of a law, which makes its settings and the name of the law that keeps the stops."""
 
-    def made(values: dict[str, Any], _: object) -> tuple[Any, str]:
+    def settings_and_keeper(values: dict[str, Any], _: object) -> tuple[Any, str]:
         keep = values.pop("keep", "none")
         return kind(**values), keep
 
-    return Table({**table_of(kind).keys, "keep": KEEP}, made)
+    return Table({**table_of(kind).keys, "keep": KEEP}, settings_and_keeper)
 
 
 def _reference(values: dict[str, Any], _: object) -> ReferenceSettings:
@@ -124,10 +124,10 @@ def _reference(values: dict[str, Any], _: object) -> ReferenceSettings:
 def _part_table(kind: Any) -> Table:
     """Return the table of a kind of part, which is checked if the model is known."""
 
-    def made(values: dict[str, Any], system: System | None) -> Part:
+    def part_of_values(values: dict[str, Any], system: System | None) -> Part:
         return kind(**values) if system is None else _part(kind(**values), system)
 
-    return Table(leaves_of(kind), made)
+    return Table(leaves_of(kind), part_of_values)
 
 
 _FILTERS = {kind: Table(table_of(settings).keys) for kind, settings in ESTIMATORS.items()}
@@ -159,22 +159,20 @@ def _completed(document: Mapping[str, Any]) -> dict[str, Any]:
         out["start"] = "hold" if "hold" in document else "orbit"
     if isinstance(controller, dict):
         # Dry friction moves an arm that `adaptive` holds by twice as much.
-        kept = "adaptive" if controller.get("keep", "none") == "none" else "tvlqr"
+        keeper = "adaptive" if controller.get("keep", "none") == "none" else "tvlqr"
         stays = document.get("finish") != "rest" and not document.get("cart")
         held = out.get("start") == "hold" and "parts" not in document and stays
-        out["controller"] = {"kind": "lqr" if held else kept, **controller}
+        out["controller"] = {"kind": "lqr" if held else keeper, **controller}
     keys = [key for kind in _PARTS.values() for key in leaves_of(kind)]
     meant = {key: key if key in keys else nearest(key, [*FILE.keys, *keys]) for key in document if key not in FILE.keys}
     if "parts" not in (*document, *meant.values()):
         # The part reports a misspelling of its keys.
-        out[""] = {key: out.pop(key) for key, known in meant.items() if known in keys}
+        out[""] = {key: out.pop(key) for key, setting in meant.items() if setting in keys}
     return out
 
 
 def overridden(loop: LoopSettings, settings: Mapping[str, Any]) -> LoopSettings:
-    """Return a run's settings with some replaced.
-
-    Paths are those of `dpcontrol.plans.overrides`.
+    """Return a run's settings with the values of some paths (`dpcontrol.plans.overrides`) replaced.
 
     `plant` and `seconds` change an itinerary; see `Itinerary.with_run`. A controller that cannot hand over to a keeper
     of stops follows the whole reference.
@@ -223,19 +221,17 @@ def _of_kind(role: str, value: Any, now: Any) -> Any:
         InputError: an unknown kind.
     """
     if not isinstance(value, str) or names_file(value):
-        own = own_object(role, value)
+        user_object = own_object(role, value)
         if role == "estimator":
-            return OwnEstimator(kind=own.name, own=own)
-        return (OwnExpressions if own.symbolic else OwnLaw)(own.name, own)
+            return OwnEstimator(kind=user_object.name, own=user_object)
+        return (OwnExpressions if user_object.symbolic else OwnLaw)(user_object.name, user_object)
     kinds: Mapping[str, Any] = {"controller": CONTROLLERS, "estimator": ESTIMATORS}[role]
     check_choice(role, kinds, value)
     return now if value == now.kind else kinds[value]()
 
 
 def setting_of(loop: LoopSettings, name: str) -> Any:
-    """Return the value of a setting of a run, None if its controller or estimator lacks it.
-
-    Of controller and estimator it is the kind.
+    """Return the value of a run's setting; of controller and estimator the kind, and None for what they lack.
 
     Args:
         loop: settings of the run.
@@ -366,16 +362,16 @@ class Itinerary:
         """Return the arms of a model's file, or the settings of a user's plant."""
         if isinstance(plant, str) and not names_file(plant):
             return own_plant(plant, self.model.arms, where="plant").arms
-        own = own_object("plant", plant)
-        if own.symbolic:
-            check_component(own.thing, self.model.arms.count)
-        return OwnPlant(own.name, own)
+        user_object = own_object("plant", plant)
+        if user_object.symbolic:
+            check_component(user_object.thing, self.model.arms.count)
+        return OwnPlant(user_object.name, user_object)
 
-    def remark_on_rig(self, given: Collection[str] = ()) -> None:
+    def remark_on_rig(self, options: Collection[str] = ()) -> None:
         """Emit remarks on numbers of the rig in doubtful units.
 
         Args:
-            given: tables and keys of settings that override those of the file, as in "[run] lag".
+            options: tables and keys of settings that override those of the file, as in "[run] lag".
 
         Raises:
             InputError: an impossible number.
@@ -383,7 +379,7 @@ class Itinerary:
         try:
             odd = rig_oddities(self.limits, self.loop, arms=self.model.arms.count, zeros=self.zeros)
             for table, key, sentence in odd:
-                begin = "setting" if f"{table} {key}" in given else f"{self.path}: {table}"
+                begin = "setting" if f"{table} {key}" in options else f"{self.path}: {table}"
                 remark(f"{begin} {sentence}")
         except InputError as error:
             raise InputError(f"{self.path}: {error}") from error
@@ -410,9 +406,7 @@ def load_itinerary(name: str) -> Itinerary:
 
 
 def stored_itinerary(file: Path, reference: Reference) -> Itinerary:
-    """Return the itinerary of a plan's file.
-
-    The itinerary is read from the texts that its reference was made from.
+    """Return the itinerary of a plan's file, read from the texts that its reference was made from.
 
     Args:
         file: file of the plan (.npz).
@@ -446,9 +440,7 @@ def itinerary_of(
     limits: Limits | None = None,
     reference: ReferenceSettings | None = None,
 ) -> Itinerary:
-    """Return the itinerary of walks, one after the other.
-
-    Its text is a file that gives the same one.
+    """Return the itinerary of walks, one after the other, with a text that gives the same itinerary as a file.
 
     Args:
         model: model of the arms.
@@ -513,11 +505,11 @@ def _itinerary(
         plant = own_plant(named, model.arms, where=f"{place} plant", beside=path.parent)
     if (zeros := run.get("zeros", ())) and len(zeros) != model.arms.count:
         raise place.refusal(f"zeros has {len(zeros)} values; give one for each of {model.arms.count} arms", "zeros")
-    given, settings = content.get("estimator", {}), {RUN[key][0]: value for key, value in run.items() if key in RUN}
+    estimator, settings = content.get("estimator", {}), {RUN[key][0]: value for key, value in run.items() if key in RUN}
     settings |= {"plant": None if plant is None else plant.arms, "disturbances.explicit": run.get("blows", ())}
     supervisor = content.get("supervisor", SupervisorSettings())
     with replace(top, table="estimator"):
-        filters = estimators_of(law, keep)[given.get("kind", "ekf")](**given)
+        filters = estimators_of(law, keep)[estimator.get("kind", "ekf")](**estimator)
     with place:
         loop = LoopSettings(seed=0, keep=keep, controller=law, estimator=filters, supervisor=supervisor).with_(settings)
     parts = content.get("parts") or (content[""],)
@@ -562,13 +554,12 @@ def _check_together(itinerary: Itinerary) -> None:
 
 
 def _named_model(name: str, *, where: str, at: tuple[str, str], beside: Path | None) -> Model:
-    """Return a model by name or path.
-
-    The folder `beside` has priority. An error has the table and key `at`.
-    """
-    own = None if beside is None else beside / name
+    """Return a model by name or path, first looked for in the folder `beside`; an error has the table and key `at`."""
+    file_beside = None if beside is None else beside / name
     try:
-        return load_model(str(own) if own is not None and name.endswith(".toml") and own.is_file() else name)
+        return load_model(
+            str(file_beside) if file_beside is not None and name.endswith(".toml") and file_beside.is_file() else name
+        )
     except InputError as error:
         table, key = at
         raise InputErrors(
@@ -588,10 +579,10 @@ def own_plant(name: str, arms: ArmChainParameters, *, where: str, beside: Path |
     Raises:
         InputError: no such file, a mistake in it, or another number of arms; begins with `where`.
     """
-    own = _named_model(name, where=where, at=("run", "plant"), beside=beside)
-    if own.arms.count != arms.count:
+    plant = _named_model(name, where=where, at=("run", "plant"), beside=beside)
+    if plant.arms.count != arms.count:
         raise InputError(
-            f"{where} = {name!r}: the plant has {own.arms.count} arms, the itinerary's model {arms.count}; give "
+            f"{where} = {name!r}: the plant has {plant.arms.count} arms, the itinerary's model {arms.count}; give "
             "a plant of as many arms"
         )
-    return own
+    return plant

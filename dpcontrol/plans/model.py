@@ -41,9 +41,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Model:
-    """A model as its file gives it.
-
-    Title, parameters, the source of each table, and the text.
+    """A model as its file gives it: title, parameters, the source of each table, and the text.
 
     Attributes:
         encoder_zeros: recorded absolute angles (n,) at true zero, rad, if the file gives them.
@@ -66,21 +64,16 @@ class Model:
 
     @cached_property
     def system(self) -> "ModelSystem":
-        """The conservative system of orbits and tubes.
-
-        For arms, without friction, on a fixed pivot.
-        """
+        """The conservative system of orbits and tubes, which for arms has no friction and a fixed pivot."""
         if isinstance(self.parameters, ThreeBodyParameters):
-            own = three_body_system(self.name, self.parameters)
+            system = three_body_system(self.name, self.parameters)
         else:
-            own = pendulum_system(self.name, self.parameters)
-        return ModelSystem(**{f.name: getattr(own, f.name) for f in fields(own)}, model=self)
+            system = pendulum_system(self.name, self.parameters)
+        return ModelSystem(**{f.name: getattr(system, f.name) for f in fields(system)}, model=self)
 
     @checked
     def unit(self, name: str, form: str = " {}") -> str:
-        """Return a unit of SI as a suffix of numbers.
-
-        The result is "" for three bodies, whose units are dimensionless.
+        """Return a unit of SI as a suffix of numbers, "" for three bodies, whose units are dimensionless.
 
         Args:
             name: unit, such as "J".
@@ -95,14 +88,14 @@ class Model:
         A parameter that was changed after reading is the shortest decimal that reads as its double.
         """
         table, out = tomllib.loads(self.text, parse_float=Decimal), {}
-        given = {**table.get("arms", {}), **table.get("friction", {}), **table.get("primaries", {})}
-        given["gravity"] = table.get("gravity", {}).get("acceleration")
-        for one in fields(self.parameters):
-            numbers = [float(v) for v in np.atleast_1d(getattr(self.parameters, one.name))]
-            typed = given.get(one.name, [])
+        written = {**table.get("arms", {}), **table.get("friction", {}), **table.get("primaries", {})}
+        written["gravity"] = table.get("gravity", {}).get("acceleration")
+        for field in fields(self.parameters):
+            numbers = [float(v) for v in np.atleast_1d(getattr(self.parameters, field.name))]
+            typed = written.get(field.name, [])
             exact = [Fraction(v) for v in (typed if isinstance(typed, list) else [typed]) if v is not None]
             same = [float(v) for v in exact] == numbers
-            out[one.name] = tuple(exact if same else [Fraction(repr(v)) for v in numbers])
+            out[field.name] = tuple(exact if same else [Fraction(repr(v)) for v in numbers])
         return out
 
     @property
@@ -227,8 +220,8 @@ class ModelDescription(Documented):
     def rows(self) -> dict[str, tuple[Any, ...]]:
         """State, energy, eigenvalues, kind and need of each equilibrium by name."""
         return {
-            name: (one.state, one.energy, one.eigenvalues, one.kind, self.need(name))
-            for name, one in self.equilibria.items()
+            name: (equilibrium.state, equilibrium.energy, equilibrium.eigenvalues, equilibrium.kind, self.need(name))
+            for name, equilibrium in self.equilibria.items()
         }
 
     @property
@@ -360,29 +353,29 @@ def _model(document: Mapping[str, Any], text: str, path: Path) -> Model:
     return model(parameters=chain, encoder_zeros=zeros, uncertainty=uncertainty, remarks=remarks)
 
 
-def model_text(found: "Identification", *, title: str, logs: Sequence[str], starting_model: str) -> str:
+def model_text(identification: "Identification", *, title: str, logs: Sequence[str], starting_model: str) -> str:
     """Return the TOML text of identified arms.
 
     Args:
-        found: result of the identification.
+        identification: result of the identification.
         title: title of the model.
         logs: names of the recordings.
         starting_model: name of the model that was the first guess.
     """
-    arms, count = found.arms, len(ratio_names(found.arms))
-    left = np.array([s.rms for s in found.segments if not s.used])
+    arms, count = identification.arms, len(ratio_names(identification.arms))
+    left = np.array([s.rms for s in identification.segments if not s.used])
     # Control characters in a file's name must not end the comment.
     of = _plain(f"Identified from {', '.join(logs)}")
     starting_model = _plain(starting_model)
-    known = np.isfinite(np.diag(found.covariance)[:count])
+    finite = np.isfinite(np.diag(identification.covariance)[:count])
     # A TOML file of numbers has no infinity: undetermined ratios are not varied.
-    covariance = np.where(np.outer(known, known), found.covariance[:count, :count], 0.0)
+    covariance = np.where(np.outer(finite, finite), identification.covariance[:count, :count], 0.0)
     lines = [
         _first_line(logs, starting_model),
         f"# {len(left)} segments were left out; their rms is {1e3 * np.median(left):.2f} mrad in the median, "
         f"{1e3 * left.max():.2f} at worst.",
         "# What the recordings do not determine:",
-        *(f"#   {sentence}" for sentence in found.undetermined),
+        *(f"#   {sentence}" for sentence in identification.undetermined),
         f"title = {quoted(title)}",
         'system = "arm-chain"',
         "",
@@ -402,18 +395,18 @@ def model_text(found: "Identification", *, title: str, logs: Sequence[str], star
     lines += [f"{law} = {_numbers(getattr(arms, law))}   # {units[law]}" for law in arms.friction]
     if arms.friction:
         lines.append(f"smoothing = {arms.smoothing!r}   # rad/s")
-    if "zeros" in found.candidates[found.chosen].terms:
+    if "zeros" in identification.candidates[identification.chosen].terms:
         lines += [
             "",
             "[encoders]   # recorded absolute angles at true zero",
             f"source = {quoted(of)}",
-            f"zeros = {_numbers(found.zeros.mean(axis=0))}   # rad",
+            f"zeros = {_numbers(identification.zeros.mean(axis=0))}   # rad",
         ]
     lines += [
         "",
         "[uncertainty]   # covariance of the ratios, row by row; undetermined ratios are not varied",
         f"source = {quoted(f'{of}; equal residuals assumed over blocks')}",
-        "names = [" + ", ".join(quoted(name) for name in found.names[:count]) + "]",
+        "names = [" + ", ".join(quoted(name) for name in identification.names[:count]) + "]",
         "covariance = [",
         *("    " + ", ".join(repr(float(v)) for v in row) + "," for row in covariance),
         "]",
@@ -465,11 +458,13 @@ def check_model_replaced(path: Path, *, logs: Sequence[str], starting_model: str
             raise in_the_way(path, "was not identified from these logs")
 
 
-def write_model(found: "Identification", path: Path, *, title: str, logs: Sequence[str], starting_model: str) -> Path:
+def write_model(
+    identification: "Identification", path: Path, *, title: str, logs: Sequence[str], starting_model: str
+) -> Path:
     """Write identified arms as a model file and return its path.
 
     Args:
-        found: result of the identification.
+        identification: result of the identification.
         path: file to write.
         title: title of the model.
         logs: names of the recordings.
@@ -478,7 +473,7 @@ def write_model(found: "Identification", path: Path, *, title: str, logs: Sequen
     Raises:
         InputError: the file cannot be written.
     """
-    write_whole(path, model_text(found, title=title, logs=logs, starting_model=starting_model))
+    write_whole(path, model_text(identification, title=title, logs=logs, starting_model=starting_model))
     return path
 
 

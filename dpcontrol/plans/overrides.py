@@ -47,7 +47,7 @@ def paths() -> Mapping[str, Leaf]:
 
     laws = Setting(choices=tuple(CONTROLLERS), help="Law.")
     filters = Setting(choices=tuple(ESTIMATORS), help="Filter.")
-    found = {
+    leaves = {
         "controller": Leaf("controller", Annotated[str, laws], "adaptive"),
         "estimator": Leaf("estimator", Annotated[str, filters], "ekf"),
         "controller.keep": KEEP,
@@ -57,8 +57,8 @@ def paths() -> Mapping[str, Leaf]:
     tables = [("supervisor", SupervisorSettings), *(("controller", kind) for kind in CONTROLLERS.values())]
     tables += [("estimator", kind) for kind in (*ESTIMATORS.values(), *ADAPTIVE_ESTIMATORS.values())]
     for table, kind in tables:
-        found = {**{f"{table}.{name}": leaf for name, leaf in leaves_of(kind).items()}, **found}
-    return found
+        leaves = {**{f"{table}.{name}": leaf for name, leaf in leaves_of(kind).items()}, **leaves}
+    return leaves
 
 
 def resolved(name: str) -> str:
@@ -70,17 +70,17 @@ def resolved(name: str) -> str:
     Raises:
         InputError: no path or several paths end in it.
     """
-    wanted, known = name.strip().replace("-", "_").removeprefix("run."), paths()
-    if wanted in known:
+    wanted, known_paths = name.strip().replace("-", "_").removeprefix("run."), paths()
+    if wanted in known_paths:
         return wanted
-    ends = [path for path in known if path.endswith(f".{wanted}")]
+    ends = [path for path in known_paths if path.endswith(f".{wanted}")]
     # A key of [run] is written alone in a file too, so it has priority over tables such as [estimator].
     ends = [path for path in ends if not path.startswith(("controller.", "estimator.", "supervisor."))] or ends
     if len(ends) == 1:
         return ends[0]
     if ends:
         raise InputError(f"{name}: several settings have this name; give {' or '.join(ends)}")
-    names = {path.rpartition(".")[2]: path for path in known} | {path: path for path in known}
+    names = {path.rpartition(".")[2]: path for path in known_paths} | {path: path for path in known_paths}
     close = names.get(nearest(wanted, names) or nearest(wanted.rpartition(".")[2], names), "")
     near = f"did you mean {close!r}? " if close else ""
     raise InputError(f"{name}: no run has this setting; {near}`dpcontrol guide settings` lists all")
@@ -143,9 +143,7 @@ def values_in(text: str) -> list[str]:
 
 
 def typed(settings: Mapping[str, Any]) -> str:
-    """Return settings as the command line takes them.
-
-    An example is `--travel 0.6 --set drive.jerk=100`.
+    """Return settings as the command line takes them, such as `--travel 0.6 --set drive.jerk=100`.
 
     Args:
         settings: values by name.
@@ -166,10 +164,10 @@ def option_of(path: str) -> str:
     return f"--{path.rpartition('.')[2].replace('_', '-')}"
 
 
-def settings_to_vary(given: str = "") -> Sequence[str]:
+def settings_to_vary(typed: str = "") -> Sequence[str]:
     """Return the completions of `--set` and `--over`.
 
     Args:
-        given: the setting with the values before the one to complete, such as "controller=lqr,".
+        typed: the setting with the values before the one to complete, such as "controller=lqr,".
     """
-    return paths()[resolved(given.partition("=")[0])].bounds.choices if given else [f"{path}=" for path in paths()]
+    return paths()[resolved(typed.partition("=")[0])].bounds.choices if typed else [f"{path}=" for path in paths()]

@@ -163,9 +163,7 @@ def solve_pieces(
     workers: int = 1,
     progress: Progress = no_progress,
 ) -> list[SolvedPiece]:
-    """Return the pieces of all goals, with transfers between them.
-
-    The pieces are in order.
+    """Return the pieces of all goals in order, with transfers between them.
 
     The list ends with a reference that did not converge, because the next piece would start from its end.
 
@@ -197,8 +195,8 @@ def solve_pieces(
             lift = pieces[-1].lift
             if not pieces[-1].reference.converged:
                 break
-        here = part_of(progress, begun + share / 2, begun + share)
-        pieces.append(_own(itinerary, goal, lift, here, judged=k == len(goals) - 1))
+        portion = part_of(progress, begun + share / 2, begun + share)
+        pieces.append(_own(itinerary, goal, lift, portion, judged=k == len(goals) - 1))
         if not pieces[-1].reference.converged:
             break
     return pieces
@@ -271,22 +269,22 @@ def _own(itinerary: Itinerary, goal: Goal, lift: Array, progress: Progress, *, j
     if goal.shadowing is None:
         method, interval = method_named(settings.method), max(settings.interval, 0.05)
         state = lifted(goal.start, lift, goal.cart)
-        found = still(state, goal.seconds, method=method, limits=itinerary.limits, interval=interval)
-        return SolvedPiece(goal.text, goal, lift, found)
+        reference = still(state, goal.seconds, method=method, limits=itinerary.limits, interval=interval)
+        return SolvedPiece(goal.text, goal, lift, reference)
     problem = cart_problem(itinerary, lifted_guess(goal, lift), goal.seconds, EndConditions())
     if settings.level == "conservative":
         free = itinerary.model.arms.frictionless()
         conservative = replace(problem, equations=equations_of(free, Level.CART), parameters=free.base())
         return SolvedPiece(goal.text, goal, lift, shadowed(conservative, settings))
-    found = find_reference(problem, settings, progress=progress)
+    reference = find_reference(problem, settings, progress=progress)
     if not judged:
-        return SolvedPiece(goal.text, goal, lift, found)
+        return SolvedPiece(goal.text, goal, lift, reference)
     anywhere = np.array([np.nan] * 2 * len(lift) + [0.0, 0.0])
     open_ended = replace(problem, ends=EndConditions(end=anywhere))
-    if not found.converged:
+    if not reference.converged:
         easier = find_reference(open_ended, settings, progress=progress)
-        found = easier if easier.converged else found
-    least = _off_last_orbit(goal, found, lift) if found.converged else 0.0
+        reference = easier if easier.converged else reference
+    least = _off_last_orbit(goal, reference, lift) if reference.converged else 0.0
     for factor in _CLOSER:
         if not _ROOM < least < _ELSEWHERE:
             break
@@ -294,23 +292,22 @@ def _own(itinerary: Itinerary, goal: Goal, lift: Array, progress: Progress, *, j
         closer = find_reference(open_ended, replace(settings, pendulum_weight=weight), progress=progress)
         gap = _off_last_orbit(goal, closer, lift)
         if closer.converged and gap < least:
-            found, least = closer, gap
-    return SolvedPiece(goal.text, goal, lift, found)
+            reference, least = closer, gap
+    return SolvedPiece(goal.text, goal, lift, reference)
 
 
 _PHASES = 1000
 """Phases at which an orbit is sampled, and its last period."""
 
 
-def _off_last_orbit(goal: Goal, found: Reference, lift: Array) -> float:
-    """Return a walk's distance from its last orbit, rad.
-
-    The distance is that of the angles over the last period.
-    """
+def _off_last_orbit(goal: Goal, reference: Reference, lift: Array) -> float:
+    """Return the distance of a walk's angles from its last orbit over the last period, rad."""
     orbit, n = goal.orbits[1], len(lift)
     shares = np.linspace(0.0, 1.0, _PHASES)
     path = OrbitCurve(orbit).states(shares)[:, :n] - orbit.system.equilibrium(orbit.saddle)[:n] + goal.last + lift
-    late = found.state(found.duration - orbit.period * shares.clip(max=found.duration / orbit.period))[:, :n]
+    late = reference.state(reference.duration - orbit.period * shares.clip(max=reference.duration / orbit.period))[
+        :, :n
+    ]
     return float(np.abs(late[:, None] - path).max(axis=2).min(axis=1).max())
 
 
@@ -324,22 +321,16 @@ class _Way:
     transfer: Transfer
     turns: list[Array]
 
-    def taken(self, found: Reference, lift: Array) -> SolvedPiece:
-        """Return the found transfer as a piece.
-
-        `lift` (n,) is that of the goal before it.
-        """
-        landed = found.state(found.duration)
+    def taken(self, reference: Reference, lift: Array) -> SolvedPiece:
+        """Return the transfer's reference as a piece; `lift` (n,) is that of the goal before it."""
+        landed = reference.state(reference.duration)
         nearest = int(np.argmin([np.abs(landed - end).max() for end in self.transfer.ends]))
         onward = self.turns[nearest] * 2 * np.pi + lift
-        return SolvedPiece(self.transfer.text, None, onward, turned(found, lift))
+        return SolvedPiece(self.transfer.text, None, onward, turned(reference, lift))
 
 
 def _way(itinerary: Itinerary, before: Goal, after: Goal) -> _Way | None:
-    """Return the transfer from one goal to the next, or None.
-
-    The result is None if their orbits have the same saddle, or if a stay continues.
-    """
+    """Return the transfer from one goal to the next, or None between orbits of one saddle and within a stay."""
     rest = resting_place(itinerary.model.system)
     names = ["rest" if name == rest else name for name in (before.where[1], after.where[0])]
     apart = (before.last - after.first) / (2 * np.pi)
@@ -358,9 +349,7 @@ def _way(itinerary: Itinerary, before: Goal, after: Goal) -> _Way | None:
 
 
 def ways_round(apart: Array) -> list[Array]:
-    """Return the whole turns (n,) that bring arms together.
-
-    For half a turn, both directions are tried.
+    """Return the whole turns (n,) that bring arms together, in both directions for half a turn.
 
     Args:
         apart: distances (n,) of the arms, in turns.
@@ -370,10 +359,7 @@ def ways_round(apart: Array) -> list[Array]:
 
 
 def _blend(itinerary: Itinerary, leaving: Goal, lift: Array, joining: Goal, progress: Progress) -> SolvedPiece:
-    """Return the piece between two walks about one saddle.
-
-    It leads from the last orbit of one to the first of the next.
-    """
+    """Return the piece between two walks about one saddle, from the last orbit of one to the first of the next."""
     before, after = leaving.walk, joining.walk
     onward = np.rint((leaving.last - joining.first) / (2 * np.pi)) * 2 * np.pi + lift
     first, last = leaving.orbits[1], joining.orbits[0]
@@ -396,14 +382,14 @@ def _blend(itinerary: Itinerary, leaving: Goal, lift: Array, joining: Goal, prog
 
     start, end = before.states(np.array([before.duration]))[0], after.states(np.array([0.0]))[0]
     ends = EndConditions(start=lifted(start, lift), end=lifted(end, onward))
-    found = find_reference(cart_problem(itinerary, guess, duration, ends), itinerary.reference, progress=progress)
-    if not found.converged:
+    reference = find_reference(cart_problem(itinerary, guess, duration, ends), itinerary.reference, progress=progress)
+    if not reference.converged:
         energies = (first.energy, last.energy)
         cause = ReferenceCause.ENERGY_CHANGE
-        found = replace(
-            found, ending=ReferenceEnding(cause, energies=energies, saddle=first.saddle, inner=found.ending)
+        reference = replace(
+            reference, ending=ReferenceEnding(cause, energies=energies, saddle=first.saddle, inner=reference.ending)
         )
-    return SolvedPiece(f"change of energy at {first.saddle}", None, onward, found)
+    return SolvedPiece(f"change of energy at {first.saddle}", None, onward, reference)
 
 
 def _phase_at_end(orbit: ShadowingOrbit, last: LyapunovOrbit) -> float:
@@ -421,10 +407,7 @@ STILL = 0.8
 
 
 class _Story:
-    """Stops and symbols in order, with their orbits and equilibria.
-
-    Orbits and equilibria are in the order of their first visit.
-    """
+    """Stops and symbols in order, with their orbits and equilibria in the order of the first visit."""
 
     def __init__(self, itinerary: Itinerary) -> None:
         self.system = itinerary.model.system
@@ -437,28 +420,22 @@ class _Story:
         """Place of the cart at the last stop, m."""
 
     def enter(self, goal: Goal, angles: Array, text: str) -> None:
-        """Add the first stop of a piece.
-
-        If there is a transfer before it, it is added by its text.
-        """
+        """Add the first stop of a piece, and the transfer before it, if there is one, by its text."""
         name = goal.where[0]
-        here = self._at_rest(name) if goal.shadowing is None else self._on(goal.orbits[0])
+        place = self._at_rest(name) if goal.shadowing is None else self._on(goal.orbits[0])
         at_stop = bool(self.stops) and np.allclose(self.stops[-1].angles, angles)
         if not text or (at_stop and self.cart == goal.cart):
-            self._arrive(name, angles, here, None, None)
+            self._arrive(name, angles, place, None, None)
             return
         before = self.stops[-1]
         winding = np.rint((angles - np.asarray(before.angles)) / (2 * np.pi))
         turns = tuple(int(turn) for turn in winding)
         time = sum(self.transfers[-1]) / 2
         symbol = PlanSymbol(text=text, time=time, source=before.saddle, target=name, winding=turns)
-        self._arrive(name, angles, here, symbol, None)
+        self._arrive(name, angles, place, symbol, None)
 
     def follow(self, goal: Goal, lift: Array, begin: float) -> None:
-        """Add the stops and symbols of a walk.
-
-        The walk begins at the given time, s, and its angles are lifted.
-        """
+        """Add the stops and symbols of a walk that begins at a time, s, with lifted angles."""
         orbit, n = goal.walk, len(lift)
         rows = zip(goal.symbols, orbit.connections, orbit.symbol_times, strict=True)
         for k, (text, connection, time) in enumerate(rows):
@@ -470,10 +447,7 @@ class _Story:
             self._arrive(target, home[:n] + lift, self._on(connection.target), symbol, wraps)
 
     def _arrive(self, name: str, angles: Array, orbit: int, symbol: PlanSymbol | None, wraps: int | None) -> None:
-        """Add a stop with its symbol.
-
-        If it is the previous stop, only its orbit is added.
-        """
+        """Add a stop with its symbol, or only its orbit if the stop is the previous one."""
         stop = PlanStop(name, tuple(angles.tolist()), orbit)
         if symbol is None and self.stops:
             self.stops[-1] = replace(stop, arrived_on=self.stops[-1].orbit)

@@ -195,10 +195,7 @@ def _amounts(itinerary: Itinerary) -> dict[str, int]:
 
 
 def _extent(itinerary: Itinerary) -> tuple[int, int]:
-    """Return the numbers of periods and of transfers in an itinerary.
-
-    The periods are those of walks.
-    """
+    """Return the numbers of periods in the walks of an itinerary, and of its transfers."""
     ends = zip((itinerary.start, itinerary.finish), (itinerary.parts[0], itinerary.parts[-1]), strict=True)
     added = (end == "rest" or (end == "hold" and isinstance(part, WalkPart)) for end, part in ends)
     apart = (any(isinstance(part, HoldPart) for part in pair) for pair in pairwise(itinerary.parts))
@@ -207,9 +204,7 @@ def _extent(itinerary: Itinerary) -> tuple[int, int]:
 
 
 def plan_cost(itinerary: Itinerary) -> Cost:
-    """Return the cost of planning an itinerary.
-
-    It excludes the small cost of stays.
+    """Return the cost of planning an itinerary, without the small cost of stays.
 
     Args:
         itinerary: itinerary to plan.
@@ -299,9 +294,7 @@ def _cached(itinerary: Itinerary, content: bytes, file: Path) -> Plan:
 
 
 def load_plan(file: Path) -> Plan:
-    """Read a plan from its archive.
-
-    Its itinerary comes from the stored texts.
+    """Read a plan from its archive, with the itinerary of the stored texts.
 
     Args:
         file: file of the plan (.npz).

@@ -109,8 +109,8 @@ def _goals(itinerary: Itinerary, orbits: list[ShadowingOrbit], progress: Progres
         goals.append(stay_goal(itinerary, before, REST_BEFORE))
     for k, part in enumerate(itinerary.parts):
         if isinstance(part, WalkPart):
-            here = part_of(progress, k / len(itinerary.parts), (k + 1) / len(itinerary.parts))
-            orbit = orbits.pop(0) if orbits else shadowing_orbit(itinerary, part=part, progress=here)
+            portion = part_of(progress, k / len(itinerary.parts), (k + 1) / len(itinerary.parts))
+            orbit = orbits.pop(0) if orbits else shadowing_orbit(itinerary, part=part, progress=portion)
             beside = [itinerary.parts[j] if 0 <= j < len(itinerary.parts) else None for j in (k - 1, k + 1)]
             # Walks meet on their orbits. To rest or a hold, there is a transfer.
             apart = (e != "orbit" if b is None else isinstance(b, HoldPart) for e, b in zip(ends, beside, strict=True))
@@ -138,9 +138,7 @@ def _equilibrium(itinerary: Itinerary, end: str, number: int) -> str:
 def shadowing_orbit(
     itinerary: Itinerary, *, part: WalkPart | None = None, progress: Progress = no_progress
 ) -> ShadowingOrbit:
-    """Find the orbit that shadows a walk.
-
-    The connections of the walk are found first.
+    """Find the orbit that shadows a walk, after a search for the walk's connections.
 
     Args:
         itinerary: itinerary with the walk.
@@ -176,10 +174,7 @@ _BESIDE, _BETWEEN = 0.01, 5
 
 
 def _symmetric_walk(system: System, part: WalkPart, progress: Progress) -> ShadowingOrbit:
-    """Return the walk of three arms.
-
-    Its connection is the one nearest to the part's energy.
-    """
+    """Return the walk of three arms along the connection nearest to the part's energy."""
     (symbol, *_) = parse_walk(part.walk, system.saddles)
     reach = _BESIDE * system.energy_scale
     lowest = equilibrium(system, symbol.source).energy
@@ -193,10 +188,7 @@ def _symmetric_walk(system: System, part: WalkPart, progress: Progress) -> Shado
 
 
 def _connections(itinerary: Itinerary, part: WalkPart, progress: Progress) -> tuple[tuple[Connection, ...], WalkSolver]:
-    """Return the connections of a part's walk, and a solver.
-
-    The solver finds their shadowing orbits.
-    """
+    """Return the connections of a part's walk, and a solver that finds their shadowing orbits."""
     system = itinerary.model.system
     symbols = parse_walk(part.walk, system.saddles)
     pairs = list(dict.fromkeys((s.source, s.target) for symbol in symbols for s in symbol.simple))
@@ -204,8 +196,8 @@ def _connections(itinerary: Itinerary, part: WalkPart, progress: Progress) -> tu
         edges = find_edges(system, part.energy, pairs=pairs, symbols=symbols, progress=progress)
         if edges.absent:
             raise GoalMissed("; ".join(reason for _, reason in edges.absent))
-        known = {connection.name: connection for connection in edges.known}
-        loss = cache(lambda name: connection_loss(itinerary.model.arms, known[name]))
+        by_name = {connection.name: connection for connection in edges.known}
+        loss = cache(lambda name: connection_loss(itinerary.model.arms, by_name[name]))
         return resolve(part.walk, edges, lambda connection: loss(connection.name)), WalkSolver(edges.known)
     except (InputError, GoalMissed) as error:
         # The name of a connection is valid at one energy only.
@@ -222,13 +214,10 @@ _LOST = 1e11
 
 
 def _other_energies(system: System, part: WalkPart) -> str:
-    """Return a sentence on nearby energies with all connections.
-
-    The connections are those of a part's walk.
-    """
+    """Return a sentence on nearby energies that have all connections of a part's walk."""
     symbols = parse_walk(part.walk, system.saddles)
     pairs = list(dict.fromkeys((s.source, s.target) for symbol in symbols for s in symbol.simple))
-    heights = {name: one.energy for name, one in equilibria(system).items()}
+    heights = {name: equilibrium.energy for name, equilibrium in equilibria(system).items()}
     stops = list(dict.fromkeys(name for pair in pairs for name in pair))
     low, top = max(heights[name] for name in stops), max(heights.values())
     energies = sorted((low + share * (top - low) for share in _SHARES), key=lambda e: abs(e - part.energy))
@@ -267,55 +256,45 @@ def _kept_walk(
     flights = _flights(part, chain, solver)
     pieces: list[SolvedPiece] = []
     for k, flight in enumerate(flights):
-        here = part_of(progress, k / len(flights), (k + 1) / len(flights))
+        portion = part_of(progress, k / len(flights), (k + 1) / len(flights))
         lift = np.zeros(len(flight.first))
         if pieces:
             lift = pieces[-1].lift + flights[k - 1].last - flight.first
-        pieces.append(_flown(itinerary, flight, orbits, lift, here))
+        pieces.append(_flown(itinerary, flight, orbits, lift, portion))
     return _assembled(itinerary, part, flights, pieces, orbits)
 
 
 def _early(flight: Goal) -> float:
-    """Return the periods before a flight's first connection departs.
-
-    They count from the flight's start.
-    """
+    """Return the periods from a flight's start to the departure of its first connection."""
     first = flight.walk.connections[0]
     return (float(flight.walk.symbol_times[0]) - flight.begin - first.time_out) / first.source.period
 
 
 def _late(flight: Goal) -> float:
-    """Return the periods after a flight's last connection arrives.
-
-    They count to the flight's end.
-    """
+    """Return the periods from the arrival of a flight's last connection to the flight's end."""
     last, end = flight.walk.connections[-1], flight.begin + flight.seconds
     return (end - float(flight.walk.symbol_times[-1]) - last.time_in) / last.target.period
 
 
 def _sustained(itinerary: Itinerary, chain: Sequence[Connection]) -> dict[str, SustainedOrbit]:
-    """Return the sustained orbits of a walk by saddle.
-
-    The sustained orbits have the intervals of the itinerary's own method.
-    """
+    """Return the sustained orbits of a walk by saddle, with the intervals of the itinerary's method."""
     # The cheapest orbit, not the nearest to the Lyapunov orbit.
     sought = replace(itinerary.reference, pendulum_weight=0.0, cart_weight=1.0)
     orbits: dict[str, SustainedOrbit] = {}
     for lyapunov in (chain[0].source, *(connection.target for connection in chain)):
         if lyapunov.saddle not in orbits:
-            found = sustained_orbit(lyapunov, itinerary.model.arms.planned(), limits=itinerary.limits, settings=sought)
-            if not found.converged:
+            sustained = sustained_orbit(
+                lyapunov, itinerary.model.arms.planned(), limits=itinerary.limits, settings=sought
+            )
+            if not sustained.converged:
                 where = f"about {lyapunov.saddle} at {lyapunov.energy:g} J"
-                raise GoalMissed(f"the sustained orbit {where}, which must be kept: {found.status}")
-            orbits[lyapunov.saddle] = found
+                raise GoalMissed(f"the sustained orbit {where}, which must be kept: {sustained.status}")
+            orbits[lyapunov.saddle] = sustained
     return orbits
 
 
 def _flights(part: WalkPart, chain: Sequence[Connection], solver: WalkSolver) -> list[Goal]:
-    """Return the walk's flights, one for each symbol.
-
-    There are fewer if a stop is too short to stay.
-    """
+    """Return the walk's flights, one for each symbol, or fewer if a stop is too short to stay."""
     single = [_flight(part, chain, solver, k, k + 1) for k in range(len(chain))]
     cuts = [k + 1 for k, (before, after) in enumerate(pairwise(single)) if _periods(before, after) >= 1]
     spans = pairwise([0, *cuts, len(chain)])
@@ -332,10 +311,7 @@ def _flight(part: WalkPart, chain: Sequence[Connection], solver: WalkSolver, fir
 
 
 def _periods(before: Goal, after: Goal) -> int:
-    """Return the whole periods between two flights.
-
-    They serve the stop's wraps, and are negative if the stop is too short.
-    """
+    """Return the whole periods between two flights for the stop's wraps, negative if the stop is too short."""
     assert after.wraps is not None
     gap = phase_gap(before.walk.connections[-1], after.walk.connections[0])
     return round(after.wraps + gap - _late(before) - _early(after))
@@ -348,11 +324,11 @@ def _flown(
     rows = zip(goal.orbits, (goal.start, goal.end), strict=True)
     start, end = (on_turns(orbits[which.saddle], state[: len(lift)] + lift) for which, state in rows)
     problem = cart_problem(itinerary, lifted_guess(goal, lift), goal.seconds, EndConditions(start=start, end=end))
-    found = find_reference(problem, itinerary.reference, progress=progress)
+    reference = find_reference(problem, itinerary.reference, progress=progress)
     text = ", ".join(goal.symbols)
-    if not found.converged:
-        raise GoalMissed(f"no flight {text!r} between the kept orbits: {found.status}")
-    return SolvedPiece(text, goal, lift, found)
+    if not reference.converged:
+        raise GoalMissed(f"no flight {text!r} between the kept orbits: {reference.status}")
+    return SolvedPiece(text, goal, lift, reference)
 
 
 def on_turns(orbit: SustainedOrbit, angles: Array) -> Array:
@@ -386,7 +362,7 @@ def _assembled(
     for k, (count, place, state) in enumerate(zip(counts, places, states, strict=True)):
         orbit = orbits[place.saddle]
         turns = whole_turns(state - orbit.state(0.0))
-        one = replace(orbit.reference, states=orbit.reference.states + turns)
+        stay = replace(orbit.reference, states=orbit.reference.states + turns)
         segments.append(
             StaySegment(
                 place.saddle,
@@ -395,55 +371,48 @@ def _assembled(
                 place.period,
                 tuple(turns.tolist()),
                 count,
-                _rows(parts, one),
+                _rows(parts, stay),
             )
         )
-        parts += [one] * count
+        parts += [stay] * count
         if k < len(pieces):
             segments.append(FlightSegment(pieces[k].text, _rows(parts, pieces[k].reference)))
-            begins.append(sum(one.duration for one in parts))
+            begins.append(sum(stay.duration for stay in parts))
             parts.append(pieces[k].reference)
     reference = _counted_once(joined(parts)[0], [piece.reference for piece in pieces], orbits)
     content = content_of_pieces(itinerary, pieces, np.array([*begins, reference.duration]))
-    kept = tuple(
+    visited = tuple(
         replace(place, period=orbits[place.saddle].period, curve=_sampled(orbits[place.saddle]))
         for place in content.orbits
     )
-    content = replace(content, segments=tuple(segments), lead_in=part.lead_in, lead_out=part.lead_out, orbits=kept)
+    content = replace(content, segments=tuple(segments), lead_in=part.lead_in, lead_out=part.lead_out, orbits=visited)
     return replace(reference, plan=content)
 
 
 def _sampled(orbit: SustainedOrbit) -> Array:
-    """Return states (M, 2n) of the pendulum over a period.
-
-    They serve score and review.
-    """
+    """Return states (M, 2n) of the pendulum over a period, for score and review."""
     return np.asarray(orbit.state(np.linspace(0.0, orbit.period, _SAMPLES))[:, :-2])
 
 
-def _counted_once(whole: Reference, flights: list[Reference], orbits: dict[str, SustainedOrbit]) -> Reference:
-    """Return the whole with each orbit's search cost counted once.
-
-    Orbits can occur several times.
-    """
+def _counted_once(
+    joined_reference: Reference, flights: list[Reference], orbits: dict[str, SustainedOrbit]
+) -> Reference:
+    """Return the joined reference with each orbit's search cost counted once, since orbits can occur several times."""
     solved = [*flights, *(orbit.reference for orbit in orbits.values())]
-    iterations, seconds = sum(one.iterations for one in solved), sum(one.solve_seconds for one in solved)
+    iterations, seconds = sum(piece.iterations for piece in solved), sum(piece.solve_seconds for piece in solved)
     ending = ReferenceEnding(
         ReferenceCause.FLIGHTS,
         iterations=iterations,
-        error=whole.max_error_between_nodes,
-        intervals=whole.intervals,
+        error=joined_reference.max_error_between_nodes,
+        intervals=joined_reference.intervals,
         parts=len(flights),
     )
-    return replace(whole, iterations=iterations, solve_seconds=seconds, ending=ending)
+    return replace(joined_reference, iterations=iterations, solve_seconds=seconds, ending=ending)
 
 
 def _rows(before: list[Reference], part: Reference) -> tuple[int, int]:
-    """Return a part's first interval and that after it.
-
-    They count in the whole.
-    """
-    first = sum(len(one.mesh) - 1 for one in before)
+    """Return a part's first interval and the interval after it, counted in the joined reference."""
+    first = sum(len(earlier.mesh) - 1 for earlier in before)
     return first, first + len(part.mesh) - 1
 
 
@@ -457,19 +426,21 @@ def _kept_orbit(itinerary: Itinerary, part: OrbitPart, progress: Progress) -> Re
     lyapunov = lyapunov_orbit(system, part.orbit, energy=part.energy, family=part.family)
     if not lyapunov.converged:
         raise GoalMissed(f"the Lyapunov orbit {place}: {lyapunov.status}")
-    found = sustained_orbit(lyapunov, itinerary.model.arms.planned(), limits=itinerary.limits, progress=progress)
-    if not found.converged:
-        raise GoalMissed(f"the sustained orbit {place}: {found.status}")
-    one = found.reference
-    periods = max(1, round(part.seconds / found.period))
-    reference, _ = joined([one] * periods)
-    reference = replace(reference, ending=one.ending, iterations=one.iterations, solve_seconds=one.solve_seconds)
+    sustained = sustained_orbit(lyapunov, itinerary.model.arms.planned(), limits=itinerary.limits, progress=progress)
+    if not sustained.converged:
+        raise GoalMissed(f"the sustained orbit {place}: {sustained.status}")
+    period = sustained.reference
+    periods = max(1, round(part.seconds / sustained.period))
+    reference, _ = joined([period] * periods)
+    reference = replace(
+        reference, ending=period.ending, iterations=period.iterations, solve_seconds=period.solve_seconds
+    )
     state = system.equilibrium(part.orbit)
     n = len(state) // 2
     stay = StaySegment(
-        part.orbit, part.energy, part.family, lyapunov.period, (0.0,) * (2 * n + 2), periods, (0, len(one.mesh) - 1)
+        part.orbit, part.energy, part.family, lyapunov.period, (0.0,) * (2 * n + 2), periods, (0, len(period.mesh) - 1)
     )
-    orbit = PlanOrbit(part.orbit, part.energy, found.period, lyapunov.unstable_multiplier, _sampled(found))
+    orbit = PlanOrbit(part.orbit, part.energy, sustained.period, lyapunov.unstable_multiplier, _sampled(sustained))
     content = replace(
         content_of_pieces(itinerary, [], np.zeros(1)),
         stops=(PlanStop(part.orbit, tuple(state[:n].tolist()), 0),),

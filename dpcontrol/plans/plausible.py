@@ -1,7 +1,4 @@
-"""Plausible values of benches.
-
-Remarks report numbers of a rig that seem to be in another unit.
-"""
+"""Remarks on plausible values of benches: numbers of a rig that seem to be in another unit."""
 
 from collections.abc import Iterator, Sequence
 

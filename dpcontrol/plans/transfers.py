@@ -136,7 +136,7 @@ def find_transfers(
     fresh: bool = False,
     progress: Progress = no_progress,
 ) -> dict[str, Reference]:
-    """Return transfers by key, and cache each one when it is found.
+    """Return transfers by key, and cache each one when its search ends.
 
     A transfer that does not exist does not prevent the search for the others.
 
@@ -149,29 +149,29 @@ def find_transfers(
     Raises:
         GoalMissed: some do not exist within the limits; the message has the cause.
     """
-    found: dict[str, Reference] = {}
+    references: dict[str, Reference] = {}
     left: dict[str, Transfer] = {}
-    for one in wanted:
-        if not fresh and (known := kept(one.file)) is not None:
-            found[one.key] = load_reference(BytesIO(known))
+    for transfer in wanted:
+        if not fresh and (stored := kept(transfer.file)) is not None:
+            references[transfer.key] = load_reference(BytesIO(stored))
         else:
-            left[one.key] = one
+            left[transfer.key] = transfer
     missed: list[str] = []
     several = list(left.values())
     workers = workers or (processors() if len(several) >= _SEVERAL else 1)
     alone = workers == 1
-    for k, (one, (archive, why)) in enumerate(_sought(several, workers, progress)):
+    for k, (transfer, (archive, why)) in enumerate(_sought(several, workers, progress)):
         if not alone:
-            progress(f"{k + 1} of {len(left)} transfers: {one.text}", (k + 1) / len(left))
+            progress(f"{k + 1} of {len(left)} transfers: {transfer.text}", (k + 1) / len(left))
         if why:
-            missed.append(f"{one.text}: {why}" if one.text else why)
+            missed.append(f"{transfer.text}: {why}" if transfer.text else why)
             continue
-        keep(one.file, archive)
-        found[one.key] = load_reference(BytesIO(archive))
+        keep(transfer.file, archive)
+        references[transfer.key] = load_reference(BytesIO(archive))
     if missed:
         more = f"; nor are there {len(missed) - 1} more, the others are kept" if len(missed) > 1 else ""
         raise GoalMissed(missed[0] + more)
-    return found
+    return references
 
 
 def _sought(
@@ -180,7 +180,7 @@ def _sought(
     if workers > 1 and len(wanted) > 1:
         return in_processes(search, wanted, min(workers, len(wanted)))
     parts = (part_of(progress, k / len(wanted), (k + 1) / len(wanted)) for k in range(len(wanted)))
-    return ((one, search(one, here)) for one, here in zip(wanted, parts, strict=True))
+    return ((transfer, search(transfer, portion)) for transfer, portion in zip(wanted, parts, strict=True))
 
 
 _ONE_AT_A_TIME = threading.Lock()
@@ -188,22 +188,20 @@ _ONE_AT_A_TIME = threading.Lock()
 
 
 def search(wanted: Transfer, progress: Progress = no_progress) -> tuple[bytes, str]:
-    """Return a transfer's bytes, or the cause of its absence.
-
-    The bytes are those of its .npz file.
+    """Return the bytes of a transfer's .npz file, or the cause of its absence.
 
     Args:
         wanted: the transfer.
         progress: receiver of progress reports.
     """
 
-    def here(_: str, done: float) -> None:
+    def report(_: str, done: float) -> None:
         progress(wanted.text, done)
 
     archive = BytesIO()
     with _ONE_AT_A_TIME:
         try:
-            save_reference(archive, find_transfer(wanted, here))
+            save_reference(archive, find_transfer(wanted, report))
         except GoalMissed as error:
             return b"", str(error)
     return archive.getvalue(), ""
@@ -248,18 +246,18 @@ def find_transfer(wanted: Transfer, progress: Progress = no_progress) -> Referen
             if attempt.succeeded:
                 solved.append((problem, attempt.trajectory))
             failed = attempt.outcome
-        solved = sorted(solved, key=lambda one: one[1].effort if fixed else one[1].duration)[:_RANKED]
-        for problem, motion in sorted(solved, key=lambda one: _rank(wanted, arms, one[1])):
-            found = refined_transfer(problem, motion, wanted.settings, cart_weight=CART_WEIGHT)
-            if found.converged:
+        solved = sorted(solved, key=lambda candidate: candidate[1].effort if fixed else candidate[1].duration)[:_RANKED]
+        for problem, motion in sorted(solved, key=lambda candidate: _rank(wanted, arms, candidate[1])):
+            reference = refined_transfer(problem, motion, wanted.settings, cart_weight=CART_WEIGHT)
+            if reference.converged:
                 return replace(
-                    found,
-                    mesh=found.mesh / scale.time,
-                    states=found.states / factors,
-                    inputs=found.inputs / scale.acceleration,
+                    reference,
+                    mesh=reference.mesh / scale.time,
+                    states=reference.states / factors,
+                    inputs=reference.inputs / scale.acceleration,
                     limits=wanted.limits,
                 )
-            failed = found.status
+            failed = reference.status
     raise _missed(wanted, np.asarray(durations / scale.time), failed)
 
 
@@ -267,11 +265,11 @@ def _attempts(wanted: Transfer, scale: Scale, *, aside: bool) -> list[tuple[floa
     """Return shares of the limits, durations, s, and True to start from flights, in the order of the attempts."""
     # Three arms and more have many directions, and use the longer durations.
     several = MULTIPLES[2 * (wanted.arms.count > 2) :] * NATURAL_TIME
-    others = [(ROOM, SHORTER * NATURAL_TIME, False), (TIGHT, LONGER * NATURAL_TIME, False)]
+    fallbacks = [(ROOM, SHORTER * NATURAL_TIME, False), (TIGHT, LONGER * NATURAL_TIME, False)]
     if aside and wanted.pace == GENTLE:
-        return [(ROOM, several[:1], False), (ROOM, several[1:], False), *others]
+        return [(ROOM, several[:1], False), (ROOM, several[1:], False), *fallbacks]
     if wanted.pace == GENTLE:
-        return [(ROOM, several, False), *others, (ROOM, several, True)]
+        return [(ROOM, several, False), *fallbacks, (ROOM, several, True)]
     if isinstance(wanted.pace, str):
         return [(TIGHT, SHORT * NATURAL_TIME, True), (TIGHT, several, False)]
     time = np.array([wanted.pace * scale.time])

@@ -105,11 +105,11 @@ def rotating_connections(
     home = target if lapping[0] is source else source
     searched = _section(lapping[0], home, section)
     first = crossing = grown_crossing(lapping[0], searched)
-    found = find_lap_connections(source, target, section=searched, crossing=crossing)
-    while not found.connections and crossing < first + _LONGER:
+    search = find_lap_connections(source, target, section=searched, crossing=crossing)
+    while not search.connections and crossing < first + _LONGER:
         crossing += 1
-        found = find_lap_connections(source, target, section=searched, crossing=crossing)
-    return replace(found, first=first)
+        search = find_lap_connections(source, target, section=searched, crossing=crossing)
+    return replace(search, first=first)
 
 
 def _section(lapping: LyapunovOrbit, home: LyapunovOrbit, name: str | None) -> Section:
@@ -228,7 +228,7 @@ class TubeCuts:
 
     def __init__(self, system: System, settings: ConnectionSettings | None = None) -> None:
         self.system, self.settings, self.seconds = system, settings or ConnectionSettings(), 0.0
-        self.made: dict[tuple[str, str, int], Cut] = {}
+        self.cuts: dict[tuple[str, str, int], Cut] = {}
         self._manifolds: dict[str, UnstableManifold] = {}
 
     def manifold(self, orbit: LyapunovOrbit) -> UnstableManifold:
@@ -250,13 +250,13 @@ class TubeCuts:
             progress: called with a label and the completed share.
         """
         key = (orbit.saddle, section.name, hit)
-        if key not in self.made:
+        if key not in self.cuts:
             began = time.perf_counter()
-            self.made[key] = tube_cut(
+            self.cuts[key] = tube_cut(
                 self.manifold(orbit), section, hit=hit, settings=self.settings.cut, budget=budget, progress=progress
             )
             self.seconds += time.perf_counter() - began
-        return self.made[key]
+        return self.cuts[key]
 
 
 @dataclass(frozen=True)
@@ -358,32 +358,32 @@ def search_pairs(
     """
     if pairs:
         announce(searches_cost(pairs, hits, tubes.settings), yes=yes)
-    found: list[PairSearch] = []
+    searches: list[PairSearch] = []
     # Time reversal exchanges the two hits, so an image is usable only if both orders are searched.
     both_ways = all((b, a) in hits for a, b in hits)
     for k, (source, target) in enumerate(pairs):
-        opposite = [one.search for one in found if one.pair == (target, source)]
+        opposite = [result.search for result in searches if result.pair == (target, source)]
         if opposite and source != target and both_ways and can_be_reversed(tubes.system, source, target):
-            found += [PairSearch(reversed_search(search), by_reversal=True) for search in opposite]
+            searches += [PairSearch(reversed_search(search), by_reversal=True) for search in opposite]
             continue
         section = tubes.system.sections[source, target]
-        here = part_of(progress, k / len(pairs), (k + 1) / len(pairs))
+        portion = part_of(progress, k / len(pairs), (k + 1) / len(pairs))
         for hit in hits:
-            here(f"tubes {source} → {target}", 0.0)
+            portion(f"tubes {source} → {target}", 0.0)
             budget = Budget(tubes.settings.seconds)
             first, second = (
                 tubes.cut(orbits[saddle], section, number, budget=budget.until(0.4 * (which + 1)),
-                          progress=part_of(here, 0.25 * which, 0.25 * (which + 1)))
+                          progress=part_of(portion, 0.25 * which, 0.25 * (which + 1)))
                 for which, (saddle, number) in enumerate(zip((source, target), hit, strict=True))
             )  # fmt: skip
             search = find_connections(
                 orbits[source], orbits[target], hits=hit, settings=tubes.settings, cuts=(first, second),
-                budget=budget, progress=part_of(here, 0.5, 1.0),
+                budget=budget, progress=part_of(portion, 0.5, 1.0),
             )  # fmt: skip
-            found.append(PairSearch(search, by_reversal=False))
+            searches.append(PairSearch(search, by_reversal=False))
             if until_found and search.connections:
                 break
-    return found
+    return searches
 
 
 def find_edges(
@@ -412,16 +412,16 @@ def find_edges(
             a symbol names an unknown section.
     """
     wanted = dict.fromkeys(s for pair in pairs for s in pair) if pairs else dict.fromkeys(system.saddles)
-    found, absent = orbits_at(system, dict.fromkeys(wanted, 1), energy, required=bool(pairs))
-    orbits = {orbit.saddle: orbit for orbit in found}
+    present, absent = orbits_at(system, dict.fromkeys(wanted, 1), energy, required=bool(pairs))
+    orbits = {orbit.saddle: orbit for orbit in present}
     if not orbits:
         raise InputError("; ".join(dict.fromkeys(reason for _, reason in absent)))
     kinds = [p for p in system.sections if p[0] in orbits and p[1] in orbits and (not pairs or p in pairs)]
     numbers = sorted(set(hits))
     searches = search_pairs(TubeCuts(system), orbits, kinds, numbers, yes=yes, progress=progress)
     progress("connections", 1.0)
-    incomplete = tuple(one.search for one in searches if not one.by_reversal and not one.search.complete)
-    connections = tuple(c for one in searches for c in one.search.connections)
+    incomplete = tuple(result.search for result in searches if not result.by_reversal and not result.search.complete)
+    connections = tuple(c for result in searches for c in result.search.connections)
     edges = Edges(system, energy, orbits, tuple(absent), tuple(kinds), connections, incomplete)
     simple = [s for symbol in symbols for s in symbol.simple]
     return _with_named(_with_rotating(edges, simple, progress), simple, numbers, progress)
@@ -439,8 +439,8 @@ def _with_rotating(edges: Edges, symbols: Sequence[Symbol], progress: Progress) 
         if set(pair) <= orbits.keys():
             progress(f"connections {pair[0]} > {pair[1]}", 0.0)
             search = rotating_connections(*(orbits[name] for name in pair), section=section)
-            known = {c.name for c in connections}
-            connections += [c for c in search.connections if c.name not in known]
+            names = {c.name for c in connections}
+            connections += [c for c in search.connections if c.name not in names]
             searched += [pair] * (pair not in searched)
             # The tube of a rotating orbit crosses the section without end, so the search is never complete.
             incomplete.append(search)
@@ -454,7 +454,7 @@ def _with_named(
     edges: Edges, symbols: Sequence[Symbol], numbers: Sequence[tuple[int, int]], progress: Progress
 ) -> Edges:
     """Search for connections that symbols name but the graph does not contain."""
-    found: list[Connection] = []
+    named: list[Connection] = []
     incomplete: list[ConnectionSearch] = []
     searches = [(s.source, s.target, s.hits, s.section) for s in symbols if s.hits is not None]
     for source, target, hit, section in dict.fromkeys(searches):
@@ -469,6 +469,6 @@ def _with_named(
             section=edges.system.section_between(source, target, section),
             progress=progress,
         )
-        found += search.connections
+        named += search.connections
         incomplete += [] if search.complete else [search]
-    return replace(edges, named=tuple(found), incomplete=(*edges.incomplete, *incomplete))
+    return replace(edges, named=tuple(named), incomplete=(*edges.incomplete, *incomplete))

@@ -108,8 +108,8 @@ class SymbolBranches:
         if energy not in self._found:
             try:
                 orbits = orbits_between(self.system, self.symbol.source, self.symbol.target, energy)
-                found = all(orbit.converged for orbit in orbits)
-                self._found[energy] = find_connections(*orbits).connections if found else ()
+                exist = all(orbit.converged for orbit in orbits)
+                self._found[energy] = find_connections(*orbits).connections if exist else ()
             except InputError:
                 self._found[energy] = ()
         return self._found[energy]
@@ -146,8 +146,8 @@ class SymbolBranches:
             if state is None:
                 return None
             for c in self.connections(energy):
-                there = c if image is connection else mirrored(c)
-                if c.sense == connection.sense and self.system.scaled_distance(state, there.state) < _SAME:
+                candidate = c if image is connection else mirrored(c)
+                if c.sense == connection.sense and self.system.scaled_distance(state, candidate.state) < _SAME:
                     return c
             return None
         return None
@@ -167,7 +167,7 @@ class SymbolBranches:
             high: last energy, J.
             progress: called with a label and the completed share.
         """
-        grid, found, unit = np.linspace(low, high, _GRID + 1).tolist(), [], self.system.unit("J")
+        grid, changes, unit = np.linspace(low, high, _GRID + 1).tolist(), [], self.system.unit("J")
         if absent := [f"{energy:.6g}{unit}" for energy in grid if self.chosen(energy) is None]:
             remark(
                 f'"{self.symbol.text}" selects no connection at {", ".join(absent)}: changes beside these energies are '
@@ -175,24 +175,24 @@ class SymbolBranches:
             )
         for k, (begin, end) in enumerate(pairwise(grid)):
             progress(f"{self.symbol.text} from {begin:.4g} J", k / _GRID)
-            here, there = self.chosen(begin), self.chosen(end)
-            if here is None or there is None or self._keeps(here, end):
+            selected, selected_at_end = self.chosen(begin), self.chosen(end)
+            if selected is None or selected_at_end is None or self._keeps(selected, end):
                 continue
-            energy, beyond = bisected(begin, end, lambda at, one=here: self._keeps(one, at))
+            energy, beyond = bisected(begin, end, lambda at, connection=selected: self._keeps(connection, at))
             other = self.chosen(beyond)
-            found.append(
+            changes.append(
                 SymbolChange(
                     self.symbol.text,
                     (energy + beyond) / 2,
                     abs(beyond - energy) / 2,
-                    here.name,
-                    there.name if other is None else other.name,
-                    self.followed(here, beyond) is None,
+                    selected.name,
+                    selected_at_end.name if other is None else other.name,
+                    self.followed(selected, beyond) is None,
                     unit,
                 )
             )
         progress(self.symbol.text, 1.0)
-        return tuple(found)
+        return tuple(changes)
 
     def _keeps(self, connection: Connection, energy: float) -> bool:
         """Return True if the symbol still selects the continuation of `connection`."""
@@ -231,8 +231,8 @@ def symbol_changes(
     if energies[0] == energies[1]:
         raise InputError(f"energies = {energies}: must be two different energies")
     texts = list({s.text: s for symbol in symbols for s in symbol.simple if s.name is None}.values())
-    found: list[SymbolChange] = []
+    changes: list[SymbolChange] = []
     for k, symbol in enumerate(texts):
         part = part_of(progress, k / len(texts), (k + 1) / len(texts))
-        found += SymbolBranches(system, symbol).changes(*energies, progress=part)
-    return tuple(found)
+        changes += SymbolBranches(system, symbol).changes(*energies, progress=part)
+    return tuple(changes)

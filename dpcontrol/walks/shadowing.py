@@ -57,9 +57,7 @@ class ShadowingSettings:
 
 
 def phase_gap(before: Connection, after: Connection) -> float:
-    """Return the phase from arrival to next departure.
-
-    The phase is in [0, 1).
+    """Return the phase from arrival to next departure, in [0, 1).
 
     Args:
         before: connection to an orbit.
@@ -115,9 +113,8 @@ class Strands:
         self._kept: dict[tuple[str, float, int], Array] = {}
 
     def states(self, connection: Connection, sign: int, count: int) -> tuple[Array, float]:
-        """Return states (count + 1, N) and the step in s.
-
-        The step is a fixed fraction of the period of the target (sign -1: source) orbit.
+        """Return states (count + 1, N) and the step in s, a fixed fraction of the period of the target (sign -1:
+        source) orbit.
 
         Args:
             connection: sampled connection.
@@ -127,12 +124,12 @@ class Strands:
         period = (connection.target if sign > 0 else connection.source).period
         step = period / self.segments
         key = (connection.name, connection.source.energy, sign)
-        kept = self._kept.get(key)
-        if kept is None or len(kept) <= count:
+        samples = self._kept.get(key)
+        if samples is None or len(samples) <= count:
             # One extra period, because longer stays with the same connection usually follow.
-            kept = connection.orbit.sample(sign * step * np.arange(count + self.segments + 1.0))
-            self._kept[key] = kept
-        return kept[: count + 1], step
+            samples = connection.orbit.sample(sign * step * np.arange(count + self.segments + 1.0))
+            self._kept[key] = samples
+        return samples[: count + 1], step
 
 
 def first_guess(
@@ -458,7 +455,7 @@ def described(
         duration = float(times[nodes[-1]]) + last.time_in + lead_out * last.target.period
     realised = realised_wraps(chain, stays)
     offsets = lattice_offsets(chain, wraps)
-    whole = ShadowingOrbit(
+    result = ShadowingOrbit(
         walk=tuple(c.name for c in chain),
         connections=chain,
         wraps=tuple(int(w) for w in wraps),
@@ -474,9 +471,9 @@ def described(
         cause=WalkCause.CONVERGED,
     )
     if not orbit.converged:
-        return replace(whole, cause=WalkCause.SHOOTING, fault=shot.fault)
+        return replace(result, cause=WalkCause.SHOOTING, fault=shot.fault)
     estimate = estimate_error(shot, [connection.target for connection in chain[: len(stays)]])
-    return _on_its_walk(replace(whole, estimate=estimate), nodes, rivals)
+    return _on_its_walk(replace(result, estimate=estimate), nodes, rivals)
 
 
 def _on_its_walk(orbit: ShadowingOrbit, nodes: NDArray[np.intp], rivals: Sequence[Connection]) -> ShadowingOrbit:
@@ -484,7 +481,7 @@ def _on_its_walk(orbit: ShadowingOrbit, nodes: NDArray[np.intp], rivals: Sequenc
     system = orbit.system
     for k, (connection, node) in enumerate(zip(orbit.connections, nodes, strict=True)):
         state = orbit.orbit.states[node] - orbit.offsets[k] * system.turn_lengths
-        own = _apart(system, state, connection.state)
+        distance = _apart(system, state, connection.state)
         for rival in rivals:
             same_kind = (rival.source.saddle, rival.target.saddle, rival.winding, rival.section) == (
                 connection.source.saddle,
@@ -493,7 +490,7 @@ def _on_its_walk(orbit: ShadowingOrbit, nodes: NDArray[np.intp], rivals: Sequenc
                 connection.section,
             )
             # The rivals include the walk's own connection, so equal distances are allowed.
-            if same_kind and _apart(system, state, rival.state) < own:
+            if same_kind and _apart(system, state, rival.state) < distance:
                 return replace(orbit, cause=WalkCause.RIVAL, fault=k, rival=rival.name)
     for k, (count, requested) in enumerate(zip(orbit.wraps_realised, orbit.wraps, strict=True)):
         if count != requested:

@@ -55,26 +55,26 @@ def as_connection(orbit: ShadowingOrbit) -> Connection:
     source, target, section = first.source, last.target, first.section
     system = source.system
     nodes = sorted(orbit.shot.guess.markers)
-    whole = replace(orbit.orbit, times=orbit.orbit.times - orbit.symbol_times[0])
-    state = whole.states[nodes[0]]
+    motion = replace(orbit.orbit, times=orbit.orbit.times - orbit.symbol_times[0])
+    state = motion.states[nodes[0]]
     winding = tuple(int(k) for k in orbit.offsets[-1][: len(first.winding)])
     # The mirror image starts at the last symbol of the original. It may still differ between the ends.
     stay = float(orbit.symbol_times[-1] - orbit.symbol_times[0])
-    along = whole.sample(np.linspace(0.0, stay, 1 + 16 * (len(orbit.walk) - 1)))
+    along = motion.sample(np.linspace(0.0, stay, 1 + 16 * (len(orbit.walk) - 1)))
     symmetric = source.saddle == target.saddle and any(
         float(system.scaled_distance((along[::-1] - source.centre) @ reverser.T + source.centre, along).max())
         < _MIRRORED
         for reverser in system.reversers
     )
     near = ConnectionSettings().near
-    time_out, phase_out = approach(whole, OrbitCurve(source), -1, near)
+    time_out, phase_out = approach(motion, OrbitCurve(source), -1, near)
     curve = OrbitCurve(target)
-    since = _last_far(whole, curve)
-    time_in, phase_in = approach(replace(whole, times=whole.times - since), curve, +1, near)
+    since = _last_far(motion, curve)
+    time_in, phase_in = approach(replace(motion, times=motion.times - since), curve, +1, near)
     # Outside this span, an orbit that crosses the section itself would add its laps to the count.
-    since_left = -time_out if source.laps else float(whole.times[0])
-    till_joined = since + time_in if target.laps else float(whole.times[-1])
-    hits = section_hits(whole, section, (since_left, till_joined))
+    since_left = -time_out if source.laps else float(motion.times[0])
+    till_joined = since + time_in if target.laps else float(motion.times[-1])
+    hits = section_hits(motion, section, (since_left, till_joined))
     turns = ",".join(str(k) for k in winding)
     edge = Connection(
         name=f"{source.saddle}>{target.saddle}[{turns}]h{hits[0]}.{hits[1]}@{composed(orbit.walk, orbit.wraps)}",
@@ -92,7 +92,7 @@ def as_connection(orbit: ShadowingOrbit) -> Connection:
         time_in=since + time_in,
         phase_out=phase_out,
         phase_in=phase_in,
-        orbit=whole,
+        orbit=motion,
     )
     return replace(edge, sense=connection_sense(edge))
 
@@ -191,15 +191,21 @@ def symmetric_walk(
             "another; give each symbol as a separate walk"
         )
     (symbol,) = parse_walk(walk, [search.saddle])
-    both = [image for one in search.connections for image in (one, mirror_image(one))]
-    fits = [one for one in both if symbol.name in (None, one.name) and symbol.sense in (None, one.sense)]
+    both = [image for candidate in search.connections for image in (candidate, mirror_image(candidate))]
+    fits = [
+        candidate
+        for candidate in both
+        if symbol.name in (None, candidate.name) and symbol.sense in (None, candidate.sense)
+    ]
     if not fits:
-        others = f" ({', '.join(one.name for one in both)})" if both else ""
+        names = f" ({', '.join(candidate.name for candidate in both)})" if both else ""
         raise InputError(
-            f"{walk[0]!r} matches no symmetric connection, {search.status}{others}; `dpcontrol connect --energies` "
+            f"{walk[0]!r} matches no symmetric connection, {search.status}{names}; `dpcontrol connect --energies` "
             "lists those in any range"
         )
-    nearest = min(fits, key=lambda one: one.source.energy if energy is None else abs(one.source.energy - energy))
+    nearest = min(
+        fits, key=lambda candidate: candidate.source.energy if energy is None else abs(candidate.source.energy - energy)
+    )
     return walk_of_one(nearest, walk[0], lead_in=lead_in, lead_out=lead_out)
 
 
@@ -262,7 +268,7 @@ def _connection(symbol: Symbol, edges: Edges, loss: Loss | None) -> Connection:
     if symbol.name is not None:
         candidates += tuple(c for c in edges.named if (c.source.saddle, c.target.saddle) == pair)
     elif not candidates and any(name in ROTATING for name in pair):
-        searches = [one for one in edges.incomplete if (one.source.saddle, one.target.saddle) == pair]
+        searches = [search for search in edges.incomplete if (search.source.saddle, search.target.saddle) == pair]
         why = f" ({searches[0].status})" if searches else ""
         place = f"{edges.energy:g}{edges.system.unit('J')}"
         raise InputError(f"{symbol.text!r}: no such connection was found at {place}{why}; try another energy")
@@ -312,10 +318,10 @@ def through(stops: Sequence[str], edges: Edges) -> Walk:
     for stop in stops:
         if stop not in graph:
             raise InputError(f"{stop!r} has no orbit at {place}: {suggest(stop, edges.orbits)}")
-    for here, there in pairwise(stops):
-        if not (graph.has_edge(here, there) or (here != there and nx.has_path(graph, here, there))):
-            raise InputError(f"no walk at {place} leads from {here} to {there}; try a higher energy")
-        path = [here, there] if here == there else nx.shortest_path(graph, here, there)
+    for source, target in pairwise(stops):
+        if not (graph.has_edge(source, target) or (source != target and nx.has_path(graph, source, target))):
+            raise InputError(f"no walk at {place} leads from {source} to {target}; try a higher energy")
+        path = [source, target] if source == target else nx.shortest_path(graph, source, target)
         chain += [choose(way, edges.between(way.source, way.target)) for way in ways(path)]
     return tuple(chain)
 
@@ -482,8 +488,8 @@ class WalkAnswer:
     @property
     def converged(self) -> bool:
         """True if the orbit converged in the requested precision."""
-        found = self.orbit is not None and self.orbit.converged
-        return found and (self.refined is None or self.refined.converged)
+        shadows = self.orbit is not None and self.orbit.converged
+        return shadows and (self.refined is None or self.refined.converged)
 
     def document(self) -> dict[str, Any]:
         """Return the document printed by `dpcontrol walk --solve --json`."""
@@ -696,7 +702,7 @@ class SolvedWalks(Documented):
         """Number of the orbits, and the cause of the first failure."""
         failed = [(k, answer.status) for k, answer in enumerate(self.answers, start=1) if not answer.converged]
         status = f"{len(self.answers) - len(failed)} of {len(self.answers)} walks converged"
-        return "; walk ".join([status, *("{}: {}".format(*one) for one in failed[:1])])
+        return "; walk ".join([status, *("{}: {}".format(*failure) for failure in failed[:1])])
 
     def document(self) -> dict[str, Any]:
         """Return the document printed by `dpcontrol walk --solve --json`."""
@@ -782,8 +788,8 @@ def solved(requests: Sequence[WalkRequest], solver: WalkSolver) -> Iterator[Walk
     if requests:
         # One-off compilation and sampling should not count towards the first walk's time.
         solver.solve(requests[0].chain[:1], ())
-    for one in requests:
-        yield _solve_request(one, solver)
+    for request in requests:
+        yield _solve_request(request, solver)
 
 
 def _solve_request(request: WalkRequest, solver: WalkSolver) -> WalkAnswer:
