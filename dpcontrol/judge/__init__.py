@@ -1,4 +1,1 @@
-"""Verdicts on runs: decoded flights and their scores.
-
-Nothing here draws.
-"""
+"""Verdicts on runs: decoded flights and their scores, without drawings."""

@@ -41,10 +41,7 @@ _APART, _BINS = 21, 6
 
 @dataclass(frozen=True)
 class Group:
-    """Runs with equal `names` and similar mismatch or trouble.
-
-    The mismatch or level lies between two bounds.
-    """
+    """Runs with equal `names`, and a mismatch or a level of trouble between two bounds."""
 
     names: dict[str, str]
     share: Share
@@ -144,8 +141,8 @@ def campaign_table(path: Path) -> "pa.Table":
         InputError: the folder is missing, or holds no Parquet files or damaged ones.
     """
     if not path.is_dir():
-        found = "is a file, as of version 0.2; now each table is a folder" if path.exists() else "does not exist"
-        raise InputError(f"the campaign {path} {found}: give the folder that `dpcontrol campaign` wrote")
+        fault = "is a file, as of version 0.2; now each table is a folder" if path.exists() else "does not exist"
+        raise InputError(f"the campaign {path} {fault}: give the folder that `dpcontrol campaign` wrote")
     checked = dataset.ParquetFragmentScanOptions(page_checksum_verification=True)
     try:
         files = [str(file) for file in sorted(path.glob("*.parquet"))]
@@ -182,12 +179,14 @@ def summary_of(rows: "pa.Table", path: Path) -> CampaignSummary:
         InputError: the table has no runs, or no column of completed runs.
     """
     if "completed" not in rows.column_names:
-        found = ", ".join(sorted(rows.column_names)) or "no columns"
-        raise InputError(f"{path} has no column of completed runs, only {found}; give a table of `dpcontrol campaign`")
-    known = rows.filter(rows["completed"].is_valid())
-    if not known.num_rows:
+        columns = ", ".join(sorted(rows.column_names)) or "no columns"
+        raise InputError(
+            f"{path} has no column of completed runs, only {columns}; give a table of `dpcontrol campaign`"
+        )
+    judged = rows.filter(rows["completed"].is_valid())
+    if not judged.num_rows:
         raise InputError(f"{path} holds no runs with a verdict; run the campaign again")
-    table = known.to_pydict()
+    table = judged.to_pydict()
     done = np.array(table["completed"], dtype=bool)
     families = [name for name in _WHAT if name in table and len(set(table[name])) > 1]
     standard = _KIND in table and _LEVEL in table
@@ -202,8 +201,8 @@ def summary_of(rows: "pa.Table", path: Path) -> CampaignSummary:
     alone = _groups(table, families, done)
     return CampaignSummary(
         path=path,
-        runs=known.num_rows,
-        unknown=rows.num_rows - known.num_rows,
+        runs=judged.num_rows,
+        unknown=rows.num_rows - judged.num_rows,
         share=wilson(int(done.sum()), len(done)),
         groups=tuple(group for group, _ in groups),
         axis=axis,
@@ -218,10 +217,7 @@ Rows = NDArray[np.bool_]
 
 
 def _groups(table: dict[str, list[Any]], columns: list[str], done: Rows) -> list[tuple[Group, Rows]]:
-    """Return the groups of runs with equal values in columns.
-
-    The rows (K,) of each group follow.
-    """
+    """Return the groups of runs with equal values in columns, and the rows (K,) of each group."""
     keys = [tuple(str(table[name][k]) for name in columns) for k in range(len(done))]
     rows = {key: np.array([other == key for other in keys]) for key in sorted(set(keys))}
     return [(Group(dict(zip(columns, key, strict=True)), _share(done, mine)), mine) for key, mine in rows.items()]
@@ -232,19 +228,16 @@ def _share(done: Rows, chosen: Rows) -> Share:
 
 
 def _numbers(table: dict[str, list[Any]], name: str) -> NDArray[np.float64] | None:
-    """Return a column as numbers, nan for missing values.
-
-    The result is None if it has no numbers.
-    """
+    """Return a column as numbers, nan for missing values, or None if it has no numbers."""
     values = np.array(table.get(name, []), dtype=float)
     return values if np.isfinite(values).any() else None
 
 
 def _levels(values: NDArray[np.float64] | None, groups: list[tuple[Group, Rows]], done: Rows) -> tuple[Group, ...]:
-    if values is None or len(known := np.unique(values[np.isfinite(values)])) < 2:
+    if values is None or len(numbers := np.unique(values[np.isfinite(values)])) < 2:
         return ()
-    if len(known) <= _APART:
-        bounds = [(float(v), float(v)) for v in known]
+    if len(numbers) <= _APART:
+        bounds = [(float(v), float(v)) for v in numbers]
     else:
         edges = np.unique(np.quantile(values[np.isfinite(values)], np.linspace(0, 1, _BINS + 1)))
         bounds = [(float(a), float(np.nextafter(b, -np.inf))) for a, b in pairwise(edges)]

@@ -39,9 +39,7 @@ class ComparedRun:
 
 @dataclass(frozen=True)
 class RunComparison(Shown, Documented):
-    """Runs on one clock, aligned at a symbol.
-
-    The symbol counts from 1; its time is in s.
+    """Runs on one clock, aligned at a symbol, which counts from 1 and whose time is in s.
 
     Attributes:
         runs: runs with their names and views, in order.
@@ -104,8 +102,8 @@ def compare(runs: Sequence[RunView], *, symbol: int = 1) -> RunComparison:
 def _moment(view: RunView, k: int) -> tuple[float, str]:
     done = view.crossings[k] if k < len(view.crossings) else None
     if done is not None:
-        known = "estimated" if view.what == "estimate" else "true"
-        return done, f"by its decoded crossing ({known} angles)"
+        source = "estimated" if view.what == "estimate" else "true"
+        return done, f"by its decoded crossing ({source} angles)"
     if k < len(view.symbols):
         reached = k < len(view.crossings)
         return view.plan.symbols[k][0], f"by its plan's time ({'a swing' if reached else 'not done'})"

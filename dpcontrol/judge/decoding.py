@@ -44,10 +44,7 @@ _BESIDE = 5e-3
 
 @dataclass(frozen=True)
 class Visit:
-    """A stay at a stop.
-
-    It has the saddle's angles (n,), rad, and the first and last tick near them.
-    """
+    """A stay at a stop: the saddle's angles (n,), rad, and the first and last tick near them."""
 
     angles: tuple[float, ...]
     first: int
@@ -139,24 +136,20 @@ def stays(plan: Reference) -> tuple[tuple[float, float], ...]:
 
 
 def _due(plan: Reference, arms: int) -> list[float]:
-    """Return the reference's time of each section crossing, s.
-
-    For a transfer it is the middle.
+    """Return the time at which the reference crosses the section of each symbol, s; for a transfer, its middle.
 
     The time stored with a symbol is that of the shadowed orbit, not of the reference.
     """
     times = np.arange(0.0, plan.duration, _GRID)
     planned = [symbol.time for symbol in plan.content.symbols]
-    found = _crossings(times, plan.state(plan.mesh[0] + times)[:, :arms], plan, planned, carries=False)
-    return [at if at is not None else time for at, time in zip(found, planned, strict=True)]
+    crossings = _crossings(times, plan.state(plan.mesh[0] + times)[:, :arms], plan, planned, carries=False)
+    return [at if at is not None else time for at, time in zip(crossings, planned, strict=True)]
 
 
 def _crossings(
     time: Array, angles: Array, plan: Reference, planned: Sequence[float], *, carries: bool
 ) -> tuple[float | None, ...]:
-    """Return the crossing time of each symbol, s.
-
-    Without a crossing it is the due time, for a transfer None.
+    """Return the crossing time of each symbol, s; without a crossing the due time, or None for a transfer.
 
     Args:
         planned: due times on the plan's clock, s.
@@ -202,10 +195,7 @@ def crossing(
 
 
 def _plan_time(time: Array, due: Sequence[float], crossings: tuple[float | None, ...]) -> Array:
-    """Return the plan's time (K,) at each tick, s.
-
-    It is shifted by the offset of the nearest crossing, but not at the start.
-    """
+    """Return the plan's time (K,) at each tick, s, shifted by the offset of the nearest crossing except at the start."""
     anchors, offsets = [float(time[0])], [0.0]
     for at, planned in zip(crossings, due, strict=True):
         if at is not None:
@@ -216,15 +206,12 @@ def _plan_time(time: Array, due: Sequence[float], crossings: tuple[float | None,
 
 
 def _lost(angles: Array, clock: Array, plan: Reference) -> int | None:
-    """Return the first tick that left the plan, or None.
-
-    The angles differ from the plan near its time by more than `FOLLOWS`.
-    """
+    """Return the first tick whose angles differ from the plan near its time by more than `FOLLOWS`, or None."""
     content, n = plan.content, angles.shape[1]
     way = plan.state(plan.mesh[0] + np.arange(0.0, plan.duration + _GRID, _GRID).clip(max=plan.duration))[:, :n]
     # A sustained orbit has the plant's period, so any phase of it may match.
-    kept = content.segments or not content.symbols
-    window = max(orbit.period for orbit in content.orbits) / 2 if kept else shortest_period(content) / 4
+    has_kept_stops = content.segments or not content.symbols
+    window = max(orbit.period for orbit in content.orbits) / 2 if has_kept_stops else shortest_period(content) / 4
     reach = int(np.ceil(window / _GRID))
     # After the plan's end a run may continue around the last orbit, period by period.
     last = _period(content, -1)
@@ -247,10 +234,7 @@ def _lost(angles: Array, clock: Array, plan: Reference) -> int | None:
 def _spans(
     content: PlanContent, due: Sequence[float], duration: float
 ) -> tuple[list[tuple[float, float]], list[float]]:
-    """Return the plan's time range and arrival at each stop, s.
-
-    Ranges extend from crossing to crossing, excluding adjacent transfers.
-    """
+    """Return the plan's time range, s, and arrival at each stop; ranges end at crossings and exclude transfers."""
     begins, ends, arrivals = [0.0], [], [0.0]
     for symbol, at in zip(content.symbols, due, strict=True):
         ways = content.transfers if symbol.section is None else ()
@@ -262,26 +246,21 @@ def _spans(
 
 
 def _visit(angles: Array, inside: NDArray[np.intp], stop: PlanStop, content: PlanContent) -> Visit:
-    """Return the stay at a stop, from first to last near tick.
-
-    Ticks are near if this saddle is the nearest.
+    """Return the stay at a stop from the first to the last tick whose nearest saddle is that of the stop.
 
     Without such a tick, the stay is the tick closest to the saddle.
     """
     seen, place = angles[inside], stop.angles
     away = np.square(seen - place).sum(axis=1)
-    others = [np.asarray(content.saddles[name].angles) for name in {s.saddle for s in content.stops}]
-    nearest = np.min([np.square((seen - o + np.pi) % (2 * np.pi) - np.pi).sum(axis=1) for o in others], axis=0)
+    saddles = [np.asarray(content.saddles[name].angles) for name in {s.saddle for s in content.stops}]
+    nearest = np.min([np.square((seen - o + np.pi) % (2 * np.pi) - np.pi).sum(axis=1) for o in saddles], axis=0)
     near = inside[away <= nearest + 1e-6]
     near = near if near.size else inside[[int(np.argmin(away))]]
     return Visit(place, int(near[0]), int(near[-1]))
 
 
 def _wraps(crossings: tuple[float | None, ...], due: Sequence[float], content: PlanContent) -> tuple[int | None, ...]:
-    """Return the wraps at each interior stop reached.
-
-    None beside a transfer, and at stops that change the orbit.
-    """
+    """Return the wraps at each interior stop reached, None beside a transfer and at stops that change the orbit."""
     counts: list[int | None] = []
     for k, (arrived, left) in enumerate(pairwise(crossings)):
         planned = planned_wraps(content, k)
@@ -298,9 +277,7 @@ def _period(content: PlanContent, stop: int) -> float:
 
 
 def planned_wraps(content: PlanContent, stop: int) -> float | None:
-    """Return the unrounded wraps at an interior stop.
-
-    The unrounded wraps are counted from 0 and result from the plan's times.
+    """Return the unrounded wraps at an interior stop, counted from 0, that result from the plan's times.
 
     Args:
         content: content of the plan.
@@ -326,11 +303,9 @@ _DENSER = 8
 
 
 def _leaves(orbit: Array, angles: Array, *, ticks: float) -> float:
-    """Return the distance, rad, by which angles leave an orbit.
+    """Return the distance, rad, by which angles (K, n) leave an orbit (M, n) with `ticks` per period.
 
-    Angles are (K, n), the orbit's (M, n), with `ticks` per period.
-
-    Zero if near enough, infinite if the angles are not numbers.
+    The distance is zero if they are near enough, and infinite if they are not numbers.
     """
     if not np.isfinite(angles).all():
         return np.inf
@@ -420,9 +395,9 @@ def shortfall(plan: Reference) -> Shortfall | None:
         if away > _REACHES:
             return Shortfall(ShortfallCause.FAR if k else ShortfallCause.FIRST_FAR, content, k, away)
     for k, required in enumerate(content.wraps):
-        made = planned_wraps(content, k)
-        if made is not None and required is not None and abs(made - required) > _COUNTED:
-            return Shortfall(ShortfallCause.WRAPS, content, k + 1, made)
+        planned = planned_wraps(content, k)
+        if planned is not None and required is not None and abs(planned - required) > _COUNTED:
+            return Shortfall(ShortfallCause.WRAPS, content, k + 1, planned)
     if gap := last_gap(times, angles, plan, rate_hz=10 / _GRID):
         settled = content.lead_out >= _SETTLED
         return Shortfall(ShortfallCause.LAST_FAR, content, len(stops) - 1, gap, settled=settled)
@@ -442,4 +417,4 @@ def orbit_distance(states: Array, stop: PlanStop, plan: Reference) -> float:
     curve = plan.content.orbit(stop).curve[:, : 2 * n] / np.repeat([1.0, _RATE_UNIT], n)
     seen = states[:, : 2 * n] - np.pad(plan.content.lift(stop), (0, n))
     seen /= np.repeat([1.0, _RATE_UNIT], n)
-    return min((float(np.abs(curve - one).max(axis=1).min()) for one in seen), default=np.inf)
+    return min((float(np.abs(curve - row).max(axis=1).min()) for row in seen), default=np.inf)

@@ -1,7 +1,4 @@
-"""The limits that a run came closest to, and its filter.
-
-The largest values are compared with their limits. The closest of them is reported, and the state of the filter.
-"""
+"""The largest values of a run compared with their limits, the closest of them, and the state of the filter."""
 
 import numpy as np
 
@@ -37,19 +34,17 @@ def limit_uses(view: RunView) -> tuple[LimitUse, ...]:
     if view.reference is not None and view.against == "reference":
         away = np.abs(view.state[:, :n] - view.reference[:, :n])
         compared.append(("arm from the reference", away.max(axis=1), FOLLOWS, "rad", 1.0))
-    found = []
+    uses = []
     for name, values, limit, unit, scale in compared:
         sizes = np.where(follows, np.abs(values), np.nan)
         if np.isfinite(sizes).any() and limit > 0 and np.isfinite(limit):
             row = int(np.nanargmax(sizes))
-            found.append(LimitUse(name, unit, scale * limit, scale * float(sizes[row]), float(view.time[row])))
-    return tuple(sorted(found, key=lambda use: -use.share))
+            uses.append(LimitUse(name, unit, scale * limit, scale * float(sizes[row]), float(view.time[row])))
+    return tuple(sorted(uses, key=lambda use: -use.share))
 
 
 def closest_approach(view: RunView) -> str:
-    """Return the closest approach to a limit in a sentence.
-
-    The result is "" without limits.
+    """Return the closest approach to a limit in a sentence, or "" without limits.
 
     Args:
         view: data of the run.
@@ -63,12 +58,10 @@ def closest_approach(view: RunView) -> str:
 
 
 def nis_reading(view: RunView) -> str:
-    """Return the meaning of a run's NIS, or "" without one.
+    """Return the meaning of a run's NIS, compared with the 95 % band of a consistent filter, or "" without a NIS.
 
-    The NIS is compared with the 95 % band of a consistent filter.
-
-    The filters assume more noise and larger model errors than they meet, so that a wrong model does not lose the
-    arms. Means below the band are therefore expected. Only means above it show overconfidence.
+    The filters assume more noise and larger model errors than they meet, so that a wrong model does not lose the arms.
+    Means below the band are therefore expected. Only means above it show overconfidence.
 
     Args:
         view: data of the run.

@@ -45,10 +45,7 @@ _GAP = 0.5
 
 @dataclass(frozen=True)
 class NightSpan:
-    """A part of a night of one kind; times in s.
-
-    The `cause` is that of the preceding fall, or "".
-    """
+    """A part of a night of one kind, with times in s and the `cause` of the preceding fall, or ""."""
 
     first: float
     end: float
@@ -71,9 +68,7 @@ class Fall:
 
 @dataclass(frozen=True)
 class Drift:
-    """Course of one estimated parameter.
-
-    It has the mean over the first file and the last, and the change per hour.
+    """Course of one estimated parameter: its means over the first file and the last, and the change per hour.
 
     The change is that of a straight line through the files' means; not-a-number for a single file.
     """
@@ -175,9 +170,7 @@ class Night(Shown, Documented):
 
     @checked
     def course(self, name: str) -> tuple[Array, Array]:
-        """Return hours (K,) and means (K,) of a parameter, by file.
-
-        A short last file is omitted.
+        """Return hours (K,) and means (K,) of a parameter by file, without a short last file.
 
         Args:
             name: estimated parameter, such as "zero_1".
@@ -186,9 +179,9 @@ class Night(Shown, Documented):
             InputError: unknown parameter.
         """
         check_choice("parameter", self.estimated, name)
-        own = [digest for digest in self.digests if name in digest.extras]
-        least = _SHORT * max(digest.end - digest.first for digest in own)
-        long = [digest for digest in own if digest.end - digest.first >= least]
+        with_parameter = [digest for digest in self.digests if name in digest.extras]
+        least = _SHORT * max(digest.end - digest.first for digest in with_parameter)
+        long = [digest for digest in with_parameter if digest.end - digest.first >= least]
         return np.array([(d.first + d.end) / 7200 for d in long]), np.array([d.extras[name][0] for d in long])
 
     @property
@@ -202,10 +195,7 @@ class Night(Shown, Documented):
 
     @property
     def memory_growth(self) -> float:
-        """Final memory of the process relative to the session's first file.
-
-        It is not-a-number if unknown.
-        """
+        """Final memory of the process relative to the session's first file, not-a-number if unknown."""
         last = self.digests[-1]
         of_session = [d.memory for d in self.digests if d.session == last.session and math.isfinite(d.memory)]
         return of_session[-1] / of_session[0] if of_session else math.nan
@@ -221,9 +211,9 @@ class Night(Shown, Documented):
 
         Counts cover all sessions; the worst delay is in s.
         """
-        kept = [digest.deadlines for digest in self.digests if digest.deadlines]
-        counts = {name: sum(int(one[name]) for one in kept) for name in ("ticks", "missed", "lost", "held")}
-        return {**counts, "worst": max(one["worst"] for one in kept)} if kept else None
+        records = [digest.deadlines for digest in self.digests if digest.deadlines]
+        counts = {name: sum(int(record[name]) for record in records) for name in ("ticks", "missed", "lost", "held")}
+        return {**counts, "worst": max(record["worst"] for record in records)} if records else None
 
     @property
     def sentence(self) -> str:

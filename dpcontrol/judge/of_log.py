@@ -129,23 +129,18 @@ def _flown(system: System, place: PlanOrbit, section: Section, *, hit: int, stab
 
 
 def _at(curves: Iterable[TubeCurve], section: Section, *, lift: Array, height: float) -> Iterator[TubeCurve]:
-    """Yield the parts of the tubes at a lifted section height.
-
-    They are moved by whole turns (n,).
-    """
+    """Yield the parts of the tubes at a lifted section height, moved by whole turns (n,)."""
     move, normal = np.pad(lift, (0, len(lift))), np.asarray(section.normal)
     for curve in curves:
         strands, cut = curve.strands + move, curve.cut + move
-        kept = np.abs(strands[:, -1] @ normal - height) < _HEIGHT
-        if kept.any():
-            there = np.abs(cut @ normal - height) < _HEIGHT
-            yield TubeCurve(curve.stable, strands[kept], np.where(there[:, None], cut, np.nan))
+        at_section = np.abs(strands[:, -1] @ normal - height) < _HEIGHT
+        if at_section.any():
+            cut_at_section = np.abs(cut @ normal - height) < _HEIGHT
+            yield TubeCurve(curve.stable, strands[at_section], np.where(cut_at_section[:, None], cut, np.nan))
 
 
 def run_view(log: RunLog) -> RunView:
-    """Return the data to draw of a log.
-
-    A log without a plan, as from a bench, has few.
+    """Return the data to draw of a log, of which a log without a plan, as from a bench, has few.
 
     Args:
         log: log of a run or a recording.
@@ -185,10 +180,7 @@ def run_view(log: RunLog) -> RunView:
 
 
 def _with_falls(log: RunLog, states: Array, plan: Reference, planned: PlanView) -> tuple[PlanView, Decoded]:
-    """Return plan and decoded ticks of a run with falls.
-
-    Both are on the clock of the run.
-    """
+    """Return plan and decoded ticks of a run with falls, both on the clock of the run."""
     n, stretches = len(log.arm_lengths), stretches_of(log)
     applied = log.control["applied"]
     flown = Flown(log.time, states, log.reference[:, :n], applied, log.rate_hz, log.limits, stretches=stretches)
@@ -206,9 +198,7 @@ def _with_falls(log: RunLog, states: Array, plan: Reference, planned: PlanView) 
 
 
 def limits_of(plan: Reference) -> tuple[float, float, float]:
-    """Return the cart's limits in a plan.
-
-    The cart's limits are position in m, velocity in m/s, and acceleration in m/s².
+    """Return the cart's limits in a plan: position in m, velocity in m/s, and acceleration in m/s².
 
     Args:
         plan: reference with limits.
@@ -217,9 +207,7 @@ def limits_of(plan: Reference) -> tuple[float, float, float]:
 
 
 def plan_view(plan: Reference, *, system: System | None) -> PlanView:
-    """Return the requirements of a plan.
-
-    Tubes are included if the pendulum is known.
+    """Return the requirements of a plan, with its tubes if the pendulum is known.
 
     Args:
         plan: reference, with or without a plan.
@@ -287,26 +275,23 @@ def true_extras(log: RunLog, view: RunView) -> dict[str, Array | float]:
     if log.extras is None:
         return {}
     drawn = json.loads(log.metadata.get(DRAWN_METADATA, "{}"))
-    found: dict[str, Array | float] = {
+    extras: dict[str, Array | float] = {
         f"zero_{i}": float(zero) for i, zero in enumerate(np.cumsum(drawn.get("zeros", [])), start=1)
     }
     model, plant = arms_in(log, MODEL_METADATA), arms_in(log, PLANT_METADATA)
     if model is not None and plant is not None and model.count == plant.count:
-        found |= _relative_errors(model, plant)
+        extras |= _relative_errors(model, plant)
     if view.control is not None and {ACTUAL, "applied"} <= view.control.keys() and len(log.time):
         # A mean over the ticks between two messages; in single ticks the command's noise dominates.
         beyond = view.control[ACTUAL] - view.control["applied"]
         width = min(max(1, round(view.rate_hz / SLOW_RATE)), len(beyond))
         smooth = np.convolve(np.nan_to_num(beyond), np.full(width, 1 / width), mode="same")
-        found["drive"] = np.interp(log.extras.time, log.time, smooth)
-    return {name: value for name, value in found.items() if name in log.extras.names}
+        extras["drive"] = np.interp(log.extras.time, log.time, smooth)
+    return {name: value for name, value in extras.items() if name in log.extras.names}
 
 
 def _relative_errors(model: ArmChainParameters, plant: ArmChainParameters) -> dict[str, float]:
-    """Return the relative errors of the model's ratios, by extra.
-
-    The relative errors are differences between the plant's and the model's ratios.
-    """
+    """Return the relative differences between the plant's and the model's ratios, by extra."""
     n = model.count
     names = [f"M{i}{j}" for i in range(1, n + 1) for j in range(i, n + 1)]
     # Weights lie between inertias and couplings and share the couplings' errors.
@@ -330,9 +315,7 @@ _ARM = 0.2  # m: arm length drawn for a reference without arms
 
 
 def reference_view(reference: Reference, path: Path) -> RunView:
-    """Return the data to draw of a reference.
-
-    Its input is the command.
+    """Return the data to draw of a reference, with the command as its input.
 
     Args:
         reference: reference, with or without a plan.
@@ -366,9 +349,7 @@ def reference_view(reference: Reference, path: Path) -> RunView:
 
 
 def sustained_view(orbit: SustainedOrbit, arm_lengths: tuple[float, ...]) -> RunView:
-    """Return the data to draw of a sustained orbit's period.
-
-    Its Lyapunov orbit is beside it.
+    """Return the data to draw of a sustained orbit's period, and its Lyapunov orbit.
 
     Args:
         orbit: the sustained orbit.

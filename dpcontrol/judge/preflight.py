@@ -1,6 +1,4 @@
-"""A preflight's forecast for the bench as described.
-
-It holds completed runs, endings, borders, and gains of changes.
+"""A preflight's forecast for the bench as described: completed runs, endings, borders, and gains of changes.
 
 `dpcontrol.runs.preflight` computes it.
 """
@@ -46,10 +44,7 @@ class EndingShare:
 
 @dataclass(frozen=True)
 class ShareAt:
-    """Completed runs at a value of a trouble.
-
-    For comparison it holds those of the same seeds on the described bench.
-    """
+    """Completed runs at a value of a trouble, and those of the same seeds on the described bench."""
 
     value: float
     runs: int
@@ -95,10 +90,7 @@ class HazardBorder(Documented):
 
     @property
     def margin(self) -> float | None:
-        """Factor by which the bench may worsen, or None.
-
-        The result is None without this trouble or without a known border.
-        """
+        """Factor by which the bench may worsen, None without this trouble or without a known border."""
         if self.border is None or not self.set or math.isinf(self.set):
             return None
         return self.set / self.border if self.falling else self.border / self.set
@@ -116,10 +108,7 @@ class HazardBorder(Documented):
 
     @property
     def sure(self) -> bool:
-        """True if its interval is known and within a quarter of it.
-
-        At slowly falling shares it is wider.
-        """
+        """True if the border's interval is known and within a quarter of it; it is wider at slowly falling shares."""
         ends = (self.low or math.nan, self.high or math.nan)
         return all(1 / _NEAR <= end / (self.border or math.nan) <= _NEAR for end in ends)
 
@@ -215,10 +204,7 @@ class Preflight(Shown, Documented):
 
     @property
     def likely(self) -> bool | None:
-        """True if at least nine of ten runs complete.
-
-        The value is False if less than half do, and None in between.
-        """
+        """True if at least nine of ten runs complete, False if less than half do, and None in between."""
         return self.share.likely
 
     @property
@@ -240,4 +226,4 @@ class Preflight(Shown, Documented):
     @property
     def ending_shares(self) -> list[dict[str, Any]]:
         """Endings with their shares of all runs."""
-        return [{**document_of(one), "share": one.runs / self.share.runs} for one in self.endings]
+        return [{**document_of(ending), "share": ending.runs / self.share.runs} for ending in self.endings]

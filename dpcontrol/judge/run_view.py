@@ -24,9 +24,7 @@ from dpcontrol.references.reference import Reference
 
 @dataclass(frozen=True)
 class TubeCurve(Brief):
-    """The part of a tube that a plan uses.
-
-    Its trajectories lie between a stop's orbit and a symbol's section.
+    """The part of a tube that a plan uses, from a stop's orbit to a symbol's section.
 
     Attributes:
         stable: True if it leads to the orbit, False if from it.
@@ -209,19 +207,13 @@ class RunView(Brief):
 
     @property
     def symbols(self) -> tuple[tuple[str, float, float | None], ...]:
-        """Name, planned and actual crossing time of each symbol, s.
-
-        A missing time is None.
-        """
+        """Name, planned and actual crossing time of each symbol, s, or None for a missing time."""
         done = (*self.crossings, *[None] * len(self.plan.symbols))
         return tuple((name, at, seen) for (at, name), seen in zip(self.plan.symbols, done, strict=False))
 
     @property
     def moment(self) -> float:
-        """Time of the most informative still picture, s.
-
-        It is that of the first symbol, or the middle.
-        """
+        """Time of the most informative still picture, s: that of the first symbol, or the middle."""
         first, last = self.time_range
         at = self.plan.symbols[0][0] if self.plan.symbols else (first + last) / 2
         # In a run that ended before its first symbol the last moments are the most informative.
@@ -304,10 +296,7 @@ def series_of(log: RunLog) -> RunView:
 
 
 def _cart_acceleration(velocity: Array, time: Array) -> Array:
-    """Return the mean acceleration (N,) m/s² between ticks.
-
-    At instantaneous velocity jumps it is nan.
-    """
+    """Return the mean acceleration (N,) m/s² between ticks, nan at instantaneous velocity jumps."""
     steps = np.diff(time)
     with np.errstate(invalid="ignore", divide="ignore"):
         mean = np.where(steps > 0, np.diff(velocity) / steps, np.nan)
@@ -317,9 +306,7 @@ def _cart_acceleration(velocity: Array, time: Array) -> Array:
 
 
 def clean(values: Array) -> Array:
-    """Return values with nan for absurd ones.
-
-    Unchanged arrays are not copied, since logs are long.
+    """Return values with nan for absurd ones, and unchanged arrays without a copy, since logs are long.
 
     Args:
         values: values of any shape.

@@ -54,10 +54,7 @@ HARDEST_METADATA = "hardest_acceleration"
 
 @dataclass(frozen=True)
 class Thinking:
-    """Duration of a tick, s: median and 99th percentile.
-
-    A tick consists of controller and estimator.
-    """
+    """Computing time of controller and estimator in a tick, s: median and 99th percentile."""
 
     median: float
     within_99: float
@@ -217,7 +214,7 @@ class Scores(Documented):
 
     def document(self) -> dict[str, Any]:
         """Return the document of the only score, or those of all runs."""
-        documents = [one.document() for one in self.results]
+        documents = [result.document() for result in self.results]
         for document, why in zip(documents, self.whys, strict=False):
             document["why"] = why.document()
         return documents[0] if len(documents) == 1 else {"runs": documents}
@@ -225,11 +222,11 @@ class Scores(Documented):
     @property
     def missed(self) -> str:
         """Why a run is not known to be completed, or ""."""
-        failed = [one for one in self.results if isinstance(one, Score) and one.missed]
+        failed = [result for result in self.results if isinstance(result, Score) and result.missed]
         if not failed:
             return ""
-        known = "" if all(one.completed is False for one in failed) else "known to be "
-        return f"{len(failed)} of {len(self.results)} not {known}completed; {failed[0].log}: {failed[0].reason}"
+        knowledge = "" if all(result.completed is False for result in failed) else "known to be "
+        return f"{len(failed)} of {len(self.results)} not {knowledge}completed; {failed[0].log}: {failed[0].reason}"
 
 
 def plan_of(log: RunLog) -> Reference:
@@ -332,9 +329,7 @@ def counted(stretches: Sequence[Stretch], *, rate_hz: float) -> list[tuple[NDArr
 
 
 def spliced(flown: Flown, plan: Reference) -> Flown:
-    """Return the counted part of a run on the plan's clock.
-
-    It consists of each stretch up to the restart of a later one.
+    """Return the counted part of a run on the plan's clock: each stretch up to the restart of a later one.
 
     Symbols completed before a fall remain completed; of a repeated part the last stretch counts.
 
@@ -381,7 +376,7 @@ def score(log: RunLog) -> Score:
         InputError: the log has no plan.
     """
     plan = plan_of(log)
-    known = log.truth is not None
+    truth_known = log.truth is not None
     bad = [event for event in log.events if event.level in ("error", "fatal")]
     flown = Flown(
         time=log.time,
@@ -400,7 +395,7 @@ def score(log: RunLog) -> Score:
     falls = sum(event.name == RETURN and event.level == "warn" for event in log.events)
     factor, seed = _noted(log, "real_time_factor", float), _noted(log, "seed", int)
     part = _part(log, flown, plan)
-    completed = verdict.completed if known and part is None else None
+    completed = verdict.completed if truth_known and part is None else None
     if part is not None:
         verdict = replace(verdict, fault=part[0], figures=part[1])
     return Score(
@@ -455,9 +450,7 @@ def _part(log: RunLog, flown: Flown, plan: Reference) -> FaultFigures | None:
 
 
 def stretches_of(log: RunLog) -> tuple[Stretch, ...]:
-    """Return the last repetition's periods on the itinerary, from events.
-
-    Without recovery the result is empty.
+    """Return the last repetition's periods on the itinerary, from events; without recovery none.
 
     Args:
         log: log of a run.
@@ -501,10 +494,7 @@ def returns(events: Sequence[Event]) -> tuple[float, ...]:
 
 
 def _attempts(log: RunLog, done: int, symbols: int) -> tuple[int, ...]:
-    """Return the number of attempts of each symbol.
-
-    The number is 0 for those not started; the first `done` were completed.
-    """
+    """Return the number of attempts of each symbol, 0 for those not started; the first `done` were completed."""
     out = [0] * symbols
     for event in log.events:
         symbol = event.figures.get("symbol", 0) if event.name in (RESUME, CATCH) else 0
@@ -516,8 +506,8 @@ def _attempts(log: RunLog, done: int, symbols: int) -> tuple[int, ...]:
 
 def _thinking(log: RunLog) -> Thinking | None:
     """Return the duration of a tick, None if the log lacks it."""
-    found = [_noted(log, name, float) for name in THINKING_METADATA]
-    return None if None in found else Thinking(*(value for value in found if value is not None))
+    figures = [_noted(log, name, float) for name in THINKING_METADATA]
+    return None if None in figures else Thinking(*(value for value in figures if value is not None))
 
 
 def _noted(log: RunLog, name: str, kind: Callable[[str], Number]) -> Number | None:
