@@ -36,9 +36,7 @@ LOG_TIME, SEGMENT = "log_time", "segment"
 
 
 def is_bag(path: Path) -> bool:
-    """True if the path is a bag.
-
-    Bags are .bag or .mcap files, or folders with metadata.yaml.
+    """True if the path is a bag: a .bag or .mcap file, or a folder with metadata.yaml.
 
     Args:
         path: file or folder.
@@ -92,16 +90,18 @@ def read_bag(path: Path, columns: Sequence[str], *, optional: Collection[str] = 
             topics = {name: _topic(name, sorted(bag.topics), path) for name in named}
             tables = {topic: _table(bag, topic, [k for k in named if topics[k] == topic]) for topic in topics.values()}
     moments = tables[topics[named[0]]][LOG_TIME]
-    found = {LOG_TIME: moments}
+    columns_at_moments = {LOG_TIME: moments}
     if segments := segments_in(record.get("segments", ""), len(moments)):
-        found[SEGMENT] = segment_numbers(segments, len(moments)).astype(float)
+        columns_at_moments[SEGMENT] = segment_numbers(segments, len(moments)).astype(float)
     for name, topic in topics.items():
         if name in tables[topic]:
-            found[name] = np.interp(moments, tables[topic][LOG_TIME], tables[topic][name], left=np.nan, right=np.nan)
+            columns_at_moments[name] = np.interp(
+                moments, tables[topic][LOG_TIME], tables[topic][name], left=np.nan, right=np.nan
+            )
         elif name not in optional:
             raise InputError(f"{path}: {name} holds no numbers in any message; check file and mapping")
     covered = _covered(path, moments, [table[LOG_TIME] for table in tables.values()])
-    return {name: values[covered] for name, values in found.items() if name in columns}
+    return {name: values[covered] for name, values in columns_at_moments.items() if name in columns}
 
 
 def _covered(path: Path, moments: Array, times: Sequence[Array]) -> NDArray[np.bool_]:

@@ -162,11 +162,11 @@ def _filled(samples: Samples, marks: Marks, period: float) -> list[Samples]:
     values = samples.values.copy()
     if (~missing).sum() < FEWEST_SAMPLES:
         return []
-    known = _unwrapped(values[~missing], samples.arms)
+    finite = _unwrapped(values[~missing], samples.arms)
     # Filled angles have as many turns as the last known ones, in case these are wrapped.
-    turns = (known - values[~missing])[np.maximum(np.cumsum(~missing) - 1, 0)[missing]]
+    turns = (finite - values[~missing])[np.maximum(np.cumsum(~missing) - 1, 0)[missing]]
     # A cubic is used because over ten samples a swinging arm leaves a straight line by several counts.
-    values[missing] = CubicSpline(samples.time[~missing], known)(samples.time[missing]) - turns
+    values[missing] = CubicSpline(samples.time[~missing], finite)(samples.time[missing]) - turns
     for first, end in true_runs(missing):
         missing[first:end] = end - first > _FILLED_IN_A_ROW or first == 0 or end == len(missing)
     filled = replace(samples, values=values)
@@ -367,9 +367,7 @@ _MOVES = 0.05
 
 
 def constant_angles(recording: Recording) -> tuple[str, ...]:
-    """Return a sentence on each constant angle.
-
-    It requires that others vary or that all are constant.
+    """Return a sentence on each constant angle, if others vary or all are constant.
 
     Args:
         recording: the recording.
@@ -385,9 +383,7 @@ def constant_angles(recording: Recording) -> tuple[str, ...]:
 
 
 def contradiction(recording: Recording, arms: ArmChainParameters, *, model: str) -> str:
-    """Return a sentence on the contradiction between arms and recording.
-
-    The result is "" if the contradiction is small.
+    """Return a sentence on the contradiction between arms and recording, or "" if it is small.
 
     Args:
         recording: the recording.
@@ -430,14 +426,14 @@ def _difference(recording: Recording, arms: ArmChainParameters, order: tuple[int
         rows = np.arange(stride, len(part.time) - stride, max(stride // 2, 1))
         if not rows.size:
             continue
-        before, here, after = (part.angles[rows + shift][:, order] for shift in (-stride, 0, stride))
-        states = np.hstack([here, (after - before) / (2 * step), np.zeros((len(rows), 2))])
+        before, middle, after = (part.angles[rows + shift][:, order] for shift in (-stride, 0, stride))
+        states = np.hstack([middle, (after - before) / (2 * step), np.zeros((len(rows), 2))])
         driven = np.zeros(len(rows))
         if (cart := cart_motion(part)) is not None:
             states[:, -1] = cart.velocity[rows]
             driven = (cart.velocity[rows + stride] - cart.velocity[rows - stride]) / (2 * step)
-        found = np.asarray(rate(states.T, driven[None], arms.base()), dtype=float).T
-        pairs.append(np.hstack([(after - 2 * here + before) / step**2, found[:, n : 2 * n]]))
+        rates = np.asarray(rate(states.T, driven[None], arms.base()), dtype=float).T
+        pairs.append(np.hstack([(after - 2 * middle + before) / step**2, rates[:, n : 2 * n]]))
     both = np.concatenate(pairs)
     both = both[np.isfinite(both).all(axis=1)]
     if not len(both):

@@ -80,34 +80,34 @@ def import_recording(
     check_choice("repair", REPAIRS, *repairs)
     bag, kind = is_bag(path), path.suffix.lower()
     if not bag and kind not in MATLAB + TABLES:
-        known = ", ".join((*MATLAB, *TABLES, ".mcap", ".bag"))
+        suffixes = ", ".join((*MATLAB, *TABLES, ".mcap", ".bag"))
         raise InputError(
-            f"{path}: a recording is a file of kind {known} or a folder of ROS 2; this ends in {kind or 'nothing'}; "
+            f"{path}: a recording is a file of kind {suffixes} or a folder of ROS 2; this ends in {kind or 'nothing'}; "
             "save it as CSV, for example"
         )
     if not (bag and path.is_dir()):
         checked_source(path)
     default = _JOINT_STATES if bag else "table" if kind in TABLES else ""
-    given = load_mapping(mapping) if mapping and mapping != default else None
+    user_mapping = load_mapping(mapping) if mapping and mapping != default else None
     progress("reading", 0.0)
     if default:
-        chosen, stretches = _of_columns(path, given, default)
+        chosen, stretches = _of_columns(path, user_mapping, default)
     else:
-        chosen, stretches = _of_matlab(path, given)
+        chosen, stretches = _of_matlab(path, user_mapping)
     progress("checking", 0.5)
     return _recording(path, chosen, stretches, repairs=frozenset(repairs))
 
 
-def _of_columns(path: Path, given: Mapping | None, default: str) -> tuple[Mapping, list[Samples]]:
+def _of_columns(path: Path, user_mapping: Mapping | None, default: str) -> tuple[Mapping, list[Samples]]:
     """Return the mapping and the stretches of a table or a bag.
 
     The default mapping names more columns than a file needs: the second and later arms of joint states, the rates, the
     cart and the segments may be missing.
     """
-    mapping, optional = given or load_mapping(default), list[str]()
+    mapping, optional = user_mapping or load_mapping(default), list[str]()
     if mapping.cells.states:
         raise InputError(f"{path}: the mapping {mapping.name!r} is for MATLAB cells; give one with columns: --mapping")
-    if given is None:
+    if user_mapping is None:
         needed = (mapping.time.column, *mapping.angles.columns[: 1 if default == _JOINT_STATES else None])
         optional = [name for name in mapping.named if name not in needed]
     columns = (read_bag if is_bag(path) else read_table)(path, mapping.named, optional=optional)
@@ -146,10 +146,10 @@ def _samples(where: str, mapping: Mapping, values: Columns[str, Array], time: Ar
     count, arms = values[ANGLE].shape
     if arms > MOST_ARMS:
         raise InputError(f"{where}: {arms} angles; a recording has 1 to {MOST_ARMS} arms")
-    for key, given in mapping.angles.by_arm.items():
-        if len(given) not in (1, arms):
+    for key, of_arms in mapping.angles.by_arm.items():
+        if len(of_arms) not in (1, arms):
             raise InputError(
-                f"{where}: the mapping's {key} has {len(given)} values for {arms} arms; give one or as many"
+                f"{where}: the mapping's {key} has {len(of_arms)} values for {arms} arms; give one or as many"
             )
     read = {
         ANGLE: lambda angles: mapping.absolute(angles, ANGLE_UNITS[mapping.angles.unit], mapping.angles.zero),
@@ -174,7 +174,10 @@ def _recording(path: Path, mapping: Mapping, stretches: list[Samples], *, repair
         shown = " and ".join(map(str, sorted(counts))) or "no"
         raise InputError(f"{path}: its cells have {shown} arms; all must have the same number")
     repaired = [sound_segments(stretch, period=mapping.period, repairs=repairs) for stretch in stretches]
-    parts, notes = [part for found, _ in repaired for part in found], [note for _, told in repaired for note in told]
+    parts, notes = (
+        [part for segments, _ in repaired for part in segments],
+        [note for _, told in repaired for note in told],
+    )
     spacing = mapping.period or float(np.median(np.concatenate([np.diff(part.time) for part in parts])))
     if not 1e-6 <= spacing <= 0.1:
         raise InputError(
@@ -189,20 +192,20 @@ def _recording(path: Path, mapping: Mapping, stretches: list[Samples], *, repair
         notes += [f"segment {index}: its time was moved by {shift:.9g} s to follow the one before"] if behind else []
         times.append(part.time + shift)
     edges = np.cumsum([0, *map(len, times)]).tolist()
-    whole = replace(parts[0], values=np.concatenate([part.values for part in parts]))
-    cart, command = whole.of(CART), whole.of(COMMAND)
+    joined = replace(parts[0], values=np.concatenate([part.values for part in parts]))
+    cart, command = joined.of(CART), joined.of(COMMAND)
     return Recording(
         name=path.stem,
         source=path.name,
         dt=spacing,
         time=np.concatenate(times),
-        angles=np.ascontiguousarray(whole.of(ANGLE)),
-        rates=whole.of(RATE),
+        angles=np.ascontiguousarray(joined.of(ANGLE)),
+        rates=joined.of(RATE),
         cart=None if cart is None else cart[:, 0],
         command=None if command is None else command[:, 0],
         segments=tuple(pairwise(edges)),
         # Arms without a length have that of the last one.
-        arm_lengths=(*mapping.arm_lengths, *whole.arms * mapping.arm_lengths[-1:])[: whole.arms],
+        arm_lengths=(*mapping.arm_lengths, *joined.arms * mapping.arm_lengths[-1:])[: joined.arms],
         notes=tuple(notes),
     )
 
@@ -212,9 +215,7 @@ _NUMBER = re.compile(r"[-+]?(\d+(\.\d*)?|\.\d+|nan|inf)(e[-+]?\d+)?", re.IGNOREC
 
 
 def read_table(path: Path, columns: Sequence[str], *, optional: Collection[str] = ()) -> dict[str, Array]:
-    """Return the named columns (K,) of a text table or a .parquet file.
-
-    An empty cell is nan.
+    """Return the named columns (K,) of a text table or a .parquet file, with nan for empty cells.
 
     Args:
         path: file.
@@ -230,9 +231,9 @@ def read_table(path: Path, columns: Sequence[str], *, optional: Collection[str] 
         if names.count(name) > 1:
             raise InputError(f"{path}: {names.count(name)} columns are called {name!r}; rename all but one")
         if name not in (*names, *optional):
-            known = "the table has no header, so a mapping names columns by number; " if names[0] == "1" else ""
+            header = "the table has no header, so a mapping names columns by number; " if names[0] == "1" else ""
             raise InputError(
-                f"{path}: the column {name!r} is missing; {known}{suggest(name, names[:20])}; check file and mapping"
+                f"{path}: the column {name!r} is missing; {header}{suggest(name, names[:20])}; check file and mapping"
             )
     return {name: _numbers(cells[name], name, path) for name in columns if name in names}
 
@@ -286,10 +287,10 @@ def _numbers(cells: Sequence[Any], name: str, path: Path) -> Array:
     return np.array(numbers, dtype=float)
 
 
-def _of_matlab(path: Path, given: Mapping | None) -> tuple[Mapping, list[Samples]]:
+def _of_matlab(path: Path, user_mapping: Mapping | None) -> tuple[Mapping, list[Samples]]:
     """Return the mapping, with the file's period if it holds one, and the stretches."""
     file = MatlabFile(path, read_matlab(path))
-    mapping = given or _fitting(file)
+    mapping = user_mapping or _fitting(file)
     if name := mapping.sampling.variable:
         period = float(file.column(name)[0]) * TIME_UNITS[mapping.time.unit]
         if not 1e-6 <= period <= 1:
@@ -417,10 +418,7 @@ def read_matlab(path: Path) -> dict[str, NDArray[Any]]:
 
 
 def _unpacked_size(data: bytes) -> int:
-    """Return the unpacked size of a version 5 file, bytes.
-
-    The unpacked size is that of the compressed variables, from their headers.
-    """
+    """Return the unpacked size of a version 5 file, bytes, from the headers of its compressed variables."""
     order = {b"IM": "<", b"MI": ">"}.get(data[126:128], "")
     size, place = 0, 128
     while order and place + 8 <= len(data):
@@ -433,10 +431,7 @@ def _unpacked_size(data: bytes) -> int:
 
 
 def _hdf5_size(path: Path) -> int:
-    """Return the unpacked size of a version 7.3 file, bytes.
-
-    The size is that of the data sets.
-    """
+    """Return the unpacked size of the data sets of a version 7.3 file, bytes."""
     sizes: list[int] = []
     with package("h5py").File(path) as file:
         file.visititems(lambda _, item: sizes.append(getattr(item, "nbytes", 0)))
@@ -456,18 +451,18 @@ def _arrays(value: Any, name: str, owner: str = "") -> Iterator[tuple[str, NDArr
     """
     value = getattr(value, "properties", value)
     if isinstance(value, np.ndarray) and value.dtype.names:
-        value = [{field: one[field] for field in value.dtype.names} for one in value.reshape(-1, order="F")]
+        value = [{field: item[field] for field in value.dtype.names} for item in value.reshape(-1, order="F")]
         value = value[0] if len(value) == 1 else value
     if isinstance(value, np.ndarray) and value.dtype == object:
         value = list(value.reshape(-1, order="F"))
     if isinstance(value, list):
-        for number, one in enumerate(value, start=1):
-            for holder in {name, owner or name} if hasattr(one, "properties") else (name,):
-                yield from _arrays(one, f"{holder}{{{number}}}")
+        for number, item in enumerate(value, start=1):
+            for holder in {name, owner or name} if hasattr(item, "properties") else (name,):
+                yield from _arrays(item, f"{holder}{{{number}}}")
     elif isinstance(value, dict):
         held = {}
-        for field, one in value.items():
-            held |= _arrays(one, f"{name}.{str(field).rstrip('_')}", owner or name)
+        for field, item in value.items():
+            held |= _arrays(item, f"{name}.{str(field).rstrip('_')}", owner or name)
         yield from held.items()
         even = [held.get(f"{name}.TimeInfo.{field}", np.empty(0)) for field in ("Start", "Increment", "Length")]
         if f"{name}.Time" not in held and all(part.size == 1 for part in even):

@@ -37,7 +37,7 @@ NAMED = BeforeValidator(lambda value: str(value) if type(value) is int else valu
 def _listed(value: Any) -> tuple[Any, ...]:
     """Return one value for all arms, or one for each, as numbers."""
     values = value if isinstance(value, list | tuple) else [value]
-    return tuple(ZEROS.get(one, one) if isinstance(one, str) else one for one in values)
+    return tuple(ZEROS.get(entry, entry) if isinstance(entry, str) else entry for entry in values)
 
 
 LISTED = BeforeValidator(_listed)
@@ -71,10 +71,7 @@ class _Cells(Settings, table="cells"):
 
 @dataclass(frozen=True)
 class _Angles(Settings, table="angles"):
-    """The angles, inner arm first.
-
-    Lists have one value for all arms or one for each.
-    """
+    """The angles, inner arm first, as lists with one value for all arms or one for each."""
 
     columns: Annotated[tuple[Annotated[str, NAMED], ...], Setting(help="Columns of the angles.")] = ()
     unit: Annotated[str, Setting(choices=tuple(ANGLE_UNITS), help="Unit of the angles.")] = "rad"
@@ -187,9 +184,9 @@ def load_mapping(name: str) -> Mapping:
         check_choice("mapping", mappings(), name)
         path = MAPPINGS / f"{name}.toml"
     top = Place(str(path))
-    found = _FILE.read(read_toml(path)[0], top)
-    found.pop("title", None)
-    mapping = Mapping(path.stem, **{name: kind() for name, kind in _TABLES.items()} | found)
+    tables = _FILE.read(read_toml(path)[0], top)
+    tables.pop("title", None)
+    mapping = Mapping(path.stem, **{name: kind() for name, kind in _TABLES.items()} | tables)
     for complaint, wrong in _rules(mapping).items():
         if wrong:
             raise InputError(f"{top} {complaint}")
@@ -211,7 +208,7 @@ def _rules(mapping: Mapping) -> dict[str, bool]:
         and bool(columns or rates or mapping.cart.position or mapping.cart.command),
         "arm_lengths = []: give the length of each arm, m": not mapping.arm_lengths,
         "[angles] sign: must be 1, counter-clockwise, or -1, clockwise": any(
-            abs(one) != 1 for one in mapping.angles.sign
+            abs(sign) != 1 for sign in mapping.angles.sign
         ),
         f"[angles] {', '.join(unequal)}: give one value, or one for each of {len(columns)} angles": bool(unequal),
         f"[cells] time = {list(cells.time)}: give one name for each of `states`, or none": len(cells.time)

@@ -1,6 +1,4 @@
-"""Recordings from the bench in memory and as logs.
-
-They are measurements in segments, with nothing added.
+"""Recordings from the bench in memory and as logs: measurements in segments, with nothing added.
 
 A recording uses the layout of simulated logs, restricted to the measurements: angles and, if available, the rig's
 filtered rates as /joint_states, and a command as /control. One log holds all segments of a file in sequence. Its
@@ -93,9 +91,7 @@ class Recording(Timed):
         return (*(f"angle_{arm + 1}" for arm in range(self.arms)), *(["cart"] if self.cart is not None else []))
 
     def states(self, times: Any = None) -> Array:
-        """Return the measured angles, interpolated linearly.
-
-        If the cart moved, its position is included.
+        """Return the measured angles and, if the cart moved, its position, interpolated linearly.
 
         Args:
             times: times (K,) of the recording, s; by default 200 from the first to the last.
@@ -109,7 +105,7 @@ class Recording(Timed):
         if times is None:
             return self.sample()
         measured = [*self.angles.T, *([] if self.cart is None else [self.cart])]
-        return np.stack([np.interp(checked_times(times), self.time, one) for one in measured], axis=-1)
+        return np.stack([np.interp(checked_times(times), self.time, column) for column in measured], axis=-1)
 
     @checked
     def frame(self, count: Count | None = None) -> DataFrame:
@@ -135,9 +131,7 @@ class Recording(Timed):
 
     @checked
     def segment(self, index: Index) -> "Recording":
-        """Return one segment as a recording.
-
-        It keeps the original times.
+        """Return one segment, in its original times, as a recording.
 
         Args:
             index: index of the segment, from 0.
@@ -157,13 +151,10 @@ class Recording(Timed):
         return [self.segment(index) for index in range(len(self.segments))]
 
     def document(self) -> dict[str, Any]:
-        """Return the output of `dpcontrol import --json`.
-
-        The names of log and source are omitted.
-        """
+        """Return the output of `dpcontrol import --json`, without the names of log and source."""
         segments = [
-            {"index": k, "start": float(one.time[0]), "samples": len(one.time), "duration": float(np.ptp(one.time))}
-            for k, one in enumerate(self.split())
+            {"index": k, "start": float(part.time[0]), "samples": len(part.time), "duration": float(np.ptp(part.time))}
+            for k, part in enumerate(self.split())
         ]
         return {
             **picked(self, "arms", "notes"),
@@ -301,9 +292,7 @@ def write_samples(
 
 
 def load_recording(path: Path | str) -> Recording:
-    """Return the recording in a log of `dpcontrol import` or `replay`.
-
-    A run's log becomes one segment.
+    """Return the recording in a log of `dpcontrol import` or `replay`; a run's log becomes one segment.
 
     Args:
         path: the log.
@@ -365,9 +354,7 @@ _EXPLAINED = 0.1
 
 @dataclass(frozen=True, eq=False)
 class CartMotion(Brief):
-    """Cart motion at K samples.
-
-    It has position m, velocity m/s, and acceleration m/s² held until the next sample.
+    """Cart motion at K samples: position m, velocity m/s, and acceleration m/s² held until the next sample.
 
     `commanded` is True if the acceleration comes from the command, False if from the position.
     """
@@ -379,9 +366,7 @@ class CartMotion(Brief):
 
 
 def cart_motion(part: Recording) -> CartMotion | None:
-    """Return the cart's motion in a recording of one segment.
-
-    The result is None if the cart was clamped.
+    """Return the cart's motion in a recording of one segment, or None if the cart was clamped.
 
     Args:
         part: recording of one segment.
@@ -394,11 +379,11 @@ def cart_motion(part: Recording) -> CartMotion | None:
     if part.cart is None:
         position = np.asarray(cumulative_trapezoid(sent, dx=period, initial=0))
         return CartMotion(position, sent, command, True) if command.any() else None
-    known = np.isfinite(part.cart)
-    if known.sum() < 2 or float(np.ptp(part.cart[known])) < STILL:
+    finite = np.isfinite(part.cart)
+    if finite.sum() < 2 or float(np.ptp(part.cart[finite])) < STILL:
         return None
     # A missing reading lies on the line through its neighbours, or through the first or last two.
-    between = make_interp_spline(part.time[known], part.cart[known], k=1)
+    between = make_interp_spline(part.time[finite], part.cart[finite], k=1)
     position = np.asarray(between(part.time), dtype=np.float64)
     velocity, felt = (smoothed_derivative(position, period, order) for order in (1, 2))
     if command.size:
@@ -411,9 +396,7 @@ def cart_motion(part: Recording) -> CartMotion | None:
 
 
 def smoothed_derivative(values: Array, period: float, order: int = 1, *, window: float = _SMOOTHED) -> Array:
-    """Return the derivative of samples (K, …) by cubics through a window.
-
-    The derivative is zero for fewer than five samples.
+    """Return the derivative of samples (K, …) by cubics through a window, zero for fewer than five samples.
 
     Args:
         values: samples (K, …).
@@ -460,9 +443,7 @@ def swings_cost(swings: int, seconds: float) -> Cost:
 
 
 def random_swings(arms: ArmChainParameters, *, swings: int, seconds: float, seed: int, name: str) -> Recording:
-    """Return a recording of swings released at random angles.
-
-    Encoder zeros are wrong by up to 2 mrad.
+    """Return a recording of swings released at random angles, with encoder zeros wrong by up to 2 mrad.
 
     Args:
         arms: parameters of the arms.
@@ -487,9 +468,7 @@ def simulated_recording(
     zeros: Array | None = None,
     name: str = "simulated",
 ) -> Recording:
-    """Return a recording of free swings of these arms from rest.
-
-    One swing begins at each of `starts` (n,) rad.
+    """Return a recording of free swings of these arms from rest, one from each of `starts` (n,) rad.
 
     Args:
         arms: parameters of the arms.

@@ -335,8 +335,8 @@ def restored(notes: Mapping[str, Any], arrays: Mapping[str, Array], *, arms: int
     values |= {name: values.pop(key) for name, key in _KEYS.items() if key in values}
     if (stay := values.get("stay", {})).get("kind") == "orbit":
         # Plans of format 2.
-        whole = {"keep": stay["orbit"], "turns": [0.0] * (2 * arms + 2), "periods": 1, "rows": [0, stay["intervals"]]}
-        values["segments"] = [{**stay, **whole}]
+        fields = {"keep": stay["orbit"], "turns": [0.0] * (2 * arms + 2), "periods": 1, "rows": [0, stay["intervals"]]}
+        values["segments"] = [{**stay, **fields}]
     for k, orbit in enumerate(values["orbits"]):
         orbit["curve"] = arrays[f"orbit_{k}"]
     # Plans of version 0.2 hold transfers from rest, which flights replace.

@@ -78,9 +78,7 @@ _MOST_GROWTH = 8
 
 
 def friction_parameters(problem: ReferenceProblem) -> NDArray[np.bool_]:
-    """Return a mask (p,) of the friction parameters.
-
-    These act without cart input but are not in the energy.
+    """Return a mask (p,) of the friction parameters, which act without cart input but are not in the energy.
 
     Args:
         problem: equations with p parameters.
@@ -97,9 +95,7 @@ def friction_parameters(problem: ReferenceProblem) -> NDArray[np.bool_]:
 def raise_friction(
     problem: ReferenceProblem, first: Trajectory, *, settings: ReferenceSettings, limits: Limits
 ) -> tuple[float, Solved | None]:
-    """Raise friction from zero to its full value by continuation.
-
-    The solution stays near the guess.
+    """Raise friction from zero to its full value by continuation, with solutions that stay near the guess.
 
     Args:
         problem: equations with full friction, and the guess.
@@ -112,30 +108,28 @@ def raise_friction(
         NaN and None if there is no solution even without friction.
     """
     friction = friction_parameters(problem)
-    reached, step, kept = np.nan, _STEP, None
+    reached, step, solution = np.nan, _STEP, None
     iterations, seconds = 0, 0.0
     quick = replace(settings, iterations=min(settings.iterations, _ITERATIONS))
     while not reached >= 1.0 and step >= _LEAST_STEP:
-        share = 0.0 if kept is None else min(1.0, reached + step)
+        share = 0.0 if solution is None else min(1.0, reached + step)
         parameters = np.where(friction, share * problem.parameters, problem.parameters)
         solved = solve(
-            replace(problem, parameters=parameters), first if kept is None else kept.trajectory, settings=quick,
-            limits=limits, search="fresh" if kept is None else "warm",
+            replace(problem, parameters=parameters), first if solution is None else solution.trajectory, settings=quick,
+            limits=limits, search="fresh" if solution is None else "warm",
         )  # fmt: skip
         iterations, seconds = iterations + solved.iterations, seconds + solved.seconds
         if solved.succeeded and away_from_guess(problem, solved.trajectory)[0] <= FARTHEST:
-            reached, kept = share, solved
-        elif kept is None:
+            reached, solution = share, solved
+        elif solution is None:
             break
         else:
             step /= 2
-    return reached, None if kept is None else replace(kept, iterations=iterations, seconds=seconds)
+    return reached, None if solution is None else replace(solution, iterations=iterations, seconds=seconds)
 
 
 def has_authority(problem: ReferenceProblem, times: Array) -> bool:
-    """True if the cart's acceleration moves any arm.
-
-    This is checked along the guess.
+    """True if the cart's acceleration moves any arm somewhere along the guess.
 
     Args:
         problem: equations and guess.
@@ -144,8 +138,8 @@ def has_authority(problem: ReferenceProblem, times: Array) -> bool:
     e, n = problem.equations, problem.pendulum_dimension // 2
     effect = ca.Function("effect", [e.state, e.inputs, e.parameters], [ca.jacobian(e.rate[n : 2 * n], e.inputs)])
     states = np.hstack([problem.guess_at(times), np.zeros((len(times), 2))])
-    found = np.array(effect.map(len(times))(states.T, 0.0, problem.parameters))
-    return bool(np.abs(found).max() > _NO_AUTHORITY)
+    effects = np.array(effect.map(len(times))(states.T, 0.0, problem.parameters))
+    return bool(np.abs(effects).max() > _NO_AUTHORITY)
 
 
 def limits_passed(problem: ReferenceProblem, trajectory: Trajectory) -> Obstacle | None:
@@ -194,9 +188,7 @@ def split_mesh(mesh: Array, errors: Array, *, tolerance: float, order: int) -> A
 
 
 def first_mesh(problem: ReferenceProblem, settings: ReferenceSettings, *, method: Method) -> Array:
-    """Return an even mesh, split where the guess needs it.
-
-    This is where the method's polynomials do not resolve the guess.
+    """Return an even mesh, split where the method's polynomials do not resolve the guess.
 
     This interpolation error predicts the error between nodes within a factor of two, which saves a round.
 
@@ -229,14 +221,14 @@ def on_mesh(trajectory: Trajectory, mesh: Array, method: Method | None = None) -
     index = np.searchsorted(trajectory.mesh, (mesh[:-1] + mesh[1:]) / 2, side="right") - 1
     starts, lengths = trajectory.mesh[index][:, None], np.diff(trajectory.mesh)[index][:, None]
 
-    def moved(given: Array, places: Array, values: Array) -> Array:
+    def moved(points: Array, places: Array, values: Array) -> Array:
         tau = (times_on(mesh, places) - starts) / lengths
-        rows = interpolation_matrix(given, tau.ravel()).reshape(*tau.shape, -1)
+        rows = interpolation_matrix(points, tau.ravel()).reshape(*tau.shape, -1)
         return np.asarray(np.einsum("ikj,ijn->ikn", rows, values[index]), dtype=np.float64)
 
-    own, method = trajectory.method, method or trajectory.method
-    states = moved(own.support, method.support, trajectory.states)
-    return Trajectory(method, mesh, states, moved(own.points, method.points, trajectory.inputs))
+    present, method = trajectory.method, method or trajectory.method
+    states = moved(present.support, method.support, trajectory.states)
+    return Trajectory(method, mesh, states, moved(present.points, method.points, trajectory.inputs))
 
 
 def tail(reference: Reference, begin: float, *, seconds: float, turns: Array) -> Reference:
@@ -260,10 +252,7 @@ _NODE = 1e-3
 
 
 def _tightened(limits: Limits, required: Limits, largest: dict[str, float]) -> Limits | None:
-    """Return node limits that pull the polynomials inside `required`.
-
-    The result is None if they are inside.
-    """
+    """Return node limits that pull the polynomials inside `required`, or None if they are inside."""
     changes = {}
     for name, bound in required.named().items():
         over = largest[name] - bound
@@ -274,10 +263,7 @@ def _tightened(limits: Limits, required: Limits, largest: dict[str, float]) -> L
 
 
 def _is_another_motion(problem: ReferenceProblem, solved: Solved, settings: ReferenceSettings) -> bool:
-    """True if a weighted solution is far from the guess.
-
-    Without a weight, always false.
-    """
+    """True if a weighted solution is far from the guess; without a weight, always false."""
     followed = settings.pendulum_weight > 0
     return followed and away_from_guess(problem, solved.trajectory)[0] > FARTHEST
 
@@ -285,10 +271,7 @@ def _is_another_motion(problem: ReferenceProblem, solved: Solved, settings: Refe
 def _near_guess(
     problem: ReferenceProblem, first: Trajectory, *, settings: ReferenceSettings, limits: Limits
 ) -> Solved | None:
-    """Solve with a heavy weight on the guess.
-
-    None without a solution near it.
-    """
+    """Solve with a heavy weight on the guess, and return None without a solution near it."""
     if settings.pendulum_weight == 0:
         return None
     solved = solve(problem, first, settings=settings, limits=limits)
@@ -391,8 +374,10 @@ def find_reference(
         tighter = _tightened(limits, problem.limits, largest)
         if worst <= _ACCEPTED * settings.tolerance and tighter is None:
             progress("reference", 1.0)
-            found = ReferenceEnding(ReferenceCause.CONVERGED, iterations=iterations, error=worst, intervals=len(errors))
-            return result(solved, found)
+            reached = ReferenceEnding(
+                ReferenceCause.CONVERGED, iterations=iterations, error=worst, intervals=len(errors)
+            )
+            return result(solved, reached)
         finer = split_mesh(solved.trajectory.mesh, errors, tolerance=settings.tolerance, order=len(method.points))
         if round_number == settings.rounds or len(finer) > most:
             break

@@ -77,9 +77,7 @@ def barycentric_weights(points: Array) -> Array:
 
 
 def interpolation_matrix(points: Array, at: ArrayLike) -> Array:
-    """Return the interpolation matrix (M, K).
-
-    It maps values at the points to other places; op. cit. eq. 4.2.
+    """Return the matrix (M, K) that maps values at the points to other places; op. cit. eq. 4.2.
 
     Args:
         points: distinct points (K,).
@@ -94,9 +92,7 @@ def interpolation_matrix(points: Array, at: ArrayLike) -> Array:
 
 
 def differentiation_matrix(points: Array) -> Array:
-    """Return the matrix (K, K) from values to derivatives.
-
-    Op. cit. eqs. 9.4 and 9.5.
+    """Return the matrix (K, K) from values to derivatives; op. cit. eqs. 9.4 and 9.5.
 
     Args:
         points: distinct points (K,).
@@ -114,10 +110,7 @@ _LEGENDRE = np.polynomial.Legendre.basis
 
 
 def _roots(polynomial: np.polynomial.Legendre) -> Array:
-    """Return the real roots of a Legendre series, rising.
-
-    The series is on -1 … 1. Newton steps polish the roots, which are returned as places in 0 … 1.
-    """
+    """Return the real roots of a Legendre series on -1 … 1, polished by Newton steps, as rising places in 0 … 1."""
     slope = polynomial.deriv()
     roots = np.sort(polynomial.roots().real)
     for _ in range(3):
@@ -144,9 +137,7 @@ def radau(count: int) -> Method:
 
 @cache
 def gauss(count: int) -> Method:
-    """Return the Legendre–Gauss method.
-
-    All points are inside the interval. The order is 2 `count`.
+    """Return the Legendre–Gauss method, with all points inside the interval and order 2 `count`.
 
     Args:
         count: number of points.

@@ -144,9 +144,7 @@ class EndConditions(Settings, table="ends"):
 
 
 def state_scale(dimension: int, limits: Limits) -> Array:
-    """Return the scale of each component of a state.
-
-    It is π per angle, 10 rad/s per rate, the full stroke and 3 m/s.
+    """Return the scale of each component of a state: π per angle, 10 rad/s per rate, the full stroke and 3 m/s.
 
     Args:
         dimension: number of components.
@@ -183,17 +181,14 @@ class ReferenceProblem(Brief):
     )
 
     def end_states(self) -> tuple[Array, Array]:
-        """Return the fixed states (N,) at start and end.
-
-        Free entries are NaN.
-        """
-        given = self.guess_at(np.array([0.0, self.duration]))
+        """Return the fixed states (N,) at start and end, with NaN for free entries."""
+        guessed = self.guess_at(np.array([0.0, self.duration]))
         ends = [self.ends.start, self.ends.end]
         if self.ends.closing is not None:
             return (np.full(self.equations.dimension, np.nan) if ends[0] is None else ends[0],
                     np.full(self.equations.dimension, np.nan))  # fmt: skip
         start, end = (
-            np.concatenate([given[k], [0.0, 0.0]]) if fixed is None else np.asarray(fixed, dtype=float)
+            np.concatenate([guessed[k], [0.0, 0.0]]) if fixed is None else np.asarray(fixed, dtype=float)
             for k, fixed in enumerate(ends)
         )
         return start, end

@@ -154,10 +154,8 @@ class Reference(Trajectory):
 
     @cached_property
     def errors(self) -> Array | None:
-        """Errors between nodes (N,), scaled, measured again on each interval.
-
-        They are None if the arms are unknown or heyoka is not installed.
-        """
+        """Errors between nodes (N,), scaled, measured again on each interval; None if arms are unknown or heyoka is
+        missing."""
         if self.arms is None or not installed("heyoka"):
             return None
         nothing = np.zeros(self.states.shape[-1] - 2)
@@ -171,9 +169,7 @@ class Reference(Trajectory):
         return error_between_nodes(problem, self)
 
     def energies(self, states: Array) -> Array | None:
-        """Return the pendulum's energies (K,), J.
-
-        The result is None if the arms are unknown.
+        """Return the pendulum's energies (K,), J, or None if the arms are unknown.
 
         Args:
             states: states (K, N).
@@ -254,11 +250,9 @@ def still(state: Array, seconds: float, *, method: Method, limits: Limits, inter
 
 
 def joined(pieces: Sequence[Reference]) -> tuple[Reference, Array]:
-    """Return pieces as one reference, and their times.
+    """Return pieces of one method as one reference, and the times (P + 1,), s, of their begins and the last end.
 
-    The times (P + 1,), s, are those of their begins and the last end.
-
-    All have the same method. A jump of states between pieces counts as a constraint violation. Inputs can jump.
+    A jump of states between pieces counts as a constraint violation. Inputs can jump.
 
     Args:
         pieces: references (P,) in order.
@@ -336,10 +330,7 @@ def save_reference(path: Path | BytesIO, reference: Reference) -> None:
 
 
 def _checked(header: Any, arrays: dict[str, Array]) -> Reference:
-    """Build a reference from a file's parts.
-
-    Any of the raised errors means an invalid file.
-    """
+    """Build a reference from a file's parts; any of the raised errors means an invalid file."""
     method = method_named(header["method"])
     mesh, states, inputs = (np.asarray(arrays[k], dtype=float) for k in ("mesh", "states", "inputs"))
     intervals, count = len(mesh) - 1, len(method.points)
@@ -354,15 +345,15 @@ def _checked(header: Any, arrays: dict[str, Array]) -> Reference:
     if not all(np.abs(values).max(initial=0.0) <= _LARGEST for values in (mesh, states, inputs)):
         raise ValueError("its mesh, states or inputs are not finite, or too large")
     numbers, limits = header["numbers"], Limits(**header["limits"])
-    found = {name: np.inf if numbers[name] is None else float(numbers[name]) for name in _FOUND}
-    if np.isnan([*found.values(), *limits.named().values()]).any():
+    figures = {name: np.inf if numbers[name] is None else float(numbers[name]) for name in _FOUND}
+    if np.isnan([*figures.values(), *limits.named().values()]).any():
         raise ValueError("its numbers or limits are not numbers")
     extra = {name.removeprefix(_EXTRA): array for name, array in arrays.items()}
     notes = header["notes"]
     return Reference(
         method, mesh, states, inputs, limits,
         ending=ReferenceEnding(ReferenceCause.STORED, text=str(header["status"])), converged=bool(header["converged"]),
-        iterations=int(found.pop("iterations")), **found,
+        iterations=int(figures.pop("iterations")), **figures,
         plan=restored(notes, extra, arms=states.shape[-1] // 2 - 1) if notes else None,
     )  # fmt: skip
 

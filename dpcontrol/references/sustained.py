@@ -88,9 +88,7 @@ SUSTAINED = ReferenceSettings(method="radau-8", tolerance=1e-9, pendulum_weight=
 
 @dataclass(frozen=True, eq=False)
 class PhaseSection(Brief):
-    """The plane through the orbit at one of its phases.
-
-    It is at right angles to the orbit in the pendulum's scaled state.
+    """The plane through the orbit at one of its phases, at right angles to the orbit in the pendulum's scaled state.
 
     Attributes:
         phase: 0 to 1.
@@ -106,9 +104,7 @@ class PhaseSection(Brief):
     normal: Array
 
     def lateness(self, state: ArrayLike) -> Array:
-        """Return the times since states passed the section, s (…).
-
-        They are valid near the section, to first order.
+        """Return the times since states passed the section, s (…), valid near the section, to first order.
 
         Args:
             state: states (…, N).
@@ -117,10 +113,7 @@ class PhaseSection(Brief):
 
     @property
     def projection(self) -> Array:
-        """The matrix (N, N) that projects onto the section.
-
-        It moves a small difference along the orbit.
-        """
+        """The matrix (N, N) that projects onto the section, by a small move along the orbit."""
         return np.eye(len(self.rate)) - np.outer(self.rate, self.normal)
 
 
@@ -153,9 +146,7 @@ class SectionMap(Brief):
 
 @dataclass(frozen=True, eq=False)
 class SustainedOrbit(ByReference, Timed):
-    """A periodic orbit of pendulum and cart with its input.
-
-    The input sustains it. Time 0 is its phase 0.
+    """A periodic orbit of pendulum and cart with the input that sustains it; time 0 is its phase 0.
 
     Attributes:
         lyapunov: the conservative orbit that it continues.
@@ -230,10 +221,7 @@ class SustainedOrbit(ByReference, Timed):
 
     @cached_property
     def multipliers(self) -> NDArray[np.complex128]:
-        """Multipliers (N,) of the period map with replayed input, largest first.
-
-        NaN if not converged.
-        """
+        """Multipliers (N,) of the period map with replayed input, largest first; NaN if not converged."""
         n = self.lyapunov.system.dimension
         if not self.converged:
             return np.full(n + 2, np.nan, dtype=complex)
@@ -246,16 +234,11 @@ class SustainedOrbit(ByReference, Timed):
 
     @property
     def residual(self) -> float:
-        """Return the scaled residual.
-
-        It is the larger of error between nodes and violation of closing, energy or limits.
-        """
+        """Return the scaled residual, the larger of error between nodes and violation of closing, energy or limits."""
         return self.reference.residual
 
     def state(self, times: ArrayLike) -> Array:
-        """Return states (…, N) at any times.
-
-        A state has angles, rates, cart position and velocity.
+        """Return states (…, N) of angles, rates, cart position and velocity at any times.
 
         Args:
             times: times (…), s.
@@ -277,10 +260,9 @@ class SustainedOrbit(ByReference, Timed):
         return ca.Function("linear", [e.state, e.inputs, e.parameters], parts, {"cse": True})
 
     def pieces(self, begin: float, end: float, *, pulse: Signal | None = None) -> tuple[Array, Array]:
-        """Return transition matrices (P, N, N) and pulse responses (P, N).
+        """Return transition matrices (P, N, N) and pulse responses (P, N) of the pieces between two times.
 
-        The transition matrices are those of the pieces between two times. A piece ends where an interval of the
-        reference does.
+        A piece ends where an interval of the reference does.
 
         Args:
             begin: start of the first piece, s.
@@ -306,14 +288,12 @@ class SustainedOrbit(ByReference, Timed):
             rows = slice(k * n, (k + 1) * n)
             system[:, rows, rows] -= lengths[:, None, None] * a[:, k]
         inner = np.linalg.solve(system, right).reshape(len(lengths), count, n, n + 1)
-        found = np.einsum("k,pkij->pij", _METHOD.end[1:], inner)
-        found[..., :n] += _METHOD.end[0] * np.eye(n)
-        return found[..., :n], found[..., n]
+        at_end = np.einsum("k,pkij->pij", _METHOD.end[1:], inner)
+        at_end[..., :n] += _METHOD.end[0] * np.eye(n)
+        return at_end[..., :n], at_end[..., n]
 
     def over(self, begin: float, duration: float, *, pulse: Signal | None = None) -> tuple[Array, Array]:
-        """Return Φ (N, N) and Γ (N,) over a time.
-
-        The time can pass the period's end.
+        """Return Φ (N, N) and Γ (N,) over a time, which can pass the period's end.
 
         Args:
             begin: begin, s.
@@ -334,10 +314,7 @@ class SustainedOrbit(ByReference, Timed):
         return matrix, response
 
     def _span(self, begin: float, end: float, *, pulse: Signal | None) -> tuple[Array, Array]:
-        """Return Φ (N, N) and Γ (N,) between two times.
-
-        The times are of one period's clock; pulse as in `pieces`.
-        """
+        """Return Φ (N, N) and Γ (N,) between two times of one period's clock; pulse as in `pieces`."""
         n = self.equations.dimension
         matrix, response = np.eye(n), np.zeros(n)
         for part, forced in zip(*self.pieces(begin, end, pulse=pulse), strict=True):
@@ -360,9 +337,7 @@ class SustainedOrbit(ByReference, Timed):
         return PhaseSection(phase, time, state, rate, normal / (normal @ rate))
 
     def sections(self, count: int) -> tuple[PhaseSection, ...]:
-        """Return sections at phases (j + 1/2) / count.
-
-        These are farthest from the jump of the input at phase 0.
+        """Return sections at phases (j + 1/2) / count, farthest from the jump of the input at phase 0.
 
         Args:
             count: number of sections.
@@ -375,9 +350,7 @@ class SustainedOrbit(ByReference, Timed):
         return tuple(self.section((j + 0.5) / count) for j in range(count))
 
     def section_maps(self, count: int) -> tuple[SectionMap, ...]:
-        """Return the linearised maps from each section to the next.
-
-        The last one leads to the first section.
+        """Return the linearised maps from each section to the next, and from the last to the first.
 
         Args:
             count: number of sections.
@@ -394,9 +367,7 @@ class SustainedOrbit(ByReference, Timed):
         return replace(bare, matrix=end.projection @ matrix, response=end.projection @ response)
 
     def section_multipliers(self, count: int) -> NDArray[np.complex128]:
-        """Return the multipliers (N-1,) of the section map, largest first.
-
-        The map is over a period.
+        """Return the multipliers (N-1,) of the section map over a period, largest first.
 
         Args:
             count: number of sections.
@@ -414,15 +385,15 @@ class SustainedOrbit(ByReference, Timed):
 
     def document(self) -> dict[str, Any]:
         """Return the JSON output of `dpcontrol orbit --sustained`."""
-        reference, there = self.reference, self.converged
+        reference, converged = self.reference, self.converged
         return {
             **picked(self.lyapunov, "saddle", "family"),
             **picked(self, "energy", "energies", "period", "departure", "residual", "converged", "status"),
             "lyapunov_period": self.lyapunov.period,
             "state": self.state(0.0),
-            "multipliers": self.multipliers if there else None,
+            "multipliers": self.multipliers if converged else None,
             "sections": self.resets,
-            "section_multipliers": self.section_multipliers(self.resets) if there else None,
+            "section_multipliers": self.section_multipliers(self.resets) if converged else None,
             "u_rms": reference.rms_cart_acceleration,
             "u_max": reference.max_cart_acceleration,
             **picked(reference, "max_cart_position", "max_cart_velocity", "iterations", "solve_seconds"),
@@ -439,9 +410,7 @@ def sustained_orbit(
     settings: ReferenceSettings = SUSTAINED,
     progress: Progress = no_progress,
 ) -> SustainedOrbit:
-    """Continue a Lyapunov orbit to one with friction and cart.
-
-    Both orbits have the same arms.
+    """Continue a Lyapunov orbit to one of the same arms with friction and cart.
 
     If `converged` is False, do not use the result; `status` has the cause and a remedy.
 

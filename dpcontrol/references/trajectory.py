@@ -125,9 +125,7 @@ class Solved:
 
 
 def first_trajectory(problem: ReferenceProblem, method: Method, mesh: Array) -> Trajectory:
-    """Return the guess on the mesh.
-
-    The cart follows the problem's cart guess, or rests in the middle.
+    """Return the guess on the mesh, where the cart follows the problem's cart guess or rests in the middle.
 
     Args:
         problem: problem with a guess.
@@ -165,9 +163,7 @@ def power_coefficients(points: Array, values: Array) -> Array:
 
 
 def error_between_nodes(problem: ReferenceProblem, trajectory: Trajectory) -> Array:
-    """Return the largest scaled error in each interval, (N,).
-
-    The largest scaled error is infinite if the propagation fails.
+    """Return the largest scaled error in each interval (N,), infinite if the propagation fails.
 
     Args:
         problem: equations and limits.
@@ -191,9 +187,7 @@ def error_between_nodes(problem: ReferenceProblem, trajectory: Trajectory) -> Ar
 
 
 def interval_propagator(problem: ReferenceProblem, method: Method) -> "PolynomialInputPropagator":
-    """Return the propagator for intervals of a method.
-
-    The propagator is compiled when first used and kept with the problem.
+    """Return the propagator for intervals of a method, compiled when first used and kept with the problem.
 
     Args:
         problem: equations.
@@ -208,9 +202,7 @@ def interval_propagator(problem: ReferenceProblem, method: Method) -> "Polynomia
 
 
 def largest_on_intervals(points: Array, values: Array, *, above: float) -> float:
-    """Return the largest |polynomial| over all intervals.
-
-    The intervals are 0 ≤ τ ≤ 1. The result is exact where it exceeds `above`.
+    """Return the largest |polynomial| over all intervals 0 ≤ τ ≤ 1, exact where it exceeds `above`.
 
     Args:
         points: distinct points (K,) in [0, 1].
@@ -230,9 +222,7 @@ def largest_on_intervals(points: Array, values: Array, *, above: float) -> float
 
 
 def away_from_guess(problem: ReferenceProblem, trajectory: Trajectory) -> tuple[float, float]:
-    """Return the largest distance from the guess, and its time.
-
-    The distance is that of the pendulum, scaled. The time is in s.
+    """Return the largest scaled distance of the pendulum from the guess, and its time, s.
 
     At each time, the nearest of the guess's states within LATENESS before and after counts, because friction delays the
     motion. The scale of an arm's rate is at least a third of its largest rate in the guess, because small arms are
@@ -249,22 +239,19 @@ def away_from_guess(problem: ReferenceProblem, trajectory: Trajectory) -> tuple[
     scale = state_scale(problem.equations.dimension, problem.limits)[:nz]
     rates = slice(nz // 2, nz)
     scale[rates] = np.maximum(scale[rates], np.abs(guess[:, rates]).max(0) / _FAST)
-    found, guess = trajectory.state(at)[:, :nz] / scale, guess / scale
+    states, guess = trajectory.state(at)[:, :nz] / scale, guess / scale
     nearest = np.full(len(times), np.inf)
     most = min(round(LATENESS / _LOOK), len(times) - 1)
     for lag in range(-most, most + 1):
-        here = slice(max(0, lag), len(times) + min(0, lag))
-        there = slice(max(0, -lag), len(times) + min(0, -lag))
-        nearest[here] = np.minimum(nearest[here], np.abs(found[here] - guess[there]).max(1))
+        late = slice(max(0, lag), len(times) + min(0, lag))
+        early = slice(max(0, -lag), len(times) + min(0, -lag))
+        nearest[late] = np.minimum(nearest[late], np.abs(states[late] - guess[early]).max(1))
     worst = int(nearest.argmax())
     return float(nearest[worst]), float(at[worst])
 
 
 def _limited_curves(trajectory: Trajectory) -> dict[str, tuple[Array, Array]]:
-    """Return each limited quantity in an interval.
-
-    Each has places, and values (N, …) there.
-    """
+    """Return each limited quantity in an interval as places and the values (N, …) at them."""
     inputs, method = trajectory.inputs[..., 0], trajectory.method
     slopes = inputs @ differentiation_matrix(method.points).T / np.diff(trajectory.mesh)[:, None]
     return {
@@ -276,9 +263,7 @@ def _limited_curves(trajectory: Trajectory) -> dict[str, tuple[Array, Array]]:
 
 
 def where_largest(trajectory: Trajectory, name: str) -> float:
-    """Return the time of a limited quantity's largest value, s.
-
-    The time is found on the dense grid.
+    """Return the time at which a limited quantity is largest on the dense grid, s.
 
     Args:
         trajectory: motion.
@@ -294,10 +279,7 @@ def where_largest(trajectory: Trajectory, name: str) -> float:
 
 @dataclass(frozen=True)
 class LimitUse:
-    """Use of one of the cart's limits.
-
-    Bound and largest size in `unit`, and the time of the latter, s.
-    """
+    """Use of one of the cart's limits: bound and largest size in `unit`, and the time of the latter, s."""
 
     name: str
     unit: str
@@ -331,9 +313,7 @@ def limit_uses(trajectory: Trajectory, limits: Limits) -> tuple[LimitUse, ...]:
 
 
 def largest_values(trajectory: Trajectory, limits: Limits) -> dict[str, float]:
-    """Return the largest size of each limited quantity.
-
-    The values between nodes count too.
+    """Return the largest size of each limited quantity, with the values between nodes.
 
     Args:
         trajectory: motion.

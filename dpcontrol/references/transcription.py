@@ -85,9 +85,9 @@ def interval_derivatives(interval: ca.Function, *, columns: Indices, size: int) 
     weights = ca.repmat(sigma, 1, intervals)
     curvatures = one_hessian.map(intervals)(*fixed, weights, ca.reshape(lam, rows, intervals))
     local_row, local_col = (np.array(part) for part in hessian.sparsity().get_triplet())
-    one, other = columns[local_row].T.ravel(), columns[local_col].T.ravel()
+    row, column = columns[local_row].T.ravel(), columns[local_col].T.ravel()
     # Columns need not rise within v, but the result must be the upper triangle.
-    full_hessian = _scattered(ca.vec(curvatures), np.minimum(one, other), np.maximum(one, other), (size, size))
+    full_hessian = _scattered(ca.vec(curvatures), np.minimum(row, column), np.maximum(row, column), (size, size))
     total, flat = ca.sum2(f), ca.vec(g)
     return {
         "program": {"x": x, "f": total, "g": flat, "p": p},
@@ -102,10 +102,7 @@ def interval_derivatives(interval: ca.Function, *, columns: Indices, size: int) 
 
 
 def _scattered(values: ca.MX, rows: Indices, columns: Indices, shape: tuple[int, int]) -> ca.MX:
-    """Return the sparse matrix with given values (K,).
-
-    The values are at (rows, columns) (K,); those at the same place are added.
-    """
+    """Return the sparse matrix with values (K,) at (rows, columns) (K,); values at the same place are added."""
     place = columns * shape[0] + rows
     order = np.argsort(place, kind="stable")
     first = np.concatenate([[True], np.diff(place[order]) != 0])
@@ -133,9 +130,9 @@ def solver_options(settings: ReferenceSettings, *, search: Search = "fresh") -> 
     """
     shared: dict[str, Any] = {"print_time": False, "error_on_fail": False}
     if settings.solver == "fatrop":
-        own = {"print_level": 0, "max_iter": settings.iterations, "tolerance": 1e-8}
+        solver_settings = {"print_level": 0, "max_iter": settings.iterations, "tolerance": 1e-8}
     else:
-        own = {
+        solver_settings = {
             "print_level": 0,
             "sb": "yes",
             "max_iter": settings.iterations,
@@ -146,7 +143,7 @@ def solver_options(settings: ReferenceSettings, *, search: Search = "fresh") -> 
             "mu_init": 1e-6 if search == "warm" else 0.1,
             "mu_strategy": "adaptive" if search == "far" else "monotone",
         }
-    return shared | {f"{settings.solver}.{name}": value for name, value in own.items()}
+    return shared | {f"{settings.solver}.{name}": value for name, value in solver_settings.items()}
 
 
 def interval_function(
@@ -318,10 +315,7 @@ class _Program:
         self.high_g.append(values)
 
     def _join_ends(self, rows: list[ca.MX], first: ca.MX, last: ca.MX, matrix: ca.MX) -> None:
-        """Add conditions at the ends beyond bounds.
-
-        Closing and energy, or all of them if stages have no bounds.
-        """
+        """Add conditions at the ends beyond bounds: closing and energy, or all of them if stages have no bounds."""
         ends, e = self.problem.ends, self.problem.equations
         if ends.closing is not None:
             self._equal(rows, last - first, np.asarray(ends.closing) / self.scale)
@@ -342,10 +336,7 @@ class _Program:
             self.fixed_counts = (len(fixed), len(held))
 
     def _name_stages(self, gaps: int) -> None:
-        """Pass the stages' sizes and the equalities to the solver.
-
-        The sizes are the numbers of states, inputs and constraints.
-        """
+        """Pass the stages' numbers of states, inputs and constraints, and the equalities, to the solver."""
         n, width = self.intervals, self.nx * self.free + self.count
         equal = np.concatenate(self.low_g) == np.concatenate(self.high_g)
         self.options = {
@@ -432,12 +423,12 @@ def solve(
     low_g, high_g = np.concatenate(program.low_g), np.concatenate(program.high_g)
     with catching_interrupts():
         out = solver(x0=x0, p=program.values, lbx=low, ubx=high, lbg=low_g, ubg=high_g)
-    found = np.array(out["x"]).ravel()
+    values = np.array(out["x"]).ravel()
     residuals = np.array(out["g"]).ravel()
     stats = solver.stats()
-    finite = bool(np.isfinite(found).all())
+    finite = bool(np.isfinite(values).all())
     violation = float(np.maximum(np.maximum(residuals - high_g, low_g - residuals), 0.0).max())
-    trajectory = program.unpacked(found)
+    trajectory = program.unpacked(values)
     return Solved(
         trajectory=trajectory,
         violation=violation if np.isfinite(violation) else float("inf"),
