@@ -74,7 +74,7 @@ def _named(module: str, name: str) -> Values:
 
 
 def _shipped(kind: str) -> Completer:
-    return completing(lambda *_: shipped.known(kind), files=True)
+    return completing(lambda *_: shipped.shipped_names(kind), files=True)
 
 
 _SADDLES = completing(lambda context, _: _system(context).saddles)

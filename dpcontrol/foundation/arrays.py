@@ -31,9 +31,9 @@ def checked_array(name: str, values: Any, width: int | None = None) -> Array:
     """
     expected = "numbers" if width is None else f"states of {width} numbers"
     try:
-        found = np.asarray(values)
+        array = np.asarray(values)
     except (TypeError, ValueError, RuntimeError) as error:
         raise InputError(f"{name} = {shortened(values)}: must be {expected}") from error
-    if found.dtype.kind not in "iuf" or (width is not None and found.shape[-1:] != (width,)):
+    if array.dtype.kind not in "iuf" or (width is not None and array.shape[-1:] != (width,)):
         raise InputError(f"{name} = {shortened(values)}: must be {expected}")
-    return found.astype(float, copy=False)
+    return array.astype(float, copy=False)

@@ -1,7 +1,4 @@
-"""Time limits for searches.
-
-A search returns partial results when the time is up.
-"""
+"""Time limits for searches, which return partial results when the time is up."""
 
 import time
 

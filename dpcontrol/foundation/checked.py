@@ -32,10 +32,9 @@ Positive = Annotated[float, Between(above=0)]
 
 
 def checked(function: Function) -> Function:
-    """Return a function that checks its arguments against their annotations.
+    """Return a function that checks its arguments against their annotations and raises InputError if one does not fit.
 
-    The returned function raises InputError if an argument does not fit. If the function has the argument `progress`, it
-    receives a function of a text and a share, whatever the caller gave.
+    If the function has the argument `progress`, it receives a function of a text and a share, whatever the caller gave.
 
     Args:
         function: annotated function or method.
@@ -80,7 +79,7 @@ class _ByName(type):
         return _ByName(name, (), {})
 
     def __instancecheck__(cls, value: object) -> bool:
-        return any(one.__name__ == cls.__name__ for one in type(value).__mro__)
+        return any(base.__name__ == cls.__name__ for base in type(value).__mro__)
 
 
 class _Names(dict[str, Any]):
@@ -183,12 +182,12 @@ def _kind(hint: Any) -> _Kind:
         return _Kind(" or ".join(nouns), lambda value: any(part.fits(value) for part in parts))
     if kind is Annotated:
         noun, fits = _kind(inner[0])
-        bounds = next((one for one in inner if isinstance(one, Between)), None)
+        bounds = next((constraint for constraint in inner if isinstance(constraint, Between)), None)
         if bounds is None:
             return _Kind(noun, fits)
         return _Kind(f"{noun}, {bounds.range}", lambda value: fits(value) and not bounds.complaint(value))
     if kind is Literal:
-        typed = [(type(one), one) for one in inner]
+        typed = [(type(constraint), constraint) for constraint in inner]
         return _Kind(", ".join(map(repr, inner)), lambda value: (type(value), value) in typed)
     if kind is Mapping:
         key, entry = map(_kind, inner)

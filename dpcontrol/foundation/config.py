@@ -58,7 +58,7 @@ class Configuration:
 
     def document(self) -> dict[str, Any]:
         """Return file and settings as JSON values."""
-        settings = {one.name: {"value": one.value, "source": one.source} for one in self.settings}
+        settings = {setting.name: {"value": setting.value, "source": setting.source} for setting in self.settings}
         return {"file": str(self.file), "settings": settings}
 
 
@@ -89,7 +89,7 @@ def configuration() -> Config:
     Raises:
         InputError: a mistake in the file or in a variable.
     """
-    return Config(**{one.name: one.value for one in configured()})
+    return Config(**{setting.name: setting.value for setting in configured()})
 
 
 def configured() -> Iterator[Configured]:

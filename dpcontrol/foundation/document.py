@@ -79,13 +79,13 @@ def document_of(result: Any, keys: str = "*") -> dict[str, Any]:
 
 
 def _part(value: Any, path: str) -> Any:
-    """Return the value at the end of a dotted path.
+    """Return the value at the end of a dotted path of attributes, items of mappings, places in sequences, and methods.
 
-    Its steps are attributes, items of mappings, places in sequences, and methods without arguments.
+    The methods are called without arguments.
     """
     for name in path.lstrip("#").split("."):
         if isinstance(value, list | tuple) and not hasattr(value, "_fields"):
-            value = value[int(name)] if name.isdigit() else [getattr(one, name) for one in value]
+            value = value[int(name)] if name.isdigit() else [getattr(item, name) for item in value]
         else:
             value = value[name] if isinstance(value, Mapping) else getattr(value, name)
         value = value() if ismethod(value) else value
@@ -95,9 +95,9 @@ def _part(value: Any, path: str) -> Any:
 def _rows(value: Any, columns: str) -> Any:
     """Return some entries of an object, or of each of its items."""
     if isinstance(value, list | tuple):
-        return [_row(one, columns) for one in value]
+        return [_row(item, columns) for item in value]
     if isinstance(value, Mapping):
-        return {key: _row(one, columns) for key, one in value.items()}
+        return {key: _row(item, columns) for key, item in value.items()}
     return _row(value, columns)
 
 

@@ -15,15 +15,13 @@ _LONGEST = 2000
 
 
 def concise(sentence: str) -> str:
-    """Return a sentence with long words and lines shortened.
-
-    A file can have a key of a megabyte.
+    """Return a sentence with long words and lines shortened, since a key in a file can have a megabyte.
 
     Args:
         sentence: one sentence or several, a line each.
     """
     lines = _WORD.sub(lambda word: f"{word[0][:40]}…", sentence).split("\n")
-    return "\n".join(one if len(one) <= _LONGEST else f"{one[: _LONGEST // 2]} … {one[-400:]}" for one in lines)
+    return "\n".join(line if len(line) <= _LONGEST else f"{line[: _LONGEST // 2]} … {line[-400:]}" for line in lines)
 
 
 def shortened(value: Any) -> str:
@@ -37,9 +35,7 @@ def shortened(value: Any) -> str:
 
 
 class InputError(Exception):
-    """Bad input: one sentence with file, key, value and remedy.
-
-    The exit code is 2.
+    """Bad input, exit code 2: one sentence with file, key, value and remedy.
 
     Attributes:
         sentence: the message without the place at its beginning.
@@ -76,7 +72,10 @@ class InputError(Exception):
             key: key of the table, by default the present one.
         """
         return together(
-            [InputError(one.sentence, where=where, table=table or one.table, key=key or one.key) for one in self.errors]
+            [
+                InputError(error.sentence, where=where, table=table or error.table, key=key or error.key)
+                for error in self.errors
+            ]
         )
 
 
@@ -103,10 +102,7 @@ def together(errors: Sequence[InputError]) -> InputError:
 
 
 class Mistakes:
-    """Collects the mistakes of one input.
-
-    `with mistakes:` around each check, then `report`.
-    """
+    """Collects the mistakes of one input: `with mistakes:` around each check, then `report`."""
 
     def __init__(self) -> None:
         self.errors: list[InputError] = []
@@ -130,16 +126,14 @@ class Mistakes:
 
 
 class PartMissing(Exception):
-    """A missing package: one sentence on its use and installation.
+    """A missing package, exit code 2: one sentence on its use and installation.
 
-    The exit code is 2. It is not an InputError, because the user's input is correct.
+    It is not an InputError, because the user's input is correct.
     """
 
 
 class GoalMissed(Exception):
-    """A computation without a result: one sentence with the reason.
-
-    The exit code is 1.
+    """A computation without a result, exit code 1: one sentence with the reason.
 
     Attributes:
         symbol: index of the walk's symbol that failed, or None.
@@ -156,9 +150,9 @@ class Remark(UserWarning):
 
 
 def remark(text: str) -> None:
-    """Issue a remark once.
+    """Issue a remark once, as a warning in Python and as a line on stderr on the command line.
 
-    A remark is a warning in Python and a line on stderr on the command line. Worker processes issue none.
+    Worker processes issue none.
 
     Args:
         text: one sentence.
@@ -175,17 +169,15 @@ _CONTROLS = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u
 
 
 def printable(text: str, *, json: bool = False) -> str:
-    """Return text with control characters escaped, as in \\x1b.
-
-    Bytes that are not UTF-8, which names of files can have, are escaped too.
+    """Return text with control characters, and bytes of file names that are not UTF-8, escaped as in \\x1b.
 
     Args:
         text: text from any source.
         json: escape as in \\u001b.
     """
 
-    def written_out(found: re.Match[str]) -> str:
-        code = ord(found[0])
+    def written_out(match: re.Match[str]) -> str:
+        code = ord(match[0])
         if json:
             return f"\\u{code:04x}"
         # Python holds such a byte as a surrogate.

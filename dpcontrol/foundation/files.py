@@ -1,6 +1,4 @@
-"""Files that are either whole or absent.
-
-They are written under a temporary name, then renamed.
+"""Files that are either whole or absent: they are written under a temporary name, then renamed.
 
 Only regular files are read, because pipes and devices never end. Containers are checked for their unpacked size before
 they are opened.
@@ -77,9 +75,7 @@ def checked_target(path: Path) -> Path:
 
 
 def checked_folder(folder: Path, path: Path | None = None) -> None:
-    """Reject a folder that cannot be made or written to.
-
-    Nothing is left in it.
+    """Reject a folder that cannot be made or written to, without leaving anything in it.
 
     Args:
         folder: folder, which may be missing.
@@ -88,9 +84,9 @@ def checked_folder(folder: Path, path: Path | None = None) -> None:
     Raises:
         InputError: the folder is a file, or the system forbids it.
     """
-    there = next(one for one in (folder, *folder.parents, Path()) if os.path.lexists(one))
-    if not (there.is_dir() and os.access(there, os.W_OK)):
-        wrong = f"{there} is not a folder" if not there.is_dir() else f"permission denied in {there}"
+    ancestor = next(parent for parent in (folder, *folder.parents, Path()) if os.path.lexists(parent))
+    if not (ancestor.is_dir() and os.access(ancestor, os.W_OK)):
+        wrong = f"{ancestor} is not a folder" if not ancestor.is_dir() else f"permission denied in {ancestor}"
         raise InputError(f"cannot write {path or folder}: {wrong}; choose another file or folder")
 
 
@@ -112,7 +108,7 @@ def claimed(path: Path) -> Iterator[None]:
     place = Path(os.path.realpath(path))
     checked_folder(place.parent, path)
     partial = place.with_name(f".{place.name[:40]}-{content_hash(place.name)}.partial")
-    made = [folder for folder in place.parents if not os.path.exists(folder)]
+    folders = [folder for folder in place.parents if not os.path.exists(folder)]
     place.parent.mkdir(parents=True, exist_ok=True)
     with partial.open("ab") as handle:
         if not _exclusive(handle.fileno()):
@@ -125,7 +121,7 @@ def claimed(path: Path) -> Iterator[None]:
             partial.unlink(missing_ok=True)
             # The deepest comes first; one that is not empty ends this.
             with suppress(OSError):
-                for folder in made:
+                for folder in folders:
                     folder.rmdir()
 
 
@@ -145,9 +141,7 @@ def _exclusive(handle: int) -> bool:
 
 @contextmanager
 def free_name(path: Path, make: Callable[[Path], T]) -> Iterator[T]:
-    """Claim the first free name and yield its result.
-
-    The names are NAME, NAME.2, NAME.3 …; the result is that of `make`.
+    """Claim the first free name of NAME, NAME.2, NAME.3 …, and yield the result of `make` for it.
 
     Args:
         path: the first name.
@@ -161,21 +155,21 @@ def free_name(path: Path, make: Callable[[Path], T]) -> Iterator[T]:
         with ExitStack() as stack:
             try:
                 stack.enter_context(claimed(place))
-                made = make(place)
+                name = make(place)
             except InTheWay:
                 continue
-            yield made
+            yield name
             return
 
 
 @contextmanager
 def chosen_name(
-    given: Path | str | bool | None, first: Path, check: Callable[[Path], object] = checked_target
+    requested: Path | str | bool | None, first: Path, check: Callable[[Path], object] = checked_target
 ) -> Iterator[Path | None]:
     """Yield the file or folder to write, which no other command writes until the end of the block.
 
     Args:
-        given: its name, True for the first free name, or None for no file.
+        requested: its name, True for the first free name, or None for no file.
         first: the first name that is tried (see `free_name`).
         check: checks a name; raises `InTheWay` if another command made the file.
 
@@ -187,14 +181,14 @@ def chosen_name(
         check(file)
         return file
 
-    if given is True:
+    if requested is True:
         with free_name(first, checked) as file:
             yield file
-    elif not given:
+    elif not requested:
         yield None
     else:
-        with claimed(Path(str(given))):
-            yield checked(Path(str(given)))
+        with claimed(Path(str(requested))):
+            yield checked(Path(str(requested)))
 
 
 def checked_source(path: Path | str) -> Path:
@@ -216,9 +210,7 @@ def checked_source(path: Path | str) -> Path:
 
 
 def is_bag_folder(path: Path) -> bool:
-    """True if the path is a bag of ROS 2.
-
-    Such a bag is a folder with metadata.yaml.
+    """True if the path is a bag of ROS 2, a folder with metadata.yaml.
 
     Args:
         path: file or folder.
@@ -285,12 +277,10 @@ def unwritable(path: Path, error: OSError) -> InputError:
 
 @contextmanager
 def whole_file(path: Path, *, suffix: str = "") -> Iterator[Path]:
-    """Yield a temporary path beside `path`.
+    """Yield a temporary path beside `path`, which gets that name when the block ends without an error.
 
-    Rename it to `path` when the block ends without an error.
-
-    The temporary name ends with `suffix`, for writers that choose a format by it. The temporary file is
-    removed if the block raises.
+    The temporary name ends with `suffix`, for writers that choose a format by it. The temporary file is removed if the
+    block raises.
 
     Args:
         path: file to write; missing folders are made.
@@ -314,9 +304,7 @@ def whole_file(path: Path, *, suffix: str = "") -> Iterator[Path]:
 
 
 def write_whole(path: Path, content: bytes | str) -> None:
-    """Write a file so that readers never see a part.
-
-    A reader sees either the old file or the whole new one.
+    """Write a file so that a reader sees either the old file or the whole new one.
 
     Args:
         path: file to write.
@@ -328,9 +316,7 @@ def write_whole(path: Path, content: bytes | str) -> None:
 
 
 def write_folder(path: Path, files: Mapping[str, str], *, force: bool = False) -> None:
-    """Write text files to a folder, each whole.
-
-    A folder with some of these files is completed.
+    """Write text files to a folder, each whole; files that the folder lacks are added.
 
     Args:
         path: folder to write.
@@ -343,8 +329,8 @@ def write_folder(path: Path, files: Mapping[str, str], *, force: bool = False) -
     checked_folder(path)
     data = {path / name: text.encode() for name, text in files.items()}
     before = {file: file.read_bytes() for file in data if file.is_file()}
-    others = path.is_dir() and any(path.iterdir()) and not before
-    if not force and (others or any(content != data[file] for file, content in before.items())):
+    occupied = path.is_dir() and any(path.iterdir()) and not before
+    if not force and (occupied or any(content != data[file] for file, content in before.items())):
         raise in_the_way(path, "holds something else")
     for file, content in data.items():
         if content != before.get(file):
@@ -393,9 +379,7 @@ def write_archive(
 
 
 def archive_format(path: Path | str) -> str:
-    """Return the format in a file's header.
-
-    The result is "" if it has none or is not readable.
+    """Return the format in a file's header, or "" if it has none or is not readable.
 
     Args:
         path: archive (see `is_archive`). A log whose last bytes are an attached archive opens as that archive.
@@ -414,9 +398,7 @@ def archive_format(path: Path | str) -> str:
 def archive(
     path: Path | IO[bytes], *, what: str, make: str, again: str, format: str, versions: tuple[int, ...]
 ) -> Iterator[tuple[Any, dict[str, Any]]]:
-    """Yield the header and the arrays of `path`.
-
-    Errors in the block mean damage.
+    """Yield the header and the arrays of `path`; errors in the block mean damage.
 
     Args:
         path: path, or an open binary file.
@@ -440,8 +422,8 @@ def archive(
         if header["format"] != format:
             raise ValueError(f"its format is {header['format']!r}")
         if header["version"] not in versions:
-            known = " and ".join(map(str, versions))
-            raise ValueError(f"its version is {header['version']!r}, this program reads {known}")
+            supported = " and ".join(map(str, versions))
+            raise ValueError(f"its version is {header['version']!r}, this program reads {supported}")
         yield header, arrays
     except FileNotFoundError as error:
         raise InputError(f"there is no {what.partition(' ')[2]} {path}; {make}") from error

@@ -12,10 +12,7 @@ GUIDE = PACKAGE / "guide"
 
 
 def topics() -> dict[str, str]:
-    """Return the pages of the guide, with their subjects.
-
-    The pages are in reading order, with a line about each.
-    """
+    """Return the pages of the guide in reading order, with a line about the subject of each."""
     index = (GUIDE / "README.md").read_text(encoding="utf-8")
     return dict(re.findall(r"^- \[([\w-]+)\]\(\1\.md\): (.+)$", index, re.MULTILINE))
 

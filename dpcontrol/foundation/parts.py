@@ -1,6 +1,4 @@
-"""Optional packages, imported on first use.
-
-If one is missing, the error has an install hint.
+"""Optional packages, imported on first use, with an install hint if one is missing.
 
     hy = Later("heyoka")        # imports the package on first use
 
@@ -103,14 +101,14 @@ _DISTRIBUTIONS = (
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of dpcontrol, Python, system and packages.
-
-    The result is "" if not installed.
-    """
+    """Return the versions of dpcontrol, Python, system and packages, "" for those not installed."""
     # Imported here because the help of verbs needs none of them.
     import platform
     from importlib.metadata import distributions
 
-    there = {one.metadata["Name"].lower().replace("_", "-"): one.version for one in distributions()}
-    own = {"dpcontrol": VERSION, "python": platform.python_version(), "system": platform.platform()}
-    return {**own, **{name: there.get(name, "") for name in _DISTRIBUTIONS}}
+    of_distributions = {
+        distribution.metadata["Name"].lower().replace("_", "-"): distribution.version
+        for distribution in distributions()
+    }
+    program = {"dpcontrol": VERSION, "python": platform.python_version(), "system": platform.platform()}
+    return {**program, **{name: of_distributions.get(name, "") for name in _DISTRIBUTIONS}}

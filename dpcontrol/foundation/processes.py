@@ -60,7 +60,7 @@ def _results(function: Callable[[Piece], Done], pieces: Sequence[Piece], workers
         for piece in pieces:
             yield piece, function(piece)
         return
-    others = set(multiprocessing.active_children())
+    previous = set(multiprocessing.active_children())
     # Forked processes would share the threads of heyoka and casadi in an unknown state.
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(workers, mp_context=context, initializer=end_with_parent)
@@ -78,7 +78,7 @@ def _results(function: Callable[[Piece], Done], pieces: Sequence[Piece], workers
             "again, with fewer --workers"
         ) from error
     except BaseException:
-        for worker in set(multiprocessing.active_children()) - others:
+        for worker in set(multiprocessing.active_children()) - previous:
             worker.terminate()
         raise
     finally:
@@ -105,10 +105,7 @@ def _exit_after(sentinel: int) -> None:
 
 @contextmanager
 def ignoring_interrupts() -> Iterator[None]:
-    """Ignore Ctrl-C in the block, as processes that are started in it will do from then on.
-
-    Only the main thread can do so.
-    """
+    """Ignore Ctrl-C in the block, as processes started in it do from then on; only the main thread can do so."""
     in_main = threading.current_thread() is threading.main_thread()
     before = signal.signal(signal.SIGINT, signal.SIG_IGN) if in_main else None
     try:

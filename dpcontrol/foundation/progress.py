@@ -40,9 +40,7 @@ def no_progress(what: str, done: float) -> None:
 
 
 def part_of(progress: Progress, low: float, high: float) -> Progress:
-    """Return a progress function for a part of the work.
-
-    It maps 0 to 1 to the range from `low` to `high`.
+    """Return a progress function that maps 0 to 1 to the range from `low` to `high` of the whole work.
 
     Args:
         progress: progress function of the whole work.
@@ -61,9 +59,7 @@ _LINE = 20.0
 
 
 def lines(label: str) -> Progress:
-    """Return a progress function that writes lines to stderr.
-
-    It writes one every twenty seconds.
+    """Return a progress function that writes a line to stderr every twenty seconds.
 
     Args:
         label: begin of each line.

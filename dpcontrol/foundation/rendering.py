@@ -1,6 +1,4 @@
-"""The way from a result to its picture.
-
-Pictures are drawn in a higher layer.
+"""The way from a result to its picture, which a higher layer draws.
 
 Results do not import the modules that draw them. They call `render`, which finds the renderer in the table
 `dpcontrol.pages.renderers.RENDERERS`. This is the only module that imports a higher layer, and it does so by name.
@@ -55,8 +53,8 @@ def render(result: object, axes: Axes | None = None) -> Figure:
             return table.renderer(table.RENDERERS[name])(result)
         if name in table.PANELS:
             return table.alone(result, table.PANELS[name])
-    known = ", ".join(sorted(name.rpartition(".")[2] for name in (*table.RENDERERS, *table.PARTS)))
-    raise InputError(f"a {type(result).__name__} has no picture; results with one are {known}")
+    names = ", ".join(sorted(name.rpartition(".")[2] for name in (*table.RENDERERS, *table.PARTS)))
+    raise InputError(f"a {type(result).__name__} has no picture; results with one are {names}")
 
 
 def thumbnail(result: object) -> Figure:

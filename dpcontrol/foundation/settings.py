@@ -50,16 +50,14 @@ def check_choice(key: str, choices: Iterable[str], *values: Any) -> None:
     Raises:
         InputError: a value is no choice; the message has the nearest spelling.
     """
-    known = list(choices)
+    allowed = list(choices)
     for value in values:
-        if value not in known:
-            raise InputError(f"{key} = {shortened(value)}: {suggest(str(value), known)}", key=key)
+        if value not in allowed:
+            raise InputError(f"{key} = {shortened(value)}: {suggest(str(value), allowed)}", key=key)
 
 
 def nearest(value: str, choices: Iterable[str]) -> str:
-    """Return the choice with the nearest spelling, ignoring case.
-
-    The result is "" if all differ much.
+    """Return the choice with the nearest spelling, ignoring case, or "" if all differ much.
 
     Args:
         value: value given by the user.
@@ -146,7 +144,7 @@ class Setting:
         """
         if self.usual is not None:
             values = value if isinstance(value, tuple | list) else (value,)
-            yield from unusual(self.key or key, [one for one in values if is_finite(one)], self.usual, self.unit)
+            yield from unusual(self.key or key, [item for item in values if is_finite(item)], self.usual, self.unit)
 
     def check(self, key: str, value: Any, *, table: str = "") -> None:
         """Raise an error if a value, or a value of a list, is not allowed.
@@ -156,11 +154,11 @@ class Setting:
             value: value in `unit`; None is allowed.
             table: table of the key, for the message.
         """
-        for one in value if isinstance(value, tuple | list) else (value,):
-            if one is not None and (complaint := self.complaint(one)):
+        for item in value if isinstance(value, tuple | list) else (value,):
+            if item is not None and (complaint := self.complaint(item)):
                 key = self.key or key
                 where = f"{table}: " if table else ""
-                raise InputError(f"{key} = {shortened(one)}: {complaint}", where=where, table=table, key=key)
+                raise InputError(f"{key} = {shortened(item)}: {complaint}", where=where, table=table, key=key)
 
 
 def is_finite(value: Any) -> bool:
@@ -233,26 +231,26 @@ class Leaf:
         """Return the sentence of pydantic's errors, of which a union has one for each of its types."""
         inside = [error for error in errors if any(isinstance(step, int) for step in error["loc"])]
         kinds = dict.fromkeys(str(_KINDS.get(error["type"], error["msg"])) for error in inside or errors)
-        given = f"{key} holds {shortened(inside[0]['input'])}" if inside else f"{key} = {shortened(value)}"
+        assignment = f"{key} holds {shortened(inside[0]['input'])}" if inside else f"{key} = {shortened(value)}"
         if self.bounds.choices:
-            return f"{given}: {suggest(str(value), self.bounds.choices)}"
-        return f"{given}: must be {' or '.join(kinds)}" + (f", {self.bounds.range}" if self.bounds.bounded else "")
+            return f"{assignment}: {suggest(str(value), self.bounds.choices)}"
+        return f"{assignment}: must be {' or '.join(kinds)}" + (f", {self.bounds.range}" if self.bounds.bounded else "")
 
     def schema(self) -> dict[str, Any]:
         """Return the JSON Schema of the values."""
-        bounds, made = self.bounds, adapter(self.annotation).json_schema()
+        bounds, schema = self.bounds, adapter(self.annotation).json_schema()
         limits = {"minimum": bounds.least, "exclusiveMinimum": bounds.above, "maximum": bounds.most}
         limits = {name: float(value) for name, value in limits.items() if math.isfinite(value)}
         if bounds.infinite:
             limits.pop("maximum", None)
-        for one in _nested(made):
-            if one.get("type") in ("number", "integer"):
-                one.update({"anyOf": [{"const": 0}, limits]} if bounds.zero and limits else limits)
-            elif one.get("type") == "string" and bounds.choices:
-                one["enum"] = list(bounds.choices)
+        for part in _nested(schema):
+            if part.get("type") in ("number", "integer"):
+                part.update({"anyOf": [{"const": 0}, limits]} if bounds.zero and limits else limits)
+            elif part.get("type") == "string" and bounds.choices:
+                part["enum"] = list(bounds.choices)
         if self.default not in (MISSING, math.inf, None):
-            made["default"] = self.default
-        return {**made, "description": bounds.help + (f" Unit: {bounds.unit}." if bounds.unit else "")}
+            schema["default"] = self.default
+        return {**schema, "description": bounds.help + (f" Unit: {bounds.unit}." if bounds.unit else "")}
 
 
 _KINDS = {
@@ -268,8 +266,8 @@ _KINDS = {
 def _nested(schema: dict[str, Any]) -> Iterator[dict[str, Any]]:
     """Yield a schema, its alternatives and the schemas of entries."""
     yield schema
-    for one in (*schema.get("anyOf", ()), *((schema["items"],) if "items" in schema else ())):
-        yield from _nested(one)
+    for part in (*schema.get("anyOf", ()), *((schema["items"],) if "items" in schema else ())):
+        yield from _nested(part)
 
 
 def frozen(value: Any) -> Any:
@@ -279,7 +277,7 @@ def frozen(value: Any) -> Any:
         value: value of TOML or JSON.
     """
     if isinstance(value, Mapping):
-        return {key: frozen(one) for key, one in value.items()}
+        return {key: frozen(item) for key, item in value.items()}
     return tuple(map(frozen, value)) if isinstance(value, list | tuple) else value
 
 
@@ -315,24 +313,23 @@ def leaves_of(kind: type) -> dict[str, Leaf]:
         kind: settings dataclass.
     """
     annotations = [inspect.get_annotations(ancestor, eval_str=True) for ancestor in kind.__mro__]
-    found = {}
-    for one in fields(kind):
-        hints = [own[one.name] for own in annotations if get_origin(own.get(one.name)) is Annotated]
+    leaves = {}
+    for declared in fields(kind):
+        hints = [
+            of_class[declared.name] for of_class in annotations if get_origin(of_class.get(declared.name)) is Annotated
+        ]
         if hints and isinstance(hints[0].__metadata__[-1], Setting):
-            found[one.name] = Leaf(one.name, hints[0], one.default)
-    return found
+            leaves[declared.name] = Leaf(declared.name, hints[0], declared.default)
+    return leaves
 
 
 class Settings:
-    """Base of settings: checks the fields' bounds on construction.
-
-    `table` names the settings in messages.
-    """
+    """Base of settings that checks the fields' bounds on construction; `table` names the settings in messages."""
 
     TABLE: ClassVar[str] = ""
 
-    def __init_subclass__(cls, table: str | None = None, **others: Any) -> None:
-        super().__init_subclass__(**others)
+    def __init_subclass__(cls, table: str | None = None, **options: Any) -> None:
+        super().__init_subclass__(**options)
         if table is not None:
             cls.TABLE = table
 
@@ -371,7 +368,7 @@ class Settings:
             else:
                 changes[part] = value
         changes |= {part: getattr(self, part).with_(inside) for part, inside in parts.items()}
-        names = [one.name for one in fields(self) if one.name != "kind"]  # type: ignore[arg-type]
+        names = [setting.name for setting in fields(self) if setting.name != "kind"]  # type: ignore[arg-type]
         for name in changes:
             if name not in names:
                 what = getattr(self, "kind", self.TABLE)

@@ -33,7 +33,7 @@ def folders(kind: str) -> tuple[Path, Path]:
     return Path(kind), inside if inside.is_dir() else PACKAGE.parent / kind
 
 
-def known(kind: str) -> list[str]:
+def shipped_names(kind: str) -> list[str]:
     """Return the names that need no path.
 
     Args:
@@ -52,12 +52,12 @@ def find(kind: str, name: str) -> Path:
     Raises:
         InputError: the file does not exist; the message lists the known names and the nearest one.
     """
-    given, names = Path(name), known(kind)
-    is_path = given.suffix == ".toml" or given.name != name
+    path, names = Path(name), shipped_names(kind)
+    is_path = path.suffix == ".toml" or path.name != name
     if is_path:
-        checked_source(given)
+        checked_source(path)
     # A file of this name that does not end in .toml comes last; reading it gives its error.
-    for file in [given] if is_path else [*(folder / f"{name}.toml" for folder in folders(kind)), given]:
+    for file in [path] if is_path else [*(folder / f"{name}.toml" for folder in folders(kind)), path]:
         # Unlike Path.is_file, this is False for names that no file can have.
         if os.path.isfile(file):
             return file

@@ -1,6 +1,4 @@
-"""Results that print, draw and tabulate themselves.
-
-They print themselves in one line.
+"""Results that print themselves in one line, draw themselves and become tables.
 
 The base classes leave the data to the dataclasses that derive from them. Pictures come from the table of renderers.
 """
@@ -24,23 +22,17 @@ from dpcontrol.foundation.rendering import Axes, DataFrame, Figure, render, thum
 
 
 class Brief:
-    """Base of dataclasses whose repr is one line.
-
-    Their `document` has values of JSON.
-    """
+    """Base of dataclasses whose repr is one line, made from the JSON values of `document`."""
 
     def __init_subclass__(cls, **options: Any) -> None:
-        """Keep the inherited repr.
-
-        The dataclass decorator would replace it by one of all fields.
-        """
+        """Keep the inherited repr, which the dataclass decorator would replace by one of all fields."""
         super().__init_subclass__(**options)
         cls.__repr__ = cls.__repr__  # type: ignore[method-assign]
         if "document" in vars(cls):
             cls.document = _in_json(vars(cls)["document"])  # type: ignore[attr-defined]
 
     def __repr__(self) -> str:
-        named = [(one.name, getattr(self, one.name)) for one in fields(self) if one.repr]  # type: ignore[arg-type]
+        named = [(attribute.name, getattr(self, attribute.name)) for attribute in fields(self) if attribute.repr]  # type: ignore[arg-type]
         parts = [f"{name}={text}" for name, value in named if (text := _summary(value))]
         return f"{type(self).__name__}({', '.join(parts)})"
 
@@ -66,7 +58,7 @@ def _summary(value: Any) -> str:
     if isinstance(value, np.ndarray):
         return f"array {value.shape}"
     if isinstance(value, tuple | list | dict):
-        simple = not isinstance(value, dict) and all(isinstance(one, int | float | str) for one in value)
+        simple = not isinstance(value, dict) and all(isinstance(item, int | float | str) for item in value)
         text = f"({', '.join(map(_summary, value))})" if simple else ""
         return text if 0 < len(text) <= _LONGEST else f"{len(value)} items"
     return ""
@@ -179,7 +171,7 @@ def checked_times(times: Any) -> Array:
     Raises:
         InputError: they are not finite numbers.
     """
-    found = checked_array("times", times)
-    if not np.isfinite(found).all():
+    finite = checked_array("times", times)
+    if not np.isfinite(finite).all():
         raise InputError("times: must be finite numbers, s")
-    return found
+    return finite

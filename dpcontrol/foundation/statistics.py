@@ -26,10 +26,7 @@ class Share:
 
     @property
     def likely(self) -> bool | None:
-        """True if the share is at least 0.9, with confidence.
-
-        False if it is less than 0.5 with confidence, None in between.
-        """
+        """True if the share is at least 0.9 with confidence, False if less than 0.5 with confidence, None in between."""
         return True if self.low >= 0.9 else False if self.high < 0.5 else None
 
     @property
@@ -53,9 +50,7 @@ class Share:
 
 
 def wilson(successes: int, runs: int, *, confidence: float = 0.95) -> Share:
-    """Return the share with Wilson's interval.
-
-    The interval is 0 to 1 without runs.
+    """Return the share with Wilson's interval, which is 0 to 1 without runs.
 
     Args:
         successes: number of successful runs.
@@ -70,10 +65,7 @@ def wilson(successes: int, runs: int, *, confidence: float = 0.95) -> Share:
 
 @dataclass(frozen=True)
 class Pairing:
-    """Two controllers on the same seeds.
-
-    Successes of only one of them, and McNemar's p.
-    """
+    """Two controllers on the same seeds: successes of only one of them, and McNemar's p."""
 
     pairs: int
     only_first: int
@@ -88,9 +80,9 @@ def paired(first: ArrayLike, second: ArrayLike) -> Pairing:
         first: outcomes (K,) of one controller, True for success.
         second: outcomes (K,) of the other controller, in the same order of seeds.
     """
-    one, two = np.asarray(first, dtype=bool), np.asarray(second, dtype=bool)
-    only_first, only_second = int((one & ~two).sum()), int((two & ~one).sum())
+    of_first, of_second = np.asarray(first, dtype=bool), np.asarray(second, dtype=bool)
+    only_first, only_second = int((of_first & ~of_second).sum()), int((of_second & ~of_first).sum())
     differing = only_first + only_second
     if not differing:
-        return Pairing(one.size, 0, 0, 1.0)
-    return Pairing(one.size, only_first, only_second, float(stats.binomtest(only_first, differing).pvalue))
+        return Pairing(of_first.size, 0, 0, 1.0)
+    return Pairing(of_first.size, only_first, only_second, float(stats.binomtest(only_first, differing).pvalue))

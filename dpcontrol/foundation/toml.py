@@ -84,18 +84,15 @@ def with_values(text: str, table: str, values: Mapping[str, Any], *, number: int
 def _listed(values: Sequence[Any]) -> Any:
     """Return the item of a list, in which each text has a line."""
     # tomlkit parses a list in linear time, but appends to one in quadratic time.
-    texts = [tomlkit.item(one).as_string() for one in values]
-    lines = len(values) > 1 and all(isinstance(one, str) for one in values)
+    texts = [tomlkit.item(item).as_string() for item in values]
+    lines = len(values) > 1 and all(isinstance(item, str) for item in values)
     inside = "".join(f"\n    {text}," for text in texts) + "\n" if lines else ", ".join(texts)
     return tomlkit.value(f"[{inside}]")
 
 
 @dataclass(frozen=True)
 class Place:
-    """The place of a table in a file, for messages.
-
-    Tables of a list are numbered from 1.
-    """
+    """The place of a table in a file, for messages; tables of a list are numbered from 1."""
 
     file: str
     table: str = ""
@@ -174,8 +171,8 @@ class Table:
                 part = self.keys.get(key)
                 if part is None:
                     at_top = "" if place.table else "at the top level, "
-                    known = suggest(key, sorted(filter(None, self.keys)))
-                    raise place.refusal(f"{at_top}the key {shortened(key)} is unknown: {known}", key)
+                    suggestion = suggest(key, sorted(filter(None, self.keys)))
+                    raise place.refusal(f"{at_top}the key {shortened(key)} is unknown: {suggestion}", key)
                 if isinstance(part, Leaf):
                     with place:
                         read[key] = part.read(value)
@@ -234,12 +231,12 @@ class Tables:
 
     def read(self, values: Any, place: Place, context: Any = None) -> tuple[Any, ...]:
         """Return what each table makes of its values; see `Table.read`."""
-        if not (isinstance(values, list) and values and all(isinstance(one, dict) for one in values)):
+        if not (isinstance(values, list) and values and all(isinstance(table, dict) for table in values)):
             sentence = f"{place.table} = {shortened(values)}: must be tables, each under [[{place.table}]]"
             raise InputError(sentence, where=f"{place.file}: ", key=place.table)
         mistakes, read = Mistakes(), list[Any]()
-        for number, one in enumerate(values, start=1):
+        for number, table in enumerate(values, start=1):
             with mistakes:
-                read.append(self.each.read(one, replace(place, number=number), context))
+                read.append(self.each.read(table, replace(place, number=number), context))
         mistakes.report()
         return tuple(read)

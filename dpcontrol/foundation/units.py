@@ -1,7 +1,4 @@
-"""Detection of numbers in the wrong unit.
-
-Unusual values cause a remark, impossible ones an error.
-"""
+"""Detection of numbers in the wrong unit: unusual values cause a remark, impossible ones an error."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -68,17 +65,12 @@ def quantity(value: float, unit: str) -> str:
 
 
 class InUnits:
-    """Base of systems and results with a unit system.
-
-    They state whether their units are those of SI.
-    """
+    """Base of systems and results with a unit system, which state whether their units are those of SI."""
 
     si: bool
 
     def unit(self, name: str, form: str = " {}") -> str:
-        """Return a unit of SI as it follows a number.
-
-        The result is "" if the system has its own units.
+        """Return a unit of SI as it follows a number, or "" if the system has its own units.
 
         Args:
             name: unit, such as "J".
@@ -110,8 +102,8 @@ def unusual(key: str, values: Sequence[float], usual: tuple[float, float], unit:
         far = f"more than the usual {most:g}" if size > most else f"less than the usual {least:g}"
         text = f"{key} = {value:g}{of} is {far}{of}"
         impossible = size > _IMPOSSIBLE * most or size < _VANISHING * least
-        others = {name: size * factor for name, factor in OTHER_UNITS.get(unit, {}).items()}
-        fitting = [f"{name} ({v:.3g}{of})" for name, v in others.items() if least <= v <= most]
+        alternatives = {name: size * factor for name, factor in OTHER_UNITS.get(unit, {}).items()}
+        fitting = [f"{name} ({v:.3g}{of})" for name, v in alternatives.items() if least <= v <= most]
         if fitting:
             text += f"; is it given in {' or in '.join(fitting)}?"
         elif not impossible:

@@ -195,7 +195,7 @@ def crossing(
 
 
 def _plan_time(time: Array, due: Sequence[float], crossings: tuple[float | None, ...]) -> Array:
-    """Return the plan's time (K,) at each tick, s, shifted by the offset of the nearest crossing except at the start."""
+    """Return the plan's time (K,) at each tick, s, shifted by the offset of the nearest crossing except at first."""
     anchors, offsets = [float(time[0])], [0.0]
     for at, planned in zip(crossings, due, strict=True):
         if at is not None:

@@ -32,8 +32,11 @@ BRANCHES = {
 
 @dataclass(frozen=True, eq=False)
 class TubePart:
-    """One branch of a tube in space: trajectories (M, N) up to its section, their end points (K, N), and the sign
-    `sense` of the final crossing, 0 without a section."""
+    """One branch of a tube in space.
+
+    It has trajectories (M, N) up to the section, their end points (K, N), and the sign `sense` of the final crossing, 0
+    without a section.
+    """
 
     stable: bool
     branch: int
@@ -48,8 +51,7 @@ class TubePart:
 
 
 def section_curves(atlas: Atlas, kind: AtlasKind) -> list[tuple[bool, int, Array]]:
-    """Return the cuts of a kind's tubes as curves: stable or not, sign of the crossing, and points (K, 2) within a
-    period.
+    """Return the cuts of a kind's tubes as curves (stable or not, sign of the crossing, points (K, 2) in a period).
 
     Args:
         atlas: atlas with the kind.

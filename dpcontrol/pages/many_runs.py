@@ -141,8 +141,7 @@ _REMAINDER = 5.0
 
 
 def draw_night(night: Night) -> Figure:
-    """Return one page on a night: half-hour strips, times by activity and to return, causes, and drift of the
-    parameters."""
+    """Return one page on a night: half-hour strips, times by activity and to return, causes, parameters' drift."""
     last = max(span.end for span in night.spans)
     row = last if last <= 600.0 + _REMAINDER else 600.0 if last <= 3600.0 else _ROW * math.ceil(last / _ROW / _ROWS)
     rows = max(1, math.ceil((last - _REMAINDER) / row))

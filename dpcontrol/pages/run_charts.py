@@ -1,5 +1,7 @@
-"""Charts of a motion over time, as descriptions from which both matplotlib and Rerun draw: the motion, the drive, the
-errors, a reference's mesh, and the estimated parameters."""
+"""Charts of a motion over time, as descriptions from which both matplotlib and Rerun draw.
+
+They show the motion, the drive, the errors, a reference's mesh, and the estimated parameters.
+"""
 
 from dataclasses import dataclass
 from typing import Any

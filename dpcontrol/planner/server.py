@@ -19,7 +19,7 @@ from urllib.parse import parse_qs
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.parts import Later
-from dpcontrol.foundation.shipped import known
+from dpcontrol.foundation.shipped import shipped_names
 from dpcontrol.planner.session import PageSession
 from dpcontrol.planner.shown import fitting_model, shown_model
 from dpcontrol.planner.workers import Workers
@@ -148,7 +148,7 @@ class Planner(AbstractContextManager["Planner"]):
         session.windows.discard(window)
 
     def _models(self) -> str:
-        names = dict.fromkeys([self._model, *known("models")])
+        names = dict.fromkeys([self._model, *shipped_names("models")])
         return json.dumps({"models": [{"name": name, "problem": _problem(name)} for name in names]})
 
 

@@ -33,9 +33,7 @@ class NotClosed(Exception):
 
 @contextmanager
 def located(where: str) -> Iterator[None]:
-    """Put a place before the message of a failed enclosure.
-
-    An enclosure fails if it does not close or if an operation has no result.
+    """Put a place before the message of an enclosure that does not close or has an operation without a result.
 
     Args:
         where: the place, in words.
@@ -48,9 +46,7 @@ def located(where: str) -> Iterator[None]:
 
 @contextmanager
 def working(bits: int) -> Iterator[None]:
-    """Set flint's working precision in the block.
-
-    Precision and series length are restored afterwards.
+    """Set flint's working precision in the block, and restore precision and series length after it.
 
     Args:
         bits: precision, bits.
@@ -117,9 +113,7 @@ _DECIMAL = re.compile(r"[+-]?\d{1,1200}(\.\d{0,1200})?([eE][+-]?\d{1,3})?")
 
 
 def fraction(value: Any) -> Fraction:
-    """Return an integer or a decimal as an exact number.
-
-    Its size is limited.
+    """Return an integer or a decimal of limited size as an exact number.
 
     Args:
         value: fraction, integer or text of a decimal.
@@ -180,8 +174,8 @@ def _power(base: Any, exponent: Any) -> Any:
     twice = 2 * exponent
     if not (isinstance(twice, flint.arb) and twice.is_integer()):
         return (_branch(base, "log") * exponent).exp()
-    whole = int(float(twice))
-    return base ** (whole // 2) if whole % 2 == 0 else _branch(base, "sqrt") ** whole
+    doubled = int(float(twice))
+    return base ** (doubled // 2) if doubled % 2 == 0 else _branch(base, "sqrt") ** doubled
 
 
 def _branch(x: Any, name: str) -> Any:
@@ -246,16 +240,16 @@ def program(state: ca.SX, parameters: ca.SX, outputs: Sequence[ca.SX], values: S
         InputError: an operation of the expressions is not supported.
     """
     function = ca.Function("f", [state, parameters], ca.cse(list(outputs)))
-    known: list[Any] = [None] * state.shape[0] + [ball(v) for v in values]
+    constants: list[Any] = [None] * state.shape[0] + [ball(v) for v in values]
     angles: dict[int, int] = {}
     steps: list[tuple[Callable[..., Any], int, tuple[int, ...]]] = []
 
     def applied(operation: Callable[..., Any], *arguments: int) -> int:
-        constant = all(known[i] is not None for i in arguments)
-        known.append(operation(*[known[i] for i in arguments]) if constant else None)
+        constant = all(constants[i] is not None for i in arguments)
+        constants.append(operation(*[constants[i] for i in arguments]) if constant else None)
         if not constant:
-            steps.append((operation, len(known) - 1, arguments))
-        return len(known) - 1
+            steps.append((operation, len(constants) - 1, arguments))
+        return len(constants) - 1
 
     def operated(code: int, *arguments: int) -> int:
         if code in (ca.OP_SIN, ca.OP_COS):
@@ -273,9 +267,9 @@ def program(state: ca.SX, parameters: ca.SX, outputs: Sequence[ca.SX], values: S
     count = state.shape[0]
     places = interpreted(
         function,
-        [range(count), range(count, len(known))],
+        [range(count), range(count, len(constants))],
         constant=lambda number: applied(partial(ball, number)),
         applied=operated,
         zero=None,
     )
-    return Instructions(tuple(known), tuple(steps), tuple(tuple(p) for p in places))
+    return Instructions(tuple(constants), tuple(steps), tuple(tuple(p) for p in places))

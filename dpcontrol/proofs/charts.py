@@ -75,11 +75,11 @@ class SectionChart:
         guess = interval = flint.arb(0)
         for _ in range(8):
             slope = dot(field.gradient(self.place(y, interval)), self.columns[3])
-            found = guess - (field.energy(self.place(y, guess))[0][0] - energy) / slope
-            if found in interval and found.is_finite():
-                return self.place(y, found), interval
-            guess = found.mid()
-            interval = guess + symmetric((found - guess) * 2)
+            refined = guess - (field.energy(self.place(y, guess))[0][0] - energy) / slope
+            if refined in interval and refined.is_finite():
+                return self.place(y, refined), interval
+            guess = refined.mid()
+            interval = guess + symmetric((refined - guess) * 2)
         raise NotClosed("the energy does not fix a node's section")
 
     def tangents(self, field: Field, state: Vector) -> Any:
@@ -165,9 +165,7 @@ def passage(field: Field, normal: Vector, height: Any, state: Vector) -> Passage
 
 
 def segment(surface: Surface, leg: Leg, radii: Vector, arriving: Vector, settings: FlowSettings) -> ChartSegment:
-    """Enclose the map from a chart's box to the next chart.
-
-    The boxes are |y_i| ≤ radii_i and |y_i| ≤ arriving_i.
+    """Enclose the map from the box |y_i| ≤ radii_i of a chart to the box |y_i| ≤ arriving_i of the next chart.
 
     Args:
         surface: energy surface.
@@ -189,16 +187,17 @@ def segment(surface: Surface, leg: Leg, radii: Vector, arriving: Vector, setting
     point, box = (passage(field, normal, chart.coordinates(x, shift)[2], x) for x in (thin, end))
     landed = [x + point.time * f for x, f in zip(thin, point.rates, strict=True)]
     columns_moved = (box.moved * derivative * tangents).transpose().tolist()
-    delays = [-dot(normal, one) / dot(normal, box.rates) for one in columns_moved]
+    delays = [-dot(normal, column) / dot(normal, box.rates) for column in columns_moved]
     projected = [
-        [m + f * d for m, f in zip(one, box.rates, strict=True)] for one, d in zip(columns_moved, delays, strict=True)
+        [m + f * d for m, f in zip(column, box.rates, strict=True)]
+        for column, d in zip(columns_moved, delays, strict=True)
     ]
-    slope = columns([[dot(row, one) for one in projected] for row in chart.rows[:2]])
+    slope = columns([[dot(row, column) for column in projected] for row in chart.rows[:2]])
     ends = [x + box.time * f for x, f in zip(end, box.rates, strict=True)]
     arrived = [symmetric(r) for r in arriving]
     # Over the second box, z is unique for given energy, so the chart's z and the arriving z are equal.
-    own = chart.lift(field, ball(surface.energy), arrived)[1]
-    reached = chart.place(arrived, own.union(chart.coordinates(ends, shift)[3]))
+    coordinate = chart.lift(field, ball(surface.energy), arrived)[1]
+    reached = chart.place(arrived, coordinate.union(chart.coordinates(ends, shift)[3]))
     if dot(field.gradient(reached), chart.columns[3]).contains(0):
         raise NotClosed("the energy does not fix a node's section")
     duration, value = ball(leg.duration), chart.coordinates(landed, shift)[:2]

@@ -65,9 +65,7 @@ _LONGEST, _SHORTEST, _MOST_STEPS, _MOST_NODES = Fraction(1, 128), Fraction(1, 2*
 
 @dataclass(frozen=True)
 class CertificateCheck(Documented):
-    """The verdict on a certificate.
-
-    It has the proved statement, or the step that fails.
+    """The verdict on a certificate, with the proved statement or the step that fails.
 
     Attributes:
         proved: True if every step holds.
@@ -119,8 +117,8 @@ class _Dual:
         return self._by(self.value**exponent, exponent * self.value ** (exponent - 1))
 
     def inverse_root(self) -> "_Dual":
-        found = self.value.rsqrt()
-        return self._by(found, found**3 / -2)
+        root = self.value.rsqrt()
+        return self._by(root, root**3 / -2)
 
     def sine_cosine(self) -> "tuple[_Dual, _Dual]":
         sine, cosine = self.value.sin_cos()
@@ -130,10 +128,7 @@ class _Dual:
 
 
 class _Flow(ABC):
-    """A system's integrator in flint's arithmetic.
-
-    It has the working precision; `angles` of its states turn.
-    """
+    """A system's integrator in flint's arithmetic at the working precision; `angles` of its states turn."""
 
     angles: int
 
@@ -156,8 +151,8 @@ class _Flow(ABC):
         return [_Dual(value, row) for value, row in zip(x, identity().tolist(), strict=True)]
 
     def slopes(self, x: Sequence[Any]) -> tuple[list[Any], Any]:
-        found = self.rate(self.duals(x))
-        return [f.value for f in found], flint.arb_mat([f.partials for f in found])
+        rates = self.rate(self.duals(x))
+        return [f.value for f in rates], flint.arb_mat([f.partials for f in rates])
 
     def late(self, slopes: Any, time: Any) -> Any:
         """Return the flow's derivative over a time from an invariant box."""
@@ -167,12 +162,12 @@ class _Flow(ABC):
     def series(self, x: Sequence[Any], order: int, width: int) -> list[list[Any]]:
         """Return Taylor coefficients of the states and the flow's derivative."""
         start = [[v] for v in x] + [[v] for row in identity().tolist() for v in row[:width]]
-        for known in range(1, order + 1):
-            flint.ctx.cap = known
+        for degree in range(1, order + 1):
+            flint.ctx.cap = degree
             series = [flint.arb_series(c) for c in start]
-            found = self.rate([_Dual(series[i], series[4 + width * i :][:width]) for i in range(4)])
-            for c, r in zip(start, [f.value for f in found] + [p for f in found for p in f.partials], strict=True):
-                c.append(r[known - 1] / known)
+            rates = self.rate([_Dual(series[i], series[4 + width * i :][:width]) for i in range(4)])
+            for c, r in zip(start, [f.value for f in rates] + [p for f in rates for p in f.partials], strict=True):
+                c.append(r[degree - 1] / degree)
         return start
 
     def rough(self, x: Sequence[Any], time: Any) -> list[Any]:
@@ -186,10 +181,7 @@ class _Flow(ABC):
         raise NotClosed("a step's box does not close")
 
     def step(self, thin: Sequence[Any], carried: Any, spread: Any, h: Any) -> tuple[list[Any], Any, list[Any]]:
-        """Advance a thin point and the derivative by one step.
-
-        The result also has the box of all solutions.
-        """
+        """Advance a thin point and the derivative by one step, and enclose all solutions during it in a box."""
         box = [c + d for c, d in zip(thin, (carried * spread).entries(), strict=True)]
         around = self.rough(box, h * flint.arb(0.5, 0.5))
 
@@ -227,10 +219,7 @@ class _Flow(ABC):
 
 
 class _Pendulum(_Flow):
-    """Two arms as a system.
-
-    The constants are A, B, C, G₁ and G₂ of the guide.
-    """
+    """Two arms as a system, with the constants A, B, C, G₁ and G₂ of the guide."""
 
     def __init__(self, data: Mapping[str, Any]) -> None:
         super().__init__()
@@ -289,16 +278,16 @@ _SYSTEMS = {"double pendulum": _Pendulum, "three bodies": _ThreeBodies}
 class _Chart:
     """The plane through a node along u, s and w, on which the energy determines w's coordinate z over a box."""
 
-    def __init__(self, own: _Flow, data: Mapping[str, Any], energy: Any) -> None:
-        self.own, self.node = own, [number(v) for v in data["node"]]
+    def __init__(self, flow: _Flow, data: Mapping[str, Any], energy: Any) -> None:
+        self.flow, self.node = flow, [number(v) for v in data["node"]]
         self.basis = flint.arb_mat([[number(v) for v in row] for row in data["basis"]])
-        self.rows, self.level = self.basis.inv().tolist(), own.energy(self.node).value - energy
+        self.rows, self.level = self.basis.inv().tolist(), flow.energy(self.node).value - energy
 
     def box(self, widths: Sequence[Any], z: Any) -> tuple[list[Any], list[Any]]:
         """Return the states of a box with z, and the derivative of H along the basis."""
         column = [[symmetric(widths[0])], [symmetric(widths[1])], [flint.arb(0)], [z]]
         around = [c + d for c, d in zip(self.node, (self.basis * flint.arb_mat(column)).entries(), strict=True)]
-        return around, (flint.arb_mat([self.own.energy(around).partials]) * self.basis).entries()
+        return around, (flint.arb_mat([self.flow.energy(around).partials]) * self.basis).entries()
 
     def height(self, widths: Sequence[Any]) -> Any:
         """Return an interval that contains exactly one z of the energy for each y of a box."""
@@ -317,7 +306,7 @@ class _Chart:
 
 
 def _segment(
-    own: _Flow, charts: tuple[_Chart, _Chart], widths: Sequence[Any], duration: Fraction, turns: Sequence[int]
+    flow: _Flow, charts: tuple[_Chart, _Chart], widths: Sequence[Any], duration: Fraction, turns: Sequence[int]
 ) -> ChartSegment:
     """Enclose the map from a chart's box to the next chart."""
     (first, second), shift = charts, [2 * flint.arb.pi() * int(k) for k in turns]
@@ -326,17 +315,17 @@ def _segment(
     tangents = first.basis * flint.arb_mat([[1, 0], [0, 1], [0, 0], [-along / across, -beside / across]])
     thin, _ = first.box([flint.arb(0)] * 2, -first.level / first.box([flint.arb(0)] * 2, z)[1][3])
     spread = flint.arb_mat([[x - c] for x, c in zip(states, thin, strict=True)])
-    end, derivative, boxes = own.flight(thin, spread, duration)
+    end, derivative, boxes = flow.flight(thin, spread, duration)
     ends = [c + d for c, d in zip(end, (derivative * spread).entries(), strict=True)]
     normal = second.rows[2]
-    reach = symmetric(2 * second.away(2, ends, shift) / dot(normal, own.slopes(ends)[0])) + symmetric(number("1e-30"))
-    around = own.rough(ends, reach)
-    rates, slopes = own.slopes(around)
+    reach = symmetric(2 * second.away(2, ends, shift) / dot(normal, flow.slopes(ends)[0])) + symmetric(number("1e-30"))
+    around = flow.rough(ends, reach)
+    rates, slopes = flow.slopes(around)
     speed = dot(normal, rates)
     time, exact = (-second.away(2, x, shift) / speed for x in (ends, end))
     if not abs(time) < reach.abs_upper():
         raise NotClosed("a box is not proved to meet the next chart once")
-    moved = (own.late(slopes, reach) * derivative * tangents).transpose().tolist()
+    moved = (flow.late(slopes, reach) * derivative * tangents).transpose().tolist()
     delays = [-dot(normal, column) / speed for column in moved]
     projected = flint.arb_mat(
         [[m + f * d for m, f in zip(column, rates, strict=True)] for column, d in zip(moved, delays, strict=True)]
@@ -356,23 +345,26 @@ _KEYS = {
 }
 
 
-def _checked_network(own: _Flow, data: Mapping[str, Any], progress: Progress) -> str:
+def _checked_network(flow: _Flow, data: Mapping[str, Any], progress: Progress) -> str:
     """Return the statement of a certificate of links after proving it."""
     said, energy, charts = statement(data), number(data["energy"]), dict[str, _Chart]()
     if {*data} not in [{*keys.split()} for keys in _KEYS] or data["statement"] != said:
         raise NotClosed("its statement is not that of its numbers, or it has other numbers")
 
     # The boxes of links are wider than the balls of closed orbits.
-    own.longest, own.remainder, own.left = 2 * _LONGEST, _WIDE_REMAINDER, 10 * _MOST_STEPS
+    flow.longest, flow.remainder, flow.left = 2 * _LONGEST, _WIDE_REMAINDER, 10 * _MOST_STEPS
 
     def enclosed(ends: Sequence[Any], widths: Any, duration: Fraction, turns: Sequence[int]) -> ChartSegment:
         if duration > _LONGEST * _MOST_STEPS:
             raise NotClosed("a flight is too long")
-        first, second = (charts.setdefault(repr(end), _Chart(own, end, energy)) for end in ends)
-        return _segment(own, (first, second), widths, duration, turns)
+        first, second = (charts.setdefault(repr(end), _Chart(flow, end, energy)) for end in ends)
+        return _segment(flow, (first, second), widths, duration, turns)
 
     enclosure = Enclosure(
-        enclosed, lambda box: own.slopes(box)[0], [k < own.angles for k in range(4)], [number(v) for v in data["scale"]]
+        enclosed,
+        lambda box: flow.slopes(box)[0],
+        [k < flow.angles for k in range(4)],
+        [number(v) for v in data["scale"]],
     )
     orbits, links = [orbit_boxes(orbit, enclosure) for orbit in data["orbits"]], []
     for k, numbers in enumerate(data["links"]):
@@ -404,9 +396,9 @@ def check(certificate: Mapping[str, Any], progress: Progress = no_progress) -> C
         if certificate["digest"] != digest(certificate) or certificate["format"] != FORMAT:
             raise NotClosed("its digest does not match its content, or its format is unknown")
         with working(_BITS):
-            own = _SYSTEMS[certificate["system"]["equations"]](certificate["system"])
+            flow = _SYSTEMS[certificate["system"]["equations"]](certificate["system"])
             proved = _checked_network if "links" in certificate else _checked
-            return CertificateCheck(True, "the certificate proves its statement", proved(own, certificate, progress))
+            return CertificateCheck(True, "the certificate proves its statement", proved(flow, certificate, progress))
     except (NotClosed, LookupError, TypeError, ValueError, AttributeError, ArithmeticError, RecursionError) as error:
         invalid = "" if isinstance(error, NotClosed) else f"a value is missing or invalid, {type(error).__name__}: "
         return CertificateCheck(
@@ -444,11 +436,13 @@ def _trace_of_product(maps: Sequence[Any]) -> Any:
     A plain product of enclosures loses all digits over a hundred nodes. In frames that follow the orbit, each factor is
     nearly triangular, with the directions of growth in order, and the errors grow no faster than the product.
     """
-    turned = accumulate([*maps, *maps], lambda frame, one: np.linalg.qr(_middle(one) @ frame)[0], initial=np.eye(4))
+    turned = accumulate(
+        [*maps, *maps], lambda frame, factor: np.linalg.qr(_middle(factor) @ frame)[0], initial=np.eye(4)
+    )
     frames = [flint.arb_mat(frame.tolist()) for frame in turned][len(maps) :]
     product = identity()
-    for one, before, after in zip(maps, frames, frames[1:], strict=False):
-        product = after.inv() * one * before * product
+    for factor, before, after in zip(maps, frames, frames[1:], strict=False):
+        product = after.inv() * factor * before * product
     return (product * frames[0].inv() * frames[-1]).trace()
 
 
@@ -456,7 +450,7 @@ def _middle(matrix: Any) -> Any:
     return np.array([[float(v.mid()) for v in row] for row in matrix.tolist()])
 
 
-def _checked(own: _Flow, data: Mapping[str, Any], progress: Progress) -> str:
+def _checked(flow: _Flow, data: Mapping[str, Any], progress: Progress) -> str:
     """Return the statement of a certificate after proving it."""
     nodes, normals = ([[number(v) for v in row] for row in data[key]] for key in ("nodes", "normals"))
     durations, scale = [fraction(v) for v in data["durations"]], [number(v) for v in data["scale"]]
@@ -468,21 +462,21 @@ def _checked(own: _Flow, data: Mapping[str, Any], progress: Progress) -> str:
     if data["statement"] != said:
         raise NotClosed("its statement is not that of its numbers")
     positive = count > 1 and 0 < exists <= unique and min(durations) > 0 and all(s > 0 for s in scale)
-    if sizes != ({count}, {4}) or not positive or any(turns[own.angles :]):
+    if sizes != ({count}, {4}) or not positive or any(turns[flow.angles :]):
         raise NotClosed("its nodes, normals, durations, turns or radii are inconsistent")
     spread, maps = flint.arb_mat([[symmetric(s * unique)] for s in scale]), list[Any]()
     matrix, residual = [[flint.arb(0)] * (last + 1) for _ in range(last + 1)], [flint.arb(0)] * (last + 1)
-    push = [g.mid() * s * s for g, s in zip(own.energy(nodes[0]).partials, scale, strict=True)]
+    push = [g.mid() * s * s for g, s in zip(flow.energy(nodes[0]).partials, scale, strict=True)]
     for k in range(count):
         progress("checking the flow", k / count)
         following = (k + 1) % count
-        thin, derivative, boxes = own.flight(nodes[k], spread, durations[k])
-        around = own.rough(
+        thin, derivative, boxes = flow.flight(nodes[k], spread, durations[k])
+        around = flow.rough(
             [c + d for c, d in zip(thin, (derivative * spread).entries(), strict=True)], symmetric(unique)
         )
         flights.append([*boxes, around])
-        rates, slopes = own.slopes(around)
-        derivative = own.late(slopes, unique) * derivative
+        rates, slopes = flow.slopes(around)
+        derivative = flow.late(slopes, unique) * derivative
         maps.append(derivative)
         for i in range(4):
             row, turned = matrix[4 * k + i], 2 * flint.arb.pi() * turns[i] * int(following == 0)
@@ -492,19 +486,19 @@ def _checked(own: _Flow, data: Mapping[str, Any], progress: Progress) -> str:
             row[4 * count + k], row[last] = rates[i] / scale[i], -push[i] / scale[i] * int(following == 0)
             matrix[4 * count + k][4 * k + i] = normals[k][i] * scale[i]
     start = [c + d for c, d in zip(nodes[0], spread.entries(), strict=True)]
-    residual[last] = own.energy(nodes[0]).value - number(data["energy"])
-    matrix[last][:4] = [p * s for p, s in zip(own.energy(start).partials, scale, strict=True)]
+    residual[last] = flow.energy(nodes[0]).value - number(data["energy"])
+    matrix[last][:4] = [p * s for p, s in zip(flow.energy(start).partials, scale, strict=True)]
     _check_solution(matrix, residual, exists)
     moved = [x + p * symmetric(unique) for x, p in zip(start, push, strict=True)]
-    if dot(own.energy(moved).partials, push).contains(0):
+    if dot(flow.energy(moved).partials, push).contains(0):
         raise NotClosed("the energy does not determine the orbit")
     _check_bounds(data, number(sum(durations)) + count * symmetric(exists), maps)
     near = [[c + symmetric(s * exists) for c, s in zip(node, scale, strict=True)] for node in nodes]
-    times, angles = [number(v) + symmetric(exists) for v in durations], [k < own.angles for k in range(4)]
+    times, angles = [number(v) + symmetric(exists) for v in durations], [k < flow.angles for k in range(4)]
     if data["symbols"]:
         check_symbols(
             data["symbols"],
-            Enclosed(flights, near, times, turns, angles, scale, lambda box: own.slopes(box)[0]),
+            Enclosed(flights, near, times, turns, angles, scale, lambda box: flow.slopes(box)[0]),
         )
     return said
 

@@ -52,17 +52,17 @@ class Route:
     wraps: tuple[int, ...]
 
     @classmethod
-    def of(cls, found: Connection | ShadowingOrbit) -> "Route":
+    def of(cls, flight: Connection | ShadowingOrbit) -> "Route":
         """Return the route of a connection or of a walk.
 
         Args:
-            found: computed connection or walk.
+            flight: computed connection or walk.
         """
-        if isinstance(found, ShadowingOrbit):
-            name = ", ".join(found.walk)
-            return cls(name, found.orbit, found.connections, found.symbol_times, found.offsets, found.wraps)
-        turns = np.array([np.zeros(len(found.state)), found.orbit.end.turns])
-        return cls(found.name, found.orbit, (found,), np.zeros(1), turns, ())
+        if isinstance(flight, ShadowingOrbit):
+            name = ", ".join(flight.walk)
+            return cls(name, flight.orbit, flight.connections, flight.symbol_times, flight.offsets, flight.wraps)
+        turns = np.array([np.zeros(len(flight.state)), flight.orbit.end.turns])
+        return cls(flight.name, flight.orbit, (flight,), np.zeros(1), turns, ())
 
     @property
     def stops(self) -> list[LyapunovOrbit]:
@@ -84,15 +84,17 @@ class Route:
         """
         out = []
         for k, connection in enumerate(self.connections):
-            others = [one for one in rivals or () if _kind(one) == _kind(connection) and one.name != connection.name]
-            near = () if rivals is None else (connection, *others)
+            alike = [
+                rival for rival in rivals or () if _kind(rival) == _kind(connection) and rival.name != connection.name
+            ]
+            near = () if rivals is None else (connection, *alike)
             claim = {
                 "section": described(connection.section),
                 "hits": [int(v) for v in connection.hits],
                 "segments": [int(v) for v in segments[k]],
                 "node": int(nodes[k]),
                 "turns": [int(v) for v in self.offsets[k]],
-                "states": [[repr(float(v)) for v in one.state] for one in near],
+                "states": [[repr(float(v)) for v in rival.state] for rival in near],
                 "stop": [repr(float(v)) for v in connection.target.centre],
                 "stop_turns": [int(v) for v in self.offsets[k + 1]],
             }

@@ -45,7 +45,7 @@ from typing import Any
 import numpy as np
 
 from dpcontrol.proofs.balls import NotClosed, flint, folded, fraction, located, number, symmetric
-from dpcontrol.proofs.symbols import Enclosed, check_symbols, crossings, dot, period_of, whole
+from dpcontrol.proofs.symbols import Enclosed, check_symbols, crossings, dot, period_of, whole_number
 
 Vector = list[Any]
 """A list of balls."""
@@ -157,16 +157,16 @@ class OrbitBoxes:
     shrinks: Sequence[Any]
     slack: Any
 
-    def way(self, here: int, there: int, rounds: int = 0) -> Any:
+    def way(self, start: int, end: int, rounds: int = 0) -> Any:
         """Return the time (s) from a box to another one.
 
         Args:
-            here: first box.
-            there: last box.
+            start: first box.
+            end: last box.
             rounds: full rounds in addition.
         """
         count = len(self.legs)
-        passed = range(here, here + (there - here) % count + rounds * count)
+        passed = range(start, start + (end - start) % count + rounds * count)
         return sum((self.legs[k % count].time for k in passed), flint.arb(0))
 
 
@@ -289,14 +289,14 @@ class Network:
         Raises:
             NotClosed: a step is not proved to avoid a mark, or a link has more than one mark.
         """
-        if any(len(one.marks) > 1 for one in self.links):
+        if any(len(link.marks) > 1 for link in self.links):
             raise NotClosed("a link has more than one mark")
         chains = [row.legs for row in (*self.orbits, *self.links)]
-        for k, one in enumerate(self.links, start=1):
+        for k, link in enumerate(self.links, start=1):
             for j, legs in enumerate(chains, start=1 - len(self.orbits)):
-                beside = (one.marks[0] - 1, one.marks[0]) if j == k else ()
+                beside = (link.marks[0] - 1, link.marks[0]) if j == k else ()
                 spans = (box for i, leg in enumerate(legs) if i not in beside for box in leg.spans)
-                if any(self._meet(one.legs[one.marks[0]].start, box) for box in spans):
+                if any(self._meet(link.legs[link.marks[0]].start, box) for box in spans):
                     other = f"link {j}" if j > 0 else f"orbit {j + len(self.orbits)}"
                     raise NotClosed(f"{other} is not proved to avoid the box of link {k} on its section")
 
@@ -314,29 +314,29 @@ class Network:
         Raises:
             NotClosed: a duration does not determine its wraps, or orbits of different walks are not proved to separate.
         """
-        beside = [one.legs[k].time for one in self.links for k in (one.marks[0] - 1, one.marks[0])]
+        beside = [link.legs[k].time for link in self.links for k in (link.marks[0] - 1, link.marks[0])]
         apart = 2 * reduce(lambda a, b: a.max(b), beside)
 
-        def fewest(one: CoveringLink, other: CoveringLink) -> int | None:
-            ((target, joins), (source, leaves)) = one.numbers("target", "joins"), other.numbers("source", "leaves")
+        def fewest(link: CoveringLink, other: CoveringLink) -> int | None:
+            ((target, joins), (source, leaves)) = link.numbers("target", "joins"), other.numbers("source", "leaves")
             if target != source:
                 return None
             orbit = self.orbits[target]
-            stay, period = one.after + orbit.way(joins, leaves) + other.before + orbit.slack, orbit.way(0, 0, 1)
+            stay, period = link.after + orbit.way(joins, leaves) + other.before + orbit.slack, orbit.way(0, 0, 1)
             if not (stay > apart and period - 2 * stay.rad() > apart):
                 raise NotClosed("orbits of different walks are not proved to separate")
-            rest = number(one.data["time_in"]) + number(other.data["time_out"])
-            phases = fraction(other.data["phase_out"]) - fraction(one.data["phase_in"])
-            return whole((stay - rest) / period - number(phases % 1))
+            rest = number(link.data["time_in"]) + number(other.data["time_out"])
+            phases = fraction(other.data["phase_out"]) - fraction(link.data["phase_in"])
+            return whole_number((stay - rest) / period - number(phases % 1))
 
         for orbit, section in (
-            (self.orbits[index], one.data["symbols"][0]["section"])
-            for one in self.links
-            for index in one.numbers("source", "target")
+            (self.orbits[index], link.data["symbols"][0]["section"])
+            for link in self.links
+            for index in link.numbers("source", "target")
         ):
             if crossings(section, [box for leg in orbit.legs for box in leg.spans], self.enclosure.rates):
                 raise NotClosed("an orbit's boxes meet the section of its link")
-        return [[fewest(one, other) for other in self.links] for one in self.links]
+        return [[fewest(link, other) for other in self.links] for link in self.links]
 
     def has_entropy(self, rate: Any) -> bool:
         """Return True if the topological entropy is proved to be at least a rate.
@@ -347,10 +347,10 @@ class Network:
         count = len(self.orbits)
         rows = [[flint.arb(0)] * count for _ in range(count)]
         loops = [((k, k), orbit.way(0, 0, 1)) for k, orbit in enumerate(self.orbits)]
-        for one in self.links:
-            a, leaves, b, joins = one.numbers("source", "leaves", "target", "joins")
+        for link in self.links:
+            a, leaves, b, joins = link.numbers("source", "leaves", "target", "joins")
             ways = self.orbits[a].way(0, leaves) + self.orbits[b].way(joins, 0)
-            loops.append(((a, b), ways + one.before + one.after))
+            loops.append(((a, b), ways + link.before + link.after))
         for (a, b), time in loops:
             rows[a][b] += (-rate * time).exp()
         values, vectors = np.linalg.eig([[float(v.mid()) for v in row] for row in rows])

@@ -169,9 +169,7 @@ def tangent(field: Field, x: list[Vector], order: int) -> list[Any]:
 
 
 def disc(field: Field, x: list[Vector], radius: Any, guess: Vector | None) -> tuple[Any, Vector, Any] | None:
-    """Return a disc's radius ρ if its enclosure closes.
-
-    The result also has ε (N,) and a bound on the flow's derivative (N, N).
+    """Return a disc's radius ρ, ε (N,) and a bound on the flow's derivative (N, N), None if no enclosure closes.
 
     Args:
         field: programs of the system.
@@ -185,13 +183,16 @@ def disc(field: Field, x: list[Vector], radius: Any, guess: Vector | None) -> tu
     bounds = guess or [flint.arb(0)] * 4
     for _ in range(4):
         spread = [flint.acb(symmetric(b), symmetric(b)) for b in bounds]
-        found = [field.slopes([v + e for v, e in zip(value, spread, strict=True)]) for value in values]
-        gaps = [[f - r for f, r in zip(one[0], rate, strict=True)] for one, rate in zip(found, rates, strict=True)]
+        values_and_slopes = [field.slopes([v + e for v, e in zip(value, spread, strict=True)]) for value in values]
+        gaps = [
+            [f - r for f, r in zip(pair[0], rate, strict=True)]
+            for pair, rate in zip(values_and_slopes, rates, strict=True)
+        ]
         needed = [radius * largest(column) / (_ROUGH + 1) for column in zip(*gaps, strict=True)]
         if not all(g.is_finite() for g in needed):
             return None
         if all(g <= b for g, b in zip(needed, bounds, strict=True)):
-            steepest = [largest(column) for column in zip(*[one[1] for one in found], strict=True)]
+            steepest = [largest(column) for column in zip(*[pair[1] for pair in values_and_slopes], strict=True)]
             grown = (columns(field.matrix(steepest)) * radius).exp()
             return (radius, bounds, grown) if all(g.is_finite() for g in grown.entries()) else None
         bounds = [flint.arb((g * 5 / 4).upper()) for g in needed]
@@ -224,10 +225,10 @@ def fly(
         point, around = taylor(field, thin, settings.order), taylor(field, box, settings.box_order)
         tried = min(_convergence(point), tried * _GROWTH)
         attempts = (disc(field, around, ball(tried * 0.85**k), None if k else guess) for k in range(_MOST_TRIES))
-        found = next((one for one in attempts if one is not None), None)
-        if found is None or len(spans) == _MOST_STEPS:
+        attempted = next((attempt for attempt in attempts if attempt is not None), None)
+        if attempted is None or len(spans) == _MOST_STEPS:
             raise unclear
-        radius, bounds, derivative = found
+        radius, bounds, derivative = attempted
         tried, guess = float(radius), [flint.arb((b * 9 / 8).upper()) for b in bounds]
         step = min(Fraction(tried * settings.left ** (1 / (settings.order + 1))), duration - flown)
         h = ball(step)

@@ -120,12 +120,12 @@ def newton(segments: Sequence[ChartSegment], radius: Any) -> KantorovichBounds:
     """
     size = 2 * len(segments)
     rows = [[flint.arb(0)] * size for _ in range(size)]
-    for k, one in enumerate(segments):
-        for i, slopes in enumerate(one.slope.tolist()):
+    for k, piece in enumerate(segments):
+        for i, slopes in enumerate(piece.slope.tolist()):
             rows[2 * k + i][2 * k : 2 * k + 2] = slopes
             rows[2 * k + i][(2 * k + 2 + i) % size] -= 1
     inverse = columns(np.linalg.inv(np.array([[float(v.mid()) for v in row] for row in rows])).tolist())
-    step = (inverse * columns([[-v] for one in segments for v in one.value])).entries()
+    step = (inverse * columns([[-v] for piece in segments for v in piece.value])).entries()
     off = (inverse * columns(rows)).tolist()
     sums = [sum((abs(v - int(i == j)) for j, v in enumerate(row)), flint.arb(0)) for i, row in enumerate(off)]
     residual, contraction = largest(step), largest(sums)
@@ -133,22 +133,22 @@ def newton(segments: Sequence[ChartSegment], radius: Any) -> KantorovichBounds:
     return KantorovichBounds(residual, contraction, exists, ball(radius), [float(v.mid()) for v in step])
 
 
-def improved(surface: Surface, chain: Chain, segments: Sequence[ChartSegment], found: KantorovichBounds) -> Chain:
+def improved(surface: Surface, chain: Chain, segments: Sequence[ChartSegment], bounds: KantorovichBounds) -> Chain:
     """Return the chain after a Newton step, rounded to decimals.
 
     Args:
         surface: energy surface.
         chain: legs (K,).
         segments: their enclosures (K,).
-        found: Newton step.
+        bounds: Newton step.
     """
     charts = []
-    for leg, y in zip(chain, np.reshape(found.step, (-1, 2)).tolist(), strict=True):
+    for leg, y in zip(chain, np.reshape(bounds.step, (-1, 2)).tolist(), strict=True):
         state, _ = leg.first.lift(surface.field, ball(surface.energy), [ball(v) for v in y])
         charts.append(replace(leg.first, node=tuple(exact(v) for v in state)))
     return tuple(
-        replace(leg, first=first, second=second, duration=exact(one.at_node))
-        for leg, first, second, one in zip(chain, charts, [*charts[1:], charts[0]], segments, strict=True)
+        replace(leg, first=first, second=second, duration=exact(piece.at_node))
+        for leg, first, second, piece in zip(chain, charts, [*charts[1:], charts[0]], segments, strict=True)
     )
 
 
@@ -160,7 +160,7 @@ def multipliers(segments: Sequence[ChartSegment]) -> tuple[Any, Any] | None:
     Args:
         segments: enclosures along one period, in order.
     """
-    product = reduce(lambda before, one: one.slope * before, segments, flint.arb_mat([[1, 0], [0, 1]]))
+    product = reduce(lambda before, piece: piece.slope * before, segments, flint.arb_mat([[1, 0], [0, 1]]))
     half = product.trace() / 2
     if not abs(half) > 1:
         return None
@@ -170,13 +170,11 @@ def multipliers(segments: Sequence[ChartSegment]) -> tuple[Any, Any] | None:
 
 
 def total_time(segments: Sequence[ChartSegment], radius: Any) -> Any:
-    """Return the duration of one period, s.
-
-    It starts from points near the nodes.
+    """Return the duration of one period from points near the nodes, s.
 
     Args:
         segments: enclosures along one period.
         radius: distance of the points from the nodes.
     """
-    slopes = [(one.at_node, abs(one.delays[0]) + abs(one.delays[1])) for one in segments]
+    slopes = [(piece.at_node, abs(piece.delays[0]) + abs(piece.delays[1])) for piece in segments]
     return sum((time + slope * symmetric(radius) for time, slope in slopes), flint.arb(0))

@@ -151,9 +151,9 @@ def plain(value: Any) -> Any:
         value: nested mappings, lists and numbers.
     """
     if isinstance(value, Mapping):
-        return {key: plain(one) for key, one in value.items()}
+        return {key: plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [plain(one) for one in value]
+        return [plain(item) for item in value]
     return decimal(value) if isinstance(value, Fraction) else repr(value) if isinstance(value, float) else value
 
 
@@ -168,7 +168,7 @@ def certificate(system: System, energy: Fraction, content: Mapping[str, Any]) ->
     if not isinstance(system, ModelSystem):
         return None
     equations = "double pendulum" if isinstance(system.model.parameters, ArmChainParameters) else "three bodies"
-    whole = plain(
+    document = plain(
         {
             "format": FORMAT,
             "versions": {name: number for name, number in versions().items() if name in ("dpcontrol", "python-flint")},
@@ -181,8 +181,8 @@ def certificate(system: System, energy: Fraction, content: Mapping[str, Any]) ->
             **content,
         }
     )
-    whole = {"statement": statement(whole), **whole}
-    return {**whole, "digest": digest(whole)}
+    document = {"statement": statement(document), **document}
+    return {**document, "digest": digest(document)}
 
 
 def orbit_certificate(
@@ -202,11 +202,11 @@ def orbit_certificate(
         proof: enclosures of the legs and the Newton step.
         claims: claims on symbols, see `Route.claims`.
     """
-    (surface, legs), (segments, found) = chain, proof
+    (surface, legs), (segments, bounds) = chain, proof
     pair = multipliers(segments)
     if pair is None:
         return None
-    exists = max(100 * float(found.exists), _LEAST_RADIUS)
+    exists = max(100 * float(bounds.exists), _LEAST_RADIUS)
     durations = [leg.duration for leg in legs]
     reach = Fraction(exists) * 2 * len(durations)
     content = {
@@ -233,9 +233,7 @@ _LEAST_RADIUS, _UNIQUE = 1e-12, 1e-10
 def proved_chain(
     surface: Surface, chain: Chain, settings: ProofSettings, progress: Progress = no_progress
 ) -> tuple[list[ChartSegment], KantorovichBounds]:
-    """Prove that a chain contains exactly one orbit.
-
-    The result has its enclosures and the Newton step.
+    """Prove that a chain contains exactly one orbit, and return its enclosures and the Newton step.
 
     Args:
         surface: energy surface.
@@ -251,15 +249,15 @@ def proved_chain(
         tried.append(f"{radius:.0e}")
         try:
             segments = enclose(surface, chain, even(chain, radius), settings.flow, progress)
-            found = newton(segments, radius)
-            if found.proved:
-                return segments, found
+            bounds = newton(segments, radius)
+            if bounds.proved:
+                return segments, bounds
             reason = NotClosed(
-                f"Newton–Kantorovich gives a contraction of {bound(found.contraction)} and a first step of "
-                f"{bound(found.residual)}, which do not prove a solution"
+                f"Newton–Kantorovich gives a contraction of {bound(bounds.contraction)} and a first step of "
+                f"{bound(bounds.residual)}, which do not prove a solution"
             )
             # A ball must contain the first step; otherwise, the contraction is smaller in a smaller ball.
-            radius = 10 * float(found.residual) if found.residual > radius else radius / 100
+            radius = 10 * float(bounds.residual) if bounds.residual > radius else radius / 100
         except NotClosed as error:
             reason, radius = error, radius / 100
     raise NotClosed(f"{reason}; balls of {', '.join(tried)} were tried")
@@ -299,29 +297,29 @@ def prove_orbit(
     def work() -> Proof:
         surface = surface_of(system, energy)
         chain = closed_chain(system, *orbit_nodes(orbit, count), [0] * 4)
-        segments, found = proved_chain(surface, chain, settings, part_of(progress, 0.0, 0.25))
+        segments, bounds = proved_chain(surface, chain, settings, part_of(progress, 0.0, 0.25))
         fine = replace(settings.flow, order=44, left=1e-28)
         # After two Newton steps, the theorem is applied to nodes accurate to the precision.
         for begun in (0.25, 0.5):
-            chain = improved(surface, chain, segments, found)
-            segments = enclose(surface, chain, even(chain, found.unique), fine, part_of(progress, begun, begun + 0.25))
-            found = newton(segments, found.unique)
-        if not found.proved:
+            chain = improved(surface, chain, segments, bounds)
+            segments = enclose(surface, chain, even(chain, bounds.unique), fine, part_of(progress, begun, begun + 0.25))
+            bounds = newton(segments, bounds.unique)
+        if not bounds.proved:
             raise NotClosed("the theorem holds at the initial nodes, but not at the refined ones")
         # These boxes for period and multipliers contain the proved orbit.
-        narrow = found.exists * 1000 + flint.arb(1) / 10**24
+        narrow = bounds.exists * 1000 + flint.arb(1) / 10**24
         sharp = enclose(surface, chain, even(chain, narrow), replace(fine, box_order=40), part_of(progress, 0.75, 1.0))
         pair = multipliers(sharp)
-        period, within = total_time(sharp, found.exists), [symmetric(found.exists)] * 2
+        period, within = total_time(sharp, bounds.exists), [symmetric(bounds.exists)] * 2
         at_start, _ = chain[0].first.lift(surface.field, ball(surface.energy), within)
         figures = {
             "period": period.str(30),
             "multipliers": None if pair is None else [v.str(20) for v in pair],
-            "exists_within": bound(found.exists),
-            "unique_within": bound(found.unique, lower=True),
-            "contraction": bound(found.contraction),
+            "exists_within": bound(bounds.exists),
+            "unique_within": bound(bounds.unique, lower=True),
+            "contraction": bound(bounds.contraction),
             "state": [v.str(30) for v in at_start],
-            "steps": sum(len(one.spans) for one in sharp),
+            "steps": sum(len(segment.spans) for segment in sharp),
         }
         if pair is None:
             return Proof(
@@ -329,16 +327,16 @@ def prove_orbit(
                 "off the unit circle", stated, figures, 0.0,
             )  # fmt: skip
         return Proof(
-            "orbit", True, f"proved: {_unique(found, count)}", stated, figures, 0.0,
-            orbit_certificate(system, (surface, chain), (sharp, found)),
+            "orbit", True, f"proved: {_unique(bounds, count)}", stated, figures, 0.0,
+            orbit_certificate(system, (surface, chain), (sharp, bounds)),
         )  # fmt: skip
 
     return attempted("orbit", stated, settings.bits, work)
 
 
-def _unique(found: KantorovichBounds, count: int) -> str:
+def _unique(bounds: KantorovichBounds, count: int) -> str:
     """Return the words on existence and uniqueness of an orbit."""
-    unique, exists = bound(found.unique, lower=True), bound(found.exists)
+    unique, exists = bound(bounds.unique, lower=True), bound(bounds.exists)
     return (
         f"exactly one orbit within {unique} of the nodes {passing(count)}, with the enclosed flight times; it is "
         f"within {exists}"
@@ -386,25 +384,27 @@ def prove_walk(
         if any(turn and not turning for turn, turning in zip(turns, surface.turns, strict=True)):
             raise InputError(f"{system.name} turns in a coordinate with a period other than 2π; it cannot be proved")
         chain = closed_chain(system, orbit.states[:-1], np.diff(orbit.times), turns)
-        segments, found = proved_chain(surface, chain, settings, progress)
+        segments, bounds = proved_chain(surface, chain, settings, progress)
         pair = multipliers(segments)
         joints, marks = walk.shot.guess.joints, sorted(walk.shot.guess.markers)
         stretches = list(zip([0, *(k + 1 for k in joints)], joints, strict=False))
         claims = Route.of(walk).claims(stretches, marks, rivals)
         figures = {
-            "period": total_time(segments, found.exists).str(20),
+            "period": total_time(segments, bounds.exists).str(20),
             "multipliers": None if pair is None else [v.str(8) for v in pair],
-            "exists_within": bound(found.exists),
-            "unique_within": bound(found.unique, lower=True),
-            "contraction": bound(found.contraction),
+            "exists_within": bound(bounds.exists),
+            "unique_within": bound(bounds.unique, lower=True),
+            "contraction": bound(bounds.contraction),
             "nodes": len(chain),
-            "steps": sum(len(one.spans) for one in segments),
+            "steps": sum(len(segment.spans) for segment in segments),
             "symbols": [
-                {"symbol": one.name, "crossings": sum(one.hits) - 1, "wraps": int(wraps)}
-                for one, wraps in zip(walk.connections, walk.wraps, strict=True)
+                {"symbol": segment.name, "crossings": sum(segment.hits) - 1, "wraps": int(wraps)}
+                for segment, wraps in zip(walk.connections, walk.wraps, strict=True)
             ],
         }
-        flights, nodes, times = zip(*((one.spans, one.start, one.time) for one in segments), strict=True)
+        flights, nodes, times = zip(
+            *((segment.spans, segment.start, segment.time) for segment in segments), strict=True
+        )
         with located("a closed orbit exists and is unique, but it is not proved to follow its symbols:"):
             check_symbols(
                 claims,
@@ -413,8 +413,8 @@ def prove_walk(
                 ),
             )
         return Proof(
-            "walk", True, f"proved: {_unique(found, count)}, and it follows its symbols", stated, figures, 0.0,
-            orbit_certificate(system, (surface, chain), (segments, found), claims),
+            "walk", True, f"proved: {_unique(bounds, count)}, and it follows its symbols", stated, figures, 0.0,
+            orbit_certificate(system, (surface, chain), (segments, bounds), claims),
         )  # fmt: skip
 
     return attempted("walk", stated, settings.bits, work)
@@ -422,7 +422,7 @@ def prove_walk(
 
 def prove_network(
     kind: str,
-    found: Sequence[Connection | ShadowingOrbit],
+    flights: Sequence[Connection | ShadowingOrbit],
     *,
     energy: Fraction,
     rivals: Sequence[Connection] | None = None,
@@ -433,7 +433,7 @@ def prove_network(
 
     Args:
         kind: "connection", "walk", "horseshoe" or "graph".
-        found: computed connections or one open walk.
+        flights: computed connections or one open walk.
         energy: exact, J.
         rivals: for a walk: connections that its orbit must not follow.
         settings: precision, radii and integrator.
@@ -443,9 +443,9 @@ def prove_network(
         InputError: no connections, or unsupported equations.
     """
     settings = settings or ProofSettings()
-    if not found:
+    if not flights:
         raise InputError("no connections to prove; find some with `dpcontrol connect`")
-    routes, system = [Route.of(one) for one in found], found[0].orbit.system
+    routes, system = [Route.of(flight) for flight in flights], flights[0].orbit.system
     joined = [(route.stops[0], route.stops[-1]) for route in routes]
     # Connections have equal copies of an orbit.
     near = {(stop.saddle, stop.period): stop for pair in joined for stop in pair}

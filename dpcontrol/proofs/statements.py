@@ -100,8 +100,10 @@ def _crossed(link: Mapping[str, Any], k: int, angles: int) -> str:
         f"is in the box about {_state(map(number, charts[int(claim['node']) - 1]['node']))}"
     )
     if len(claim["states"]) > 1:
-        near, *others = claim["states"]
-        sentence += f", nearer to {_state(_lifted(near, claim['turns']))} than to {counted(len(others), 'other state')}"
+        near, *further = claim["states"]
+        sentence += (
+            f", nearer to {_state(_lifted(near, claim['turns']))} than to {counted(len(further), 'other state')}"
+        )
     stop = _state(_lifted(claim["stop"], claim["stop_turns"])[:angles])
     return (
         sentence
@@ -132,19 +134,19 @@ def _symbol(data: Mapping[str, Any], k: int, angles: int) -> str:
     claims, count = data["symbols"], len(data["nodes"])
     claim, before, after = claims[k], claims[k - 1], claims[(k + 1) % len(claims)]
     first, second = map(int, claim["hits"])
-    near, *others = claim["states"]
+    near, *further = claim["states"]
     node, following = int(claim["node"]), int(after["node"]) + count * (k + 1 == len(claims))
     stay = _sum(data["durations"][i % count] for i in range(node, following))
     leaves, enters = (
-        _state(_lifted(one["stop"], turns)[:angles])
-        for one, turns in ((before, claim["turns"]), (claim, claim["stop_turns"]))
+        _state(_lifted(place["stop"], turns)[:angles])
+        for place, turns in ((before, claim["turns"]), (claim, claim["stop_turns"]))
     )
     return (
         f"symbol {k + 1}: "
         + f"from within half a turn of the angles {leaves} to within half a turn of {enters}, " * bool(angles)
         + f"it crosses the section {_section(claim['section'])} {counted(first + second - 1, 'time')}; at crossing "
         f"{first}, node {node + 1} is within {_distance(data, claim)} of {_state(map(number, near))}"
-        + f", nearer than to {counted(len(others), 'other state')}" * bool(others)
+        + f", nearer than to {counted(len(further), 'other state')}" * bool(further)
         + f"; the next symbol's node follows after {stay}, nearest to {_rest(claim)}"
     )
 

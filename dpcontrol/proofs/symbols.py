@@ -64,9 +64,7 @@ def period_of(section: Mapping[str, Any]) -> Any:
 
 
 def crossings(section: Mapping[str, Any], boxes: Sequence[Vector], rates: Callable[[Vector], Vector]) -> list[range]:
-    """Return the valid section crossings in boxes along a flight.
-
-    Each crossing is given by the boxes in which it may occur.
+    """Return the valid section crossings along a flight, each as the boxes in which it may occur.
 
     Args:
         section: numbers of `described`.
@@ -137,7 +135,7 @@ class Enclosed:
 def check_symbols(claims: Sequence[Mapping[str, Any]], flown: Enclosed) -> None:
     """Prove that an orbit follows its symbols.
 
-    An open one has no next mark after its last symbol, so this has no wraps.
+    An open orbit has no next mark after its last symbol, and therefore no wraps there.
 
     Args:
         claims: claims in the order of the symbols.
@@ -163,13 +161,17 @@ def check_symbols(claims: Sequence[Mapping[str, Any]], flown: Enclosed) -> None:
         with located(f"symbol {k} of {len(claims)}:"):
             if not folded(level, period_of(section)).contains(0):
                 raise NotClosed("its marked node is not on its section")
-            found = crossings(section, [box for one in flown.flights[first : last + 1] for box in one], flown.rates)
+            crossed = crossings(
+                section,
+                [box for boxes_of_flight in flown.flights[first : last + 1] for box in boxes_of_flight],
+                flown.rates,
+            )
             # The marked node is in the last box before it and in the first one after it.
-            at = sum(len(one) for one in flown.flights[first:node])
-            hits = [(k + 1, len(found) - k) for k, boxes in enumerate(found) if at in boxes and at - 1 in boxes]
+            at = sum(len(boxes_of_flight) for boxes_of_flight in flown.flights[first:node])
+            hits = [(k + 1, len(crossed) - k) for k, boxes in enumerate(crossed) if at in boxes and at - 1 in boxes]
             if hits != [tuple(int(v) for v in claim["hits"])]:
                 raise NotClosed(
-                    f"its marked node has the hits {hits} among {len(found)} crossings, not {claim['hits']}"
+                    f"its marked node has the hits {hits} among {len(crossed)} crossings, not {claim['hits']}"
                 )
             if not all(abs(v) < flint.arb.pi() for v, turning in zip(stopped, flown.angles, strict=True) if turning):
                 raise NotClosed("the whole turns up to the next stop differ from those of the walk")
@@ -177,12 +179,12 @@ def check_symbols(claims: Sequence[Mapping[str, Any]], flown: Enclosed) -> None:
                 raise NotClosed("the orbit is not proved to be nearer to its connection than to all others")
             if k == len(claims) and not flown.closed:
                 return
-            wraps = whole((stay - number(claim["rest"])) / number(claim["period"]))
+            wraps = whole_number((stay - number(claim["rest"])) / number(claim["period"]))
             if wraps != claim["wraps"]:
                 raise NotClosed(f"the duration of its stop is that of {wraps} wraps instead of {claim['wraps']}")
 
 
-def whole(rounds: Any) -> int:
+def whole_number(rounds: Any) -> int:
     """Return the nearest whole number of rounds.
 
     Args:
@@ -191,7 +193,7 @@ def whole(rounds: Any) -> int:
     Raises:
         NotClosed: the enclosure does not determine it.
     """
-    found = (rounds + 0.5).floor().unique_fmpz()
-    if found is None:
+    nearest = (rounds + 0.5).floor().unique_fmpz()
+    if nearest is None:
         raise NotClosed("the duration of a stop does not determine its wraps")
-    return int(found)
+    return int(nearest)

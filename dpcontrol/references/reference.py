@@ -154,8 +154,7 @@ class Reference(Trajectory):
 
     @cached_property
     def errors(self) -> Array | None:
-        """Errors between nodes (N,), scaled, measured again on each interval; None if arms are unknown or heyoka is
-        missing."""
+        """Errors between nodes (N,), scaled, measured again on each interval; None without known arms or heyoka."""
         if self.arms is None or not installed("heyoka"):
             return None
         nothing = np.zeros(self.states.shape[-1] - 2)

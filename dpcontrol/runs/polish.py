@@ -287,8 +287,7 @@ def _refined(plan: Plan, part: Reference, motion: Trajectory) -> Reference:
 
 
 def stretches(robust: Reference) -> Iterator[tuple[float, float, bool]]:
-    """Yield begin and end, s, of each stretch of a plan, and True if it moves, unlike interior holds and the final
-    rest.
+    """Yield begin and end, s, of each stretch of a plan, and False for interior holds and the final rest.
 
     Args:
         robust: reference of the robust plan.

@@ -414,8 +414,7 @@ def watched(plan: Plan, sink: LoopSink, *, live: LiveSink | None) -> Iterator[Lo
 
 
 def outcome(result: LoopResult) -> dict[str, str]:
-    """Return the result of a run as metadata: pace, ending, computing time of ticks, hardest drive, estimated model
-    errors.
+    """Return the result of a run as metadata: pace, ending, time of ticks, hardest drive, estimated model errors.
 
     Args:
         result: result of the loop.
@@ -1052,8 +1051,7 @@ PROGRAM_WATCHDOG = 0.03
 
 
 def run_with_program(plan: Plan, out: Path, program: Path, *, real_time: bool = False, force: bool = False) -> Run:
-    """Run a planned itinerary with an external program as the controller, on an example bench, and log and score the
-    run.
+    """Run and score a planned itinerary on an example bench, with an external program as the controller.
 
     The log is written after the run: the loop processes the recorded readings, which gives its estimates and demands.
     The log contains the true states and differs from that of a simulated run by the effects of real time.

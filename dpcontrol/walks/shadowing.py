@@ -113,8 +113,7 @@ class Strands:
         self._kept: dict[tuple[str, float, int], Array] = {}
 
     def states(self, connection: Connection, sign: int, count: int) -> tuple[Array, float]:
-        """Return states (count + 1, N) and the step in s, a fixed fraction of the period of the target (sign -1:
-        source) orbit.
+        """Return states (count + 1, N) and their step, s, a fixed fraction of the target's (sign -1: source's) period.
 
         Args:
             connection: sampled connection.

@@ -1,5 +1,4 @@
-"""Connections against energy with their births, splittings and grazes of the section, and rates of passage of the
-necks."""
+"""Connections against energy with births, splittings and grazes of the section, and rates of passage of the necks."""
 
 import json
 from functools import partial
@@ -114,8 +113,7 @@ def pair_name(diagram: BranchDiagram) -> str:
 
 
 def bifurcations(axes: Axes, search: BifurcationSearch) -> None:
-    """Draw each connection's momentum on the section over the energy or the followed parameter, with bifurcations and
-    counts.
+    """Draw each connection's momentum on the section over the followed quantity, with bifurcations and counts.
 
     Args:
         axes: panel to draw on.
