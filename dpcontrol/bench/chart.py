@@ -96,10 +96,7 @@ class Point:
 
 @dataclass(frozen=True)
 class Missing:
-    """A method and setting without a point, and the reason.
-
-    It failed, or its package is not installed.
-    """
+    """A method and setting without a point, because it failed or its package is not installed."""
 
     method: str
     setting: str
@@ -108,9 +105,7 @@ class Missing:
 
 @dataclass(frozen=True)
 class Diagram(Documented):
-    """One diagram of points for the same work.
-
-    It holds the reason for keeping a default off the front.
+    """One diagram of points for the same work, with the reason for keeping a default off the front.
 
     Attributes:
         floor: errors below it are rounding and count as equal.
@@ -151,9 +146,7 @@ class Diagram(Documented):
         return tuple(p for p in self.points if p.default)
 
     def off_front(self, point: Point) -> float:
-        """Return the distance of a point from the front.
-
-        The distance is a share, 0 on the front.
+        """Return the distance of a point from the front as a share, 0 on the front.
 
         Args:
             point: point of this diagram.
@@ -174,10 +167,7 @@ class Diagram(Documented):
         return "on the front" if point in self.front else f"{self.off_front(point):.0%} off the front"
 
     def finding(self) -> str:
-        """Return the diagram's result in one sentence.
-
-        It compares the first default with the fastest other point that is as precise.
-        """
+        """Return the diagram's result in one sentence: the first default against the fastest other point as precise."""
         ours = next(iter(self.defaults), self.front[-1])
         error, unit = max(ours.error, self.floor), split_label(self.y_label)[1]
         measured, cost = (label.partition(",")[0] for label in (self.y_label, self.x_label))
@@ -188,10 +178,7 @@ class Diagram(Documented):
         return f"{other.name} does as well as {ours.name} at {other.seconds / ours.seconds:.2g} times its {cost}"
 
     def complaints(self) -> tuple[str, ...]:
-        """Return a sentence for each default off the front without reason.
-
-        Defaults too far off count even with a reason.
-        """
+        """Return a sentence for each default off the front without reason, or too far off even with a reason."""
         return tuple(
             f"{self.title}: the default {p.name} is {self.standing(p)}{'' if self.why else ' and no reason is given'}"
             for p in self.defaults
@@ -226,9 +213,7 @@ class Attempt:
 
 
 def half_of(answers: Sequence[Attempt], lost: str) -> Attempt:
-    """Return success if at least half of the answers succeed.
-
-    Otherwise return the number of failures and one message.
+    """Return success if at least half of the answers succeed, otherwise the number of failures and one message.
 
     Args:
         answers: outcomes of runs.
@@ -294,9 +279,7 @@ def find_border(
     ratio: float = 1.1,
     unit: float = 0.0,
 ) -> Border:
-    """Return the border between `near`, which works, and `far`.
-
-    Both values are positive, in either order.
+    """Return the border between `near`, which works, and `far`, both positive and in either order.
 
     Args:
         probe: function of a value, which tries it.
@@ -356,10 +339,7 @@ class EdgeMap(Documented):
     default: tuple[float, float] | None = None
 
     def finding(self) -> str:
-        """Return the map's result in one sentence.
-
-        The sentence has the range of the borders, and how well theory predicts them.
-        """
+        """Return the map's result in one sentence: the range of the borders, and how well theory predicts them."""
         measured = [b.measured for b in self.borders if b.measured is not None]
         if not measured:
             return f"no line {self.far}"
@@ -369,19 +349,16 @@ class EdgeMap(Documented):
         return f"{self.far} at {' to '.join(limits)}{predicted}"
 
     def complaints(self) -> tuple[str, ...]:
-        """Return a sentence for each border with a fault.
-
-        A fault is a missing border, one that contradicts its prediction, or a silent failure.
-        """
-        found = []
+        """Return a sentence for each border that is missing, contradicts its prediction, or is a silent failure."""
+        complaints = []
         for b in self.borders:
             where = f"{self.title}, {b.line}"
             if b.predicted is not None and (b.off is None or b.off > self.agrees):
                 border = "no border" if b.measured is None else f"border at {b.measured:.3g}"
-                found.append(f"{where}: {border}, predicted at {b.predicted:.3g}")
+                complaints.append(f"{where}: {border}, predicted at {b.predicted:.3g}")
             if b.far is not None and not b.says:
-                found.append(f"{where}: the failure at {b.far:.3g} is not reported")
-        return tuple(found)
+                complaints.append(f"{where}: the failure at {b.far:.3g} is not reported")
+        return tuple(complaints)
 
     def text(self) -> Iterator[Line]:
         """Yield the borders as a table, then the result and the basis of the prediction."""
@@ -453,9 +430,9 @@ def measured_maps(
         *plans: (map without borders, border at a value, values).
     """
     maps = []
-    for k, (one, border, values) in enumerate(plans):
-        progress(one.title, k / len(plans))
-        maps.append(replace(one, borders=tuple(map(border, values))))
+    for k, (edge_map, border, values) in enumerate(plans):
+        progress(edge_map.title, k / len(plans))
+        maps.append(replace(edge_map, borders=tuple(map(border, values))))
     return tuple(maps)
 
 

@@ -1,6 +1,4 @@
-"""Charts of controllers and estimators: error against time.
-
-The time is that of a tick.
+"""Charts of controllers and estimators: error against the time of a tick.
 
 *Controllers*: error and failures against the time of a tick, and effort against error. Three tasks on the same bench:
 follow one turn of the outer arm, sustain the orbit about Down-Up, hold both arms up. Every controller of a task has
@@ -71,7 +69,7 @@ _PLAIN = EkfSettings()
 _BARE = EkfSettings(augment=())
 """Settings for pulses; the first pulses come before the filter's estimates."""
 _ERROR = "rms error of the angles, rad"
-Made = Mapping[tuple[str, str], tuple[Callable[[SampledModel], Controller], EkfSettings]]
+Controllers = Mapping[tuple[str, str], tuple[Callable[[SampledModel], Controller], EkfSettings]]
 """Controllers by method and setting, each with its filter."""
 Judge = Callable[[BatchRun], bool]
 
@@ -115,25 +113,25 @@ def control_chart(quick: bool, progress: Progress) -> ChartPage:
     )  # fmt: skip
 
 
-def measured(task: ControlTask, made: Made, *, seeds: int, default: tuple[str, str] = ("", "")) -> Diagram:
-    """Return error against the seconds of a tick.
-
-    Only successful controllers have points; the others have reasons.
+def measured(
+    task: ControlTask, controllers: Controllers, *, seeds: int, default: tuple[str, str] = ("", "")
+) -> Diagram:
+    """Return error against the seconds of a tick, for successful controllers; the others have reasons.
 
     Args:
         task: reference, arms and judge.
-        made: controllers by method and setting.
+        controllers: controllers by method and setting.
         seeds: runs at each mismatch.
         default: method and setting of the default.
     """
     tried, runs = [], {}
-    for (method, setting), (make, estimator) in made.items():
+    for (method, setting), (make, estimator) in controllers.items():
         settings = LoopSettings(seed=0, rate=RATE, estimator=estimator, initial_error=INITIAL_ERROR)
         controller = make(sampled_model(task.arms, RATE))
         runs[method, setting] = partial(outcome, task, controller, settings, seeds=seeds)
         tick = tick_of(task, controller, settings)
         tried.append(Alternative(method, setting, tick, default=(method, setting) == default))
-    return compare(tried, lambda one, _: runs[one.method, one.setting]())
+    return compare(tried, lambda alternative, _: runs[alternative.method, alternative.setting]())
 
 
 def outcome(task: ControlTask, controller: Controller, settings: LoopSettings, *, seeds: int) -> Judged | str:
@@ -156,13 +154,13 @@ def outcome(task: ControlTask, controller: Controller, settings: LoopSettings, *
         return f"none of {seeds} runs completed at {SMALL:.0%} mismatch"
     n = task.arms.count
     squares = [np.mean((run.truth[:, :n] - run.references[:, :n]) ** 2) for run in good]
-    others = {
+    measures = {
         "success": sum(task.judge(run) for run in large) / seeds,
         "success_small": len(good) / seeds,
         "effort": float(np.sqrt(np.mean([run.rms_feedback**2 for run in small]))),
     }
-    note = f"{others['success']:.0%} complete, feedback {others['effort']:.3f} m/s² rms"
-    return Judged(float(np.sqrt(np.mean(squares))), others, note)
+    note = f"{measures['success']:.0%} complete, feedback {measures['effort']:.3f} m/s² rms"
+    return Judged(float(np.sqrt(np.mean(squares))), measures, note)
 
 
 def held(orbit_angles: Array, *, period: float, near: float = 0.1) -> Judge:
@@ -213,9 +211,7 @@ def _completed(reference: Reference, run: BatchRun) -> bool:
 
 
 def tick_of(task: ControlTask, controller: Controller, settings: LoopSettings) -> Callable[[], None]:
-    """Return a function to time that runs a tick.
-
-    The loop moves along the path without its bench.
+    """Return a function to time that runs a tick of the loop along the path, without its bench.
 
     Args:
         task: reference and arms.
@@ -236,15 +232,12 @@ def tick_of(task: ControlTask, controller: Controller, settings: LoopSettings) -
     return step
 
 
-def _pair(task: ControlTask, found: Diagram, *, why: str) -> tuple[Diagram, Diagram]:
-    """Return the task's two panels against a tick's time.
-
-    They show the error, and the share of failures at the large mismatch.
-    """
+def _pair(task: ControlTask, diagram: Diagram, *, why: str) -> tuple[Diagram, Diagram]:
+    """Return the task's two panels against a tick's time: the error, and failures at the large mismatch."""
     error = replace(
-        found, title=f"{task.title}, error", x_label="time of a tick, filter and law, s", y_label=_ERROR, why=why
+        diagram, title=f"{task.title}, error", x_label="time of a tick, filter and law, s", y_label=_ERROR, why=why
     )
-    failed = tuple(replace(p, error=1 - p.others["success"]) for p in found.points)
+    failed = tuple(replace(p, error=1 - p.others["success"]) for p in diagram.points)
     share = f"share that fails at {LARGE:.0%} mismatch"
     return error, replace(error, title=f"{task.title}, failures", y_label=share, points=failed, log_y=False)
 
@@ -253,7 +246,7 @@ def _tracking(seeds: int) -> tuple[Diagram, Diagram]:
     itinerary = load_itinerary("outer-turn")
     reference, arms = make_plan(itinerary).reference, itinerary.model.arms
     task = ControlTask("One turn", reference, arms, partial(_completed, reference))
-    made: Made = {
+    controllers: Controllers = {
         ("feedforward", ""): (lambda m: tracking_controller(reference, m, FeedforwardSettings()), _PLAIN),
         ("TVLQR", "time"): (lambda m: tracking_controller(reference, m, TvlqrSettings()), _PLAIN),
         ("TVLQR", "phase"): (lambda m: tracking_controller(reference, m, TvlqrSettings(schedule="phase")), _PLAIN),
@@ -262,7 +255,7 @@ def _tracking(seeds: int) -> tuple[Diagram, Diagram]:
         ),
     }  # fmt: skip
     why = "the filter's estimates of arms, drive and encoders leave little for feedback to do"
-    return _pair(task, measured(task, made, seeds=seeds, default=("adaptive", "")), why=why)
+    return _pair(task, measured(task, controllers, seeds=seeds, default=("adaptive", "")), why=why)
 
 
 def _orbit(sections: tuple[int, ...], seeds: int, seconds: float) -> tuple[Diagram, Diagram, Diagram]:
@@ -272,16 +265,16 @@ def _orbit(sections: tuple[int, ...], seeds: int, seconds: float) -> tuple[Diagr
     def pulses(k: int, kind: type) -> Callable[[SampledModel], Controller]:
         return lambda m: ogy_controller(orbit, m, kind(sections=k), seconds=seconds)
 
-    made: Made = {
+    controllers: Controllers = {
         ("TVLQR", schedule): (
             lambda m, s=schedule: orbit_controller(orbit, m, TvlqrSettings(schedule=s), seconds=seconds), _PLAIN,
         )
         for schedule in ("time", "phase")
     }  # fmt: skip
-    made |= {("OGY", f"k = {k}"): (pulses(k, OgySettings), _BARE) for k in sections}
-    made |= {("OGY, classic", f"k = {k}"): (pulses(k, ClassicOgySettings), _BARE) for k in sections[-2:]}
+    controllers |= {("OGY", f"k = {k}"): (pulses(k, OgySettings), _BARE) for k in sections}
+    controllers |= {("OGY, classic", f"k = {k}"): (pulses(k, ClassicOgySettings), _BARE) for k in sections[-2:]}
     why = "a periodic gain at every tick continues the laws for references"
-    error, failures = _pair(task, measured(task, made, seeds=seeds, default=("TVLQR", "time")), why=why)
+    error, failures = _pair(task, measured(task, controllers, seeds=seeds, default=("TVLQR", "time")), why=why)
     shipped = f"OGY, k = {OgySettings().sections}"
     spending = tuple(
         replace(p, seconds=max(p.others["effort"], 1e-9), default=p.name == shipped)
@@ -300,20 +293,20 @@ def _hold(weights: tuple[float, ...], seeds: int) -> Diagram:
     `weights` are multiples of the default effort weight.
     """
     start = np.array([np.pi, np.pi, 0.0, 0.0])
-    whole = np.append(start, [0.0, 0.0])
-    place = still(whole, 1.0, method=method_named("radau-5"), limits=Limits(), interval=0.1)
+    state = np.append(start, [0.0, 0.0])
+    place = still(state, 1.0, method=method_named("radau-5"), limits=Limits(), interval=0.1)
     task = ControlTask("Both arms up", place, load_model("lab").arms, held(start[None, :2], period=1.0))
     plain = HoldSettings()
-    made: Made = {
+    controllers: Controllers = {
         ("LQR", f"effort × {w:g}"): (
             lambda m, w=w: hold_controller(start, m, replace(plain, effort=w * plain.effort), seconds=4.0), _PLAIN,
         )
         for w in weights
     }  # fmt: skip
-    found = measured(task, made, seeds=seeds, default=("LQR", "effort × 1"))
+    diagram = measured(task, controllers, seeds=seeds, default=("LQR", "effort × 1"))
     return replace(
-        found, title="Both arms up, LQR", x_label="rms of the feedback, m/s²", y_label=_ERROR,
-        points=tuple(replace(p, seconds=p.others["effort"]) for p in found.points),
+        diagram, title="Both arms up, LQR", x_label="rms of the feedback, m/s²", y_label=_ERROR,
+        points=tuple(replace(p, seconds=p.others["effort"]) for p in diagram.points),
         why="the same weights as TVLQR's, so that a hold passes into a motion without a jump",
     )  # fmt: skip
 
@@ -433,7 +426,7 @@ def _panel(arms: ArmChainParameters, swings: list[KnownSwing], counts: int, *, q
         tried.append(Alternative("differences", label, partial(differences, rates, joints[0], joints[1], cutoff)))
         trials["differences", label] = partial(derivative_trial, cutoff, swings, counts=counts)
     return replace(
-        compare(tried, lambda one, _: trials[one.method, one.setting]()),
+        compare(tried, lambda alternative, _: trials[alternative.method, alternative.setting]()),
         title=f"{counts} counts per turn", x_label="time of a tick, s", y_label="rms error of the arms' state (scaled)",
         why="feedback on the state alone fails on zeros of a few milliradians, and estimating them costs less than "
         "twice the time; parameters are estimated if a controller requires them",
@@ -441,9 +434,7 @@ def _panel(arms: ArmChainParameters, swings: list[KnownSwing], counts: int, *, q
 
 
 def estimator_trial(estimator: Estimator, swings: list[KnownSwing], *, counts: int) -> Judged:
-    """Return an estimator's error and consistency over the swings.
-
-    Consistency is the shares of NIS and NEES inside their 95 % bands.
+    """Return an estimator's error over the swings, and its shares of NIS and NEES inside their 95 % bands.
 
     Args:
         estimator: filter, which starts at each swing's first measurement.
@@ -494,14 +485,12 @@ def differences(rates: Array, last: Array, measured: Array, cutoff: float) -> Ar
         measured: measurement (m,).
         cutoff: f of the first-order low pass, Hz, infinite for none.
     """
-    kept = math.exp(-2 * math.pi * cutoff * PERIOD)
-    return kept * rates + (1 - kept) * (measured - last) / PERIOD
+    weight = math.exp(-2 * math.pi * cutoff * PERIOD)
+    return weight * rates + (1 - weight) * (measured - last) / PERIOD
 
 
 def derivative_trial(cutoff: float, swings: list[KnownSwing], *, counts: int) -> Judged:
-    """Return the error of measured positions and rates by `differences`.
-
-    There is no covariance.
+    """Return the error of measured positions and rates by `differences`, which give no covariance.
 
     Args:
         cutoff: cutoff of `differences`, Hz.

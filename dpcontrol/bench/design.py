@@ -73,9 +73,7 @@ def connections_chart(quick: bool, progress: Progress) -> ChartPage:
 
 
 def orbit_panel(progress: Progress, *, quick: bool) -> Diagram:
-    """Return the diagram of Lyapunov orbits.
-
-    It shows continuation step and tolerance against error.
+    """Return the diagram of Lyapunov orbits: error by continuation step and tolerance.
 
     Args:
         progress: called with a label and the completed share.
@@ -107,22 +105,18 @@ Truth = tuple[Array, Array]
 
 
 def true_states(orbit: LyapunovOrbit, *, count: int) -> tuple[Truth, ...]:
-    """Return connections of an orbit to itself.
-
-    Mirror images are left out.
+    """Return connections of an orbit to itself, without mirror images.
 
     Args:
         orbit: Lyapunov orbit.
         count: number of connections.
     """
     connections = find_connections(orbit, orbit).connections[:count]
-    return tuple((one.state, refine(one.solution).state.astype(float)) for one in connections)
+    return tuple((connection.state, refine(connection.solution).state.astype(float)) for connection in connections)
 
 
 def worst(orbit: LyapunovOrbit, states: Sequence[Array], truths: Sequence[Truth]) -> float:
-    """Return the largest scaled error of matching states.
-
-    The largest scaled error is infinite if one is missing.
+    """Return the largest scaled error of matching states, infinite if one is missing.
 
     Args:
         orbit: orbit of the connections.
@@ -134,9 +128,7 @@ def worst(orbit: LyapunovOrbit, states: Sequence[Array], truths: Sequence[Truth]
 
 
 def search_panel(orbit: LyapunovOrbit, truths: Sequence[Truth], progress: Progress, *, quick: bool) -> Diagram:
-    """Return the time and error of connection searches by their settings.
-
-    It varies distance of the seeds, first phases, chord and tolerance.
+    """Return time and error of connection searches by distance of the seeds, first phases, chord and tolerance.
 
     Args:
         orbit: orbit of the connections.
@@ -160,9 +152,9 @@ def search_panel(orbit: LyapunovOrbit, truths: Sequence[Truth], progress: Progre
     tried.append(Alternative("chosen", "1e-4, 100, 0.05, 3e-7", partial(searched, base), default=True))
     tried += [Alternative("two flights", f"{d:.0e}", partial(_two_flights, orbit, d)) for d in (1e-3, 1e-4, 1e-6)]
 
-    def judge(one: Alternative[list[Array]], states: list[Array]) -> Judged | str:
+    def judge(alternative: Alternative[list[Array]], states: list[Array]) -> Judged | str:
         # Two flights omit intersections that are images of others.
-        least, error = len(truths) if one.method == "two flights" else expected, worst(orbit, states, truths)
+        least, error = len(truths) if alternative.method == "two flights" else expected, worst(orbit, states, truths)
         return Judged(error) if len(states) >= least and np.isfinite(error) else f"{len(states)} of {least} found"
 
     return replace(
@@ -174,10 +166,7 @@ def search_panel(orbit: LyapunovOrbit, truths: Sequence[Truth], progress: Progre
 
 
 def _two_flights(orbit: LyapunovOrbit, distance: float) -> list[Array]:
-    """Return the intersections of cuts, without refinement.
-
-    The intersections are states. The seeds of the cuts are at `distance`.
-    """
+    """Return the states at the unrefined intersections of cuts whose seeds are at `distance`."""
     system, settings = orbit.system, ConnectionSettings(distance=distance)
     section = system.section_between(orbit.saddle, orbit.saddle)
     manifold = local_manifold(orbit, distance)
@@ -187,9 +176,7 @@ def _two_flights(orbit: LyapunovOrbit, distance: float) -> list[Array]:
 
 
 def three_body_panel(*, quick: bool) -> Diagram:
-    """Return the diagram of the three-body problem's L1-L2 connection.
-
-    It includes hiten's stored point.
+    """Return the diagram of the three-body problem's L1-L2 connection, with hiten's stored point.
 
     Args:
         quick: fewer repetitions.
@@ -200,20 +187,26 @@ def three_body_panel(*, quick: bool) -> Diagram:
         first, second = (lyapunov_orbit(system, name, energy=-1.5175) for name in ("L1", "L2"))
         return find_connections(first, second, hits=(2, 2))
 
-    def judge(_: Alternative[ConnectionSearch], found: ConnectionSearch) -> Judged:
-        return Judged(max(c.residual for c in found.connections), note=f"{len(found.connections)} connections")
+    def judge(_: Alternative[ConnectionSearch], search: ConnectionSearch) -> Judged:
+        return Judged(max(c.residual for c in search.connections), note=f"{len(search.connections)} connections")
 
     turns = {"rounds": 3 if quick else 7, "most": 0.5 if quick else 4.0, "least": 1}
-    own = compare([Alternative("dpcontrol", "", ours, default=True)], judge, **turns).points[0]
+    ours_measured = compare([Alternative("dpcontrol", "", ours, default=True)], judge, **turns).points[0]
     note = "ratios stored by tests/benchmarks/test_against_hiten.py: of a fresh process; gap at least"
     stored = Point(
-        "hiten 0.5.4 (stored)", "", own.seconds * SLOWER, own.error * WIDER, outside=True, stored=True, note=note
+        "hiten 0.5.4 (stored)",
+        "",
+        ours_measured.seconds * SLOWER,
+        ours_measured.error * WIDER,
+        outside=True,
+        stored=True,
+        note=note,
     )
     return Diagram(
         "L1 to L2 of three bodies, with the orbits",
         "time, s",
         "gap where the pieces meet",
-        (own, stored),
+        (ours_measured, stored),
         floor=GAP_ROUNDING,
     )
 
@@ -261,13 +254,10 @@ def transcription_chart(quick: bool, progress: Progress) -> ChartPage:
 
 
 def crossing_problem() -> ReferenceProblem:
-    """Return the problem of crossing from down-up to up-down.
-
-    The problem has the lab's friction and lasts 5.5 s.
-    """
+    """Return the problem of crossing from down-up to up-down in 5.5 s with the lab's friction."""
     model = load_model("lab")
-    found = find_connections(*orbits_between(model.system, "down-up", "up-down", 0.2)).connections
-    orbit = WalkSolver(found).solve(found[:1], [])
+    connections = find_connections(*orbits_between(model.system, "down-up", "up-down", 0.2)).connections
+    orbit = WalkSolver(connections).solve(connections[:1], [])
     return ReferenceProblem(equations_of(model.arms, Level.CART), model.arms.base(), orbit.states, orbit.duration)
 
 
@@ -284,9 +274,7 @@ def transcribed(problem: ReferenceProblem, settings: ReferenceSettings) -> Solve
 
 
 def method_panels(problem: ReferenceProblem, progress: Progress, *, quick: bool) -> tuple[Diagram, Diagram]:
-    """Return the diagrams of error between nodes and of cost.
-
-    Both come from the same solutions.
+    """Return the diagrams of error between nodes and of cost, from the same solutions.
 
     Args:
         problem: problem with a guess.
@@ -295,20 +283,20 @@ def method_panels(problem: ReferenceProblem, progress: Progress, *, quick: bool)
     """
     finest = transcribed(problem, FINEST).cost
     settings = [ReferenceSettings(method=name, interval=t) for name, t in (QUICK if quick else QUICK + WHOLE)]
-    others = (("radau-7", 0.05), ("radau-5", 0.02))[: 1 if quick else 2]
-    settings += [ReferenceSettings(method=name, interval=t, solver="fatrop") for name, t in others]
+    further = (("radau-7", 0.05), ("radau-5", 0.02))[: 1 if quick else 2]
+    settings += [ReferenceSettings(method=name, interval=t, solver="fatrop") for name, t in further]
 
     def judge(_: Alternative[Solved], solved: Solved) -> Judged | str:
         if not solved.succeeded:
             return solved.outcome
-        others = {"cost": solved.cost, "iterations": float(solved.iterations)}
-        return Judged(float(error_between_nodes(problem, solved.trajectory).max()), others)
+        measures = {"cost": solved.cost, "iterations": float(solved.iterations)}
+        return Judged(float(error_between_nodes(problem, solved.trajectory).max()), measures)
 
     tried = [_alternative(problem, s, transcribed) for s in settings]
-    found = compare(tried, judge, **_turns(quick=quick), progress=progress)
-    costs = tuple(replace(p, error=abs(p.others["cost"] / finest - 1)) for p in found.points)
+    diagram = compare(tried, judge, **_turns(quick=quick), progress=progress)
+    costs = tuple(replace(p, error=abs(p.others["cost"] / finest - 1)) for p in diagram.points)
     label = f"cost, off {FINEST.method} at {1e3 * FINEST.interval:g} ms, share"
-    error = replace(found, title="one even mesh, error", x_label=TIME, y_label="error between nodes, scaled")
+    error = replace(diagram, title="one even mesh, error", x_label=TIME, y_label="error between nodes, scaled")
     return error, replace(error, title="one even mesh, cost", y_label=label, points=costs)
 
 
@@ -326,9 +314,7 @@ def _turns(*, quick: bool) -> dict[str, Any]:
 
 
 def refined_panel(problem: ReferenceProblem, progress: Progress, *, quick: bool) -> Diagram:
-    """Return the diagram of whole searches.
-
-    They refine the mesh to the tolerance between nodes.
+    """Return the diagram of whole searches, which refine the mesh to the tolerance between nodes.
 
     Args:
         problem: problem with a guess.
@@ -342,8 +328,8 @@ def refined_panel(problem: ReferenceProblem, progress: Progress, *, quick: bool)
     cases += [replace(chosen, tolerance=t) for t in ((1e-4,) if quick else (1e-3, 1e-4))]
     cases += [] if quick else [replace(chosen, solver="fatrop")]
 
-    def judge(_: Alternative[Reference], found: Reference) -> Judged | str:
-        return Judged(found.max_error_between_nodes) if found.converged else found.status
+    def judge(_: Alternative[Reference], reference: Reference) -> Judged | str:
+        return Judged(reference.max_error_between_nodes) if reference.converged else reference.status
 
     tried = [replace(_alternative(problem, s, find_reference), default=s == chosen) for s in cases]
     return replace(

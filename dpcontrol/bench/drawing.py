@@ -72,9 +72,7 @@ def save_chart(page: ChartPage, picture: Path, parts: Sequence[Any] | None = Non
 
 
 def figure(page: ChartPage, parts: Sequence[Any]) -> Figure:
-    """Return a picture of some of a chart's diagrams.
-
-    Each method has one colour and mark throughout.
+    """Return a picture of some of a chart's diagrams, with one colour and mark for each method throughout.
 
     Args:
         page: page of the chart.
@@ -212,9 +210,7 @@ _SECONDS = {False: 150.0, True: 25.0}
 def draw_charts(
     names: Sequence[str], folder: Path, *, quick: bool = False, yes: bool = False, progress: Progress = no_progress
 ) -> DrawnCharts:
-    """Draw charts (all if `names` is empty).
-
-    They are drawn one after the other on one core, with the others idle.
+    """Draw charts (all if `names` is empty) one after the other on one core, with the others idle.
 
     Args:
         names: charts or groups of charts.

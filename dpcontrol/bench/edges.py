@@ -1,6 +1,4 @@
-"""Maps of failure: each method's limit beside a prediction.
-
-The prediction is a formula of a few lines.
+"""Maps of failure: each method's limit beside a prediction by a formula of a few lines.
 
 *Moving references.* A known delay is predicted through, and the prediction runs on the model. The borders of the delay
 and of the plant's mismatch are only measured.
@@ -179,9 +177,7 @@ def delay_border(loop_case: LoopCase, *, error: float, ratio: float) -> Border:
 
 
 def mismatch_border(loop_case: LoopCase, delay: float, *, ratio: float) -> Border:
-    """Return the border of the plant's mismatch at a delay.
-
-    All parameters change in one direction.
+    """Return the border of the plant's mismatch at a delay, all parameters changed in one direction.
 
     Args:
         loop_case: controller on its model.
@@ -201,9 +197,7 @@ COUNTS = 40_000.0
 
 
 def pulses(orbit: SustainedOrbit, sections: int, *, seconds: float) -> OgyController:
-    """Return the law that holds an orbit by pulses.
-
-    A pulse has at most LIMIT m/s². The law does not learn.
+    """Return the law, without learning, that holds an orbit by pulses of at most LIMIT m/s².
 
     Args:
         orbit: sustained orbit.
@@ -256,9 +250,7 @@ def ogy_chart(quick: bool, progress: Progress) -> ChartPage:
 
 
 def holds(orbit: SustainedOrbit, controller: OgyController, *, counts: float, seeds: int) -> Attempt:
-    """Return success if at least half of the runs hold the orbit.
-
-    Otherwise return the ending of the first failure.
+    """Return success if at least half of the runs hold the orbit, otherwise the ending of the first failure.
 
     Args:
         orbit: sustained orbit.
@@ -266,8 +258,8 @@ def holds(orbit: SustainedOrbit, controller: OgyController, *, counts: float, se
         counts: encoder counts per turn.
         seeds: number of runs.
     """
-    whole = max(round(counts), 1)
-    sensors = SensorSettings(counts=whole, cart_resolution=1e-6, zero_error=np.pi / whole)
+    whole_counts = max(round(counts), 1)
+    sensors = SensorSettings(counts=whole_counts, cart_resolution=1e-6, zero_error=np.pi / whole_counts)
     # Estimated zeros would need a third larger pulses at k = 16.
     settings = LoopSettings(
         seed=0, rate=RATE, sensors=sensors, estimator=EkfSettings(augment=()), initial_error=1e-5
@@ -346,9 +338,7 @@ def estimation_chart(quick: bool, progress: Progress) -> ChartPage:
 
 
 def arriving(rate: float, *, missing: float, seconds: float) -> float:
-    """Return the least rate of samples without gaps.
-
-    Half the runs have no gap. The rate is in samples per s.
+    """Return the least rate of samples, per s, at which half the runs have no gap.
 
     Args:
         rate: rate of the loop, Hz.
@@ -362,9 +352,7 @@ def arriving(rate: float, *, missing: float, seconds: float) -> float:
 
 
 def lost_border(arms: ArmChainParameters, equilibrium: Array, *, rate: float, seeds: int) -> Border:
-    """Return the least rate of samples to hold the equilibrium.
-
-    Half of the runs must hold it for ten seconds; the rate is in samples per s.
+    """Return the least rate of samples, per s, at which half of the runs hold the equilibrium for ten seconds.
 
     Args:
         arms: arms of plant and model.
@@ -376,8 +364,8 @@ def lost_border(arms: ArmChainParameters, equilibrium: Array, *, rate: float, se
     controller = hold_controller(equilibrium, sampled_model(arms, rate), HoldSettings(), seconds=SECONDS)
     reference = still(controller.state, SECONDS, method=method_named("radau-7"), limits=Limits(), interval=1.0)
 
-    def probe(kept: float) -> Attempt:
-        lossy = replace(settings, sensors=SensorSettings(dropout=1 - kept / rate))
+    def probe(passed: float) -> Attempt:
+        lossy = replace(settings, sensors=SensorSettings(dropout=1 - passed / rate))
         assembly = Assembly(reference, arms, lossy, law=controller)
         runs = [assembly.simulate(draw=assembly.draw(seed=k)) for k in range(seeds)]
         return half_of([Attempt(run.ending is Ending.FINISHED, run.reason) for run in runs], "runs lost")
@@ -390,9 +378,7 @@ def lost_border(arms: ArmChainParameters, equilibrium: Array, *, rate: float, se
 
 
 def earliest_report(orbit: SustainedOrbit, since: float, *, sensor: int) -> float:
-    """Return the time until a stuck reading is distinguishable, s.
-
-    The arm is not still.
+    """Return the time until a stuck reading of a moving arm is distinguishable, s.
 
     Args:
         orbit: sustained orbit.
@@ -406,9 +392,7 @@ def earliest_report(orbit: SustainedOrbit, since: float, *, sensor: int) -> floa
 
 
 def stuck_border(arms: ArmChainParameters, orbit: SustainedOrbit, *, phase: float) -> Border:
-    """Return the time from a stuck encoder to the run's end.
-
-    The run holds an orbit; the time is in s.
+    """Return the time from a stuck encoder to the end of a run that holds an orbit, s.
 
     Args:
         arms: arms of plant and model.
@@ -446,9 +430,7 @@ SHORT = 0.5
 
 @cache
 def followed(itinerary: str, law: str, seeds: int) -> LoopCase:
-    """Return the loop of an itinerary and a law, with its margins.
-
-    A stay lasts for `SECONDS` s.
+    """Return the loop of an itinerary and a law, with its margins; a stay lasts for `SECONDS` s.
 
     Args:
         itinerary: name of the itinerary.

@@ -32,9 +32,7 @@ POOR = 1.1
 
 
 def energies_chart(itinerary: Itinerary, progress: Progress = no_progress) -> ChartPage:
-    """Return the chart of an itinerary's effort over energies.
-
-    It shows the effort of the reference, and of the loop at ±5 %.
+    """Return the chart of an itinerary's effort over energies, of the reference and of the loop at ±5 %.
 
     Args:
         itinerary: one walk at one energy.
@@ -46,13 +44,18 @@ def energies_chart(itinerary: Itinerary, progress: Progress = no_progress) -> Ch
     """
     walk, system = only_walk(itinerary), itinerary.model.system
     symbols = parse_walk(walk.walk, system.saddles)
-    names = {saddle for symbol in symbols for one in symbol.simple for saddle in (one.source, one.target)}
+    names = {
+        saddle
+        for symbol in symbols
+        for simple_symbol in symbol.simple
+        for saddle in (simple_symbol.source, simple_symbol.target)
+    }
     floor = max(equilibrium(system, name).energy for name in names)
     points, missing = [], []
     branches = {s.text: SymbolBranches(system, s) for s in symbols if not s.parts and s.name is None}
     chosen = {text: branch.chosen(walk.energy) for text, branch in branches.items()}
 
-    def there(text: str, energy: float) -> str:
+    def symbol_at_energy(text: str, energy: float) -> str:
         connection = chosen.get(text)
         if connection is None or energy == walk.energy:
             return text
@@ -66,15 +69,25 @@ def energies_chart(itinerary: Itinerary, progress: Progress = no_progress) -> Ch
         label = f"{energy:.3g} J"
         progress(label, k / len(ENERGIES))
         try:
-            texts = tuple(there(text, energy) for text in walk.walk)
-            found = at_energy(itinerary, replace(walk, energy=energy, walk=texts), RUNS)
+            texts = tuple(symbol_at_energy(text, energy) for text in walk.walk)
+            at_this_energy = at_energy(itinerary, replace(walk, energy=energy, walk=texts), RUNS)
         except (InputError, GoalMissed) as error:
             missing.append(Missing("loop", label, str(error)))
             continue
-        points.append(Point("reference", label, energy - floor, found["reference"], others=found))
-        if found["completed"]:
-            note = f"{found['completed']:.0%} come through"
-            points.append(Point("loop", label, energy - floor, found["loop"], factor == 1.0, note=note, others=found))
+        points.append(Point("reference", label, energy - floor, at_this_energy["reference"], others=at_this_energy))
+        if at_this_energy["completed"]:
+            note = f"{at_this_energy['completed']:.0%} come through"
+            points.append(
+                Point(
+                    "loop",
+                    label,
+                    energy - floor,
+                    at_this_energy["loop"],
+                    factor == 1.0,
+                    note=note,
+                    others=at_this_energy,
+                )
+            )
         else:
             missing.append(Missing("loop", label, f"no run completes at ±{MISMATCH:.0%}"))
     if not any(p.default for p in points):
@@ -116,9 +129,7 @@ def only_walk(itinerary: Itinerary) -> WalkPart:
 
 
 def at_energy(itinerary: Itinerary, walk: WalkPart, runs: int) -> dict[str, float]:
-    """Return effort and share of completed runs of a walk.
-
-    The effort is that of reference and loop, at the walk's energy.
+    """Return the efforts of reference and loop, and the share of completed runs, of a walk at its energy.
 
     Args:
         itinerary: itinerary of the walk.
@@ -142,13 +153,11 @@ def at_energy(itinerary: Itinerary, walk: WalkPart, runs: int) -> dict[str, floa
     }  # fmt: skip
 
 
-def energy_text(own: float, points: Sequence[Point]) -> str:
-    """Return a sentence on energies with less effort under feedback.
-
-    Most completed runs count first.
+def energy_text(chosen: float, points: Sequence[Point]) -> str:
+    """Return a sentence on energies with less effort under feedback, where most completed runs count first.
 
     Args:
-        own: energy of the itinerary, J.
+        chosen: energy of the itinerary, J.
         points: effort over energies.
     """
     loops = [p for p in points if p.method == "loop"]
@@ -157,9 +166,11 @@ def energy_text(own: float, points: Sequence[Point]) -> str:
     mine = next(p for p in loops if p.default)
     completed = mine.others["completed"]
     if completed == most and mine.error <= POOR * best.error:
-        return f"{own:.4g} J is a good choice: at ±{MISMATCH:.0%} no energy tried takes {1 - 1 / POOR:.0%} less effort"
+        return (
+            f"{chosen:.4g} J is a good choice: at ±{MISMATCH:.0%} no energy tried takes {1 - 1 / POOR:.0%} less effort"
+        )
     runs = "" if completed == most else f", and {most:.0%} of runs complete it, not {completed:.0%}"
     return (
-        f"{own:.4g} J is a poor choice: {best.others['energy']:.4g} J takes {best.error:.3g} m²/s³ at "
+        f"{chosen:.4g} J is a poor choice: {best.others['energy']:.4g} J takes {best.error:.3g} m²/s³ at "
         f"±{MISMATCH:.0%}, not {mine.error:.3g}{runs}"
     )

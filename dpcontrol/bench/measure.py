@@ -1,6 +1,4 @@
-"""Times of repeated work, with the first call separate.
-
-They are processor time of this process on one core.
+"""Times of repeated work with the first call separate, as processor time of this process on one core.
 
 Processor time excludes other programs on a busy machine. However, a processor can run at half speed, for a tenth of a
 second or for many. The candidates are therefore measured in turns, and the median of the repeats counts. Work shorter
@@ -167,14 +165,23 @@ def compare(
         judged[k] = str(result).splitlines()[0][:200] if failed else judge(alternatives[k], result)
         return not isinstance(judged[k], str)
 
-    works = {k: partial(tried, one.work) for k, one in enumerate(alternatives)}
+    works = {k: partial(tried, alternative.work) for k, alternative in enumerate(alternatives)}
     spent = timed_in_turns(works, worth=worth, **turns)
     points, missing = [], []
-    for k, one in enumerate(alternatives):
-        found, run = judged[k], spent[k]
-        if isinstance(found, str):
-            missing.append(Missing(one.method, one.setting, found))
+    for k, alternative in enumerate(alternatives):
+        verdict, run = judged[k], spent[k]
+        if isinstance(verdict, str):
+            missing.append(Missing(alternative.method, alternative.setting, verdict))
             continue
-        about = {"note": found.note, "others": found.others}
-        points.append(Point(one.method, one.setting, run.seconds / one.units, found.error, one.default, **about))
+        about = {"note": verdict.note, "others": verdict.others}
+        points.append(
+            Point(
+                alternative.method,
+                alternative.setting,
+                run.seconds / alternative.units,
+                verdict.error,
+                alternative.default,
+                **about,
+            )
+        )
     return Diagram("", "", "", tuple(points), tuple(missing))

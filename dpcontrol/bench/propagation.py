@@ -65,13 +65,13 @@ class Stepper:
             step: length of a step, about, s.
             command: value of all inputs: the cart's acceleration, m/s².
         """
-        given, slices, call = self._given, self._step.slices, self._step
+        arguments, slices, call = self._given, self._step.slices, self._step
         count = max(1, round(duration / step))
-        given[slices["inputs"]], given[slices["duration"]] = command, duration / count
-        state = given[slices["state"]]
+        arguments[slices["inputs"]], arguments[slices["duration"]] = command, duration / count
+        state = arguments[slices["state"]]
         state[:] = states
         for _ in range(count):
-            state[:] = call(given, self._out)
+            state[:] = call(arguments, self._out)
         return state.copy()
 
 
@@ -114,9 +114,9 @@ def propagation_chart(quick: bool, progress: Progress) -> ChartPage:
     tube = work_of(system, seeds[:: 8 if quick else 2], 2 * orbit.period)
     # A start from rest, whose initial error grows five-millionfold.
     swing = work_of(system, np.array([[1.7, 2.2, 0.0, 0.0]]), 10.0)
-    many, one = candidates(tube, batches=True, quick=quick), candidates(swing, batches=False, quick=quick)
+    many, single = candidates(tube, batches=True, quick=quick), candidates(swing, batches=False, quick=quick)
     along = compared(many, tube, quick=quick, progress=part_of(progress, 0.2, 0.5))
-    chaotic = compared(one, swing, quick=quick, progress=part_of(progress, 0.5, 0.8))
+    chaotic = compared(single, swing, quick=quick, progress=part_of(progress, 0.5, 0.8))
     look = {"x_label": "time of a trajectory, s", "y_label": "error, scaled"}
     return ChartPage(
         name="propagation",
@@ -226,12 +226,14 @@ def _together(fly: Callable[..., Array], states: Array, *args: Any, **more: Any)
 def _taylor(work: Work, *, batches: bool) -> Iterator[Alternative[Array]]:
     states, seconds = work.states, work.duration
     for tolerance in TOLERANCES:
-        one = Propagator(work.system.equations, work.system.parameters, tolerance=tolerance)
+        propagator = Propagator(work.system.equations, work.system.parameters, tolerance=tolerance)
         label, count = f"{tolerance:.0e}" if tolerance else "rounding", len(states)
         # The package flies a single trajectory alone, many in a batch.
-        yield Alternative("Taylor", label, _each(one.flow, states, seconds), not (tolerance or batches), units=count)
+        yield Alternative(
+            "Taylor", label, _each(propagator.flow, states, seconds), not (tolerance or batches), units=count
+        )
         if batches:
-            many = partial(one.flows, states, np.full(count, seconds))
+            many = partial(propagator.flows, states, np.full(count, seconds))
             yield Alternative("Taylor, 8 at once", label, many, not tolerance, units=count)
 
 
@@ -240,10 +242,10 @@ def _stepped(work: Work, *, batches: bool, quick: bool) -> Iterator[Alternative[
     schemes = {"RK4, compiled": classical_step(equations), "DOP853 step, compiled": fixed_step(equations)}
     some = work.states[:2]
     for method, function in schemes.items():
-        one, many = Stepper(function, parameters), Stepper(function, parameters, lanes=lanes)
+        single, many = Stepper(function, parameters), Stepper(function, parameters, lanes=lanes)
         for step in STEPS[1::2] if quick else STEPS:
             label = f"{1e3 * step:g} ms"
-            yield Alternative(method, label, _each(one.fly, some, work.duration, step=step), units=len(some))
+            yield Alternative(method, label, _each(single.fly, some, work.duration, step=step), units=len(some))
             if batches:
                 fly = _together(many.fly, work.states, work.duration, step=step)
                 yield Alternative(f"{method}, {lanes} at once", label, fly, units=lanes)
@@ -268,8 +270,8 @@ def _casadi(work: Work, states: Array) -> Iterator[Alternative[Array]]:
         yield Alternative(method, label, _each(partial(_by_casadi, flow, p=parameters), states), units=len(states))
 
 
-def _by_casadi(flow: ca.Function, x: Array, **known: Any) -> Array:
-    return np.array(flow(x0=x, **known)["xf"]).ravel()
+def _by_casadi(flow: ca.Function, x: Array, **inputs: Any) -> Array:
+    return np.array(flow(x0=x, **inputs)["xf"]).ravel()
 
 
 def _scipy(work: Work, states: Array, *, quick: bool) -> Iterator[Alternative[Array]]:
@@ -338,7 +340,7 @@ def tick_panels(arms: ArmChainParameters, *, quick: bool) -> tuple[Diagram, Diag
     program = {"x": equations.state, "u": equations.inputs, "p": equations.parameters, "ode": equations.rate}
     cvodes = ca.integrator("tick", "cvodes", program, 0.0, TICK, {"reltol": 1e-10, "abstol": 1e-10})
     rate = compiled_rate(equations, parameters, COMMAND)
-    found = [
+    rows = [
         ("Taylor", "rounding", _each(plant.flow, states, np.array([COMMAND]), TICK), False),
         ("RK4 of CasADi, buffered", "filter's model", _each(model.step, states, COMMAND), True),
         ("CVODES", "1e-10", _each(partial(_by_casadi, cvodes, u=COMMAND, p=parameters), states), False),
@@ -346,11 +348,11 @@ def tick_panels(arms: ArmChainParameters, *, quick: bool) -> tuple[Diagram, Diag
     ]
     steppers = [("RK4, compiled", classical_step(equations), pieces, False) for pieces in (1, 2)]
     for label, function, pieces, flown in [*steppers, ("DOP853 step, compiled", fixed_step(equations), 1, True)]:
-        one, many = Stepper(function, parameters), Stepper(function, parameters, lanes=LANES)
+        single, many = Stepper(function, parameters), Stepper(function, parameters, lanes=LANES)
         setting, how = f"{pieces} step{'s' * (pieces > 1)}", {"step": TICK / pieces, "command": COMMAND}
-        found.append((label, setting, _each(one.fly, states, TICK, **how), flown))
-        found.append((f"{label}, {LANES} at once", setting, _together(many.fly, states, TICK, **how), flown))
-    tried = [Alternative(*one, units=LANES) for one in found]
+        rows.append((label, setting, _each(single.fly, states, TICK, **how), flown))
+        rows.append((f"{label}, {LANES} at once", setting, _together(many.fly, states, TICK, **how), flown))
+    tried = [Alternative(*single, units=LANES) for single in rows]
 
     def judge(_: Alternative[Array], arrived: Array) -> Judged:
         return Judged(float(np.abs((arrived - truth) / scale).max()))

@@ -98,7 +98,7 @@ def located(data: bytes, tick: TickLayout) -> dict[str, LocatedMessages]:
         ValueError: the records are not those of a log with this layout.
     """
     ticks: list[int] = []
-    others: dict[int, list[int]] = {number: [] for number in tick.channels.values()}
+    places: dict[int, list[int]] = {number: [] for number in tick.channels.values()}
     block = tick.block
     beginning, size = block.template[: _RECORD.size], len(block.template)
     place, whole, unpack = 0, len(data), _RECORD.unpack_from
@@ -109,24 +109,24 @@ def located(data: bytes, tick: TickLayout) -> dict[str, LocatedMessages]:
             continue
         opcode, length, channel = unpack(data, place)
         if opcode == Opcode.MESSAGE:
-            others[channel].append(place)
+            places[channel].append(place)
         place += LENGTH_FROM + length
     if place != whole:
         raise ValueError("a record runs over the end of its chunk")
     fields: Any = block.kind.fields
-    found = {}
+    messages = {}
     for topic, number in tick.channels.items():
         # A tick has its messages at fixed places.
-        offsets = np.array(ticks if topic in fields else others[number], np.int64)
+        offsets = np.array(ticks if topic in fields else places[number], np.int64)
         offsets += fields[topic][1] if topic in fields else 0
         kind = tick.types[topic]
         # A view at every byte, so that fancy indexing copies whole records.
         shape = (max(len(data) - kind.itemsize + 1, 0),)
         everywhere = np.ndarray(shape, f"V{kind.itemsize}", buffer=data, strides=(1,))
-        found[topic] = LocatedMessages(offsets, everywhere[offsets].view(kind))
-        if (found[topic].records["channel"] != number).any():
+        messages[topic] = LocatedMessages(offsets, everywhere[offsets].view(kind))
+        if (messages[topic].records["channel"] != number).any():
             raise ValueError("a tick lacks a message")
-    return found
+    return messages
 
 
 def _bytes_of(record: McapRecord) -> bytes:
@@ -198,9 +198,7 @@ class McapFile:
         self._write(record)
 
     def add_attachment(self, name: str, data: bytes) -> None:
-        """Write an attachment with times zero.
-
-        Simulated time has no date.
+        """Write an attachment with times zero, since simulated time has no date.
 
         Args:
             name: name of the attachment, whose ending gives its media type.
@@ -286,9 +284,7 @@ SUFFIX = ".partial"
 
 
 def open_partial(path: Path) -> tuple[Path, FileIO]:
-    """Create the unbuffered partial file of a log.
-
-    Return its name and the open file.
+    """Create the unbuffered partial file of a log, and return its name and the open file.
 
     Args:
         path: path of the complete log.
@@ -303,9 +299,7 @@ def open_partial(path: Path) -> tuple[Path, FileIO]:
 
 
 def partials_of(path: Path) -> tuple[Path, ...]:
-    """Return the partial files of a log, oldest first.
-
-    The partial files are abandoned or still growing.
+    """Return the partial files of a log, abandoned or still growing, oldest first.
 
     Args:
         path: path of the complete log.
@@ -317,9 +311,7 @@ _KEY = "crc32"
 
 
 def unsealed(name: str, record: Mapping[str, str]) -> dict[str, str] | None:
-    """Return the values of a record without its checksum.
-
-    The result is None if the checksum is missing or wrong.
+    """Return the values of a record without its checksum, or None if the checksum is missing or wrong.
 
     Args:
         name: name of the record.

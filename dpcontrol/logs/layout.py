@@ -86,9 +86,7 @@ def _sequence(name: str, count: int) -> list[Part]:
 
 
 def joint_state(names: Sequence[str], *, velocities: bool) -> Message:
-    """Return sensor_msgs/JointState.
-
-    Its fields are `stamp.*`, `position` and, if requested, `velocity`.
+    """Return sensor_msgs/JointState with the fields `stamp.*`, `position` and, if requested, `velocity`.
 
     Args:
         names: names of the joints.
@@ -350,9 +348,7 @@ def control_fields(arms: int, *, has_cart: bool) -> tuple[str, ...]:
 
 
 def state_names(arms: int, *, has_cart: bool) -> tuple[str, ...]:
-    """Return the names of the state's entries in order.
-
-    The names are `angle_1 …`, `rate_1 …`, then the cart's.
+    """Return the names of the state's entries in order: `angle_1 …`, `rate_1 …`, then the cart's.
 
     Args:
         arms: number of arms.
@@ -497,27 +493,27 @@ class TickLayout:
         n, every = self.arms, slice(None)
         arms = (slice(n), slice(n), slice(n, 2 * n))
         cart = (slice(n, n + 1), slice(2 * n, 2 * n + 1), slice(2 * n + 1, 2 * n + 2))
-        found = [
+        rooms = [
             (MEASURED, "position", every, "measured", every),
             (MEASURED, "velocity", every, "rates", every),
             (CONTROL, "row", every, "control", every),
         ]
         for (part, topic), (joints, *columns) in product(STATE_TOPICS.items(), (arms, cart)[: 1 + self.has_cart]):
-            found += [
+            rooms += [
                 (topic, name, joints, part, place)
                 for name, place in zip(("position", "velocity"), columns, strict=True)
             ]
-        return tuple(room for room in found if room[3] in {"measured", *self.parts})
+        return tuple(room for room in rooms if room[3] in {"measured", *self.parts})
 
     @cached_property
     def messages(self) -> dict[str, Message]:
         """Message of each topic, in the order of writing."""
         state = joint_state(self.names, velocities=True)
-        found = {MEASURED: joint_state(self.names, velocities="rates" in self.parts)}
-        found |= {topic: state for part, topic in STATE_TOPICS.items() if part in self.parts}
+        messages = {MEASURED: joint_state(self.names, velocities="rates" in self.parts)}
+        messages |= {topic: state for part, topic in STATE_TOPICS.items() if part in self.parts}
         if "control" in self.parts:
-            found[CONTROL] = _row(len(self.fields))
-        return found
+            messages[CONTROL] = _row(len(self.fields))
+        return messages
 
     @cached_property
     def extras_message(self) -> Message:
@@ -527,20 +523,20 @@ class TickLayout:
     @cached_property
     def schemas(self) -> dict[str, tuple[str, bytes]]:
         """Name and definition of each topic's message, in channel order."""
-        found: dict[str, tuple[str, bytes]] = dict.fromkeys(self.messages, JOINT_STATE)
-        if CONTROL in found:
-            found[CONTROL] = (
+        schemas: dict[str, tuple[str, bytes]] = dict.fromkeys(self.messages, JOINT_STATE)
+        if CONTROL in schemas:
+            schemas[CONTROL] = (
                 "dpcontrol_msgs/msg/Control",
                 "".join(f"float64 {name}\n" for name in self.fields).encode(),
             )
-        found |= {TRANSFORMS: TF_MESSAGE, EVENTS: LOG, ROBOT: STRING}
+        schemas |= {TRANSFORMS: TF_MESSAGE, EVENTS: LOG, ROBOT: STRING}
         if "reference" in self.parts:
-            found[GHOST] = STRING
+            schemas[GHOST] = STRING
         if self.extras:
             # ROS 2 requires field names in lower case.
             fields = (f"float64 {of}{name.lower()}\n" for of in ("sigma_", "") for name in self.extras)
-            found[EXTRAS] = ("dpcontrol_msgs/msg/Extras", "".join(fields).encode())
-        return found
+            schemas[EXTRAS] = ("dpcontrol_msgs/msg/Extras", "".join(fields).encode())
+        return schemas
 
     @cached_property
     def kinds(self) -> dict[str, str]:
@@ -555,8 +551,8 @@ class TickLayout:
     @cached_property
     def types(self) -> dict[str, np.dtype]:
         """Structured type of each topic's records: of their heads, except for topics with ticks and for the extras."""
-        known = {**self.messages, EXTRAS: self.extras_message}
-        return {topic: record_type(known[topic]) if topic in known else RECORD_HEADER for topic in self.schemas}
+        described = {**self.messages, EXTRAS: self.extras_message}
+        return {topic: record_type(described[topic]) if topic in described else RECORD_HEADER for topic in self.schemas}
 
     @cached_property
     def block(self) -> Block:
@@ -569,10 +565,7 @@ RETURN, FLIGHT, RESUME, LAP, CATCH = "return", "flight", "resume", "lap", "catch
 
 
 class Stretch(NamedTuple):
-    """Ticks `first` to `end` of a run on its itinerary.
-
-    They start at time `at` s of the planned reference.
-    """
+    """Ticks `first` to `end` of a run on its itinerary, from time `at` s of the planned reference on."""
 
     first: int
     end: int

@@ -77,15 +77,13 @@ class VerifiedFile:
             ) from error
 
     def values(self, name: str) -> dict[str, str]:
-        """Return the values of a metadata record.
-
-        The result is empty if the record is missing or its checksum differs.
+        """Return the values of a metadata record, none if the record is missing or its checksum differs.
 
         Args:
             name: name of the record.
         """
-        found = {record.name: record.metadata for record in self.records[Metadata]}
-        return unsealed(name, found.get(name, {})) or {}
+        records = {record.name: record.metadata for record in self.records[Metadata]}
+        return unsealed(name, records.get(name, {})) or {}
 
     @property
     def attachments(self) -> dict[str, bytes]:
@@ -100,9 +98,9 @@ class VerifiedFile:
     @property
     def is_native(self) -> bool:
         """True if this program wrote the file and its channels are those of its layout."""
-        own = self.library.startswith("dpcontrol ") and self.records[DataEnd][0].data_section_crc
+        written_by_dpcontrol = self.library.startswith("dpcontrol ") and self.records[DataEnd][0].data_section_crc
         declared = [*self.records[Schema], *self.records[Channel]]
-        return bool(own and self.values(layout.LAYOUT_RECORD)) and declared == declarations(self.tick)
+        return bool(written_by_dpcontrol and self.values(layout.LAYOUT_RECORD)) and declared == declarations(self.tick)
 
     @property
     def library(self) -> str:
@@ -211,19 +209,17 @@ def _batches(file: VerifiedFile) -> Iterator[Batch]:
     chunks = file.records[Chunk]
     for first in range(0, len(chunks), _TOGETHER):
         data = b"".join(map(unpacked, chunks[first : first + _TOGETHER]))
-        found = located(data, file.tick)
+        messages = located(data, file.tick)
         events = []
-        for start, head in zip(*found[layout.EVENTS], strict=True):
+        for start, head in zip(*messages[layout.EVENTS], strict=True):
             end = start + layout.LENGTH_FROM + int(head["length"])
             events.append((int(head["log_time"]), data[start + layout.RECORD_HEADER.itemsize : end]))
-        tables = {topic: part.records for topic, part in found.items()}
+        tables = {topic: part.records for topic, part in messages.items()}
         yield Batch(tables, {topic: table["log_time"] for topic, table in tables.items()}, events)
 
 
 def described_layout(path: Path, described: Mapping[str, str]) -> layout.TickLayout:
-    """Return the tick layout in a metadata record.
-
-    Errors are those of `VerifiedFile.tick`.
+    """Return the tick layout in a metadata record, with the errors of `VerifiedFile.tick`.
 
     Args:
         path: path of the log, for messages.
@@ -315,10 +311,7 @@ class RunLog(Shown):
 
     @property
     def segments(self) -> tuple[tuple[int, int], ...]:
-        """First and end rows of a recording's segments.
-
-        There are none for a run, or if they do not fit the rows.
-        """
+        """First and end rows of a recording's segments, none for a run or if they do not fit the rows."""
         return segments_in(self.metadata.get("segments", ""), len(self.time))
 
     @property
@@ -328,7 +321,7 @@ class RunLog(Shown):
         Every log has `measured`.
         """
         present = {"control": bool(self.controls), "rates": self.rates is not None}
-        return frozenset({*self.states, *(part for part, there in present.items() if there)})
+        return frozenset({*self.states, *(part for part, present_part in present.items() if present_part)})
 
     @property
     def truth(self) -> Array | None:
@@ -401,9 +394,7 @@ class RunLog(Shown):
 
 
 def segments_in(text: str, rows: int) -> tuple[tuple[int, int], ...]:
-    """Return first and end row of each segment, from a recording's metadata.
-
-    There are none if they do not fit the rows.
+    """Return first and end row of each segment from a recording's metadata, or none if they do not fit the rows.
 
     Args:
         text: pairs as `write_recording` writes them, "0:300 300:600".
@@ -430,23 +421,23 @@ _LATEST = np.iinfo(np.int64).max
 
 def _joined(parts: Sequence[dict[str, NDArray]]) -> dict[str, NDArray]:
     # Each array is removed from its part as it is joined, so that a long log is held only once.
-    found = {name: np.concatenate([part.pop(name) for part in parts]) for name in list(parts[0])}
-    for array in found.values():
+    arrays = {name: np.concatenate([part.pop(name) for part in parts]) for name in list(parts[0])}
+    for array in arrays.values():
         array.flags.writeable = False
-    return found
+    return arrays
 
 
 def _rows(batch: Batch, tick: layout.TickLayout) -> dict[str, Array]:
     """Return the ticks' times (K,), s, rows (K, …) by part, and the extras (M, …) after their times."""
     tables, widths = batch.tables, tick.widths
-    found = {part: np.empty((len(tables[layout.MEASURED]), widths[part])) for part in ("measured", *tick.parts)}
+    arrays = {part: np.empty((len(tables[layout.MEASURED]), widths[part])) for part in ("measured", *tick.parts)}
     for topic, field_name, joints, part, columns in tick.rooms:
-        found[part][:, columns] = tables[topic][field_name][:, joints]
-    found["time"] = tables[layout.MEASURED]["log_time"] / 1e9
+        arrays[part][:, columns] = tables[topic][field_name][:, joints]
+    arrays["time"] = tables[layout.MEASURED]["log_time"] / 1e9
     if tick.extras:
         extras = tables[layout.EXTRAS]
-        found["extras"] = np.column_stack([extras["log_time"] / 1e9, extras["row"]])
-    return found
+        arrays["extras"] = np.column_stack([extras["log_time"] / 1e9, extras["row"]])
+    return arrays
 
 
 def _rewritten(file: VerifiedFile) -> tuple[layout.TickLayout, dict[str, str], list[Batch]]:
@@ -472,9 +463,7 @@ def _rewritten(file: VerifiedFile) -> tuple[layout.TickLayout, dict[str, str], l
 
 
 def read_log(path: Path | str) -> RunLog:
-    """Return the run in a log.
-
-    A log that another program has rewritten is read by its topics.
+    """Return the run in a log; a log that another program has rewritten is read by its topics.
 
     Args:
         path: the log.
@@ -555,21 +544,18 @@ def check_replaced(
         file = open_mcap(path)
     except InputError as error:
         raise in_the_way(path, "is not a complete log") from error
-    there, recovery = file.values(layout.RUN_RECORD), file.values(layout.RECOVERY_RECORD)
-    if "rig" in {**file.values(layout.RESULT_RECORD), **there}:
+    existing, recovery = file.values(layout.RUN_RECORD), file.values(layout.RECOVERY_RECORD)
+    if "rig" in {**file.values(layout.RESULT_RECORD), **existing}:
         raise in_the_way(path, "is a log from a rig")
-    differing = _differing(metadata, there)
+    differing = _differing(metadata, existing)
     if differing or recovery.get("source") != (recovers and recovers.name):
         raise in_the_way(path, f"holds another log{f' (not the same: {differing})' if differing else ''}")
 
 
-def _differing(metadata: Mapping[str, str], there: Mapping[str, str], *, also: tuple[str, ...] = ()) -> str:
-    """Return the keys whose values differ between two records.
-
-    Incidental keys and those in `also` are not compared.
-    """
-    names = [name for name in {**metadata, **there} if name not in (*_INCIDENTAL, *also)]
-    return ", ".join(name for name in names if metadata.get(name) != there.get(name))
+def _differing(metadata: Mapping[str, str], existing: Mapping[str, str], *, also: tuple[str, ...] = ()) -> str:
+    """Return the keys whose values differ between two records, except incidental keys and those in `also`."""
+    names = [name for name in {**metadata, **existing} if name not in (*_INCIDENTAL, *also)]
+    return ", ".join(name for name in names if metadata.get(name) != existing.get(name))
 
 
 def check_same_run(path: Path, metadata: Mapping[str, str], *, also: tuple[str, ...] = ()) -> None:
@@ -688,39 +674,36 @@ def _topic(topic: str, kind: str, times: NDArray) -> TopicSummary:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Comparison of two logs: equal messages and first difference.
-
-    The difference is a sentence, or None.
-    """
+    """Comparison of two logs: number of equal messages, and a sentence on the first difference, or None."""
 
     messages: int
     difference: str | None
 
 
-def compare_messages(one: Path | str, other: Path | str) -> Comparison:
+def compare_messages(first_path: Path | str, other: Path | str) -> Comparison:
     """Compare two logs topic by topic.
 
-    Times and every byte of each message count; metadata may differ. If `one` was recovered or another program has
-    rewritten one of them, the messages that `one` lacks are skipped.
+    Times and every byte of each message count; metadata may differ. If `first_path` was recovered or another program
+    has rewritten one of them, the messages that `first_path` lacks are skipped.
 
     Args:
-        one: a log.
+        first_path: a log.
         other: another log.
 
     Raises:
         InputError: a log is missing, damaged or not of this program.
     """
-    sides = [open_mcap(Path(path)) for path in (one, other)]
+    sides = [open_mcap(Path(path)) for path in (first_path, other)]
     if sides[0].tick != sides[1].tick:
-        return Comparison(0, f"{one} and {other} do not have the same topics")
-    whole = all(side.is_native and not side.values(layout.RECOVERY_RECORD).get(layout.LOST) for side in sides)
+        return Comparison(0, f"{first_path} and {other} do not have the same topics")
+    complete = all(side.is_native and not side.values(layout.RECOVERY_RECORD).get(layout.LOST) for side in sides)
     first, second = (
         {name: set(zip(topic.times, topic.bodies, strict=True)) for name, topic in side.topics().items()}
         for side in sides
     )
     same = sum(len(messages & second.get(name, set())) for name, messages in first.items())
     for name in sides[0].tick.schemas:
-        messages, others = first.get(name, set()), second.get(name, set())
-        if differing := messages ^ others if whole else messages - others:
+        messages, messages_of_second = first.get(name, set()), second.get(name, set())
+        if differing := messages ^ messages_of_second if complete else messages - messages_of_second:
             return Comparison(same, f"the message of {name} at {min(differing)[0] / 1e9:.3f} s differs")
     return Comparison(same, None)

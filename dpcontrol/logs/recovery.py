@@ -1,6 +1,4 @@
-"""Rebuild a log from its remains.
-
-Remains are those of a killed run, a cut copy or a damaged file.
+"""Rebuild a log from the remains of a killed run, a cut copy or a damaged file.
 
 Chunks are sorted by the sequence numbers of their messages. Swapped chunks are reordered, duplicates are dropped and
 lost ticks are counted. Messages are copied bit for bit, and no gap is filled.
@@ -80,7 +78,7 @@ def salvage(data: bytes, *, progress: Progress = no_progress) -> Salvage:
     Raises:
         InputError: the records are those of several logs.
     """
-    found, place = Salvage({}, {}, {}), 0
+    rescued, place = Salvage({}, {}, {}), 0
     while (match := _BEGINNING.search(data, place)) is not None:
         place = match.start() + 1
         opcode, length = struct.unpack_from("<BQ", data, match.start())
@@ -89,17 +87,17 @@ def salvage(data: bytes, *, progress: Progress = no_progress) -> Salvage:
         with suppress(*MALFORMED):
             match _KINDS[opcode].read(ReadDataStream(BytesIO(body))):
                 case Chunk(uncompressed_crc=checksum) as chunk if checksum:
-                    found.chunks[unpacked(chunk)] = None
+                    rescued.chunks[unpacked(chunk)] = None
                 case Attachment(name=name, data=content) if zlib.crc32(body[:-4]).to_bytes(4, "little") == body[-4:]:
-                    found.attachments[name] = content
+                    rescued.attachments[name] = content
                 case Metadata(name=name, metadata=record) if (values := unsealed(name, record)) is not None:
-                    if found.metadata.setdefault(name, values) != values:
+                    if rescued.metadata.setdefault(name, values) != values:
                         raise InputError(_SEVERAL)
                 case _:
                     continue
             place = end
             progress("reading valid records", end / len(data))
-    return found
+    return rescued
 
 
 _AFTER_ALL = 1 << 32
@@ -108,9 +106,9 @@ _AFTER_ALL = 1 << 32
 
 def _numbered(data: bytes, tick: layout.TickLayout) -> tuple[int, bytes]:
     """Return the number of a chunk's first tick, and its records without schemas and channels."""
-    found = located(data, tick)
-    start = min(int(part.offsets[0]) for part in found.values() if len(part.offsets))
-    numbers = found[layout.MEASURED].records["sequence"].tolist()
+    messages = located(data, tick)
+    start = min(int(part.offsets[0]) for part in messages.values() if len(part.offsets))
+    numbers = messages[layout.MEASURED].records["sequence"].tolist()
     return (numbers or [_AFTER_ALL])[0], data[start:]
 
 
@@ -164,56 +162,53 @@ def recover(
     with suppress(InputError):
         # A readable log may be one that another program has rewritten.
         log = read_log(path)
-        end_known, kept = log.end_s is not None, tuple(log.attachments)
-        return Recovery(path, path, len(log.time), float(log.time[-1]), end_known=end_known, attachments=kept)
+        end_known, attachments = log.end_s is not None, tuple(log.attachments)
+        return Recovery(path, path, len(log.time), float(log.time[-1]), end_known=end_known, attachments=attachments)
     data = recorded_bytes(path)
     try:
-        found = salvage(data, progress=progress)
-        tick = described_layout(path, found.metadata.get(layout.LAYOUT_RECORD, {}))
-        numbered = sorted((_numbered(data, tick) for data in found.chunks), key=itemgetter(0))
+        rescued = salvage(data, progress=progress)
+        tick = described_layout(path, rescued.metadata.get(layout.LAYOUT_RECORD, {}))
+        numbered = sorted((_numbered(data, tick) for data in rescued.chunks), key=itemgetter(0))
         pieces = [data for _, data in numbered]
         ticks = located(b"".join(pieces), tick)[layout.MEASURED].records
         if (np.diff(ticks["sequence"].astype(np.int64)) <= 0).any():
             raise InputError(_SEVERAL)
-        done = _account(path, _free_name(path) if out is None else Path(out), found, ticks)
+        done = _account(path, _free_name(path) if out is None else Path(out), rescued, ticks)
     except (InputError, *MALFORMED) as error:
         raise InputError(
             f"{path} cannot be recovered ({error}): too little of it is sound, or another program has rewritten it; "
             "make it again with `dpcontrol run` or with that program"
         ) from error
-    check_replaced(done.log, found.metadata.get(layout.RUN_RECORD, {}), recovers=path, force=force)
-    _write(found, tick, pieces, done)
+    check_replaced(done.log, rescued.metadata.get(layout.RUN_RECORD, {}), recovers=path, force=force)
+    _write(rescued, tick, pieces, done)
     return done
 
 
 def _free_name(path: Path) -> Path:
-    """Return a free name for the recovered log.
-
-    The log's name if it is free, or a similar free name.
-    """
+    """Return the log's name for the recovered log if it is free, or a similar free name."""
     stem = re.sub(r"\.mcap((\.\d+-\d+)?\.partial)?$", "", path.name)
     endings = ("" if path.suffix == SUFFIX else "-recovered", "-recovered", *(f"-recovered-{k}" for k in range(2, 999)))
     return next(name for ending in endings if not (name := path.with_name(f"{stem}{ending}.mcap")).exists())
 
 
-def _account(path: Path, log: Path, found: Salvage, measured: NDArray[Any]) -> Recovery:
+def _account(path: Path, log: Path, rescued: Salvage, measured: NDArray[Any]) -> Recovery:
     """List the recovered and the missing parts of the log, whose measured positions have these records.
 
     Raises:
         Exception: one of `MALFORMED`: there is no tick, or a record has other contents.
     """
-    described, result = found.metadata[layout.LAYOUT_RECORD], found.metadata.get(layout.RESULT_RECORD)
+    described, result = rescued.metadata[layout.LAYOUT_RECORD], rescued.metadata.get(layout.RESULT_RECORD)
     period, names = 1 / float(described["rate_hz"]), json.loads(described["attachments"])
     ticks, end_s = len(measured), float(measured["log_time"][-1]) / 1e9
     missing = (int(measured["sequence"][-1]) + 1 if result is None else int(result[layout.TICKS])) - ticks
-    attachments_lost = tuple(name for name in names if name not in found.attachments)
+    attachments_lost = tuple(name for name in names if name not in rescued.attachments)
     most = 1e3 * max(CHUNK_SECONDS, period)
     losses = {
-        found.metadata.get(layout.RECOVERY_RECORD, {}).get(layout.LOST, ""): True,
+        rescued.metadata.get(layout.RECOVERY_RECORD, {}).get(layout.LOST, ""): True,
         f"{missing} ticks ({1e3 * missing * period:.0f} ms)": missing > 0,
         f"everything after {end_s:.3f} s (at most {most:.0f} ms if the run was killed)": result is None,
         f"the attachments {', '.join(attachments_lost)}": bool(attachments_lost),
-        "the metadata of the run": layout.RUN_RECORD not in found.metadata,
+        "the metadata of the run": layout.RUN_RECORD not in rescued.metadata,
     }
     return Recovery(
         source=path,
@@ -223,21 +218,21 @@ def _account(path: Path, log: Path, found: Salvage, measured: NDArray[Any]) -> R
         ticks_lost=missing,
         milliseconds_lost=1e3 * missing * period,
         end_known=result is not None,
-        attachments=tuple(name for name in found.attachments if name in names),
+        attachments=tuple(name for name in rescued.attachments if name in names),
         attachments_lost=attachments_lost,
         lost="; ".join(loss for loss, happened in losses.items() if loss and happened),
     )
 
 
-def _write(found: Salvage, tick: layout.TickLayout, pieces: Sequence[bytes], done: Recovery) -> None:
+def _write(rescued: Salvage, tick: layout.TickLayout, pieces: Sequence[bytes], done: Recovery) -> None:
     """Write the new log, read it back, and move it to its final name."""
-    records = {**found.metadata, layout.RECOVERY_RECORD: {layout.LOST: done.lost, "source": done.source.name}}
+    records = {**rescued.metadata, layout.RECOVERY_RECORD: {layout.LOST: done.lost, "source": done.source.name}}
     with whole_file(done.log) as temporary:
         file = McapFile(FileIO(temporary, "wb"), library=PROGRAM)
         for name, values in records.items():
             file.add_metadata(name, values)
         for name in done.attachments:
-            file.add_attachment(name, found.attachments[name])
+            file.add_attachment(name, rescued.attachments[name])
         file.add_channels(tick)
         for piece in pieces:
             file.add_chunk(piece)

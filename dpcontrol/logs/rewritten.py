@@ -33,10 +33,7 @@ class Batch(NamedTuple):
 
 @dataclass
 class Topic:
-    """Messages of one topic in file order.
-
-    Times are in ns, bodies in CDR.
-    """
+    """Messages of one topic in file order, with times in ns and bodies in CDR."""
 
     name: str
     schema: str
@@ -77,19 +74,19 @@ def by_topic(messages: Iterable[tuple[Any, Any, Any]]) -> dict[str, Topic]:
     Args:
         messages: schema, channel and record of each message.
     """
-    found: dict[str, Topic] = {}
+    topics: dict[str, Topic] = {}
     for schema, channel, message in messages:
         if schema is not None and channel.message_encoding == "cdr":
-            topic = found.setdefault(channel.topic, Topic(channel.topic, schema.name))
+            topic = topics.setdefault(channel.topic, Topic(channel.topic, schema.name))
             topic.times.append(message.log_time)
             topic.bodies.append(message.data)
-    measured = found.get(layout.MEASURED)
+    measured = topics.get(layout.MEASURED)
     if measured is not None and measured.schema == layout.JOINT_STATE[0]:
         stamps = np.frombuffer(b"".join(body[4:12] for body in measured.bodies), "<u4").reshape(-1, 2)
         shifts = set((np.array(measured.times) - stamps @ [10**9, 1]).tolist())
-        for topic in found.values() if len(shifts) == 1 else ():
+        for topic in topics.values() if len(shifts) == 1 else ():
             topic.times = [time - min(shifts) for time in topic.times]
-    return found
+    return topics
 
 
 def ticks_in(topics: Mapping[str, Topic], described: layout.TickLayout) -> tuple[layout.TickLayout, Batch]:

@@ -205,9 +205,7 @@ def digest_of_log(log: RunLog, *, size: int) -> Digest:
 
 
 class RollingLog:
-    """Writes a log of many files, like a `LogWriter`.
-
-    It is a context manager.
+    """Writes a log of many files, like a `LogWriter`; it is a context manager.
 
     Args:
         folder: folder of the files.
@@ -352,10 +350,7 @@ class RollingLog:
         self._writer = None
 
     def _thin(self, number: int) -> None:
-        """Delete a file unless it must be kept.
-
-        It is kept if its digest is missing, or if it is one of those to keep.
-        """
+        """Delete a file unless its digest is missing or it is one of those to keep."""
         if (number - 1) % self._keep_every and self.path(number, ".json").is_file():
             with suppress(OSError):
                 self.path(number).unlink()

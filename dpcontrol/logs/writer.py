@@ -54,9 +54,7 @@ _INK = {
 
 
 def link_frames(arms: int, *, has_cart: bool, prefix: str = "") -> tuple[tuple[str, str], ...]:
-    """Return (parent, child) of every moving frame.
-
-    The order is that of `link_poses`, starting with `world` to base.
+    """Return (parent, child) of every moving frame in the order of `link_poses`, from world to base onwards.
 
     Args:
         arms: number of arms.
@@ -84,15 +82,15 @@ def link_poses(states: NDArray[np.float64], *, arm_lengths: Sequence[float], has
     first = 1 + has_cart
     half = states[:, :arms] / 2
     sine, cosine = np.sin(half), np.cos(half)
-    found = np.zeros((len(states), first + 2 * arms - 1, 7))
-    found[:, :first, 6] = 1.0
+    poses = np.zeros((len(states), first + 2 * arms - 1, 7))
+    poses[:, :first, 6] = 1.0
     if has_cart:
-        found[:, 1, 0] = states[:, 2 * arms]
+        poses[:, 1, 0] = states[:, 2 * arms]
     # Counter-clockwise with x right and z up is a turn about -y; arms and elbows alternate.
-    found[:, first::2, 4], found[:, first::2, 6] = -sine, cosine
-    found[:, first + 1 :: 2, 4], found[:, first + 1 :: 2, 6] = sine[:, :-1], cosine[:, :-1]
-    found[:, first + 1 :: 2, 2] = -np.asarray(arm_lengths[:-1])
-    return found
+    poses[:, first::2, 4], poses[:, first::2, 6] = -sine, cosine
+    poses[:, first + 1 :: 2, 4], poses[:, first + 1 :: 2, 6] = sine[:, :-1], cosine[:, :-1]
+    poses[:, first + 1 :: 2, 2] = -np.asarray(arm_lengths[:-1])
+    return poses
 
 
 def robot_description(
@@ -160,14 +158,14 @@ def _visuals(arm_lengths: Sequence[float], *, reach: float, drawn: bool, has_car
         (_box(0.1, wide, 0.03), (0, 0.06, 0), "cart"),
         (_disc(0.6 * _THICKNESS), (0, 0.02, 0), "cart"),
     ]
-    found = [track if drawn else [], *([cart] if has_cart else [])]
+    visuals = [track if drawn else [], *([cart] if has_cart else [])]
     for i, length in enumerate(arm_lengths):
         # Each arm swings in front of the previous one, as on the rig, so it is drawn in full.
         y = -1.6 * _THICKNESS * i
         end = "tip" if i + 1 == len(arm_lengths) else "cart"
         arm = (_box(1.6 * _THICKNESS, _THICKNESS, length), (0, y, -length / 2), "arm")
-        found += [[arm, (hub, (0, y, 0), "cart"), (hub, (0, y, -length), end)], []]
-    return found[:-1]
+        visuals += [[arm, (hub, (0, y, 0), "cart"), (hub, (0, y, -length), end)], []]
+    return visuals[:-1]
 
 
 Row = NDArray[np.float64]
@@ -250,9 +248,7 @@ class ChunkEncoder:
 
 
 def slow_numbers(times: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the number of the last slow message due at each time.
-
-    Numbers count from 0.
+    """Return the number, from 0, of the last slow message due at each time.
 
     Args:
         times: times (K,), ns.
@@ -360,9 +356,7 @@ class LogWriter:
             self._file.stream.close()
 
     def ticks(self, time_s: ArrayLike, **parts: Row | None) -> None:
-        """Log K periods of the loop.
-
-        Every tick of a log has the same parts; only `measured` is required.
+        """Log K periods of the loop with the same parts in every tick; only `measured` is required.
 
         Args:
             time_s: (K,) times since the start in s, not before the last tick's time.
@@ -394,9 +388,7 @@ class LogWriter:
                 self._write_chunk()
 
     def result(self, **values: str) -> None:
-        """Add results as metadata at the end of the log.
-
-        They may differ when the run is repeated.
+        """Add results, which may differ when the run is repeated, as metadata at the end of the log.
 
         Args:
             **values: results by name.
