@@ -126,9 +126,7 @@ def _located(
 
 
 def locate_turn(problem: LinkProblem, path: Path, index: int) -> Located | None:
-    """Locate the turn after a point of a path.
-
-    The result is None if it is not found.
+    """Locate the turn after a point of a path, or return None.
 
     Args:
         problem: matching of two tubes.
@@ -193,8 +191,8 @@ def _on_mirror(problem: LinkProblem, point: PathPoint, which: int, *, shedding: 
     # The symmetric link lies halfway between a link and its image.
     phase = link.phases[0] + phase_gap(image.phases[0], link.phases[0]) / 2
 
-    def equations(here: Link, value: float) -> Array:
-        mirror = problem.mirror(here, value, which)
+    def equations(link: Link, value: float) -> Array:
+        mirror = problem.mirror(link, value, which)
         return np.append(mirror.miss, mirror.shedding if shedding else mirror.fold)
 
     kind, guess = "pitchfork" if shedding else "saddle-node", np.array([phase, link.duration, point.value])
@@ -213,9 +211,9 @@ def _exchanged(problem: LinkProblem, before: Link, after: Link) -> bool:
 
 
 def locate_graze(problem: LinkProblem, first: PathPoint, second: PathPoint) -> list[Located]:
-    """Locate every touch of the section between two points.
+    """Locate every touch of the section between two points of a path that does not turn between them.
 
-    The path must not turn between them. The result is in order of value, and empty without a bracket.
+    The result is in order of value, and empty without a bracket.
 
     Args:
         problem: matching of two tubes.
@@ -223,8 +221,8 @@ def locate_graze(problem: LinkProblem, first: PathPoint, second: PathPoint) -> l
         second: later point of the same path.
     """
     middle = _middle_touch(problem, first, second)
-    found = _touches(problem, first, second) if middle is None else [middle]
-    return sorted(found, key=lambda e: e.value)
+    touches = _touches(problem, first, second) if middle is None else [middle]
+    return sorted(touches, key=lambda e: e.value)
 
 
 def _touches(problem: LinkProblem, first: PathPoint, second: PathPoint, halvings: int = 31) -> list[Located]:
@@ -233,14 +231,14 @@ def _touches(problem: LinkProblem, first: PathPoint, second: PathPoint, halvings
         return []
     if len(a.heights) == len(b.heights):
         # With the same extrema on both sides, those that crossed a level have touched it in between.
-        found = []
+        touches = []
         for k in range(1, len(a.heights) - 1):
             low, high = sorted((a.heights[k], b.heights[k]))
             period = problem.section(first.value).period
             level = np.ceil(low / period) * period if period else 0.0
             if low < level <= high:
-                found.append(_touch(problem, first, second, k, float(level), len(a.heights)))
-        return [touch for touch in found if touch is not None]
+                touches.append(_touch(problem, first, second, k, float(level), len(a.heights)))
+        return [touch for touch in touches if touch is not None]
     if not halvings:
         return []
     try:
@@ -271,9 +269,9 @@ def _middle_touch(problem: LinkProblem, first: PathPoint, second: PathPoint) -> 
     guess = _between(first, second, share)
     offset = guess.phases[1] - guess.phases[0]
 
-    def tangent(here: Link, value: float) -> Array:
-        state = problem.match(here, value).state
-        return np.append(problem.mirror(here, value, which).miss, rate(state, value) / 10)
+    def tangent(link: Link, value: float) -> Array:
+        state = problem.match(link, value).state
+        return np.append(problem.mirror(link, value, which).miss, rate(state, value) / 10)
 
     start = np.array([guess.phases[0], guess.duration, first.value + share * (second.value - first.value)])
     event = _located(
@@ -293,7 +291,7 @@ def _touch(
 ) -> Located | None:
     """Solve for the value of the followed quantity at which an extremum reaches a level."""
     width = second.value - first.value
-    kept: dict[float, tuple[Link, Profile]] = {}
+    flights: dict[float, tuple[Link, Profile]] = {}
 
     from scipy.optimize import brentq
 
@@ -302,7 +300,7 @@ def _touch(
         flown = profile(problem, link, value)
         if len(flown.heights) != extrema:
             raise ArithmeticError("an extremum vanished")
-        kept[value] = (link, flown)
+        flights[value] = (link, flown)
         return float(flown.heights[k] - level)
 
     try:
@@ -310,7 +308,7 @@ def _touch(
         residual = abs(above(value))
     except (ArithmeticError, ValueError):
         return None
-    link, flown = kept[value]
+    link, flown = flights[value]
     return Located("section-artefact", value, link, flown.states[k], residual)
 
 
@@ -431,10 +429,10 @@ class Sweep:
             value: value of the followed quantity.
         """
         if value not in self._found:
-            found, resolved = self._searched(value, 1.0)
-            if resolved and not found.complete:
-                found, _ = self._searched(value, 0.25)
-            self._found[value] = found
+            searched, resolved = self._searched(value, 1.0)
+            if resolved and not searched.complete:
+                searched, _ = self._searched(value, 0.25)
+            self._found[value] = searched
         return self._found[value]
 
     def _searched(self, value: float, fineness: float) -> tuple[Found, bool]:
@@ -469,8 +467,8 @@ class Sweep:
         weight = 2 if all(m.branches_are_mirrored for m in manifolds) else 1
         unresolved = tuple(cut for cut in (unstable, stable) if not cut.resolved)
         orbits = tuple({manifold.orbit.saddle: manifold.orbit for manifold in manifolds}.values())
-        found = Found(value, energy, tuple(points), weight, unmatched, crossed.failed, unresolved, orbits)
-        return found, not unresolved
+        searched = Found(value, energy, tuple(points), weight, unmatched, crossed.failed, unresolved, orbits)
+        return searched, not unresolved
 
     def among(self, link: Link, points: list[PathPoint] | tuple[PathPoint, ...]) -> int | None:
         """Return the index of the point with this link, or None.
@@ -645,18 +643,16 @@ class Sweep:
             near = abs(a.value - b.value) < 1e-7 * self.problem.course.scale
             return a.kind == b.kind and near and self.problem.distance_between(a.link, b.link) < 10 * self.settings.same
 
-        kept: list[Change] = []
+        distinct: list[Change] = []
         for change in changes:
-            if not any(same(c.event, change.event) for c in kept):
-                kept.append(change)
-        return kept
+            if not any(same(c.event, change.event) for c in distinct):
+                distinct.append(change)
+        return distinct
 
 
 @dataclass(frozen=True)
 class Mark:
-    """An event in a bifurcation diagram.
-
-    The counts are numbers of connections on the torus with the required crossings.
+    """An event in a bifurcation diagram; the counts are those of connections on the torus with the required crossings.
 
     Attributes:
         value: of the followed quantity.

@@ -215,13 +215,11 @@ class LinkProblem:
 
     def _nearest(self, saddle: str, value: float) -> UnstableManifold | None:
         """Return the known manifold of a saddle at the nearest value, if any."""
-        known = [(abs(at - value), manifold) for (name, at), manifold in self._manifolds.items() if name == saddle]
-        return min(known, key=lambda pair: pair[0], default=(0.0, None))[1]
+        manifolds = [(abs(at - value), manifold) for (name, at), manifold in self._manifolds.items() if name == saddle]
+        return min(manifolds, key=lambda pair: pair[0], default=(0.0, None))[1]
 
     def manifold(self, saddle: str, value: float) -> UnstableManifold:
-        """Return the unstable manifold of a saddle's orbit.
-
-        Its vector has the same orientation at all energies.
+        """Return the unstable manifold of a saddle's orbit, with a vector of the same orientation at all energies.
 
         Args:
             saddle: name of the saddle.
@@ -347,9 +345,7 @@ class LinkProblem:
         return replace(link, branches=branches, phases=(link.phases[1] + 0.5, link.phases[0] + 0.5))
 
     def distance_between(self, first: Link, second: Link) -> float:
-        """Return the distance of two links in phases and relative duration.
-
-        The distance is infinite for different branches.
+        """Return the distance of two links in phases and relative duration, infinite for different branches.
 
         Args:
             first: link at any value.
@@ -481,9 +477,7 @@ class Path:
 
 
 def carry(problem: LinkProblem, point: PathPoint, goal: float, *, smallest: float = 1 / 32) -> PathPoint | None:
-    """Continue a connection to another value of the followed quantity.
-
-    The result is None if it may turn.
+    """Continue a connection to another value of the followed quantity, or return None if it may turn.
 
     Each step is predicted along ∂(φ_u, φ_s, T)/∂H and solved at fixed value. The tangency σ must keep its sign, which
     changes at a turn. This is cheaper than `follow`, which handles turns.
@@ -496,19 +490,19 @@ def carry(problem: LinkProblem, point: PathPoint, goal: float, *, smallest: floa
     """
     way = abs(goal - point.value)
 
-    def following(here: PathPoint, _: float, value: float) -> PathPoint | None:
+    def following(point: PathPoint, _: float, value: float) -> PathPoint | None:
         try:
-            match, curve = problem.match(here.link, here.value), LinkCurve(problem, here.link)
-            by_value = curve.near(here.coordinates)(here.coordinates)[1][:, 3]
+            match, curve = problem.match(point.link, point.value), LinkCurve(problem, point.link)
+            by_value = curve.near(point.coordinates)(point.coordinates)[1][:, 3]
             slope = -np.linalg.lstsq(match.jacobian, by_value, rcond=1e-13)[0]
-            guess = here.link.at(here.link.unknowns + slope * (value - here.value))
+            guess = point.link.at(point.link.unknowns + slope * (value - point.value))
             arrived = problem.solved(guess, value)
         except UNSOLVED:
             return None
         reach = 0.02 * np.array([1.0, 1.0, arrived.link.duration])
         poor = np.any(np.abs(arrived.link.unknowns - guess.unknowns) > reach)
-        turned = arrived.tangency * here.tangency <= 0
-        return None if poor or turned or problem.symmetry(arrived.link) != problem.symmetry(here.link) else arrived
+        turned = arrived.tangency * point.tangency <= 0
+        return None if poor or turned or problem.symmetry(arrived.link) != problem.symmetry(point.link) else arrived
 
     last, reached = stepped(point, (point.value, goal), following, longest=way, smallest=smallest * way)
     return last if reached == goal else None
@@ -532,15 +526,15 @@ def follow(problem: LinkProblem, link: Link, start: float, goal: float, *, steps
     try:
         points.append(problem.solved(link, start))
         link, symmetry, heading = points[0].link, problem.symmetry(points[0].link), np.sign(way) * np.eye(4)[3]
-        whole = LinkCurve(problem, link)
+        curve_of_links = LinkCurve(problem, link)
         weights = np.array([size, size, size * link.duration, abs(way)])
-        curve = Curve(whole, weights, _ON_CURVE, _ROUNDED, whole.measure)
+        curve = Curve(curve_of_links, weights, _ON_CURVE, _ROUNDED, curve_of_links.measure)
         first = curve.point(points[0].coordinates, heading, 0.0)
 
-        def refused(here: CurvePoint, following: CurvePoint) -> bool:
+        def refused(point: CurvePoint, following: CurvePoint) -> bool:
             # A first step that ends behind the start has skipped a turn. Near a pitchfork, a long step may jump between
             # the pair and the symmetric connection.
-            skipped = here is first and (following.value - start) * way <= 0
+            skipped = point is first and (following.value - start) * way <= 0
             return skipped or problem.symmetry(link.at(following.unknowns)) != symmetry
 
         stretches = curve.followed(first, step=0.5, smallest=1e-5, first=0.25, growth=1.4, refused=refused)
@@ -571,12 +565,12 @@ def halfway(problem: LinkProblem, first: PathPoint, second: PathPoint) -> PathPo
         first: point of a path.
         second: another point of the same path.
     """
-    start, whole = first.coordinates, LinkCurve(problem, first.link)
+    start, curve_of_links = first.coordinates, LinkCurve(problem, first.link)
     chord = second.coordinates - start
-    weights = np.maximum(np.abs(chord), 1e-3 * np.array([1.0, 1.0, first.link.duration, whole.scale]))
+    weights = np.maximum(np.abs(chord), 1e-3 * np.array([1.0, 1.0, first.link.duration, curve_of_links.scale]))
     tangent = chord / weights / np.linalg.norm(chord / weights)
     try:
-        solution = Curve(whole, weights, _ON_CURVE, _ROUNDED).onto(start + chord / 2, tangent)
+        solution = Curve(curve_of_links, weights, _ON_CURVE, _ROUNDED).onto(start + chord / 2, tangent)
     except UNSOLVED:
         return None
     link, value = first.link.at(solution.unknowns), float(solution.unknowns[3])

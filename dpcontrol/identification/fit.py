@@ -92,9 +92,7 @@ class Swings:
         accelerations: Array | float = 0.0,
         velocities: Array | float = 0.0,
     ) -> tuple[Array, Array]:
-        """Return states and sensitivities from each start.
-
-        The states and sensitivities are (W, K, N) and (W, K, N, N+m).
+        """Return states (W, K, N) and sensitivities (W, K, N, N+m) from each start.
 
         Args:
             starts: initial states (W, N).
@@ -128,13 +126,10 @@ class Swings:
 
 
 def _nominal(arms: ArmChainParameters) -> ArmChainParameters:
-    """Return arms that represent all of the same kind.
-
-    The arms have the same count, gravity, friction laws and smoothing.
-    """
-    one = (1.0,) * arms.count
+    """Return arms that represent all of the same count, gravity, friction laws and smoothing."""
+    ones = (1.0,) * arms.count
     names = ("mass", "centre_of_mass", "length", "inertia", "viscous", *arms.friction)
-    return replace(arms, **dict.fromkeys(names, one))
+    return replace(arms, **dict.fromkeys(names, ones))
 
 
 @cache
@@ -214,16 +209,14 @@ def filled(angles: Array) -> Array:
     """
     out = np.zeros_like(angles)
     for column, values in zip(out.T, angles.T, strict=True):
-        known = np.flatnonzero(np.isfinite(values))
-        if len(known):
-            column[:] = np.interp(np.arange(len(values)), known, values[known])
+        finite = np.flatnonzero(np.isfinite(values))
+        if len(finite):
+            column[:] = np.interp(np.arange(len(values)), finite, values[finite])
     return out
 
 
 class Windows:
-    """All swings, cut into windows that are integrated together.
-
-    Windows are about `length` s long.
+    """All swings, cut into windows of about `length` s that are integrated together.
 
     Attributes:
         of_swing: windows of each swing, by number.
@@ -270,17 +263,17 @@ class Windows:
         out = Linearised([], 0.0, 0.0, bool(np.isfinite(states).all() and np.isfinite(slopes).all()))
         for swing, windows in zip(self.swings, self.of_swing, strict=True):
             shape = swing.angles.shape
-            one = _Chain(np.empty(shape), np.empty(shape), np.zeros((*shape, n + len(where))), [], [])
+            chain = _Chain(np.empty(shape), np.empty(shape), np.zeros((*shape, n + len(where))), [], [])
             node, offset = np.eye(n, n + len(where)), np.zeros(n)
             for w in windows:
-                one.nodes.append(node)
-                one.offsets.append(offset)
+                chain.nodes.append(node)
+                chain.offsets.append(offset)
                 rows, k = slice(self.first[w], self.last[w] + 1), self.last[w] - self.first[w]
                 jacobian = slopes[w, : k + 1, :arms]
-                one.residual[rows] = swing.angles[rows] - states[w, : k + 1, :arms] - zeros[swing.group]
-                one.reduced[rows] = one.residual[rows] - jacobian[..., :n] @ offset
-                one.slope[rows] = jacobian[..., :n] @ node
-                one.slope[rows, :, n:][..., inside] += jacobian[..., n + where[inside]]
+                chain.residual[rows] = swing.angles[rows] - states[w, : k + 1, :arms] - zeros[swing.group]
+                chain.reduced[rows] = chain.residual[rows] - jacobian[..., :n] @ offset
+                chain.slope[rows] = jacobian[..., :n] @ node
+                chain.slope[rows, :, n:][..., inside] += jacobian[..., n + where[inside]]
                 end = slopes[w, k]
                 node, offset = end[:, :n] @ node, end[:, :n] @ offset
                 node[:, n:][:, inside] += end[:, n + where[inside]]
@@ -291,11 +284,11 @@ class Windows:
                     out.gap = max(out.gap, float(np.abs(jump).max()))
             for column, index in enumerate(where):
                 if index >= m and (index - m) // arms == swing.group:
-                    one.slope[:, (index - m) % arms, n + column] = 1.0
+                    chain.slope[:, (index - m) % arms, n + column] = 1.0
             missing = ~np.isfinite(swing.angles)
-            for values in (one.residual, one.reduced, one.slope):
+            for values in (chain.residual, chain.reduced, chain.slope):
                 values[missing] = 0.0
-            out.swings.append(one)
+            out.swings.append(chain)
         return out
 
 
@@ -335,7 +328,7 @@ class Linearised:
         Args:
             threshold: size of a residual from which the loss is linear, rad.
         """
-        sizes = np.abs(np.concatenate([one.residual.ravel() for one in self.swings]))
+        sizes = np.abs(np.concatenate([chain.residual.ravel() for chain in self.swings]))
         bent = np.minimum(sizes, threshold)
         return float((bent * (sizes - bent / 2)).sum())
 
@@ -407,9 +400,7 @@ def fit_swings(
     settings: FitSettings,
     near: Array | None = None,
 ) -> SwingFit:
-    """Fit the swings' starts, the free parameters, and the zeros if requested.
-
-    Coefficients of friction remain non-negative.
+    """Fit the swings' starts, the free parameters, and the zeros if requested; friction remains non-negative.
 
     Args:
         model: integrator of the arms.
@@ -448,9 +439,9 @@ def fit_swings(
             new_values = values.copy()
             new_values[where] += share * step
             new_starts = starts.copy()
-            for one, windows, first in zip(now.swings, cut.of_swing, firsts, strict=True):
+            for chain, windows, first in zip(now.swings, cut.of_swing, firsts, strict=True):
                 direction = np.concatenate([first, step])
-                for w, node, offset in zip(windows, one.nodes, one.offsets, strict=True):
+                for w, node, offset in zip(windows, chain.nodes, chain.offsets, strict=True):
                     new_starts[w] += share * (node @ direction + offset)
             trial = cut.linearised(new_starts, np.maximum(new_values, lower), where)
             # Rounding may raise the misfit of a full step, but must not accept ever shorter ones.
@@ -473,9 +464,9 @@ def fit_swings(
     return SwingFit(
         parameters=values[:m],
         zeros=values[m:].reshape(zeros.shape),
-        residuals=[one.residual for one in now.swings],
+        residuals=[chain.residual for chain in now.swings],
         information=normal.reduced,
-        scores=[_scores(one, mixed, threshold) for one, mixed in zip(now.swings, normal.mixed, strict=True)],
+        scores=[_scores(chain, mixed, threshold) for chain, mixed in zip(now.swings, normal.mixed, strict=True)],
         unknowns=where,
         window_starts=starts,
         gap=now.gap,
@@ -519,16 +510,13 @@ def fit_starts(
 def _threshold(now: Linearised, settings: FitSettings) -> float:
     if settings.robust == 0:
         return np.inf
-    every = np.abs(np.concatenate([one.residual.ravel() for one in now.swings]))
+    every = np.abs(np.concatenate([chain.residual.ravel() for chain in now.swings]))
     return settings.robust * max(1.4826 * float(np.median(every)), settings.least_scale)
 
 
 @dataclass(eq=False)
 class _Normal:
-    """Normal equations with the starts eliminated: reduced (f, f), right (f,).
-
-    Of each swing what gives its start.
-    """
+    """Normal equations with the starts eliminated: reduced (f, f), right (f,), and the way back to each start."""
 
     reduced: Array
     right: Array
@@ -542,10 +530,7 @@ class _Normal:
 
     @property
     def scaled(self) -> Array:
-        """The reduced matrix (f, f) with a unit diagonal.
-
-        Not finite if rounding dominates it.
-        """
+        """The reduced matrix (f, f) with a unit diagonal, not finite if rounding dominates it."""
         with np.errstate(over="ignore", invalid="ignore"):
             vectors = self.reduced * self.scale[:, None] * self.scale
             return (vectors + vectors.T) / 2
@@ -555,11 +540,11 @@ def _normal(now: Linearised, threshold: float) -> _Normal:
     n = len(now.swings[0].offsets[0])
     f = now.swings[0].slope.shape[2] - n
     out = _Normal(np.zeros((f, f)), np.zeros(f), [], [])
-    for one in now.swings:
-        weights = np.minimum(1.0, threshold / np.maximum(np.abs(one.residual), 1e-300)).ravel()
-        jacobian = one.slope.reshape(-1, n + f)
+    for chain in now.swings:
+        weights = np.minimum(1.0, threshold / np.maximum(np.abs(chain.residual), 1e-300)).ravel()
+        jacobian = chain.slope.reshape(-1, n + f)
         weighted = jacobian * weights[:, None]
-        matrix, right = jacobian.T @ weighted, weighted.T @ one.reduced.ravel()
+        matrix, right = jacobian.T @ weighted, weighted.T @ chain.reduced.ravel()
         a, b, c = matrix[:n, :n], matrix[:n, n:], matrix[n:, n:]
         solved = np.linalg.lstsq(a, np.column_stack([b, right[:n]]), rcond=1e-14)[0].astype(np.float64)
         out.reduced += c - b.T @ solved[:, :f]
@@ -570,32 +555,26 @@ def _normal(now: Linearised, threshold: float) -> _Normal:
 
 
 def _step(normal: _Normal, values: Array, lower: Array) -> tuple[Array, list[Array]]:
-    """Return the bounded change of the unknowns (f,).
-
-    The change (2n,) of each swing's start follows.
-    """
+    """Return the bounded change of the unknowns (f,), and the change (2n,) of each swing's start."""
     f = len(values)
     step = np.zeros(f)
     if f:
         scale = normal.scale
         sizes, axes = np.linalg.eigh(normal.scaled)
-        kept = sizes > 1e-12 * sizes[-1]
-        root = np.sqrt(sizes[kept])[:, None] * axes[:, kept].T
-        right = (axes[:, kept].T @ (normal.right * scale)) / np.sqrt(sizes[kept])
+        resolved = sizes > 1e-12 * sizes[-1]
+        root = np.sqrt(sizes[resolved])[:, None] * axes[:, resolved].T
+        right = (axes[:, resolved].T @ (normal.right * scale)) / np.sqrt(sizes[resolved])
         bounds = np.minimum((lower - values) / scale, -1e-300)
         step = lsq_linear(root, right, bounds=(bounds, np.full(f, np.inf)), method="bvls").x * scale
         step = np.maximum(values + step, lower) - values
     return step, [r - mixed @ step for r, mixed in zip(normal.start_rights, normal.mixed, strict=True)]
 
 
-def _scores(one: _Chain, mixed: Array, threshold: float) -> Array:
-    """Return each sample's gradient (K, f) of the loss.
-
-    Each gradient is that by the unknowns, with the start eliminated.
-    """
+def _scores(chain: _Chain, mixed: Array, threshold: float) -> Array:
+    """Return the gradient (K, f) of each sample's loss by the unknowns, with the start eliminated."""
     n = len(mixed)
-    along = one.slope[..., n:] - one.slope[..., :n] @ mixed
-    return np.einsum("kaf,ka->kf", along, np.clip(one.residual, -threshold, threshold))
+    along = chain.slope[..., n:] - chain.slope[..., :n] @ mixed
+    return np.einsum("kaf,ka->kf", along, np.clip(chain.residual, -threshold, threshold))
 
 
 _LANES = 64
@@ -624,9 +603,7 @@ class DesignSettings(Settings, table="design"):
 
 @dataclass(frozen=True, eq=False)
 class Experiment(Brief):
-    """One recording: "swing" or "cart".
-
-    A swing starts from rest at angles (n,) rad. A cart has a sinusoidal acceleration.
+    """One recording: a "swing" from rest at angles (n,) rad, or a "cart" with a sinusoidal acceleration.
 
     Attributes:
         information: digits of information.
@@ -677,10 +654,7 @@ class Design(Documented):
         return sorted((e for e in self.experiments if e.usable), key=lambda e: -e.information)
 
     def best_pair(self) -> tuple[Experiment, Experiment]:
-        """Return the most informative experiment and the best addition.
-
-        They may be the same.
-        """
+        """Return the most informative experiment and the best addition to it, which may be the same."""
         ranked = self.ranked()
         first = ranked[0]
         return first, max(ranked, key=lambda e: digits(first.matrix + e.matrix))
@@ -707,9 +681,7 @@ def digits(matrix: Array) -> float:
 def design_experiments(
     arms: ArmChainParameters, *, settings: DesignSettings | None = None, progress: Progress = no_progress
 ) -> Design:
-    """Compare experiments by their information.
-
-    They are free swings over a grid of angles, and sines of the cart.
+    """Compare experiments by their information: free swings over a grid of angles, and sines of the cart.
 
     Args:
         arms: model of the arms.
@@ -739,7 +711,7 @@ def design_experiments(
         u[row] = amplitude * np.cos(turning * (times + settings.period / 2))
         v[row] = amplitude / turning * np.sin(turning * times)
     model = Swings(arms)
-    found: list[tuple[Array, float]] = []
+    gains: list[tuple[Array, float]] = []
     for first in range(0, len(starts), _LANES):
         progress("swings", first / len(starts))
         rows = slice(first, first + _LANES)
@@ -751,10 +723,10 @@ def design_experiments(
             accelerations=u[rows],
             velocities=v[rows],
         )
-        found += [_information(one[:, :n], values, used, settings.counts) for one in slopes]
+        gains += [_information(slope[:, :n], values, used, settings.counts) for slope in slopes]
     progress("swings", 1.0)
     experiments: list[Experiment] = []
-    for (kind, angles, amplitude, frequency), (matrix, growth) in zip(plans, found, strict=True):
+    for (kind, angles, amplitude, frequency), (matrix, growth) in zip(plans, gains, strict=True):
         reach = amplitude / (2 * np.pi * frequency) ** 2 if kind == "cart" else 0.0
         information = digits(matrix)
         usable = growth < _CHAOTIC and 2 * reach <= settings.track and bool(np.isfinite(information))
@@ -775,9 +747,7 @@ def design_experiments(
 
 
 def _information(slopes: Array, values: Array, used: NDArray[np.intp], counts: int) -> tuple[Array, float]:
-    """Return the information (f, f) on the ratios in use.
-
-    It refers to their logarithms. The growth of errors follows.
+    """Return the information (f, f) on the logarithms of the ratios in use, and the growth of errors.
 
     Args:
         slopes: derivatives (K, n, 2n+m) of the angles by start and ratios.
@@ -789,8 +759,8 @@ def _information(slopes: Array, values: Array, used: NDArray[np.intp], counts: i
     if not np.isfinite(slopes).all():
         return np.zeros((len(used), len(used))), np.inf
     zeros = np.broadcast_to(np.eye(arms), (samples, arms, arms))
-    own = np.concatenate([of_start, zeros], axis=2).reshape(samples * arms, -1)
+    of_swing = np.concatenate([of_start, zeros], axis=2).reshape(samples * arms, -1)
     shared = slopes[:, :, 2 * arms :][:, :, used].reshape(samples * arms, -1) * values[used]
     # Projection onto the complement of the recording's own unknowns.
-    rest = shared - own @ np.linalg.lstsq(own, shared, rcond=1e-10)[0]
+    rest = shared - of_swing @ np.linalg.lstsq(of_swing, shared, rcond=1e-10)[0]
     return rest.T @ rest / sigma**2, growth

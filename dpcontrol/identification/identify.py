@@ -62,10 +62,7 @@ _STILL = 1e-3
 
 @dataclass(frozen=True)
 class Segment:
-    """A segment of a log, used for the fit or held out.
-
-    Running index, log, first time s, length s, used or held out, rms rad.
-    """
+    """A segment of a log: running index, log, first time s, length s, used for the fit or held out, rms rad."""
 
     index: int
     log: str
@@ -82,9 +79,7 @@ _FEWEST = 10
 def cut_into_swings(
     recordings: Sequence[Recording], arms: int, longest: float | None
 ) -> tuple[list[Swing], list[Segment]]:
-    """Return the recordings' segments as swings.
-
-    Long ones are cut into equal pieces.
+    """Return the recordings' segments as swings, with long ones cut into equal pieces.
 
     Args:
         recordings: the recordings.
@@ -134,9 +129,7 @@ ALIKE = 0.95
 
 
 def correlation_time(residuals: Sequence[Array]) -> float:
-    """Return the integrated autocorrelation time of residuals, in samples.
-
-    The integrated autocorrelation time is at least 1.
+    """Return the integrated autocorrelation time of residuals, in samples, at least 1.
 
     The sum ends when the autocorrelation, pooled over swings and angles, first falls below 0.05.
 
@@ -175,10 +168,7 @@ def covariance_at_bounds(fit: SwingFit, bound: NDArray[np.bool_]) -> tuple[Array
 
 
 def _covariance(fit: SwingFit, among: NDArray[np.bool_]) -> Array:
-    """Return the covariance of the unknowns in `among` with the others fixed.
-
-    Infinite if undetermined.
-    """
+    """Return the covariance of the unknowns in `among` with the others fixed, infinite if undetermined."""
     information, f = fit.information[np.ix_(among, among)], int(among.sum())
     lengths = [len(s) for s in fit.scores]
     block = max(int(_BLOCK_TIMES * correlation_time(fit.residuals)), _LEAST_BLOCK)
@@ -236,9 +226,7 @@ def undetermined_of(
 
 
 def correlation_of(covariance: Array) -> Array:
-    """Return the correlation matrix (f, f).
-
-    The correlation matrix is zero for numbers without variance or undetermined.
+    """Return the correlation matrix (f, f), zero for numbers without variance or undetermined.
 
     Args:
         covariance: covariance (f, f).
@@ -280,10 +268,7 @@ class IdentificationSettings(Settings, table="identify"):
 
 @dataclass(frozen=True, eq=False)
 class Candidate(Brief):
-    """A set of terms, its fit, and its errors.
-
-    The rms errors (L,) are those on each held-out segment, in rad.
-    """
+    """A set of terms, its fit, and its rms errors (L,) on each held-out segment, in rad."""
 
     laws: tuple[Friction, ...]
     zeros: bool
@@ -440,7 +425,7 @@ def identify(
     bound = rubbing & (values <= 0)
     covariance, errors = covariance_at_bounds(best.fit, bound)
     of_used, of_left = iter(best.fit.residuals), iter(best.predicted.residuals)
-    residuals = [next(of_used if one else of_left) for one in used]
+    residuals = [next(of_used if segment else of_left) for segment in used]
     progress("done", 1.0)
     failed = f"; {len(reasons)} candidates failed ({reasons[0]})" if reasons else ""
     return Identification(
@@ -459,8 +444,8 @@ def identify(
         chosen=chosen,
         started_at=before,
         segments=tuple(
-            replace(one, used=bool(fitted_to), rms=float(np.sqrt((residual**2).mean())))
-            for one, fitted_to, residual in zip(about, used, residuals, strict=True)
+            replace(segment, used=bool(fitted_to), rms=float(np.sqrt((residual**2).mean())))
+            for segment, fitted_to, residual in zip(about, used, residuals, strict=True)
         ),
         swings=tuple(swings),
         residuals=tuple(residuals),

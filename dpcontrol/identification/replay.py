@@ -57,10 +57,7 @@ from dpcontrol.recordings.recording import (
 
 @dataclass(frozen=True, eq=False)
 class FittedPath(Brief):
-    """Motion nearest to a stretch.
-
-    States (K, 2n), residual (n,) rad rms per angle, and status.
-    """
+    """Motion nearest to a stretch: states (K, 2n), residual (n,) rad rms per angle, and status."""
 
     states: Array
     residual: Array
@@ -104,12 +101,12 @@ def fitted_path(model: Swings, swing: Swing, ratios: Array) -> FittedPath:
         accelerations=swing.accelerations,
         velocities=swing.velocities,
     )
-    known = np.isfinite(swing.angles)
-    off = np.where(known, path[:, :n] - swing.angles, 0.0)
-    residual = np.sqrt(np.sum(off**2, axis=0) / np.maximum(np.sum(known, axis=0), 1))
-    follows = fit.converged and bool(known.any() and residual.max() < _FOLLOWS)
+    finite = np.isfinite(swing.angles)
+    off = np.where(finite, path[:, :n] - swing.angles, 0.0)
+    residual = np.sqrt(np.sum(off**2, axis=0) / np.maximum(np.sum(finite, axis=0), 1))
+    follows = fit.converged and bool(finite.any() and residual.max() < _FOLLOWS)
     lost = "no initial state was found from which the model follows the angles; shorten the span, or identify the model"
-    status = "the initial state was fitted" if follows else lost if known.any() else "it contains no reading"
+    status = "the initial state was fitted" if follows else lost if finite.any() else "it contains no reading"
     return FittedPath(path, residual, follows, status)
 
 
@@ -119,10 +116,7 @@ _INDEPENDENT = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class RecordedEstimate(Brief):
-    """States (K, 2n) and standard deviations at each sample.
-
-    Nis (K,), NaN except at the end of a mean.
-    """
+    """States (K, 2n) and standard deviations at each sample, and NIS (K,), NaN except at the end of a mean."""
 
     states: Array
     sigmas: Array
@@ -163,12 +157,9 @@ def estimate_recording(
     estimator = make_estimator(filters, model, noise=noise)
 
     def change(state: Array, drive: Array) -> Array:
-        """Return the derivative of the arms' state (2n,).
-
-        `drive` has the cart's velocity and acceleration.
-        """
-        whole = np.concatenate([state, [0.0, drive[0]]])
-        return np.asarray(rate(whole, drive[1], arms.base())).ravel()[: 2 * n]
+        """Return the derivative of the arms' state (2n,) for the cart's velocity and acceleration `drive`."""
+        full = np.concatenate([state, [0.0, drive[0]]])
+        return np.asarray(rate(full, drive[1], arms.base())).ravel()[: 2 * n]
 
     # The cart's measurement adds nothing about the arms, since its motion is an input.
     present = np.array([True] * n + [False])
@@ -200,13 +191,13 @@ def estimate_recording(
                 expected = estimate.state if not k else estimator.ahead(estimate, [moved])
                 bend = change(np.asarray(expected[: 2 * n]), drives[k])[n:] * np.mean(times**2) / 2
                 # A mean with missing samples has another centre in time, so it is skipped.
-                known = bool(np.isfinite(means[k]).all())
-                measured = np.concatenate([means[k] - bend if known else np.zeros(n), [0.0]])
+                has_reading = bool(np.isfinite(means[k]).all())
+                measured = np.concatenate([means[k] - bend if has_reading else np.zeros(n), [0.0]])
                 if k:
-                    estimate = estimator.step(estimate, moved, measured, present & known)
-                    out.nis[rows.stop - 1] = estimate.nis if known else np.nan
+                    estimate = estimator.step(estimate, moved, measured, present & has_reading)
+                    out.nis[rows.stop - 1] = estimate.nis if has_reading else np.nan
                 else:
-                    estimate = estimator.update(estimate, measured, present & known)
+                    estimate = estimator.update(estimate, measured, present & has_reading)
                 state = np.asarray(estimate.state[: 2 * n])
                 # Too few samples for another mean belong to the last one.
                 shown = slice(rows.start, rows.stop if k < blocks - 1 else end)
@@ -221,10 +212,7 @@ def estimate_recording(
 
 
 def _nearby(state: Array, acceleration: Array, times: Array) -> Array:
-    """Return the states (M, 2n) a few ms away.
-
-    The states are at `times` (M,) s from `state` (2n,).
-    """
+    """Return the states (M, 2n) at `times` (M,), a few ms from the time of `state` (2n,)."""
     n = len(acceleration)
     angles = state[:n] + np.outer(times, state[n:]) + np.outer(times**2 / 2, acceleration)
     return np.column_stack([angles, state[n:] + np.outer(times, acceleration)])
@@ -314,28 +302,23 @@ class Replay(Brief, Documented):
 
     @checked
     def summary(self, model: str) -> str:
-        """Return a sentence on prediction errors and consistency.
-
-        The errors are those of the model, the consistency that of the estimator.
+        """Return a sentence on the model's prediction errors and the estimator's consistency.
 
         Args:
             model: name of the model.
         """
         rms = sorted(1e3 * fit.rms for fit in self.fits)
         seconds = max(end - first for _, first, end in self.stretches) * self.recording.dt
-        whole = len(self.nis) * self.recording.dt
+        total = len(self.nis) * self.recording.dt
         means = "" if self.nis_means is None else f", {self.nis_means.sentence}"
         return (
-            f"{whole:.4g} s predicted by {model}, {seconds:.3g} s from each fitted start: {np.median(rms):.3g} mrad "
+            f"{total:.4g} s predicted by {model}, {seconds:.3g} s from each fitted start: {np.median(rms):.3g} mrad "
             f"median rms, {rms[-1]:.3g} at worst; NIS {self.nis_inside_95:.1%} in its band{means}"
         )
 
     @property
     def cart(self) -> str:
-        """Return the source of the cart's acceleration.
-
-        The result is "" if the cart was clamped.
-        """
+        """Return the source of the cart's acceleration, or "" if the cart was clamped."""
         if not self.carts:
             return ""
         commanded = sum(cart.commanded for cart in self.carts)
@@ -360,15 +343,12 @@ class Replay(Brief, Documented):
 
     @property
     def stretch_errors(self) -> list[dict[str, Any]]:
-        """Prediction error of each stretch.
-
-        Rms in rad, of each angle and of all.
-        """
+        """Prediction error of each stretch: rms in rad, of each angle and of all."""
         rows: list[dict[str, Any]] = []
         for (index, first, _), fit in zip(self.stretches, self.fits, strict=True):
-            own = {f"rms_angle_{i + 1}": float(value) for i, value in enumerate(fit.residual)}
+            of_angles = {f"rms_angle_{i + 1}": float(value) for i, value in enumerate(fit.residual)}
             start = float(self.recording.time[first])
-            rows.append({"index": index, "start": start, **own, "rms": fit.rms, "converged": fit.converged})
+            rows.append({"index": index, "start": start, **of_angles, "rms": fit.rms, "converged": fit.converged})
         return rows
 
 
@@ -435,7 +415,7 @@ def replay_recording(
     progress("fitting initial states", 0.0)
     swings = [Swing(recording.angles[a:b], recording.dt, 0, acceleration[a:b], velocity[a:b]) for _, a, b in stretches]
     fits = [fitted_path(model, swing, ratios) for swing in swings]
-    found = estimate_recording(
+    estimated = estimate_recording(
         recording,
         arms,
         filters,
@@ -447,27 +427,28 @@ def replay_recording(
     settled = np.concatenate([np.arange(end - first) * recording.dt >= _SETTLED for first, end in recording.segments])
     if not settled.any():
         settled[:] = True
-    known = found.nis[settled & np.isfinite(found.nis)]
+    nis = estimated.nis[settled & np.isfinite(estimated.nis)]
     progress("predicting", 0.9)
     rates_rms = None
     if recording.rates is not None:
-        rates_rms = np.sqrt(np.mean(np.square(found.states[settled, n:] - recording.rates[settled]), axis=0))
+        rates_rms = np.sqrt(np.mean(np.square(estimated.states[settled, n:] - recording.rates[settled]), axis=0))
     return Replay(
         recording=shown_recording,
         predicted=np.concatenate([fit.states for fit in fits]) + shown,
-        estimated=found.states + shown,
-        sigmas=found.sigmas,
-        nis=found.nis,
+        estimated=estimated.states + shown,
+        sigmas=estimated.sigmas,
+        nis=estimated.nis,
         carts=carts,
         stretches=stretches,
         fits=tuple(fits),
         ahead={
-            k: _ahead(model, recording, found, settled, k, velocity, acceleration) for k in sorted({1, settings.ahead})
+            k: _ahead(model, recording, estimated, settled, k, velocity, acceleration)
+            for k in sorted({1, settings.ahead})
         },
         rates_rms=rates_rms,
-        nis_inside_95=inside_95(known, n),
-        nis_below_95=float(np.mean(known <= chi_square_band(n, share=0.9)[1])) if len(known) else float("nan"),
-        nis_means=nis_means(known, n),
+        nis_inside_95=inside_95(nis, n),
+        nis_below_95=float(np.mean(nis <= chi_square_band(n, share=0.9)[1])) if len(nis) else float("nan"),
+        nis_means=nis_means(nis, n),
     )
 
 
@@ -477,10 +458,10 @@ def _carts(recording: Recording) -> tuple[CartMotion, ...]:
     Raises:
         InputError: the cart moved in only some segments.
     """
-    found = [cart_motion(part) for part in recording.split()]
-    moved = tuple(cart for cart in found if cart is not None)
-    if moved and len(moved) < len(found):
-        still = next(k for k, cart in enumerate(found) if cart is None)
+    carts = [cart_motion(part) for part in recording.split()]
+    moved = tuple(cart for cart in carts if cart is not None)
+    if moved and len(moved) < len(carts):
+        still = next(k for k, cart in enumerate(carts) if cart is None)
         raise InputError(
             f"{recording.source}: the cart moves in some segments but not in others, such as segment {still}; "
             "import them separately"
@@ -489,9 +470,7 @@ def _carts(recording: Recording) -> tuple[CartMotion, ...]:
 
 
 def driven(recording: Recording, carts: tuple[CartMotion, ...]) -> tuple[Array, Array]:
-    """Return the cart's velocity and acceleration (K,).
-
-    They cover all segments, and are zero if the cart was clamped.
+    """Return the cart's velocity and acceleration (K,) over all segments, zero if the cart was clamped.
 
     Args:
         recording: the recording.
@@ -506,40 +485,34 @@ def driven(recording: Recording, carts: tuple[CartMotion, ...]) -> tuple[Array, 
 
 
 def _stretches(recording: Recording, span: float) -> tuple[tuple[int, int, int], ...]:
-    """Return (segment, first, end) of the stretches.
-
-    Each is predicted in one piece. Together they cover all samples.
-    """
-    found = []
+    """Return (segment, first, end) of the stretches that are predicted in one piece and together cover all samples."""
+    stretches = []
     for index, (first, end) in enumerate(recording.segments):
         parts = int(np.ceil((end - first) * recording.dt / span))
         edges = np.linspace(first, end, max(parts, 1) + 1).round().astype(int)
-        found += [(index, int(a), int(b)) for a, b in pairwise(edges)]
-    return tuple(found)
+        stretches += [(index, int(a), int(b)) for a, b in pairwise(edges)]
+    return tuple(stretches)
 
 
 def _ahead(
     model: Swings,
     recording: Recording,
-    found: RecordedEstimate,
+    estimated: RecordedEstimate,
     settled: NDArray[np.bool_],
     samples: int,
     velocity: Array,
     acceleration: Array,
 ) -> Array:
-    """Return the rms error (n,) rad of angles predicted `samples` ahead.
-
-    NaN if no interval fits.
-    """
+    """Return the rms error (n,) rad of angles predicted `samples` ahead, NaN if no interval fits."""
     inside = np.zeros(len(settled), dtype=bool)
     for first, end in recording.segments:
         inside[first : max(first, end - samples)] = True
     # At the end of a mean, the estimate includes all samples up to it and none after.
-    rows = np.flatnonzero(inside & settled & np.isfinite(found.nis))
+    rows = np.flatnonzero(inside & settled & np.isfinite(estimated.nis))
     rows = rows[:: max(1, len(rows) // _STARTS)]
     if not len(rows):
         return np.full(recording.arms, np.nan)
-    states, ratios, period = found.states[rows], base_ratios(model.arms), np.full(len(rows), recording.dt)
+    states, ratios, period = estimated.states[rows], base_ratios(model.arms), np.full(len(rows), recording.dt)
     for k in range(samples):
         states = model.flown(
             states,

@@ -18,29 +18,29 @@ _ROTATING = {
 }
 
 
-def orbit(found: Any) -> Iterator[Line]:
+def orbit(result: Any) -> Iterator[Line]:
     """Yield the period, the state and the multipliers of an orbit.
 
     Args:
-        found: a `LyapunovOrbit`.
+        result: a `LyapunovOrbit`.
     """
-    unit = found.system.unit
-    yield f"Lyapunov orbit about {found.saddle} at {found.energy:g}{unit('J')}: {found.status}"
-    yield f"  period       {found.period:.15g}{unit('s')}"
-    yield f"  state        {spaced(found.state, '.15g')}{unit('rad, rad/s', '   ({})')}"
-    yield f"  multipliers  {multiplier_texts(found.floquet_multipliers)}"
-    yield f"  closure      {found.residual:.1e} (largest component of x(T) - x(0))"
+    unit = result.system.unit
+    yield f"Lyapunov orbit about {result.saddle} at {result.energy:g}{unit('J')}: {result.status}"
+    yield f"  period       {result.period:.15g}{unit('s')}"
+    yield f"  state        {spaced(result.state, '.15g')}{unit('rad, rad/s', '   ({})')}"
+    yield f"  multipliers  {multiplier_texts(result.floquet_multipliers)}"
+    yield f"  closure      {result.residual:.1e} (largest component of x(T) - x(0))"
 
 
-def family(found: Any) -> Iterator[Line]:
+def family(result: Any) -> Iterator[Line]:
     """Yield some twenty orbits of a family, and its ends.
 
     Args:
-        found: a `LyapunovFamily`.
+        result: a `LyapunovFamily`.
     """
-    unit, members = found.system.unit, _some(found.members, 20)
+    unit, members = result.system.unit, _some(result.members, 20)
     yield table(
-        f"Lyapunov orbits about {found.saddle}, {len(members)} of {len(found.members)}",
+        f"Lyapunov orbits about {result.saddle}, {len(members)} of {len(result.members)}",
         members,
         {
             f"energy{unit('J', _BRACKETS)}": "{.energy:.9g}",
@@ -51,7 +51,7 @@ def family(found: Any) -> Iterator[Line]:
             f"state{unit('rad, rad/s', _BRACKETS)}": lambda m: spaced(m.state, ".6f"),
         },
     )
-    for side, end in zip(("from", "to"), found.ends, strict=True):
+    for side, end in zip(("from", "to"), result.ends, strict=True):
         yield f"{side:5s}{end.energy:.9g}{unit('J')}: {end.status}"
 
 
@@ -59,76 +59,76 @@ def _some(members: Sequence[Any], count: int) -> Sequence[Any]:
     return members[:: max(1, len(members) // count)]
 
 
-def rotating_orbits(found: Any) -> Iterator[Line]:
+def rotating_orbits(result: Any) -> Iterator[Line]:
     """Yield the rotating orbits of an energy.
 
     Args:
-        found: a `RotatingOrbits`.
+        result: a `RotatingOrbits`.
     """
-    name = found.orbits[0].system.name
+    name = result.orbits[0].system.name
     yield table(
-        f"Orbits of {name} at {found.energy:g} J that turn the {found.arm} arm forward", found.orbits, _ROTATING
+        f"Orbits of {name} at {result.energy:g} J that turn the {result.arm} arm forward", result.orbits, _ROTATING
     )
     yield "each has a reflection that turns backward, (θ, ω) → (−θ, −ω), with the same multipliers"
 
 
-def rotating_families(found: Any) -> Iterator[Line]:
+def rotating_families(result: Any) -> Iterator[Line]:
     """Yield some orbits of each family, its changes of stability, folds and ends.
 
     Args:
-        found: a `RotatingFamilies`.
+        result: a `RotatingFamilies`.
     """
-    for k, one in enumerate(found.families, start=1):
-        members = _some(one.members, 12)
-        title = f"Family {k} of {len(found.families)}, the {found.arm} arm turning"
-        yield table(f"{title}: {len(members)} of {len(one.members)}", members, _ROTATING)
-        for change in one.changes:
+    for k, member in enumerate(result.families, start=1):
+        members = _some(member.members, 12)
+        title = f"Family {k} of {len(result.families)}, the {result.arm} arm turning"
+        yield table(f"{title}: {len(members)} of {len(member.members)}", members, _ROTATING)
+        for change in member.changes:
             yield f"  at {change.orbit.energy:.10g} J: from {change.before} to {change.after}"
-        for fold in one.folds:
+        for fold in member.folds:
             yield f"  at {fold.energy:.10g} J the family turns back in energy"
-        for side, end in zip(("from", "to"), one.ends, strict=True):
+        for side, end in zip(("from", "to"), member.ends, strict=True):
             yield f"  {side}: {end.status}"
 
 
-def sustained(found: Any) -> Iterator[Line]:
+def sustained(result: Any) -> Iterator[Line]:
     """Yield period, effort and multipliers of an orbit that the cart sustains.
 
     Args:
-        found: a `SustainedOrbit`.
+        result: a `SustainedOrbit`.
     """
-    if not found.converged:
+    if not result.converged:
         return
-    reference, lyapunov = found.reference, found.lyapunov
-    yield f"Sustained orbit about {lyapunov.saddle} at {lyapunov.energy:g} J: {found.status}"
-    yield f"  period       {found.period:.15g} s, {lyapunov.period:.15g} s without friction"
-    yield f"  state        {spaced(found.state(0.0), '.9g')}   (rad, rad/s, m, m/s)"
+    reference, lyapunov = result.reference, result.lyapunov
+    yield f"Sustained orbit about {lyapunov.saddle} at {lyapunov.energy:g} J: {result.status}"
+    yield f"  period       {result.period:.15g} s, {lyapunov.period:.15g} s without friction"
+    yield f"  state        {spaced(result.state(0.0), '.9g')}   (rad, rad/s, m, m/s)"
     yield (
         f"  cart         {reference.rms_cart_acceleration:.4g} m/s² rms, {reference.max_cart_acceleration:.4g} "
         f"at most; {1e3 * reference.max_cart_position:.3g} mm at most"
     )
-    yield f"  energy       {found.energies[0]:.6g} to {found.energies[1]:.6g} J along the orbit"
-    by_section = found.section_multipliers(found.resets)
-    for title, values in (("multipliers", found.multipliers), (f"by {found.resets} sections", by_section)):
+    yield f"  energy       {result.energies[0]:.6g} to {result.energies[1]:.6g} J along the orbit"
+    by_section = result.section_multipliers(result.resets)
+    for title, values in (("multipliers", result.multipliers), (f"by {result.resets} sections", by_section)):
         yield f"  {title:<12} {multiplier_texts(values, 9)}"
     yield "               the cart's are 1, 1: driven by its acceleration, nothing holds it in place"
 
 
-def _symmetric(one: Any) -> str:
-    return "yes" if one.symmetric else "pair"
+def _symmetric(connection: Any) -> str:
+    return "yes" if connection.symmetric else "pair"
 
 
-def connections(found: Any, rows: Sequence[Any] | None = None) -> Iterator[Line]:
+def connections(result: Any, rows: Sequence[Any] | None = None) -> Iterator[Line]:
     """Yield the connections of a search, and the open ends of its cuts.
 
     Args:
-        found: a `ConnectionSearch`.
+        result: a `ConnectionSearch`.
         rows: connections to list; all of the search by default.
     """
-    unit, source = found.source.system.unit, found.source
+    unit, source = result.source.system.unit, result.source
     out, into = (f"time {way}{unit('s', _BRACKETS)}" for way in ("out", "in"))
     yield table(
-        f"{source.saddle} → {found.target.saddle} at {source.energy:g}{unit('J')} on {found.cuts[0].section.name}",
-        found.connections if rows is None else rows,
+        f"{source.saddle} → {result.target.saddle} at {source.energy:g}{unit('J')} on {result.cuts[0].section.name}",
+        result.connections if rows is None else rows,
         {
             "name": "{.name}",
             "sense": "{.sense:+d}",
@@ -139,45 +139,45 @@ def connections(found: Any, rows: Sequence[Any] | None = None) -> Iterator[Line]
             into: "{.time_in:.4f}",
         },
     )
-    yield found.status
-    for tube, end in found.open_ends[:_SHOWN]:
+    yield result.status
+    for tube, end in result.open_ends[:_SHOWN]:
         low, high = end.phase_interval
         yield f"open: {tube} tube, branch {end.branch:+d}, phase {low:.6f} … {high:.6f}: {end.status}"
-    if len(found.open_ends) > _SHOWN:
-        yield f"… and {len(found.open_ends) - _SHOWN} more open ends, which --json lists"
+    if len(result.open_ends) > _SHOWN:
+        yield f"… and {len(result.open_ends) - _SHOWN} more open ends, which --json lists"
 
 
-def chosen(found: Any) -> Iterator[Line]:
+def chosen(result: Any) -> Iterator[Line]:
     """Yield a connection that was chosen by name.
 
     Args:
-        found: a `ChosenConnection`.
+        result: a `ChosenConnection`.
     """
-    yield from connections(found.search, found.connections)
+    yield from connections(result.search, result.connections)
 
 
-def refined(found: Any) -> Iterator[Line]:
+def refined(result: Any) -> Iterator[Line]:
     """Yield the decimal digits of a refined connection.
 
     Args:
-        found: a `RefinedConnection`.
+        result: a `RefinedConnection`.
     """
-    connection, orbit = found.connection, found.refined
-    place = f"{found.energy}{connection.source.system.unit('J')}"
+    connection, orbit = result.connection, result.refined
+    place = f"{result.energy}{connection.source.system.unit('J')}"
     yield f"{connection.name} at {place} in 113-bit arithmetic: {orbit.status}"
     yield from extended_text(orbit.digits, "  ")
-    yield f"  residual {found.residual} (largest gap between segments, in their units)"
+    yield f"  residual {result.residual} (largest gap between segments, in their units)"
 
 
-def symmetric(found: Any) -> Iterator[Line]:
+def symmetric(result: Any) -> Iterator[Line]:
     """Yield the symmetric connections of a family.
 
     Args:
-        found: a `SymmetricSearch`.
+        result: a `SymmetricSearch`.
     """
     yield table(
-        f"{found.saddle}, family {found.family}: symmetric homoclinics",
-        found.connections,
+        f"{result.saddle}, family {result.family}: symmetric homoclinics",
+        result.connections,
         {
             "name": "{.name}",
             "energy (J)": "{.source.energy:.12g}",
@@ -188,20 +188,20 @@ def symmetric(found: Any) -> Iterator[Line]:
             "middle (rad, rad/s)": lambda c: spaced(c.state, ".6f"),
         },
     )
-    yield found.status
+    yield result.status
 
 
-def bifurcations(found: Any) -> Iterator[Line]:
+def bifurcations(result: Any) -> Iterator[Line]:
     """Yield the events of a search for bifurcations.
 
     Args:
-        found: a `BifurcationSearch`.
+        result: a `BifurcationSearch`.
     """
-    unit, course = found.system.unit, found.course
+    unit, course = result.system.unit, result.course
     measured = _BRACKETS.format(course.unit.strip()) if course.unit else ""
     yield table(
-        f"{found.source} → {found.target}, {counted(found.crossings, 'crossing')} of {found.section.name}",
-        found.events,
+        f"{result.source} → {result.target}, {counted(result.crossings, 'crossing')} of {result.section.name}",
+        result.events,
         {
             f"{course.quantity}{measured}": "{.value:.10f}",
             f"energy{unit('J', _BRACKETS)}": "{.energy:.10f}",
@@ -213,31 +213,31 @@ def bifurcations(found: Any) -> Iterator[Line]:
             f"state{unit('rad, rad/s', _BRACKETS)}": lambda e: spaced(e.state, ".6f"),
         },
     )
-    yield found.status
+    yield result.status
 
 
-def atlas(found: Any) -> Iterator[Line]:
+def atlas(result: Any) -> Iterator[Line]:
     """Yield the orbits and connections of an atlas, and its file.
 
     Args:
-        found: an `Atlas`.
+        result: an `Atlas`.
     """
     yield table(
-        f"{found.model} at {found.energy:g}{found.unit('J')}: Lyapunov orbits",
-        found.orbits,
+        f"{result.model} at {result.energy:g}{result.unit('J')}: Lyapunov orbits",
+        result.orbits,
         {
             "about": "{.name}",
-            f"period{found.unit('s', _BRACKETS)}": "{.period:.12g}",
+            f"period{result.unit('s', _BRACKETS)}": "{.period:.12g}",
             "multiplier": "{0.floquet_multipliers[0].real:.10g}",
             "closure": "{.residual:.0e}",
         },
     )
-    yield _passages(found, found.transport)
-    if found.rotating_orbits:
-        yield _rotating_table(found)
+    yield _passages(result, result.transport)
+    if result.rotating_orbits:
+        yield _rotating_table(result)
     yield table(
         "connections",
-        found.kinds,
+        result.kinds,
         {
             "from → to": "{0.source} → {0.target}",
             "section": "{.section}",
@@ -246,44 +246,44 @@ def atlas(found: Any) -> Iterator[Line]:
             "cuts": lambda k: "closed" if k.complete else "open",
         },
     )
-    for c in found.connections:
+    for c in result.connections:
         also = ", symmetric" if c.symmetric else ""
         yield f"  {c.name}   {c.transversality_angle:.2f}°, residual {c.residual:.0e}{also}"
-    yield found.status
-    yield f"{', '.join(f'{name} {value:.2f} s' for name, value in found.seconds.items())} (when it was made)"
-    partial = any(kind.partial for kind in found.kinds)
+    yield result.status
+    yield f"{', '.join(f'{name} {value:.2f} s' for name, value in result.seconds.items())} (when it was made)"
+    partial = any(kind.partial for kind in result.kinds)
     nowhere = "none: a partial atlas is not cached; --out keeps it" if partial else "none: the cache cannot be written"
-    yield f"file  {found.file or nowhere}{' (cached)' if found.cached else ''}"
+    yield f"file  {result.file or nowhere}{' (cached)' if result.cached else ''}"
 
 
-def transport(found: Any) -> Iterator[Line]:
+def transport(result: Any) -> Iterator[Line]:
     """Yield the rates of passage through a neck.
 
     Args:
-        found: a `Transport`.
+        result: a `Transport`.
     """
-    yield _passages(found, [found])
-    yield found.status
+    yield _passages(result, [result])
+    yield result.status
 
 
-def _passages(found: Any, rates: Sequence[Any]) -> TextTable:
+def _passages(result: Any, rates: Sequence[Any]) -> TextTable:
     return table(
-        f"passages of the necks at {found.energy:g}{found.unit('J')}",
+        f"passages of the necks at {result.energy:g}{result.unit('J')}",
         rates,
         {
             "neck": "{.saddle}",
-            f"action{found.unit('J s', _BRACKETS)}": "{.action:.6g}",
-            f"volume{found.unit('J s²', _BRACKETS)}": "{.volume:.6g}",
-            f"mean time{found.unit('s', _BRACKETS)}": "{.mean_time:.5g}",
+            f"action{result.unit('J s', _BRACKETS)}": "{.action:.6g}",
+            f"volume{result.unit('J s²', _BRACKETS)}": "{.volume:.6g}",
+            f"mean time{result.unit('s', _BRACKETS)}": "{.mean_time:.5g}",
             "return at once": lambda r: " ".join("-" if share is None else f"{share:.1%}" for share in r.returns),
         },
     )
 
 
-def _rotating_table(found: Any) -> TextTable:
+def _rotating_table(result: Any) -> TextTable:
     return table(
         "orbits that turn one arm forward",
-        found.rotating_orbits,
+        result.rotating_orbits,
         {
             "arm": lambda o: ("inner", "outer")[o.arm - 1],
             "period (s)": "{.period:.12g}",
@@ -294,54 +294,54 @@ def _rotating_table(found: Any) -> TextTable:
     )
 
 
-def changes(found: Any) -> Iterator[Line]:
+def changes(result: Any) -> Iterator[Line]:
     """Yield the energies at which symbols select other connections.
 
     Args:
-        found: a `SymbolChanges`.
+        result: a `SymbolChanges`.
     """
-    yield from (one.sentence for one in found.changes)
-    yield found.status
+    yield from (change.sentence for change in result.changes)
+    yield result.status
 
 
-def graph(found: Any) -> Iterator[Line]:
+def graph(result: Any) -> Iterator[Line]:
     """Yield the connections of an energy, and the number of walks.
 
     Args:
-        found: an `Edges`.
+        result: an `Edges`.
     """
-    columns = {"from → to": "{0[0]} → {0[1]}", "count": lambda pair: str(len(found.between(*pair)))}
-    yield table(f"connections at {found.energy:g}{found.system.unit('J')}", found.searched, columns)
-    yield from (f"  {c.name}" for c in found.connections)
-    counts = ", ".join(f"{length}: {count:,}" for length, count in found.walks_by_length.items())
+    columns = {"from → to": "{0[0]} → {0[1]}", "count": lambda pair: str(len(result.between(*pair)))}
+    yield table(f"connections at {result.energy:g}{result.system.unit('J')}", result.searched, columns)
+    yield from (f"  {c.name}" for c in result.connections)
+    counts = ", ".join(f"{length}: {count:,}" for length, count in result.walks_by_length.items())
     yield f"walks by number of symbols: {counts}"
-    yield from (f"not there: {reason}" for _, reason in found.absent)
-    yield from (f"perhaps more: {note}" for note in found.notes)
+    yield from (f"not there: {reason}" for _, reason in result.absent)
+    yield from (f"perhaps more: {note}" for note in result.notes)
 
 
-def walks(found: Any) -> Iterator[Line]:
+def walks(result: Any) -> Iterator[Line]:
     """Yield walks without their orbits.
 
     Args:
-        found: a `WalkList`.
+        result: a `WalkList`.
     """
-    yield from ("  ".join(c.name for c in one.chain) for one in found.walks)
-    count = len(found.walks)
+    yield from ("  ".join(c.name for c in walk.chain) for walk in result.walks)
+    count = len(result.walks)
     yield "1 walk; --solve finds its orbit" if count == 1 else f"{count} walks; --solve finds their orbits"
 
 
-def solved(found: Any) -> Iterator[Line]:
+def solved(result: Any) -> Iterator[Line]:
     """Yield walks with their orbits, error estimates and files.
 
     Args:
-        found: a `SolvedWalks`.
+        result: a `SolvedWalks`.
     """
-    for number, answer in enumerate(found.answers, start=1):
+    for number, answer in enumerate(result.answers, start=1):
         yield f"walk {number}: " + "  ".join(c.name for c in answer.request.chain)
         yield from _solution(answer) if answer.converged else [f"  {answer.status}"]
         yield from [] if answer.file is None else [f"  {answer.file}"]
-    yield from drawn_to(found.film)
-    yield found.status
+    yield from drawn_to(result.film)
+    yield result.status
 
 
 def _solution(answer: Any) -> Iterator[Line]:
@@ -374,30 +374,30 @@ def _listing(wraps: Sequence[int]) -> str:
     return f"[{','.join(map(str, wraps))}]"
 
 
-def proof(found: Any) -> Iterator[Line]:
+def proof(result: Any) -> Iterator[Line]:
     """Yield a statement with its verdict, enclosures and certificate.
 
     Args:
-        found: a `Proof`.
+        result: a `Proof`.
     """
-    yield found.statement
-    yield f"  {found.status}"
-    for name, value in found.figures.items():
+    yield result.statement
+    yield f"  {result.status}"
+    for name, value in result.figures.items():
         if isinstance(value, list) and value and isinstance(value[0], dict):
-            yield from ("  " + ", ".join(f"{key} {one[key]}" for key in one) for one in value)
+            yield from ("  " + ", ".join(f"{key} {line[key]}" for key in line) for line in value)
         elif value != []:
             shown = "  ".join(map(str, value)) if isinstance(value, list) else str(value)
             yield f"  {name.replace('_', ' '):<14} {shown}"
-    yield f"  {found.seconds:.1f} s"
-    if found.file is not None:
-        yield f"  certificate    {found.file}"
+    yield f"  {result.seconds:.1f} s"
+    if result.file is not None:
+        yield f"  certificate    {result.file}"
 
 
-def check(found: Any) -> Iterator[Line]:
+def check(result: Any) -> Iterator[Line]:
     """Yield the verdict on a certificate.
 
     Args:
-        found: a `CertificateCheck`.
+        result: a `CertificateCheck`.
     """
-    yield f"checked: {found.status}" if found.proved else found.status
-    yield from (f"  {one}" for one in (found.statement or "").splitlines())
+    yield f"checked: {result.status}" if result.proved else result.status
+    yield from (f"  {line}" for line in (result.statement or "").splitlines())

@@ -7,32 +7,36 @@ from typing import Any
 from dpcontrol.words.table import Line
 
 
-def figures(found: Any) -> Iterator[Line]:
+def figures(result: Any) -> Iterator[Line]:
     """Yield file, caption and difference of each figure.
 
     Args:
-        found: a `DrawnFigures`.
+        result: a `DrawnFigures`.
     """
-    for one in found:
-        yield from (str(one.file), _paragraph(one.caption), _paragraph(f"Differs from the paper: {one.differs}"))
-    yield f"captions  {found.captions}"
+    for figure in result:
+        yield from (
+            str(figure.file),
+            _paragraph(figure.caption),
+            _paragraph(f"Differs from the paper: {figure.differs}"),
+        )
+    yield f"captions  {result.captions}"
 
 
-def charts(found: Any) -> Iterator[Line]:
+def charts(result: Any) -> Iterator[Line]:
     """Yield files, tables and findings of each chart.
 
     Args:
-        found: a `DrawnCharts`.
+        result: a `DrawnCharts`.
     """
-    for one in found:
-        yield from map(str, one.pictures)
-        for part in one.chart.parts:
+    for chart in result:
+        yield from map(str, chart.pictures)
+        for part in chart.chart.parts:
             yield from part.text()
-        yield from (f"  {line}" for line in one.chart.reading)
-        yield _paragraph(f"Chosen: {one.chart.chosen}")
-        yield f"  {one.data}, {one.seconds:.0f} s"
-    if not found.missed:
-        yield found.status
+        yield from (f"  {line}" for line in chart.chart.reading)
+        yield _paragraph(f"Chosen: {chart.chart.chosen}")
+        yield f"  {chart.data}, {chart.seconds:.0f} s"
+    if not result.missed:
+        yield result.status
 
 
 def _paragraph(text: str) -> str:

@@ -12,114 +12,114 @@ _LONG = 200
 """Number of characters of a metadata value to print."""
 
 
-def scores(found: Any) -> Iterator[Line]:
+def scores(result: Any) -> Iterator[Line]:
     """Yield the lines of each score or long run.
 
     Args:
-        found: a `Scores`.
+        result: a `Scores`.
     """
-    for one, why in zip_longest(found.results, found.whys):
-        yield from one.lines() if why is None else score_lines(one, why=why)
+    for score, why in zip_longest(result.results, result.whys):
+        yield from score.lines() if why is None else score_lines(score, why=why)
 
 
-def unscored(found: Any) -> Iterator[Line]:
+def unscored(result: Any) -> Iterator[Line]:
     """Yield a log without a score, and the reason.
 
     Args:
-        found: an `Unscored`.
+        result: an `Unscored`.
     """
-    yield from (found.log, f"  {found.reason}")
+    yield from (result.log, f"  {result.reason}")
 
 
-def night(found: Any) -> Iterator[Line]:
+def night(result: Any) -> Iterator[Line]:
     """Yield uptime, falls, cart, drift and interruptions of a long run.
 
     Args:
-        found: a `Night`.
+        result: a `Night`.
     """
-    yield str(found.folder)
-    yield f"  {found.sentence}"
-    if found.falls:
-        yield f"  falls    {', '.join(f'{cause} {count}' for cause, count in found.causes.items())}"
-    limit = found.digests[0].limit
+    yield str(result.folder)
+    yield f"  {result.sentence}"
+    if result.falls:
+        yield f"  falls    {', '.join(f'{cause} {count}' for cause, count in result.causes.items())}"
+    limit = result.digests[0].limit
     of = f" of {1e3 * limit:.0f}" if limit else ""
-    hits = found.stop_hits
+    hits = result.stop_hits
     yield (
-        f"  cart     {1e3 * found.cart:.1f}{of} mm at most, {hits or 'no'} end stop{'s' if hits > 1 else ''} hit; "
-        f"tracking {1e3 * found.tracking:.1f} mrad rms on the itinerary"
+        f"  cart     {1e3 * result.cart:.1f}{of} mm at most, {hits or 'no'} end stop{'s' if hits > 1 else ''} hit; "
+        f"tracking {1e3 * result.tracking:.1f} mrad rms on the itinerary"
     )
-    if found.drifts:
-        yield f"  drift    {', '.join(f'{d.name} {d.first:+.4f} to {d.last:+.4f}' for d in found.drifts)}"
-    if math.isfinite(found.memory_growth):
-        yield f"  memory   {found.memory_growth:.0%} of its size after the first file"
-    if (kept := found.deadlines) is not None:
+    if result.drifts:
+        yield f"  drift    {', '.join(f'{d.name} {d.first:+.4f} to {d.last:+.4f}' for d in result.drifts)}"
+    if math.isfinite(result.memory_growth):
+        yield f"  memory   {result.memory_growth:.0%} of its size after the first file"
+    if (finite := result.deadlines) is not None:
         yield (
-            f"  rig      {kept['missed']:,} of {kept['ticks']:,} deadlines missed, ticks began up to "
-            f"{1e3 * kept['worst']:.3g} ms late; {kept['lost']:,} readings lost, the bench repeated a command "
-            f"{kept['held']:,} times"
+            f"  rig      {finite['missed']:,} of {finite['ticks']:,} deadlines missed, ticks began up to "
+            f"{1e3 * finite['worst']:.3g} ms late; {finite['lost']:,} readings lost, the bench repeated a command "
+            f"{finite['held']:,} times"
         )
-    for span in found.unlogged:
+    for span in result.unlogged:
         yield f"  no log from {span.first / 60:.2f} to {span.end / 60:.2f} minutes"
-    for end in found.endings:
+    for end in result.endings:
         yield f"  ended at {end.time / 60:.2f} minutes: {end.text}"
-    for file in found.partials:
+    for file in result.partials:
         yield f"  beside it: {file}, of a night that was interrupted or is under way"
 
 
-def campaign(found: Any) -> Iterator[Line]:
+def campaign(result: Any) -> Iterator[Line]:
     """Yield success rates by group, and the reasons of failures.
 
     Args:
-        found: a `CampaignSummary`.
+        result: a `CampaignSummary`.
     """
-    yield f"{found.path}\n  {found.status}"
+    yield f"{result.path}\n  {result.status}"
     columns = {
         "runs": "{.label}",
         "completed": "{0.share.successes} of {0.share.runs}",
         "share": "{0.share.rate:.1%}",
         "95 % interval": "{0.share.low:.1%} to {0.share.high:.1%}",
     }
-    yield table("", found.groups, columns)
-    if found.reasons:
-        yield table("", found.reasons[:8], {"reason of failure": "{0[0]}", "runs": "{0[1]}"})
+    yield table("", result.groups, columns)
+    if result.reasons:
+        yield table("", result.reasons[:8], {"reason of failure": "{0[0]}", "runs": "{0[1]}"})
 
 
-def report(found: Any) -> Iterator[Line]:
+def report(result: Any) -> Iterator[Line]:
     """Yield what a page shows, and its file.
 
     Args:
-        found: a `Report`.
+        result: a `Report`.
     """
-    yield from found.result.lines()
-    if found.margins is not None:
-        yield f"  margins  {found.margins.status}"
-    yield f"page       {found.page}"
+    yield from result.result.lines()
+    if result.margins is not None:
+        yield f"  margins  {result.margins.status}"
+    yield f"page       {result.page}"
 
 
-def review(found: Any) -> Iterator[Line]:
+def review(result: Any) -> Iterator[Line]:
     """Yield the files of a review.
 
     Args:
-        found: a `Review`.
+        result: a `Review`.
     """
     for kind in ("recording", "film", "aligned"):
-        if value := getattr(found, kind):
+        if value := getattr(result, kind):
             yield f"{kind:<10} {value}"
 
 
-def summary(found: Any) -> Iterator[Line]:
+def summary(result: Any) -> Iterator[Line]:
     """Yield the content of a log.
 
     Args:
-        found: a `LogSummary`.
+        result: a `LogSummary`.
     """
-    checked = "integrity not checked" if found.rewritten else "checksums agree"
+    checked = "integrity not checked" if result.rewritten else "checksums agree"
     yield (
-        f"{found.log}: {found.duration:.3f} s at {found.rate_hz:g} Hz, {found.size / 1e6:.2f} MB, {checked}; "
-        f"layout {found.format}, by {found.program}; joints {', '.join(found.joints)}"
+        f"{result.log}: {result.duration:.3f} s at {result.rate_hz:g} Hz, {result.size / 1e6:.2f} MB, {checked}; "
+        f"layout {result.format}, by {result.program}; joints {', '.join(result.joints)}"
     )
-    if found.recovered:
-        yield f"  recovered; lost: {found.recovered}"
+    if result.recovered:
+        yield f"  recovered; lost: {result.recovered}"
     columns: dict[str, Any] = {
         "topic": "{.topic}",
         "type": "{.type}",
@@ -127,25 +127,25 @@ def summary(found: Any) -> Iterator[Line]:
         "messages": "{.count:,}",
         "Hz": lambda topic: "" if topic.rate_hz is None else f"{topic.rate_hz:.6g}",
     }
-    yield table("", found.topics, columns)
-    for name, size in found.attachments.items():
+    yield table("", result.topics, columns)
+    for name, size in result.attachments.items():
         yield f"  attachment {name}: {size:,} bytes"
-    for key, value in found.metadata.items():
+    for key, value in result.metadata.items():
         yield f"  {key}: {value if len(value) <= _LONG else f'{value[:_LONG]}…'}"
-    for file in found.partials:
+    for file in result.partials:
         yield f"  beside it: {file}, of an interrupted or current run"
 
 
-def recovery(found: Any) -> Iterator[Line]:
+def recovery(result: Any) -> Iterator[Line]:
     """Yield recovered ticks and losses.
 
     Args:
-        found: a `Recovery`.
+        result: a `Recovery`.
     """
-    if found.log == found.source:
-        yield f"{found.log} is readable as it is: there is nothing to recover"
+    if result.log == result.source:
+        yield f"{result.log} is readable as it is: there is nothing to recover"
         return
-    kept = f" and {', '.join(found.attachments)}" if found.attachments else ""
-    yield f"{found.log}: {found.ticks:,} ticks to {found.end_s:.3f} s{kept}, read back and sound"
-    yield f"  lost: {found.lost}" if found.lost else "  nothing is lost"
-    yield f"  {found.source} is kept; remove it once you have checked the new log"
+    attachments = f" and {', '.join(result.attachments)}" if result.attachments else ""
+    yield f"{result.log}: {result.ticks:,} ticks to {result.end_s:.3f} s{attachments}, read back and sound"
+    yield f"  lost: {result.lost}" if result.lost else "  nothing is lost"
+    yield f"  {result.source} is kept; remove it once you have checked the new log"

@@ -8,16 +8,16 @@ from dpcontrol.words.table import Line, drawn_to, table
 _ORIGIN = ("program", "code", "scene_hash", "model_hash")
 
 
-def plan(found: Any) -> Iterator[Line]:
+def plan(result: Any) -> Iterator[Line]:
     """Yield what was planned, with what was asked for beside it; nothing without a reference.
 
     Args:
-        found: a `Plan`.
+        result: a `Plan`.
     """
-    if not found.converged:
+    if not result.converged:
         return
-    reference, content = found.reference, found.content
-    yield found.itinerary.title
+    reference, content = result.reference, result.content
+    yield result.itinerary.title
     for symbol in content.symbols:
         named = f"{symbol.text!r} is {symbol.name}"
         yield f"  {named if symbol.name else f'{symbol.text}, a transfer at {symbol.time:.2f} s'}"
@@ -28,8 +28,8 @@ def plan(found: Any) -> Iterator[Line]:
         f"  cart             {reference.max_cart_position * 1e3:.1f} mm at most, "
         f"{reference.rms_cart_acceleration:.3f} m/s² rms, {reference.max_cart_acceleration:.3f} m/s² at most"
     )
-    yield f"{_file(found)}{' (cached)' if found.cached else ''}"
-    yield from (f"  caution          {caution.status}: {caution.remedy}" for caution in found.warnings)
+    yield f"{_file(result)}{' (cached)' if result.cached else ''}"
+    yield from (f"  caution          {caution.status}: {caution.remedy}" for caution in result.warnings)
     if costs := content.costs:
         columns: dict[str, Any] = {
             "transfer": "{0.text}",
@@ -38,21 +38,21 @@ def plan(found: Any) -> Iterator[Line]:
             "stroke (m)": "{0.stroke:.3g}",
         }
         yield table("", costs, columns)
-    if found.polished is not None and found.polished.converged:
-        yield from _polished(found.polished)
-    if found.margins is not None:
-        yield f"  margins          {found.margins.status}"
-    if found.energies is not None:
-        yield from (f"  energy           {found.energies.chosen}", *drawn_to(found.energies.file))
+    if result.polished is not None and result.polished.converged:
+        yield from _polished(result.polished)
+    if result.margins is not None:
+        yield f"  margins          {result.margins.status}"
+    if result.energies is not None:
+        yield from (f"  energy           {result.energies.chosen}", *drawn_to(result.energies.file))
 
 
-def _file(found: Any) -> str:
-    return f"  file             {found.written or 'none: the cache cannot be written'}"
+def _file(result: Any) -> str:
+    return f"  file             {result.written or 'none: the cache cannot be written'}"
 
 
-def _polished(found: Any) -> Iterator[Line]:
-    yield f"  polished         {found.status}"
-    yield _file(found.polished)
+def _polished(result: Any) -> Iterator[Line]:
+    yield f"  polished         {result.status}"
+    yield _file(result.polished)
     columns: dict[str, Any] = {
         "plan": "{0.name}",
         "∫u² (m²/s³)": "{0.effort:.3g}",
@@ -60,22 +60,22 @@ def _polished(found: Any) -> Iterator[Line]:
         "travel (m)": "{0.travel:.3g}",
         "from the orbits": "{0.nearest:.2g}",
     }
-    for mismatch in found.sides[0].completed:
+    for mismatch in result.sides[0].completed:
         columns[f"completed at ±{mismatch:.0%}"] = lambda side, m=mismatch: "{0.successes} of {0.runs}".format(
             side.completed[m]
         )
-    yield table("", found.sides, columns)
+    yield table("", result.sides, columns)
     yield "  The polished plan keeps crossings, windings and wraps; it need not come near the orbits."
 
 
-def reference(found: Any) -> Iterator[Line]:
+def reference(result: Any) -> Iterator[Line]:
     """Yield motion, mesh, error, effort, origin, limits and symbols of a reference.
 
     Args:
-        found: a `ReferenceFile`.
+        result: a `ReferenceFile`.
     """
-    document = found.document()
-    yield f"{found.file}: {document.get('title', 'a reference')}"
+    document = result.document()
+    yield f"{result.file}: {document.get('title', 'a reference')}"
     if "itinerary" in document:
         yield f"  itinerary    {document['itinerary']}, model {document['model']}, plan {document['plan']}"
     yield f"  status       {document['status']}"
@@ -107,13 +107,13 @@ def reference(found: Any) -> Iterator[Line]:
             "connection": lambda row: row[1]["name"] or "a transfer",
         }
         yield table("", enumerate(document["symbols"], start=1), shown)
-    yield from drawn_to(found.transitions)
+    yield from drawn_to(result.transitions)
 
 
-def planner(found: Any) -> Iterator[Line]:
+def planner(result: Any) -> Iterator[Line]:
     """Yield the address of the planner.
 
     Args:
-        found: a `Planner`.
+        result: a `Planner`.
     """
-    yield from (found.address, "Ctrl-C ends the planner")
+    yield from (result.address, "Ctrl-C ends the planner")

@@ -184,8 +184,8 @@ def conditions(settings: Sequence[Mapping[str, Any]], *, simulated: bool) -> str
     """
     shared = []
     for path, (text, factor) in {**(_SIMULATED if simulated else {}), **_TOLD}.items():
-        first, *others = (_at(one, path) for one in settings)
-        if all(value == first for value in others):
+        first, *rest = (_at(setting, path) for setting in settings)
+        if all(value == first for value in rest):
             values = first if isinstance(first, list) else [first]
             shared.append(text.format(" and ".join(f"{factor * value:,.6g}" for value in values)))
     return ", ".join(shared)
@@ -300,39 +300,39 @@ def repeat_lines(repeat: Any) -> Iterator[str]:
     yield f"  repeats {repeat.source}: {repeat.comparison.messages:,} messages are identical"
 
 
-def learnt_lines(found: Any) -> Iterator[Line]:
+def learnt_lines(result: Any) -> Iterator[Line]:
     """Yield what was learnt from runs, and the effort of the feedback before and after.
 
     Args:
-        found: a `Learnt`.
+        result: a `Learnt`.
     """
     columns = {"name": "{0[0]}", "value": "{0[1]:.9g}", "standard error": "{0[2]:.2g}"}
-    yield table("Ratios in SI units", found.rows, columns)
+    yield table("Ratios in SI units", result.rows, columns)
     yield from (
-        f"effort of the feedback after the first second: {found.effort_before:.3f} m/s² rms before, "
-        f"{found.effort_expected:.3f} expected",
-        found.plan.status,
+        f"effort of the feedback after the first second: {result.effort_before:.3f} m/s² rms before, "
+        f"{result.effort_expected:.3f} expected",
+        result.plan.status,
     )
-    if found.file is not None:
-        yield from (str(found.file), f"run its plan by `dpcontrol run {found.plan.written}`")
+    if result.file is not None:
+        yield from (str(result.file), f"run its plan by `dpcontrol run {result.plan.written}`")
 
 
-def commissioning_lines(found: Any) -> Iterator[str]:
+def commissioning_lines(result: Any) -> Iterator[str]:
     """Yield the findings of a commissioning with their remedies.
 
     Args:
-        found: a `Commissioning`.
+        result: a `Commissioning`.
     """
-    yield f"commissioning for {found.itinerary} on {found.bench or 'the example bench, simulated'}"
-    for finding in found.findings:
+    yield f"commissioning for {result.itinerary} on {result.bench or 'the example bench, simulated'}"
+    for finding in result.findings:
         yield f"  {finding.verdict:6}  {finding.step}: {finding.sentence}"
         if finding.remedy:
             yield f"          → {finding.remedy}"
-    if found.written is not None:
-        values = ", ".join(f"{key} = {value}" for key, value in found.changes.items())
-        yield f"{found.written}: [run] now has {values}"
-    elif found.unwritten and not found.changes:
-        yield found.unwritten
+    if result.written is not None:
+        values = ", ".join(f"{key} = {value}" for key, value in result.changes.items())
+        yield f"{result.written}: [run] now has {values}"
+    elif result.unwritten and not result.changes:
+        yield result.unwritten
 
 
 def bench_lines(bench: Any) -> Iterator[str]:
@@ -378,39 +378,39 @@ _SHOWN = 10
 """Number of failures to print; all of them are in the file."""
 
 
-def campaign_lines(found: Any) -> Iterator[Line]:
+def campaign_lines(result: Any) -> Iterator[Line]:
     """Yield the completed shares of a campaign with some of its failures.
 
     Args:
-        found: a `Campaign`.
+        result: a `Campaign`.
     """
-    if found.standard:
-        rates = {kind: f"{{0.kinds[{kind}].rate:.2f}}" for kind in found.standard[0].kinds}
+    if result.standard:
+        rates = {kind: f"{{0.kinds[{kind}].rate:.2f}}" for kind in result.standard[0].kinds}
         columns = {"controller": "{.controller}", "score": "{.total:.3f}", **rates}
-        yield table(f"Robustness of {found.itinerary}", found.standard, columns)
+        yield table(f"Robustness of {result.itinerary}", result.standard, columns)
     else:
-        yield from _cases(found)
-    pace = found.simulated_seconds / max(found.seconds, 1e-9)
-    took = f"{found.simulated_seconds:.0f} s simulated in {found.seconds:.1f} s"
-    yield f"{found.file}  ({took}, {pace:.0f} × real time)"
+        yield from _cases(result)
+    pace = result.simulated_seconds / max(result.seconds, 1e-9)
+    took = f"{result.simulated_seconds:.0f} s simulated in {result.seconds:.1f} s"
+    yield f"{result.file}  ({took}, {pace:.0f} × real time)"
 
 
-def _cases(found: Any) -> Iterator[Line]:
+def _cases(result: Any) -> Iterator[Line]:
     columns = {
         "case": "{0.case.label}",
         "completed": "{0.completed.successes} of {0.completed.runs}",
         "share": lambda r: f"{100 * r.completed.rate:.1f} %",
         "95 % (Wilson)": lambda r: f"{100 * r.completed.low:.1f} … {100 * r.completed.high:.1f} %",
     }
-    if any(r.returned for r in found.results):
+    if any(r.returned for r in result.results):
         columns["back after"] = lambda r: "{:.2f} s, 99 % {:.2f} s".format(*r.returned) if r.returned else ""
-    yield table(f"Campaign of {found.itinerary}", found.results, columns)
-    for first, second, pair in found.pairs:
+    yield table(f"Campaign of {result.itinerary}", result.results, columns)
+    for first, second, pair in result.pairs:
         yield (
             f"  same seeds: only {first!r} completed {pair.only_first}, only {second!r} {pair.only_second} "
             f"(McNemar p = {pair.p_value:.2g})"
         )
-    if found.transitions:
+    if result.transitions:
         columns = {
             "from": "{.source}",
             "to": "{.target}",
@@ -420,34 +420,34 @@ def _cases(found: Any) -> Iterator[Line]:
             "cart at most (m)": "{.max_cart_position:.3f}",
             "rms (m/s²)": "{.rms_cart_acceleration:.2f}",
         }
-        yield table("Each alone", found.transitions, columns)
-    failures = [row for r in found.results for row in r.failures]
+        yield table("Each alone", result.transitions, columns)
+    failures = [row for r in result.results for row in r.failures]
     for failure in failures[:_SHOWN]:
-        which = f"{failure['itinerary']}, " if found.transitions else ""
+        which = f"{failure['itinerary']}, " if result.transitions else ""
         yield f"  {which}seed {failure['seed']}: {failure['reason']}"
     if len(failures) > _SHOWN:
         yield f"  … and {len(failures) - _SHOWN} more in the file"
 
 
-def preflight_lines(found: Any) -> Iterator[Line]:
+def preflight_lines(result: Any) -> Iterator[Line]:
     """Yield the forecast of a first run: rate, causes of failure, borders, and what would help.
 
     Args:
-        found: a `Preflight`.
+        result: a `Preflight`.
     """
-    yield f"{found.itinerary}: {found.status}"
-    yield f"  {found.advice}"
-    yield from (f"  mind: {note}" for note in found.notes)
-    yield from (f"  caution: {caution.status}: {caution.remedy}" for caution in found.warnings)
-    yield table("", found.known, {"known of the bench": "{.name}", "": "{.value}", "from": "{.source}"})
-    if found.endings:
+    yield f"{result.itinerary}: {result.status}"
+    yield f"  {result.advice}"
+    yield from (f"  mind: {note}" for note in result.notes)
+    yield from (f"  caution: {caution.status}: {caution.remedy}" for caution in result.warnings)
+    yield table("", result.known, {"known of the bench": "{.name}", "": "{.value}", "from": "{.source}"})
+    if result.endings:
         columns = {
             "what ends it otherwise": "{.cause}",
-            "of all runs": lambda ending: f"{ending.runs / found.share.runs:.1%}",
+            "of all runs": lambda ending: f"{ending.runs / result.share.runs:.1%}",
             "for example seed": "{.seed}",
         }
-        yield table("", found.endings[:_SHOWN], columns)
-    if found.borders:
+        yield table("", result.endings[:_SHOWN], columns)
+    if result.borders:
         columns = {
             "half as often at": "{.name}",
             "set": "{.own}",
@@ -455,8 +455,8 @@ def preflight_lines(found: Any) -> Iterator[Line]:
             "95 %": lambda border: border.interval,
             "margin": lambda border: "" if border.margin is None else f"{border.margin:.1f} ×",
         }
-        yield table("", found.borders, columns)
-    if helping := [change for change in found.changes if change.gain > 2 * change.error]:
+        yield table("", result.borders, columns)
+    if helping := [change for change in result.changes if change.gain > 2 * change.error]:
         columns = {
             "what would help": "{.text}",
             "option": "{.typed}",

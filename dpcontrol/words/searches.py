@@ -180,17 +180,17 @@ def _followed(gap: Any, k: int) -> str:
 
 def bifurcations_sentence(r: Any) -> str:
     """Return the outcome of a search for bifurcations."""
-    found, unit = counted(len(r.events), "event"), r.course.unit
+    count, unit = counted(len(r.events), "event"), r.course.unit
     shown = [(*change.values, change.reason) for change in r.unexplained[:5]]
     gaps = "; ".join(f"{low:.6g} to {high:.6g}{unit}, {reason}" for low, high, reason in shown)
     single = [c for c in r.counts if not c.complete and (r.scatters_from is None or c.value < r.scatters_from)]
     single_at = "; ".join(f"at {c.value:.6g}{unit} {c.caveat}" for c in single[:3])
     begin = f"{r.counts[0].value:.6g}{unit}, just above the higher saddle's energy of {r.born or 0:.6g}{unit}"
     return _joined(
-        (not gaps, f"{found}; every change of the count over {len(r.counts)} {r.course.plural} is explained"),
+        (not gaps, f"{count}; every change of the count over {len(r.counts)} {r.course.plural} is explained"),
         (
             gaps,
-            f"{found} located, but not the cause of {counted(len(r.unexplained), 'change')} of the count: {gaps}",
+            f"{count} located, but not the cause of {counted(len(r.unexplained), 'change')} of the count: {gaps}",
         ),
         (r.born is not None, f"swept from {begin}: {counted(r.counts[0].count, 'connection')} there"),
         (

@@ -7,13 +7,13 @@ from dpcontrol.words.runs import score_lines
 from dpcontrol.words.table import Line, Markdown, table
 
 
-def description(found: Any) -> Iterator[Line]:
+def description(result: Any) -> Iterator[Line]:
     """Yield the parameters and equilibria of a model.
 
     Args:
-        found: a `ModelDescription`.
+        result: a `ModelDescription`.
     """
-    model = found.model
+    model = result.model
     values = {"parameter": "{0[0]}", "value": "{0[1][0]:.12g}", "unit": "{0[1][1]}"}
     yield table(f"{model.name}: {model.title}", model.parameters.named().items(), values)
     columns: dict[str, Any] = {
@@ -22,13 +22,13 @@ def description(found: Any) -> Iterator[Line]:
         "kind": "{0[1].kind}",
         f"eigenvalues{model.unit('1/s', ' ({})')}": lambda row: ", ".join(map(_eigenvalue, row[1].eigenvalues)),
     }
-    if any(found.need(name) for name in found.equilibria):
-        columns["need (m/s² per rad)"] = lambda row: f"{need:.0f}" if (need := found.need(row[0])) else ""
-    yield table("equilibria", found.equilibria.items(), columns)
+    if any(result.need(name) for name in result.equilibria):
+        columns["need (m/s² per rad)"] = lambda row: f"{need:.0f}" if (need := result.need(row[0])) else ""
+    yield table("equilibria", result.equilibria.items(), columns)
     for part, source in model.sources.items():
         yield f"[{part}] {source}"
-    if found.mjcf is not None:
-        yield f"arms for MuJoCo written to {found.mjcf}"
+    if result.mjcf is not None:
+        yield f"arms for MuJoCo written to {result.mjcf}"
 
 
 def _eigenvalue(value: complex) -> str:
@@ -51,46 +51,46 @@ def page(text: Any) -> Iterator[Line]:
     yield "`dpcontrol guide TOPIC` shows a page."
 
 
-def cache(found: Any) -> Iterator[Line]:
+def cache(result: Any) -> Iterator[Line]:
     """Yield the entries and sizes of the cache by kind.
 
     Args:
-        found: a `CacheContents`.
+        result: a `CacheContents`.
     """
-    yield found.sentence
+    yield result.sentence
     columns = {"kind": "{0[0]}", "entries": "{0[1][0]}", "MB": lambda row: f"{row[1][1] / 1e6:.1f}"}
-    yield table("", found.kinds.items(), columns)
+    yield table("", result.kinds.items(), columns)
 
 
-def configuration(found: Any) -> Iterator[Line]:
+def configuration(result: Any) -> Iterator[Line]:
     """Yield the configured defaults with their sources.
 
     Args:
-        found: a `Configuration`.
+        result: a `Configuration`.
     """
-    yield f"file  {found.file}{'' if found.exists else ' (not found)'}"
+    yield f"file  {result.file}{'' if result.exists else ' (not found)'}"
     columns = {
         "setting": "{.name}",
-        "value": lambda one: str(one.value) or "none",
+        "value": lambda setting: str(setting.value) or "none",
         "from": "{.source}",
         "variable": "{.variable}",
         "meaning": "{.help}",
     }
-    yield table("", found.settings, columns)
+    yield table("", result.settings, columns)
 
 
-def demonstration(found: Any) -> Iterator[Line]:
+def demonstration(result: Any) -> Iterator[Line]:
     """Yield what a demonstration planned, ran and wrote.
 
     Args:
-        found: a `Demonstration`.
+        result: a `Demonstration`.
     """
-    plan, log = found.plan, found.log
+    plan, log = result.plan, result.log
     yield f"{plan.itinerary.title}: {' '.join(repr(symbol.text) for symbol in plan.content.symbols)}"
     yield f"  planned: {plan.status}"
-    yield from score_lines(found.score)
+    yield from score_lines(result.score)
     yield f"log        {log}"
-    if found.recording:
-        yield f"recording  {found.recording}     (open it with `rerun {found.recording}`)"
-    yield f"picture    {found.picture}"
-    yield f"{found.seconds:.1f} s in all; next: `dpcontrol review {log}`, `dpcontrol connect --help`"
+    if result.recording:
+        yield f"recording  {result.recording}     (open it with `rerun {result.recording}`)"
+    yield f"picture    {result.picture}"
+    yield f"{result.seconds:.1f} s in all; next: `dpcontrol review {log}`, `dpcontrol connect --help`"

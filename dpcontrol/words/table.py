@@ -31,7 +31,7 @@ def table(title: str, items: Iterable[Any], columns: Mapping[str, str | Callable
         items: objects, one for each row.
         columns: heading -> format or function of the item.
     """
-    rows = [[show.format(one) if isinstance(show, str) else show(one) for show in columns.values()] for one in items]
+    rows = [[show.format(row) if isinstance(show, str) else show(row) for show in columns.values()] for row in items]
     return TextTable(title, tuple(columns), rows)
 
 
