@@ -127,9 +127,8 @@ class Swings:
 
 def _nominal(arms: ArmChainParameters) -> ArmChainParameters:
     """Return arms that represent all of the same count, gravity, friction laws and smoothing."""
-    ones = (1.0,) * arms.count
     names = ("mass", "centre_of_mass", "length", "inertia", "viscous", *arms.friction)
-    return replace(arms, **dict.fromkeys(names, ones))
+    return replace(arms, **dict.fromkeys(names, (1.0,) * arms.count))
 
 
 @cache
@@ -423,57 +422,73 @@ def fit_swings(
     if near is None:
         for windows, swing in zip(cut.of_swing, swings, strict=True):
             starts[windows, :arms] -= zeros[swing.group]
-    now = cut.linearised(starts, values, where)
+    now = _Iterate(starts, values, cut.linearised(starts, values, where))
     threshold, converged, iteration, status = np.inf, False, 0, ""
     for iteration in range(1, settings.iterations + 1):
         if iteration <= _STILL_ADAPTING:
-            threshold = _threshold(now, settings)
-        normal = _normal(now, threshold)
+            threshold = _threshold(now.linearised, settings)
+        normal = _normal(now.linearised, threshold)
         if not np.isfinite(normal.scaled).all():
             status = "errors grow too much along a swing to determine its start; cut the swings shorter"
             break
-        step, firsts = _step(normal, values[where], lower[where])
-        better, share = None, 1.0
-        new_values, new_starts = values, starts
-        for _ in range(_HALVINGS):
-            new_values = values.copy()
-            new_values[where] += share * step
-            new_starts = starts.copy()
-            for chain, windows, first in zip(now.swings, cut.of_swing, firsts, strict=True):
-                direction = np.concatenate([first, step])
-                for w, node, offset in zip(windows, chain.nodes, chain.offsets, strict=True):
-                    new_starts[w] += share * (node @ direction + offset)
-            trial = cut.linearised(new_starts, np.maximum(new_values, lower), where)
-            # Rounding may raise the misfit of a full step, but must not accept ever shorter ones.
-            if trial.finite and trial.merit(threshold) < now.merit(threshold) * (1 + 1e-12 * (share == 1.0)):
-                better = trial
-                break
-            share /= 2
+        better, share = _improved(now, cut, where, lower, normal, threshold)
         if better is None:
-            converged = now.gap < 1e-6
+            converged = now.linearised.gap < 1e-6
             status = "" if converged else "no step reduced the misfit; check units, signs and the starting model"
             break
-        gained = 1 - better.merit(threshold) / max(now.merit(threshold), 1e-300)
-        now, starts, values = better, new_starts, np.maximum(new_values, lower)
-        if share == 1.0 and gained < settings.tolerance and now.gap < 1e-7 and iteration > 2:
+        gained = 1 - better.linearised.merit(threshold) / max(now.linearised.merit(threshold), 1e-300)
+        now = better
+        if share == 1.0 and gained < settings.tolerance and now.linearised.gap < 1e-7 and iteration > 2:
             converged = True
             break
     if not converged and not status:
         status = f"still improving after {settings.iterations} steps; increase the limit, or start from a better model"
-    normal = _normal(now, threshold)
+    normal = _normal(now.linearised, threshold)
     return SwingFit(
-        parameters=values[:m],
-        zeros=values[m:].reshape(zeros.shape),
-        residuals=[chain.residual for chain in now.swings],
+        parameters=now.values[:m],
+        zeros=now.values[m:].reshape(zeros.shape),
+        residuals=[chain.residual for chain in now.linearised.swings],
         information=normal.reduced,
-        scores=[_scores(chain, mixed, threshold) for chain, mixed in zip(now.swings, normal.mixed, strict=True)],
+        scores=[
+            _scores(chain, mixed, threshold) for chain, mixed in zip(now.linearised.swings, normal.mixed, strict=True)
+        ],
         unknowns=where,
-        window_starts=starts,
-        gap=now.gap,
+        window_starts=now.starts,
+        gap=now.linearised.gap,
         iterations=iteration,
         converged=converged,
         status=status or f"converged in {iteration} steps",
     )
+
+
+class _Iterate(NamedTuple):
+    """Starts (W, 2n) of the windows and values of all parameters and zeros, with the linearisation at them."""
+
+    starts: Array
+    values: Array
+    linearised: "Linearised"
+
+
+def _improved(
+    now: _Iterate, cut: Windows, where: NDArray[np.intp], lower: Array, normal: "_Normal", threshold: float
+) -> tuple[_Iterate | None, float]:
+    """Return the iterate after the largest halved step that reduces the misfit, None if no one does, and its share."""
+    step, firsts = _step(normal, now.values[where], lower[where])
+    share = 1.0
+    for _ in range(_HALVINGS):
+        values, starts = now.values.copy(), now.starts.copy()
+        values[where] += share * step
+        for chain, windows, first in zip(now.linearised.swings, cut.of_swing, firsts, strict=True):
+            direction = np.concatenate([first, step])
+            for w, node, offset in zip(windows, chain.nodes, chain.offsets, strict=True):
+                starts[w] += share * (node @ direction + offset)
+        values = np.maximum(values, lower)
+        trial = cut.linearised(starts, values, where)
+        # Rounding may raise the misfit of a full step, but must not accept ever shorter ones.
+        if trial.finite and trial.merit(threshold) < now.linearised.merit(threshold) * (1 + 1e-12 * (share == 1.0)):
+            return _Iterate(starts, values, trial), share
+        share /= 2
+    return None, share
 
 
 def fit_starts(

@@ -392,22 +392,7 @@ def identify(
             f"least {settings.left_out}"
         )
     fitted, left_out = ([swings[k] for k in np.flatnonzero(which)] for which in (used, ~used))
-    choices = {"free": (True,), "none": (False,), "chosen": (False, True)}[settings.zeros]
-    ways = [(laws, zeros) for laws in settings.laws for zeros in choices]
-    candidates: list[Candidate] = []
-    reasons: list[str] = []
-    for number, (laws, zeros) in enumerate(ways):
-        doing = ", ".join(["viscous", *laws, *(["zeros"] if zeros else [])])
-        progress(f"fit {doing}", number / (len(ways) + 1))
-        near = candidates[-1] if candidates and candidates[-1].laws == laws else None
-        candidate = _fitted(fitted, left_out, with_laws(start, laws), zeros, settings.fit, near)
-        if candidate.fit.converged and candidate.predicted.converged:
-            candidates.append(candidate)
-        else:
-            reasons.append(f"{' + '.join(candidate.terms)}: {candidate.fit.status}")
-    if not candidates:
-        raise GoalMissed(f"no candidate could be fitted; {reasons[0]}")
-    progress("uncertainty", len(ways) / (len(ways) + 1))
+    candidates, reasons = _candidates(fitted, left_out, start, settings, progress)
     nothing = np.zeros((1 + max(s.group for s in swings), start.count))
     before = fit_starts(
         Swings(start), left_out, parameters=base_ratios(start), zeros=nothing, settings=settings.fit
@@ -422,8 +407,7 @@ def identify(
         values = np.concatenate([values, best.fit.zeros.ravel()])
     rubbing = np.arange(len(values)) >= inertial_count(arms.count)
     rubbing[len(best.fit.parameters) :] = False
-    bound = rubbing & (values <= 0)
-    covariance, errors = covariance_at_bounds(best.fit, bound)
+    covariance, errors = covariance_at_bounds(best.fit, rubbing & (values <= 0))
     of_used, of_left = iter(best.fit.residuals), iter(best.predicted.residuals)
     residuals = [next(of_used if segment else of_left) for segment in used]
     progress("done", 1.0)
@@ -451,6 +435,33 @@ def identify(
         residuals=tuple(residuals),
         status=f"{' + '.join(best.terms)}: {best.fit.status}{failed}",
     )
+
+
+def _candidates(
+    fitted: list[Swing],
+    left_out: list[Swing],
+    start: ArmChainParameters,
+    settings: IdentificationSettings,
+    progress: Progress,
+) -> tuple[list[Candidate], list[str]]:
+    """Return the candidates that converged, for each choice of laws and zeros, and the reasons of the others."""
+    choices = {"free": (True,), "none": (False,), "chosen": (False, True)}[settings.zeros]
+    ways = [(laws, zeros) for laws in settings.laws for zeros in choices]
+    candidates: list[Candidate] = []
+    reasons: list[str] = []
+    for number, (laws, zeros) in enumerate(ways):
+        doing = ", ".join(["viscous", *laws, *(["zeros"] if zeros else [])])
+        progress(f"fit {doing}", number / (len(ways) + 1))
+        near = candidates[-1] if candidates and candidates[-1].laws == laws else None
+        candidate = _fitted(fitted, left_out, with_laws(start, laws), zeros, settings.fit, near)
+        if candidate.fit.converged and candidate.predicted.converged:
+            candidates.append(candidate)
+        else:
+            reasons.append(f"{' + '.join(candidate.terms)}: {candidate.fit.status}")
+    if not candidates:
+        raise GoalMissed(f"no candidate could be fitted; {reasons[0]}")
+    progress("uncertainty", len(ways) / (len(ways) + 1))
+    return candidates, reasons
 
 
 def choose(candidates: Sequence[Candidate]) -> int:
