@@ -49,10 +49,9 @@ def connections_chart(quick: bool, progress: Progress) -> ChartPage:
         quick: fewer settings and connections.
         progress: called with a label and the completed share.
     """
-    system = load_model("lab").system
     orbits = orbit_panel(part_of(progress, 0.0, 0.2), quick=quick)
     progress("connections: truth in 113 bits", 0.2)
-    orbit = lyapunov_orbit(system, "down-up", energy=ENERGY)
+    orbit = lyapunov_orbit(load_model("lab").system, "down-up", energy=ENERGY)
     truths = true_states(orbit, count=1 if quick else 3)
     searches = search_panel(orbit, truths, part_of(progress, 0.4, 0.9), quick=quick)
     progress("connections: three bodies", 0.9)

@@ -127,21 +127,22 @@ def _points(panel: Diagram, looks: dict[str, Look]) -> Iterator[Layer]:
     yield "default of dpcontrol", [_place(panel, p) for p in panel.defaults], {**_DEFAULT, "zorder": 4}
 
 
-def _borders(one: EdgeMap) -> Iterator[Layer]:
-    rows = list(enumerate(one.borders))
+def _borders(edge_map: EdgeMap) -> Iterator[Layer]:
+    rows = list(enumerate(edge_map.borders))
     marks: Look = {"linestyle": "none", "markersize": 5}
     trials = [(y, k, attempt.works) for k, b in rows for y, attempt in b.trials]
-    yield one.near, [(y, k) for y, k, works in trials if works], {**marks, "marker": "o", "color": GOOD}
-    yield one.far, [(y, k) for y, k, works in trials if not works], {**marks, "marker": "x", "color": LIMIT}
+    yield edge_map.near, [(y, k) for y, k, works in trials if works], {**marks, "marker": "o", "color": GOOD}
+    yield edge_map.far, [(y, k) for y, k, works in trials if not works], {**marks, "marker": "x", "color": LIMIT}
     measured = [(b.measured, k) for k, b in rows if b.measured is not None]
     yield "measured", measured, {**marks, "marker": "|", "color": INK, "markersize": 14}
     predicted = [(b.predicted, k) for k, b in rows if b.predicted is not None]
     yield "predicted", predicted, {**marks, "marker": "D", "color": MARK, "markersize": 7, "markerfacecolor": "none"}
-    x, value = one.default or (None, 0.0)
+    x, value = edge_map.default or (None, 0.0)
     yield "default of dpcontrol", [(value, k) for k, b in rows if b.x == x], _DEFAULT
 
 
 def _label(panel: Diagram, point: Point) -> str:
+    """Return a point's text: the method at its first point, the setting, in full panels only on the front."""
     full = len(panel.points) > MOST_LABELS
     setting = "" if full and not point.default and point not in panel.front else point.setting
     named = point is next(p for p in panel.points if p.method == point.method)
@@ -190,7 +191,7 @@ class DrawnCharts(Documented):
     @property
     def complaints(self) -> tuple[str, ...]:
         """Defaults off their front, and limits that differ from their prediction."""
-        return tuple(text for one in self.charts for text in one.chart.complaints)
+        return tuple(text for drawn in self.charts for text in drawn.chart.complaints)
 
     @property
     def status(self) -> str:

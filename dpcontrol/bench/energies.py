@@ -44,12 +44,7 @@ def energies_chart(itinerary: Itinerary, progress: Progress = no_progress) -> Ch
     """
     walk, system = only_walk(itinerary), itinerary.model.system
     symbols = parse_walk(walk.walk, system.saddles)
-    names = {
-        saddle
-        for symbol in symbols
-        for simple_symbol in symbol.simple
-        for saddle in (simple_symbol.source, simple_symbol.target)
-    }
+    names = {saddle for symbol in symbols for part in symbol.simple for saddle in (part.source, part.target)}
     floor = max(equilibrium(system, name).energy for name in names)
     points, missing = [], []
     branches = {s.text: SymbolBranches(system, s) for s in symbols if not s.parts and s.name is None}
@@ -70,24 +65,14 @@ def energies_chart(itinerary: Itinerary, progress: Progress = no_progress) -> Ch
         progress(label, k / len(ENERGIES))
         try:
             texts = tuple(symbol_at_energy(text, energy) for text in walk.walk)
-            at_this_energy = at_energy(itinerary, replace(walk, energy=energy, walk=texts), RUNS)
+            effort = at_energy(itinerary, replace(walk, energy=energy, walk=texts), RUNS)
         except (InputError, GoalMissed) as error:
             missing.append(Missing("loop", label, str(error)))
             continue
-        points.append(Point("reference", label, energy - floor, at_this_energy["reference"], others=at_this_energy))
-        if at_this_energy["completed"]:
-            note = f"{at_this_energy['completed']:.0%} come through"
-            points.append(
-                Point(
-                    "loop",
-                    label,
-                    energy - floor,
-                    at_this_energy["loop"],
-                    factor == 1.0,
-                    note=note,
-                    others=at_this_energy,
-                )
-            )
+        points.append(Point("reference", label, energy - floor, effort["reference"], others=effort))
+        if effort["completed"]:
+            note = f"{effort['completed']:.0%} come through"
+            points.append(Point("loop", label, energy - floor, effort["loop"], factor == 1.0, note=note, others=effort))
         else:
             missing.append(Missing("loop", label, f"no run completes at ±{MISMATCH:.0%}"))
     if not any(p.default for p in points):

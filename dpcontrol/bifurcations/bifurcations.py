@@ -504,9 +504,11 @@ class Sweep:
         return float(q), float(p)
 
     def _placed(self, state: Array, value: float) -> Array:
+        """Return the point (q, p/p₀) of a state on the section."""
         return section_points(self.problem.course.at(value)[0], self.problem.section(value), state)
 
     def _first_crossing(self, link: Link, value: float) -> Array:
+        """Return the point (q, p/p₀) at which a connection first crosses the section, nan if it does not."""
         state = first_crossing(self.problem, link, value)
         return np.full(2, np.nan) if state is None else self._placed(state, value)
 

@@ -26,7 +26,7 @@ class Share:
 
     @property
     def likely(self) -> bool | None:
-        """True if the share is at least 0.9 with confidence, False if less than 0.5 with confidence, None in between."""
+        """True if the share is at least 0.9, False if less than 0.5, both with confidence; None in between."""
         return True if self.low >= 0.9 else False if self.high < 0.5 else None
 
     @property

@@ -182,8 +182,9 @@ def run_view(log: RunLog) -> RunView:
 def _with_falls(log: RunLog, states: Array, plan: Reference, planned: PlanView) -> tuple[PlanView, Decoded]:
     """Return plan and decoded ticks of a run with falls, both on the clock of the run."""
     n, stretches = len(log.arm_lengths), stretches_of(log)
-    applied = log.control["applied"]
-    flown = Flown(log.time, states, log.reference[:, :n], applied, log.rate_hz, log.limits, stretches=stretches)
+    flown = Flown(
+        log.time, states, log.reference[:, :n], log.control["applied"], log.rate_hz, log.limits, stretches=stretches
+    )
     run = spliced(flown, plan)
     rows = np.concatenate([rows for rows, _ in counted(stretches, rate_hz=log.rate_hz)])
     decoded = decode_run(run.time, run.angles, plan)

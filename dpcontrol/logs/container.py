@@ -101,8 +101,8 @@ def located(data: bytes, tick: TickLayout) -> dict[str, LocatedMessages]:
     places: dict[int, list[int]] = {number: [] for number in tick.channels.values()}
     block = tick.block
     beginning, size = block.template[: _RECORD.size], len(block.template)
-    place, whole, unpack = 0, len(data), _RECORD.unpack_from
-    while place < whole:
+    place, end, unpack = 0, len(data), _RECORD.unpack_from
+    while place < end:
         if data.startswith(beginning, place):
             ticks.append(place)
             place += size
@@ -111,7 +111,7 @@ def located(data: bytes, tick: TickLayout) -> dict[str, LocatedMessages]:
         if opcode == Opcode.MESSAGE:
             places[channel].append(place)
         place += LENGTH_FROM + length
-    if place != whole:
+    if place != end:
         raise ValueError("a record runs over the end of its chunk")
     fields: Any = block.kind.fields
     messages = {}

@@ -1,4 +1,4 @@
-"""Identification on one page, with its accuracy on recordings that the fit did not use; or the best recordings to make."""
+"""Identification on one page: accuracy on recordings that the fit did not use; or the best recordings to make."""
 
 from functools import partial
 from itertools import cycle

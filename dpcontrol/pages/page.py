@@ -186,11 +186,10 @@ def _draw_compared(axes: Axes, chart: Chart, comparison: RunComparison) -> None:
 
 def compared_charts(comparison: RunComparison) -> tuple[Chart, ...]:
     """Return the common charts with a line for each run, and with the reference and levels of the first run."""
-    first = comparison.runs[0].view
     every = [charts(run.view) for run in comparison.runs]
     wanted = [
         ("angles", f"angle_{arm + 1}", f"Arm {arm + 1}'s angle θ{style.number(arm)}", f"arm_{arm + 1}/")
-        for arm in range(min(first.arms, 2))
+        for arm in range(min(comparison.runs[0].view.arms, 2))
     ] + [
         ("cart", "cart", "Cart position", ""),
         ("tracking_error", "tracking_error", "Tracking error, largest of the angles", ""),

@@ -118,9 +118,9 @@ def name_curves(axes: Axes, names: Sequence[tuple[Any, ...]]) -> None:
         axes: panel with the curves.
         names: height of the curve's end in data, text and colour of each name, and its kind of line if not solid.
     """
-    ends = sorted(names, reverse=True)
     lines = [
-        Line2D([], [], label=text, color=colour, linestyle=line[0] if line else "-") for _, text, colour, *line in ends
+        Line2D([], [], label=text, color=colour, linestyle=line[0] if line else "-")
+        for _, text, colour, *line in sorted(names, reverse=True)
     ]
     place: dict[str, Any] = {"loc": "center left", "bbox_to_anchor": (1.0, 0.5), "borderaxespad": 0.4}
     axes.legend(handles=lines, handlelength=1.4, labelcolor="linecolor", **place)

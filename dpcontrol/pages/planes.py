@@ -122,6 +122,5 @@ def arm_points(angles: Array, arm_lengths: Sequence[float]) -> Array:
     Returns:
         (K, n+1, 2) in m.
     """
-    lengths = np.asarray(arm_lengths)
-    steps = np.stack([np.sin(angles), -np.cos(angles)], axis=-1) * lengths[:, None]
+    steps = np.stack([np.sin(angles), -np.cos(angles)], axis=-1) * np.asarray(arm_lengths)[:, None]
     return np.concatenate([np.zeros((len(angles), 1, 2)), np.cumsum(steps, axis=1)], axis=1)

@@ -178,8 +178,7 @@ def record_chart(recording: rr.RecordingStream, chart: Chart, view: RunView) -> 
     """
     if not chart.key:
         return
-    ends = view.time[[0, -1]]
-    levels = [Line(x.key, x.name, "", ends, np.full(2, x.value), x.colour, 1.0) for x in chart.levels]
+    levels = [Line(x.key, x.name, "", view.time[[0, -1]], np.full(2, x.value), x.colour, 1.0) for x in chart.levels]
     for line in chart.lines:
         _line(recording, f"{PLOTS}/{chart.key}/{line.key}", line, gaps=gap_times(view))
     for line in levels:

@@ -40,7 +40,7 @@ of kilobytes.
 import json
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import MISSING, asdict, dataclass, field, fields, is_dataclass, replace
 from io import BytesIO
@@ -216,20 +216,7 @@ def compute_atlas(
         raise InputError("; ".join(dict.fromkeys(reason for _, reason in absent)))
     # Only the first of each saddle's families has sections to cut.
     first = {orbit.saddle: orbit for orbit in orbits if orbit.family == 0}
-    pairs = [pair for pair in system.sections if pair[0] in first and pair[1] in first]
-    with _timed(seconds, "jit"):
-        _compile(system, [system.sections[pair] for pair in pairs])
-    tubes = TubeCuts(system, settings.search)
-    hits = [(hit, hit) for hit in range(1, settings.last_hit + 1)] if settings.hits is None else [settings.hits]
-    with _timed(seconds, "connections"):
-        within = part_of(progress, 0.2, 0.9)
-        searches = search_pairs(tubes, first, pairs, hits, until_found=True, yes=yes, progress=within)
-        connections = tuple(_sampled_connection(c) for result in searches for c in result.search.connections)
-    seconds["tubes"], seconds["connections"] = tubes.seconds, seconds["connections"] - tubes.seconds
-    progress("tubes", 0.9)
-    with _timed(seconds, "tubes"):
-        cuts = tuple(_sampled_cut(tubes.manifold(first[saddle]), cut, settings)
-                     for (saddle, _, _), cut in tubes.cuts.items())  # fmt: skip
+    kinds, connections, cuts = _connected(system, first, settings, seconds, yes=yes, progress=progress)
     with _timed(seconds, "orbits"):
         samples = tuple(_sampled_orbit(orbit) for orbit in orbits)
         progress("rotating orbits", 0.95)
@@ -238,7 +225,6 @@ def compute_atlas(
             for arm in ((1, 2) if can_rotate(system) else ())
             for orbit in rotating_orbits(system, arm, energy)
         )
-    kinds = tuple(_kind(result) for result in searches)
     progress("atlas", 1.0)
     return Atlas(
         model=model.name,
@@ -259,6 +245,33 @@ def compute_atlas(
         si=system.si,
         transport=tuple(transport(orbit) for orbit in orbits if system.dimension == 4),
     )
+
+
+def _connected(
+    system: System,
+    orbits: Mapping[str, LyapunovOrbit],
+    settings: AtlasSettings,
+    seconds: dict[str, float],
+    *,
+    yes: bool,
+    progress: Progress,
+) -> tuple[tuple[AtlasKind, ...], tuple[AtlasConnection, ...], tuple[AtlasCut, ...]]:
+    """Return kinds and samples of the connections between orbits, by saddle, and the cuts that the searches made."""
+    pairs = [pair for pair in system.sections if pair[0] in orbits and pair[1] in orbits]
+    with _timed(seconds, "jit"):
+        _compile(system, [system.sections[pair] for pair in pairs])
+    tubes = TubeCuts(system, settings.search)
+    hits = [(hit, hit) for hit in range(1, settings.last_hit + 1)] if settings.hits is None else [settings.hits]
+    with _timed(seconds, "connections"):
+        within = part_of(progress, 0.2, 0.9)
+        searches = search_pairs(tubes, orbits, pairs, hits, until_found=True, yes=yes, progress=within)
+        connections = tuple(_sampled_connection(c) for result in searches for c in result.search.connections)
+    seconds["tubes"], seconds["connections"] = tubes.seconds, seconds["connections"] - tubes.seconds
+    progress("tubes", 0.9)
+    with _timed(seconds, "tubes"):
+        cuts = tuple(_sampled_cut(tubes.manifold(orbits[saddle]), cut, settings)
+                     for (saddle, _, _), cut in tubes.cuts.items())  # fmt: skip
+    return tuple(map(_kind, searches)), connections, cuts
 
 
 @contextmanager

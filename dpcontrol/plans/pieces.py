@@ -430,8 +430,9 @@ class _Story:
         before = self.stops[-1]
         winding = np.rint((angles - np.asarray(before.angles)) / (2 * np.pi))
         turns = tuple(int(turn) for turn in winding)
-        time = sum(self.transfers[-1]) / 2
-        symbol = PlanSymbol(text=text, time=time, source=before.saddle, target=name, winding=turns)
+        symbol = PlanSymbol(
+            text=text, time=sum(self.transfers[-1]) / 2, source=before.saddle, target=name, winding=turns
+        )
         self._arrive(name, angles, place, symbol, None)
 
     def follow(self, goal: Goal, lift: Array, begin: float) -> None:

@@ -210,16 +210,15 @@ def plan_cost(itinerary: Itinerary) -> Cost:
         itinerary: itinerary to plan.
     """
     periods, transfers = _extent(itinerary)
-    amounts = _amounts(itinerary)
-    longest = max(amounts, key=lambda name: amounts[name])
-    of = "symbols" if longest == "walk" else "in all"
-    key = f"{itinerary.path}: {longest}, {amounts[longest]:,} {of}"
-    each = _TRANSFER if itinerary.model.arms.count < 3 else _TRANSFER_OF_MORE
-    if each * transfers > _SECONDS * periods:
-        key = f"{itinerary.path}: parts, {len(itinerary.parts):,} in all"
-    seconds, memory = _SECONDS * periods + each * transfers, _MEMORY * (periods + _FLIGHT * transfers)
+    of_walks = _SECONDS * periods
+    of_transfers = (_TRANSFER if itinerary.model.arms.count < 3 else _TRANSFER_OF_MORE) * transfers
+    # The user is told the key of the file that makes planning long.
+    key, amount = max(_amounts(itinerary).items(), key=lambda item: item[1])
+    if of_transfers > of_walks:
+        key, amount = "parts", len(itinerary.parts)
+    longest = f"{itinerary.path}: {key}, {amount:,} {'symbols' if key == 'walk' else 'in all'}"
     work = f"a reference of {periods:,} periods" + (f" and {transfers:,} transfers" if transfers else "")
-    return Cost(work, seconds, memory, key)
+    return Cost(work, of_walks + of_transfers, _MEMORY * (periods + _FLIGHT * transfers), longest)
 
 
 _PERIOD, _TRANSFER_LASTS = 0.7, 2.5

@@ -202,7 +202,7 @@ def _connections(itinerary: Itinerary, part: WalkPart, progress: Progress) -> tu
     except (InputError, GoalMissed) as error:
         # The name of a connection is valid at one energy only.
         named = any(simple.name is not None for symbol in symbols for simple in symbol.simple)
-        more = "" if named else f"; {_other_energies(system, part)}"
+        more = "" if named else f"; {_other_energies(system, part, pairs)}"
         symbol = None if error.symbol is None else _first_symbol(itinerary, part) + error.symbol
         raise type(error)(f"{error}{more}", symbol=symbol) from error
 
@@ -213,10 +213,8 @@ _LOST = 1e11
 """Unstable multiplier above which rounding destroys an orbit's tubes within a period."""
 
 
-def _other_energies(system: System, part: WalkPart) -> str:
-    """Return a sentence on nearby energies that have all connections of a part's walk."""
-    symbols = parse_walk(part.walk, system.saddles)
-    pairs = list(dict.fromkeys((s.source, s.target) for symbol in symbols for s in symbol.simple))
+def _other_energies(system: System, part: WalkPart, pairs: Sequence[tuple[str, str]]) -> str:
+    """Return a sentence on nearby energies at which a walk along these `pairs` of saddles has all connections."""
     heights = {name: equilibrium.energy for name, equilibrium in equilibria(system).items()}
     stops = list(dict.fromkeys(name for pair in pairs for name in pair))
     low, top = max(heights[name] for name in stops), max(heights.values())

@@ -44,8 +44,7 @@ def rig_oddities(
 
 def _check_arms(loop: LoopSettings, arms: int) -> None:
     """Check the settings that have a value for each arm, or count arms."""
-    sensor = loop.sensors.stuck_sensor
-    if sensor > arms:
+    if loop.sensors.stuck_sensor > arms:
         raise loop.sensors.refusal(
             "stuck_sensor", f"must be 0 to {arms}: 0 is the encoder of the inner arm, {arms} the cart's"
         )

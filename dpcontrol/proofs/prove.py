@@ -398,13 +398,11 @@ def prove_walk(
             "nodes": len(chain),
             "steps": sum(len(segment.spans) for segment in segments),
             "symbols": [
-                {"symbol": segment.name, "crossings": sum(segment.hits) - 1, "wraps": int(wraps)}
-                for segment, wraps in zip(walk.connections, walk.wraps, strict=True)
+                {"symbol": connection.name, "crossings": sum(connection.hits) - 1, "wraps": int(wraps)}
+                for connection, wraps in zip(walk.connections, walk.wraps, strict=True)
             ],
         }
-        flights, nodes, times = zip(
-            *((segment.spans, segment.start, segment.time) for segment in segments), strict=True
-        )
+        flights, nodes, times = zip(*((piece.spans, piece.start, piece.time) for piece in segments), strict=True)
         with located("a closed orbit exists and is unique, but it is not proved to follow its symbols:"):
             check_symbols(
                 claims,

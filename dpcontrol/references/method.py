@@ -149,10 +149,8 @@ def gauss(count: int) -> Method:
 def lobatto(count: int, *, name: str = "") -> Method:
     """Return the Legendre–Gauss–Lobatto method.
 
-    The Legendre–Gauss–Lobatto method has points on both ends of the interval. The order is 2 `count` - 2.
-
-    The state has degree `count`, one more than its points determine. Its free value halfway to the second point
-    compensates for the collocation at τ = 0.
+    It has points on both ends of the interval, and the order 2 `count` - 2. The state has degree `count`, one more than
+    its points determine. Its free value halfway to the second point compensates for the collocation at τ = 0.
 
     Args:
         count: number of points.

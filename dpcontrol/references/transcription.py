@@ -428,9 +428,8 @@ def solve(
     stats = solver.stats()
     finite = bool(np.isfinite(values).all())
     violation = float(np.maximum(np.maximum(residuals - high_g, low_g - residuals), 0.0).max())
-    trajectory = program.unpacked(values)
     return Solved(
-        trajectory=trajectory,
+        trajectory=program.unpacked(values),
         violation=violation if np.isfinite(violation) else float("inf"),
         cost=float(out["f"]),
         iterations=int(stats["iter_count"]),

@@ -417,8 +417,7 @@ def _place(
             except InputError as error:
                 # A session that ended before its first tick left no log to recover.
                 remark(f"{error}; the night continues without it")
-    digests = read_night(folder).digests
-    last = digests[-1]
+    last = read_night(folder).digests[-1]
     if last.end >= night.hours * 3600 - 1 / rate:
         raise InputError(
             f"{folder} is complete: {last.end / 3600:.4g} of {night.hours:g} hours; raise --hours to continue"

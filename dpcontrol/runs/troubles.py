@@ -196,5 +196,5 @@ TROUBLES = (
     Trouble("knock_impulse", "impulse of the random blows"),
 )
 """The standard score has the kinds of the first nine rows."""
-STANDARD = tuple(one for one in TROUBLES if one.score)
+STANDARD = tuple(trouble for trouble in TROUBLES if trouble.score)
 """Nine kinds; SI units, encoders in counts per turn."""

@@ -219,8 +219,7 @@ def _returning_flights(axes: Axes, search: ConnectionSearch, connections: Sequen
 
 def shadowing_page(gallery: Gallery) -> PaperFigure:
     """Draw a homoclinic connection and two orbits that shadow it, one of them twice, the other periodically."""
-    system = gallery.system("lab")
-    orbit = lyapunov_orbit(system, "down-up", energy=-0.07)
+    orbit = lyapunov_orbit(gallery.system("lab"), "down-up", energy=-0.07)
     search = find_connections(orbit, orbit)
     connection = next(c for c in search.connections if c.symmetric and c.sense > 0)
     solver = WalkSolver([connection])

@@ -63,8 +63,9 @@ Field = tuple[Array, Array, Array]
 
 
 def _landscape(axes: Axes, system: System, field: Field) -> None:
+    """Draw the potential energy over the plane of two coordinates."""
     first, second, potential = field
-    # The wells of the primaries are bottomless.
+    # The wells of the primaries are bottomless, so the scale is cut below the saddles' energies.
     shown = np.maximum(potential, potential.min() if system.si else -1.62)
     heights = axes.contourf(first, second, shown, levels=30, cmap="viridis")
     axes.figure.colorbar(heights, ax=axes)
