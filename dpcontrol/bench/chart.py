@@ -257,10 +257,7 @@ class Border(Documented):
 
     @property
     def off(self) -> float | None:
-        """Difference of measured and predicted border, as a share.
-
-        It is zero if the prediction lies between the sides.
-        """
+        """Difference of measured and predicted border, as a share, zero if the prediction lies between the sides."""
         if self.measured is None or self.predicted is None or not self.near or not self.far:
             return None
         if min(self.near, self.far) <= self.predicted <= max(self.near, self.far):
@@ -401,10 +398,7 @@ class ChartPage(Documented):
 
     @property
     def pages(self) -> dict[str, tuple[Any, ...]]:
-        """The diagrams of each picture.
-
-        They are by the end of its file's name: the first ones, then the appendix.
-        """
+        """The diagrams of each picture, the first ones and then the appendix, by the end of the picture's file name."""
         sheets = [self.parts[k : k + LEADING] for k in range(0, len(self.parts), LEADING)]
         ends = ["", "-more", *(f"-more-{k}" for k in range(2, len(sheets)))]
         return dict(zip(ends, sheets, strict=False))

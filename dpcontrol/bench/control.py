@@ -164,9 +164,9 @@ def outcome(task: ControlTask, controller: Controller, settings: LoopSettings, *
 
 
 def held(orbit_angles: Array, *, period: float, near: float = 0.1) -> Judge:
-    """Return a judge of runs that hold an orbit.
+    """Return a judge of runs that must hold an orbit to their end.
 
-    They must last to their end, near the orbit. The last period is judged, by the least distance over phases and turns.
+    The last period is judged, by the least distance over phases and turns.
 
     Args:
         orbit_angles: angles (M, n) along the orbit, rad.

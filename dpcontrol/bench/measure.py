@@ -99,10 +99,7 @@ def timed_in_turns(
 
 @contextmanager
 def one_core() -> Iterator[None]:
-    """Restrict this process to one core while the block runs.
-
-    This has no effect if the system does not allow it.
-    """
+    """Restrict this process to one core while the block runs, if the system allows it."""
     before = os.sched_getaffinity(0) if hasattr(os, "sched_setaffinity") else set()
     if before:
         os.sched_setaffinity(0, {max(before)})

@@ -1,6 +1,4 @@
-"""Chart of propagation.
-
-The work is trajectories of a tube, a chaotic swing of 10 s, and a tick of the closed loop.
+"""Chart of propagation: trajectories of a tube, a chaotic swing of 10 s, and a tick of the closed loop.
 
 All methods start from the same states and are judged at the same time against 113-bit arithmetic.
 """
@@ -31,9 +29,7 @@ from dpcontrol.references.problem import Limits, state_scale
 
 
 def classical_step(equations: Equations) -> ca.Function:
-    """Return the classical step of order 4 with held inputs.
-
-    The function is (state, inputs, duration, parameters) -> following.
+    """Return the classical step of order 4 with held inputs, (state, inputs, duration, parameters) -> following.
 
     Args:
         equations: equations with N states and m inputs.

@@ -556,9 +556,7 @@ def follow(problem: LinkProblem, link: Link, start: float, goal: float, *, steps
 
 
 def halfway(problem: LinkProblem, first: PathPoint, second: PathPoint) -> PathPoint | None:
-    """Return the point of a path halfway between two points, or None.
-
-    It lies on the plane through the midpoint of their chord, normal to the chord.
+    """Return the point of a path on the plane halfway along the chord of two points and normal to it, or None.
 
     Args:
         problem: matching of two tubes.

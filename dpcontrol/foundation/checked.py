@@ -1,6 +1,4 @@
-"""Check of public functions' arguments against their annotations.
-
-It happens before anything is computed.
+"""Check of public functions' arguments against their annotations, before anything is computed.
 
 Annotations of public functions may be text, because results' classes are imported when they are needed. A value fits
 the name of a class if its class or one of its bases has this name. Numbers must be finite, and lie within `Between` if

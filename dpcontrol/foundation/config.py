@@ -1,6 +1,4 @@
-"""The user's configuration: defaults of the command line.
-
-They come from the environment and from a file.
+"""The user's configuration: defaults of the command line, from the environment and from a file.
 
 File: $XDG_CONFIG_HOME/dpcontrol/config.toml, else ~/.config/dpcontrol/config.toml. An option overrides the environment,
 the environment overrides the file, and the file overrides the default.

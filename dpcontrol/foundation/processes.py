@@ -86,9 +86,7 @@ def _results(function: Callable[[Piece], Done], pieces: Sequence[Piece], workers
 
 
 def end_with_parent() -> None:
-    """End this process as soon as its parent has ended.
-
-    The parent is the process that started it by `multiprocessing`.
+    """End this process as soon as the parent that started it by `multiprocessing` has ended.
 
     A thread waits for the parent, since compiled code does not block threads. The kernel's death signal exists only on
     Linux and is sent when the parent's thread ends.

@@ -1,6 +1,4 @@
-"""Shipped models, itineraries and mappings, by name.
-
-Those of the working folder come first.
+"""Shipped models, itineraries and mappings by name, after those of the working folder.
 
 Models and itineraries are searched by path, in the working folder, then among those shipped. An installed wheel
 contains them in `dpcontrol/data`; in a checkout they are beside the package.

@@ -465,9 +465,7 @@ def _candidates(
 
 
 def choose(candidates: Sequence[Candidate]) -> int:
-    """Return the index of the simplest candidate near the best.
-
-    The index is within one standard error of the best.
+    """Return the index of the simplest candidate within one standard error of the best.
 
     The standard error is that of the best candidate's mean over the held-out segments. Among candidates with equally
     many unknowns, the better one is chosen. Differences due to rounding are ignored.

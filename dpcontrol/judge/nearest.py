@@ -11,9 +11,7 @@ from dpcontrol.references.trajectory import LimitUse
 
 
 def limit_uses(view: RunView) -> tuple[LimitUse, ...]:
-    """Return the use of each limit, the nearest to its limit first.
-
-    The limits are those that the view has.
+    """Return the use of each limit that the view has, the nearest to its limit first.
 
     Limits are those of the cart, and the distance from the reference beyond which an itinerary counts as lost. After an
     abort nothing follows the reference any more, so these ticks do not count.

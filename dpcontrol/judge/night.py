@@ -1,6 +1,4 @@
-"""Evaluate a long run from the folder of its logs.
-
-The results are the times on and off the itinerary, and the reasons.
+"""Evaluate a long run from the folder of its logs: times on and off the itinerary, and the reasons.
 
     uptime = time on the itinerary / known time
 

@@ -1,6 +1,4 @@
-"""Data to draw of a log, a reference or an orbit.
-
-They are read from their files. An orbit is a sustained one.
+"""Data to draw of a log, a reference or a sustained orbit, read from its file.
 
 A plan's tubes lead from a stop's orbit to the section of the next symbol, and on to the next stop. The plan stores the
 orbit's state, the section with its lifted height, and the hits. The unstable tube of the stop's orbit is cut there

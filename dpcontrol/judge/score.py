@@ -1,6 +1,4 @@
-"""Score a run from its log, by whether the itinerary was completed.
-
-The true state is used if it is known.
+"""Score a run from its log by whether the itinerary was completed, from the true state if it is known.
 
 A run is completed if every symbol was realised in order with its winding, wraps are as required and the cart stayed
 inside its limits. Over the last full period the angles must also stay within 0.1 rad of the last orbit (least over

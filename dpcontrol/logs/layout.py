@@ -1,6 +1,4 @@
-"""Contents of a log and the byte layout of its messages.
-
-The contents are topics, joint names and the fields of the control message.
+"""Contents of a log (topics, joint names, fields of the control message) and the byte layout of its messages.
 
 One tick is one block of bytes: the MCAP message records of all topics at loop rate, stored in sequence as a numpy
 structured type. Writer and reader share this type, so neither handles single messages. The layout alone determines

@@ -95,9 +95,9 @@ def draw_pose(
 
 
 def add_film(page: Page, view: RunView, times: Array) -> None:
-    """Add a filmstrip to a page, as high as equal scales require.
+    """Add a filmstrip to a page, as high as equal scales require, with the reference in grey behind the arms.
 
-    The reference is grey behind the arms. The tip's path begins at the last frame. Times outside the motion are empty.
+    The tip's path begins at the last frame. Times outside the motion are empty.
 
     Args:
         page: page to extend.

@@ -1,6 +1,4 @@
-"""The atlas of an energy, cached by content.
-
-It has the orbits of all saddles, one cut per tube, and all kinds of connection.
+"""The atlas of an energy: orbits of all saddles, one cut per tube, and all kinds of connection, cached by content.
 
 On disk it is one .npz file, readable with numpy alone (`numpy.load(path)`), without pickles.
 

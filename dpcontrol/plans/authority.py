@@ -1,4 +1,4 @@
-"""What a motion asks of its feedback, known without a run.
+"""Sensitivity of a motion under feedback: gains and deviations that decide whether it can be followed, without a run.
 
 Gains of the linear-quadratic feedback K are large where the cart hardly moves the arms' unstable direction. They
 multiply whatever hides the arms' angles, so motions between the same ends differ by orders of magnitude.

@@ -1,4 +1,4 @@
-"""What makes the runs of a plan likely to fail, known without a run.
+"""Properties that make the runs of a plan likely to fail, computed without a run.
 
 Each caution compares a figure of plan and rig with a limit, and has a change that was tried and helps. The limits
 separate itineraries that complete all runs from those that do not, among itineraries drawn at random

@@ -1,6 +1,4 @@
-"""From an itinerary to its reference, cached by content.
-
-The steps are connections, shadowing orbit and collocation.
+"""From an itinerary to its reference by connections, shadowing orbit and collocation, cached by content.
 
 Symbols, stops and orbits are stored with the reference (`dpcontrol.references.content`). So a log that contains the
 reference can be scored and reviewed without other files.

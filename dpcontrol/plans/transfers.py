@@ -71,9 +71,7 @@ _COARSE = ReferenceSettings(pendulum_weight=0.0, cart_weight=CART_WEIGHT)
 
 @dataclass(frozen=True)
 class Transfer:
-    """A required transfer to one of several ends.
-
-    It leads from `start` (N,) to one of `ends` (N,), and has all its inputs.
+    """A required transfer, with all its inputs, from `start` (N,) to one of several `ends` (N,).
 
     text: its name. model: name of its arms' model. near: motion near which it is sought first.
     """

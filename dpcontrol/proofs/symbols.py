@@ -1,6 +1,4 @@
-"""Claims on the symbols of a walk, and their proof.
-
-The proof is in boxes that enclose a flight.
+"""Claims on the symbols of a walk, and their proof in boxes that enclose a flight.
 
 Claims are exact numbers as text, which certificates hold. They are proved in boxes of any integrator: in those of the
 search for `prove walk`, and in those of the independent check for `prove check`.

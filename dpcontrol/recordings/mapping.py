@@ -1,6 +1,4 @@
-"""Mappings: TOML files for the columns of a recording.
-
-They give units, sign, zero and sampling.
+"""Mappings: TOML files for the columns of a recording, with their units, sign, zero and sampling.
 
     angle = sign · (unit · value - zero),       rate = sign · unit · value
 

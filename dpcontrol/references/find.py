@@ -1,6 +1,4 @@
-"""Find a reference with mesh refinement.
-
-It starts from an orbit or connects two states.
+"""Find a reference from an orbit or between two states, with mesh refinement.
 
 Each round solves the program of `dpcontrol.references.transcription` on the current mesh, starting from the previous
 solution. Intervals whose error between nodes exceeds the tolerance are then split. If a polynomial exceeds a limit
@@ -318,9 +316,7 @@ def find_reference(
     near: Trajectory | None = None,
     progress: Progress = no_progress,
 ) -> Reference:
-    """Find the reference nearest to the guess.
-
-    It respects friction, cart and limits.
+    """Find the reference nearest to the guess that respects friction, cart and limits.
 
     It starts at the guess's first state and ends at its last (within `end_tolerance`), with the cart at rest at the
     centre. Ending on the orbit costs up to 1.6 times the effort of a free end. In return, a controller that holds the

@@ -48,18 +48,12 @@ class Method(Brief):
 
     @property
     def closes(self) -> bool:
-        """True if the last support place ends the interval.
-
-        It then starts the next one.
-        """
+        """True if the last support place ends the interval and thus starts the next one."""
         return bool(self.support[-1] == 1.0)
 
     @property
     def shares_inputs(self) -> bool:
-        """True if points lie on both ends.
-
-        Neighbouring intervals then have one input there.
-        """
+        """True if points lie on both ends, so that neighbouring intervals have one input there."""
         return bool(self.points[0] == 0.0 and self.points[-1] == 1.0)
 
 
@@ -120,9 +114,7 @@ def _roots(polynomial: np.polynomial.Legendre) -> Array:
 
 @cache
 def radau(count: int) -> Method:
-    """Return the flipped Legendre–Gauss–Radau method.
-
-    Its last point is at the interval's end.
+    """Return the flipped Legendre–Gauss–Radau method, whose last point is at the interval's end.
 
     The state has degree `count`, the input `count` - 1. Quadrature is exact to degree 2 `count` - 2. The order is
     2 `count` - 1.

@@ -1,6 +1,4 @@
-"""Statement of a reference.
-
-It has equations, an orbit to follow, limits, and settings of the solution.
+"""Statement of a reference: equations, an orbit to follow, limits, and settings of the solution.
 
     minimise ∫ u² + w_z |z - z_guess|² + w_x x² dt      subject to  (z, x, ẋ)˙ = f(z, x, ẋ, u), limits, ends
 

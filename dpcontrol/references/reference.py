@@ -103,10 +103,7 @@ class Reference(Trajectory):
 
     @cached_property
     def largest(self) -> dict[str, float]:
-        """The largest size of each limited quantity of the cart.
-
-        They are by name, in SI units, and include the values between nodes.
-        """
+        """The largest size of each limited quantity of the cart by name, SI units, with the values between nodes."""
         return largest_values(self, self.limits)
 
     @property

@@ -1,6 +1,4 @@
-"""Sustained orbits: periodic orbits with friction and cart.
-
-They need the least effort of the cart.
+"""Sustained orbits: periodic orbits with friction and cart that need the least effort of the cart.
 
     minimise ∫ u² + w_x x² dt  over one period T
     subject to  ẋ = f(x, u),  x(T) = x(0),  H(x(0)) = E,  θ_k(0) as at the saddle

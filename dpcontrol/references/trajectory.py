@@ -1,6 +1,4 @@
-"""A motion as polynomials on a mesh, and its quality.
-
-It is the result of a solver.
+"""A solver's motion as polynomials on a mesh, and its quality.
 
 An interval of length h from t_i has its states at t_i + h σ_k and its input at t_i + h τ_k, with the method's support
 σ and points τ. Both polynomials are evaluated in barycentric form (Berrut & Trefethen, SIAM Review 46 (2004), eq. 4.2).

@@ -1,6 +1,4 @@
-"""One transcription for every collocation method.
-
-It writes optimal control as a sparse nonlinear program.
+"""One transcription for every collocation method, from optimal control to a sparse nonlinear program.
 
     Σ_j D_kj x_j = h f(x_k, u_k)   at the points k of each interval of length h,   x(τ = 1) = next interval's start
 
@@ -219,9 +217,7 @@ def _by_interval(
 
 
 class _Program:
-    """The nonlinear program of one mesh.
-
-    Its expressions, bounds and the indices of its variables.
+    """The nonlinear program of one mesh: its expressions, bounds and the indices of its variables.
 
     Variables, by column: an interval's start, its support values and its inputs. A support value that is the next
     interval's start is left out, unless the solver requires separate stages. Then follow the last state and, if it is

@@ -1,6 +1,4 @@
-"""Campaigns: success rates of an itinerary over many seeds.
-
-There can be several cases. Rates have confidence intervals.
+"""Campaigns: success rates of an itinerary over many seeds, in several cases, with confidence intervals.
 
 A case is a controller with values that override those of the itinerary. All cases run the same seeds, so they can be
 compared in pairs. Jobs of a few seeds each run in processes of this machine. The table depends

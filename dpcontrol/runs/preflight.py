@@ -1,6 +1,4 @@
-"""Preflight: success probability of the first run on a rig.
-
-It also gives causes of failure and useful changes.
+"""Preflight: success probability of the first run on a rig, causes of failure, and useful changes.
 
 Runs are drawn like those of a campaign, from the uncertainty of the arms and the bench. This is the model's identified
 uncertainty, or an assumed mismatch if its file gives none. Delay, lag, counts and zeros come from [run].

@@ -1,6 +1,4 @@
-"""Remedies of a failed run: options of `dpcontrol run`.
-
-They complete the run more often than harmless changes do.
+"""Remedies of a failed run: options of `dpcontrol run` that complete it more often than harmless changes do.
 
 Almost any change completes a run that failed by chance, even 39,999 instead of 40,000 counts. So a change must beat a
 null group. Half of this group are harmless variants of the failed run, whose mismatches differ by a ten-thousandth. The

@@ -258,9 +258,7 @@ class Run(Timed, Documented):
         return state_names(len(self.log.arm_lengths), has_cart=self.log.has_cart)
 
     def states(self, times: Any = None) -> Array:
-        """Return the states at given times, interpolated linearly between ticks.
-
-        The states are the true states of a simulated run, otherwise the estimated ones.
+        """Return the true states of a simulated run, otherwise the estimated ones, interpolated linearly between ticks.
 
         Args:
             times: times (K,) of the log, s; by default 200 from the first to the last.

@@ -94,10 +94,7 @@ class AtlasOrbit(OrbitRecord):
 
 @dataclass(frozen=True)
 class AtlasRotatingOrbit(RotatingRecord):
-    """An orbit on which one arm rotates forward, with samples (M, N).
-
-    Its reflection, which rotates backward, is not stored.
-    """
+    """An orbit on which one arm rotates forward, with samples (M, N); its reflection rotates backward."""
 
     status: str
     samples: Array

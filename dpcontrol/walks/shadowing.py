@@ -391,9 +391,8 @@ def shadow(
 
 
 def walk_of_one(connection: Connection, text: str, *, lead_in: int = 2, lead_out: int = 2) -> ShadowingOrbit:
-    """Return a single connection as the walk of one symbol, without solving.
-
-    This is for connections that exist at one energy only. No error is estimated.
+    """Return a connection that exists at one energy only as the walk of one symbol, without solving or an error
+    estimate.
 
     Args:
         connection: the connection.
@@ -560,9 +559,7 @@ class FewestWraps(Concluded):
 
 @dataclass
 class WalkSolver:
-    """Solver for the walks of one graph.
-
-    It stores the fewest wraps found between neighbouring symbols.
+    """Solver for the walks of one graph, which stores the fewest wraps between neighbouring symbols.
 
     Attributes:
         rivals: all connections of the graph, to detect orbits that follow another one.
