@@ -359,7 +359,7 @@ class Found:
 
     @property
     def caveat(self) -> str:
-        """Why the search is not complete, in words."""
+        """Reasons for an incomplete search, in words."""
         return caveat_sentence(self)
 
     @property

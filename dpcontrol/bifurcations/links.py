@@ -442,7 +442,7 @@ _ON_CURVE = Newton(8, _MATCHED, enough=_MATCHED, rounded=_ROUNDED)
 
 @dataclass(frozen=True)
 class Gap(Concluded):
-    """Why a change of the number of connections is not explained by an event.
+    """Reason for a change of the number of connections that no event explains.
 
     Attributes:
         values: values of the followed quantity that the cause concerns.

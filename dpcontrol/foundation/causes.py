@@ -8,7 +8,7 @@ from enum import StrEnum, auto
 
 
 class ShootingCause(StrEnum):
-    """How Newton's method for an orbit of multiple shooting ended."""
+    """Causes with which Newton's method for an orbit of multiple shooting ends."""
 
     CONVERGED = auto()
     ITERATIONS = auto()
@@ -21,14 +21,14 @@ class ShootingCause(StrEnum):
 
 
 class RefinementCause(StrEnum):
-    """How a refinement in 113-bit arithmetic ended."""
+    """Causes with which a refinement in 113-bit arithmetic ends."""
 
     REFINED = auto()
     STALLED = auto()
 
 
 class WalkCause(StrEnum):
-    """How a search for a shadowing orbit ended."""
+    """Causes with which a search for a shadowing orbit ends."""
 
     CONVERGED = auto()
     CONNECTION = auto()
@@ -38,7 +38,7 @@ class WalkCause(StrEnum):
 
 
 class WrapsCause(StrEnum):
-    """How a search for the fewest wraps of a walk ended."""
+    """Causes with which a search for the fewest wraps of a walk ends."""
 
     TOO_FEW = auto()
     OTHERS_WORK = auto()
@@ -46,7 +46,7 @@ class WrapsCause(StrEnum):
 
 
 class OrbitCause(StrEnum):
-    """How a search for a Lyapunov orbit ended."""
+    """Causes with which a search for a Lyapunov orbit ends."""
 
     CONTINUED = auto()
     MEMBER = auto()
@@ -56,7 +56,7 @@ class OrbitCause(StrEnum):
 
 
 class FamilyEndCause(StrEnum):
-    """Why a family of periodic orbits ends."""
+    """Causes with which a family of periodic orbits ends."""
 
     SADDLE = auto()
     ENERGY_BOUND = auto()
@@ -70,7 +70,7 @@ class FamilyEndCause(StrEnum):
 
 
 class CutCause(StrEnum):
-    """How the cut of a tube ended."""
+    """Causes with which the cut of a tube ends."""
 
     RESOLVED = auto()
     UNRESOLVED = auto()
@@ -79,7 +79,7 @@ class CutCause(StrEnum):
 
 
 class GapCause(StrEnum):
-    """Why a change of the number of connections is not explained by events."""
+    """Reasons for which a change of the number of connections is not explained by events."""
 
     COUNT = auto()
     TURN = auto()
@@ -91,7 +91,7 @@ class GapCause(StrEnum):
 
 
 class BranchCause(StrEnum):
-    """Why the refinement of one branch of a cut stopped early."""
+    """Reasons for which the refinement of one branch of a cut stopped early."""
 
     SCATTERS = auto()
     POINTS = auto()
@@ -99,7 +99,7 @@ class BranchCause(StrEnum):
 
 
 class OpenEndCause(StrEnum):
-    """Why a cut is open in an interval of phases."""
+    """Reasons for which a cut is open in an interval of phases."""
 
     NEVER_ARRIVES = auto()
     ESCAPES = auto()
@@ -108,7 +108,7 @@ class OpenEndCause(StrEnum):
 
 
 class TransportCause(StrEnum):
-    """Whether the rates of passage through a neck are known."""
+    """Knowledge of the rates of passage through a neck."""
 
     FINITE = auto()
     UNBOUNDED = auto()
@@ -116,7 +116,7 @@ class TransportCause(StrEnum):
 
 
 class SearchCause(StrEnum):
-    """How connections between two orbits were searched."""
+    """Ways in which connections between two orbits are searched."""
 
     TUBES = auto()
     REVERSED = auto()
@@ -124,7 +124,7 @@ class SearchCause(StrEnum):
 
 
 class GridCause(StrEnum):
-    """Why a search for symmetric connections did not reach its highest energy."""
+    """Reasons for which a search for symmetric connections did not reach its highest energy."""
 
     REACHED = auto()
     TIME = auto()
@@ -133,7 +133,7 @@ class GridCause(StrEnum):
 
 
 class ReferenceCause(StrEnum):
-    """How the search for a reference ended."""
+    """Causes with which the search for a reference ends."""
 
     CONVERGED = auto()
     REST = auto()
@@ -153,7 +153,7 @@ class ReferenceCause(StrEnum):
 
 
 class ObstacleCause(StrEnum):
-    """What prevents a reference near its guess."""
+    """Obstacle to a reference near its guess."""
 
     AUTHORITY = auto()
     GUESS = auto()
@@ -164,7 +164,7 @@ class ObstacleCause(StrEnum):
 
 
 class ShortfallCause(StrEnum):
-    """Why an exact run of a reference would not be completed."""
+    """Reasons for which an exact run of a reference would not be completed."""
 
     FIRST_FAR = auto()
     FAR = auto()
@@ -174,7 +174,7 @@ class ShortfallCause(StrEnum):
 
 
 class DepartureCause(StrEnum):
-    """How a polished motion departs from its walk."""
+    """Departures of a polished motion from its walk."""
 
     NO_CROSSING = auto()
     ORDER = auto()
@@ -182,7 +182,7 @@ class DepartureCause(StrEnum):
 
 
 class FlightCause(StrEnum):
-    """How the search for a flight ended."""
+    """Causes with which the search for a flight ends."""
 
     REACHED = auto()
     MISSED = auto()
@@ -228,7 +228,7 @@ class Cause(StrEnum):
 
 
 class Fault(StrEnum):
-    """What a run lacks to complete its plan, or why nobody can tell."""
+    """Fault that keeps a run from completing its plan, or reason for an unknown verdict."""
 
     NONE = "completed"
     STAMPS = "stamps jump"
@@ -247,7 +247,7 @@ class Fault(StrEnum):
 
 
 class FindingCause(StrEnum):
-    """How a step of commissioning ended. The name of the step tells which part of the rig was measured."""
+    """Causes with which a step of commissioning ends. The name of the step tells which part of the rig was measured."""
 
     RIGHT = auto()
     DIFFERS = "differs from [run]"
@@ -283,7 +283,7 @@ class FindingCause(StrEnum):
 
 
 class CautionCause(StrEnum):
-    """Why runs of a plan are likely to fail, known without a run."""
+    """Reasons for which runs of a plan are likely to fail, known without a run."""
 
     AUTHORITY = auto()
     """A stop needs more feedback than a cart gives reliably."""

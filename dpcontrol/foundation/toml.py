@@ -152,7 +152,7 @@ class Table:
     required: bool = False
 
     def read(self, values: Any, place: Place, context: Any = None) -> Any:
-        """Return what the table makes of the values of a file.
+        """Return the object that the table makes of the values of a file.
 
         Args:
             values: values by key, where lists become tuples.
@@ -215,7 +215,7 @@ class Choice:
     required: ClassVar[bool] = False
 
     def read(self, values: Any, place: Place, context: Any = None) -> Any:
-        """Return what the chosen table makes of the values of a file; see `Table.read`."""
+        """Return the object that the chosen table makes of the values of a file; see `Table.read`."""
         with place:
             kind = self.choose(values) if isinstance(values, Mapping) else next(iter(self.tables))
             check_choice(self.key, self.tables, kind)
@@ -230,7 +230,7 @@ class Tables:
     required: bool = False
 
     def read(self, values: Any, place: Place, context: Any = None) -> tuple[Any, ...]:
-        """Return what each table makes of its values; see `Table.read`."""
+        """Return the object that each table makes of its values; see `Table.read`."""
         if not (isinstance(values, list) and values and all(isinstance(table, dict) for table in values)):
             sentence = f"{place.table} = {shortened(values)}: must be tables, each under [[{place.table}]]"
             raise InputError(sentence, where=f"{place.file}: ", key=place.table)

@@ -168,24 +168,13 @@ def estimate_recording(
     for index, (first, end) in enumerate(recording.segments):
         still = np.zeros(end - first)
         cart = carts[index] if carts else CartMotion(still, still, still, commanded=False)
-        blocks = (end - first) // mean_of
-        if not blocks:
-            raise InputError(
-                f"{recording.source}: a segment of {end - first} samples is shorter than a mean of {mean_of}"
-            )
-        used = recording.angles[first : first + blocks * mean_of]
-        means: Array = np.asarray(np.mean(used.reshape(blocks, mean_of, n), axis=1), dtype=float)
-        at_middle = np.arange(blocks) * mean_of + mean_of // 2
-        felt = cart.acceleration[: blocks * mean_of].reshape(blocks, mean_of).mean(axis=1)
-        between = _between_means(cart.acceleration, mean_of, blocks)
-        drives = np.column_stack([cart.velocity[at_middle], felt])
+        means, drives, between, start = _means_of(recording, first, end, cart, mean_of)
         (guess,) = Swing(recording.angles[first:end], recording.dt).guess([0])
         middle = _nearby(guess, change(guess, drives[0])[n:], -times[:1])[0]
-        start = [cart.position[at_middle[0]], cart.velocity[at_middle[0]]]
         estimate = estimator.first(np.concatenate([middle, start]))
         rows = slice(first, first)
         try:
-            for k in range(blocks):
+            for k in range(len(means)):
                 rows = slice(first + k * mean_of, first + (k + 1) * mean_of)
                 moved = float(between[k - 1]) if k else 0.0
                 expected = estimate.state if not k else estimator.ahead(estimate, [moved])
@@ -200,7 +189,7 @@ def estimate_recording(
                     estimate = estimator.update(estimate, measured, present & has_reading)
                 state = np.asarray(estimate.state[: 2 * n])
                 # Too few samples for another mean belong to the last one.
-                shown = slice(rows.start, rows.stop if k < blocks - 1 else end)
+                shown = slice(rows.start, rows.stop if k < len(means) - 1 else end)
                 since = times[0] + recording.dt * np.arange(shown.stop - shown.start)
                 out.states[shown] = _nearby(state, change(state, drives[k])[n:], since)
                 out.sigmas[shown] = estimate.sigmas[: 2 * n]
@@ -209,6 +198,27 @@ def estimate_recording(
         except ArithmeticError as error:
             raise GoalMissed(f"the estimator broke down at {recording.time[rows.start]:.6g} s: {error}") from error
     return out
+
+
+def _means_of(
+    recording: Recording, first: int, end: int, cart: CartMotion, mean_of: int
+) -> tuple[Array, Array, Array, Array]:
+    """Return means of `mean_of` samples of a segment, and the cart's motion at their middles.
+
+    Returns:
+        Angles (B, n), rad; the cart's velocity, m/s, and mean acceleration, m/s² (B, 2); its mean acceleration between
+        neighbouring middles (B - 1,), m/s²; its position, m, and velocity, m/s, at the first middle (2,).
+    """
+    blocks = (end - first) // mean_of
+    if not blocks:
+        raise InputError(f"{recording.source}: a segment of {end - first} samples is shorter than a mean of {mean_of}")
+    used = recording.angles[first : first + blocks * mean_of]
+    means: Array = np.asarray(np.mean(used.reshape(blocks, mean_of, recording.arms), axis=1), dtype=float)
+    at_middle = np.arange(blocks) * mean_of + mean_of // 2
+    felt = cart.acceleration[: blocks * mean_of].reshape(blocks, mean_of).mean(axis=1)
+    start = np.array([cart.position[at_middle[0]], cart.velocity[at_middle[0]]])
+    drives = np.column_stack([cart.velocity[at_middle], felt])
+    return means, drives, _between_means(cart.acceleration, mean_of, blocks), start
 
 
 def _nearby(state: Array, acceleration: Array, times: Array) -> Array:

@@ -357,7 +357,7 @@ _SETTLED = 2
 
 @dataclass(frozen=True)
 class Shortfall(Concluded):
-    """Why an exact run of a reference would not be completed.
+    """Reason for which an exact run of a reference would not be completed.
 
     Attributes:
         cause: the cause.

@@ -104,7 +104,7 @@ class Night(Shown, Documented):
 
     @property
     def missed(self) -> str:
-        """Why the night ended before its planned time, or ""."""
+        """Reason for an end before the planned time, or ""."""
         return self.failure and f"ended early: {self.failure}"
 
     def _time(self, *kinds: str) -> float:

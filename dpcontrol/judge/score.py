@@ -166,7 +166,7 @@ class Score(Documented):
 
     @property
     def missed(self) -> str:
-        """Why the run is not known to be completed, or ""; on a rig, the symbols decide without the true state."""
+        """Reason for a run not known to be completed, or ""; on a rig, the symbols decide without the true state."""
         unfinished = self.symbols_completed != self.symbols_total or not self.whole
         if self.completed is False or (self.completed is None and unfinished):
             return f"not completed: {self.reason}"
@@ -219,7 +219,7 @@ class Scores(Documented):
 
     @property
     def missed(self) -> str:
-        """Why a run is not known to be completed, or ""."""
+        """Reason for which a run is not known to be completed, or ""."""
         failed = [result for result in self.results if isinstance(result, Score) and result.missed]
         if not failed:
             return ""
@@ -515,7 +515,7 @@ def _noted(log: RunLog, name: str, kind: Callable[[str], Number]) -> Number | No
 
 
 def _fault(flown: Flown, plan: Reference, decoded: Decoded) -> FaultFigures:
-    """Return what a run lacks to complete its plan."""
+    """Return the fault that keeps a run from completing its plan, with its figures."""
     content, matched, lost = plan.content, decoded.matched, decoded.lost
     stops, symbols = content.stops, content.symbols
     short = plan.duration - float(flown.time[-1])

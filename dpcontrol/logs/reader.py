@@ -302,7 +302,7 @@ class RunLog(Shown):
         return f"<log {self.path}: {len(self.time):,} rows at {self.rate_hz:g} Hz>"
 
     def document(self) -> dict[str, Any]:
-        """Return what the log holds, without its rows."""
+        """Return the contents of the log without its rows."""
         return {
             "log": self.path, "rows": len(self.time), "duration": float(np.ptp(self.time)) if len(self.time) else 0.0,
             "parts": sorted(self.parts), "events": len(self.events), "attachments": sorted(self.attachments),

@@ -116,7 +116,7 @@ def _authority(arms: ArmChainParameters, reference: Reference) -> Iterator[Cauti
 
 
 def _gains(itinerary: Itinerary, reference: Reference) -> Iterator[Caution]:
-    """Yield what the gains make of hidden angles and of the errors at the start."""
+    """Yield the cautions on gains that amplify hidden angles and errors at the start."""
     loop, arms = itinerary.loop, itinerary.model.arms
     try:
         shares = peak_gains(arms, reference) / itinerary.limits.acceleration

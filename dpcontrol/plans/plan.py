@@ -79,12 +79,12 @@ class Plan(ByReference, Timed, Documented):
 
     @cached_property
     def warnings(self) -> tuple[Caution, ...]:
-        """What makes its runs likely to fail, known without a run."""
+        """Properties that make its runs likely to fail, computed without a run."""
         return cautions_of(self.itinerary, self.reference) if self.converged else ()
 
     @property
     def missed(self) -> str:
-        """Why there is no final plan, or ""."""
+        """Reason for the lack of a final plan, or ""."""
         return "" if self.final.converged else f"{self.itinerary.name}: {self.final.status}"
 
     @checked

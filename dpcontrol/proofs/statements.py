@@ -18,7 +18,7 @@ EQUATIONS = {
 
 
 def passing(count: int) -> str:
-    """Return what Newton–Kantorovich proves of an orbit with a number of sections."""
+    """Return the statement that Newton–Kantorovich proves of an orbit with a number of sections."""
     return f"closes after passing its {count} sections once, in order"
 
 

@@ -192,7 +192,7 @@ def load_mapping(name: str) -> Mapping:
 
 
 def _rules(mapping: Mapping) -> dict[str, bool]:
-    """Return whether tables break the rules by which they fit together, by complaint."""
+    """Return, for each complaint, True if tables break the rule by which they fit together."""
     columns, rates, cells = mapping.angles.columns, mapping.rates.columns, mapping.cells
     twice = [name for name, times in Counter(mapping.named).items() if times > 1]
     clocks = (mapping.time.column, cells.time, mapping.period, mapping.sampling.variable)

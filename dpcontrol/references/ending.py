@@ -11,7 +11,7 @@ from dpcontrol.words.searches import Concluded
 
 @dataclass(frozen=True)
 class Obstacle(Concluded):
-    """What prevents a reference near its guess.
+    """The obstacle to a reference near its guess.
 
     Attributes:
         cause: the obstacle.

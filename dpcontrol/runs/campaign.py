@@ -682,7 +682,7 @@ _DECISIVE = ("itinerary", "model", "scene_hash", "model_hash", "path", "cases", 
 
 
 _PACES = {"compiled": 100.0, "ticks": 5.0}
-"""How much faster than real time one process runs, by path, at 1 kHz."""
+"""Speed of one process relative to real time, by path, at 1 kHz."""
 _ROW_BYTES = 1000.0
 
 

@@ -222,7 +222,7 @@ class Run(Timed, Documented):
 
     @property
     def missed(self) -> str:
-        """Why the run is not known to be completed, or ""."""
+        """Reason for which the run is not known to be completed, or ""."""
         failed = self.failure if "rig" in self.log.metadata or self.object_failed else ""
         verdict = self._score
         return f"{'failed' if verdict.completed else 'not completed'}: {failed}" if failed else verdict.missed
@@ -552,7 +552,7 @@ class Demonstration(Documented):
 
     @property
     def missed(self) -> str:
-        """Why the run is not known to be completed, or ""."""
+        """Reason for which the run is not known to be completed, or ""."""
         return self.score.missed
 
 
@@ -582,7 +582,7 @@ class Repeat(Documented):
 
     @property
     def missed(self) -> str:
-        """Why it is not the same run, or not completed, or ""."""
+        """Difference from the original run, reason for an incomplete run, or ""."""
         differs = self.comparison.difference
         if differs is None:
             return self.score.missed

@@ -258,7 +258,7 @@ class Atlas(Shown, InUnits, Documented):
 
     @property
     def missed(self) -> str:
-        """Why the list of connections may not be complete."""
+        """Reasons for which the list of connections may be incomplete."""
         place = f"{self.model} at {self.energy:g}{self.unit('J')}"
         return "" if self.complete else f"the atlas of {place} is not complete: {self.status}"
 

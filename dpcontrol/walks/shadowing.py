@@ -391,8 +391,7 @@ def shadow(
 
 
 def walk_of_one(connection: Connection, text: str, *, lead_in: int = 2, lead_out: int = 2) -> ShadowingOrbit:
-    """Return a connection that exists at one energy only as the walk of one symbol, without solving or an error
-    estimate.
+    """Return a connection that exists at one energy only as the walk of one symbol, without an error estimate.
 
     Args:
         connection: the connection.
@@ -550,7 +549,7 @@ class FewestWraps(Concluded):
 
     @property
     def cause(self) -> WrapsCause:
-        """How the search ended."""
+        """Cause of the end of the search."""
         if self.failed is not None:
             return WrapsCause.NONE_SUFFICE
         fewer = any(count < enough for count, enough in zip(self.tried, self.wraps, strict=False))

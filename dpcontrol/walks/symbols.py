@@ -199,7 +199,7 @@ def expanded(symbols: Sequence[Symbol], wraps: Sequence[int]) -> tuple[tuple[str
 
 
 Loss = Callable[["Connection"], float]
-"""What a connection costs its feedback, such as its peak gain."""
+"""Loss of a connection for its feedback, such as its peak gain."""
 _LIKE = 2.0
 """Factor on the smallest loss below which connections count as equally good."""
 

@@ -1,4 +1,4 @@
-"""What the verbs of orbits, connections, walks and proofs print."""
+"""Lines of orbits, connections, walks and proofs."""
 
 from collections.abc import Iterator, Sequence
 from typing import Any

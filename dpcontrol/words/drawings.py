@@ -1,4 +1,4 @@
-"""What the verbs that draw figures and charts print."""
+"""Lines of the results that draw figures and charts."""
 
 from collections.abc import Iterator
 from textwrap import fill

@@ -1,4 +1,4 @@
-"""What the verbs that read logs print."""
+"""Lines of the results that are read from logs."""
 
 import math
 from collections.abc import Iterator
@@ -85,7 +85,7 @@ def campaign(result: Any) -> Iterator[Line]:
 
 
 def report(result: Any) -> Iterator[Line]:
-    """Yield what a page shows, and its file.
+    """Yield the result that a page shows, and the page's file.
 
     Args:
         result: a `Report`.

@@ -1,4 +1,4 @@
-"""What the verbs of recordings print."""
+"""Lines of the results of recordings."""
 
 from collections.abc import Iterator, Sequence
 from statistics import fmean, median

@@ -1,4 +1,4 @@
-"""What the verbs of plans and references print."""
+"""Lines of plans and references."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -9,7 +9,7 @@ _ORIGIN = ("program", "code", "scene_hash", "model_hash")
 
 
 def plan(result: Any) -> Iterator[Line]:
-    """Yield what was planned, with what was asked for beside it; nothing without a reference.
+    """Yield the plan and its requested additions, nothing without a reference.
 
     Args:
         result: a `Plan`.

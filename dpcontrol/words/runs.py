@@ -301,7 +301,7 @@ def repeat_lines(repeat: Any) -> Iterator[str]:
 
 
 def learnt_lines(result: Any) -> Iterator[Line]:
-    """Yield what was learnt from runs, and the effort of the feedback before and after.
+    """Yield the arms learnt from runs, and the effort of the feedback before and after.
 
     Args:
         result: a `Learnt`.

@@ -550,4 +550,4 @@ CAUTION_REMEDIES: Mapping[str, str] = {
     "lag": "a lag shorter by {value:.2g} s brings it to {changed:.2g}",
     "belt": "a stiffer belt brings it to {changed:.2g}",
 }
-"""What helps, by the change that was tried, made of the fields of a `Caution`."""
+"""Remedies by the change that was tried, composed of the fields of a `Caution`."""

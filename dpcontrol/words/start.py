@@ -1,4 +1,4 @@
-"""What the verbs of models, guide, cache and configuration print."""
+"""Lines of the results of models, guide, cache and configuration."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -80,7 +80,7 @@ def configuration(result: Any) -> Iterator[Line]:
 
 
 def demonstration(result: Any) -> Iterator[Line]:
-    """Yield what a demonstration planned, ran and wrote.
+    """Yield the plan, the score and the files of a demonstration.
 
     Args:
         result: a `Demonstration`.
