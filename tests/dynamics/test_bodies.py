@@ -9,11 +9,11 @@ from shadowing_stand_in import LAB
 
 from dpcontrol.dynamics.chain import oddities
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.shipped import find, known
+from dpcontrol.foundation.shipped import find, shipped_names
 from dpcontrol.plans.model import load_model
 
 
-@pytest.mark.parametrize("name", known("models"))
+@pytest.mark.parametrize("name", shipped_names("models"))
 @pytest.mark.filterwarnings("error")
 def test_shipped_models_have_no_remarks(name: str) -> None:
     assert load_model(name).remarks == ()

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from dpcontrol.foundation.errors import Remark
-from dpcontrol.foundation.shipped import find, known
+from dpcontrol.foundation.shipped import find, shipped_names
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.model import load_model
 
@@ -80,7 +80,7 @@ def test_a_unit_slip_in_a_rig_is_remarked_on_with_the_key_and_the_likely_unit(
 def test_nothing_is_remarked_on_in_what_is_shipped() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error", Remark)
-        for name in known("models"):
+        for name in shipped_names("models"):
             load_model(name)
-        for name in known("itineraries"):
+        for name in shipped_names("itineraries"):
             load_itinerary(name)
