@@ -1260,10 +1260,10 @@ def launch(
         source: log to repeat, from its attachments alone; missed if a message differs (default: none).
         seed: seed of all random numbers (default: 0).
         settings: run settings by path, such as {"drive.lag": 0.005} (default: none).
-        rig: bench for a run in real time: udp://HOST:PORT (see `dpcontrol rig`), or udp to start the example bench;
-            FILE.py:CLASS or an object with `read()`, `command(acceleration)` and `stop()` is a rig in Python, which
-            runs as fast as it answers. A real bench needs an itinerary with start = "rest" (default: the simulated
-            bench).
+        rig: bench for a run in real time: udp://HOST:PORT (see `dpcontrol rig`), serial://PORT of a microcontroller, or
+            udp to start the example bench; FILE.py:CLASS or an object with `read()`, `command(acceleration)` and
+            `stop()` is a rig in Python, which runs as fast as it answers. A real bench needs an itinerary with
+            start = "rest" (default: the simulated bench).
         program: program that controls the run on rig udp, such as main_udp of `export` (default: none).
         real_time: priority over all ordinary processes, on a rig.
         key_file: file with the shared key of bench and loop (default: the environment's DPCONTROL_RIG_KEY).
@@ -2392,7 +2392,8 @@ def rig_link(
     """Return the link to a bench, for runs on it.
 
     Args:
-        address: udp://HOST:PORT, or by default "udp" for an example bench in another process.
+        address: udp://HOST:PORT, serial://PORT?baud=RATE (1,000,000 by default), or by default "udp" for an example
+            bench in another process.
         key_file: file with the key that bench and loop share (default: the environment's DPCONTROL_RIG_KEY).
         insecure: accept a bench on another computer without a key (default: not).
         real_time: request priority over all ordinary work (default: not).
@@ -2493,8 +2494,9 @@ def commission(
 
     Args:
         itinerary: plan, or name or path of an itinerary.
-        rig: rig at udp://HOST:PORT, FILE.py:CLASS or an object with `read()`, `command(acceleration)` and `stop()`, or
-            udp for the example bench in a separate process (default: the example bench in simulated time).
+        rig: rig at udp://HOST:PORT or serial://PORT, FILE.py:CLASS or an object with `read()`,
+            `command(acceleration)` and `stop()`, or udp for the example bench in a separate process (default: the
+            example bench in simulated time).
         seed: seed of all random numbers on the example bench (default: 0).
         settings: settings of the example bench by path, which override the itinerary's (see `closed_loop`).
         faults: wiring mistake of the example bench for practice, see `start_bench` (default: none).

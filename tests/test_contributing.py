@@ -57,4 +57,4 @@ def test_a_way_is_short_and_each_station_imports_the_next_or_is_imported_by_it(w
 
 def test_the_client_of_a_rig_is_an_object_that_the_loop_reads() -> None:
     assert ControlLoop.run.__annotations__["rig"] is Rig
-    assert {"read", "command", "stop"} == {name for name in vars(UserRig) if name in vars(UdpRig) and name[0] != "_"}
+    assert {"read", "command", "stop"} == {name for name in vars(UserRig) if name in dir(UdpRig) and name[0] != "_"}

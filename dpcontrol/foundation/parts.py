@@ -24,9 +24,13 @@ _NEEDED = {
     "flint": "proofs need python-flint; install it by `pip install 'dpcontrol[proof]'`",
     "imageio_ffmpeg": "films as .mp4 need imageio-ffmpeg; install it by `pip install 'dpcontrol[film]'`, or choose "
     ".gif or .webp",
+    "serial": "rigs on serial lines need pyserial and cobs; install them by `pip install 'dpcontrol[serial]'`",
     "rerun": "the viewer and its recordings need rerun-sdk; install it by `pip install 'dpcontrol[viewer]'`, or draw "
     "with matplotlib by --picture FILE.png",
 }
+_NEEDED["serial"] = _NEEDED["cobs"] = (
+    "rigs on serial lines need pyserial and cobs; install them by `pip install 'dpcontrol[serial]'`"
+)
 _NEEDED["h5py"] = _NEEDED["matio"]
 _NEEDED["websockets"] = "the planner needs websockets; install it by `pip install 'dpcontrol[planner]'`"
 

@@ -1,4 +1,4 @@
-"""Client of a rig over UDP, for any bench that implements `dpcontrol.rig.packets`.
+"""Client of a rig over UDP or a serial line, for any bench that implements `dpcontrol.rig.packets`.
 
 The bench has the clock. It sends a reading each period and applies the newest command. A lost reading counts as a tick
 without sensors, so the loop's ticks stay aligned with the bench's. A lost command is replaced by the next. After a
@@ -19,7 +19,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import asdict, dataclass, fields
-from typing import Annotated, NoReturn, TypeVar
+from typing import Annotated, Any, NoReturn, Protocol, TypeVar
 
 import numpy as np
 
@@ -162,23 +162,44 @@ def parse_address(text: str) -> tuple[str, int]:
     """
     found = re.fullmatch(rf"{SCHEME}://\[?([^/\[\]]+)\]?:(\d+)/?", text)
     if found is None or not 0 < int(found[2]) < 1 << 16:
-        raise InputError(f"rig {text!r}: must be udp://HOST:PORT, as `dpcontrol rig` prints it, or udp alone")
+        raise InputError(f"rig {text!r}: must be udp://HOST:PORT as `dpcontrol rig` prints it, serial://PORT, or udp")
     return found[1], int(found[2])
 
 
-class UdpRig(AbstractContextManager["UdpRig"]):
-    """A bench at `address` (host, port) as a `Rig` and context manager.
+class Channel(Protocol):
+    """A line that carries whole packets, such as a socket."""
+
+    def send(self, data: bytes, /) -> object:
+        """Send a packet."""
+        ...
+
+    def recv(self, most: int, /) -> bytes:
+        """Return a packet of at most this many bytes; BlockingIOError if none has arrived."""
+        ...
+
+    def fileno(self) -> int:
+        """Return the number by which the system waits for packets."""
+        ...
+
+    def close(self) -> None:
+        """Close the line."""
+        ...
+
+
+class PacketRig(AbstractContextManager["PacketRig"]):
+    """A bench at the other end of a channel as a `Rig` and context manager.
 
     The first `read` starts the bench. On exit, the client says goodbye.
 
     Args:
+        channel: line to the bench.
+        address: address of the bench, for messages.
         queued: pending commands at the start, oldest first, m/s².
         zeros: readings (n,) of its hanging arms, which are subtracted, rad.
         key: key shared with the bench.
-        insecure: accept a bench on another computer without a key.
 
     Raises:
-        InputError: the address is invalid, no bench responds, or the key is missing or wrong.
+        InputError: no bench responds, or the key is missing or wrong.
     """
 
     # The true state is unknown.
@@ -186,26 +207,17 @@ class UdpRig(AbstractContextManager["UdpRig"]):
 
     def __init__(
         self,
-        address: tuple[str, int],
+        channel: Channel,
+        address: str,
         *,
         queued: Sequence[float] = (),
         zeros: Sequence[float] = (),
         settings: LinkSettings | None = None,
         key: bytes = b"",
-        insecure: bool = False,
     ) -> None:
         self._settings, self._queued = settings or LinkSettings(), queued
         self.fault: Event | None = None
-        self.address = f"{SCHEME}://{address[0]}:{address[1]}"
-        family, where = resolved(*address, name=f"rig {self.address}", key=key, insecure=insecure)
-        try:
-            self._socket = socket.socket(family, socket.SOCK_DGRAM)
-            self._socket.connect(where)
-        except OSError as error:
-            raise InputError(f"rig {self.address}: {error.strerror or error}; check the address") from error
-        # Packets that arrive during a stall should wait there.
-        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
-        self._socket.setblocking(False)
+        self.address, self._channel = address, channel
         self._early: ReadingPacket | None = None
         self._tick, self._begin = -1, math.inf
         self._stopped, self._problem = False, ""
@@ -217,7 +229,7 @@ class UdpRig(AbstractContextManager["UdpRig"]):
         try:
             self.welcome = self._introduced()
         except BaseException:
-            self._socket.close()
+            self._channel.close()
             raise
         self._talk = Talk(Role.LOOP, self.welcome.session, key=key)
         self._refused = 0
@@ -231,7 +243,7 @@ class UdpRig(AbstractContextManager["UdpRig"]):
     def __exit__(self, *_: object) -> None:
         self.stop()
         self._send(Bye("the run is over"))
-        self._socket.close()
+        self._channel.close()
 
     @property
     def deadlines(self) -> Deadlines:
@@ -260,7 +272,7 @@ class UdpRig(AbstractContextManager["UdpRig"]):
             return Reading(k * period, self._positions, self._nothing, 0, late)
         self._held, self._ignored = packet.held, packet.ignored
         if packet.condition is Condition.SILENCE and not self._stopped:
-            raise ArithmeticError(f"the bench stopped the cart: {packet.text}")
+            raise ArithmeticError(f"the bench stopped the cart: {packet.text or 'it received nothing for too long'}")
         if packet.condition in _FAULTS:
             self.fault = ended(_FAULTS[packet.condition], words=packet.text)
         positions = np.array(packet.positions) - self._zeros
@@ -363,9 +375,9 @@ class UdpRig(AbstractContextManager["UdpRig"]):
         try:
             for _ in range(_MOST_PACKETS):
                 try:
-                    yield from self._accepted(self._socket.recv(LARGEST))
+                    yield from self._accepted(self._channel.recv(LARGEST))
                 except BlockingIOError:
-                    if not select.select([self._socket], [], [], max(until - time.perf_counter(), 0.0))[0]:
+                    if not select.select([self._channel], [], [], max(until - time.perf_counter(), 0.0))[0]:
                         return
         except OSError as error:
             self._problem = f" ({error.strerror or error})"
@@ -394,7 +406,34 @@ class UdpRig(AbstractContextManager["UdpRig"]):
 
     def _send(self, message: Message) -> None:
         try:
-            self._socket.send(self._talk.pack(message))
+            self._channel.send(self._talk.pack(message))
         except OSError as error:
             # It counts as lost.
             self._problem = f" ({error.strerror or error})"
+
+
+class UdpRig(PacketRig):
+    """A bench over UDP.
+
+    Args:
+        address: host and port of the bench.
+        key: key shared with the bench.
+        insecure: accept a bench on another computer without a key.
+        **settings: further arguments of `PacketRig`.
+
+    Raises:
+        InputError: the address is invalid, no bench responds, or the key is missing or wrong.
+    """
+
+    def __init__(self, address: tuple[str, int], *, key: bytes = b"", insecure: bool = False, **settings: Any) -> None:
+        name = f"{SCHEME}://{address[0]}:{address[1]}"
+        family, where = resolved(*address, name=f"rig {name}", key=key, insecure=insecure)
+        try:
+            channel = socket.socket(family, socket.SOCK_DGRAM)
+            channel.connect(where)
+        except OSError as error:
+            raise InputError(f"rig {name}: {error.strerror or error}; check the address") from error
+        # Packets that arrive during a stall should wait there.
+        channel.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
+        channel.setblocking(False)
+        super().__init__(channel, name, key=key, **settings)

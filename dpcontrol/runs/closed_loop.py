@@ -131,7 +131,8 @@ class ClosedLoop(Timed):
         Args:
             seed: seed of the random numbers.
             rig: object with `read()`, `command(acceleration)` and `stop()`, or the address of a bench in real time:
-                "udp", udp://HOST:PORT, FILE.py:CLASS, or a link of `dp.rig_link` (default: the simulated bench).
+                "udp", udp://HOST:PORT, serial://PORT, FILE.py:CLASS, or a link of `dp.rig_link` (default: the simulated
+                bench).
             program: controlling program for rig "udp", such as main_udp of `export`.
             log: log to write (default: in memory, or logs/NAME-SEED.mcap in real time).
             force: replace the log of another run there.
@@ -183,7 +184,7 @@ class ClosedLoop(Timed):
             hours: duration, h, or settings with the length and number of logs.
             folder: folder for the logs.
             seed: seed of the random numbers.
-            rig: "udp", udp://HOST:PORT or a link of `dp.rig_link` (default: the simulated bench).
+            rig: "udp", udp://HOST:PORT, serial://PORT or a link of `dp.rig_link` (default: the simulated bench).
             resume: continue the interrupted night of this folder.
             force: replace another night there.
             live: show the run in the viewer.
@@ -198,7 +199,9 @@ class ClosedLoop(Timed):
         night = hours if isinstance(hours, NightSettings) else NightSettings(hours)
         out, link = Path(folder), bench_of(rig)
         if isinstance(link, OwnObject):
-            raise InputError(f'rig = {link}: a night needs a bench at an address; give "udp" or udp://HOST:PORT')
+            raise InputError(
+                f'rig = {link}: a night needs a bench at an address; give "udp", udp://HOST:PORT or serial://PORT'
+            )
         seeded = self.plan.itinerary.with_run({}, seed=seed)
         itinerary = night_itinerary(seeded, overrides=self.options)
         return run_night(

@@ -91,9 +91,10 @@ from dpcontrol.plans.layout import BENCH
 from dpcontrol.plans.overrides import canonical, paths
 from dpcontrol.plans.plan import Plan, plan_key
 from dpcontrol.rig.bench import BenchProcess, BenchRecipe, BenchServerSettings, RecordedRig, checked_faults
-from dpcontrol.rig.client import Deadlines, UdpRig, parse_address, real_time_priority, without_collecting
+from dpcontrol.rig.client import Deadlines, PacketRig, UdpRig, parse_address, real_time_priority, without_collecting
 from dpcontrol.rig.commissioning import Commissioning, CommissioningSettings, commission
 from dpcontrol.rig.packets import shared_key
+from dpcontrol.rig.serial_line import SERIAL, SerialRig, parse_line
 from dpcontrol.runs.learning import Learnt, learn
 from dpcontrol.runs.remedies import Why, why
 
@@ -877,7 +878,7 @@ class RigLink:
     """Connection of a loop to its bench.
 
     Attributes:
-        address: udp://HOST:PORT, or `udp` to start an example bench.
+        address: udp://HOST:PORT, serial://PATH?baud=RATE, or `udp` to start an example bench.
         key: key shared with the bench.
         insecure: accept a bench on another computer without a key.
         real_time: request priority from the system.
@@ -893,7 +894,9 @@ class RigLink:
 
     def __post_init__(self) -> None:
         """Check the address."""
-        if self.address != OWN_BENCH:
+        if self.address.startswith(SERIAL):
+            parse_line(self.address)
+        elif self.address != OWN_BENCH:
             parse_address(self.address)
 
     @property
@@ -904,7 +907,7 @@ class RigLink:
     @contextmanager
     def connected(
         self, itinerary: Itinerary, recipe: BenchRecipe, *, ticks: int, what: str, loop: ControlLoop | None = None
-    ) -> Iterator[tuple[UdpRig, BenchProcess | None]]:
+    ) -> Iterator[tuple[PacketRig, BenchProcess | None]]:
         """Yield the rig, and the example bench if there is one.
 
         Args:
@@ -917,7 +920,7 @@ class RigLink:
         Raises:
             InputError: no bench answers, it needs a key, or it does not fit the itinerary.
         """
-        arms, rate, key, process = itinerary.model.arms.count, itinerary.loop.rate, self.key, None
+        arms, rate, process = itinerary.model.arms.count, itinerary.loop.rate, None
         begun: dict[str, Any] = {}
         if loop is not None:
             if self.address != OWN_BENCH and itinerary.start == "orbit":
@@ -931,10 +934,12 @@ class RigLink:
         with ExitStack() as stack:
             if self.address == OWN_BENCH:
                 process = stack.enter_context(BenchProcess(recipe, BenchServerSettings(real_time=self.real_time)))
-                where, key = process.address, process.key
+                client: PacketRig = UdpRig(process.address, key=process.key, **begun)
+            elif self.address.startswith(SERIAL):
+                client = SerialRig(self.address, key=self.key, **begun)
             else:
-                where = parse_address(self.address)
-            rig = stack.enter_context(UdpRig(where, key=key, insecure=self.insecure, **begun))
+                client = UdpRig(parse_address(self.address), key=self.key, insecure=self.insecure, **begun)
+            rig = stack.enter_context(client)
             welcome, rig_rate = rig.welcome, 1 / rig.welcome.period
             if welcome.arms != arms:
                 raise InputError(f"rig {rig.address} has {welcome.arms} arms, the itinerary's model {arms}")
@@ -954,7 +959,7 @@ def rig_link(address: str, *, key_file: Path | None = None, insecure: bool = Fal
     """Return the link to a bench.
 
     Args:
-        address: udp://HOST:PORT, or `udp` to start an example bench.
+        address: udp://HOST:PORT, serial://PATH?baud=RATE, or `udp` to start an example bench.
         key_file: file with the shared key; None for that of the environment.
         insecure: accept a bench on another computer without a key.
         real_time: request priority from the system.
