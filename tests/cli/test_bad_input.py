@@ -3,11 +3,8 @@
 import json
 from pathlib import Path
 
-import numpy as np
 import pytest
 from command_line import dpcontrol
-
-from dpcontrol.logs import LogWriter, control_fields
 
 LINES = {
     # Names, and files that are not there.
@@ -108,23 +105,6 @@ def test_a_user_error_in_a_model_is_named(mistake: str, shipped_text: dict[str, 
     Path("mine.toml").write_text(shipped_text["lab"].replace(text, replacement))
     refused("model", "mine.toml", naming=naming)
     refused("orbit", "mine.toml", "--saddle", "down-up", "--energy", "-0.07", naming="mine.toml")
-
-
-def log_carrying(path: str, attachments: dict[str, bytes]) -> None:
-    """Write a whole log of ten ticks at rest."""
-    rest = {name: np.zeros((1, 6)) for name in ("estimate", "reference", "truth")}
-    rest["control"] = np.zeros((1, len(control_fields(2, has_cart=True))))
-    with LogWriter(Path(path), arm_lengths=(0.2, 0.2), rate_hz=1000.0, attachments=attachments, metadata={}) as log:
-        for k in range(10):
-            log.ticks([k / 1000.0], measured=np.zeros((1, 3)), **rest)
-
-
-def test_a_log_without_a_sound_reference_can_be_looked_at_but_not_scored() -> None:
-    log_carrying("bare.mcap", {})
-    log_carrying("damaged.mcap", {"reference.npz": b"PK\x03\x04" + bytes(100)})
-    refused("score", "bare.mcap", naming="bare.mcap carries no reference.npz")
-    refused("score", "damaged.mcap", naming="reference.npz is damaged")
-    assert dpcontrol("review", "bare.mcap", "--save", "bare.rrd").code == 0
 
 
 @pytest.mark.parametrize(

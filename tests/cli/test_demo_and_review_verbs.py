@@ -106,14 +106,3 @@ def test_the_actual_itinerary_is_reported_beside_the_planned_one(demo: tuple[Pat
     assert truth is not None
     passed = float(log.time[np.flatnonzero(truth[:, 1] > 2 * np.pi)[0]])
     assert view.crossings[0] == pytest.approx(passed, abs=2 / log.rate_hz)
-
-
-def test_a_stretch_of_a_log_is_filmed_and_no_viewer_opens(demo: tuple[Path, Ended], tmp_path: Path) -> None:
-    log, film = demo[0] / "logs/outer-turn-0.mcap", tmp_path / "turn.gif"
-    ended = dpcontrol("review", log, "--film", film, "--stretch", "1", "1.4", "--json")
-    assert ended.code == 0, ended.stderr
-    assert ended.document["film"] == str(film)
-    assert film.read_bytes().startswith(b"GIF89a")
-    for wrong in (["--stretch", "1", "2"], ["--film", tmp_path / "turn.avi"], [log, "--film", tmp_path / "two.gif"]):
-        assert dpcontrol("review", log, *wrong).code == 2
-    assert [file.name for file in tmp_path.iterdir()] == ["turn.gif"]

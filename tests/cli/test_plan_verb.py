@@ -62,18 +62,3 @@ def test_a_plan_is_cached_computed_again_on_demand_and_written_as_arrays(tmp_pat
     assert dpcontrol("plan", "hold-down-down", "--out", file, "--json").document["file"] == str(file)
     with np.load(file) as arrays:
         assert "states" in arrays.files
-
-
-@pytest.mark.slow
-def test_a_solver_that_fails_ends_with_1_and_its_reason_and_leaves_no_file(
-    tmp_path: Path, shipped_text: dict[str, str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("DPCONTROL_CACHE", str(tmp_path / "cache"))
-    hasty = shipped_text["outer-turn"].replace("[reference]", "[reference]\nrounds = 1\niterations = 2")
-    Path("hasty.toml").write_text(hasty)
-    ended = dpcontrol("run", "hasty.toml", "--json")
-    assert ended.code == 1
-    assert "maximum iterations" in ended.document["status"]
-    assert "maximum iterations" in ended.message
-    assert [file.name for file in tmp_path.rglob("*") if file.is_file()] == ["hasty.toml"]

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from command_line import PROGRAM, dpcontrol, dpcontrol_program
+from command_line import PROGRAM, dpcontrol
 
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.rig import commissioning
@@ -76,21 +76,6 @@ def bench(folder: Path, *options: str) -> Iterator[str]:
             lines.append(process.stdout.readline())
         yield json.loads("".join(lines))["address"]
         assert process.wait(60) == 0
-
-
-@pytest.mark.slow  # Some 15 s in real time, twice.
-def test_a_bench_in_another_process_is_commissioned_over_udp(tmp_path: Path) -> None:
-    with bench(tmp_path, "--hanging", "--fault", "drive-reversed") as address:
-        ended = dpcontrol_program(
-            "commission", "outer-turn", "--rig", address, "--real-time", "--write", "--json", folder=tmp_path
-        )
-    assert ended.code == 1
-    document = ended.document
-    assert not (tmp_path / "itineraries").exists()
-    late = next(f for f in document["findings"] if f["step"] == "deadlines")
-    if late["verdict"] != "wrong":
-        (wrong,) = [f for f in document["findings"] if f["verdict"] == "wrong"]
-        assert "the drive is reversed" in wrong["sentence"]
 
 
 @pytest.mark.slow

@@ -41,26 +41,6 @@ def test_endless_work_is_rejected_before_it_starts(call: tuple[str, ...], key: s
     assert "will take about" in ended.message
 
 
-@pytest.mark.parametrize(
-    ("verb", "key", "value"),
-    [
-        ("plan", "wraps", "[100000]"),
-        ("plan", "repeat", "10000"),
-    ],
-)
-def test_an_endless_itinerary_is_rejected_with_its_file(
-    verb: str, key: str, value: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    values = {"wraps": "[3]", key: value} | ({"wraps": "[3, 3]"} if key == "repeat" else {})
-    lines = ['walk = ["down-up +", "down-up +"]', "energy = 0.2", *(f"{k} = {v}" for k, v in values.items())]
-    Path("long.toml").write_text("\n".join(lines))
-    ended = dpcontrol(verb, "long.toml")
-    assert ended.code == 2
-    assert ended.message.startswith("dpcontrol: long.toml: ")
-    assert {path.name for path in tmp_path.iterdir()} == {"long.toml"}
-
-
 def test_a_campaign_of_too_many_cases_or_runs_is_rejected() -> None:
     many = [k / 1e5 for k in range(200)]
     with pytest.raises(InputError, match="over: 40,000 cases"):
