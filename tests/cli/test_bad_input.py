@@ -86,18 +86,6 @@ def test_a_user_error_on_the_command_line_is_named(line: str) -> None:
     refused(*line.split(), naming=LINES[line])
 
 
-@pytest.mark.parametrize("mistake", ITINERARY)
-def test_a_user_error_in_an_itinerary_is_named(
-    mistake: str, shipped_text: dict[str, str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    monkeypatch.setenv("DPCONTROL_CACHE", str(tmp_path / "cache"))
-    text, replacement, naming = ITINERARY[mistake]
-    assert text in shipped_text["outer-turn"]
-    Path("mine.toml").write_text(shipped_text["outer-turn"].replace(text, replacement))
-    refused("plan", "mine.toml", naming=naming)
-    refused("run", "mine.toml", naming="mine.toml")
-
-
 @pytest.mark.parametrize("mistake", MODEL)
 def test_a_user_error_in_a_model_is_named(mistake: str, shipped_text: dict[str, str]) -> None:
     text, replacement, naming = MODEL[mistake]

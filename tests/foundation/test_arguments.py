@@ -1,14 +1,11 @@
 """Arguments of the wrong type are refused by name."""
 
-import subprocess
-import sys
 from math import inf, nan
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-import dpcontrol as dp
 from dpcontrol.foundation.checked import Hit, check, number
 from dpcontrol.foundation.errors import InputError
 
@@ -29,17 +26,3 @@ def test_values_that_are_not_integers_in_range_are_refused(value):
 def test_values_that_are_not_paths_are_refused():
     with pytest.raises(InputError, match="must be one short line of text or the path of a file"):
         check("file", b"log.mcap", str | Path)
-
-
-def test_signatures_are_imported_without_numpy_and_pydantic():
-    code = "import sys, dpcontrol.foundation.checked; print({'numpy', 'pydantic'} & set(sys.modules))"
-    assert subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout == "set()\n"
-
-
-@pytest.mark.slow
-def test_values_of_options_are_one_a_list_or_an_array():
-    loop, alone = dp.closed_loop("hold-down-down", settings={"seconds": 1.0}), dp.CampaignSettings(runs=1, workers=1)
-    one, listed, array = (
-        loop.campaign(over={"lag": lag}, settings=alone) for lag in (0.002, [0.002], np.array([0.002]))
-    )
-    assert one.rows == listed.rows == array.rows

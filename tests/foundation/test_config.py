@@ -62,9 +62,3 @@ def test_a_mistake_in_the_file_or_a_variable_ends_every_verb_but_help(
     assert str(file) in ended.message or not text
     assert told in ended.message
     assert dpcontrol("run", "--help").code == 0
-
-
-def test_a_folder_does_not_take_the_name_of_a_log() -> None:
-    Path("still.toml").write_text(STILL)
-    Path("logs/still-0.mcap").mkdir(parents=True)
-    assert dpcontrol("run", "still.toml").stdout.splitlines()[0] == "logs/still-0.2.mcap"

@@ -83,21 +83,6 @@ def test_possible_successors_come_first_and_each_kind_has_a_recommended_one_in_v
     assert all(angles[name] == pytest.approx(max(angles.values()), abs=1e-6) for name in recommended)
 
 
-def test_the_example_is_a_walk_that_returns_and_its_button_goes(page: Page) -> None:
-    page.press("example")
-    state = page.until(lambda state: len(state["walk"]) == 2)
-    assert state["stops"][0] == state["stops"][-1] != state["stops"][1]
-    assert not page.all('[data-role="example"]')
-    assert [name for name in ("plan", "run", "save") if "main" in page.role(name).get_attribute("class")] == ["plan"]
-
-
-def test_the_text_is_folded_until_it_is_wanted(page: Page) -> None:
-    lines = "return document.getElementById('editor').clientHeight / 16"
-    assert page.driver.execute_script(lines) < 2
-    page.role("toml").click()
-    assert page.driver.execute_script(lines) > 8
-
-
 def test_text_and_page_are_synchronised_and_errors_mark_their_line(page: Page) -> None:
     text = page.idle()["toml"]
     edited = text.replace("walk   = []", 'walk   = ["down-up +", "down-up -"]').replace("wraps  = []", "wraps = [1]")
@@ -131,15 +116,6 @@ def test_a_run_is_drawn_filmed_and_repeated_with_twenty_seeds(page: Page) -> Non
     assert page.role("status").get_attribute("class") == "error"
     assert page.press("seeds")["seeds"]["runs"] == len(page.all("#bar i")) == 20
     assert len(page.all("#bar .good")) == page.state["seeds"]["completed"]
-
-
-def test_a_failed_plan_is_reported_and_can_be_saved(page: Page) -> None:
-    text = on_orbits(page.state["toml"])
-    page.type("toml", text.replace("[run]", "[limits]\nposition = 0.001\n[reference]\niterations = 20\n[run]"))
-    state = page.press("plan")
-    assert not state["plan"]["converged"]
-    assert state["plan"]["status"] in page.role("status").text
-    assert not page.role("save").get_attribute("disabled")
 
 
 # Visits places of a canvas until a connection of the list is highlighted, and returns the place and the name.
