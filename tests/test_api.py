@@ -55,30 +55,6 @@ def test_a_plan_of_a_walk_is_that_of_the_file_it_writes(example: dict[str, Any])
     assert figures[0] == figures[1]
 
 
-@pytest.mark.slow
-def test_a_failure_is_a_value(example: dict[str, Any]) -> None:
-    missed = dp.run(example["reference"], settings={"controller": "feedforward"}, mismatch=0.05)
-    assert not missed.converged
-    assert missed.status.startswith("NOT completed")
-
-
-@pytest.mark.slow
-def test_an_interior_stop_has_the_fewest_wraps_by_default(example: dict[str, Any]) -> None:
-    walk = dp.shadow(example["found"], ["down-up +", "down-up -"])
-    assert walk.converged
-    assert len(walk.wraps) == 1
-    with pytest.raises(dp.InputError, match="1 interior stop"):
-        dp.shadow(example["found"], ["down-up +", "down-up -"], wraps=[1, 2])
-
-
-@pytest.mark.slow
-def test_progress_is_reported_to_a_function(example: dict[str, Any]) -> None:
-    told: list[tuple[str, float]] = []
-    dp.connections(example["orbit"], progress=lambda what, done: told.append((what, done)))
-    assert told
-    assert all(0 <= done <= 1 for _, done in told)
-
-
 def test_importing_the_package_imports_nothing_else() -> None:
     script = "import sys; before = set(sys.modules); import dpcontrol; print(*(set(sys.modules) - before))"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)

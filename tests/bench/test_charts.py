@@ -88,15 +88,3 @@ def test_a_complaint_is_in_the_status_and_under_strict_the_exit_code(one_chart, 
     failed = dpcontrol("bench", "--strict", "--out", str(tmp_path))
     assert failed.code == 1
     assert "100% off the front" in failed.message
-
-
-def test_an_unknown_chart_is_refused(tmp_path):
-    assert dpcontrol("bench", "propagatoin", "--out", str(tmp_path / "none")).code == 2
-    assert not (tmp_path / "none").exists()
-
-
-@pytest.mark.slow
-def test_a_map_is_drawn(tmp_path):
-    (drawn,) = draw_charts(["edges-ogy"], tmp_path, quick=True)
-    assert drawn.pictures[0].read_bytes().startswith(b"\x89PNG")
-    assert json.loads(drawn.data.read_text())["name"] == "edges-ogy"

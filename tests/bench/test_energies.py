@@ -20,9 +20,3 @@ def test_energies_of_an_itinerary_are_compared_in_closed_loop(tmp_path, monkeypa
     loops = [p for p in found["panels"][0]["points"] if p["method"] == "loop"]
     assert len(loops) == 2
     assert all(p["error"] > p["others"]["reference"] for p in loops)
-
-
-def test_energies_of_more_than_a_walk_are_refused(tmp_path) -> None:
-    ended = dpcontrol("plan", "hold-down-up", "--explore-energy", str(tmp_path / "e.png"))
-    assert ended.code == 2
-    assert "compares energies of one walk" in ended.message

@@ -75,10 +75,3 @@ def test_a_stay_of_format_2_is_a_segment(plan: Plan) -> None:
 def test_a_content_that_contradicts_itself_is_refused(plan: Plan, change: Any) -> None:
     with pytest.raises(InputError, match="contradict each other"):
         read_again(plan, change(plan.content))
-
-
-def test_a_content_with_a_number_that_is_none_is_refused(plan: Plan) -> None:
-    notes, arrays = stored(plan.content)
-    for damaged in ({"title": 3}, {"transfers": [["begin", "end"]]}, {"transfers": [[0.0, float("nan")]]}):
-        with pytest.raises(ValueError, match="PlanContent"):
-            restored(notes | damaged, arrays, arms=2)

@@ -184,9 +184,3 @@ def test_a_night_learns_from_its_first_repetition(tmp_path: Path) -> None:
     assert [digest.session for digest in night.digests] == [1, 2]
     assert logs[0].plant == logs[1].plant
     assert feedback(logs[1]) < GAIN * feedback(logs[0])
-
-
-def test_a_run_without_estimates_of_the_model_cannot_be_learnt_from() -> None:
-    run = dp.run("outer-turn", settings={"controller": "tvlqr"})
-    with pytest.raises(dp.InputError, match="adaptive"):
-        run.learn()

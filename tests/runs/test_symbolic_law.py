@@ -114,18 +114,6 @@ def test_the_example_flies_counts_and_leaves_as_c_that_replays_its_run(
     assert "1e-09 allowed" in done.stderr
 
 
-@pytest.mark.parametrize(
-    ("function", "said"),
-    [
-        (lambda s, r, m, p: s[0], "it must return two values"),
-        (lambda s, r, m, p: (ca.erf(s[0]), m), "has no heyoka counterpart"),
-    ],
-)
-def test_invalid_laws_are_rejected_before_the_run(function, said: str) -> None:
-    with pytest.raises(dp.InputError, match=f"(?s)controller = <lambda>: .*{said}"):
-        dp.closed_loop(PLAN, controller=dp.SymbolicLaw(function, memory=1)).run()
-
-
 @pytest.mark.slow
 def test_a_command_that_is_not_finite_ends_the_run_and_not_the_campaign(tmp_path: Path) -> None:
     (tmp_path / "laws.py").write_text(FILE)

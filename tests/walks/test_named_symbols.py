@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dpcontrol.foundation.errors import GoalMissed, InputError
+from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.plans.model import load_model
 from dpcontrol.tubes.connections import find_connections, orbits_between
 from dpcontrol.walks.edges import find_edges, rotating_named, rotating_names
@@ -101,17 +101,6 @@ def test_composite_edges_list_their_elementary_symbols():
     texts = ("down-up +", "down-up -", "down-up > up-down", "up-down +")
     assert expanded(walk, (4,)) == (texts, (1, 3, 4))
     assert expanded(walk, (4, 5)) == (texts, (1, 3, 4, 5))
-
-
-def test_invalid_composite_edges_are_refused(edges):
-    with pytest.raises(InputError, match='put "up-down > down-up" between them'):
-        resolve(["(down-up > up-down)·1·(down-up +)"], edges)
-    with pytest.raises(InputError, match="lead from down-up to down-up"):
-        resolve([f"down-up>up-down[0,0]h1.2@{GROWN}"], edges)
-    with pytest.raises(InputError, match=r"no edge is named .* give 'down-up>down-up\[0,0\]h1.2@\(down-up>"):
-        resolve([f"down-up>down-up[0,7]h1.2@{GROWN}"], edges)
-    with pytest.raises(InputError, match="up-down exist only above"):
-        resolve(["(down-up > up-down)·1·(up-down +)"], edges)
 
 
 def test_a_composite_edge_with_too_few_wraps_reports_the_minimum(system):
