@@ -115,19 +115,6 @@ def test_package_changes_and_citation_have_the_same_version() -> None:
 
 
 @pytest.mark.slow
-def test_a_checkout_finds_its_own_folders_from_anywhere(tmp_path: Path) -> None:
-    package, *files = found_from(tmp_path, path=ROOT)
-    assert Path(package) == ROOT / "dpcontrol" / "__init__.py"
-    assert not (ROOT / "dpcontrol" / "data").exists()
-    assert [Path(f) for f in files] == [
-        ROOT / "models" / "lab.toml",
-        ROOT / "models" / "printed.toml",
-        ROOT / "itineraries" / "outer-turn.toml",
-        ROOT / "itineraries" / "cross.toml",
-    ]
-
-
-@pytest.mark.slow
 def test_the_working_folders_own_file_comes_before_the_shipped_one(tmp_path: Path) -> None:
     (tmp_path / "models").mkdir()
     own = tmp_path / "models" / "lab.toml"

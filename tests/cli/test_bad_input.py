@@ -35,18 +35,6 @@ LINES = {
     "run outer-turn --out turn.txt": ".mcap",
 }
 """Command lines, and what the message must name."""
-
-ITINERARY = {
-    "unknown key": ("energy =", "enrgy =", "enrgy"),
-    "missing key": ("energy = -0.07", "", "'energy' is missing"),
-    "not finite": ("energy = -0.07", "energy = nan", "finite"),
-    "out of range": ("acceleration = 30.0", "acceleration = -1.0", "acceleration"),
-    "broken TOML": ("[limits]", "[limits", "not valid TOML"),
-    "energy below the saddle's": ("energy = -0.07", "energy = -0.2", "-0.175429747"),
-    "unknown saddle": ('["down-up +"]', '["up-sideways +"]', "up-sideways"),
-    "walk not connected": ('["down-up +"]', '["down-up +", "up-down +"]', "not connected"),
-    "blow without a time": ("[run]", "[[run.blows]]\narm = 1\nimpulse = 0.01\n[run]", "'time' is missing"),
-}
 MODEL = {
     "negative mass": ("mass           = [0.09", "mass           = [-0.09", "mass"),
     "not a number": (

@@ -68,21 +68,6 @@ def test_review_without_files_opens_the_viewer_on_a_recording(
     assert list((tmp_path / "tmp").iterdir()) == []
 
 
-def test_two_logs_or_a_reference_are_reviewed_as_one_log_is(demo: tuple[Path, Ended], tmp_path: Path) -> None:
-    log, reference = demo[0] / "logs/outer-turn-0.mcap", tmp_path / "turn.npz"
-    reference.write_bytes(read_log(log).attachments["reference.npz"])
-    for files in ([log, log], [reference]):
-        recording, picture = tmp_path / "out.rrd", tmp_path / "out.png"
-        ended = dpcontrol("review", *files, "--save", recording, "--picture", picture, "--json")
-        assert ended.code == 0, ended.stderr
-        assert (ended.document["recording"], ended.document["picture"]) == (str(recording), str(picture))
-        assert recording.read_bytes().startswith(RECORDING)
-        assert picture.read_bytes().startswith(PNG)
-    for files in ([log, reference], [log, log, "--align", "2"]):
-        assert dpcontrol("review", *files, "--save", tmp_path / "none.rrd").code == 2
-    assert not (tmp_path / "none.rrd").exists()
-
-
 def test_the_drawn_tubes_meet_at_the_plans_section_crossing(demo: tuple[Path, Ended]) -> None:
     log = read_log(demo[0] / "logs/outer-turn-0.mcap")
     view = run_view(log)

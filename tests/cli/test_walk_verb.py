@@ -15,8 +15,6 @@ from dpcontrol.foundation.progress import Progress
 from dpcontrol.walks import edges
 
 RESIDUAL = 1e-11
-AGREES = 1e-10
-"""The bar; what is reached is about 1e-32, and 1e-13 off double."""
 BETWEEN_NODES = 1e-9
 """From node to node by an independent integrator at 1e-12 relative; the segments are an eighth of a period long."""
 LOW = ("walk", "lab", "--energy", "-0.07")

@@ -74,17 +74,6 @@ def test_a_state_that_is_no_number_is_logged_but_not_as_a_transform(tmp_path: Pa
     assert stamps == [0]
 
 
-def test_two_runs_of_one_log_do_not_share_a_partial_file(tmp_path: Path) -> None:
-    first, second = sample(40, seed=1), sample(60, seed=2)
-    with open_writer(tmp_path / "run.mcap", first) as one:
-        tick_all(one, first)
-        with open_writer(tmp_path / "run.mcap", second) as other:
-            tick_all(other, second)
-        assert len(read_log(tmp_path / "run.mcap").time) == 60
-    assert len(read_log(tmp_path / "run.mcap").time) == 40
-    assert [file.name for file in tmp_path.iterdir()] == ["run.mcap"]
-
-
 def test_attachments_and_metadata_precede_the_first_message(tmp_path: Path) -> None:
     path = write_sample(tmp_path / "run.mcap", sample())
     with path.open("rb") as stream:

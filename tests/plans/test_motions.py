@@ -12,7 +12,6 @@ from dpcontrol.runs.run import run_plan
 ROUNDING = 1e-9
 COARSE = '[reference]\nmethod = "radau-5"\ninterval = 0.1\ntolerance = 1e-3\n'
 """What is asked here is where motions lead, not how exact they are."""
-TURN = 'energy = -0.07\nwalk = ["down-up +"]\n'
 UP_AND_ASIDE = """
 model = "single"
 start = "rest"

@@ -2,8 +2,7 @@
 
 import json
 import tomllib
-from dataclasses import asdict, replace
-from pathlib import Path
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -19,10 +18,7 @@ from dpcontrol.plans.itinerary import itinerary_from, load_itinerary, setting_of
 from dpcontrol.plans.model import load_model
 from dpcontrol.plans.overrides import NAMED, parsed, paths, typed
 from dpcontrol.runs.campaign import cases_of
-from dpcontrol.runs.run import stored_settings
 
-OLD = Path(__file__).parent / "version-0.2.0"
-"""A log and a plan that version 0.2.0 wrote."""
 TURN = """
 model = "lab"
 energy = -0.07
@@ -130,30 +126,6 @@ def test_a_stay_is_lengthened_by_a_setting_but_a_plan_keeps_its_duration() -> No
         load_itinerary("outer-turn").with_run({"seconds": 90})
     with pytest.raises(InputError, match="change seconds in the file of the itinerary"):
         cases_of(load_itinerary("hold-up-up"), fixed={}, over={"seconds": [30, 90]})
-
-
-@pytest.mark.slow
-def test_a_log_of_version_0_2_0_is_read_and_its_run_repeated(tmp_path: Path) -> None:
-    again = dpcontrol("run", "--from", OLD / "run-0.2.0.mcap", "--out", tmp_path / "again.mcap", "--json")
-    log, repeated = dp.open_log(OLD / "run-0.2.0.mcap").log, dp.open_log(tmp_path / "again.mcap").log
-    # The filter has changed since: it assumes that the age of readings varies from the first one on.
-    assert "not the same run" in again.message
-    assert repeated.time.tolist() == log.time.tolist()
-    assert repeated.truth[0] == pytest.approx(log.truth[0], abs=1e-9)
-    loop = stored_settings(json.loads(log.metadata["run_settings"]), "run")
-    assert (loop.drive.lag, loop.sensors.stuck_at, loop.mechanics.play) == (0.002, 0.45, (0.001, 0.0))
-    stored, read = json.loads(log.metadata["run_settings"]), json.loads(json.dumps(asdict(loop)))
-    # Drives that fail, starts from anywhere and learnt errors are later settings.
-    for table in ("drive", "mechanics", "estimator"):
-        read[table] = {name: value for name, value in read[table].items() if name in stored[table]}
-    assert read.pop("start") == "planned"
-    assert read == stored
-
-
-def test_a_plan_of_version_0_2_0_is_read() -> None:
-    plan = dp.open_plan(OLD / "plan-0.2.0.npz")
-    assert plan.itinerary.loop.supervisor.lost_tracking == 1.4
-    assert plan.itinerary.loop.disturbances.explicit[0].impulse == 0.001
 
 
 MISTAKES: list[tuple[str, str, str]] = [

@@ -94,14 +94,6 @@ def test_borders_where_less_is_worse_are_sought_downward(turn: Plan, monkeypatch
     assert (border(found, "belt").own, border(found, "counts").own) == ("none", "40,000 a turn")
 
 
-@pytest.mark.parametrize(("seconds", "kinds"), [(0.03, 10), (0.2, 4), (3.0, 0)])
-def test_long_itineraries_have_fewer_borders_so_that_two_minutes_suffice(seconds: float, kinds: int) -> None:
-    amounts = module._amounts(0, seconds, lockstep=True)
-    assert amounts.runs * seconds <= 240  # two processors for two minutes
-    assert amounts.kinds == kinds
-    assert amounts.rate >= 16
-
-
 def test_a_preflight_names_the_figures_that_explain_its_failures(turn: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
     made_up(monkeypatch, lambda loop, random: loop.drive.lag < 0.01)
     found = preflight(turn, {"lag": 0.04}, settings=PreflightSettings(runs=16, workers=1))
