@@ -12,18 +12,14 @@ from dpcontrol.bench import energies
 from dpcontrol.bench.chart import AGREES, Attempt, Border, EdgeMap, find_border
 from dpcontrol.bench.control import held_orbit
 from dpcontrol.bench.edges import (
-    COUNTS,
     TRIED,
     WEAK,
     arriving,
     delay_border,
     followed,
-    holds,
     lost_border,
     moving,
-    pulses,
 )
-from dpcontrol.loop.bench import DriveSettings
 from dpcontrol.plans.model import load_model
 from dpcontrol.references.sustained import SustainedOrbit
 
@@ -94,15 +90,6 @@ def test_commands_on_their_way_at_the_start_belong_to_where_the_motion_leads():
     assert replace(moving(RATE), near=BESIDE).run(acceleration=WEAK, error=0.0, delay=0.2).works
 
 
-def test_lockstep_and_loop_queue_the_same_commands():
-    stand = moving(RATE)
-    late = replace(stand.assembly.settings, seed=3, initial_error=0.01, drive=DriveSettings(delay=10))
-    assembly = replace(stand.assembly, settings=late)
-    together, alone = assembly.batch([3])[0], assembly.simulate()
-    assert alone.ticks.truth is not None
-    assert np.abs(together.truth[:40] - alone.ticks.truth[:40]).max() < 1e-9
-
-
 @pytest.mark.slow
 def test_a_moving_reference_tolerates_a_known_delay_up_to_a_reported_border():
     found = delay_border(moving(RATE), error=0.02, ratio=1.2)
@@ -130,24 +117,6 @@ RUNS = 8
 @cache
 def orbit() -> SustainedOrbit:
     return held_orbit()
-
-
-@pytest.mark.slow
-def test_large_pulses_hold_and_small_ones_lose_the_orbit():
-    law = pulses(orbit(), 16, seconds=4.0)
-    near, far = (holds(orbit(), replace(law, pulse_limit=most), counts=COUNTS, seeds=RUNS) for most in (0.2, 0.04))
-    assert near.works, near.says
-    assert not far.works
-    assert "runs lost" in far.says
-
-
-@pytest.mark.slow
-def test_fine_encoders_hold_and_coarse_ones_lose_the_orbit():
-    law = pulses(orbit(), 4, seconds=4.0)
-    near, far = (holds(orbit(), law, counts=counts, seeds=RUNS) for counts in (20_000.0, 2000.0))
-    assert near.works, near.says
-    assert not far.works
-    assert "runs lost" in far.says
 
 
 APART = 0.25  # the bar

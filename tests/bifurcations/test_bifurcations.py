@@ -35,11 +35,6 @@ SADDLES = {
 }
 
 
-@pytest.fixture(scope="module")
-def system():
-    return load_model("lab").system
-
-
 def located(system, energies, *, source="down-up", target="down-up", distance=1e-4, chord=0.05, samples=2):
     search = ConnectionSettings(distance=distance, cut=CutSettings(chord=chord))
     settings = SweepSettings(samples=samples, search=search)

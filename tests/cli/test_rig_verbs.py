@@ -54,17 +54,6 @@ def test_measured_values_are_written_once_and_then_equal_those_of_the_file(scene
     assert "wrong" not in again.stdout
 
 
-@pytest.mark.slow
-def test_a_shipped_scene_is_copied_into_the_working_folder(scene: Path) -> None:
-    shipped = ROOT / "itineraries" / "outer-turn.toml"
-    before = shipped.read_bytes()
-    ended = dpcontrol("commission", "outer-turn", "--delay", "1.5", "--write")
-    assert ended.code == 0
-    assert "itineraries/outer-turn.toml: [run] now has delay = 1.5" in ended.stdout
-    assert shipped.read_bytes() == before
-    assert load_itinerary("outer-turn").loop.drive.delay == pytest.approx(1.5, abs=0.01)
-
-
 @contextmanager
 def bench(folder: Path, *options: str) -> Iterator[str]:
     """Start an example bench in another process, and give its address."""

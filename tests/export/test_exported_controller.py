@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from c_compilers import SOURCES, SideBySide, compiled, library, needed, ran
-from command_line import dpcontrol
 from library_program import LibraryProgram
 
 from dpcontrol.control import export
@@ -175,17 +174,3 @@ def test_the_header_gives_the_first_commands_and_the_reference(plan: Plan, doubl
     for tick, row in ((-5, 0), (0, 0), (1234, 1234), (10**9, -1)):
         c.dpc_reference(ctypes.c_long(tick), state)
         assert np.array_equal(np.array(state), both.references[row])
-
-
-@pytest.mark.slow
-def test_constant_columns_are_in_the_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(export, "_measured", lambda files: (None, None))
-    asked = ("export", "hold-up-up", "--float", "--clock", "168", "--out", tmp_path / "hold", "--json")
-    ended = dpcontrol(*asked)
-    assert ended.code == 0, ended.message
-    # By its instructions, 31,000 cycles.
-    assert ended.document["seconds_a_tick"] == pytest.approx(1.9e-4, rel=0.3)
-    # An equilibrium with its gain is one row of the reference, for any duration.
-    assert ended.document["tables"] <= 7 * 4
-    assert ended.document["precision"] == "single"
-    assert ended.document["stack"] is None

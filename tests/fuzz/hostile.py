@@ -372,11 +372,3 @@ def file_trials(draw: st.DrawFn, kind: str, laboratory: Laboratory) -> Trial:
     file, change, calls = KINDS[kind]
     call = draw(st.sampled_from(calls))
     return Trial(tuple(call.format(file).split()), {file: change(draw, laboratory.files[file])})
-
-
-def all_trials(laboratory: Laboratory) -> st.SearchStrategy[Trial]:
-    """Return trials of every verb and every kind of file."""
-    options = [option_trials(verb, laboratory) for verb in VERBS]
-    files = [file_trials(kind, laboratory) for kind in KINDS]
-    # Files have more possible errors than options.
-    return st.one_of(*options, *files, *files)

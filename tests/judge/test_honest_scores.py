@@ -8,7 +8,6 @@ import pytest
 
 from dpcontrol.control.estimator_settings import MEANS_OF, nis_means
 from dpcontrol.foundation.causes import Cause
-from dpcontrol.foundation.errors import InputError
 from dpcontrol.judge.decoding import FOLLOWS
 from dpcontrol.judge.score import HARDEST_METADATA, counted, score, stretches_of
 from dpcontrol.logs import Event, RunLog, Stretch
@@ -136,10 +135,3 @@ def test_flights_are_decoded_from_the_log() -> None:
     ]
     log = SimpleNamespace(events=events, time=np.arange(12_000) / 1000, rate_hz=1000.0)
     assert stretches_of(log) == (Stretch(0, 3001, 0.0), Stretch(9000, 10_000, 2.5), Stretch(10_000, 12_000, 2.7))
-
-
-def test_a_log_whose_events_have_no_causes_is_refused() -> None:
-    told = Event(9.0, "info", "resume", words="on the itinerary from t = 2.5 s of the reference: symbol 2 of 3")
-    log = SimpleNamespace(path="old.mcap", events=[told], time=np.arange(12_000) / 1000, rate_hz=1000.0)
-    with pytest.raises(InputError, match="run it again"):
-        stretches_of(log)

@@ -11,7 +11,6 @@ from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.causes import FamilyEndCause
 from dpcontrol.orbits.family import FollowingSettings, lyapunov_family
 from dpcontrol.orbits.lyapunov import equilibrium, lyapunov_orbit
-from dpcontrol.plans.model import load_model
 from tests.reference_values import LYAPUNOV_ORBITS
 
 STATE = 1e-9  # required; about 1e-12 is achieved
@@ -19,11 +18,6 @@ RECIPROCAL = 1e-6  # multipliers of members are up to 1e7
 CROSSING = 1e-10  # J: root of a determinant whose error is rounding times the multiplier, here about one
 RATE = 0.03  # relative: the exponential law is asymptotic
 LIMIT = 1e-4  # J: error of the extrapolated end
-
-
-@pytest.fixture(scope="module")
-def system():
-    return load_model("lab").system
 
 
 @pytest.fixture(scope="module")

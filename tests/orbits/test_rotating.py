@@ -16,7 +16,6 @@ from dpcontrol.orbits.rotating import (
     rotating_family,
     rotating_orbits,
 )
-from dpcontrol.plans.model import load_model
 
 STATE = 1e-9  # required; about 1e-13 is achieved
 PERIOD = 1e-11
@@ -39,11 +38,6 @@ REFERENCE = {
     ),
 }
 """(turning arm, energy): state, period, multipliers, kind; computed independently in 113-bit arithmetic."""
-
-
-@pytest.fixture(scope="module")
-def system():
-    return load_model("lab").system
 
 
 @pytest.fixture(scope="module")

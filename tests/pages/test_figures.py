@@ -9,7 +9,6 @@ import pytest
 from dpcontrol.pages.atlas import connections_of, kind_of, stable_direction, write_atlas_recording
 from dpcontrol.pages.figures import Gallery, draw_figures
 from dpcontrol.pages.paper import equilibria
-from dpcontrol.pages.paper.connecting import returning_search
 from dpcontrol.pages.viewer import viewer_program
 from dpcontrol.plans.atlas import AtlasSettings, compute_atlas, make_atlas, make_branches
 from dpcontrol.plans.model import load_model
@@ -76,19 +75,6 @@ def test_the_recording_of_an_atlas_is_verified_by_the_viewers_own_tool_and_holds
     for path in ("/space/orbits/down_up", "/space/tubes/down_up/hit_1", "/space/connections/down_up_to_down_up_1_1"):
         assert path in done.stdout
     assert done.stdout.count("/now") >= len(low.connections)
-
-
-@pytest.mark.slow
-def test_returning_orbits_cross_the_aligned_section_twice_in_opposite_ways():
-    search = returning_search(load_model("lab").system)
-    back = [c for c in search.connections if not any(c.winding)]
-    assert len(back) == 8
-    for c in back:
-        times = np.linspace(-c.time_out, c.time_in, 4000)
-        states = c.orbit.sample(times)
-        sheet = np.floor((states[:, 0] - states[:, 1]) / (2 * np.pi))
-        steps = np.diff(sheet)[np.diff(sheet) != 0]
-        assert sorted(steps) == [-1, 1]
 
 
 def test_points_of_up_ups_manifold_lie_on_its_energy_and_come_from_it():

@@ -17,16 +17,9 @@ from dpcontrol.foundation.rendering import live_view
 from dpcontrol.logs import Event
 from dpcontrol.pages import viewer
 from dpcontrol.pages.viewer import LiveView, parts_of, show, viewer_program
-from dpcontrol.plans.itinerary import load_itinerary
-from dpcontrol.plans.plan import make_plan
 from dpcontrol.runs import run as runs
 
 NOWHERE = "rerun+http://127.0.0.1:9/proxy"
-
-
-@pytest.fixture(scope="module")
-def plan():
-    return make_plan(load_itinerary("outer-turn"))
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ from quick_rate import quick_rate
 from scipy.integrate import solve_ivp
 
 from dpcontrol.plans import atlas as branches
-from dpcontrol.plans.atlas import compute_atlas, load_atlas, make_atlas, make_branches, save_atlas
+from dpcontrol.plans.atlas import compute_atlas, load_atlas, make_branches, save_atlas
 from dpcontrol.plans.model import load_model
 from dpcontrol.tubes.connections import can_be_reversed, find_connections, orbits_between, reversed_search
 from dpcontrol.walks.atlas import Atlas
@@ -184,19 +184,6 @@ def test_an_atlas_comes_back_from_its_file_bit_for_bit(low, tmp_path):
     back = load_atlas(tmp_path / "a.npz")
     for field in fields(Atlas):
         assert same(getattr(back, field.name), getattr(stored, field.name)), field.name
-
-
-@pytest.mark.slow
-def test_an_atlas_is_computed_once_and_again_if_damaged_or_requested(model, tmp_path, monkeypatch):
-    monkeypatch.setenv("DPCONTROL_CACHE", str(tmp_path))
-    first = make_atlas(model, -0.07)
-    assert not first.cached
-    assert make_atlas(model, -0.07).cached
-    assert make_atlas(model, -0.06).file != first.file
-    assert not make_atlas(model, -0.07, fresh=True).cached
-    first.file.write_bytes(b"damaged")
-    assert not make_atlas(model, -0.07).cached
-    assert make_atlas(model, -0.07).cached
 
 
 FOLD = (-0.1425, -0.1400)  # J: about the first saddle-node of Down-Up's homoclinics

@@ -17,7 +17,6 @@ from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.plans.itinerary import itinerary_from, load_itinerary, setting_of
 from dpcontrol.plans.model import load_model
 from dpcontrol.plans.overrides import NAMED, parsed, paths, typed
-from dpcontrol.runs.campaign import cases_of
 
 TURN = """
 model = "lab"
@@ -116,16 +115,6 @@ def test_settings_are_replaced_by_path() -> None:
 def test_a_misspelt_setting_is_answered_by_the_nearest_name(misspelt: str, meant: str) -> None:
     with pytest.raises(InputError, match=f"did you mean '{meant}'"):
         load_itinerary("outer-turn").with_run({misspelt: 5})
-
-
-def test_a_stay_is_lengthened_by_a_setting_but_a_plan_keeps_its_duration() -> None:
-    scene = load_itinerary("hold-up-up").with_run({"seconds": 90})
-    assert itinerary_from(scene.text, "hold-up-up", scene.model).parts == scene.parts
-    assert parsed("seconds", "90") == scene.parts[0].seconds == 90.0
-    with pytest.raises(InputError, match="is not the file of one stay"):
-        load_itinerary("outer-turn").with_run({"seconds": 90})
-    with pytest.raises(InputError, match="change seconds in the file of the itinerary"):
-        cases_of(load_itinerary("hold-up-up"), fixed={}, over={"seconds": [30, 90]})
 
 
 MISTAKES: list[tuple[str, str, str]] = [

@@ -11,15 +11,9 @@ import pytest
 from shadowing_stand_in import StandIn
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.plans.itinerary import load_itinerary
-from dpcontrol.plans.plan import Plan, make_plan
+from dpcontrol.plans.plan import Plan
 from dpcontrol.references.content import FlightSegment, PlanContent, StaySegment, restored, stored
 from dpcontrol.references.reference import Reference, load_reference, save_reference
-
-
-@pytest.fixture(scope="module")
-def plan() -> Plan:
-    return make_plan(load_itinerary("outer-turn"))
 
 
 def read_again(plan: Plan, content: PlanContent) -> PlanContent:

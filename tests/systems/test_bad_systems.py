@@ -53,24 +53,6 @@ def test_a_bad_system_is_refused(case):
         made(**given)
 
 
-def test_orbits_without_a_reverser_are_refused():
-    friction = with_(lambda q, p, c: 0.1 * q[0] * p[1] + 0.2 * p[0] * q[0] ** 2 + 0.3 * q[1] ** 2 * p[1])
-    ours = made(friction)
-    assert ours.reversers == ()
-    with pytest.raises(dp.InputError, match="no known time-reversal symmetry about top"):
-        lyapunov_orbit(ours, "top", energy=0.1)
-
-
-def test_energies_below_the_saddles_have_no_orbit():
-    ours = henon_heiles()
-    for energy in (0.1, float("nan")):
-        with pytest.raises(dp.InputError, match=r"exist only above|must be a finite number"):
-            lyapunov_orbit(ours, "top", energy=energy)
-    for attempt in (dp.graph, dp.atlas):
-        with pytest.raises(dp.InputError, match=r"above|begin at"):
-            attempt(ours, energy=0.1)
-
-
 def test_a_tube_that_never_returns_has_a_cause():
     """Both branches of the tube escape to infinity on an inverted parabola."""
     ours = made(lambda q, p, c: (p[0] ** 2 + p[1] ** 2 + q[0] ** 2 - q[1] ** 2) / 2)

@@ -8,7 +8,6 @@ import pytest
 from command_line import dpcontrol
 
 import dpcontrol as dp
-from dpcontrol.foundation.budget import Budget
 
 LAB = ("connect", "lab", "--from", "down-up", "--to", "down-up", "--energy", "-0.07")
 
@@ -60,20 +59,3 @@ def test_a_search_at_its_time_limit_misses_its_goal_with_partial_results():
     assert dpcontrol(*LAB, "--seconds", "0").code == 2
     whole = dpcontrol(*LAB, "--json")
     assert (whole.code, whole.document["partial"], whole.document["count"]) == (0, False, 8)
-
-
-def test_a_cut_at_its_time_limit_is_partial():
-    told = []
-    tube = dp.orbit(dp.load_model("lab"), "down-up", energy=-0.07).manifold()
-    cut = tube.cut(seconds=0.001, progress=lambda what, done: told.append(what))
-    assert cut.document()["partial"] is True
-    assert not cut.resolved
-    assert "tube of down-up" in told
-    assert tube.cut().document()["partial"] is False
-
-
-def test_a_part_of_a_budget_does_not_exceed_it():
-    assert Budget(1.0).part(5.0).seconds <= 1.0
-    assert Budget(10.0).until(0.4).seconds == pytest.approx(4.0, rel=1e-3)
-    assert Budget(float("inf")).until(0.5).seconds == float("inf")
-    assert Budget(1e-9).spent
