@@ -15,7 +15,6 @@ ROUNDING = 1e-12
 
 @pytest.fixture(autouse=True)
 def in_a_folder_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let default names point into the test's folder."""
     monkeypatch.chdir(tmp_path)
 
 

@@ -16,7 +16,6 @@ LARGEST = 1e-3
 
 @pytest.fixture(scope="module")
 def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A plan's reference as `plan --out` writes it."""
     path = tmp_path_factory.mktemp("reference") / "turn.npz"
     assert dpcontrol("plan", "outer-turn", "--out", path).code == 0
     return path

@@ -21,8 +21,6 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.fixture
 def defect(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A verb with an error that nobody foresaw."""
-
     def broken(name: str) -> None:
         raise ZeroDivisionError(f"the \x1b[31mmodel {name} is odd")
 

@@ -57,7 +57,6 @@ pytestmark = compiled
 
 
 def made(folder: Path, compiler: str = "gcc", *flags: str, **numbers: str) -> Path:
-    """Compile main_udp.c with the stub."""
     known = {**NUMBERS, **numbers}
     header = (TEMPLATES / "dpc_controller.h").read_text()
     (folder / "dpc_controller.h").write_text(re.sub(r"@([A-Z_]+)@", lambda name: known.get(name[1], "0"), header))

@@ -44,8 +44,6 @@ PERIOD = 1 / SETTINGS.rate
 
 
 class Exported(NamedTuple):
-    """A controller with its C code, library and unit."""
-
     controller: TrackingController
     reference: Reference
     source: ControllerSource

@@ -26,8 +26,6 @@ def no_programs(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def tried(trials: st.SearchStrategy[Trial], laboratory: Laboratory, *, count: int) -> None:
-    """Run `count` fixed inputs."""
-
     @settings(derandomize=True, max_examples=count, **COMMON)
     @given(trials)
     def check(trial: Trial) -> None:

@@ -35,7 +35,6 @@ def rows() -> list[dict[str, Any]]:
 
 
 def table(path: Path, content: list[dict[str, Any]]) -> Path:
-    """Write rows as a table in a folder."""
     path.mkdir()
     pyarrow.parquet.write_table(pyarrow.Table.from_pylist(content), path / "0.parquet")
     return path
@@ -54,7 +53,6 @@ def test_failures_are_counted_by_symbol_and_by_cause(tmp_path: Path) -> None:
 
 
 def standard_rows(controllers: tuple[str, ...]) -> list[dict[str, Any]]:
-    """Return three kinds of trouble at 21 levels, once each; the first controller stands more of it."""
     return [
         {"controller": controller, "kind": kind, "level": float(k), "mismatch": 0.01 * k, "completed": k < 15 - 8 * c}
         for c, controller in enumerate(controllers)

@@ -25,7 +25,6 @@ def swinging(seconds: float = 4.0, **more) -> RunView:
 
 
 def middle_of(frame: Image.Image, colour: str) -> tuple[float, float]:
-    """Return the mean place of a colour's pixels above the story."""
     pixels = np.asarray(frame.crop((0, 60, frame.width, 400))).astype(int)
     rows, columns = np.nonzero(np.abs(pixels - style.rgb(colour)).max(axis=-1) < 12)
     return float(columns.mean()), float(rows.mean())

@@ -29,8 +29,6 @@ def status(address: str, path: str, **headers: str) -> int:
 
 
 class Page:
-    """A page that sends commands and receives messages."""
-
     def __init__(self, address: str, name: str) -> None:
         place = urlsplit(address)
         self.socket = connected.connect(
