@@ -111,18 +111,6 @@ def test_invalid_commands_are_answered_with_a_message(page: Page, command: Any) 
     assert state["toml"] == before or state["mistake"]
 
 
-def test_changes_are_undone_and_redone_one_by_one(page: Page) -> None:
-    first = page.until("state")["toml"]
-    page.send({"do": "append", "symbol": "down-up > up-down"})
-    changed = page.send({"do": "set", "values": {"start": "orbit"}})
-    assert changed["walk"] == ["down-up > up-down"]
-    assert changed["start"] == "orbit"
-    assert page.send({"do": "undo"})["start"] == "rest"
-    assert page.send({"do": "undo"})["toml"] == first
-    page.send({"do": "redo"})
-    assert page.send({"do": "redo"})["toml"] == changed["toml"]
-
-
 def test_commands_are_applied_in_order_though_none_waits_for_the_one_before(page: Page) -> None:
     page.until("state")
     symbols = ["down-up > up-down", "up-down > down-up", "up-down > down-up", "down-up +"]
