@@ -87,9 +87,11 @@ class Scene:
 
     @property
     def name(self) -> str:
+        """The file name without its suffix."""
         return f"scene-{self.seed:04d}"
 
     def write(self, folder: Path) -> Path:
+        """Write the files and return the path of the itinerary."""
         folder.mkdir(parents=True, exist_ok=True)
         (folder / f"{self.name}-model.toml").write_text(self.model)
         if self.plant:
@@ -100,6 +102,7 @@ class Scene:
 
 
 def sampled_scene(seed: int) -> Scene:
+    """Return the scene of a seed."""
     rng = np.random.default_rng([seed, MODEL])
     arms = _arms(rng)
     known = bool(rng.random() < 2 / 3)
