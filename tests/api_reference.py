@@ -110,7 +110,6 @@ def results(stem: str) -> list[type]:
 
 
 def result(kind: type) -> str:
-    """Return a class of results with its attributes and methods."""
     summary = (inspect.getdoc(kind) or "").split("\n\n")[0].replace("\n", " ")
     listed = [f"- **{name}** – {text}" for name, text in (attributes(kind) | methods(kind)).items()]
     return "\n\n".join([f"## `{kind.__name__}`", summary, "\n".join(listed)])
@@ -129,7 +128,6 @@ def entry(name: str) -> str:
 
 
 def heading(level: str, found: str, name: str) -> str:
-    """Return a heading with the name that users write."""
     own = name in CLASSES
     return f"{level} `{f'{name}.{found}' if own and found != name else found if own else f'dp.{found}'}`"
 

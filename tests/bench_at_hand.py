@@ -64,8 +64,6 @@ def served(
 
 
 class Raw:
-    """A loop on a plain socket, which sends any packet."""
-
     def __init__(self, address: tuple[str, int], *, key: bytes = b"") -> None:
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.socket.settimeout(30)

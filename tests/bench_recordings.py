@@ -53,7 +53,6 @@ def free_swing(samples: int, start: tuple[float, ...] = (-0.6, 0.35, 4.0, -3.0))
 
 
 def cells(parts: list[Any]) -> NDArray[np.object_]:
-    """Return a MATLAB column of cells."""
     out = np.empty((len(parts), 1), dtype=object)
     for k, part in enumerate(parts):
         out[k, 0] = part
@@ -73,13 +72,11 @@ def rig_variables(segments: int = 2, samples: int = 300) -> dict[str, Any]:
 
 
 def write_mat(path: Path, variables: dict[str, Any], *, compressed: bool = False) -> Path:
-    """Write a MATLAB file and return its path."""
     savemat(path, variables, do_compression=compressed)
     return path
 
 
 def write_csv(path: Path, columns: dict[str, Any]) -> Path:
-    """Write a table with a header and return its path."""
     rows = zip(*columns.values(), strict=True)
     lines = [",".join(columns), *(",".join(str(value) for value in row) for row in rows)]
     path.write_text("\n".join(lines) + "\n")

@@ -17,6 +17,10 @@ import pytest
 from shadowing_stand_in import LAB, StandIn, high_crossing, low_turn
 
 from dpcontrol.dynamics.chain import Level, arm_chain_equations
+from dpcontrol.dynamics.system import System
+from dpcontrol.plans.itinerary import load_itinerary
+from dpcontrol.plans.model import load_model
+from dpcontrol.plans.plan import Plan, make_plan
 from dpcontrol.references.find import find_reference
 from dpcontrol.references.problem import ReferenceProblem, ReferenceSettings
 from dpcontrol.references.reference import Reference
@@ -150,11 +154,11 @@ LONGEST = (
     "test_proved_connections", "test_readme", "test_true_verdicts", "test_compilers_and_targets", "test_planner_page",
     "test_api_examples", "test_commissioning", "test_recovery_on_the_bench", "test_legibility", "test_examples",
     "test_notebooks", "test_without_heyoka", "test_types", "test_objects", "test_rig_verbs", "test_bifurcations",
-    "test_chart_accuracy", "test_generated_scenes", "test_numbers_of_arms", "test_exported_controller", "test_parts",
+    "test_chart_accuracy", "test_generated_scenes", "test_numbers_of_arms", "test_exported_controller",
     "test_batch", "test_fuzz", "test_run_verb", "test_own_systems", "test_figures", "test_extended", "test_walk_verb",
     "test_campaign", "test_kept_walks", "test_atlas", "test_demo_and_review_verbs", "test_help_and_streams",
     "test_identification", "test_hostile_packets", "test_two_turns", "test_named_symbols", "test_honest_searches",
-    "test_replay", "test_api", "test_udp_program", "test_log_verbs",
+    "test_replay", "test_api", "test_udp_program", "test_log_verbs", "test_itineraries",
 )  # fmt: skip
 """Modules that take longest, slow tests or others: begun first, so that all workers end together."""
 
@@ -192,6 +196,18 @@ def _tracked(orbit: StandIn) -> tuple[StandIn, Reference]:
     equations = arm_chain_equations(2, Level.CART)
     problem = ReferenceProblem(equations, LAB.base(), orbit.guess, orbit.duration)
     return orbit, find_reference(problem, ReferenceSettings())
+
+
+@pytest.fixture(scope="session")
+def system() -> System:
+    """The lab's pendulum without friction."""
+    return load_model("lab").system
+
+
+@pytest.fixture(scope="session")
+def plan() -> Plan:
+    """The plan of the outer arm's turn that is shipped."""
+    return make_plan(load_itinerary("outer-turn"))
 
 
 @pytest.fixture(scope="session")

@@ -18,9 +18,8 @@ Distances have a tolerance of 0.2 rad and a tenth, which is too small to confuse
 A run that reached the reference's end is judged by its score, see `untrue_score`.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 from unittest import mock
 
 import numpy as np
@@ -194,51 +193,6 @@ def _stop(flight: Flight, k: int) -> float:
 
 
 # Troubles.
-
-MOVING = (
-    "outer-turn", "cross", "up-up", "turn-from-rest", "double-turn", "triple-turn", "turn-cross-turn-return",
-    "two-energies", "dance", "round-trip", "round-trip-from-rest",
-)  # fmt: skip
-"""The shipped itineraries with motion that support lockstep."""
-
-
-def troubled(random: np.random.Generator, *, controller: str, troubles: int, faulty: bool = False) -> dict[str, Any]:
-    """Return a bench with severe disturbances, and sensor faults if `faulty`.
-
-    TVLQR has the lab's travel of 0.4 m. Others have 0.8 m, so that the track is not the limit.
-    """
-
-    def within(low: float, high: float) -> float:
-        return float(random.uniform(low, high))
-
-    kinds: list[Callable[[], dict[str, Any]]] = [
-        lambda: {"mismatch": within(0.1, 0.4)},
-        lambda: {"lag": within(0.005, 0.04)},
-        lambda: {"zero_error": within(0.02, 0.1)},
-        lambda: {"tilt": within(-0.15, 0.15)},
-        lambda: {"rate": float(random.choice([100.0, 200.0, 500.0]))},
-        lambda: {"counts": int(2 ** within(8, 15.3))},
-        lambda: {"noise": 10 ** within(-4, -1.7)},
-        lambda: {"pushes": int(random.integers(1, 6)), "push_impulse": 10 ** within(-3.3, -1.7)},
-        lambda: {"knocks": int(random.integers(1, 6)), "knock_velocity": within(0.1, 2.0)},
-        lambda: {"travel": within(0.15, 0.8)},
-        lambda: {"response": within(0.3, 1.8)},
-        lambda: {"cart_mass": within(0.1, 1.0)},
-    ]
-    faults: list[Callable[[], dict[str, Any]]] = [
-        lambda: {"stuck_at": within(0.0, 6.0), "stuck_sensor": int(random.integers(3))},
-        lambda: {"dropout": within(0.05, 0.97)},
-        lambda: {"missed_counts": 10 ** within(0, 2)},
-    ]
-    values: dict[str, Any] = {
-        "controller": controller, "travel": 0.4 if controller == "tvlqr" else 0.8, "initial_error": 0.05,
-        "lag": 0.005, "command_noise": 0.3, "mismatch": 0.05, "zero_error": 0.02,
-    }  # fmt: skip
-    for k in random.choice(len(kinds), size=troubles, replace=False):
-        values |= kinds[k]()
-    if faulty:
-        values |= faults[random.integers(len(faults))]()
-    return {**values}
 
 
 def class_of(flight: Flight) -> str:

@@ -34,7 +34,6 @@ def _walk_lines(random: np.random.Generator, *, high: bool, start: str) -> tuple
 
 
 def drawn_itinerary(seed: int) -> str:
-    """Return the TOML text of an itinerary."""
     random = np.random.default_rng(seed)
     model = str(random.choice(["lab", "lab-identified"]))
     kind = seed % 6
@@ -68,7 +67,6 @@ def drawn_itinerary(seed: int) -> str:
 
 
 def write_itinerary(folder: Path, seed: int) -> Path:
-    """Write the itinerary of a seed to a folder and return its file."""
     file = folder / f"drawn-{seed}.toml"
     file.write_text(drawn_itinerary(seed) + "\n")
     return file

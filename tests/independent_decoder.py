@@ -87,7 +87,6 @@ def plan_of(reference, rate: float, limits: tuple[float, float, float]) -> Plan:
 
 
 def labels(plan: Plan, states: Array, near: float = NEAR) -> list[tuple[Label, int, int]]:
-    """Return the sequence of orbits near the states (K, 2n+2), with first and last ticks."""
     n, stride = plan.arms, max(1, round(plan.rate / LOOKS))
     states = states[::stride]
     angles, rates = states[:, :n], states[:, n : 2 * n] / RATE_UNIT
@@ -148,7 +147,6 @@ def _matched(seen: list[tuple[Label, int, int]], stops: list[Label]) -> list[tup
 
 
 def _half_way(plan: Plan, states: Array, spans: list[tuple[int, int]], flight: int) -> int:
-    """Return the tick halfway between two stops."""
     here, there = (np.array(stop["angles"]) for stop in plan.notes["stops"][flight : flight + 2])
     first, last = spans[flight][1], spans[flight + 1][0]
     way = there - here

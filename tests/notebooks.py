@@ -16,7 +16,6 @@ LONGEST = 900
 
 
 def executed(file: Path) -> nbformat.NotebookNode:
-    """Return a notebook with new outputs, in an empty working folder and without progress on stderr."""
     os.environ.update(OMP_NUM_THREADS="1", MPLBACKEND="module://matplotlib_inline.backend_inline")
     notebook = nbformat.read(file, as_version=4)
     with TemporaryDirectory() as folder:

@@ -2,16 +2,19 @@
 
 import ast
 import inspect
+import re
 import subprocess
 import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
+from result_attributes import attributes, classes
 
 import dpcontrol as dp
 from dpcontrol import api
 from dpcontrol.plans.itinerary import itinerary_from
+from tests.api_reference import CLASSES, FUNCTIONS, GROUPS, GUIDE, entry, page, results
 
 README = (Path(__file__).parent.parent / "README.md").read_text(encoding="utf-8")
 EXAMPLE = README.partition("```python\n")[2].partition("```")[0]
@@ -55,30 +58,6 @@ def test_a_plan_of_a_walk_is_that_of_the_file_it_writes(example: dict[str, Any])
     assert figures[0] == figures[1]
 
 
-@pytest.mark.slow
-def test_a_failure_is_a_value(example: dict[str, Any]) -> None:
-    missed = dp.run(example["reference"], settings={"controller": "feedforward"}, mismatch=0.05)
-    assert not missed.converged
-    assert missed.status.startswith("NOT completed")
-
-
-@pytest.mark.slow
-def test_an_interior_stop_has_the_fewest_wraps_by_default(example: dict[str, Any]) -> None:
-    walk = dp.shadow(example["found"], ["down-up +", "down-up -"])
-    assert walk.converged
-    assert len(walk.wraps) == 1
-    with pytest.raises(dp.InputError, match="1 interior stop"):
-        dp.shadow(example["found"], ["down-up +", "down-up -"], wraps=[1, 2])
-
-
-@pytest.mark.slow
-def test_progress_is_reported_to_a_function(example: dict[str, Any]) -> None:
-    told: list[tuple[str, float]] = []
-    dp.connections(example["orbit"], progress=lambda what, done: told.append((what, done)))
-    assert told
-    assert all(0 <= done <= 1 for _, done in told)
-
-
 def test_importing_the_package_imports_nothing_else() -> None:
     script = "import sys; before = set(sys.modules); import dpcontrol; print(*(set(sys.modules) - before))"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
@@ -90,3 +69,31 @@ def test_modules_that_are_imported_on_first_use_are_those_that_type_checkers_see
     imports = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
     seen = {alias.asname or alias.name: f"{node.module}.{alias.name}" for node in imports for alias in node.names}
     assert {name: f"dpcontrol.{module}" for name, module in api.STAGES.items()}.items() <= seen.items()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("stem", GROUPS)
+def test_a_page_of_the_reference_is_generated_from_the_docstrings(stem: str) -> None:
+    assert (GUIDE / f"{stem}.md").read_text(encoding="utf-8") == page(stem), "run python tests/api_reference.py"
+
+
+def test_the_reference_has_every_function_once() -> None:
+    listed = [name for _, names in GROUPS.values() for name in names]
+    assert sorted(listed) == sorted([*FUNCTIONS, *CLASSES])
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_the_docstring_of_a_function_describes_every_argument(name: str) -> None:
+    described = re.findall(r"^- \*\*(\w+)\*\* \(.*?\) – \S", entry(name), re.MULTILINE)
+    assert described == list(inspect.signature(getattr(dp, name)).parameters)
+
+
+@pytest.mark.parametrize("kind", classes(), ids=lambda kind: kind.__name__)
+def test_the_docstrings_of_a_result_describe_every_public_attribute(kind: type) -> None:
+    assert [name for name, text in attributes(kind).items() if not text] == []
+
+
+def test_each_class_of_results_is_described_on_one_page() -> None:
+    listed = [kind for stem in GROUPS for kind in results(stem)]
+    assert len(set(listed)) == len(listed)
+    assert {kind.__name__ for kind in listed} == {kind.__name__ for kind in classes()} - set(CLASSES)

@@ -171,39 +171,3 @@ def test_sampled_states_obey_the_equations(name: str, results: dict[str, Any]) -
             lambda _, x: system.numeric.rate(x), (times[k], times[k + 1]), states[k], rtol=1e-11, atol=1e-12
         )
         assert np.abs(flown.y[:, -1] - states[k + 1]).max() < FLOWN
-
-
-def test_a_stable_tube_approaches_its_orbit_and_an_unstable_one_leaves_it(results: dict[str, Any]) -> None:
-    orbit = results["orbit"]
-    system = orbit.system
-    for stable, way in ((False, -1.0), (True, 1.0)):
-        strand = orbit.manifold(stable=stable, branch=1).strands(3)[1]
-        # Followed towards the orbit for half of the flight, trajectories end nearer to it than they began.
-        flown = solve_ivp(lambda _, x, way=way: way * system.numeric.rate(x), (0, 0.4), strand[-1], rtol=1e-10)
-        ring = orbit.sample(800)
-        begun, ended = (float(system.scaled_distance(ring, x).min()) for x in (strand[-1], flown.y[:, -1]))
-        assert ended < begun
-
-
-def test_a_cut_lies_on_its_section_at_the_orbits_energy(results: dict[str, Any]) -> None:
-    orbit = results["orbit"]
-    for stable in (False, True):
-        cut = orbit.manifold(stable=stable).cut("outer-down")
-        states = np.vstack([piece.states for piece in cut.pieces])
-        assert np.abs(np.sin(states[:, 1] / 2)).max() < 1e-9
-        assert orbit.system.numeric.hamiltonian(states) == pytest.approx(orbit.energy, abs=1e-9)
-        rates = orbit.system.numeric.rate(states)[:, 1]
-        directions = np.concatenate([np.full(len(piece.phases), piece.direction) for piece in cut.pieces])
-        assert (np.sign(rates) == directions).all()
-
-
-def test_connections_lie_on_the_cuts_of_both_tubes(results: dict[str, Any]) -> None:
-    orbit, chord = results["orbit"], 0.06
-    curves = [
-        np.vstack([piece.points for piece in orbit.manifold(stable=stable).cut().pieces]) for stable in (False, True)
-    ]
-    for connection in results["search"].connections:
-        for points in curves:
-            gaps = points - connection.place
-            gaps[:, 0] -= 2 * np.pi * np.rint(gaps[:, 0] / (2 * np.pi))
-            assert np.linalg.norm(gaps, axis=1).min() < chord

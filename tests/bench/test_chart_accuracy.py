@@ -15,7 +15,6 @@ from dpcontrol.bench.propagation import (
 )
 from dpcontrol.dynamics.compiled import fixed_step
 from dpcontrol.foundation.progress import no_progress
-from dpcontrol.plans.model import load_model
 
 START = np.array([[0.9, 1.4, 0.5, -1.0]])
 SECONDS = 1.0
@@ -23,11 +22,6 @@ ORDER_SLACK = 0.35  # the next term of the error's expansion, at these steps
 DOP853 = 1e-10  # scipy at a tolerance of 1e-13, over one second
 AT_ROUNDING = 1e-12
 IN_THE_GUIDE = "connections"  # which draws it
-
-
-@pytest.fixture(scope="module")
-def system():
-    return load_model("lab").system
 
 
 @pytest.fixture(scope="module")

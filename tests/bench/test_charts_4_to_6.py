@@ -25,7 +25,6 @@ from dpcontrol.plans.model import load_model
 EXACT = 1e-9  # Of slopes of straight lines: rounding of differences of numbers near one.
 FIRST_ORDER = 0.03  # Of a sampled low pass against the continuous one, at a hundredth of the sampling rate.
 WELL_BELOW = 0.2  # Of a share that should be 0.95: a filter that believes far too much.
-TICKS = 600
 ARMS = load_model("lab").arms
 
 

@@ -87,7 +87,6 @@ class Pendulum:
         return Orbit(start, period, direction, multiplier)
 
     def _unstable(self, start: Array, period: float) -> tuple[Array, float]:
-        """Return the unstable direction and multiplier, from differences over short pieces of the orbit."""
         product, state, size = np.eye(4), start, 1e-6
         for _ in range(SEGMENTS):
             step = period / SEGMENTS

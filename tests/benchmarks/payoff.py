@@ -179,7 +179,6 @@ MESH, PRICES, ITERATIONS = 0.025, (1e-2, 1.0, 1e2), 100
 
 
 def by_homotopy(problem: ReferenceProblem, generator: np.random.Generator) -> Trajectory:
-    """Return the result of the homotopy from the problem's guess with waves."""
     guess_at = with_waves(problem, generator)
     e, nx = problem.equations, problem.equations.dimension
     n, count = nx // 2 - 1, int(np.ceil(problem.duration / MESH)) + 1
@@ -215,7 +214,6 @@ def by_homotopy(problem: ReferenceProblem, generator: np.random.Generator) -> Tr
 
 
 def searched(method: str, problem: ReferenceProblem, first: Trajectory | None = None, *, spent: float = 0.0) -> Try:
-    """Return the collocation result from a first trajectory."""
     began = time.process_time()
     if first is None:
         first = first_trajectory(problem, method_named(SETTINGS.method), even_mesh(problem.duration, SETTINGS.interval))
@@ -231,7 +229,6 @@ PUSH, KNOTS = 0.3, 12
 
 
 def with_waves(problem: ReferenceProblem, generator: np.random.Generator) -> Guess:
-    """Return the problem's guess with random waves on its angles."""
     base, order = problem.guess, np.arange(1, HARMONICS + 1)
     heights = generator.normal(size=(HARMONICS, 2)) * (WAVE / order)[:, None]
 
@@ -269,7 +266,6 @@ def shot(start: Array, inputs: Array, step: float) -> Array:
 
 
 def flown(problem: ReferenceProblem, states: Array, inputs: Array, step: float) -> Trajectory:
-    """Return a shot motion as a first trajectory."""
     method, mesh = method_named(SETTINGS.method), even_mesh(problem.duration, SETTINGS.interval)
     times, clock = times_on(mesh, method.support), step * np.arange(len(states))
     rows = np.stack([np.interp(times, clock, column) for column in states.T], axis=-1)

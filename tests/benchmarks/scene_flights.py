@@ -57,7 +57,6 @@ class Flown:
 
     @property
     def completed(self) -> int:
-        """The number of completed runs."""
         return sum(run.completed for run in self.runs)
 
 

@@ -74,7 +74,6 @@ def second_run(name: str, mismatch: float, seed: int) -> dict[str, Any]:
 
 
 def again(plan: Plan, first: Run, *, seed: int) -> Run:
-    """Return a run of a plan on the plant of a first run."""
     loop = replace(plan.itinerary.loop, plant=first.plant, mismatch=0.0)
     return dp.run(replace(plan, itinerary=replace(plan.itinerary, loop=loop)), seed=seed)
 

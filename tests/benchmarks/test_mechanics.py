@@ -43,7 +43,6 @@ def plan_of(name: str) -> Plan:
 
 
 def completed(name: str, runs: int, **options: object) -> float:
-    """Return the share of completed runs with these options."""
     return coarse_benches.completed(plan_of(name), options, range(runs))[0]
 
 

@@ -4,14 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from command_line import dpcontrol
 from quick_rate import quick_rate
 from scipy.integrate import solve_ivp
 
 from dpcontrol.bifurcations.bifurcations import Sweep, SweepSettings, find_bifurcations
 from dpcontrol.bifurcations.links import LinkProblem, Quantity, carry, follow
 from dpcontrol.foundation.causes import BranchCause
-from dpcontrol.foundation.errors import InputError
 from dpcontrol.orbits.cut import CutSettings, section_points
 from dpcontrol.orbits.manifold import UnstableManifold
 from dpcontrol.plans.model import load_model
@@ -35,11 +33,6 @@ SADDLES = {
     UP_DOWN: ("up-down", "up-down"),
     BETWEEN: ("down-up", "up-down"),
 }
-
-
-@pytest.fixture(scope="module")
-def system():
-    return load_model("lab").system
 
 
 def located(system, energies, *, source="down-up", target="down-up", distance=1e-4, chord=0.05, samples=2):
@@ -318,24 +311,3 @@ def test_runs_follow_every_connection_around_its_fold(system):
     connections = connections_at(system, top)
     expected = {round(abs(float(section_points(system, c.section, c.state)[1])), 8) for c in connections}
     assert arrived == pytest.approx(sorted(expected), abs=1e-7)
-
-
-@pytest.mark.parametrize(
-    ("model", "saddles", "energies", "fragment"),
-    [
-        ("lab", ("down-up", "up-down"), (0.0, 0.1), "exist only above 0.17543"),
-        ("lab", ("down-up", "up-up"), (0.5, 0.6), "no section between"),
-    ],
-)
-def test_impossible_searches_are_refused_with_the_valid_range(model, saddles, energies, fragment):
-    with pytest.raises(InputError, match=fragment):
-        find_bifurcations(Quantity.of_energy(load_model(model).system), *saddles, values=energies)
-
-
-@pytest.mark.slow
-def test_the_verb_prints_events():
-    line = ["bifurcations", "lab", "--from", "down-up", "--to", "down-up", "--energies", *map(str, SADDLE_NODE)]
-    (event,) = dpcontrol(*line, "--samples", "2", "--json").document["events"]
-    assert event["kind"] == "saddle-node"
-    assert (event["count_below"], event["count_above"]) == (0, 4)
-    assert len(event["state"]) == 4

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from command_line import dpcontrol
 
 import dpcontrol as dp
 from dpcontrol.bifurcations.bifurcations import BifurcationSearch
@@ -107,14 +106,3 @@ def test_a_value_of_one_parameter_leaves_the_others(model: str) -> None:
 def test_impossible_parameters_are_refused(arguments: dict[str, object], fragment: str) -> None:
     with pytest.raises(InputError, match=fragment):
         dp.find_bifurcations(LAB, "down-up", "down-up", **arguments)  # type: ignore[arg-type]
-
-
-@pytest.mark.slow
-def test_the_verb_follows_a_parameter_and_draws_it(tmp_path) -> None:
-    picture = tmp_path / "mass.png"
-    line = ["bifurcations", "lab", "--from", "down-up", "--to", "down-up", "--parameter", "m2", "0.0985", "0.1005"]
-    document = dpcontrol(*line, "--energy", "-0.07", "--samples", "2", "--json", "--picture", str(picture)).document
-    assert document["quantity"] == "m2"
-    assert [(event["kind"], event["energy"]) for event in document["events"]] == [("pitchfork", ENERGY)]
-    assert all(0.0985 <= value <= 0.1005 for branch in document["branches"] for value in branch["values"])
-    assert picture.read_bytes().startswith(b"\x89PNG")

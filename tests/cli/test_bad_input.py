@@ -3,11 +3,8 @@
 import json
 from pathlib import Path
 
-import numpy as np
 import pytest
 from command_line import dpcontrol
-
-from dpcontrol.logs import LogWriter, control_fields
 
 LINES = {
     # Names, and files that are not there.
@@ -38,18 +35,6 @@ LINES = {
     "run outer-turn --out turn.txt": ".mcap",
 }
 """Command lines, and what the message must name."""
-
-ITINERARY = {
-    "unknown key": ("energy =", "enrgy =", "enrgy"),
-    "missing key": ("energy = -0.07", "", "'energy' is missing"),
-    "not finite": ("energy = -0.07", "energy = nan", "finite"),
-    "out of range": ("acceleration = 30.0", "acceleration = -1.0", "acceleration"),
-    "broken TOML": ("[limits]", "[limits", "not valid TOML"),
-    "energy below the saddle's": ("energy = -0.07", "energy = -0.2", "-0.175429747"),
-    "unknown saddle": ('["down-up +"]', '["up-sideways +"]', "up-sideways"),
-    "walk not connected": ('["down-up +"]', '["down-up +", "up-down +"]', "not connected"),
-    "blow without a time": ("[run]", "[[run.blows]]\narm = 1\nimpulse = 0.01\n[run]", "'time' is missing"),
-}
 MODEL = {
     "negative mass": ("mass           = [0.09", "mass           = [-0.09", "mass"),
     "not a number": (
@@ -89,18 +74,6 @@ def test_a_user_error_on_the_command_line_is_named(line: str) -> None:
     refused(*line.split(), naming=LINES[line])
 
 
-@pytest.mark.parametrize("mistake", ITINERARY)
-def test_a_user_error_in_an_itinerary_is_named(
-    mistake: str, shipped_text: dict[str, str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    monkeypatch.setenv("DPCONTROL_CACHE", str(tmp_path / "cache"))
-    text, replacement, naming = ITINERARY[mistake]
-    assert text in shipped_text["outer-turn"]
-    Path("mine.toml").write_text(shipped_text["outer-turn"].replace(text, replacement))
-    refused("plan", "mine.toml", naming=naming)
-    refused("run", "mine.toml", naming="mine.toml")
-
-
 @pytest.mark.parametrize("mistake", MODEL)
 def test_a_user_error_in_a_model_is_named(mistake: str, shipped_text: dict[str, str]) -> None:
     text, replacement, naming = MODEL[mistake]
@@ -108,23 +81,6 @@ def test_a_user_error_in_a_model_is_named(mistake: str, shipped_text: dict[str, 
     Path("mine.toml").write_text(shipped_text["lab"].replace(text, replacement))
     refused("model", "mine.toml", naming=naming)
     refused("orbit", "mine.toml", "--saddle", "down-up", "--energy", "-0.07", naming="mine.toml")
-
-
-def log_carrying(path: str, attachments: dict[str, bytes]) -> None:
-    """Write a whole log of ten ticks at rest."""
-    rest = {name: np.zeros((1, 6)) for name in ("estimate", "reference", "truth")}
-    rest["control"] = np.zeros((1, len(control_fields(2, has_cart=True))))
-    with LogWriter(Path(path), arm_lengths=(0.2, 0.2), rate_hz=1000.0, attachments=attachments, metadata={}) as log:
-        for k in range(10):
-            log.ticks([k / 1000.0], measured=np.zeros((1, 3)), **rest)
-
-
-def test_a_log_without_a_sound_reference_can_be_looked_at_but_not_scored() -> None:
-    log_carrying("bare.mcap", {})
-    log_carrying("damaged.mcap", {"reference.npz": b"PK\x03\x04" + bytes(100)})
-    refused("score", "bare.mcap", naming="bare.mcap carries no reference.npz")
-    refused("score", "damaged.mcap", naming="reference.npz is damaged")
-    assert dpcontrol("review", "bare.mcap", "--save", "bare.rrd").code == 0
 
 
 @pytest.mark.parametrize(

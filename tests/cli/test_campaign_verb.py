@@ -3,7 +3,6 @@
 from pathlib import Path
 
 import pyarrow.parquet as pq
-import pytest
 from command_line import dpcontrol
 
 HARD = ("--mismatch", "0.15", "--initial-error", "0.1", "--controller", "feedforward")
@@ -28,19 +27,3 @@ def test_the_document_agrees_with_the_table_and_failures_repeat(tmp_path: Path) 
     assert failed["replays"] is True
     assert again.document["completed"] is False
     assert again.document["reason"] == failed["reason"]
-
-
-@pytest.mark.slow  # Compiles the loop in lockstep.
-def test_a_preflight_reports_its_share_and_draws_its_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("dpcontrol.runs.preflight.hazards", lambda plan, scene, **most: [])
-    monkeypatch.setattr("dpcontrol.runs.preflight.changes", lambda scene: [])
-    page = tmp_path / "page.png"
-    call = ("preflight", "hold-down-down", "--runs", "16", "--workers", "1", "--picture", page)
-    ended = dpcontrol(*call, "--json")
-    assert ended.code == 0
-    shown = ended.document
-    assert (shown["runs"], shown["confidence"], shown["picture"]) == (16, 0.99, str(page))
-    low, high = shown["wilson"]
-    assert 0 <= low <= shown["success_rate"] <= high <= 1
-    assert sum(ending["runs"] for ending in shown["endings"]) == 16 - shown["completed"]
-    assert page.read_bytes().startswith(b"\x89PNG")

@@ -68,21 +68,6 @@ def test_review_without_files_opens_the_viewer_on_a_recording(
     assert list((tmp_path / "tmp").iterdir()) == []
 
 
-def test_two_logs_or_a_reference_are_reviewed_as_one_log_is(demo: tuple[Path, Ended], tmp_path: Path) -> None:
-    log, reference = demo[0] / "logs/outer-turn-0.mcap", tmp_path / "turn.npz"
-    reference.write_bytes(read_log(log).attachments["reference.npz"])
-    for files in ([log, log], [reference]):
-        recording, picture = tmp_path / "out.rrd", tmp_path / "out.png"
-        ended = dpcontrol("review", *files, "--save", recording, "--picture", picture, "--json")
-        assert ended.code == 0, ended.stderr
-        assert (ended.document["recording"], ended.document["picture"]) == (str(recording), str(picture))
-        assert recording.read_bytes().startswith(RECORDING)
-        assert picture.read_bytes().startswith(PNG)
-    for files in ([log, reference], [log, log, "--align", "2"]):
-        assert dpcontrol("review", *files, "--save", tmp_path / "none.rrd").code == 2
-    assert not (tmp_path / "none.rrd").exists()
-
-
 def test_the_drawn_tubes_meet_at_the_plans_section_crossing(demo: tuple[Path, Ended]) -> None:
     log = read_log(demo[0] / "logs/outer-turn-0.mcap")
     view = run_view(log)
@@ -106,14 +91,3 @@ def test_the_actual_itinerary_is_reported_beside_the_planned_one(demo: tuple[Pat
     assert truth is not None
     passed = float(log.time[np.flatnonzero(truth[:, 1] > 2 * np.pi)[0]])
     assert view.crossings[0] == pytest.approx(passed, abs=2 / log.rate_hz)
-
-
-def test_a_stretch_of_a_log_is_filmed_and_no_viewer_opens(demo: tuple[Path, Ended], tmp_path: Path) -> None:
-    log, film = demo[0] / "logs/outer-turn-0.mcap", tmp_path / "turn.gif"
-    ended = dpcontrol("review", log, "--film", film, "--stretch", "1", "1.4", "--json")
-    assert ended.code == 0, ended.stderr
-    assert ended.document["film"] == str(film)
-    assert film.read_bytes().startswith(b"GIF89a")
-    for wrong in (["--stretch", "1", "2"], ["--film", tmp_path / "turn.avi"], [log, "--film", tmp_path / "two.gif"]):
-        assert dpcontrol("review", log, *wrong).code == 2
-    assert [file.name for file in tmp_path.iterdir()] == ["turn.gif"]

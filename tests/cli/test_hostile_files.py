@@ -18,7 +18,6 @@ from dpcontrol.logs.container import MAGIC
 
 
 def array(values: object) -> bytes:
-    """Return the bytes of a .npy file."""
     stream = io.BytesIO()
     np.save(stream, np.array(values))
     return stream.getvalue()

@@ -8,7 +8,7 @@ from command_line import dpcontrol
 from mcap.reader import make_reader
 
 from dpcontrol.dynamics.chain import base_ratios
-from dpcontrol.logs import LogWriter, read_log
+from dpcontrol.logs import read_log
 from dpcontrol.loop.bench import Unlike, draw_bench
 from dpcontrol.plans.itinerary import load_itinerary
 
@@ -30,18 +30,6 @@ def messages(log: Path) -> list[tuple[str, int, int, int, bytes]]:
     with log.open("rb") as stream:
         found = make_reader(stream).iter_messages(log_time_order=False)
         return [(channel.topic, m.sequence, m.log_time, m.publish_time, m.data) for _, channel, m in found]
-
-
-@pytest.mark.slow
-def test_info_lists_topics_rates_attachments_and_metadata(logged: Path) -> None:
-    shown = dpcontrol("info", logged, "--json").document
-    rates = {t["topic"]: t["rate_hz"] for t in shown["topics"]}
-    assert rates["/joint_states"] == pytest.approx(1000)
-    assert rates["/tf"] == pytest.approx(50, rel=0.01)
-    assert sum(t["count"] for t in shown["topics"]) == len(messages(logged))
-    assert set(shown["attachments"]) == {"scene.toml", "model.toml", "reference.npz"}
-    assert shown["metadata"]["seed"] == "3"
-    assert "checksums agree" in dpcontrol("info", logged).stdout
 
 
 def test_a_truncated_log_is_rejected_by_info_recovered_and_then_scored(logged: Path, tmp_path: Path) -> None:
@@ -91,17 +79,6 @@ def test_a_run_with_every_kind_of_trouble_repeats_too(tmp_path: Path, kinds: tup
     ended = dpcontrol("run", "--from", log, "--out", tmp_path / "again.mcap", "--json")
     assert ended.document["repeated"]["difference"] is None
     assert messages(tmp_path / "again.mcap") == messages(log)
-
-
-def test_repeating_takes_no_other_options_and_needs_a_log_of_a_run(logged: Path, tmp_path: Path) -> None:
-    refused = dpcontrol("run", "outer-turn", "--from", logged, "--mismatch", "0.1")
-    assert refused.code == 2
-    assert "repeated without changes" in refused.message
-    with LogWriter(tmp_path / "bench.mcap", arm_lengths=(0.2, 0.2), rate_hz=500.0, has_cart=False) as log:
-        log.ticks([0.0], measured=np.zeros((1, 2)))
-    lacking = dpcontrol("run", "--from", tmp_path / "bench.mcap")
-    assert lacking.code == 2
-    assert "cannot be repeated" in lacking.message
 
 
 @pytest.mark.slow

@@ -2,8 +2,6 @@
 free names.
 """
 
-import os
-from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +10,7 @@ import pytest
 from command_line import dpcontrol
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import claimed
 from dpcontrol.logs import LogWriter, check_replaced
-from dpcontrol.runs.campaign import Job, run_job
 
 STILL = "still.toml"
 SCENE = """
@@ -117,15 +113,6 @@ def test_logs_of_a_rig_are_always_kept() -> None:
         check_replaced(LOG, {"seed": "0", "rig": "udp"})
 
 
-def test_an_identified_model_leaves_a_file_that_was_not_identified_from_the_same_logs() -> None:
-    Path("mine.toml").write_text('title = "mine"\n')
-    written(Path("logs/swing.mcap"))
-    ended = dpcontrol("identify", "logs/swing.mcap", "--out", "mine.toml")
-    assert ended.code == 2
-    assert "mine.toml is there already" in ended.message
-    assert Path("mine.toml").read_text() == 'title = "mine"\n'
-
-
 @pytest.mark.parametrize(
     ("line", "link"),
     [
@@ -153,14 +140,6 @@ def test_no_verb_replaces_its_input(line: str, link: str, way: str) -> None:
     assert read.read_bytes() == content
 
 
-def test_a_link_is_followed() -> None:
-    link = Path("link.npz")
-    link.symlink_to("own.npz")
-    called(f"plan {STILL} --out link.npz")
-    assert link.is_symlink()
-    assert Path("own.npz").is_file()
-
-
 def named(line: str) -> str:
     """Return the file or folder that a command wrote, as it printed it."""
     ended = dpcontrol(*line.split(), "--json")
@@ -181,55 +160,3 @@ def test_a_default_name_is_a_free_name_and_the_same_command_keeps_its_own() -> N
     assert [named(f"{line} {k}") for k in (1, 2, 1)] == [f"logs/lab-swings-0{k}.mcap" for k in ("", ".2", "")]
     line = "replay logs/lab-swings-0.mcap --counts"
     assert [named(f"{line} {k}") for k in (400, 500)] == [f"logs/lab-swings-0-replay{k}.mcap" for k in ("", ".2")]
-
-
-def test_a_log_that_is_being_written_gives_the_next_name() -> None:
-    with claimed(LOG):
-        assert named(f"run {STILL}") == "logs/still-0.2.mcap"
-    assert named(f"run {STILL} --seed 0") == "logs/still-0.mcap"
-
-
-@pytest.mark.parametrize(
-    ("line", "naming"),
-    [
-        (f"run {STILL} --out {LOG}", "it is a folder or no regular file"),
-        (f"export {STILL} --out taken/x", "taken/x"),
-        ("walk lab --energy -0.07 --length 2 --solve --out taken", "taken"),
-    ],
-)
-def test_an_output_that_cannot_be_written_is_refused_before_the_work(
-    line: str, naming: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    os.mkfifo(LOG)
-    Path("taken").touch()
-    before = sorted(Path().rglob("*"))
-    for work in ("runs.campaign.run_locally", "runs.run._exported", "plans.model.load_model", "runs.run.run_plan"):
-        monkeypatch.setattr(f"dpcontrol.{work}", None)
-    ended = dpcontrol(*line.split())
-    assert ended.code == 2, ended.stderr
-    assert naming in ended.message
-    assert sorted(Path().rglob("*")) == before
-
-
-def test_an_interrupted_campaign_continues_its_own_table(monkeypatch: pytest.MonkeyPatch) -> None:
-    def interrupted(jobs: Sequence[Job], *_: object) -> Iterator[tuple[Job, list[dict[str, object]]]]:
-        yield jobs[0], run_job(jobs[0])
-        raise KeyboardInterrupt
-
-    line = f"campaign {STILL} --workers 1 --runs 2 --over mismatch=0.01,0.02"
-    with monkeypatch.context() as patched:
-        patched.setattr("dpcontrol.runs.campaign.run_locally", interrupted)
-        assert dpcontrol(*line.split()).code == 130
-    parts = list(Path("logs/still.parquet").iterdir())
-    assert len(parts) == 1
-    assert named(f"campaign {STILL} --workers 1 --runs 2 --mismatch 0.07") == "logs/still.2.parquet"
-    assert list(Path("logs/still.parquet").iterdir()) == parts
-    asked: list[int] = []
-
-    def counted(jobs: Sequence[Job], *_: object) -> Iterator[tuple[Job, list[dict[str, object]]]]:
-        asked.append(len(jobs))
-        return ((job, run_job(job)) for job in jobs)
-
-    monkeypatch.setattr("dpcontrol.runs.campaign.run_locally", counted)
-    assert named(line) == "logs/still.parquet"
-    assert asked == [1]

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from command_line import PROGRAM, dpcontrol, dpcontrol_program
+from command_line import PROGRAM, dpcontrol
 
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.rig import commissioning
@@ -54,17 +54,6 @@ def test_measured_values_are_written_once_and_then_equal_those_of_the_file(scene
     assert "wrong" not in again.stdout
 
 
-@pytest.mark.slow
-def test_a_shipped_scene_is_copied_into_the_working_folder(scene: Path) -> None:
-    shipped = ROOT / "itineraries" / "outer-turn.toml"
-    before = shipped.read_bytes()
-    ended = dpcontrol("commission", "outer-turn", "--delay", "1.5", "--write")
-    assert ended.code == 0
-    assert "itineraries/outer-turn.toml: [run] now has delay = 1.5" in ended.stdout
-    assert shipped.read_bytes() == before
-    assert load_itinerary("outer-turn").loop.drive.delay == pytest.approx(1.5, abs=0.01)
-
-
 @contextmanager
 def bench(folder: Path, *options: str) -> Iterator[str]:
     """Start an example bench in another process, and give its address."""
@@ -76,21 +65,6 @@ def bench(folder: Path, *options: str) -> Iterator[str]:
             lines.append(process.stdout.readline())
         yield json.loads("".join(lines))["address"]
         assert process.wait(60) == 0
-
-
-@pytest.mark.slow  # Some 15 s in real time, twice.
-def test_a_bench_in_another_process_is_commissioned_over_udp(tmp_path: Path) -> None:
-    with bench(tmp_path, "--hanging", "--fault", "drive-reversed") as address:
-        ended = dpcontrol_program(
-            "commission", "outer-turn", "--rig", address, "--real-time", "--write", "--json", folder=tmp_path
-        )
-    assert ended.code == 1
-    document = ended.document
-    assert not (tmp_path / "itineraries").exists()
-    late = next(f for f in document["findings"] if f["step"] == "deadlines")
-    if late["verdict"] != "wrong":
-        (wrong,) = [f for f in document["findings"] if f["verdict"] == "wrong"]
-        assert "the drive is reversed" in wrong["sentence"]
 
 
 @pytest.mark.slow

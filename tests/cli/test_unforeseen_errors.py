@@ -21,8 +21,6 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.fixture
 def defect(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A verb with an error that nobody foresaw."""
-
     def broken(name: str) -> None:
         raise ZeroDivisionError(f"the \x1b[31mmodel {name} is odd")
 
@@ -46,16 +44,6 @@ def test_an_error_that_no_verb_foresaw_is_one_sentence_and_a_traceback_in_a_file
     document = dpcontrol("model", "lab", "--json").document
     assert document["error"] is True
     assert "please report it" in document["status"]
-
-
-@pytest.mark.usefixtures("defect")
-@pytest.mark.parametrize("line", ["--debug model lab", "model lab --debug"])
-def test_debug_shows_the_traceback(line: str) -> None:
-    ended = dpcontrol(*line.split())
-    assert ended.code == 70
-    assert "Traceback" in ended.stderr
-    assert "in broken" in ended.stderr
-    assert "please report it" in ended.message
 
 
 def test_user_text_is_printed_unchanged_and_cannot_control_the_terminal(shipped_text: dict[str, str]) -> None:

@@ -15,25 +15,6 @@ from dpcontrol.cli import main as program
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.interrupts import catching_interrupts
 
-EARLY = """
-import os, signal, sys
-class Finder:
-    def find_spec(self, name, *_):
-        if name == "click":
-            os.kill(os.getpid(), signal.SIGINT)
-sys.meta_path.insert(0, Finder())
-signal.signal(signal.SIGINT, {before})
-from dpcontrol.__main__ import main
-main()
-"""
-
-
-@pytest.mark.parametrize("before", ["signal.SIG_IGN", "signal.default_int_handler"])
-def test_an_interrupt_while_the_command_line_is_imported_ends_the_program(before: str) -> None:
-    code = EARLY.format(before=before)
-    done = subprocess.run([sys.executable, "-c", code, "model", "lab"], capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stdout) == (130, "")
-
 
 @pytest.mark.parametrize("error", [GoalMissed("no reference"), InputError("no"), RuntimeError("__set_name__"), None])
 def test_a_verb_that_makes_another_error_of_an_interrupt_counts_as_interrupted(
@@ -76,28 +57,6 @@ def test_an_interrupted_optimisation_does_not_count_as_failed() -> None:
         solver(x0=1.0)
 
 
-SLOW_TO_CLEAN_UP = """
-import signal, time
-from dpcontrol.foundation.interrupts import interrupts
-with interrupts():
-    try:
-        signal.raise_signal(signal.SIGINT)
-    finally:
-        print("cleaning", flush=True)
-        time.sleep(60)
-"""
-
-
-@pytest.mark.parametrize("second", [signal.SIGINT, signal.SIGTERM])
-def test_a_second_interrupt_ends_the_program_at_once(second: signal.Signals) -> None:
-    with subprocess.Popen([sys.executable, "-c", SLOW_TO_CLEAN_UP], stdout=subprocess.PIPE) as process:
-        assert process.stdout is not None
-        assert process.stdout.readline() == b"cleaning\n"
-        process.send_signal(second)
-        process.communicate()
-    assert process.returncode == -second
-
-
 ENDED = """
 import os, signal, sys, time
 from dpcontrol.__main__ import main
@@ -120,14 +79,6 @@ def test_a_signal_ends_a_command_with_a_sentence(name: str) -> None:
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=50)
     assert done.returncode == 128 + number
     assert f"ended by {name}" in done.stderr
-
-
-@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="/dev/full is Linux's")
-def test_full_streams_are_named_and_keep_the_exit_code() -> None:
-    with open("/dev/full", "w") as full:
-        done = subprocess.run([PROGRAM, "cache"], stdout=full, stderr=subprocess.PIPE, text=True, check=False)
-        assert (done.returncode, "no space left" in done.stderr) == (1, True)
-        assert subprocess.run([PROGRAM, "model", "nosuch"], stderr=full, check=False).returncode == 2
 
 
 @pytest.mark.parametrize("command", ["--help", "model lab"])

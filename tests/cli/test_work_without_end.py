@@ -6,7 +6,7 @@ import pytest
 from command_line import dpcontrol
 
 import dpcontrol as dp
-from dpcontrol.foundation.errors import GoalMissed, InputError
+from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.foundation.progress import MOST_BYTES, MOST_SECONDS
 from dpcontrol.plans.itinerary import itinerary_from, load_itinerary
 from dpcontrol.plans.model import load_model
@@ -39,34 +39,6 @@ def test_endless_work_is_rejected_before_it_starts(call: tuple[str, ...], key: s
     assert ended.code == 2
     assert ended.message.startswith(f"dpcontrol: {key}")
     assert "will take about" in ended.message
-
-
-@pytest.mark.parametrize(
-    ("verb", "key", "value"),
-    [
-        ("plan", "wraps", "[100000]"),
-        ("plan", "repeat", "10000"),
-    ],
-)
-def test_an_endless_itinerary_is_rejected_with_its_file(
-    verb: str, key: str, value: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    values = {"wraps": "[3]", key: value} | ({"wraps": "[3, 3]"} if key == "repeat" else {})
-    lines = ['walk = ["down-up +", "down-up +"]', "energy = 0.2", *(f"{k} = {v}" for k, v in values.items())]
-    Path("long.toml").write_text("\n".join(lines))
-    ended = dpcontrol(verb, "long.toml")
-    assert ended.code == 2
-    assert ended.message.startswith("dpcontrol: long.toml: ")
-    assert {path.name for path in tmp_path.iterdir()} == {"long.toml"}
-
-
-def test_a_campaign_of_too_many_cases_or_runs_is_rejected() -> None:
-    many = [k / 1e5 for k in range(200)]
-    with pytest.raises(InputError, match="over: 40,000 cases"):
-        dp.campaign("outer-turn", over={"mismatch": many, "lag": many})
-    with pytest.raises(InputError, match=r"20,000,000 runs of 20 cases.* will take about .*days.*yes=True"):
-        dp.campaign("outer-turn", runs=1_000_000, over={"mismatch": many[:20]})
 
 
 def test_shipped_itineraries_are_planned_without_yes() -> None:

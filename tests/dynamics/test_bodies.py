@@ -8,7 +8,6 @@ from command_line import dpcontrol
 from shadowing_stand_in import LAB
 
 from dpcontrol.dynamics.chain import oddities
-from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.shipped import find, shipped_names
 from dpcontrol.plans.model import load_model
 
@@ -51,12 +50,6 @@ def test_an_unusual_arm_has_a_remark_and_an_unrealistic_one_is_refused(
     assert f"{file}" in ended.message
     assert f"{name} = {value:g}" in ended.message
     assert said in ended.message
-
-
-def test_a_chain_of_too_many_arms_is_refused() -> None:
-    many = {name: getattr(LAB, name) * 5 for name in ("mass", "centre_of_mass", "length", "inertia", "viscous")}
-    with pytest.raises(InputError, match="mass has 10 values: a chain has at most 8 arms"):
-        replace(LAB, **many)
 
 
 def test_friction_of_every_law_is_compared_with_gravity() -> None:

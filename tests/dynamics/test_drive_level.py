@@ -9,7 +9,6 @@ from shadowing_stand_in import LAB
 from dpcontrol.dynamics.chain import Level, arm_chain_equations
 from dpcontrol.dynamics.plant import PlantLevel, PlantParameters, after_blow, longest_step, plant_step
 from dpcontrol.dynamics.propagator import PolynomialInputPropagator
-from dpcontrol.foundation.errors import InputError
 
 ROUND_OFF = 1e-10  # 0.02 s at rates up to 50 rad/s; a stiff loop has 5e-11.
 COULOMB = 1e-9  # If a joint's rate changes sign within the step.
@@ -159,16 +158,3 @@ def test_a_couple_on_an_arm_changes_only_its_momentum_and_moves_a_free_cart() ->
     moved = after_blow(free, start, impulses=np.array([0.0, 0.01])) - start
     assert abs(moved[5]) > 1e-3
     assert (0.5 + first + second) * moved[5] + s @ (np.cos(x[:2]) * moved[2:4]) == pytest.approx(0.0, abs=1e-14)
-
-
-@pytest.mark.parametrize(
-    ("given", "message"),
-    [
-        ({"lag": 1e-9}, "must be 1e-05 to 1 s"),
-        ({"cart_mass": 1.0}, "give a lag"),
-        ({"tilt": float("nan")}, "tilt = nan"),
-    ],
-)
-def test_an_impossible_plant_is_refused_by_name(given: dict[str, float], message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        PlantParameters(LAB, **given)

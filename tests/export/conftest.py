@@ -8,13 +8,8 @@ import pytest
 
 from dpcontrol.control import export
 from dpcontrol.plans.itinerary import load_itinerary
-from dpcontrol.plans.plan import Plan, make_plan
+from dpcontrol.plans.plan import make_plan
 from dpcontrol.runs.run import export_plan
-
-
-@pytest.fixture(scope="session")
-def plan() -> Plan:
-    return make_plan(load_itinerary("outer-turn"))
 
 
 @pytest.fixture(scope="session")

@@ -37,8 +37,6 @@ def _types(program: TickProgram, real: str) -> tuple[np.dtype, np.dtype]:
 
 
 class _Description(ctypes.Structure):
-    """The C structure dpc_description."""
-
     _fields_ = (
         *((name, ctypes.c_int) for name in
           ("version", "real_bytes", "controller_bytes", "reading_bytes", "report_bytes", "arms", "states", "extras",

@@ -10,11 +10,6 @@ from pathlib import Path
 import pytest
 from c_compilers import SANITIZED, SOURCES, WARNINGS, compiled, needed, ran, with_sanitizers
 
-from dpcontrol.control import export
-from dpcontrol.plans.itinerary import load_itinerary
-from dpcontrol.plans.plan import make_plan
-from dpcontrol.runs import run
-
 pytestmark = pytest.mark.slow
 
 HOSTILE_STEPS = "20000"  # Faults of one step in 100 to one in 3,000 are found within some thousand.
@@ -122,17 +117,3 @@ def test_a_cortex_m4_gives_the_loops_commands(single: Path) -> None:
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert "1499 ticks, commands differ by" in done.stderr
-
-
-@pytest.mark.parametrize(("name", "precise"), [("outer-turn", "single"), ("turn-from-rest", "double")])
-def test_an_itinerary_of_each_kind_of_start_is_replayed_whole(
-    name: str, precise: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(export, "_measured", lambda files: (None, None))
-    # Complete runs are replayed, not only their first seconds.
-    monkeypatch.setattr(run, "_CHECKED_TICKS", 1_000_000)
-    scene, folder = load_itinerary(name), tmp_path / "controller"
-    run.export_plan(make_plan(scene), folder, single=precise == "single")
-    program = compiled("gcc", "-O0", folder=folder, out="replay", sources=REPLAY)
-    done = ran(program, "readings.csv", folder=folder)
-    assert done.returncode == 0, done.stderr

@@ -7,13 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from c_compilers import SOURCES, SideBySide, compiled, library, needed, ran
-from command_line import dpcontrol
 from library_program import LibraryProgram
 
 from dpcontrol.control import export
 from dpcontrol.control.tick import SETTLING, Outcome
-from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import write_folder
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.simulated import SimulatedRig
 from dpcontrol.plans.plan import Plan
@@ -177,56 +174,3 @@ def test_the_header_gives_the_first_commands_and_the_reference(plan: Plan, doubl
     for tick, row in ((-5, 0), (0, 0), (1234, 1234), (10**9, -1)):
         c.dpc_reference(ctypes.c_long(tick), state)
         assert np.array_equal(np.array(state), both.references[row])
-
-
-@pytest.mark.parametrize(
-    ("itinerary", "options", "said"),
-    [
-        ("keep-down-up", [], 'kind = "ogy"'),
-        ("outer-turn", ["--set", "hold=nearest"], 'hold = "nearest"'),
-        ("outer-turn", ["--estimator", "ukf"], 'kind = "ukf"'),
-        pytest.param("outer-turn", ["--delay", "9"], "8 periods ahead", marks=pytest.mark.slow),
-        pytest.param("outer-turn", ["--clock", "8", "--float"], "faster target", marks=pytest.mark.slow),
-    ],
-)
-def test_a_law_that_cannot_be_exported_is_rejected_without_files(
-    itinerary: str, options: list[str], said: str, tmp_path: Path
-) -> None:
-    ended = dpcontrol("export", itinerary, *options, "--out", tmp_path / "new" / "controller")
-    assert ended.code == 2
-    assert said in ended.message
-    assert not list(tmp_path.iterdir())
-
-
-def test_a_folder_with_other_files_is_kept(tmp_path: Path) -> None:
-    folder, files = tmp_path / "controller", {"a.c": "int a;\n", "b.c": "int b;\n"}
-    write_folder(folder, files)
-    before = (folder / "a.c").stat().st_mtime_ns
-    (folder / "main.c").write_text("int main(void) { return 0; }\n")
-    # A repeated export changes nothing and needs no permission.
-    write_folder(folder, files)
-    assert (folder / "a.c").stat().st_mtime_ns == before
-    with pytest.raises(InputError, match="--force"):
-        write_folder(folder, {**files, "b.c": "int c;\n"})
-    assert (folder / "b.c").read_text() == "int b;\n"
-    write_folder(folder, {**files, "b.c": "int c;\n"}, force=True)
-    assert {file.name: file.read_text() for file in folder.iterdir()} == {
-        "a.c": "int a;\n", "b.c": "int c;\n", "main.c": "int main(void) { return 0; }\n"
-    }  # fmt: skip
-    with pytest.raises(InputError, match=r"a\.c is not a folder"):
-        write_folder(folder / "a.c", files)
-    assert [file.name for file in tmp_path.iterdir()] == ["controller"]
-
-
-@pytest.mark.slow
-def test_constant_columns_are_in_the_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(export, "_measured", lambda files: (None, None))
-    asked = ("export", "hold-up-up", "--float", "--clock", "168", "--out", tmp_path / "hold", "--json")
-    ended = dpcontrol(*asked)
-    assert ended.code == 0, ended.message
-    # By its instructions, 31,000 cycles.
-    assert ended.document["seconds_a_tick"] == pytest.approx(1.9e-4, rel=0.3)
-    # An equilibrium with its gain is one row of the reference, for any duration.
-    assert ended.document["tables"] <= 7 * 4
-    assert ended.document["precision"] == "single"
-    assert ended.document["stack"] is None

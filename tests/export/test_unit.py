@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from command_line import dpcontrol
 from library_program import LibraryProgram, library_ticker
 from shadowing_stand_in import LAB, StandIn
 
@@ -45,8 +44,6 @@ PERIOD = 1 / SETTINGS.rate
 
 
 class Exported(NamedTuple):
-    """A controller with its C code, library and unit."""
-
     controller: TrackingController
     reference: Reference
     source: ControllerSource
@@ -200,13 +197,6 @@ def test_a_step_of_several_periods_is_as_many_steps_with_the_same_inputs(exporte
             assert long.all("", SCALARS) == short.all("", SCALARS)
 
 
-def test_fmpy_simulates_a_whole_itinerary_with_the_steps_that_it_chooses(exported: Exported) -> None:
-    # FMPy doubles the step of the description until there are at most 1,000.
-    found = fmpy.simulate_fmu(str(exported.unit), stop_time=2001 * PERIOD, output=["command"])
-    assert np.diff(found["time"])[0] == pytest.approx(4 * PERIOD)
-    assert np.isfinite(found["command"]).all()
-
-
 def test_steps_that_divide_the_period_keep_the_outputs_and_others_are_rejected(
     exported: Exported, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -229,29 +219,3 @@ def test_steps_that_divide_the_period_keep_the_outputs_and_others_are_rejected(
             assert capsys.readouterr().out.startswith("[ERROR] ")
             slave.fmu.reset()
             slave.step(0.0)
-
-
-def test_the_verb_writes_a_unit_and_replaces_nothing_else(tmp_path: Path) -> None:
-    file = tmp_path / "hold.fmu"
-    asked = ("export", "hold-up-up", "--fmu", "--out", file)
-    assert dpcontrol(*asked).code == 0
-    assert validation.validate_fmu(str(file)) == []
-    written = file.read_bytes()
-    assert dpcontrol(*asked, "--float").code == 2
-    assert file.read_bytes() == written
-
-
-def test_after_a_reset_it_begins_again(exported: Exported, tmp_path: Path) -> None:
-    with running(exported, tmp_path) as slave:
-        runs = []
-        for _ in range(2):
-            slave.set("measured_arm_1", float("nan"))
-            slave.step(0.0)
-            assert (slave.get("used"), slave.get("refused")) == (2, 1)
-            slave.set("measured_arm_1", 0.1)
-            slave.step(PERIOD)
-            runs.append(slave.get("command"))
-            slave.fmu.reset()
-        assert runs[0] == runs[1]
-        with pytest.raises(Exception, match="fmi2SetReal"):
-            slave.set("command", 1.0)

@@ -8,7 +8,6 @@ import warnings
 from pathlib import Path
 
 import pytest
-from command_line import dpcontrol
 
 from dpcontrol.foundation.cache import KINDS, cache_contents, cache_file, keep, kept
 from dpcontrol.foundation.errors import Remark
@@ -67,16 +66,6 @@ def test_emptying_the_cache_keeps_files_of_other_programs(root: Path) -> None:
     assert cache_contents(clear=True).kinds == found.kinds
     assert cache_contents().entries == 0
     assert all(file.read_text() == "mine" for file in others)
-
-
-def test_the_verb_lists_and_empties_the_cache(root: Path) -> None:
-    keep(cache_file("plans", "turn", KEY), b"content")
-    shown = dpcontrol("cache", "--json").document
-    assert shown["folder"] == str(root)
-    assert shown["kinds"]["plans"]["entries"] == shown["entries"] == 1
-    assert set(shown["kinds"]) == {*KINDS, COMPILER}
-    assert dpcontrol("cache", "--clear").code == 0
-    assert dpcontrol("cache", "--json").document["entries"] == 0
 
 
 def test_heyokas_machine_code_is_stored_listed_and_deleted_with_the_cache(root: Path) -> None:

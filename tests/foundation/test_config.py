@@ -40,31 +40,3 @@ def test_each_source_has_priority_over_the_next(file: Path, monkeypatch: pytest.
     assert dpcontrol("run", "still.toml", "--out", "of-option.mcap").code == 0
     assert Path("of-option.mcap").is_file()
     assert not Path("of-environment").exists()
-
-
-@pytest.mark.parametrize(
-    ("text", "value", "told"),
-    [
-        ("workers = '3'\n", None, "workers"),
-        ("log = 'x'\n", None, "'log' is unknown"),
-        ("workers = 2\nworkers = 3\n", None, "is not valid TOML"),
-        ("", "5000", "DPCONTROL_WORKERS"),
-    ],
-)
-def test_a_mistake_in_the_file_or_a_variable_ends_every_verb_but_help(
-    file: Path, monkeypatch: pytest.MonkeyPatch, text: str, value: str | None, told: str
-) -> None:
-    file.write_text(text)
-    if value is not None:
-        monkeypatch.setenv("DPCONTROL_WORKERS", value)
-    ended = dpcontrol("model", "lab")
-    assert ended.code == 2
-    assert str(file) in ended.message or not text
-    assert told in ended.message
-    assert dpcontrol("run", "--help").code == 0
-
-
-def test_a_folder_does_not_take_the_name_of_a_log() -> None:
-    Path("still.toml").write_text(STILL)
-    Path("logs/still-0.mcap").mkdir(parents=True)
-    assert dpcontrol("run", "still.toml").stdout.splitlines()[0] == "logs/still-0.2.mcap"

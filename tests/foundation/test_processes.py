@@ -5,7 +5,6 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import psutil
 import pytest
@@ -58,20 +57,3 @@ def test_workers_end_with_a_killed_parent(does: str, children: int, killed_by: t
     finally:
         for process in [*parents, *(p for p in families if p.is_running())]:
             process.kill()
-
-
-SCRIPT = """
-import time
-from dpcontrol.foundation.processes import in_processes
-{guard}list(in_processes(time.sleep, [0.0, 0.1], 2))
-"""
-
-
-def test_a_script_whose_processes_would_run_it_again_ends_with_the_remedy(tmp_path: Path) -> None:
-    for name, guard in (("plain", ""), ("guarded", 'if __name__ == "__main__": ')):
-        (tmp_path / f"{name}.py").write_text(SCRIPT.format(guard=guard))
-    plain = subprocess.run([sys.executable, tmp_path / "plain.py"], capture_output=True, text=True, check=False)
-    assert plain.returncode == 1
-    assert 'A script must call this below `if __name__ == "__main__":`' in plain.stderr
-    guarded = subprocess.run([sys.executable, tmp_path / "guarded.py"], capture_output=True, text=True, check=False)
-    assert (guarded.returncode, guarded.stderr) == (0, "")

@@ -53,8 +53,6 @@ JSON = (None, True, -1, 0, 10**400, 1e300, float("nan"), "", "[/nope]", "\x1b[31
 
 @dataclass(frozen=True)
 class Trial:
-    """Arguments of `dpcontrol`, and contents of replaced files by name."""
-
     arguments: tuple[str, ...]
     files: Mapping[str, bytes] = field(default_factory=dict)
 
@@ -114,7 +112,6 @@ The option --debug prints a traceback.
 
 @cache
 def parameters(verb: str) -> tuple[click.Parameter, ...]:
-    """Return the click parameters of a verb."""
     command = cli.get_command(click.Context(cli), verb)
     assert command is not None
     return tuple(p for p in command.params if p.name not in {"debug", *LEFT.get(verb, ())})
@@ -139,7 +136,6 @@ def _value(param_type: click.ParamType, laboratory: Laboratory) -> st.SearchStra
 
 @st.composite
 def option_trials(draw: st.DrawFn, verb: str, laboratory: Laboratory) -> Trial:
-    """Draw a call of a verb with one to three changed parameters."""
     words = draw(st.sampled_from(BASES[verb])).split()
     positional, given = [w for w in words if w[0] != "-"], [w for w in words if w[0] == "-"]
     for _ in range(draw(st.integers(1, 3))):
@@ -264,7 +260,6 @@ _LIES = (
 
 
 def npz_changed(draw: st.DrawFn, content: bytes) -> bytes:
-    """Return an archive with one changed entry, or with changed bytes."""
     if draw(st.integers(0, 3)) == 0:
         return damaged(draw, content)
     with zipfile.ZipFile(io.BytesIO(content)) as file:
@@ -294,7 +289,6 @@ def npz_changed(draw: st.DrawFn, content: bytes) -> bytes:
 
 
 def log_changed(draw: st.DrawFn, content: bytes) -> bytes:
-    """Return a log that is damaged, or rewritten with other contents and valid checksums."""
     return damaged(draw, content) if draw(st.integers(0, 3)) == 0 else _written_again(draw, content)
 
 
@@ -368,15 +362,6 @@ KINDS: dict[str, tuple[str, Bytes, tuple[str, ...]]] = {
 
 @st.composite
 def file_trials(draw: st.DrawFn, kind: str, laboratory: Laboratory) -> Trial:
-    """Draw a call that reads a changed file of this kind."""
     file, change, calls = KINDS[kind]
     call = draw(st.sampled_from(calls))
     return Trial(tuple(call.format(file).split()), {file: change(draw, laboratory.files[file])})
-
-
-def all_trials(laboratory: Laboratory) -> st.SearchStrategy[Trial]:
-    """Return trials of every verb and every kind of file."""
-    options = [option_trials(verb, laboratory) for verb in VERBS]
-    files = [file_trials(kind, laboratory) for kind in KINDS]
-    # Files have more possible errors than options.
-    return st.one_of(*options, *files, *files)

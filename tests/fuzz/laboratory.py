@@ -42,7 +42,6 @@ class Laboratory:
 
 
 def make_laboratory(folder: Path) -> Laboratory:
-    """Create the files in `folder`, which is the temporary working directory."""
     (folder / "rest.toml").write_text(REST)
     (folder / "with-model.toml").write_text(REST.replace('"lab"', '"lab.toml"'))
     for name, source in (("turn", "itineraries/outer-turn"), ("lab", "models/lab"), ("moon", "models/three-body")):

@@ -44,7 +44,6 @@ class HangError(BaseException):
 
 
 def complaints(trial: Trial, ended: Ended) -> list[str]:
-    """Return the errors of a trial's outcome, empty if there are none."""
     said = [line for line in ended.stderr.splitlines() if line.strip() and not PROGRESS.match(line)]
     found = []
     if ended.escaped or "Traceback (most recent call last)" in ended.stderr:
@@ -102,7 +101,6 @@ def _listing(folder: Path) -> dict[str, tuple[int, int]]:
 
 
 def attempt(trial: Trial, laboratory: Laboratory) -> Ended:
-    """Run a trial in a separate folder."""
     folder = Path(tempfile.mkdtemp(prefix="trial-"))
     out, err, escaped, code = StringIO(), StringIO(), "", None
     try:
@@ -127,6 +125,5 @@ def attempt(trial: Trial, laboratory: Laboratory) -> Ended:
 
 
 def explained(trial: Trial, wrong: list[str]) -> str:
-    """Return a trial's errors, with the last lines of tracebacks."""
     texts = [text if len(text) < 3000 else f"{text[:300]}\n…\n{text[-2600:]}" for text in wrong]
     return "\n".join([repr(trial), *texts])

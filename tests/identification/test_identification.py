@@ -7,7 +7,6 @@ import pytest
 from bench_recordings import rig_file
 
 from dpcontrol.dynamics.chain import ArmChainParameters, Friction, base_ratios
-from dpcontrol.foundation.errors import InputError
 from dpcontrol.identification.identify import Identification, IdentificationSettings, choose, correlation_time, identify
 from dpcontrol.plans.model import load_model
 from dpcontrol.recordings.importing import import_recording
@@ -174,9 +173,3 @@ def test_correlation_time_agrees_with_a_known_process() -> None:
     # For a first-order autoregressive process it is (1 + a) / (1 - a). The sum stops at 0.05, a tenth short.
     assert correlation_time([values[:, None]]) == pytest.approx(19.0, rel=0.15)
     assert correlation_time([noise[:, None]]) == pytest.approx(1.0, abs=0.2)
-
-
-def test_arms_at_rest_are_refused() -> None:
-    still = simulated_recording(LAB, [np.zeros(2)] * 3, seconds=0.5)
-    with pytest.raises(InputError, match="nothing to identify"):
-        identify([still], LAB)

@@ -46,7 +46,6 @@ def recorded(segments: int = 3, samples: int = 1000, *, counts: int | None = 40_
 
 
 def errors(recording: Recording, found: NDArray[np.float64]) -> float:
-    """Root mean square of the angles' errors."""
     return float(np.sqrt(np.mean(np.square(found[:, :2] - recording.angles))))
 
 

@@ -32,7 +32,6 @@ N = 4
 
 
 def flown(state: np.ndarray, times: np.ndarray, ratios: np.ndarray = RATIOS, u: float = 0.0) -> np.ndarray:
-    """The states (K, 4) by scipy, the cart from rest under constant acceleration."""
     rate = quick_rate(equations_of(ARMS, Level.CART))
     base = np.array(base_from_ratios(ratios, ARMS))
     solved = solve_ivp(
@@ -77,7 +76,6 @@ def test_states_and_slopes_agree_with_scipy(model: Swings, u: float) -> None:
 
 
 def swings_from(starts: list[list[float]], seconds: float = 2.0, arms: ArmChainParameters = ARMS) -> list[Swing]:
-    """Exact swings of the true ratios."""
     times = np.arange(round(seconds / 2e-3) + 1) * 2e-3
     return [Swing(flown(np.array(s), times, base_ratios(arms))[:, :2], 2e-3) for s in starts]
 
@@ -85,7 +83,6 @@ def swings_from(starts: list[list[float]], seconds: float = 2.0, arms: ArmChainP
 def fitted(
     model: Swings, swings: list[Swing], first: np.ndarray, settings: FitSettings | None = None, *, zeros: bool = False
 ) -> SwingFit:
-    """Fit all ratios."""
     return fit_swings(
         model,
         swings,

@@ -1,14 +1,16 @@
 """A score claims no more than a log shows; simulated runs are judged by the true plant, others by the estimate."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from dpcontrol.control.estimator_settings import MEANS_OF, nis_means
+from dpcontrol.foundation.causes import Cause
 from dpcontrol.judge.decoding import FOLLOWS
-from dpcontrol.judge.score import HARDEST_METADATA, score
-from dpcontrol.logs import RunLog
+from dpcontrol.judge.score import HARDEST_METADATA, counted, score, stretches_of
+from dpcontrol.logs import Event, RunLog, Stretch
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import make_plan
 from dpcontrol.runs.run import run_plan
@@ -112,3 +114,24 @@ def test_without_the_true_state_the_verdict_uses_the_estimate_and_reports_this(l
     assert not found.missed
     assert replace(found, symbols_completed=0).missed
     assert "acceleration" in score(with_applied(measured, 700, 98.3)).reason
+
+
+def test_ticks_that_are_flown_again_do_not_count() -> None:
+    flights = [Stretch(0, 3000, 0.0), Stretch(8000, 9000, 2.0), Stretch(12_000, 15_000, 1.5)]
+    parts = counted(flights, rate_hz=1000.0)
+    times = np.concatenate([times for _, times in parts])
+    assert [rows[0] for rows, _ in parts] == [0, 12_000]
+    np.testing.assert_allclose(np.diff(times), 1e-3, atol=1e-9)
+    assert times[-1] == pytest.approx(4.499)
+
+
+def test_flights_are_decoded_from_the_log() -> None:
+    symbol = {"symbol": 2, "symbols": 3, "name": "down-up -", "attempt": 4}
+    events = [
+        Event(0.0, "info", "resume", Cause.JOINED, {**symbol, "at": 0.0, "symbol": 1}),
+        Event(3.0, "warn", "return", Cause.TRACKING_LOST),
+        Event(9.0, "info", "resume", Cause.JOINED, {**symbol, "at": 2.5}),
+        Event(10.0, "warn", "catch", Cause.JOINED, {**symbol, "at": 2.7, "back": 0.8}),
+    ]
+    log = SimpleNamespace(events=events, time=np.arange(12_000) / 1000, rate_hz=1000.0)
+    assert stretches_of(log) == (Stretch(0, 3001, 0.0), Stretch(9000, 10_000, 2.5), Stretch(10_000, 12_000, 2.7))

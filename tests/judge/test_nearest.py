@@ -10,7 +10,7 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[1] / "pages"))
 from synthetic_run import synthetic_run, view_of
 
-from dpcontrol.judge.nearest import limit_uses, nis_reading
+from dpcontrol.judge.nearest import limit_uses
 from dpcontrol.logs import Mode
 
 
@@ -37,11 +37,3 @@ def test_ticks_after_an_abort_do_not_count(view):
     state[10, 4], state[30, 4], mode[20:] = 0.1, 0.39, Mode.ABORTED
     aborted = replace(view, state=state, reference=None, limits=(0.4, 3.0, 30.0), control={"mode": mode})
     assert limit_uses(aborted)[0].largest == pytest.approx(100.0)
-
-
-@pytest.mark.parametrize(
-    ("mean", "word"), [(2.0, "consistent."), (1.2, "cautious by design."), (4.0, "overconfident.")]
-)
-def test_only_means_above_the_band_are_an_alarm(view, mean, word):
-    draws = np.random.default_rng(3).chisquare(2, 20_000) * mean / 2
-    assert nis_reading(replace(view, nis=draws, sensors=2)).startswith(f"Filter: {word}")

@@ -16,7 +16,6 @@ def records(data: bytes) -> list[tuple[int, int, int]]:
 
 
 def damaged(data: bytes, kind: str, seed: int) -> bytes:
-    """Return a damaged copy of a whole file."""
     rng = np.random.default_rng(seed)
     chunks = [(a, b) for opcode, a, b in records(data) if opcode == Opcode.CHUNK]
     closing = next(a for opcode, a, _ in records(data) if opcode == Opcode.DATA_END)

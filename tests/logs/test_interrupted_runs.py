@@ -2,10 +2,6 @@
 
 import errno
 import os
-import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -17,8 +13,6 @@ from dpcontrol.logs import LogWriter, read_log, recover
 
 ROOM = 60_000
 """Bytes that the small disk takes: a few chunks of the sample."""
-
-posix = pytest.mark.skipif(os.name != "posix", reason="these signals are POSIX's")
 
 
 @pytest.mark.parametrize("rate", [33.0, 10_000.0])
@@ -75,24 +69,3 @@ def test_a_full_disk_stops_a_run_with_a_message_and_keeps_the_written_data(
     done = recover(left)
     np.testing.assert_array_equal(read_log(done.log).truth, run.truth[: done.ticks])
     assert done.ticks >= 100
-
-
-@pytest.mark.slow
-@posix
-def test_ctrl_c_in_the_program_names_the_file_and_the_remedy(tmp_path: Path) -> None:
-    program = Path(sys.executable).parent / "dpcontrol"
-    child = subprocess.Popen(
-        [program, "run", "outer-turn", "--out", "run.mcap"], cwd=tmp_path, stderr=subprocess.PIPE, text=True
-    )
-    partial, end = tmp_path / "run.mcap.partial", time.monotonic() + 120
-    while not (partial.exists() and partial.stat().st_size > 300_000) and child.poll() is None:
-        assert time.monotonic() < end
-        time.sleep(0.005)
-    child.send_signal(signal.SIGINT)
-    _, said = child.communicate(timeout=60)
-    assert child.returncode == 130
-    assert "Traceback" not in said
-    assert "dpcontrol recover run.mcap.partial" in said
-    log = read_log(recover(partial).log)
-    assert len(log.time) > 100
-    assert {"scene.toml", "model.toml", "reference.npz"} <= log.attachments.keys()

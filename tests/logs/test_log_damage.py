@@ -7,11 +7,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 from log_corruption import KINDS, damaged
 from log_endurance import endure
-from log_samples import open_writer, sample, write_sample
+from log_samples import sample, write_sample
 from mcap.writer import Writer
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.logs import Event, read_log, recover
+from dpcontrol.logs import read_log, recover
 
 EXAMPLES = 100
 
@@ -60,21 +60,3 @@ def test_other_files_are_rejected_with_their_kind(tmp_path: Path, content: bytes
     with pytest.raises(InputError):
         recover(path)
     assert [*tmp_path.iterdir()] == [path]
-
-
-def test_a_missing_log_and_a_folder_are_rejected(whole: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="cannot read"):
-        read_log(tmp_path)
-    with pytest.raises(InputError, match="there is no log"):
-        read_log(tmp_path / "run.mcap")
-    (tmp_path / "run.mcap.partial").write_bytes(whole.read_bytes()[:40_000])
-    with pytest.raises(InputError, match=r"dpcontrol recover .*run\.mcap\.partial"):
-        read_log(tmp_path / "run.mcap")
-
-
-def test_a_log_without_ticks_is_rejected(tmp_path: Path) -> None:
-    path = tmp_path / "eventful.mcap"
-    with open_writer(path, sample()) as log:
-        log.event(Event(0.0, "fatal", "loop", words="could not start"))
-    with pytest.raises(InputError, match="no ticks"):
-        read_log(path)

@@ -1,6 +1,5 @@
 """What is written is read back, by our reader and by the public ROS 2 decoder."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -73,38 +72,6 @@ def test_a_state_that_is_no_number_is_logged_but_not_as_a_transform(tmp_path: Pa
     np.testing.assert_array_equal(read_log(tmp_path / "run.mcap").truth, run.truth)
     stamps = [message.log_time_ns for message in read_ros2_messages(str(tmp_path / "run.mcap"), topics=["/tf"])]
     assert stamps == [0]
-
-
-def test_an_unwritable_place_is_an_input_error(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    for path in (tmp_path / "file" / "run.mcap", tmp_path):
-        with pytest.raises(InputError, match="cannot write"), open_writer(path, sample()):
-            pass
-
-
-def test_two_runs_of_one_log_do_not_share_a_partial_file(tmp_path: Path) -> None:
-    first, second = sample(40, seed=1), sample(60, seed=2)
-    with open_writer(tmp_path / "run.mcap", first) as one:
-        tick_all(one, first)
-        with open_writer(tmp_path / "run.mcap", second) as other:
-            tick_all(other, second)
-        assert len(read_log(tmp_path / "run.mcap").time) == 60
-    assert len(read_log(tmp_path / "run.mcap").time) == 40
-    assert [file.name for file in tmp_path.iterdir()] == ["run.mcap"]
-
-
-def test_a_run_that_fails_before_its_first_tick_leaves_nothing(tmp_path: Path) -> None:
-    with pytest.raises(ZeroDivisionError), open_writer(tmp_path / "run.mcap", sample(5)):
-        raise ZeroDivisionError
-    assert not list(tmp_path.iterdir())
-
-
-def test_a_tick_that_does_not_fit_is_rejected(tmp_path: Path) -> None:
-    run = sample(3)
-    with open_writer(tmp_path / "c.mcap", run) as log:
-        tick_all(log, replace(run, truth=None), upto=1)
-        with pytest.raises(ValueError, match="truth must be given in every tick"):
-            tick_all(log, run)
 
 
 def test_attachments_and_metadata_precede_the_first_message(tmp_path: Path) -> None:

@@ -1,9 +1,8 @@
-"""Logs that other tools wrote again are read by their topics; of those that hold no run, one sentence says why."""
+"""Logs that other tools wrote again are read by their topics."""
 
 import subprocess
 import sys
 from collections import Counter
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,6 @@ from dpcontrol.foundation.errors import InputError, Remark
 from dpcontrol.judge.of_log import run_view
 from dpcontrol.judge.score import score
 from dpcontrol.logs import read_log
-from dpcontrol.pages.viewer import opened
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import make_plan
 from dpcontrol.recordings.bags import read_bag
@@ -36,10 +34,8 @@ def rewritten(
     only: tuple[float, float] = (0.0, np.inf),
     hole: tuple[float, float] = (np.inf, np.inf),
     backwards: bool = False,
-    encoding: str = "cdr",
     thinned: int = 1,
     shifted: int = 0,
-    edit: Callable[[bytes], bytes] = bytes,
     library: str = "another program",
     **how: Any,
 ) -> Path:
@@ -50,7 +46,6 @@ def rewritten(
         hole: times to leave out, s.
         thinned: keep each n-th message of the state topics.
         shifted: seconds between the clocks of run and recorder.
-        edit: changes each message of /joint_states.
     """
     seen: Counter[str] = Counter()
     with source.open("rb") as stream, out.open("wb") as target:
@@ -60,7 +55,7 @@ def rewritten(
         kept = [channel for channel in summary.channels.values() if channel.topic != without]
         schemas = {k: writer.register_schema(s.name, s.encoding, s.data) for k, s in summary.schemas.items()}
         numbers = {
-            c.id: writer.register_channel(c.topic, encoding, schemas[c.schema_id], c.metadata)
+            c.id: writer.register_channel(c.topic, "cdr", schemas[c.schema_id], c.metadata)
             for c in (reversed(kept) if backwards else kept)
         }
         for record in reader.iter_metadata():
@@ -73,8 +68,8 @@ def rewritten(
                 continue
             moment = m.log_time / 1e9
             if channel.id in numbers and only[0] <= moment <= only[1] and not hole[0] < moment < hole[1]:
-                time, data = m.log_time + shifted * 10**9, edit(m.data) if channel.topic == "/joint_states" else m.data
-                writer.add_message(numbers[channel.id], time, data, time, m.sequence)
+                time = m.log_time + shifted * 10**9
+                writer.add_message(numbers[channel.id], time, m.data, time, m.sequence)
         writer.finish()
     return out
 
@@ -116,19 +111,6 @@ def test_a_log_that_was_written_again_otherwise_holds_the_same_run(tmp_path: Pat
     assert np.array_equal(log.extras.values, first.extras.values)
 
 
-@pytest.mark.parametrize(
-    ("topic", "part"), [("/robot_description", ""), ("/control", "control"), ("/estimate/joint_states", "estimate")]
-)
-def test_a_log_without_a_topic_is_read_and_the_topic_is_named(tmp_path: Path, topic: str, part: str) -> None:
-    first = read_log(write_sample(tmp_path / "run.mcap", sample()))
-    log_file = rewritten(tmp_path / "run.mcap", tmp_path / "other.mcap", without=topic)
-    with pytest.warns(Remark) as made:
-        log = read_log(log_file)
-    assert np.array_equal(log.measured, first.measured)
-    assert log.parts == first.parts - {part}
-    assert f"and it lacks {topic}" in str(made[0].message)
-
-
 @pytest.mark.parametrize("how", [{"thinned": 3}, {"shifted": 1_700_000_000, "without": "/rosout"}])
 def test_the_verdict_on_a_whole_run_survives_rewriting(
     tmp_path: Path, completed_run: Path, how: dict[str, Any]
@@ -136,50 +118,6 @@ def test_the_verdict_on_a_whole_run_survives_rewriting(
     with unchecked():
         log = read_log(rewritten(completed_run, tmp_path / "whole.mcap", backwards=True, **how))
     assert score(log).completed
-
-
-@pytest.mark.slow
-def test_a_run_is_repeated_from_a_rewritten_log_and_compared_by_its_topics(tmp_path: Path, completed_run: Path) -> None:
-    how = {"shifted": 1_700_000_000, "hole": (2.0, 3.0), "backwards": True}
-    log = rewritten(completed_run, tmp_path / "other.mcap", without="/tf", **how)
-    with log.open("rb") as stream:
-        count = make_reader(stream).get_summary().statistics.message_count
-    ended = dpcontrol("run", "--from", log, "--out", tmp_path / "again.mcap", "--json")
-    assert ended.code == 0, ended.stderr
-    assert ended.document["repeated"] == {"of": str(log), "identical_messages": count, "difference": None}
-
-
-def test_a_repetition_names_the_first_message_that_another_program_changed(tmp_path: Path, completed_run: Path) -> None:
-    def nudged(data: bytes) -> bytes:
-        # The second arm's angle, before that of the cart and two empty lists.
-        return data[:-17] + bytes([data[-17] ^ 1]) + data[-16:]
-
-    log = rewritten(completed_run, tmp_path / "other.mcap", backwards=True, edit=nudged)
-    ended = dpcontrol("run", "--from", log, "--out", tmp_path / "again.mcap")
-    assert ended.code == 1
-    assert "not the same run: the message of /joint_states at 0.000 s differs" in ended.message
-
-
-def test_two_runs_in_one_file_are_detected_and_rejected(tmp_path: Path) -> None:
-    for seed in (1, 2):
-        write_sample(tmp_path / f"{seed}.mcap", sample(seed=seed))
-    with (tmp_path / "merged.mcap").open("wb") as target:
-        writer = Writer(target)
-        writer.start(profile="ros2")
-        for seed in (1, 2):
-            with (tmp_path / f"{seed}.mcap").open("rb") as stream:
-                numbers: dict[int, int] = {}
-                reader = make_reader(stream)
-                for record in reader.iter_metadata():
-                    writer.add_metadata(record.name, record.metadata)
-                for schema, channel, m in reader.iter_messages():
-                    if channel.id not in numbers:
-                        number = writer.register_schema(schema.name, schema.encoding, schema.data)
-                        numbers[channel.id] = writer.register_channel(channel.topic, "cdr", number)
-                    writer.add_message(numbers[channel.id], m.log_time, m.data, m.publish_time)
-        writer.finish()
-    with pytest.raises(InputError, match="/joint_states has different messages at one time, as of two runs"):
-        read_log(tmp_path / "merged.mcap")
 
 
 @pytest.mark.parametrize("how", [{"only": (1.0, 2.0), "without": "/rosout"}, {"hole": (2.0, 3.0)}])
@@ -195,52 +133,6 @@ def test_the_completion_of_a_run_is_unknown_from_a_part_of_its_log(
     ended = dpcontrol("score", part, completed_run)
     assert ended.code == 1
     assert "1 of 2 not known to be completed" in ended.message
-
-
-def test_a_run_without_its_commands_is_shown_and_not_judged(tmp_path: Path, completed_run: Path) -> None:
-    log_file = rewritten(completed_run, tmp_path / "other.mcap", without="/control")
-    with unchecked():
-        view = opened([log_file])
-    assert view.verdict.endswith("the log has no /control, so the motion is not judged")
-    with unchecked(), pytest.raises(InputError, match="has no /control"):
-        score(read_log(log_file))
-
-
-UNREADABLE: dict[str, dict[str, Any]] = {
-    "it lacks /joint_states": {"encoding": "json"},
-    "/joint_states has other joints": {"edit": lambda data: bytes(len(data))},
-    "it has 1 ticks": {"only": (0.0, 0.0005)},
-}
-
-
-@pytest.mark.parametrize("said", UNREADABLE)
-def test_a_log_whose_measurements_cannot_be_read_is_refused_with_the_cause(tmp_path: Path, said: str) -> None:
-    log = rewritten(
-        write_sample(tmp_path / "run.mcap", sample()), tmp_path / "other.mcap", backwards=True, **UNREADABLE[said]
-    )
-    before = sorted(tmp_path.iterdir())
-    with pytest.raises(InputError, match=said):
-        read_log(log)
-    for verb in ("score", "info", "report", "replay", "recover"):
-        ended = dpcontrol(verb, log, *(("--model", "lab") if verb == "replay" else ()))
-        assert ended.code == 2, (verb, ended.stderr)
-    assert sorted(tmp_path.iterdir()) == before
-
-
-def test_recover_leaves_an_undamaged_rewritten_log_and_refuses_a_damaged_one(tmp_path: Path) -> None:
-    """`recover` rebuilds only what this program wrote."""
-    log = rewritten(write_sample(tmp_path / "run.mcap", sample()), tmp_path / "other.mcap", backwards=True)
-    with unchecked():
-        ticks = len(read_log(log).time)
-    done = dpcontrol("recover", log, "--json").document
-    assert (done["log"], done["ticks"], done["lost"]) == (str(log), ticks, "")
-    data = bytearray(log.read_bytes())
-    data[len(data) // 3] ^= 4
-    for damaged in (data[: len(data) * 2 // 3], data):
-        log.write_bytes(damaged)
-        ended = dpcontrol("recover", log)
-        assert ended.code == 2
-        assert "another program has rewritten it" in ended.message
 
 
 def test_a_log_that_rosbags_converts_is_a_recording(tmp_path: Path) -> None:

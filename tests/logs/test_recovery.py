@@ -9,7 +9,6 @@ from log_endurance import is_part_of
 from log_samples import RATE, sample, write_sample
 from mcap.opcode import Opcode
 
-from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs import RunLog, read_log, recover
 
 TICKS = 250
@@ -48,20 +47,3 @@ def test_a_recovered_log_can_be_recovered_again_and_keeps_its_losses(whole: RunL
     assert first.lost in second.lost
     assert second.ticks + second.ticks_lost == TICKS
     is_part_of(read_log(second.log), whole)
-
-
-def test_two_logs_in_one_file_are_not_joined(whole: RunLog, tmp_path: Path) -> None:
-    other = write_sample(tmp_path / "other.mcap", sample(TICKS, seed=4)).read_bytes()
-    (tmp_path / "both.mcap").write_bytes(whole.path.read_bytes() + other)
-    with pytest.raises(InputError, match="several logs"):
-        recover(tmp_path / "both.mcap", tmp_path / "out.mcap")
-
-
-def test_names_by_default_are_free_ones_and_the_old_file_stays(whole: RunLog, tmp_path: Path) -> None:
-    cut = whole.path.read_bytes()[:40_000]
-    left = tmp_path / "run.mcap.partial"
-    left.write_bytes(cut)
-    (tmp_path / "run.mcap.123-1.partial").write_bytes(cut)
-    names = [recover(left).log.name, recover(left).log.name, recover(tmp_path / "run.mcap.123-1.partial").log.name]
-    assert names == ["run.mcap", "run-recovered.mcap", "run-recovered-2.mcap"]
-    assert left.read_bytes() == cut

@@ -1,7 +1,4 @@
-"""One run of each class of ending, its sentence read and held against the true states.
-
-The ten thousand of `tests/benchmarks/test_ten_thousand_endings.py` are judged in the same way.
-"""
+"""One run of each class of ending, its sentence read and held against the true states."""
 
 from dataclasses import replace
 from typing import Any

@@ -15,7 +15,7 @@ from dpcontrol.control.interface import Mode, sampled_model
 from dpcontrol.control.tracking import TrackingController, tracking_controller
 from dpcontrol.logs import Event
 from dpcontrol.loop.assembly import Assembly
-from dpcontrol.loop.bench import DisturbanceSettings, DriveSettings, Push, SensorSettings, Unlike, draw_bench
+from dpcontrol.loop.bench import DisturbanceSettings, DriveSettings, SensorSettings, Unlike, draw_bench
 from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.loop.result import Ending, LoopResult, SupervisorSettings, Ticks
 from dpcontrol.loop.simulated import SimulatedRig
@@ -106,17 +106,6 @@ def check(run: Ended, ending: Ending, reason: str, *, limit: float = 0.4) -> Non
     assert record.ticks.control[-1, 6] == Mode.ABORTED
 
 
-@pytest.mark.parametrize("late", [50.0, 80.0])
-def test_a_delay_beyond_the_margin(
-    turn: tuple[StandIn, Reference], controller: TrackingController, late: float
-) -> None:
-    settings = replace(REAL, drive=replace(REAL.drive, delay=late))
-    run = ended(turn, controller, settings, believed_delay=1.0)
-    # For 50 ms and more a late drive looks like one that is off.
-    assert run.record.ending is not Ending.FINISHED
-    check(run, run.record.ending, "at t = ")
-
-
 @pytest.mark.parametrize(
     ("sensor", "name"), [(0, "the encoder of joint 1"), (1, "the encoder of joint 2"), (2, "the cart's scale")]
 )
@@ -128,31 +117,6 @@ def test_a_stuck_sensor_is_named_before_the_cart_runs_away(
         run = ended(turn, controller, settings)
         check(run, Ending.ESTIMATE_LOST, f"{name} is stuck", limit=0.05)
         assert run.log.times[-1] < at + 0.6
-
-
-def test_readings_that_stop_coming(turn: tuple[StandIn, Reference], controller: TrackingController) -> None:
-    settings = replace(REAL, sensors=SensorSettings(dropout=0.995))
-    run = ended(turn, controller, settings)
-    check(run, Ending.ESTIMATE_LOST, "no measurement for 0.1")
-    # Half of them are enough.
-    enough = ended(turn, controller, replace(REAL, sensors=SensorSettings(dropout=0.5)))
-    assert enough.record.ending is Ending.FINISHED
-
-
-def test_a_push_beyond_the_basin(turn: tuple[StandIn, Reference], controller: TrackingController) -> None:
-    hard = DisturbanceSettings(explicit=(Push(time=0.3, arm=1, rate=12.0),))
-    run = ended(turn, controller, replace(REAL, disturbances=hard))
-    assert run.record.ending in (Ending.CART_STOP, Ending.TRACKING_LOST)
-    check(run, run.record.ending, "at t = ")
-    soft = DisturbanceSettings(explicit=(Push(time=0.3, arm=1, rate=0.3),))
-    assert ended(turn, controller, replace(REAL, disturbances=soft)).record.ending is Ending.FINISHED
-
-
-@pytest.mark.parametrize("travel", [0.006, 0.02])
-def test_a_track_too_short(turn: tuple[StandIn, Reference], controller: TrackingController, travel: float) -> None:
-    settings = replace(REAL, travel=travel, initial_error=0.05)
-    run = ended(turn, controller, settings)
-    check(run, Ending.CART_STOP, "must brake now", limit=travel)
 
 
 def test_a_restart_and_a_move_of_the_clock_are_events(

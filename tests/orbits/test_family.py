@@ -3,17 +3,14 @@
 import casadi as ca
 import numpy as np
 import pytest
-from command_line import dpcontrol
 from scipy.optimize import brentq
 from scipy.special import mathieu_a
 
 from dpcontrol.dynamics.equations import Equations
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.causes import FamilyEndCause
-from dpcontrol.foundation.errors import InputError
 from dpcontrol.orbits.family import FollowingSettings, lyapunov_family
 from dpcontrol.orbits.lyapunov import equilibrium, lyapunov_orbit
-from dpcontrol.plans.model import load_model
 from tests.reference_values import LYAPUNOV_ORBITS
 
 STATE = 1e-9  # required; about 1e-12 is achieved
@@ -21,11 +18,6 @@ RECIPROCAL = 1e-6  # multipliers of members are up to 1e7
 CROSSING = 1e-10  # J: root of a determinant whose error is rounding times the multiplier, here about one
 RATE = 0.03  # relative: the exponential law is asymptotic
 LIMIT = 1e-4  # J: error of the extrapolated end
-
-
-@pytest.fixture(scope="module")
-def system():
-    return load_model("lab").system
 
 
 @pytest.fixture(scope="module")
@@ -126,25 +118,3 @@ def test_a_limit_on_members_is_reported(system):
     family = lyapunov_family(system, "down-up", energies=(-1.0, 1.0), settings=FollowingSettings(most_members=5))
     assert not family.converged
     assert family.ends[1].cause is FamilyEndCause.MANY_MEMBERS
-
-
-@pytest.mark.parametrize(
-    ("saddle", "energies", "fragment"),
-    [
-        ("down-up", (-0.4, -0.2), "exist only above its energy of -0.17543"),
-        ("down-up", (0.6, 0.7), "does not reach them; ends in the homoclinics of up-up"),
-    ],
-)
-def test_impossible_families_are_refused_with_the_valid_range(system, saddle, energies, fragment):
-    with pytest.raises(InputError, match=fragment):
-        lyapunov_family(system, saddle, energies=energies)
-
-
-@pytest.mark.slow
-def test_the_verb_prints_the_family_and_draws_it(tmp_path):
-    picture = tmp_path / "family.png"
-    line = ["orbit", "lab", "--saddle", "up-down", "--energies", "0.1", "0.2"]
-    document = dpcontrol(*line, "--picture", picture, "--json").document
-    assert [end["cause"] for end in document["ends"]] == ["saddle", "energy_bound"]
-    assert document["family"][-1]["period"] == pytest.approx(LYAPUNOV_ORBITS["lab", "up-down", 0.2][1], abs=STATE)
-    assert picture.read_bytes().startswith(b"\x89PNG")

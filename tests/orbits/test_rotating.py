@@ -5,12 +5,10 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
-from command_line import dpcontrol
 from quick_rate import quick_rate
 from scipy.integrate import solve_ivp
 
 from dpcontrol.foundation.causes import FamilyEndCause
-from dpcontrol.foundation.errors import InputError
 from dpcontrol.orbits.rotating import (
     ROTATING_LIMITS,
     RotatingSettings,
@@ -18,7 +16,6 @@ from dpcontrol.orbits.rotating import (
     rotating_family,
     rotating_orbits,
 )
-from dpcontrol.plans.model import load_model
 
 STATE = 1e-9  # required; about 1e-13 is achieved
 PERIOD = 1e-11
@@ -41,11 +38,6 @@ REFERENCE = {
     ),
 }
 """(turning arm, energy): state, period, multipliers, kind; computed independently in 113-bit arithmetic."""
-
-
-@pytest.fixture(scope="module")
-def system():
-    return load_model("lab").system
 
 
 @pytest.fixture(scope="module")
@@ -175,38 +167,3 @@ def test_each_family_at_an_energy_is_followed_once(system, found):
     there = [m.period for m in folded.members if abs(m.energy + 0.06985) < 0.02]
     assert min(there) < 0.52
     assert max(there) > 0.75
-
-
-def test_the_verb_lists_rotating_orbits_with_their_stability():
-    shown = dpcontrol("orbit", "lab", "--rotating", "inner", "--energy", "0.2", "--json").document
-    state, period, multipliers, kind = REFERENCE[1, 0.2]
-    fastest = shown["rotating_orbits"][-1]
-    assert shown["count"] == len(shown["rotating_orbits"]) == 2
-    assert fastest["kind"] == kind
-    assert fastest["winding"] == [1, 0]
-    assert np.abs(np.array(fastest["state"]) - state).max() < STATE
-    assert fastest["period"] == pytest.approx(period, abs=PERIOD)
-    assert np.abs([complex(*m) for m in fastest["floquet_multipliers"]] - np.array(multipliers)).max() < MULTIPLIER
-
-
-@pytest.mark.slow
-def test_the_verb_follows_their_families_and_draws_them(tmp_path):
-    picture = tmp_path / "inner.png"
-    line = ["orbit", "lab", "--rotating", "inner", "--energies", "0.19", "0.21", "--picture", picture, "--json"]
-    shown = dpcontrol(*line).document
-    assert shown["count"] == 2
-    for family in shown["families"]:
-        energies = [member["energy"] for member in family["members"]]
-        assert (min(energies), max(energies)) == (0.19, 0.21)
-        assert [end["cause"] for end in family["ends"]] == ["energy_bound", "energy_bound"]
-    assert picture.read_bytes().startswith(b"\x89PNG")
-
-
-def test_rotating_orbits_that_do_not_exist_are_refused(system, found):
-    assert rotating_orbits(system, 1, -0.3) == ()
-    assert dpcontrol("orbit", "lab", "--rotating", "inner", "--energy", "-0.3").code == 1
-    assert dpcontrol("orbit", "lab", "--rotating", "inner", "--saddle", "down-up", "--energy", "0.2").code == 2
-    with pytest.raises(InputError, match="need two arms"):
-        rotating_orbits(load_model("three-body").system, 1, -1.5)
-    with pytest.raises(InputError, match="must enclose"):
-        rotating_family(found[1, 0.2][-1], (0.3, 0.4))

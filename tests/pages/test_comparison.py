@@ -1,6 +1,5 @@
 """Several runs on one clock: aligned at a symbol, said how, drawn and recorded."""
 
-import subprocess
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,11 +8,8 @@ import pytest
 from synthetic_run import synthetic_run, view_of
 from test_recording import bare_log
 
-from dpcontrol.foundation.errors import InputError
-from dpcontrol.judge.comparison import MOST, compare
+from dpcontrol.judge.comparison import compare
 from dpcontrol.judge.run_view import RunView, Stay, series_of
-from dpcontrol.pages.page import write_comparison_recording
-from dpcontrol.pages.viewer import viewer_program
 
 SAME_MOMENT = 0.02
 """s: the synthetic turns pass 2π in their middle, with zero wobble and errors of 0.04 rad at 11 rad/s."""
@@ -60,27 +56,3 @@ def test_a_run_without_the_symbol_is_aligned_by_its_plan_and_one_without_a_plan_
     assert [run.delay for run in comparison.runs] == [0.625, 0.0]
     bare = series_of(bare_log(tmp_path / "bare.mcap", arms=2, has_cart=True, ticks=50))
     assert compare([first, bare]).runs[1].delay == 2.5
-
-
-def test_incomparable_files_are_rejected(pair: list[RunView], tmp_path: Path) -> None:
-    with pytest.raises(InputError):
-        compare([pair[0]] * (MOST + 1))
-    with pytest.raises(InputError):
-        compare(pair, symbol=2)
-    other = bare_log(tmp_path / "one.mcap", arms=1, has_cart=True, ticks=5)
-    with pytest.raises(InputError):
-        compare([pair[0], series_of(other)])
-
-
-def test_the_recording_of_a_pair_is_verified_by_the_viewers_own_tool(pair: list[RunView], tmp_path: Path) -> None:
-    program = viewer_program()
-    if program is None:
-        pytest.skip("the installed rerun-sdk holds no viewer")
-    write_comparison_recording(compare(pair), tmp_path / "pair.rrd")
-    for verb in ("verify", "stats"):
-        done = subprocess.run(
-            [str(program), "rrd", verb, str(tmp_path / "pair.rrd")], capture_output=True, text=True, check=False
-        )
-        assert done.returncode == 0, done.stderr
-    for entity in ("/runs/1/scene/arms/arm_2", "/runs/2/scene/arms/arm_2", "/plots/angle_1/2_second", "/done"):
-        assert entity in done.stdout

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from dpcontrol.judge.of_log import run_view
-from dpcontrol.pages.run_charts import extra_charts
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import make_plan
 from dpcontrol.runs.run import Run, run_plan
@@ -48,14 +47,3 @@ def test_the_estimates_of_a_log_end_at_its_plants_ratios(adaptive: Run) -> None:
         column = extras.names.index(name)
         away = abs(extras.values[-1, column] - view.extra_truth[name])
         assert away <= max(SIGMAS * extras.sigmas[-1, column], FOUND), name
-
-
-@pytest.mark.slow
-def test_the_zeros_found_are_those_that_were_drawn() -> None:
-    view = run_view(run_of(zero_error=0.02, mismatch=0.0).log)
-    assert extra_charts(view)[0].key == "zeros"
-    assert view.extras is not None
-    for k, name in enumerate(view.extras.names[:2]):
-        assert name == f"zero_{k + 1}"
-        away = abs(view.extras.values[-1, k] - view.extra_truth[name])
-        assert away <= SIGMAS * view.extras.sigmas[-1, k] + 2e-3, name

@@ -1,15 +1,13 @@
 """Figures of the paper and recordings of an atlas, written whole; their curves agree with independent numbers."""
 
-import json
 import subprocess
 
 import numpy as np
 import pytest
 
 from dpcontrol.pages.atlas import connections_of, kind_of, stable_direction, write_atlas_recording
-from dpcontrol.pages.figures import Gallery, draw_figures
+from dpcontrol.pages.figures import Gallery
 from dpcontrol.pages.paper import equilibria
-from dpcontrol.pages.paper.connecting import returning_search
 from dpcontrol.pages.viewer import viewer_program
 from dpcontrol.plans.atlas import AtlasSettings, compute_atlas, make_atlas, make_branches
 from dpcontrol.plans.model import load_model
@@ -20,7 +18,6 @@ FEW_ENERGIES = {
     ("down-up", "up-down"): (0.1880, 0.1890),
 }
 """In J, about a first event of each kind of connection: whole sweeps take minutes."""
-LEAST_BYTES = 20_000  # of a PNG: empty axes of these sizes take about 8,000
 
 
 GALLERY = Gallery(
@@ -36,18 +33,6 @@ GALLERY = Gallery(
 @pytest.fixture(scope="module")
 def low():
     return compute_atlas(load_model("lab"), -0.07)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["energy-landscape", "branches"])
-def test_a_figure_is_written_with_a_caption_and_its_differences(name, tmp_path):
-    (drawn,) = draw_figures([name], GALLERY, tmp_path)
-    assert drawn.file == tmp_path / f"{name}.png"
-    assert drawn.file.stat().st_size > LEAST_BYTES
-    words = json.loads((tmp_path / "captions.json").read_text())
-    assert words == {name: {"file": f"{name}.png", "caption": drawn.caption, "differs": drawn.differs}}
-    assert len(drawn.caption) > 100
-    assert len(drawn.differs) > 50
 
 
 def test_connections_lie_on_cuts_crossed_in_the_same_direction(low):
@@ -78,23 +63,10 @@ def test_the_recording_of_an_atlas_is_verified_by_the_viewers_own_tool_and_holds
     assert done.stdout.count("/now") >= len(low.connections)
 
 
-@pytest.mark.slow
-def test_returning_orbits_cross_the_aligned_section_twice_in_opposite_ways():
-    search = returning_search(load_model("lab").system)
-    back = [c for c in search.connections if not any(c.winding)]
-    assert len(back) == 8
-    for c in back:
-        times = np.linspace(-c.time_out, c.time_in, 4000)
-        states = c.orbit.sample(times)
-        sheet = np.floor((states[:, 0] - states[:, 1]) / (2 * np.pi))
-        steps = np.diff(sheet)[np.diff(sheet) != 0]
-        assert sorted(steps) == [-1, 1]
-
-
 def test_points_of_up_ups_manifold_lie_on_its_energy_and_come_from_it():
     system = load_model("lab").system
     states, top = equilibria.up_up_states(system), system.equilibria["up-up"]
-    assert len(states) > 0.9 * equilibria._SEEDS
+    assert len(states) > 5_000
     # Seeds are off the energy by the square of their distance.
     assert np.abs(system.numeric.hamiltonian(states) - system.numeric.hamiltonian(top)).max() < 1e-9
     for state in states[::600]:

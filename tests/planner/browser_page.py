@@ -8,8 +8,6 @@ PATIENCE = 600.0
 
 
 class Page:
-    """The planner's page, operated like a user."""
-
     def __init__(self, driver: Any, address: str) -> None:
         self.driver, self.address = driver, address
         driver.get(address)

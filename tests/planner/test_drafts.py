@@ -4,16 +4,10 @@ import tomllib
 
 import pytest
 
-from dpcontrol.foundation.errors import InputError
 from dpcontrol.planner.draft import first_text, read_draft
 
 FIRST = first_text("lab")
 WALK = ["down-up > up-down", "up-down > down-up"]
-
-
-def test_a_new_text_needs_only_its_first_symbol() -> None:
-    draft = read_draft(FIRST)
-    assert (draft.mistake, draft.itinerary, draft.walk, draft.energy) == (None, None, [], 0.2)
 
 
 def test_a_walk_built_by_clicks_is_a_valid_itinerary() -> None:
@@ -49,12 +43,3 @@ def test_an_error_is_reported_with_its_line(before: str, after: str, line: int) 
     assert draft.mistake is not None
     assert draft.mistake.line == line, draft.mistake
     assert draft.itinerary is None
-
-
-def test_a_text_with_several_parts_can_be_edited_only_as_text() -> None:
-    parts = '\n[[parts]]\nhold = "up-up"\n[[parts]]\nenergy = 0.2\nwalk = ["down-up +"]\n'
-    text = "\n".join(line for line in FIRST.splitlines() if line[:4] not in ("ener", "walk", "wrap"))
-    draft = read_draft(text + parts)
-    assert draft.itinerary is not None
-    with pytest.raises(InputError, match="edit it as text"):
-        draft.changed("", {"walk": WALK})

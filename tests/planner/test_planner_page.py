@@ -50,65 +50,6 @@ def test_an_itinerary_is_built_planned_run_and_saved_and_the_command_line_comple
     assert not [entry for entry in page.driver.get_log("browser") if entry["level"] == "SEVERE"]
 
 
-def test_impossible_symbols_are_grey_with_the_reason_and_undo_reverts(page: Page) -> None:
-    page.connect("down-up>up-down")
-    button = page.role("connection", '[data-name^="down-up>down-up"]')
-    assert button.get_attribute("aria-disabled") == "true"
-    assert "the walk is at Up-Down" in button.get_attribute("title")
-    assert len(page.press("connection", '[data-name^="down-up>down-up"]')["walk"]) == 1
-    assert page.press("undo")["walk"] == []
-    assert len(page.press("redo")["walk"]) == 1
-
-
-# The bottom of the list of connections, and the connections with their bottoms.
-LISTED = """
-const list = document.getElementById("list"), rows = [...list.querySelectorAll("button")];
-return [list.getBoundingClientRect().bottom, rows.map((row) => [row.ariaDisabled === "true",
-  row.getBoundingClientRect().bottom, row.classList.contains("best"), row.dataset.name])];"""
-
-
-def test_possible_successors_come_first_and_each_kind_has_a_recommended_one_in_view(page: Page) -> None:
-    page.connect(FIRST)
-    bottom, rows = page.driver.execute_script(LISTED)
-    impossible = [refused for refused, *_ in rows]
-    assert impossible == sorted(impossible)
-    starred = [(name.split("[")[0], place) for refused, place, best, name in rows if best and not refused]
-    assert {kind for kind, _ in starred} == {SECOND, "up-down>up-down"}
-    assert all(place <= bottom for _, place in starred)
-    # Of those that return, it is the most transversal of the symmetric ones, or its mirror image.
-    orbit = dp.orbit("lab", "up-down", energy=page.state["energy"])
-    angles = {one.name: one.transversality_angle for one in dp.connections(orbit, orbit).connections if one.symmetric}
-    recommended = [name for _, _, best, name in rows if best and name.startswith("up-down>up-down")]
-    assert recommended
-    assert all(angles[name] == pytest.approx(max(angles.values()), abs=1e-6) for name in recommended)
-
-
-def test_the_example_is_a_walk_that_returns_and_its_button_goes(page: Page) -> None:
-    page.press("example")
-    state = page.until(lambda state: len(state["walk"]) == 2)
-    assert state["stops"][0] == state["stops"][-1] != state["stops"][1]
-    assert not page.all('[data-role="example"]')
-    assert [name for name in ("plan", "run", "save") if "main" in page.role(name).get_attribute("class")] == ["plan"]
-
-
-def test_the_text_is_folded_until_it_is_wanted(page: Page) -> None:
-    lines = "return document.getElementById('editor').clientHeight / 16"
-    assert page.driver.execute_script(lines) < 2
-    page.role("toml").click()
-    assert page.driver.execute_script(lines) > 8
-
-
-def test_text_and_page_are_synchronised_and_errors_mark_their_line(page: Page) -> None:
-    text = page.idle()["toml"]
-    edited = text.replace("walk   = []", 'walk   = ["down-up +", "down-up -"]').replace("wraps  = []", "wraps = [1]")
-    state = page.type("toml", edited)
-    assert (state["walk"], state["wraps"]) == (["down-up +", "down-up -"], [1])
-    assert "wraps = [2]" in page.press("wraps-plus")["toml"]
-    page.type("toml", text.replace("energy = ", "energy = high"))
-    assert page.driver.find_element("css selector", "#lines b").get_attribute("textContent") == "3"
-    assert not page.role("plan").is_enabled()
-
-
 def on_orbits(text: str) -> str:
     """Return an itinerary of one crossing, without the transfers from rest and to rest that take longest."""
     crossing = text.replace("walk   = []", 'walk = ["down-up > up-down"]')
@@ -131,15 +72,6 @@ def test_a_run_is_drawn_filmed_and_repeated_with_twenty_seeds(page: Page) -> Non
     assert page.role("status").get_attribute("class") == "error"
     assert page.press("seeds")["seeds"]["runs"] == len(page.all("#bar i")) == 20
     assert len(page.all("#bar .good")) == page.state["seeds"]["completed"]
-
-
-def test_a_failed_plan_is_reported_and_can_be_saved(page: Page) -> None:
-    text = on_orbits(page.state["toml"])
-    page.type("toml", text.replace("[run]", "[limits]\nposition = 0.001\n[reference]\niterations = 20\n[run]"))
-    state = page.press("plan")
-    assert not state["plan"]["converged"]
-    assert state["plan"]["status"] in page.role("status").text
-    assert not page.role("save").get_attribute("disabled")
 
 
 # Visits places of a canvas until a connection of the list is highlighted, and returns the place and the name.
@@ -206,17 +138,3 @@ def test_every_control_can_be_reached_and_read(page: Page, zoom: str, scheme: st
     assert min(page.driver.execute_script(CONTRAST)) >= READABLE
     ground = page.driver.execute_script("return getComputedStyle(document.body).backgroundColor")
     assert (int(ground[4:].split(",")[0]) < 128) == (scheme == "dark")
-
-
-def test_the_keyboard_alone_appends_plays_and_saves(page: Page) -> None:
-    first = page.driver.find_element("css selector", '[data-role="connection"]')
-    page.driver.execute_script("arguments[0].focus()", first)
-    active = page.driver.switch_to.active_element
-    active.send_keys(Keys.ARROW_DOWN)
-    page.driver.switch_to.active_element.send_keys(Keys.ENTER)
-    assert len(page.idle()["walk"]) == 1
-    page.role("name").clear()
-    page.role("name").send_keys("by-keys" + Keys.TAB)
-    page.idle()
-    page.driver.switch_to.active_element.send_keys(Keys.CONTROL + "s")
-    assert page.idle()["saved"] == {"toml": "itineraries/by-keys.toml"}

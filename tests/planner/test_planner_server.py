@@ -12,9 +12,6 @@ from urllib.parse import urlsplit
 
 import pytest
 
-import dpcontrol as dp
-from dpcontrol.foundation.errors import InputError
-
 connected = pytest.importorskip("websockets.sync.client")
 from websockets.exceptions import InvalidStatus  # noqa: E402
 
@@ -32,8 +29,6 @@ def status(address: str, path: str, **headers: str) -> int:
 
 
 class Page:
-    """A page that sends commands and receives messages."""
-
     def __init__(self, address: str, name: str) -> None:
         place = urlsplit(address)
         self.socket = connected.connect(
@@ -98,14 +93,6 @@ def test_a_socket_without_token_or_from_another_site_is_refused_without_a_line(
     assert capfd.readouterr() == ("", "")
 
 
-def test_the_page_contacts_no_other_host() -> None:
-    for file in (Path(dp.__file__).parent / "planner" / "static").iterdir():
-        text = file.read_text(encoding="utf-8")
-        assert "http://" not in text
-        assert "https://" not in text
-        assert all(len(line) <= 100 for line in text.splitlines())
-
-
 @pytest.mark.parametrize(
     "command",
     [
@@ -122,27 +109,6 @@ def test_invalid_commands_are_answered_with_a_message(page: Page, command: Any) 
     state = page.send(command)
     assert state["message"]["kind"] == "error" or state["mistake"]
     assert state["toml"] == before or state["mistake"]
-
-
-def test_models_that_cannot_be_used_are_listed_with_their_message(page: Page) -> None:
-    problems = {model["name"]: model["problem"] for model in page.until("models")}
-    assert problems["lab"] == ""
-    assert "no arms" in problems["three-body"]
-    assert "3 arms" in problems["triple"]
-    assert "a single arm" in problems["single"]
-    assert "not valid TOML" in problems["broken"]
-
-
-def test_changes_are_undone_and_redone_one_by_one(page: Page) -> None:
-    first = page.until("state")["toml"]
-    page.send({"do": "append", "symbol": "down-up > up-down"})
-    changed = page.send({"do": "set", "values": {"start": "orbit"}})
-    assert changed["walk"] == ["down-up > up-down"]
-    assert changed["start"] == "orbit"
-    assert page.send({"do": "undo"})["start"] == "rest"
-    assert page.send({"do": "undo"})["toml"] == first
-    page.send({"do": "redo"})
-    assert page.send({"do": "redo"})["toml"] == changed["toml"]
 
 
 def test_commands_are_applied_in_order_though_none_waits_for_the_one_before(page: Page) -> None:
@@ -183,13 +149,6 @@ def test_an_itinerary_is_saved_without_replacing_another(page: Page, address: st
     other.send({"do": "append", "symbol": "down-up -"})
     other.send({"do": "name", "name": "mine"})
     assert "choose another name" in other.send({"do": "save"})["message"]["text"]
-
-
-def test_an_unsupported_model_and_a_used_port_are_refused(address: str) -> None:
-    with pytest.raises(InputError, match="no arms"):
-        dp.open_planner("three-body", browser=False)
-    with pytest.raises(InputError, match="--port"):
-        dp.open_planner("lab", browser=False, port=urlsplit(address).port or 0)
 
 
 def test_work_can_be_cancelled_and_a_dead_process_restarted(page: Page) -> None:

@@ -1,14 +1,23 @@
 """Cautions of plans: figures that are known without a run, and changes that help."""
 
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from dpcontrol.control.interface import sampled_model
+from dpcontrol.control.tracking import TvlqrSettings, tracking_controller
 from dpcontrol.foundation.causes import CautionCause
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.plans.authority import connection_loss, peak_gains
 from dpcontrol.plans.cautions import Caution, cautions_of, hidden_angles
 from dpcontrol.plans.itinerary import load_itinerary
+from dpcontrol.plans.model import load_model
 from dpcontrol.plans.plan import Plan, make_plan
+from dpcontrol.plans.planning import shadowing_orbit
+from dpcontrol.tubes.connections import find_connections, orbits_between
 
 EXACT = 1e-9  # the same arithmetic on another setting
 
@@ -89,3 +98,37 @@ def test_a_weight_at_the_tip_gives_arms_without_authority_what_they_need(turn: P
     )
     assert changed.need(np.array([0.0, np.pi])) == pytest.approx(found.changed, rel=EXACT)
     assert found.changed < found.limit
+
+
+FINER = 0.25  # gains at 1 kHz instead of 200 Hz, and a law that weighs the angles more towards the end
+MIRRORED = 1e-3  # mirror images to the error of their states and the steps' places
+
+
+def test_peak_gains_are_those_of_the_law_that_tracks_the_plan() -> None:
+    plan = make_plan(load_itinerary("outer-turn"))
+    arms = plan.itinerary.model.arms
+    law = tracking_controller(plan.reference, sampled_model(arms, 1000.0), TvlqrSettings(closing=1.0))
+    assert peak_gains(arms, plan.reference).max() == pytest.approx(np.abs(law.gains[:, :2]).max(), rel=FINER)
+
+
+def test_mirror_images_of_a_connection_ask_for_the_same_gains() -> None:
+    lab = load_model("lab")
+    pair = orbits_between(lab.system, "down-up", "down-up", -0.07)
+    turns = [c for c in find_connections(*pair).connections if c.symmetric]
+    losses = {c.sense: connection_loss(lab.arms, c) for c in sorted(turns, key=lambda c: c.transversality_angle)}
+    assert losses[1] == pytest.approx(losses[-1], rel=MIRRORED)
+
+
+CROSSING = 'model = "lab"\nenergy = {energy}\nwalk = ["down-up > up-down"]\n'
+
+
+@pytest.mark.slow
+def test_an_energy_without_the_connection_is_refused_with_one_that_has_it(tmp_path: Path) -> None:
+    file = tmp_path / "crossing.toml"
+    file.write_text(CROSSING.format(energy=0.178))
+    with pytest.raises(InputError) as refused:
+        shadowing_orbit(load_itinerary(str(file)))
+    advised = re.search(r"at (\S+) J there are connections for each symbol$", str(refused.value))
+    assert advised is not None, str(refused.value)
+    file.write_text(CROSSING.format(energy=advised[1]))
+    assert shadowing_orbit(load_itinerary(str(file))).converged

@@ -5,7 +5,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dpcontrol.foundation.errors import InputError
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import Plan, make_plan
 from dpcontrol.runs.run import run_plan
@@ -13,7 +12,6 @@ from dpcontrol.runs.run import run_plan
 ROUNDING = 1e-9
 COARSE = '[reference]\nmethod = "radau-5"\ninterval = 0.1\ntolerance = 1e-3\n'
 """What is asked here is where motions lead, not how exact they are."""
-TURN = 'energy = -0.07\nwalk = ["down-up +"]\n'
 UP_AND_ASIDE = """
 model = "single"
 start = "rest"
@@ -97,21 +95,3 @@ def test_each_end_follows_any_part(text: str, saddles: list[str], tmp_path: Path
 )
 def test_only_a_stay_in_the_middle_is_held_by_default(text: str, kind: str, tmp_path: Path) -> None:
     assert load_itinerary(written(tmp_path, text)).loop.controller.kind == kind
-
-
-@pytest.mark.parametrize(
-    ("lines", "key", "remedy"),
-    [
-        ('start = "hold"\nhold = "up-up"\ncart = 0.5\n', "cart", "within ±0.4 m"),
-        ('start = "rest"\nhold = "up-up"\ntransfer = -1\n', "transfer", "more than 0, at most 600 s"),
-        ('start = "rest"\nhold = "up-up"\ntransfer = "quick"\n', "transfer", "gentle, shortest"),
-        ('start = "orbit"\nhold = "up-up"\n', "start", '"hold" or "rest"'),
-    ],
-)
-def test_an_impossible_request_is_refused_with_its_key_and_remedy(
-    lines: str, key: str, remedy: str, tmp_path: Path
-) -> None:
-    with pytest.raises(InputError) as caught:
-        load_itinerary(written(tmp_path, lines))
-    assert caught.value.errors[0].key == key
-    assert remedy in str(caught.value)

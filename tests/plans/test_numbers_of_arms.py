@@ -3,13 +3,10 @@
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from command_line import dpcontrol
 
 from dpcontrol.control import export
-from dpcontrol.plans.itinerary import load_itinerary
-from dpcontrol.plans.transfers import Transfer, find_transfers
 
 
 def document(*arguments: str | Path) -> Any:
@@ -39,19 +36,3 @@ def test_any_number_of_arms_goes_through_every_stage(
     assert (tmp_path / "run.rrd").stat().st_size > 1e4
     assert (tmp_path / "page.png").stat().st_size > 1e4
     assert list(folder.glob("*.c"))
-
-
-@pytest.mark.slow
-def test_transfers_are_found_in_processes_and_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A quarter of a minute, most of it the processes' start."""
-    monkeypatch.setenv("DPCONTROL_CACHE", str(tmp_path))
-    scene = load_itinerary("one-arm")
-    up, hanging = (scene.model.system.equilibrium(name) for name in ("up", "down"))
-    cart = np.zeros(2)
-    wanted = [
-        Transfer.of(scene, text, np.append(a, cart), [np.append(b, cart)], "")
-        for text, a, b in (("up", hanging, up), ("down", up, hanging))
-    ]
-    found = find_transfers(wanted, workers=2)
-    assert set(found) == {one.key for one in wanted}
-    assert all(one.file.is_file() for one in wanted)

@@ -22,11 +22,9 @@ from dpcontrol.plans.plan import Plan, make_plan
 from dpcontrol.references.reference import Reference
 
 LAB = load_model("lab")
-SYSTEM = LAB.system
 QUICK = '[reference]\nmethod = "radau-5"\ninterval = 0.1\ntolerance = 1e-3\n'
 """Coarse: what is asked here is where transfers lead and what becomes of them, not how exact they are."""
 QUADRATURE = 1e-4  # relative, of sums over milliseconds
-BETWEEN_ORBITS = 0.02  # scaled, of neighbours among the orbits of a family
 
 
 def scene(folder: Path, *holds: str, model: str = "lab") -> Path:

@@ -7,7 +7,6 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from command_line import dpcontrol
 from reference_values import LYAPUNOV_ORBITS
 
 import dpcontrol as dp
@@ -176,10 +175,3 @@ def test_nodes_are_corrected_to_the_energy() -> None:
         _, found = proved_chain(surface, chain, ProofSettings())
     assert found.proved
     assert found.exists > flint.arb(1e-13)
-
-
-@pytest.mark.slow
-def test_the_command_line_refuses_three_arms() -> None:
-    ended = dpcontrol("prove", "orbit", "triple", "--saddle", "down-up-down", "--energy", "-0.2")
-    assert ended.code == 2
-    assert "degrees of freedom" in ended.stderr

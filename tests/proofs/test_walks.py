@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from command_line import dpcontrol
 
 import dpcontrol as dp
 
@@ -56,12 +55,3 @@ def test_a_perturbed_orbit_is_not_proved(turn: ShadowingOrbit) -> None:
     found = dp.prove(replace(turn, orbit=replace(turn.orbit, states=states)), settings=ProofSettings(tries=1))
     assert not found.proved
     assert found.status.startswith("not proved: ")
-
-
-@pytest.mark.slow
-def test_a_walk_of_four_symbols_is_proved_on_the_command_line() -> None:
-    symbols = ("down-up +", "down-up > up-down", "up-down -", "up-down > down-up")
-    words = [part for symbol in symbols for part in ("-s", symbol)]
-    ended = dpcontrol("prove", "walk", "lab", "--energy", "0.2", *words, "--wraps", "1,1,1,1", "--periodic", "--json")
-    assert ended.code == 0, ended.stderr
-    assert [s["wraps"] for s in ended.document["symbols"]] == [1, 1, 1, 1]

@@ -4,13 +4,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import dpcontrol
 from mcap.writer import Writer
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
 
-from dpcontrol.foundation.errors import InputError, Remark
+from dpcontrol.foundation.errors import Remark
 from dpcontrol.logs import LogWriter
 from dpcontrol.recordings.importing import import_recording
 
@@ -167,30 +166,3 @@ def test_a_log_is_imported_with_all_its_arms(tmp_path: Path, arms: int, has_rate
     assert np.allclose(found.angles, angles, atol=1e-12)
     assert (found.rates is not None) == has_rates
     assert found.cart is None
-
-
-@pytest.mark.parametrize(
-    ("mistake", "said"),
-    [
-        ("encoding", "as a bag .*protobuf"),
-        ("field", "/encoders.dat.1. holds no numbers in any message"),
-        ("topic", "no topic holds the column '/encoder.data.1.'; did you mean"),
-        ("no shared time", "no time has values of all columns"),
-    ],
-)
-def test_files_that_cannot_be_imported_are_refused_with_the_cause(tmp_path: Path, mistake: str, said: str) -> None:
-    file = tmp_path / "rig.mcap"
-    second = {"field": "/encoders.dat[1]", "topic": "/encoder.data[1]"}.get(mistake, "/encoders.data[1]")
-    mapping = encoder_mapping(tmp_path / "bench.toml", second=second)
-    if mistake == "no shared time":
-        mapping = two_topics(file, late=2.0)
-    else:
-        encoders(file, "protobuf" if mistake == "encoding" else "ros2msg")
-    with pytest.raises(InputError, match=said):
-        import_recording(file, mapping)
-
-
-def test_verbs_that_read_logs_send_a_bag_to_import(tmp_path: Path) -> None:
-    ended = dpcontrol("info", bag(tmp_path, "bag2"))
-    assert ended.code == 2
-    assert "it is a ROS bag; make a log of it with `dpcontrol import" in ended.message

@@ -2,16 +2,14 @@
 
 import re
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from command_line import dpcontrol
 
 from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.plans.model import load_model
-from dpcontrol.recordings.checks import constant_angles, contradiction
+from dpcontrol.recordings.checks import contradiction
 from dpcontrol.recordings.recording import Recording, simulated_recording
 
 LAB = load_model("lab").arms
@@ -57,28 +55,3 @@ def test_a_wrong_sign_a_constant_angle_or_arms_of_twice_the_length_contradict_th
 def test_an_arm_that_swings_about_another_angle_than_hanging_is_named(swing: Recording) -> None:
     text = said(replace(swing, angles=np.column_stack([swing.angles[:, 0], swing.angles[:, 1] + 2.9 - 4 * np.pi])))
     assert re.search(r"; angle 2 swings about 2\.[89]\d* rad instead of 0: is the mapping's zero", text)
-
-
-def test_a_constant_angle_among_moving_ones_is_named(swing: Recording) -> None:
-    assert constant_angles(swing) == ()
-    (text,) = constant_angles(changed(swing, STOP))
-    assert text.startswith("angle 2 is 0 rad in all 2001 samples: is its encoder connected")
-    assert len(constant_angles(changed(swing, [[0.0, 0.0], [0.0, 0.0]]))) == 2
-
-
-def test_the_import_reports_contradictions_to_the_model(swing: Recording, tmp_path: Path) -> None:
-    file = tmp_path / "swing.csv"
-    exchanged = np.column_stack([swing.time, swing.angles[:, ::-1]])
-    np.savetxt(file, exchanged, delimiter=",", header="time,angle_1,angle_2", comments="", fmt="%.9g")
-    mapping = tmp_path / "angles.toml"
-    mapping.write_text(
-        'title = "a test"\narm_lengths = [0.17, 0.23]\n[time]\ncolumn = "time"\nunit = "s"\n'
-        '[angles]\ncolumns = ["angle_1", "angle_2"]\nunit = "rad"\n'
-    )
-    call = ("import", file, "--mapping", mapping, "--out", tmp_path / "s.mcap", "--json")
-    assert dpcontrol(*call).document["remarks"] == []
-    ended = dpcontrol(*call, "--model", "lab")
-    assert ended.code == 0
-    (remark,) = ended.document["remarks"]
-    assert "in the order 2, 1" in remark
-    assert f"dpcontrol: {file}: {remark}" in ended.stderr

@@ -51,29 +51,6 @@ def test_a_log_gives_back_the_recording_segment_by_segment(tmp_path: Path) -> No
         assert part.segments == ((0, end - first),)
 
 
-def test_parts_kept_for_validation_follow_those_for_identification(tmp_path: Path) -> None:
-    all_parts = rig_variables(segments=3)
-    split = {
-        "Y_id": cells(list(all_parts["Y_id"][:2, 0])),
-        "Y_vad": cells(list(all_parts["Y_id"][2:, 0])),
-        "Time_id": cells(list(all_parts["Time_id"][:2, 0])),
-        "Time_vad": cells(list(all_parts["Time_id"][2:, 0])),
-        "dt": PERIOD,
-    }
-    whole = import_recording(write_mat(tmp_path / "whole.mat", all_parts))
-    parts = import_recording(write_mat(tmp_path / "parts.mat", split, compressed=True))
-    assert np.array_equal(parts.angles, whole.angles)
-    assert parts.segments == whole.segments
-
-
-def test_segments_with_restarting_times_are_joined_with_a_remark(tmp_path: Path) -> None:
-    given = rig_variables(segments=2)
-    given["Time_id"][1, 0] = given["Time_id"][0, 0]
-    recording = import_recording(write_mat(tmp_path / "anew.mat", given))
-    assert np.allclose(np.diff(recording.time), PERIOD, atol=EXACT)
-    assert "segment 1" in recording.notes[0]
-
-
 @pytest.mark.parametrize("version", ["v7", "v7.3"])
 def test_whole_recordings_by_simulink_open_as_structs_and_as_objects(tmp_path: Path, version: str) -> None:
     matio = pytest.importorskip("matio", reason="mat-io writes MATLAB's objects for this test")
@@ -92,20 +69,6 @@ def test_whole_recordings_by_simulink_open_as_structs_and_as_objects(tmp_path: P
         recording = import_recording(file, "multi-arm-raw")
         assert np.abs(recording.angles - states[:, :2]).max() <= EXACT
         assert np.array_equal(recording.rates, states[:, 2:])  # type: ignore[arg-type]
-
-
-def test_even_times_that_a_time_series_does_not_store_follow_from_its_description(tmp_path: Path) -> None:
-    times, states = free_swing(300)
-    about = {"Start": 0.0, "Increment": PERIOD, "Length": 300.0}
-    series = {"Data": states[:, :1], "Time": np.zeros((0, 0)), "TimeInfo": about}
-    mapping = tmp_path / "series.toml"
-    mapping.write_text(
-        'arm_lengths = [0.2, 0.3]\n[time]\ncolumn = "Theta1.Time"\n[angles]\ncolumns = ["Theta1", "Theta2"]'
-    )
-    file = write_mat(tmp_path / "swing.mat", {"Theta1": series, "Theta2": states[:, 1:2]})
-    recording = import_recording(file, str(mapping))
-    assert np.array_equal(recording.angles, states[:, :2])
-    assert np.abs(recording.time - times).max() <= EXACT
 
 
 MAPPING = """
@@ -281,42 +244,3 @@ def test_a_fault_is_named_and_corrected_only_on_request(
         off = part.angles - expected
         assert np.abs(off - turns * np.round(off / turns)).max() <= FILLED
         assert np.allclose(np.diff(part.time), PERIOD, rtol=EVEN)
-
-
-def test_a_jump_is_rejected_with_any_option(tmp_path: Path) -> None:
-    columns = table_columns()
-    columns["angle_1"][100:] = [v + 2.0 for v in columns["angle_1"][100:]]
-    everything = ["nan", "time", "gaps", "wrap", "spikes", "sampling"]
-    with pytest.raises(InputError, match=r"row 101 .*angle 1 jumps by 2.01 rad in one sample"):
-        import_recording(write_csv(tmp_path / "jump.csv", columns), repairs=everything)
-
-
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        ({"angle_1": "rate_1", "rate_1": "angle_1"}, "columns swapped"),
-        ({"angle_1": ("angle_1", 57.29578)}, "degrees"),
-        ({"rate_1": ("rate_1", 57.29578), "rate_2": ("rate_2", 57.29578)}, "0.01745 times its rate; is a unit"),
-        ({"rate_1": ("rate_1", -1.0)}, "-1 times its rate"),
-        ({"time": ("time", 1e3)}, "check the unit of time"),
-    ],
-)
-def test_contradicting_columns_are_reported_with_their_likely_meaning(
-    tmp_path: Path, change: dict[str, Any], said: str
-) -> None:
-    columns = table_columns(2000)
-    changed = dict(columns)
-    for name, source in change.items():
-        source, factor = source if isinstance(source, tuple) else (source, 1.0)
-        changed[name] = [v * factor for v in columns[source]]
-    with pytest.raises(InputError) as refused:
-        import_recording(write_csv(tmp_path / "changed.csv", changed))
-    assert said in str(refused.value)
-
-
-def test_an_arm_that_falls_upward_is_reported_as_a_reversed_zero(tmp_path: Path) -> None:
-    given = rig_variables(segments=2, samples=1000)
-    for k in range(2):
-        given["Y_id"][k, 0][:2] -= np.pi
-    with pytest.raises(InputError, match="falls upward"):
-        import_recording(write_mat(tmp_path / "upside-down.mat", given))

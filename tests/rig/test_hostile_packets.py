@@ -4,7 +4,6 @@ A raw socket makes spoofed packets with the loop's address as their sender. If t
 sockets send them.
 """
 
-import math
 import random
 import socket
 import struct
@@ -14,7 +13,7 @@ from contextlib import ExitStack, closing, contextmanager, suppress
 from pathlib import Path
 
 import pytest
-from bench_at_hand import KEY, LONG, PATIENT, Raw, Toy, next_reading, raw, served, welcomed
+from bench_at_hand import KEY, LONG, PATIENT, Raw, Toy, next_reading, raw, served
 from command_line import dpcontrol
 from hypothesis import given, settings, strategies as st
 
@@ -177,15 +176,6 @@ def test_only_who_gets_the_welcome_can_start_a_run() -> None:
             assert (rig.read().positions == 0).all()
 
 
-@pytest.mark.parametrize("value", [math.nan, math.inf])
-def test_commands_on_their_way_that_are_not_finite_begin_nothing(value: float) -> None:
-    with served(Toy()) as bench:
-        with pytest.raises(ArithmeticError, match="a pending command is not a finite number"):
-            UdpRig(bench.address, queued=[value], settings=LONG).read()
-        with UdpRig(bench.address, settings=LONG) as rig:
-            rig.read()
-
-
 def test_a_bench_beyond_loopback_requires_a_key_or_insecure() -> None:
     assert dpcontrol("rig", "outer-turn", "--host", "0.0.0.0").code == 2
     assert dpcontrol("rig", "outer-turn", "--host", "", "--insecure").code == 2
@@ -231,46 +221,6 @@ def test_the_key_comes_from_a_file_or_the_environment(tmp_path: Path, monkeypatc
     with pytest.raises(InputError, match=KEY_VARIABLE):
         shared_key()
     assert dpcontrol("run", "outer-turn", "--insecure").code == 2
-
-
-@pytest.mark.parametrize("period", [0.0, math.nan, 1e9])
-def test_a_welcome_with_an_impossible_period_is_rejected(period: float) -> None:
-    with closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as bench:
-        bench.bind(("127.0.0.1", 0))
-        bench.settimeout(30)
-        thread = threading.Thread(target=welcomed, args=(bench, packets.Welcome(2, period, 100, 5)))
-        thread.start()
-        with pytest.raises(InputError, match="period"):
-            UdpRig(bench.getsockname(), settings=LONG)
-        thread.join()
-
-
-def test_readings_that_do_not_fit_the_welcome_are_rejected_and_invalid_numbers_are_absent() -> None:
-    with closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as bench:
-        bench.bind(("127.0.0.1", 0))
-        bench.settimeout(30)
-
-        def odd() -> None:
-            client, talk = welcomed(bench, packets.Welcome(2, 0.001, 100, 5))
-            while bench.recvfrom(4096)[0][5] != Kind.START:
-                pass
-            for tick, positions in (
-                (0, (1.0, 2.0)), (4000, (1.0, 2.0, 3.0)), (0, (1.0, 2.0, 3.0)), (1, (math.nan, 5.0, math.inf)),
-            ):  # fmt: skip
-                content = packets.ReadingPacket(tick, positions, -1, 0, 0.0, 0, Condition.WELL, "")
-                bench.sendto(talk.pack(content), client)
-
-        thread = threading.Thread(target=odd)
-        thread.start()
-        with UdpRig(bench.getsockname(), settings=LONG) as rig:
-            first, second = rig.read(), rig.read()
-        thread.join()
-    assert first.present is None
-    assert first.positions.tolist() == [1.0, 2.0, 3.0]
-    assert second.positions.tolist() == [1.0, 5.0, 3.0]
-    assert second.present is not None
-    assert second.present.tolist() == [False, True, False]
-    assert rig.deadlines.rejected == 2
 
 
 READING = packets.ReadingPacket(9, (0.1, 0.2, 0.3), 8, 4, 0.002, 0, Condition.WELL, "so")

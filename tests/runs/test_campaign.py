@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from scipy.stats import norm
@@ -16,6 +17,7 @@ from scipy.stats import norm
 from dpcontrol.control.tracking import TvlqrSettings
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.statistics import paired, wilson
+from dpcontrol.judge.campaign import campaign_summary
 from dpcontrol.plans.itinerary import Itinerary, load_itinerary
 from dpcontrol.plans.plan import make_plan
 from dpcontrol.runs import campaign as campaign_jobs, campaign as workers
@@ -213,3 +215,36 @@ def test_jobs_that_differ_in_a_setting_differ_in_their_keys() -> None:
         for case in [campaign_jobs.Case("", (), itinerary.with_run(change, seed=0).loop)]
     }
     assert len(keys) == len(changes)
+
+
+FLIPS = 100
+ROWS = pa.table(
+    {
+        "seed": list(range(40)),
+        "completed": [k % 3 > 0 for k in range(40)],
+        "reason": [f"symbol {k}" for k in range(40)],
+        "max_cart_position": np.random.default_rng(1).uniform(size=40),
+    }
+)
+
+
+def test_a_flipped_bit_in_the_values_of_a_table_is_refused_in_one_sentence(tmp_path: Path) -> None:
+    folder = tmp_path / "runs.parquet"
+    folder.mkdir()
+    file = folder / "0.parquet"
+    pq.write_table(ROWS, file, compression="zstd", write_page_checksum=True)
+    data = file.read_bytes()
+    values = len(data) - 8 - int.from_bytes(data[-8:-4], "little")  # before Parquet's footer, which has no checksum
+    random = np.random.default_rng(5)
+    for place in np.linspace(4, values - 1, FLIPS).astype(int):
+        spoilt = bytearray(data)
+        spoilt[place] ^= 1 << random.integers(8)
+        file.write_bytes(spoilt)
+        try:
+            table = pq.read_table(file, page_checksum_verification=True)
+        except (OSError, pa.ArrowException):
+            with pytest.raises(InputError, match="is damaged") as refused:
+                campaign_summary(folder)
+            assert "\n" not in str(refused.value)
+        else:
+            assert table.equals(ROWS)

@@ -174,19 +174,3 @@ def test_the_verb_writes_a_model_and_a_plan_that_runs(first_run: Run, tmp_path: 
     assert {one["name"] for one in document["means"]} == set(load_model(str(tmp_path / "rig.toml")).uncertainty.names)
     assert dp.open_plan(tmp_path / "rig.npz").itinerary.loop.estimator.learnt
     assert dp.run(str(tmp_path / "rig.npz"), settings={"mismatch": 0.0, "model_uncertainty": 1.0}).converged
-
-
-@pytest.mark.slow
-def test_a_night_learns_from_its_first_repetition(tmp_path: Path) -> None:
-    loop = dp.closed_loop("outer-turn", mismatch=0.1)
-    night = loop.night(12 / 3600, tmp_path / "night", seed=1, learn=True)
-    logs = [dp.open_log(file) for file in sorted((tmp_path / "night").glob("*.mcap"))]
-    assert [digest.session for digest in night.digests] == [1, 2]
-    assert logs[0].plant == logs[1].plant
-    assert feedback(logs[1]) < GAIN * feedback(logs[0])
-
-
-def test_a_run_without_estimates_of_the_model_cannot_be_learnt_from() -> None:
-    run = dp.run("outer-turn", settings={"controller": "tvlqr"})
-    with pytest.raises(dp.InputError, match="adaptive"):
-        run.learn()

@@ -13,8 +13,6 @@ from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import make_plan
 from dpcontrol.runs.night import (
     NightSettings,
-    night_cost,
-    night_folder,
     night_itinerary,
     run_night,
 )
@@ -36,21 +34,6 @@ def test_a_night_continues_after_falls_by_default() -> None:
     assert (loop.keep, loop.supervisor.on_fall) == ("none", "resume")
     stops = night_itinerary(linger, overrides={"on_fall": "stop", "attempts": 10}).loop
     assert (stops.keep, stops.supervisor.on_fall, stops.supervisor.attempts) == ("tvlqr", "stop", 10)
-
-
-def test_the_cost_of_a_night_is_stated_and_too_much_is_refused(tmp_path: Path) -> None:
-    folder = night_folder(tmp_path / "logs" / "turn-0.mcap")
-    assert folder == tmp_path / "logs" / "turn-0"
-    # 3,600,000 ticks at 12,000 in a second.
-    cost = night_cost(TURN, NightSettings(hours=1.0), folder)
-    assert "about 5 minutes" in cost
-    assert "6 files of 10 min" in cost
-    with pytest.raises(InputError, match="20 GB are begun unasked"):
-        night_cost(TURN, NightSettings(hours=18.0), folder)
-    thinned = NightSettings(hours=11.0, keep_every=20)
-    assert thinned.disk(1000.0) < NightSettings(hours=18.0).disk(1000.0) / 10
-    with pytest.raises(InputError, match="are free there"):
-        night_cost(TURN, NightSettings(hours=9_999.0), folder, yes=True)
 
 
 @pytest.mark.slow

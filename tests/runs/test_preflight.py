@@ -2,7 +2,6 @@
 
 import json
 import math
-import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,6 @@ import pytest
 
 from dpcontrol.dynamics.chain import Uncertainty, ratio_names
 from dpcontrol.foundation.causes import CautionCause
-from dpcontrol.foundation.errors import Remark
 from dpcontrol.foundation.statistics import wilson
 from dpcontrol.judge.preflight import HazardBorder, Improvement, Preflight
 from dpcontrol.loop.loop import LoopSettings
@@ -96,43 +94,11 @@ def test_borders_where_less_is_worse_are_sought_downward(turn: Plan, monkeypatch
     assert (border(found, "belt").own, border(found, "counts").own) == ("none", "40,000 a turn")
 
 
-@pytest.mark.parametrize(("seconds", "kinds"), [(0.03, 10), (0.2, 4), (3.0, 0)])
-def test_long_itineraries_have_fewer_borders_so_that_two_minutes_suffice(seconds: float, kinds: int) -> None:
-    amounts = module._amounts(0, seconds, lockstep=True)
-    assert amounts.runs * seconds <= 240  # two processors for two minutes
-    assert amounts.kinds == kinds
-    assert amounts.rate >= 16
-
-
-def test_borders_for_which_there_is_no_time_are_named(turn: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
-    made_up(monkeypatch, lambda loop, random: loop.drive.lag < 0.05)
-    monkeypatch.setattr(module, "_AFFORD", 10.0)
-    found = preflight(turn, {"lag": 0.003}, settings=PreflightSettings(workers=1))
-    assert 0 < len(found.borders) < 10
-    (note,) = (note for note in found.notes if "two minutes do not suffice" in note)
-    assert "lag" in note
-    assert all(border.name not in note for border in found.borders)
-
-
 def test_a_preflight_names_the_figures_that_explain_its_failures(turn: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
     made_up(monkeypatch, lambda loop, random: loop.drive.lag < 0.01)
     found = preflight(turn, {"lag": 0.04}, settings=PreflightSettings(runs=16, workers=1))
     assert {caution.cause for caution in found.warnings} == {CautionCause.LAG}
     assert found.document()["warnings"][0]["remedy"]
-
-
-def test_a_preflight_announces_what_its_first_runs_cost(turn: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A clock that runs 0.01 s with each seed: the sentence has the seconds of all runs, in one process."""
-    clock = [0.0]
-    asked = made_up(monkeypatch, lambda loop, random: clock.__setitem__(0, clock[0] + 0.01) is None)
-    monkeypatch.setattr(module.time, "process_time", lambda: clock[0])
-    with pytest.warns(Remark, match="will take about (?P<seconds>[0-9.]+) (seconds|minutes)") as said:
-        preflight(turn, settings=PreflightSettings(runs=32, workers=1))
-    assert len(asked) > 2
-    done = 0.01 * sum(len(job.seeds) for job in asked)
-    told = re.search(r"about ([0-9.]+) seconds", str(said[0].message))
-    assert told is not None
-    assert done / 1.5 <= float(told[1]) <= 1.5 * done
 
 
 def test_a_change_is_worth_what_it_rescues_less_what_it_loses(turn: Plan, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -27,15 +27,6 @@ run = { mismatch = 0.02, initial_error = 0.02 }
 """
 PLAN = make_plan(itinerary_from(SHORT_HOLD, "short-hold", load_model("lab")))
 HELD = dp.closed_loop(PLAN, estimator="ekf").assembly.controller
-FILE = """
-import casadi as ca
-import dpcontrol as dp
-
-def still(state, reference, memory, parameters):
-    return reference.feedforward + 1e-3 * ca.sqrt(memory), memory - 1e-2
-
-law = dp.SymbolicLaw(still, memory=1, first=[0.505])
-"""
 
 
 def same_gains() -> dp.SymbolicLaw:
@@ -61,17 +52,6 @@ def test_expressions_fly_as_the_same_law_in_python_does() -> None:
     assert made.converged
     assert np.abs(made.log.states["truth"] - python.log.states["truth"])[:BEGINNING].max() < SAME
     assert made.log.events[0].text.startswith("own, ekf")
-
-
-@pytest.mark.slow
-def test_lockstep_flies_what_single_runs_do() -> None:
-    loop = dp.closed_loop(PLAN, controller=same_gains())
-    batch = loop.assembly.batch([3, 4])
-    assert loop.assembly.lockstep
-    for seed, run in zip((3, 4), batch, strict=True):
-        alone = loop.run(seed=seed)
-        assert run.reason == "came to the reference's end"
-        assert np.array_equal(run.truth, alone.log.states["truth"])
 
 
 @pytest.mark.slow
@@ -112,27 +92,3 @@ def test_the_example_flies_counts_and_leaves_as_c_that_replays_its_run(
     )
     assert done.returncode == 0, done.stderr
     assert "1e-09 allowed" in done.stderr
-
-
-@pytest.mark.parametrize(
-    ("function", "said"),
-    [
-        (lambda s, r, m, p: s[0], "it must return two values"),
-        (lambda s, r, m, p: (ca.erf(s[0]), m), "has no heyoka counterpart"),
-    ],
-)
-def test_invalid_laws_are_rejected_before_the_run(function, said: str) -> None:
-    with pytest.raises(dp.InputError, match=f"(?s)controller = <lambda>: .*{said}"):
-        dp.closed_loop(PLAN, controller=dp.SymbolicLaw(function, memory=1)).run()
-
-
-@pytest.mark.slow
-def test_a_command_that_is_not_finite_ends_the_run_and_not_the_campaign(tmp_path: Path) -> None:
-    (tmp_path / "laws.py").write_text(FILE)
-    law = f"{tmp_path / 'laws.py'}:law"
-    run = dp.closed_loop(PLAN, controller=law).run()
-    assert "still returned" in run.status
-    assert run.log.metadata["ending"] == "object failed"
-    found = dp.closed_loop(PLAN, controller=law).campaign(runs=2)
-    assert found.results[0].completed.successes == 0
-    assert all("still returned" in row["reason"] for row in found.results[0].failed.to_pylist())

@@ -1,10 +1,8 @@
 """Remedies of failed runs: each printed option completes the run when typed and beats harmless changes."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
-from command_line import dpcontrol
 
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.overrides import typed
@@ -52,11 +50,3 @@ def test_each_remedy_completes_the_run_and_beats_harmless_changes(plan: Plan, fo
         gained = trial.total - found.unchanged.total
         assert 2.0 ** (1 - gained) < 0.02
     assert found.sentence.startswith("completed with `--")
-
-
-@pytest.mark.slow
-def test_score_prints_the_remedies(tmp_path: Path, plan: Plan) -> None:
-    run_plan(plan, tmp_path / "failed.mcap")
-    told = dpcontrol("score", str(tmp_path / "failed.mcap"), "--why", "--json")
-    assert told.code == 1
-    assert told.document["why"]["saves"]

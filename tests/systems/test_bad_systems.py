@@ -5,12 +5,10 @@ import numpy as np
 import pytest
 
 import dpcontrol as dp
-from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
 from dpcontrol.examples.henon_heiles import henon_heiles
 from dpcontrol.foundation.causes import CutCause
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
-from dpcontrol.tubes.connections import find_connections
 from tests.systems.hill import hill
 
 TIME = ca.SX.sym("t")
@@ -53,32 +51,6 @@ def test_a_bad_system_is_refused(case):
     given, message = BAD[case]
     with pytest.raises(dp.InputError, match=message):
         made(**given)
-
-
-def test_orbits_without_a_reverser_are_refused():
-    friction = with_(lambda q, p, c: 0.1 * q[0] * p[1] + 0.2 * p[0] * q[0] ** 2 + 0.3 * q[1] ** 2 * p[1])
-    ours = made(friction)
-    assert ours.reversers == ()
-    with pytest.raises(dp.InputError, match="no known time-reversal symmetry about top"):
-        lyapunov_orbit(ours, "top", energy=0.1)
-
-
-def test_energies_below_the_saddles_have_no_orbit():
-    ours = henon_heiles()
-    for energy in (0.1, float("nan")):
-        with pytest.raises(dp.InputError, match=r"exist only above|must be a finite number"):
-            lyapunov_orbit(ours, "top", energy=energy)
-    for attempt in (dp.graph, dp.atlas):
-        with pytest.raises(dp.InputError, match=r"above|begin at"):
-            attempt(ours, energy=0.1)
-
-
-def test_an_unsuitable_section_is_refused():
-    orbit = lyapunov_orbit(hill(), "L2", energy=-2.1)
-    with pytest.raises(dp.InputError, match="not preserved by the reverser about L2"):
-        find_connections(orbit, orbit, section=Section.plane("y = 0.1", (0, 1), offset=0.1))
-    with pytest.raises(dp.InputError, match="itself crosses"):
-        find_connections(orbit, orbit, section=Section.plane("y = 0", (0, 1)))
 
 
 def test_a_tube_that_never_returns_has_a_cause():

@@ -6,7 +6,6 @@ from quick_rate import quick_rate
 from scipy.integrate import solve_ivp
 
 from dpcontrol.foundation.causes import CutCause, OpenEndCause
-from dpcontrol.foundation.errors import InputError
 from dpcontrol.orbits.cut import CutSettings, tube_cut
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.orbits.manifold import OrbitCurve, UnstableManifold, local_manifold
@@ -166,14 +165,6 @@ def test_cuts_with_too_little_time_or_too_few_points_are_not_resolved():
     assert not short.pieces
     assert short.open_ends[0].cause is OpenEndCause.NEVER_ARRIVES
     assert coarse.cause is CutCause.UNRESOLVED
-
-
-def test_connections_need_orbits_of_one_energy_above_both_saddles():
-    system = load_model("lab").system
-    with pytest.raises(InputError, match=r"exist only above its energy of 0\.175429746"):
-        orbits_between(system, "down-up", "up-down", 0.17)
-    with pytest.raises(InputError, match="the flow conserves energy"):
-        find_connections(*(lyapunov_orbit(system, "down-up", energy=e) for e in (-0.07, 0.0)))
 
 
 @pytest.mark.slow

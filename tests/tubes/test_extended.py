@@ -6,7 +6,6 @@ from fractions import Fraction
 import heyoka as hy
 import numpy as np
 import pytest
-from command_line import dpcontrol
 
 from dpcontrol.dynamics.compiled import to_heyoka
 from dpcontrol.dynamics.propagator import ExtendedPropagator, digits, extended, pi_times
@@ -194,15 +193,3 @@ def test_a_refinement_above_its_tolerance_is_reported(lab, found):
     assert refined.cause is RefinementCause.STALLED
     with pytest.raises(GoalMissed, match="stops at a residual"):
         in_113_bits(lab, c, -0.07, settings=RefinementSettings(iterations=0))
-
-
-@pytest.mark.slow
-def test_the_command_prints_digits_as_strings(found):
-    name = found["down-up", "up-down", 0.2].connections[0].name
-    line = ["connect", "lab", "--from", "down-up", "--to", "up-down", "--energy", "0.2", "--name", name, "--json"]
-    document, double = dpcontrol(*line, "--precision", "extended").document, dpcontrol(*line).document
-    assert document["precision"] == "extended"
-    assert all(isinstance(v, str) and len(v) > 30 for v in document["state"])
-    assert float(document["residual"]) <= RESIDUAL
-    assert [c["name"] for c in double["connections"]] == [name]
-    assert [float(v) for v in document["state"]] == pytest.approx(double["connections"][0]["state"], abs=AGREES)

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from command_line import dpcontrol
 from uniform_rods import uniform_rods
 
 from dpcontrol.bifurcations.bifurcations import SweepSettings, find_bifurcations
@@ -57,23 +56,6 @@ def test_a_short_symbol_selects_the_same_motion_at_nearby_energies():
     rates = np.array([c.state[2:] for c in named])
     # A small change in energy moves the same motion only slightly.
     assert np.abs(np.diff(rates, axis=0)).max() < 0.1 * np.abs(rates).max()
-
-
-@pytest.mark.parametrize(
-    ("model", "source", "target", "energy", "complete"),
-    [
-        pytest.param("printed", "up-down", "up-down", "0.18706681656897742", False, marks=pytest.mark.slow),
-        ("lab", "down-up", "up-down", "0.2", True),
-    ],
-)
-def test_a_possibly_incomplete_search_exits_with_one(
-    model: str, source: str, target: str, energy: str, complete: bool
-) -> None:
-    """Cuts can be open in a complete search."""
-    shown = dpcontrol("connect", model, "--from", source, "--to", target, "--energy", energy, "--json")
-    assert shown.document["complete"] == complete
-    assert shown.document["open_cuts"] or not complete
-    assert shown.code == (0 if complete else 1)
 
 
 @pytest.mark.slow

@@ -128,14 +128,6 @@ def test_the_point_mass_pendulum_is_a_chain_without_inertia():
     assert sum(c.sense for c in search.connections) == 0
 
 
-@pytest.mark.parametrize("ratio", ["0.0", "0.6"])
-def test_an_impossible_mass_ratio_is_refused(tmp_path, ratio):
-    text = f'title = "t"\nsystem = "three-body"\n[primaries]\nsource = "s"\nmass_ratio = {ratio}\n'
-    (tmp_path / "m.toml").write_text(text)
-    with pytest.raises(InputError, match=r"m\.toml: \[primaries\] mass_ratio"):
-        load_model(str(tmp_path / "m.toml"))
-
-
 @pytest.mark.slow
 def test_a_second_hit_search_finds_double_turns():
     orbit = lyapunov_orbit(load_model("lab").system, "down-up", energy=-0.07)

@@ -95,16 +95,3 @@ def test_names_include_the_section_and_the_verb_accepts_them(back):
     assert only["name"] == name
     assert only["winding"] == [0, 2]
     assert np.abs(np.array(only["state"]) - back.connections[1].state).max() < 1e-11
-
-
-@pytest.mark.parametrize(
-    ("options", "fragment"),
-    [
-        ("--section allined", "did you mean"),
-        ("--section inner-down", "the orbit about down-up itself crosses θ₁ = 2πk"),
-    ],
-)
-def test_unsuitable_sections_are_refused(options, fragment):
-    ended = dpcontrol(*LINE, *options.split())
-    assert ended.code == 2
-    assert fragment in ended.message

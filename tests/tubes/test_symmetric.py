@@ -8,7 +8,7 @@ import dpcontrol as dp
 from dpcontrol.foundation.causes import GridCause
 from dpcontrol.orbits.manifold import OrbitCurve
 from dpcontrol.tubes.connections import Connection
-from dpcontrol.tubes.symmetric import SymmetricSearch, SymmetricSettings, find_symmetric_connections
+from dpcontrol.tubes.symmetric import SymmetricSettings, find_symmetric_connections
 
 SYSTEM = dp.load_model("triple").system
 COARSE = SymmetricSettings(energies=3, phases=120)
@@ -71,23 +71,3 @@ def test_a_search_stops_at_a_second_unstable_direction() -> None:
     assert search.cause is GridCause.UNSTABLE_DIRECTIONS
     assert search.beyond is not None
     assert search.beyond.unstable_directions == 2
-
-
-def test_calls_without_a_sense_for_isolated_energies_are_refused(turn: Connection) -> None:
-    search = SymmetricSearch("down-down-up", 0, 1, (-1.02, -0.99), (turn,), 0, 0, GridCause.REACHED, None, 60.0)
-    assert dp.shadow(search, [turn.name]).connections == (turn,)
-    assert dp.shadow(search, ["down-down-up -"]).connections[0].winding == (0, 0, -1)
-    triple, lab = (
-        dp.orbit(dp.load_model(name), saddle, energy=energy)
-        for name, saddle, energy in (("triple", "down-down-up", -1.02), ("lab", "down-up", -0.07))
-    )
-    refused = {
-        "isolated energies": lambda: dp.connections(triple),
-        "the same one": lambda: dp.connections(triple, energies=(-1.02, -0.99), hits=(1, 2)),
-        "connections form families": lambda: dp.connections(lab, energies=(-0.1, -0.07)),
-        "give each symbol as a separate walk": lambda: dp.shadow(search, ["down-down-up +", "down-down-up -"]),
-        "matches no symmetric connection": lambda: dp.shadow(search, ["down-down-up>down-down-up[0,0,3]h1.1@-1.0J"]),
-    }
-    for cause, call in refused.items():
-        with pytest.raises(dp.InputError, match=cause):
-            call()

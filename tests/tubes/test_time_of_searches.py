@@ -8,9 +8,6 @@ import pytest
 from command_line import dpcontrol
 
 import dpcontrol as dp
-from dpcontrol.foundation.budget import Budget
-from dpcontrol.plans.atlas import AtlasSettings, make_atlas
-from dpcontrol.tubes.intersections import search_settings
 
 LAB = ("connect", "lab", "--from", "down-up", "--to", "down-up", "--energy", "-0.07")
 
@@ -62,45 +59,3 @@ def test_a_search_at_its_time_limit_misses_its_goal_with_partial_results():
     assert dpcontrol(*LAB, "--seconds", "0").code == 2
     whole = dpcontrol(*LAB, "--json")
     assert (whole.code, whole.document["partial"], whole.document["count"]) == (0, False, 8)
-
-
-@pytest.mark.slow
-def test_a_partial_atlas_is_not_cached(tmp_path, monkeypatch):
-    monkeypatch.setenv("DPCONTROL_CACHE", str(tmp_path))
-    model = dp.load_model("lab")
-    hurried = AtlasSettings(search=search_settings(seconds=1e-3))
-    for _ in range(2):
-        found = make_atlas(model, -0.07, settings=hurried)
-        assert not found.cached
-        assert found.file is None
-        assert any(kind.partial for kind in found.kinds)
-    again = [make_atlas(model, -0.07) for _ in range(2)]
-    assert [one.cached for one in again] == [False, True]
-    assert not any(kind.partial for one in again for kind in one.kinds)
-
-
-def test_a_cut_at_its_time_limit_is_partial():
-    told = []
-    tube = dp.orbit(dp.load_model("lab"), "down-up", energy=-0.07).manifold()
-    cut = tube.cut(seconds=0.001, progress=lambda what, done: told.append(what))
-    assert cut.document()["partial"] is True
-    assert not cut.resolved
-    assert "tube of down-up" in told
-    assert tube.cut().document()["partial"] is False
-
-
-def test_tubes_report_progress():
-    told = []
-    orbit = dp.orbit(dp.load_model("lab"), "down-up", energy=-0.07)
-    dp.connections(orbit, progress=lambda what, done: told.append((what, done)))
-    shares = [done for _, done in told]
-    assert all(0 <= share <= 1 for share in shares)
-    assert len({round(done, 6) for what, done in told if what.startswith("tube of")}) > 3
-    assert any(what.startswith("refining") for what, _ in told)
-
-
-def test_a_part_of_a_budget_does_not_exceed_it():
-    assert Budget(1.0).part(5.0).seconds <= 1.0
-    assert Budget(10.0).until(0.4).seconds == pytest.approx(4.0, rel=1e-3)
-    assert Budget(float("inf")).until(0.5).seconds == float("inf")
-    assert Budget(1e-9).spent

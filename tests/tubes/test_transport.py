@@ -128,11 +128,6 @@ def test_a_kinetic_energy_that_is_no_quadratic_form_is_a_cause() -> None:
     assert found.action > 0
 
 
-def test_three_arms_are_refused() -> None:
-    with pytest.raises(dp.InputError, match="3 coordinates"):
-        dp.transport(dp.orbit("triple", "down-down-up", energy=-1.0))
-
-
 def test_an_open_cut_has_no_share_that_returns() -> None:
     assert dp.transport(dp.orbit("lab", "down-up", energy=0.2)).returns == (None, None)
 

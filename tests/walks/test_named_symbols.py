@@ -1,12 +1,16 @@
 """Symbols outside the graph: other sections and hits, composite edges and rotating orbits."""
 
+import shlex
+
 import numpy as np
 import pytest
+from command_line import dpcontrol
 
-from dpcontrol.foundation.errors import GoalMissed, InputError
+from dpcontrol.foundation.version import PACKAGE
 from dpcontrol.plans.model import load_model
 from dpcontrol.tubes.connections import find_connections, orbits_between
 from dpcontrol.walks.edges import find_edges, rotating_named, rotating_names
+from dpcontrol.walks.following import SymbolBranches
 from dpcontrol.walks.shadowing import shadow
 from dpcontrol.walks.symbols import choose, expanded, parse_symbol, parse_walk
 from dpcontrol.walks.walks import resolve, through, vertex_names, ways
@@ -14,14 +18,8 @@ from dpcontrol.walks.walks import resolve, through, vertex_names, ways
 LOW = -0.06985  # J: the outer arm's fastest rotating orbit has λ = -2.74
 MULTIPLIER = -2.7436245634812297  # computed independently in 113-bit arithmetic
 SAME_ORBIT = 1e-10  # rad, rad/s; two solutions with defects of 1e-12 and a condition number of 1e3
-HAIR = 0.17807033  # J, just above the saddle-node of the inner arm's turns, so zero wraps are too few
 SADDLES = ("down-up", "up-down")
 GROWN = "(down-up +)·1·(down-up -)"
-
-
-@pytest.fixture(scope="module")
-def system():
-    return load_model("lab").system
 
 
 @pytest.fixture(scope="module")
@@ -103,23 +101,6 @@ def test_composite_edges_list_their_elementary_symbols():
     assert expanded(walk, (4, 5)) == (texts, (1, 3, 4, 5))
 
 
-def test_invalid_composite_edges_are_refused(edges):
-    with pytest.raises(InputError, match='put "up-down > down-up" between them'):
-        resolve(["(down-up > up-down)·1·(down-up +)"], edges)
-    with pytest.raises(InputError, match="lead from down-up to down-up"):
-        resolve([f"down-up>up-down[0,0]h1.2@{GROWN}"], edges)
-    with pytest.raises(InputError, match=r"no edge is named .* give 'down-up>down-up\[0,0\]h1.2@\(down-up>"):
-        resolve([f"down-up>down-up[0,7]h1.2@{GROWN}"], edges)
-    with pytest.raises(InputError, match="up-down exist only above"):
-        resolve(["(down-up > up-down)·1·(up-down +)"], edges)
-
-
-def test_a_composite_edge_with_too_few_wraps_reports_the_minimum(system):
-    found = find_edges(system, HAIR, pairs=[("up-down", "up-down")])
-    with pytest.raises(GoalMissed, match=r"symbol 1 of 1 .*too few: must be at least \[\d\]"):
-        resolve(["(up-down +)·0·(up-down +)"], found)
-
-
 def test_rotating_orbits_are_vertices_by_name(system):
     fastest = rotating_named(system, "outer-rotating", LOW)
     assert fastest.floquet_multipliers[0].real == pytest.approx(MULTIPLIER, rel=1e-11)
@@ -150,3 +131,44 @@ def test_walks_turn_at_a_rotating_orbit_the_given_number_of_times(system):
     assert [c.name for c in resolve(named, walk_edges(system, LOW, *named))] == named
     stops = ("down-up", "outer-rotating", "down-up")
     assert [c.name for c in through(stops, find_edges(system, LOW, symbols=ways(stops)))] == named
+
+
+COMMAND = 'dpcontrol walk printed --energy 0.1905 -s "down-up +" --compare 0.1915'
+PAGE = (PACKAGE / "guide" / "walks.md").read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def printed():
+    system = load_model("printed").system
+    return SymbolBranches(system, parse_symbol("down-up +", system.saddles))
+
+
+@pytest.mark.slow
+def test_a_change_of_the_selected_motion_is_reported_with_its_energy(printed):
+    """The guide shows the change."""
+    ended = dpcontrol(*shlex.split(COMMAND)[1:], "--json")
+    assert ended.code == 0
+    (change,) = ended.document["symbol_changes"]
+    assert f'$ {COMMAND}\n"down-up +" selects another connection beyond {change["energy"]:.5f}…\n' in PAGE
+    # Independently of continuation, the selected points on the section differ on both sides of the change.
+    below, above = (printed.chosen(change["energy"] + way * 2 * max(change["within"], 1e-6)) for way in (-1, 1))
+    assert below is not None
+    assert above is not None
+    assert abs(below.state[2] - above.state[2]) > 0.5
+
+
+@pytest.mark.slow
+def test_a_connection_is_followed_beyond_the_change_of_its_symbol(printed):
+    first = printed.chosen(0.19)
+    assert first is not None
+    there = printed.followed(first, 0.195)
+    assert there is not None
+    other = printed.chosen(0.195)
+    assert other is not None
+    assert there.name != other.name
+    # The motion is nearly the same, while the other one's rate differs by 26 rad/s.
+    assert there.state == pytest.approx(first.state, abs=0.2)
+    assert there.transversality_angle == pytest.approx(first.transversality_angle, abs=1.0)
+    back = printed.followed(there, 0.19)
+    assert back is not None
+    assert back.name == first.name

@@ -7,7 +7,6 @@ import pytest
 
 from dpcontrol.foundation.causes import ShootingCause, WalkCause
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.plans.model import load_model
 from dpcontrol.shooting.newton import NewtonSettings, solve_shooting
 from dpcontrol.tubes.connections import find_connections, orbits_between
 from dpcontrol.walks.shadowing import ShadowingSettings, described, first_guess, phase_gap, shadow
@@ -16,11 +15,6 @@ from dpcontrol.walks.symbols import choose, parse_symbol, parse_walk
 SADDLES = ("down-up", "up-down")
 RESIDUAL = 1e-11
 SAME_ORBIT = 1e-10  # scaled
-
-
-@pytest.fixture(scope="module")
-def system():
-    return load_model("lab").system
 
 
 @pytest.fixture(scope="module")

@@ -4,21 +4,15 @@ import numpy as np
 import pytest
 
 from dpcontrol.orbits.manifold import OrbitCurve
-from dpcontrol.plans.model import load_model
 from dpcontrol.tubes.connections import find_connections, orbits_between
 from dpcontrol.walks.shadowing import shadow
-from dpcontrol.walks.symbols import choose, composed, parse_symbol
+from dpcontrol.walks.symbols import choose, parse_symbol
 from dpcontrol.walks.walks import as_connection
 
 SAME_ORBIT = 1e-10  # rad, rad/s; two solutions with defects of 1e-12 and a condition number of 1e3
 SAME_FLIGHT = 1e-8  # s and phase: accuracy of the time at which a slow approach passes 1e-3
 SAME_ANGLE = 1e-5  # degrees; tangents of the search have an error of 1e-7
 SADDLES = ("down-up", "up-down")
-
-
-@pytest.fixture(scope="module")
-def system():
-    return load_model("lab").system
 
 
 @pytest.fixture(scope="module")
@@ -135,14 +129,3 @@ def test_a_heteroclinic_round_trip_gives_a_homoclinic_edge(system):
     assert orbit.symbol_times[-1] - orbit.symbol_times[0] == pytest.approx(
         plain.symbol_times[-1] - plain.symbol_times[0], abs=SAME_ORBIT
     )
-
-
-def test_the_name_of_a_composite_edge_lists_its_parts(turn, back, other, composite):
-    again = as_connection(shadow([composite, other], wraps=[2]))
-    for edge, parts, wraps in ((composite, (turn, back), (1,)), (again, (composite, other), (2,))):
-        symbol = parse_symbol(edge.name, SADDLES)
-        assert [part.name for part in symbol.parts] == [part.name for part in parts]
-        assert symbol.wraps == wraps
-    assert composed(("a>b[0,1]h1.1@0,0", "c"), (3,)) == "(a>b[0,1]h1.1@0,0)·3·(c)"
-    for name in (turn.name, "down-up +", "down-up>down-up[0,1]h1.1@(a", "down-up>down-up[0,1]h1.1@(a)·x·(b)"):
-        assert parse_symbol(name, SADDLES).parts == ()

@@ -7,7 +7,6 @@ from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.orbits.manifold import OrbitCurve, local_manifold
 from dpcontrol.orbits.rotating import rotating_orbits
 from dpcontrol.orbits.vertex import rotating_vertex
-from dpcontrol.plans.model import load_model
 from dpcontrol.tubes.connections import find_lap_connections, grown_crossing
 from dpcontrol.walks.shadowing import shadow
 from dpcontrol.walks.walks import as_connection
@@ -19,11 +18,6 @@ MIRRORED = 1e-9  # separate searches of a connection and its mirror image, trunc
 FLOWN = 1e-9  # propagation over two periods, λ² times 1e-13
 SPLINE = 2e-7  # scaled, at the outer arm's lowest position with 21 rad/s; 1e-10 elsewhere
 ENERGY_ERROR = 1e-12  # J, between nodes
-
-
-@pytest.fixture(scope="module")
-def system():
-    return load_model("lab").system
 
 
 @pytest.fixture(scope="module")

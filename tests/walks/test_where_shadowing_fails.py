@@ -8,7 +8,6 @@ import pytest
 from walk_classifier import WalkClassifier
 
 from dpcontrol.foundation.causes import ShootingCause, WalkCause, WrapsCause
-from dpcontrol.plans.model import load_model
 from dpcontrol.shooting.newton import solve_shooting
 from dpcontrol.walks.edges import find_edges
 from dpcontrol.walks.shadowing import WalkSolver, described, first_guess
@@ -16,11 +15,6 @@ from dpcontrol.walks.shadowing import WalkSolver, described, first_guess
 TURN_BORN = -0.141987140339  # Down-Up to itself
 CROSSING_BORN = 0.188368752752  # Down-Up to Up-Down
 HAIR = 2e-10  # J; twins are 1e-5 apart (scaled), and tubes meet at 0.02° to 0.05°
-
-
-@pytest.fixture(scope="module")
-def system():
-    return load_model("lab").system
 
 
 @pytest.fixture(scope="module")
