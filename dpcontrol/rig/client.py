@@ -162,9 +162,7 @@ def parse_address(text: str) -> tuple[str, int]:
     """
     found = re.fullmatch(rf"{SCHEME}://\[?([^/\[\]]+)\]?:(\d+)/?", text)
     if found is None or not 0 < int(found[2]) < 1 << 16:
-        raise InputError(
-            f"rig {text!r}: must be udp://HOST:PORT as `dpcontrol rig` prints it, serial://PORT, or udp"
-        )
+        raise InputError(f"rig {text!r}: must be udp://HOST:PORT as `dpcontrol rig` prints it, serial://PORT, or udp")
     return found[1], int(found[2])
 
 
