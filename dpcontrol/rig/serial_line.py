@@ -5,7 +5,6 @@ The packets are those of `dpcontrol.rig.packets`. A frame is a packet with its C
 rejected packet. At 1 Mbit/s the reading of two arms takes 0.8 ms and a command 0.4 ms, so both fit in a period of 1 ms.
 """
 
-import re
 import zlib
 from typing import Any
 
@@ -26,13 +25,14 @@ def parse_line(text: str) -> tuple[str, int]:
     Raises:
         InputError: the text has another form.
     """
-    form = re.fullmatch(rf"{SERIAL}([^?]+)(?:\?baud=(\d+))?", text)
-    if form is None or not 300 <= int(form[2] or 300) <= 20_000_000:
+    path, _, rate = text.removeprefix(SERIAL).partition("?baud=")
+    baud = int(rate) if rate.isdecimal() else 0 if rate else 1_000_000
+    if not (text.startswith(SERIAL) and path and 300 <= baud <= 20_000_000):
         raise InputError(
             f"rig {text!r}: must be serial://PATH or serial://PATH?baud=RATE, 300 to 20,000,000 bit/s, such as "
             "serial:///dev/ttyACM0"
         )
-    return form[1], int(form[2] or 1_000_000)
+    return path, baud
 
 
 def framed(packet: bytes) -> bytes:
