@@ -96,7 +96,7 @@ from dpcontrol.control.ekf import (
 )
 from dpcontrol.control.estimator_settings import Augment, FilterSettings
 from dpcontrol.control.interface import GainSchedule, Mode, Present, SampledModel
-from dpcontrol.dynamics.compiled import VECTOR, Compiled
+from dpcontrol.dynamics.compiled import SINGLE, VECTOR, Compiled
 from dpcontrol.dynamics.equations import Equations
 from dpcontrol.foundation.arrays import Array
 
@@ -1312,7 +1312,7 @@ class TickProgram:
         self.model, self.settings, self.runs = model, settings, runs
         equations, arms = self.equations, model.arms
         self.period = model.period
-        self.lanes = runs + -runs % VECTOR
+        self.lanes = SINGLE if runs == 1 else runs + -runs % VECTOR
         again = settings.first_covariance(arms).diagonal().copy()
         again[arms : 2 * arms], again[2 * arms + 1] = RESTART_RATE**2, RESTART_VELOCITY**2
         known = {
@@ -1352,6 +1352,9 @@ class TickProgram:
             }  # fmt: skip
             self._made[name] = Compiled(make[name]())
         return self._made[name]
+
+    def _call(self, name: str) -> Any:
+        return self.machine(name).single if self.runs == 1 else self.machine(name).machine
 
     def begin(self, first: Array, queued: Array, *, velocity: float) -> None:
         """Fill the memory for the start of a run.
@@ -1420,7 +1423,7 @@ class TickProgram:
 
     @cached_property
     def _tick(self) -> Any:
-        return self.machine("tick").machine
+        return self._call("tick")
 
     def prepare(self, names: Sequence[str]) -> None:
         """Compile these functions now.
@@ -1429,7 +1432,7 @@ class TickProgram:
             names: names of functions, see `machine`.
         """
         for name in names:
-            _ = self.machine(name).machine
+            self._call(name)
 
     @property
     def constants(self) -> Array:
@@ -1449,9 +1452,8 @@ class TickProgram:
 
     def sense(self) -> Array:
         """Update the filter; return `sensed` (size, lanes)."""
-        made = self.machine("sense")
         inputs = np.concatenate([self.stored, *self.reading, self._constants])
-        return made.machine(inputs, np.empty((made.size_out, self.lanes)))
+        return self._call("sense")(inputs, np.empty((self.equations.sensed.size, self.lanes)))
 
     def on_their_way(self) -> list[Array]:
         """Return the commands (lanes,) of each of the next `lead` periods, m/s²."""
@@ -1510,9 +1512,8 @@ class TickProgram:
         Returns:
             States and extras (N+E, lanes), and `drive` (lanes,).
         """
-        made = self.machine("moved")
         inputs = np.concatenate([z, drive[None], command[None], self._constants])
-        out = made.machine(inputs, np.empty((made.size_out, self.lanes)))
+        out = self._call("moved")(inputs, np.empty((len(z) + 1, self.lanes)))
         return out[:-1], out[-1]
 
     def finish(self, sensed: Array, ahead: Array, drive: Array, back: Array | float, *, predicts: bool = True) -> None:
@@ -1525,11 +1526,10 @@ class TickProgram:
             back: feedback in addition to the row's, a number or (lanes,), m/s².
             predicts: True to predict the filter's next state, default True.
         """
-        made = self.machine("finish" if predicts else "judge")
         parts = [self._inputs, sensed, ahead, drive[None], np.broadcast_to(back, (1, self.lanes))]
         if not self.equations.unrolled:
             parts.append(self.on_their_way()[0][None])
-        made.machine(np.concatenate(parts), self._out)
+        self._call("finish" if predicts else "judge")(np.concatenate(parts), self._out)
         self.stored[:] = self._kept
         if not self.equations.unrolled:
             self._sent[:-1] = self._sent[1:]

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.control.interface import MANY, ONE, Lanes
-from dpcontrol.dynamics.compiled import VECTOR, Compiled
+from dpcontrol.dynamics.compiled import SINGLE, Compiled
 from dpcontrol.dynamics.plant import PlantParameters, after_blow, longest_step, plant_modes, plant_step
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.causes import Cause
@@ -134,8 +134,8 @@ class ModalStep:
     It serves one or many lanes.
     """
 
-    def __init__(self, step: Compiled, modes: Compiled) -> None:
-        self._step, self._choose = step.machine, modes.machine
+    def __init__(self, step: Compiled, modes: Compiled, *, single: bool) -> None:
+        self._step, self._choose = (one.single if single else one.machine for one in (step, modes))
         self._state, self._duration = step.slices["state"], step.slices["duration"].start
         inputs = step.slices["inputs"]
         self._modes, self._size = slice(inputs.stop - modes.size_out, inputs.stop), step.size_out
@@ -189,9 +189,11 @@ class SimulatedPlant:
         kind = {"friction": first.arms.friction, "components": first.kinds}
         step = plant_step(first.arms.count, first.level, **kind)
         modes = plant_modes(first.arms.count, first.level, **kind)
-        self._machine = step.machine if modes is None else ModalStep(step, modes)
+        self._machine = (
+            (step.machine if many else step.single) if modes is None else ModalStep(step, modes, single=not many)
+        )
         # A single run fills a whole vector, so its result equals that in a batch to the last bit.
-        lanes = state.shape[1] if many else VECTOR
+        lanes = state.shape[1] if many else SINGLE
         size = step.slices["state"].stop
         self._inputs, following = np.zeros((step.size_in, lanes)), np.zeros((size, lanes))
         self._flown, self._following = following, following if many else following[:, 0]
