@@ -1165,8 +1165,8 @@ class TickEquations:
     # The functions.
 
     def function(self) -> ca.Function:
-        """Return the whole tick: (memory, reading, row, numbers) -> memory and report."""
-        (memory, m), (reading, r), (row, t), (numbers, c) = self._symbols()
+        """Return the whole tick: (reading, row, numbers, memory) -> memory and report."""
+        (reading, r), (row, t), (numbers, c), (memory, m) = self._symbols()
         e = self._sense(m, r, c)
         z, drive = e.z, m.drive
         for command in on_their_way(m.sent, c.share, whole=self.whole, lead=self.lead):
@@ -1174,11 +1174,11 @@ class TickEquations:
         acts = _Acts(self._seen(z, r), drive, ca.SX(0), None)
         after, report = self._finish(_Known(m, r, t, c), e, acts, predicts=True)
         out = ca.vertcat(self.memory.joined(after), self.report.joined(report))
-        return _function("tick", {"memory": memory, "reading": reading, "row": row, "numbers": numbers}, out)
+        return _function("tick", {"reading": reading, "row": row, "numbers": numbers, "memory": memory}, out)
 
     def sense(self) -> ca.Function:
         """Return the first part: (memory, reading, numbers) -> `sensed`."""
-        (memory, m), (reading, r), _, (numbers, c) = self._symbols()
+        (reading, r), _, (numbers, c), (memory, m) = self._symbols()
         out = self.sensed.joined(self._sense(m, r, c))
         return _function("sense", {"memory": memory, "reading": reading, "numbers": numbers}, out)
 
@@ -1195,7 +1195,7 @@ class TickEquations:
     def finish(self, *, predicts: bool) -> ca.Function:
         """Return the second part.
 
-        (memory, reading, row, numbers, sensed, ahead, drive, back) -> memory and report.
+        (reading, row, numbers, memory, sensed, ahead, drive, back) -> memory and report.
 
         ahead (N,), drive m/s²: state for which the command is computed, and the cart's acceleration then. back m/s²:
         feedback in addition to the row's. coming m/s²: last input, the acceleration in the coming period, if the memory
@@ -1204,7 +1204,7 @@ class TickEquations:
         Args:
             predicts: True to predict the next state, False to keep the filter's memory.
         """
-        (memory, m), (reading, r), (row, t), (numbers, c) = self._symbols()
+        (reading, r), (row, t), (numbers, c), (memory, m) = self._symbols()
         sensed, e = self.sensed.symbols("sensed")
         ahead, back = ca.SX.sym("ahead", self.filter.equations.dimension), ca.SX.sym("back")
         drive = ca.SX.sym("drive")
@@ -1212,12 +1212,13 @@ class TickEquations:
         acts = _Acts(ahead, drive, back, coming)
         after, report = self._finish(_Known(m, r, t, c), e, acts, predicts=predicts)
         out = ca.vertcat(self.memory.joined(after), self.report.joined(report))
-        inputs = {"memory": memory, "reading": reading, "row": row, "numbers": numbers, "sensed": sensed}
+        inputs = {"reading": reading, "row": row, "numbers": numbers, "memory": memory, "sensed": sensed}
         inputs |= {"ahead": ahead, "drive": drive, "back": back, **({} if coming is None else {"coming": coming})}
         return _function("finish", inputs, out)
 
     def _symbols(self) -> list[tuple[ca.SX, Any]]:
-        layouts = {"memory": self.memory, "reading": self.reading, "row": self.row, "numbers": self.numbers}
+        # The memory is last, so that a row of an array can have it as output of one tick and input of the next.
+        layouts = {"reading": self.reading, "row": self.row, "numbers": self.numbers, "memory": self.memory}
         return [layout.symbols(name) for name, layout in layouts.items()]
 
     def _moved(self, z: ca.SX, drive: ca.SX, command: ca.SX, c: Numbers) -> tuple[ca.SX, ca.SX]:
@@ -1324,9 +1325,9 @@ class TickProgram:
             known |= {"play": np.array(mechanics.play), "moves": _MOVES * np.sqrt(noise[0, 0])}
         if equations.shapes and mechanics is not None:
             known["notch"] = mechanics.notch(model.period)
-        sizes = [layout.size for layout in (equations.memory, equations.reading, equations.row, equations.numbers)]
+        sizes = [layout.size for layout in (equations.reading, equations.row, equations.numbers, equations.memory)]
         self._inputs = np.zeros((sum(sizes), self.lanes))
-        self.stored, reading, self.row, self._constants = np.split(self._inputs, np.cumsum(sizes)[:-1])
+        reading, self.row, self._constants, self.stored = np.split(self._inputs, np.cumsum(sizes)[:-1])
         self._constants[:] = equations.numbers.filled(self.lanes, **known)
         self.memory, self.reading = equations.memory.of(self.stored), equations.reading.of(reading)
         self.numbers = equations.numbers.of(self._constants)
@@ -1418,11 +1419,12 @@ class TickProgram:
 
     def tick(self) -> None:
         """Compute a whole tick with the row in `row`."""
-        self._tick(self._inputs, self._out)
+        self.whole_tick(self._inputs, self._out)
         self.stored[:] = self._kept
 
     @cached_property
-    def _tick(self) -> Any:
+    def whole_tick(self) -> Any:
+        """Machine code of `TickEquations.function`."""
         return self._call("tick")
 
     def prepare(self, names: Sequence[str]) -> None:
@@ -1433,6 +1435,17 @@ class TickProgram:
         """
         for name in names:
             self._call(name)
+
+    def resume(self, inputs: Array, told: Array, kept: Array) -> None:
+        """Continue after a tick.
+
+        Args:
+            inputs: inputs of the tick (…, lanes), in the order of `TickEquations.function`.
+            told: its report (…, lanes).
+            kept: its memory (…, lanes).
+        """
+        self._inputs[: -len(kept)] = inputs[: len(self._inputs) - len(kept)]
+        self._out[len(kept) :], self.stored[:] = told, kept
 
     @property
     def constants(self) -> Array:

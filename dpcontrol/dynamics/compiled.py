@@ -217,7 +217,7 @@ class Compiled:
     """
 
     def __init__(self, function: ca.Function) -> None:
-        self._function = function
+        self.function = function
         sizes = [function.size1_in(i) for i in range(function.n_in())]
         ends = np.cumsum(sizes)
         self.slices = {
@@ -239,8 +239,8 @@ class Compiled:
 
     def _compiled(self, width: int) -> Any:
         if not _HEYOKA:
-            return _ByCasadi(self._function)
-        file = _kept_at(self._function, width)
+            return _ByCasadi(self.function)
+        file = _kept_at(self.function, width)
         content = None if file is None else kept(file)
         if content is not None:
             # Cached in another format: compiled again.
@@ -248,7 +248,7 @@ class Compiled:
                 return pickle.loads(content)
         variables = [hy.expression(f"v{i}") for i in range(self.size_in)]
         arguments = [variables[where] for where in self.slices.values()]
-        outputs = to_heyoka(self._function, arguments, switches=True)
+        outputs = to_heyoka(self.function, arguments, switches=True)
         machine = hy.cfunc(outputs, variables, batch_size=width, force_avx512=True, **COMPACT)
         if file is not None:
             keep(file, pickle.dumps(machine))

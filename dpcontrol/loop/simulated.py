@@ -9,12 +9,15 @@ The same lines compute one run or S runs in lockstep (`Lanes`). A number of one 
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from heapq import merge
 from itertools import repeat
 from operator import itemgetter
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
@@ -111,6 +114,11 @@ class Encoders:
             readings[k] += readings[k - 1]
         return np.array(readings)
 
+    def zeros_at(self, times: Array) -> Array:
+        """Return the zero errors (K, n) at times (K,), s."""
+        zeros = np.broadcast_to(self._zeros, (len(times), self._arms))
+        return zeros if self._drift is None else zeros + times[:, None] * np.array(self._drift)
+
     def _miss(self, state: Sequence[float], missed: Sequence[int]) -> None:
         """Lose counts against the motion of each joint.
 
@@ -199,16 +207,19 @@ class SimulatedPlant:
         self._flown, self._following = following, following if many else following[:, 0]
         self._inputs[step.slices["parameters"]] = np.array([p.numbers() for p in plants]).T
         self._input, self._duration = step.slices["inputs"].start, step.slices["duration"].start
-        self._cart, self._motor, self._lag = 2 * first.arms.count, first.motor, first.lag
-        self._longest, self._lasts = min(longest_step(p) for p in plants), 0.0
+        self.cart, self.motor, self.lag = 2 * first.arms.count, first.motor, first.lag
+        self.longest, self._lasts = min(longest_step(p) for p in plants), 0.0
+        self.whole_step = step if modes is None else None
+        """The step, if it needs no split at changes of modes."""
         self._states: Array = self._inputs[step.slices["state"]]
         self.state: Array = self._states if many else self._states[:, 0]
         """The present state; `move` overwrites it."""
         self.values: list[Any] = list(self.state)
         """Its entries: plain floats for one run, which are faster to access, or views of the arrays for many."""
-        self._set_state(state)
+        self.set_state(state)
 
-    def _set_state(self, state: Array) -> None:
+    def set_state(self, state: Array) -> None:
+        """Replace the states (N,) or (N, S)."""
         self._states[:] = state if self._many else state[:, None]
         if not self._many:
             self.values = state.tolist()
@@ -219,8 +230,8 @@ class SimulatedPlant:
 
         Without lag, the velocity of cart or motor.
         """
-        v = self.values[self._motor + 1]
-        return v + self._lag * self.values[self._cart + 2] if self._lag else v
+        v = self.values[self.motor + 1]
+        return v + self.lag * self.values[self.cart + 2] if self.lag else v
 
     def move(self, acceleration: Any, duration: Any, *, time: Any, span: float = 0.0) -> None:
         """Advance the plant with a constant demand.
@@ -232,8 +243,8 @@ class SimulatedPlant:
             span: longest duration of all runs, s, if they differ.
         """
         span = span or duration
-        splits = 1 if span <= self._longest else math.ceil(span / self._longest)
-        inputs, following, track, cart = self._inputs, self._following, self.track, self._cart
+        splits = 1 if span <= self.longest else math.ceil(span / self.longest)
+        inputs, following, track, cart = self._inputs, self._following, self.track, self.cart
         step, many = self._machine, self._many
         duration = duration / splits
         if isinstance(duration, np.ndarray):
@@ -275,7 +286,7 @@ class SimulatedPlant:
         if self._many:
             state[:] = after
         else:
-            self._set_state(after)
+            self.set_state(after)
 
     def _flow(self, acceleration: float, duration: float) -> Array:
         self._inputs[self._input], self._inputs[self._duration] = acceleration, duration
@@ -288,7 +299,7 @@ class SimulatedPlant:
 
         The cart stops and is held there.
         """
-        cart, track = self._cart, self.track
+        cart, track = self.cart, self.track
         free, met = 0.0, duration
         for _ in range(60):
             middle = (free + met) / 2
@@ -296,25 +307,105 @@ class SimulatedPlant:
                 met = middle
             else:
                 free = middle
-        self._set_state(self._flow(acceleration, free))
+        self.set_state(self._flow(acceleration, free))
         side, speed = math.copysign(1.0, self.values[cart]), self.values[cart + 1]
         place = {"time": time + free, "position": side * track, "velocity": speed}
         self.faults.setdefault(0, ended(Cause.HARD_STOP, place))
         self._hold(side)
         # The drive does not push on against the stop.
-        self._set_state(self._flow(0.0, duration - free))
+        self.set_state(self._flow(0.0, duration - free))
         if side * self.values[cart] > track:
             self._hold(side)
 
     def _hold(self, side: float) -> None:
         none = np.zeros(self.plants[0].arms.count)
-        self.strike(Blow(none, none, -self.values[self._cart + 1]))
+        self.strike(Blow(none, none, -self.values[self.cart + 1]))
         held = self.state.copy()
-        for place in (self._cart, self._motor):
+        for place in (self.cart, self.motor):
             held[place], held[place + 1] = side * self.track, 0.0
-        if self._lag:
-            held[self._cart + 2] = 0.0
-        self._set_state(held)
+        if self.lag:
+            held[self.cart + 2] = 0.0
+        self.set_state(held)
+
+
+_WHOLE = 1.5 * 2**52
+"""A number whose sum with smaller ones is rounded to whole numbers, half to even."""
+
+
+class DriveNumbers(NamedTuple):
+    """Constants of drive and clock: limits, response, lag, s, period, s, and two numbers that round to whole ones."""
+
+    acceleration: Any
+    velocity: Any
+    jerk_step: Any
+    response: Any
+    lag: Any
+    period: Any
+    up: Any = _WHOLE
+    down: Any = _WHOLE
+
+
+@dataclass(frozen=True)
+class PeriodKind:
+    """A period of a bench as one expression, with the arithmetic of `Encoders` and `DriveLimits`.
+
+    Attributes:
+        step: the plant's step.
+        size: length of its state.
+        demands: number of demands on their way.
+        lags: True for a drive with a lag.
+        counted: True for each of the positions (n+1,) that is rounded to counts.
+        reads: places in the state that replace those of measured positions, with the positions.
+        cart, motor: places of the cart and of the motor in the state.
+    """
+
+    step: Compiled
+    size: int
+    demands: int
+    lags: bool
+    counted: tuple[bool, ...]
+    reads: tuple[tuple[int, int], ...]
+    cart: int
+    motor: int
+
+    def acting(self, state: ca.SX, demand: ca.SX, drive: DriveNumbers) -> ca.SX:
+        """Return the acceleration in a period, m/s²."""
+        velocity = state[self.motor + 1]
+        if self.lags:
+            velocity += drive.lag * state[self.cart + 2]
+        low, high = (-drive.velocity - velocity) / drive.period, (drive.velocity - velocity) / drive.period
+        return _between(_between(demand, low, high), -drive.acceleration, drive.acceleration)
+
+    def demanded(self, command: ca.SX, noise: ca.SX, last: ca.SX, drive: DriveNumbers) -> ca.SX:
+        """Return the demand that results from a command, m/s²."""
+        wanted = _between(drive.response * command + noise, -drive.acceleration, drive.acceleration)
+        return _between(wanted, last - drive.jerk_step, last + drive.jerk_step)
+
+    def measured(self, state: ca.SX, zeros: ca.SX, noise: ca.SX, steps: ca.SX, drive: DriveNumbers) -> list[ca.SX]:
+        """Return the readings (n+1,) of a state, rad and m."""
+        n, reads = len(self.counted) - 1, dict(self.reads)
+        values = [state[reads[k]] if k in reads else state[k] - (state[k - 1] if k else 0) for k in range(n)]
+        values = [value + zeros[k] for k, value in enumerate(values)] + [state[reads.get(n, self.cart)]]
+        for k, counted in enumerate(self.counted):
+            values[k] += noise[k]
+            if counted:
+                values[k] = steps[k] * (values[k] / steps[k] + drive.up - drive.down)
+        for k in range(1, n):
+            values[k] += values[k - 1]
+        return values
+
+
+def _between(value: ca.SX, low: ca.SX, high: ca.SX) -> ca.SX:
+    return ca.fmax(ca.fmin(value, high), low)
+
+
+class Drawn(NamedTuple):
+    """Random numbers of K ticks: command_noise (K,), noise (K, n+1), zeros (K, n) of the encoders, dropped (K,)."""
+
+    command_noise: Array
+    noise: Array
+    zeros: Array
+    dropped: NDArray[np.bool_]
 
 
 _NEVER = (0, (math.inf, None))
@@ -526,6 +617,79 @@ class SimulatedRig(SimulatedBench):
     def fault(self) -> Event | None:
         """The fault at the end of the track, or None."""
         return self._plant.faults.get(0)
+
+    @cached_property
+    def kind(self) -> PeriodKind | None:
+        """A period as one expression, or None for a bench that computes it in parts or outside of machine code."""
+        plant, settings = self._plant, self._encoders.settings
+        if self._fraction or self._ages is not None or self._missed is not None:
+            return None
+        if math.isfinite(settings.stuck_at) or math.isfinite(min(self._fails.values())):
+            return None
+        if not isinstance(plant, SimulatedPlant) or plant.whole_step is None or self.period > plant.longest:
+            return None
+        return PeriodKind(
+            plant.whole_step, len(plant.state), self._sent_before + 1, plant.lag > 0, tuple((self.steps > 0).tolist()),
+            tuple(plant.plants[0].reads.items()), plant.cart, plant.motor,
+        )  # fmt: skip
+
+    @cached_property
+    def steps(self) -> Array:
+        """Counts (n+1,) of the encoders and of the cart's scale, rad and m, 0 for exact ones."""
+        settings, arms = self._encoders.settings, len(self._nothing) - 1
+        return np.array([*settings.steps(arms), settings.cart_resolution])
+
+    @cached_property
+    def parameters(self) -> Array:
+        """Parameters of the plant's step."""
+        return self._plant.plants[0].numbers()
+
+    @cached_property
+    def drive_numbers(self) -> Array:
+        """Values of `DriveNumbers`."""
+        d = self._drive
+        numbers = DriveNumbers(d.acceleration, d.velocity, d.jerk_step, d.response, self._plant.lag, self.period)
+        return np.array(numbers, dtype=float)
+
+    def plain_ticks(self, k: int, most: int) -> int:
+        """Return how many ticks from k on, at most `most`, need only the expression of `kind`."""
+        if not k or self._braking is not None:
+            return 0
+        return max(0, min(most, self._coming[1][0] + 1 - k, self._ticks - k))
+
+    def plain_states(self, states: Array) -> NDArray[np.bool_]:
+        """Return True for each state (K, N) that is finite, with the cart on its track and away from the switches."""
+        cart = np.abs(states[:, self._cart])
+        return (cart <= self._plant.track) & (cart < self._switch_at) & np.isfinite(states.sum(axis=1))
+
+    @property
+    def stored(self) -> tuple[Array, list[float], Array, float]:
+        """State of the plant, demands, m/s², last reading (n+1,), and the drive's coming acceleration, m/s²."""
+        return self._plant.state, self._demands, self._last, self._acting(self._demands[1], self.period)
+
+    def drawn(self, k: int, count: int) -> Drawn:
+        """Return the random numbers of ticks from k on."""
+        ticks, n = range(k, k + count), len(self._nothing) - 1
+
+        def of(stream: Any, *shape: int) -> Array:
+            return np.zeros((count, *shape)) if stream is None else np.array([stream[tick] for tick in ticks])
+
+        zeros = self._encoders.zeros_at(np.arange(k, k + count) * self.period)
+        return Drawn(of(self._command_noise), of(self._noise, n + 1), zeros, of(self._dropped) > 0)
+
+    def resume(self, tick: int, state: Array, demands: Array, read: Array, *, hardest: float) -> None:
+        """Continue after a tick with a state, demands and reading as in `stored`.
+
+        Args:
+            tick: the last tick.
+            state: state (N,) of the plant.
+            demands: demands, oldest first, m/s².
+            read: its reading (n+1,), rad and m.
+            hardest: largest acceleration of the drive since the last call, m/s².
+        """
+        self._tick, self._last, self._demands = tick, read.copy(), demands.tolist()
+        self._plant.set_state(state)
+        self.hardest = max(self.hardest, hardest)
 
     def read(self) -> Reading:
         """Advance one period, except in the first call, and return the readings.
