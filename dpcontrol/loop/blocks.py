@@ -82,6 +82,7 @@ class Blocks:
         self._state, self._acting = self._steps[:, : kind.size], self._steps[:, step.slices["inputs"]]
         self._demands, self._zeros = np.zeros((BLOCK + 1, kind.demands)), np.zeros((BLOCK, n))
         self._command_noise, self._position_noise = np.zeros((BLOCK, 1)), np.zeros((BLOCK, n + 1))
+        self._reading.present[:], self._zeros[:] = 1.0, rig.drawn(0, 1).zeros
         self._alive: list[Any] = []
         self._calls = [self._call(k, sum(sizes[:4]), sum(sizes[:3])) for k in range(BLOCK)]
 
@@ -139,16 +140,19 @@ class Blocks:
 
     def _fill(self, k: int, count: int) -> None:
         """Write the inputs of ticks from k on."""
-        ticker, program, reading = self._ticker, self._ticker.program, self._reading
-        self._memory[0], self._numbers[:count] = program.stored, program.constants[:, None]
-        state, self._demands[0], last, self._acting[0] = self._rig.stored
+        rig, program, reading = self._rig, self._ticker.program, self._reading
+        self._memory[0] = program.stored
+        if not np.array_equal(program.constants, self._numbers[0, :, 0]):
+            self._numbers[:] = program.constants[:, None]
+        state, self._demands[0], last, self._acting[0] = rig.stored
         self._state[0], reading.measured[-1] = state[:, None], last[:, None]
-        drawn = self._rig.drawn(k, count)
-        self._command_noise[:count, 0], self._position_noise[:count], self._zeros[:count], dropped = drawn
-        reading.present[:count] = ~dropped[:, None, None]
+        self._ticker.rows_of(k, count, self._row)
+        if rig.draws:
+            drawn = rig.drawn(k, count)
+            self._command_noise[:count, 0], self._position_noise[:count], self._zeros[:count], dropped = drawn
+            reading.present[:count] = ~dropped[:, None, None]
         if self._noise is not None:
             reading.rate_error[:count] = [self._noise[k + i] for i in range(count)]
-        ticker.rows_of(k, count, self._row)
 
     def _sound(self, count: int) -> int:
         """Return the number of ticks that need nothing else, up to the first one with an outcome or news."""

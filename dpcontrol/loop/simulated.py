@@ -114,6 +114,11 @@ class Encoders:
             readings[k] += readings[k - 1]
         return np.array(readings)
 
+    @property
+    def drifts(self) -> bool:
+        """True if zero errors change during the run."""
+        return self._drift is not None
+
     def zeros_at(self, times: Array) -> Array:
         """Return the zero errors (K, n) at times (K,), s."""
         zeros = np.broadcast_to(self._zeros, (len(times), self._arms))
@@ -666,6 +671,12 @@ class SimulatedRig(SimulatedBench):
     def stored(self) -> tuple[Array, list[float], Array, float]:
         """State of the plant, demands, m/s², last reading (n+1,), and the drive's coming acceleration, m/s²."""
         return self._plant.state, self._demands, self._last, self._acting(self._demands[1], self.period)
+
+    @property
+    def draws(self) -> bool:
+        """True if random numbers or drifts change from tick to tick."""
+        streams = self._command_noise, self._noise, self._dropped
+        return self._encoders.drifts or any(stream is not None for stream in streams)
 
     def drawn(self, k: int, count: int) -> Drawn:
         """Return the random numbers of ticks from k on."""
