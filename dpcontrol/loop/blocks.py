@@ -127,7 +127,7 @@ class Blocks:
         count = self._rig.plain_ticks(k, min(most, BLOCK - k % BLOCK)) if self._ticker.whole else 0
         if count:
             self._fill(k, count)
-            move, tick = self._rig.kind.step.single, self._ticker.program.whole_tick
+            move, tick = self._rig.kind.step.single.__call__, self._ticker.program.whole_tick.__call__
             for begin, end, sense, given, out, act in self._calls[:count]:
                 move(begin, end)
                 sense()
