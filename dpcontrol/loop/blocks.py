@@ -97,10 +97,13 @@ class Blocks:
         command = self._report[k + 1, self._ticker.program.equations.report.slices.command]
         demanded = [command, self._command_noise[k], self._demands[k], state[k + 1], rig.drive_numbers]
         return (
-            self._steps[k], state[k + 1], self._bound(sensors, measured, [reading.measured[k]]),
-            self._ticks[k, :inputs], self._ticks[k + 1, outputs:],
+            self._steps[k],
+            state[k + 1],
+            self._bound(sensors, measured, [reading.measured[k]]),
+            self._ticks[k, :inputs],
+            self._ticks[k + 1, outputs:],
             self._bound(drive, demanded, [self._demands[k + 1], self._acting[k + 1]]),
-        )  # fmt: skip
+        )
 
     def _bound(self, function: ca.Function, inputs: Sequence[Array], outputs: Sequence[Array]) -> Callable[[], None]:
         """Return a call of a function between arrays."""

@@ -21,7 +21,8 @@ import numpy as np
 
 from dpcontrol.control.estimator_settings import Augment, EkfSettings, EstimatorSettings, HoldEkfSettings
 from dpcontrol.control.handover import NearestKeeper
-from dpcontrol.control.tick import KnownMechanics, Outcome
+from dpcontrol.control.tick import KnownMechanics
+from dpcontrol.control.tick_parts import Outcome
 from dpcontrol.control.tracking import TvlqrSettings
 from dpcontrol.dynamics.chain import ArmChainParameters, Uncertainty
 from dpcontrol.foundation.causes import Cause

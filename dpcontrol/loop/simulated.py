@@ -634,9 +634,15 @@ class SimulatedRig(SimulatedBench):
         if not isinstance(plant, SimulatedPlant) or plant.whole_step is None or self.period > plant.longest:
             return None
         return PeriodKind(
-            plant.whole_step, len(plant.state), self._sent_before + 1, plant.lag > 0, tuple((self.steps > 0).tolist()),
-            tuple(plant.plants[0].reads.items()), plant.cart, plant.motor,
-        )  # fmt: skip
+            plant.whole_step,
+            len(plant.state),
+            self._sent_before + 1,
+            plant.lag > 0,
+            tuple((self.steps > 0).tolist()),
+            tuple(plant.plants[0].reads.items()),
+            plant.cart,
+            plant.motor,
+        )
 
     @cached_property
     def steps(self) -> Array:

@@ -15,7 +15,8 @@ from dpcontrol.control.ekf import unpacked
 from dpcontrol.control.estimator_settings import Augment, constants
 from dpcontrol.control.handover import NearestKeeper
 from dpcontrol.control.interface import Controller, Estimate, Estimator, GainSchedule, schedule_of
-from dpcontrol.control.tick import UNROLLED, Outcome, Report, TickProgram
+from dpcontrol.control.tick import UNROLLED, TickProgram
+from dpcontrol.control.tick_parts import Outcome, Report
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.loop.own import OwnController, OwnEstimates, OwnFailure, OwnSession, wrong_command
@@ -295,7 +296,7 @@ class Ticker:
             k: the next tick.
             controller: controller to follow.
             lift: whole turns (n,) added to its angles, rad.
-            bounds: new values of `tick.Numbers`.
+            bounds: new values of `tick_parts.Numbers`.
             uses_switch: if False, the end switches do not stop the run.
         """
         program = self.program

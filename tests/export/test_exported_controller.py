@@ -11,7 +11,8 @@ from command_line import dpcontrol
 from library_program import LibraryProgram
 
 from dpcontrol.control import export
-from dpcontrol.control.tick import SETTLING, Outcome
+from dpcontrol.control.tick import SETTLING
+from dpcontrol.control.tick_parts import Outcome
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import write_folder
 from dpcontrol.loop.assembly import Assembly
