@@ -6,54 +6,18 @@ sensors between them. They pass numbers in rows of arrays, one for each tick. Th
 end of the track, braking, or numbers that are not finite.
 """
 
-from collections.abc import Callable, Sequence
-from functools import lru_cache
-from typing import Any, cast
+from typing import Any
 
-import casadi as ca
 import numpy as np
 
-from dpcontrol.foundation.arrays import Array
+from dpcontrol.control.bench_period import bound, sensors_and_drive
 from dpcontrol.loop.bench import StreamReader
 from dpcontrol.loop.result import Ticks
-from dpcontrol.loop.simulated import DriveNumbers, PeriodKind, SimulatedRig
+from dpcontrol.loop.simulated import SimulatedRig
 from dpcontrol.loop.ticker import Ticker
 
 BLOCK = 50
 """Ticks of a block, whose rows fit into the processor's cache."""
-
-
-@lru_cache(maxsize=32)
-def _between(kind: PeriodKind, lanes: int) -> tuple[ca.Function, ca.Function]:
-    """Return the functions of sensors and drive.
-
-    (state, zeros, noise, steps, drive, present, last) -> reading
-
-    (command, command_noise, demands, state, drive) -> demands, acceleration
-
-    Parts of the machine code's rows have all lanes, of which the first is used.
-    """
-    n, rounds = len(kind.counted) - 1, len(DriveNumbers._fields)
-
-    def symbols(**lengths: int) -> dict[str, ca.SX]:
-        return {name: ca.SX.sym(name, length) for name, length in lengths.items()}
-
-    def spread(values: Sequence[ca.SX]) -> ca.SX:
-        return ca.vertcat(*(value for value in values for _ in range(lanes)))
-
-    size, wide = kind.size * lanes, (n + 1) * lanes
-    s = symbols(state=size, zeros=n, noise=n + 1, steps=n + 1, drive=rounds, present=wide, last=wide)
-    drive = DriveNumbers(*ca.vertsplit(s["drive"]))
-    now = kind.measured(s["state"][::lanes], s["zeros"], s["noise"], s["steps"], drive)
-    read = [ca.if_else(s["present"][i * lanes], now[i], s["last"][i * lanes]) for i in range(n + 1)]
-    sensors = ca.Function("sensors", [*s.values()], [spread(read)])
-    d = symbols(command=lanes, command_noise=1, demands=kind.demands, state=size, drive=rounds)
-    drive = DriveNumbers(*ca.vertsplit(d["drive"]))
-    demands = d["demands"]
-    demand = kind.demanded(d["command"][0], d["command_noise"], demands[-1], drive)
-    demands = ca.vertcat(demands[1:], demand)
-    acting = kind.acting(d["state"][::lanes], demands[1], drive)
-    return sensors, ca.Function("drive", [*d.values()], [demands, spread([acting])])
 
 
 class Blocks:
@@ -68,7 +32,7 @@ class Blocks:
     def __init__(self, ticker: Ticker, rig: SimulatedRig, noise: StreamReader | None) -> None:
         kind, program, tick = rig.kind, ticker.program, ticker.program.equations
         assert kind is not None
-        self._ticker, self._rig, self._noise = ticker, rig, noise
+        self._ticker, self._rig, self._noise, self._kind = ticker, rig, noise, kind
         lanes, n, step = program.lanes, program.model.arms, kind.step
         sizes = [layout.size for layout in (tick.reading, tick.row, tick.numbers, tick.memory, tick.report)]
         # The outputs of a tick are the end of a row, its inputs the beginning of the row before.
@@ -83,14 +47,12 @@ class Blocks:
         self._demands, self._zeros = np.zeros((BLOCK + 1, kind.demands)), np.zeros((BLOCK, n))
         self._command_noise, self._position_noise = np.zeros((BLOCK, 1)), np.zeros((BLOCK, n + 1))
         self._reading.present[:], self._zeros[:] = 1.0, rig.drawn(0, 1).zeros
-        self._alive: list[Any] = []
         self._calls = [self._call(k, sum(sizes[:4]), sum(sizes[:3])) for k in range(BLOCK)]
 
     def _call(self, k: int, inputs: int, outputs: int) -> tuple[Any, ...]:
         """Return the arguments and calls of the k-th tick of a block."""
-        kind, rig, reading, state = self._rig.kind, self._rig, self._reading, self._state
-        assert kind is not None
-        sensors, drive = _between(kind, self._ticks.shape[2])
+        kind, rig, reading, state = self._kind, self._rig, self._reading, self._state
+        sensors, drive = sensors_and_drive(kind, self._ticks.shape[2])
         # Row -1 has the reading before the block.
         measured = [state[k + 1], self._zeros[k], self._position_noise[k], rig.steps, rig.drive_numbers]
         measured += [reading.present[k], reading.measured[k - 1]]
@@ -99,22 +61,11 @@ class Blocks:
         return (
             self._steps[k],
             state[k + 1],
-            self._bound(sensors, measured, [reading.measured[k]]),
+            bound(sensors, measured, [reading.measured[k]]),
             self._ticks[k, :inputs],
             self._ticks[k + 1, outputs:],
-            self._bound(drive, demanded, [self._demands[k + 1], self._acting[k + 1]]),
+            bound(drive, demanded, [self._demands[k + 1], self._acting[k + 1]]),
         )
-
-    def _bound(self, function: ca.Function, inputs: Sequence[Array], outputs: Sequence[Array]) -> Callable[[], None]:
-        """Return a call of a function between arrays."""
-        buffer, call = cast("Any", function.buffer())
-        # The call does not keep it alive.
-        self._alive.append(buffer)
-        for k, array in enumerate(inputs):
-            buffer.set_arg(k, array.data)
-        for k, array in enumerate(outputs):
-            buffer.set_res(k, array.data)
-        return call
 
     def run(self, k: int, most: int, into: Ticks, first: int) -> int:
         """Compute ticks from k on, up to one with an outcome or news, and return their number.
@@ -130,7 +81,7 @@ class Blocks:
         count = self._rig.plain_ticks(k, min(most, BLOCK - k % BLOCK)) if self._ticker.whole else 0
         if count:
             self._fill(k, count)
-            move, tick = self._rig.kind.step.single.__call__, self._ticker.program.whole_tick.__call__
+            move, tick = self._kind.step.single.__call__, self._ticker.program.whole_tick.__call__
             for begin, end, sense, given, out, act in self._calls[:count]:
                 move(begin, end)
                 sense()

@@ -16,7 +16,7 @@ from typing import Annotated, Any, Protocol
 import numpy as np
 
 from dpcontrol.control.estimator_settings import share_inside
-from dpcontrol.control.tick_parts import Report
+from dpcontrol.control.tick import Report
 from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.causes import Cause

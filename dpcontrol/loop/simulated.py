@@ -9,18 +9,17 @@ The same lines compute one run or S runs in lockstep (`Lanes`). A number of one 
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from heapq import merge
 from itertools import repeat
 from operator import itemgetter
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from dpcontrol.control.bench_period import DriveNumbers, PeriodKind
 from dpcontrol.control.interface import MANY, ONE, Lanes
 from dpcontrol.dynamics.compiled import SINGLE, Compiled
 from dpcontrol.dynamics.plant import PlantParameters, after_blow, longest_step, plant_modes, plant_step
@@ -333,77 +332,6 @@ class SimulatedPlant:
         self.set_state(held)
 
 
-_WHOLE = 1.5 * 2**52
-"""A number whose sum with smaller ones is rounded to whole numbers, half to even."""
-
-
-class DriveNumbers(NamedTuple):
-    """Constants of drive and clock: limits, response, lag, s, period, s, and two numbers that round to whole ones."""
-
-    acceleration: Any
-    velocity: Any
-    jerk_step: Any
-    response: Any
-    lag: Any
-    period: Any
-    up: Any = _WHOLE
-    down: Any = _WHOLE
-
-
-@dataclass(frozen=True)
-class PeriodKind:
-    """A period of a bench as one expression, with the arithmetic of `Encoders` and `DriveLimits`.
-
-    Attributes:
-        step: the plant's step.
-        size: length of its state.
-        demands: number of demands on their way.
-        lags: True for a drive with a lag.
-        counted: True for each of the positions (n+1,) that is rounded to counts.
-        reads: places in the state that replace those of measured positions, with the positions.
-        cart, motor: places of the cart and of the motor in the state.
-    """
-
-    step: Compiled
-    size: int
-    demands: int
-    lags: bool
-    counted: tuple[bool, ...]
-    reads: tuple[tuple[int, int], ...]
-    cart: int
-    motor: int
-
-    def acting(self, state: ca.SX, demand: ca.SX, drive: DriveNumbers) -> ca.SX:
-        """Return the acceleration in a period, m/s²."""
-        velocity = state[self.motor + 1]
-        if self.lags:
-            velocity += drive.lag * state[self.cart + 2]
-        low, high = (-drive.velocity - velocity) / drive.period, (drive.velocity - velocity) / drive.period
-        return _between(_between(demand, low, high), -drive.acceleration, drive.acceleration)
-
-    def demanded(self, command: ca.SX, noise: ca.SX, last: ca.SX, drive: DriveNumbers) -> ca.SX:
-        """Return the demand that results from a command, m/s²."""
-        wanted = _between(drive.response * command + noise, -drive.acceleration, drive.acceleration)
-        return _between(wanted, last - drive.jerk_step, last + drive.jerk_step)
-
-    def measured(self, state: ca.SX, zeros: ca.SX, noise: ca.SX, steps: ca.SX, drive: DriveNumbers) -> list[ca.SX]:
-        """Return the readings (n+1,) of a state, rad and m."""
-        n, reads = len(self.counted) - 1, dict(self.reads)
-        values = [state[reads[k]] if k in reads else state[k] - (state[k - 1] if k else 0) for k in range(n)]
-        values = [value + zeros[k] for k, value in enumerate(values)] + [state[reads.get(n, self.cart)]]
-        for k, counted in enumerate(self.counted):
-            values[k] += noise[k]
-            if counted:
-                values[k] = steps[k] * (values[k] / steps[k] + drive.up - drive.down)
-        for k in range(1, n):
-            values[k] += values[k - 1]
-        return values
-
-
-def _between(value: ca.SX, low: ca.SX, high: ca.SX) -> ca.SX:
-    return ca.fmax(ca.fmin(value, high), low)
-
-
 class Drawn(NamedTuple):
     """Random numbers of K ticks: command_noise (K,), noise (K, n+1), zeros (K, n) of the encoders, dropped (K,)."""
 
@@ -653,13 +581,13 @@ class SimulatedRig(SimulatedBench):
     @cached_property
     def parameters(self) -> Array:
         """Parameters of the plant's step."""
-        return self._plant.plants[0].numbers()
+        return cast("SimulatedPlant", self._plant).plants[0].numbers()
 
     @cached_property
     def drive_numbers(self) -> Array:
         """Values of `DriveNumbers`."""
-        d = self._drive
-        numbers = DriveNumbers(d.acceleration, d.velocity, d.jerk_step, d.response, self._plant.lag, self.period)
+        d, plant = self._drive, cast("SimulatedPlant", self._plant)
+        numbers = DriveNumbers(d.acceleration, d.velocity, d.jerk_step, d.response, plant.lag, self.period)
         return np.array(numbers, dtype=float)
 
     def plain_ticks(self, k: int, most: int) -> int:
@@ -671,7 +599,11 @@ class SimulatedRig(SimulatedBench):
     def plain_states(self, states: Array) -> NDArray[np.bool_]:
         """Return True for each state (K, N) that is finite, with the cart on its track and away from the switches."""
         cart = np.abs(states[:, self._cart])
-        return (cart <= self._plant.track) & (cart < self._switch_at) & np.isfinite(states.sum(axis=1))
+        return (
+            (cart <= cast("SimulatedPlant", self._plant).track)
+            & (cart < self._switch_at)
+            & np.isfinite(states.sum(axis=1))
+        )
 
     @property
     def stored(self) -> tuple[Array, list[float], Array, float]:
@@ -691,7 +623,7 @@ class SimulatedRig(SimulatedBench):
         def of(stream: Any, *shape: int) -> Array:
             return np.zeros((count, *shape)) if stream is None else np.array([stream[tick] for tick in ticks])
 
-        zeros = self._encoders.zeros_at(np.arange(k, k + count) * self.period)
+        zeros = self._encoders.zeros_at(np.asarray(np.arange(k, k + count) * self.period, dtype=np.float64))
         return Drawn(of(self._command_noise), of(self._noise, n + 1), zeros, of(self._dropped) > 0)
 
     def resume(self, tick: int, state: Array, demands: Array, read: Array, *, hardest: float) -> None:
@@ -705,7 +637,7 @@ class SimulatedRig(SimulatedBench):
             hardest: largest acceleration of the drive since the last call, m/s².
         """
         self._tick, self._last, self._demands = tick, read.copy(), demands.tolist()
-        self._plant.set_state(state)
+        cast("SimulatedPlant", self._plant).set_state(state)
         self.hardest = max(self.hardest, hardest)
 
     def read(self) -> Reading:
