@@ -396,7 +396,7 @@ class LoopResult(Ended):
         ticks: its rows.
         late: number of ticks that began too late.
         elapsed: duration of the computation, s.
-        thinking: computing time (K,) of controller and estimator, s.
+        thinking: computing time (K,) of controller and estimator, s; in blocks of ticks with that of the bench.
         plant: simulated parameters, if any.
         falls: falls with or without recovery.
         stretches: intervals on the itinerary, if recovery was possible.
