@@ -25,7 +25,7 @@ from unittest import mock
 import numpy as np
 
 import dpcontrol.loop.lockstep as lockstep
-from dpcontrol.control.tick import Report
+from dpcontrol.control.tick_parts import Report
 from dpcontrol.foundation.causes import Cause, Fault
 from dpcontrol.judge.score import Flown, Verdict, verdict_on
 from dpcontrol.loop.assembly import Assembly

@@ -62,6 +62,10 @@ class Layout(Generic[Parts]):
         """
         return self.slices._make(vector[where] for where in self.slices)
 
+    def of_rows(self, rows: Array) -> Parts:
+        """Return the parts of vectors (K, size, …), which share their memory."""
+        return self.slices._make(rows[:, where] for where in self.slices)
+
     def symbols(self, name: str) -> tuple[ca.SX, Parts]:
         """Return a vector of symbols and its parts.
 

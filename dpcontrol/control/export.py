@@ -47,7 +47,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.control.interface import Controller, GainSchedule, schedule_of
-from dpcontrol.control.tick import SETTLING, UNROLLED, Measurement, TickEquations, TickProgram
+from dpcontrol.control.tick import SETTLING, UNROLLED, TickEquations, TickProgram
+from dpcontrol.control.tick_parts import Measurement
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import content_hash

@@ -30,36 +30,7 @@ Checks in each tick:
     cart          |x| + v²/(2a) + |v| t_d: resting place if it brakes now, after the delay t_d. If the arms are lost by
                   then, they are the cause of the ending.
 
-    sensors       A stuck sensor repeats one reading while the arm or the cart must have moved.
-
-For joint i with a constant reading since tick s:
-
-    max |ref_i(k) - ref_i(s)| ≥ max(0.02 rad, 4 counts)
-
-A count is the smallest observed step. An arm that reverses, or rests, stays within a count, but so does its reference.
-An arm off its reference can pause alone. So there is a second condition: the filter must have corrected the model by
-0.05 rad and 8 counts since then. Alternatively, the pause must be much longer than that of a reversal. Without these
-checks, a filter follows a stuck encoder for a tenth of a second. It follows a stuck scale of the cart without end,
-because the cart is unobservable from the arms.
-
-The reading of a working scale can stay constant while the cart moves within a count q. So the hypothesis that the scale
-works is tested against the commands. A Kalman filter uses the scale only. Its states are the cart's position p and
-velocity v, and the response g and lag τ of the drive to the commanded acceleration a:
-
-    ṗ = v - τ a,    v̇ = g a + noise on the command
-
-Every 15 ms it compares its prediction with the reading. A changed reading corrects all states. A constant reading
-allows the prediction to differ by up to q. If it differs by q + e, noise must have moved the cart back. With the
-variance s of the prediction, e²/s is evidence against the scale:
-
-    J ← max(0, J + e²/(s λ) - 1/2),    J ← 0 at each step of the reading
-
-A scale is stuck if J ≥ 30 and its reading has been constant for 45 ms. The noise is that of the settings, but at least
-0.3 m/s² on each command. λ ≥ 1 grows with surprising steps, as after a blow. q is the resolution of the settings, or
-the smallest observed step if that is larger. The filter learns the response and the lag of the drive from the steps,
-so working scales of 0.2 mm reach J = 11 at most. A cart that moves by noise alone gives no evidence.
-
-    drive         The scale's readings follow the commands, see `dpcontrol.control.drive`.
+    sensors       A sensor that sticks, or a drive that the cart does not follow, see `dpcontrol.control.watch`.
 
 Age of the readings: a reading of age τ has positions that lack ω τ, with the rates ω. A reported age is corrected in
 the update: y = m - H(z - ω τ). Unknown variations are noise along ω for all positions at once. With the covariance
@@ -71,10 +42,8 @@ A rig without jitter keeps σ² ≈ 0. The mean age is not estimated. It acts as
 """
 
 import math
-from collections import namedtuple
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from enum import IntEnum
 from functools import cached_property, lru_cache, partial, reduce
 from itertools import combinations_with_replacement
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -82,7 +51,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from dpcontrol.control.drive import CartReading, DriveWatch
 from dpcontrol.control.ekf import (
     RESTART_RATE,
     RESTART_VELOCITY,
@@ -96,40 +64,29 @@ from dpcontrol.control.ekf import (
 )
 from dpcontrol.control.estimator_settings import Augment, FilterSettings
 from dpcontrol.control.interface import GainSchedule, Mode, Present, SampledModel
-from dpcontrol.dynamics.compiled import VECTOR, Compiled
+from dpcontrol.control.tick_parts import (
+    BIG,
+    Known,
+    Measurement,
+    Memory,
+    Numbers,
+    Outcome,
+    Report,
+    Row,
+    Sensed,
+    all_of,
+    any_of,
+    clipped,
+    finite,
+    within,
+)
+from dpcontrol.control.watch import SAME, SensorWatch
+from dpcontrol.dynamics.compiled import SINGLE, VECTOR, Compiled
 from dpcontrol.dynamics.equations import Equations
 from dpcontrol.foundation.arrays import Array
 
 if TYPE_CHECKING:
     from dpcontrol.control.symbolic import SymbolicLaw
-
-
-class Outcome(IntEnum):
-    """Decision of a tick; from `ESTIMATE_LOST` on, the cart is stopped."""
-
-    GO_ON = 0
-    RESTART = 1
-    """Restart the estimator."""
-    RESYNCHRONISE = 2
-    """Move the reference's clock."""
-    HOLD = 3
-    """Abandon the reference and hold the nearest orbit or equilibrium."""
-    ESTIMATE_LOST = 4
-    SILENT = 5
-    """Measurements of a position were missing for too long."""
-    CART = 6
-    """The cart must brake now to stay on its track."""
-    TRACKING_LOST = 7
-    STUCK = 8
-    """A sensor repeats its reading."""
-    SWITCH = 9
-    """A limit switch was touched."""
-    FALLEN = 10
-    """The arms have left the reference, and the cart that follows them must brake now."""
-    DRIVE_OFF = 11
-    """The cart does not follow the commands."""
-    DRIVE_REVERSED = 12
-    """The cart moves against the commands."""
 
 
 BRAKING = 0.9
@@ -163,52 +120,6 @@ TIMING_PRIOR = 1 / 12
 
 It is that of ages spread evenly over a period. So little information lets the variance fall within a few readings.
 """
-SAME = 1e-9
-"""Difference of readings below which they are the same count, rad and m."""
-_STILL = 0.015
-"""Shortest constant reading of a joint, s."""
-_TURNING = 4.0
-"""Slow reversal, rad/s² and m/s²: it stays within a count q for 2 √(2 q / this), 18 ms with 40,000 counts."""
-_CART_STILL = 0.045
-"""Shortest constant reading of the cart, s."""
-_IDLE_RESPONSE, _IDLE_SIGMAS = 0.5, 3.0
-"""Largest response of a drive whose cart has not moved since the start, and standard deviations below it."""
-_JOINT_MOVED = 0.02
-"""rad."""
-_SCALE_CHECK = 0.015
-"""Time between comparisons of the scale with its prediction, s."""
-_SCALE_STUCK, _SCALE_OFFSET = 30.0, 0.5
-"""Evidence that a scale is stuck, and its decrease at each comparison.
-
-The evidence is about twice the logarithm of a likelihood ratio, so noise reaches the bound once in 10⁶ trials.
-"""
-_COMMAND_NOISE = 0.3
-"""Least noise on each command, that of a usual drive, m/s²."""
-_SCALE_ERROR = 1e-5
-"""Standard deviation of a cart's distance from its drive, m."""
-_COARSEST = 0.2, 0.02
-"""Largest count of an encoder and of the cart's scale, rad and m. A larger change of a reading is no count."""
-_SCALE_UNSEEN = 2e-4
-"""Assumed count of the cart's scale before its first step, m."""
-_RESPONSE, _RESPONSE_DRIFT = 0.25, 0.02
-"""Standard deviation of the response of the drive, relative, and its drift, 1/√s."""
-_LAG, _LAG_DRIFT = 0.01, 0.002
-"""Standard deviation of the lag of the drive, s, and its drift, s/√s."""
-_SURPRISE, _SURPRISE_MEMORY = 0.3, 1.0
-"""Share of a step's squared relative error that becomes the factor of the variance, and the time constant of its decay,
-s."""
-_COUNTS = 4.0
-_JOINT_HELD, _COUNTS_HELD = 0.05, 8.0
-"""Motion of a joint's model during a constant reading, rad and counts. A joint that reverses while its reference
-continues also stops, but so does its model."""
-_LONG = 8.0
-"""Multiple of the longest pause at a reversal, beyond which no other evidence is needed."""
-_DOUBT = 30.0
-"""Mean NIS per position of a stuck encoder: at least 50 with the default filter, but about 1 for working sensors.
-
-Model errors raise it as well, so it is never the only evidence. For the cart's scale it is not used: only commands
-contradict a stuck scale.
-"""
 _MOVES = 3.4
 """Standard deviations of a reading that indicate motion of an encoder with play, 0.98 counts without noise."""
 _AT_SIDE, _IN_PLAY = 0.3, 10.0
@@ -217,74 +128,12 @@ _AT_SIDE, _IN_PLAY = 0.3, 10.0
 The first is for a joint that moves its encoder and allows for errors of the play. The second is for other joints, whose
 readings are constant for some time.
 """
-_FASTEST, _LIMITED = 1.1, 0.9
-"""Largest velocity of the cart over the drive's limit, and that from which the limit changes commands."""
+_FASTEST = 1.1
+"""Largest velocity of the cart over the drive's limit."""
 _SHAPED_DAMPING = 1.0
 """Damping ratio of a belt with shaped commands."""
-_UNSEEN = 0.2
-"""Assumed count of a sensor before its first motion, rad."""
-_BIG = 1e30
-"""Bound on all numbers of a sound run, also representable in single precision."""
 UNROLLED = 8
 """Periods of prediction in one function; the loop repeats the prediction for further ones."""
-
-Numbers = namedtuple(
-    "Numbers",
-    "share acceleration velocity travel reaction onset brake margin lost_tracking lost_estimate resynchronise restarts "
-    "missing can_hold trust mode scale drive_noise lag lag_keeps noise parameters process fresh play moves notch",
-)
-"""Constants of a run: the numbers that judge it, and those of its model (see `TickEquations.numbers`).
-
-share: part of the period in which the previous command still acts.
-acceleration m/s², velocity m/s, travel m: limits of the cart. reaction s: until a command acts.
-onset s: from the state ahead until the effect of braking that starts a tick later.
-brake m/s²: twice the acceleration assumed for stopping.
-lost_tracking rad, lost_estimate, resynchronise rad, restarts, missing s, margin m: see `SupervisorSettings`.
-can_hold: 1 if there is a fallback. trust: of an adaptive law. mode: of a tick that tracks or holds, see `Mode`.
-scale m: resolution of the cart's scale. drive_noise m/s²: stated noise on each command.
-"""
-
-
-Memory = namedtuple(
-    "Memory",
-    "z covariance sent drive velocity error nis silent restarts held moved restart stopped still acted cut "
-    "was_untrusted last step same begin away pulled strained held_back scale scale_covariance scale_read scale_waited "
-    "scale_level scale_surprise evidence heading drive_watch turns timing timed lateness strain mark shaped own origin",
-)
-"""Values stored from tick to tick, see `TickEquations.memory`."""
-Measurement = namedtuple("Measurement", "measured present switch age rate_error offset")
-"""Input from the rig, see `TickEquations.reading`."""
-Row = namedtuple("Row", "feedforward gains state drive drive_gain extra_gains pair_gains own wanted")
-"""Input from the table, see `TickEquations.row`."""
-Sensed = namedtuple("Sensed", "z covariance sigmas nis used sound turns timing timed lateness strain mark relative")
-"""Output of the first part of a tick, see `TickEquations.sensed`."""
-Report = namedtuple(
-    "Report",
-    "state wish feedforward feedback acting saturated nis mode sigmas extra command outcome stop done newly_cut "
-    "untrusted sensor repeats error mean_nis silent used ahead notable news own",
-)
-"""Output of a tick, see `TickEquations.report`."""
-
-
-def _all(*conditions: ca.SX) -> ca.SX:
-    return reduce(ca.logic_and, conditions)
-
-
-def _any(*conditions: ca.SX) -> ca.SX:
-    return reduce(ca.logic_or, conditions)
-
-
-def _clip(value: ca.SX, low: ca.SX, high: ca.SX) -> ca.SX:
-    # NaN stays NaN.
-    return ca.if_else(value > high, high, ca.if_else(value < low, low, value))
-
-
-def _within(value: ca.SX, most: ca.SX) -> ca.SX:
-    return _clip(value, -most, most)
-
-
-def _finite(value: ca.SX) -> ca.SX:
-    return ca.fabs(value) <= _BIG
 
 
 def _largest(values: Sequence[ca.SX]) -> ca.SX:
@@ -320,15 +169,6 @@ class KnownMechanics(NamedTuple):
         below = k**2 + wide + 1
         middle = 2 * (1 - k**2) / below
         return np.array([(k**2 + own + 1) / below, middle, (k**2 - own + 1) / below, middle, (k**2 - wide + 1) / below])
-
-
-class _Known(NamedTuple):
-    """The parts of a tick's inputs."""
-
-    memory: Memory
-    reading: Measurement
-    row: Row
-    numbers: Numbers
 
 
 class _Acts(NamedTuple):
@@ -430,9 +270,9 @@ class TickEquations:
     split: bool = False
 
     @cached_property
-    def drive(self) -> DriveWatch:
-        """Watch of the drive."""
-        return DriveWatch(self.filter.arms, self.filter.period)
+    def watch(self) -> SensorWatch:
+        """Watch of sensors and drive."""
+        return SensorWatch(self.filter.equations, self.filter.arms, self.filter.period, self.same)
 
     @cached_property
     def memory(self) -> Layout[Memory]:
@@ -486,8 +326,8 @@ class TickEquations:
             velocity=1, error=1, nis=1, silent=m, restarts=1, held=1, moved=1, restart=1, stopped=1, still=1, acted=1,
             cut=1, was_untrusted=1, last=m, step=m, same=m, begin=m - 1, away=m - 1, pulled=m - 1, strained=m - 1,
             held_back=m - 1, scale=4, scale_covariance=10, scale_read=1, scale_waited=1, scale_level=1,
-            scale_surprise=1, evidence=1, heading=1, drive_watch=self.drive.memory.size, turns=m - 1, timing=1, timed=1,
-            lateness=1, strain=1, mark=self.plays * (m - 1), shaped=2 * self.shapes,
+            scale_surprise=1, evidence=1, heading=1, drive_watch=self.watch.drive.memory.size, turns=m - 1, timing=1,
+            timed=1, lateness=1, strain=1, mark=self.plays * (m - 1), shaped=2 * self.shapes,
             own=0 if self.own is None else len(self.own.first), origin=self.split * m,
         ))  # fmt: skip
 
@@ -606,12 +446,12 @@ class TickEquations:
             if i >= 2 * n + 2:
                 anew.append(ca.SX(0))
                 continue
-            known = ca.if_else(_finite(z[i]), z[i], 0)
+            known = ca.if_else(finite(z[i]), z[i], 0)
             if i in positions:
                 k = positions[i]
                 anew.append(ca.if_else(r.present[k], positions_read[k], known))
             else:
-                anew.append(_within(known, ca.SX(most[i])))
+                anew.append(within(known, ca.SX(most[i])))
         z = ca.vertcat(*(ca.if_else(again, anew[i], z[i]) for i in range(size)))
         entries: list[ca.SX] = []
         t = self.filter.carried
@@ -640,9 +480,9 @@ class TickEquations:
             variances = ca.diag(back @ covariance @ back.T)
         sigmas = ca.vertcat(*(ca.sqrt(variances[i]) for i in range(size)))
         # The last value is not finite if any part of the estimate is not.
-        sound = _all(nis >= 0, nis <= _BIG, _finite(ca.sum1(after) + ca.sum1(sigmas)), ca.logic_not(slipped))
+        sound = all_of(nis >= 0, nis <= BIG, finite(ca.sum1(after) + ca.sum1(sigmas)), ca.logic_not(slipped))
         # Readings cannot resolve half a turn per period: such rates have diverged.
-        sound = _all(sound, *(ca.fabs(after[n + i]) <= np.pi / self.filter.period for i in range(n)))
+        sound = all_of(sound, *(ca.fabs(after[n + i]) <= np.pi / self.filter.period for i in range(n)))
         # If the update fails, the restart begins with the prediction.
         after = ca.vertcat(*(ca.if_else(sound, after[i], z[i]) for i in range(size)))
         used = ca.sum1(r.present)
@@ -669,10 +509,10 @@ class TickEquations:
         for i in range(n):
             angle = r.measured[i] - (r.measured[i - 1] if i else 0)
             change, half, behind = angle - m.mark[i], c.play[i] / 2, (apart[i - 1] if i else 0) - apart[i]
-            known = _all(*(r.present[k] for k in range(max(i - 1, 0), i + 1)))
-            marked = _finite(m.mark[i])
-            moves = _all(ca.fabs(change) >= c.moves, known, marked)
-            somewhere = _within(ca.atan2(ca.sin(behind), ca.cos(behind)), half)
+            known = all_of(*(r.present[k] for k in range(max(i - 1, 0), i + 1)))
+            marked = finite(m.mark[i])
+            moves = all_of(ca.fabs(change) >= c.moves, known, marked)
+            somewhere = within(ca.atan2(ca.sin(behind), ca.cos(behind)), half)
             shift = ca.if_else(moves, ca.if_else(change > 0, half, -half), somewhere)
             shifts.append(ca.if_else(known, shift, 0))
             variances.append((ca.if_else(moves, _AT_SIDE, _IN_PLAY) * half) ** 2)
@@ -701,8 +541,8 @@ class TickEquations:
         # Ages vary about the filter's. A constant lateness is due to a stuck encoder or a wrong model.
         largest = ca.if_else(ca.fabs(late) <= _VERY_LATE, m.timing, 0)
         largest = ca.if_else(ca.fabs(late) <= _LATE, period**2 / 3, largest)
-        variance = _clip(m.timing + period**2 * slope / timed, ca.SX(0), largest)
-        after = ((variance, m.timing), (timed, m.timed), (_within(late, ca.SX(_OLDEST)), m.lateness))
+        variance = clipped(m.timing + period**2 * slope / timed, ca.SX(0), largest)
+        after = ((variance, m.timing), (timed, m.timed), (within(late, ca.SX(_OLDEST)), m.lateness))
         return (ca.if_else(sound, value, before) for value, before in after)
 
     def _slipped(self, m: Memory, r: Measurement, apart: ca.SX, innovation: ca.SX) -> tuple[ca.SX, ca.SX]:
@@ -721,7 +561,7 @@ class TickEquations:
             ca.logic_not(ca.fabs(r.measured[i] - (r.measured[i - 1] if i else 0) - m.last[i]) < np.pi) for i in range(n)
         ]
         slipped = [ca.fabs(turns[i] - m.turns[i]) > np.pi for i in range(n)]
-        return ca.vertcat(*turns), _all(_any(*slipped), ca.logic_not(again), ca.logic_not(_any(*jumped)))
+        return ca.vertcat(*turns), all_of(any_of(*slipped), ca.logic_not(again), ca.logic_not(any_of(*jumped)))
 
     def _origin(self, m: Memory) -> ca.SX:
         """Origin of z, (N+E,)."""
@@ -741,7 +581,7 @@ class TickEquations:
         """
         period, fastest = self.filter.period, c.velocity
         aims = velocity + c.lag * drive if self.lags else velocity
-        given = _within(_clip(command, (-fastest - aims) / period, (fastest - aims) / period), c.acceleration)
+        given = within(clipped(command, (-fastest - aims) / period, (fastest - aims) / period), c.acceleration)
         if not self.lags:
             return given, drive
         keeps = c.lag_keeps
@@ -770,7 +610,7 @@ class TickEquations:
             value = extra[i]
             if share:
                 untrusted = ca.if_else(ca.fabs(value) > trust, i + 1, untrusted)
-                value = _within(value, trust)
+                value = within(value, trust)
                 found_wrong.append(value)
             feedback -= row.extra_gains[i] * value
         for k, (one, other) in enumerate(combinations_with_replacement(found_wrong, 2)):
@@ -786,171 +626,7 @@ class TickEquations:
         command, memory = ca.vertsplit(out, [0, 1, out.shape[0]])
         return ca.if_else(row.own, command - row.feedforward, 0), memory
 
-    def _stuck(self, known: _Known, nis: ca.SX, taken: ca.SX | None) -> tuple[ca.SX, Memory]:
-        """Return the number of the first stuck sensor, from 1.
-
-        The watch's memory follows.
-
-        taken (2n,): changes of predicted angles and rates by the filter's update, if known.
-        """
-        n, period, wanted = self.filter.arms, self.filter.period, known.row.wanted
-        m, r, c = known.memory, known.reading, known.numbers
-        fresh = _all(*(r.present[i] for i in range(n + 1)))
-        after: dict[str, list[ca.SX]] = {
-            name: [] for name in ("last", "step", "same", "begin", "away", "pulled", "strained", "held_back")
-        }
-        found: list[ca.SX] = []
-        for i in range(n + 1):
-            arm = i < n
-            inner = r.measured[i - 1] if arm and i else 0
-            value = r.measured[i] - inner
-            moved = value - m.last[i]
-            step = ca.fabs(moved)
-            same = step < self.same[0 if arm else 1]
-            jumped = step > _COARSEST[0 if arm else 1]
-            smallest = ca.if_else(ca.logic_or(same, jumped), m.step[i], ca.fmin(m.step[i], step))
-            count = ca.if_else(same, m.same[i] + 1, 0)
-            # A reading within a count's rounding of the last one does not replace it.
-            values = {"last": ca.if_else(same, m.last[i], value), "step": smallest, "same": count}
-            if not arm:
-                frozen, scale = self._frozen_scale(m, c, value, count, smallest)
-                after |= {name: [ca.if_else(fresh, now, getattr(m, name))] for name, now in scale.items()}
-                found.append(ca.logic_and(fresh, frozen))
-            else:
-                should = wanted[i] - (wanted[i - 1] if i else 0)
-                begin = ca.if_else(same, m.begin[i], should)
-                away = ca.if_else(same, ca.fmax(m.away[i], ca.fabs(should - begin)), 0)
-                q = ca.if_else(smallest <= _BIG, smallest, _UNSEEN / _COUNTS)
-                longest = ca.fmax(2 * ca.sqrt(2 * q / _TURNING), _STILL) / period
-                pulled, strained, held = m.pulled[i], m.strained[i], m.held_back[i]
-                evident = count >= _LONG * longest
-                if taken is not None:
-                    turned, braked = (taken[k] - (taken[k - 1] if i else 0) for k in (i, n + i))
-                    on = ca.logic_and(same, ca.logic_not(m.restart))
-                    pulled, strained = ca.if_else(on, pulled + braked, 0), ca.if_else(on, strained + ca.fabs(braked), 0)
-                    held = ca.if_else(on, held + pulled * period + turned, 0)
-                    # An oscillating filter gives no evidence.
-                    steady = ca.fabs(pulled) >= strained / 2
-                    far = ca.fabs(held) >= ca.fmax(_JOINT_HELD, _COUNTS_HELD * q)
-                    evident = _any(evident, ca.logic_and(steady, far))
-                values |= {"begin": begin, "away": away, "pulled": pulled, "strained": strained, "held_back": held}
-                found.append(
-                    _all(
-                        fresh, away >= _JOINT_MOVED, away >= _COUNTS * q, count >= longest,
-                        ca.logic_not(nis <= _DOUBT), evident,
-                    )
-                )  # fmt: skip
-            for name, now in values.items():
-                after[name].append(ca.if_else(fresh, now, getattr(m, name)[i]))
-        sensor = ca.SX(0)
-        for i in reversed(range(n + 1)):
-            sensor = ca.if_else(found[i], i + 1, sensor)
-        return sensor, m._replace(**{name: ca.vertcat(*values) for name, values in after.items()})
-
-    def _frozen_scale(
-        self, m: Memory, c: Numbers, value: ca.SX, count: ca.SX, smallest: ca.SX
-    ) -> tuple[ca.SX, dict[str, ca.SX]]:
-        """True if the cart's scale has frozen.
-
-        The second result is the cart by scale and commands after a reading.
-
-        value m: the reading. count: number of equal readings before it. smallest m: smallest step so far.
-        """
-        period = self.filter.period
-        first = ca.logic_not(_finite(m.last[self.filter.arms]))
-        waited = ca.if_else(first, 0, m.scale_waited + 1)
-        due = waited * period >= _SCALE_CHECK - period / 2
-        constant = count >= waited
-        q = ca.fmax(ca.if_else(smallest <= _BIG, smallest, _SCALE_UNSEEN), c.scale)
-        rounding = q**2 / 12 + _SCALE_ERROR**2
-        state, covariance = m.scale[:, :], unpack(m.scale_covariance, m.scale.shape[0])
-        state[0] = ca.if_else(first, 0, state[0])
-        apart = value - m.scale_read - state[0]
-        beyond = ca.fmax(ca.fabs(apart) - q, 0)
-        surprise = beyond**2 / (covariance[0, 0] + rounding)
-        # A constant reading does not move the prediction within a count.
-        wrong = ca.if_else(constant, ca.if_else(apart < 0, -beyond, beyond), apart)
-        noise = rounding + ca.if_else(ca.logic_and(constant, beyond <= 0), q**2, 0)
-        gain = covariance[:, 0] / (covariance[0, 0] + noise)
-        corrected = state + gain * wrong
-        corrected[0] -= value - m.scale_read
-        level = ca.fmax(m.scale_level * (1 - _SCALE_CHECK / _SURPRISE_MEMORY), _SURPRISE * m.scale_surprise)
-        evidence = ca.if_else(count > 0, m.evidence, 0)
-        more = ca.fmax(evidence + surprise / m.scale_level - _SCALE_OFFSET, 0)
-        evidence = ca.if_else(ca.logic_and(due, constant), more, evidence)
-        stepped, again = ca.logic_and(due, ca.logic_not(constant)), ca.logic_or(first, due)
-        after = {
-            "scale": ca.vertcat(*(ca.if_else(due, corrected[i], state[i]) for i in range(state.shape[0]))),
-            "scale_covariance": ca.if_else(
-                due, pack(covariance - gain @ covariance[0, :]), m.scale_covariance
-            ),
-            "scale_read": ca.if_else(again, value, m.scale_read), "scale_waited": ca.if_else(due, 0, waited),
-            # The reading may stop between two comparisons, so a surprise counts from the next step.
-            "scale_level": ca.if_else(stepped, ca.fmax(level, 1), m.scale_level),
-            "scale_surprise": ca.if_else(stepped, surprise, m.scale_surprise), "evidence": evidence,
-        }  # fmt: skip
-        # The filter also explains a constant reading by a drive without response.
-        idle = state[2] + _IDLE_SIGMAS * ca.sqrt(covariance[2, 2]) <= _IDLE_RESPONSE
-        contradicts = ca.logic_or(evidence >= _SCALE_STUCK, ca.logic_and(idle, ca.logic_not(smallest <= _BIG)))
-        return ca.logic_and(contradicts, count * period >= _CART_STILL - period / 2), after
-
-    def _drive(self, known: _Known, e: Sensed, stuck: tuple[ca.SX, Memory]) -> tuple[ca.SX, ca.SX, Memory]:
-        """Return the outcome of a drive that the cart does not follow, or 0.
-
-        The number of the stuck sensor and the watch's memory follow.
-
-        stuck: the same two of the sensors' watch.
-        """
-        m, c, n, (sensor, watch), period = known.memory, known.numbers, self.filter.arms, stuck, self.filter.period
-        v, step = e.z[2 * n + 1], watch.step[n]
-        v = ca.if_else(_finite(v), v, 0)
-        moved = [ca.if_else(_finite(m.last[i]), watch.last[i] - m.last[i], 0) for i in range(n + 1)]
-        moved = ca.vertcat(ca.DM(np.tril(np.ones((n, n)))) @ ca.vertcat(*moved[:n]), moved[n])
-        count = ca.fmax(ca.if_else(step <= _BIG, step, 0), c.scale)
-        # The accelerations of a drive near its greatest velocity are not known.
-        limited = ca.fabs(v) >= _LIMITED * c.velocity
-        variance = ca.if_else(limited, _BIG, c.noise[-1] + e.timing * v**2)
-        visible = self.drive.visible(count, variance, ca.fmax(c.drive_noise, _COMMAND_NOISE))
-        fresh = _all(*(known.reading.present[i] for i in range(n + 1)))
-        cart = CartReading(fresh, watch.same[n] > 0, moved, known.reading.age * v, visible)
-        memory = self.drive.update(m.drive_watch, cart)
-        found = self.drive.memory.of(memory)
-        unfollowed = found.lasts >= self.drive.longest - period / 2
-        # Arms that move by the commands contradict a constant reading of the scale, not the drive.
-        constant = watch.same[n] * period >= found.lasts - period / 2
-        by_scale = _all(unfollowed, constant, found.doubt > 0)
-        by_drive = _any(_all(unfollowed, ca.logic_not(by_scale)), _all(ca.eq(sensor, n + 1), found.doubt < 0))
-        outcome = ca.if_else(found.against < 0, int(Outcome.DRIVE_REVERSED), int(Outcome.DRIVE_OFF))
-        sensor = ca.if_else(by_drive, 0, ca.if_else(by_scale, n + 1, sensor))
-        return ca.if_else(by_drive, outcome, 0), sensor, watch._replace(drive_watch=memory)
-
-    def _expected_cart(self, watch: Memory, c: Numbers, acting: ca.SX) -> Memory:
-        """The cart by scale and commands a period later, after `acting` m/s²."""
-        period, state = self.filter.period, watch.scale
-        covariance = unpack(watch.scale_covariance, state.shape[0])
-        moves = ca.SX.eye(state.shape[0])
-        moves[0, 1:] = ca.horzcat(period, acting * period**2 / 2, -acting * period)
-        moves[1, 2] = acting * period
-        noise = ca.SX(*moves.shape)
-        each = ca.fmax(c.drive_noise, _COMMAND_NOISE) ** 2 * period
-        noise[0, 0], noise[1, 1] = each * period**3 / 3, each * period
-        noise[0, 1] = noise[1, 0] = each * period**2 / 2
-        # Without motion, the knowledge of the drive fades to that of the start.
-        for i, (sigma, drift) in enumerate(((_RESPONSE, _RESPONSE_DRIFT), (_LAG, _LAG_DRIFT)), start=2):
-            noise[i, i] = ca.if_else(covariance[i, i] < sigma**2, drift**2 * period, 0)
-        return watch._replace(scale=moves @ state, scale_covariance=pack(moves @ covariance @ moves.T + noise))
-
-    def _expected_arms(self, known: _Known, e: Sensed, watch: ca.SX, acting: ca.SX) -> ca.SX:
-        """Return the drive's watch a period later, after `acting` m/s².
-
-        Estimated parameters and errors of the drive adapt to a stuck scale, so they are not used.
-        """
-        n, rate, size = self.filter.arms, self.filter.equations.function(), self.filter.equations.dimension
-        state = ca.vertcat(*(ca.if_else(_finite(value), value, 0) for value in ca.vertsplit(e.z[:size])))
-        swing, free = (rate(state, a, known.numbers.parameters)[n : 2 * n] for a in (acting, 0))
-        return self.drive.predict(watch, acting, swing, swing - free)
-
-    def _finish(self, known: _Known, e: Sensed, acts: _Acts, *, predicts: bool) -> tuple[Memory, Report]:
+    def _finish(self, known: Known, e: Sensed, acts: _Acts, *, predicts: bool) -> tuple[Memory, Report]:
         """Memory and report after the estimate e."""
         law = self._by_law(known, e, acts)
         means = self._means(known, e, predicts=predicts)
@@ -960,16 +636,16 @@ class TickEquations:
             known, e, acts, law, means, verdict, path
         )
 
-    def _by_law(self, known: _Known, e: Sensed, acts: _Acts) -> _Law:
+    def _by_law(self, known: Known, e: Sensed, acts: _Acts) -> _Law:
         """Feedforward and feedback before limits, and their memory."""
         row, c, size = known.row, known.numbers, self.filter.equations.dimension
         by_row, untrusted = self.law(row, acts.ahead, acts.drive, e.z[size:], c.trust)
         by_own, own = self._by_own(known.memory, row, acts.ahead, c.parameters)
         feedback = acts.back + by_row + by_own
-        finite = ca.logic_and(e.sound, _finite(row.feedforward + feedback))
-        return _Law(row.feedforward, feedback, finite, untrusted, by_own, own)
+        sound = ca.logic_and(e.sound, finite(row.feedforward + feedback))
+        return _Law(row.feedforward, feedback, sound, untrusted, by_own, own)
 
-    def _means(self, known: _Known, e: Sensed, *, predicts: bool) -> _Means:
+    def _means(self, known: Known, e: Sensed, *, predicts: bool) -> _Means:
         """Return means of innovations and of distances.
 
         The distances are those from the reference. The time without measurement is included.
@@ -992,22 +668,22 @@ class TickEquations:
         error = m.error + ca.if_else(seen, (distance - m.error) * min(period / TRACKING_MEMORY, 1), 0)
         return _Means(nis, strain, silent, distance, blind, error)
 
-    def _verdict(self, known: _Known, e: Sensed, acts: _Acts, law: _Law, means: _Means, *, predicts: bool) -> _Verdict:
+    def _verdict(self, known: Known, e: Sensed, acts: _Acts, law: _Law, means: _Means, *, predicts: bool) -> _Verdict:
         """The outcome, written so that NaN stops the run."""
         m, c, n = known.memory, known.numbers, self.filter.arms
-        finite = _all(law.finite, means.nis <= c.lost_estimate, _finite(means.distance + ca.sum1(e.z[:n])))
-        lost = ca.logic_not(finite)
+        sound = all_of(law.finite, means.nis <= c.lost_estimate, finite(means.distance + ca.sum1(e.z[:n])))
+        lost = ca.logic_not(sound)
         restarts = ca.logic_and(lost, m.restarts < c.restarts - 0.5)
         leaves = self._farthest(known, acts) >= c.travel
         # A cart that follows fallen arms is not the cause of the ending.
         fallen = ca.logic_and(leaves, means.distance > c.lost_tracking)
         most = ca.if_else(m.held, ca.fmax(c.lost_tracking, LOST_AFTER_FALLBACK), c.lost_tracking)
         astray = means.error > most
-        holds = _all(astray, c.can_hold, ca.logic_not(m.held))
-        moves = _all(c.resynchronise > 0, means.error > c.resynchronise, m.moved > TRACKING_MEMORY)
+        holds = all_of(astray, c.can_hold, ca.logic_not(m.held))
+        moves = all_of(c.resynchronise > 0, means.error > c.resynchronise, m.moved > TRACKING_MEMORY)
         taken = (e.relative if self.split else e.z)[: 2 * n] - m.z[: 2 * n] if predicts else None
-        stuck = self._stuck(known, ca.if_else(restarts, 0, means.strain), taken)
-        drive, sensor, watch = self._drive(known, e, stuck)
+        stuck = self.watch.stuck(known, ca.if_else(restarts, 0, means.strain), taken)
+        drive, sensor, watch = self.watch.unfollowed(known, e, stuck)
         outcome = ca.SX(int(Outcome.GO_ON))
         # From the weakest: each overrides those before it.
         for condition, code in (
@@ -1034,7 +710,7 @@ class TickEquations:
         stopped = ca.if_else(outcome >= int(Outcome.ESTIMATE_LOST), outcome, m.stopped)
         return _Verdict(outcome, stopped, sensor, watch)
 
-    def _farthest(self, known: _Known, acts: _Acts) -> ca.SX:
+    def _farthest(self, known: Known, acts: _Acts) -> ca.SX:
         """Return the cart's resting place if it brakes now, or its place if it is farther, m from the centre."""
         m, c, n = known.memory, known.numbers, self.filter.arms
         x, v, sent = acts.ahead[2 * n], acts.ahead[2 * n + 1], m.velocity
@@ -1043,9 +719,9 @@ class TickEquations:
         # A return, which has no margin, brings the cart back onto its track.
         farthest = ca.fmax(ca.if_else(c.margin > 0, ca.fabs(x), 0), self._stopping_point(x, v, c))
         # Sent commands without an effect yet, for a lagging drive.
-        return ca.fmax(farthest, ca.if_else(ca.fabs(sent) > 0, self._stopping_point(x, m.heading, c), -_BIG))
+        return ca.fmax(farthest, ca.if_else(ca.fabs(sent) > 0, self._stopping_point(x, m.heading, c), -BIG))
 
-    def _path(self, known: _Known, e: Sensed, acts: _Acts, law: _Law, verdict: _Verdict) -> _Path:
+    def _path(self, known: Known, e: Sensed, acts: _Acts, law: _Law, verdict: _Verdict) -> _Path:
         """Return the command within the drive's limits.
 
         The acceleration in the coming period is included.
@@ -1054,13 +730,13 @@ class TickEquations:
         most, fastest, sent, stop = c.acceleration, c.velocity, m.velocity, verdict.stopped > 0
         forward = ca.if_else(ca.logic_or(stop, ca.logic_not(law.finite)), 0, law.forward)
         feedback = ca.if_else(law.finite, law.feedback, 0)
-        feedback = ca.if_else(stop, _within(-sent / period, BRAKING * most), feedback)
+        feedback = ca.if_else(stop, within(-sent / period, BRAKING * most), feedback)
         wish = forward + feedback
-        command = _within(wish, most)
-        velocity = _within(sent + command * period, fastest)
+        command = within(wish, most)
+        velocity = within(sent + command * period, fastest)
         # Braking to rest leaves a rounding error.
         velocity = ca.if_else(ca.fabs(velocity) > AT_REST, velocity, 0)
-        still = ca.if_else(_all(m.stopped > 0, ca.logic_not(ca.fabs(sent) > 0)), m.still + period, 0)
+        still = ca.if_else(all_of(m.stopped > 0, ca.logic_not(ca.fabs(sent) > 0)), m.still + period, 0)
         queue, coming = m.sent, acts.coming
         if coming is None:
             queue = ca.vertcat(m.sent[1:], command)
@@ -1069,14 +745,14 @@ class TickEquations:
         acting, moved_on = self._acting(coming, e.z[place], m.drive, c)
         saturated = ca.logic_or(ca.fabs(wish) > most, ca.fabs(velocity) >= fastest)
         heading, v = m.heading, acts.ahead[2 * n + 1]
-        heading = _within(heading + command * period + (v - heading) * min(period / _LAGS, 1), fastest)
+        heading = within(heading + command * period + (v - heading) * min(period / _LAGS, 1), fastest)
         shaped, notch = self._shaped(known, command)
         after = verdict.watch._replace(
             sent=queue, velocity=velocity, heading=heading, still=still, drive=moved_on, shaped=notch
         )
         return _Path(forward, feedback, wish, shaped, acting, saturated, after)
 
-    def _shaped(self, known: _Known, command: ca.SX) -> tuple[ca.SX, ca.SX]:
+    def _shaped(self, known: Known, command: ca.SX) -> tuple[ca.SX, ca.SX]:
         """The command to the drive, and the memory of its shaping."""
         if not self.shapes:
             return command, known.memory.shaped
@@ -1085,11 +761,11 @@ class TickEquations:
             ca.vertsplit(known.numbers.notch),
             ca.vertsplit(known.memory.shaped),
         )
-        shaped = _within(b0 * command + first, known.numbers.acceleration)
+        shaped = within(b0 * command + first, known.numbers.acceleration)
         return shaped, ca.vertcat(b1 * command - a1 * shaped + second, b2 * command - a2 * shaped)
 
     def _memory(
-        self, known: _Known, e: Sensed, law: _Law, means: _Means, verdict: _Verdict,
+        self, known: Known, e: Sensed, law: _Law, means: _Means, verdict: _Verdict,
         path: _Path, *, predicts: bool,
     ) -> Memory:  # fmt: skip
         """Memory for the next tick."""
@@ -1097,7 +773,7 @@ class TickEquations:
         falls, again = ca.eq(verdict.outcome, int(Outcome.HOLD)), ca.eq(verdict.outcome, int(Outcome.RESTART))
         moved = ca.eq(verdict.outcome, int(Outcome.RESYNCHRONISE))
         z, covariance = self._predicted(known, e, means, path.acting, predicts=predicts)
-        return self._expected_cart(path.after, known.numbers, path.acting)._replace(
+        return self.watch.expected_cart(path.after, known.numbers, path.acting)._replace(
             z=z, covariance=covariance, turns=e.turns, timing=e.timing, timed=e.timed, lateness=e.lateness,
             strain=means.strain, error=ca.if_else(falls, 0, means.error),
             nis=ca.if_else(again, 0, means.nis), silent=means.silent,
@@ -1105,11 +781,11 @@ class TickEquations:
             held=ca.if_else(falls, 1, m.held), moved=ca.if_else(moved, 0, m.moved + period),
             restart=ca.logic_or(again, means.blind), stopped=verdict.stopped, acted=path.acting,
             cut=path.saturated, was_untrusted=ca.logic_or(m.was_untrusted, law.untrusted > 0), own=law.own,
-            drive_watch=self._expected_arms(known, e, verdict.watch.drive_watch, path.acting), mark=e.mark,
+            drive_watch=self.watch.expected_arms(known, e, verdict.watch.drive_watch, path.acting), mark=e.mark,
         )  # fmt: skip
 
     def _predicted(
-        self, known: _Known, e: Sensed, means: _Means, acting: ca.SX, *, predicts: bool
+        self, known: Known, e: Sensed, means: _Means, acting: ca.SX, *, predicts: bool
     ) -> tuple[ca.SX, ca.SX]:
         """Return the filter's prediction over the coming period.
 
@@ -1126,7 +802,7 @@ class TickEquations:
         return following, propagated(jacobian, covariance, noise)
 
     def _report(
-        self, known: _Known, e: Sensed, acts: _Acts, law: _Law, means: _Means,
+        self, known: Known, e: Sensed, acts: _Acts, law: _Law, means: _Means,
         verdict: _Verdict, path: _Path,
     ) -> Report:  # fmt: skip
         """Report for loop and log."""
@@ -1165,20 +841,20 @@ class TickEquations:
     # The functions.
 
     def function(self) -> ca.Function:
-        """Return the whole tick: (memory, reading, row, numbers) -> memory and report."""
-        (memory, m), (reading, r), (row, t), (numbers, c) = self._symbols()
+        """Return the whole tick: (reading, row, numbers, memory) -> memory and report."""
+        (reading, r), (row, t), (numbers, c), (memory, m) = self._symbols()
         e = self._sense(m, r, c)
         z, drive = e.z, m.drive
         for command in on_their_way(m.sent, c.share, whole=self.whole, lead=self.lead):
             z, drive = self._moved(z, drive, command, c)
         acts = _Acts(self._seen(z, r), drive, ca.SX(0), None)
-        after, report = self._finish(_Known(m, r, t, c), e, acts, predicts=True)
+        after, report = self._finish(Known(m, r, t, c), e, acts, predicts=True)
         out = ca.vertcat(self.memory.joined(after), self.report.joined(report))
-        return _function("tick", {"memory": memory, "reading": reading, "row": row, "numbers": numbers}, out)
+        return _function("tick", {"reading": reading, "row": row, "numbers": numbers, "memory": memory}, out)
 
     def sense(self) -> ca.Function:
         """Return the first part: (memory, reading, numbers) -> `sensed`."""
-        (memory, m), (reading, r), _, (numbers, c) = self._symbols()
+        (reading, r), _, (numbers, c), (memory, m) = self._symbols()
         out = self.sensed.joined(self._sense(m, r, c))
         return _function("sense", {"memory": memory, "reading": reading, "numbers": numbers}, out)
 
@@ -1195,7 +871,7 @@ class TickEquations:
     def finish(self, *, predicts: bool) -> ca.Function:
         """Return the second part.
 
-        (memory, reading, row, numbers, sensed, ahead, drive, back) -> memory and report.
+        (reading, row, numbers, memory, sensed, ahead, drive, back) -> memory and report.
 
         ahead (N,), drive m/s²: state for which the command is computed, and the cart's acceleration then. back m/s²:
         feedback in addition to the row's. coming m/s²: last input, the acceleration in the coming period, if the memory
@@ -1204,20 +880,21 @@ class TickEquations:
         Args:
             predicts: True to predict the next state, False to keep the filter's memory.
         """
-        (memory, m), (reading, r), (row, t), (numbers, c) = self._symbols()
+        (reading, r), (row, t), (numbers, c), (memory, m) = self._symbols()
         sensed, e = self.sensed.symbols("sensed")
         ahead, back = ca.SX.sym("ahead", self.filter.equations.dimension), ca.SX.sym("back")
         drive = ca.SX.sym("drive")
         coming = None if self.unrolled else ca.SX.sym("coming")
         acts = _Acts(ahead, drive, back, coming)
-        after, report = self._finish(_Known(m, r, t, c), e, acts, predicts=predicts)
+        after, report = self._finish(Known(m, r, t, c), e, acts, predicts=predicts)
         out = ca.vertcat(self.memory.joined(after), self.report.joined(report))
-        inputs = {"memory": memory, "reading": reading, "row": row, "numbers": numbers, "sensed": sensed}
+        inputs = {"reading": reading, "row": row, "numbers": numbers, "memory": memory, "sensed": sensed}
         inputs |= {"ahead": ahead, "drive": drive, "back": back, **({} if coming is None else {"coming": coming})}
         return _function("finish", inputs, out)
 
     def _symbols(self) -> list[tuple[ca.SX, Any]]:
-        layouts = {"memory": self.memory, "reading": self.reading, "row": self.row, "numbers": self.numbers}
+        # The memory is last, so that a row of an array can have it as output of one tick and input of the next.
+        layouts = {"reading": self.reading, "row": self.row, "numbers": self.numbers, "memory": self.memory}
         return [layout.symbols(name) for name, layout in layouts.items()]
 
     def _moved(self, z: ca.SX, drive: ca.SX, command: ca.SX, c: Numbers) -> tuple[ca.SX, ca.SX]:
@@ -1312,7 +989,7 @@ class TickProgram:
         self.model, self.settings, self.runs = model, settings, runs
         equations, arms = self.equations, model.arms
         self.period = model.period
-        self.lanes = runs + -runs % VECTOR
+        self.lanes = SINGLE if runs == 1 else runs + -runs % VECTOR
         again = settings.first_covariance(arms).diagonal().copy()
         again[arms : 2 * arms], again[2 * arms + 1] = RESTART_RATE**2, RESTART_VELOCITY**2
         known = {
@@ -1324,9 +1001,9 @@ class TickProgram:
             known |= {"play": np.array(mechanics.play), "moves": _MOVES * np.sqrt(noise[0, 0])}
         if equations.shapes and mechanics is not None:
             known["notch"] = mechanics.notch(model.period)
-        sizes = [layout.size for layout in (equations.memory, equations.reading, equations.row, equations.numbers)]
+        sizes = [layout.size for layout in (equations.reading, equations.row, equations.numbers, equations.memory)]
         self._inputs = np.zeros((sum(sizes), self.lanes))
-        self.stored, reading, self.row, self._constants = np.split(self._inputs, np.cumsum(sizes)[:-1])
+        reading, self.row, self._constants, self.stored = np.split(self._inputs, np.cumsum(sizes)[:-1])
         self._constants[:] = equations.numbers.filled(self.lanes, **known)
         self.memory, self.reading = equations.memory.of(self.stored), equations.reading.of(reading)
         self.numbers = equations.numbers.of(self._constants)
@@ -1353,6 +1030,9 @@ class TickProgram:
             self._made[name] = Compiled(make[name]())
         return self._made[name]
 
+    def _call(self, name: str) -> Any:
+        return self.machine(name).single if self.runs == 1 else self.machine(name).machine
+
     def begin(self, first: Array, queued: Array, *, velocity: float) -> None:
         """Fill the memory for the start of a run.
 
@@ -1371,12 +1051,9 @@ class TickProgram:
         start = {
             "z": np.concatenate([first, np.zeros(self.equations.filter.dimension - len(first))]),
             "covariance": packed(t @ self.settings.first_covariance(self.model.arms) @ t.T),
-            "velocity": speed[None], "heading": speed[None], "scale_level": 1.0,
-            "scale": np.array([0.0, velocity, 1.0, 0.0]),
-            "drive_watch": self.equations.drive.start(velocity, first[n : 2 * n]),
-            "scale_covariance": packed(np.diag([_SCALE_ERROR, _COMMAND_NOISE * _SCALE_CHECK, _RESPONSE, _LAG]) ** 2),
+            "velocity": speed[None], "heading": speed[None], **self.equations.watch.start(velocity, first[n : 2 * n]),
             "timing": TIMING_PRIOR * self.period**2, "timed": TIMING_PRIOR**-2,
-            "moved": np.inf, "last": np.inf, "step": np.inf, "mark": np.inf, "drive": sent[1][None],
+            "moved": np.inf, "mark": np.inf, "drive": sent[1][None],
         }  # fmt: skip
         if self.equations.own is not None:
             start["own"] = self.equations.own.first
@@ -1415,12 +1092,13 @@ class TickProgram:
 
     def tick(self) -> None:
         """Compute a whole tick with the row in `row`."""
-        self._tick(self._inputs, self._out)
+        self.whole_tick(self._inputs, self._out)
         self.stored[:] = self._kept
 
     @cached_property
-    def _tick(self) -> Any:
-        return self.machine("tick").machine
+    def whole_tick(self) -> Any:
+        """Machine code of `TickEquations.function`."""
+        return self._call("tick")
 
     def prepare(self, names: Sequence[str]) -> None:
         """Compile these functions now.
@@ -1429,7 +1107,18 @@ class TickProgram:
             names: names of functions, see `machine`.
         """
         for name in names:
-            _ = self.machine(name).machine
+            self._call(name)
+
+    def resume(self, inputs: Array, told: Array, kept: Array) -> None:
+        """Continue after a tick.
+
+        Args:
+            inputs: inputs of the tick (…, lanes), in the order of `TickEquations.function`.
+            told: its report (…, lanes).
+            kept: its memory (…, lanes).
+        """
+        self._inputs[: -len(kept)] = inputs[: len(self._inputs) - len(kept)]
+        self._out[len(kept) :], self.stored[:] = told, kept
 
     @property
     def constants(self) -> Array:
@@ -1449,9 +1138,8 @@ class TickProgram:
 
     def sense(self) -> Array:
         """Update the filter; return `sensed` (size, lanes)."""
-        made = self.machine("sense")
         inputs = np.concatenate([self.stored, *self.reading, self._constants])
-        return made.machine(inputs, np.empty((made.size_out, self.lanes)))
+        return self._call("sense")(inputs, np.empty((self.equations.sensed.size, self.lanes)))
 
     def on_their_way(self) -> list[Array]:
         """Return the commands (lanes,) of each of the next `lead` periods, m/s²."""
@@ -1510,9 +1198,8 @@ class TickProgram:
         Returns:
             States and extras (N+E, lanes), and `drive` (lanes,).
         """
-        made = self.machine("moved")
         inputs = np.concatenate([z, drive[None], command[None], self._constants])
-        out = made.machine(inputs, np.empty((made.size_out, self.lanes)))
+        out = self._call("moved")(inputs, np.empty((len(z) + 1, self.lanes)))
         return out[:-1], out[-1]
 
     def finish(self, sensed: Array, ahead: Array, drive: Array, back: Array | float, *, predicts: bool = True) -> None:
@@ -1525,11 +1212,10 @@ class TickProgram:
             back: feedback in addition to the row's, a number or (lanes,), m/s².
             predicts: True to predict the filter's next state, default True.
         """
-        made = self.machine("finish" if predicts else "judge")
         parts = [self._inputs, sensed, ahead, drive[None], np.broadcast_to(back, (1, self.lanes))]
         if not self.equations.unrolled:
             parts.append(self.on_their_way()[0][None])
-        made.machine(np.concatenate(parts), self._out)
+        self._call("finish" if predicts else "judge")(np.concatenate(parts), self._out)
         self.stored[:] = self._kept
         if not self.equations.unrolled:
             self._sent[:-1] = self._sent[1:]

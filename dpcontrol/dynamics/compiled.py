@@ -203,6 +203,8 @@ VECTOR = 8 if _HEYOKA else 1
 """Doubles per instruction: the widest vector of current processors, which others split.
 
 casadi's interpreter handles one."""
+SINGLE = 2 if _HEYOKA else 1
+"""Doubles per instruction for a single run: scalar functions round differently, and `VECTOR` takes twice as long."""
 
 
 class Compiled:
@@ -215,7 +217,7 @@ class Compiled:
     """
 
     def __init__(self, function: ca.Function) -> None:
-        self._function = function
+        self.function = function
         sizes = [function.size1_in(i) for i in range(function.n_in())]
         ends = np.cumsum(sizes)
         self.slices = {
@@ -228,9 +230,17 @@ class Compiled:
     @cached_property
     def machine(self) -> Any:
         """The compiled call with the same arguments, for loops without other calls."""
+        return self._compiled(VECTOR)
+
+    @cached_property
+    def single(self) -> Any:
+        """The same call for arrays of `SINGLE` columns, which it rounds like `machine`."""
+        return self._compiled(SINGLE)
+
+    def _compiled(self, width: int) -> Any:
         if not _HEYOKA:
-            return _ByCasadi(self._function)
-        file = _kept_at(self._function)
+            return _ByCasadi(self.function)
+        file = _kept_at(self.function, width)
         content = None if file is None else kept(file)
         if content is not None:
             # Cached in another format: compiled again.
@@ -238,8 +248,8 @@ class Compiled:
                 return pickle.loads(content)
         variables = [hy.expression(f"v{i}") for i in range(self.size_in)]
         arguments = [variables[where] for where in self.slices.values()]
-        outputs = to_heyoka(self._function, arguments, switches=True)
-        machine = hy.cfunc(outputs, variables, batch_size=VECTOR, force_avx512=True, **COMPACT)
+        outputs = to_heyoka(self.function, arguments, switches=True)
+        machine = hy.cfunc(outputs, variables, batch_size=width, force_avx512=True, **COMPACT)
         if file is not None:
             keep(file, pickle.dumps(machine))
         return machine
@@ -298,7 +308,7 @@ class _ByCasadi:
         return out
 
 
-def _kept_at(function: ca.Function) -> Path | None:
+def _kept_at(function: ca.Function, width: int) -> Path | None:
     """Return the cache file of a function's machine code.
 
     The result is None if the processor is unknown.
@@ -308,7 +318,7 @@ def _kept_at(function: ca.Function) -> Path | None:
     processor = _processor()
     if not processor:
         return None
-    key = content_hash(function.serialize(), _VERSION, hy.__version__, ca.CasadiMeta.version(), processor)
+    key = content_hash(function.serialize(), _VERSION, hy.__version__, ca.CasadiMeta.version(), processor, str(width))
     return cache_file("machine-code", function.name(), key)
 
 

@@ -192,7 +192,7 @@ class FlightCause(StrEnum):
 class Cause(StrEnum):
     """Cause of a fall, of a run's end or of another event in its log."""
 
-    # Decisions of a tick have the names of `dpcontrol.control.tick.Outcome`.
+    # Decisions of a tick have the names of `dpcontrol.control.tick_parts.Outcome`.
     RESTART = "estimator restarted"
     RESYNCHRONISE = "away from the reference"
     HOLD = "tracking lost, orbit held"

@@ -42,7 +42,6 @@ from mcap.records import (
     Footer,
     Header,
     McapRecord,
-    MessageIndex,
     Metadata,
     MetadataIndex,
     Schema,
@@ -76,6 +75,8 @@ _LATCHED_QOS = """\
 incomplete profile."""
 _RECORD = struct.Struct("<BQH")
 """Head of a record: opcode, length and, for a message, its channel."""
+_INDEX = struct.Struct("<BQHI")
+"""Head of a message index: opcode, length, channel, and length of its entries."""
 
 
 class LocatedMessages(NamedTuple):
@@ -244,9 +245,10 @@ class McapFile:
         for topic, part in messages.items():
             number, offsets = self._tick.channels[topic], part.offsets + len(head)
             places[number] = start + len(written)
-            entries = list(zip(part.records["log_time"].tolist(), offsets.tolist(), strict=True))
-            written += _bytes_of(MessageIndex(channel_id=number, records=entries))
-            self._counts[number] += len(entries)
+            # The library writes its entries one by one.
+            entries = np.stack([part.records["log_time"], offsets], axis=1).astype("<u8").tobytes()
+            written += _INDEX.pack(Opcode.MESSAGE_INDEX, 6 + len(entries), number, len(entries)) + entries
+            self._counts[number] += len(offsets)
         index = ChunkIndex(
             chunk_start_offset=start, chunk_length=length, message_index_offsets=places,
             message_index_length=len(written) - length, compressed_size=len(packed), **about,

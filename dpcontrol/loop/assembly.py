@@ -210,7 +210,7 @@ class Assembly:
         return Ticker(program, controller, schedule=schedule, estimator=estimator, estimator_kind=kind)
 
     def _bounds(self, trust: float) -> dict[str, float]:
-        """Return the numbers by which a tick is judged (`tick.Numbers`)."""
+        """Return the numbers by which a tick is judged (`tick_parts.Numbers`)."""
         settings, limits, s = self.settings, self.limits, self.settings.supervisor
         delay = settings.drive.delay
         return {

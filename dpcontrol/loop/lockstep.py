@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.control.tick import Outcome, Report
+from dpcontrol.control.tick_parts import Outcome, Report
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.causes import Cause
 from dpcontrol.logs import Event, Stretch

@@ -10,7 +10,6 @@ and events, and ends a run when its cart is at rest. Rows of ticks go to the sin
 A killed run loses no more than that.
 """
 
-import itertools
 import logging
 import time
 from collections import deque
@@ -22,7 +21,8 @@ import numpy as np
 
 from dpcontrol.control.estimator_settings import Augment, EkfSettings, EstimatorSettings, HoldEkfSettings
 from dpcontrol.control.handover import NearestKeeper
-from dpcontrol.control.tick import KnownMechanics, Outcome
+from dpcontrol.control.tick import KnownMechanics
+from dpcontrol.control.tick_parts import Outcome
 from dpcontrol.control.tracking import TvlqrSettings
 from dpcontrol.dynamics.chain import ArmChainParameters, Uncertainty
 from dpcontrol.foundation.causes import Cause
@@ -41,6 +41,7 @@ from dpcontrol.loop.bench import (
     Unlike,
     draw_bench,
 )
+from dpcontrol.loop.blocks import blocks_of
 from dpcontrol.loop.controllers import KEEPERS, ControllerSettings, keeps_by_phase
 from dpcontrol.loop.own import OwnEstimator, OwnFailure, OwnLaw, OwnObject, OwnPlant
 from dpcontrol.loop.recovery import FallRecovery
@@ -149,39 +150,50 @@ class ControlLoop:
         clock, thinking = time.perf_counter, deque[float](maxlen=_THOUGHTS)
         thought = thinking.append
         began = clock()
-        for k in itertools.count():
+        blocks = None if recovery is not None else blocks_of(ticker, rig, noise)
+        done = 0
+        while True:
+            k = done
             if k - self._first == block:
                 self._flush(k)
                 rows, take = self._next_block(k)
-            try:
-                reading = rig.read()
-            except ArithmeticError as failure:
-                self._fail(k, failure)
-                break
-            called = clock()
-            report = ticker(k, reading, None if noise is None else noise[k])
-            thought(clock() - called)
-            wrong = None
-            try:
-                rig.command(report.command.item(0))
-            except ArithmeticError as failure:
-                wrong = failure
-            take(k - self._first, reading, logged, rig.truth, ticker.references[k - ticker.began])
-            self._done = done = k + 1
-            if watched and wrong is None:
-                wrong = ticker.failure
-            if wrong is not None:
-                self._fail(k, wrong)
-                break
+            called, lateness = clock(), 0.0
+            count = 0 if blocks is None else blocks.run(k, min(self.count, self._first + block) - k, rows, self._first)
+            if count:
+                thinking.extend([(clock() - called) / count] * count)
+                self._done = done = k + count
+                for edge in range(k - k % self._flush_every + self._flush_every, done, self._flush_every):
+                    self._flush(edge)
+                k, report = done - 1, ticker.report
+            else:
+                try:
+                    reading = rig.read()
+                except ArithmeticError as failure:
+                    self._fail(k, failure)
+                    break
+                called = clock()
+                report = ticker(k, reading, None if noise is None else noise[k])
+                thought(clock() - called)
+                wrong = None
+                try:
+                    rig.command(report.command.item(0))
+                except ArithmeticError as failure:
+                    wrong = failure
+                take(k - self._first, reading, logged, rig.truth, ticker.references[k - ticker.began])
+                self._done = done = k + 1
+                if watched and wrong is None:
+                    wrong = ticker.failure
+                if wrong is not None:
+                    self._fail(k, wrong)
+                    break
+                lateness = reading.late
             if report.notable.item(0):
                 self._handle_outcome(k, rig)
-            if reading.late > 0:
+            if lateness > 0:
                 late, now = late + 1, k * period
                 if now >= quiet_until:
                     quiet_until = now + _REPORT_INTERVAL
-                    self._event(
-                        now, "warn", "deadline missed", Cause.LATE, {"late_ms": 1e3 * reading.late, "count": late}
-                    )
+                    self._event(now, "warn", "deadline missed", Cause.LATE, {"late_ms": 1e3 * lateness, "count": late})
             if ticker.event:
                 self._event(k * period, "info", "controller", words=ticker.event)
             if (fault := rig.fault) is not None and self.end.name != fault.name:

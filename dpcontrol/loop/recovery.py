@@ -36,7 +36,8 @@ from numpy.typing import NDArray
 from dpcontrol.control.flight import JOINED, braking_gains
 from dpcontrol.control.interface import Controller, GainSchedule, SampledModel, whole_turns
 from dpcontrol.control.lqr import HoldController
-from dpcontrol.control.tick import BRAKING, Report
+from dpcontrol.control.tick import BRAKING
+from dpcontrol.control.tick_parts import Report
 from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.causes import Cause
@@ -97,7 +98,7 @@ class Motion(StrEnum):
 def braking_bounds(limits: Limits) -> Mapping[str, float]:
     """Return the bounds that differ while the cart brakes.
 
-    They replace those of a flight (`tick.Numbers`).
+    They replace those of a flight (`tick_parts.Numbers`).
 
     Any distance from rest is allowed, and the filter may restart without limit. The supervisor intervenes only if
     nothing but maximum braking remains.

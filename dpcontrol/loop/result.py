@@ -288,6 +288,22 @@ class Ticks(Brief):
         assert packed is not None
         packed[k] = logged
 
+    def take_block(self, rows: slice, measured: Array, logged: Array, truth: Array, references: Array) -> None:
+        """Write a block of K ticks.
+
+        Args:
+            rows: their rows.
+            measured: readings (K, n+1), NaN where missing.
+            logged: the reports (K, M), of which the first columns are logged.
+            truth: true states (K, N), of which the first columns are logged.
+            references: reference states (K, N).
+        """
+        packed, states = self.packed, self.truth
+        assert packed is not None
+        assert states is not None
+        self.measured[rows], self.references[rows] = measured, references
+        packed[rows], states[rows] = logged[:, : packed.shape[1]], truth[:, : states.shape[1]]
+
     def without_nis(self, k: int) -> None:
         """Clear the NIS of tick k because the filter restarts.
 
@@ -380,7 +396,7 @@ class LoopResult(Ended):
         ticks: its rows.
         late: number of ticks that began too late.
         elapsed: duration of the computation, s.
-        thinking: computing time (K,) of controller and estimator, s.
+        thinking: computing time (K,) of controller and estimator, s; in blocks of ticks with that of the bench.
         plant: simulated parameters, if any.
         falls: falls with or without recovery.
         stretches: intervals on the itinerary, if recovery was possible.

@@ -9,17 +9,19 @@ The same lines compute one run or S runs in lockstep (`Lanes`). A number of one 
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from functools import cached_property
 from heapq import merge
 from itertools import repeat
 from operator import itemgetter
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dpcontrol.control.bench_period import DriveNumbers, PeriodKind
 from dpcontrol.control.interface import MANY, ONE, Lanes
-from dpcontrol.dynamics.compiled import VECTOR, Compiled
+from dpcontrol.dynamics.compiled import SINGLE, Compiled
 from dpcontrol.dynamics.plant import PlantParameters, after_blow, longest_step, plant_modes, plant_step
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.causes import Cause
@@ -111,6 +113,16 @@ class Encoders:
             readings[k] += readings[k - 1]
         return np.array(readings)
 
+    @property
+    def drifts(self) -> bool:
+        """True if zero errors change during the run."""
+        return self._drift is not None
+
+    def zeros_at(self, times: Array) -> Array:
+        """Return the zero errors (K, n) at times (K,), s."""
+        zeros = np.broadcast_to(self._zeros, (len(times), self._arms))
+        return zeros if self._drift is None else zeros + times[:, None] * np.array(self._drift)
+
     def _miss(self, state: Sequence[float], missed: Sequence[int]) -> None:
         """Lose counts against the motion of each joint.
 
@@ -134,8 +146,8 @@ class ModalStep:
     It serves one or many lanes.
     """
 
-    def __init__(self, step: Compiled, modes: Compiled) -> None:
-        self._step, self._choose = step.machine, modes.machine
+    def __init__(self, step: Compiled, modes: Compiled, *, single: bool) -> None:
+        self._step, self._choose = (one.single if single else one.machine for one in (step, modes))
         self._state, self._duration = step.slices["state"], step.slices["duration"].start
         inputs = step.slices["inputs"]
         self._modes, self._size = slice(inputs.stop - modes.size_out, inputs.stop), step.size_out
@@ -189,24 +201,29 @@ class SimulatedPlant:
         kind = {"friction": first.arms.friction, "components": first.kinds}
         step = plant_step(first.arms.count, first.level, **kind)
         modes = plant_modes(first.arms.count, first.level, **kind)
-        self._machine = step.machine if modes is None else ModalStep(step, modes)
+        self._machine = (
+            (step.machine if many else step.single) if modes is None else ModalStep(step, modes, single=not many)
+        )
         # A single run fills a whole vector, so its result equals that in a batch to the last bit.
-        lanes = state.shape[1] if many else VECTOR
+        lanes = state.shape[1] if many else SINGLE
         size = step.slices["state"].stop
         self._inputs, following = np.zeros((step.size_in, lanes)), np.zeros((size, lanes))
         self._flown, self._following = following, following if many else following[:, 0]
         self._inputs[step.slices["parameters"]] = np.array([p.numbers() for p in plants]).T
         self._input, self._duration = step.slices["inputs"].start, step.slices["duration"].start
-        self._cart, self._motor, self._lag = 2 * first.arms.count, first.motor, first.lag
-        self._longest, self._lasts = min(longest_step(p) for p in plants), 0.0
+        self.cart, self.motor, self.lag = 2 * first.arms.count, first.motor, first.lag
+        self.longest, self._lasts = min(longest_step(p) for p in plants), 0.0
+        self.whole_step = step if modes is None else None
+        """The step, if it needs no split at changes of modes."""
         self._states: Array = self._inputs[step.slices["state"]]
         self.state: Array = self._states if many else self._states[:, 0]
         """The present state; `move` overwrites it."""
         self.values: list[Any] = list(self.state)
         """Its entries: plain floats for one run, which are faster to access, or views of the arrays for many."""
-        self._set_state(state)
+        self.set_state(state)
 
-    def _set_state(self, state: Array) -> None:
+    def set_state(self, state: Array) -> None:
+        """Replace the states (N,) or (N, S)."""
         self._states[:] = state if self._many else state[:, None]
         if not self._many:
             self.values = state.tolist()
@@ -217,8 +234,8 @@ class SimulatedPlant:
 
         Without lag, the velocity of cart or motor.
         """
-        v = self.values[self._motor + 1]
-        return v + self._lag * self.values[self._cart + 2] if self._lag else v
+        v = self.values[self.motor + 1]
+        return v + self.lag * self.values[self.cart + 2] if self.lag else v
 
     def move(self, acceleration: Any, duration: Any, *, time: Any, span: float = 0.0) -> None:
         """Advance the plant with a constant demand.
@@ -230,8 +247,8 @@ class SimulatedPlant:
             span: longest duration of all runs, s, if they differ.
         """
         span = span or duration
-        splits = 1 if span <= self._longest else math.ceil(span / self._longest)
-        inputs, following, track, cart = self._inputs, self._following, self.track, self._cart
+        splits = 1 if span <= self.longest else math.ceil(span / self.longest)
+        inputs, following, track, cart = self._inputs, self._following, self.track, self.cart
         step, many = self._machine, self._many
         duration = duration / splits
         if isinstance(duration, np.ndarray):
@@ -273,7 +290,7 @@ class SimulatedPlant:
         if self._many:
             state[:] = after
         else:
-            self._set_state(after)
+            self.set_state(after)
 
     def _flow(self, acceleration: float, duration: float) -> Array:
         self._inputs[self._input], self._inputs[self._duration] = acceleration, duration
@@ -286,7 +303,7 @@ class SimulatedPlant:
 
         The cart stops and is held there.
         """
-        cart, track = self._cart, self.track
+        cart, track = self.cart, self.track
         free, met = 0.0, duration
         for _ in range(60):
             middle = (free + met) / 2
@@ -294,25 +311,34 @@ class SimulatedPlant:
                 met = middle
             else:
                 free = middle
-        self._set_state(self._flow(acceleration, free))
+        self.set_state(self._flow(acceleration, free))
         side, speed = math.copysign(1.0, self.values[cart]), self.values[cart + 1]
         place = {"time": time + free, "position": side * track, "velocity": speed}
         self.faults.setdefault(0, ended(Cause.HARD_STOP, place))
         self._hold(side)
         # The drive does not push on against the stop.
-        self._set_state(self._flow(0.0, duration - free))
+        self.set_state(self._flow(0.0, duration - free))
         if side * self.values[cart] > track:
             self._hold(side)
 
     def _hold(self, side: float) -> None:
         none = np.zeros(self.plants[0].arms.count)
-        self.strike(Blow(none, none, -self.values[self._cart + 1]))
+        self.strike(Blow(none, none, -self.values[self.cart + 1]))
         held = self.state.copy()
-        for place in (self._cart, self._motor):
+        for place in (self.cart, self.motor):
             held[place], held[place + 1] = side * self.track, 0.0
-        if self._lag:
-            held[self._cart + 2] = 0.0
-        self._set_state(held)
+        if self.lag:
+            held[self.cart + 2] = 0.0
+        self.set_state(held)
+
+
+class Drawn(NamedTuple):
+    """Random numbers of K ticks: command_noise (K,), noise (K, n+1), zeros (K, n) of the encoders, dropped (K,)."""
+
+    command_noise: Array
+    noise: Array
+    zeros: Array
+    dropped: NDArray[np.bool_]
 
 
 _NEVER = (0, (math.inf, None))
@@ -524,6 +550,95 @@ class SimulatedRig(SimulatedBench):
     def fault(self) -> Event | None:
         """The fault at the end of the track, or None."""
         return self._plant.faults.get(0)
+
+    @cached_property
+    def kind(self) -> PeriodKind | None:
+        """A period as one expression, or None for a bench that computes it in parts or outside of machine code."""
+        plant, settings = self._plant, self._encoders.settings
+        if self._fraction or self._ages is not None or self._missed is not None:
+            return None
+        if math.isfinite(settings.stuck_at) or math.isfinite(min(self._fails.values())):
+            return None
+        if not isinstance(plant, SimulatedPlant) or plant.whole_step is None or self.period > plant.longest:
+            return None
+        return PeriodKind(
+            plant.whole_step,
+            len(plant.state),
+            self._sent_before + 1,
+            plant.lag > 0,
+            tuple((self.steps > 0).tolist()),
+            tuple(plant.plants[0].reads.items()),
+            plant.cart,
+            plant.motor,
+        )
+
+    @cached_property
+    def steps(self) -> Array:
+        """Counts (n+1,) of the encoders and of the cart's scale, rad and m, 0 for exact ones."""
+        settings, arms = self._encoders.settings, len(self._nothing) - 1
+        return np.array([*settings.steps(arms), settings.cart_resolution])
+
+    @cached_property
+    def parameters(self) -> Array:
+        """Parameters of the plant's step."""
+        return cast("SimulatedPlant", self._plant).plants[0].numbers()
+
+    @cached_property
+    def drive_numbers(self) -> Array:
+        """Values of `DriveNumbers`."""
+        d, plant = self._drive, cast("SimulatedPlant", self._plant)
+        numbers = DriveNumbers(d.acceleration, d.velocity, d.jerk_step, d.response, plant.lag, self.period)
+        return np.array(numbers, dtype=float)
+
+    def plain_ticks(self, k: int, most: int) -> int:
+        """Return how many ticks from k on, at most `most`, need only the expression of `kind`."""
+        if not k or self._braking is not None:
+            return 0
+        return max(0, min(most, self._coming[1][0] + 1 - k, self._ticks - k))
+
+    def plain_states(self, states: Array) -> NDArray[np.bool_]:
+        """Return True for each state (K, N) that is finite, with the cart on its track and away from the switches."""
+        cart = np.abs(states[:, self._cart])
+        return (
+            (cart <= cast("SimulatedPlant", self._plant).track)
+            & (cart < self._switch_at)
+            & np.isfinite(states.sum(axis=1))
+        )
+
+    @property
+    def stored(self) -> tuple[Array, list[float], Array, float]:
+        """State of the plant, demands, m/s², last reading (n+1,), and the drive's coming acceleration, m/s²."""
+        return self._plant.state, self._demands, self._last, self._acting(self._demands[1], self.period)
+
+    @property
+    def draws(self) -> bool:
+        """True if random numbers or drifts change from tick to tick."""
+        streams = self._command_noise, self._noise, self._dropped
+        return self._encoders.drifts or any(stream is not None for stream in streams)
+
+    def drawn(self, k: int, count: int) -> Drawn:
+        """Return the random numbers of ticks from k on."""
+        ticks, n = range(k, k + count), len(self._nothing) - 1
+
+        def of(stream: Any, *shape: int) -> Array:
+            return np.zeros((count, *shape)) if stream is None else np.array([stream[tick] for tick in ticks])
+
+        zeros = self._encoders.zeros_at(np.asarray(np.arange(k, k + count) * self.period, dtype=np.float64))
+        return Drawn(of(self._command_noise), of(self._noise, n + 1), zeros, of(self._dropped) > 0)
+
+    def resume(self, tick: int, state: Array, demands: Array, read: Array, *, hardest: float) -> None:
+        """Continue after a tick with a state, demands and reading as in `stored`.
+
+        Args:
+            tick: the last tick.
+            state: state (N,) of the plant.
+            demands: demands, oldest first, m/s².
+            read: its reading (n+1,), rad and m.
+            hardest: largest acceleration of the drive since the last call, m/s².
+        """
+        self._tick, self._last, self._demands = tick, read.copy(), demands.tolist()
+        cast("SimulatedPlant", self._plant).set_state(state)
+        self.hardest = max(self.hardest, hardest)
 
     def read(self) -> Reading:
         """Advance one period, except in the first call, and return the readings.

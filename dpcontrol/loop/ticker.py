@@ -15,7 +15,8 @@ from dpcontrol.control.ekf import unpacked
 from dpcontrol.control.estimator_settings import Augment, constants
 from dpcontrol.control.handover import NearestKeeper
 from dpcontrol.control.interface import Controller, Estimate, Estimator, GainSchedule, schedule_of
-from dpcontrol.control.tick import UNROLLED, Outcome, Report, TickProgram
+from dpcontrol.control.tick import UNROLLED, TickProgram
+from dpcontrol.control.tick_parts import Outcome, Report
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.loop.own import OwnController, OwnEstimates, OwnFailure, OwnSession, wrong_command
@@ -65,7 +66,8 @@ class Ticker:
         self.count, self._many = controller.ticks + 1, program.runs > 1
         self._schedule = schedule
         self._row = program.equations.row.of(program.row)
-        self._whole = schedule is not None and estimator is None and self.lead <= UNROLLED
+        self.whole = schedule is not None and estimator is None and self.lead <= UNROLLED
+        """True if a tick is one call."""
         self.event = ""
         """The law's decision in the last tick, as a sentence for the log, or ""."""
         self._uses_switch = True
@@ -132,7 +134,7 @@ class Ticker:
             self.queued = np.array(queued).reshape(self.lead, program.lanes)[:, : program.runs]
         program.begin(first, self.queued, velocity=float(first[-1]))
         # Compiled now, since there is no time for it in the first tick.
-        program.prepare(["tick"] if self._whole else self._parts)
+        program.prepare(["tick"] if self.whole else self._parts)
 
     @property
     def _parts(self) -> list[str]:
@@ -179,11 +181,22 @@ class Ticker:
         program.take(positions, reading.present, switch, rate_error, reading.age)
         cart = positions[-1] if reading.present is None else np.where(reading.present[-1], positions[-1], np.nan)
         self._carts[k % len(self._carts)] = cart
-        if self._whole:
+        if self.whole:
             np.add(self._rows[k - self.began], self._lift, out=program.row)
             program.tick()
             return self.report
         return self._by_parts(k - self.began, reading)
+
+    def rows_of(self, k: int, count: int, out: Array) -> None:
+        """Write the rows of ticks from k on into `out` (count, size, lanes)."""
+        first = k - self.began
+        np.add(self._rows[first : first + count], self._lift, out=out[:count])
+
+    def take_carts(self, k: int, carts: Array) -> None:
+        """Store the cart's last positions, m, of which those from tick k on are (K,), NaN where missing."""
+        span = len(self._carts)
+        for i, cart in enumerate(carts[-span:].tolist(), k + max(len(carts) - span, 0)):
+            self._carts[i % span] = cart
 
     def _by_parts(self, k: int, reading: Reading) -> Report:
         """Compute the tick that is k ticks after the present controller started."""
@@ -261,7 +274,7 @@ class Ticker:
         self._coming.extend([now] * self.lead)
         # The gains of the row no longer apply.
         self.program.row[:] = 0.0
-        self._whole = False
+        self.whole = False
         return held
 
     def follow(
@@ -283,7 +296,7 @@ class Ticker:
             k: the next tick.
             controller: controller to follow.
             lift: whole turns (n,) added to its angles, rad.
-            bounds: new values of `tick.Numbers`.
+            bounds: new values of `tick_parts.Numbers`.
             uses_switch: if False, the end switches do not stop the run.
         """
         program = self.program
@@ -303,7 +316,7 @@ class Ticker:
         self.controller, self.kind, self.began = controller, controller.kind, k
         self.count = controller.ticks + 1
         self._schedule = schedule = schedule_of(controller, self.lead)
-        self._whole = schedule is not None and self.estimator is None and self.lead <= UNROLLED
+        self.whole = schedule is not None and self.estimator is None and self.lead <= UNROLLED
         program.row[:] = 0.0
         self._coming.clear()
         if schedule is None:
@@ -380,7 +393,7 @@ class Ticker:
         for k in range(min(50, self.count)):
             self(k, reading)
         self.begin()
-        if self._whole:
+        if self.whole:
             # `begin` has replaced some arrays, which the tick loads again.
             begun = self.program.stored.copy()
             self(0, reading)

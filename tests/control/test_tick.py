@@ -11,7 +11,8 @@ from shadowing_stand_in import LAB
 from dpcontrol.control.ekf import CompiledEkf
 from dpcontrol.control.estimator_settings import EkfSettings
 from dpcontrol.control.interface import clip_number, sampled_model
-from dpcontrol.control.tick import LOST_AFTER_FALLBACK, Outcome, TickProgram
+from dpcontrol.control.tick import LOST_AFTER_FALLBACK, TickProgram
+from dpcontrol.control.tick_parts import Outcome
 from dpcontrol.loop.bench import DriveLimits, SensorSettings
 from dpcontrol.references.problem import Limits
 

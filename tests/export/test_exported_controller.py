@@ -10,7 +10,8 @@ from c_compilers import SOURCES, SideBySide, compiled, library, needed, ran
 from library_program import LibraryProgram
 
 from dpcontrol.control import export
-from dpcontrol.control.tick import SETTLING, Outcome
+from dpcontrol.control.tick import SETTLING
+from dpcontrol.control.tick_parts import Outcome
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.simulated import SimulatedRig
 from dpcontrol.plans.plan import Plan

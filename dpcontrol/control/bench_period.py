@@ -1,0 +1,138 @@
+"""Sensors and drive of a simulated bench between two ticks, as expressions.
+
+Their arithmetic is that of `dpcontrol.loop.simulated.Encoders` and `dpcontrol.loop.bench.DriveLimits`.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, NamedTuple, cast
+
+import casadi as ca
+
+from dpcontrol.dynamics.compiled import Compiled
+from dpcontrol.foundation.arrays import Array
+
+_WHOLE = 1.5 * 2**52
+"""A number whose sum with smaller ones is rounded to whole numbers, half to even."""
+
+
+class DriveNumbers(NamedTuple):
+    """Constants of drive and clock: limits, response, lag, s, period, s, and two numbers that round to whole ones."""
+
+    acceleration: Any
+    velocity: Any
+    jerk_step: Any
+    response: Any
+    lag: Any
+    period: Any
+    up: Any = _WHOLE
+    down: Any = _WHOLE
+
+
+@dataclass(frozen=True)
+class PeriodKind:
+    """A period of a bench as one expression, with the arithmetic of `Encoders` and `DriveLimits`.
+
+    Attributes:
+        step: the plant's step.
+        size: length of its state.
+        demands: number of demands on their way.
+        lags: True for a drive with a lag.
+        counted: True for each of the positions (n+1,) that is rounded to counts.
+        reads: places in the state that replace those of measured positions, with the positions.
+        cart, motor: places of the cart and of the motor in the state.
+    """
+
+    step: Compiled
+    size: int
+    demands: int
+    lags: bool
+    counted: tuple[bool, ...]
+    reads: tuple[tuple[int, int], ...]
+    cart: int
+    motor: int
+
+    def acting(self, state: ca.SX, demand: ca.SX, drive: DriveNumbers) -> ca.SX:
+        """Return the acceleration in a period, m/s²."""
+        velocity = state[self.motor + 1]
+        if self.lags:
+            velocity += drive.lag * state[self.cart + 2]
+        low, high = (-drive.velocity - velocity) / drive.period, (drive.velocity - velocity) / drive.period
+        return _limited(_limited(demand, low, high), -drive.acceleration, drive.acceleration)
+
+    def demanded(self, command: ca.SX, noise: ca.SX, last: ca.SX, drive: DriveNumbers) -> ca.SX:
+        """Return the demand that results from a command, m/s²."""
+        wanted = _limited(drive.response * command + noise, -drive.acceleration, drive.acceleration)
+        return _limited(wanted, last - drive.jerk_step, last + drive.jerk_step)
+
+    def measured(self, state: ca.SX, zeros: ca.SX, noise: ca.SX, steps: ca.SX, drive: DriveNumbers) -> list[ca.SX]:
+        """Return the readings (n+1,) of a state, rad and m."""
+        n, reads = len(self.counted) - 1, dict(self.reads)
+        values = [state[reads[k]] if k in reads else state[k] - (state[k - 1] if k else 0) for k in range(n)]
+        values = [value + zeros[k] for k, value in enumerate(values)] + [state[reads.get(n, self.cart)]]
+        for k, counted in enumerate(self.counted):
+            values[k] += noise[k]
+            if counted:
+                values[k] = steps[k] * (values[k] / steps[k] + drive.up - drive.down)
+        for k in range(1, n):
+            values[k] += values[k - 1]
+        return values
+
+
+def _limited(value: ca.SX, low: ca.SX, high: ca.SX) -> ca.SX:
+    return ca.fmax(ca.fmin(value, high), low)
+
+
+@lru_cache(maxsize=32)
+def sensors_and_drive(kind: PeriodKind, lanes: int) -> tuple[ca.Function, ca.Function]:
+    """Return the functions of sensors and drive.
+
+    (state, zeros, noise, steps, drive, present, last) -> reading
+
+    (command, command_noise, demands, state, drive) -> demands, acceleration
+
+    Parts of the machine code's rows have all lanes, of which the first is used.
+
+    Args:
+        kind: kind of the bench's period.
+        lanes: lanes of the rows.
+    """
+    n, rounds = len(kind.counted) - 1, len(DriveNumbers._fields)
+
+    def symbols(**lengths: int) -> dict[str, ca.SX]:
+        return {name: ca.SX.sym(name, length) for name, length in lengths.items()}
+
+    def spread(values: Sequence[ca.SX]) -> ca.SX:
+        return ca.vertcat(*(value for value in values for _ in range(lanes)))
+
+    size, wide = kind.size * lanes, (n + 1) * lanes
+    s = symbols(state=size, zeros=n, noise=n + 1, steps=n + 1, drive=rounds, present=wide, last=wide)
+    drive = DriveNumbers(*ca.vertsplit(s["drive"]))
+    now = kind.measured(s["state"][::lanes], s["zeros"], s["noise"], s["steps"], drive)
+    read = [ca.if_else(s["present"][i * lanes], now[i], s["last"][i * lanes]) for i in range(n + 1)]
+    sensors = ca.Function("sensors", [*s.values()], [spread(read)])
+    d = symbols(command=lanes, command_noise=1, demands=kind.demands, state=size, drive=rounds)
+    drive = DriveNumbers(*ca.vertsplit(d["drive"]))
+    demands = d["demands"]
+    demand = kind.demanded(d["command"][0], d["command_noise"], demands[-1], drive)
+    demands = ca.vertcat(demands[1:], demand)
+    acting = kind.acting(d["state"][::lanes], demands[1], drive)
+    return sensors, ca.Function("drive", [*d.values()], [demands, spread([acting])])
+
+
+def bound(function: ca.Function, inputs: Sequence[Array], outputs: Sequence[Array]) -> Callable[[], None]:
+    """Return a call of a function between arrays.
+
+    Args:
+        function: function of dense vectors.
+        inputs: contiguous arrays of its inputs.
+        outputs: contiguous arrays of its outputs.
+    """
+    buffer, call = cast("Any", function.buffer())
+    for k, array in enumerate(inputs):
+        buffer.set_arg(k, array.data)
+    for k, array in enumerate(outputs):
+        buffer.set_res(k, array.data)
+    call.alive = function, buffer, inputs, outputs
+    return call
