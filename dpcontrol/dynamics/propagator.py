@@ -27,7 +27,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dpcontrol.dynamics.compiled import COMPACT, hy, to_heyoka
+from dpcontrol.dynamics.compiled import COMPACT, QUICK, first_use, hy, to_heyoka
 from dpcontrol.dynamics.equations import Equations
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.checked import number, numbers
@@ -216,21 +216,37 @@ def _plane_rows(normal: Row) -> tuple[tuple[float, float], tuple[float, float]]:
     return (first, second), (sign * second + 0.0, -sign * first + 0.0)
 
 
-_MADE: WeakKeyDictionary[Equations, dict[Hashable, Any]] = WeakKeyDictionary()
+_MADE: WeakKeyDictionary[Equations, dict[Hashable, tuple[Any, int]]] = WeakKeyDictionary()
+"""Code of each kind, and the work that remains until unoptimised code is optimised."""
+
+_LONG_WORK = 10_000
+"""Flights to sections, or entries of other initial states, that lose in unoptimised code what optimisation takes."""
 
 
-def _copied(equations: Equations, kind: Hashable, make: Callable[[], Any]) -> Any:
-    """Return a copy of the integrator that `make` compiles.
-
-    The copy is compiled from the equations, once for each `kind` of them.
+def _original(equations: Equations, kind: Hashable, make: Callable[[int], Any], *, work: int | None = None) -> Any:
+    """Return the code that `make` compiles from equations, which callers copy.
 
     Even with cached machine code, building an integrator takes 8 to 60 ms, and copying it 2 ms. The original is never
     used itself.
+
+    Unoptimised code takes 2 to 3 times as long, but compiles 5 to 8 times faster. So the first use on a computer does
+    not optimise; the second use and long work do. Since work is counted rather than timed, results are repeatable.
+
+    Args:
+        equations: equations of the code.
+        kind: which of their codes.
+        make: compiles with heyoka's `opt_level`, 0 or 1.
+        work: work that follows, in the unit of `_LONG_WORK`; None if `make` has a level of its own.
     """
     made = _MADE.setdefault(equations, {})
-    if kind not in made:
-        made[kind] = make()
-    return copy(made[kind])
+    original, left = made.get(kind, (None, 0))
+    if original is None:
+        left = _LONG_WORK if work is not None and first_use(equations.function(), str(kind)) else 0
+        original = make(0 if left else 1)
+    elif work and 0 < left <= work:
+        original = make(1)
+    made[kind] = original, max(left - (work or 0), 0)
+    return original
 
 
 # Measured on 1,000 tube trajectories of the pendulum, without compact_mode: 8 lanes 0.053 s, 0.5 s to compile the first
@@ -277,24 +293,26 @@ class CrossingFinder:
         n, first = equations.dimension, len(parameters)
         self._normal, self._gains = slice(first, first + n), slice(first + n, first + n + 2)
         self._sheets = slice(first + n + 2, first + n + 4)
-        self._integrator: Any = _copied(equations, "crossings", self._made)
+        self._original: Any = None
 
-    def _made(self) -> Any:
+    def _made(self, level: int) -> Any:
         system, gain, sheet = _at_rest(self.equations), self._gains.start, self._sheets.start
         height = sum((hy.par[self._normal.start + i] * x for i, (x, _) in enumerate(system)), hy.expression(0.0))
         # heyoka isolates the roots of each step's Taylor polynomial, so a double crossing within one step is detected.
         # A gain of zero switches a sheet off. A distant sheet would do so too, but heyoka uses the size of events to
         # choose its step.
         events = [hy.t_event_batch(hy.par[gain + k] * height - hy.par[sheet + k]) for k in range(2)]
-        return hy.taylor_adaptive_batch(system, np.zeros((len(system), LANES)), compact_mode=False, t_events=events)
+        # Straight-line code deserves the highest optimisation.
+        start = np.zeros((len(system), LANES))
+        return hy.taylor_adaptive_batch(system, start, compact_mode=False, opt_level=3 * level, t_events=events)
 
     @cached_property
     def _rate(self) -> Any:
-        def made() -> Any:
+        def made(_: int) -> Any:
             variables, rates = zip(*_at_rest(self.equations), strict=True)
-            return hy.cfunc(rates, vars=variables, **COMPACT)
+            return hy.cfunc(rates, vars=variables, **QUICK)
 
-        return _copied(self.equations, "rates", made)
+        return copy(_original(self.equations, "rates", made))
 
     def _rates(self, states: Array) -> Array:
         """Return the rates (N, K) at states (K, N)."""
@@ -315,6 +333,9 @@ class CrossingFinder:
         waiting = self._fit_to_fly(states)
         if not waiting:
             return found
+        original = _original(self.equations, "crossings", self._made, work=len(waiting))
+        if original is not self._original:
+            self._original, self._integrator = original, copy(original)
         integrator = self._integrator
         self._park(section, states[waiting[-1]])
         first_sheets = np.full(len(states), section.offset)
@@ -481,7 +502,7 @@ class Propagator:
         self.equations = equations
         self.parameters = np.asarray(parameters, dtype=float)
         self.tolerance = tolerance
-        self._compiled: dict[tuple[bool, int, bool], Any] = {}
+        self._compiled: dict[Hashable, tuple[Any, Any]] = {}
 
     @cached_property
     def _finder(self) -> CrossingFinder:
@@ -494,22 +515,25 @@ class Propagator:
 
         States (2 N,) and (2 N, LANES) have their tangents beside them.
         """
-        many, kind = states.ndim == 2, (stm, len(states), states.ndim == 2)
-        if kind not in self._compiled:
+        many, plain = states.ndim == 2, not stm and len(states) == self.equations.dimension
+        kind = (stm, len(states), many, self.tolerance)
 
-            def made() -> Any:
-                system = (_at_rest if len(states) == self.equations.dimension else _with_tangents)(self.equations)
-                system = hy.var_ode_sys(system, args=hy.var_args.vars, order=1) if stm else system
-                # compact_mode compiles ten times faster and runs at most two times slower.
-                make = hy.taylor_adaptive_batch if many else hy.taylor_adaptive
-                return make(system, np.zeros(states.shape), tol=self.tolerance, **COMPACT)
+        def made(level: int) -> Any:
+            system = (_at_rest if len(states) == self.equations.dimension else _with_tangents)(self.equations)
+            system = hy.var_ode_sys(system, args=hy.var_args.vars, order=1) if stm else system
+            make = hy.taylor_adaptive_batch if many else hy.taylor_adaptive
+            options = QUICK if plain else {**COMPACT, "opt_level": level}
+            return make(system, np.zeros(states.shape), tol=self.tolerance, **options)
 
-            integrator = _copied(self.equations, (*kind, self.tolerance), made)
+        work = None if plain else states.size * (1 + stm * len(states))
+        original = _original(self.equations, kind, made, work=work)
+        if self._compiled.get(kind, (None, None))[0] is not original:
+            integrator = copy(original)
             # Parameters that the equations never use are not part of the compiled code.
             used = self.parameters[: len(integrator.pars)]
             integrator.pars[:] = used[:, None] if many else used
-            self._compiled[kind] = integrator
-        integrator, n = self._compiled[kind], len(states)
+            self._compiled[kind] = original, integrator
+        integrator, n = self._compiled[kind][1], len(states)
         if many:
             integrator.set_time(0.0)
         else:
@@ -597,11 +621,12 @@ class Propagator:
             ArithmeticError: the state became infinite or undefined.
         """
         integrator, n = self._at_zero(np.asarray(state, dtype=float), stm=True), self.equations.dimension
-        reached = np.empty((np.size(times), n + n * n))
-        for k, time in enumerate(np.asarray(times, dtype=float)):
-            check_arrival(integrator, integrator.propagate_until(float(time))[0])
-            reached[k] = integrator.state
-        return reached[:, :n].copy(), reached[:, n:].reshape(-1, n, n).copy()
+        # A grid must not repeat a time.
+        apart, places = np.unique(np.abs(np.append(0.0, times)), return_inverse=True)
+        result = integrator.propagate_grid(np.copysign(apart, np.sum(times)))
+        check_arrival(integrator, result[0])
+        reached = np.array(result[-1])[places[1:]]
+        return reached[:, :n], reached[:, n:].reshape(-1, n, n)
 
     def crossings(self, states: ArrayLike, section: Section, *, longest: float, hit: int = 1) -> list[Crossing | None]:
         """Return each state's crossing of a section, or None.
@@ -712,7 +737,7 @@ class PolynomialInputPropagator:
     def _views(self) -> tuple[Any, Array, Array]:
         """The integrator, its state (N,) and its inputs' coefficients."""
         held = (self.degree + 1) * self.equations.input_count
-        integrator = _copied(self.equations, ("polynomial", self.degree), lambda: self._made(held))
+        integrator = copy(_original(self.equations, ("polynomial", self.degree), lambda _: self._made(held)))
         # Parameters that the equations never use are not part of the compiled code.
         used = max(len(integrator.pars) - held, 0)
         integrator.pars[held:] = self.parameters[:used]
@@ -727,7 +752,7 @@ class PolynomialInputPropagator:
                 value = hy.par[first + k] + hy.time * value
             inputs.append(value)
         system = taylor_system(self.equations, inputs, held)
-        return hy.taylor_adaptive(system, [0.0] * self.equations.dimension, **COMPACT, time=0.0)
+        return hy.taylor_adaptive(system, [0.0] * self.equations.dimension, **QUICK, time=0.0)
 
     def flow(self, state: ArrayLike, coefficients: ArrayLike, duration: float) -> Array:
         """Return the state (N,) after a duration.
@@ -837,12 +862,12 @@ class ExtendedPropagator:
 
     @cached_property
     def _integrator(self) -> Any:
-        def made() -> Any:
+        def made(_: int) -> Any:
             system = taylor_system(self.equations, [])
             zero = extended(np.zeros(len(system)))
             return hy.taylor_adaptive(system, zero, time=zero[0], fp_type=_real(), **COMPACT)
 
-        integrator = _copied(self.equations, "extended", made)
+        integrator = copy(_original(self.equations, "extended", made))
         # Parameters that the equations never use are not part of the compiled code.
         integrator.pars[:] = self.parameters[: len(integrator.pars)]
         return integrator
@@ -851,13 +876,13 @@ class ExtendedPropagator:
     def _energy(self) -> Any:
         e = self.equations
 
-        def made() -> Any:
+        def made(_: int) -> Any:
             states, parameters = [x for x, _ in taylor_system(e, [])], [hy.par[i] for i in range(e.parameters.shape[0])]
             function = ca.Function("energy", [e.state, e.parameters], [e.hamiltonian])
             value = to_heyoka(function, [states, parameters])
             return hy.cfunc(value, vars=states, fp_type=_real(), **COMPACT)
 
-        return _copied(e, "extended energy", made)
+        return copy(_original(e, "extended energy", made))
 
     def flow(self, state: Extended, duration: Any) -> Extended:
         """Return the state (N,) after a duration.
