@@ -219,8 +219,9 @@ def _plane_rows(normal: Row) -> tuple[tuple[float, float], tuple[float, float]]:
 _MADE: WeakKeyDictionary[Equations, dict[Hashable, tuple[Any, int]]] = WeakKeyDictionary()
 """Code of each kind, and the work that remains until unoptimised code is optimised."""
 
-_LONG_WORK = 10_000
-"""Flights to sections, or entries of other initial states, that lose in unoptimised code what optimisation takes."""
+_LONG_WORK = 20_000
+"""Flights to sections, or entries of states in other propagations, that lose in unoptimised code what optimisation
+takes."""
 
 
 def _original(equations: Equations, kind: Hashable, make: Callable[[int], Any], *, work: int | None = None) -> Any:
@@ -507,7 +508,7 @@ class Propagator:
             options = QUICK if plain else {**COMPACT, "opt_level": level}
             return make(system, np.zeros(states.shape), tol=self.tolerance, **options)
 
-        work = None if plain else states.size * (1 + stm * len(states))
+        work = None if plain else len(states) * (1 + stm * len(states))
         original = _original(self.equations, kind, made, work=work)
         if self._compiled.get(kind, (None, None))[0] is not original:
             integrator = copy(original)
