@@ -44,6 +44,10 @@ COMPACT: dict[str, Any] = {"compact_mode": True, "opt_level": 1}
 """heyoka's options of compilation. Code of a controller's tick is compiled five times faster than straight-line code
 with the highest optimisation, and runs as fast: it stays in the processor's cache."""
 
+QUICK: dict[str, Any] = {"compact_mode": False, "opt_level": 0}
+"""Options for few equations of low order: straight-line code that is not optimised runs as fast as that of `COMPACT`
+and compiles four times faster."""
+
 _VERSION = "2"
 """Version of this module's code, part of the cache keys of what it compiles: raise it whenever the code changes."""
 
@@ -240,7 +244,7 @@ class Compiled:
     def _compiled(self, width: int) -> Any:
         if not _HEYOKA:
             return _ByCasadi(self.function)
-        file = _kept_at(self.function, width)
+        file = _kept_at(self.function, f"{self.function.name()}-{width}")
         content = None if file is None else kept(file)
         if content is not None:
             # Cached in another format: compiled again.
@@ -308,8 +312,24 @@ class _ByCasadi:
         return out
 
 
-def _kept_at(function: ca.Function, width: int) -> Path | None:
-    """Return the cache file of a function's machine code.
+def first_use(function: ca.Function, kind: str) -> bool:
+    """True if a kind of code is needed for the first time on this computer.
+
+    This call counts as a use. Where uses cannot be counted, none is the first.
+
+    Args:
+        function: casadi function of the code.
+        kind: which of its codes.
+    """
+    file = _kept_at(function, kind)
+    if file is None or kept(file) is not None:
+        return False
+    keep(file, b"")
+    return True
+
+
+def _kept_at(function: ca.Function, kind: str) -> Path | None:
+    """Return the cache file of one kind of a function's machine code.
 
     The result is None if the processor is unknown.
 
@@ -318,8 +338,8 @@ def _kept_at(function: ca.Function, width: int) -> Path | None:
     processor = _processor()
     if not processor:
         return None
-    key = content_hash(function.serialize(), _VERSION, hy.__version__, ca.CasadiMeta.version(), processor, str(width))
-    return cache_file("machine-code", function.name(), key)
+    key = content_hash(function.serialize(), kind, _VERSION, hy.__version__, ca.CasadiMeta.version(), processor)
+    return cache_file("machine-code", kind, key)
 
 
 @cache

@@ -27,7 +27,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dpcontrol.dynamics.compiled import COMPACT, hy, to_heyoka
+from dpcontrol.dynamics.compiled import COMPACT, QUICK, first_use, hy, to_heyoka
 from dpcontrol.dynamics.equations import Equations
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.checked import number, numbers
@@ -216,26 +216,43 @@ def _plane_rows(normal: Row) -> tuple[tuple[float, float], tuple[float, float]]:
     return (first, second), (sign * second + 0.0, -sign * first + 0.0)
 
 
-_MADE: WeakKeyDictionary[Equations, dict[Hashable, Any]] = WeakKeyDictionary()
+_MADE: WeakKeyDictionary[Equations, dict[Hashable, tuple[Any, int]]] = WeakKeyDictionary()
+"""Code of each kind, and the work that remains until unoptimised code is optimised."""
+
+_LONG_WORK = 20_000
+"""Flights to sections, or entries of states in other propagations, that lose in unoptimised code what optimisation
+takes."""
 
 
-def _copied(equations: Equations, kind: Hashable, make: Callable[[], Any]) -> Any:
-    """Return a copy of the integrator that `make` compiles.
-
-    The copy is compiled from the equations, once for each `kind` of them.
+def _original(equations: Equations, kind: Hashable, make: Callable[[int], Any], *, work: int | None = None) -> Any:
+    """Return the code that `make` compiles from equations, which callers copy.
 
     Even with cached machine code, building an integrator takes 8 to 60 ms, and copying it 2 ms. The original is never
     used itself.
+
+    Unoptimised code takes 2 to 3 times as long, but compiles 5 to 8 times faster. So the first use on a computer does
+    not optimise; the second use and long work do. Since work is counted rather than timed, results are repeatable.
+
+    Args:
+        equations: equations of the code.
+        kind: which of their codes.
+        make: compiles with heyoka's `opt_level`, 0 or 1.
+        work: work that follows, in the unit of `_LONG_WORK`; None if `make` has a level of its own.
     """
     made = _MADE.setdefault(equations, {})
-    if kind not in made:
-        made[kind] = make()
-    return copy(made[kind])
+    original, left = made.get(kind, (None, 0))
+    if original is None:
+        left = _LONG_WORK if work is not None and first_use(equations.function(), str(kind)) else 0
+        original = make(0 if left else 1)
+    elif work and 0 < left <= work:
+        original = make(1)
+    made[kind] = original, max(left - (work or 0), 0)
+    return original
 
 
-# Measured on 1,000 tube trajectories of the pendulum, without compact_mode: 8 lanes 0.053 s, 0.5 s to compile the first
-# time; with it: 4 lanes 0.09 s, 8 lanes 0.067 s, 16 lanes 0.064 s, 0.2 s to compile. Sixteen waste more on the few
-# trajectories of a refinement.
+# Measured on 1,000 tube trajectories of the pendulum, optimised and without compact_mode: 0.039 s with 8 lanes, 0.024 s
+# of it for Taylor steps, 0.007 s for the detection of crossings and 0.008 s for this module. Sixteen lanes gain nothing
+# and waste more on the few trajectories of a refinement.
 LANES = 8
 
 _MOST_STEPS = 50_000
@@ -275,26 +292,27 @@ class CrossingFinder:
     def __init__(self, equations: Equations, parameters: Array) -> None:
         self.equations, self.parameters = equations, parameters
         n, first = equations.dimension, len(parameters)
-        self._normal, self._gains = slice(first, first + n), slice(first + n, first + n + 2)
-        self._sheets = slice(first + n + 2, first + n + 4)
-        self._integrator: Any = _copied(equations, "crossings", self._made)
+        self._normal, self._events = slice(first, first + n), slice(first + n, first + n + 4)
+        self._original: Any = None
 
-    def _made(self) -> Any:
-        system, gain, sheet = _at_rest(self.equations), self._gains.start, self._sheets.start
+    def _made(self, level: int) -> Any:
+        system, gain = _at_rest(self.equations), self._events.start
         height = sum((hy.par[self._normal.start + i] * x for i, (x, _) in enumerate(system)), hy.expression(0.0))
         # heyoka isolates the roots of each step's Taylor polynomial, so a double crossing within one step is detected.
         # A gain of zero switches a sheet off. A distant sheet would do so too, but heyoka uses the size of events to
         # choose its step.
-        events = [hy.t_event_batch(hy.par[gain + k] * height - hy.par[sheet + k]) for k in range(2)]
-        return hy.taylor_adaptive_batch(system, np.zeros((len(system), LANES)), compact_mode=False, t_events=events)
+        events = [hy.t_event_batch(hy.par[gain + k] * height - hy.par[gain + 2 + k]) for k in range(2)]
+        # Straight-line code deserves the highest optimisation.
+        start = np.zeros((len(system), LANES))
+        return hy.taylor_adaptive_batch(system, start, compact_mode=False, opt_level=3 * level, t_events=events)
 
     @cached_property
     def _rate(self) -> Any:
-        def made() -> Any:
+        def made(_: int) -> Any:
             variables, rates = zip(*_at_rest(self.equations), strict=True)
-            return hy.cfunc(rates, vars=variables, **COMPACT)
+            return hy.cfunc(rates, vars=variables, **QUICK)
 
-        return _copied(self.equations, "rates", made)
+        return copy(_original(self.equations, "rates", made))
 
     def _rates(self, states: Array) -> Array:
         """Return the rates (N, K) at states (K, N)."""
@@ -302,8 +320,8 @@ class CrossingFinder:
         used = self.parameters[: self._rate.nparams, None]
         return self._rate(np.ascontiguousarray(states.T), pars=np.repeat(used, len(states), axis=1))
 
-    def find(self, states: Array, section: Section, *, longest: float, hit: int) -> list[Crossing | None]:
-        """Return each state's crossing of a section, or None.
+    def find(self, states: Array, section: Section, *, longest: float, hit: int) -> tuple[Array, Array]:
+        """Return each state's crossing of a section (K, N) and its time (K,), s, or NaN and infinity.
 
         Args:
             states: states (K, N).
@@ -311,57 +329,71 @@ class CrossingFinder:
             longest: time limit, s; negative for backward.
             hit: number of the crossing, from 1.
         """
-        found: list[Crossing | None] = [None] * len(states)
+        crossed, times = np.full(states.shape, np.nan), np.full(len(states), np.inf)
         waiting = self._fit_to_fly(states)
         if not waiting:
-            return found
+            return crossed, times
+        original = _original(self.equations, "crossings", self._made, work=len(waiting))
+        if original is not self._original:
+            self._original, self._integrator = original, copy(original)
+        # A lane without a trajectory rests at the last of these states, with both sheets switched off.
+        starts = np.vstack([states, states[waiting[-1]]])
+        levels, limits = self._levels(starts, section), np.append(np.full(len(states), longest), 0.0)
         integrator = self._integrator
-        self._park(section, states[waiting[-1]])
-        first_sheets = np.full(len(states), section.offset)
-        if section.period is not None:
-            first_sheets[waiting] += section.period * np.floor(section.height(states[waiting]) / section.period)
-        ends, still = np.zeros(LANES), (hy.taylor_outcome.success, hy.taylor_outcome.step_limit)
-        flying: list[int | None] = [None] * LANES
+        integrator.set_time(0.0)
+        integrator.reset_cooldowns()
+        integrator.pars[: len(self.parameters)] = self.parameters[:, None]
+        integrator.pars[self._normal] = np.asarray(section.normal, dtype=float)[:, None]
+        state, events, clock, halves = (
+            integrator.state,
+            integrator.pars[self._events],
+            integrator.time,
+            integrator.dtime,
+        )
+        still = {int(hy.taylor_outcome.success), int(hy.taylor_outcome.step_limit)}
+        flying, ends = [-1] * LANES, np.zeros(LANES)
         seen, taken, paced, marks = [0] * LANES, [0] * LANES, [0] * LANES, [0.0] * LANES
-
-        def launch(lane: int) -> None:
-            seen[lane] = taken[lane] = paced[lane] = 0
-            marks[lane] = 0.0
-            flying[lane] = k = waiting.pop() if waiting else None
-            ends[lane] = 0.0 if k is None else longest
-            self._place(lane, None if k is None else (states[k], float(first_sheets[k])), section)
-
-        for lane in range(LANES):
-            launch(lane)
-        while any(k is not None for k in flying):
+        free = list(range(LANES))
+        while True:
+            # Clocks run in twice the precision; setting the leading half alone would touch the companions' last digits.
+            leading, trailing = halves[0].copy(), halves[1].copy()
+            for lane in free:
+                flying[lane] = k = waiting.pop() if waiting else -1
+                state[:, lane], events[:, lane], ends[lane] = starts[k], levels[k], limits[k]
+                leading[lane] = trailing[lane] = marks[lane] = 0.0
+                seen[lane] = taken[lane] = paced[lane] = 0
+                integrator.reset_cooldowns(lane)
+            if max(flying) < 0:
+                return crossed, times
+            if free:
+                integrator.set_dtime(leading, trailing)
             integrator.propagate_until(ends, max_steps=_PACE)
+            free = []
             for lane, (outcome, _, _, steps) in enumerate(integrator.propagate_res):
                 k = flying[lane]
-                if k is None:
+                if k < 0:
                     continue
                 taken[lane] += steps
                 paced[lane] += steps
                 going = taken[lane] < _MOST_STEPS
                 if paced[lane] >= _PACE:
-                    time = float(integrator.time[lane])
+                    time = float(clock[lane])
                     left = min(abs(longest - time), abs(time))
                     going = going and abs(time - marks[lane]) * _MOST_PACES > left
                     paced[lane], marks[lane] = 0, time
-                if going and outcome in still:
+                code = int(outcome)
+                if going and code in still:
                     continue
                 # A stopping terminal event reports -1 - its index. Any other outcome ends the flight.
-                sheet = -1 - int(outcome)
-                if sheet in (0, 1):
-                    state = integrator.state[:, lane].copy()
-                    seen[lane] += section.admits(state)
+                if code in (-1, -2):
+                    seen[lane] += section.admits(state[:, lane])
                     if seen[lane] >= hit:
-                        found[k] = Crossing(state, float(integrator.time[lane]))
+                        crossed[k], times[k] = state[:, lane], clock[lane]
                     elif going:
                         taken[lane] = 0
-                        self._pass(lane, sheet, section, np.sign(longest))
+                        self._pass(lane, -1 - code, section, np.sign(longest))
                         continue
-                launch(lane)
-        return found
+                free.append(lane)
 
     def _fit_to_fly(self, states: Array) -> list[int]:
         """Return the numbers, last first, of the finite states.
@@ -373,42 +405,14 @@ class CrossingFinder:
         rates = self._rates(states).T
         return np.flatnonzero((np.isfinite(states) & np.isfinite(rates)).all(axis=1))[::-1].tolist()
 
-    def _park(self, section: Section, state: Array) -> None:
-        """Park every lane at a finite state, and set constant values."""
-        integrator = self._integrator
-        integrator.set_time(0.0)
-        integrator.reset_cooldowns()
-        integrator.state[:] = state[:, None]
-        self._parked = state
-        integrator.pars[: len(self.parameters)] = self.parameters[:, None]
-        integrator.pars[self._normal] = np.asarray(section.normal, dtype=float)[:, None]
-
-    def _place(self, lane: int, start: tuple[Array, float] | None, section: Section) -> None:
-        """Put a trajectory into a lane, or rest the lane.
-
-        The trajectory is given by its state (N,) and the sheet below it; None rests the lane.
-        """
-        integrator = self._integrator
-        # Clocks run in twice the precision; setting the leading half alone would touch the companions' last digits.
-        # The clocks of other lanes are undefined if their trajectories just became infinite.
-        clocks = [np.where(np.isfinite(integrator.time), half, 0.0) for half in integrator.dtime]
-        for half in clocks:
-            half[lane] = 0.0
-        integrator.set_dtime(*clocks)
-        integrator.reset_cooldowns(lane)
-        state, sheet = (self._parked, None) if start is None else start
-        integrator.state[:, lane] = state
-        self._set_sheet(lane, 0, sheet)
-        self._set_sheet(lane, 1, None if sheet is None or section.period is None else sheet + section.period)
-
-    def _set_sheet(self, lane: int, which: int, level: float | None) -> None:
-        """Put a sheet of a lane at a level, or disable it.
-
-        A lane has two sheets n·x = level.
-        """
-        gain, place = self._gains.start + which, self._sheets.start + which
-        self._integrator.pars[gain, lane] = 0.0 if level is None else 1.0
-        self._integrator.pars[place, lane] = 1.0 if level is None else level
+    def _levels(self, states: Array, section: Section) -> Array:
+        """Return gains and levels (K, 4) of the sheets below and above each state, the last one without sheets."""
+        levels = np.tile([1.0, 0.0, section.offset, 1.0], (len(states), 1))
+        if section.period is not None:
+            levels[:, 2] += section.period * np.floor(section.height(states) / section.period)
+            levels[:, 1], levels[:, 3] = 1.0, levels[:, 2] + section.period
+        levels[-1] = 0.0, 0.0, 1.0, 1.0
+        return levels
 
     def _pass(self, lane: int, sheet: int, section: Section, sense: float) -> None:
         """Continue a lane through a sheet, forward or backward in time.
@@ -422,8 +426,8 @@ class CrossingFinder:
         integrator = self._integrator
         rate = self._rates(integrator.state[None, :, lane])[:, 0]
         onward = float(np.sign(np.dot(section.normal, rate)) * sense)
-        crossed = float(integrator.pars[self._sheets.start + sheet, lane])
-        self._set_sheet(lane, 1 - sheet, crossed + onward * section.period)
+        levels = integrator.pars[self._events][2:, lane]
+        levels[1 - sheet] = levels[sheet] + onward * section.period
 
 
 def taylor_system(equations: Equations, inputs: list[Any], first: int = 0) -> list[tuple[Any, Any]]:
@@ -481,7 +485,7 @@ class Propagator:
         self.equations = equations
         self.parameters = np.asarray(parameters, dtype=float)
         self.tolerance = tolerance
-        self._compiled: dict[tuple[bool, int, bool], Any] = {}
+        self._compiled: dict[Hashable, tuple[Any, Any]] = {}
 
     @cached_property
     def _finder(self) -> CrossingFinder:
@@ -494,22 +498,25 @@ class Propagator:
 
         States (2 N,) and (2 N, LANES) have their tangents beside them.
         """
-        many, kind = states.ndim == 2, (stm, len(states), states.ndim == 2)
-        if kind not in self._compiled:
+        many, plain = states.ndim == 2, not stm and len(states) == self.equations.dimension
+        kind = (stm, len(states), many, self.tolerance)
 
-            def made() -> Any:
-                system = (_at_rest if len(states) == self.equations.dimension else _with_tangents)(self.equations)
-                system = hy.var_ode_sys(system, args=hy.var_args.vars, order=1) if stm else system
-                # compact_mode compiles ten times faster and runs at most two times slower.
-                make = hy.taylor_adaptive_batch if many else hy.taylor_adaptive
-                return make(system, np.zeros(states.shape), tol=self.tolerance, **COMPACT)
+        def made(level: int) -> Any:
+            system = (_at_rest if len(states) == self.equations.dimension else _with_tangents)(self.equations)
+            system = hy.var_ode_sys(system, args=hy.var_args.vars, order=1) if stm else system
+            make = hy.taylor_adaptive_batch if many else hy.taylor_adaptive
+            options = QUICK if plain else {**COMPACT, "opt_level": level}
+            return make(system, np.zeros(states.shape), tol=self.tolerance, **options)
 
-            integrator = _copied(self.equations, (*kind, self.tolerance), made)
+        work = None if plain else len(states) * (1 + stm * len(states))
+        original = _original(self.equations, kind, made, work=work)
+        if self._compiled.get(kind, (None, None))[0] is not original:
+            integrator = copy(original)
             # Parameters that the equations never use are not part of the compiled code.
             used = self.parameters[: len(integrator.pars)]
             integrator.pars[:] = used[:, None] if many else used
-            self._compiled[kind] = integrator
-        integrator, n = self._compiled[kind], len(states)
+            self._compiled[kind] = original, integrator
+        integrator, n = self._compiled[kind][1], len(states)
         if many:
             integrator.set_time(0.0)
         else:
@@ -597,14 +604,15 @@ class Propagator:
             ArithmeticError: the state became infinite or undefined.
         """
         integrator, n = self._at_zero(np.asarray(state, dtype=float), stm=True), self.equations.dimension
-        reached = np.empty((np.size(times), n + n * n))
-        for k, time in enumerate(np.asarray(times, dtype=float)):
-            check_arrival(integrator, integrator.propagate_until(float(time))[0])
-            reached[k] = integrator.state
-        return reached[:, :n].copy(), reached[:, n:].reshape(-1, n, n).copy()
+        # A grid must not repeat a time.
+        apart, places = np.unique(np.abs(np.append(0.0, times)), return_inverse=True)
+        result = integrator.propagate_grid(np.copysign(apart, np.sum(times)))
+        check_arrival(integrator, result[0])
+        reached = np.array(result[-1])[places[1:]]
+        return reached[:, :n], reached[:, n:].reshape(-1, n, n)
 
-    def crossings(self, states: ArrayLike, section: Section, *, longest: float, hit: int = 1) -> list[Crossing | None]:
-        """Return each state's crossing of a section, or None.
+    def crossings(self, states: ArrayLike, section: Section, *, longest: float, hit: int = 1) -> tuple[Array, Array]:
+        """Return each state's crossing of a section (K, N) and its time (K,), s, or NaN and infinity.
 
         Many trajectories are computed together, which is four times faster; results are independent of each other.
 
@@ -627,7 +635,8 @@ class Propagator:
             hit: number of the crossing, from 1.
         """
         # An integrator for a single state takes 0.6 times as long per flight, but needs its own compilation.
-        return self.crossings(state, section, longest=longest, hit=hit)[0]
+        states, times = self.crossings(state, section, longest=longest, hit=hit)
+        return Crossing(states[0], float(times[0])) if np.isfinite(times[0]) else None
 
     def flows(self, states: Array, durations: Array) -> Array:
         """Return the states (K, N) after short durations.
@@ -712,7 +721,7 @@ class PolynomialInputPropagator:
     def _views(self) -> tuple[Any, Array, Array]:
         """The integrator, its state (N,) and its inputs' coefficients."""
         held = (self.degree + 1) * self.equations.input_count
-        integrator = _copied(self.equations, ("polynomial", self.degree), lambda: self._made(held))
+        integrator = copy(_original(self.equations, ("polynomial", self.degree), lambda _: self._made(held)))
         # Parameters that the equations never use are not part of the compiled code.
         used = max(len(integrator.pars) - held, 0)
         integrator.pars[held:] = self.parameters[:used]
@@ -727,7 +736,7 @@ class PolynomialInputPropagator:
                 value = hy.par[first + k] + hy.time * value
             inputs.append(value)
         system = taylor_system(self.equations, inputs, held)
-        return hy.taylor_adaptive(system, [0.0] * self.equations.dimension, **COMPACT, time=0.0)
+        return hy.taylor_adaptive(system, [0.0] * self.equations.dimension, **QUICK, time=0.0)
 
     def flow(self, state: ArrayLike, coefficients: ArrayLike, duration: float) -> Array:
         """Return the state (N,) after a duration.
@@ -837,12 +846,12 @@ class ExtendedPropagator:
 
     @cached_property
     def _integrator(self) -> Any:
-        def made() -> Any:
+        def made(_: int) -> Any:
             system = taylor_system(self.equations, [])
             zero = extended(np.zeros(len(system)))
             return hy.taylor_adaptive(system, zero, time=zero[0], fp_type=_real(), **COMPACT)
 
-        integrator = _copied(self.equations, "extended", made)
+        integrator = copy(_original(self.equations, "extended", made))
         # Parameters that the equations never use are not part of the compiled code.
         integrator.pars[:] = self.parameters[: len(integrator.pars)]
         return integrator
@@ -851,13 +860,13 @@ class ExtendedPropagator:
     def _energy(self) -> Any:
         e = self.equations
 
-        def made() -> Any:
+        def made(_: int) -> Any:
             states, parameters = [x for x, _ in taylor_system(e, [])], [hy.par[i] for i in range(e.parameters.shape[0])]
             function = ca.Function("energy", [e.state, e.parameters], [e.hamiltonian])
             value = to_heyoka(function, [states, parameters])
             return hy.cfunc(value, vars=states, fp_type=_real(), **COMPACT)
 
-        return _copied(e, "extended energy", made)
+        return copy(_original(e, "extended energy", made))
 
     def flow(self, state: Extended, duration: Any) -> Extended:
         """Return the state (N,) after a duration.

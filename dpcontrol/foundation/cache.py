@@ -16,7 +16,6 @@ is listed and deleted together with the results.
 import hashlib
 import os
 import re
-import subprocess
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
@@ -199,6 +198,8 @@ def commit() -> str:
     root = PACKAGE.parent
     if not (root / ".git").exists():
         return ""
+    import subprocess
+
     command = ["git", "-C", str(root), "describe", "--always", "--dirty"]
     try:
         return subprocess.run(command, capture_output=True, text=True, timeout=5, check=True).stdout.strip()

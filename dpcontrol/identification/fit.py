@@ -44,7 +44,6 @@ from typing import Annotated, Any, ClassVar, NamedTuple
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import lsq_linear
 
 from dpcontrol.dynamics.chain import (
     ArmChainParameters,
@@ -60,11 +59,13 @@ from dpcontrol.dynamics.equations import runge_kutta_4
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.parts import Later
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.settings import Setting, Settings
 from dpcontrol.foundation.shown import Brief
 from dpcontrol.recordings.recording import smoothed_derivative
 
+optimize = Later("scipy.optimize")
 LONGEST_STEP = 2e-3
 """Integration step, s. Steps of 1 ms err by 1e-7 rad at the rig's rates, mostly at sign changes of Coulomb friction."""
 
@@ -580,7 +581,7 @@ def _step(normal: _Normal, values: Array, lower: Array) -> tuple[Array, list[Arr
         root = np.sqrt(sizes[resolved])[:, None] * axes[:, resolved].T
         right = (axes[:, resolved].T @ (normal.right * scale)) / np.sqrt(sizes[resolved])
         bounds = np.minimum((lower - values) / scale, -1e-300)
-        step = lsq_linear(root, right, bounds=(bounds, np.full(f, np.inf)), method="bvls").x * scale
+        step = optimize.lsq_linear(root, right, bounds=(bounds, np.full(f, np.inf)), method="bvls").x * scale
         step = np.maximum(values + step, lower) - values
     return step, [r - mixed @ step for r, mixed in zip(normal.start_rights, normal.mixed, strict=True)]
 

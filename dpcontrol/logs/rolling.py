@@ -24,11 +24,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import TypeAdapter
 
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError, remark
 from dpcontrol.foundation.files import write_whole
+from dpcontrol.foundation.settings import adapter
 from dpcontrol.logs.layout import FLIGHT, LAP, LEVELS, RESUME, RETURN, Event
 from dpcontrol.logs.reader import RunLog
 from dpcontrol.logs.writer import LogWriter
@@ -104,7 +104,7 @@ class Digest:
         Raises:
             ValueError: the text is not a digest.
         """
-        return TypeAdapter(cls).validate_json(text)
+        return adapter(cls).validate_json(text)
 
     def following(self, number: int) -> "Digest":
         """Return the digest of the next file of the same session.

@@ -166,10 +166,7 @@ def arrivals(
         derivatives by phase, (K, N) each.
     """
     system, seeds = manifold.orbit.system, manifold.seeds(phases, branch)
-    flown = system.propagator.crossings(seeds[0], section, longest=longest, hit=hit)
-    never = np.full(system.dimension, np.nan)
-    states = np.array([never if c is None else c.state for c in flown]).reshape(-1, system.dimension)
-    return states, np.array([np.inf if c is None else c.time for c in flown]), seeds
+    return *system.propagator.crossings(seeds[0], section, longest=longest, hit=hit), seeds
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ Source: Lamb & Roberts, Time-reversal symmetry in dynamical systems (1998), theo
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,9 +30,11 @@ from dpcontrol.foundation.checked import checked, number
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.shown import Brief, checked_times
 from dpcontrol.orbits.continuation import TO_ROUNDING, Bounds, Function, Newton, member, stepped
-from dpcontrol.orbits.manifold import OrbitCurve
 from dpcontrol.orbits.orbit import OrbitOutcome, PeriodicOrbit
-from dpcontrol.orbits.tube import Tube
+
+if TYPE_CHECKING:
+    from dpcontrol.orbits.manifold import OrbitCurve
+    from dpcontrol.orbits.tube import Tube
 
 
 @dataclass(frozen=True)
@@ -295,7 +297,9 @@ class LyapunovOrbit(PeriodicOrbit):
     """A periodic orbit about a saddle."""
 
     @cached_property
-    def _curve(self) -> OrbitCurve:
+    def _curve(self) -> "OrbitCurve":
+        from dpcontrol.orbits.manifold import OrbitCurve
+
         return OrbitCurve(self)
 
     def states(self, times: Any = None) -> Array:
@@ -313,7 +317,7 @@ class LyapunovOrbit(PeriodicOrbit):
         return self.sample() if times is None else self._curve.states(checked_times(times) / self.period)
 
     @checked
-    def manifold(self, *, stable: bool = False, branch: Literal[-1, 0, 1] = 0) -> Tube:
+    def manifold(self, *, stable: bool = False, branch: Literal[-1, 0, 1] = 0) -> "Tube":
         """Return the orbit's tube.
 
         Args:
@@ -325,6 +329,8 @@ class LyapunovOrbit(PeriodicOrbit):
         """
         if not self.converged:
             raise GoalMissed(f"the orbit about {self.saddle}: {self.status}")
+        from dpcontrol.orbits.tube import Tube
+
         return Tube(self, stable, branch)
 
 

@@ -328,12 +328,12 @@ def _guesses(problem: HalfTurn, arm: int, sense: int, energy: float, settings: R
     def arrive(angles: Array) -> list[_Arrival]:
         arrivals = []
         states = np.array([problem.centre + problem.start @ (problem.start[2:].T @ rates(angle)) for angle in angles])
-        for angle, crossing in zip(angles, system.propagator.crossings(states, section, longest=longest), strict=True):
-            if crossing is None or sense * crossing.state[turning] < 0:
+        ends, times = system.propagator.crossings(states, section, longest=longest)
+        for angle, end, time in zip(angles, ends, times.tolist(), strict=True):
+            if np.isinf(time) or sense * end[turning] < 0:
                 arrivals.append(_Arrival(float(angle), None, np.inf))
             else:
-                miss = float(crossing.state[other] - problem.centre[other])
-                arrivals.append(_Arrival(float(angle), miss, crossing.time))
+                arrivals.append(_Arrival(float(angle), float(end[other] - problem.centre[other]), time))
         return arrivals
 
     # The offset prevents orbits on grid points, due to the symmetry of the ellipse.

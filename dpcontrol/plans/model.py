@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
-from dpcontrol.bifurcations.links import Quantity
 from dpcontrol.dynamics.chain import (
     ArmChainParameters,
     Friction,
@@ -36,6 +35,7 @@ from dpcontrol.foundation.toml import Choice, Place, Table, parse_toml, read_tom
 from dpcontrol.orbits.lyapunov import Equilibrium, equilibrium
 
 if TYPE_CHECKING:
+    from dpcontrol.bifurcations.links import Quantity
     from dpcontrol.identification.identify import Identification
 
 
@@ -156,7 +156,7 @@ def parameter_course(
     parameter: tuple[str, float, float],
     energy: float,
     saddles: Sequence[str] = (),
-) -> Quantity:
+) -> "Quantity":
     """Return the values of a parameter of a model, over which connections are followed.
 
     Args:
@@ -185,6 +185,8 @@ def parameter_course(
         )
     unit = model.parameters.named()[name][1]
     unit = "" if unit == "1" else f" {unit}"
+    from dpcontrol.bifurcations.links import Quantity
+
     return Quantity(model.system, name, f"values of {name}", unit, max(abs(low), abs(high)), at)
 
 

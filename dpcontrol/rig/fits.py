@@ -31,10 +31,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg, optimize, signal
 
 from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.parts import Later
+
+linalg, optimize, signal = Later("scipy.linalg"), Later("scipy.optimize"), Later("scipy.signal")
 
 
 def solved(design: Array, values: Array) -> Array:

@@ -11,17 +11,18 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 import numpy as np
-from scipy import signal, stats
 
 from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.causes import FindingCause as Cause
+from dpcontrol.foundation.parts import Later
 from dpcontrol.foundation.settings import Setting, Settings
 from dpcontrol.loop.protocols import Reading
 from dpcontrol.loop.result import Rig
 from dpcontrol.references.problem import Limits
 from dpcontrol.rig.fits import fit_swing, modes, read_wiring, response
 
+signal, stats = Later("scipy.signal"), Later("scipy.stats")
 Notify = Callable[[str], None]
 
 REACH = 0.010

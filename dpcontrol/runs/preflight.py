@@ -27,10 +27,10 @@ from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import isotonic_regression
 
 from dpcontrol.foundation.cache import cache_file, keep, kept
 from dpcontrol.foundation.errors import remark
+from dpcontrol.foundation.parts import Later
 from dpcontrol.foundation.processes import in_processes, processors
 from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress, part_of
 from dpcontrol.foundation.settings import Setting, Settings, leaves_of
@@ -45,6 +45,8 @@ from dpcontrol.plans.overrides import canonical, typed
 from dpcontrol.plans.plan import Plan
 from dpcontrol.runs.campaign import MOST_TICKS, Case, Job, run_job
 from dpcontrol.runs.troubles import TROUBLES, Trouble
+
+optimize = Later("scipy.optimize")
 
 
 @dataclass(frozen=True)
@@ -322,7 +324,7 @@ def _read_off(hazard: Hazard, points: Sequence[ShareAt]) -> list[float | None]:
     ordered = sorted(points, key=lambda p: hazard.place(p.value))
     places = [hazard.place(p.value) for p in ordered]
     weights = [max(p.reference, 1) for p in ordered]
-    shares = isotonic_regression([p.share for p in ordered], weights=weights, increasing=False).x
+    shares = optimize.isotonic_regression([p.share for p in ordered], weights=weights, increasing=False).x
     bands = [wilson(min(p.completed, p.reference), p.reference) for p in ordered]
     low = np.minimum.accumulate([band.low for band in bands])
     high = np.maximum.accumulate([band.high for band in bands][::-1])[::-1]

@@ -23,18 +23,19 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from scipy import ndimage
 
 from dpcontrol.dynamics.system import System, momentum_scale
 from dpcontrol.foundation.arrays import Array, Flags
 from dpcontrol.foundation.causes import TransportCause
 from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.parts import Later
 from dpcontrol.foundation.units import InUnits
 from dpcontrol.orbits.cut import Cut
 from dpcontrol.orbits.lyapunov import LyapunovOrbit
 from dpcontrol.words.searches import Concluded
 
+ndimage = Later("scipy.ndimage")
 _CELLS = 240
 """Cells along each coordinate."""
 _FARTHEST = 64.0

@@ -56,8 +56,7 @@ class Tube:
         """States (K, 4) of the first crossings from phases (K,), not a number where there is none."""
         seeds, _ = self.manifold.seeds(np.asarray(phases), self.branch)
         longest = self.system.flight_periods * self.manifold.orbit.period
-        flown = self.system.propagator.crossings(seeds, self.section, longest=longest)
-        states = np.array([np.full(4, np.nan) if c is None else c.state for c in flown])
+        states, _ = self.system.propagator.crossings(seeds, self.section, longest=longest)
         return states * [1, 1, -1, -1] if self.stable else states
 
     def points(self, phases):

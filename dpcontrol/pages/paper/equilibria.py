@@ -146,10 +146,10 @@ def up_up_states(system: System) -> Array:
     fast, slow = ratio / np.hypot(1, ratio), 1 / np.hypot(1, ratio)
     seeds = np.concatenate([np.column_stack([a * slow, b * fast]) for a in (1, -1) for b in (1, -1)])
     section = system.sections["down-up", "down-up"]
-    met = system.propagator.crossings(
+    met, times = system.propagator.crossings(
         top + _OFF * seeds @ plane.T, section, longest=_FALL / float(np.sort(np.real(values))[-2])
     )
-    return np.array([crossing.state for crossing in met if crossing is not None])
+    return met[np.isfinite(times)]
 
 
 def up_up_page(gallery: Gallery) -> PaperFigure:
