@@ -29,6 +29,9 @@ _NEEDED = {
     "rerun": "the viewer and its recordings need rerun-sdk; install it by `pip install 'dpcontrol[viewer]'`, or draw "
     "with matplotlib by --picture FILE.png",
 }
+_NEEDED["mujoco"] = (
+    "models in URDF or MJCF need MuJoCo; install it by `pip install 'dpcontrol[mujoco]'`, or write the model as TOML"
+)
 _NEEDED["h5py"] = _NEEDED["matio"]
 _NEEDED["websockets"] = "the planner needs websockets; install it by `pip install 'dpcontrol[planner]'`"
 

@@ -14,6 +14,8 @@ from dpcontrol.foundation.files import checked_source
 from dpcontrol.foundation.settings import suggest
 from dpcontrol.foundation.version import PACKAGE
 
+PATHS = (".toml", ".urdf", ".xml")
+"""Endings of files, which make a name a path."""
 MAPPINGS = PACKAGE / "recordings" / "mappings"
 """Folder of the mappings for importing recordings."""
 
@@ -43,7 +45,7 @@ def known(kind: str) -> list[str]:
 
 
 def find(kind: str, name: str) -> Path:
-    """Return the TOML file of a model or an itinerary.
+    """Return the file of a model or an itinerary.
 
     Args:
         kind: see `folders`.
@@ -53,7 +55,7 @@ def find(kind: str, name: str) -> Path:
         InputError: the file does not exist; the message lists the known names and the nearest one.
     """
     given, names = Path(name), known(kind)
-    is_path = given.suffix == ".toml" or given.name != name
+    is_path = given.suffix.lower() in PATHS or given.name != name
     if is_path:
         checked_source(given)
     # A file of this name that does not end in .toml comes last; reading it gives its error.

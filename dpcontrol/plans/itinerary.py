@@ -23,7 +23,7 @@ from dpcontrol.dynamics.plant import check_component
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.errors import InputError, InputErrors, Mistakes, remark, shortened
 from dpcontrol.foundation.settings import check_choice, leaves_of, nearest
-from dpcontrol.foundation.shipped import find
+from dpcontrol.foundation.shipped import PATHS, find
 from dpcontrol.foundation.toml import Choice, Place, Table, Tables, parse_toml, read_toml, table_of, with_values
 from dpcontrol.loop.bench import Push
 from dpcontrol.loop.controllers import CONTROLLERS, ESTIMATORS, estimators_of
@@ -568,7 +568,7 @@ def _named_model(name: str, *, where: str, at: tuple[str, str], beside: Path | N
     """
     own = None if beside is None else beside / name
     try:
-        return load_model(str(own) if own is not None and name.endswith(".toml") and own.is_file() else name)
+        return load_model(str(own) if own is not None and own.suffix.lower() in PATHS and own.is_file() else name)
     except InputError as error:
         table, key = at
         raise InputErrors(

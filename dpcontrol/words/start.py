@@ -29,6 +29,8 @@ def description(found: Any) -> Iterator[Line]:
         yield f"[{part}] {source}"
     if found.mjcf is not None:
         yield f"arms for MuJoCo written to {found.mjcf}"
+    if found.file is not None:
+        yield f"model written to {found.file}"
 
 
 def _eigenvalue(value: complex) -> str:
