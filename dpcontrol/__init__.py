@@ -3,6 +3,8 @@
 `import dpcontrol as dp` offers the functions of `dpcontrol.api`, each loaded when it is first used.
 """
 
+from dpcontrol.foundation.registration import offer_environments
+
 TYPE_CHECKING = False  # typing's own takes as long to import as all of this
 if TYPE_CHECKING:
     from dpcontrol.api import (
@@ -217,6 +219,8 @@ _HOMES = {
     "load_model": "plans.model",
 }
 """Modules of the names that are not functions of `dpcontrol.api`, and their names there if they differ."""
+
+offer_environments()
 
 
 def __getattr__(name: str) -> object:

@@ -128,7 +128,7 @@ class Model:
     @checked
     def force(
         self,
-        state: Sequence[float],
+        state: Sequence[float] | Array,
         acceleration: float,
         *,
         cart_mass: Annotated[float, Between(0)],
