@@ -81,7 +81,7 @@ def rewards(x: Any, force: Any) -> Any:
 
 
 # %%
-class Planner:
+class TransferPlanner:
     """Transfers from near rest to upright poles with the largest sum of rewards."""
 
     def __init__(self) -> None:
@@ -117,6 +117,24 @@ class Planner:
         except RuntimeError:
             return None
         return float(found.value(self.program.f)), np.array(found.value(self.x)), np.array(found.value(self.force))
+
+    def near(self, first: Array, nominal: tuple[Array, Array]) -> tuple[Array, Array]:
+        """Return states and forces of the transfer from a state near rest.
+
+        If it is not found from the one from rest, the first state moves there in smaller and smaller parts.
+
+        Args:
+            first: first state (6,).
+            nominal: states and forces of the transfer from rest.
+        """
+        for parts in (1, 4, 16):
+            guess: tuple[Array, Array] | None = nominal
+            for share in np.arange(1, parts + 1) / parts:
+                found = None if guess is None else self.plan(share * first, *guess)
+                guess = None if found is None else found[1:]
+            if guess is not None:
+                return guess
+        return nominal
 
     def best(self, tries: int) -> tuple[Array, Array]:
         """Return states and forces of the best transfer from rest, from random swings as guesses.
@@ -161,7 +179,7 @@ def reward(data: Any) -> float:
     return float(((1 + cosines) / 2).mean() * (1 + middle) / 2 * (5 - min(control**2, 1.0)) / 5 * (1 + slow) / 2)
 
 
-def episode(planner: Planner, nominal: tuple[Array, Array], seed: int) -> tuple[Array, Array]:
+def episode(planner: TransferPlanner, nominal: tuple[Array, Array], seed: int) -> tuple[Array, Array]:
     """Return the rewards (1000,) of an episode and the cosines (1000, 2) of the poles.
 
     The transfer from the random first state is planned near the one from rest.
@@ -182,8 +200,7 @@ def episode(planner: Planner, nominal: tuple[Array, Array], seed: int) -> tuple[
         angles = np.pi - np.cumsum(data.qpos[1:])
         return np.concatenate([angles, -np.cumsum(data.qvel[1:]), [data.qpos[0], data.qvel[0]]])
 
-    planned = planner.plan(state(), *nominal)
-    nodes, held = nominal if planned is None else planned[1:]
+    nodes, held = planner.near(state(), nominal)
     forces, path = np.repeat(held, HELD), list[Array]()
     for k, force in enumerate(forces):
         # Each interval begins at the planned state, because errors of an unstable motion grow.
@@ -201,7 +218,7 @@ def episode(planner: Planner, nominal: tuple[Array, Array], seed: int) -> tuple[
 
 # %%
 if __name__ == "__main__":
-    planner = Planner()
+    planner = TransferPlanner()
     nominal = planner.best(12)
     figure = Figure(figsize=(7, 4), layout="constrained")
     axes = figure.subplots()

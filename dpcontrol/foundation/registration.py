@@ -3,7 +3,6 @@
 They are registered as soon as both packages are imported, in any order. Neither imports the other.
 """
 
-import sys
 from collections.abc import Sequence
 from importlib.machinery import ModuleSpec, PathFinder
 from types import ModuleType
@@ -14,7 +13,7 @@ ENVIRONMENTS = {
     "Twelve-v0": ("twelve-v0", 6000),
 }
 """Names in the namespace `dpcontrol`, with the definition and the largest number of steps of an episode."""
-_HOME, _PACKAGE = "dpcontrol.runs.environments", "gymnasium"
+_HOME = "dpcontrol.runs.environments"
 
 
 def register_environments() -> None:
@@ -31,27 +30,20 @@ def register_environments() -> None:
         )
 
 
-class _Finder:
-    """Finds gymnasium as Python does, and registers the environments after its import."""
+def registering_spec(name: str, path: Sequence[str] | None) -> ModuleSpec | None:
+    """Return the specification of gymnasium, whose import then registers the environments.
 
-    def find_spec(
-        self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
-    ) -> ModuleSpec | None:
-        found = PathFinder.find_spec(fullname, path, target) if fullname == _PACKAGE else None
-        if found is not None and found.loader is not None:
-            execute = found.loader.exec_module
+    Args:
+        name: "gymnasium".
+        path: where to search, None for Python's path.
+    """
+    found = PathFinder.find_spec(name, path)
+    if found is not None and found.loader is not None:
+        execute = found.loader.exec_module
 
-            def executed(module: ModuleType) -> None:
-                execute(module)
-                register_environments()
+        def executed(module: ModuleType) -> None:
+            execute(module)
+            register_environments()
 
-            found.loader.exec_module = executed
-        return found
-
-
-def offer_environments() -> None:
-    """Register the environments now, or when gymnasium is imported."""
-    if _PACKAGE in sys.modules:
-        register_environments()
-    else:
-        sys.meta_path.insert(0, _Finder())
+        found.loader.exec_module = executed
+    return found

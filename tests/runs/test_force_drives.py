@@ -28,10 +28,10 @@ def test_the_poles_of_gymnasium_balance_from_each_of_ten_seeds() -> None:
 def test_two_poles_are_swung_up_and_held_from_each_of_twenty_starts(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from dpcontrol.examples.two_poles import Planner, episode
+    from dpcontrol.examples.two_poles import TransferPlanner, episode
 
     monkeypatch.chdir(tmp_path)
-    planner = Planner()
+    planner = TransferPlanner()
     nominal = planner.best(TRIES)
     for seed in range(20):
         rewards, cosines = episode(planner, nominal, seed)
