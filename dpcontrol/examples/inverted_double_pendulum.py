@@ -13,11 +13,12 @@ from typing import Any
 import gymnasium
 import numpy as np
 from matplotlib.figure import Figure
-from scipy.linalg import solve_discrete_are
+from scipy import linalg as scipy_linalg
 
 import dpcontrol as dp
 from dpcontrol.dynamics.chain import Level, equations_of
 
+linalg: Any = scipy_linalg
 Array = np.ndarray[Any, np.dtype[Any]]
 TASK, STRONGEST, SUBSTEPS = "InvertedDoublePendulum-v5", 500.0, 5
 """The task, its largest force (N), and steps of Runge-Kutta in one of its steps."""
@@ -67,7 +68,7 @@ def gains(rate: Callable[[Array, float], Array], seconds: float) -> Array:
     ]
     a = np.array(slopes).T / (2 * small)
     b = (after(rate, upright, 1.0, seconds) - after(rate, upright, -1.0, seconds))[:, None] / 2
-    p = solve_discrete_are(a, b, np.diag(ERRORS), np.array([[EFFORT]]))
+    p: Array = linalg.solve_discrete_are(a, b, np.diag(ERRORS), np.array([[EFFORT]]))
     return np.asarray(np.linalg.solve(EFFORT + b.T @ p @ b, b.T @ p @ a)[0])
 
 

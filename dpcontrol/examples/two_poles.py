@@ -16,13 +16,14 @@ import casadi as casadi_package
 import mujoco as mujoco_package
 import numpy as np
 from matplotlib.figure import Figure
-from scipy.linalg import solve_discrete_are
+from scipy import linalg as scipy_linalg
 
 import dpcontrol as dp
 from dpcontrol.dynamics.chain import Level, equations_of
 
 ca: Any = casadi_package
 mujoco: Any = mujoco_package
+linalg: Any = scipy_linalg
 Array = np.ndarray[Any, np.dtype[Any]]
 POLE = """<joint name="hinge_{0}" axis="0 1 0" damping="2e-6"/>
 <geom type="capsule" fromto="0 0 0 0 0 1" size="0.045" mass="0.1"/>"""
@@ -55,12 +56,13 @@ def motion() -> tuple[Any, Any]:
         # The differences of model and robot are the friction of the slider and its mass, which are used here.
         warnings.simplefilter("ignore")
         arms = dp.load_model(file).arms
-    accelerated, base, coupling = equations_of(arms, Level.CART).function(), arms.base(), arms.torques / arms.gravity
+    accelerated: Any = equations_of(arms, Level.CART).function()
+    base, coupling = arms.base(), arms.torques / arms.gravity
     x, force, h = ca.SX.sym("x", 6), ca.SX.sym("F"), ca.SX.sym("h")
 
     def needed(acceleration: float) -> Any:
-        rates = accelerated(x, acceleration, base)
-        pushes = coupling * (ca.cos(x[:2]) * rates[2:4] - ca.sin(x[:2]) * x[2:4] ** 2)
+        rates: Any = accelerated(x, acceleration, base)
+        pushes: Any = coupling * (ca.cos(x[:2]) * rates[2:4] - ca.sin(x[:2]) * x[2:4] ** 2)
         return (CART_MASS + sum(arms.mass)) * acceleration + ca.sum1(pushes) + CART_VISCOUS * x[5]
 
     none, one = needed(0.0), needed(1.0)
@@ -163,7 +165,8 @@ def regulator(states: Array, forces: Array) -> Array:
     _, slopes = motion()
     a, b = (np.array(one) for one in slopes(UP, 0.0, STEP))
     weight = np.diag(ERRORS)
-    p, gains = solve_discrete_are(a, b, weight, np.array([[EFFORT]])), np.empty((len(forces), 6))
+    p: Array = linalg.solve_discrete_are(a, b, weight, np.array([[EFFORT]]))
+    gains = np.empty((len(forces), 6))
     for k in reversed(range(len(forces))):
         a, b = (np.array(one) for one in slopes(states[k], forces[k], STEP))
         gains[k] = np.linalg.solve(EFFORT + b.T @ p @ b, b.T @ p @ a)[0]
