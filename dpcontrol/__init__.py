@@ -3,8 +3,13 @@
 `import dpcontrol as dp` offers the functions of `dpcontrol.api`, each loaded when it is first used.
 """
 
+import sys
+
 TYPE_CHECKING = False  # typing's own takes as long to import as all of this
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from importlib.machinery import ModuleSpec
+
     from dpcontrol.api import (
         CampaignSettings,
         Estimator,
@@ -217,6 +222,26 @@ _HOMES = {
     "load_model": "plans.model",
 }
 """Modules of the names that are not functions of `dpcontrol.api`, and their names there if they differ."""
+
+
+class _GymnasiumFinder:
+    """Finds gymnasium as Python does, and registers the environments after its import."""
+
+    @staticmethod
+    def find_spec(name: str, path: "Sequence[str] | None", target: object = None) -> "ModuleSpec | None":
+        if name != "gymnasium":
+            return None
+        from dpcontrol.foundation.registration import registering_spec
+
+        return registering_spec(name, path)
+
+
+if "gymnasium" in sys.modules:
+    from dpcontrol.foundation.registration import register_environments
+
+    register_environments()
+else:
+    sys.meta_path.insert(0, _GymnasiumFinder)
 
 
 def __getattr__(name: str) -> object:

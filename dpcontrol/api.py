@@ -35,6 +35,7 @@ from dpcontrol.foundation.files import (
     Picture,
     chosen_name,
     free_name,
+    in_the_way,
     is_bag_folder,
     write_whole,
 )
@@ -3107,21 +3108,27 @@ def read_guide(topic: str | None = None) -> GuidePage:
 
 @checked
 def describe(
-    model: Model | str, *, mjcf: Annotated[Path | str | None, Output((".xml",))] = None
+    model: Model | str,
+    *,
+    mjcf: Annotated[Path | str | None, Output((".xml",))] = None,
+    out: Annotated[Path | str | None, Output((".toml",))] = None,
+    force: bool = False,
 ) -> models.ModelDescription:
     """Show a model's parameters with units, and its equilibria.
 
     Equilibria are frictionless, with the pivot at rest.
 
     Args:
-        model: model, or its name or path.
+        model: model, its name, or the path of its file: TOML, or a robot in URDF or MJCF.
         mjcf: MuJoCo model to write, with arms and cart (default: none).
+        out: model file to write (default: none).
+        force: replace an existing file at `out`, whatever it holds.
 
     Returns:
         Parameters, sources and equilibria.
 
     Raises:
-        InputError: no such model, or a mistake in its file.
+        InputError: no such model, a mistake in its file, or another file at `out`.
 
     Examples:
         >>> dp.describe("lab").equilibria["up-up"].kind
@@ -3130,7 +3137,12 @@ def describe(
     loaded = _model(model)
     if mjcf is not None:
         write_whole(Path(mjcf), mjcf_files.mjcf_text(loaded.arms, name=loaded.name, cart_mass=20.0, lag=0.002))
-    return models.ModelDescription(loaded, lyapunov.equilibria(loaded.system), None if mjcf is None else Path(mjcf))
+    if out is not None:
+        if not force and Path(out).is_file() and Path(out).read_bytes() != loaded.text.encode():
+            raise in_the_way(out, "holds another model")
+        write_whole(Path(out), loaded.text)
+    mjcf_file, file = (None if written is None else Path(written) for written in (mjcf, out))
+    return models.ModelDescription(loaded, lyapunov.equilibria(loaded.system), mjcf_file, file)
 
 
 @checked

@@ -15,7 +15,12 @@ import dpcontrol
 pytestmark = pytest.mark.slow
 ROOT = Path(dpcontrol.__file__).parents[1]
 EXAMPLES = sorted((ROOT / "dpcontrol" / "examples").glob("[a-z]*.py"))
-OUTSIDE = {"gym_env": "gymnasium", "mujoco_rig": "mujoco"}
+OUTSIDE = {
+    "gym_env": "gymnasium",
+    "environment_scores": "gymnasium",
+    "mujoco_rig": "mujoco",
+    "inverted_double_pendulum": "gymnasium",
+}
 """Examples of packages that are extras."""
 MISTAKEN = """# pyright: strict
 import dpcontrol as dp

@@ -36,7 +36,7 @@ GROUPS = {
             "Show a model: parameters, equilibria, eigenvalues.",
             "describe",
             "dpcontrol model lab",
-            "MODEL is a name (in ./models or shipped) or a path.",
+            "MODEL is a name (in ./models or shipped) or a path of a .toml, .urdf or .xml file.",
         ),
         "guide": Verb(
             "Show a page of the guide, or list its pages.",

@@ -436,6 +436,30 @@ def longest_step(plant: PlantParameters) -> float:
     return min(longest, _COULOMB_STEP) if Friction.COULOMB in plant.arms.friction else longest
 
 
+def cart_force(arms: ArmChainParameters, state: Array, acceleration: float, *, mass: float, drag: float) -> float:
+    """Return the force that gives the cart an acceleration, N.
+
+        F = (M + Σ m_i) ẍ + Σ S_i (cos θ_i ω̇_i - sin θ_i ω_i²) + k_c ẋ
+
+    Args:
+        arms: parameters of the arms.
+        state: state (2n+2,) of arms and cart.
+        acceleration: acceleration of the cart, m/s².
+        mass: mass M of the cart without the arms, kg.
+        drag: friction k_c of the cart, N s/m.
+    """
+    n = arms.count
+    rate = _arms_rate(n, arms.friction)(state, acceleration, arms.base())
+    angles, rates, accelerations = state[:n], state[n : 2 * n], np.asarray(rate, dtype=float).ravel()[n : 2 * n]
+    pushes = arms.torques / arms.gravity * (np.cos(angles) * accelerations - np.sin(angles) * rates**2)
+    return float((mass + sum(arms.mass)) * acceleration + pushes.sum() + drag * state[-1])
+
+
+@cache
+def _arms_rate(count: int, friction: tuple[Friction, ...]) -> ca.Function:
+    return arm_chain_equations(count, Level.CART, friction=friction).function()
+
+
 def after_blow(
     plant: PlantParameters, state: Array, *, impulses: Array | None = None, jumps: Array | None = None, knock: float = 0
 ) -> Array:

@@ -31,6 +31,9 @@ _NEEDED = {
 _NEEDED["serial"] = _NEEDED["cobs"] = (
     "rigs on serial lines need pyserial and cobs; install them by `pip install 'dpcontrol[serial]'`"
 )
+_NEEDED["mujoco"] = (
+    "models in URDF or MJCF need MuJoCo; install it by `pip install 'dpcontrol[mujoco]'`, or write the model as TOML"
+)
 _NEEDED["h5py"] = _NEEDED["matio"]
 _NEEDED["websockets"] = "the planner needs websockets; install it by `pip install 'dpcontrol[planner]'`"
 

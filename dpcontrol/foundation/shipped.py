@@ -12,6 +12,8 @@ from dpcontrol.foundation.files import checked_source
 from dpcontrol.foundation.settings import suggest
 from dpcontrol.foundation.version import PACKAGE
 
+PATHS = (".toml", ".urdf", ".xml")
+"""Endings of files, which make a name a path."""
 MAPPINGS = PACKAGE / "recordings" / "mappings"
 """Folder of the mappings for importing recordings."""
 
@@ -41,7 +43,7 @@ def shipped_names(kind: str) -> list[str]:
 
 
 def find(kind: str, name: str) -> Path:
-    """Return the TOML file of a model or an itinerary.
+    """Return the file of a model or an itinerary.
 
     Args:
         kind: see `folders`.
@@ -51,7 +53,7 @@ def find(kind: str, name: str) -> Path:
         InputError: the file does not exist; the message lists the known names and the nearest one.
     """
     path, names = Path(name), shipped_names(kind)
-    is_path = path.suffix == ".toml" or path.name != name
+    is_path = path.suffix.lower() in PATHS or path.name != name
     if is_path:
         checked_source(path)
     # A file of this name that does not end in .toml comes last; reading it gives its error.

@@ -63,7 +63,7 @@ class Encoders:
         self._arms, self._lanes = arms, lanes
         self._places, self._cart_place = [places.get(k) for k in range(arms)], places.get(arms, 2 * arms)
         self._steps, self._cart = settings.steps(arms), settings.cart_resolution
-        self._zeros: list[Any] = [0.0] * arms if zeros is None else lanes.rows(np.asarray(zeros, dtype=float))
+        self.zeros: list[Any] = [0.0] * arms if zeros is None else lanes.rows(np.asarray(zeros, dtype=float))
         self._drift: list[Any] | None = None if drift is None or not drift.any() else lanes.rows(drift)
         self._missed = [0] * arms
         self._stuck: float | None = None
@@ -92,7 +92,7 @@ class Encoders:
             self._miss(state, missed.tolist())
         readings: list[Any] = []
         inner: Any = 0.0
-        zeros, drift = self._zeros, self._drift
+        zeros, drift = self.zeros, self._drift
         if drift is not None:
             zeros = [zero + rate * time for zero, rate in zip(zeros, drift, strict=True)]
         for k, (zero, step) in enumerate(zip(zeros, steps, strict=True)):
@@ -192,7 +192,7 @@ class SimulatedPlant:
         track: half length of the track, m.
     """
 
-    def __init__(self, plants: Sequence[PlantParameters], state: Array, *, track: float) -> None:
+    def __init__(self, plants: list[PlantParameters], state: Array, *, track: float) -> None:
         first = plants[0]
         self.plants, self.track = plants, track
         self.faults: dict[int, Event] = {}
@@ -277,6 +277,19 @@ class SimulatedPlant:
             else:
                 self._states[:] = self._flown
                 self.values = values
+
+    def replace_runs(self, runs: list[int], other: "SimulatedPlant") -> None:
+        """Replace some of many runs by those of a plant with the same settings.
+
+        Args:
+            runs: numbers of the runs.
+            other: plant with as many runs, which takes their places.
+        """
+        self._inputs[:, runs] = other._inputs
+        self._lasts = math.nan
+        for run, plant in zip(runs, other.plants, strict=True):
+            self.plants[run] = plant
+            self.faults.pop(run, None)
 
     def strike(self, blow: Blow, run: int = 0) -> None:
         """Apply a blow to one run.
@@ -740,3 +753,19 @@ class BatchBench(SimulatedBench):
         if self._braking is None:
             self._braking = np.zeros(self.truth.shape[1], dtype=bool)
         self._braking[runs] = True
+
+    def replace_runs(self, runs: list[int], other: "BatchBench") -> None:
+        """Replace runs by those of a bench with the same settings that has been read once.
+
+        Noise and blows, which follow the ticks of the whole bench, remain those of the replaced runs.
+
+        Args:
+            runs: numbers of the runs.
+            other: bench with as many runs, which takes their places.
+        """
+        plant: Any = self._plant
+        plant.replace_runs(runs, other._plant)
+        self._last[:, runs] = other._last
+        pairs = [*zip(self._demands, other._demands, strict=False)]
+        for mine, theirs in [*pairs, *zip(self._encoders.zeros, other._encoders.zeros, strict=True)]:
+            mine[runs] = theirs

@@ -23,7 +23,7 @@ from dpcontrol.dynamics.plant import check_component
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.errors import InputError, InputErrors, Mistakes, remark, shortened
 from dpcontrol.foundation.settings import check_choice, leaves_of, nearest
-from dpcontrol.foundation.shipped import find
+from dpcontrol.foundation.shipped import PATHS, find
 from dpcontrol.foundation.toml import Choice, Place, Table, Tables, parse_toml, read_toml, table_of, with_values
 from dpcontrol.loop.bench import Push
 from dpcontrol.loop.controllers import CONTROLLERS, ESTIMATORS, estimators_of
@@ -557,9 +557,8 @@ def _named_model(name: str, *, where: str, at: tuple[str, str], beside: Path | N
     """Return a model by name or path, first looked for in the folder `beside`; an error has the table and key `at`."""
     file_beside = None if beside is None else beside / name
     try:
-        return load_model(
-            str(file_beside) if file_beside is not None and name.endswith(".toml") and file_beside.is_file() else name
-        )
+        is_beside = file_beside is not None and file_beside.suffix.lower() in PATHS and file_beside.is_file()
+        return load_model(str(file_beside) if is_beside else name)
     except InputError as error:
         table, key = at
         raise InputErrors(

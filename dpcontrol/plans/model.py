@@ -23,9 +23,10 @@ from dpcontrol.dynamics.chain import (
     ratio_names,
     unit_name,
 )
+from dpcontrol.dynamics.plant import cart_force
 from dpcontrol.dynamics.system import System, ThreeBodyParameters, three_body_system
 from dpcontrol.foundation.arrays import Array
-from dpcontrol.foundation.checked import checked
+from dpcontrol.foundation.checked import Between, checked, numbers
 from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError, remark
 from dpcontrol.foundation.files import in_the_way, write_whole
@@ -33,6 +34,7 @@ from dpcontrol.foundation.settings import Leaf, Setting, leaves_of
 from dpcontrol.foundation.shipped import find
 from dpcontrol.foundation.toml import Choice, Place, Table, parse_toml, read_toml, with_values
 from dpcontrol.orbits.lyapunov import Equilibrium, equilibrium
+from dpcontrol.plans.robots import ENDINGS, Robot, load_robot
 
 if TYPE_CHECKING:
     from dpcontrol.bifurcations.links import Quantity
@@ -116,6 +118,35 @@ class Model:
             raise InputError(f"{self.path}: {self.title} has no arms and no cart; choose a model of arms, such as lab")
         return self.parameters
 
+    @checked
+    def force(
+        self,
+        state: Sequence[float] | Array,
+        acceleration: float,
+        *,
+        cart_mass: Annotated[float, Between(0)],
+        cart_viscous: Annotated[float, Between(0)] = 0.0,
+    ) -> float:
+        """Return the force on the cart that gives it an acceleration, N.
+
+        It includes the reaction of the moving arms. The force is a linear function of the acceleration.
+
+        Args:
+            state: angles (n,), rad, rates (n,), rad/s, and position and velocity of the cart, m and m/s.
+            acceleration: acceleration of the cart, m/s².
+            cart_mass: mass of the cart without the arms, kg.
+            cart_viscous: friction of the cart, N s/m (default: 0).
+
+        Raises:
+            InputError: the model has no arms, or the state has another length.
+
+        Examples:
+            >>> dp.load_model("lab").force([0.0] * 6, 2.0, cart_mass=1.0)
+            2.0...
+        """
+        given = np.array(numbers("state", state, 2 * self.arms.count + 2))
+        return cart_force(self.arms, given, acceleration, mass=cart_mass, drag=cart_viscous)
+
     @property
     def identified_uncertainty(self) -> Uncertainty:
         """Covariance of the arms' ratios, as the model's file gives it.
@@ -198,16 +229,18 @@ class ModelDescription(Documented):
         model: the described model.
         equilibria: by name.
         mjcf: file of MuJoCo that was written, if any.
+        file: model file that was written, if any.
     """
 
     KEYS = (
-        "model=model.name title=model.title parameters sources=model.sources remarks=model.remarks mjcf "
+        "model=model.name title=model.title parameters sources=model.sources remarks=model.remarks mjcf file "
         "equilibria=rows:state,energy,eigenvalues,kind,need"
     )
 
     model: Model
     equilibria: Mapping[str, Equilibrium]
     mjcf: Path | None = None
+    file: Path | None = None
 
     def need(self, name: str) -> float | None:
         """Return the feedback that an equilibrium needs, m/s² per rad; None if it is stable or has no arms.
@@ -238,21 +271,29 @@ def load_model(name: str | Path) -> Model:
     """Read and check a model of arms or of three bodies.
 
     Args:
-        name: name of a shipped model or of one in ./models, or path of a TOML file.
+        name: name of a shipped model or of one in ./models, path of a TOML file, or path of a robot's description in
+            URDF or MJCF (`.urdf`, `.xml`).
 
     Returns:
-        The model. Unusual numbers in its file give a remark.
+        The model. Unusual numbers in its file give a remark, and so does what the model of a robot leaves out.
 
     Raises:
-        InputError: no such model, or a mistake in its file, with table, key, value and allowed range.
+        InputError: no such model, a mistake in its file, with table, key, value and allowed range, or a robot that is
+            no planar chain of hinges on a slider or a fixed base.
 
     Examples:
         >>> dp.load_model("lab").arms.count
         2
     """
     path = find("models", str(name))
-    document, text = read_toml(path)
-    model = _model(document, text, path)
+    if path.suffix.lower() in ENDINGS:
+        robot = load_robot(path)
+        text = _robot_text(robot, path)
+        model = _model(parse_toml(text, str(path)), text, path)
+        model = replace(model, remarks=(*robot.differences, *model.remarks))
+    else:
+        document, text = read_toml(path)
+        model = _model(document, text, path)
     for sentence in model.remarks:
         remark(f"{path}: {sentence}")
     return model
@@ -353,6 +394,22 @@ def _model(document: Mapping[str, Any], text: str, path: Path) -> Model:
         with replace(top, table="uncertainty"):
             uncertainty.check(chain)
     return model(parameters=chain, encoder_zeros=zeros, uncertainty=uncertainty, remarks=remarks)
+
+
+def _robot_text(robot: Robot, path: Path) -> str:
+    """Return the TOML text of a robot's arms, which begins with the differences from its description."""
+    source = f"source = {quoted(f'{path.name}, compiled by MuJoCo')}"
+    rows = {name: f"{name} = {_numbers(column)}" for name, column in robot.columns.items()}
+    if not any(robot.columns["coulomb"]):
+        del rows["coulomb"]
+    lines = [
+        *(f"# {_plain(sentence)}" for sentence in robot.differences),
+        f"title = {quoted(path.stem)}",
+        *("", "[arms]", source, *(rows.pop(name) for name in _INERTIAL)),
+        *("", "[gravity]", source, f"acceleration = {robot.gravity!r}"),
+        *("", "[friction]", source, *rows.values(), ""),
+    ]
+    return "\n".join(lines)
 
 
 def model_text(identification: "Identification", *, title: str, logs: Sequence[str], starting_model: str) -> str:

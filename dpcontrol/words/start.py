@@ -29,6 +29,8 @@ def description(result: Any) -> Iterator[Line]:
         yield f"[{part}] {source}"
     if result.mjcf is not None:
         yield f"arms for MuJoCo written to {result.mjcf}"
+    if result.file is not None:
+        yield f"model written to {result.file}"
 
 
 def _eigenvalue(value: complex) -> str:

@@ -63,7 +63,7 @@ class Trial:
 
 BASES: dict[str, tuple[str, ...]] = {
     "demo": ("--itinerary=rest.toml --folder=made",),
-    "model": ("lab.toml", "three-body"),
+    "model": ("lab.toml", "three-body", "lab.toml --out=copied.toml"),
     "cache": ("",),
     "guide": ("start",),
     "orbit": ("lab.toml --saddle=down-up --energy=-0.07", "three-body --saddle=L1 --energy=-1.5"),

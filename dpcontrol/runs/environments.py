@@ -1,0 +1,180 @@
+"""The bench as environments of gymnasium, one or many in lockstep.
+
+Files of `definitions` hold model, limits, bench and errors of an environment, which is the simulated bench of an
+itinerary. The seed of an episode draws the same bench as a run of this itinerary with the seed. A step is one period.
+The observation of n arms has what encoders show, and the target (4n+2,):
+
+    sin θ, cos θ (n each),  θ̇/(10 rad/s) (n),  x/limit, ẋ/limit,  cos θ* (n)      rates: differences of two readings
+
+The action is the acceleration of the cart over its limit. With one target, the reward of a step is the product of
+(1 + cos(θ_i - θ_i*))/2 over the true angles. With several targets, it is 1 if all true angles have been within 0.2 rad
+of the present target for 50 steps, which leads to the next one. The episode ends at the last target. If the cart meets
+an end of its track, it ends too.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from dpcontrol.control.interface import MANY
+from dpcontrol.dynamics.compiled import VECTOR
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.version import PACKAGE
+from dpcontrol.loop.simulated import BatchBench
+from dpcontrol.orbits.lyapunov import equilibria
+from dpcontrol.plans.itinerary import load_itinerary
+from dpcontrol.plans.layout import HoldPart
+
+Values = NDArray[Any]
+DEFINITIONS = PACKAGE / "runs" / "definitions"
+"""Folder of the environments' itineraries."""
+NEAR, STAY = 0.2, 50
+"""Largest error of an angle at a target, rad, and steps at one of several targets."""
+_RATE, _ENDLESS, _SEEDS, _FAR = 10.0, 1 << 40, 1 << 31, 1e3
+
+
+class BenchVector(gymnasium.vector.VectorEnv[Values, Values, Values]):
+    """Benches of one environment in lockstep.
+
+    Args:
+        definition: name of a file in `DEFINITIONS`.
+        max_episode_steps: steps after which an episode is cut off.
+        num_envs: number of benches.
+    """
+
+    metadata = {"render_modes": [], "autoreset_mode": gymnasium.vector.AutoresetMode.NEXT_STEP}  # noqa: RUF012
+
+    def __init__(self, definition: str, *, max_episode_steps: int, num_envs: int = 1) -> None:
+        itinerary = load_itinerary(str(DEFINITIONS / f"{definition}.toml"))
+        self.itinerary, self.num_envs, self._steps = itinerary, num_envs, max_episode_steps
+        points, self._arms = equilibria(itinerary.model.system), itinerary.model.arms.count
+        holds = np.array(
+            [points[part.hold].state[: self._arms] for part in itinerary.parts if isinstance(part, HoldPart)]
+        )
+        self._start = np.zeros(2 * self._arms + 2)
+        if itinerary.start == "hold":
+            self._start[: self._arms] = holds[0]
+        # A tour begins at its first stop.
+        self._targets = holds[1:] if len(holds) > 1 else holds
+        spaces = gymnasium.spaces
+        self.single_observation_space = spaces.Box(-np.inf, np.inf, (4 * self._arms + 2,), np.float32)
+        self.single_action_space = spaces.Box(-1.0, 1.0, (1,), np.float32)
+        self.observation_space = gymnasium.vector.utils.batch_space(self.single_observation_space, num_envs)
+        self.action_space = gymnasium.vector.utils.batch_space(self.single_action_space, num_envs)
+
+    def reset(
+        self, *, seed: int | Sequence[int] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Values, dict[str, Any]]:
+        """Draw all benches.
+
+        Args:
+            seed: seed of the first bench, from which the others count up, or one for each; None to continue.
+            options: ignored.
+        """
+        given = self._drawn(self.num_envs) if seed is None else seed
+        seeds = [given + k for k in range(self.num_envs)] if isinstance(given, int) else list(given)
+        self.np_random = np.random.default_rng(seeds)
+        self.bench = self._made(seeds)
+        self._reading = self._before = self.bench.read().positions
+        self._age, self._stop, self._stayed, self._over = np.zeros((4, self.num_envs), dtype=int)
+        return self._observed(), {"seed": np.array(seeds)}
+
+    def _drawn(self, count: int) -> list[int]:
+        return self.np_random.integers(_SEEDS, size=count).tolist()
+
+    def _made(self, seeds: Sequence[int]) -> BatchBench:
+        own = self.itinerary
+        drawn = {seed: own.loop.draw(own.model.arms, ticks=_ENDLESS, seed=seed) for seed in set(seeds)}
+        # The episode ends at the end of the track, before the cart would be stopped there.
+        limits, draws = replace(own.limits, position=_FAR), [drawn[seed] for seed in seeds]
+        return BatchBench(draws, own.loop.bench, limits=limits, start=self._start, lanes=MANY)
+
+    def step(self, actions: Values) -> tuple[Values, Values, Values, Values, dict[str, Any]]:
+        """Advance all benches by one period, and draw those anew whose episodes are over.
+
+        Args:
+            actions: accelerations over their limit (num_envs, 1), -1 to 1.
+
+        Raises:
+            InputError: an action is not a finite number.
+        """
+        if not np.isfinite(actions).all():
+            raise InputError(f"actions = {actions!r}: must be finite numbers from -1 to 1")
+        limits, n, anew = self.itinerary.limits, self._arms, np.flatnonzero(self._over)
+        self._before = self._reading
+        self.bench.command(np.clip(np.reshape(actions, -1), -1.0, 1.0) * limits.acceleration)
+        self._reading = self.bench.read().positions
+        self._age += 1
+        errors = self.bench.truth[:n] - self._targets[self._stop].T
+        self._stayed = np.where(np.abs((errors + np.pi) % (2 * np.pi) - np.pi).max(axis=0) < NEAR, self._stayed + 1, 0)
+        rewards, ended = np.prod((1 + np.cos(errors)) / 2, axis=0), np.abs(self.bench.truth[2 * n]) > limits.position
+        if len(self._targets) > 1:
+            rewards = (self._stayed == STAY).astype(float)
+            ended |= (rewards > 0) & (self._stop + 1 == len(self._targets))
+            self._stop = np.minimum(self._stop + (rewards > 0), len(self._targets) - 1)
+            self._stayed[rewards > 0] = 0
+        cut = self._age >= self._steps
+        if len(anew):
+            self._draw_anew(anew)
+            for values in (rewards, ended, cut):
+                values[anew] = 0
+        self._over = ended | cut
+        return self._observed(), rewards, ended, cut & ~ended, {}
+
+    def _draw_anew(self, lanes: Values) -> None:
+        bench = self._made(self._drawn(len(lanes)))
+        self._reading[:, lanes] = self._before[:, lanes] = bench.read().positions
+        self.bench.replace_runs(lanes.tolist(), bench)
+        for counts in (self._age, self._stop, self._stayed):
+            counts[lanes] = 0
+
+    def _observed(self) -> Values:
+        limits, n = self.itinerary.limits, self._arms
+        rates = (self._reading - self._before) * self.itinerary.loop.rate
+        angles, cart = self._reading[:n], [self._reading[n] / limits.position, rates[n] / limits.velocity]
+        parts = [np.sin(angles), np.cos(angles), rates[:n] / _RATE, cart, np.cos(self._targets[self._stop].T)]
+        return np.concatenate(parts).T.astype(np.float32)
+
+
+class BenchEnvironment(gymnasium.Env[Values, Values]):
+    """One bench, in lanes of a whole vector, so that it repeats a run to the last bit.
+
+    Args:
+        options: those of `BenchVector`.
+    """
+
+    metadata = {"render_modes": []}  # noqa: RUF012
+
+    def __init__(self, **options: Any) -> None:
+        self.vector = BenchVector(**options, num_envs=VECTOR)
+        self.observation_space, self.action_space = (
+            self.vector.single_observation_space,
+            self.vector.single_action_space,
+        )
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Values, dict[str, Any]]:
+        """Draw the bench.
+
+        Args:
+            seed: seed of the bench; None to continue.
+            options: ignored.
+        """
+        super().reset(seed=seed)
+        drawn = int(self.np_random.integers(_SEEDS)) if seed is None else seed
+        return self.vector.reset(seed=[drawn] * VECTOR)[0][0], {"seed": drawn}
+
+    def step(self, action: Values) -> tuple[Values, float, bool, bool, dict[str, Any]]:
+        """Advance the bench by one period.
+
+        Args:
+            action: acceleration over its limit (1,), -1 to 1.
+
+        Raises:
+            InputError: the action is not a finite number.
+        """
+        seen, rewards, ended, cut, _ = self.vector.step(np.tile(action, (VECTOR, 1)))
+        return seen[0], float(rewards[0]), bool(ended[0]), bool(cut[0]), {}
