@@ -333,23 +333,12 @@ class CrossingFinder:
         waiting = self._fit_to_fly(states)
         if not waiting:
             return crossed, times
-        original = _original(self.equations, "crossings", self._made, work=len(waiting))
-        if original is not self._original:
-            self._original, self._integrator = original, copy(original)
+        integrator = self._prepared(section, len(waiting))
         # A lane without a trajectory rests at the last of these states, with both sheets switched off.
         starts = np.vstack([states, states[waiting[-1]]])
         levels, limits = self._levels(starts, section), np.append(np.full(len(states), longest), 0.0)
-        integrator = self._integrator
-        integrator.set_time(0.0)
-        integrator.reset_cooldowns()
-        integrator.pars[: len(self.parameters)] = self.parameters[:, None]
-        integrator.pars[self._normal] = np.asarray(section.normal, dtype=float)[:, None]
-        state, events, clock, halves = (
-            integrator.state,
-            integrator.pars[self._events],
-            integrator.time,
-            integrator.dtime,
-        )
+        state, events = integrator.state, integrator.pars[self._events]
+        clock, halves = integrator.time, integrator.dtime
         still = {int(hy.taylor_outcome.success), int(hy.taylor_outcome.step_limit)}
         flying, ends = [-1] * LANES, np.zeros(LANES)
         seen, taken, paced, marks = [0] * LANES, [0] * LANES, [0] * LANES, [0.0] * LANES
@@ -370,16 +359,14 @@ class CrossingFinder:
             integrator.propagate_until(ends, max_steps=_PACE)
             free = []
             for lane, (outcome, _, _, steps) in enumerate(integrator.propagate_res):
-                k = flying[lane]
-                if k < 0:
+                if (k := flying[lane]) < 0:
                     continue
                 taken[lane] += steps
                 paced[lane] += steps
                 going = taken[lane] < _MOST_STEPS
                 if paced[lane] >= _PACE:
                     time = float(clock[lane])
-                    left = min(abs(longest - time), abs(time))
-                    going = going and abs(time - marks[lane]) * _MOST_PACES > left
+                    going &= abs(time - marks[lane]) * _MOST_PACES > min(abs(longest - time), abs(time))
                     paced[lane], marks[lane] = 0, time
                 code = int(outcome)
                 if going and code in still:
@@ -394,6 +381,18 @@ class CrossingFinder:
                         self._pass(lane, -1 - code, section, np.sign(longest))
                         continue
                 free.append(lane)
+
+    def _prepared(self, section: Section, work: int) -> Any:
+        """Return the integrator for this many flights, at time zero and with the section's normal."""
+        original = _original(self.equations, "crossings", self._made, work=work)
+        if original is not self._original:
+            self._original, self._integrator = original, copy(original)
+        integrator = self._integrator
+        integrator.set_time(0.0)
+        integrator.reset_cooldowns()
+        integrator.pars[: len(self.parameters)] = self.parameters[:, None]
+        integrator.pars[self._normal] = np.asarray(section.normal, dtype=float)[:, None]
+        return integrator
 
     def _fit_to_fly(self, states: Array) -> list[int]:
         """Return the numbers, last first, of the finite states.

@@ -120,7 +120,7 @@ class Encoders:
 
     def zeros_at(self, times: Array) -> Array:
         """Return the zero errors (K, n) at times (K,), s."""
-        zeros = np.broadcast_to(self._zeros, (len(times), self._arms))
+        zeros = np.broadcast_to(self.zeros, (len(times), self._arms))
         return zeros if self._drift is None else zeros + times[:, None] * np.array(self._drift)
 
     def _miss(self, state: Sequence[float], missed: Sequence[int]) -> None:
@@ -345,7 +345,7 @@ class SimulatedPlant:
         self.set_state(held)
 
 
-class Drawn(NamedTuple):
+class DrawnTicks(NamedTuple):
     """Random numbers of K ticks: command_noise (K,), noise (K, n+1), zeros (K, n) of the encoders, dropped (K,)."""
 
     command_noise: Array
@@ -629,7 +629,7 @@ class SimulatedRig(SimulatedBench):
         streams = self._command_noise, self._noise, self._dropped
         return self._encoders.drifts or any(stream is not None for stream in streams)
 
-    def drawn(self, k: int, count: int) -> Drawn:
+    def drawn(self, k: int, count: int) -> DrawnTicks:
         """Return the random numbers of ticks from k on."""
         ticks, n = range(k, k + count), len(self._nothing) - 1
 
@@ -637,7 +637,7 @@ class SimulatedRig(SimulatedBench):
             return np.zeros((count, *shape)) if stream is None else np.array([stream[tick] for tick in ticks])
 
         zeros = self._encoders.zeros_at(np.asarray(np.arange(k, k + count) * self.period, dtype=np.float64))
-        return Drawn(of(self._command_noise), of(self._noise, n + 1), zeros, of(self._dropped) > 0)
+        return DrawnTicks(of(self._command_noise), of(self._noise, n + 1), zeros, of(self._dropped) > 0)
 
     def resume(self, tick: int, state: Array, demands: Array, read: Array, *, hardest: float) -> None:
         """Continue after a tick with a state, demands and reading as in `stored`.
