@@ -169,6 +169,7 @@ def identity(program: TickProgram, schedule: GainSchedule) -> str:
     equations = program.equations
     parts = [*equations.numbers.names, *equations.memory.names, *equations.row.names, *equations.filter.extra_names]
     shape = repr((_VERSION, equations.whole, equations.lead, equations.shares, program.period, parts))
+    shape += repr(equations.encoders) * (not all(equations.measured))
     if equations.own is not None:
         shape += equations.function().serialize()
     arrays = (program.constants, program.stored[:, 0], schedule.rows, schedule.references, schedule.queued)

@@ -93,7 +93,7 @@ def hidden_angles(itinerary: Itinerary) -> dict[str, float]:
     """
     loop, arms = itinerary.loop, itinerary.model.arms
     n, mechanics = arms.count, loop.mechanics
-    counts = [value for value in loop.sensors.of_each("counts", n) if value]
+    counts = loop.counts(n)
     plants = [arms, *([loop.plant] if isinstance(loop.plant, ArmChainParameters) else [])]
     dry = max(float(np.max(np.divide(plant.coulomb or 0.0, plant.torques))) for plant in plants)
     return {
@@ -125,7 +125,7 @@ def _gains(itinerary: Itinerary, reference: Reference) -> Iterator[Caution]:
         return
     hidden, peak = hidden_angles(itinerary), float(shares.max())
     largest = max(hidden, key=lambda name: hidden[name])
-    finer = _FINER * min(filter(None, loop.sensors.of_each("counts", arms.count)), default=0)
+    finer = _FINER * min(loop.counts(arms.count), default=0)
     value, less = (finer, 1 - 1 / _FINER) if largest == "counts" else (0, 1.0)
     figure = peak * sum(hidden.values())
     yield Caution(CautionCause.GAINS, figure, largest, largest, value, figure - less * peak * hidden[largest])
