@@ -540,10 +540,15 @@ class LoopSettings(Settings, table="run"):
 
     @property
     def filters(self) -> EstimatorSettings | OwnEstimator:
-        """Settings of the estimator; for a hold with flights, it also estimates the arms' parameters by default."""
-        usual = HoldEkfSettings.augment
-        if self.flies and isinstance(self.estimator, HoldEkfSettings) and self.estimator.augment == usual:
-            return replace(self.estimator, augment=(*usual, Augment.PARAMETERS))
+        """Settings of the estimator.
+
+        For a hold with flights or with a missing encoder, it also estimates the arms' parameters by default. Without an
+        encoder, it cannot distinguish further accelerations of the arms from their motion, so it does not estimate them.
+        """
+        usual, blind = HoldEkfSettings.augment, not np.all(self.encoders)
+        if (self.flies or blind) and isinstance(self.estimator, HoldEkfSettings) and self.estimator.augment == usual:
+            augment = [kind for kind in (*usual, Augment.PARAMETERS) if not (blind and kind == Augment.DISTURBANCE)]
+            return replace(self.estimator, augment=tuple(augment))
         return self.estimator
 
     @property

@@ -200,7 +200,8 @@ FINDINGS: Mapping[tuple[str, Cause], Callable[[Figures, Figures], tuple[str, str
     ),
     ("encoders", Cause.RIGHT): lambda f, c: (
         f"{f['kind']} encoders in order, each with its sign; they show "
-        f"{', '.join(f'{factor:.2f}' for factor in f['factors'])} of the model's swing",
+        f"{', '.join(f'{factor:.2f}' for factor, error in zip(f['factors'], f['errors'], strict=True) if error)} of the "
+        "model's swing",
         "",
     ),
     ("counts", Cause.UNKNOWN): lambda f, c: (
