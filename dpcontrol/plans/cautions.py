@@ -7,6 +7,7 @@ separate itineraries that complete all runs from those that do not, among itiner
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import compress
 from typing import ClassVar
 
 import numpy as np
@@ -99,7 +100,7 @@ def hidden_angles(itinerary: Itinerary) -> dict[str, float]:
     return {
         "counts": 2 * np.pi / min(counts) if counts else 0.0,
         "noise": loop.sensors.noise,
-        "play": max(mechanics.of_each("play", n)),
+        "play": max(compress(mechanics.of_each("play", n), loop.of_each("encoders", n))),
         "friction": dry + float(np.max(np.divide(mechanics.of_each("stiction", n), arms.torques))),
     }
 
