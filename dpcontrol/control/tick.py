@@ -571,7 +571,9 @@ class TickEquations:
             for i in self.watch.joints
         ]
         slipped = [ca.fabs(turns[i] - m.turns[i]) > np.pi for i in range(n)]
-        return ca.vertcat(*turns), all_of(any_of(*slipped), ca.logic_not(again), ca.logic_not(any_of(*jumped or [ca.SX(0)])))
+        return ca.vertcat(*turns), all_of(
+            any_of(*slipped), ca.logic_not(again), ca.logic_not(any_of(*jumped or [ca.SX(0)]))
+        )
 
     def _origin(self, m: Memory) -> ca.SX:
         """Origin of z, (N+E,)."""

@@ -95,7 +95,9 @@ def test_an_export_ignores_the_angle_of_an_arm_without_an_encoder(
     program = compiled("gcc", "-O0", folder=folder, out="replay", sources=[*SOURCES, "main_replay.c"])
     head, *rows = (line.split(",") for line in (folder / "readings.csv").read_text().splitlines())
     assert {row[1] for row in rows} == {"nan"}
-    (folder / "nonsense.csv").write_text("\n".join(",".join(row) for row in [head, *([a, "7", *b] for a, _, *b in rows)]))
+    (folder / "nonsense.csv").write_text(
+        "\n".join(",".join(row) for row in [head, *([a, "7", *b] for a, _, *b in rows)])
+    )
     done = [ran(program, name, folder=folder) for name in ("readings.csv", "nonsense.csv")]
     assert [one.returncode for one in done] == [0, 0], done[0].stderr
     assert done[0].stdout == done[1].stdout
