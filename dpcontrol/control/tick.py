@@ -571,9 +571,8 @@ class TickEquations:
             for i in self.watch.joints
         ]
         slipped = [ca.fabs(turns[i] - m.turns[i]) > np.pi for i in range(n)]
-        return ca.vertcat(*turns), all_of(
-            any_of(*slipped), ca.logic_not(again), ca.logic_not(any_of(*jumped or [ca.SX(0)]))
-        )
+        kept = [ca.logic_not(again), *([ca.logic_not(any_of(*jumped))] if jumped else [])]
+        return ca.vertcat(*turns), all_of(any_of(*slipped), *kept)
 
     def _origin(self, m: Memory) -> ca.SX:
         """Origin of z, (N+E,)."""
@@ -947,7 +946,8 @@ def _function(name: str, inputs: Mapping[str, ca.SX], out: ca.SX) -> ca.Function
 @lru_cache(maxsize=32)
 def _tick_equations(
     equations: Equations, period: float, augments: tuple[Augment, ...], path: tuple[int, int] | None,
-    shares: tuple[bool, ...] | None, lags: bool, mechanics: tuple[bool, bool, tuple[bool, ...]], own: "SymbolicLaw | None",
+    shares: tuple[bool, ...] | None, lags: bool, mechanics: tuple[bool, bool, tuple[bool, ...]],
+    own: "SymbolicLaw | None",
 ) -> tuple[TickEquations, dict[str, Compiled]]:  # fmt: skip
     """Return a tick's equations and their machine code so far.
 

@@ -543,7 +543,7 @@ class LoopSettings(Settings, table="run"):
         """Settings of the estimator.
 
         For a hold with flights or with a missing encoder, it also estimates the arms' parameters by default. Without an
-        encoder, it cannot distinguish further accelerations of the arms from their motion, so it does not estimate them.
+        encoder, it cannot tell further accelerations of the arms from their motion, so it does not estimate them.
         """
         usual, blind = HoldEkfSettings.augment, not np.all(self.encoders)
         if (self.flies or blind) and isinstance(self.estimator, HoldEkfSettings) and self.estimator.augment == usual:
