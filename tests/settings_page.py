@@ -79,6 +79,8 @@ def _table(prefix: str, kinds: Mapping[str, Mapping[str, Leaf]]) -> str:
 
 def _allowed(leaf: Leaf) -> str:
     """Return the allowed values, "" for any text."""
+    if "bool" in str(leaf.hint):
+        return "true or false"
     return ", ".join(leaf.bounds.choices) or ("" if "str" in str(leaf.hint) else leaf.bounds.range)
 
 

@@ -64,10 +64,12 @@ class DriveWatch:
     Attributes:
         arms: number n of arms.
         period: time between ticks, s.
+        seen: number of arms, from the inner one, that are all measured, None for all.
     """
 
     arms: int
     period: float
+    seen: int | None = None
 
     @cached_property
     def memory(self) -> Layout[_Memory]:
@@ -132,7 +134,7 @@ class DriveWatch:
         peak = ca.fmax(short, float(np.exp(-self.period / (_FADES * self.time))) * m["peak"])
         follows = ca.logic_and(seen, along >= _FOLLOWED * least)
         astray = ca.logic_and(ca.logic_and(seen, ca.logic_not(follows)), short >= _STAYS * peak)
-        doubt = ca.dot(gaps["arms"] + gaps["driven"] / 2, gaps["driven"])
+        doubt = ca.dot((gaps["arms"] + gaps["driven"] / 2)[: self.seen], gaps["driven"][: self.seen])
         after = {"peak": peak} | {
             name: ca.if_else(counts, m[name] + more, ca.if_else(follows, 0, m[name]))
             for name, more, counts in (

@@ -169,6 +169,7 @@ def identity(program: TickProgram, schedule: GainSchedule) -> str:
     equations = program.equations
     parts = [*equations.numbers.names, *equations.memory.names, *equations.row.names, *equations.filter.extra_names]
     shape = repr((_VERSION, equations.whole, equations.lead, equations.shares, program.period, parts))
+    shape += repr(equations.encoders) * (not all(equations.measured))
     if equations.own is not None:
         shape += equations.function().serialize()
     arrays = (program.constants, program.stored[:, 0], schedule.rows, schedule.references, schedule.queued)
@@ -246,7 +247,7 @@ def _function(program: TickProgram, tables: _Tables, *, single: bool) -> ca.Func
     offset = ca.SX.sym("offset", n + 1)
     reading = equations.reading.joined(Measurement(measured, present, switch, age, ca.SX.zeros(n), offset))
     numbers = ca.SX(ca.DM(program.constants))
-    (out,) = equations.function().call([equations.memory.joined(parts), reading, given, numbers], True, False)
+    (out,) = equations.function().call([reading, given, numbers, equations.memory.joined(parts)], True, False)
     inputs = [memory, measured, present, offset, switch, age, law, acts, now]
     return ca.Function("tick", inputs, [ca.cse(out)], [*_ARGUMENTS], ["out"], {"cse": True})
 

@@ -144,12 +144,14 @@ class KnownMechanics(NamedTuple):
     """The loop's model of a rig's mechanics.
 
     play (n,): play of the joints' encoders, rad. belt: belt frequency, Hz, and damping ratio. For an elastic belt, a
-    notch filter removes its resonance from the commands. Belt and notch together act as a lag.
+    notch filter removes its resonance from the commands. Belt and notch together act as a lag. encoders (n,): True for
+    each arm whose angle is measured; empty for all.
     """
 
     play: tuple[float, ...]
     belt: float
     damping: float
+    encoders: tuple[bool, ...] = ()
 
     @property
     def lag(self) -> float:
@@ -255,6 +257,7 @@ class TickEquations:
         same: differences of readings of a joint and of the cart that are the same count, rad and m.
         split: True to store the filter's positions as sums of two numbers. Single precision rounds an angle of several
             turns to more than the filter's error.
+        encoders: True for each arm (n,) whose angle is measured; empty for all. The tick ignores other angles.
     """
 
     filter: FilterEquations
@@ -268,11 +271,17 @@ class TickEquations:
     own: "SymbolicLaw | None" = None
     same: tuple[float, float] = (SAME, SAME)
     split: bool = False
+    encoders: tuple[bool, ...] = ()
+
+    @cached_property
+    def measured(self) -> tuple[bool, ...]:
+        """True for each measured position (n+1,)."""
+        return (*(self.encoders or (True,) * self.filter.arms), True)
 
     @cached_property
     def watch(self) -> SensorWatch:
         """Watch of sensors and drive."""
-        return SensorWatch(self.filter.equations, self.filter.arms, self.filter.period, self.same)
+        return SensorWatch(self.filter.equations, self.filter.arms, self.filter.period, self.same, self.measured)
 
     @cached_property
     def memory(self) -> Layout[Memory]:
@@ -558,10 +567,12 @@ class TickEquations:
         turns = [ca.if_else(again, 0, turn) for turn in seen]
         # Jumps of a reading, as of an encoder with one turn, and the first reading are not slips.
         jumped = [
-            ca.logic_not(ca.fabs(r.measured[i] - (r.measured[i - 1] if i else 0) - m.last[i]) < np.pi) for i in range(n)
+            ca.logic_not(ca.fabs(r.measured[i] - (r.measured[i - 1] if i else 0) - m.last[i]) < np.pi)
+            for i in self.watch.joints
         ]
         slipped = [ca.fabs(turns[i] - m.turns[i]) > np.pi for i in range(n)]
-        return ca.vertcat(*turns), all_of(any_of(*slipped), ca.logic_not(again), ca.logic_not(any_of(*jumped)))
+        kept = [ca.logic_not(again), *([ca.logic_not(any_of(*jumped))] if jumped else [])]
+        return ca.vertcat(*turns), all_of(any_of(*slipped), *kept)
 
     def _origin(self, m: Memory) -> ca.SX:
         """Origin of z, (N+E,)."""
@@ -657,7 +668,7 @@ class TickEquations:
         nis = m.nis + ca.if_else(judged, (by_position - m.nis) * min(period / ESTIMATE_MEMORY, 1), 0)
         strained = ca.fmin(e.strain / ca.fmax(e.used, 1), _MOST_AT_ONCE * c.lost_estimate)
         strain = m.strain + ca.if_else(judged, (strained - m.strain) * min(period / ESTIMATE_MEMORY, 1), 0)
-        silent = ca.if_else(r.present, 0, m.silent + period)
+        silent = ca.if_else(r.present, 0, (m.silent + period) * ca.DM(self.measured))
         angles = [e.z[i] for i in range(n)]
         if predicts:
             # By the readings, which are right if the estimate is wrong. Another estimator's turns are unknown here.
@@ -895,7 +906,14 @@ class TickEquations:
     def _symbols(self) -> list[tuple[ca.SX, Any]]:
         # The memory is last, so that a row of an array can have it as output of one tick and input of the next.
         layouts = {"reading": self.reading, "row": self.row, "numbers": self.numbers, "memory": self.memory}
-        return [layout.symbols(name) for name, layout in layouts.items()]
+        symbols = [layout.symbols(name) for name, layout in layouts.items()]
+        reading, parts = symbols[0]
+        shown = {name: self._of_encoders(getattr(parts, name)) for name in ("measured", "present")}
+        return [(reading, parts._replace(**shown)), *symbols[1:]]
+
+    def _of_encoders(self, values: ca.SX) -> ca.SX:
+        """Values (n+1,) of the positions, 0 for the arms without an encoder."""
+        return ca.vertcat(*(values[i] if measured else 0 for i, measured in enumerate(self.measured)))
 
     def _moved(self, z: ca.SX, drive: ca.SX, command: ca.SX, c: Numbers) -> tuple[ca.SX, ca.SX]:
         """State and extras, and the cart's acceleration, a period later."""
@@ -928,7 +946,8 @@ def _function(name: str, inputs: Mapping[str, ca.SX], out: ca.SX) -> ca.Function
 @lru_cache(maxsize=32)
 def _tick_equations(
     equations: Equations, period: float, augments: tuple[Augment, ...], path: tuple[int, int] | None,
-    shares: tuple[bool, ...] | None, lags: bool, mechanics: tuple[bool, bool], own: "SymbolicLaw | None",
+    shares: tuple[bool, ...] | None, lags: bool, mechanics: tuple[bool, bool, tuple[bool, ...]],
+    own: "SymbolicLaw | None",
 ) -> tuple[TickEquations, dict[str, Compiled]]:  # fmt: skip
     """Return a tick's equations and their machine code so far.
 
@@ -936,7 +955,10 @@ def _tick_equations(
     """
     filters = FilterEquations(equations, period, augments, as_measured=True)
     whole, lead = path or (0, 0)
-    return TickEquations(filters, whole, lead, shares, path is not None, lags, *mechanics, own), {}
+    plays, shapes, encoders = mechanics
+    return TickEquations(
+        filters, whole, lead, shares, path is not None, lags, plays, shapes, own, encoders=encoders
+    ), {}
 
 
 def whole_periods(delay: float) -> tuple[int, int]:
@@ -973,6 +995,7 @@ class TickProgram:
         mechanics: KnownMechanics | None = None,
     ) -> None:
         self._delay = whole, self.lead = whole_periods(delay)
+        mechanics = mechanics or KnownMechanics((), 0.0, 0.0)
         unrolls = self.lead <= UNROLLED
         # Common code for delays too long to unroll: the pending commands are stored here.
         path = self._delay if unrolls else None
@@ -983,7 +1006,7 @@ class TickProgram:
             path,
             None if law is None else law.shares,
             model.lag > 0,
-            (mechanics is not None and any(mechanics.play), mechanics is not None and mechanics.belt > 0),
+            (any(mechanics.play), mechanics.belt > 0, mechanics.encoders),
             None if law is None else law.law,
         )
         self.model, self.settings, self.runs = model, settings, runs
@@ -997,9 +1020,9 @@ class TickProgram:
             "noise": packed(noise),
             "parameters": model.parameters, "process": settings.process(arms, model.period), "fresh": again,
         }  # fmt: skip
-        if equations.plays and mechanics is not None:
+        if equations.plays:
             known |= {"play": np.array(mechanics.play), "moves": _MOVES * np.sqrt(noise[0, 0])}
-        if equations.shapes and mechanics is not None:
+        if equations.shapes:
             known["notch"] = mechanics.notch(model.period)
         sizes = [layout.size for layout in (equations.reading, equations.row, equations.numbers, equations.memory)]
         self._inputs = np.zeros((sum(sizes), self.lanes))

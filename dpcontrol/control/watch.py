@@ -104,17 +104,28 @@ class SensorWatch:
         arms: number n of arms.
         period: time between ticks, s.
         same: differences of readings of a joint and of the cart that are the same count, rad and m.
+        measured: True for each measured position (n+1,).
     """
 
     equations: Equations
     arms: int
     period: float
     same: tuple[float, float]
+    measured: tuple[bool, ...]
+
+    @cached_property
+    def joints(self) -> tuple[int, ...]:
+        """The joints between two measured arms, or the inner joint of a measured arm."""
+        return tuple(i for i in range(self.arms) if all(self.measured[max(i - 1, 0) : i + 1]))
 
     @cached_property
     def drive(self) -> DriveWatch:
-        """Watch of the drive."""
-        return DriveWatch(self.arms, self.period)
+        """Watch of the drive, by the arms inside the first one that is not measured."""
+        return DriveWatch(self.arms, self.period, (*self.measured[: self.arms], False).index(False))
+
+    def _fresh(self, known: Known) -> ca.SX:
+        """True if all positions that have a sensor were read."""
+        return all_of(*(known.reading.present[i] for i, measured in enumerate(self.measured) if measured))
 
     def start(self, velocity: float, rates: Array) -> dict[str, Any]:
         """Return the parts of the memory that are not zero at the start of a run.
@@ -143,13 +154,18 @@ class SensorWatch:
         """
         n, period, wanted = self.arms, self.period, known.row.wanted
         m, r, c = known.memory, known.reading, known.numbers
-        fresh = all_of(*(r.present[i] for i in range(n + 1)))
+        fresh = self._fresh(known)
         after: dict[str, list[ca.SX]] = {
             name: [] for name in ("last", "step", "same", "begin", "away", "pulled", "strained", "held_back")
         }
         found: list[ca.SX] = []
         for i in range(n + 1):
             arm = i < n
+            if arm and i not in self.joints:
+                found.append(ca.SX(0))
+                for name, values_of in after.items():
+                    values_of.append(getattr(m, name)[i])
+                continue
             inner = r.measured[i - 1] if arm and i else 0
             value = r.measured[i] - inner
             moved = value - m.last[i]
@@ -264,8 +280,7 @@ class SensorWatch:
         limited = ca.fabs(v) >= _LIMITED * c.velocity
         variance = ca.if_else(limited, BIG, c.noise[-1] + e.timing * v**2)
         visible = self.drive.visible(count, variance, ca.fmax(c.drive_noise, _COMMAND_NOISE))
-        fresh = all_of(*(known.reading.present[i] for i in range(n + 1)))
-        cart = CartReading(fresh, watch.same[n] > 0, moved, known.reading.age * v, visible)
+        cart = CartReading(self._fresh(known), watch.same[n] > 0, moved, known.reading.age * v, visible)
         memory = self.drive.update(m.drive_watch, cart)
         found = self.drive.memory.of(memory)
         unfollowed = found.lasts >= self.drive.longest - period / 2

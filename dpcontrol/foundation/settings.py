@@ -404,7 +404,7 @@ class Settings:
         value = getattr(self, name)
         values = tuple(value) if isinstance(value, tuple | list) else (value,) * arms
         if len(values) != arms:
-            raise self.refusal(name, f"must be one number, or {arms}, one for each arm")
+            raise self.refusal(name, f"must be one value, or a list of {arms}, one for each arm")
         return values
 
     def refusal(self, key: str, complaint: str) -> InputError:

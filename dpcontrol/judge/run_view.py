@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.shown import Brief
 from dpcontrol.logs import Event, Extras, Mode, RunLog
+from dpcontrol.loop.result import sensors_of
 from dpcontrol.recordings.recording import REPLAYED
 from dpcontrol.references.content import PlanOrbit
 from dpcontrol.references.reference import Reference
@@ -284,7 +285,7 @@ def series_of(log: RunLog) -> RunView:
         sigma=None if sigma is None or not np.nan_to_num(sigma).any() else sigma,
         control=control if driven or busy else None,
         nis=nis if nis is not None and np.isfinite(nis).any() else None,
-        sensors=n if replayed else log.measured.shape[1],
+        sensors=n if replayed else sensors_of(log.measured),
         limits=log.limits,
         breaks=breaks,
         differenced=what == "measured" and log.rates is None,

@@ -28,7 +28,7 @@ from dpcontrol.judge.decoding import FOLLOWS, NEAR_LAST_ORBIT, Decoded, decode_r
 from dpcontrol.logs import CATCH, FLIGHT, LAP, RESUME, RETURN, Event, RunLog, Stretch
 from dpcontrol.logs.layout import CONTROL, ESTIMATE, REFERENCE
 from dpcontrol.logs.rolling import NIGHT_METADATA
-from dpcontrol.loop.result import Ending, inside_95
+from dpcontrol.loop.result import Ending, inside_95, sensors_of
 from dpcontrol.references.content import PlanSymbol, symbol_figures
 from dpcontrol.references.reference import Reference, load_reference
 from dpcontrol.words import runs as words
@@ -408,10 +408,10 @@ def score(log: RunLog) -> Score:
         rms_tracking_error=float(np.sqrt(np.mean(away**2))),
         max_cart_position=float(np.abs(flown.states[:, 2 * flown.angles.shape[1]]).max()) if log.has_cart else 0.0,
         rms_cart_acceleration=float(np.sqrt(np.mean(flown.applied**2))),
-        nis_inside_95=inside_95(log.control["nis"], log.measured.shape[1]),
+        nis_inside_95=inside_95(log.control["nis"], sensors_of(log.measured)),
         real_time_factor=factor,
         verdict=verdict,
-        nis_means=nis_means(log.control["nis"], log.measured.shape[1]),
+        nis_means=nis_means(log.control["nis"], sensors_of(log.measured)),
         thinking=_thinking(log),
         falls=falls,
         returned=returns(log.events),

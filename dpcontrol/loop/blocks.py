@@ -46,7 +46,8 @@ class Blocks:
         self._state, self._acting = self._steps[:, : kind.size], self._steps[:, step.slices["inputs"]]
         self._demands, self._zeros = np.zeros((BLOCK + 1, kind.demands)), np.zeros((BLOCK, n))
         self._command_noise, self._position_noise = np.zeros((BLOCK, 1)), np.zeros((BLOCK, n + 1))
-        self._reading.present[:], self._zeros[:] = 1.0, rig.drawn(0, 1).zeros
+        self._measured = np.array(tick.measured)[:, None]
+        self._reading.present[:], self._zeros[:] = self._measured, rig.drawn(0, 1).zeros
         self._calls = [self._call(k, sum(sizes[:4]), sum(sizes[:3])) for k in range(BLOCK)]
 
     def _call(self, k: int, inputs: int, outputs: int) -> tuple[Any, ...]:
@@ -104,7 +105,7 @@ class Blocks:
         if rig.draws:
             drawn = rig.drawn(k, count)
             self._command_noise[:count, 0], self._position_noise[:count], self._zeros[:count], dropped = drawn
-            reading.present[:count] = ~dropped[:, None, None]
+            reading.present[:count] = ~dropped[:, None, None] & self._measured
         if self._noise is not None:
             reading.rate_error[:count] = [self._noise[k + i] for i in range(count)]
 

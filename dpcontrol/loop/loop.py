@@ -167,7 +167,7 @@ class ControlLoop:
                 k, report = done - 1, ticker.report
             else:
                 try:
-                    reading = rig.read()
+                    reading = ticker.seen(rig.read())
                 except ArithmeticError as failure:
                     self._fail(k, failure)
                     break
@@ -349,6 +349,7 @@ class LoopSettings(Settings, table="run"):
         rate: rate of the loop, Hz.
         start: "planned", or "anywhere" or a state (N,), from which a flight leads to the first stop.
         initial_error: largest initial error of each angle, rad.
+        encoders: True for each arm whose angle is measured; one value for all arms, or one for each.
         mismatch: largest relative error of the plant's parameters.
         model_uncertainty: factor on the standard errors in the model's file, from which the plant is drawn as well.
         friction: factor on the friction of the plant.
@@ -369,6 +370,9 @@ class LoopSettings(Settings, table="run"):
     initial_error: Annotated[
         float, Setting(least=0, most=np.pi, unit="rad", usual=(0.0, 3.2), help="Largest error of each initial angle.")
     ] = 0.0
+    encoders: Annotated[
+        bool | tuple[bool, ...], Setting(help="Whether each arm's angle is measured, one value or one for each arm.")
+    ] = True
     mismatch: Annotated[float, Setting(least=0, most=0.9, help="Largest relative error of the plant's parameters.")] = (
         0.0
     )
@@ -445,7 +449,17 @@ class LoopSettings(Settings, table="run"):
             arms: number of arms.
         """
         own = self.mechanics
-        return KnownMechanics(own.of_each("known_play", arms), self.known_belt, own.belt_damping)
+        encoders = () if self.encoders is True else self.of_each("encoders", arms)
+        return KnownMechanics(own.of_each("known_play", arms), self.known_belt, own.belt_damping, encoders)
+
+    def counts(self, arms: int) -> list[int]:
+        """Return the counts per turn of the encoders that round.
+
+        Args:
+            arms: number of arms.
+        """
+        pairs = zip(self.of_each("encoders", arms), self.sensors.of_each("counts", arms), strict=True)
+        return [counts for measured, counts in pairs if measured and counts]
 
     @property
     def known_belt(self) -> float:
@@ -526,10 +540,15 @@ class LoopSettings(Settings, table="run"):
 
     @property
     def filters(self) -> EstimatorSettings | OwnEstimator:
-        """Settings of the estimator; for a hold with flights, it also estimates the arms' parameters by default."""
-        usual = HoldEkfSettings.augment
-        if self.flies and isinstance(self.estimator, HoldEkfSettings) and self.estimator.augment == usual:
-            return replace(self.estimator, augment=(*usual, Augment.PARAMETERS))
+        """Settings of the estimator.
+
+        For a hold with flights or with a missing encoder, it also estimates the arms' parameters by default. Without an
+        encoder, it cannot tell further accelerations of the arms from their motion, so it does not estimate them.
+        """
+        usual, blind = HoldEkfSettings.augment, not np.all(self.encoders)
+        if (self.flies or blind) and isinstance(self.estimator, HoldEkfSettings) and self.estimator.augment == usual:
+            augment = [kind for kind in (*usual, Augment.PARAMETERS) if not (blind and kind == Augment.DISTURBANCE)]
+            return replace(self.estimator, augment=tuple(augment))
         return self.estimator
 
     @property

@@ -425,7 +425,7 @@ class LoopResult(Ended):
 
         The band is two-sided.
         """
-        return inside_95(self.ticks.control[:, 5], self.ticks.measured.shape[1])
+        return inside_95(self.ticks.control[:, 5], sensors_of(self.ticks.measured))
 
     @property
     def rms_feedback(self) -> float:
@@ -449,6 +449,15 @@ def inside_95(nis: Array, freedom: int) -> float:
     """
     known = nis[np.isfinite(nis)]
     return share_inside(known, freedom) if known.size else math.nan
+
+
+def sensors_of(measured: Array) -> int:
+    """Return the number of positions that a run measures.
+
+    Args:
+        measured: readings (K, n+1), NaN where missing.
+    """
+    return int(np.isfinite(measured).any(axis=0).sum())
 
 
 def rms(values: Array) -> float:

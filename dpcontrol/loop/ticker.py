@@ -59,6 +59,7 @@ class Ticker:
         self.kind, self.estimator_kind = controller.kind, estimator_kind
         self.lead, self.report = program.lead, program.report
         self._arms, self._n = program.model.arms, program.model.dimension
+        self._measured = np.array(program.equations.measured)
         if len(controller.first_state) != self._n:
             raise InputError(
                 f"the controller is for states of {len(controller.first_state)} entries, these arms have {self._n}"
@@ -186,6 +187,17 @@ class Ticker:
             program.tick()
             return self.report
         return self._by_parts(k - self.began, reading)
+
+    def seen(self, reading: Reading) -> Reading:
+        """Return a reading without the angles of arms that have no encoder.
+
+        Args:
+            reading: reading of one run.
+        """
+        if self._measured.all():
+            return reading
+        present = self._measured if reading.present is None else self._measured & reading.present
+        return reading._replace(positions=np.where(self._measured, reading.positions, np.nan), present=present)
 
     def rows_of(self, k: int, count: int, out: Array) -> None:
         """Write the rows of ticks from k on into `out` (count, size, lanes)."""

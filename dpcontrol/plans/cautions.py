@@ -7,6 +7,7 @@ separate itineraries that complete all runs from those that do not, among itiner
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import compress
 from typing import ClassVar
 
 import numpy as np
@@ -93,13 +94,13 @@ def hidden_angles(itinerary: Itinerary) -> dict[str, float]:
     """
     loop, arms = itinerary.loop, itinerary.model.arms
     n, mechanics = arms.count, loop.mechanics
-    counts = [value for value in loop.sensors.of_each("counts", n) if value]
+    counts = loop.counts(n)
     plants = [arms, *([loop.plant] if isinstance(loop.plant, ArmChainParameters) else [])]
     dry = max(float(np.max(np.divide(plant.coulomb or 0.0, plant.torques))) for plant in plants)
     return {
         "counts": 2 * np.pi / min(counts) if counts else 0.0,
         "noise": loop.sensors.noise,
-        "play": max(mechanics.of_each("play", n)),
+        "play": max(compress(mechanics.of_each("play", n), loop.of_each("encoders", n))),
         "friction": dry + float(np.max(np.divide(mechanics.of_each("stiction", n), arms.torques))),
     }
 
@@ -125,7 +126,7 @@ def _gains(itinerary: Itinerary, reference: Reference) -> Iterator[Caution]:
         return
     hidden, peak = hidden_angles(itinerary), float(shares.max())
     largest = max(hidden, key=lambda name: hidden[name])
-    finer = _FINER * min(filter(None, loop.sensors.of_each("counts", arms.count)), default=0)
+    finer = _FINER * min(loop.counts(arms.count), default=0)
     value, less = (finer, 1 - 1 / _FINER) if largest == "counts" else (0, 1.0)
     figure = peak * sum(hidden.values())
     yield Caution(CautionCause.GAINS, figure, largest, largest, value, figure - less * peak * hidden[largest])

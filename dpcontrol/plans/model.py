@@ -221,6 +221,10 @@ def parameter_course(
     return Quantity(model.system, name, f"values of {name}", unit, max(abs(low), abs(high)), at)
 
 
+_INVISIBLE = 1e-6
+"""Smallest singular value of an observable pair, well above the rounding of eigenvalues."""
+
+
 @dataclass(frozen=True)
 class ModelDescription(Documented):
     """A model with its frictionless equilibria, the pivot at rest.
@@ -234,7 +238,7 @@ class ModelDescription(Documented):
 
     KEYS = (
         "model=model.name title=model.title parameters sources=model.sources remarks=model.remarks mjcf file "
-        "equilibria=rows:state,energy,eigenvalues,kind,need"
+        "equilibria=rows:state,energy,eigenvalues,kind,need,spare_encoders"
     )
 
     model: Model
@@ -251,12 +255,37 @@ class ModelDescription(Documented):
         arms = self.model.parameters
         return arms.need(self.equilibria[name].state[: arms.count]) if isinstance(arms, ArmChainParameters) else None
 
+    def spare_encoders(self, name: str) -> list[int]:
+        """Return the arms, from 1, without whose encoder a filter can observe the motion about an equilibrium.
+
+        By the test of Popov, Belevitch and Hautus, no eigenvector of the linearised arms may be invisible in the other
+        angles. Time is in units of the fastest eigenvalue. The cart's position shows nothing of the arms, because they
+        follow its acceleration, which is the input.
+
+        Args:
+            name: name of the equilibrium.
+        """
+        if not isinstance(arms := self.model.parameters, ArmChainParameters):
+            return []
+        n, equilibrium = arms.count, self.equilibria[name]
+        pace = np.abs(equilibrium.eigenvalues).max()
+        units = np.repeat([1.0, pace], n)
+        flow = self.model.system.numeric.jacobian(equilibrium.state) * units / units[:, None] / pace
+        pencils = flow - (equilibrium.eigenvalues / pace)[:, None, None] * np.eye(2 * n)
+
+        def visible(arm: int) -> bool:
+            others = np.delete(np.eye(n, 2 * n), arm, axis=0)
+            tests = [np.vstack([pencil, others]) for pencil in pencils]
+            return bool(np.linalg.svd(tests, compute_uv=False)[:, -1].min() > _INVISIBLE)
+
+        return [arm + 1 for arm in range(n) if visible(arm)]
+
     @property
     def rows(self) -> dict[str, tuple[Any, ...]]:
-        """State, energy, eigenvalues, kind and need of each equilibrium by name."""
+        """State, energy, eigenvalues, kind, need and spare encoders of each equilibrium by name."""
         return {
-            name: (equilibrium.state, equilibrium.energy, equilibrium.eigenvalues, equilibrium.kind, self.need(name))
-            for name, equilibrium in self.equilibria.items()
+            name: (one.state, one.energy, one.eigenvalues, one.kind, self.need(name), self.spare_encoders(name))
+            for name, one in self.equilibria.items()
         }
 
     @property

@@ -52,5 +52,7 @@ def _check_arms(loop: LoopSettings, arms: int) -> None:
         if blow.arm >= arms:
             raise InputError(f"blow {number}, arm = {blow.arm}: must be 0 to {arms - 1}, 0 for the inner arm")
     loop.sensors.of_each("counts", arms)
+    if not any(loop.of_each("encoders", arms)):
+        raise loop.refusal("encoders", "the cart alone does not show the arms; at least one arm must be measured")
     for name in ("play", "known_play", "stiction", "initial_rate"):
         loop.mechanics.of_each(name, arms)

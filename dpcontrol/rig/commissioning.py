@@ -13,6 +13,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from itertools import compress
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -208,7 +209,8 @@ def commission(
     # Slow computations run before the first tick or after the last, because a rig stops if its loop is silent.
     chirp = chirp_of(arms, rig.period, options)
     try:
-        session = RigSession(rig, arms, limits, zeros or [0.0] * arms.count)
+        encoders = settings.of_each("encoders", arms.count)
+        session = RigSession(rig, arms, limits, zeros or [0.0] * arms.count, encoders)
         perform(session, chirp, switches, options=options, notify=notify)
     except Halted as halted:
         halt = halted.args
@@ -235,8 +237,8 @@ def _judged(session: RigSession, settings: LoopSettings, zeros: tuple[float, ...
     angles, carts = readings[:, :-1], readings[:, -1]
     drive = fit_drive(carts, session.commands, period, first=session.chirped_from, last=session.chirped_to)
     swing = fit_swing(angles[since:], carts[since:], period, arms)
-    wiring = read_wiring(swing)
-    signs = _signs(drive.gain, np.where(wiring.unknown, 0.0, wiring.factors))
+    wiring = read_wiring(swing, session.encoders)
+    signs = _signs(drive.gain, np.where(wiring.unknown | ~session.encoders, 0.0, wiring.factors))
     return [
         _zeros(swing, wiring, zeros, settings),
         _direction(drive, wiring, signs),
@@ -300,7 +302,7 @@ def _scales(wiring: Wiring, gain: float) -> Array:
     nearest = _LIKELY[np.argmin(np.abs(np.log(_LIKELY / sizes[:, None])), axis=1)]
     likely = np.where(np.abs(sizes / nearest - 1) <= FACTOR, nearest, sizes)
     doubtful = (likely != 1) & (np.abs(sizes - 1) < FACTOR + 3 * wiring.errors)
-    return np.where(wiring.unknown | doubtful, np.nan, likely)
+    return np.where(np.isnan(wiring.errors), 1.0, np.where(wiring.unknown | doubtful, np.nan, likely))
 
 
 def _lateness(drive: DriveFit, settings: LoopSettings, period: float) -> Finding:
@@ -340,8 +342,10 @@ def _zeros(swing: CommissioningSwing, wiring: Wiring, zeros: tuple[float, ...], 
             Cause.RIGHT: True,
         }
     )
-    tilted = bool(len(off) > 1 and np.ptp(off) < allowed)
-    figures = {"zeros": off.tolist(), "zero_errors": errors.tolist(), "tilted": tilted}
+    encoders = ~np.isnan(wiring.errors)
+    shown = off[encoders]
+    tilted = bool(len(shown) > 1 and np.ptp(shown) < allowed)
+    figures = {"zeros": shown.tolist(), "zero_errors": errors[encoders].tolist(), "tilted": tilted}
     before = np.array(zeros or [0.0] * len(off))
     values = np.where(known & (wrong | ~large), before + off, before)
     kept = cause is Cause.DIFFERS or (zeros and cause in (Cause.HIDDEN, Cause.RIGHT))
@@ -355,7 +359,7 @@ def _encoders(wiring: Wiring, swing: CommissioningSwing, signs: list[tuple[str, 
         "form": wiring.form.value,
         "order": [k + 1 for k in order],
         "factors": wiring.factors.tolist(),
-        "errors": [None if math.isinf(e) else e for e in wiring.errors.tolist()],
+        "errors": [e if math.isfinite(e) else None for e in wiring.errors.tolist()],
         "misfit": wiring.misfit,
         "swing": swing.readings.std(axis=0).tolist(),
         "kind": "joint" if wiring.form in (Form.SUMMED, Form.RELATIVE) else "absolute",
@@ -394,6 +398,9 @@ def _counts(session: RigSession, wiring: Wiring, gain: float, settings: LoopSett
     seen = [round(2 * np.pi * f / q) if q and f == f else None for f, q in zip(scales, steps, strict=True)]
     said = list(settings.sensors.of_each("counts", len(seen)))
     same = [not one or (told and abs(one / told - 1) < _SAME) for one, told in zip(seen, said, strict=True)]
+    # An encoder that was not measured keeps its number.
+    values = [one or told for one, told in zip(seen, said, strict=True)]
+    seen, said, same = (list(compress(column, session.encoders)) for column in (seen, said, same))
     cause = _first(
         {
             Cause.UNKNOWN: any(said) and not any(seen),
@@ -402,16 +409,16 @@ def _counts(session: RigSession, wiring: Wiring, gain: float, settings: LoopSett
             Cause.RIGHT: True,
         }
     )
-    # An encoder that was not measured keeps its number.
-    values = [one or told for one, told in zip(seen, said, strict=True)]
     changes = {"counts": values if len(set(values)) > 1 else values[0]}
     return Finding("counts", cause, {"counts": seen, "said": said}, changes if cause is Cause.DIFFERS else {})
 
 
 def _play(angles: Array, period: float, wiring: Wiring, settings: LoopSettings) -> Finding:
     """Compare the play of the encoders with that in [run]."""
-    joints = np.diff(angles, axis=1, prepend=0.0).T
-    known = np.array(settings.mechanics.of_each("play", len(joints)))
+    encoders = ~np.isnan(wiring.errors)
+    joints = np.diff(angles, axis=1, prepend=0.0).T[encoders]
+    every = np.array(settings.mechanics.of_each("play", len(encoders)))
+    known = every[encoders]
     plays, errors = (np.array(values) for values in zip(*(fit_play(joint, period) for joint in joints), strict=True))
     # Play can make joint encoders look like absolute ones.
     right = wiring.form in (Form.SUMMED, Form.ABSOLUTE) and bool(np.all(_scales(wiring, 1.0) == 1))
@@ -426,8 +433,8 @@ def _play(angles: Array, period: float, wiring: Wiring, settings: LoopSettings) 
         "said": known.tolist(),
         "least": float(least.max()),
     }
-    seen = np.where(plays > np.maximum(least, 3 * errors), np.round(plays, 5), 0.0)
-    return Finding("play", cause, figures, {"play": seen.tolist()} if cause is Cause.DIFFERS else {})
+    every[encoders] = np.where(plays > np.maximum(least, 3 * errors), np.round(plays, 5), 0.0)
+    return Finding("play", cause, figures, {"play": every.tolist()} if cause is Cause.DIFFERS else {})
 
 
 def _friction(swing: CommissioningSwing, arms: ArmChainParameters, settings: LoopSettings) -> Finding:

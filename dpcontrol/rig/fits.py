@@ -372,7 +372,8 @@ class Form(StrEnum):
 class Wiring(NamedTuple):
     """Wiring: form, order of the encoders, signs and factors (n,), unexplained fraction of the rms.
 
-    The standard error (n,) of a factor that friction hides is infinite.
+    The standard error (n,) of a factor that friction hides is infinite. It is NaN, and the factor 1, for an arm without
+    an encoder.
     """
 
     form: Form
@@ -400,14 +401,15 @@ _CLEARLY = 0.6
 """A fault is reported if it leaves less than this fraction of the correct wiring's residual."""
 
 
-def read_wiring(swing: CommissioningSwing) -> Wiring:
+def read_wiring(swing: CommissioningSwing, encoders: NDArray[np.bool_]) -> Wiring:
     """Return the wiring that fits the readings best.
 
     Args:
         swing: readings, and the motion of the fitted model.
+        encoders: True for each arm (n,) with an encoder.
     """
-    n = swing.readings.shape[1]
-    sums, rest = sums_of(n), swing.readings - swing.readings.mean(axis=0)
+    n, m = len(encoders), int(encoders.sum())
+    sums, rest = sums_of(n), (swing.readings - swing.readings.mean(axis=0))[:, encoders]
     joints, one = np.linalg.inv(sums), np.eye(n)
     forms = {
         Form.SUMMED: (sums, joints),
@@ -419,16 +421,20 @@ def read_wiring(swing: CommissioningSwing) -> Wiring:
     for order in permutations(range(n)):
         for form, (after, before) in forms.items():
             inner = (swing.motion - swing.motion.mean(axis=0)) @ before[list(order)].T
-            columns = (after * inner[:, None]).reshape(-1, n)
+            columns = (after[encoders] * inner[:, None]).reshape(-1, n)
             factors = solved(columns, rest.ravel())
             left = float(np.linalg.norm(rest.ravel() - columns @ factors) / max(np.linalg.norm(rest), 1e-12))
             errors = np.where(inner.std(axis=0) < LEAST_SWING, np.inf, 0.0)
             found.append((Wiring(form, order, factors, left, errors), columns))
     least = min(wiring.misfit for wiring, _ in found)
     nearest, columns = next(pair for pair in found if _CLEARLY * pair[0].misfit <= least + 1e-3)
-    design = np.hstack([columns, swing.slopes, np.kron(np.ones((len(rest), 1)), one)])
+    slopes = swing.slopes[np.tile(encoders, len(rest))]
+    design = np.hstack([columns, slopes, np.kron(np.ones((len(rest), 1)), np.eye(m))])
     errors = _sandwich(design, rest.ravel() - columns @ nearest.factors)[:n]
-    return nearest._replace(errors=np.maximum(errors, nearest.errors))
+    return nearest._replace(
+        factors=np.where(encoders, nearest.factors, 1.0),
+        errors=np.where(encoders, np.maximum(errors, nearest.errors), np.nan),
+    )
 
 
 _SPAN, _SHORTEST = 0.1, 0.06

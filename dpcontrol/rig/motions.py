@@ -94,10 +94,22 @@ class CommissioningSettings(Settings, table="commissioning"):
 
 
 class RigSession:
-    """The rig during commissioning; records every tick and limits the cart's travel."""
+    """The rig during commissioning; records every tick and limits the cart's travel.
 
-    def __init__(self, rig: Rig, arms: ArmChainParameters, limits: Limits, zeros: Sequence[float]) -> None:
+    The angle of an arm without an encoder is 0, whatever the rig sends. encoders (n,): True for each measured arm.
+    """
+
+    def __init__(
+        self,
+        rig: Rig,
+        arms: ArmChainParameters,
+        limits: Limits,
+        zeros: Sequence[float],
+        encoders: Sequence[bool],
+    ) -> None:
         self.rig, self.arms, self.period = rig, arms, rig.period
+        self.encoders = np.array(encoders)
+        self._measured = np.array([*encoders, True])
         self._zeros, self._most = np.array([*zeros, 0.0]), limits.acceleration
         self.positions: list[Array] = []
         self.present: list[bool] = []
@@ -127,7 +139,9 @@ class RigSession:
     def read(self) -> Reading:
         """Read and store the next reading."""
         reading = self.rig.read()
-        positions = reading.positions - self._zeros
+        if reading.present is not None:
+            reading = reading._replace(present=reading.present | ~self._measured)
+        positions = np.where(self._measured, reading.positions - self._zeros, 0.0)
         if reading.present is not None and self.positions:
             positions = np.where(reading.present, positions, self.positions[-1])
         self.positions.append(positions)
@@ -278,7 +292,8 @@ def _raise_for_no_shift(session: RigSession, seen: float) -> None:
     for _ in range(round(1.0 / session.period)):
         session.advance(0.0)
     commanded = response(np.array([*session.commands, 0.0]), session.period, 0.0)
-    wiring = read_wiring(fit_swing(session.filled()[:, :-1], commanded, session.period, session.arms))
+    swing = fit_swing(session.filled()[:, :-1], commanded, session.period, session.arms)
+    wiring = read_wiring(swing, session.encoders)
     raise Halted(Cause.DEAD if float(np.abs(wiring.factors).max()) > 0.3 else Cause.STANDS, {"seen": seen})
 
 

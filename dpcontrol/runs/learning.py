@@ -52,7 +52,7 @@ from dpcontrol.judge.decoding import stays
 from dpcontrol.judge.score import CONSTANTS_METADATA, MODEL_METADATA, arms_in
 from dpcontrol.logs import RunLog
 from dpcontrol.loop.assembly import Assembly
-from dpcontrol.loop.result import rms
+from dpcontrol.loop.result import rms, sensors_of
 from dpcontrol.orbits.lyapunov import equilibria
 from dpcontrol.plans.itinerary import Itinerary, itinerary_from
 from dpcontrol.plans.layout import HoldPart
@@ -161,7 +161,7 @@ def caution(log: RunLog) -> float:
     Args:
         log: log of the run.
     """
-    nis = nis_means(log.control["nis"], log.measured.shape[1])
+    nis = nis_means(log.control["nis"], sensors_of(log.measured))
     return 1.0 if nis is None else 1.0 + len(log.time) * max(nis.mean / nis.expected - 1.0, 0.0)
 
 

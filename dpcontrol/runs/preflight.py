@@ -63,7 +63,7 @@ class SettingChange:
 
 def _fewest_counts(itinerary: Itinerary) -> int:
     """Return the counts per turn of the coarsest encoder, 0 if none rounds."""
-    return min(filter(None, itinerary.loop.sensors.of_each("counts", itinerary.model.arms.count)), default=0)
+    return min(itinerary.loop.counts(itinerary.model.arms.count), default=0)
 
 
 def changes(itinerary: Itinerary) -> Iterator[Sequence[SettingChange]]:

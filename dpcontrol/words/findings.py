@@ -41,6 +41,12 @@ def _delay(f: Figures) -> str:
     return f"the delay is {_with_error(f['delay'], f['delay_error'])} periods, the lag {lag} ms"
 
 
+def _factors(f: Figures) -> str:
+    """Factors of the encoders that there are."""
+    pairs = zip(f["factors"], f["errors"], strict=True)
+    return ", ".join(f"{factor:.2f}" for factor, error in pairs if error is not None)
+
+
 def _zeros(f: Figures) -> str:
     return f"hanging still, the arms read {_each(f['zeros'], f['zero_errors'])} rad"
 
@@ -199,8 +205,7 @@ FINDINGS: Mapping[tuple[str, Cause], Callable[[Figures, Figures], tuple[str, str
         "loosen the joint and start again, or turn the arm once by hand: its angle should change by 2π",
     ),
     ("encoders", Cause.RIGHT): lambda f, c: (
-        f"{f['kind']} encoders in order, each with its sign; they show "
-        f"{', '.join(f'{factor:.2f}' for factor in f['factors'])} of the model's swing",
+        f"{f['kind']} encoders in order, each with its sign; they show {_factors(f)} of the model's swing",
         "",
     ),
     ("counts", Cause.UNKNOWN): lambda f, c: (

@@ -24,6 +24,8 @@ def description(result: Any) -> Iterator[Line]:
     }
     if any(result.need(name) for name in result.equilibria):
         columns["need (m/s² per rad)"] = lambda row: f"{need:.0f}" if (need := result.need(row[0])) else ""
+    if any(result.spare_encoders(name) for name in result.equilibria):
+        columns["observable without encoder"] = lambda row: " or ".join(map(str, result.spare_encoders(row[0])))
     yield table("equilibria", result.equilibria.items(), columns)
     for part, source in model.sources.items():
         yield f"[{part}] {source}"

@@ -84,6 +84,25 @@ def test_a_law_with_a_known_lag_is_exported_with_it(
     assert "4000 ticks, commands differ by" in done.stderr
 
 
+# Slow: seconds for generation and compilation of C.
+@pytest.mark.slow
+def test_an_export_ignores_the_angle_of_an_arm_without_an_encoder(
+    plan: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(export, "_measured", lambda files: (None, None))
+    folder = tmp_path / "blind"
+    export_plan(replace(plan, itinerary=plan.itinerary.with_run({"encoders": (True, False)})), folder)
+    program = compiled("gcc", "-O0", folder=folder, out="replay", sources=[*SOURCES, "main_replay.c"])
+    head, *rows = (line.split(",") for line in (folder / "readings.csv").read_text().splitlines())
+    assert {row[1] for row in rows} == {"nan"}
+    (folder / "nonsense.csv").write_text(
+        "\n".join(",".join(row) for row in [head, *([a, "7", *b] for a, _, *b in rows)])
+    )
+    done = [ran(program, name, folder=folder) for name in ("readings.csv", "nonsense.csv")]
+    assert [one.returncode for one in done] == [0, 0], done[0].stderr
+    assert done[0].stdout == done[1].stdout
+
+
 @pytest.mark.slow
 def test_every_number_of_the_report_is_the_loops(plan: Plan, double: Path) -> None:
     both, rows = SideBySide(plan, library(double)), readings(double)[:300, :3]

@@ -28,6 +28,7 @@ CASES: dict[str, Mapping[str, Any]] = {
     "a lag and a delay": {"lag": 0.005, "drive_lag": 0.005, "delay": 2.0, "jerk": 500.0, "response": 0.98},
     "a lost run": {"mismatch": 0.6},
     "exact sensors": {"counts": 0, "cart_resolution": 0.0},
+    "a missing encoder": {"encoders": (True, False), "dropout": 0.05},
     "a fast loop": {"rate": 2000.0},
 }
 

@@ -64,6 +64,8 @@ def value_of(path: str) -> Any:
     others = [choice for choice in leaf.bounds.choices if choice != leaf.default]
     if path == "start":
         return (0.1, 0.2, 3.0, 4.0, 0.0, 0.0)
+    if isinstance(leaf.default, bool):
+        return (True, False)
     if isinstance(leaf.default, tuple):
         return ("zeros",) if leaf.default else (0.5, 0.25)
     if others:

@@ -98,6 +98,16 @@ def test_a_rig_that_is_right_is_found_right_and_measured() -> None:
     assert rig.stops == 1
 
 
+def test_an_arm_without_an_encoder_is_not_judged() -> None:
+    found = commissioned(bench("encoder-2-reversed"), said=LoopSettings(seed=0, rate=RATE, encoders=(True, False)))
+    assert not found.wrong
+    figures = {finding.step: finding.figures for finding in found.findings}
+    judged = [figures["still"]["zeros"], figures["counts"]["counts"], figures["play"]["play"]]
+    assert [len(values) for values in judged] == [1, 1, 1]
+    found = commissioned(bench("encoder-1-factor-4"), said=LoopSettings(seed=0, rate=RATE, encoders=(True, False)))
+    only_wrong(found, "encoders", Cause.SCALE)
+
+
 WIRED_WRONGLY = {
     "drive-reversed": ("drive", Cause.REVERSED, {}),
     "cart-reversed": ("drive", Cause.CART_REVERSED, {}),
