@@ -168,8 +168,7 @@ class SensorWatch:
                 continue
             inner = r.measured[i - 1] if arm and i else 0
             value = r.measured[i] - inner
-            moved = value - m.last[i]
-            step = ca.fabs(moved)
+            step = ca.fabs(value - m.last[i])
             same = step < self.same[0 if arm else 1]
             jumped = step > _COARSEST[0 if arm else 1]
             smallest = ca.if_else(ca.logic_or(same, jumped), m.step[i], ca.fmin(m.step[i], step))
@@ -198,16 +197,8 @@ class SensorWatch:
                     far = ca.fabs(held) >= ca.fmax(_JOINT_HELD, _COUNTS_HELD * q)
                     evident = any_of(evident, ca.logic_and(steady, far))
                 values |= {"begin": begin, "away": away, "pulled": pulled, "strained": strained, "held_back": held}
-                found.append(
-                    all_of(
-                        fresh,
-                        away >= _JOINT_MOVED,
-                        away >= _COUNTS * q,
-                        count >= longest,
-                        ca.logic_not(nis <= _DOUBT),
-                        evident,
-                    )
-                )
+                moved = [away >= _JOINT_MOVED, away >= _COUNTS * q, count >= longest]
+                found.append(all_of(fresh, *moved, ca.logic_not(nis <= _DOUBT), evident))
             for name, now in values.items():
                 after[name].append(ca.if_else(fresh, now, getattr(m, name)[i]))
         sensor = ca.SX(0)
