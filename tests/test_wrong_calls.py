@@ -68,6 +68,7 @@ BY_NAME: dict[str, Any] = {
 GOOD: dict[str, dict[str, Any]] = {
     "connections": {"source": "$orbit"},
     "flight": {"model": "lab", "state": np.zeros(4), "target": "up-up"},
+    "lab.force": {"state": np.zeros(4), "acceleration": 1.0, "cart_mass": 1.0},
     "prove": {"found": "$orbit"},
     "prove_graph": {"model": "lab", "energy": -0.07},
     "prove_statement": {"statement": "orbit", "saddle": "down-up", "energy": -0.07},

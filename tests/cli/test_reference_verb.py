@@ -79,4 +79,5 @@ def test_the_scene_and_model_in_the_file_plan_to_the_same_reference(
     assert dpcontrol("plan", "outer-turn", "--fresh", "--out", "again.npz").code == 0
     again, held = arrays(tmp_path / "again.npz"), arrays(file)
     for name in ("mesh", "states", "inputs"):
-        np.testing.assert_array_equal(again[name], held[name])
+        # Code of orbits is optimised from its second use on, which rounds otherwise.
+        np.testing.assert_allclose(again[name], held[name], rtol=0, atol=1e-7)
