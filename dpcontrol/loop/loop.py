@@ -340,6 +340,10 @@ _SHAPED = 0.25
 """Largest belt frequency for which commands are shaped, as a share of the loop's rate."""
 
 
+_BLIND_ERROR = 0.03
+"""Relative error of the model's accelerations that a hold with a missing encoder expects at least."""
+
+
 @dataclass(frozen=True)
 class LoopSettings(Settings, table="run"):
     """Rate, controller, estimator, bench and plant errors of a run.
@@ -542,13 +546,17 @@ class LoopSettings(Settings, table="run"):
     def filters(self) -> EstimatorSettings | OwnEstimator:
         """Settings of the estimator.
 
-        For a hold with flights or with a missing encoder, it also estimates the arms' parameters by default. Without an
-        encoder, it cannot tell further accelerations of the arms from their motion, so it does not estimate them.
+        For a hold with flights, it also estimates the arms' parameters by default. Without an encoder, it cannot tell
+        these, or further accelerations of the arms, from their motion: it estimates the drive alone, and expects that
+        the model's accelerations are wrong.
         """
-        usual, blind = HoldEkfSettings.augment, not np.all(self.encoders)
-        if (self.flies or blind) and isinstance(self.estimator, HoldEkfSettings) and self.estimator.augment == usual:
-            augment = [kind for kind in (*usual, Augment.PARAMETERS) if not (blind and kind == Augment.DISTURBANCE)]
-            return replace(self.estimator, augment=tuple(augment))
+        estimator = self.estimator
+        if isinstance(estimator, HoldEkfSettings) and estimator.augment == HoldEkfSettings.augment:
+            if not np.all(self.encoders):
+                error = max(estimator.parameter_error, _BLIND_ERROR)
+                return replace(estimator, augment=(Augment.DRIVE,), parameter_error=error)
+            if self.flies:
+                return replace(estimator, augment=(*estimator.augment, Augment.PARAMETERS))
         return self.estimator
 
     @property

@@ -223,7 +223,7 @@ def _assembled(job: Job) -> Assembly:
     # By the inputs of a controller: cases that differ only in the bench share one.
     decisive = LoopSettings(
         seed=0, rate=loop.rate, drive_lag=loop.known_lag, keep=loop.keep, controller=loop.controller,
-        estimator=loop.estimator,
+        estimator=loop.estimator, encoders=loop.encoders,
         supervisor=loop.supervisor, start=loop.start,
     )  # fmt: skip
     return replace(_prepared(job.reference, job.arms, decisive).under(loop), uncertainty=job.uncertainty)
