@@ -437,7 +437,7 @@ def find_connections(
         hits: section crossings of the connections, of the unstable and the stable tube (default: 1, or those of name).
         section: section of the search: outer-down (θ₂ = 2πk), inner-down (θ₁ = 2πk), aligned (θ₁ = θ₂ + 2πk);
             three-body: opposite, between (default: the saddles' own).
-        longest: longest flight to the section, in periods of the orbit; a short limit also resolves scattering tubes
+        longest: longest flight to the section, in periods of the orbit. A short limit also resolves scattering tubes
             (default: the model's, 12 for pendulums).
         thorough: longer search if the result is "at least": 20,000 or more trajectories per tube, up to a minute.
         seconds: processor time of the search, s; after it, the partial result is shown (default: 60).

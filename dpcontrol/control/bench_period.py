@@ -121,8 +121,10 @@ def sensors_and_drive(kind: PeriodKind, lanes: int) -> tuple[ca.Function, ca.Fun
     return sensors, ca.Function("drive", [*d.values()], [demands, spread([acting])])
 
 
-def bound(function: ca.Function, inputs: Sequence[Array], outputs: Sequence[Array]) -> Callable[[], None]:
-    """Return a call of a function between arrays.
+def bound(
+    function: ca.Function, inputs: Sequence[Array], outputs: Sequence[Array]
+) -> tuple[Callable[[], None], tuple[object, ...]]:
+    """Return a call of a function between arrays, and the objects that must live as long as the call.
 
     Args:
         function: function of dense vectors.
@@ -134,5 +136,4 @@ def bound(function: ca.Function, inputs: Sequence[Array], outputs: Sequence[Arra
         buffer.set_arg(k, array.data)
     for k, array in enumerate(outputs):
         buffer.set_res(k, array.data)
-    call.alive = function, buffer, inputs, outputs
-    return call
+    return call, (function, buffer, inputs, outputs)

@@ -115,7 +115,7 @@ class ControllerSource:
         return "single" if self.single else "double"
 
     def document(self) -> dict[str, Any]:
-        """Return what was written, and the resources, as JSON values."""
+        """Return the written files and the resources as JSON values."""
         unit = self.place is not None and self.place.suffix == ".fmu"
         return {
             "unit" if unit else "folder": self.place,

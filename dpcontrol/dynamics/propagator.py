@@ -231,13 +231,14 @@ def _original(equations: Equations, kind: Hashable, make: Callable[[int], Any], 
     used itself.
 
     Unoptimised code takes 2 to 3 times as long, but compiles 5 to 8 times faster. So the first use on a computer does
-    not optimise; the second use and long work do. Since work is counted rather than timed, results are repeatable.
+    not optimise; the second use and long work do. Both agree within rounding. Work is counted rather than timed, so the
+    computer's speed does not decide.
 
     Args:
         equations: equations of the code.
         kind: which of their codes.
         make: compiles with heyoka's `opt_level`, 0 or 1.
-        work: work that follows, in the unit of `_LONG_WORK`; None if `make` has a level of its own.
+        work: work that follows, in the unit of `_LONG_WORK`, or None if `make` has a level of its own.
     """
     made = _MADE.setdefault(equations, {})
     original, left = made.get(kind, (None, 0))

@@ -4,7 +4,7 @@ They are registered as soon as both packages are imported, in any order. Neither
 """
 
 from collections.abc import Sequence
-from importlib.machinery import ModuleSpec, PathFinder
+from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
 from types import ModuleType
 
 ENVIRONMENTS = {
@@ -30,6 +30,14 @@ def register_environments() -> None:
         )
 
 
+class _RegisteringLoader(SourceFileLoader):
+    """Python's loader of a package, after which the environments are registered."""
+
+    def exec_module(self, module: ModuleType) -> None:
+        super().exec_module(module)
+        register_environments()
+
+
 def registering_spec(name: str, path: Sequence[str] | None) -> ModuleSpec | None:
     """Return the specification of gymnasium, whose import then registers the environments.
 
@@ -37,13 +45,7 @@ def registering_spec(name: str, path: Sequence[str] | None) -> ModuleSpec | None
         name: "gymnasium".
         path: where to search, None for Python's path.
     """
-    found = PathFinder.find_spec(name, path)
-    if found is not None and found.loader is not None:
-        execute = found.loader.exec_module
-
-        def executed(module: ModuleType) -> None:
-            execute(module)
-            register_environments()
-
-        found.loader.exec_module = executed
-    return found
+    spec = PathFinder.find_spec(name, path)
+    if spec is not None and isinstance(spec.loader, SourceFileLoader):
+        spec.loader = _RegisteringLoader(spec.loader.name, spec.loader.path)
+    return spec

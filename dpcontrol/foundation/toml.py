@@ -66,9 +66,9 @@ def with_values(text: str, table: str, values: Mapping[str, Any], *, number: int
 
     Args:
         text: valid TOML.
-        table: name of the table; "" for the top level.
+        table: name of the table, or "" for the top level.
         values: texts, numbers or lists of these, by key.
-        number: number of a table in a list, from 1; 0 if it is none.
+        number: number of a table in a list, from 1, or 0 for a table outside a list.
     """
     document = tomlkit.parse(text)
     if table and table not in document:

@@ -206,8 +206,9 @@ def _means_of(
     """Return means of `mean_of` samples of a segment, and the cart's motion at their middles.
 
     Returns:
-        Angles (B, n), rad; the cart's velocity, m/s, and mean acceleration, m/s² (B, 2); its mean acceleration between
-        neighbouring middles (B - 1,), m/s²; its position, m, and velocity, m/s, at the first middle (2,).
+        Four arrays. The first has the angles (B, n), rad. The second has the cart's velocity, m/s, and its mean
+        acceleration, m/s² (B, 2). The third has its mean acceleration between neighbouring middles (B - 1,), m/s². The
+        last has its position, m, and velocity, m/s, at the first middle (2,).
     """
     blocks = (end - first) // mean_of
     if not blocks:

@@ -48,6 +48,7 @@ class Blocks:
         self._command_noise, self._position_noise = np.zeros((BLOCK, 1)), np.zeros((BLOCK, n + 1))
         self._measured = np.array(tick.measured)[:, None]
         self._reading.present[:], self._zeros[:] = self._measured, rig.drawn(0, 1).zeros
+        self._alive: list[object] = []
         self._calls = [self._call(k, sum(sizes[:4]), sum(sizes[:3])) for k in range(BLOCK)]
 
     def _call(self, k: int, inputs: int, outputs: int) -> tuple[Any, ...]:
@@ -59,14 +60,10 @@ class Blocks:
         measured += [reading.present[k], reading.measured[k - 1]]
         command = self._report[k + 1, self._ticker.program.equations.report.slices.command]
         demanded = [command, self._command_noise[k], self._demands[k], state[k + 1], rig.drive_numbers]
-        return (
-            self._steps[k],
-            state[k + 1],
-            bound(sensors, measured, [reading.measured[k]]),
-            self._ticks[k, :inputs],
-            self._ticks[k + 1, outputs:],
-            bound(drive, demanded, [self._demands[k + 1], self._acting[k + 1]]),
-        )
+        sense, *first = bound(sensors, measured, [reading.measured[k]])
+        act, *second = bound(drive, demanded, [self._demands[k + 1], self._acting[k + 1]])
+        self._alive += [*first, *second]
+        return self._steps[k], state[k + 1], sense, self._ticks[k, :inputs], self._ticks[k + 1, outputs:], act
 
     def run(self, k: int, most: int, into: Ticks, first: int) -> int:
         """Compute ticks from k on, up to one with an outcome or news, and return their number.

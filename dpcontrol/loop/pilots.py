@@ -90,11 +90,9 @@ class Pilot(Protocol):
         Args:
             request: states and goal.
         """
-        ...
 
     def answer(self) -> Answer | None:
         """Return the answer to the last request, or None if it is not ready."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)

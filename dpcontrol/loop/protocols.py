@@ -111,8 +111,6 @@ class UserRig(Protocol):
         Args:
             acceleration: demanded acceleration of the cart, m/s².
         """
-        ...
 
     def stop(self) -> None:
         """Stop the cart."""
-        ...

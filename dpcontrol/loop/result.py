@@ -54,7 +54,6 @@ class Rig(UserRig, Protocol):
 
         The true state is the state at the last reading's tick.
         """
-        ...
 
     @property
     def fault(self) -> Event | None:
@@ -62,7 +61,6 @@ class Rig(UserRig, Protocol):
 
         An example is the end of its track.
         """
-        ...
 
 
 CONTROL_HEAD = 7

@@ -4,7 +4,7 @@ On disk it is one .npz file, readable with numpy alone (`numpy.load(path)`), wit
 
 Arrays are float64 unless said otherwise. K and J count orbits, cuts, pieces and connections from 0. Keys:
 
-    header   JSON text (a 0-d string array). Numbers have all their digits; infinite or missing ones are null:
+    header   JSON text (a 0-d string array). Numbers have all their digits. Infinite or missing ones are null:
              {"format": "dpcontrol-atlas", "version": 2, "model", "title", "energy" (J), "status", "seconds",
               "points": [{name, state, energy, kind}], "absent": [[saddle, reason]],
               "sections": [{name, normal, position, momentum, offset, period, side, middle, reach}],

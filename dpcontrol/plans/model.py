@@ -144,8 +144,8 @@ class Model:
             >>> dp.load_model("lab").force([0.0] * 6, 2.0, cart_mass=1.0)
             2.0...
         """
-        given = np.array(numbers("state", state, 2 * self.arms.count + 2))
-        return cart_force(self.arms, given, acceleration, mass=cart_mass, drag=cart_viscous)
+        values = np.array(numbers("state", state, 2 * self.arms.count + 2))
+        return cart_force(self.arms, values, acceleration, mass=cart_mass, drag=cart_viscous)
 
     @property
     def identified_uncertainty(self) -> Uncertainty:

@@ -100,7 +100,7 @@ def _name(m: Any, joint: int) -> str:
 
 
 def _flaws(m: Any, pose: Any) -> Iterator[tuple[bool, str]]:
-    """Yield what no model has, in an order in which each check needs the ones before, and whether it is there."""
+    """Yield what no model has, in an order in which each check needs the ones before, and whether the robot has it."""
     first = _first(m)
     for k in range(m.njnt):
         name, body = _name(m, k), m.jnt_bodyid[k]
@@ -193,4 +193,4 @@ def _differences(m: Any, pose: Any, cart: float) -> Iterator[str]:
         f"axes and gravity deviate by up to {tilt:.3g} rad from one level plane, in which the model moves": tilt
         > _EXACT,
     }
-    yield from (text for text, there in notes.items() if there)
+    yield from (text for text, applies in notes.items() if applies)

@@ -171,10 +171,9 @@ class Channel(Protocol):
 
     def send(self, data: bytes, /) -> object:
         """Send a packet."""
-        ...
 
     def recv(self, most: int, /) -> bytes:
-        """Return a packet of at most this many bytes; BlockingIOError if none has arrived."""
+        """Return a packet of at most this many bytes, or raise BlockingIOError before one has arrived."""
         ...
 
     def fileno(self) -> int:
@@ -183,7 +182,6 @@ class Channel(Protocol):
 
     def close(self) -> None:
         """Close the line."""
-        ...
 
 
 class PacketRig(AbstractContextManager["PacketRig"]):

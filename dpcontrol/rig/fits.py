@@ -384,12 +384,12 @@ class Wiring(NamedTuple):
 
     @property
     def unknown(self) -> NDArray[np.bool_]:
-        """Return which factors (n,) are unknown."""
+        """Return True for each factor (n,) that is unknown."""
         return 3 * self.errors > FACTOR * np.maximum(np.abs(self.factors), 1)
 
     @property
     def stuck(self) -> NDArray[np.bool_]:
-        """Which encoders (n,) do not move although their joints do."""
+        """Return True for each encoder (n,) that stands still although its joint moves."""
         return (np.abs(self.factors) < STUCK) & ~self.unknown
 
 

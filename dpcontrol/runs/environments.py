@@ -75,23 +75,23 @@ class BenchVector(gymnasium.vector.VectorEnv[Values, Values, Values]):
             seed: seed of the first bench, from which the others count up, or one for each; None to continue.
             options: ignored.
         """
-        given = self._drawn(self.num_envs) if seed is None else seed
-        seeds = [given + k for k in range(self.num_envs)] if isinstance(given, int) else list(given)
+        first = self._random_seeds(self.num_envs) if seed is None else seed
+        seeds = [first + k for k in range(self.num_envs)] if isinstance(first, int) else list(first)
         self.np_random = np.random.default_rng(seeds)
-        self.bench = self._made(seeds)
+        self.bench = self._benches(seeds)
         self._reading = self._before = self.bench.read().positions
         self._age, self._stop, self._stayed, self._over = np.zeros((4, self.num_envs), dtype=int)
-        return self._observed(), {"seed": np.array(seeds)}
+        return self._observations(), {"seed": np.array(seeds)}
 
-    def _drawn(self, count: int) -> list[int]:
+    def _random_seeds(self, count: int) -> list[int]:
         return self.np_random.integers(_SEEDS, size=count).tolist()
 
-    def _made(self, seeds: Sequence[int]) -> BatchBench:
-        own = self.itinerary
-        drawn = {seed: own.loop.draw(own.model.arms, ticks=_ENDLESS, seed=seed) for seed in set(seeds)}
+    def _benches(self, seeds: Sequence[int]) -> BatchBench:
+        loop, arms = self.itinerary.loop, self.itinerary.model.arms
+        draws = {seed: loop.draw(arms, ticks=_ENDLESS, seed=seed) for seed in set(seeds)}
         # The episode ends at the end of the track, before the cart would be stopped there.
-        limits, draws = replace(own.limits, position=_FAR), [drawn[seed] for seed in seeds]
-        return BatchBench(draws, own.loop.bench, limits=limits, start=self._start, lanes=MANY)
+        limits = replace(self.itinerary.limits, position=_FAR)
+        return BatchBench([draws[seed] for seed in seeds], loop.bench, limits=limits, start=self._start, lanes=MANY)
 
     def step(self, actions: Values) -> tuple[Values, Values, Values, Values, dict[str, Any]]:
         """Advance all benches by one period, and draw those anew whose episodes are over.
@@ -104,7 +104,7 @@ class BenchVector(gymnasium.vector.VectorEnv[Values, Values, Values]):
         """
         if not np.isfinite(actions).all():
             raise InputError(f"actions = {actions!r}: must be finite numbers from -1 to 1")
-        limits, n, anew = self.itinerary.limits, self._arms, np.flatnonzero(self._over)
+        limits, n, over = self.itinerary.limits, self._arms, np.flatnonzero(self._over)
         self._before = self._reading
         self.bench.command(np.clip(np.reshape(actions, -1), -1.0, 1.0) * limits.acceleration)
         self._reading = self.bench.read().positions
@@ -118,21 +118,21 @@ class BenchVector(gymnasium.vector.VectorEnv[Values, Values, Values]):
             self._stop = np.minimum(self._stop + (rewards > 0), len(self._targets) - 1)
             self._stayed[rewards > 0] = 0
         cut = self._age >= self._steps
-        if len(anew):
-            self._draw_anew(anew)
+        if len(over):
+            self._restart(over)
             for values in (rewards, ended, cut):
-                values[anew] = 0
+                values[over] = 0
         self._over = ended | cut
-        return self._observed(), rewards, ended, cut & ~ended, {}
+        return self._observations(), rewards, ended, cut & ~ended, {}
 
-    def _draw_anew(self, lanes: Values) -> None:
-        bench = self._made(self._drawn(len(lanes)))
+    def _restart(self, lanes: Values) -> None:
+        bench = self._benches(self._random_seeds(len(lanes)))
         self._reading[:, lanes] = self._before[:, lanes] = bench.read().positions
         self.bench.replace_runs(lanes.tolist(), bench)
         for counts in (self._age, self._stop, self._stayed):
             counts[lanes] = 0
 
-    def _observed(self) -> Values:
+    def _observations(self) -> Values:
         limits, n = self.itinerary.limits, self._arms
         rates = (self._reading - self._before) * self.itinerary.loop.rate
         angles, cart = self._reading[:n], [self._reading[n] / limits.position, rates[n] / limits.velocity]
@@ -164,8 +164,8 @@ class BenchEnvironment(gymnasium.Env[Values, Values]):
             options: ignored.
         """
         super().reset(seed=seed)
-        drawn = int(self.np_random.integers(_SEEDS)) if seed is None else seed
-        return self.vector.reset(seed=[drawn] * VECTOR)[0][0], {"seed": drawn}
+        chosen = int(self.np_random.integers(_SEEDS)) if seed is None else seed
+        return self.vector.reset(seed=[chosen] * VECTOR)[0][0], {"seed": chosen}
 
     def step(self, action: Values) -> tuple[Values, float, bool, bool, dict[str, Any]]:
         """Advance the bench by one period.
@@ -176,5 +176,5 @@ class BenchEnvironment(gymnasium.Env[Values, Values]):
         Raises:
             InputError: the action is not a finite number.
         """
-        seen, rewards, ended, cut, _ = self.vector.step(np.tile(action, (VECTOR, 1)))
-        return seen[0], float(rewards[0]), bool(ended[0]), bool(cut[0]), {}
+        observations, rewards, ended, cut, _ = self.vector.step(np.tile(action, (VECTOR, 1)))
+        return observations[0], float(rewards[0]), bool(ended[0]), bool(cut[0]), {}

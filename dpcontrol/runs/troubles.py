@@ -24,8 +24,8 @@ class Trouble:
     Attributes:
         setting: its path in a run's settings.
         name: name in the text of a change.
-        remedy: advice for halving it, or "". Without advice, a preflight does not try half the value.
-        nothing: value without the trouble.
+        remedy: advice for halving it. A preflight tries half the value only if there is advice.
+        nothing: value of the setting without the trouble.
         halves, removed: True if `--why` tries half the value, or the bench without the trouble.
         border: name of its border in a preflight, "" if none is sought.
         unit: unit in which the border is shown.
