@@ -80,4 +80,4 @@ def test_the_scene_and_model_in_the_file_plan_to_the_same_reference(
     again, held = arrays(tmp_path / "again.npz"), arrays(file)
     for name in ("mesh", "states", "inputs"):
         # Code of orbits is optimised from its second use on, which rounds otherwise.
-        np.testing.assert_allclose(again[name], held[name], rtol=0, atol=1e-7)
+        np.testing.assert_allclose(again[name], held[name], rtol=0, atol=1e-9)
