@@ -62,6 +62,6 @@ def find(kind: str, name: str) -> Path:
         if os.path.isfile(file):
             return file
     if is_path:
-        raise InputError(f"there is no file {name}; give a TOML file or one of: {', '.join(names)}")
+        raise InputError(f"there is no file {name}; give the path of a file, or one of: {', '.join(names)}")
     singular = {"models": "model", "itineraries": "itinerary"}[kind]
     raise InputError(f"there is no {singular} named {name!r}; {suggest(name, names)}, or give a path")

@@ -553,8 +553,9 @@ class LoopSettings(Settings, table="run"):
         estimator = self.estimator
         if isinstance(estimator, HoldEkfSettings) and estimator.augment == HoldEkfSettings.augment:
             if not np.all(self.encoders):
-                error = max(estimator.parameter_error, _BLIND_ERROR)
-                return replace(estimator, augment=(Augment.DRIVE,), parameter_error=error)
+                return replace(
+                    estimator, augment=(Augment.DRIVE,), parameter_error=max(estimator.parameter_error, _BLIND_ERROR)
+                )
             if self.flies:
                 return replace(estimator, augment=(*estimator.augment, Augment.PARAMETERS))
         return self.estimator

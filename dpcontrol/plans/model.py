@@ -49,6 +49,7 @@ class Model:
         encoder_zeros: recorded absolute angles (n,) at true zero, rad, if the file gives them.
         uncertainty: uncertainty of identified arms.
         remarks: sentences on unusual numbers.
+        differences: sentences on the angles and the cart of a robot, and on what the model leaves out or replaces.
     """
 
     name: str
@@ -60,6 +61,7 @@ class Model:
     encoder_zeros: tuple[float, ...] = ()
     uncertainty: Uncertainty | None = None
     remarks: tuple[str, ...] = ()
+    differences: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         return f"<model {self.name!r}: {self.title}>"
@@ -144,8 +146,13 @@ class Model:
             >>> dp.load_model("lab").force([0.0] * 6, 2.0, cart_mass=1.0)
             2.0...
         """
-        values = np.array(numbers("state", state, 2 * self.arms.count + 2))
-        return cart_force(self.arms, values, acceleration, mass=cart_mass, drag=cart_viscous)
+        return cart_force(
+            self.arms,
+            np.array(numbers("state", state, 2 * self.arms.count + 2)),
+            acceleration,
+            mass=cart_mass,
+            drag=cart_viscous,
+        )
 
     @property
     def identified_uncertainty(self) -> Uncertainty:
@@ -237,7 +244,8 @@ class ModelDescription(Documented):
     """
 
     KEYS = (
-        "model=model.name title=model.title parameters sources=model.sources remarks=model.remarks mjcf file "
+        "model=model.name title=model.title parameters sources=model.sources remarks=model.remarks "
+        "differences=model.differences mjcf file "
         "equilibria=rows:state,energy,eigenvalues,kind,need,spare_encoders"
     )
 
@@ -304,7 +312,7 @@ def load_model(name: str | Path) -> Model:
             URDF or MJCF (`.urdf`, `.xml`).
 
     Returns:
-        The model. Unusual numbers in its file give a remark, and so does what the model of a robot leaves out.
+        The model. Unusual numbers in its file give a remark. A robot gives one with the number of its `differences`.
 
     Raises:
         InputError: no such model, a mistake in its file, with table, key, value and allowed range, or a robot that is
@@ -319,7 +327,8 @@ def load_model(name: str | Path) -> Model:
         robot = load_robot(path)
         text = _robot_text(robot, path)
         model = _model(parse_toml(text, str(path)), text, path)
-        model = replace(model, remarks=(*robot.differences, *model.remarks))
+        model = replace(model, differences=robot.differences)
+        remark(f"{path}: the model differs from it in {len(model.differences)} points: see `dpcontrol model {path}`")
     else:
         document, text = read_toml(path)
         model = _model(document, text, path)

@@ -60,9 +60,8 @@ class BenchVector(gymnasium.vector.VectorEnv[Values, Values, Values]):
             self._start[: self._arms] = holds[0]
         # A tour begins at its first stop.
         self._targets = holds[1:] if len(holds) > 1 else holds
-        spaces = gymnasium.spaces
-        self.single_observation_space = spaces.Box(-np.inf, np.inf, (4 * self._arms + 2,), np.float32)
-        self.single_action_space = spaces.Box(-1.0, 1.0, (1,), np.float32)
+        self.single_observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (4 * self._arms + 2,), np.float32)
+        self.single_action_space = gymnasium.spaces.Box(-1.0, 1.0, (1,), np.float32)
         self.observation_space = gymnasium.vector.utils.batch_space(self.single_observation_space, num_envs)
         self.action_space = gymnasium.vector.utils.batch_space(self.single_action_space, num_envs)
 

@@ -29,6 +29,7 @@ def description(result: Any) -> Iterator[Line]:
     yield table("equilibria", result.equilibria.items(), columns)
     for part, source in model.sources.items():
         yield f"[{part}] {source}"
+    yield from model.differences
     if result.mjcf is not None:
         yield f"arms for MuJoCo written to {result.mjcf}"
     if result.file is not None:
