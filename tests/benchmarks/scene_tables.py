@@ -10,6 +10,7 @@ Every scene's row is stored in FOLDER/rows.json when its runs are done; stored r
 import json
 import sys
 from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -24,10 +25,24 @@ from dpcontrol.references.reference import load_reference
 SAMPLERS: dict[str, Callable[[int], Scene]] = {"scene": sampled_scene, "lab": sampled_lab}
 LIMIT = 240.0
 """Processor time for planning one scene, s."""
-Row = dict[str, object]
 
 
-def scene_row(scene: Scene, folder: Path, runs: int) -> Row:
+@dataclass(frozen=True)
+class SceneRow:
+    """A scene with the outcome of its planning, its cautions and its runs."""
+
+    seed: int
+    factors: dict[str, float | str]
+    outcome: str
+    reason: str
+    cautions: dict[str, float] = field(default_factory=dict)
+    runs: int = 0
+    completed: int = 0
+    causes: tuple[str, ...] = ()
+    false_verdicts: tuple[str, ...] = ()
+
+
+def scene_row(scene: Scene, folder: Path, runs: int) -> SceneRow:
     """Plan a scene, list its cautions, fly it, and return its row.
 
     Args:
@@ -36,54 +51,58 @@ def scene_row(scene: Scene, folder: Path, runs: int) -> Row:
         runs: number of runs, whose seeds begin at 1000 times the scene's.
     """
     planned = planned_scene(scene, folder, limit=LIMIT)
-    row: Row = {"seed": scene.seed, "outcome": planned.outcome, "reason": planned.reason, **scene.factors}
+    row = SceneRow(scene.seed, scene.factors, planned.outcome, planned.reason)
     if planned.outcome != "planned":
         return row
-    path = folder / scene.name
+    path, first = folder / scene.name, 1000 * scene.seed
     cautions = cautions_of(load_itinerary(f"{path}.toml"), load_reference(path.with_suffix(".npz")))
-    first = 1000 * scene.seed
     flown = flown_scene(scene, folder, seeds=range(first, first + runs), planned=planned)
-    causes = sorted({run.cause for run in flown.runs if not run.completed})
-    false = [run.disagreement for run in flown.runs if run.disagreement]
-    cautioned = {one.cause.value: one.figure for one in cautions}
-    return {**row, "cautions": cautioned, "runs": runs, "completed": flown.completed, "causes": causes, "false": false}
+    return replace(
+        row,
+        cautions={caution.cause.value: caution.figure for caution in cautions},
+        runs=runs,
+        completed=flown.completed,
+        causes=tuple(sorted({run.cause for run in flown.runs if not run.completed})),
+        false_verdicts=tuple(run.disagreement for run in flown.runs if run.disagreement),
+    )
 
 
-def share_line(name: str, rows: Sequence[Row]) -> str:
+def share_line(name: str, successes: Sequence[int], runs: Sequence[int]) -> str:
     """Return a line of the table: scenes, those that complete all, runs, their share and its lower end.
 
     Args:
         name: name of the line.
-        rows: rows of the scenes, each with its successes in `good` and its `runs`.
+        successes: successful runs (S,) of each scene.
+        runs: all runs (S,) of each scene.
     """
-    if not rows:
+    good, most = np.array(successes), np.array(runs)
+    if not len(good):
         return f"| {name} | 0 | | | | |"
-    good, runs = (np.array([int(str(row[key])) for row in rows]) for key in ("good", "runs"))
-    draws = np.random.default_rng(0).integers(len(rows), size=(4000, len(rows)))
-    low = np.quantile(good[draws].sum(axis=1) / runs[draws].sum(axis=1), 0.025)
-    whole = int(np.count_nonzero(good == runs))
-    share = good.sum() / runs.sum()
-    return f"| {name} | {len(rows)} | {whole} | {good.sum():,} of {runs.sum():,} | {share:.1%} | {low:.1%} |"
+    draws = np.random.default_rng(0).integers(len(good), size=(4000, len(good)))
+    low = np.quantile(good[draws].sum(axis=1) / most[draws].sum(axis=1), 0.025)
+    whole, share = int(np.count_nonzero(good == most)), good.sum() / most.sum()
+    return f"| {name} | {len(good)} | {whole} | {good.sum():,} of {most.sum():,} | {share:.1%} | {low:.1%} |"
 
 
-def table(rows: Sequence[Row]) -> str:
+def table(rows: Sequence[SceneRow]) -> str:
     """Return the lines of the table and a sentence about the cautions.
 
     Args:
         rows: rows of `scene_row`.
     """
-    flown = [{**row, "good": row["completed"]} for row in rows if row["outcome"] == "planned"]
-    warned, silent = ([row for row in flown if bool(row["cautions"]) is wanted] for wanted in (True, False))
-    told = [{**row, "good": row["runs"] if row["cautions"] else row["completed"]} for row in flown]
-    low = [row for row in flown if int(str(row["completed"])) < 0.9 * int(str(row["runs"]))]
-    whole = [row for row in warned if row["completed"] == row["runs"]]
+    flown = [row for row in rows if row.outcome == "planned"]
+    warned, silent = ([row for row in flown if bool(row.cautions) is wanted] for wanted in (True, False))
+    low = [row for row in flown if row.completed < 0.9 * row.runs]
+    whole = [row for row in warned if row.completed == row.runs]
     lines = ["| scenes | number | complete all | runs completed | share | lower end |", "|---|---|---|---|---|---|"]
-    lines += [share_line("all", flown), share_line("without a caution", silent), share_line("with a caution", warned)]
-    lines.append(share_line("completed or with a caution", told))
+    for name, chosen in (("all", flown), ("without a caution", silent), ("with a caution", warned)):
+        lines.append(share_line(name, [row.completed for row in chosen], [row.runs for row in chosen]))
+    told = [row.runs if row.cautions else row.completed for row in flown]
+    lines.append(share_line("completed or with a caution", told, [row.runs for row in flown]))
     lines.append(
         f"\n{len(flown)} of {len(rows)} scenes have a plan. {len(low)} complete less than 90 %, "
-        f"{sum(bool(row['cautions']) for row in low)} of them have a caution. Of {len(warned)} with one, {len(whole)} "
-        f"complete all. {sum(len(list(row['false'])) for row in flown)} false verdicts."  # type: ignore[call-overload]
+        f"{sum(bool(row.cautions) for row in low)} of them have a caution. Of {len(warned)} with one, {len(whole)} "
+        f"complete all. {sum(len(row.false_verdicts) for row in flown)} false verdicts."
     )
     return "\n".join(lines)
 
@@ -93,12 +112,13 @@ def main() -> None:
     folder, kind, first, count, runs = Path(sys.argv[1]), sys.argv[2], *map(int, sys.argv[3:])
     folder.mkdir(parents=True, exist_ok=True)
     file = folder / "rows.json"
-    rows: dict[str, Row] = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
+    stored = json.loads(file.read_text(encoding="utf-8")) if file.exists() else []
+    rows = {row["seed"]: SceneRow(**row) for row in stored}
     for seed in range(first, first + count):
-        if str(seed) not in rows:
-            rows[str(seed)] = scene_row(SAMPLERS[kind](seed), folder, runs)
-            file.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
-            sys.stdout.write(f"{rows[str(seed)]}\n")
+        if seed not in rows:
+            rows[seed] = scene_row(SAMPLERS[kind](seed), folder, runs)
+            file.write_text(json.dumps([asdict(row) for row in rows.values()], indent=1) + "\n", encoding="utf-8")
+            sys.stdout.write(f"{rows[seed]}\n")
             sys.stdout.flush()
     sys.stdout.write(f"{table([*rows.values()])}\n")
 
