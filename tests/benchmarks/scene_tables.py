@@ -1,5 +1,6 @@
 """Tables of drawn scenes: runs completed, and how well the cautions of plans tell the scenes that fail.
 
+    export PYTHONPATH=tests
     python tests/benchmarks/scene_tables.py FOLDER scene 200 120 20   # generated scenes 200 to 319, 20 runs each
     python tests/benchmarks/scene_tables.py FOLDER lab 0 100 10       # 100 ordinary laboratories, 10 runs each
 
