@@ -163,7 +163,6 @@ class ReferenceProblem(Brief):
         duration: duration, s.
         limits: limits of the cart.
         ends: conditions at start and end.
-        cart_guess: times (K,) -> initial cart position, velocity and acceleration (K, 3); None for a cart at rest.
         propagators: compiled propagators of the errors between nodes, by degree of the input.
     """
 
@@ -173,7 +172,6 @@ class ReferenceProblem(Brief):
     duration: float
     limits: Limits = field(default_factory=Limits)
     ends: EndConditions = field(default_factory=EndConditions)
-    cart_guess: Guess | None = None
     propagators: "dict[int, PolynomialInputPropagator]" = field(
         default_factory=dict, init=False, repr=False, compare=False
     )

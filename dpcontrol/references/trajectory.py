@@ -123,7 +123,7 @@ class Solved:
 
 
 def first_trajectory(problem: ReferenceProblem, method: Method, mesh: Array) -> Trajectory:
-    """Return the guess on the mesh, where the cart follows the problem's cart guess or rests in the middle.
+    """Return the guess on the mesh, with the cart at rest in the middle.
 
     Args:
         problem: problem with a guess.
@@ -134,9 +134,6 @@ def first_trajectory(problem: ReferenceProblem, method: Method, mesh: Array) -> 
     states = np.zeros((*times.shape, problem.equations.dimension))
     states[..., : problem.pendulum_dimension] = problem.guess_at(times.ravel()).reshape(*times.shape, -1)
     inputs = np.zeros((*input_times.shape, 1))
-    if problem.cart_guess is not None:
-        states[..., problem.pendulum_dimension :] = problem.cart_guess(times.ravel())[:, :2].reshape(*times.shape, 2)
-        inputs[..., 0] = problem.cart_guess(input_times.ravel())[:, 2].reshape(input_times.shape)
     return Trajectory(method, mesh, states, inputs)
 
 
