@@ -213,14 +213,6 @@ class RunView(Brief):
         return tuple((name, at, seen) for (at, name), seen in zip(self.plan.symbols, done, strict=False))
 
     @property
-    def moment(self) -> float:
-        """Time of the most informative still picture, s: that of the first symbol, or the middle."""
-        first, last = self.time_range
-        at = self.plan.symbols[0][0] if self.plan.symbols else (first + last) / 2
-        # In a run that ended before its first symbol the last moments are the most informative.
-        return at if at < last else first + 0.8 * (last - first)
-
-    @property
     def pivot(self) -> Array:
         """(N,) the pivot's position in m, zero without a cart."""
         return self.state[:, 2 * self.arms] if self.has_cart else np.zeros(len(self.time))
