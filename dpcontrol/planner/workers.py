@@ -38,14 +38,14 @@ class Workers:
             on_report: receiver of its reports.
         """
         async with self._slots:
-            # A process that ended while it was idle may be found dead only when it is given a job.
-            while not await self._done_by_one(json.dumps({"do": do, **given}).encode() + b"\n", on_report):
+            # The end of an idle process may be noticed only when it does not answer.
+            while not await self._attempt(json.dumps({"do": do, **given}).encode() + b"\n", on_report):
                 pass
 
-    async def _done_by_one(self, job: bytes, on_report: OnReport) -> bool:
-        """Give a job to one process; return False if it had ended before."""
+    async def _attempt(self, job: bytes, on_report: OnReport) -> bool:
+        """Give a job to a process, and return False if that was an idle one that ended without an answer."""
         self._idle = [process for process in self._idle if process.returncode is None]
-        begun = not self._idle
+        alive = not self._idle
         process: Any = self._idle.pop() if self._idle else await self._started()
         ended = False
         try:
@@ -54,14 +54,14 @@ class Workers:
                 await process.stdin.drain()
             while not ended and (line := await process.stdout.readline()):
                 word, _, value = line.decode().rstrip("\n").partition(" ")
-                begun, ended = True, word in ("done", "failed")
+                alive, ended = True, word in ("done", "failed")
                 on_report(word, value)
-            if begun and not ended:
+            if alive and not ended:
                 code = await process.wait()
                 on_report("died", f"signal {-code}" if code < 0 else f"exit code {code}")
         finally:
             self._idle.append(process) if ended else _end(process)
-        return begun
+        return alive
 
     async def close(self) -> None:
         """Kill all processes."""

@@ -7,8 +7,9 @@ proved again. A connection that does not close is left out, so the bound is that
 with `dpcontrol prove check FOLDER/ENERGY.json`. The results are stored in `charts/entropy.json`, from which the picture
 `.assets/entropy.png` is drawn.
 
-The estimate uses the connections in the certificate, with durations from their computed phases on the periodic orbits:
-at the entropy h, the greatest eigenvalue of exp(-h τ_ij)/(1 - exp(-h T)) over pairs of connections that meet is one.
+The estimate uses the connections in the certificate. Durations τ_ij of passages follow from their computed phases on
+the periodic orbits. At the entropy h, the greatest eigenvalue of exp(-h τ_ij)/(1 - exp(-h T)) is one, where i and j are
+connections that meet.
 """
 
 import json

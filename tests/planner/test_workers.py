@@ -1,4 +1,4 @@
-"""A process that ended while it was idle costs a job nothing."""
+"""A job survives the end of an idle process that was meant to do it."""
 
 import asyncio
 import os
