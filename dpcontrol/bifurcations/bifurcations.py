@@ -38,7 +38,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import groupby, pairwise
-from typing import Annotated, Any, ClassVar, NamedTuple
+from typing import Annotated, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -62,7 +62,7 @@ from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.causes import GapCause
 from dpcontrol.foundation.checked import Between, check, numbers
-from dpcontrol.foundation.document import Documented, fields_of
+from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.shown import Brief, Shown
@@ -653,8 +653,10 @@ class Sweep:
 
 
 @dataclass(frozen=True)
-class Mark:
-    """An event in a bifurcation diagram; the counts are those of connections on the torus with the required crossings.
+class Bifurcation:
+    """An event with its counts, which are those of connections on the torus with the required crossings.
+
+    The state is on the section if the connection touches it, and otherwise at half of the flight time.
 
     Attributes:
         value: of the followed quantity.
@@ -663,6 +665,10 @@ class Mark:
         point: first section crossing, (q, p/p₀).
         count_below, count_above: counts on either side.
         at_least: True if counts are lower bounds.
+        state (N,): of the connection.
+        residual: of the event's equations.
+        connections: number involved, with images.
+        symmetric: True if a reverser maps the connection to itself.
     """
 
     value: float
@@ -672,21 +678,6 @@ class Mark:
     count_below: int
     count_above: int
     at_least: bool
-
-
-@dataclass(frozen=True)
-class Bifurcation(Mark):
-    """A bifurcation with the state and symmetry of its connection.
-
-    The state is on the section if the connection touches it, and otherwise at half of the flight time.
-
-    Attributes:
-        state (N,): of the connection.
-        residual: of the event's equations.
-        connections: number involved, with images.
-        symmetric: True if a reverser maps the connection to itself.
-    """
-
     state: Array
     residual: float
     connections: int
@@ -932,51 +923,3 @@ def _with_counts(sweep: Sweep, changes: Sequence[Change], counts: Sequence[Found
             )
         )
     return tuple(events)
-
-
-@dataclass(frozen=True)
-class BranchDiagram(Documented):
-    """Connections between two saddles as a function of value.
-
-    Attributes:
-        runs: connections that were followed.
-        marks: events.
-        counts: (value in J, number on the torus, True if complete).
-        scatters_from: J, as in BifurcationSearch.
-    """
-
-    KEYS: ClassVar[str] = "source target section counts scatters_from unexplained runs:values,points marks"
-
-    source: str
-    target: str
-    section: str
-    runs: tuple[Branch, ...]
-    marks: tuple[Mark, ...]
-    counts: tuple[tuple[float, int, bool], ...]
-    scatters_from: float | None
-    unexplained: int
-
-
-def branch_diagram(search: BifurcationSearch) -> BranchDiagram:
-    """Return the diagram of a sweep."""
-    marks = tuple(Mark(**fields_of(Mark, event)) for event in search.events)
-    counts = tuple((c.value, c.count, c.complete) for c in search.counts)
-    return BranchDiagram(
-        search.source, search.target, search.section.name, search.runs, marks, counts, search.scatters_from,
-        len(search.unexplained),
-    )  # fmt: skip
-
-
-def diagram_from(document: dict[str, Any]) -> BranchDiagram:
-    """Return the diagram stored in a document.
-
-    Args:
-        document: JSON values of a diagram.
-
-    Raises:
-        KeyError, TypeError, ValueError: the document is not a diagram.
-    """
-    runs = (Branch(np.array(r["values"], dtype=float), np.array(r["points"], dtype=float)) for r in document["runs"])
-    marks = (Mark(**{**m, "point": (float(m["point"][0]), float(m["point"][1]))}) for m in document["marks"])
-    counts = tuple((float(e), int(n), bool(c)) for e, n, c in document["counts"])
-    return BranchDiagram(**{**document, "runs": tuple(runs), "marks": tuple(marks), "counts": counts})

@@ -11,14 +11,15 @@ from typing import Any, ClassVar
 
 from matplotlib.figure import Figure
 
-from dpcontrol.bifurcations.bifurcations import BranchDiagram
+from dpcontrol.bifurcations.bifurcations import BifurcationSearch, SweepSettings, find_bifurcations
+from dpcontrol.bifurcations.links import Quantity
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import write_whole
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.pages.layout import save_figure
-from dpcontrol.plans.atlas import AtlasSettings, make_atlas, make_branches
+from dpcontrol.plans.atlas import AtlasSettings, make_atlas
 from dpcontrol.plans.model import load_model
 from dpcontrol.walks.atlas import Atlas
 
@@ -36,7 +37,7 @@ class Gallery:
 
     system: Callable[[str], System]
     atlas: Callable[[str, float, tuple[int, int] | None], Atlas]
-    branches: Callable[[str, str, str, Progress], BranchDiagram]
+    branches: Callable[[str, str, str, Progress], BifurcationSearch]
     progress: Progress = no_progress
 
 
@@ -46,8 +47,20 @@ def cached_gallery() -> Gallery:
     return Gallery(
         system=lambda name: model(name).system,
         atlas=lambda name, energy, hits: make_atlas(model(name), energy, settings=AtlasSettings(hits=hits)),
-        branches=lambda name, source, target, report: make_branches(model(name), source, target, progress=report),
+        branches=lambda name, source, target, report: find_bifurcations(
+            Quantity.of_energy(model(name).system),
+            source,
+            target,
+            values=(LOWEST, HIGHEST if source == target else HIGHEST_BETWEEN),
+            settings=SweepSettings(samples=28),
+            progress=report,
+        ),
     )
+
+
+LOWEST, HIGHEST, HIGHEST_BETWEEN = -0.49, 0.26, 0.236
+"""Energies in J between which connections are drawn: sweeps begin at the later of both saddles. Those between different
+saddles end earlier: cuts of the lab pendulum's tubes scatter from about 0.237 J on, where counts are lower bounds."""
 
 
 @dataclass(frozen=True)

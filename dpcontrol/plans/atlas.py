@@ -30,9 +30,6 @@ Arrays are float64 unless said otherwise. K and J count orbits, cuts, pieces and
     connection_K_node_times (L,), _nodes (L, N)         the nodes of the multiple shooting
 
 States are angles, then rates (rad, rad/s), or positions and velocities.
-
-Diagrams of connections against energy are cached by content: a sweep takes at least ten seconds, and its diagram tens
-of kilobytes.
 """
 
 import json
@@ -48,14 +45,6 @@ from typing import IO, Annotated, Any, get_args, get_type_hints
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.bifurcations.bifurcations import (
-    BranchDiagram,
-    SweepSettings,
-    branch_diagram,
-    diagram_from,
-    find_bifurcations,
-)
-from dpcontrol.bifurcations.links import Quantity
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
@@ -92,7 +81,7 @@ Arrays = dict[str, NDArray[Any]]
 FORMAT = "dpcontrol-atlas"
 VERSION = 2
 SEARCHING = 2
-"""Version of the searches, part of the cache keys: raise it whenever an atlas or a branch changes."""
+"""Version of the searches, part of the cache keys: raise it whenever an atlas changes."""
 _ORBIT_SAMPLES = 256
 _FLIGHT_SAMPLES = 400
 _DENSE = 4
@@ -503,53 +492,3 @@ def _unpacked(
         elif hint is float and entry[name] is None:
             values[name] = np.nan
     return values
-
-
-BRANCHES_FORMAT = 2
-LOWEST, HIGHEST, HIGHEST_BETWEEN = -0.49, 0.26, 0.236
-"""Energies in J between which connections are drawn: sweeps begin at the later of both saddles. Those between different
-saddles end earlier: cuts of the lab pendulum's tubes scatter from about 0.237 J on, where counts are lower bounds."""
-
-
-def make_branches(
-    model: Model,
-    source: str,
-    target: str,
-    *,
-    energies: tuple[float, float] | None = None,
-    samples: int = 28,
-    progress: Progress = no_progress,
-) -> BranchDiagram:
-    """Return the diagram of first-hit connections between two saddles, from the cache if possible.
-
-    Args:
-        model: model of the arms.
-        source: saddle that the connections leave.
-        target: saddle that they join.
-        energies: lowest and highest energy, J; a usual range by default.
-        samples: number of energies.
-        progress: receiver of progress reports.
-
-    Raises:
-        InputError: saddles or energies without a range to sweep.
-    """
-    settings = SweepSettings(samples=samples)
-    energies = energies or (LOWEST, HIGHEST if source == target else HIGHEST_BETWEEN)
-    content = {
-        "format": BRANCHES_FORMAT,
-        "code": SEARCHING,
-        "parameters": model.system.parameters.tolist(),
-        "system": type(model.parameters).__name__,
-        "saddles": [source, target],
-        "energies": energies,
-        "settings": asdict(settings),
-    }
-    key = content_hash(json.dumps(content, sort_keys=True))
-    file = cache_file("branches", f"{model.name}-{source}-{target}", key)
-    if (stored := kept(file)) is not None:
-        return diagram_from(json.loads(stored))
-    course = Quantity.of_energy(model.system)
-    search = find_bifurcations(course, source, target, values=energies, settings=settings, progress=progress)
-    diagram = branch_diagram(search)
-    keep(file, json.dumps(diagram.document()).encode() + b"\n")
-    return diagram

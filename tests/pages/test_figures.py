@@ -5,11 +5,13 @@ import subprocess
 import numpy as np
 import pytest
 
+from dpcontrol.bifurcations.bifurcations import SweepSettings, find_bifurcations
+from dpcontrol.bifurcations.links import Quantity
 from dpcontrol.pages.atlas import connections_of, kind_of, stable_direction, write_atlas_recording
 from dpcontrol.pages.figures import Gallery
 from dpcontrol.pages.paper import equilibria
 from dpcontrol.pages.viewer import viewer_program
-from dpcontrol.plans.atlas import AtlasSettings, compute_atlas, make_atlas, make_branches
+from dpcontrol.plans.atlas import AtlasSettings, compute_atlas, make_atlas
 from dpcontrol.plans.model import load_model
 
 FEW_ENERGIES = {
@@ -23,8 +25,13 @@ FEW_ENERGIES = {
 GALLERY = Gallery(
     system=lambda name: load_model(name).system,
     atlas=lambda name, energy, hits: make_atlas(load_model(name), energy, settings=AtlasSettings(hits=hits)),
-    branches=lambda name, source, target, told: make_branches(
-        load_model(name), source, target, energies=FEW_ENERGIES[source, target], samples=3, progress=told
+    branches=lambda name, source, target, told: find_bifurcations(
+        Quantity.of_energy(load_model(name).system),
+        source,
+        target,
+        values=FEW_ENERGIES[source, target],
+        settings=SweepSettings(samples=3),
+        progress=told,
     ),
 )
 """As the verb makes it; atlases are shared with it through the session's cache."""

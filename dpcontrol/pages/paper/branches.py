@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from dpcontrol.bifurcations.bifurcations import BifurcationSearch, BranchDiagram, branch_diagram
+from dpcontrol.bifurcations.bifurcations import BifurcationSearch
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.document import counted
@@ -41,11 +41,11 @@ def branches_page(gallery: Gallery) -> PaperFigure:
     )
     panels = [partial(draw, diagram=d) for draw in (_angle_branches, draw_momentum_branches) for d in diagrams]
     words = "; ".join(
-        f"{pair_name(d)}: {d.counts[0][1]} connections at {d.counts[0][0]:.4f} J and "
-        f"{'' if d.counts[-1][2] else 'at least '}{d.counts[-1][1]} at {d.counts[-1][0]:.4f} J by {len(d.marks)} events"
+        f"{pair_name(d)}: {d.counts[0].count} connections at {d.counts[0].value:.4f} J and "
+        f"{_least(d)}{d.counts[-1].count} at {d.counts[-1].value:.4f} J by {len(d.events)} events"
         for d in diagrams
     )
-    onset = min((m.energy for m in diagrams[2].marks), default=float("nan"))
+    onset = min((event.energy for event in diagrams[2].events), default=float("nan"))
     return PaperFigure(
         page.grid(panels, across=len(diagrams), height=3.1).figure(),
         "The section crossing of each connection, as energy grows: its angle there (above) and the momentum across "
@@ -54,7 +54,7 @@ def branches_page(gallery: Gallery) -> PaperFigure:
         "sense, whose mirror images under (θ, ω) → (-θ, -ω) are the other. Shaded, or above the last energy: "
         "trajectories of a tube pass by another orbit and scatter before they arrive, connections accumulate, and "
         f"those found are some of them. {words}. Changes of the numbers without a located cause: "
-        f"{sum(d.unexplained for d in diagrams)}.",
+        f"{sum(len(d.unexplained) for d in diagrams)}.",
         "Folds and splittings are located instead of read off a list of counts. They are distinguished from grazes of "
         "the section, which only change a connection's number of hits. Both orbits exist from 0.1754 J on, which "
         "the paper gives for the onset of heteroclinics; the first of them that meets its section once each appears at "
@@ -62,27 +62,31 @@ def branches_page(gallery: Gallery) -> PaperFigure:
     )
 
 
-def _angle_branches(axes: Axes, diagram: BranchDiagram) -> None:
+def _angle_branches(axes: Axes, diagram: BifurcationSearch) -> None:
     coordinate, section = _COORDINATES[diagram.source if diagram.source == diagram.target else "between"]
     quiet(axes, f"{pair_name(diagram)}: on {section}", y=f"{coordinate} (rad)")
     _branches(axes, diagram, 0)
     angle_axis(axes, "y")
 
 
-def draw_momentum_branches(axes: Axes, diagram: BranchDiagram) -> None:
+def draw_momentum_branches(axes: Axes, diagram: BifurcationSearch) -> None:
     """Draw connections by momentum and energy, with their bifurcations and the first and last count.
 
     Args:
         axes: panel to draw on.
         diagram: branches to draw.
     """
-    (_, first, _), (_, last, complete) = diagram.counts[0], diagram.counts[-1]
-    count = f"{first} to {'' if complete else 'at least '}{last} connections"
+    count = f"{diagram.counts[0].count} to {_least(diagram)}{diagram.counts[-1].count} connections"
     quiet(axes, x=f"energy (J): {count}", y="p / p₀")
     _branches(axes, diagram, 1)
 
 
-def _branches(axes: Axes, diagram: BranchDiagram, coordinate: int) -> None:
+def _least(diagram: BifurcationSearch) -> str:
+    """Return "at least " if connections of the last count may be missing."""
+    return "" if diagram.counts[-1].complete else "at least "
+
+
+def _branches(axes: Axes, diagram: BifurcationSearch, coordinate: int) -> None:
     homoclinic = diagram.source == diagram.target
     for values, points in diagram.runs:
         symmetric = homoclinic and bool(np.all(np.abs(np.sin(points[:, 0])) < _ON_MIRROR))
@@ -92,12 +96,12 @@ def _branches(axes: Axes, diagram: BranchDiagram, coordinate: int) -> None:
         # A branch that leaves the period on one side enters on the other.
         for part in np.split(np.arange(len(heights)), np.flatnonzero(np.abs(np.diff(heights)) > np.pi) + 1):
             axes.plot(values[part], heights[part], **look, zorder=3 if symmetric else 2)
-    for mark in diagram.marks:
+    for mark in diagram.events:
         height = _wrapped(np.array([mark.point]))[0, coordinate]
         axes.plot(mark.value, height, MARKS[mark.kind], color=style.INK, mfc="white", markersize=5.5, zorder=5)
     if diagram.scatters_from is not None:
-        axes.axvspan(diagram.scatters_from, diagram.counts[-1][0], color="#f3e9e8", zorder=0)
-    axes.set_xlim(diagram.counts[0][0], diagram.counts[-1][0])
+        axes.axvspan(diagram.scatters_from, diagram.counts[-1].value, color="#f3e9e8", zorder=0)
+    axes.set_xlim(diagram.counts[0].value, diagram.counts[-1].value)
 
 
 def _wrapped(points: Array) -> Array:
@@ -108,7 +112,7 @@ def _wrapped(points: Array) -> Array:
     return np.column_stack([angles, points[:, 1]])
 
 
-def pair_name(diagram: BranchDiagram) -> str:
+def pair_name(diagram: BifurcationSearch) -> str:
     return f"{diagram.source} to {'itself' if diagram.source == diagram.target else diagram.target}"
 
 
@@ -119,7 +123,7 @@ def bifurcations(axes: Axes, search: BifurcationSearch) -> None:
         axes: panel to draw on.
         search: search to draw.
     """
-    draw_momentum_branches(axes, branch_diagram(search))
+    draw_momentum_branches(axes, search)
     title = f"{search.source} → {search.target}: {counted(len(search.events), 'bifurcation')} on {search.section.name}"
     unit = f" ({search.course.unit.strip()})" if search.course.unit else ""
     quiet(axes, title, x=f"{search.course.quantity}{unit}", y="p / p₀")
