@@ -1,11 +1,9 @@
-"""Lines of plans and references."""
+"""Lines of plans."""
 
 from collections.abc import Iterator
 from typing import Any
 
 from dpcontrol.words.table import Line, drawn_to, table
-
-_ORIGIN = ("program", "code", "scene_hash", "model_hash")
 
 
 def plan(result: Any) -> Iterator[Line]:
@@ -66,54 +64,3 @@ def _polished(result: Any) -> Iterator[Line]:
         )
     yield table("", result.sides, columns)
     yield "  The polished plan keeps crossings, windings and wraps; it need not come near the orbits."
-
-
-def reference(result: Any) -> Iterator[Line]:
-    """Yield motion, mesh, error, effort, origin, limits and symbols of a reference.
-
-    Args:
-        result: a `ReferenceFile`.
-    """
-    document = result.document()
-    yield f"{result.file}: {document.get('title', 'a reference')}"
-    if "itinerary" in document:
-        yield f"  itinerary    {document['itinerary']}, model {document['model']}, plan {document['plan']}"
-    yield f"  status       {document['status']}"
-    yield (
-        f"  mesh         {document['duration']:.6g} s in {document['intervals']} intervals of {document['method']}, "
-        f"{1e3 * document['shortest_interval']:.3g} to {1e3 * document['longest_interval']:.3g} ms"
-    )
-    measured, origin = document["measured_error_between_nodes"], document.get("made_from")
-    lack = "the file names no arms" if origin is None else "this needs heyoka, which is not installed"
-    anew = f"not measured again: {lack}" if measured is None else f"{measured:.1e} measured again"
-    yield f"  error        {document['max_error_between_nodes']:.1e} between nodes as stored, {anew}"
-    yield f"  effort       {document['rms_cart_acceleration']:.4g} m/s² rms, ∫u² {document['effort']:.4g} m²/s³"
-    if origin:
-        yield "  made from    " + ", ".join(f"{key} {origin.get(key)}" for key in _ORIGIN)
-    columns = {
-        "limit": "cart {0[0]}",
-        "allowed": "±{0[1][bound]:g} {0[1][unit]}",
-        "largest": "{0[1][largest]:.4g}",
-        "used": "{0[1][share]:.1%}",
-        "at (s)": "{0[1][time]:.3f}",
-    }
-    yield table("", document["limits"].items(), columns)
-    if document.get("symbols"):
-        shown: dict[str, Any] = {
-            "symbol": "{0[0]}",
-            "time (s)": "{0[1][time]:.3f}",
-            "text": "{0[1][text]}",
-            "arrives at": "{0[1][arrives_at]}",
-            "connection": lambda row: row[1]["name"] or "a transfer",
-        }
-        yield table("", enumerate(document["symbols"], start=1), shown)
-    yield from drawn_to(result.transitions)
-
-
-def planner(result: Any) -> Iterator[Line]:
-    """Yield the address of the planner.
-
-    Args:
-        result: a `Planner`.
-    """
-    yield from (result.address, "Ctrl-C ends the planner")

@@ -6,6 +6,7 @@
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import zip_longest
 from typing import Any
 
 from dpcontrol.foundation.causes import Cause, Fault
@@ -300,23 +301,6 @@ def repeat_lines(repeat: Any) -> Iterator[str]:
     yield f"  repeats {repeat.source}: {repeat.comparison.messages:,} messages are identical"
 
 
-def learnt_lines(result: Any) -> Iterator[Line]:
-    """Yield the arms learnt from runs, and the effort of the feedback before and after.
-
-    Args:
-        result: a `Learnt`.
-    """
-    columns = {"name": "{0[0]}", "value": "{0[1]:.9g}", "standard error": "{0[2]:.2g}"}
-    yield table("Ratios in SI units", result.rows, columns)
-    yield from (
-        f"effort of the feedback after the first second: {result.effort_before:.3f} m/s² rms before, "
-        f"{result.effort_expected:.3f} expected",
-        result.plan.status,
-    )
-    if result.file is not None:
-        yield from (str(result.file), f"run its plan by `dpcontrol run {result.plan.written}`")
-
-
 def commissioning_lines(result: Any) -> Iterator[str]:
     """Yield the findings of a commissioning with their remedies.
 
@@ -342,27 +326,6 @@ def bench_lines(bench: Any) -> Iterator[str]:
         bench: a `UdpBench`.
     """
     yield f"bench at {bench.url}"
-
-
-def export_lines(export: Any) -> Iterator[str]:
-    """Yield precision, rate and resources of an exported controller.
-
-    Args:
-        export: a `ControllerSource`.
-    """
-    figures, rate = export.figures, export.rate
-    halves = f"at {rate / 2:g} Hz half of it" + ("" if export.precision == "single" else ", with --float half")
-    grows = f", {kibibytes(figures.tables_per_second)} for each second; {halves}"
-    where = export.place or "not written"
-    yield f"{where}: controller of {export.itinerary} in {export.precision} precision, {rate:g} Hz"
-    yield f"  code    {kibibytes(figures.code)} by gcc -O2 on this computer, {figures.operations:,} operations a tick"
-    yield f"  stack   {kibibytes(figures.stack)}, memory {kibibytes(figures.memory)}"
-    yield (
-        f"  tables  {kibibytes(figures.tables)}" + (grows if figures.tables_per_second else " for a run of any length")
-    )
-    if figures.seconds_a_tick is not None:
-        took, share = f"{1e3 * figures.seconds_a_tick:.2g} ms", figures.seconds_a_tick * rate
-        yield f"  time    some {took} a tick on a Cortex-M4 at {export.clock:g} MHz, {share:.0%} of a period"
 
 
 def kibibytes(count: float | None) -> str:
@@ -465,3 +428,25 @@ def preflight_lines(result: Any) -> Iterator[Line]:
             "lost": "{0.lost} of {0.completing}",
         }
         yield table("", helping, columns)
+
+
+def scores_lines(result: Any) -> Iterator[Line]:
+    """Yield the lines of each score or long run.
+
+    Args:
+        result: a `Scores`.
+    """
+    for score, why in zip_longest(result.results, result.whys):
+        yield from score.lines() if why is None else score_lines(score, why=why)
+
+
+def report_lines(result: Any) -> Iterator[Line]:
+    """Yield the result that a page shows, and the page's file.
+
+    Args:
+        result: a `Report`.
+    """
+    yield from result.result.lines()
+    if result.margins is not None:
+        yield f"  margins  {result.margins.status}"
+    yield f"page       {result.page}"

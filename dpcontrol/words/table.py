@@ -35,50 +35,6 @@ def table(title: str, items: Iterable[Any], columns: Mapping[str, str | Callable
     return TextTable(title, tuple(columns), rows)
 
 
-def spaced(values: Iterable[float], form: str) -> str:
-    """Return numbers side by side.
-
-    Args:
-        values: numbers.
-        form: format of each number.
-    """
-    return "  ".join(format(value, form) for value in values)
-
-
-def multiplier_text(value: complex, digits: int = 11) -> str:
-    """Return a Floquet multiplier as text, real if possible; the pair at one has some twelve digits.
-
-    Args:
-        value: the multiplier.
-        digits: number of significant digits.
-    """
-    value = complex(value)
-    if abs(value.imag) < 1e-12:
-        return f"{value.real:.{digits}g}"
-    return f"{value.real:.{min(digits, 10)}g}{value.imag:+.{min(digits, 10)}g}i"
-
-
-def multiplier_texts(values: Iterable[complex], digits: int = 11) -> str:
-    """Return Floquet multipliers side by side.
-
-    Args:
-        values: multipliers.
-        digits: significant digits of each.
-    """
-    return "  ".join(multiplier_text(value, digits) for value in values)
-
-
-def extended_text(state: Sequence[str], indent: str) -> list[str]:
-    """Return the lines of a state in decimal digits, positions before rates.
-
-    Args:
-        state: decimals (N,).
-        indent: blanks before each line.
-    """
-    half = len(state) // 2
-    return [f"{indent}{'position' if k < half else 'rate'} {k % half + 1}  {value}" for k, value in enumerate(state)]
-
-
 def drawn_to(file: Path | str | None) -> list[str]:
     """Return the line that names a picture or a film, if there is one.
 

@@ -48,7 +48,7 @@ def test_a_truncated_log_is_rejected_by_info_recovered_and_then_scored(logged: P
     scored = dpcontrol("score", tmp_path / "cut.mcap", "--json")
     assert scored.code == 1
     assert scored.document["completed"] is False
-    assert "recovered; lost: everything after" in dpcontrol("info", tmp_path / "cut.mcap").stdout
+    assert "everything after" in dpcontrol("info", tmp_path / "cut.mcap", "--json").document["recovered"]
 
 
 @pytest.mark.slow

@@ -1,0 +1,139 @@
+"""The text of a result: entries of its JSON document, as lines and tables."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from dpcontrol.foundation.document import document_of, plain
+from dpcontrol.words.table import Line, TextTable
+
+ENTRIES = {
+    "Atlas": "model energy orbits:saddle,family,period,floquet_multipliers,residual "
+    "transport:saddle,action,volume,mean_time,returns rotating_orbits:arm,period,kind,floquet_multipliers,residual "
+    "kinds:from,to,section,hits,count,complete connections:name,transversality_angle_deg,symmetric,residual "
+    "seconds file cached status",
+    "BifurcationSearch": "from to section hits "
+    "events:value,energy,kind,count_below,count_above,at_least,symmetric,winding,residual,state status",
+    "CacheContents": "kinds status",
+    "CampaignSummary": "campaign groups by_reason=failures.by_reason status",
+    "CertificateCheck": "statement status",
+    "ConnectionSearch": "from to energy section "
+    "connections:name,sense,symmetric,transversality_angle_deg,residual,time_out,time_in open_cuts status",
+    "Edges": "energy edges:name,sense,transversality_angle_deg walks_by_length absent notes",
+    "Identification": "candidates parameters undetermined starting_model_left_out_rms file status",
+    "LyapunovFamily": "saddle family:energy,period,floquet_multipliers,state events:kind,energy ends:energy,reason "
+    "status",
+    "LyapunovOrbit": "saddle energy period state floquet_multipliers residual status",
+    "ModelDescription": "model title parameters equilibria:energy,kind,eigenvalues,need,spare_encoders sources "
+    "differences mjcf file",
+    "Night": "log hours uptime repetitions falls falls_per_hour causes return_median return_99 catches stop_hits "
+    "max_cart_position rms_tracking_error memory_growth deadlines drift not_logged endings partials",
+    "RefinedConnection": "name energy state residual correction status",
+    "RotatingFamilies": "arm energies families:count=#members,status",
+    "RotatingOrbits": "arm rotating_orbits:energy,period,kind,floquet_multipliers,residual,state status",
+    "SolvedWalks": "energy walks least_seen notes film status",
+    "SymmetricSearch": "from family connections:name,energy,winding,residual,time_out,state status",
+}
+"""Class of a result -> the shown entries of its document, as `KEYS` writes them; all for other classes."""
+UNITS = {
+    **dict.fromkeys(("code", "memory", "size", "stack", "tables", "tables_per_second"), "bytes"),
+    **dict.fromkeys(("effort_before", "effort_expected", "rms_cart_acceleration", "u_max", "u_rms"), "m/s²"),
+    **dict.fromkeys(("energy", "energies"), "J"),
+    **dict.fromkeys(("duration", "mean_time", "period", "seconds", "time_in", "time_out"), "s"),
+    "action": "J s",
+    "max_cart_position": "m",
+    "max_cart_velocity": "m/s",
+    "need": "m/s² per rad",
+    "rms_tracking_error": "rad",
+    "state": "rad, rad/s",
+    "volume": "J s²",
+}
+"""Units of entries of systems with SI units."""
+_SENTENCES = ("statement", "status", "title")
+"""Entries without a name before them."""
+
+
+def listing(result: Any) -> Iterator[Line]:
+    """Yield entries of a result's document: lines for single values, tables for rows.
+
+    Args:
+        result: result of a public function.
+    """
+    document = plain(result.document() if hasattr(result, "document") else result)
+    for kind in type(result).__mro__:
+        if kind.__name__ in ENTRIES:
+            document = document_of(document, ENTRIES[kind.__name__])
+            break
+    system = getattr(getattr(result, "source", result), "system", result)
+    yield from _lines(document, UNITS if getattr(system, "si", True) else {})
+
+
+def _lines(document: Mapping[str, Any], units: Mapping[str, str]) -> Iterator[Line]:
+    names = {key: _name(key, units) for key in document}
+    width = max(map(len, names.values()), default=0)
+    for key in sorted(document, key="status".__eq__):
+        value = document[key]
+        rows = _rows(value)
+        if value is None or value in ("", [], {}):
+            continue
+        if any(isinstance(part, Mapping) for row in rows for part in row.values()):
+            for number, row in enumerate(rows, start=1):
+                yield f"{names[key]} {number}"
+                yield from _lines(row, units)
+        elif rows:
+            yield _table(names[key], rows, units)
+        elif sentences := _sentences(value):
+            yield from (names[key], *(f"  {sentence}" for sentence in sentences))
+        elif key in _SENTENCES:
+            yield str(value)
+        else:
+            yield f"  {names[key]:<{width}}  {_text(value, 15)}"
+
+
+def _name(key: str, units: Mapping[str, str]) -> str:
+    """Return an entry's name with its unit."""
+    return key.replace("_", " ") + (f" ({units[key]})" if key in units else "")
+
+
+def _rows(value: Any) -> list[Mapping[str, Any]]:
+    """Return the rows of a list, or of a mapping with a name for each; none for other values."""
+    if isinstance(value, Mapping) and all(isinstance(row, Mapping) for row in value.values()):
+        return [{"name": name, **row} for name, row in value.items()]
+    return value if isinstance(value, list) and all(isinstance(row, Mapping) for row in value) else []
+
+
+def _sentences(value: Any) -> list[str]:
+    """Return the sentences of a list, or of a mapping with a name for each; none for other values."""
+    texts = [f"{name}: {text}" for name, text in value.items()] if isinstance(value, Mapping) else value
+    is_prose = isinstance(texts, list) and all(isinstance(text, str) for text in texts)
+    return texts if is_prose and any(" " in text for text in texts) else []
+
+
+def _table(title: str, rows: Sequence[Mapping[str, Any]], units: Mapping[str, str]) -> TextTable:
+    columns = [key for key in rows[0] if any(row.get(key) not in (None, [], "") for row in rows)]
+    texts = [[_text(row.get(key), 10) for key in columns] for row in rows]
+    return TextTable(title, [_name(key, units) for key in columns], texts)
+
+
+def _text(value: Any, digits: int) -> str:
+    """Return a value as text; a pair of numbers within a list is a complex number."""
+    if value is None or isinstance(value, bool):
+        return {None: "", True: "yes", False: "no"}[value]
+    if isinstance(value, float):
+        return f"{value:.1e}" if 0 < abs(value) < 1e-6 else f"{value:.{digits}g}"
+    if isinstance(value, Mapping):
+        return ", ".join(f"{key} {_text(part, 4)}" for key, part in value.items() if part is not None)
+    if isinstance(value, list):
+        return "  ".join(_complex(part, digits) if _is_pair(part) else _text(part, digits) for part in value)
+    return str(value)
+
+
+def _is_pair(value: Any) -> bool:
+    return isinstance(value, list) and len(value) == 2 and all(isinstance(part, float) for part in value)
+
+
+def _complex(parts: Sequence[float], digits: int) -> str:
+    """Return a complex number as text, without a part that is rounding."""
+    real, imaginary = (0.0 if abs(part) < 1e-12 * max(map(abs, parts)) else part for part in parts)
+    if not imaginary:
+        return f"{real:.{digits}g}"
+    return f"{real:.{digits}g}{imaginary:+.{digits}g}i" if real else f"{imaginary:+.{digits}g}i"
