@@ -74,20 +74,17 @@ def slow_results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
         "identification": dp.identify(swings, model="lab"),
         "summary": dp.open_campaign(folder / "two.parquet"),
         "comparison": dp.compare_logs(logs),
-        "polished": dp.polish("one-arm", runs=1),
         "sustained orbit": dp.sustained_orbit(orbit),
         "rotating family": dp.rotating_families("lab", "outer", energies=(0.29, 0.31))[0],
         "bifurcations": dp.find_bifurcations("lab", "down-up", "down-up", energies=(-0.08, -0.06), samples=2),
-        "proof": dp.prove(orbit),
         "symmetric": dp.connections(dp.orbit("triple", "down-down-up", energy=-1.0), energies=(-1.02, -0.99)),
     }
 
 
 SLOW_CLASSES = {
     "campaign": "Campaign", "preflight": "Preflight", "identification": "Identification", "summary": "CampaignSummary",
-    "comparison": "RunComparison", "polished": "Polished", "sustained orbit": "SustainedOrbit",
+    "comparison": "RunComparison", "sustained orbit": "SustainedOrbit",
     "symmetric": "SymmetricSearch", "rotating family": "RotatingFamily", "bifurcations": "BifurcationSearch",
-    "proof": "Proof",
 }  # fmt: skip
 CLASSES = {
     "orbit": "LyapunovOrbit", "family": "LyapunovFamily", "tube": "Tube", "cut": "Cut", "search": "ConnectionSearch",

@@ -41,8 +41,6 @@ PANELS: dict[str, str] = {
     "dpcontrol.tubes.connections.Connection": "single:flown",
     "dpcontrol.tubes.symmetric.SymmetricSearch": "single:flown",
     "dpcontrol.bifurcations.bifurcations.BifurcationSearch": "paper.branches:bifurcations",
-    "dpcontrol.proofs.prove.Proof": "single:proof",
-    "dpcontrol.runs.polish.Polished": "single:polished",
     "dpcontrol.walks.shadowing.ShadowingOrbit": "page:angles",
     "dpcontrol.walks.edges.Edges": "single:edges",
     "dpcontrol.walks.atlas.Atlas": "atlas:atlas",

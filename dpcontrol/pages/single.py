@@ -16,9 +16,8 @@ from dpcontrol.orbits.tube import Tube
 from dpcontrol.pages import style
 from dpcontrol.pages.atlas import BRANCHES
 from dpcontrol.pages.layout import key
-from dpcontrol.pages.panels import Bar, bars, draw_graph, quiet, quiet_plane, wrapped_runs
+from dpcontrol.pages.panels import draw_graph, quiet, quiet_plane, wrapped_runs
 from dpcontrol.recordings.recording import Recording
-from dpcontrol.runs.polish import Polished
 from dpcontrol.tubes.connections import Connection, ConnectionSearch
 from dpcontrol.tubes.symmetric import SymmetricSearch
 from dpcontrol.walks.edges import Edges
@@ -122,38 +121,6 @@ def flown(axes: Axes, result: Connection | SymmetricSearch) -> None:
     )
     if connections:
         quiet_plane(axes, connections[0].source.system, title=counts or connections[0].name)
-
-
-def proof(axes: Axes, result: Any) -> None:
-    """Draw the bounds of a proof that are small numbers, such as the radii of its balls.
-
-    Args:
-        axes: panel to draw on.
-        result: proof to draw.
-    """
-    colour = style.GOOD if result.proved else style.LIMIT
-    sizes = {name.replace("_", " "): _size(value) for name, value in result.figures.items()}
-    title = f"{result.kind}: {'proved' if result.proved else 'not proved'}"
-    bars(axes, title, [Bar(name, size, colour) for name, size in sizes.items() if 0 < size < 1])
-    axes.set_xscale("log")
-
-
-def _size(value: object) -> float:
-    """Return a number of a proof's figures, or 0 for enclosures and lists."""
-    try:
-        return float(value)  # type: ignore[arg-type]
-    except (TypeError, ValueError):
-        return 0.0
-
-
-def polished(axes: Axes, result: Polished) -> None:
-    """Draw the effort of the robust plan and of the polished one.
-
-    Args:
-        axes: panel to draw on.
-        result: both plans.
-    """
-    bars(axes, result.status, [Bar(side.name, side.effort, style.ARMS[0]) for side in result.sides], x="effort (m²/s³)")
 
 
 def edges(axes: Axes, result: Edges) -> None:

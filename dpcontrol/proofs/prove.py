@@ -19,7 +19,6 @@ from dpcontrol.foundation.document import Documented, counted
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.parts import versions
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
-from dpcontrol.foundation.shown import Shown
 from dpcontrol.orbits.lyapunov import LyapunovOrbit
 from dpcontrol.plans.model import ModelSystem
 from dpcontrol.proofs.balls import NotClosed, ball, bound, decimal, flint, located, symmetric, working
@@ -64,7 +63,7 @@ class ProofSettings:
 
 
 @dataclass(frozen=True)
-class Proof(Shown, Documented):
+class Proof(Documented):
     """A statement with its verdict, enclosures and certificate, if any.
 
     Attributes:

@@ -33,7 +33,6 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import content_hash
 from dpcontrol.foundation.processes import in_processes, processors
 from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress, part_of
-from dpcontrol.foundation.shown import Shown
 from dpcontrol.foundation.statistics import Share, wilson
 from dpcontrol.judge.decoding import crossing, orbit_distance, shortfall
 from dpcontrol.orbits.lyapunov import resting_place
@@ -112,7 +111,7 @@ class Side(Documented):
 
 
 @dataclass(frozen=True, repr=False)
-class Polished(Shown, Documented):
+class Polished(Documented):
     """A robust plan and the polished one with their figures.
 
     One side if the polished plan did not converge.
