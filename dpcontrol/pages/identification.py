@@ -92,7 +92,6 @@ def draw_design(design: Design, *, title: str) -> Figure:
         .row(
             Panel(partial(_swing_map, swings=swings, pair=(first, second)), 1.1),
             partial(_sines, design=design, swings=swings),
-            partial(_accuracy, design=design, pair=(first, second)),
             height=4.4,
         )
         .figure()
@@ -113,18 +112,6 @@ def _sines(axes: Axes, design: Design, swings: list) -> None:
             axes.plot(frequencies, digits, "o-", markersize=4, color=colour)
             ends.append((digits[-1], f"{amplitude:g} m/s²", colour))
     name_curves(axes, ends)
-
-
-def _accuracy(axes: Axes, design: Design, pair: tuple) -> None:
-    first, second = pair
-    places = np.arange(len(design.names))
-    for k, matrix in enumerate((first.matrix, first.matrix + second.matrix)):
-        values = np.sqrt(np.diag(np.linalg.pinv(matrix, hermitian=True)))
-        axes.barh(places + 0.38 * k, values, height=0.36, color=(USED, LEFT)[k])
-    axes.set_yticks(places + 0.19, [name.partition("/")[0] for name in design.names])
-    axes.set_xscale("log")
-    axes.invert_yaxis()
-    quiet(axes, f"Relative standard error from rounding alone. Grey: {first.text}. Colour: with {second.text}")
 
 
 def _swing_map(axes: Axes, swings: list, pair: tuple) -> None:
