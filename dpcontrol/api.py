@@ -537,7 +537,7 @@ def find_bifurcations(
     energy: float | None = None,
     height: Positive | None = None,
     hits: Hit = 1,
-    samples: Count = 24,
+    samples: Annotated[int, Between(2, 1_000_000)] = 24,
     yes: bool = False,
     progress: Reporting = None,
 ) -> bifurcations.BifurcationSearch:
@@ -664,7 +664,7 @@ def atlas(
         hits=hits, search=intersections.search_settings(thorough=thorough, seconds=seconds)
     )
     chosen = _model(model) if isinstance(model, str) else model
-    found = atlases.make_atlas(chosen, energy, settings=settings, fresh=fresh, yes=yes, progress=progress)
+    found = atlases.make_atlas(chosen, float(energy), settings=settings, fresh=fresh, yes=yes, progress=progress)
     if out is None:
         return found
     atlases.save_atlas(Path(out), found)

@@ -38,7 +38,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import groupby, pairwise
-from typing import Annotated, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -61,7 +61,6 @@ from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.causes import GapCause
-from dpcontrol.foundation.checked import Between, check, numbers
 from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress, no_progress
@@ -810,8 +809,7 @@ def find_bifurcations(
     settings, system = settings or SweepSettings(), course.system
     if (source, target) not in system.sections:
         raise InputError(f"{system.name} has no section between {source} and {target}")
-    low, high = numbers(course.quantity, values, 2)
-    check("samples", settings.samples, Annotated[int, Between(2, 1_000_000)])
+    low, high = values
     start, born = _beginning(course, (source, target), (low, high), settings.closest)
     sweep = Sweep(course, source, target, crossings, settings)
     grid = [float(e) for e in np.linspace(start, high, settings.samples)]

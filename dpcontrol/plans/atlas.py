@@ -49,7 +49,6 @@ from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.cache import cache_file, keep, kept
-from dpcontrol.foundation.checked import number
 from dpcontrol.foundation.document import counted, fields_of, picked, plain
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import archive, content_hash, write_archive
@@ -155,7 +154,6 @@ def make_atlas(
         InputError: no saddle has a Lyapunov orbit at this energy.
     """
     settings = settings or AtlasSettings()
-    energy = number("energy", energy)
     file = cache_file("atlases", f"{model.name}-{energy:g}", atlas_key(model, energy, settings))
     if not fresh and (content := kept(file)) is not None:
         return replace(load_atlas(BytesIO(content)), file=file, cached=True)
