@@ -339,8 +339,6 @@ def restored(notes: Mapping[str, Any], arrays: Mapping[str, Array], *, arms: int
         values["segments"] = [{**stay, **fields}]
     for k, orbit in enumerate(values["orbits"]):
         orbit["curve"] = arrays[f"orbit_{k}"]
-    # Plans of version 0.2 hold transfers from rest, which flights replace.
-    values.pop("starts", None)
     values["origin"]["parameters"] = ArmChainParameters(**frozen(values["origin"]["parameters"]))
     content: PlanContent = adapter(PlanContent).validate_python(values)
     if not content.fits(arms):
