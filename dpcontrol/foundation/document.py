@@ -87,7 +87,7 @@ def _part(value: Any, path: str) -> Any:
         if isinstance(value, list | tuple) and not hasattr(value, "_fields"):
             value = value[int(name)] if name.isdigit() else [getattr(item, name) for item in value]
         else:
-            value = value[name] if isinstance(value, Mapping) else getattr(value, name)
+            value = value.get(name) if isinstance(value, Mapping) else getattr(value, name)
         value = value() if ismethod(value) else value
     return len(value) if path.startswith("#") else value
 

@@ -14,10 +14,14 @@ ENTRIES = {
     "BifurcationSearch": "from to section hits "
     "events:value,energy,kind,count_below,count_above,at_least,symmetric,winding,residual,state status",
     "CacheContents": "kinds status",
+    "Campaign": "itinerary cases:case,runs,completed,success_rate,wilson_95,returned standard "
+    "transitions:source,target,duration,case,runs,completed,max_cart_position,rms_cart_acceleration pairs "
+    "failures:case,seed,symbol,cause simulated_seconds seconds file",
     "CampaignSummary": "campaign groups by_reason=failures.by_reason status",
     "CertificateCheck": "statement status",
     "ConnectionSearch": "from to energy section "
     "connections:name,sense,symmetric,transversality_angle_deg,residual,time_out,time_in open_cuts status",
+    "Design": "unknowns best pair status",
     "Edges": "energy edges:name,sense,transversality_angle_deg walks_by_length absent notes",
     "Identification": "candidates parameters undetermined starting_model_left_out_rms file status",
     "LyapunovFamily": "saddle family:energy,period,floquet_multipliers,state events:kind,energy ends:energy,reason "
@@ -27,6 +31,11 @@ ENTRIES = {
     "differences mjcf file",
     "Night": "log hours uptime repetitions falls falls_per_hour causes return_median return_99 catches stop_hits "
     "max_cart_position rms_tracking_error memory_growth deadlines drift not_logged endings partials",
+    "Preflight": "itinerary advice notes warnings:status,remedy known endings:cause,share,seed "
+    "borders:name,unit,set,border,low,high,margin changes:text,typed,gain,error,rescued,failing,lost,completing status",
+    "ReferenceFile": "title file itinerary model plan duration intervals method shortest_interval longest_interval "
+    "max_error_between_nodes measured_error_between_nodes rms_cart_acceleration effort limits symbols transitions "
+    "status",
     "RefinedConnection": "name energy state residual correction status",
     "RotatingFamilies": "arm energies families:count=#members,status",
     "RotatingOrbits": "arm rotating_orbits:energy,period,kind,floquet_multipliers,residual,state status",
@@ -38,7 +47,7 @@ UNITS = {
     **dict.fromkeys(("code", "memory", "size", "stack", "tables", "tables_per_second"), "bytes"),
     **dict.fromkeys(("effort_before", "effort_expected", "rms_cart_acceleration", "u_max", "u_rms"), "m/s²"),
     **dict.fromkeys(("energy", "energies"), "J"),
-    **dict.fromkeys(("duration", "mean_time", "period", "seconds", "time_in", "time_out"), "s"),
+    **dict.fromkeys(("duration", "mean_time", "period", "seconds", "simulated_seconds", "time_in", "time_out"), "s"),
     "action": "J s",
     "max_cart_position": "m",
     "max_cart_velocity": "m/s",
@@ -48,6 +57,12 @@ UNITS = {
     "volume": "J s²",
 }
 """Units of entries of systems with SI units."""
+_MOST = 100
+"""Greatest number of rows of a table; `--json` has all."""
+_CELL = 110
+"""Longest text in a cell of a table."""
+_LONG = 200
+"""Number of characters of a text."""
 _SENTENCES = ("statement", "status", "title")
 """Entries without a name before them."""
 
@@ -75,18 +90,24 @@ def _lines(document: Mapping[str, Any], units: Mapping[str, str]) -> Iterator[Li
         rows = _rows(value)
         if value is None or value in ("", [], {}):
             continue
-        if any(isinstance(part, Mapping) for row in rows for part in row.values()):
+        if any(_needs_lines(part) for row in rows for part in row.values()):
             for number, row in enumerate(rows, start=1):
                 yield f"{names[key]} {number}"
                 yield from _lines(row, units)
         elif rows:
-            yield _table(names[key], rows, units)
+            yield _table(names[key], rows[:_MOST], units)
+            yield from [f"… and {len(rows) - _MOST} more, which --json lists"] if len(rows) > _MOST else []
         elif sentences := _sentences(value):
             yield from (names[key], *(f"  {sentence}" for sentence in sentences))
         elif key in _SENTENCES:
             yield str(value)
         else:
             yield f"  {names[key]:<{width}}  {_text(value, 15)}"
+
+
+def _needs_lines(value: Any) -> bool:
+    """Return True if a value has no room in a cell of a table."""
+    return isinstance(value, Mapping) or (isinstance(value, str) and len(value) > _CELL)
 
 
 def _name(key: str, units: Mapping[str, str]) -> str:
@@ -103,9 +124,12 @@ def _rows(value: Any) -> list[Mapping[str, Any]]:
 
 def _sentences(value: Any) -> list[str]:
     """Return the sentences of a list, or of a mapping with a name for each; none for other values."""
-    texts = [f"{name}: {text}" for name, text in value.items()] if isinstance(value, Mapping) else value
+    texts = list(value.values()) if isinstance(value, Mapping) else value
     is_prose = isinstance(texts, list) and all(isinstance(text, str) for text in texts)
-    return texts if is_prose and any(" " in text for text in texts) else []
+    if not (is_prose and any(" " in text for text in texts)):
+        return []
+    begins = [f"{name}: " for name in value] if isinstance(value, Mapping) else [""] * len(texts)
+    return [f"{begin}{_text(text, 0)}" for begin, text in zip(begins, texts, strict=True)]
 
 
 def _table(title: str, rows: Sequence[Mapping[str, Any]], units: Mapping[str, str]) -> TextTable:
@@ -124,7 +148,8 @@ def _text(value: Any, digits: int) -> str:
         return ", ".join(f"{key} {_text(part, 4)}" for key, part in value.items() if part is not None)
     if isinstance(value, list):
         return "  ".join(_complex(part, digits) if _is_pair(part) else _text(part, digits) for part in value)
-    return str(value)
+    text = str(value)
+    return text if len(text) <= _LONG else f"{text[:_LONG]}…"
 
 
 def _is_pair(value: Any) -> bool:

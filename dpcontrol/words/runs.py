@@ -10,7 +10,7 @@ from itertools import zip_longest
 from typing import Any
 
 from dpcontrol.foundation.causes import Cause, Fault
-from dpcontrol.words.table import Line, table
+from dpcontrol.words.table import Line
 
 _LOST = "estimate lost at t = {time:.3f} s:"
 _FAILED = "drive failed at t = {time:.3f} s:"
@@ -335,99 +335,6 @@ def kibibytes(count: float | None) -> str:
         count: number of bytes, None if unknown.
     """
     return "unknown (no gcc to measure it)" if count is None else f"{count / 1024:.1f} KiB"
-
-
-_SHOWN = 10
-"""Number of failures to print; all of them are in the file."""
-
-
-def campaign_lines(result: Any) -> Iterator[Line]:
-    """Yield the completed shares of a campaign with some of its failures.
-
-    Args:
-        result: a `Campaign`.
-    """
-    if result.standard:
-        rates = {kind: f"{{0.kinds[{kind}].rate:.2f}}" for kind in result.standard[0].kinds}
-        columns = {"controller": "{.controller}", "score": "{.total:.3f}", **rates}
-        yield table(f"Robustness of {result.itinerary}", result.standard, columns)
-    else:
-        yield from _cases(result)
-    pace = result.simulated_seconds / max(result.seconds, 1e-9)
-    took = f"{result.simulated_seconds:.0f} s simulated in {result.seconds:.1f} s"
-    yield f"{result.file}  ({took}, {pace:.0f} × real time)"
-
-
-def _cases(result: Any) -> Iterator[Line]:
-    columns = {
-        "case": "{0.case.label}",
-        "completed": "{0.completed.successes} of {0.completed.runs}",
-        "share": lambda r: f"{100 * r.completed.rate:.1f} %",
-        "95 % (Wilson)": lambda r: f"{100 * r.completed.low:.1f} … {100 * r.completed.high:.1f} %",
-    }
-    if any(r.returned for r in result.results):
-        columns["back after"] = lambda r: "{:.2f} s, 99 % {:.2f} s".format(*r.returned) if r.returned else ""
-    yield table(f"Campaign of {result.itinerary}", result.results, columns)
-    for first, second, pair in result.pairs:
-        yield (
-            f"  same seeds: only {first!r} completed {pair.only_first}, only {second!r} {pair.only_second} "
-            f"(McNemar p = {pair.p_value:.2g})"
-        )
-    if result.transitions:
-        columns = {
-            "from": "{.source}",
-            "to": "{.target}",
-            "s": "{.duration:.3g}",
-            "case": "{.case}",
-            "completed": "{0.completed.successes} of {0.completed.runs}",
-            "cart at most (m)": "{.max_cart_position:.3f}",
-            "rms (m/s²)": "{.rms_cart_acceleration:.2f}",
-        }
-        yield table("Each alone", result.transitions, columns)
-    failures = [row for r in result.results for row in r.failures]
-    for failure in failures[:_SHOWN]:
-        which = f"{failure['itinerary']}, " if result.transitions else ""
-        yield f"  {which}seed {failure['seed']}: {failure['reason']}"
-    if len(failures) > _SHOWN:
-        yield f"  … and {len(failures) - _SHOWN} more in the file"
-
-
-def preflight_lines(result: Any) -> Iterator[Line]:
-    """Yield the forecast of a first run: rate, causes of failure, borders, and what would help.
-
-    Args:
-        result: a `Preflight`.
-    """
-    yield f"{result.itinerary}: {result.status}"
-    yield f"  {result.advice}"
-    yield from (f"  mind: {note}" for note in result.notes)
-    yield from (f"  caution: {caution.status}: {caution.remedy}" for caution in result.warnings)
-    yield table("", result.known, {"known of the bench": "{.name}", "": "{.value}", "from": "{.source}"})
-    if result.endings:
-        columns = {
-            "what ends it otherwise": "{.cause}",
-            "of all runs": lambda ending: f"{ending.runs / result.share.runs:.1%}",
-            "for example seed": "{.seed}",
-        }
-        yield table("", result.endings[:_SHOWN], columns)
-    if result.borders:
-        columns = {
-            "half as often at": "{.name}",
-            "set": "{.own}",
-            "border": "{.sentence}",
-            "95 %": lambda border: border.interval,
-            "margin": lambda border: "" if border.margin is None else f"{border.margin:.1f} ×",
-        }
-        yield table("", result.borders, columns)
-    if helping := [change for change in result.changes if change.gain > 2 * change.error]:
-        columns = {
-            "what would help": "{.text}",
-            "option": "{.typed}",
-            "gain": lambda change: f"{100 * change.gain:+.1f} ± {200 * change.error:.1f} points",
-            "rescued": "{0.rescued} of {0.failing}",
-            "lost": "{0.lost} of {0.completing}",
-        }
-        yield table("", helping, columns)
 
 
 def scores_lines(result: Any) -> Iterator[Line]:

@@ -12,14 +12,12 @@ from dpcontrol.words.listing import listing
 from dpcontrol.words.table import Line
 
 TEXTS = {
-    "Campaign": "runs.campaign_lines",
     "Commissioning": "runs.commissioning_lines",
     "Demonstration": "start.demonstration",
     "DrawnCharts": "drawings.charts",
     "DrawnFigures": "drawings.figures",
     "GuidePage": "start.page",
     "Plan": "references.plan",
-    "Preflight": "runs.preflight_lines",
     "Repeat": "runs.repeat_lines",
     "Report": "runs.report_lines",
     "Run": "runs.run_lines",
