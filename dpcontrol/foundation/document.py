@@ -84,6 +84,8 @@ def _part(value: Any, path: str) -> Any:
     The methods are called without arguments.
     """
     for name in path.lstrip("#").split("."):
+        if value is None:
+            return None
         if isinstance(value, list | tuple) and not hasattr(value, "_fields"):
             value = value[int(name)] if name.isdigit() else [getattr(item, name) for item in value]
         else:

@@ -31,6 +31,11 @@ ENTRIES = {
     "differences mjcf file",
     "Night": "log hours uptime repetitions falls falls_per_hour causes return_median return_99 catches stop_hits "
     "max_cart_position rms_tracking_error memory_growth deadlines drift not_logged endings partials",
+    "Plan": "walk wraps shadowing=shadowing.status duration=reference.duration "
+    "max_cart_position=reference.max_cart_position rms_cart_acceleration=reference.rms_cart_acceleration "
+    "max_cart_acceleration=reference.max_cart_acceleration file cached transfers:text,duration,effort,stroke "
+    "polished=polish.status polished_file=polish.plan.file sides=polish.sides margins=margins.status "
+    "energy_chosen=energies.chosen energies_file=energies.file warnings:cause,status,remedy status",
     "Preflight": "itinerary advice notes warnings:status,remedy known endings:cause,share,seed "
     "borders:name,unit,set,border,low,high,margin changes:text,typed,gain,error,rescued,failing,lost,completing status",
     "ReferenceFile": "title file itinerary model plan duration intervals method shortest_interval longest_interval "
@@ -45,7 +50,9 @@ ENTRIES = {
 """Class of a result -> the shown entries of its document, as `KEYS` writes them; all for other classes."""
 UNITS = {
     **dict.fromkeys(("code", "memory", "size", "stack", "tables", "tables_per_second"), "bytes"),
-    **dict.fromkeys(("effort_before", "effort_expected", "rms_cart_acceleration", "u_max", "u_rms"), "m/s²"),
+    **dict.fromkeys(
+        ("effort_before", "effort_expected", "max_cart_acceleration", "rms_cart_acceleration", "u_max", "u_rms"), "m/s²"
+    ),
     **dict.fromkeys(("energy", "energies"), "J"),
     **dict.fromkeys(("duration", "mean_time", "period", "seconds", "simulated_seconds", "time_in", "time_out"), "s"),
     "action": "J s",

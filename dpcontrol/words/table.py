@@ -1,8 +1,8 @@
 """Tables for the terminal, and texts of numbers in them."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 
 class TextTable(NamedTuple):
@@ -21,18 +21,6 @@ class Markdown(NamedTuple):
 
 Line = str | TextTable | Markdown
 """A part of a result's text."""
-
-
-def table(title: str, items: Iterable[Any], columns: Mapping[str, str | Callable[[Any], str]]) -> TextTable:
-    """Return a table with a row for each item.
-
-    Args:
-        title: title above the table.
-        items: objects, one for each row.
-        columns: heading -> format or function of the item.
-    """
-    rows = [[show.format(row) if isinstance(show, str) else show(row) for show in columns.values()] for row in items]
-    return TextTable(title, tuple(columns), rows)
 
 
 def drawn_to(file: Path | str | None) -> list[str]:

@@ -17,7 +17,6 @@ TEXTS = {
     "DrawnCharts": "drawings.charts",
     "DrawnFigures": "drawings.figures",
     "GuidePage": "start.page",
-    "Plan": "references.plan",
     "Repeat": "runs.repeat_lines",
     "Report": "runs.report_lines",
     "Run": "runs.run_lines",
