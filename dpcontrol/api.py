@@ -1904,7 +1904,7 @@ def config() -> Configuration:
 
 @checked
 def cache(*, clear: bool = False) -> CacheContents:
-    """List the cached results: plans, atlases, diagrams of connections, machine code.
+    """List the cached results: plans, atlases, machine code.
 
     Entries are cached by their input, including the program code, and checked when they are read. A damaged entry or
     one of another version is computed again. You can empty the cache at any time. Other files in its folder are kept.

@@ -29,7 +29,7 @@ from dpcontrol.foundation.version import PACKAGE
 VARIABLE = "DPCONTROL_CACHE"
 """Environment variable with the folder."""
 KINDS = {
-    "plans": ".npz", "transfers": ".npz", "atlases": ".npz", "branches": ".json", "preflights": ".json",
+    "plans": ".npz", "transfers": ".npz", "atlases": ".npz", "preflights": ".json",
     "machine-code": ".bin",
 }  # fmt: skip
 """Kinds of results, each with one file suffix."""
