@@ -330,11 +330,6 @@ def atlas(axes: Axes, shown: Atlas) -> None:
         draw_cuts(axes, shown, max(shown.kinds, key=lambda kind: kind.count), legend=False)
 
 
-TIMELINE = "time_from_section"
-"""Time from the section crossing, s, the same for all flights."""
-_MOMENTS = 240
-
-
 def write_atlas_recording(atlas: Atlas, path: Path) -> None:
     """Write the recording of an atlas to `path` (`*.rrd`) with its blueprint.
 
@@ -359,7 +354,7 @@ def write_atlas_recording(atlas: Atlas, path: Path) -> None:
     def places(states: Array) -> Array:
         return states[..., [0, 1, rate]] * [1, 1, factor]
 
-    with recording_to(path, name, view, _summary(atlas)) as recording:
+    with recording_to(path, name, view, atlas.status) as recording:
         for cut in atlas.cuts:
             for tube in tubes_of_cut(atlas, cut):
                 side, way = "stable" if tube.stable else "unstable", "plus" if tube.branch > 0 else "minus"
@@ -388,7 +383,7 @@ def _tube_path(cut: AtlasCut) -> str:
 def _connections(
     recording: rr.RecordingStream, places: Callable[[Array], Array], atlas: Atlas, kind: AtlasKind
 ) -> None:
-    """Record the flights of a kind, each with a moving dot."""
+    """Record the flights of a kind."""
     home = f"space/connections/{_path(kind.source)}_to_{_path(kind.target)}_{kind.hits[0]}_{kind.hits[1]}"
     connections = connections_of(atlas, kind)
     look = colours(connections)
@@ -397,12 +392,6 @@ def _connections(
         flight = f"{home}/{k + 1}_{_path(c.name)}"
         shown = {"labels": [c.name], "show_labels": False}
         record_curves(recording, flight, [places(c.states)], [look[c.name]], 0.9, **shown)
-        times = np.linspace(c.times[0], c.times[-1], _MOMENTS)
-        states = np.stack([np.interp(times, c.times, column) for column in c.states.T], axis=1)
-        dot = rr.Points3D.from_fields(colors=[style.rgb(look[c.name])], radii=rr.Radius.ui_points(4))
-        recording.log(f"{flight}/now", dot, static=True)
-        columns = rr.Points3D.columns(positions=places(states))
-        recording.send_columns(f"{flight}/now", indexes=[rr.TimeColumn(TIMELINE, duration=times)], columns=columns)
 
 
 def _blueprint(atlas: Atlas, *, centre: Array, size: float) -> rrb.Blueprint:
@@ -426,29 +415,4 @@ def _blueprint(atlas: Atlas, *, centre: Array, size: float) -> rrb.Blueprint:
         background=DARK,
         overrides={path: rrb.EntityBehavior(visible=False) for path in hidden},
     )
-    return page([space, summary_view()], [3, 1], timeline=TIMELINE)
-
-
-def _summary(atlas: Atlas) -> str:
-    kinds = "\n".join(
-        f"| {k.source} → {k.target} | {list(k.hits)} | {k.count} | {'closed' if k.complete else 'open'} |"
-        for k in atlas.kinds
-    )
-    connections = "\n".join(
-        f"| {k + 1} | {c.name} | {c.transversality_angle:.2f} |"
-        for kind in atlas.kinds
-        for k, c in enumerate(connections_of(atlas, kind))
-    )
-    return f"""# {atlas.title}, {atlas.energy:g}{atlas.unit("J")}
-
-{atlas.status}
-
-| from → to | hits | count | cuts |
-|---|---|---|---|
-{kinds}
-
-Red: unstable tubes, green: stable ones, pale: the other branch. A dot moves along each flight.
-
-| | connection | angle (°) |
-|---|---|---|
-{connections}"""
+    return page([space, summary_view()], [3, 1])

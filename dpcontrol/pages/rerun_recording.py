@@ -361,7 +361,6 @@ def page(
     columns: Sequence[rrb.Container | rrb.View],
     shares: Sequence[float],
     *,
-    timeline: str = TIMELINE,
     growing: bool = False,
 ) -> rrb.Blueprint:
     """Return a blueprint of columns of views, without side panels.
@@ -369,12 +368,11 @@ def page(
     Args:
         columns: columns of views.
         shares: relative widths of the columns.
-        timeline: name of the timeline.
         growing: True to follow the latest time.
     """
     return rrb.Blueprint(
         rrb.Horizontal(*columns, column_shares=shares[: len(columns)]),
-        rrb.TimePanel(state="collapsed", timeline=timeline, play_state="following" if growing else None),
+        rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="following" if growing else None),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
         auto_views=False,
