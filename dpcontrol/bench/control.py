@@ -24,7 +24,7 @@ import numpy as np
 from dpcontrol.bench.chart import ChartPage, Diagram
 from dpcontrol.bench.measure import Alternative, Judged, compare
 from dpcontrol.control.estimator_settings import (
-    AdaptiveEkfSettings,
+    ADAPTIVE,
     EkfSettings,
     nees,
     share_inside,
@@ -46,7 +46,7 @@ from dpcontrol.foundation.progress import Progress
 from dpcontrol.judge.score import Flown, verdict_on
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.bench import SensorSettings
-from dpcontrol.loop.controllers import ADAPTIVE_ESTIMATORS, ESTIMATORS, make_estimator
+from dpcontrol.loop.controllers import ESTIMATORS, make_estimator
 from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.loop.protocols import Reading
 from dpcontrol.loop.result import BatchRun, Ending
@@ -64,7 +64,7 @@ SMALL, LARGE = 0.02, 0.10
 """Mismatch: of the shipped itineraries, and of the success campaigns."""
 INITIAL_ERROR = 0.02
 """rad."""
-AUGMENTED = AdaptiveEkfSettings()
+AUGMENTED = EkfSettings(**ADAPTIVE)
 _PLAIN = EkfSettings()
 _BARE = EkfSettings(augment=())
 """Settings for pulses; the first pulses come before the filter's estimates."""
@@ -320,7 +320,7 @@ ZERO_ERROR = 3e-3
 """Reading accuracy of an arm's resting position, rad."""
 CUTOFFS = (10.0, 30.0, 100.0, math.inf)
 """Hz."""
-AUGMENTS = ((), ("zeros",), EkfSettings().augment, AdaptiveEkfSettings().augment)
+AUGMENTS = ((), ("zeros",), EkfSettings().augment, AUGMENTED.augment)
 _SWING = (0.4, 2.8, 2.0, -3.0, 0.0, 0.0)
 
 
@@ -413,8 +413,8 @@ def _panel(arms: ArmChainParameters, swings: list[KnownSwing], counts: int, *, q
     for name, kind in (("EKF, compiled", "ekf"), ("UKF, filterpy", "ukf")):
         for augment in AUGMENTS[:2] if quick and kind == "ukf" else AUGMENTS:
             # Every method has the settings of the law that requires these extras.
-            kinds = ADAPTIVE_ESTIMATORS if augment == AUGMENTS[3] else ESTIMATORS
-            estimator = make_estimator(kinds[kind](augment=augment), model, noise=noise_of(arms, counts))
+            changes = ADAPTIVE if augment == AUGMENTS[3] else {"augment": augment}
+            estimator = make_estimator(ESTIMATORS[kind](**changes), model, noise=noise_of(arms, counts))
             last = estimator.update(estimator.first(np.array(_SWING)), measured[0])
             label = "all extras" if augment == AUGMENTS[3] else "+".join(augment) or "state only"
             work = partial(estimator.step, last, 0.1, measured[1])

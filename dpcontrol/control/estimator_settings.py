@@ -30,10 +30,11 @@ Consistency of an estimator: NIS on every run, NEES if the truth is known.
 Source: Bar-Shalom, Li & Kirubarajan, Estimation with Applications to Tracking and Navigation, section 5.4.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cache
-from typing import Annotated, Self
+from typing import Annotated, Any, Self
 
 import numpy as np
 
@@ -295,18 +296,6 @@ class EkfSettings(FilterSettings):
 
 
 @dataclass(frozen=True)
-class HoldEkfSettings(EkfSettings):
-    """The same filter with the defaults for a hold.
-
-    It estimates unmodelled accelerations, above all those of dry friction. The feedback compensates them. In runs with
-    flights, it also estimates the errors of the arms' parameters, by which flights are planned.
-    """
-
-    augment: tuple[str, ...] = ("zeros", "disturbance", "drive")
-    disturbance: float = 3.0
-
-
-@dataclass(frozen=True)
 class UkfSettings(FilterSettings):
     """filterpy's unscented Kalman filter.
 
@@ -320,47 +309,32 @@ class UkfSettings(FilterSettings):
     weight: Annotated[float, Setting(help="Merwe's beta; 2 for a Gaussian.")] = 2.0
 
 
-@dataclass(frozen=True)
-class AdaptiveFilterSettings(FilterSettings):
-    """The defaults for an adaptive controller, which needs the model's errors.
+HOLD: Mapping[str, Any] = {"augment": ("zeros", "disturbance", "drive"), "disturbance": 3.0}
+"""Settings of the extended filter with which a hold begins.
 
-    The filter estimates the errors, so process noise only covers the rest: their squares while they are uncertain
-    (nonlinearity), and contradictions by the readings (surprise). model_error is the standard deviation of log(p/p₀).
-    It is 0.035, 0.07 and 0.14 if masses, lengths and inertias are drawn within ±5, ±10 and ±20 %. Unmodelled dry
-    friction is estimated. Without this, only 36 of 64 runs cross from rest with 2 mN m of it.
-    """
+It estimates unmodelled accelerations, above all those of dry friction. The feedback compensates them. In runs with
+flights, it also estimates the errors of the arms' parameters, by which flights are planned.
+"""
+ADAPTIVE: Mapping[str, Any] = {
+    "parameter_error": 0.0,
+    "nonlinearity": 4.0,
+    "dry_shape": 0.02,
+    "surprise": 2.0,
+    "rate_noise": 1e-4,
+    "cart_noise": 3e-3,
+    "augment": ("zeros", "drive", "friction", "dry", "parameters"),
+    "drive_error": 0.1,
+    "late_drive": 0.5,
+    "friction_error": 0.5,
+    "model_error": 0.08,
+}
+"""Settings with which an adaptive controller begins, since it needs the model's errors.
 
-    parameter_error: float = 0.0
-    nonlinearity: float = 4.0
-    dry_shape: float = 0.02
-    surprise: float = 2.0
-    rate_noise: float = 1e-4
-    cart_noise: float = 3e-3
-    augment: tuple[str, ...] = (
-        "zeros",
-        "drive",
-        "friction",
-        "dry",
-        "parameters",
-    )
-    drive_error: float = 0.1
-    late_drive: float = 0.5
-    friction_error: float = 0.5
-    model_error: float = 0.08
-
-
-@dataclass(frozen=True)
-class AdaptiveEkfSettings(AdaptiveFilterSettings, EkfSettings):
-    """The compiled filter with the defaults for an adaptive controller."""
-
-
-@dataclass(frozen=True)
-class AdaptiveUkfSettings(AdaptiveFilterSettings, UkfSettings):
-    """The unscented filter with the defaults for an adaptive controller."""
-
-    kind: str = "ukf"
-
-
+The filter estimates the errors, so process noise only covers the rest: their squares while they are uncertain
+(nonlinearity), and contradictions by the readings (surprise). model_error is the standard deviation of log(p/p₀).
+It is 0.035, 0.07 and 0.14 if masses, lengths and inertias are drawn within ±5, ±10 and ±20 %. Unmodelled dry friction
+is estimated. Without this, only 36 of 64 runs cross from rest with 2 mN m of it.
+"""
 EstimatorSettings = EkfSettings | UkfSettings
 
 

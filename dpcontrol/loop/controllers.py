@@ -7,7 +7,7 @@ If stops are kept, the notes list the intervals of stays and flights (`program`)
 computed again. This search is deterministic.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -15,13 +15,12 @@ import numpy as np
 
 from dpcontrol.control.ekf import CompiledEkf
 from dpcontrol.control.estimator_settings import (
-    AdaptiveEkfSettings,
-    AdaptiveUkfSettings,
+    ADAPTIVE,
+    HOLD,
     Augment,
     EkfSettings,
     EstimatorSettings,
     FilterSettings,
-    HoldEkfSettings,
     UkfSettings,
     extra_names,
 )
@@ -54,15 +53,12 @@ if TYPE_CHECKING:
 
 
 class Filter(NamedTuple):
-    """A kind of estimator.
-
-    Its settings, its defaults for the adaptive law, and its factory.
+    """A kind of estimator: its settings and its factory.
 
     A symbolic estimator is compiled into the tick and can be exported to C.
     """
 
     settings: type
-    adaptive: type
     make: Callable[[Any, SampledModel, Array], Estimator]
     symbolic: bool = False
 
@@ -75,15 +71,13 @@ def _ukf(settings: Any, model: SampledModel, noise: Array) -> Estimator:
 
 
 FILTERS = (
-    Filter(EkfSettings, AdaptiveEkfSettings, lambda s, model, noise: CompiledEkf(model, s, noise=noise), symbolic=True),
-    Filter(UkfSettings, AdaptiveUkfSettings, _ukf),
-    Filter(OwnEstimator, OwnEstimator, lambda s, model, noise: OwnEstimates(s.own, model, noise=noise)),
+    Filter(EkfSettings, lambda s, model, noise: CompiledEkf(model, s, noise=noise), symbolic=True),
+    Filter(UkfSettings, _ukf),
+    Filter(OwnEstimator, lambda s, model, noise: OwnEstimates(s.own, model, noise=noise)),
 )
 """Every kind of estimator."""
 ESTIMATORS: dict[str, type[EstimatorSettings]] = {one.settings.kind: one.settings for one in FILTERS[:-1]}
 """The settings of each built-in kind, by its name in an itinerary."""
-ADAPTIVE_ESTIMATORS: dict[str, type[EstimatorSettings]] = {one.adaptive.kind: one.adaptive for one in FILTERS[:-1]}
-"""These settings with the defaults for the adaptive law."""
 
 
 def filter_of(settings: EstimatorSettings | OwnEstimator) -> Filter:
@@ -95,16 +89,17 @@ def filter_of(settings: EstimatorSettings | OwnEstimator) -> Filter:
     return next(one for one in FILTERS if isinstance(settings, one.settings))
 
 
-def estimators_of(law: "ControllerSettings", keep: str = "none") -> dict[str, type[EstimatorSettings]]:
-    """Return the settings of each kind of estimator.
+def filter_defaults(kind: str, law: "ControllerSettings", keep: str = "none") -> Mapping[str, Any]:
+    """Return the settings in which the estimator of a law differs from the defaults of its kind.
 
     Args:
-        law: settings of the law, which decide the defaults.
+        kind: kind of the estimator, one of `ESTIMATORS`.
+        law: settings of the law.
         keep: law that keeps the stops.
     """
     if isinstance(law, AdaptiveSettings) or keep == "tvlqr":
-        return ADAPTIVE_ESTIMATORS
-    return {**ESTIMATORS, "ekf": HoldEkfSettings} if isinstance(law, HoldSettings) else ESTIMATORS
+        return ADAPTIVE
+    return HOLD if isinstance(law, HoldSettings) and kind == "ekf" else {}
 
 
 def make_estimator(settings: EstimatorSettings | OwnEstimator, model: SampledModel, *, noise: Array) -> Estimator:

@@ -19,8 +19,9 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from dpcontrol.control.estimator_settings import Augment, EkfSettings, EstimatorSettings, HoldEkfSettings
+from dpcontrol.control.estimator_settings import HOLD, Augment, EkfSettings, EstimatorSettings
 from dpcontrol.control.handover import NearestKeeper
+from dpcontrol.control.lqr import HoldSettings
 from dpcontrol.control.tick import KnownMechanics
 from dpcontrol.control.tick_parts import Outcome
 from dpcontrol.control.tracking import TvlqrSettings
@@ -551,7 +552,8 @@ class LoopSettings(Settings, table="run"):
         the model's accelerations are wrong.
         """
         estimator = self.estimator
-        if isinstance(estimator, HoldEkfSettings) and estimator.augment == HoldEkfSettings.augment:
+        holds = isinstance(self.controller, HoldSettings) and isinstance(estimator, EkfSettings)
+        if holds and estimator.augment == HOLD["augment"]:
             if not np.all(self.encoders):
                 return replace(
                     estimator, augment=(Augment.DRIVE,), parameter_error=max(estimator.parameter_error, _BLIND_ERROR)

@@ -26,7 +26,7 @@ from dpcontrol.foundation.settings import check_choice, leaves_of, nearest
 from dpcontrol.foundation.shipped import PATHS, find
 from dpcontrol.foundation.toml import Choice, Place, Table, Tables, parse_toml, read_toml, table_of, with_values
 from dpcontrol.loop.bench import Push
-from dpcontrol.loop.controllers import CONTROLLERS, ESTIMATORS, estimators_of
+from dpcontrol.loop.controllers import CONTROLLERS, ESTIMATORS, filter_defaults
 from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.loop.own import OwnEstimator, OwnExpressions, OwnLaw, OwnPlant, names_file, own_object
 from dpcontrol.loop.result import SupervisorSettings
@@ -195,7 +195,7 @@ def overridden(loop: LoopSettings, settings: Mapping[str, Any]) -> LoopSettings:
             '"tvlqr"'
         )
     if not isinstance(filters, OwnEstimator) and {"controller", "estimator"} & set(values):
-        filters = _fitting(filters, law)
+        filters = _fitting(filters, law, loop)
     # Only TVLQR hands over to a keeper of stops.
     keep = loop.keep if isinstance(law, TvlqrSettings) else "none"
     changes = {
@@ -204,14 +204,17 @@ def overridden(loop: LoopSettings, settings: Mapping[str, Any]) -> LoopSettings:
     return replace(loop, controller=law, estimator=filters, keep=keep).with_(changes)
 
 
-def _fitting(filters: FilterSettings, law: Any) -> FilterSettings:
-    """Return a filter's settings with the defaults for a law; what differs from the defaults stays."""
-    kind, defaults = estimators_of(law)[filters.kind], vars(type(filters)())
-    changed = {name: value for name, value in vars(filters).items() if value != defaults[name]}
+def _fitting(filters: FilterSettings, law: Any, before: LoopSettings) -> FilterSettings:
+    """Return a filter's settings with the defaults for a law; what differs from those of the law before it stays."""
+    kind, defaults = ESTIMATORS[filters.kind], filter_defaults(filters.kind, law)
+    # A filter of another kind than before has the defaults of its kind.
+    same = filters.kind == before.estimator.kind
+    former = kind(**filter_defaults(filters.kind, before.controller, before.keep) if same else {})
+    changed = {name: value for name, value in vars(filters).items() if value != getattr(former, name)}
     if isinstance(law, AdaptiveSettings) and Augment.PARAMETERS not in filters.augments:
         # This law needs the parameters' errors.
-        changed["augment"] = kind.augment
-    return kind(**changed)
+        changed["augment"] = defaults["augment"]
+    return kind(**{**defaults, **changed})
 
 
 def _of_kind(role: str, value: Any, now: Any) -> Any:
@@ -509,7 +512,8 @@ def _itinerary(
     settings |= {"plant": None if plant is None else plant.arms, "disturbances.explicit": run.get("blows", ())}
     supervisor = content.get("supervisor", SupervisorSettings())
     with replace(top, table="estimator"):
-        filters = estimators_of(law, keep)[estimator.get("kind", "ekf")](**estimator)
+        kind = estimator.get("kind", "ekf")
+        filters = ESTIMATORS[kind](**{**filter_defaults(kind, law, keep), **estimator})
     with place:
         loop = LoopSettings(seed=0, keep=keep, controller=law, estimator=filters, supervisor=supervisor).with_(settings)
     parts = content.get("parts") or (content[""],)

@@ -41,7 +41,7 @@ NOT_OF_LOOP = (*OBJECTS, "seconds")
 def paths() -> Mapping[str, Leaf]:
     """Return every setting of a run by its path."""
     # Imported here because the help of verbs needs no dynamics.
-    from dpcontrol.loop.controllers import ADAPTIVE_ESTIMATORS, CONTROLLERS, ESTIMATORS
+    from dpcontrol.loop.controllers import CONTROLLERS, ESTIMATORS
     from dpcontrol.loop.result import SupervisorSettings
     from dpcontrol.plans.layout import KEEP, RUN, HoldPart
 
@@ -55,7 +55,7 @@ def paths() -> Mapping[str, Leaf]:
         **dict(RUN.values()),
     }
     tables = [("supervisor", SupervisorSettings), *(("controller", kind) for kind in CONTROLLERS.values())]
-    tables += [("estimator", kind) for kind in (*ESTIMATORS.values(), *ADAPTIVE_ESTIMATORS.values())]
+    tables += [("estimator", kind) for kind in ESTIMATORS.values()]
     for table, kind in tables:
         leaves = {**{f"{table}.{name}": leaf for name, leaf in leaves_of(kind).items()}, **leaves}
     return leaves

@@ -82,7 +82,7 @@ from dpcontrol.logs import (
 )
 from dpcontrol.logs.layout import state_names
 from dpcontrol.loop.assembly import Assembly
-from dpcontrol.loop.controllers import CONTROLLERS, estimators_of, filter_of, law_of
+from dpcontrol.loop.controllers import CONTROLLERS, ESTIMATORS, filter_of, law_of
 from dpcontrol.loop.loop import ControlLoop, LoopSettings
 from dpcontrol.loop.own import OwnLaw, OwnObject, OwnRig
 from dpcontrol.loop.result import Ending, Events, LogSink, LoopResult, LoopSink, Sinks, SupervisorSettings, Ticks
@@ -683,13 +683,13 @@ def stored_settings(values: Mapping[str, Any], file: str) -> LoopSettings:
         InputError: an unknown setting or an impossible value.
         LookupError: a user's object, which the log does not hold.
     """
-    top, tables, kinds = Place(file), {"disturbances": {}, **values}, dict[str, Any](CONTROLLERS)
-    for name in ("controller", "estimator"):
+    top, tables = Place(file), {"disturbances": {}, **values}
+    kinds: Any
+    for name, kinds in (("controller", CONTROLLERS), ("estimator", ESTIMATORS)):
         kind = tables[name]["kind"]
         if kind not in kinds:
             raise LookupError(f"{name} = {kind} is a user's object, which is not in the log")
         tables[name] = table_of(kinds[kind]).read(tables[name], top.within(name))
-        kinds = estimators_of(tables["controller"])
     tables["disturbances"] = dict(tables["disturbances"])
     blows = tables["disturbances"].pop("explicit", None)
     for name, kind in {**BENCH, "supervisor": SupervisorSettings}.items():

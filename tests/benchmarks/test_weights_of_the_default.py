@@ -23,7 +23,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
-from dpcontrol.control.estimator_settings import AdaptiveEkfSettings
+from dpcontrol.control.estimator_settings import ADAPTIVE, EkfSettings
 from dpcontrol.control.tracking import AdaptiveSettings
 from dpcontrol.pages import style
 from dpcontrol.pages.layout import Page, key, save_figure
@@ -52,7 +52,7 @@ def rows(name: str, options: Mapping[str, Any], factor: float, first: float, run
     loop = replace(
         case.loop,
         controller=replace(law, angle=factor * default.angle, rate=factor * default.rate),
-        estimator=AdaptiveEkfSettings(model_error=first),
+        estimator=EkfSettings(**{**ADAPTIVE, "model_error": first}),
     )
     seeds = tuple(range(FIRST_SEED, FIRST_SEED + runs))
     job = Job(name, plan.archive, plan.itinerary.model.arms, Case("", (), loop), seeds, "compiled", replayed=0)
@@ -78,7 +78,7 @@ def test_no_weights_are_both_quieter_and_safer_than_the_default_by_much() -> Non
     if os.environ.get("DPCONTROL_STORE_WEIGHTS") == "1":
         STORED.write_text(json.dumps(found, indent=1) + "\n")
         save_figure(drawn(found), PICTURE)
-    default = next(one for one in found if one["factor"] == 1 and one["first"] == AdaptiveEkfSettings().model_error)
+    default = next(one for one in found if one["factor"] == 1 and one["first"] == ADAPTIVE["model_error"])
     for one in found:
         quieter = one["command_minus_plan"] < 0.8 * default["command_minus_plan"]
         assert not (quieter and one["completed"] > default["completed"] + 0.02), one

@@ -7,7 +7,7 @@ from scipy.stats import chi2
 from simulated_consistency import simulated_consistency
 
 from dpcontrol.control.ekf import CompiledEkf
-from dpcontrol.control.estimator_settings import AdaptiveEkfSettings, EkfSettings, chi_square_band, share_inside
+from dpcontrol.control.estimator_settings import ADAPTIVE, EkfSettings, chi_square_band, share_inside
 from dpcontrol.loop.bench import SensorSettings
 
 SHARE = 0.02  # About 95 %; the bar for a nominal plant with the noise that is modelled.
@@ -46,10 +46,14 @@ def test_noise_covers_the_squares_of_the_parameters_errors() -> None:
     # Parameters with errors of a seventh, as for arms off by ±20 %: only the linearisation is wrong.
     commands, size = 0.5 * np.sin(2.5e-3 * np.arange(700)), 6 + 4
     found = {}
-    for nonlinearity in (0.0, AdaptiveEkfSettings().nonlinearity):
+    for nonlinearity in (0.0, ADAPTIVE["nonlinearity"]):
         settings = replace(
-            AdaptiveEkfSettings(), augment=("parameters",), model_error=0.14, nonlinearity=nonlinearity, rate_noise=2e-4
-        )  # fmt: skip
+            EkfSettings(**ADAPTIVE),
+            augment=("parameters",),
+            model_error=0.14,
+            nonlinearity=nonlinearity,
+            rate_noise=2e-4,
+        )
         found[nonlinearity] = simulated_consistency(
             CompiledEkf(MODEL, settings, noise=NOISE), first=np.array(SWING), commands=commands, runs=24, seed=8,
             process_noise=False,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from shadowing_stand_in import LAB, StandIn
 
-from dpcontrol.control.estimator_settings import AdaptiveEkfSettings
+from dpcontrol.control.estimator_settings import ADAPTIVE, EkfSettings
 from dpcontrol.control.tracking import AdaptiveSettings
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.bench import DriveSettings, SensorSettings
@@ -18,7 +18,7 @@ from dpcontrol.references.reference import Reference
 PERIOD = 1e-3
 SETTINGS = LoopSettings(
     seed=5, mismatch=0.05, initial_error=0.05, travel=0.8, controller=AdaptiveSettings(),
-    estimator=AdaptiveEkfSettings(), drive=DriveSettings(lag=0.005, command_noise=0.3),
+    estimator=EkfSettings(**ADAPTIVE), drive=DriveSettings(lag=0.005, command_noise=0.3),
 )  # fmt: skip
 FOUND = 0.35
 """Share by which the found deviation of the ages may miss the true one: arms at rest show none of it."""

@@ -9,7 +9,7 @@ import pytest
 from command_line import dpcontrol
 
 import dpcontrol as dp
-from dpcontrol.control.estimator_settings import AdaptiveEkfSettings, Augment, constants, extra_names
+from dpcontrol.control.estimator_settings import ADAPTIVE, Augment, EkfSettings, constants, extra_names
 from dpcontrol.dynamics.chain import ArmChainParameters, base_ratios, inertial_count
 from dpcontrol.plans.model import load_model
 from dpcontrol.runs.learning import caution, combined, coordinates, effort, learnt_arms
@@ -114,16 +114,16 @@ def test_runs_combine_as_least_squares_over_all_their_readings() -> None:
 
 
 def test_a_filter_starts_at_a_learnt_covariance() -> None:
-    names = extra_names(2, AdaptiveEkfSettings().augments)
-    rows = 6 + np.flatnonzero(np.isin(names, constants(2, AdaptiveEkfSettings().augments)))
+    names = extra_names(2, EkfSettings(**ADAPTIVE).augments)
+    rows = 6 + np.flatnonzero(np.isin(names, constants(2, EkfSettings(**ADAPTIVE).augments)))
     root = np.random.default_rng(4).standard_normal((len(rows), len(rows)))
-    learnt = AdaptiveEkfSettings(learnt=tuple((root @ root.T).ravel().tolist())).first_covariance(2)
-    plain = AdaptiveEkfSettings().first_covariance(2)
+    learnt = EkfSettings(**ADAPTIVE, learnt=tuple((root @ root.T).ravel().tolist())).first_covariance(2)
+    plain = EkfSettings(**ADAPTIVE).first_covariance(2)
     np.testing.assert_allclose(learnt[np.ix_(rows, rows)], root @ root.T)
     others = np.setdiff1d(np.arange(len(plain)), rows)
     np.testing.assert_array_equal(learnt[np.ix_(others, others)], plain[np.ix_(others, others)])
     with pytest.raises(dp.InputError, match="learnt"):
-        AdaptiveEkfSettings(learnt=(1.0, 2.0)).first_covariance(2)
+        EkfSettings(**ADAPTIVE, learnt=(1.0, 2.0)).first_covariance(2)
 
 
 @pytest.fixture(scope="module")
