@@ -1,14 +1,7 @@
 """Fit of ratios, zeros and initial states to swings.
 
-Parameter ratios and encoder zeros are fitted by robust multiple shooting:
-
-    min Σ ρ(y_k - θ(t_k; x_j, p) - z),   x_{j+1} = φ(x_j, p) from window to window,   p_i ≥ 0 for friction
-    ρ(e) = ½e² for |e| ≤ d, else d(|e| - ½d)        (Huber)
-
-Gauss-Newton steps update the starts x_j of all windows at once. After linearisation, the later starts follow from the
-first start of each swing and from (p, z): x_j = N_j (x_0, p, z) + d_j. Here d_j contains the gaps between windows. Each
-swing therefore adds a small dense block, from which its first start is eliminated. With windows of half a second, the
-fit tolerates a poor first guess and chaotic swings.
+Parameter ratios and encoder zeros are fitted by the multiple shooting of `dpcontrol.identification.windows`. With
+windows of half a second, the fit tolerates a poor first guess and chaotic swings.
 
 Many swings are integrated at once, with their sensitivities to start and parameters:
 
@@ -17,9 +10,7 @@ Many swings are integrated at once, with their sensitivities to start and parame
 F is one classical Runge-Kutta step (order 4), and p are the ratios of `dpcontrol.dynamics.chain`. The cart is clamped
 or follows a given acceleration. F is compiled once per process, for as many swings as fit in the processor's vectors.
 
-Sources: Bock, Kostina, Schlöder, Numerical methods for parameter estimation in nonlinear differential algebraic
-equations (2007). Albersmeyer, Diehl, The lifted Newton method (2010). Huber, Robust statistics (1981), section 7.8.
-Hairer, Nørsett, Wanner, Solving ordinary differential equations I (1993), section I.14.
+Source: Hairer, Nørsett, Wanner, Solving ordinary differential equations I (1993), section I.14.
 
 *Design* finds the most informative recordings for a model, among free swings from rest and swings driven by the cart.
 
@@ -39,7 +30,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import pairwise, product
-from typing import Annotated, Any, ClassVar, NamedTuple
+from typing import Annotated, Any, ClassVar
 
 import casadi as ca
 import numpy as np
@@ -59,15 +50,16 @@ from dpcontrol.dynamics.equations import runge_kutta_4
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.parts import Later
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.settings import Setting, Settings
 from dpcontrol.foundation.shown import Brief
+from dpcontrol.identification.windows import FitSettings, Linearised, Stretch, WindowedFit, fit_windows
 from dpcontrol.recordings.recording import smoothed_derivative
 
-optimize = Later("scipy.optimize")
 LONGEST_STEP = 2e-3
 """Integration step, s. Steps of 1 ms err by 1e-7 rad at the rig's rates, mostly at sign changes of Coulomb friction."""
+_CLOSED = 1e-12
+"""Gap between windows that is due to rounding, rad or rad/s."""
 
 
 class Swings:
@@ -154,11 +146,6 @@ def _compiled(arms: ArmChainParameters) -> Compiled:
     return Compiled(ca.Function("swing", [ca.vertcat(x, ca.vec(s)), p, drive], [out]))
 
 
-_GAP_WEIGHT = 1e3
-_CLOSED = 1e-12
-"""Gap between windows that is due to rounding, rad or rad/s."""
-
-
 @dataclass(frozen=True, eq=False)
 class Swing(Brief):
     """K measured samples of one uninterrupted swing."""
@@ -219,7 +206,7 @@ class Windows:
     """All swings, cut into windows of about `length` s that are integrated together.
 
     Attributes:
-        of_swing: windows of each swing, by number.
+        windows: windows of each swing, by number.
         first: row of its swing at which each window begins.
         last: row of its swing at which each window ends.
     """
@@ -228,30 +215,28 @@ class Windows:
         self.swings, self.model = swings, model
         edges = [swing.edges(length) for swing in swings]
         counts = [len(rows) - 1 for rows in edges]
-        self.of_swing = [range(a, b) for a, b in pairwise(np.cumsum([0, *counts]).tolist())]
+        self.windows = [range(a, b) for a, b in pairwise(np.cumsum([0, *counts]).tolist())]
         self.first, self.last = (np.concatenate(rows) for rows in zip(*((e[:-1], e[1:]) for e in edges), strict=True))
         self.samples = int((self.last - self.first).max()) + 1
         self.periods = np.repeat([swing.period for swing in swings], counts)
         self.drive = np.zeros((2, len(self.first), self.samples))
-        for swing, windows in zip(swings, self.of_swing, strict=True):
+        for swing, windows in zip(swings, self.windows, strict=True):
             for w in windows:
                 rows = slice(self.first[w], self.last[w] + 1)
                 self.drive[:, w, : rows.stop - rows.start] = swing.drive[:, rows]
 
     def guess(self) -> Array:
         """Return starts (W, 2n) from the measured angles."""
-        pairs = zip(self.swings, self.of_swing, strict=True)
+        pairs = zip(self.swings, self.windows, strict=True)
         return np.concatenate([swing.guess(self.first[w.start : w.stop]) for swing, w in pairs])
 
-    def linearised(self, starts: Array, values: Array, where: NDArray[np.intp]) -> "Linearised":
-        """Integrate all windows and chain their derivatives.
-
-        The chains follow each swing.
+    def linearised(self, starts: Array, values: Array, unknowns: NDArray[np.intp]) -> Linearised:
+        """Integrate all windows and chain their derivatives along each swing.
 
         Args:
             starts: initial states (W, 2n) of the windows.
             values: values (V,) of all parameters, then of the zeros, rad.
-            where: indices (f,) of the unknown ones.
+            unknowns: indices (f,) of the free ones.
         """
         model = self.model
         n, m, arms = model.states, model.parameters, model.arms.count
@@ -259,12 +244,12 @@ class Windows:
         states, slopes = model.flown(
             starts, values[:m], period=self.periods, samples=self.samples, accelerations=u, velocities=v
         )
-        zeros, inside = values[m:].reshape(-1, arms), where < m
-        out = Linearised([], 0.0, 0.0, bool(np.isfinite(states).all() and np.isfinite(slopes).all()))
-        for swing, windows in zip(self.swings, self.of_swing, strict=True):
+        zeros, inside = values[m:].reshape(-1, arms), unknowns < m
+        out = Linearised([], finite=bool(np.isfinite(states).all() and np.isfinite(slopes).all()))
+        for swing, windows in zip(self.swings, self.windows, strict=True):
             shape = swing.angles.shape
-            chain = _Chain(np.empty(shape), np.empty(shape), np.zeros((*shape, n + len(where))), [], [])
-            node, offset = np.eye(n, n + len(where)), np.zeros(n)
+            chain = Stretch(np.empty(shape), np.empty(shape), np.zeros((*shape, n + len(unknowns))), [], [])
+            node, offset = np.eye(n, n + len(unknowns)), np.zeros(n)
             for w in windows:
                 chain.nodes.append(node)
                 chain.offsets.append(offset)
@@ -273,120 +258,31 @@ class Windows:
                 chain.residual[rows] = swing.angles[rows] - states[w, : k + 1, :arms] - zeros[swing.group]
                 chain.reduced[rows] = chain.residual[rows] - jacobian[..., :n] @ offset
                 chain.slope[rows] = jacobian[..., :n] @ node
-                chain.slope[rows, :, n:][..., inside] += jacobian[..., n + where[inside]]
+                chain.slope[rows, :, n:][..., inside] += jacobian[..., n + unknowns[inside]]
                 end = slopes[w, k]
                 node, offset = end[:, :n] @ node, end[:, :n] @ offset
-                node[:, n:][:, inside] += end[:, n + where[inside]]
+                node[:, n:][:, inside] += end[:, n + unknowns[inside]]
                 if w != windows[-1]:
                     jump = states[w, k] - starts[w + 1]
                     offset = offset + jump
                     out.gaps += float(np.maximum(np.abs(jump) - _CLOSED, 0.0).sum())
                     out.gap = max(out.gap, float(np.abs(jump).max()))
-            for column, index in enumerate(where):
+            for column, index in enumerate(unknowns):
                 if index >= m and (index - m) // arms == swing.group:
                     chain.slope[:, (index - m) % arms, n + column] = 1.0
             missing = ~np.isfinite(swing.angles)
-            for values in (chain.residual, chain.reduced, chain.slope):
-                values[missing] = 0.0
-            out.swings.append(chain)
+            for part in chain[:3]:
+                part[missing] = 0.0
+            out.stretches.append(chain)
         return out
 
 
-class _Chain(NamedTuple):
-    """Linearisation of one swing of K samples.
-
-    `residuals` (K, n) minus the effect of the gaps between windows are `reduced` (K, n). `slope` (K, n, 2n+f) is the
-    derivative of the prediction with respect to the first start and the f unknowns. Each window's start depends on
-    these through `nodes` (2n, 2n+f) and `offsets` (2n,).
-    """
-
-    residual: Array
-    reduced: Array
-    slope: Array
-    nodes: list[Array]
-    offsets: list[Array]
-
-
-@dataclass(eq=False)
-class Linearised:
-    """Residuals of all swings and their derivatives at one point.
-
-    Attributes:
-        gaps: sum of the gaps between windows beyond rounding.
-        gap: the largest of them.
-        finite: True if all numbers are finite.
-    """
-
-    swings: list[_Chain]
-    gaps: float
-    gap: float
-    finite: bool
-
-    def loss(self, threshold: float) -> float:
-        """Return the loss of the residuals.
-
-        Args:
-            threshold: size of a residual from which the loss is linear, rad.
-        """
-        sizes = np.abs(np.concatenate([chain.residual.ravel() for chain in self.swings]))
-        bent = np.minimum(sizes, threshold)
-        return float((bent * (sizes - bent / 2)).sum())
-
-    def merit(self, threshold: float) -> float:
-        """Return the merit function of a step: loss plus gaps.
-
-        Args:
-            threshold: size of a residual from which the loss is linear, rad.
-        """
-        scale = threshold if np.isfinite(threshold) else 1e-3
-        return self.loss(threshold) / scale**2 + _GAP_WEIGHT * self.gaps / scale
-
-
-_STILL_ADAPTING = 6
-_HALVINGS = 8
-
-
-@dataclass(frozen=True)
-class FitSettings(Settings, table="fit"):
-    """Windows, robust loss and convergence of the fit."""
-
-    window: Annotated[float, Setting(above=0, unit="s")] = 0.5
-    """Length of a shooting window, s."""
-    robust: Annotated[float, Setting(least=0)] = 3.0
-    """Residual at which the loss becomes linear, in standard deviations of the bulk; 0 for least squares."""
-    least_scale: Annotated[float, Setting(above=0, unit="rad")] = 1e-4
-    """Minimum standard deviation of the bulk, rad, about half a count."""
-    iterations: Annotated[int, Setting(least=1)] = 40
-    tolerance: Annotated[float, Setting(above=0)] = 1e-7
-    """Relative decrease of the loss below which the fit has converged."""
-
-
 @dataclass(frozen=True, eq=False)
-class SwingFit(Brief):
-    """Fitted ratios (m,) and zeros (groups, n), rad, with residuals and information."""
+class SwingFit(WindowedFit):
+    """Fit of swings, whose parameters are the ratios (m,), then the zeros (groups, n), rad."""
 
     parameters: Array
     zeros: Array
-    residuals: list[Array]
-    """Measured minus predicted angles (K, n) of each swing, rad."""
-    information: Array
-    """Information matrix of the free unknowns, with the starts eliminated."""
-    scores: list[Array]
-    """Gradient (K, f) of each sample for each swing, with the starts eliminated."""
-    unknowns: NDArray[np.intp]
-    """Indices of the free unknowns among (p, z raveled)."""
-    window_starts: Array
-    """Initial states (W, 2n)."""
-    gap: float
-    """Largest gap between windows."""
-    iterations: int
-    converged: bool
-    status: str
-
-    @property
-    def rms(self) -> Array:
-        """Root mean square residual of each swing (S,) over its angles, rad."""
-        return np.array([np.sqrt((r**2).mean()) for r in self.residuals])
 
 
 def fit_swings(
@@ -414,82 +310,22 @@ def fit_swings(
     """
     cut = Windows(swings, model, settings.window)
     m, arms = model.parameters, model.arms.count
-    unknown = np.concatenate([free, np.full(zeros.size, free_zeros)])
     values = np.concatenate([parameters, zeros.ravel()])
-    lower = np.full(len(values), -np.inf)
-    lower[inertial_count(arms) : m] = 0.0
-    where = np.flatnonzero(unknown)
-    starts = cut.guess() if near is None else near.copy()
+    least = np.full(len(values), -np.inf)
+    least[inertial_count(arms) : m] = 0.0
+    starts = cut.guess() if near is None else near
     if near is None:
-        for windows, swing in zip(cut.of_swing, swings, strict=True):
+        for windows, swing in zip(cut.windows, swings, strict=True):
             starts[windows, :arms] -= zeros[swing.group]
-    now = _Iterate(starts, values, cut.linearised(starts, values, where))
-    threshold, converged, iteration, status = np.inf, False, 0, ""
-    for iteration in range(1, settings.iterations + 1):
-        if iteration <= _STILL_ADAPTING:
-            threshold = _threshold(now.linearised, settings)
-        normal = _normal(now.linearised, threshold)
-        if not np.isfinite(normal.scaled).all():
-            status = "errors grow too much along a swing to determine its start; cut the swings shorter"
-            break
-        better, share = _improved(now, cut, where, lower, normal, threshold)
-        if better is None:
-            converged = now.linearised.gap < 1e-6
-            status = "" if converged else "no step reduced the misfit; check units, signs and the starting model"
-            break
-        gained = 1 - better.linearised.merit(threshold) / max(now.linearised.merit(threshold), 1e-300)
-        now = better
-        if share == 1.0 and gained < settings.tolerance and now.linearised.gap < 1e-7 and iteration > 2:
-            converged = True
-            break
-    if not converged and not status:
-        status = f"still improving after {settings.iterations} steps; increase the limit, or start from a better model"
-    normal = _normal(now.linearised, threshold)
-    return SwingFit(
-        parameters=now.values[:m],
-        zeros=now.values[m:].reshape(zeros.shape),
-        residuals=[chain.residual for chain in now.linearised.swings],
-        information=normal.reduced,
-        scores=[
-            _scores(chain, mixed, threshold) for chain, mixed in zip(now.linearised.swings, normal.mixed, strict=True)
-        ],
-        unknowns=where,
-        window_starts=now.starts,
-        gap=now.linearised.gap,
-        iterations=iteration,
-        converged=converged,
-        status=status or f"converged in {iteration} steps",
+    fit = fit_windows(
+        cut,
+        values,
+        np.flatnonzero([*free, *[free_zeros] * zeros.size]),
+        bounds=(least, np.full(len(values), np.inf)),
+        settings=settings,
+        starts=starts,
     )
-
-
-class _Iterate(NamedTuple):
-    """Starts (W, 2n) of the windows and values of all parameters and zeros, with the linearisation at them."""
-
-    starts: Array
-    values: Array
-    linearised: "Linearised"
-
-
-def _improved(
-    now: _Iterate, cut: Windows, where: NDArray[np.intp], lower: Array, normal: "_Normal", threshold: float
-) -> tuple[_Iterate | None, float]:
-    """Return the iterate after the largest halved step that reduces the misfit, None if no one does, and its share."""
-    step, firsts = _step(normal, now.values[where], lower[where])
-    share = 1.0
-    for _ in range(_HALVINGS):
-        values, starts = now.values.copy(), now.starts.copy()
-        values[where] += share * step
-        for chain, windows, first in zip(now.linearised.swings, cut.of_swing, firsts, strict=True):
-            direction = np.concatenate([first, step])
-            for w, node, offset in zip(windows, chain.nodes, chain.offsets, strict=True):
-                starts[w] += share * (node @ direction + offset)
-        values = np.maximum(values, lower)
-        trial = cut.linearised(starts, values, where)
-        # Rounding may raise the misfit of a full step, but must not accept ever shorter ones.
-        if trial.finite and trial.merit(threshold) < now.linearised.merit(threshold) * (1 + 1e-12 * (share == 1.0)):
-            return _Iterate(starts, values, trial), share
-        share /= 2
-    return None, share
+    return SwingFit(**vars(fit), parameters=fit.values[:m], zeros=fit.values[m:].reshape(zeros.shape))
 
 
 def fit_starts(
@@ -521,76 +357,6 @@ def fit_starts(
         settings=replace(settings, robust=0.0),
         near=near,
     )
-
-
-def _threshold(now: Linearised, settings: FitSettings) -> float:
-    if settings.robust == 0:
-        return np.inf
-    every = np.abs(np.concatenate([chain.residual.ravel() for chain in now.swings]))
-    return settings.robust * max(1.4826 * float(np.median(every)), settings.least_scale)
-
-
-@dataclass(eq=False)
-class _Normal:
-    """Normal equations with the starts eliminated: reduced (f, f), right (f,), and the way back to each start."""
-
-    reduced: Array
-    right: Array
-    mixed: list[Array]
-    start_rights: list[Array]
-
-    @property
-    def scale(self) -> Array:
-        """Scale of each unknown (f,)."""
-        return 1 / np.sqrt(np.maximum(np.diag(self.reduced), 1e-300))
-
-    @property
-    def scaled(self) -> Array:
-        """The reduced matrix (f, f) with a unit diagonal, not finite if rounding dominates it."""
-        with np.errstate(over="ignore", invalid="ignore"):
-            vectors = self.reduced * self.scale[:, None] * self.scale
-            return (vectors + vectors.T) / 2
-
-
-def _normal(now: Linearised, threshold: float) -> _Normal:
-    n = len(now.swings[0].offsets[0])
-    f = now.swings[0].slope.shape[2] - n
-    out = _Normal(np.zeros((f, f)), np.zeros(f), [], [])
-    for chain in now.swings:
-        weights = np.minimum(1.0, threshold / np.maximum(np.abs(chain.residual), 1e-300)).ravel()
-        jacobian = chain.slope.reshape(-1, n + f)
-        weighted = jacobian * weights[:, None]
-        matrix, right = jacobian.T @ weighted, weighted.T @ chain.reduced.ravel()
-        a, b, c = matrix[:n, :n], matrix[:n, n:], matrix[n:, n:]
-        solved = np.linalg.lstsq(a, np.column_stack([b, right[:n]]), rcond=1e-14)[0].astype(np.float64)
-        out.reduced += c - b.T @ solved[:, :f]
-        out.right += right[n:] - b.T @ solved[:, f]
-        out.mixed.append(solved[:, :f])
-        out.start_rights.append(solved[:, f])
-    return out
-
-
-def _step(normal: _Normal, values: Array, lower: Array) -> tuple[Array, list[Array]]:
-    """Return the bounded change of the unknowns (f,), and the change (2n,) of each swing's start."""
-    f = len(values)
-    step = np.zeros(f)
-    if f:
-        scale = normal.scale
-        sizes, axes = np.linalg.eigh(normal.scaled)
-        resolved = sizes > 1e-12 * sizes[-1]
-        root = np.sqrt(sizes[resolved])[:, None] * axes[:, resolved].T
-        right = (axes[:, resolved].T @ (normal.right * scale)) / np.sqrt(sizes[resolved])
-        bounds = np.minimum((lower - values) / scale, -1e-300)
-        step = optimize.lsq_linear(root, right, bounds=(bounds, np.full(f, np.inf)), method="bvls").x * scale
-        step = np.maximum(values + step, lower) - values
-    return step, [r - mixed @ step for r, mixed in zip(normal.start_rights, normal.mixed, strict=True)]
-
-
-def _scores(chain: _Chain, mixed: Array, threshold: float) -> Array:
-    """Return the gradient (K, f) of each sample's loss by the unknowns, with the start eliminated."""
-    n = len(mixed)
-    along = chain.slope[..., n:] - chain.slope[..., :n] @ mixed
-    return np.einsum("kaf,ka->kf", along, np.clip(chain.residual, -threshold, threshold))
 
 
 _LANES = 64

@@ -5,23 +5,9 @@ friction, air drag, both or neither, and free or fixed encoder zeros. Each is fi
 predicts the held-out ones over their whole length, from a fitted start. The choice is the candidate with the fewest
 unknowns whose mean squared error is within one standard error of the least.
 
-The covariance shows the accuracy of the numbers and which of them cannot be distinguished:
+The covariance shows the accuracy of the numbers and which of them cannot be distinguished.
 
-    Cov = H⁻¹ (b/(b-f) Σ_blocks g gᵀ) H⁻¹,     H = Σ w J̃ᵀJ̃,   g = Σ_block J̃ᵀ ψ(e)
-
-J̃ are the derivatives of the predicted angles by the unknowns, with each swing's start eliminated. ψ are the residuals
-as weighted by the robust loss. Neighbouring residuals are correlated, because of rounding in slow motion and effects
-that the model omits. They are therefore summed over blocks several times longer than their correlation time, with b
-blocks and f unknowns. Treating samples as independent would underestimate errors by the square root of that length.
-
-Profiles show the least misfit with one number fixed off its best value and the others fitted again. If a profile
-matches the parabola of the linearised fit, the standard error describes the number. If it is flat, or ends at a bound,
-the recordings do not determine the number.
-
-Sources: Hastie, Tibshirani, Friedman, The elements of statistical learning (2009), section 7.10, for the choice. White,
-Maximum likelihood estimation of misspecified models (1982). Cameron, Miller, A practitioner's guide to cluster-robust
-inference (2015), section II. Raue et al., Structural and practical identifiability analysis of partially observed
-dynamical models (2009).
+Source: Hastie, Tibshirani, Friedman, The elements of statistical learning (2009), section 7.10.
 """
 
 from collections.abc import Sequence
@@ -49,7 +35,8 @@ from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.settings import Setting, Settings
 from dpcontrol.foundation.shown import Brief, Shown
-from dpcontrol.identification.fit import FitSettings, Swing, SwingFit, Swings, filled, fit_starts, fit_swings
+from dpcontrol.identification.fit import Swing, SwingFit, Swings, filled, fit_starts, fit_swings
+from dpcontrol.identification.windows import FitSettings
 from dpcontrol.recordings.recording import Recording, cart_motion
 
 LONGEST, LONGEST_DRIVEN = 4.0, 1.0
@@ -120,35 +107,8 @@ def cut_into_swings(
     return swings, about
 
 
-_BLOCK_TIMES = 4.0
-_LEAST_BLOCK = 10
-_BLOCKS_PER_UNKNOWN = 4
-_UNSEEN = 1e-10
 ALIKE = 0.95
 """Correlation beyond which two numbers are indistinguishable."""
-
-
-def correlation_time(residuals: Sequence[Array]) -> float:
-    """Return the integrated autocorrelation time of residuals, in samples, at least 1.
-
-    The sum ends when the autocorrelation, pooled over swings and angles, first falls below 0.05.
-
-    Args:
-        residuals: residuals (K, n) of each swing.
-    """
-    longest = min(len(r) for r in residuals)
-    power = np.zeros(longest)
-    for residual in residuals:
-        for column in residual.T:
-            # Zero padding to twice the length prevents wrap-around.
-            spectrum = np.abs(np.fft.rfft(column, 2 * len(column))) ** 2
-            power += np.fft.irfft(spectrum)[:longest]
-    if power[0] <= 0:
-        return 1.0
-    shape = power / power[0]
-    low = np.flatnonzero(shape < 0.05)
-    end = int(low[0]) if len(low) else longest
-    return float(max(1.0, 1 + 2 * shape[1:end].sum()))
 
 
 def covariance_at_bounds(fit: SwingFit, bound: NDArray[np.bool_]) -> tuple[Array, Array]:
@@ -162,34 +122,8 @@ def covariance_at_bounds(fit: SwingFit, bound: NDArray[np.bool_]) -> tuple[Array
         bound: True for unknowns (f,) at a bound.
     """
     covariance = np.zeros((len(bound), len(bound)))
-    covariance[np.ix_(~bound, ~bound)] = _covariance(fit, ~bound)
-    free = _covariance(fit, np.ones_like(bound))
-    return covariance, np.sqrt(np.where(bound, np.diag(free), np.diag(covariance)))
-
-
-def _covariance(fit: SwingFit, among: NDArray[np.bool_]) -> Array:
-    """Return the covariance of the unknowns in `among` with the others fixed, infinite if undetermined."""
-    information, f = fit.information[np.ix_(among, among)], int(among.sum())
-    lengths = [len(s) for s in fit.scores]
-    block = max(int(_BLOCK_TIMES * correlation_time(fit.residuals)), _LEAST_BLOCK)
-    # With more unknowns than blocks, the sum would be singular and some errors zero.
-    block = max(min(block, sum(lengths) // max(_BLOCKS_PER_UNKNOWN * f, 1)), 1)
-    sums: list[Array] = []
-    for score in fit.scores:
-        edges = np.linspace(0, len(score), max(round(len(score) / block), 1) + 1).round().astype(int)[:-1]
-        sums.append(np.add.reduceat(score[:, among], edges, axis=0))
-    blocks = np.concatenate(sums)
-    middle = blocks.T @ blocks * len(blocks) / max(len(blocks) - f, 1)
-    scale = 1 / np.sqrt(np.maximum(np.diag(information), 1e-300))
-    sizes, axes = np.linalg.eigh(information * np.outer(scale, scale))
-    seen = sizes > _UNSEEN * sizes[-1]
-    inverse = (axes[:, seen] / sizes[seen]) @ axes[:, seen].T * np.outer(scale, scale)
-    covariance = inverse @ middle @ inverse
-    unseen = axes[:, ~seen] * scale[:, None]
-    for direction in unseen.T:
-        touched = np.abs(direction) > 1e-6 * np.abs(direction).max()
-        covariance[touched, touched] = np.inf
-    return (covariance + covariance.T) / 2
+    covariance[np.ix_(~bound, ~bound)] = fit.covariance(~bound)
+    return covariance, np.sqrt(np.diag(np.where(bound, fit.covariance(), covariance)))
 
 
 def undetermined_of(
@@ -498,7 +432,7 @@ def _fitted(
         free=np.ones(model.parameters, dtype=bool),
         free_zeros=zeros,
         settings=settings,
-        near=None if near is None else near.fit.window_starts,
+        near=None if near is None else near.fit.starts,
     )
     predicted = fit_starts(model, left_out, parameters=fit.parameters, zeros=fit.zeros, settings=settings)
     return Candidate(arms.friction, zeros, predicted.rms, fit, predicted)

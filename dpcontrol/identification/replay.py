@@ -40,7 +40,8 @@ from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.foundation.settings import Setting, Settings, suggest
 from dpcontrol.foundation.shown import Brief
-from dpcontrol.identification.fit import FitSettings, Swing, Swings, fit_starts
+from dpcontrol.identification.fit import Swing, Swings, fit_starts
+from dpcontrol.identification.windows import FitSettings
 from dpcontrol.loop.bench import SensorSettings
 from dpcontrol.loop.controllers import ESTIMATORS, make_estimator
 from dpcontrol.loop.result import inside_95
@@ -91,8 +92,8 @@ def fitted_path(model: Swings, swing: Swing, ratios: Array) -> FittedPath:
     fitted = partial(fit_starts, model, [swing], parameters=ratios, zeros=np.zeros((1, n)))
     fit = fitted(settings=FitSettings(window=_SHORT))
     if not fit.converged:
-        fit = fitted(settings=FitSettings(window=_WHOLE), near=fit.window_starts[:1])
-    start, period = fit.window_starts[:1], np.array([swing.period])
+        fit = fitted(settings=FitSettings(window=_WHOLE), near=fit.starts[:1])
+    start, period = fit.starts[:1], np.array([swing.period])
     (path,), _ = model.flown(
         start,
         ratios,

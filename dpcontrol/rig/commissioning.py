@@ -445,7 +445,7 @@ def _friction(swing: CommissioningSwing, arms: ArmChainParameters, settings: Loo
     figures = {
         "torques": torques.tolist(),
         "errors": errors.tolist(),
-        "least": float(least.max()),
+        "least": float(least[np.isfinite(least)].max(initial=0.0)),
         "stiction": (np.maximum(torques - coulomb, 0) / max(mechanics.kinetic, 0.1)).tolist(),
     }
     same = np.all(np.abs(torques - said) < np.maximum(least, 0.5 * said))

@@ -5,7 +5,7 @@ With commands u_j at ticks j, T apart, a drive of delay d, lag τ and gain γ mo
     x(t) = x_0 + v_0 t + γ Σ_j (u_j - u_{j-1}) p(t - j T - d),     p(s) = s²/2 - τ s + τ² (1 - e^{-s/τ})  for s > 0
 
 Both sides are high-pass filtered, which removes the accumulated noise of the command. Then d, τ and γ are fitted to the
-cart's readings. Standard errors account for residuals that are correlated over blocks.
+cart's readings by `dpcontrol.identification.windows`, like all parameters here.
 
 Small swings of hanging arms follow the measured position x of the cart, so the drive has no effect. With joint angles φ
 and the rate of each joint ρ
@@ -25,9 +25,8 @@ Separable nonlinear least squares (2003). Moreau, Numerical aspects of the sweep
 import math
 from collections.abc import Callable, Sequence
 from enum import StrEnum
-from functools import lru_cache
 from itertools import permutations
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,8 +34,11 @@ from numpy.typing import NDArray
 from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.parts import Later
+from dpcontrol.identification.windows import STEP, DifferencedModel, FitSettings, clustered_covariance, fit_windows
 
-linalg, optimize, signal = Later("scipy.linalg"), Later("scipy.optimize"), Later("scipy.signal")
+linalg, signal = Later("scipy.linalg"), Later("scipy.signal")
+_INVISIBLE = 1e-6
+"""Share of the greatest motion that is due to rounding: a joint that friction holds does not move."""
 
 
 def solved(design: Array, values: Array) -> Array:
@@ -44,7 +46,7 @@ def solved(design: Array, values: Array) -> Array:
 
     `design` is (K, p), and the values are (K,) or (K, n).
     """
-    return np.asarray(np.linalg.lstsq(design, values, rcond=None)[0], dtype=float)
+    return np.asarray(np.linalg.lstsq(design, values, rcond=_INVISIBLE)[0], dtype=float)
 
 
 class DriveFit(NamedTuple):
@@ -77,7 +79,22 @@ _HIGH_PASS = 20.0
 """Corner frequency of the filter, Hz. Below it, positions become accelerations, in which command noise is white."""
 _MARGIN = 0.5
 """Time before and after the chirp that the fit includes, s."""
-_BLOCKS = 24
+
+
+def _high_passed(count: int, period: float) -> Callable[[Array], Array]:
+    """Return a filter of `count` samples that leaves no constant, velocity or acceleration."""
+    sections = signal.butter(2, min(_HIGH_PASS, 0.05 / period), "highpass", fs=1 / period, output="sos")
+    skip = min(round(0.3 / period), count // 8)
+
+    def passed(values: Array) -> Array:
+        return np.asarray(signal.sosfilt(sections, values, axis=0), dtype=float)[skip:]
+
+    base, _ = np.linalg.qr(passed(np.vander(np.linspace(-1, 1, count), 3)))
+
+    def high(values: Array) -> Array:
+        return passed(values) - base @ (base.T @ passed(values))
+
+    return high
 
 
 def fit_drive(carts: Array, commands: Sequence[float], period: float, *, first: int, last: int) -> DriveFit:
@@ -92,86 +109,48 @@ def fit_drive(carts: Array, commands: Sequence[float], period: float, *, first: 
     """
     begin, end = max(first - round(_MARGIN / period), 0), min(last + round(_MARGIN / period), len(carts))
     x, u = carts[begin:end], np.array([*commands, 0.0])[begin:end]
-    cutoff = min(_HIGH_PASS, 0.05 / period)
-    sections = signal.butter(2, cutoff, "highpass", fs=1 / period, output="sos")
-    t = np.linspace(-1, 1, len(x))
-    skip = min(round(0.3 / period), len(x) // 8)
-
-    def high(values: Array) -> Array:
-        return np.asarray(signal.sosfilt(sections, values, axis=0), dtype=float)[skip:]
-
-    base, _ = np.linalg.qr(high(np.vander(t, 3)))
-
-    def seen(values: Array) -> Array:
-        passed = high(values)
-        return passed - base @ (base.T @ passed)
-
+    high = _high_passed(len(x), period)
     # In units of the motion itself, so that tolerances are relative.
-    size = max(float(np.std(seen(x))), 1e-9)
-    y = seen(x) / size
+    size = max(float(np.std(high(x))), 1e-9)
+    y = high(x) / size
 
-    def motion(u: Array, total: float, gain: float = 1.0, square: float = 0.0) -> Array:
+    def motion(total: float, gain: float, square: float) -> Array:
         """Return the motion for total in ms and square in ms²."""
-        return gain * seen(response(u, period, 1e-3 * total, 1e-6 * square)) / size
-
-    def fitted(values: Array) -> tuple[Array, Array]:
-        """Return the best values of two or three parameters and their standard errors."""
-        low, most = np.array([[-1e3 * period, -np.inf, 0.0], [800, np.inf, 90_000]])[:, : len(values)]
-        errors, scale = values, 1.0
-        # A late command disturbs the cart for a moment; a robust loss reduces its weight.
-        for loss in ("linear", "soft_l1"):
-            values, covariance = optimize.curve_fit(
-                motion,
-                u,
-                y,
-                values,
-                bounds=(low, most),
-                method="dogbox",
-                loss=loss,
-                f_scale=scale,
-                x_scale="jac",
-                jac="3-point",
-            )
-            scale = max(1.5 * 1.4826 * float(np.median(np.abs(motion(u, *values) - y))), 1e-9)
-            errors = np.sqrt(max(1.0, _CORRELATED / period) * np.diag(covariance))
-        return values, errors
+        return gain * high(response(u, period, 1e-3 * total, 1e-6 * square)) / size
 
     def rough(total: float, lag: float) -> tuple[float, float, float, float]:
         """Return the cost of a delay and a lag in ms, the best gain, and both again."""
-        p = motion(u, total, 1.0, lag**2)
+        p = motion(total, 1.0, lag**2)
         gain = float(p @ y) / max(float(p @ p), 1e-30)
         return float(np.sum((y - gain * p) ** 2)), gain, total, lag
 
+    def fitted(values: Array, free: int) -> tuple[Array, Array]:
+        """Return the best values of two or three free parameters and their standard errors."""
+        bounds = np.array([-1e3 * period, -np.inf, 0.0]), np.array([800, np.inf, 90_000])
+        fit = fit_windows(model, values, np.arange(free), bounds=bounds, settings=_DRIVE)
+        return fit.values, np.sqrt(np.diag(fit.covariance()))
+
     delays = [0.5e3 * period + d for d in (0.0, *2.0 ** np.arange(8))]
     _, gain, total, lag = min(rough(d + lag, lag) for d in delays for lag in (0.0, 4.0, 16.0))
+    model = DifferencedModel(lambda sets: np.array([y - motion(*values) for values in sets])[:, :, None])
     # Start inside the bounds, because a search would stay on them.
-    values, errors = fitted(np.array([total, gain, max(lag, 0.5) ** 2]))
-    total, gain, square = values
+    values, errors = fitted(np.array([total, gain, max(lag, 0.5) ** 2]), 3)
     # Error of the square's root, which is non-negative.
-    lag, lag_error = math.sqrt(square), math.sqrt(square + errors[2]) - math.sqrt(square)
-    if square < 3 * errors[2] or lag < _NO_LAG:
+    lag, lag_error = math.sqrt(values[2]), math.sqrt(values[2] + errors[2]) - math.sqrt(values[2])
+    if values[2] < 3 * errors[2] or lag < _NO_LAG:
         # The lag is then zero and must not add to the uncertainty of the delay.
-        lag, lag_error = 0.0, math.sqrt(square + errors[2])
-        values, errors = fitted(values[:2])
-        total, gain = values
-    misfit = float(np.sqrt(np.mean((motion(u, *values) - y) ** 2) / max(np.mean(y**2), 1e-24)))
+        lag, lag_error = 0.0, math.sqrt(values[2] + errors[2])
+        values, errors = fitted(np.array([*values[:2], 0.0]), 2)
+    total, gain, _ = values
+    misfit = float(np.sqrt(np.mean((motion(*values) - y) ** 2) / max(np.mean(y**2), 1e-24)))
     delay_error = math.hypot(errors[0], lag_error if lag else 0.0)
     return DriveFit(1e-3 * (total - lag), 1e-3 * lag, gain, (1e-3 * delay_error, 1e-3 * lag_error, errors[1]), misfit)
 
 
 _NO_LAG = 0.02
 """Lag below which it counts as zero, ms."""
-_CORRELATED = 0.011
-"""Time over which residuals are correlated, s: estimates of benches with many seeds scatter by the errors."""
-
-
-def _sandwich(jacobian: NDArray[Any], residual: Array) -> Array:
-    """Return standard errors (p,) for residuals (K,) that are correlated over blocks."""
-    blocks = max(_BLOCKS, 3 * jacobian.shape[1])
-    edges = np.linspace(0, len(residual), blocks + 1).round().astype(int)[:-1]
-    scores = np.add.reduceat(jacobian * residual[:, None], edges)
-    few = blocks / (blocks - jacobian.shape[1])
-    return np.sqrt(few) * np.linalg.norm(scores @ np.linalg.pinv(jacobian.T @ jacobian), axis=0)
+_DRIVE = FitSettings(robust=1.5, least_scale=1e-9)
+"""A late command disturbs the cart for a moment, so the loss is robust."""
 
 
 class Modes(NamedTuple):
@@ -243,8 +222,6 @@ _ROWS = 100.0
 """Sampling rate that is sufficient for slow swings, Hz."""
 _SWEEPS = 3
 """Corrections of the dry torques in each step, which begin with those of the last step."""
-_STEP = 1e-4
-"""Difference of scaled parameters for derivatives."""
 
 
 def simulated_swings(values: Array, carts: Array, period: float, arms: ArmChainParameters) -> Array:
@@ -327,37 +304,36 @@ def fit_swing(angles: Array, carts: Array, period: float, arms: ArmChainParamete
         _coarse_guess(lambda lanes: (left(lanes)[1] ** 2).sum(axis=(1, 2)), start, n),
     )
 
-    @lru_cache(maxsize=2)
-    def near(values: tuple[float, ...]) -> tuple[Array, Array]:
-        return left(values + _STEP * np.eye(5 * n + 1, 5 * n, k=-1))
-
-    def slopes(lanes: Array) -> Array:
-        return (lanes[1:] - lanes[0]).reshape(5 * n, -1).T / _STEP
-
     bounds = np.repeat([[-5.0, 0.0, 0.0, -np.inf, -np.inf], [5.0, np.inf, np.inf, np.inf, np.inf]], n, axis=1)
-    fits = [
-        optimize.least_squares(
-            lambda values: near(tuple(values))[1][0].ravel(),
-            guess,
-            lambda values: slopes(near(tuple(values))[1]),  # type: ignore[arg-type]
-            bounds=bounds,
-            ftol=1e-4,
-            xtol=1e-4,
-            max_nfev=25,
-        )
-        for guess in starts
-    ]
-    found = min(fits, key=lambda fit: fit.cost)
-    designs, rest = near(tuple(found.x))
+    model, free = DifferencedModel(lambda sets: -left(sets)[1]), np.arange(5 * n)
+    fits = [fit_windows(model, guess, free, bounds=(bounds[0], bounds[1]), settings=_SWING) for guess in starts]
+    values = min(fits, key=lambda fit: float(np.square(fit.residuals).sum())).values
+    designs, rest = left(values + STEP * np.eye(5 * n + 1, 5 * n, k=-1))
     weights = solved(designs[0], rows)
-    turned = slopes(designs @ weights)
+    motions = designs @ weights
+    turned = np.moveaxis(motions[1:] - motions[0], 0, -1).reshape(-1, 5 * n) / STEP
     # Each reading has its own combination and zero.
-    errors = _sandwich(np.hstack([turned, np.kron(designs[0], np.eye(n))]), rest[0].ravel())
-    ratios, viscous, dry, *_ = np.split(found.x * unit, 5)
-    own = np.split(errors[: 5 * n] * unit, 5)
+    errors = _errors(np.hstack([turned, np.kron(designs[0], np.eye(n))]), -rest[0])
+    ratios, viscous, dry, *_ = np.split(values * unit, 5)
+    _, of_viscous, of_dry, *_ = np.split(errors[: 5 * n] * unit, 5)
     return CommissioningSwing(
-        rows, designs[0, :, :n], turned, np.exp(ratios), (viscous, own[1]), (dry, own[2]), (weights[-1], errors[-n:])
+        rows,
+        designs[0, :, :n],
+        turned,
+        np.exp(ratios),
+        (viscous, of_viscous),
+        (dry, of_dry),
+        (weights[-1], errors[-n:]),
     )
+
+
+_SWING = FitSettings(robust=0.0, iterations=25, tolerance=1e-4)
+
+
+def _errors(jacobian: Array, residual: Array) -> Array:
+    """Return standard errors (p,) for derivatives (K n, p) and residuals (K, n) that are correlated."""
+    scores = (jacobian * residual.reshape(-1, 1)).reshape(*residual.shape, -1).sum(axis=1)
+    return np.sqrt(np.diag(clustered_covariance(jacobian.T @ jacobian, [scores], [residual])))
 
 
 class Form(StrEnum):
@@ -430,7 +406,7 @@ def read_wiring(swing: CommissioningSwing, encoders: NDArray[np.bool_]) -> Wirin
     nearest, columns = next(pair for pair in found if _CLEARLY * pair[0].misfit <= least + 1e-3)
     slopes = swing.slopes[np.tile(encoders, len(rest))]
     design = np.hstack([columns, slopes, np.kron(np.ones((len(rest), 1)), np.eye(m))])
-    errors = _sandwich(design, rest.ravel() - columns @ nearest.factors)[:n]
+    errors = _errors(design, rest - (columns @ nearest.factors).reshape(rest.shape))[:n]
     return nearest._replace(
         factors=np.where(encoders, nearest.factors, 1.0),
         errors=np.where(encoders, np.maximum(errors, nearest.errors), np.nan),

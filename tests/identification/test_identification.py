@@ -7,7 +7,8 @@ import pytest
 from bench_recordings import rig_file
 
 from dpcontrol.dynamics.chain import ArmChainParameters, Friction, base_ratios
-from dpcontrol.identification.identify import Identification, IdentificationSettings, choose, correlation_time, identify
+from dpcontrol.identification.identify import Identification, IdentificationSettings, choose, identify
+from dpcontrol.identification.windows import correlation_time
 from dpcontrol.plans.model import load_model
 from dpcontrol.recordings.importing import import_recording
 from dpcontrol.recordings.recording import Recording, simulated_recording

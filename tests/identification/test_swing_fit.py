@@ -16,7 +16,8 @@ from dpcontrol.dynamics.chain import (
     equations_of,
     with_laws,
 )
-from dpcontrol.identification.fit import FitSettings, Swing, SwingFit, Swings, fit_swings
+from dpcontrol.identification.fit import Swing, SwingFit, Swings, fit_swings
+from dpcontrol.identification.windows import FitSettings
 from dpcontrol.plans.model import load_model
 
 # Runge-Kutta at 1 ms and DOP853 at 1e-12 over half a second differ by the Coulomb step, rad/s.

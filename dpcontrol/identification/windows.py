@@ -1,0 +1,410 @@
+"""The fit of parameters to windows of measurements, of which identification, replay and commissioning make use.
+
+    min Σ ρ(y - f(x_j, p)),     x_{j+1} = φ(x_j, p) from window to window,     l ≤ p ≤ u
+    ρ(e) = ½e² for |e| ≤ d, else d(|e| - ½d)        (Huber)
+
+A stretch of measurements is cut into windows, each of which has a start x_j (multiple shooting). A stretch of a motion
+that needs no start is a single window without one. A model returns the residuals and their derivatives.
+
+Gauss-Newton steps update the starts of all windows at once. After linearisation, the later starts follow from the
+first start of each stretch and from p: x_j = N_j (x_0, p) + d_j. Here d_j contains the gaps between windows. Each
+stretch therefore adds a small dense block, from which its first start is eliminated. The work grows in proportion to
+the number of windows. A solver of general least squares, whose work grows with its cube, has no use for this structure.
+
+    Cov = H⁻¹ (b/(b-f) Σ_blocks g gᵀ) H⁻¹,     H = Σ w J̃ᵀJ̃,   g = Σ_block J̃ᵀ ψ(e)
+
+J̃ are the derivatives of the predictions by the f unknowns, with each stretch's start eliminated. ψ are the residuals as
+weighted by the robust loss. Neighbouring residuals are correlated, because of rounding in slow motion and effects that
+the model omits. They are therefore summed over blocks several times longer than their correlation time, with b blocks.
+Treating samples as independent would underestimate errors by the square root of that length.
+
+Sources: Bock, Kostina, Schlöder, Numerical methods for parameter estimation in nonlinear differential algebraic
+equations (2007). Albersmeyer, Diehl, The lifted Newton method (2010). Huber, Robust statistics (1981), section 7.8.
+White, Maximum likelihood estimation of misspecified models (1982). Cameron, Miller, A practitioner's guide to
+cluster-robust inference (2015), section II.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Annotated, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.parts import Later
+from dpcontrol.foundation.settings import Setting, Settings
+from dpcontrol.foundation.shown import Brief
+
+optimize = Later("scipy.optimize")
+
+_GAP_WEIGHT = 1e3
+_STILL_ADAPTING = 6
+_TRIALS = 16
+STEP = 1e-4
+"""Difference of scaled parameters for derivatives."""
+_BLOCK_TIMES = 4.0
+_LEAST_BLOCK = 10
+_BLOCKS_PER_UNKNOWN = 4
+_UNSEEN = 1e-10
+_LOST = 1e-18
+"""Share of the greatest information that is due to rounding."""
+
+
+@dataclass(frozen=True)
+class FitSettings(Settings, table="fit"):
+    """Windows, robust loss and convergence of the fit."""
+
+    window: Annotated[float, Setting(above=0, unit="s")] = 0.5
+    """Length of a shooting window, s."""
+    robust: Annotated[float, Setting(least=0)] = 3.0
+    """Residual at which the loss becomes linear, in standard deviations of the bulk; 0 for least squares."""
+    least_scale: Annotated[float, Setting(above=0, unit="rad")] = 1e-4
+    """Minimum standard deviation of the bulk, rad, about half a count."""
+    iterations: Annotated[int, Setting(least=1)] = 40
+    tolerance: Annotated[float, Setting(above=0)] = 1e-7
+    """Relative decrease of the loss below which the fit has converged."""
+
+
+class Stretch(NamedTuple):
+    """Linearisation of a stretch of K samples of n quantities.
+
+    `residual` (K, n) minus the effect of the gaps between windows is `reduced` (K, n). `slope` (K, n, s+f) is the
+    derivative of the prediction with respect to the first start (s,) and the f unknowns. Each window's start depends on
+    these through `nodes` (s, s+f) and `offsets` (s,).
+    """
+
+    residual: Array
+    reduced: Array
+    slope: Array
+    nodes: list[Array]
+    offsets: list[Array]
+
+
+@dataclass(eq=False)
+class Linearised:
+    """Residuals of all stretches and their derivatives at one point.
+
+    Attributes:
+        stretches: linearisation of each stretch.
+        gaps: sum of the gaps between windows beyond rounding.
+        gap: the largest of them.
+        finite: True if all numbers are finite.
+    """
+
+    stretches: list[Stretch]
+    gaps: float = 0.0
+    gap: float = 0.0
+    finite: bool = True
+
+    @property
+    def sizes(self) -> Array:
+        """Sizes of all residuals (R,)."""
+        return np.abs(np.concatenate([stretch.residual.ravel() for stretch in self.stretches]))
+
+    def merit(self, threshold: float) -> float:
+        """Return the merit function of a step: loss plus gaps.
+
+        Args:
+            threshold: size of a residual from which the loss is linear.
+        """
+        scale = threshold if np.isfinite(threshold) else 1e-3
+        bent = np.minimum(sizes := self.sizes, threshold)
+        return float((bent * (sizes - bent / 2)).sum()) / scale**2 + _GAP_WEIGHT * self.gaps / scale
+
+
+class WindowModel(Protocol):
+    """A model that predicts measurements in windows.
+
+    Attributes:
+        windows: windows of each stretch, by number.
+    """
+
+    windows: Sequence[range]
+
+    def linearised(self, starts: Array, values: Array, unknowns: NDArray[np.intp]) -> Linearised:
+        """Return residuals and derivatives.
+
+        Args:
+            starts: starts (W, s) of the windows.
+            values: values (V,) of all parameters.
+            unknowns: indices (f,) of the free ones.
+        """
+        ...
+
+
+class DifferencedModel(NamedTuple):
+    """A stretch without a start, whose derivatives are differences.
+
+    residuals: function of sets of values (P, V) that returns the measured minus the predicted values (P, K, n).
+    """
+
+    residuals: Callable[[Array], Array]
+    windows: Sequence[range] = (range(1),)
+
+    def linearised(self, starts: Array, values: Array, unknowns: NDArray[np.intp]) -> Linearised:
+        """Return residuals and derivatives, see `WindowModel`.
+
+        Args:
+            starts: none.
+            values: values (V,) of all parameters, in units of which a step of 1e-4 gives the derivative.
+            unknowns: indices (f,) of the free ones.
+        """
+        residual, *ahead = self.residuals(np.vstack([values, values + STEP * np.eye(len(values))[unknowns]]))
+        slope = np.stack([(residual - stepped) / STEP for stepped in ahead], axis=-1)
+        stretch = Stretch(residual, residual, slope, [np.empty((0, len(unknowns)))], [np.empty(0)])
+        return Linearised([stretch], finite=bool(np.isfinite(slope).all()))
+
+
+@dataclass(frozen=True, eq=False)
+class WindowedFit(Brief):
+    """Fitted parameters with residuals and information."""
+
+    values: Array
+    """Values (V,) of all parameters."""
+    starts: Array
+    """Starts (W, s) of the windows."""
+    unknowns: NDArray[np.intp]
+    """Indices (f,) of the free parameters."""
+    residuals: list[Array]
+    """Measured minus predicted values (K, n) of each stretch."""
+    information: Array
+    """Information matrix (f, f) of the free parameters, with the starts eliminated."""
+    scores: list[Array]
+    """Gradient (K, f) of each sample for each stretch, with the starts eliminated."""
+    gap: float
+    """Largest gap between windows."""
+    iterations: int
+    converged: bool
+    status: str
+
+    @property
+    def rms(self) -> Array:
+        """Root mean square residual of each stretch (S,) over its quantities."""
+        return np.array([np.sqrt((r**2).mean()) for r in self.residuals])
+
+    def covariance(self, among: NDArray[np.bool_] | None = None) -> Array:
+        """Return the covariance (f, f) of the free parameters, infinite where they are undetermined.
+
+        Args:
+            among: True for those (f,) that are not fixed at a bound; None for all.
+        """
+        among = np.ones(len(self.unknowns), dtype=bool) if among is None else among
+        return clustered_covariance(
+            self.information[np.ix_(among, among)], [score[:, among] for score in self.scores], self.residuals
+        )
+
+
+def clustered_covariance(information: Array, scores: Sequence[Array], residuals: Sequence[Array]) -> Array:
+    """Return the covariance of estimates whose residuals are correlated, infinite where they are undetermined.
+
+    Args:
+        information: information matrix (f, f).
+        scores: gradient (K, f) of each sample for each stretch.
+        residuals: residuals (K, n) of each stretch.
+    """
+    f = len(information)
+    block = max(int(_BLOCK_TIMES * correlation_time(residuals)), _LEAST_BLOCK)
+    # With more unknowns than blocks, the sum would be singular and some errors zero.
+    block = max(min(block, sum(map(len, scores)) // max(_BLOCKS_PER_UNKNOWN * f, 1)), 1)
+    sums: list[Array] = []
+    for score in scores:
+        edges = np.linspace(0, len(score), max(round(len(score) / block), 1) + 1).round().astype(int)[:-1]
+        sums.append(np.add.reduceat(score, edges, axis=0))
+    blocks = np.concatenate(sums)
+    middle = blocks.T @ blocks * len(blocks) / max(len(blocks) - f, 1)
+    scale = 1 / np.sqrt(np.maximum(np.diag(information), 1e-300))
+    sizes, axes = np.linalg.eigh(information * np.outer(scale, scale))
+    seen = sizes > _UNSEEN * sizes[-1]
+    inverse = (axes[:, seen] / sizes[seen]) @ axes[:, seen].T * np.outer(scale, scale)
+    covariance = inverse @ middle @ inverse
+    for direction in (axes[:, ~seen] * scale[:, None]).T:
+        touched = np.abs(direction) > 1e-6 * np.abs(direction).max()
+        covariance[touched, touched] = np.inf
+    return (covariance + covariance.T) / 2
+
+
+def correlation_time(residuals: Sequence[Array]) -> float:
+    """Return the integrated autocorrelation time of residuals, in samples, at least 1.
+
+    The sum ends when the autocorrelation, pooled over stretches and quantities, first falls below 0.05.
+
+    Args:
+        residuals: residuals (K, n) of each stretch.
+    """
+    longest = min(len(r) for r in residuals)
+    power = np.zeros(longest)
+    for residual in residuals:
+        for column in residual.T:
+            # Zero padding to twice the length prevents wrap-around.
+            spectrum = np.abs(np.fft.rfft(column, 2 * len(column))) ** 2
+            power += np.fft.irfft(spectrum)[:longest]
+    if power[0] <= 0:
+        return 1.0
+    shape = power / power[0]
+    low = np.flatnonzero(shape < 0.05)
+    end = int(low[0]) if len(low) else longest
+    return float(max(1.0, 1 + 2 * shape[1:end].sum()))
+
+
+class _Iterate(NamedTuple):
+    """Starts (W, s) of the windows and values (V,) of all parameters, with the linearisation at them."""
+
+    starts: Array
+    values: Array
+    linearised: Linearised
+
+
+def fit_windows(
+    model: WindowModel,
+    values: Array,
+    unknowns: NDArray[np.intp],
+    *,
+    bounds: tuple[Array, Array],
+    settings: FitSettings,
+    starts: Array | None = None,
+) -> WindowedFit:
+    """Fit the starts of windows and the free parameters.
+
+    Args:
+        model: model of the measurements.
+        values: first guess or fixed values (V,) of all parameters.
+        unknowns: indices (f,) of the free ones.
+        bounds: least and largest values (V,).
+        settings: robust loss and convergence.
+        starts: first guess (W, s) of the starts; None for a model without starts.
+    """
+    starts = np.empty((1, 0)) if starts is None else starts
+    now = _Iterate(starts, values, model.linearised(starts, values, unknowns))
+    threshold, converged, iteration, status = np.inf, False, 0, ""
+    for iteration in range(1, settings.iterations + 1):
+        if iteration <= _STILL_ADAPTING and settings.robust:
+            bulk = 1.4826 * float(np.median(now.linearised.sizes))
+            threshold = settings.robust * max(bulk, settings.least_scale)
+        normal = _normal(now.linearised, threshold)
+        if not np.isfinite(normal.scaled).all():
+            status = "errors grow too much along a swing to determine its start; cut the swings shorter"
+            break
+        better, share = _improved(now, model, unknowns, bounds, normal, threshold)
+        if better is None:
+            converged = now.linearised.gap < 1e-6
+            status = "" if converged else "no step reduced the misfit; check units, signs and the starting model"
+            break
+        gained = 1 - better.linearised.merit(threshold) / max(now.linearised.merit(threshold), 1e-300)
+        now = better
+        if share == 1.0 and gained < settings.tolerance and now.linearised.gap < 1e-7 and iteration > 2:
+            converged = True
+            break
+    if not converged and not status:
+        status = f"still improving after {settings.iterations} steps; increase the limit, or start from a better model"
+    normal, stretches = _normal(now.linearised, threshold), now.linearised.stretches
+    return WindowedFit(
+        values=now.values,
+        starts=now.starts,
+        unknowns=unknowns,
+        residuals=[stretch.residual for stretch in stretches],
+        information=normal.reduced,
+        scores=[
+            np.einsum(
+                "kaf,ka->kf",
+                stretch.slope[..., len(mixed) :] - stretch.slope[..., : len(mixed)] @ mixed,
+                np.clip(stretch.residual, -threshold, threshold),
+            )
+            for stretch, mixed in zip(stretches, normal.mixed, strict=True)
+        ],
+        gap=now.linearised.gap,
+        iterations=iteration,
+        converged=converged,
+        status=status or f"converged in {iteration} steps",
+    )
+
+
+def _improved(
+    now: _Iterate,
+    model: WindowModel,
+    unknowns: NDArray[np.intp],
+    bounds: tuple[Array, Array],
+    normal: "_Normal",
+    threshold: float,
+) -> tuple[_Iterate | None, float]:
+    """Return the iterate after the longest step that reduces the misfit, None if no step does, and the step's share."""
+    least, most = bounds
+    share = 1.0
+    for _ in range(_TRIALS):
+        step, firsts = _step(normal, now.values[unknowns], least[unknowns], most[unknowns], share)
+        values, starts = now.values.copy(), now.starts.copy()
+        values[unknowns] += step
+        for stretch, windows, first in zip(now.linearised.stretches, model.windows, firsts, strict=True):
+            direction = np.concatenate([first, step])
+            for w, node, offset in zip(windows, stretch.nodes, stretch.offsets, strict=True):
+                starts[w] += node @ direction + share * offset
+        values = np.clip(values, least, most)
+        trial = model.linearised(starts, values, unknowns)
+        # Rounding may raise the misfit of a full step, but must not accept ever shorter ones.
+        if trial.finite and trial.merit(threshold) < now.linearised.merit(threshold) * (1 + 1e-12 * (share == 1.0)):
+            return _Iterate(starts, values, trial), share
+        share /= 2
+    return None, share
+
+
+@dataclass(eq=False)
+class _Normal:
+    """Normal equations with the starts eliminated: reduced (f, f), right (f,), and the way back to each start."""
+
+    reduced: Array
+    right: Array
+    mixed: list[Array]
+    start_rights: list[Array]
+
+    @property
+    def scale(self) -> Array:
+        """Scale of each unknown (f,)."""
+        sizes = np.diag(self.reduced)
+        # What the data do not depend on must not pass for determined by rounding.
+        return 1 / np.sqrt(np.maximum(sizes, max(_LOST * sizes.max(initial=0.0), 1e-300)))
+
+    @property
+    def scaled(self) -> Array:
+        """The reduced matrix (f, f) with a unit diagonal, not finite if rounding dominates it."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            vectors = self.reduced * self.scale[:, None] * self.scale
+            return (vectors + vectors.T) / 2
+
+
+def _normal(now: Linearised, threshold: float) -> _Normal:
+    n = len(now.stretches[0].offsets[0])
+    f = now.stretches[0].slope.shape[2] - n
+    out = _Normal(np.zeros((f, f)), np.zeros(f), [], [])
+    for stretch in now.stretches:
+        weights = np.minimum(1.0, threshold / np.maximum(np.abs(stretch.residual), 1e-300)).ravel()
+        jacobian = stretch.slope.reshape(-1, n + f)
+        weighted = jacobian * weights[:, None]
+        matrix, right = jacobian.T @ weighted, weighted.T @ stretch.reduced.ravel()
+        a, b, c = matrix[:n, :n], matrix[:n, n:], matrix[n:, n:]
+        solved = np.linalg.lstsq(a, np.column_stack([b, right[:n]]), rcond=1e-14)[0].astype(np.float64)
+        out.reduced += c - b.T @ solved[:, :f]
+        out.right += right[n:] - b.T @ solved[:, f]
+        out.mixed.append(solved[:, :f])
+        out.start_rights.append(solved[:, f])
+    return out
+
+
+def _step(normal: _Normal, values: Array, least: Array, most: Array, share: float) -> tuple[Array, list[Array]]:
+    """Return the bounded change of the unknowns (f,), and the change (s,) of each stretch's start.
+
+    A share of the step below 1 is that of Levenberg and Marquardt, who shorten it most where the data tell least.
+    """
+    f = len(values)
+    step = np.zeros(f)
+    if f:
+        scale = normal.scale
+        sizes, axes = np.linalg.eigh(normal.scaled)
+        sizes += 1 / share - 1
+        resolved = sizes > 1e-12 * sizes[-1]
+        sizes, axes = sizes[resolved], axes[:, resolved]
+        root = np.sqrt(sizes)[:, None] * axes.T
+        right = (axes.T @ (normal.right * scale)) / np.sqrt(sizes)
+        bounds = np.minimum((least - values) / scale, -1e-300), np.maximum((most - values) / scale, 1e-300)
+        step = optimize.lsq_linear(root, right, bounds=bounds, method="bvls").x * scale
+        step = np.clip(values + step, least, most) - values
+    return step, [share * r - mixed @ step for r, mixed in zip(normal.start_rights, normal.mixed, strict=True)]
