@@ -207,11 +207,11 @@ def clustered_covariance(information: Array, scores: Sequence[Array], residuals:
     block = max(int(_BLOCK_TIMES * correlation_time(residuals)), _LEAST_BLOCK)
     # With more unknowns than blocks, the sum would be singular and some errors zero.
     block = max(min(block, sum(map(len, scores)) // max(_BLOCKS_PER_UNKNOWN * f, 1)), 1)
-    sums: list[Array] = []
-    for score in scores:
-        edges = np.linspace(0, len(score), max(round(len(score) / block), 1) + 1).round().astype(int)[:-1]
-        sums.append(np.add.reduceat(score, edges, axis=0))
-    blocks = np.concatenate(sums)
+    counts = [max(round(len(score) / block), 1) for score in scores]
+    edges = [
+        np.linspace(0, len(score), count + 1).round().astype(int) for score, count in zip(scores, counts, strict=True)
+    ]
+    blocks = np.concatenate([np.add.reduceat(s, edge[:-1], axis=0) for s, edge in zip(scores, edges, strict=True)])
     middle = blocks.T @ blocks * len(blocks) / max(len(blocks) - f, 1)
     scale = 1 / np.sqrt(np.maximum(np.diag(information), 1e-300))
     sizes, axes = np.linalg.eigh(information * np.outer(scale, scale))
@@ -232,19 +232,14 @@ def correlation_time(residuals: Sequence[Array]) -> float:
     Args:
         residuals: residuals (K, n) of each stretch.
     """
-    longest = min(len(r) for r in residuals)
-    power = np.zeros(longest)
-    for residual in residuals:
-        for column in residual.T:
-            # Zero padding to twice the length prevents wrap-around.
-            spectrum = np.abs(np.fft.rfft(column, 2 * len(column))) ** 2
-            power += np.fft.irfft(spectrum)[:longest]
+    longest = min(map(len, residuals))
+    # Zero padding to twice the length prevents wrap-around.
+    spectra = [np.abs(np.fft.rfft(residual, 2 * len(residual), axis=0)) ** 2 for residual in residuals]
+    power = np.sum([np.fft.irfft(spectrum, axis=0)[:longest].sum(axis=1) for spectrum in spectra], axis=0)
     if power[0] <= 0:
         return 1.0
-    shape = power / power[0]
-    low = np.flatnonzero(shape < 0.05)
-    end = int(low[0]) if len(low) else longest
-    return float(max(1.0, 1 + 2 * shape[1:end].sum()))
+    shape = np.append(power / power[0], 0.0)
+    return float(max(1.0, 1 + 2 * shape[1 : np.argmax(shape < 0.05)].sum()))
 
 
 class _Iterate(NamedTuple):
