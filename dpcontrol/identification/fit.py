@@ -215,7 +215,7 @@ class Windows:
         self.swings, self.model = swings, model
         edges = [swing.edges(length) for swing in swings]
         counts = [len(rows) - 1 for rows in edges]
-        self.windows = [range(a, b) for a, b in pairwise(np.cumsum([0, *counts]).tolist())]
+        self.windows: Sequence[range] = [range(a, b) for a, b in pairwise(np.cumsum([0, *counts]).tolist())]
         self.first, self.last = (np.concatenate(rows) for rows in zip(*((e[:-1], e[1:]) for e in edges), strict=True))
         self.samples = int((self.last - self.first).max()) + 1
         self.periods = np.repeat([swing.period for swing in swings], counts)

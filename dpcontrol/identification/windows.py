@@ -26,7 +26,7 @@ cluster-robust inference (2015), section II.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Annotated, NamedTuple, Protocol
+from typing import Annotated, Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -133,10 +133,13 @@ class WindowModel(Protocol):
         ...
 
 
-class DifferencedModel(NamedTuple):
+@dataclass(eq=False)
+class DifferencedModel:
     """A stretch without a start, whose derivatives are differences.
 
-    residuals: function of sets of values (P, V) that returns the measured minus the predicted values (P, K, n).
+    Attributes:
+        residuals: function of sets of values (P, V) that returns the measured minus the predicted values (P, K, n).
+        windows: windows of each stretch, by number, here a single one.
     """
 
     residuals: Callable[[Array], Array]
@@ -195,7 +198,7 @@ class WindowedFit(Brief):
         )
 
 
-def clustered_covariance(information: Array, scores: Sequence[Array], residuals: Sequence[Array]) -> Array:
+def clustered_covariance(information: NDArray[Any], scores: Sequence[Array], residuals: Sequence[Array]) -> Array:
     """Return the covariance of estimates whose residuals are correlated, infinite where they are undetermined.
 
     Args:

@@ -26,7 +26,7 @@ import math
 from collections.abc import Callable, Sequence
 from enum import StrEnum
 from itertools import permutations
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -330,7 +330,7 @@ def fit_swing(angles: Array, carts: Array, period: float, arms: ArmChainParamete
 _SWING = FitSettings(robust=0.0, iterations=25, tolerance=1e-4)
 
 
-def _errors(jacobian: Array, residual: Array) -> Array:
+def _errors(jacobian: NDArray[Any], residual: Array) -> Array:
     """Return standard errors (p,) for derivatives (K n, p) and residuals (K, n) that are correlated."""
     scores = (jacobian * residual.reshape(-1, 1)).reshape(*residual.shape, -1).sum(axis=1)
     return np.sqrt(np.diag(clustered_covariance(jacobian.T @ jacobian, [scores], [residual])))
