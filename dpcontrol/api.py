@@ -730,6 +730,7 @@ def prove(
     found: lyapunov.LyapunovOrbit | shadowing.ShadowingOrbit | tubes.ConnectionSearch,
     *,
     energy: Decimal | Fraction | float | None = None,
+    within: Annotated[float, Between(0, 0.1)] = 0.0,
     rivals: graphs.Edges | None = None,
     horseshoe: bool = True,
     settings: proofs.ProofSettings | None = None,
@@ -740,6 +741,7 @@ def prove(
     Args:
         found: orbit, walk, or search for connections.
         energy: exact energy, J (default: the shortest decimal that reads as the orbit's).
+        within: largest distance of other energies from it, J, for which the statement also holds (default: 0).
         rivals: graph whose other connections the walk must not follow (default: not checked).
         horseshoe: prove also the horseshoe of homoclinic connections of one orbit (default: True).
         settings: precision and radii (default: those of `dpcontrol prove`).
@@ -763,7 +765,7 @@ def prove(
     own = found if isinstance(found, lyapunov.LyapunovOrbit) else found.connections[0].source
     if rivals is not None:
         _same_level(own.system, own.energy, rivals.system, rivals.energy)
-    height = proofs.exact_energy(own.energy if energy is None else energy)
+    height = proofs.Energies.of(own.energy if energy is None else energy, within)
     if not isinstance(found, lyapunov.LyapunovOrbit | shadowing.ShadowingOrbit):
         kind = "horseshoe" if horseshoe and own is found.connections[0].target else "connection"
         return proofs.prove_network(kind, found.connections, energy=height, settings=settings, progress=progress)
@@ -778,6 +780,7 @@ def prove_graph(
     model: Model | System | graphs.Edges | str,
     *,
     energy: Decimal | Fraction | float | None = None,
+    within: Annotated[float, Between(0, 0.1)] = 0.0,
     settings: proofs.ProofSettings | None = None,
     out: Annotated[Path | str | None, Output((".json",))] = None,
     yes: bool = False,
@@ -791,6 +794,7 @@ def prove_graph(
     Args:
         model: model, its name, a system, or its graph.
         energy: energy, J, as an exact decimal (default: that of the graph).
+        within: largest distance of other energies from it, J, for which the statement also holds (default: 0).
         settings: precision and radii (default: those of `dpcontrol prove`).
         out: certificate to write, .json, for `prove check` (default: none).
         yes: accept work of more than an hour or 4 GB (default: refused).
@@ -812,8 +816,8 @@ def prove_graph(
         if energy is None:
             raise InputError("energy is missing: give the energy, J")
         model = graph(model, energy=float(energy), yes=yes, progress=part_of(progress, 0.0, 0.1))
-    exact = proofs.exact_energy(model.energy if energy is None else energy)
-    _same_level(model.system, model.energy, model.system, float(exact))
+    exact = proofs.Energies.of(model.energy if energy is None else energy, within)
+    _same_level(model.system, model.energy, model.system, float(exact.middle))
     periods = (4 + (c.time_out + c.time_in) / c.source.period for c in model.connections)
     announce(_proof_cost(sum(periods)), yes=yes)
     proof = proofs.prove_network(
@@ -828,6 +832,7 @@ def prove_statement(
     model: Model | System | str,
     *,
     energy: Decimal | Fraction | float | None = None,
+    within: Annotated[float, Between(0, 0.1)] = 0.0,
     saddle: str | None = None,
     family: Index = 0,
     symbols: Sequence[str] = (),
@@ -855,6 +860,7 @@ def prove_statement(
         statement: what to prove, or "check".
         model: model, its name, or a system; for "check", the file of a certificate.
         energy: energy, J, as an exact decimal (default: none).
+        within: largest distance of other energies from it, J, which are covered piece by piece, 0 to 0.1 (default: 0).
         saddle: for orbit: saddle inside the orbit (default: none).
         family: for orbit: family of orbits about the saddle, slowest first (default: 0).
         symbols: for walk: symbol, in order, as for `dpcontrol walk` (default: none).
@@ -891,29 +897,34 @@ def prove_statement(
     system, first, settings = _system(model), source or saddle, proofs.ProofSettings(bits, radius, box)
     if energy is None:
         raise InputError("energy is missing: give the energy, J")
-    if statement == "graph":
-        return prove_graph(system, energy=energy, settings=settings, out=out, yes=yes, progress=progress)
-    if statement == "walk":
-        if not symbols:
-            raise InputError("a walk is missing: give its symbols")
-        edges = graph(system, energy=float(energy), symbols=symbols, yes=yes, progress=part_of(progress, 0.0, 0.2))
-        walk = shadow(edges, symbols, wraps=wraps, periodic=periodic, yes=yes)
-        announce(_proof_cost(walk.duration / walk.connections[0].source.period), yes=yes)
-        work = part_of(progress, 0.2, 1.0)
-        return _certified(prove(walk, energy=energy, rivals=edges, settings=settings, progress=work), out)
-    if first is None:
+    if statement == "walk" and not symbols:
+        raise InputError("a walk is missing: give its symbols")
+    if first is None and statement not in ("walk", "graph"):
         raise InputError("give the saddle inside the orbit, or the source of the connections, such as down-up")
-    near = orbit(system, first, energy=float(energy), family=family)
-    if statement == "orbit":
-        return _certified(prove(near, energy=energy, settings=settings, progress=progress), out)
-    joined = near if target in (None, first) else orbit(system, str(target), energy=float(energy))
-    if statement == "horseshoe" and joined is not near:
+    if statement == "horseshoe" and target not in (None, first):
         raise InputError("a horseshoe needs homoclinics of one orbit: omit the target")
-    search = connections(near, joined, hits=hits, progress=part_of(progress, 0.0, 0.1))
-    chosen = tuple(search.named(name) for name in dict.fromkeys(names)) or search.connections
-    announce(_proof_cost(sum(4 + (c.time_out + c.time_in) / near.period for c in chosen)), yes=yes)
-    found, whole, work = replace(search, connections=chosen), statement == "horseshoe", part_of(progress, 0.1, 1.0)
-    return _certified(prove(found, energy=energy, horseshoe=whole, settings=settings, progress=work), out)
+
+    def proved(energies: proofs.Energies) -> proofs.Proof:
+        height = float(energies.middle)
+        given = {"energy": energies.middle, "within": energies.within, "settings": settings}
+        if statement == "graph":
+            return prove_graph(system, **given, yes=yes, progress=progress)
+        if statement == "walk":
+            edges = graph(system, energy=height, symbols=symbols, yes=yes, progress=part_of(progress, 0.0, 0.2))
+            walk = shadow(edges, symbols, wraps=wraps, periodic=periodic, yes=yes)
+            announce(_proof_cost(walk.duration / walk.connections[0].source.period), yes=yes)
+            return prove(walk, **given, rivals=edges, progress=part_of(progress, 0.2, 1.0))
+        near = orbit(system, str(first), energy=height, family=family)
+        if statement == "orbit":
+            return prove(near, **given, progress=progress)
+        joined = near if target in (None, first) else orbit(system, str(target), energy=height)
+        search = connections(near, joined, hits=hits, progress=part_of(progress, 0.0, 0.1))
+        chosen = tuple(search.named(name) for name in dict.fromkeys(names)) or search.connections
+        announce(_proof_cost(sum(4 + (c.time_out + c.time_in) / near.period for c in chosen)), yes=yes)
+        found, whole = replace(search, connections=chosen), statement == "horseshoe"
+        return prove(found, **given, horseshoe=whole, progress=part_of(progress, 0.1, 1.0))
+
+    return _certified(proofs.over_range(proofs.Energies.of(energy, within), proved), out)
 
 
 @checked

@@ -6,6 +6,7 @@ determine a point of the section with energy h:
 
     x(y) = x̄ + u y_1 + s y_2 + w z(y),      H(x(y)) = h.
 
+For an interval of energies about h̄, boxes move with the energy: they are about the y of a chart's tilt times h - h̄.
 The interval Newton method proves existence and uniqueness of z in an interval. The flow maps one chart to the next,
 with crossing time s(y) near zero after the segment's duration. The derivative of this map of the plane is
 
@@ -26,10 +27,11 @@ from dpcontrol.proofs.symbols import dot
 
 @dataclass(frozen=True)
 class SectionChart:
-    """An exact node (N,) with the basis (N, N) of its section."""
+    """An exact node (N,) with the basis (N, N) of its section, and the change (2,) of y with the energy."""
 
     node: tuple[Fraction, ...]
     basis: tuple[tuple[float | Fraction, ...], ...]
+    tilt: tuple[Fraction, ...] = (Fraction(0), Fraction(0))
 
     @cached_property
     def columns(self) -> list[Vector]:
@@ -83,7 +85,7 @@ class SectionChart:
         raise NotClosed("the energy does not fix a node's section")
 
     def tangents(self, field: Field, state: Vector) -> Any:
-        """Return ∂x/∂y (N, 2) over a box of states with constant energy.
+        """Return ∂x/∂y and the change with the energy (N, 3) over a box of states.
 
         Args:
             field: programs of the system.
@@ -93,7 +95,9 @@ class SectionChart:
         gradient = field.gradient(state)
         across = dot(gradient, w)
         along = [dot(gradient, t) / across for t in (u, s)]
-        return columns([[u[i] - w[i] * along[0], s[i] - w[i] * along[1]] for i in range(len(w))])
+        flat = [[u[i] - w[i] * along[0], s[i] - w[i] * along[1]] for i in range(len(w))]
+        tilt = [ball(v) for v in self.tilt]
+        return columns([[*row, dot(row, tilt) + w[i] / across] for i, row in enumerate(flat)])
 
 
 @dataclass(frozen=True)
@@ -108,10 +112,10 @@ class Leg:
 
 @dataclass(frozen=True)
 class Surface:
-    """An energy surface; some states (N,) have period 2π."""
+    """The energy surfaces of a ball of energies; some states (N,) have period 2π."""
 
     field: Field
-    energy: Fraction
+    energy: Any
     turns: tuple[bool, ...]
 
 
@@ -179,26 +183,32 @@ def segment(surface: Surface, leg: Leg, radii: Vector, arriving: Vector, setting
     """
     field, chart, shift = surface.field, leg.second, [2 * flint.arb.pi() * k for k in leg.shift]
     normal = chart.rows[2]
-    start, _ = leg.first.lift(field, ball(surface.energy), [flint.arb(0), flint.arb(0)])
-    y = [symmetric(r) for r in radii]
-    states, _ = leg.first.lift(field, ball(surface.energy), y)
-    tangents = leg.first.tangents(field, states)
-    thin, derivative, end, steps = fly(field, start, tangents * columns([[v] for v in y]), leg.duration, settings)
+    away = surface.energy - surface.energy.mid()
+    start, _ = leg.first.lift(field, surface.energy.mid(), [flint.arb(0)] * 2)
+    y, arrived = (
+        [symmetric(r) + ball(t) * away for r, t in zip(sizes, of.tilt, strict=True)]
+        for sizes, of in ((radii, leg.first), (arriving, chart))
+    )
+    states, _ = leg.first.lift(field, surface.energy, y)
+    spread = columns([[x - c] for x, c in zip(states, start, strict=True)])
+    thin, derivative, end, steps = fly(field, start, spread, leg.duration, settings)
     point, box = (passage(field, normal, chart.coordinates(x, shift)[2], x) for x in (thin, end))
     landed = [x + point.time * f for x, f in zip(thin, point.rates, strict=True)]
-    columns_moved = (box.moved * derivative * tangents).transpose().tolist()
-    delays = [-dot(normal, column) / dot(normal, box.rates) for column in columns_moved]
+    moved = (box.moved * derivative * leg.first.tangents(field, states)).transpose().tolist()
+    *delays, late = [-dot(normal, column) / dot(normal, box.rates) for column in moved]
     projected = [
         [m + f * d for m, f in zip(column, box.rates, strict=True)]
-        for column, d in zip(columns_moved, delays, strict=True)
+        for column, d in zip(moved, [*delays, late], strict=True)
     ]
-    slope = columns([[dot(row, column) for column in projected] for row in chart.rows[:2]])
+    *along, across = [[dot(row, column) for row in chart.rows[:2]] for column in projected]
+    slope = columns(along).transpose()
     ends = [x + box.time * f for x, f in zip(end, box.rates, strict=True)]
-    arrived = [symmetric(r) for r in arriving]
     # Over the second box, z is unique for given energy, so the chart's z and the arriving z are equal.
-    coordinate = chart.lift(field, ball(surface.energy), arrived)[1]
+    coordinate = chart.lift(field, surface.energy, arrived)[1]
     reached = chart.place(arrived, coordinate.union(chart.coordinates(ends, shift)[3]))
     if dot(field.gradient(reached), chart.columns[3]).contains(0):
         raise NotClosed("the energy does not fix a node's section")
-    duration, value = ball(leg.duration), chart.coordinates(landed, shift)[:2]
-    return ChartSegment(value, slope, duration + box.time, duration + point.time, delays, [*steps, box.around], states)
+    landings = zip(chart.coordinates(landed, shift)[:2], across, chart.tilt, strict=True)
+    value = [v + (a - ball(t)) * away for v, a, t in landings]
+    whole, at_node = (ball(leg.duration) + time for time in (box.time, point.time + late * away))
+    return ChartSegment(value, slope, whole, at_node, delays, [*steps, box.around], states)

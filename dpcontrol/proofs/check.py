@@ -30,9 +30,9 @@ import hashlib
 import json
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
-from itertools import accumulate
+from itertools import accumulate, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -41,7 +41,7 @@ import numpy as np
 from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import checked_source
-from dpcontrol.foundation.progress import Progress, no_progress
+from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.proofs.balls import (
     NotClosed,
     flint,
@@ -54,7 +54,7 @@ from dpcontrol.proofs.balls import (
     working,
 )
 from dpcontrol.proofs.covering import ChartSegment, Enclosure, Network, orbit_boxes, proved_link
-from dpcontrol.proofs.statements import statement
+from dpcontrol.proofs.statements import interval, statement
 from dpcontrol.proofs.symbols import Enclosed, check_symbols, dot
 
 FORMAT = "dpcontrol proof 3"
@@ -276,10 +276,14 @@ _SYSTEMS = {"double pendulum": _Pendulum, "three bodies": _ThreeBodies}
 
 
 class _Chart:
-    """The plane through a node along u, s and w, on which the energy determines w's coordinate z over a box."""
+    """The plane through a node along u, s and w, on which the energy determines w's coordinate z over a box.
 
-    def __init__(self, flow: _Flow, data: Mapping[str, Any], energy: Any) -> None:
-        self.flow, self.node = flow, [number(v) for v in data["node"]]
+    For an interval of energies, boxes move along the tilt, by at most their distance `within` from the middle.
+    """
+
+    def __init__(self, flow: _Flow, data: Mapping[str, Any], energy: Any, within: Any) -> None:
+        self.flow, self.node, self.within = flow, [number(v) for v in data["node"]], within
+        self.tilt = [number(v) for v in data.get("tilt", "00")]
         self.basis = flint.arb_mat([[number(v) for v in row] for row in data["basis"]])
         self.rows, self.level = self.basis.inv().tolist(), flow.energy(self.node).value - energy
 
@@ -289,12 +293,16 @@ class _Chart:
         around = [c + d for c, d in zip(self.node, (self.basis * flint.arb_mat(column)).entries(), strict=True)]
         return around, (flint.arb_mat([self.flow.energy(around).partials]) * self.basis).entries()
 
+    def wide(self, widths: Sequence[Any]) -> list[Any]:
+        """Return the half-widths of the box that contains those of all energies."""
+        return [w + abs(t) * self.within for w, t in zip(widths, self.tilt, strict=True)]
+
     def height(self, widths: Sequence[Any]) -> Any:
-        """Return an interval that contains exactly one z of the energy for each y of a box."""
+        """Return an interval that contains exactly one z of each energy for each y of a box."""
         reach = flint.arb(0)
         for _ in range(8):
             _, (along, beside, _, across) = self.box(widths, symmetric(reach))
-            needed = (abs(self.level) + abs(along) * widths[0] + abs(beside) * widths[1]) / abs(across)
+            needed = (abs(self.level) + self.within + abs(along) * widths[0] + abs(beside) * widths[1]) / abs(across)
             if needed < reach:
                 return symmetric(reach)
             reach = 2 * needed.upper() + number("1e-30")
@@ -310,9 +318,13 @@ def _segment(
 ) -> ChartSegment:
     """Enclose the map from a chart's box to the next chart."""
     (first, second), shift = charts, [2 * flint.arb.pi() * int(k) for k in turns]
-    z = first.height(widths[0])
-    states, (along, beside, _, across) = first.box(widths[0], z)
-    tangents = first.basis * flint.arb_mat([[1, 0], [0, 1], [0, 0], [-along / across, -beside / across]])
+    leaving, arriving = (chart.wide(sizes) for chart, sizes in zip(charts, widths, strict=True))
+    z = first.height(leaving)
+    states, (along, beside, _, across) = first.box(leaving, z)
+    rise = (1 - dot([along, beside], first.tilt)) / across
+    tangents = first.basis * flint.arb_mat(
+        [[1, 0, first.tilt[0]], [0, 1, first.tilt[1]], [0, 0, 0], [-along / across, -beside / across, rise]]
+    )
     thin, _ = first.box([flint.arb(0)] * 2, -first.level / first.box([flint.arb(0)] * 2, z)[1][3])
     spread = flint.arb_mat([[x - c] for x, c in zip(states, thin, strict=True)])
     end, derivative, boxes = flow.flight(thin, spread, duration)
@@ -326,17 +338,21 @@ def _segment(
     if not abs(time) < reach.abs_upper():
         raise NotClosed("a box is not proved to meet the next chart once")
     moved = (flow.late(slopes, reach) * derivative * tangents).transpose().tolist()
-    delays = [-dot(normal, column) / speed for column in moved]
+    *delays, late = [-dot(normal, column) / speed for column in moved]
     projected = flint.arb_mat(
-        [[m + f * d for m, f in zip(column, rates, strict=True)] for column, d in zip(moved, delays, strict=True)]
-    ).transpose()
-    slope = flint.arb_mat(second.rows[:2]) * projected
+        [
+            [m + f * d for m, f in zip(column, rates, strict=True)]
+            for column, d in zip(moved, [*delays, late], strict=True)
+        ]
+    )
+    *along, across = (projected * flint.arb_mat(second.rows[:2]).transpose()).tolist()
     landed, arrived = ([x + t * f for x, f in zip(v, rates, strict=True)] for v, t in ((end, exact), (ends, time)))
-    if second.box(widths[1], second.height(widths[1]).union(second.away(3, arrived, shift)))[1][3].contains(0):
+    if second.box(arriving, second.height(arriving).union(second.away(3, arrived, shift)))[1][3].contains(0):
         raise NotClosed("the energy does not determine the states of a box")
-    value = [second.away(k, landed, shift) for k in range(2)]
-    total = number(duration)
-    return ChartSegment(value, slope, total + time, total + exact, delays, [*boxes, around], states)
+    away, total = symmetric(first.within), number(duration)
+    value = [second.away(k, landed, shift) + (across[k] - second.tilt[k]) * away for k in range(2)]
+    slope, at_node = flint.arb_mat(along).transpose(), total + exact + late * away
+    return ChartSegment(value, slope, total + time, at_node, delays, [*boxes, around], states)
 
 
 _KEYS = {
@@ -347,8 +363,9 @@ _KEYS = {
 
 def _checked_network(flow: _Flow, data: Mapping[str, Any], progress: Progress) -> str:
     """Return the statement of a certificate of links after proving it."""
-    said, energy, charts = statement(data), number(data["energy"]), dict[str, _Chart]()
-    if {*data} not in [{*keys.split()} for keys in _KEYS] or data["statement"] != said:
+    said, energy, within = statement(data), number(data["energy"]), number(data.get("within", 0))
+    charts = dict[str, _Chart]()
+    if within < 0 or {*data} - {"within"} not in [{*keys.split()} for keys in _KEYS] or data["statement"] != said:
         raise NotClosed("its statement is not that of its numbers, or it has other numbers")
 
     # The boxes of links are wider than the balls of closed orbits.
@@ -357,7 +374,7 @@ def _checked_network(flow: _Flow, data: Mapping[str, Any], progress: Progress) -
     def enclosed(ends: Sequence[Any], widths: Any, duration: Fraction, turns: Sequence[int]) -> ChartSegment:
         if duration > _LONGEST * _MOST_STEPS:
             raise NotClosed("a flight is too long")
-        first, second = (charts.setdefault(repr(end), _Chart(flow, end, energy)) for end in ends)
+        first, second = (charts.setdefault(repr(end), _Chart(flow, end, energy, within)) for end in ends)
         return _segment(flow, (first, second), widths, duration, turns)
 
     enclosure = Enclosure(
@@ -395,6 +412,8 @@ def check(certificate: Mapping[str, Any], progress: Progress = no_progress) -> C
     try:
         if certificate["digest"] != digest(certificate) or certificate["format"] != FORMAT:
             raise NotClosed("its digest does not match its content, or its format is unknown")
+        if "pieces" in certificate:
+            return _checked_pieces(certificate, progress)
         with working(_BITS):
             flow = _SYSTEMS[certificate["system"]["equations"]](certificate["system"])
             proved = _checked_network if "links" in certificate else _checked
@@ -404,6 +423,20 @@ def check(certificate: Mapping[str, Any], progress: Progress = no_progress) -> C
         return CertificateCheck(
             False, f"rejected: the certificate does not prove its statement: {invalid}{error}", None
         )
+
+
+def _checked_pieces(data: Mapping[str, Any], progress: Progress) -> CertificateCheck:
+    """Check the certificates of intervals of energies, and that they leave no gap."""
+    pieces, said = data["pieces"], statement(data)
+    if {*data} != {"format", "statement", "pieces", "digest"} or data["statement"] != said:
+        raise NotClosed("its statement is not that of its intervals, or it has other numbers")
+    if any(before[1] != after[0] for before, after in pairwise(map(interval, pieces))):
+        raise NotClosed("its intervals of energies leave gaps")
+    for k, piece in enumerate(pieces):
+        verdict = check(piece, part_of(progress, k / len(pieces), (k + 1) / len(pieces)))
+        if not verdict.proved:
+            return replace(verdict, status=f"interval {k + 1}: {verdict.status}")
+    return CertificateCheck(True, "the certificate proves its statement", said)
 
 
 def check_file(file: Path, progress: Progress = no_progress) -> CertificateCheck:
@@ -486,7 +519,8 @@ def _checked(flow: _Flow, data: Mapping[str, Any], progress: Progress) -> str:
             row[4 * count + k], row[last] = rates[i] / scale[i], -push[i] / scale[i] * int(following == 0)
             matrix[4 * count + k][4 * k + i] = normals[k][i] * scale[i]
     start = [c + d for c, d in zip(nodes[0], spread.entries(), strict=True)]
-    residual[last] = flow.energy(nodes[0]).value - number(data["energy"])
+    within = symmetric(number(data.get("within", 0)))
+    residual[last] = flow.energy(nodes[0]).value - number(data["energy"]) + within
     matrix[last][:4] = [p * s for p, s in zip(flow.energy(start).partials, scale, strict=True)]
     _check_solution(matrix, residual, exists)
     moved = [x + p * symmetric(unique) for x, p in zip(start, push, strict=True)]

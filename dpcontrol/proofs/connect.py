@@ -10,14 +10,14 @@ A few enclosures per connection suffice for all sequences, with explicit numbers
 uniform over sequences would need the same enclosures.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import reduce
 from typing import Any
 
 import numpy as np
 
-from dpcontrol.dynamics.system import momentum_scale
+from dpcontrol.dynamics.system import System, momentum_scale
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.orbits.lyapunov import LyapunovOrbit
 from dpcontrol.proofs.balls import Fraction, ball, flint, folded
@@ -110,12 +110,36 @@ def _kind(connection: Connection) -> tuple[Any, ...]:
     return connection.source.saddle, connection.target.saddle, connection.winding, connection.section
 
 
-def _charts(states: Array, bases: Array) -> list[dict[str, Any]]:
-    """Return nodes and bases as decimals."""
-    return [
-        {"node": [repr(v) for v in state], "basis": [[repr(v) for v in row] for row in basis]}
-        for state, basis in zip(states.tolist(), bases.tolist(), strict=True)
-    ]
+def _charts(states: Array, bases: Array, tilts: Array | None) -> list[dict[str, Any]]:
+    """Return nodes, bases and tilts as decimals; one energy needs no tilts."""
+    charts = [{"node": _decimals(state), "basis": _decimals(basis)} for state, basis in zip(states, bases, strict=True)]
+    if tilts is None:
+        return charts
+    return [chart | {"tilt": _decimals(tilt)} for chart, tilt in zip(charts, tilts, strict=True)]
+
+
+def _tilts(system: System, states: Array, bases: Array, stms: Array, ends: tuple[float, float] | None = None) -> Array:
+    """Return the change (K, 2) of an orbit's y with the energy at its nodes (K, N), in doubles.
+
+    A closed orbit has as many state-transition matrices as nodes. Another orbit starts with the s and ends with the u
+    of `ends`.
+    """
+    count = len(states)
+    maps = np.linalg.inv(np.roll(bases, -1, axis=0)[: len(stms)]) @ stms @ bases[: len(stms)]
+    slopes = np.einsum("kn,knm->km", system.numeric.gradient(states), bases)[: len(stms)]
+    # Coordinate z follows from the energy: z = (1 - H_u y_1 - H_s y_2) / H_w.
+    lifts = maps[:, :2, 3] / slopes[:, 3:]
+    along = maps[:, :2, :2] - lifts[:, :, None] * slopes[:, None, :2]
+    matrix, right = np.zeros((2 * count, 2 * count)), np.zeros(2 * count)
+    for k, (step, lift) in enumerate(zip(along, lifts, strict=True)):
+        rows, following = slice(2 * k, 2 * k + 2), 2 * ((k + 1) % count)
+        matrix[rows, rows] -= step
+        matrix[rows, following : following + 2] += np.eye(2)
+        right[rows] = lift
+    if ends is not None:
+        matrix[-2, 1] = matrix[-1, -2] = 1.0
+        right[-2:] = ends
+    return np.linalg.solve(matrix, right).reshape(count, 2)
 
 
 def chart_of(data: Any) -> SectionChart:
@@ -125,7 +149,9 @@ def chart_of(data: Any) -> SectionChart:
         data: node (N,) and basis (N, N).
     """
     return SectionChart(
-        tuple(Fraction(v) for v in data["node"]), tuple(tuple(Fraction(v) for v in row) for row in data["basis"])
+        tuple(Fraction(v) for v in data["node"]),
+        tuple(tuple(Fraction(v) for v in row) for row in data["basis"]),
+        tuple(Fraction(v) for v in data.get("tilt", "00")),
     )
 
 
@@ -145,20 +171,24 @@ def enclosure_of(surface: Surface, scale: Array, settings: FlowSettings) -> Encl
     return Enclosure(enclosed, surface.field.rates, surface.turns, [ball(v) for v in scale])
 
 
-def orbit_data(orbit: LyapunovOrbit, radius: float) -> dict[str, Any]:
+def orbit_data(orbit: LyapunovOrbit, radius: float, *, tilted: bool) -> dict[str, Any]:
     """Return charts, half-widths and durations of boxes around a periodic orbit.
 
     Args:
         orbit: periodic orbit.
         radius: largest half-width of the boxes, in the charts' coordinates.
+        tilted: True if boxes move with the energy.
     """
+    system = orbit.system
     states, durations = orbit_nodes(orbit, node_count(orbit))
-    bases, rates = closed_frames(orbit.system, states, durations)
+    bases, rates = closed_frames(system, states, durations)
+    stms = system.propagator.flows_with_stm(states, durations)[1]
+    tilts = _tilts(system, states, bases[:-1], stms) if tilted else None
     # The widths follow the stretching, up to a constant factor per leg.
     even = rates / np.exp(np.log(rates).mean(axis=0))
     widths = np.concatenate([np.ones((1, 2)), np.cumprod(even, axis=0)[:-1]])
     return {
-        "charts": _charts(states, bases[:-1]),
+        "charts": _charts(states, bases[:-1], tilts),
         "widths": _decimals(radius * widths / widths.max(axis=0)),
         "durations": _decimals(durations),
     }
@@ -191,6 +221,10 @@ def link_data(
         for data, k, column in ((source, first, 0), (target, last, 1))
     )
     bases = directions(system, states, stms, closed=False, first=grows, last=shrinks)
+    tilts = None
+    if "tilt" in source["charts"][0]:
+        near = _carried(source["charts"][first], bases[0])[1], _carried(target["charts"][last], bases[-1])[0]
+        tilts = _tilts(system, states, bases, stms, near)
     rates = growth(bases, stms)
     wide, high = [float(source["widths"][first][0]) / 4], [float(target["widths"][last][1])]
     for up, down in zip(rates, rates[::-1], strict=True):
@@ -210,7 +244,7 @@ def link_data(
         "target": ends[1],
         "leaves": (first - 1) % len(source["charts"]),
         "joins": (last + 1) % len(target["charts"]),
-        "charts": _charts(states, bases),
+        "charts": _charts(states, bases, tilts),
         "widths": _decimals(np.stack([wide, high[::-1]], axis=1)),
         "durations": [source["durations"][0], *_decimals(durations), target["durations"][0]],
         "turns": [int(k) for k in route.offsets[-1]],
@@ -220,6 +254,12 @@ def link_data(
         "phase_in": repr(float(arrives.phase_in)),
         "symbols": route.claims(list(segments), [k + 1 for k in marks], rivals),
     }
+
+
+def _carried(chart: Mapping[str, Any], base: Array) -> Array:
+    """Return the tilt of an orbit's chart in another basis of a state near its node."""
+    tilt, basis = (np.array(chart[key], dtype=float) for key in ("tilt", "basis"))
+    return np.asarray(np.linalg.solve(base, basis[:, :2] @ tilt))
 
 
 def transversality(surface: Surface, connection: Connection, proved: CoveringLink, orbits: Sequence[OrbitBoxes]) -> Any:
@@ -254,7 +294,7 @@ def _angle(surface: Surface, connection: Connection, chart: SectionChart, state:
     momenta, scale = surface.field.momenta(met.around)[0], ball(momentum_scale(connection.source.system, section))
     flat = []
     for first, second in ((flint.arb(1), slopes[0]), (slopes[1], flint.arb(1))):
-        v = [first * a + second * b for a, b in zip(*tangents, strict=True)]
+        v = [first * a + second * b for a, b in zip(*tangents[:2], strict=True)]
         v = [a - f * dot(normal, v) / dot(normal, met.rates) for a, f in zip(v, met.rates, strict=True)]
         p = [dot([momenta[i + 2 * j] for j in range(4)], v) for i in range(2)]
         flat.append((dot(position, v), dot([ball(m) for m in section.momentum], p) / scale))

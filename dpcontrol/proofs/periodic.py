@@ -144,7 +144,7 @@ def improved(surface: Surface, chain: Chain, segments: Sequence[ChartSegment], b
     """
     charts = []
     for leg, y in zip(chain, np.reshape(bounds.step, (-1, 2)).tolist(), strict=True):
-        state, _ = leg.first.lift(surface.field, ball(surface.energy), [ball(v) for v in y])
+        state, _ = leg.first.lift(surface.field, surface.energy, [ball(v) for v in y])
         charts.append(replace(leg.first, node=tuple(exact(v) for v in state)))
     return tuple(
         replace(leg, first=first, second=second, duration=exact(piece.at_node))

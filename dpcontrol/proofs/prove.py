@@ -38,7 +38,7 @@ from dpcontrol.proofs.periodic import (
     newton,
     total_time,
 )
-from dpcontrol.proofs.statements import EQUATIONS, passing, statement
+from dpcontrol.proofs.statements import EQUATIONS, energies_stated, passing, statement
 from dpcontrol.proofs.symbols import Enclosed, check_symbols
 from dpcontrol.tubes.connections import Connection
 from dpcontrol.tubes.frames import node_count, orbit_nodes
@@ -97,23 +97,35 @@ class Proof(Documented):
         return f"<proof of {self.kind}: {self.status}>"
 
 
-def exact_energy(energy: Any) -> Fraction:
-    """Return an energy as the shortest decimal that represents it.
+@dataclass(frozen=True)
+class Energies:
+    """All energies within a distance of an exact one, in the system's unit."""
 
-    Args:
-        energy: float, or a number whose text is a decimal.
-    """
-    return Fraction(repr(float(energy)) if isinstance(energy, float) else str(energy))
+    middle: Fraction
+    within: Fraction
+
+    @classmethod
+    def of(cls, energy: Any, within: Any = 0) -> "Energies":
+        """Return energies whose numbers are the shortest decimals that represent the given ones.
+
+        Args:
+            energy: float, or a number whose text is a decimal.
+            within: the same for the distance.
+        """
+        return cls(*(Fraction(repr(v) if isinstance(v, float) else str(v)) for v in (energy, within)))
+
+    def __str__(self) -> str:
+        return energies_stated(self.middle, self.within)
 
 
-def surface_of(system: System, energy: Fraction) -> Surface:
-    """Return the energy surface of a system at the working precision.
+def surface_of(system: System, energies: Energies) -> Surface:
+    """Return the energy surfaces of a system at the working precision.
 
     Parameters are the decimals of the model's file, or else the shortest decimals that read as their doubles.
 
     Args:
         system: system of two degrees of freedom.
-        energy: exact energy, in the system's unit.
+        energies: exact energies.
 
     Raises:
         InputError: the system has more than two degrees of freedom, or unsupported operations.
@@ -122,6 +134,7 @@ def surface_of(system: System, energy: Fraction) -> Surface:
         raise InputError(f"{system.name} has {system.dimension // 2} degrees of freedom: proofs support only two")
     values = [Fraction(repr(v)) for v in system.parameters.tolist()]
     exact = system.model.exact_parameters if isinstance(system, ModelSystem) else values
+    energy = ball(energies.middle) + symmetric(energies.within)
     return Surface(Field.of(system, exact), energy, tuple(bool(p == 2 * np.pi) for p in system.periods))
 
 
@@ -156,12 +169,12 @@ def plain(value: Any) -> Any:
     return decimal(value) if isinstance(value, Fraction) else repr(value) if isinstance(value, float) else value
 
 
-def certificate(system: System, energy: Fraction, content: Mapping[str, Any]) -> dict[str, Any] | None:
+def certificate(system: System, energies: Energies, content: Mapping[str, Any]) -> dict[str, Any] | None:
     """Return a certificate with its statement and digest, or None for a system without a model file.
 
     Args:
         system: system of the proof.
-        energy: exact energy.
+        energies: exact energies.
         content: its other numbers.
     """
     if not isinstance(system, ModelSystem):
@@ -175,18 +188,29 @@ def certificate(system: System, energy: Fraction, content: Mapping[str, Any]) ->
                 "equations": equations,
                 **{key: system.model.decimals[key] for key in EQUATIONS[equations][1]},
             },
-            "energy": energy,
+            "energy": energies.middle,
+            **({"within": energies.within} if energies.within else {}),
             "scale": system.scale.tolist(),
             **content,
         }
     )
+    return sealed(document)
+
+
+def sealed(document: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a certificate with its statement and digest.
+
+    Args:
+        document: its other numbers.
+    """
     document = {"statement": statement(document), **document}
     return {**document, "digest": digest(document)}
 
 
 def orbit_certificate(
     system: System,
-    chain: tuple[Surface, Chain],
+    energies: Energies,
+    legs: Chain,
     proof: tuple[list[ChartSegment], KantorovichBounds],
     claims: Sequence[Mapping[str, Any]] = (),
 ) -> dict[str, Any] | None:
@@ -197,11 +221,12 @@ def orbit_certificate(
 
     Args:
         system: system of the orbit.
-        chain: energy surface and legs.
+        energies: exact energies.
+        legs: legs of the chain.
         proof: enclosures of the legs and the Newton step.
         claims: claims on symbols, see `Route.claims`.
     """
-    (surface, legs), (segments, bounds) = chain, proof
+    segments, bounds = proof
     pair = multipliers(segments)
     if pair is None:
         return None
@@ -222,9 +247,11 @@ def orbit_certificate(
         "multiplier_exceeds": f"{0.9 * float(abs(pair[0])):.3e}",
         "symbols": list(claims),
     }
-    return certificate(system, surface.energy, content)
+    return certificate(system, energies, content)
 
 
+_MOST_PIECES = 2**20
+"""Largest number of pieces of an interval of energies."""
 _LEAST_RADIUS, _UNIQUE = 1e-12, 1e-10
 """Scaled radii of a certificate; the check's integrator has an error of about 1e-15."""
 
@@ -265,7 +292,7 @@ def proved_chain(
 def prove_orbit(
     orbit: LyapunovOrbit,
     *,
-    energy: Fraction,
+    energy: Energies,
     settings: ProofSettings | None = None,
     progress: Progress = no_progress,
 ) -> Proof:
@@ -276,7 +303,7 @@ def prove_orbit(
 
     Args:
         orbit: computed orbit.
-        energy: exact, J.
+        energy: exact energies, J.
         settings: precision, radii and integrator.
         progress: called with a label and the completed share.
 
@@ -289,7 +316,7 @@ def prove_orbit(
         raise GoalMissed(f"no orbit to prove: {orbit.status}")
     system, count = orbit.system, node_count(orbit)
     stated = (
-        f"{system.name} at the energy {decimal(energy)}: exactly one orbit near the computed one about {orbit.saddle} "
+        f"{system.name} at {energy}: exactly one orbit near the computed one about {orbit.saddle} "
         f"{passing(count)}, and it is hyperbolic"
     )
 
@@ -310,7 +337,7 @@ def prove_orbit(
         sharp = enclose(surface, chain, even(chain, narrow), replace(fine, box_order=40), part_of(progress, 0.75, 1.0))
         pair = multipliers(sharp)
         period, within = total_time(sharp, bounds.exists), [symmetric(bounds.exists)] * 2
-        at_start, _ = chain[0].first.lift(surface.field, ball(surface.energy), within)
+        at_start, _ = chain[0].first.lift(surface.field, surface.energy, within)
         figures = {
             "period": period.str(30),
             "multipliers": None if pair is None else [v.str(20) for v in pair],
@@ -327,7 +354,7 @@ def prove_orbit(
             )  # fmt: skip
         return Proof(
             "orbit", True, f"proved: {_unique(bounds, count)}", stated, figures, 0.0,
-            orbit_certificate(system, (surface, chain), (sharp, bounds)),
+            orbit_certificate(system, energy, chain, (sharp, bounds)),
         )  # fmt: skip
 
     return attempted("orbit", stated, settings.bits, work)
@@ -345,7 +372,7 @@ def _unique(bounds: KantorovichBounds, count: int) -> str:
 def prove_walk(
     walk: ShadowingOrbit,
     *,
-    energy: Fraction,
+    energy: Energies,
     rivals: Sequence[Connection] = (),
     settings: ProofSettings | None = None,
     progress: Progress = no_progress,
@@ -354,7 +381,7 @@ def prove_walk(
 
     Args:
         walk: computed orbit of a walk.
-        energy: exact, J.
+        energy: exact energies, J.
         rivals: other connections at this energy.
         settings: precision, radii and integrator.
         progress: called with a label and the completed share.
@@ -371,7 +398,7 @@ def prove_walk(
     system, orbit = walk.orbit.system, walk.orbit
     count = len(orbit.states) - 1
     stated = (
-        f"{system.name} at the energy {decimal(energy)}: exactly one orbit near the computed one {passing(count)}, and "
+        f"{system.name} at {energy}: exactly one orbit near the computed one {passing(count)}, and "
         f"it follows {', '.join(walk.walk)} with wraps {[int(n) for n in walk.wraps]}"
     )
 
@@ -411,7 +438,7 @@ def prove_walk(
             )
         return Proof(
             "walk", True, f"proved: {_unique(bounds, count)}, and it follows its symbols", stated, figures, 0.0,
-            orbit_certificate(system, (surface, chain), (segments, bounds), claims),
+            orbit_certificate(system, energy, chain, (segments, bounds), claims),
         )  # fmt: skip
 
     return attempted("walk", stated, settings.bits, work)
@@ -421,7 +448,7 @@ def prove_network(
     kind: str,
     flights: Sequence[Connection | ShadowingOrbit],
     *,
-    energy: Fraction,
+    energy: Energies,
     rivals: Sequence[Connection] | None = None,
     settings: ProofSettings | None = None,
     progress: Progress = no_progress,
@@ -431,7 +458,7 @@ def prove_network(
     Args:
         kind: "connection", "walk", "horseshoe" or "graph".
         flights: computed connections or one open walk.
-        energy: exact, J.
+        energy: exact energies, J.
         rivals: for a walk: connections that its orbit must not follow.
         settings: precision, radii and integrator.
         progress: called with a label and the completed share.
@@ -447,12 +474,12 @@ def prove_network(
     # Connections have equal copies of an orbit.
     near = {(stop.saddle, stop.period): stop for pair in joined for stop in pair}
     ends = [[list(near).index((stop.saddle, stop.period)) for stop in pair] for pair in joined]
-    stated = f"{system.name} at the energy {decimal(energy)}: {network_stated(kind, routes)}"
+    stated = f"{system.name} at {energy}: {network_stated(kind, routes)}"
 
     def work() -> Proof:
         surface, failed = surface_of(system, energy), list[str]()
         enclosure = enclosure_of(surface, system.scale, settings.links)
-        numbers = [orbit_data(orbit, settings.box) for orbit in near.values()]
+        numbers = [orbit_data(orbit, settings.box, tilted=energy.within > 0) for orbit in near.values()]
         network, rows = Network([], [], enclosure), []
         for (saddle, _), data in zip(near, numbers, strict=True):
             with located(f"the orbit about {saddle}:"):
@@ -481,6 +508,39 @@ def prove_network(
         return Proof(kind, True, status, stated, figures | claims, 0.0, certificate(system, energy, content))
 
     return attempted(kind, stated, settings.bits, work)
+
+
+def over_range(energies: Energies, prove: Callable[[Energies], Proof]) -> Proof:
+    """Prove a statement for an interval of energies, piece by piece: where it does not close, half as wide.
+
+    Args:
+        energies: interval to cover.
+        prove: function that computes and proves the statement for a piece of it.
+    """
+    low, high, half = energies.middle - energies.within, energies.middle + energies.within, energies.within
+    pieces = list[Proof]()
+    while not pieces or low < high:
+        half = min(half, (high - low) / 2)
+        proof = prove(Energies(low + half, half))
+        if proof.proved:
+            pieces.append(proof)
+            low += 2 * half
+        elif half <= energies.within / _MOST_PIECES:
+            return proof
+        else:
+            half /= 2
+    if len(pieces) == 1:
+        return pieces[0]
+    found = [piece.figures for piece in pieces]
+    figures = {"pieces": found} | {
+        key: worst(row[key] for row in found) for key, worst in (("wraps", max), ("entropy", min)) if key in found[0]
+    }
+    weakest = min(pieces, key=lambda piece: piece.figures.get("entropy", 0.0))
+    status = f"{weakest.status}; this or more holds in each of {len(pieces)} intervals, which cover {energies}"
+    certificates = [piece.certificate for piece in pieces]
+    document = None if None in certificates else sealed({"format": FORMAT, "pieces": certificates})
+    seconds = sum(piece.seconds for piece in pieces)
+    return replace(weakest, status=status, figures=figures, seconds=seconds, certificate=document)
 
 
 def network_claims(network: Network, kind: str) -> dict[str, Any]:

@@ -5,6 +5,7 @@ statement contains numbers that the check proves, and no names: a renamed certif
 """
 
 from collections.abc import Iterable, Mapping, Sequence
+from fractions import Fraction
 from typing import Any
 
 from dpcontrol.foundation.document import counted
@@ -15,6 +16,28 @@ EQUATIONS = {
     "three bodies": (0, ("mass_ratio",)),
 }
 """Number of angles and parameters of each system of equations."""
+
+
+def energies_stated(middle: Fraction, within: Fraction) -> str:
+    """Return the words on the energies of a statement.
+
+    Args:
+        middle: an energy.
+        within: largest distance from it.
+    """
+    if not within:
+        return f"the energy {_exact(middle)}"
+    return f"each energy from {_exact(middle - within)} to {_exact(middle + within)}"
+
+
+def interval(data: Mapping[str, Any]) -> tuple[Fraction, Fraction]:
+    """Return the least and the greatest energy of a certificate.
+
+    Args:
+        data: content of the certificate by key.
+    """
+    middle, within = fraction(data["energy"]), fraction(data.get("within", 0))
+    return middle - within, middle + within
 
 
 def passing(count: int) -> str:
@@ -32,14 +55,19 @@ def statement(data: Mapping[str, Any]) -> str:
         ValueError: a value is no number.
         LookupError: a value is missing.
     """
+    if "pieces" in data:
+        (low, _), *_, (_, high) = map(interval, data["pieces"])
+        count = counted(len(data["pieces"]), "interval")
+        line = f"each energy from {_exact(low)} to {_exact(high)} is in one of {count}, with these statements"
+        return "\n".join([line, *(piece["statement"] for piece in data["pieces"])])
     angles, keys = EQUATIONS[data["system"]["equations"]]
     if "links" in data:
         return "\n".join([*_network(data, angles), *_parameters(data, keys)])
-    unique, exists, energy, least = (_exact(data[key]) for key in ("unique", "exists", "energy", "multiplier_exceeds"))
+    unique, exists, least = (_exact(data[key]) for key in ("unique", "exists", "multiplier_exceeds"))
     turned = ", ".join(str(int(k)) for k in data["turns"][:angles])
     return "\n".join(
         [
-            f"at the energy {energy}, exactly one orbit of the {data['system']['equations']} "
+            f"at {_energies(data)}, exactly one orbit of the {data['system']['equations']} "
             f"{passing(len(data['nodes']))}, within {unique} of the nodes and of the flight times",
             f"it is within {exists} of them and closes after {_sum(data['durations'])} time units"
             + f", with the turns {turned} of its angles" * bool(angles),
@@ -59,7 +87,7 @@ def _network(data: Mapping[str, Any], angles: int) -> list[str]:
     """Return the sentences on a network of orbits and links."""
     orbits = counted(len(data["orbits"]), "ring")
     lines = [
-        f"at the energy {_exact(data['energy'])}, each of {orbits} of boxes contains exactly one orbit of the "
+        f"at {_energies(data)}, each of {orbits} of boxes contains exactly one orbit of the "
         f"{data['system']['equations']} that stays in it; it is periodic and hyperbolic"
     ]
     for k, orbit in enumerate(data["orbits"], start=1):
@@ -149,6 +177,12 @@ def _symbol(data: Mapping[str, Any], k: int, angles: int) -> str:
         + f", nearer than to {counted(len(further), 'other state')}" * bool(further)
         + f"; the next symbol's node follows after {stay}, nearest to {_rest(claim)}"
     )
+
+
+def _energies(data: Mapping[str, Any]) -> str:
+    """Return the words on a certificate's energies; the boxes of an interval move with the energy."""
+    words = energies_stated(fraction(data["energy"]), fraction(data.get("within", 0)))
+    return words + ", with boxes that move with it" * ("within" in data and "links" in data)
 
 
 def _exact(value: Any) -> str:

@@ -20,7 +20,7 @@ from dpcontrol.walks.edges import Edges
 pytest.importorskip("flint")
 
 from dpcontrol.proofs.check import check
-from dpcontrol.proofs.prove import Proof, prove_network
+from dpcontrol.proofs.prove import Energies, Proof, prove_network
 
 pytestmark = pytest.mark.slow
 THROUGH_FIRST_BOX = 0.9
@@ -144,7 +144,7 @@ def test_a_graph_includes_a_connection_whose_manifolds_may_be_tangent() -> None:
     assert proof.status.startswith("proved: 1 distinct connection, of which 0 are proved to be transversal")
     assert [row["angle_deg"] for row in proof.figures["links"]] == [None]
     assert check(json.loads(json.dumps(proof.certificate))).proved
-    alone = prove_network("connection", [flat], energy=Fraction("0.2"))
+    alone = prove_network("connection", [flat], energy=Energies.of("0.2"))
     assert not alone.proved
     assert "the cones of both manifolds are not proved to be disjoint" in alone.status
 

@@ -1,7 +1,6 @@
 """Proofs of connections with their angles, and of a horseshoe of lab at -0.07 J."""
 
 from dataclasses import replace
-from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -13,10 +12,10 @@ from dpcontrol.foundation.version import PACKAGE
 pytest.importorskip("flint")
 
 from dpcontrol.proofs.balls import flint
-from dpcontrol.proofs.prove import ProofSettings, prove_network
+from dpcontrol.proofs.prove import Energies, ProofSettings, prove_network
 from dpcontrol.tubes.connections import Connection, ConnectionSearch
 
-ENERGY = Fraction("-0.07")
+ENERGY = Energies.of("-0.07")
 COMMAND = "dpcontrol prove horseshoe lab --from down-up --energy -0.07"
 PAGE = (PACKAGE / "guide" / "theorems.md").read_text(encoding="utf-8")
 
@@ -35,7 +34,7 @@ def test_a_connection_between_strongly_unstable_orbits_is_proved_with_default_se
     """The multiplier of the orbit is 7e10."""
     found = dp.connections(dp.orbit(dp.load_model("lab"), "up-down", energy=0.49033))
     one = most_transversal(found)
-    proof = prove_network("connection", [one], energy=Fraction("0.49033"))
+    proof = prove_network("connection", [one], energy=Energies.of("0.49033"))
     assert proof.proved, proof.status
 
 

@@ -13,7 +13,7 @@ import dpcontrol as dp
 from dpcontrol.proofs.balls import bound, flint, symmetric, working
 from dpcontrol.proofs.flow import FlowSettings, fly
 from dpcontrol.proofs.periodic import closed_chain
-from dpcontrol.proofs.prove import Proof, ProofSettings, exact_energy, proved_chain, surface_of
+from dpcontrol.proofs.prove import Energies, Proof, ProofSettings, proved_chain, surface_of
 
 pytest.importorskip("flint")
 
@@ -112,7 +112,7 @@ def test_a_wrong_node_a_large_ball_and_an_elliptic_orbit_are_not_proved() -> Non
     amplitude = 0.3
     state = np.array([0.0, 0.0, amplitude, 0.0])
     elliptic = replace(orbit, system=system, state=state, period=_period(system, state), saddle="bottom")
-    proof = dp.prove(elliptic, energy=exact_energy(float(system.numeric.hamiltonian(state))))
+    proof = dp.prove(elliptic, energy=float(system.numeric.hamiltonian(state)))
     assert refused(proof)
     assert proof.figures["multipliers"] is None, proof.status
 
@@ -135,7 +135,7 @@ def test_random_trajectories_stay_in_their_enclosures() -> None:
     system = dp.load_model("lab").system
     radius = 1e-6
     with working(128):
-        surface = surface_of(system, Fraction(0))
+        surface = surface_of(system, Energies.of(0))
         for _ in range(3):
             start = np.concatenate([random.uniform(-3, 3, 2), random.uniform(-20, 20, 2)])
             thin, derivative, box, _ = fly(
@@ -170,7 +170,7 @@ def test_nodes_are_corrected_to_the_energy() -> None:
     orbit = dp.orbit(system, "down-up", energy=-0.07)
     states = np.array([system.propagator.flow(orbit.state, orbit.period * k / 4) for k in range(4)])
     with working(128):
-        surface = surface_of(system, Fraction("-0.07000000001"))
+        surface = surface_of(system, Energies.of("-0.07000000001"))
         chain = closed_chain(system, states, np.full(4, orbit.period / 4), [0] * 4)
         _, found = proved_chain(surface, chain, ProofSettings())
     assert found.proved
