@@ -139,7 +139,7 @@ def _tilts(system: System, states: Array, bases: Array, stms: Array, ends: tuple
     if ends is not None:
         matrix[-2, 1] = matrix[-1, -2] = 1.0
         right[-2:] = ends
-    return np.linalg.solve(matrix, right).reshape(count, 2)
+    return np.asarray(np.linalg.solve(matrix, right), dtype=float).reshape(count, 2)
 
 
 def chart_of(data: Any) -> SectionChart:
@@ -259,7 +259,7 @@ def link_data(
 def _carried(chart: Mapping[str, Any], base: Array) -> Array:
     """Return the tilt of an orbit's chart in another basis of a state near its node."""
     tilt, basis = (np.array(chart[key], dtype=float) for key in ("tilt", "basis"))
-    return np.asarray(np.linalg.solve(base, basis[:, :2] @ tilt))
+    return np.asarray(np.linalg.solve(base, basis[:, :2] @ tilt), dtype=float)
 
 
 def transversality(surface: Surface, connection: Connection, proved: CoveringLink, orbits: Sequence[OrbitBoxes]) -> Any:
