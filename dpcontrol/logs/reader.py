@@ -209,7 +209,7 @@ def _batches(file: VerifiedFile) -> Iterator[Batch]:
     chunks = file.records[Chunk]
     for first in range(0, len(chunks), _TOGETHER):
         data = b"".join(map(unpacked, chunks[first : first + _TOGETHER]))
-        messages = located(data, file.tick)
+        messages = located(data, file.tick, file.tick.types)
         events = []
         for start, head in zip(*messages[layout.EVENTS], strict=True):
             end = start + layout.LENGTH_FROM + int(head["length"])

@@ -41,7 +41,7 @@ from dpcontrol.logs.reader import (
     recorded_bytes,
     unpacked,
 )
-from dpcontrol.logs.writer import CHUNK_SECONDS
+from dpcontrol.logs.writer import LONGEST_CHUNK
 
 _BEGINNING = re.compile(
     # A chunk up to its compression, an attachment without times, or metadata, all as this package writes them.
@@ -106,7 +106,7 @@ _AFTER_ALL = 1 << 32
 
 def _numbered(data: bytes, tick: layout.TickLayout) -> tuple[int, bytes]:
     """Return the number of a chunk's first tick, and its records without schemas and channels."""
-    messages = located(data, tick)
+    messages = located(data, tick, tick.heads)
     start = min(int(part.offsets[0]) for part in messages.values() if len(part.offsets))
     numbers = messages[layout.MEASURED].records["sequence"].tolist()
     return (numbers or [_AFTER_ALL])[0], data[start:]
@@ -170,7 +170,7 @@ def recover(
         tick = described_layout(path, rescued.metadata.get(layout.LAYOUT_RECORD, {}))
         numbered = sorted((_numbered(data, tick) for data in rescued.chunks), key=itemgetter(0))
         pieces = [data for _, data in numbered]
-        ticks = located(b"".join(pieces), tick)[layout.MEASURED].records
+        ticks = located(b"".join(pieces), tick, tick.heads)[layout.MEASURED].records
         if (np.diff(ticks["sequence"].astype(np.int64)) <= 0).any():
             raise InputError(_SEVERAL)
         done = _account(path, _free_name(path) if out is None else Path(out), rescued, ticks)
@@ -202,7 +202,7 @@ def _account(path: Path, log: Path, rescued: Salvage, measured: NDArray[Any]) ->
     ticks, end_s = len(measured), float(measured["log_time"][-1]) / 1e9
     missing = (int(measured["sequence"][-1]) + 1 if result is None else int(result[layout.TICKS])) - ticks
     attachments_lost = tuple(name for name in names if name not in rescued.attachments)
-    most = 1e3 * max(CHUNK_SECONDS, period)
+    most = 1e3 * max(LONGEST_CHUNK, period)
     losses = {
         rescued.metadata.get(layout.RECOVERY_RECORD, {}).get(layout.LOST, ""): True,
         f"{missing} ticks ({1e3 * missing * period:.0f} ms)": missing > 0,

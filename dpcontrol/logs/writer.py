@@ -6,8 +6,9 @@ One writer serves simulation, rig, import and replay. A tick requires only the m
 reference, truth and control are each present in every tick of a log or in none; the first tick decides.
 A log has one rate. Slower signals are events, or are repeated in each tick. Times may jump forward.
 
-Ticks are collected as rows of numbers and converted to messages about every twenty milliseconds, so a killed run loses
-no more than that. The file grows as `NAME.mcap.partial` and is renamed when it is complete and on the disk.
+Ticks are collected as rows of numbers and converted to messages about every twenty milliseconds, or as many at once as
+arrive together, up to a fifth of a second. A killed run loses no more than that. The file grows as
+`NAME.mcap.partial` and is renamed when it is complete and on the disk.
 
 The layout and the arms' descriptions for viewers precede the first tick. Both depend on the contents of a tick, which
 are known from the first one on (`layout.TickLayout`).
@@ -256,8 +257,12 @@ def slow_numbers(times: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.floor(times * (layout.SLOW_RATE / 1e9) + 1e-6).astype(np.int64)
 
 
-CHUNK_SECONDS = 0.02
-"""Duration of a chunk, s. A killed run loses at most this much and one tick."""
+CHUNK_SECONDS, LONGEST_CHUNK = 0.02, 0.2
+"""Duration of a chunk that waits for ticks, and of the longest chunk, s.
+
+A run that passes on its ticks one by one loses at most the first and one tick if it is killed. Many ticks that arrive
+together form long chunks, which take a tenth of the time.
+"""
 
 
 class LogWriter:
@@ -298,7 +303,7 @@ class LogWriter:
             tuple(map(float, arm_lengths)), has_cart, float(rate_hz), limits=limits, extras=self.extras
         )
         self._metadata, self._attachments = dict(metadata or {}), dict(attachments or {})
-        self._size = max(1, round(CHUNK_SECONDS * rate_hz))
+        self._least, self._size = (max(1, round(seconds * rate_hz)) for seconds in (CHUNK_SECONDS, LONGEST_CHUNK))
         self._times = np.zeros(self._size)
         self._rooms = {name: np.zeros((self._size, width)) for name, width in self._tick.widths.items()}
         # The first tick decides which of these parts the log has.
@@ -386,6 +391,8 @@ class LogWriter:
             self._filled, self._last, done = self._filled + count, float(times[done + count - 1]), done + count
             if self._filled == self._size:
                 self._write_chunk()
+        if self._filled >= self._least:
+            self._write_chunk()
 
     def result(self, **values: str) -> None:
         """Add results, which may differ when the run is repeated, as metadata at the end of the log.

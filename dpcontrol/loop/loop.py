@@ -6,8 +6,8 @@ All random numbers of a simulated run come from its seed. Controller and estimat
 drive's nominal limits and delay, but none of the drawn values.
 
 The `Ticker` decides, with the same code for one run and many. This module carries out the decisions: it emits sentences
-and events, and ends a run when its cart is at rest. Rows of ticks go to the sink every 20 ms, in step with its chunks.
-A killed run loses no more than that.
+and events, and ends a run when its cart is at rest. Rows of ticks go to the sink every 20 ms, in step with its chunks,
+and every 0.2 s if they are computed in blocks. A killed run loses no more than that and a block.
 """
 
 import logging
@@ -58,8 +58,8 @@ from dpcontrol.loop.ticker import Ticker
 from dpcontrol.references.problem import Limits
 
 _LOG = logging.getLogger(__name__)
-_FLUSH_SECONDS = 0.02
-"""Ticks between two transfers of rows to the sink, equal to a chunk of a log."""
+_FLUSH_SECONDS, _FLUSH_BLOCKS = 0.02, 0.2
+"""Times between two transfers of rows to the sink, s, equal to chunks of a log; the second for blocks of ticks."""
 _PROGRESS_EVERY = 500
 EVENTS = {Cause.RESTART: "restart the estimator", Cause.RESYNCHRONISE: "re-synchronise", Cause.HOLD: "hold"}
 """Names of events in a log by the cause that does not stop the cart; all others are "stop"."""
@@ -105,7 +105,6 @@ class ControlLoop:
         self._rows = Ticks.empty(0, self._arms, has_truth=False, period=self._period)
         self._full: list[Ticks] = []
         self._fall: tuple[Cause, Mapping[str, Any]] | None = None
-        self._flush_every = max(1, round(_FLUSH_SECONDS / self._period))
         self._done = self._flushed = self._first = 0
         if fallback is not None:
             ticker.prepare_to_hold()
@@ -152,6 +151,7 @@ class ControlLoop:
         thought = thinking.append
         began = clock()
         blocks = None if recovery is not None else blocks_of(ticker, rig, noise)
+        flush_every = max(1, round((_FLUSH_SECONDS if blocks is None else _FLUSH_BLOCKS) / period))
         done = 0
         while True:
             k = done
@@ -163,8 +163,6 @@ class ControlLoop:
             if count:
                 thinking.extend([(clock() - called) / count] * count)
                 self._done = done = k + count
-                for edge in range(k - k % self._flush_every + self._flush_every, done, self._flush_every):
-                    self._flush(edge)
                 k, report = done - 1, ticker.report
             else:
                 try:
@@ -222,10 +220,10 @@ class ControlLoop:
                     ticker.brake(k)
             elif done == self.count or report.done.item(0):
                 break
-            if done % self._flush_every == 0:
+            if done - self._flushed >= flush_every:
                 self._flush(done)
-                if not done % _PROGRESS_EVERY:
-                    self.progress("run", done / (self._until or self.count))
+            if not done % _PROGRESS_EVERY:
+                self.progress("run", done / (self._until or self.count))
         elapsed, done = clock() - began, self._done
         rig.stop()
         self._flush(done)

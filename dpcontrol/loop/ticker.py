@@ -201,8 +201,10 @@ class Ticker:
 
     def rows_of(self, k: int, count: int, out: Array) -> None:
         """Write the rows of ticks from k on into `out` (count, size, lanes)."""
-        first = k - self.began
-        np.add(self._rows[first : first + count], self._lift, out=out[:count])
+        rows = self._rows[k - self.began :][:count, :, 0] + self._lift[:, 0]
+        # Lane by lane, since numpy's innermost loop would be over the two lanes.
+        for lane in range(out.shape[2]):
+            out[:count, :, lane] = rows
 
     def take_carts(self, k: int, carts: Array) -> None:
         """Store the cart's last positions, m, of which those from tick k on are (K,), NaN where missing."""

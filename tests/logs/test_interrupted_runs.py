@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from log_samples import open_writer, sample, tick_all
+from mcap.reader import make_reader
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs import LogWriter, read_log, recover
@@ -25,6 +26,23 @@ def test_at_any_rate_unwritten_data_are_at_most_twenty_milliseconds_or_a_tick(tm
     copy.write_bytes(log.partial.read_bytes())
     log.__exit__(None, None, None)
     assert (ticks - recover(copy).ticks) / rate <= max(0.02, 1 / rate)
+
+
+def test_ticks_that_arrive_together_form_long_chunks_which_read_back_equal(tmp_path: Path) -> None:
+    run = sample(1000)
+    together, singly = tmp_path / "together.mcap", tmp_path / "singly.mcap"
+    with open_writer(singly, run) as log:
+        tick_all(log, run)
+    with open_writer(together, run) as log:
+        parts = ("measured", "estimate", "reference", "truth", "control", "extras")
+        log.ticks(run.time, **{part: getattr(run, part) for part in parts})
+    chunks = [make_reader(path.open("rb")).get_summary().chunk_indexes for path in (singly, together)]
+    assert [len(indexes) for indexes in chunks] == [50, 5]
+    assert sum(index.compressed_size for index in chunks[1]) < sum(index.compressed_size for index in chunks[0])
+    one, other = read_log(singly), read_log(together)
+    assert (one.time == other.time).all()
+    for part in one.states:
+        assert (one.states[part] == other.states[part]).all()
 
 
 class FullDisk:
