@@ -249,7 +249,7 @@ class McapFile:
         }  # fmt: skip
         packed = self._compressor.compress(content)
         start, places = self.stream.tell(), {}
-        written = _bytes_of(Chunk(data=packed, uncompressed_crc=zlib.crc32(content), **about))
+        written = bytearray(_bytes_of(Chunk(data=packed, uncompressed_crc=zlib.crc32(content), **about)))
         length = len(written)
         for topic, part in messages.items():
             number, offsets = self._tick.channels[topic], part.offsets + len(head)

@@ -369,6 +369,10 @@ def record_type(message: Message) -> np.dtype:
     return np.dtype({"names": list(places), "formats": formats, "offsets": offsets, "itemsize": size})
 
 
+_COUNTERS = ("sequence", "log_time", "publish_time", "sec", "nanosec")
+"""Last names of the fields that follow from a message's number and time."""
+
+
 class Block:
     """Message records that are written together, as one numpy type.
 
@@ -380,22 +384,24 @@ class Block:
     def __init__(self, messages: Mapping[str, Message], channels: Mapping[str, int]) -> None:
         self.kind = np.dtype([(topic, record_type(message)) for topic, message in messages.items()])
         self.template = b"".join(record(channels[topic], 0, 0, message.data) for topic, message in messages.items())
+        self._records = np.empty(0, self.kind)
+        fields = ((topic, name, name.rpartition(".")[2]) for topic in messages for name in self.kind[topic].names or ())
+        self._counters = tuple(field for field in fields if field[2] in _COUNTERS)
 
     def filled(self, times: NDArray[np.int64], first: int) -> NDArray[Any]:
-        """Return copies (K,) of the template with times and numbers of sequence.
+        """Return copies (K,) of the template with times and numbers of sequence, which the next call overwrites.
 
         Args:
             times: (K,) ns.
             first: number of the first message in its channel.
         """
-        block = np.frombuffer(bytearray(self.template * len(times)), self.kind)
-        seconds, nanoseconds = np.divmod(times, 1_000_000_000)
-        for topic in self.kind.names or ():
-            records = block[topic]
-            records["sequence"] = np.arange(first, first + len(times))
-            records["log_time"] = records["publish_time"] = times
-            for stamp in (name.removesuffix("sec") for name in records.dtype.names or () if name.endswith(".sec")):
-                records[f"{stamp}sec"], records[f"{stamp}nanosec"] = seconds, nanoseconds
+        if len(self._records) < len(times):
+            self._records = np.frombuffer(bytearray(self.template * len(times)), self.kind)
+        block = self._records[: len(times)]
+        numbers = np.arange(first, first + len(times)), times, times, *np.divmod(times, 1_000_000_000)
+        values = dict(zip(_COUNTERS, numbers, strict=True))
+        for topic, name, counter in self._counters:
+            block[topic][name] = values[counter]
         return block
 
 

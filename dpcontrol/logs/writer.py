@@ -220,9 +220,10 @@ class ChunkEncoder:
         numbers = slow_numbers(times)
         due = np.diff(numbers, prepend=self._last_due) > 0
         self._last_due = max(numbers.tolist(), default=self._last_due)
-        records.append(self._transforms(due, times, rows))
+        times, rows = times[due], {part: values[due] for part, values in rows.items()}
+        records.append(self._transforms(times, rows))
         if "extras" in rows:
-            records.append(self._records(layout.EXTRAS, times[due], {"row": rows["extras"][due]}))
+            records.append(self._records(layout.EXTRAS, times, {"row": rows["extras"]}))
         return b"".join([*records, block.tobytes()])
 
     def _records(self, topic: str, times: NDArray[np.int64], values: Mapping[str, Row]) -> bytes:
@@ -233,7 +234,7 @@ class ChunkEncoder:
         self._counts[topic] += len(times)
         return records.tobytes()
 
-    def _transforms(self, chosen: NDArray[np.bool_], times: NDArray[np.int64], rows: Mapping[str, Row]) -> bytes:
+    def _transforms(self, times: NDArray[np.int64], rows: Mapping[str, Row]) -> bytes:
         """Return the records of /tf: of the truth, the estimate or the measured positions, and of the reference."""
         measured, arms = rows["measured"], self.tick.arms
         states = np.zeros((len(measured), self.tick.widths["truth"]))
@@ -241,7 +242,7 @@ class ChunkEncoder:
         robots = [rows.get("truth", rows.get("estimate", states))]
         robots += [rows["reference"]] if "reference" in rows else []
         # Readers of transforms reject poses that are not finite.
-        chosen = chosen & np.isfinite(np.hstack(robots)).all(axis=1)
+        chosen = np.isfinite(np.hstack(robots)).all(axis=1)
         states = np.stack([robot[chosen] for robot in robots], axis=1).reshape(-1, states.shape[1])
         poses = link_poses(states, arm_lengths=self.tick.arm_lengths, has_cart=self.tick.has_cart)
         links = poses.reshape(int(chosen.sum()), len(robots) * poses.shape[1], 7).swapaxes(0, 1)
