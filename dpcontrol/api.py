@@ -3067,8 +3067,9 @@ def draw_charts(
 ) -> drawing.DrawnCharts:
     """Chart speed against accuracy of numerical methods, and map their failures.
 
-    Charts: propagation, connections, transcription, estimation, control. Times are medians on one core without
-    start-up, and a ring marks the default of dpcontrol.
+    Charts: stages, propagation, connections, transcription, estimation, control. `stages` has the time and error of
+    each stage's first result, with an empty and with a filled cache. In the others times are medians on one core
+    without start-up, and a ring marks the default of dpcontrol.
 
     Maps of the limits of methods, found by bisection, beside the predictions of theory: edges-moving, edges-ogy,
     edges-estimation, edges-margins. `edges` selects all of them.

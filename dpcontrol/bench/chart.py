@@ -110,6 +110,8 @@ class Diagram(Documented):
     Attributes:
         floor: errors below it are rounding and count as equal.
         judged: False for a second view of work that another panel judges.
+        joined: True for methods with three points each, of a first result with an empty and a filled cache, and of
+            later results; their points are joined instead of the front.
     """
 
     KEYS: ClassVar[str] = "* front=front.name defaults=standings"
@@ -123,6 +125,7 @@ class Diagram(Documented):
     log_y: bool = True
     floor: float = 0.0
     judged: bool = True
+    joined: bool = False
 
     @property
     def _running(self) -> list[tuple[Point, float]]:
@@ -168,6 +171,10 @@ class Diagram(Documented):
 
     def finding(self) -> str:
         """Return the diagram's result in one sentence: the first default against the fastest other point as precise."""
+        if self.joined:
+            times = [p.seconds for p in self.points]
+            shares = [empty / filled for empty, filled in zip(times[::3], times[1::3], strict=True)]
+            return f"a first result takes {min(shares):.2g} to {max(shares):.2g} times as long with an empty cache"
         ours = next(iter(self.defaults), self.front[-1])
         error, unit = max(ours.error, self.floor), split_label(self.y_label)[1]
         measured, cost = (label.partition(",")[0] for label in (self.y_label, self.x_label))
@@ -192,7 +199,7 @@ class Diagram(Documented):
 
     def text(self) -> Iterator[Line]:
         """Yield the front as a table, followed by the defaults off it, then the result and notes."""
-        shown = [*self.front, *(p for p in self.defaults if p not in self.front)]
+        shown = self.points if self.joined else [*self.front, *(p for p in self.defaults if p not in self.front)]
         rows = tuple(
             (p.method, p.setting, f"{p.seconds:.3g}", f"{p.error:.2g}", self.standing(p) if p.default else "", p.note)
             for p in shown
@@ -435,6 +442,7 @@ def _drawn(module: str, name: str, quick: bool, progress: Progress) -> ChartPage
 
 
 CHARTS: dict[str, Callable[[bool, Progress], ChartPage]] = {
+    "stages": partial(_drawn, "stages", "stages"),
     "propagation": partial(_drawn, "propagation", "propagation"),
     **{name: partial(_drawn, "design", name) for name in ("connections", "transcription")},
     **{name: partial(_drawn, "control", name) for name in ("estimation", "control")},

@@ -157,7 +157,7 @@ def search_panel(orbit: LyapunovOrbit, truths: Sequence[Truth], progress: Progre
         return Judged(error) if len(states) >= least and np.isfinite(error) else f"{len(states)} of {least} found"
 
     return replace(
-        compare(tried, judge, rounds=9 if quick else 15, most=1.2 if quick else 6.0, progress=progress),
+        compare(tried, judge, rounds=9 if quick else 15, most=0.4 if quick else 6.0, progress=progress),
         title=f"{expected} connections of down-up with itself", x_label="time, s",
         y_label="error of the worst, scaled", floor=ROUNDING,
         why="fewer phases or longer chords save part of the time here and lose connections at other energies",
@@ -309,7 +309,7 @@ def _alternative(problem: ReferenceProblem, s: ReferenceSettings, find: Callable
 
 def _turns(*, quick: bool) -> dict[str, Any]:
     """Return measurement settings for programs, which compile nothing at first."""
-    return {"rounds": 9, "most": 1.2 if quick else 6.0, "least": 2 if quick else 3, "starts_up": False}
+    return {"rounds": 9, "most": 0.6 if quick else 6.0, "least": 1 if quick else 3, "starts_up": False}
 
 
 def refined_panel(problem: ReferenceProblem, progress: Progress, *, quick: bool) -> Diagram:

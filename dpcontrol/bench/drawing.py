@@ -118,9 +118,11 @@ def _place(panel: Diagram, point: Point) -> tuple[float, float]:
 
 
 def _points(panel: Diagram, looks: dict[str, Look]) -> Iterator[Layer]:
-    front = [_place(panel, p) for p in panel.front]
+    front = [] if panel.joined else [_place(panel, p) for p in panel.front]
     steps = [*front[:1], *(corner for (_, up), (x, y) in pairwise(front) for corner in ((x, up), (x, y)))]
     yield "best at its cost", steps, {"color": FAINT, "linewidth": 4}
+    for method in dict.fromkeys(p.method for p in panel.points if panel.joined):
+        yield "", [_place(panel, p) for p in panel.points if p.method == method], {"color": FAINT, "linewidth": 2}
     for p in panel.points:
         face = PAPER if p.outside or p.stored else looks[p.method]["color"]
         yield "", [_place(panel, p)], {**looks[p.method], "markersize": 6, "markerfacecolor": face, "zorder": 3}

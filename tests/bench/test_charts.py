@@ -8,7 +8,7 @@ import pytest
 from command_line import dpcontrol
 from matplotlib.text import Annotation
 
-from dpcontrol.bench import chart as registry
+from dpcontrol.bench import chart as registry, stages
 from dpcontrol.bench.chart import ALLOWED, ChartPage, Diagram, Point
 from dpcontrol.bench.drawing import draw_charts, figure
 
@@ -90,6 +90,21 @@ def test_a_complaint_is_in_the_status_and_under_strict_the_exit_code(one_chart, 
     failed = dpcontrol("bench", "--strict", "--out", str(tmp_path))
     assert failed.code == 1
     assert "100% off the front" in failed.message
+
+
+def test_a_stage_is_timed_in_new_programs_with_their_start_and_again_in_one(monkeypatch):
+    monkeypatch.setattr(stages, "STAGES", {"sum": ("sum(range(300_000))", "result / 1e12")})
+    page = stages.stages_chart(True, lambda *_: None)
+    (part,) = page.parts
+    assert [p.setting for p in part.points] == ["empty cache", "filled cache", "later results"]
+    empty, filled, later = (p.seconds for p in part.points)
+    # Python and its imports take a tenth of a second at least, the sum a hundredth.
+    assert min(empty, filled) > 2 * later > 0
+    assert {p.error for p in part.points} == {sum(range(300_000)) / 1e12}
+    assert f"{empty / filled:.2g} times as long" in part.finding()
+    assert not page.complaints
+    lines = [line for axes in figure(page, page.parts).axes for line in axes.lines if len(line.get_xdata()) == 3]
+    assert [sorted(line.get_xdata()) for line in lines] == [sorted([empty, filled, later])]
 
 
 LEAST = 8.0
