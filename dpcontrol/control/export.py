@@ -5,9 +5,13 @@ The library computes the ticks of the loop.
 The expression is that of the loop (`dpcontrol.control.tick`). All constants of the run are inserted before CasADi
 generates C, so constant subexpressions cost nothing. Constant tables contain the values that change from tick to tick:
 
+    states  the reference: of the tick at which a command acts, and of the tick itself
     law     of each command: feedforward m/s², gains, with a lagging drive the cart's acceleration and the gain on it,
             gains on the extras; constant columns are in the code
-    states  the reference: of the tick at which a command acts, and of the tick itself
+
+They are smooth between the knots of the collocation. The tables therefore hold Chebyshev coefficients of pieces, each
+as long as the error of the command allows.
+Source: Trefethen, Approximation Theory and Approximation Practice (2013), chapters 3 and 4.
 
 Single precision has a relative resolution of 6e-8, which requires three measures. The covariance is that of the
 measured angles (`FilterEquations.carried`), whose entries are not small differences of large ones. Positions are stored
@@ -34,16 +38,18 @@ import shutil
 import subprocess
 import xml.etree.ElementTree as ET
 import zipfile
+from bisect import bisect_left
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from io import BytesIO
-from itertools import combinations_with_replacement, compress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
+from numpy.polynomial.chebyshev import chebvander
 from numpy.typing import NDArray
 
 from dpcontrol.control.interface import Controller, GainSchedule, schedule_of
@@ -60,6 +66,12 @@ _VERSION = 3
 """Version of the interface, as in the header."""
 MOST_NUMBERS = 5_000_000
 """Maximum size of the tables; larger ones take compilers minutes and gigabytes."""
+ACCURACY = {True: 1e-6, False: 3e-10}
+"""Error of a command by the tables, in single and in double precision, m/s², for deviations of `_DEVIATION`."""
+_DEVIATION = 0.1
+"""Deviation of an entry of the state, in its unit, and error of a parameter."""
+LARGE, SMALL, LONGEST = 6, 10, 512
+"""Terms of a polynomial, the small ones of high degree in single precision, and most ticks of a piece."""
 SAME_IN_SINGLE = (1e-5, 1e-7)
 """`SAME` for single precision, which rounds differences of angles of some turns to 2e-6 rad; rad and m."""
 
@@ -177,51 +189,79 @@ def identity(program: TickProgram, schedule: GainSchedule) -> str:
 
 
 class _Tables(NamedTuple):
-    """Values that change from tick to tick.
+    """Values that change from tick to tick, as polynomials in pieces of the reference.
 
     Attributes:
-        places: indices of the columns in (L,).
+        columns: indices (C,) of the stored entries in a row without the reference's angles; the states are first.
+        varying: True for each entry (L,) that changes.
     """
 
-    law: Array
-    """Values (K, C) of the commands."""
+    columns: NDArray[np.intp]
     varying: NDArray[np.bool_]
     constants: Array
-    """Constants (L,)."""
-    states: Array
-    """Reference (K, N), with a single row if it is constant."""
+    """Entries (L,) of the first row."""
+    starts: Array
+    """First ticks (P+1,) of the pieces, and the number of rows."""
+    terms: Array
+    """Coefficients (P, T, C) of Chebyshev polynomials over each piece."""
     names: tuple[str, ...]
     """Names (C,)."""
 
 
-def _tables(equations: TickEquations, schedule: GainSchedule) -> _Tables:
-    row, where, n = equations.row.of(schedule.rows.T), equations.row.slices, equations.filter.arms
-    law = np.concatenate([schedule.rows[:, : where.gains.stop], schedule.rows[:, where.state.stop : -n]], axis=1)
-    states, last = schedule.references, len(schedule.references) - 1
-    acts = np.minimum(np.arange(len(law)) + equations.lead, last)
-    assert np.array_equal(row.state.T, states[acts])
-    assert np.array_equal(row.wanted.T, states[: len(law), :n])
-    varying = np.ptp(law, axis=0) > 0
-    names = ["feedforward", *(f"gain {i + 1}" for i in range(equations.filter.equations.dimension))]
-    names += ["acceleration", "gain on acceleration"] if equations.lags else []
-    if equations.shares is not None:
-        extras = equations.filter.extra_names
-        pairs = combinations_with_replacement(compress(extras, equations.shares), 2)
-        names += [f"gain on {name}" for name in (*extras, *(f"{one} {other}" for one, other in pairs))]
-    names += [] if equations.own is None else ["own"]
-    moving = law[:, varying] if varying.any() else np.zeros((1, 1))
-    return _Tables(
-        _without_end(moving), varying, law[0], _without_end(states), tuple(np.array(names)[varying]) or ("nothing",)
-    )
-
-
-def _without_end(rows: Array) -> Array:
-    """Return the rows up to the first of the final equal ones."""
+def _tables(equations: TickEquations, schedule: GainSchedule, *, single: bool) -> _Tables:
+    """Return the tables of a schedule without lead."""
+    n, states = equations.filter.arms, equations.row.slices.state
+    rows = schedule.rows[:, :-n]
+    varying = np.ptp(rows, axis=0) > 0
+    columns = np.r_[states, np.setdiff1d(np.flatnonzero(varying), np.r_[states])]
+    moves = equations.row.of(np.abs(schedule.rows).max(axis=0))
+    errors = equations.row.filled(
+        feedforward=1.0, gains=_DEVIATION, state=np.maximum(moves.gains, 1.0), drive=moves.drive_gain,
+        drive_gain=_DEVIATION, extra_gains=_DEVIATION, pair_gains=_DEVIATION**2,
+    )  # fmt: skip
     differing = np.flatnonzero((rows != rows[-1]).any(axis=1))
-    return rows[: differing[-1] + 2 if len(differing) else 1]
+    moving = rows[: differing[-1] + 2 if len(differing) else 1, columns]
+    names = [f"{name} {k + 1}" for name in equations.row.names for k in range(len(getattr(moves, name)))]
+    starts, terms = _pieces(moving, errors[columns], ACCURACY[single])
+    return _Tables(columns, varying, rows[0], starts, terms, tuple(np.array(names)[columns].tolist()))
 
 
-_ARGUMENTS = ("memory", "measured", "present", "offset", "limit_switch", "age", "law", "acts", "now")
+@cache
+def _basis(length: int) -> tuple[Array, Array]:
+    """Return Chebyshev polynomials (L, T) at the ticks of a piece, and their pseudo-inverse (T, L)."""
+    basis = chebvander(np.linspace(-1.0, 1.0, length), LARGE + SMALL - 1)
+    # Polynomials of the lowest degree for pieces with fewer ticks than terms.
+    inverse = np.pad(np.linalg.pinv(basis[:, :length]), ((0, max(LARGE + SMALL - length, 0)), (0, 0)))
+    return basis, inverse
+
+
+def _coefficients(rows: Array) -> Array:
+    """Return coefficients (T, C) of a piece (L, C), the last ones in single precision."""
+    terms = _basis(len(rows))[1] @ rows
+    terms[LARGE:] = terms[LARGE:].astype(np.float32)
+    return terms
+
+
+def _pieces(rows: Array, errors: Array, accuracy: float) -> tuple[Array, Array]:
+    """Return first ticks (P+1,) and coefficients (P, T, C) of the longest pieces with this accuracy of the command.
+
+    errors (C,) are the command's errors by a unit of each column.
+    """
+    starts, found = [0], []
+    while starts[-1] < len(rows):
+        rest = rows[starts[-1] : starts[-1] + LONGEST]
+
+        def misses(length: int, rest: Array = rest) -> bool:
+            piece = rest[:length]
+            return bool((np.abs(_basis(length)[0] @ _coefficients(piece) - piece) @ errors > accuracy).any())
+
+        length = bisect_left(range(len(rest) + 1), True, lo=2, key=misses) - 1
+        found.append(_coefficients(rest[:length]))
+        starts.append(starts[-1] + length)
+    return np.array(starts), np.stack(found)
+
+
+_ARGUMENTS = ("memory", "measured", "present", "offset", "limit_switch", "age", "acts", "now")
 """Arguments of the C function, in order."""
 
 
@@ -231,24 +271,21 @@ def _function(program: TickProgram, tables: _Tables, *, single: bool) -> ca.Func
     n, size = equations.filter.arms, equations.filter.equations.dimension
     memory, parts = equations.memory.symbols("memory")
     measured, present = ca.SX.sym("measured", n + 1), ca.SX.sym("present", n + 1)
-    switch, age, law = ca.SX.sym("limit_switch"), ca.SX.sym("age"), ca.SX.sym("law", tables.law.shape[1])
-    acts, now = ca.SX.sym("acts", size), ca.SX.sym("now", size)
-    known = [ca.SX(value) for value in tables.constants.tolist()]
-    for place, column in enumerate(np.flatnonzero(tables.varying).tolist()):
-        known[column] = law[place]
-    still = len(tables.states) == 1
-    steers = ca.SX(ca.DM(tables.states[0])) if still else acts
-    wanted, row = steers[:n] if still else now[:n], equations.row
-    # The law's columns are those of a row without its state and the reference's angles.
-    first = row.slices.gains.stop
-    given = ca.vertcat(*known[:first], steers, *known[first:], wanted)
+    switch, age = ca.SX.sym("limit_switch"), ca.SX.sym("age")
+    acts, now = ca.SX.sym("acts", len(tables.columns)), ca.SX.sym("now", size)
+    entries, first = [ca.SX(value) for value in tables.constants.tolist()], equations.row.slices.state.start
+    wanted = [now[i] if tables.varying[first + i] else entries[first + i] for i in range(n)]
+    for place, column in enumerate(tables.columns.tolist()):
+        if tables.varying[column]:
+            entries[column] = acts[place]
+    given = ca.vertcat(*entries, *wanted)
     # Values that only a fallback changes are constant.
     parts = parts._replace(held=ca.SX(0))
     offset = ca.SX.sym("offset", n + 1)
     reading = equations.reading.joined(Measurement(measured, present, switch, age, ca.SX.zeros(n), offset))
     numbers = ca.SX(ca.DM(program.constants))
     (out,) = equations.function().call([reading, given, numbers, equations.memory.joined(parts)], True, False)
-    inputs = [memory, measured, present, offset, switch, age, law, acts, now]
+    inputs = [memory, measured, present, offset, switch, age, acts, now]
     return ca.Function("tick", inputs, [ca.cse(out)], [*_ARGUMENTS], ["out"], {"cse": True})
 
 
@@ -302,13 +339,12 @@ def _c_number(value: float, *, single: bool) -> str:
     return f"{text}f" if single else text
 
 
-def _table(name: str, rows: Array, *, single: bool) -> str:
-    """Return a table (K, C) or an array (C,) in C."""
-    lines = [", ".join(_c_number(value, single=single) for value in row) for row in np.atleast_2d(rows).tolist()]
-    if rows.ndim == 1:
-        return f"const dpc_real {name}[{rows.shape[0]}] = {{\n{lines[0]}\n}};\n"
-    inner = "},\n{".join(lines)
-    return f"const dpc_real {name}[{rows.shape[0]}][{rows.shape[1]}] = {{\n{{{inner}}}\n}};\n"
+def _table(name: str, values: Array, *, single: bool) -> str:
+    """Return an array of any dimension in C."""
+    text = re.sub(r"[^][, ]+", lambda found: _c_number(float(found[0]), single=single), str(values.tolist()))
+    sizes = "".join(f"[{size}]" for size in values.shape)
+    braced = text.translate({ord("["): "{", ord("]"): "}\n"})
+    return f"const dpc_real {name}{sizes} = {braced};\n"
 
 
 def controller_source(
@@ -340,8 +376,10 @@ def controller_source(
         InputError: the tables are too large for compilers, or a tick takes too long at this clock.
     """
     equations = _for_precision(program.equations, single=single)
-    tables = _tables(equations, schedule)
-    count = tables.law.size + tables.states.size
+    reference = schedule_of(controller, 0)
+    assert reference is not None
+    tables = _tables(equations, reference, single=single)
+    count = tables.terms.size
     if count > MOST_NUMBERS:
         raise InputError(
             f"export: the tables would have {count:,} numbers, but at most {MOST_NUMBERS:,} are allowed; "
@@ -360,31 +398,31 @@ def controller_source(
         "ITINERARY": _string(itinerary), "LAW": _string(controller.kind),
         "IDENTITY": identity(program, schedule), "TICK": _body(function, single=single),
         **_described(program, equations, single=single), **_laid_out(equations),
-        "TICKS": len(schedule.rows), "STATE_ROWS": len(tables.states), "LAW_ROWS": len(tables.law),
-        "LAW_COLUMNS": tables.law.shape[1], "LAW_NAMES": ", ".join(tables.names),
+        "TICKS": len(schedule.rows), "NAMES_OF_VALUES": ", ".join(tables.names),
+        "PIECES": len(tables.terms), "LARGE": LARGE, "SMALL": SMALL, "VALUES": len(tables.columns),
     }  # fmt: skip
     known["HELPERS"] = "\n".join(text for name, text in _HELPERS.items() if f"{name}(" in known["TICK"])
     files = {name: _filled(name, known) for name in _SOURCES}
     queued = schedule.queued if equations.lead else np.zeros(1)
-    arrays = {"dpc_states": tables.states, "dpc_law": tables.law, "dpc_start": _start(program, single=single)}
-    text = [_table(name, rows, single=single) for name, rows in {**arrays, "dpc_first_commands": queued}.items()]
-    files["dpc_tables.c"] = "\n".join(['#include "dpc_tables.h"\n\n#include <math.h>\n', *text])
+    arrays = {
+        "dpc_large": tables.terms[:, :LARGE], "dpc_start": _start(program, single=single), "dpc_first_commands": queued,
+    }  # fmt: skip
+    text = [_table(name, rows, single=single) for name, rows in arrays.items()]
+    text.append(_table("dpc_small", tables.terms[:, LARGE:], single=True).replace("dpc_real", "float"))
+    starts = f"const long dpc_pieces[DPC_PIECES + 1] = {{{', '.join(map(str, tables.starts.tolist()))}}};\n"
+    files["dpc_tables.c"] = "\n".join(['#include "dpc_tables.h"\n\n#include <math.h>\n', starts, *text])
     width, seconds = 4 if single else 8, max(len(schedule.rows) - 1, 1) * program.period
-    per_second = width * count / seconds if max(len(tables.law), len(tables.states)) > 1 else 0.0
+    size = len(tables.columns) * len(tables.terms) * (width * LARGE + 4 * SMALL) + 4 * len(tables.starts)
     code, stack = _measured(files)
     figures = Figures(
         operations=function.n_instructions(), code=code, stack=stack,
         memory=width * equations.memory.size + ctypes.sizeof(ctypes.c_long),
-        tables=width * count, tables_per_second=per_second,
+        tables=size, tables_per_second=size / seconds if len(tables.terms) > 1 else 0.0,
         seconds_a_tick=takes,
     )  # fmt: skip
     shown = figures._asdict()
     known |= {f"BYTES_{name.upper()}": kibibytes(shown[name]) for name in _SHOWN}
-    shorter = "" if single else ", and `--float` halves them a second time"
-    known["TABLE_SIZE"], known["TABLE_ADVICE"] = kibibytes(figures.tables), ""
-    if per_second:
-        known["TABLE_SIZE"] += f", {kibibytes(per_second)} for each second"
-        known["TABLE_ADVICE"] = f"\nHalf the rate halves the tables{shorter}.\n"
+    known["TABLE_SIZE"] = kibibytes(size)
     files["README.md"] = _filled("README.md", known)
     files["readings.csv"] = readings
     return ControllerSource(files, known["IDENTITY"], figures)

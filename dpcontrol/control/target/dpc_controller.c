@@ -24,28 +24,47 @@ enum {
 
 @HELPERS@
 
-/* memory[DPC_MEMORY], measured, present and offset[DPC_POSITIONS], limit_switch, age; law: the table's row for the
- * command; acts and now: the reference's states when it acts and at this tick; out[AT_END]. */
+/* memory[DPC_MEMORY], measured, present and offset[DPC_POSITIONS], limit_switch, age; acts[DPC_VALUES]: the table's
+ * values when the command acts; now[DPC_STATES]: the reference's state at this tick; out[AT_END]. */
 static void dpc_tick(const dpc_real *memory, const dpc_real *measured, const dpc_real *present, const dpc_real *offset,
-                     const dpc_real *limit_switch, const dpc_real *age, const dpc_real *law, const dpc_real *acts,
-                     const dpc_real *now, dpc_real *out)
+                     const dpc_real *limit_switch, const dpc_real *age, const dpc_real *acts, const dpc_real *now,
+                     dpc_real *out)
 {
 @TICK@
     (void)offset;
-    (void)law;
     (void)acts;
     (void)now;
 }
 
-/* The row of a table for a tick: its first or last one for ticks before or after it. */
-static long row_at(long tick, long rows)
+/* The first values of a tick, by polynomials over its piece; those of the first or last tick before or after them. */
+static void look_up(long tick, int count, dpc_real *values)
 {
-    return tick < 0 ? 0 : tick < rows ? tick : rows - 1;
-}
+    const long last = dpc_pieces[DPC_PIECES] - 1, at = tick < 0 ? 0 : tick < last ? tick : last;
+    long piece = 0, end = DPC_PIECES, steps;
+    dpc_real basis[DPC_LARGE + DPC_SMALL], place;
+    int i, k;
 
-static const dpc_real *state_at(long tick)
-{
-    return dpc_states[row_at(tick, DPC_STATE_ROWS)];
+    while (end - piece > 1) {
+        const long middle = piece + (end - piece) / 2;
+
+        if (dpc_pieces[middle] <= at)
+            piece = middle;
+        else
+            end = middle;
+    }
+    steps = dpc_pieces[piece + 1] - dpc_pieces[piece] - 1;
+    place = (dpc_real)(2 * (at - dpc_pieces[piece]) - steps) / (dpc_real)(steps > 0 ? steps : 1);
+    basis[0] = 1;
+    basis[1] = place;
+    for (k = 2; k < DPC_LARGE + DPC_SMALL; k++)
+        basis[k] = 2 * place * basis[k - 1] - basis[k - 2];
+    for (i = 0; i < count; i++) {
+        values[i] = 0;
+        for (k = DPC_SMALL; k-- > 0;)
+            values[i] += basis[DPC_LARGE + k] * (dpc_real)dpc_small[piece][k][i];
+        for (k = DPC_LARGE; k-- > 0;)
+            values[i] += basis[k] * dpc_large[piece][k][i];
+    }
 }
 
 void dpc_init(dpc_controller *controller)
@@ -60,8 +79,8 @@ void dpc_init(dpc_controller *controller)
 dpc_real dpc_step(dpc_controller *controller, const dpc_reading *reading, dpc_report *report)
 {
     dpc_real out[AT_END], measured[DPC_POSITIONS], present[DPC_POSITIONS], offset[DPC_POSITIONS], limit_switch, age;
-    const long tick = row_at(controller->tick, DPC_TICKS);
-    const dpc_real *now = state_at(tick);
+    dpc_real acts[DPC_VALUES], now[DPC_STATES];
+    const long tick = controller->tick < DPC_TICKS ? controller->tick : DPC_TICKS;
     const int aged = reading->age >= 0 && reading->age <= DPC_PERIOD;
     int i, refused = !aged;
 
@@ -80,8 +99,9 @@ dpc_real dpc_step(dpc_controller *controller, const dpc_reading *reading, dpc_re
     }
     limit_switch = reading->limit_switch ? 1 : 0;
     age = aged ? (dpc_real)reading->age : 0;
-    dpc_tick(controller->memory, measured, present, offset, &limit_switch, &age, dpc_law[row_at(tick, DPC_LAW_ROWS)],
-             state_at(tick + DPC_LEAD), now, out);
+    look_up(tick + DPC_LEAD, DPC_VALUES, acts);
+    look_up(tick, DPC_STATES, now);
+    dpc_tick(controller->memory, measured, present, offset, &limit_switch, &age, acts, now, out);
     for (i = 0; i < DPC_MEMORY; i++)
         controller->memory[i] = out[i];
 #if DPC_SPLIT
@@ -162,11 +182,7 @@ dpc_real dpc_queued(long k)
 
 void dpc_reference(long tick, dpc_real state[DPC_STATES])
 {
-    const dpc_real *row = state_at(tick);
-    int i;
-
-    for (i = 0; i < DPC_STATES; i++)
-        state[i] = row[i];
+    look_up(tick, DPC_STATES, state);
 }
 
 const dpc_description *dpc_describe(void)
