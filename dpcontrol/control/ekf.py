@@ -192,11 +192,12 @@ def _inverse(matrix: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
 class Timing(NamedTuple):
     """Timing of a reading.
 
-    Age in s before its tick, and variance of the unknown part, s².
+    Age in s before its tick, variance of the unknown part, s², and the rates (n+1,) of the positions.
     """
 
     age: ca.SX
     variance: ca.SX
+    rates: ca.SX
 
 
 _GREATEST_ERROR = 0.5
@@ -444,7 +445,7 @@ class FilterEquations:
         if self.as_measured:
             h = _sparse(self.observation @ self.restored)
         rates = [*range(n, 2 * n), 2 * n + 1]
-        moving = z[rates] * present
+        moving = (z[rates] if timing is None else timing.rates) * present
         if timing is not None:
             # The rates are uncertain too. With ω ωᵀ alone, an arm or a cart at rest would reveal the age of the reading
             # within a count, and errors of the rates would pass for errors of the model.

@@ -255,8 +255,8 @@ class TickEquations:
         shapes: True for commands shaped for a known belt.
         own: a user's law of expressions.
         same: differences of readings of a joint and of the cart that are the same count, rad and m.
-        split: True to store the filter's positions as sums of two numbers. Single precision rounds an angle of several
-            turns to more than the filter's error.
+        split: True to store the filter's state as a sum of two numbers. Single precision rounds an angle of several
+            turns, and changes of a rate, to more than the filter's error.
         encoders: True for each arm (n,) whose angle is measured; empty for all. The tick ignores other angles.
     """
 
@@ -326,8 +326,8 @@ class TickEquations:
             lateness: recent mean of the apparent age, periods. strain: mean NIS for constant ages.
 
         With play, mark (n,) is the angle of each encoder when its joint last moved it, rad. With a belt, shaped (2,) is
-        the memory of the notch, m/s². own is the memory of a user's law. If positions are split, z is relative to
-        origin, which the owner of the memory can change.
+        the memory of the notch, m/s². own is the memory of a user's law. If the state is split, its part of z is
+        relative to origin (N,), which the owner of the memory can change.
         """
         size, m = self.filter.dimension, self.filter.arms + 1
         return Layout(Memory(
@@ -337,7 +337,7 @@ class TickEquations:
             held_back=m - 1, scale=4, scale_covariance=10, scale_read=1, scale_waited=1, scale_level=1,
             scale_surprise=1, evidence=1, heading=1, drive_watch=self.watch.drive.memory.size, turns=m - 1, timing=1,
             timed=1, lateness=1, strain=1, mark=self.plays * (m - 1), shaped=2 * self.shapes,
-            own=0 if self.own is None else len(self.own.first), origin=self.split * m,
+            own=0 if self.own is None else len(self.own.first), origin=self.split * self.filter.equations.dimension,
         ))  # fmt: skip
 
     @cached_property
@@ -350,7 +350,7 @@ class TickEquations:
 
         rate_error (n,): added to the law's rates in simulations of measured rates, rad/s.
 
-        offset (n+1,): measured minus the memory's origin, if positions are split.
+        offset (n+1,): measured minus the memory's origin, if the state is split.
         """
         m = self.filter.arms + 1
         return Layout(Measurement(measured=m, present=m, switch=1, age=1, rate_error=m - 1, offset=self.split * m))
@@ -445,7 +445,8 @@ class TickEquations:
         """The filter's update."""
         n, size = self.filter.arms, self.filter.dimension
         z, triangle, again = m.z, m.covariance, m.restart
-        # All values here are relative to the origin, if there is one.
+        # Values here are relative to the origin, if there is one, except rates.
+        origin = self._origin(m)
         positions_read = r.offset if self.split else r.measured
         # A restarting filter uses the positions, keeps finite rates and resets extras.
         positions = {**{i: i for i in range(n)}, 2 * n: n}
@@ -460,7 +461,7 @@ class TickEquations:
                 k = positions[i]
                 anew.append(ca.if_else(r.present[k], positions_read[k], known))
             else:
-                anew.append(within(known, ca.SX(most[i])))
+                anew.append(within(known + origin[i], ca.SX(most[i])) - origin[i])
         z = ca.vertcat(*(ca.if_else(again, anew[i], z[i]) for i in range(size)))
         entries: list[ca.SX] = []
         t = self.filter.carried
@@ -472,7 +473,8 @@ class TickEquations:
                 entries.append(kept if fresh is None else kept + ca.if_else(again, fresh, 0))
         covariance = unpack(ca.vertcat(*entries), size)
         # NaN must not reach the products: zero times NaN is not zero.
-        moving = ca.vertcat(z[n : 2 * n], z[2 * n + 1])
+        whole = z + origin
+        moving = ca.vertcat(whole[n : 2 * n], whole[2 * n + 1])
         now = positions_read + r.age * moving
         measured = ca.vertcat(*(ca.if_else(r.present[i], now[i], 0) for i in range(n + 1)))
         noise, mark = c.noise, m.mark
@@ -480,7 +482,7 @@ class TickEquations:
             shift, spread, mark = self._without_play(m, r, c, measured - ca.DM(self.filter.observation) @ z)
             measured, noise = measured + shift, noise + pack(spread)
         after, covariance, innovation, nis, weighed = self.filter.updated(
-            z, covariance, measured, r.present, noise, Timing(r.age, m.timing)
+            z, covariance, measured, r.present, noise, Timing(r.age, m.timing, moving)
         )
         turns, slipped = self._slipped(m, r, measured - ca.DM(self.filter.observation) @ z, innovation)
         variances = ca.diag(covariance)
@@ -491,7 +493,7 @@ class TickEquations:
         # The last value is not finite if any part of the estimate is not.
         sound = all_of(nis >= 0, nis <= BIG, finite(ca.sum1(after) + ca.sum1(sigmas)), ca.logic_not(slipped))
         # Readings cannot resolve half a turn per period: such rates have diverged.
-        sound = all_of(sound, *(ca.fabs(after[n + i]) <= np.pi / self.filter.period for i in range(n)))
+        sound = all_of(sound, *(ca.fabs(after[n + i] + origin[n + i]) <= np.pi / self.filter.period for i in range(n)))
         # If the update fails, the restart begins with the prediction.
         after = ca.vertcat(*(ca.if_else(sound, after[i], z[i]) for i in range(size)))
         used = ca.sum1(r.present)
@@ -499,9 +501,20 @@ class TickEquations:
         timing, timed, lateness = self._timing(m, aligned, weight, sound)
         # Sherman and Morrison: S without the part due to varying ages.
         strain = nis + m.timing * aligned**2 / (1 - m.timing * weight)
-        whole = after + self._origin(m) if self.split else after
         return Sensed(
-            whole, pack(covariance), sigmas, nis, used, sound, turns, timing, timed, lateness, strain, mark, after
+            after + origin,
+            pack(covariance),
+            sigmas,
+            nis,
+            used,
+            sound,
+            turns,
+            timing,
+            timed,
+            lateness,
+            strain,
+            mark,
+            after,
         )
 
     def _without_play(self, m: Memory, r: Measurement, c: Numbers, apart: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
@@ -575,12 +588,8 @@ class TickEquations:
         return ca.vertcat(*turns), all_of(any_of(*slipped), *kept)
 
     def _origin(self, m: Memory) -> ca.SX:
-        """Origin of z, (N+E,)."""
-        n = self.filter.arms
-        out = ca.SX.zeros(self.filter.dimension)
-        for k, i in enumerate([*range(n), 2 * n]):
-            out[i] = m.origin[k]
-        return out
+        """Origin of z, (N+E,), zero if there is none."""
+        return ca.vertcat(m.origin, ca.SX(self.filter.dimension - m.origin.shape[0], 1))
 
     def _acting(self, command: ca.SX, velocity: ca.SX, drive: ca.SX, c: Numbers) -> tuple[ca.SX, ca.SX]:
         """Return the cart's accelerations in the period, m/s².

@@ -51,7 +51,7 @@ def test_readings_of_unknown_age_are_as_surprising_as_the_filter_expects() -> No
     truth = state + sigmas * random.standard_normal((count, 6))
     ages = spread * (random.random((count, 1)) - 0.5)
     readings = truth[:, [0, 1, 4]] - ages * truth[:, [2, 3, 5]] + random.standard_normal((count, 3)) @ ROOT.T
-    measured, timing = ca.SX.sym("measured", 3), Timing(ca.SX(0), ca.SX(spread**2 / 12))
+    measured, timing = ca.SX.sym("measured", 3), Timing(ca.SX(0), ca.SX(spread**2 / 12), ca.SX(state[[2, 3, 5]]))
     filters = FilterEquations(MODEL.equations, MODEL.period, ())
     nis = filters.updated(
         ca.SX(state), ca.SX(np.diag(sigmas**2)), measured, ca.SX.ones(3), ca.SX(packed(NOISE)), timing

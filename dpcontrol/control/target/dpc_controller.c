@@ -13,7 +13,7 @@
 #error "compile without -ffast-math: what is not a number must be found not to be one"
 #endif
 
-/* Whether positions are kept as the sum of two numbers, origin and z: what is known of them is finer than a float. */
+/* Whether the state is kept as the sum of two numbers, origin and z: what is known of it is finer than a float. */
 #define DPC_SPLIT @SPLIT@
 
 /* Where the tick's results stand: the memory for the next, then the report. */
@@ -92,7 +92,7 @@ dpc_real dpc_step(dpc_controller *controller, const dpc_reading *reading, dpc_re
         present[i] = reading->present[i] && valid ? 1 : 0;
         refused += reading->present[i] && !valid;
 #if DPC_SPLIT
-        offset[i] = (dpc_real)(position - (double)controller->memory[AT_ORIGIN + i]);
+        offset[i] = (dpc_real)(position - (double)controller->memory[AT_ORIGIN + (i < DPC_ARMS ? i : 2 * DPC_ARMS)]);
 #else
         offset[i] = measured[i];
 #endif
@@ -105,9 +105,8 @@ dpc_real dpc_step(dpc_controller *controller, const dpc_reading *reading, dpc_re
     for (i = 0; i < DPC_MEMORY; i++)
         controller->memory[i] = out[i];
 #if DPC_SPLIT
-    for (i = 0; i < DPC_POSITIONS; i++) {
-        dpc_real *origin = &controller->memory[AT_ORIGIN + i];
-        dpc_real *rest = &controller->memory[AT_Z + (i < DPC_ARMS ? i : 2 * DPC_ARMS)];
+    for (i = 0; i < DPC_STATES; i++) {
+        dpc_real *origin = &controller->memory[AT_ORIGIN + i], *rest = &controller->memory[AT_Z + i];
         const dpc_real sum = *origin + *rest, added = sum - *origin;
 
         *rest = (*origin - (sum - added)) + (*rest - added);
