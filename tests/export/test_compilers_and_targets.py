@@ -1,27 +1,52 @@
-"""Exported code with every available compiler and level, sanitizers and valgrind, on a Cortex-M4 under qemu, and
-for every shipped itinerary. These tests are slow because of minutes of compilation.
+"""Exported code with every available compiler and level, sanitizers and valgrind, and on microcontrollers under qemu.
+
+These tests are slow because of minutes of compilation.
 """
 
 import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 from c_compilers import SANITIZED, SOURCES, WARNINGS, compiled, needed, ran, with_sanitizers
+
+import dpcontrol as dp
+from dpcontrol.plans.itinerary import load_itinerary
+from dpcontrol.plans.plan import make_plan
 
 pytestmark = pytest.mark.slow
 
 HOSTILE_STEPS = "20000"  # Faults of one step in 100 to one in 3,000 are found within some thousand.
 REPLAY = [*SOURCES, "main_replay.c"]
-CORTEX_M4 = ["-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16"]
-TARGET = Path(__file__).with_name("cortex_m")
+
+
+class Target(NamedTuple):
+    """A microcontroller with its board in qemu; commands must agree with the loop's within `accuracy`, m/s²."""
+
+    board: str
+    precision: str
+    accuracy: float
+    options: tuple[str, ...]
+
+
+TARGETS = {
+    "Cortex-M7": Target("mps2-an500", "double", 1e-9, ("-mcpu=cortex-m7", "-mfpu=fpv5-d16")),
+    "Cortex-M4": Target("mps2-an386", "single", 1e-3, ("-mcpu=cortex-m4", "-mfpu=fpv4-sp-d16")),
+}
+START = Path(__file__).with_name("cortex_m")
 GUIDE = Path(__file__).parents[2] / "dpcontrol" / "guide" / "export.md"
-SIZES = re.findall(
-    r"^\| (\S+) \| (\w+) \| ([\d.]+) KiB \| ([\d.]+) KiB \| ([\d.]+) KiB \|$", GUIDE.read_text("utf-8"), re.M
-)
-"""The guide's rows: itinerary, law, code with -O2 and with -Os, stack of a step."""
+ROWS = [
+    [cell.strip() for cell in line.strip("|").split("|")]
+    for line in GUIDE.read_text("utf-8").splitlines()
+    if line.startswith("| Cortex-M")
+]
+"""Of the guide: target, itinerary, law, code with -O2 and with -Os, tables, stack, and the instructions of a step."""
 SIZE = 0.03  # Relative: releases of gcc differ by less than this.
+MOST_TICKS = 25_000  # More take minutes in emulation.
+FLASH = 2 * 1024 * 1024  # bytes of larger Cortex-M7
+MOST_A_SECOND = 125 * 1024  # bytes of tables, half of what a row for each tick would take
 
 
 @pytest.mark.parametrize(("compiler", "level"), [("gcc", "-O3"), ("clang", "-O0")])
@@ -74,46 +99,53 @@ def test_make_and_cmake_build_and_check_it(double: Path) -> None:
     assert ran("ctest", "--test-dir", "build", folder=folder).returncode == 0
 
 
-@pytest.mark.parametrize("row", SIZES, ids=lambda row: row[1])
-def test_the_guide_has_the_sizes_on_a_cortex_m4(exported_law: Callable[..., Path], row: tuple[str, ...]) -> None:
-    itinerary, law, *sizes = row
-    folder, kib = exported_law(itinerary, law, "single"), []
+@pytest.mark.parametrize("row", ROWS, ids=lambda row: "-".join(row[:3]))
+def test_a_microcontroller_gives_the_commands_of_a_log_with_the_resources_of_the_guide(
+    exported_law: Callable[..., Path], tmp_path: Path, row: list[str]
+) -> None:
+    (itinerary, law, *stated), target = row[1:], TARGETS[row[0]]
+    folder = exported_law(itinerary, law, target.precision)
+    machine, sizes = [*target.options, "-mthumb", "-mfloat-abi=hard"], {}
+    options = [*machine, "-ffp-contract=off", "-fstack-usage", "-Wdouble-promotion"]
     for level in ("-Os", "-O2"):
-        options = [*WARNINGS, *CORTEX_M4, level, "-fstack-usage", "-c", "-o", "target.o", SOURCES[0]]
-        done = ran(needed("arm-none-eabi-gcc"), *options, folder=folder)
-        assert done.returncode == 0, done.stderr
-        sizes_line = ran("arm-none-eabi-size", "target.o", folder=folder).stdout.splitlines()[1]
-        kib.insert(0, int(sizes_line.split()[0]) / 1024)
-    usage = [line.split("\t") for line in (folder / "target.su").read_text().splitlines()]
-    kib.append(sum(int(size) for place, size, *_ in usage if re.search(r":dpc_(step|tick)\b", place)) / 1024)
-    assert kib == pytest.approx([float(size) for size in sizes], rel=SIZE)
-
-
-def test_a_cortex_m4_gives_the_loops_commands(single: Path) -> None:
-    folder = single
-    lines = (folder / "readings.csv").read_text().splitlines(keepends=True)
-    few = folder / "few"
-    few.mkdir()
-    (few / "readings.csv").write_text("".join(lines[:1500]))
-    options = [*CORTEX_M4, "-O2", "-ffp-contract=off"]
-    for source in SOURCES:
-        done = ran(
-            needed("arm-none-eabi-gcc"), *WARNINGS, "-Wdouble-promotion", *options, "-c", "-o", few / f"{source}.o",
-            source, folder=folder,
-        )  # fmt: skip
-        assert (done.returncode, done.stderr) == (0, "")
-    size = ran(needed("arm-none-eabi-size"), few / "dpc_controller.c.o", folder=folder).stdout.splitlines()[1].split()
-    assert size[1:3] == ["0", "0"], "it has variables"
+        for source in SOURCES:
+            made = tmp_path / f"{source}.o"
+            done = ran(needed("arm-none-eabi-gcc"), *WARNINGS, *options, level, "-c", "-o", made, source, folder=folder)
+            assert (done.returncode, done.stderr) == (0, "")
+            text, *variables = ran("arm-none-eabi-size", made, folder=folder).stdout.splitlines()[1].split()[:3]
+            assert variables == ["0", "0"], "it has variables"
+            sizes[level, source] = int(text)
+    usage = [line.split("\t") for line in (tmp_path / "dpc_controller.c.su").read_text().splitlines()]
+    stack = sum(int(size) for place, size, *_ in usage if re.search(r":dpc_(step|tick)\b", place))
+    program = tmp_path / "replay.elf"
     done = ran(
-        "arm-none-eabi-gcc", "-std=c99", *options, "--specs=rdimon.specs",
-        "-nostartfiles", "-T", TARGET / "memory.ld", "-o", few / "replay.elf", TARGET / "start.c", REPLAY[-1],
-        *(few / f"{source}.o" for source in SOURCES), "-lm",
+        "arm-none-eabi-gcc", "-std=c99", *machine, "-O2", "-I.", "--specs=rdimon.specs", "-nostartfiles",
+        "-Wl,--wrap=dpc_step", "-T", START / "memory.ld", "-o", program, START / "start.c", REPLAY[-1],
+        *(tmp_path / f"{source}.o" for source in SOURCES), "-lm",
         folder=folder,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
+    flash = ran("arm-none-eabi-size", program, folder=folder).stdout.splitlines()[1].split()[:2]
+    assert sum(map(int, flash)) <= FLASH
+
+    plan = make_plan(load_itinerary(itinerary).with_run({"controller": law}))
+    dp.run(plan, mismatch=0.03, seed=4, log=tmp_path / "run.mcap")
+    frame = dp.open_log(tmp_path / "run.mcap").frame()
+    assert sizes["-O2", SOURCES[1]] <= MOST_A_SECOND * frame.index[-1]
+    frame.head(MOST_TICKS).to_csv(tmp_path / "readings.csv")
     done = ran(
-        needed("qemu-system-arm"), "-M", "netduinoplus2", "-nographic", "-monitor", "none", "-serial", "none",
-        "-semihosting-config", "enable=on,target=native", "-kernel", "replay.elf", folder=few,
+        needed("qemu-system-arm"), "-M", target.board, "-nographic", "-monitor", "none", "-serial", "none",
+        "-icount", "shift=0", "-semihosting-config", "enable=on,target=native", "-kernel", program, folder=tmp_path,
     )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    assert "1499 ticks, commands differ by" in done.stderr
+    replayed = re.search(
+        r"^(\d+) ticks, commands differ by (\S+) .*\s+instructions: \d+ in the mean, (\d+) at most", done.stderr
+    )
+    assert replayed, done.stderr
+    assert int(replayed[1]) == min(len(frame), MOST_TICKS)
+    assert float(replayed[2]) <= target.accuracy
+    parts = (sizes["-O2", SOURCES[0]], sizes["-Os", SOURCES[0]], sizes["-O2", SOURCES[1]], stack)
+    measured = [*(f"{size / 1024:,.1f} KiB" for size in parts), f"{int(replayed[3]):,}"]
+    found, expected = (
+        [float(cell.removesuffix(" KiB").replace(",", "")) for cell in cells] for cells in (measured, stated)
+    )
+    assert found == pytest.approx(expected, rel=SIZE), " | ".join(measured)
