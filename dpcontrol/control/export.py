@@ -252,8 +252,8 @@ def _pieces(rows: Array, errors: Array, accuracy: float) -> tuple[Array, Array]:
         rest = rows[starts[-1] : starts[-1] + LONGEST]
 
         def misses(length: int, rest: Array = rest) -> bool:
-            piece = rest[:length]
-            return bool((np.abs(_basis(length)[0] @ _coefficients(piece) - piece) @ errors > accuracy).any())
+            away = _basis(length)[0] @ _coefficients(rest[:length]) - rest[:length]
+            return bool((np.abs(away) @ errors > accuracy).any())
 
         length = bisect_left(range(len(rest) + 1), True, lo=2, key=misses) - 1
         found.append(_coefficients(rest[:length]))
@@ -265,9 +265,8 @@ _ARGUMENTS = ("memory", "measured", "present", "offset", "limit_switch", "age", 
 """Arguments of the C function, in order."""
 
 
-def _function(program: TickProgram, tables: _Tables, *, single: bool) -> ca.Function:
+def _function(program: TickProgram, equations: TickEquations, tables: _Tables) -> ca.Function:
     """Return the tick with all constants inserted: `_ARGUMENTS` -> memory and report."""
-    equations = _for_precision(program.equations, single=single)
     n, size = equations.filter.arms, equations.filter.equations.dimension
     memory, parts = equations.memory.symbols("memory")
     measured, present = ca.SX.sym("measured", n + 1), ca.SX.sym("present", n + 1)
@@ -289,20 +288,16 @@ def _function(program: TickProgram, tables: _Tables, *, single: bool) -> ca.Func
     return ca.Function("tick", inputs, [ca.cse(out)], [*_ARGUMENTS], ["out"], {"cse": True})
 
 
-def _for_precision(equations: TickEquations, *, single: bool) -> TickEquations:
-    return replace(equations, same=SAME_IN_SINGLE, split=True) if single else equations
-
-
-def _start(program: TickProgram, *, single: bool) -> Array:
+def _start(program: TickProgram, equations: TickEquations) -> Array:
     """Return the initial memory (M,)."""
     start = program.stored[:, 0].copy()
-    if not single:
+    if not equations.split:
         return start
     parts = program.equations.memory.of(start)
     state = parts.z[: program.model.dimension]
     origin = state.astype(np.float32).astype(float)
     state -= origin
-    return _for_precision(program.equations, single=True).memory.filled(**parts._replace(origin=origin)._asdict())
+    return equations.memory.filled(**parts._replace(origin=origin)._asdict())
 
 
 _READ = re.compile(r"arg\[(\d+)\]\? arg\[\d+\]\[(\d+)\] : 0")
@@ -375,17 +370,17 @@ def controller_source(
     Raises:
         InputError: the tables are too large for compilers, or a tick takes too long at this clock.
     """
-    equations = _for_precision(program.equations, single=single)
+    double = program.equations
+    equations = replace(double, same=SAME_IN_SINGLE, split=True) if single else double
     reference = schedule_of(controller, 0)
     assert reference is not None
     tables = _tables(equations, reference, single=single)
-    count = tables.terms.size
-    if count > MOST_NUMBERS:
+    if (count := tables.terms.size) > MOST_NUMBERS:
         raise InputError(
             f"export: the tables would have {count:,} numbers, but at most {MOST_NUMBERS:,} are allowed; "
             "lower --rate, or export a shorter itinerary"
         )
-    function = _function(program, tables, single=single)
+    function = _function(program, equations, tables)
     takes = None if clock is None else function.n_instructions() * CYCLES[single] / (1e6 * clock)
     if takes is not None and not takes <= program.period / 2:
         raise InputError(
@@ -405,7 +400,7 @@ def controller_source(
     files = {name: _filled(name, known) for name in _SOURCES}
     queued = schedule.queued if equations.lead else np.zeros(1)
     arrays = {
-        "dpc_large": tables.terms[:, :LARGE], "dpc_start": _start(program, single=single), "dpc_first_commands": queued,
+        "dpc_large": tables.terms[:, :LARGE], "dpc_start": _start(program, equations), "dpc_first_commands": queued,
     }  # fmt: skip
     text = [_table(name, rows, single=single) for name, rows in arrays.items()]
     text.append(_table("dpc_small", tables.terms[:, LARGE:], single=True).replace("dpc_real", "float"))
@@ -420,15 +415,9 @@ def controller_source(
         tables=size, tables_per_second=size / seconds if len(tables.terms) > 1 else 0.0,
         seconds_a_tick=takes,
     )  # fmt: skip
-    shown = figures._asdict()
-    known |= {f"BYTES_{name.upper()}": kibibytes(shown[name]) for name in _SHOWN}
-    known["TABLE_SIZE"] = kibibytes(size)
-    files["README.md"] = _filled("README.md", known)
-    files["readings.csv"] = readings
+    known |= {f"BYTES_{name.upper()}": kibibytes(value) for name, value in figures._asdict().items()}
+    files |= {"README.md": _filled("README.md", known), "readings.csv": readings}
     return ControllerSource(files, known["IDENTITY"], figures)
-
-
-_SHOWN = ("code", "stack", "memory")
 
 
 def _described(program: TickProgram, equations: TickEquations, *, single: bool) -> dict[str, Any]:
@@ -443,7 +432,8 @@ def _described(program: TickProgram, equations: TickEquations, *, single: bool) 
         "TOLERANCE": "2e-3" if single else "1e-9",
         "ARMS": n, "POSITIONS": n + 1, "STATES": equations.filter.equations.dimension,
         "EXTRAS": len(extras), "EXTRA_NAMES": ", ".join(extras) or "nothing",
-        "RATE": repr(1 / program.period), "PERIOD": repr(program.period), "DELAY": repr(_delay(program)),
+        "RATE": repr(1 / program.period), "PERIOD": repr(program.period),
+        "DELAY": repr(equations.whole + program.numbers.share.item(0)),
         "LEAD": equations.lead, "QUEUED": max(equations.lead, 1),
         **{name.upper(): repr(float(np.float32(bound)) if single else bound) for name, bound in bounds.items()},
         "PERIOD_REAL": _c_number(program.period, single=single), "SETTLING": _c_number(SETTLING, single=single),
@@ -455,9 +445,11 @@ def _laid_out(equations: TickEquations) -> dict[str, Any]:
     """Return the indices of the tick's results for the C code."""
     memory, report = equations.memory, equations.report
     kept = ("z", "velocity", "heading", "stopped", "still", *(["origin"] if equations.split else []))
-    places = {name: getattr(memory.slices, name).start for name in kept}
-    places["sent_last"] = memory.slices.sent.stop - 1
-    places |= {name: memory.size + getattr(report.slices, name).start for name in report.names}
+    places = {
+        **{name: getattr(memory.slices, name).start for name in kept},
+        "sent_last": memory.slices.sent.stop - 1,
+        **{name: memory.size + getattr(report.slices, name).start for name in report.names},
+    }
     lines = "\n".join(f"    AT_{name.upper()} = {place}," for name, place in places.items())
     return {"MEMORY": memory.size, "PLACES": lines, "RESULTS": memory.size + report.size}
 
@@ -490,10 +482,6 @@ def _string(text: str) -> str:
                    for one in text.encode("utf-8", "replace"))  # fmt: skip
 
 
-def _delay(program: TickProgram) -> float:
-    return program.equations.whole + program.numbers.share.item(0)
-
-
 def _measured(files: Mapping[str, str]) -> tuple[int | None, int | None]:
     """Return the sizes of code and stack from gcc, in bytes.
 
@@ -508,9 +496,12 @@ def _measured(files: Mapping[str, str]) -> tuple[int | None, int | None]:
             for command in (["gcc", *flags, "dpc_controller.c"], ["size", "dpc_controller.o"]):
                 done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=120, check=True)
             code = int(done.stdout.splitlines()[1].split()[0])
-            usage = (folder / "dpc_controller.su").read_text(encoding="utf-8")
-            used = [line.split("\t") for line in usage.splitlines()]
-            step = sum(int(size) for place, size, *_ in used if re.search(r":dpc_(step|tick)\b", place))
+            usage = (folder / "dpc_controller.su").read_text(encoding="utf-8").splitlines()
+            step = sum(
+                int(size)
+                for place, size, *_ in (line.split("\t") for line in usage)
+                if re.search(r":dpc_(step|tick)\b", place)
+            )
         except (OSError, ValueError, LookupError, subprocess.SubprocessError):
             return None, None
     return code, step

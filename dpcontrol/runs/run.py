@@ -15,7 +15,6 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -28,7 +27,7 @@ from dpcontrol.control.export import (
     controller_source,
     controller_unit,
 )
-from dpcontrol.control.interface import Controller, GainSchedule
+from dpcontrol.control.interface import GainSchedule
 from dpcontrol.control.margins import Margins
 from dpcontrol.control.tick import TickProgram
 from dpcontrol.dynamics.chain import ArmChainParameters
@@ -36,7 +35,7 @@ from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.cache import commit
 from dpcontrol.foundation.checked import Count, Workers, checked
 from dpcontrol.foundation.config import log_folder
-from dpcontrol.foundation.document import Documented, document_of, picked
+from dpcontrol.foundation.document import Documented, document_of
 from dpcontrol.foundation.errors import GoalMissed, InputError, remark
 from dpcontrol.foundation.files import (
     checked_other_file,
@@ -702,10 +701,6 @@ def stored_settings(values: Mapping[str, Any], file: str) -> LoopSettings:
     )
 
 
-_CHECKED_TICKS = 4000
-"""Ticks of a simulated run that checks an exported controller."""
-
-
 def check_exportable(itinerary: Itinerary) -> None:
     """Reject an itinerary whose settings cannot be exported to C, before it is planned.
 
@@ -805,7 +800,7 @@ def _exported(
     controller, program, loop = assembly.controller, assembly.ticker().program, itinerary.loop
     schedule = checked_exportable(controller, lead=program.lead)
     checked = replace(loop, sensors=replace(loop.sensors, rate_noise=0.0))
-    ran = replace(assembly, settings=checked, law=_beginning(controller, _CHECKED_TICKS)).simulate(progress=progress)
+    ran = replace(assembly, settings=checked, law=controller).simulate(progress=progress)
     names = [f"measured.{name}" for name in joint_names(itinerary.model.arms.count, has_cart=True)]
     rows = np.column_stack([ran.ticks.measured, ran.ticks.control[:, 0]]).tolist()
     readings = "".join(f"{','.join(map(repr, row))}\n" for row in rows)
@@ -815,12 +810,6 @@ def _exported(
     )  # fmt: skip
     source = replace(code, itinerary=itinerary.name, rate=loop.rate, single=single, clock=clock)
     return source, program, schedule
-
-
-def _beginning(controller: Controller, count: int) -> Any:
-    """Return the controller limited to `count` ticks."""
-    names = ("kind", "first_state", "schedule")
-    return SimpleNamespace(**picked(controller, *names), ticks=min(controller.ticks, count - 1))
 
 
 OWN_BENCH = "udp"
