@@ -7,7 +7,6 @@ import pytest
 
 import dpcontrol as dp
 from dpcontrol.bifurcations.bifurcations import BifurcationSearch
-from dpcontrol.foundation.errors import InputError
 from dpcontrol.orbits.lyapunov import equilibrium
 from dpcontrol.plans.model import load_model
 from dpcontrol.tubes.connections import find_connections, orbits_between
@@ -87,22 +86,3 @@ def test_a_value_of_one_parameter_leaves_the_others(model: str) -> None:
     for name, (value, unit) in before.items():
         changed = parameters.with_value(name, 1.01 * value)
         assert changed.named() == {**before, name: (1.01 * value, unit)}
-
-
-@pytest.mark.parametrize(
-    ("arguments", "fragment"),
-    [
-        ({"parameter": ("m3", 0.1, 0.2), "energy": ENERGY}, "parameter"),
-        ({"parameter": ("m2", -0.1, 0.2), "energy": ENERGY}, "mass"),
-        ({"parameter": ("l2", 0.1, 0.2), "energy": ENERGY}, "does not depend on it"),
-        ({"parameter": ("k1", 0.1, 0.2), "energy": ENERGY}, "does not depend on it"),
-        ({"parameter": ("m2", 0.2, 0.1), "energy": ENERGY}, "in ascending order"),
-        ({"parameter": ("m2", 0.1, 0.2), "energy": -0.16}, "exist only above"),
-        ({"parameter": ("m2", 0.1, 0.2)}, "give either"),
-        ({"parameter": ("m2", 0.1, 0.2), "energy": ENERGY, "height": 0.1}, "give either"),
-        ({"energies": (-0.1, 0.0), "energy": ENERGY}, "give either"),
-    ],
-)
-def test_impossible_parameters_are_refused(arguments: dict[str, object], fragment: str) -> None:
-    with pytest.raises(InputError, match=fragment):
-        dp.find_bifurcations(LAB, "down-up", "down-up", **arguments)  # type: ignore[arg-type]

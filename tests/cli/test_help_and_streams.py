@@ -6,7 +6,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import click
 import pytest
 from click.shell_completion import ShellComplete
 from command_line import dpcontrol, dpcontrol_program
@@ -109,17 +108,3 @@ def offered(line: str) -> list[str]:
 )
 def test_values_are_completed(line: str, wanted: set[str]) -> None:
     assert set(offered(line)) == wanted
-
-
-def test_help_gives_the_default_of_every_option_that_takes_a_value() -> None:
-    silent = []
-    for verb in VERBS:
-        command = cli.get_command(click.Context(cli), verb)
-        assert command is not None
-        for one in command.params:
-            record = one.get_help_record(click.Context(click.Command(verb)))
-            if not isinstance(one, click.Option) or record is None or one.is_flag or one.required:
-                continue
-            if "[default: " not in record[1]:
-                silent.append(f"{verb} {one.opts[0]}")
-    assert not silent

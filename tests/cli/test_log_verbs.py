@@ -2,7 +2,6 @@
 
 from pathlib import Path
 
-import numpy as np
 import pytest
 from command_line import dpcontrol
 from mcap.reader import make_reader
@@ -30,25 +29,6 @@ def messages(log: Path) -> list[tuple[str, int, int, int, bytes]]:
     with log.open("rb") as stream:
         found = make_reader(stream).iter_messages(log_time_order=False)
         return [(channel.topic, m.sequence, m.log_time, m.publish_time, m.data) for _, channel, m in found]
-
-
-def test_a_truncated_log_is_rejected_by_info_recovered_and_then_scored(logged: Path, tmp_path: Path) -> None:
-    left = tmp_path / "cut.mcap.partial"
-    left.write_bytes(logged.read_bytes()[: int(0.7 * logged.stat().st_size)])
-    refused = dpcontrol("info", left)
-    assert refused.code == 2
-    assert f"dpcontrol recover {left}" in refused.message
-    done = dpcontrol("recover", left, "--json")
-    assert done.code == 0
-    assert done.document["log"] == str(tmp_path / "cut.mcap")
-    assert not done.document["end_known"]
-    found, whole = read_log(tmp_path / "cut.mcap"), read_log(logged)
-    assert found.attachments == whole.attachments
-    np.testing.assert_array_equal(found.truth, whole.truth[: done.document["ticks"]])
-    scored = dpcontrol("score", tmp_path / "cut.mcap", "--json")
-    assert scored.code == 1
-    assert scored.document["completed"] is False
-    assert "everything after" in dpcontrol("info", tmp_path / "cut.mcap", "--json").document["recovered"]
 
 
 @pytest.mark.slow

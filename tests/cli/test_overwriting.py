@@ -5,7 +5,6 @@ free names.
 from pathlib import Path
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 from command_line import dpcontrol
 
@@ -74,24 +73,6 @@ def test_a_command_replaces_its_own_output_but_neither_anothers_nor_a_file_of_an
     kept(file, f"{line} {file}")
 
 
-@pytest.mark.slow
-def test_a_campaign_continues_its_own_table_and_replaces_anothers_only_with_force() -> None:
-    line, table = f"campaign {STILL} --workers 1 --runs 2 --out", Path("logs/still.parquet")
-    called(f"{line} {table}")
-    called(f"{line} {table}")
-    ended = dpcontrol(*f"{line} {table} --mismatch 0.07".split())
-    assert ended.code == 2
-    assert f"{table} is there already and holds another campaign" in ended.message
-    called(f"{line} {table} --mismatch 0.07 --force")
-    assert pq.read_table(table)["mismatch"].to_pylist() == [0.07] * 2
-    old = Path("logs/old.parquet")
-    old.write_text("a table of version 0.2")
-    for ended in (dpcontrol(*f"{line} {old}".split()), dpcontrol("report", str(old))):
-        assert ended.code == 2
-        assert "is a file" in ended.message or "is not a folder" in ended.message
-    assert old.read_text() == "a table of version 0.2"
-
-
 def written(path: Path, *, rig: str | None = None, ticks: int = 50) -> None:
     """Write a log of a bench at rest."""
     with LogWriter(path, arm_lengths=(0.2, 0.2), rate_hz=1000.0, metadata={"seed": "0"}) as log:
@@ -138,25 +119,3 @@ def test_no_verb_replaces_its_input(line: str, link: str, way: str) -> None:
     ended = dpcontrol(*line.split(), link)
     assert ended.code == 2, ended.stdout
     assert read.read_bytes() == content
-
-
-def named(line: str) -> str:
-    """Return the file or folder that a command wrote, as it printed it."""
-    ended = dpcontrol(*line.split(), "--json")
-    assert ended.code == 0, ended.stderr
-    return str(ended.document.get("log") or ended.document["file"])
-
-
-@pytest.mark.slow
-def test_a_default_name_is_a_free_name_and_the_same_command_keeps_its_own() -> None:
-    first, second = f"run {STILL}", f"run {STILL} --mismatch 0.07"
-    for _ in range(2):
-        assert named(first) == "logs/still-0.mcap"
-        assert named(second) == "logs/still-0.2.mcap"
-    assert named(f"{second} --force") == "logs/still-0.mcap"
-    line = f"campaign {STILL} --workers 1 --runs"
-    assert [named(f"{line} {k}") for k in ("1", "2", "1")] == [f"logs/still{k}.parquet" for k in ("", "", ".2")]
-    line = f"{SWINGS} --swings"
-    assert [named(f"{line} {k}") for k in (1, 2, 1)] == [f"logs/lab-swings-0{k}.mcap" for k in ("", ".2", "")]
-    line = "replay logs/lab-swings-0.mcap --counts"
-    assert [named(f"{line} {k}") for k in (400, 500)] == [f"logs/lab-swings-0-replay{k}.mcap" for k in ("", ".2")]

@@ -1,6 +1,5 @@
 """`dpcontrol reference FILE` describes and draws the file of a plan, and rejects other files."""
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -24,10 +23,6 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def arrays(file: Path) -> dict[str, Any]:
     with np.load(file, allow_pickle=False) as found:
         return dict(found)
-
-
-def header(file: Path) -> dict[str, Any]:
-    return json.loads(str(arrays(file)["header"]))
 
 
 def test_the_document_agrees_with_the_arrays(file: Path) -> None:
@@ -65,19 +60,3 @@ def test_the_error_is_measured_again_and_agrees_with_the_one_stored(file: Path, 
     np.savez(tmp_path / "off.npz", **parts)
     off = dpcontrol("reference", tmp_path / "off.npz", "--json").document
     assert off["measured_error_between_nodes"] > 10 * off["max_error_between_nodes"]
-
-
-@pytest.mark.slow
-def test_the_scene_and_model_in_the_file_plan_to_the_same_reference(
-    file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    made_from = header(file)["notes"]["made_from"]
-    for folder, name, text in (("itineraries", "outer-turn", "scene"), ("models", "lab", "model")):
-        (tmp_path / folder).mkdir()
-        (tmp_path / folder / f"{name}.toml").write_text(made_from[text])
-    monkeypatch.chdir(tmp_path)
-    assert dpcontrol("plan", "outer-turn", "--fresh", "--out", "again.npz").code == 0
-    again, held = arrays(tmp_path / "again.npz"), arrays(file)
-    for name in ("mesh", "states", "inputs"):
-        # Code of orbits is optimised from its second use on, which rounds otherwise.
-        np.testing.assert_allclose(again[name], held[name], rtol=0, atol=1e-9)

@@ -14,25 +14,18 @@ from dpcontrol.control.tick import TickEquations
 from dpcontrol.control.tracking import (
     AdaptiveController,
     AdaptiveSettings,
-    TvlqrSettings,
     adaptive_controller,
     closing_weights,
     extra_jacobians,
     riccati_gains,
     terminal_cost,
-    tracking_controller,
 )
 from dpcontrol.dynamics.chain import Level, arm_chain_equations
-from dpcontrol.loop.assembly import Assembly
-from dpcontrol.loop.bench import DriveSettings
-from dpcontrol.loop.loop import LoopSettings
-from dpcontrol.loop.result import Ending
 from dpcontrol.references.reference import Reference
 
 SOLVED = 1e-7  # Relative, of Riccati solvers on well-scaled matrices.
 DIFFERENCED = 1e-6  # Relative: central differences with a step of 1e-4.
 FIRST_ORDER = 0.05  # Relative: what second order leaves at parameters wrong by 2e-4.
-CLOSE = 0.1  # rad: what a completed run asks for over its last period.
 PERIOD = 2e-3
 AUGMENT = ("drive", "friction", "parameters")
 ESTIMATOR = EkfSettings(
@@ -217,28 +210,3 @@ def test_a_share_beyond_trust_is_bounded_and_named(law: AdaptiveController) -> N
     assert law.names[int(untrusted) - 1] == "S1"
     assert asked(law, 100, state, np.array([0, 0, 0, 0.1, 0.1, 50.0, 0.1]))[0] == far
     assert np.isfinite(asked(law, 100, state, np.array([0, 0, 0, -7.0, -2.0, 1.0, 0.1]))[0])
-
-
-@pytest.mark.slow
-def test_arms_wrong_by_a_fifth_end_on_the_orbit_where_tvlqr_alone_loses_half(
-    turn: tuple[StandIn, Reference], model: SampledModel, law: AdaptiveController
-) -> None:
-    reference, seeds = turn[1], range(16)
-    plain = tracking_controller(reference, model, TvlqrSettings())
-    ended = {}
-    drive = DriveSettings(lag=5e-3, command_noise=0.3)
-    common = LoopSettings(seed=0, rate=1 / PERIOD, initial_error=0.05, mismatch=0.2, travel=0.8, drive=drive)
-    for kind, estimator, controller in (
-        ("adaptive", ESTIMATOR, law),
-        ("tvlqr", EkfSettings(), plain),
-    ):
-        settings = replace(common, estimator=estimator)
-        runs = Assembly(reference, LAB, settings, law=controller).batch(seeds)
-        near = [
-            run.ending is Ending.FINISHED
-            and float(np.abs((run.truth[:, :2] - run.references)[-500:]).max()) < 2 * CLOSE
-            for run in runs
-        ]
-        ended[kind] = sum(near)
-    assert ended["adaptive"] >= 14
-    assert ended["tvlqr"] <= 11

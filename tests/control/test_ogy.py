@@ -2,13 +2,12 @@ from functools import cache
 
 import numpy as np
 import pytest
-from bench_stand_in import fly, model_of, plant_of
+from bench_stand_in import model_of
 from quick_rate import quick_rate
 from scipy.integrate import solve_ivp
 from scipy.linalg import solve_discrete_are
 from shadowing_stand_in import LAB
 
-from dpcontrol.control.interface import Mode
 from dpcontrol.control.ogy import (
     ClassicOgySettings,
     OgyController,
@@ -32,7 +31,6 @@ from dpcontrol.references.sustained import SustainedOrbit, sustained_orbit
 
 RICCATI = 1e-5  # Relative; matrices with entries of thousands, squared.
 SLOPE = 1e-3  # Of Runge-Kutta flights with a held input against a tight integrator, relative to the largest.
-ON_ORBIT = 0.1  # rad: what a completed period asks for.
 NONE = np.zeros(0)
 
 
@@ -55,18 +53,6 @@ def classic(sections: int) -> OgyController:
 @cache
 def tvlqr(schedule: str = "phase") -> OrbitController:
     return orbit_controller(orbit(), model_of(), TvlqrSettings(schedule=schedule), seconds=60.0)
-
-
-def away(states: np.ndarray, seconds: float = 1.0) -> float:
-    """Largest angle error in the last second, rad, each least over the orbit's phases and turns."""
-    table = orbit().state(np.linspace(0, orbit().period, 4000))[:, :2]
-    last = states[-round(seconds * 1000) :: 5, None, :2] - table
-    return float(np.abs(last - 2 * np.pi * np.rint(last / (2 * np.pi))).max(2).min(1).max())
-
-
-def started(controller: OgyController | OrbitController, seed: int) -> np.ndarray:
-    kick = np.random.default_rng(seed).uniform(-0.03, 0.03, 2)
-    return controller.first_state + np.array([*kick, 0, 0, 0, 0])
 
 
 def test_gains_of_one_section_are_those_of_the_riccati_equation() -> None:
@@ -144,28 +130,6 @@ def test_known_disturbances_are_met_by_the_least_cost_of_all_periodic_motions() 
     states, pulses = solution[: k * n].reshape(k, n), solution[k * n : size]
     expected = -(controller.gains * states).sum(1) - pulses
     assert shifts[:, 0] == pytest.approx(expected, rel=1e-4, abs=1e-5 * np.abs(expected).max())
-
-
-@pytest.mark.slow
-def test_sixteen_sections_hold_the_orbit_of_a_plant_with_other_parameters() -> None:
-    controller, seed = ogy(16), 1
-    session = controller.begin()
-    flight = fly(session, plant_of(seed, 0.05), started(controller, seed), 8.0, believed=controller.first_state)
-    assert len(flight.states) == 8000
-    assert away(flight.states) < ON_ORBIT
-    assert session.course.crossings == pytest.approx(16 * 8.0 / orbit().period, rel=0.06)
-    assert {action.mode for action in flight.actions} <= {Mode.PULSING, Mode.HOLDING}
-    assert not flight.events
-
-
-@pytest.mark.slow
-def test_estimates_of_the_plant_save_most_of_the_pulses() -> None:
-    efforts = []
-    for controller in (ogy(16), ogy(16, parameter_error=0.0)):
-        runs = [fly(controller.begin(), plant_of(seed, 0.05), controller.first_state, 8.0) for seed in (0, 1)]
-        settled = [action.feedback for run in runs for action in run.actions[3000:]]
-        efforts.append(np.sqrt(np.mean(np.square(settled))))
-    assert efforts[0] < 0.6 * efforts[1]
 
 
 def test_a_section_that_is_not_crossed_is_named_in_the_events() -> None:

@@ -205,12 +205,6 @@ def test_a_fallback_is_abandoned_only_if_feedback_cannot_return() -> None:
     assert outcome(1.1 * LOST_AFTER_FALLBACK, 20_000) == Outcome.TRACKING_LOST
 
 
-def test_a_sensor_at_rest_with_its_reference_is_not_stuck() -> None:
-    tick = Ticked(state=np.array([0.0, math.pi, 0, 0, 0, 0]))
-    for k in range(5000):
-        assert tick(0.2 * (-1) ** (k // 5))["outcome"] == Outcome.GO_ON
-
-
 def test_a_joint_that_repeats_itself_while_its_reference_moves_is_stuck() -> None:
     tick = Ticked()
     random = np.random.default_rng(3)
@@ -286,12 +280,6 @@ def _travelled(velocity: Callable[[float], float], begin: float, end: float) -> 
     return float(np.trapezoid([velocity(t) for t in times], times))
 
 
-@pytest.mark.slow
-def test_a_cart_that_rests_or_creeps_within_a_count_has_no_frozen_scale() -> None:
-    assert watched_scale(lambda _: 0.0, step=2e-4, seconds=60.0) == math.inf
-    assert watched_scale(lambda time: 1e-3 * math.sin(10 * time), step=2e-4, seconds=20.0) == math.inf
-
-
 @pytest.mark.parametrize(("share", "lag"), [(0.5, 0.0), (1.5, 0.0), (1.0, 0.04)])
 def test_a_drive_that_follows_its_commands_in_another_way_has_no_frozen_scale(share: float, lag: float) -> None:
     tick = Ticked(scale=2e-4, delay=0.0)
@@ -304,18 +292,6 @@ def test_a_drive_that_follows_its_commands_in_another_way_has_no_frozen_scale(sh
             tick.begin(np.zeros(0), velocity=0.05 * omega)
         seen = np.array([0.0, 0.0, 2e-4 * round(x / 2e-4)])
         assert tick(sent, positions=seen)["outcome"] != Outcome.STUCK
-
-
-def test_a_scale_whose_readings_are_missing_now_and_then_is_not_frozen() -> None:
-    tick, random, x = Ticked(scale=1e-4, delay=0.0), np.random.default_rng(5), 0.0
-    tick.begin(np.zeros(0), velocity=swings(0.0))
-    for k in range(3000):
-        now = k * PERIOD
-        sent = (swings(now + PERIOD) - swings(now)) / PERIOD
-        there = np.full(3, random.random() > 0.5)
-        seen = np.array([0.0, 0.0, 1e-4 * round(x / 1e-4)])
-        assert tick(sent, positions=seen, present=there)["outcome"] != Outcome.STUCK
-        x += (swings(now) + swings(now + PERIOD)) / 2 * PERIOD
 
 
 def test_a_filter_that_has_slipped_a_turn_is_restarted_from_the_encoders() -> None:

@@ -56,12 +56,6 @@ def test_every_compiler_and_level_gives_the_loops_commands(double: Path, compile
     assert done.returncode == 0, done.stderr
 
 
-def test_sanitizers_of_clang_find_nothing(double: Path) -> None:
-    program = compiled(with_sanitizers("clang", double), *SANITIZED, folder=double, out="sanitized", sources=REPLAY)
-    done = ran(program, "readings.csv", folder=double)
-    assert done.returncode == 0, done.stderr
-
-
 @pytest.mark.parametrize(
     ("itinerary", "law", "precise", "belt"),
     [
@@ -80,13 +74,6 @@ def test_no_input_spoils_a_command_or_a_check(
     program = compiled(with_sanitizers("gcc", folder), *options, folder=folder, out="hostile", sources=sources)
     done = ran(program, HOSTILE_STEPS, "1", folder=folder)
     assert done.returncode == 0, done.stdout + done.stderr
-
-
-def test_valgrind_finds_nothing(double: Path) -> None:
-    program = compiled("gcc", "-g1", "-O1", folder=double, out="watched", sources=REPLAY)
-    options = ["--quiet", "--error-exitcode=9", "--leak-check=full"]
-    done = ran(needed("valgrind"), *options, program, "readings.csv", folder=double)
-    assert done.returncode == 0, done.stderr
 
 
 def test_make_and_cmake_build_and_check_it(double: Path) -> None:

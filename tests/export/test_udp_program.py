@@ -28,7 +28,6 @@ from dpcontrol.control.tracking import tracking_controller
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.loop import ControlLoop, LoopSettings
 from dpcontrol.loop.protocols import Reading
-from dpcontrol.loop.result import Ending
 from dpcontrol.loop.simulated import SimulatedRig
 from dpcontrol.references.reference import Reference
 from dpcontrol.rig.bench import BenchRecord, BenchServerSettings, RecordedRig
@@ -209,21 +208,6 @@ def test_the_run_of_a_program_is_shown_to_the_loop_with_the_programs_own_command
     if not other:
         np.testing.assert_array_equal(result.ticks.truth, ran.ticks.truth)
         np.testing.assert_array_equal(result.ticks.control, ran.ticks.control)
-
-
-def test_a_log_ends_with_the_program_and_has_the_time_of_the_stop(turn: tuple[StandIn, Reference]) -> None:
-    loop, rig = controlled(turn, 400)
-    recorded = Recorded(rig, 401, loop)
-    loop.run(recorded)
-    record = recorded.record
-    record.last, record.ended = 299, "the bench received nothing from the loop for 0.03 s until t = 0.331 s"
-    record.truth[340:, -1] = 0.0
-    again, _ = controlled(turn, 400)
-    result = again.run(RecordedRig(record, again.ticker.program))
-    assert len(result.ticks.times) == 300
-    assert result.ending is Ending.PLANT_FAILED
-    assert "t = 0.299 s" in result.reason
-    assert "stood still from t = 0.340 s" in result.reason
 
 
 @pytest.mark.slow  # Two runs in real time, each with a bench in a separate process.

@@ -119,24 +119,6 @@ def test_filters_are_consistent_and_estimate_rates_on_the_rigs_recording(kind: s
 
 
 @pytest.mark.slow
-def test_the_filters_settings_are_valid_on_other_recordings() -> None:
-    recording, model = import_recording(rig_file()), load_model("lab-identified")
-    left_out = replace(recording, segments=recording.segments[2::3])
-    parts = replace(
-        left_out,
-        segments=tuple((k * 2667, (k + 1) * 2667) for k in range(len(left_out.segments))),
-        **{
-            name: np.concatenate([getattr(one, name) for one in left_out.split()])
-            for name in ("time", "angles", "rates")
-        },
-    )
-    result = replay_recording(parts, model.arms, filter_settings("ekf"), zeros=model.encoder_zeros)
-    assert result.nis_inside_95 >= IN_BAND
-    assert result.rates_rms is not None
-    assert result.rates_rms.max() <= RATES
-
-
-@pytest.mark.slow
 def test_the_published_parameters_have_the_measured_residuals() -> None:
     result = replay_recording(import_recording(rig_file()), ARMS, filter_settings("ekf"))
     left = [float(np.sqrt(np.mean(fit.residual**2))) for fit in result.fits]

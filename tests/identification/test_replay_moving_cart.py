@@ -111,23 +111,6 @@ def test_a_command_alone_moves_the_cart(driven: tuple[Array, Array]) -> None:
     assert np.abs(np.diff(motion.velocity) - np.diff(driven[1][:, 5])).max() <= 1e-6
 
 
-@pytest.mark.slow
-def test_missing_readings_are_omitted(driven: tuple[Array, Array]) -> None:
-    recording = recorded(driven, command=told(driven[0]))
-    assert recording.cart is not None
-    lost = np.random.default_rng(3).random(2000) < 0.05
-    lost[:2] = True
-    angles, cart = np.where(lost[:, None], np.nan, recording.angles), np.where(lost, np.nan, recording.cart)
-    result = replay_recording(replace(recording, angles=angles, cart=cart), ARMS, filter_settings("ekf"))
-    assert [motion.commanded for motion in result.carts] == [True]
-    assert all(fit.converged for fit in result.fits)
-    assert max(float(np.sqrt(np.mean(fit.residual**2))) for fit in result.fits) <= NEAR_COUNT * COUNT
-    assert np.isfinite(result.estimated).all()
-    assert np.isnan(result.nis[lost]).all()
-    assert result.nis_inside_95 >= IN_BAND
-    assert max(result.ahead[1]) <= COUNT
-
-
 def test_an_identification_omits_missing_readings(driven: tuple[Array, Array]) -> None:
     angles = recorded(driven, command=told(driven[0])).angles.copy()
     angles[[0, 700, 701, 1999]] = np.nan

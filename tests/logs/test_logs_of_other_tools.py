@@ -111,15 +111,6 @@ def test_a_log_that_was_written_again_otherwise_holds_the_same_run(tmp_path: Pat
     assert np.array_equal(log.extras.values, first.extras.values)
 
 
-@pytest.mark.parametrize("how", [{"thinned": 3}, {"shifted": 1_700_000_000, "without": "/rosout"}])
-def test_the_verdict_on_a_whole_run_survives_rewriting(
-    tmp_path: Path, completed_run: Path, how: dict[str, Any]
-) -> None:
-    with unchecked():
-        log = read_log(rewritten(completed_run, tmp_path / "whole.mcap", backwards=True, **how))
-    assert score(log).completed
-
-
 @pytest.mark.parametrize("how", [{"only": (1.0, 2.0), "without": "/rosout"}, {"hole": (2.0, 3.0)}])
 def test_the_completion_of_a_run_is_unknown_from_a_part_of_its_log(
     tmp_path: Path, completed_run: Path, how: dict[str, Any]

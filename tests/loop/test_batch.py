@@ -129,22 +129,6 @@ def test_a_seed_alone_ends_where_and_as_it_does_among_others(
     assert ending in {run.ending for run in together}
 
 
-@pytest.mark.slow
-def test_a_seed_runs_the_same_in_any_company(turn: tuple[StandIn, Reference]) -> None:
-    reference = turn[1]
-    settings = replace(
-        LoopSettings(seed=0, mismatch=0.05, initial_error=0.05),
-        drive=DriveSettings(lag=0.005, command_noise=0.3),
-        disturbances=DisturbanceSettings(pushes=2, push_impulse=1e-3),
-    )
-    assembly, found = Assembly(reference, LAB, settings), {}
-    for seeds in ([7], range(3, 14), [20, 7, 21], range(8)):
-        runs = assembly.batch(list(seeds))
-        run = runs[list(seeds).index(7)]
-        found[len(runs)] = (run.truth.tobytes(), run.applied.tobytes(), run.ending, run.reason)
-    assert len(set(found.values())) == 1
-
-
 @pytest.mark.parametrize(
     "settings",
     [

@@ -7,39 +7,8 @@ import pytest
 from shadowing_stand_in import LAB
 
 from dpcontrol.control.interface import sampled_model
-from dpcontrol.control.lqr import HoldController
-from dpcontrol.loop.assembly import Assembly
-from dpcontrol.plans.itinerary import load_itinerary
-from dpcontrol.plans.plan import make_plan
 
-HELD = 0.1  # rad: as the score allows.
-SECONDS = 5.0
 ROUGH = replace(LAB, coulomb=(0.002, 0.001), smoothing=0.005)
-BENCH = {
-    "initial_error": 0.05,
-    "lag": 0.005,
-    "command_noise": 0.3,
-    "zero_error": 0.02,
-    "counts": 40_000,
-    "travel": 0.8,
-    "mismatch": 0.05,
-}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("told", [True, False])
-def test_up_up_is_held_against_dry_friction(told: bool) -> None:
-    scene = load_itinerary("hold-up-up").with_run(BENCH)
-    reference, settings = make_plan(scene).reference, replace(scene.loop, plant=ROUGH)
-    model = ROUGH if told else LAB
-    law = Assembly(reference, model, settings).controller
-    assert isinstance(law, HoldController)
-    law = replace(law, ticks=round(SECONDS * settings.rate))
-    runs = Assembly(reference, model, settings, law=law).batch(range(8))
-    for run in runs:
-        last = np.abs(run.truth[-1000:, :2] - np.pi).max()
-        assert len(run.times) > SECONDS * settings.rate
-        assert last < HELD
 
 
 def test_a_sampled_model_is_linearised_at_the_mean_slope_of_dry_friction() -> None:

@@ -10,7 +10,6 @@ from dpcontrol.foundation.causes import Cause
 from dpcontrol.logs import Event
 from dpcontrol.loop.bench import Push
 from dpcontrol.loop.loop import LoopSettings
-from dpcontrol.loop.recovery import meeting_tick
 from dpcontrol.loop.result import Ending, LoopSink
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import make_plan
@@ -133,18 +132,6 @@ def test_the_next_lap_begins_at_the_phase_of_the_first_orbit(ready) -> None:
     assert len(laps) == 2
     assert np.diff(laps)[0] == pytest.approx(laps[0])
     assert laps[0] < 4.5
-
-
-@pytest.mark.parametrize(("offset", "place"), [(0.0, 900), (0.04, 900), (0.06, None)])
-def test_references_meet_where_they_are_as_at_the_first_tick(offset: float, place: int | None) -> None:
-    phase = 2 * np.pi * np.arange(1000) / 300
-    angles = np.array([np.sin(phase), np.cos(phase) + 2 * np.pi * (phase > 3)]).T
-    still = np.zeros((1000, 4))
-    references = np.hstack([angles, still])
-    references[-200:, 5] = offset
-    found = meeting_tick(references, 250)
-    # As good as the nearest, to a fifth.
-    assert found is None if place is None else abs(found - place) <= 3
 
 
 def test_a_run_that_errs_is_caught_where_an_earlier_place_is_nearer(ready) -> None:

@@ -207,20 +207,6 @@ def test_blows_strike_at_their_tick_right_after_its_reading() -> None:
         calm.command(0.0)
 
 
-def test_seeded_blows_have_the_requested_number_and_strength() -> None:
-    disturbances = DisturbanceSettings(pushes=400, push_impulse=0.02, knocks=200, knock_velocity=0.1)
-    blows = drawn(BenchSettings(disturbances=disturbances), ticks=100_000).blows
-    impulses = np.array([b.impulses for b in blows.values() if b.impulses.any()])
-    knocks = np.array([b.knock for b in blows.values() if b.knock])
-    # A few may fall on one tick.
-    assert 390 <= len(impulses) <= 400
-    assert 195 <= len(knocks) <= 200
-    assert np.abs(impulses).max() <= 0.02
-    assert np.abs(impulses).mean(0) == pytest.approx([0.005, 0.005], rel=0.2)
-    assert np.abs(knocks).mean() == pytest.approx(0.05, rel=0.2)
-    assert min(blows) < 2_000 < 98_000 < max(blows)
-
-
 def test_one_settings_change_leaves_every_other_draw_as_it_was() -> None:
     everything = BenchSettings(
         SensorSettings(zero_error=0.02, noise=1e-4, missed_counts=50.0, dropout=0.1, jitter=1e-4, rate_noise=0.1),

@@ -62,18 +62,3 @@ def test_a_reported_age_leaves_the_rates_as_good_as_without_jitter(turn: tuple[S
     )
     assert known < 1.2 * steady
     assert unknown > 1.5 * known
-
-
-LEAST = 14  # Of 16: nine in ten.
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("counts", [1000, 40_000])
-def test_runs_with_jitter_of_a_period_come_to_their_end(turn: tuple[StandIn, Reference], counts: int) -> None:
-    sensors = SensorSettings(jitter=1 / 500, counts=counts, dropout=0.03)
-    settings = replace(SETTINGS, rate=500.0, sensors=sensors)
-    controller = Assembly(turn[1], LAB, settings).controller
-    runs = Assembly(turn[1], LAB, settings, law=controller).batch(range(16))
-    # Where jitter is as long as the period, an arm in fast flight may look like one whose encoder is stuck.
-    finished = sum(run.ending is Ending.FINISHED for run in runs)
-    assert finished >= LEAST, [run.reason for run in runs]

@@ -1,15 +1,13 @@
 """Several runs on one clock: aligned at a symbol, said how, drawn and recorded."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from synthetic_run import synthetic_run, view_of
-from test_recording import bare_log
 
 from dpcontrol.judge.comparison import compare
-from dpcontrol.judge.run_view import RunView, Stay, series_of
+from dpcontrol.judge.run_view import RunView, Stay
 
 SAME_MOMENT = 0.02
 """s: the synthetic turns pass 2π in their middle, with zero wobble and errors of 0.04 rad at 11 rad/s."""
@@ -45,14 +43,3 @@ def test_runs_cross_the_symbols_section_at_the_same_moment(pair: list[RunView]) 
     assert comparison.moment == 2.5
     assert [run.delay for run in comparison.runs] == [0.0, 0.625]
     assert all(run.view.crossings == (2.5,) for run in comparison.runs)
-
-
-def test_a_run_without_the_symbol_is_aligned_by_its_plan_and_one_without_a_plan_at_its_start(
-    pair: list[RunView], tmp_path: Path
-) -> None:
-    first, second = pair
-    plan = replace(first.plan, symbols=((1.25, "down-up +"),))
-    comparison = compare([replace(first, crossings=(), plan=plan), second])
-    assert [run.delay for run in comparison.runs] == [0.625, 0.0]
-    bare = series_of(bare_log(tmp_path / "bare.mcap", arms=2, has_cart=True, ticks=50))
-    assert compare([first, bare]).runs[1].delay == 2.5

@@ -88,13 +88,6 @@ def test_a_blow_on_the_cart_is_no_acceleration_of_its_drive(tmp_path: Path) -> N
     assert np.flatnonzero(np.isnan(view.control[ACTUAL])).tolist() == [499]
 
 
-@pytest.mark.parametrize(("arms", "has_cart", "ticks"), [(1, True, 50), (2, False, 50), (3, True, 50), (2, True, 1)])
-def test_other_shapes_are_recorded_too(tmp_path: Path, arms: int, has_cart: bool, ticks: int) -> None:
-    log = bare_log(tmp_path / "run.mcap", arms=arms, has_cart=has_cart, ticks=ticks)
-    write_recording(series_of(log), tmp_path / "run.rrd")
-    _rerun("rrd", "verify", str(tmp_path / "run.rrd"))
-
-
 def test_thinned_curves_keep_every_peak(run: RunView) -> None:
     time_s = np.linspace(0, 1, 100_000)
     values = np.sin(40 * time_s)

@@ -111,32 +111,6 @@ def test_invalid_commands_are_answered_with_a_message(page: Page, command: Any) 
     assert state["toml"] == before or state["mistake"]
 
 
-def test_commands_are_applied_in_order_though_none_waits_for_the_one_before(page: Page) -> None:
-    page.until("state")
-    symbols = ["down-up > up-down", "up-down > down-up", "up-down > down-up", "down-up +"]
-    commands = [{"do": "append", "symbol": symbol} for symbol in symbols]
-    commands += [{"do": "wraps", "stop": stop, "change": change} for stop, change in ((0, 1), (0, 1), (1, -1))]
-    commands.append({"do": "shorten"})
-    for number, command in enumerate(commands, start=1):
-        page.socket.send(json.dumps({**command, "n": number}))
-    states: dict[int, dict[str, Any]] = {}
-    while len(commands) not in states:
-        state = page.until("state")
-        states[state["ack"]] = state
-    assert states[3]["message"]["kind"] == "error"
-    assert states[7]["walk"] == ["down-up > up-down", "up-down > down-up", "down-up +"]
-    assert states[7]["wraps"] == [4, 1]
-    assert (states[8]["walk"], states[8]["wraps"]) == (states[7]["walk"][:2], [4])
-
-
-def test_a_reloaded_page_restores_its_state_and_another_page_does_not(address: str) -> None:
-    one, other = Page(address, "first-of-two"), Page(address, "second-of-two")
-    one.send({"do": "append", "symbol": "down-up +"})
-    one.socket.close()
-    assert Page(address, "first-of-two").until("state")["walk"] == ["down-up +"]
-    assert other.send({"do": "set", "values": {"finish": "orbit"}})["walk"] == []
-
-
 def test_an_itinerary_is_saved_without_replacing_another(page: Page, address: str) -> None:
     page.send({"do": "append", "symbol": "down-up +"})
     page.send({"do": "name", "name": "mine"})

@@ -6,13 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dpcontrol.dynamics.chain import base_ratios
 from dpcontrol.identification.identify import Identification, IdentificationSettings, identify
 from dpcontrol.plans.model import load_model, write_model
 from dpcontrol.recordings.recording import simulated_recording
 
 LAB = load_model("lab")
-DRAWS = 400
 
 
 @pytest.fixture(scope="module")
@@ -43,16 +41,3 @@ def test_a_written_model_loads_as_it_was_found(found: Identification, file: Path
     assert np.array_equal(model.uncertainty.matrix, found.covariance[:m, :m])
     assert all(sentence in model.text for sentence in found.undetermined)
     assert set(model.sources) == {"arms", "gravity", "friction", "encoders", "uncertainty"}
-
-
-@pytest.mark.slow
-def test_drawn_arms_have_the_covariance_and_a_seed_repeats_them(found: Identification, file: Path) -> None:
-    model = load_model(str(file))
-    random = np.random.default_rng(1)
-    drawn = np.array([base_ratios(model.identified_uncertainty.drawn(model.arms, random)) for _ in range(DRAWS)])
-    again = [model.identified_uncertainty.drawn(model.arms, np.random.default_rng(3)) for _ in range(2)]
-    assert model.uncertainty is not None
-    # A standard deviation from 400 draws is itself known to 3.5 %.
-    assert drawn.std(axis=0) == pytest.approx(np.sqrt(np.diag(model.uncertainty.matrix)), rel=0.15)
-    assert drawn.mean(axis=0) == pytest.approx(base_ratios(model.arms), abs=0, rel=0.05)
-    assert again[0] == again[1]

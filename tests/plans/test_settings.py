@@ -113,12 +113,6 @@ def test_settings_are_replaced_by_path() -> None:
         load_itinerary("outer-turn").with_run({"lag": -1, "counts": 0.5})
 
 
-@pytest.mark.parametrize(("misspelt", "meant"), [("coutns", "sensors.counts"), ("sensor.counts", "sensors.counts")])
-def test_a_misspelt_setting_is_answered_by_the_nearest_name(misspelt: str, meant: str) -> None:
-    with pytest.raises(InputError, match=f"did you mean '{meant}'"):
-        load_itinerary("outer-turn").with_run({misspelt: 5})
-
-
 MISTAKES: list[tuple[str, str, str]] = [
     (
         "parts without an s",

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import dpcontrol
 from quick_rate import quick_rate
 from scipy.integrate import solve_ivp
 
@@ -138,15 +137,6 @@ def test_an_itinerary_connects_each_pair_of_equilibria_once(name: str, count: in
     assert len(holds) == len(itinerary.parts) == count + 1
     done = [(a.hold, b.hold) for a, b in pairwise(holds)]
     assert sorted(done) == sorted(permutations(itinerary.model.system.equilibria, 2))
-
-
-@pytest.mark.slow
-def test_transitions_fill_a_square(there_and_back: Plan, tmp_path: Path) -> None:
-    file, picture = tmp_path / "tour.npz", tmp_path / "square.png"
-    file.write_bytes(there_and_back.archive)
-    answer = dpcontrol("reference", str(file), "--transitions", str(picture), "--json")
-    assert answer.document["transitions"] == str(picture)
-    assert picture.stat().st_size > 10_000
 
 
 @pytest.mark.slow

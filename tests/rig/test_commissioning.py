@@ -13,7 +13,6 @@ from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
 from dpcontrol.foundation.causes import FindingCause as Cause
 from dpcontrol.loop.bench import MechanicsSettings
 from dpcontrol.loop.loop import LoopSettings
-from dpcontrol.loop.own import OwnObject, OwnRig
 from dpcontrol.loop.protocols import Reading
 from dpcontrol.loop.result import Rig
 from dpcontrol.references.problem import Limits
@@ -180,11 +179,6 @@ def test_each_failure_is_found_without_harm(trouble: dict[str, Any], step: str, 
     assert rig.stops == 1
 
 
-@pytest.mark.slow
-def test_counts_are_seen_in_the_readings() -> None:
-    assert commissioned(bench(sensors={"counts": 2000})).changes["counts"] == 2000
-
-
 class Misread(Watched):
     """A rig whose readings are spoilt on their way."""
 
@@ -233,8 +227,6 @@ def test_a_sensor_that_gives_no_numbers_is_named() -> None:
 
 # The bench's joints slide at 0.8 of the break-away torque; play that is not in the fit moves the estimate.
 FRICTION, WITH_PLAY = 0.15, 0.5
-# The model's own dry friction fades below 0.05 rad/s, where most of a small swing happens.
-FADING = 0.4
 DRY = (0.0, 0.001, 0.002, 0.005)
 
 
@@ -251,35 +243,6 @@ def test_no_healthy_encoder_is_called_wrong_whatever_the_dry_friction(seed: int)
     by_step = {f.step: f for f in found.findings}
     assert by_step["friction"].figures["torques"] == pytest.approx(0.8 * np.array(dry), rel=FRICTION, abs=1e-4)
     assert by_step["encoders"].figures["factors"] == pytest.approx([1, 1], abs=0.2)
-
-
-@pytest.mark.slow
-def test_joints_that_friction_holds_leave_their_encoders_unsure() -> None:
-    found = commissioned(bench(mechanics={"stiction": (0.0, 1.0)}, sensors={"counts": 2000}, seed=5))
-    (encoders,) = [f for f in found.findings if f.step == "encoders"]
-    assert (encoders.cause, encoders.figures["hidden"]) == (Cause.HIDDEN, [2])
-    assert found.changes["counts"] == [2000, LoopSettings(seed=0, rate=RATE).sensors.counts]
-
-
-@pytest.mark.slow
-def test_the_models_own_dry_friction_is_no_finding() -> None:
-    rusty = replace(LAB, coulomb=(1e-3, 5e-4))
-    found = commissioned(bench(arms=rusty), arms=rusty)
-    assert not found.wrong
-    friction = next(f for f in found.findings if f.step == "friction")
-    assert friction.verdict is Grade.OK
-    assert friction.figures["torques"] == pytest.approx(rusty.coulomb, rel=FADING)
-    assert next(f for f in found.findings if f.step == "model").verdict is Grade.OK
-
-
-@pytest.mark.slow
-def test_noise_on_the_command_stays_within_the_reach_and_is_part_of_the_errors() -> None:
-    rig = bench(drive={"command_noise": 0.3, "delay": 2.0}, sensors={"noise": 0.002}, seed=1)
-    found = commissioned(rig)
-    (delay,) = [f.figures for f in found.findings if f.step == "delay"]
-    assert rig.farthest < REACH
-    assert delay["delay_error"] > 0.005
-    assert abs(delay["delay"] + delay["lag"] * RATE - 2.0) < 0.3
 
 
 @pytest.mark.slow
@@ -364,31 +327,6 @@ def test_a_rig_that_fails_is_stopped_and_quoted_and_an_interrupt_stops_it_too(ti
     with pytest.raises(KeyboardInterrupt):
         commissioned(rig)
     assert rig.stops == 1
-
-
-class Own:
-    """A user's rig with the three methods of the guide, which a bench at hand answers."""
-
-    def __init__(self, rig: Any) -> None:
-        self.rig = rig
-
-    def read(self) -> Any:
-        return self.rig.read().positions
-
-    def command(self, acceleration: float) -> None:
-        self.rig.command(acceleration)
-
-    def stop(self) -> None:
-        self.rig.stop()
-
-
-@pytest.mark.slow
-def test_a_users_rig_is_commissioned_like_the_bench_behind_it() -> None:
-    own = OwnRig(OwnObject("rig", Own(bench("encoder-2-reversed"))), arms=LAB.count, period=1 / RATE)
-    found, same = (commissioned(rig) for rig in (own, bench("encoder-2-reversed")))
-    assert only_wrong(found, "encoders", Cause.REVERSED).figures["arm"] == 2
-    assert found.findings == same.findings
-    assert found.changes == same.changes
 
 
 def test_readings_that_stay_out_stop_the_cart() -> None:
