@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from generated_scenes import Scene, sampled_scene
 from ordinary_labs import sampled_lab
-from scene_flights import flown_scene, planned_scene
+from scene_flights import flown_scene, planned_scene, unfound
 
 from dpcontrol.plans.cautions import cautions_of
 from dpcontrol.plans.itinerary import load_itinerary
@@ -30,12 +30,13 @@ LIMIT = 240.0
 
 @dataclass(frozen=True)
 class SceneRow:
-    """A scene with the outcome of its planning, its cautions and its runs."""
+    """A scene with the outcome of its planning, what independent searches do not find, its cautions and its runs."""
 
     seed: int
     factors: dict[str, float | str]
     outcome: str
     reason: str
+    unfound: tuple[str, ...] = ()
     cautions: dict[str, float] = field(default_factory=dict)
     runs: int = 0
     completed: int = 0
@@ -54,17 +55,17 @@ def scene_row(scene: Scene, folder: Path, runs: int) -> SceneRow:
     planned = planned_scene(scene, folder, limit=LIMIT)
     row = SceneRow(scene.seed, scene.factors, planned.outcome, planned.reason)
     if planned.outcome != "planned":
-        return row
+        return replace(row, unfound=unfound(folder / f"{scene.name}.toml"))
     path, first = folder / scene.name, 1000 * scene.seed
     cautions = cautions_of(load_itinerary(f"{path}.toml"), load_reference(path.with_suffix(".npz")))
-    flown = flown_scene(scene, folder, seeds=range(first, first + runs), planned=planned)
+    flown = flown_scene(scene, folder, seeds=range(first, first + runs))
     return replace(
         row,
         cautions={caution.cause.value: caution.figure for caution in cautions},
         runs=runs,
-        completed=flown.completed,
-        causes=tuple(sorted({run.cause for run in flown.runs if not run.completed})),
-        false_verdicts=tuple(run.disagreement for run in flown.runs if run.disagreement),
+        completed=sum(run.completed for run in flown),
+        causes=tuple(sorted({run.cause for run in flown if not run.completed})),
+        false_verdicts=tuple(run.disagreement for run in flown if run.disagreement),
     )
 
 
