@@ -12,25 +12,16 @@ import signal
 import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from bench_at_hand import KEY, Toy, served, until_tick
 from command_line import dpcontrol
-from shadowing_stand_in import LAB, StandIn
 
 import dpcontrol as dp
 from dpcontrol.control import export
-from dpcontrol.control.interface import sampled_model
-from dpcontrol.control.tracking import tracking_controller
-from dpcontrol.loop.assembly import Assembly
-from dpcontrol.loop.loop import ControlLoop, LoopSettings
-from dpcontrol.loop.protocols import Reading
-from dpcontrol.loop.simulated import SimulatedRig
-from dpcontrol.references.reference import Reference
-from dpcontrol.rig.bench import BenchRecord, BenchServerSettings, RecordedRig
+from dpcontrol.rig.bench import BenchServerSettings
 from dpcontrol.rig.packets import KEY_VARIABLE
 
 TEMPLATES = Path(dp.__file__).parent / "control" / "target"
@@ -150,64 +141,6 @@ def test_a_dead_program_has_its_cart_stopped(tmp_path: Path, monkeypatch: pytest
         if (toy.stopped_at - bench.record.last) * toy.period <= 0.05:
             return
     pytest.fail("the cart was stopped too late")
-
-
-def controlled(turn: tuple[StandIn, Reference], ticks: int) -> tuple[ControlLoop, SimulatedRig]:
-    """Return a loop at the beginning of the turn, with a bench."""
-    settings, limits = LoopSettings(seed=3, mismatch=0.02, initial_error=0.02), turn[1].limits
-    whole = tracking_controller(turn[1], sampled_model(LAB, settings.rate), settings.controller)
-    short = replace(
-        whole, reference_states=whole.reference_states[: ticks + 1], feedforward=whole.feedforward[:ticks],
-        gains=whole.gains[:ticks],
-    )  # fmt: skip
-    loop = Assembly(turn[1], LAB, settings, law=short).loop()
-    draw = settings.draw(LAB, ticks=ticks + 1)
-    return loop, SimulatedRig(draw, settings.bench, limits=limits, start=short.first_state, queued=loop.queued)
-
-
-class Recorded:
-    """A simulated bench that is recorded, while its controller computes a little else than the loop, and knows it."""
-
-    fault = None
-
-    def __init__(self, rig: SimulatedRig, ticks: int, loop: ControlLoop, other: float = 0.0) -> None:
-        self.rig, self.other, self.k, self.period, self.program = rig, other, -1, rig.period, loop.ticker.program
-        self.record, self.truth = BenchRecord(ticks, LAB.count, rig.period), rig.truth
-
-    def read(self) -> Reading:
-        reading = self.rig.read()
-        self.k += 1
-        self.truth = self.rig.truth
-        self.record.read(self.k, reading, self.truth, sent=True)
-        return reading
-
-    def command(self, acceleration: float) -> None:
-        sent = acceleration + self.other * np.sin(self.k)
-        self.rig.command(sent)
-        self.record.answered(self.k, sent)
-        self.program.memory.sent[-1] = sent
-        self.program.memory.velocity[:] += (sent - acceleration) * self.period
-
-    def stop(self) -> None:
-        self.rig.stop()
-
-
-@pytest.mark.parametrize(("other", "most"), [(0.0, 0.0), (1e-6, 2e-6)])
-def test_the_run_of_a_program_is_shown_to_the_loop_with_the_programs_own_commands(
-    turn: tuple[StandIn, Reference], other: float, most: float
-) -> None:
-    loop, rig = controlled(turn, 800)
-    recorded = Recorded(rig, 801, loop, other=other)
-    ran = loop.run(recorded)
-    again, _ = controlled(turn, 800)
-    shown = RecordedRig(recorded.record, again.ticker.program)
-    result = again.run(shown)
-    # A loop that used its own commands would have an error of 0.1 m/s² by now.
-    assert shown.difference <= most
-    assert (result.ending, result.reason) == (ran.ending, ran.reason)
-    if not other:
-        np.testing.assert_array_equal(result.ticks.truth, ran.ticks.truth)
-        np.testing.assert_array_equal(result.ticks.control, ran.ticks.control)
 
 
 @pytest.mark.slow  # Two runs in real time, each with a bench in a separate process.

@@ -74,32 +74,6 @@ def test_a_run_is_drawn_filmed_and_repeated_with_twenty_seeds(page: Page) -> Non
     assert len(page.all("#bar .good")) == page.state["seeds"]["completed"]
 
 
-# Visits places of a canvas until a connection of the list is highlighted, and returns the place and the name.
-FIND = """
-const canvas = document.getElementById(arguments[0]), box = canvas.getBoundingClientRect();
-for (let y = 4; y < box.height; y += 4) for (let x = 4; x < box.width; x += 4) {
-  const place = { clientX: box.left + x, clientY: box.top + y, bubbles: true };
-  canvas.dispatchEvent(new PointerEvent("pointermove", place));
-  const hot = document.querySelector("#list .hot");
-  if (hot) return [x - box.width / 2, y - box.height / 2, hot.dataset.name];
-}"""
-
-
-@pytest.mark.parametrize("zoom", ["1", "2"])
-@pytest.mark.parametrize("canvas", ["section", "graph"])
-def test_a_point_or_an_arrow_is_highlighted_and_appended(page: Page, canvas: str, zoom: str) -> None:
-    page.driver.execute_script("document.documentElement.style.zoom = arguments[0]", zoom)
-    element = page.driver.find_element("id", canvas)
-    page.driver.execute_script("arguments[0].scrollIntoView({ block: 'center' })", element)
-    x, y, name = page.driver.execute_script(FIND, canvas)
-    caption, button = page.driver.find_element("id", "caption"), page.role("connection", f'[data-name="{name}"]')
-    figures = button.find_element("tag name", "small").get_attribute("textContent")
-    # The caption is that of the next frame of the animation.
-    page.until(lambda _: figures in caption.get_attribute("textContent"))
-    ActionChains(page.driver).move_to_element_with_offset(element, x, y).click().perform()
-    assert page.idle()["walk"] == [name]
-
-
 # Lists the controls that another element covers at their centres, and the page's width against the window's.
 COVERED = """
 const wrong = [...document.querySelectorAll("[data-role]:not([hidden])")].filter((one) => {

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from command_line import dpcontrol
 
 from dpcontrol.orbits.cut import CutSettings
 from dpcontrol.plans.model import load_model
@@ -13,7 +12,6 @@ from tests.tubes.test_connections import flown_by_scipy, on_torus
 RESIDUAL = 1e-11
 SAME = 1e-7  # two integrations of half a second, and a crossing found by scipy
 SHORT = 2.0  # periods; later arrivals scatter
-LINE = ("connect", "lab", "--from", "down-up", "--to", "down-up", "--energy", "0.2")
 
 
 @pytest.fixture(scope="module")
@@ -80,18 +78,3 @@ def test_the_other_crossing_gives_the_same_orbits(lab, back):
     other = find_connections(*orbits, hits=(2, 1), section=lab.named_sections["aligned"], settings=settings)
     for c in other.connections:
         assert min(on_torus(crossings_of(lab, c)[1], d.state) for d in back.connections) < SAME
-
-
-@pytest.mark.slow
-def test_names_include_the_section_and_the_verb_accepts_them(back):
-    names = [c.name for c in back.connections]
-    assert len(set(names)) == len(names)
-    assert all("h1.2:aligned@" in name for name in names)
-    name = names[1]
-    shown = dpcontrol(*LINE, "--longest", "2", "--name", name, "--json").document
-    assert shown["section"] == "θ₁ = θ₂ + 2πk"
-    assert shown["hits"] == [1, 2]
-    (only,) = shown["connections"]
-    assert only["name"] == name
-    assert only["winding"] == [0, 2]
-    assert np.abs(np.array(only["state"]) - back.connections[1].state).max() < 1e-11
