@@ -154,8 +154,8 @@ def angles(axes: Axes, motion: Plan | RunLog | SustainedOrbit | ShadowingOrbit) 
     draw_chart(axes, charts(view)["angles"], view)
 
 
-_FILMED = 3
-"""Greatest number of runs with films."""
+_FILMED = 2
+"""Greatest number of runs with films: a page with three films does not fit on A3."""
 
 
 def draw_comparison(comparison: RunComparison) -> Figure:

@@ -92,26 +92,6 @@ def test_counts_of_searches_change_at_the_located_energies(system, events):
         assert counts == [event.count_below, event.count_above]
 
 
-@pytest.mark.benchmark
-@pytest.mark.parametrize(
-    ("name", "which", "kind"),
-    [
-        (SADDLE_NODE, 0, "saddle-node"),
-        (PITCHFORK, 0, "pitchfork"),
-        (UP_DOWN, 0, "saddle-node"),
-        (UP_DOWN, 1, "pitchfork"),
-        (BETWEEN, 0, "saddle-node"),
-    ],
-)
-def test_nearly_tangent_cuts_give_every_crossing_above_a_tenth_of_a_microjoule(system, events, name, which, kind):
-    """Pairs are a few ten-thousandths of a phase apart, and polylines do not cross transversally."""
-    event, saddles = events[name][which], SADDLES[name]
-    assert event.kind == kind
-    assert event.count_above == event.count_below + 4
-    counts = [len(connections_at(system, event.energy + d, saddles)) for d in (-2e-7, 2e-7, 2e-6, 2e-5)]
-    assert counts == [event.count_below, *[event.count_above] * 3]
-
-
 @pytest.mark.slow
 def test_an_interval_that_ends_just_beyond_a_pitchfork_includes_it(system, events):
     energy = events[PITCHFORK][0].energy

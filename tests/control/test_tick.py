@@ -205,22 +205,6 @@ def test_a_fallback_is_abandoned_only_if_feedback_cannot_return() -> None:
     assert outcome(1.1 * LOST_AFTER_FALLBACK, 20_000) == Outcome.TRACKING_LOST
 
 
-def test_a_joint_that_repeats_itself_while_its_reference_moves_is_stuck() -> None:
-    tick = Ticked()
-    random = np.random.default_rng(3)
-    for k in range(60):
-        moving = np.array([0.01 * k, 0.01 * k])
-        # A count is known once a step was seen.
-        turned = [0.0, 1e-4, 0.01, 0.02, 0.03, 0.04][min(k, 5)]
-        seen = np.array([turned, moving[1], 0.0]) + random.normal(0, 0.05, 3) * [0, 1, 1e-3]
-        report = tick(0.0, positions=seen, wanted=moving)
-        if report["outcome"]:
-            break
-    assert report["outcome"] == Outcome.STUCK
-    assert report["sensor"] == 1
-    assert 15 <= report["repeats"] == k - 5 < 40
-
-
 def test_a_joint_that_pauses_with_its_model_is_not_stuck() -> None:
     tick = Ticked()
     random = np.random.default_rng(3)

@@ -24,13 +24,6 @@ def test_relative_joints_are_rounded_to_counts_and_then_summed() -> None:
     assert encoders.measure(np.zeros(6)) == pytest.approx(np.zeros(3), abs=0)
 
 
-def test_a_coarse_encoder_sees_nothing_below_half_a_count() -> None:
-    encoders = Encoders(1, SensorSettings(counts=128, cart_resolution=0.01))
-    half = np.pi / 128
-    assert encoders.measure(np.array([0.99 * half, 0, 0.0049, 0])) == pytest.approx([0, 0], abs=0)
-    assert encoders.measure(np.array([1.01 * half, 0, 0.0051, 0])) == pytest.approx([2 * half, 0.01])
-
-
 def test_zero_errors_of_inner_encoders_are_carried_outwards() -> None:
     shifted = Encoders(3, UNROUNDED, zeros=np.array([0.01, -0.02, 0.04]))
     assert shifted.measure(np.zeros(8)) == pytest.approx([0.01, -0.01, 0.03, 0.0], abs=1e-15)

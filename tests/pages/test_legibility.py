@@ -10,19 +10,20 @@ import pyarrow.parquet as pq
 import pytest
 from legible import PAPER, problems
 from matplotlib.figure import Figure
-from synthetic_run import synthetic_run, view_of
 from test_campaign_report import rows
 from test_figures import GALLERY
 from test_night import night
 from test_walk_figure import found as walk
 
+import dpcontrol as dp
 from dpcontrol.foundation.statistics import wilson
 from dpcontrol.identification.fit import DesignSettings, design_experiments
 from dpcontrol.identification.identify import IdentificationSettings, identify
 from dpcontrol.judge.campaign import campaign_summary
 from dpcontrol.judge.comparison import compare
-from dpcontrol.judge.of_log import reference_view
+from dpcontrol.judge.of_log import reference_view, run_view
 from dpcontrol.judge.preflight import Assumption, EndingShare, HazardBorder, Improvement, Preflight, ShareAt
+from dpcontrol.judge.run_view import RunView
 from dpcontrol.orbits.family import lyapunov_family
 from dpcontrol.pages.atlas import draw_atlas
 from dpcontrol.pages.figures import FIGURES
@@ -43,12 +44,16 @@ LAB = load_model("lab")
 FEW_GUESSES = '[reference]\nmethod = "radau-5"\ninterval = 0.1\ntolerance = 1e-3\n'
 
 
-def run(folder: Path) -> Figure:
-    return draw(view_of(folder / "run.mcap", synthetic_run()))
+def flown(seed: int) -> RunView:
+    return run_view(dp.run("outer-turn", seed=seed).log)
 
 
-def run_of_many_symbols(folder: Path) -> Figure:
-    view = view_of(folder / "run.mcap", synthetic_run())
+def run(_: Path) -> Figure:
+    return draw(flown(1))
+
+
+def run_of_many_symbols(_: Path) -> Figure:
+    view = flown(1)
     steps = tuple((0.2 + 0.2 * k, f"symbol {k + 1} of a long walk") for k in range(24))
     return draw(replace(view, plan=replace(view.plan, symbols=steps), verdict="stopped: " + "why " * 70, good=False))
 
@@ -58,8 +63,8 @@ def reference(_: Path) -> Figure:
     return draw(reference_view(plan.reference, plan.file))
 
 
-def comparison(folder: Path) -> Figure:
-    return draw_comparison(compare([view_of(folder / f"{k}.mcap", synthetic_run(seed=k)) for k in (1, 2, 3)]))
+def comparison(_: Path) -> Figure:
+    return draw_comparison(compare([flown(seed) for seed in (1, 2, 3)]))
 
 
 def campaign(folder: Path) -> Figure:

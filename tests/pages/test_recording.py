@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from synthetic_run import ARM_LENGTHS, RATE, synthetic_run, view_of, write_log
 
+import dpcontrol as dp
 from dpcontrol.judge.of_log import run_view
 from dpcontrol.judge.run_view import ACTUAL, RunView, series_of
 from dpcontrol.logs import LogWriter, RunLog, control_fields, read_log
@@ -16,11 +16,18 @@ from dpcontrol.pages.story import mode_spans
 from dpcontrol.pages.viewer import viewer_program
 
 ACCELERATION = 1e-9  # m/s²: velocities of 1 m/s differ by rounding, over 1 ms
+ARM_LENGTHS = (0.1738, 0.2490)
+
+
+def flown(**settings: float) -> RunView:
+    """Return the view of an outer turn with settings of the drive or the disturbances."""
+    run = dp.run("outer-turn", seed=1, settings={name.replace("__", "."): value for name, value in settings.items()})
+    return run_view(run.log)
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> RunView:
-    return view_of(tmp_path_factory.mktemp("runs") / "run.mcap", synthetic_run())
+def run() -> RunView:
+    return flown()
 
 
 def _rerun(*arguments: str) -> str:
@@ -29,21 +36,6 @@ def _rerun(*arguments: str) -> str:
     done = subprocess.run([str(program), *arguments], capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 0, done.stderr
     return done.stdout
-
-
-def bare_log(path: Path, *, arms: int, has_cart: bool, ticks: int) -> RunLog:
-    """Return a log of the given shape without truth, with all numbers except times zero."""
-    size = 2 * arms + 2 * has_cart
-    with LogWriter(path, arm_lengths=[0.2] * arms, rate_hz=100.0, has_cart=has_cart) as log:
-        log.ticks(
-            np.arange(ticks) / 100,
-            measured=np.zeros((ticks, arms + has_cart)),
-            estimate=np.zeros((ticks, size)),
-            reference=np.zeros((ticks, size)),
-            truth=None,
-            control=np.zeros((ticks, len(control_fields(arms, has_cart=has_cart)))),
-        )
-    return read_log(path)
 
 
 def test_a_recording_holds_scene_plots_events_and_blueprint(run: RunView, tmp_path: Path) -> None:
@@ -69,23 +61,18 @@ def test_a_recording_holds_scene_plots_events_and_blueprint(run: RunView, tmp_pa
         assert entity in found, f"{entity} is not in the recording"
 
 
-def test_the_true_motion_of_the_cart_is_drawn_beside_the_assumed_one(tmp_path: Path) -> None:
-    made = synthetic_run(seconds=1.0)
-    # A drive that gives half of what it was told: known from the truth alone.
-    told = made.control[:, 3]
-    made.truth[:, 5] = np.concatenate([[0.0], np.cumsum(0.5 * told[:-1])]) / RATE
-    view = series_of(read_log(write_log(tmp_path / "weak.mcap", made)))
-    assert view.control is not None
-    assert np.abs(view.control[ACTUAL][:-1] - 0.5 * told[:-1]).max() <= ACCELERATION
-    assert np.array_equal(view.control["applied"], told)
+def test_the_true_motion_of_the_cart_is_drawn_beside_the_assumed_one() -> None:
+    """A drive that gives half of what it was told is known from the truth alone."""
+    control = flown(drive__response=0.5, drive__lag=0.0).control
+    assert control is not None
+    assert np.abs(control[ACTUAL] - 0.5 * control["applied"])[:-1].max() <= ACCELERATION
 
 
-def test_a_blow_on_the_cart_is_no_acceleration_of_its_drive(tmp_path: Path) -> None:
-    made = synthetic_run(seconds=1.0)
-    made.truth[500:, 5] += 1.0
-    view = series_of(read_log(write_log(tmp_path / "knocked.mcap", made)))
+def test_a_blow_on_the_cart_is_no_acceleration_of_its_drive() -> None:
+    view = flown(disturbances__knocks=1, disturbances__knock_velocity=1.0)
     assert view.control is not None
-    assert np.flatnonzero(np.isnan(view.control[ACTUAL])).tolist() == [499]
+    (struck,) = np.flatnonzero(np.isnan(view.control[ACTUAL]))
+    assert abs(view.state[struck + 1, 5] - view.state[struck, 5]) > 0.5
 
 
 def test_thinned_curves_keep_every_peak(run: RunView) -> None:

@@ -9,7 +9,6 @@ from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import make_plan
 from dpcontrol.plans.planning import shadowing_orbit
 from dpcontrol.runs.run import run_plan
-from tests.references.flown_again import gaps
 
 RESIDUAL = 1e-11
 ON_THE_ORBIT = 1e-6
@@ -73,7 +72,6 @@ def test_a_repeated_walk_is_planned_run_and_scored_as_all_its_rounds(tmp_path: P
     assert (done.completed, done.symbols_completed, done.wraps) == (True, 4, (0, 0, 0))
 
 
-ROUNDING = 1e-9
 WALK = """
 energy = -0.07
 walk = ["down-up +"]
@@ -87,18 +85,6 @@ level = "conservative"
 @pytest.fixture(scope="module")
 def two_energies():
     return make_plan(load_itinerary("two-energies"))
-
-
-@pytest.mark.slow
-def test_a_change_of_energy_is_one_motion_from_rest_to_rest(two_energies):
-    reference = two_energies.reference
-    assert reference.converged
-    assert gaps(reference, two_energies.itinerary.model.arms).max() < 1e-6
-    first, last = reference.state(0.0), reference.state(reference.duration)
-    assert np.abs(first).max() < ROUNDING
-    turns = last[:2] / (2 * np.pi)
-    assert np.abs(turns - np.rint(turns)).max() < ROUNDING
-    assert np.abs(last[2:]).max() < ROUNDING
 
 
 @pytest.mark.slow

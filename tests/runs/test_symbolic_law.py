@@ -64,13 +64,6 @@ def test_the_memory_starts_at_first_and_continues_from_tick_to_tick() -> None:
     assert commands[:40] == pytest.approx(0.001 * np.arange(40) - 0.25, abs=1e-12)
 
 
-@pytest.mark.slow
-def test_its_margins_are_those_of_the_built_in_law_with_the_same_gains() -> None:
-    own = dp.closed_loop(PLAN, controller=same_gains()).margins()
-    assert own.limits["gain_low"][0] < 1 < own.limits["gain_high"][0]
-    assert own.limits["delay"][0] > 0.002
-
-
 # Slow: C is made and compiled.
 @pytest.mark.slow
 @pytest.mark.skipif(shutil.which("gcc") is None, reason="there is no gcc")
