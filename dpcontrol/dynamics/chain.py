@@ -175,9 +175,9 @@ class ArmChainParameters(Settings):
         The names are m1, a1, l1, J1, g, k1 …
         """
         units = {name: leaf.bounds.unit.replace("²", "^2") for name, leaf in leaves_of(type(self)).items()}
-        shown = {**_INERTIAL, "gravity": "g", **_FRICTION, **({"smoothing": "w"} if self.friction else {})}
+        letters = {**_INERTIAL, "gravity": "g", **_FRICTION, **({"smoothing": "w"} if self.friction else {})}
         out: dict[str, tuple[float, str]] = {}
-        for field, letter in shown.items():
+        for field, letter in letters.items():
             value = getattr(self, field)
             many = enumerate(value, start=1) if isinstance(value, tuple) else [("", value)]
             out |= {f"{letter}{place}": (one, units[field]) for place, one in many}
@@ -218,11 +218,11 @@ class ArmChainParameters(Settings):
         Args:
             decimals: exact values of the fields (default: the shortest decimals that read as their doubles).
         """
-        given = decimals or {}
+        texts = decimals or {}
 
         def numbers(name: str) -> NDArray[Any]:
             shortest = [Fraction(repr(float(v))) for v in np.atleast_1d(getattr(self, name))]
-            return np.array(given.get(name, shortest), dtype=object)
+            return np.array(texts.get(name, shortest), dtype=object)
 
         return tuple(Fraction(value) for value in self._base(numbers))
 
@@ -250,8 +250,10 @@ class ArmChainParameters(Settings):
         if not self.coulomb:
             return 0.0
         relative = np.eye(self.count) - np.eye(self.count, k=-1)
-        found = np.linalg.eigvals(np.linalg.solve(self.mass_in_line, relative.T @ np.diag(self.coulomb) @ relative))
-        return float(found.real.max())
+        eigenvalues = np.linalg.eigvals(
+            np.linalg.solve(self.mass_in_line, relative.T @ np.diag(self.coulomb) @ relative)
+        )
+        return float(eigenvalues.real.max())
 
     @property
     def mass_in_line(self) -> Array:
@@ -278,10 +280,10 @@ class ArmChainParameters(Settings):
         Args:
             mass: mass of the weight, kg.
         """
-        own, centre, end, inertia = self.mass[-1], self.centre_of_mass[-1], self.length[-1], self.inertia[-1]
-        middle = (own * centre + mass * end) / (own + mass)
-        inertia += own * (middle - centre) ** 2 + mass * (end - middle) ** 2
-        changes = {"mass": own + mass, "centre_of_mass": middle, "inertia": inertia}
+        arm_mass, centre, end, inertia = self.mass[-1], self.centre_of_mass[-1], self.length[-1], self.inertia[-1]
+        middle = (arm_mass * centre + mass * end) / (arm_mass + mass)
+        inertia += arm_mass * (middle - centre) ** 2 + mass * (end - middle) ** 2
+        changes = {"mass": arm_mass + mass, "centre_of_mass": middle, "inertia": inertia}
         return replace(self, **{name: (*getattr(self, name)[:-1], value) for name, value in changes.items()})
 
     def need(self, angles: Array) -> float | None:
@@ -460,12 +462,12 @@ def arm_chain_equations(count: int, level: Level, *, friction: tuple[Friction, .
     conservative = level is Level.CONSERVATIVE
     dissipation: Energy = (lambda *_: ca.SX(0)) if conservative else chain.dissipation
     parts = mechanics(chain.lagrangian, dissipation, free=count, prescribed=1, parameters=chain.parameters)
-    made = state_equations(parts, with_cart=level is Level.CART)
+    equations = state_equations(parts, with_cart=level is Level.CART)
     if Friction.COULOMB not in friction:
-        return made
-    p, first = made.parameters, count * (count + 1) // 2 + 3 * count
+        return equations
+    p, first = equations.parameters, count * (count + 1) // 2 + 3 * count
     widths = [p[first + i] / (MOST_DAMPING * scale) for i, scale in enumerate(damping_scales(p, count))]
-    return replace(made, linear_parameters=ca.vertcat(p[:-1], reduce(ca.fmax, widths, p[-1])))
+    return replace(equations, linear_parameters=ca.vertcat(p[:-1], reduce(ca.fmax, widths, p[-1])))
 
 
 MOST_DAMPING = 0.2
@@ -528,7 +530,7 @@ def pendulum_system(name: str, parameters: ArmChainParameters) -> System:
             sections[key] = Section(title, (*normal, 0.0, 0.0), (*measure, 0.0, 0.0), along, period=2 * np.pi)
         between = {("down-up", "down-up"): "outer-down", ("up-down", "up-down"): "inner-down"}
         between |= dict.fromkeys([("down-up", "up-down"), ("up-down", "down-up")], "aligned")
-    still, one = np.ones(n), np.ones(n)
+    angle_signs, rate_signs = np.ones(n), np.ones(n)
     return described_system(
         name,
         arm_chain_equations(n, Level.CONSERVATIVE),
@@ -536,7 +538,10 @@ def pendulum_system(name: str, parameters: ArmChainParameters) -> System:
         [f"angle_{i + 1}" for i in range(n)],
         {"-".join(words): [np.pi * (w == "up") for w in words] for words in product(("down", "up"), repeat=n)},
         periods=(2 * np.pi,) * n,
-        reversers=(np.diag(np.concatenate([still, -one])), np.diag(np.concatenate([-still, one]))),
+        reversers=(
+            np.diag(np.concatenate([angle_signs, -rate_signs])),
+            np.diag(np.concatenate([-angle_signs, rate_signs])),
+        ),
         orientation=np.eye(2 * n)[n],
         scale=(np.pi,) * n + (10.0,) * n,
         energy_scale=float(2 * weights.sum()),
@@ -613,8 +618,8 @@ def base_from_ratios(ratios: Any, arms: ArmChainParameters) -> list[Any]:
         arms: chain with the gravity, friction laws and smoothing rate.
     """
     n = arms.count
-    given = [ratios[k] for k in range(len(ratio_names(arms)))]
-    diagonal, rest = (given[:n], given[n:]) if n > 1 else ([1.0], given)
+    values = [ratios[k] for k in range(len(ratio_names(arms)))]
+    diagonal, rest = (values[:n], values[n:]) if n > 1 else ([1.0], values)
     weights, rest = rest[:n], rest[n:]
     coupling = [weight / arms.gravity for weight in weights]
     lengths, friction = rest[: max(n - 2, 0)], rest[max(n - 2, 0) :]
@@ -637,7 +642,7 @@ def nearest_arms(ratios: Array, start: ArmChainParameters) -> ArmChainParameters
         GoalMissed: no such arms are near, for example because a ratio is not positive.
     """
     n, count = start.count, inertial_count(start.count)
-    wanted = np.asarray(ratios, dtype=float)[:count]
+    targets = np.asarray(ratios, dtype=float)[:count]
     columns = {"mass": n, "centre_of_mass": n, "length": n - 1, "inertia": n}
     first = np.concatenate([np.asarray(getattr(start, name))[:size] for name, size in columns.items()])
     free = first > 0
@@ -650,13 +655,13 @@ def nearest_arms(ratios: Array, start: ArmChainParameters) -> ArmChainParameters
         return replace(start, **fields | {"length": (*fields["length"], start.length[-1])})
 
     def away(logs: Array) -> Array:
-        return np.log(base_ratios(arms_at(logs))[:count] / wanted)
+        return np.log(base_ratios(arms_at(logs))[:count] / targets)
 
     none = GoalMissed(
-        f"no arms near the starting model's have the ratios {np.array2string(wanted, precision=4)}; start from a "
+        f"no arms near the starting model's have the ratios {np.array2string(targets, precision=4)}; start from a "
         f"model nearer to the rig"
     )
-    if not np.all(wanted > 0) or not np.isfinite(ratios).all():
+    if not np.all(targets > 0) or not np.isfinite(ratios).all():
         raise none
     logs, step, close = np.zeros(int(free.sum())), 1e-6, 1e-13
     for _ in range(100):
@@ -716,12 +721,12 @@ class Uncertainty:
         Raises:
             InputError: an invalid key, with the allowed values.
         """
-        wanted = ratio_names(arms)
-        if self.names != wanted:
-            raise InputError(f"names = {list(self.names)}: must be {list(wanted)} for these arms")
-        if len(self.covariance) != len(wanted) ** 2:
+        expected = ratio_names(arms)
+        if self.names != expected:
+            raise InputError(f"names = {list(self.names)}: must be {list(expected)} for these arms")
+        if len(self.covariance) != len(expected) ** 2:
             raise InputError(
-                f"covariance has {len(self.covariance)} numbers: must have {len(wanted) ** 2}, one row for each name"
+                f"covariance has {len(self.covariance)} numbers: must have {len(expected) ** 2}, one row for each name"
             )
         scale = np.sqrt(np.maximum(np.diag(self.matrix), 1e-300))
         scaled = self.matrix / np.outer(scale, scale)
@@ -781,15 +786,15 @@ def oddities(arms: ArmChainParameters) -> tuple[str, ...]:
         InputError: a parameter is beyond the bounds of any bench.
     """
     leaves = leaves_of(ArmChainParameters)
-    found = list(leaves["gravity"].bounds.oddities("gravity", arms.gravity))
+    remarks = list(leaves["gravity"].bounds.oddities("gravity", arms.gravity))
     if arms.friction:
-        found += leaves["smoothing"].bounds.oddities("smoothing", arms.smoothing)
+        remarks += leaves["smoothing"].bounds.oddities("smoothing", arms.smoothing)
     for arm in range(arms.count):
         slips = list(_slips(arms, arm))
         body = list(_body(arms, arm))
         # A number in another unit makes the others unusual too.
-        found += [*(slips or body), *_friction(arms, arm)]
-    return tuple(found)
+        remarks += [*(slips or body), *_friction(arms, arm)]
+    return tuple(remarks)
 
 
 _HOLLOWEST = 1e-3

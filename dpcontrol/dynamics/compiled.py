@@ -168,16 +168,16 @@ def to_heyoka(
     Raises:
         NotImplementedError: names an operation of the graph without a counterpart.
     """
-    smooth, others = _operations()
-    known = smooth | others if switches else smooth
+    smooth, switching = _operations()
+    available = smooth | switching if switches else smooth
 
     def applied(operation: int, *values: Any) -> Any:
-        if operation not in known:
+        if operation not in available:
             raise NotImplementedError(
                 f"casadi operation {operation} in {function.name()} has no heyoka counterpart; add it to "
                 "dpcontrol.dynamics.compiled"
             )
-        return known[operation](*values)
+        return available[operation](*values)
 
     return interpreted(
         function,
@@ -288,8 +288,8 @@ class _ByCasadi:
         """
         if count not in self._made:
             function = self._function.map(count)
-            made: Any = function.buffer()
-            buffer, evaluate = made
+            pair: Any = function.buffer()
+            buffer, evaluate = pair
             inputs = [np.zeros((count, self._function.size1_in(i))) for i in range(function.n_in())]
             out = np.zeros((count, self._function.numel_out(0)))
             for i, array in enumerate(inputs):

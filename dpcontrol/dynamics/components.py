@@ -157,7 +157,7 @@ class SymbolicPlant:
 
     def numbers(self) -> tuple[float, ...]:
         """Return the parameters: all fields, one after the other."""
-        return tuple(float(value) for one in fields(self) for value in np.atleast_1d(getattr(self, one.name)))
+        return tuple(float(value) for entry in fields(self) for value in np.atleast_1d(getattr(self, entry.name)))
 
     def start(self, state: Array) -> Array:
         """Return the first values of the component's states.
@@ -358,8 +358,8 @@ class Stiction(SymbolicPlant):
         rates: list[ca.SX] = []
         # A joint at rest turns with the arm before it, to the last bit.
         for k in range(frame.modes.shape[0]):
-            before, own = rates[-1] if rates else ca.SX(0), frame.velocity[k]
-            rates.append(ca.if_else(frame.modes[k] * frame.joint_rates[k] <= 0, before, own))
+            inner_rate, outer_rate = rates[-1] if rates else ca.SX(0), frame.velocity[k]
+            rates.append(ca.if_else(frame.modes[k] * frame.joint_rates[k] <= 0, inner_rate, outer_rate))
         return ca.vertcat(*rates, frame.velocity[-1]), frame.states
 
     @property

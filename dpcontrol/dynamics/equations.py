@@ -249,7 +249,7 @@ def state_equations(parts: Mechanics, *, with_cart: bool) -> Equations:
     state, inputs, rest = ca.vertcat(q[:n], v[:n]), ca.SX.zeros(0), [q[n:], v[n:], u]
     if with_cart:
         state, inputs, rest = ca.vertcat(state, q[n:], v[n:]), u, []
-    acceleration, *extra = ca.substitute(bodies, rest, [ca.SX.zeros(one.shape) for one in rest])
+    acceleration, *extra = ca.substitute(bodies, rest, [ca.SX.zeros(symbol.shape) for symbol in rest])
     rate = ca.vertcat(v[:n], acceleration, *((v[n:], u) if with_cart else ()))
     return Equations(state, inputs, parts.parameters, ca.cse(rate), *extra)
 

@@ -98,7 +98,7 @@ class PlantParameters(Settings):
     @property
     def kinds(self) -> Kinds:
         """The classes of the components."""
-        return tuple(type(one) for one in self.components)
+        return tuple(type(component) for component in self.components)
 
     @property
     def plain_size(self) -> int:
@@ -108,8 +108,8 @@ class PlantParameters(Settings):
     @property
     def places(self) -> list[tuple[SymbolicPlant, int]]:
         """The components, each with the index of its first state."""
-        sizes = [one.sizes(self.arms.count).states for one in self.components]
-        return [(one, self.plain_size + sum(sizes[:k])) for k, one in enumerate(self.components)]
+        sizes = [component.sizes(self.arms.count).states for component in self.components]
+        return [(component, self.plain_size + sum(sizes[:k])) for k, component in enumerate(self.components)]
 
     @property
     def motor(self) -> int:
@@ -117,7 +117,7 @@ class PlantParameters(Settings):
 
         The cart, or a component's motor.
         """
-        return next((place for one, place in self.places if one.motor), 2 * self.arms.count)
+        return next((place for component, place in self.places if component.motor), 2 * self.arms.count)
 
     @property
     def reads(self) -> dict[int, int]:
@@ -126,7 +126,7 @@ class PlantParameters(Settings):
         {sensor: index}.
         """
         count = self.arms.count
-        return {k: place + own for one, place in self.places for k, own in one.reads(count).items()}
+        return {k: place + offset for component, place in self.places for k, offset in component.reads(count).items()}
 
     def own_states(self, state: Array) -> Array:
         """Return the components' first states.
@@ -134,7 +134,7 @@ class PlantParameters(Settings):
         Args:
             state: state (2n+2,) of arms and cart.
         """
-        return np.concatenate([np.zeros(0), *(one.start(state) for one in self.components)])
+        return np.concatenate([np.zeros(0), *(component.start(state) for component in self.components)])
 
     def numbers(self) -> Array:
         """Return the parameters (p,) of `equations`.
@@ -149,7 +149,7 @@ class PlantParameters(Settings):
             further.append(self.lag)
         if self.level is PlantLevel.FORCE:
             further += [self.cart_mass + sum(self.arms.mass), self.cart_viscous]
-        further += [number for one in self.components for number in one.numbers()]
+        further += [number for component in self.components for number in component.numbers()]
         return np.concatenate([upright.base(), further])
 
 
@@ -163,18 +163,21 @@ def _symbols() -> SimpleNamespace:
 
 
 @cache
-def _own(count: int, components: Kinds) -> tuple[ComponentFrame, ...]:
+def _component_frames(count: int, components: Kinds) -> tuple[ComponentFrame, ...]:
     """Return each component's symbols, in frames without arms and cart."""
     none, frames = ca.SX(0, 1), []
-    for k, one in enumerate(components):
-        own = (ca.SX.sym(f"{one.__name__}_{k}_{c}", size) for c, size in enumerate(one.sizes(count)))
-        frames.append(ComponentFrame(none, none, ca.SX.sym("demand"), *own))
+    for k, component in enumerate(components):
+        symbols = (ca.SX.sym(f"{component.__name__}_{k}_{c}", size) for c, size in enumerate(component.sizes(count)))
+        frames.append(ComponentFrame(none, none, ca.SX.sym("demand"), *symbols))
     return tuple(frames)
 
 
 def _terms(q: ca.SX, v: ca.SX, components: Kinds) -> list[Terms]:
-    frames = _own(q.shape[0] - 1, components)
-    return [one.terms(replace(frame, position=q, velocity=v)) for one, frame in zip(components, frames, strict=True)]
+    frames = _component_frames(q.shape[0] - 1, components)
+    return [
+        component.terms(replace(frame, position=q, velocity=v))
+        for component, frame in zip(components, frames, strict=True)
+    ]
 
 
 @cache
@@ -203,8 +206,8 @@ def _parameters(count: int, level: PlantLevel, friction: tuple[Friction, ...], c
     s = _symbols()
     further = {PlantLevel.CART: [s.pull], PlantLevel.DRIVE: [s.pull, s.lag],
                PlantLevel.FORCE: [s.pull, s.lag, s.mass, s.drag]}  # fmt: skip
-    own = [frame.parameters for frame in _own(count, components)]
-    return ca.vertcat(chain_energies(count, friction=friction).parameters, *further[level], *own)
+    component_parameters = [frame.parameters for frame in _component_frames(count, components)]
+    return ca.vertcat(chain_energies(count, friction=friction).parameters, *further[level], *component_parameters)
 
 
 def _state(q: ca.SX, v: ca.SX, demand: ca.SX, level: PlantLevel) -> ca.SX:
@@ -234,9 +237,9 @@ class _EquationsOfMotion:
     modes: ca.SX
     rates: ca.SX
 
-    def state(self, velocity: ca.SX, level: PlantLevel, own: Sequence[ca.SX]) -> ca.SX:
+    def state(self, velocity: ca.SX, level: PlantLevel, component_states: Sequence[ca.SX]) -> ca.SX:
         """Return the state with these velocities (n+1,) and components' states."""
-        return ca.vertcat(_state(self.parts.position, velocity, self.demand, level), *own)
+        return ca.vertcat(_state(self.parts.position, velocity, self.demand, level), *component_states)
 
 
 @cache
@@ -244,9 +247,11 @@ def _motion(count: int, level: PlantLevel, friction: tuple[Friction, ...], compo
     s, free_cart, a = _symbols(), level is PlantLevel.FORCE, ca.SX.sym("a")
     parts = _parts(count, friction, free_cart=free_cart, components=components)
     q, v, demand = parts.position, parts.velocity, s.command if level is PlantLevel.CART else a
-    frames = tuple(replace(one, position=q, velocity=v, demand=demand) for one in _own(count, components))
-    terms = [one.terms(frame) for one, frame in zip(components, frames, strict=True)]
-    belts = [term.drive for one, term in zip(components, terms, strict=True) if one.motor]
+    frames = tuple(
+        replace(component, position=q, velocity=v, demand=demand) for component in _component_frames(count, components)
+    )
+    terms = [component.terms(frame) for component, frame in zip(components, frames, strict=True)]
+    belts = [term.drive for component, term in zip(components, terms, strict=True) if component.motor]
     pushed = belts[0] if belts else demand
     if free_cart:
         moving = ca.substitute(parts.free_acceleration, s.force, s.mass * pushed)
@@ -254,10 +259,10 @@ def _motion(count: int, level: PlantLevel, friction: tuple[Friction, ...], compo
         pushed = pushed + s.pull if belts else pushed
         moving = ca.substitute(parts.free_acceleration, parts.acceleration, pushed)
     modes, before = ca.SX(0, 1), ca.SX(0, 1)
-    for one, frame in zip(components, frames, strict=True):
-        chosen = one.chosen(frame, parts.mass_matrix, moving)
-        modes, before = ca.vertcat(modes, ca.substitute(chosen, before, modes)), ca.vertcat(before, frame.modes)
-        moving = one.constrained(frame, parts.mass_matrix, moving)
+    for component, frame in zip(components, frames, strict=True):
+        choice = component.chosen(frame, parts.mass_matrix, moving)
+        modes, before = ca.vertcat(modes, ca.substitute(choice, before, modes)), ca.vertcat(before, frame.modes)
+        moving = component.constrained(frame, parts.mass_matrix, moving)
     if not free_cart:
         moving = ca.vertcat(moving, pushed)
     # The velocity loop belongs to the motor if there is one.
@@ -345,13 +350,15 @@ def blow(count: int, level: PlantLevel, *, friction: tuple[Friction, ...] = ()) 
     q, v = parts.position, parts.velocity
     impulses, jumps, knock, a = ca.SX.sym("p", n), ca.SX.sym("j", n), ca.SX.sym("k"), ca.SX.sym("a")
     if level is PlantLevel.FORCE:
-        whole = _parts(count, friction, free_cart=True)
-        mass = ca.substitute(whole.mass_matrix, ca.vertcat(whole.position, whole.velocity), ca.vertcat(q, v))
-        moved = solve_symmetric(mass, ca.vertcat(impulses, 0))
+        free_parts = _parts(count, friction, free_cart=True)
+        mass = ca.substitute(
+            free_parts.mass_matrix, ca.vertcat(free_parts.position, free_parts.velocity), ca.vertcat(q, v)
+        )
+        changes = solve_symmetric(mass, ca.vertcat(impulses, 0))
     else:
-        moved = ca.vertcat(solve_symmetric(parts.mass_matrix, impulses), 0)
-    cart = moved[n] + knock
-    rates = v[:n] + moved[:n] + jumps + ca.jacobian(parts.free_acceleration, parts.acceleration) * knock
+        changes = ca.vertcat(solve_symmetric(parts.mass_matrix, impulses), 0)
+    cart = changes[n] + knock
+    rates = v[:n] + changes[:n] + jumps + ca.jacobian(parts.free_acceleration, parts.acceleration) * knock
     after = ca.vertcat(q[:n], rates, q[n], v[n] + cart)
     if level is not PlantLevel.CART:
         after = ca.vertcat(after, a - cart / s.lag)
@@ -381,14 +388,14 @@ def plant_step(
     if not components:
         return compiled_step(equations)
     motion = _motion(count, level, friction, components)
-    velocity, own, guards = motion.parts.velocity, [], []
-    for one, frame in zip(components, motion.frames, strict=True):
-        now = replace(frame, velocity=velocity)
-        guards.append(one.guards(now))
-        velocity, states = one.settled(now)
-        own.append(states)
-    given = [equations.state, equations.inputs, equations.parameters]
-    settled = ca.Function("settled", given, [ca.vertcat(motion.state(velocity, level, own), *guards)])
+    velocity, component_states, guards = motion.parts.velocity, [], []
+    for component, frame in zip(components, motion.frames, strict=True):
+        current = replace(frame, velocity=velocity)
+        guards.append(component.guards(current))
+        velocity, states = component.settled(current)
+        component_states.append(states)
+    arguments = [equations.state, equations.inputs, equations.parameters]
+    settled = ca.Function("settled", arguments, [ca.vertcat(motion.state(velocity, level, component_states), *guards)])
     step = fixed_step(equations)
     x, u, h, p = symbols = step.sx_in()
     following = settled(step(x, u, h, p), u, p)
@@ -416,8 +423,8 @@ def plant_modes(
     if modes.is_empty():
         return None
     equations = plant_equations(count, level, friction=friction, components=components)
-    given = [equations.state, equations.inputs, ca.SX.sym("h"), equations.parameters]
-    return Compiled(ca.Function("plant_modes", given, [ca.cse(ca.densify(modes))], _INPUTS, ["modes"]))
+    arguments = [equations.state, equations.inputs, ca.SX.sym("h"), equations.parameters]
+    return Compiled(ca.Function("plant_modes", arguments, [ca.cse(ca.densify(modes))], _INPUTS, ["modes"]))
 
 
 def longest_step(plant: PlantParameters) -> float:
@@ -432,7 +439,7 @@ def longest_step(plant: PlantParameters) -> float:
         plant: parameters with lag, friction and components.
     """
     longest = min(_SMOOTH_STEP, _SHARE_OF_LAG * plant.lag if plant.lag else math.inf)
-    longest = min((longest, *(one.longest_step for one in plant.components)))
+    longest = min((longest, *(component.longest_step for component in plant.components)))
     return min(longest, _COULOMB_STEP) if Friction.COULOMB in plant.arms.friction else longest
 
 
@@ -475,7 +482,7 @@ def after_blow(
     n, size = plant.arms.count, plant.plain_size
     function = blow(n, plant.level, friction=plant.arms.friction)
     none, numbers = np.zeros(n), plant.numbers()
-    plain = numbers[: len(numbers) - sum(len(one.numbers()) for one in plant.components)]
+    plain = numbers[: len(numbers) - sum(len(component.numbers()) for component in plant.components)]
     out = function(state[:size], none if impulses is None else impulses, none if jumps is None else jumps, knock,
                    plain)  # fmt: skip
     after = np.concatenate([np.asarray(out, dtype=float).ravel(), state[size:]])

@@ -183,8 +183,8 @@ class Section:
         def kept(row: tuple[float, ...], level: float, period: float | None, signs: tuple[float, ...]) -> bool:
             for sign in signs:
                 if np.allclose(np.asarray(row) @ reverser, sign * np.asarray(row)):
-                    apart = (sign - 1) * level + float(np.dot(row, shift))
-                    return abs(apart - (np.rint(apart / period) * period if period else 0.0)) < 1e-9
+                    distance = (sign - 1) * level + float(np.dot(row, shift))
+                    return abs(distance - (np.rint(distance / period) * period if period else 0.0)) < 1e-9
             return False
 
         both = (1.0, -1.0)
@@ -240,14 +240,14 @@ def _original(equations: Equations, kind: Hashable, make: Callable[[int], Any], 
         make: compiles with heyoka's `opt_level`, 0 or 1.
         work: work that follows, in the unit of `_LONG_WORK`, or None if `make` has a level of its own.
     """
-    made = _MADE.setdefault(equations, {})
-    original, left = made.get(kind, (None, 0))
+    integrators = _MADE.setdefault(equations, {})
+    original, remaining = integrators.get(kind, (None, 0))
     if original is None:
-        left = _LONG_WORK if work is not None and first_use(equations.function(), str(kind)) else 0
-        original = make(0 if left else 1)
-    elif work and 0 < left <= work:
+        remaining = _LONG_WORK if work is not None and first_use(equations.function(), str(kind)) else 0
+        original = make(0 if remaining else 1)
+    elif work and 0 < remaining <= work:
         original = make(1)
-    made[kind] = original, max(left - (work or 0), 0)
+    integrators[kind] = original, max(remaining - (work or 0), 0)
     return original
 
 
@@ -342,7 +342,7 @@ class CrossingFinder:
         clock, halves = integrator.time, integrator.dtime
         still = {int(hy.taylor_outcome.success), int(hy.taylor_outcome.step_limit)}
         flying, ends = [-1] * LANES, np.zeros(LANES)
-        seen, taken, paced, marks = [0] * LANES, [0] * LANES, [0] * LANES, [0.0] * LANES
+        admitted, steps_done, paced, marks = [0] * LANES, [0] * LANES, [0] * LANES, [0.0] * LANES
         free = list(range(LANES))
         while True:
             # Clocks run in twice the precision; setting the leading half alone would touch the companions' last digits.
@@ -351,7 +351,7 @@ class CrossingFinder:
                 flying[lane] = k = waiting.pop() if waiting else -1
                 state[:, lane], events[:, lane], ends[lane] = starts[k], levels[k], limits[k]
                 leading[lane] = trailing[lane] = marks[lane] = 0.0
-                seen[lane] = taken[lane] = paced[lane] = 0
+                admitted[lane] = steps_done[lane] = paced[lane] = 0
                 integrator.reset_cooldowns(lane)
             if max(flying) < 0:
                 return crossed, times
@@ -362,9 +362,9 @@ class CrossingFinder:
             for lane, (outcome, _, _, steps) in enumerate(integrator.propagate_res):
                 if (k := flying[lane]) < 0:
                     continue
-                taken[lane] += steps
+                steps_done[lane] += steps
                 paced[lane] += steps
-                going = taken[lane] < _MOST_STEPS
+                going = steps_done[lane] < _MOST_STEPS
                 if paced[lane] >= _PACE:
                     time = float(clock[lane])
                     going &= abs(time - marks[lane]) * _MOST_PACES > min(abs(longest - time), abs(time))
@@ -374,11 +374,11 @@ class CrossingFinder:
                     continue
                 # A stopping terminal event reports -1 - its index. Any other outcome ends the flight.
                 if code in (-1, -2):
-                    seen[lane] += section.admits(state[:, lane])
-                    if seen[lane] >= hit:
+                    admitted[lane] += section.admits(state[:, lane])
+                    if admitted[lane] >= hit:
                         crossed[k], times[k] = state[:, lane], clock[lane]
                     elif going:
-                        taken[lane] = 0
+                        steps_done[lane] = 0
                         self._pass(lane, -1 - code, section, np.sign(longest))
                         continue
                 free.append(lane)
@@ -605,8 +605,8 @@ class Propagator:
         """
         integrator, n = self._at_zero(np.asarray(state, dtype=float), stm=True), self.equations.dimension
         # A grid must not repeat a time.
-        apart, places = np.unique(np.abs(np.append(0.0, times)), return_inverse=True)
-        result = integrator.propagate_grid(np.copysign(apart, np.sum(times)))
+        distinct, places = np.unique(np.abs(np.append(0.0, times)), return_inverse=True)
+        result = integrator.propagate_grid(np.copysign(distinct, np.sum(times)))
         check_arrival(integrator, result[0])
         reached = np.array(result[-1])[places[1:]]
         return reached[:, :n], reached[:, n:].reshape(-1, n, n)
@@ -720,14 +720,14 @@ class PolynomialInputPropagator:
     @cached_property
     def _views(self) -> tuple[Any, Array, Array]:
         """The integrator, its state (N,) and its inputs' coefficients."""
-        held = (self.degree + 1) * self.equations.input_count
-        integrator = copy(_original(self.equations, ("polynomial", self.degree), lambda _: self._made(held)))
+        input_size = (self.degree + 1) * self.equations.input_count
+        integrator = copy(_original(self.equations, ("polynomial", self.degree), lambda _: self._made(input_size)))
         # Parameters that the equations never use are not part of the compiled code.
-        used = max(len(integrator.pars) - held, 0)
-        integrator.pars[held:] = self.parameters[:used]
-        return integrator, integrator.state, integrator.pars[:held]
+        used = max(len(integrator.pars) - input_size, 0)
+        integrator.pars[input_size:] = self.parameters[:used]
+        return integrator, integrator.state, integrator.pars[:input_size]
 
-    def _made(self, held: int) -> Any:
+    def _made(self, input_size: int) -> Any:
         inputs = []
         for i in range(self.equations.input_count):
             first = (self.degree + 1) * i
@@ -735,7 +735,7 @@ class PolynomialInputPropagator:
             for k in reversed(range(self.degree)):
                 value = hy.par[first + k] + hy.time * value
             inputs.append(value)
-        system = taylor_system(self.equations, inputs, held)
+        system = taylor_system(self.equations, inputs, input_size)
         return hy.taylor_adaptive(system, [0.0] * self.equations.dimension, **QUICK, time=0.0)
 
     def flow(self, state: ArrayLike, coefficients: ArrayLike, duration: float) -> Array:
@@ -800,14 +800,14 @@ def extended(values: ArrayLike | Sequence[Exact]) -> Extended:
     Raises:
         GoalMissed: this build of heyoka does not support them.
     """
-    given = np.asarray(values)
-    if given.dtype == np.float64 or np.issubdtype(given.dtype, np.integer):
-        return given.astype(_real())
+    array = np.asarray(values)
+    if array.dtype == np.float64 or np.issubdtype(array.dtype, np.integer):
+        return array.astype(_real())
     # Sixty digits suffice for the nearest 113-bit number.
     with localcontext(prec=60):
-        exact = [Fraction(value) for value in given.ravel()]
-        flat = [_real()(str(Decimal(one.numerator) / Decimal(one.denominator))) for one in exact]
-    return np.array(flat, dtype=_real()).reshape(given.shape)
+        exact = [Fraction(value) for value in array.ravel()]
+        flat = [_real()(str(Decimal(fraction.numerator) / Decimal(fraction.denominator))) for fraction in exact]
+    return np.array(flat, dtype=_real()).reshape(array.shape)
 
 
 def pi_times(multiples: ArrayLike) -> Extended:

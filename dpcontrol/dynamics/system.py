@@ -190,7 +190,7 @@ class System(Brief, InUnits):
         """
         names, state = self.coordinates, np.linspace(0.1, 0.9, self.dimension)
         letter = "p" if np.allclose(self.numeric.momentum(state), state[len(names) :]) else "v"
-        rates = (f"rate_{one[6:]}" if one.startswith("angle_") else f"{letter}_{one}" for one in names)
+        rates = (f"rate_{name[6:]}" if name.startswith("angle_") else f"{letter}_{name}" for name in names)
         return (*names, *rates)
 
     @property
@@ -199,8 +199,8 @@ class System(Brief, InUnits):
 
         Those of arms have symbols and units.
         """
-        symbols = [f"{one[6:].translate(SUBSCRIPTS)} (rad" for one in self.coordinates if one.startswith("angle_")]
-        return (*(f"θ{one})" for one in symbols), *(f"ω{one}/s)" for one in symbols)) or self.columns
+        symbols = [f"{name[6:].translate(SUBSCRIPTS)} (rad" for name in self.coordinates if name.startswith("angle_")]
+        return (*(f"θ{name})" for name in symbols), *(f"ω{name}/s)" for name in symbols)) or self.columns
 
     @cached_property
     def turn_lengths(self) -> Array:
@@ -282,7 +282,9 @@ class System(Brief, InUnits):
         Raises:
             InputError: the systems differ.
         """
-        names = [(one.name, one.dimension, one.coordinates, one.parameters.tolist()) for one in (self, other)]
+        names = [
+            (system.name, system.dimension, system.coordinates, system.parameters.tolist()) for system in (self, other)
+        ]
         if self is not other and names[0] != names[1]:
             numbers = " with other parameters" if self.name == other.name else ""
             raise InputError(f"the results are of different systems, {self.name} and {other.name}{numbers}; use one")
@@ -357,19 +359,19 @@ def _energy(
 
     It becomes a function of casadi vectors; the parameters have symbols and values.
     """
-    where, given = f"the {kind} of {name}", dict(parameters or {})
+    where, numbers = f"the {kind} of {name}", dict(parameters or {})
     if len(coordinates) != 2 or isinstance(coordinates, str) or len(set(coordinates)) != 2:
         raise InputError(
             f"coordinates = {coordinates!r}: a user's system has two, with different names; tubes separate motions "
             f"in two degrees of freedom only"
         )
-    for key, value in given.items():
+    for key, value in numbers.items():
         if isinstance(value, bool) or not isinstance(value, int | float | np.number) or not np.isfinite(value):
             raise InputError(f"parameter {key} = {value!r} of {name}: must be a finite number")
-    symbols = ca.SX.sym("c", len(given))
+    symbols = ca.SX.sym("c", len(numbers))
 
     def energy(q: ca.SX, v: ca.SX, _: ca.SX) -> ca.SX:
-        named = {key: symbols[k] for k, key in enumerate(given)}
+        named = {key: symbols[k] for k, key in enumerate(numbers)}
         try:
             value = ca.SX(function((q[0], q[1]), (v[0], v[1]), named))
         except Exception as error:
@@ -380,16 +382,17 @@ def _energy(
             ) from error
         if value.shape != (1, 1):
             raise InputError(f"{where} has the shape {value.shape}: an energy is one number")
-        known = {symbol.element_hash() for part in (q, v, symbols) for symbol in ca.symvar(part)}
-        others = [str(symbol) for symbol in ca.symvar(value) if symbol.element_hash() not in known]
-        if others:
+        declared = {symbol.element_hash() for part in (q, v, symbols) for symbol in ca.symvar(part)}
+        undeclared = [str(symbol) for symbol in ca.symvar(value) if symbol.element_hash() not in declared]
+        if undeclared:
             raise InputError(
-                f"{where} depends on {others[0]!r}, which is no coordinate, {'momentum' if kind[0] == 'H' else 'rate'} "
-                "or parameter; energy is conserved only if it does not depend on time or other variables"
+                f"{where} depends on {undeclared[0]!r}, which is no coordinate, "
+                f"{'momentum' if kind[0] == 'H' else 'rate'} or parameter; "
+                "energy is conserved only if it does not depend on time or other variables"
             )
         return value
 
-    return energy, symbols, np.array([float(value) for value in given.values()])
+    return energy, symbols, np.array([float(value) for value in numbers.values()])
 
 
 def described_system(
@@ -440,9 +443,9 @@ def described_system(
             if (key, key) in aside and aside[key, key] != sections.get((key, key)):
                 named.setdefault(f"turning-{key}", aside[key, key])
     for pair, key in options.get("between", {}).items():
-        for wanted, choices in ((key, named), (pair[0], saddles), (pair[1], saddles)):
-            if wanted not in choices:
-                raise InputError(f"between {pair} of {name} names {wanted!r}: {suggest(wanted, choices)}")
+        for label, choices in ((key, named), (pair[0], saddles), (pair[1], saddles)):
+            if label not in choices:
+                raise InputError(f"between {pair} of {name} names {label!r}: {suggest(label, choices)}")
         sections[pair] = named[key]
     rises = numeric.hamiltonian(first + np.diag(scale) / 10) - numeric.hamiltonian(first)
     return System(
@@ -472,17 +475,17 @@ def _equilibria(
 
     Guesses are (n,) or (N,); exact ones are unchanged.
     """
-    found: dict[str, Array] = {}
+    equilibria: dict[str, Array] = {}
     for key, guess in guesses.items():
         if not isinstance(key, str) or not _NAME.fullmatch(key):
             raise InputError(f"{key!r} is not a name for an equilibrium of {name}: use letters, digits and dashes")
         try:
-            given = np.asarray(guess, dtype=float)
+            numbers = np.asarray(guess, dtype=float)
         except (TypeError, ValueError):
-            given = np.empty(0)
-        if given.shape not in ((n,), (2 * n,)) or not np.isfinite(given).all():
+            numbers = np.empty(0)
+        if numbers.shape not in ((n,), (2 * n,)) or not np.isfinite(numbers).all():
             raise InputError(f"{key} of {name} is guessed at {guess!r}: give {n} finite coordinates, one for each")
-        state = np.concatenate([given, np.zeros(2 * n - len(given))])
+        state = np.concatenate([numbers, np.zeros(2 * n - len(numbers))])
         for _ in range(_NEWTON_STEPS):
             rate, slope = numeric.rate(state), numeric.jacobian(state)
             if not (np.isfinite(rate).all() and np.isfinite(slope).all()):
@@ -498,30 +501,30 @@ def _equilibria(
         residual = float(np.abs(numeric.rate(state)).max())
         if not residual < 1e-10 * max(1.0, float(np.abs(numeric.jacobian(state)).max())):
             raise InputError(
-                f"no equilibrium of {name} was found from the guess {list(map(float, given))} of {key}: after "
+                f"no equilibrium of {name} was found from the guess {list(map(float, numbers))} of {key}: after "
                 f"{_NEWTON_STEPS} Newton steps the rate is still {residual:.1e}; give a nearer guess"
             )
         state = np.where(np.abs(state) < 1e-16, 0.0, state)
-        for other, there in found.items():
-            if np.allclose(state, there, rtol=0, atol=1e-9):
+        for earlier, earlier_state in equilibria.items():
+            if np.allclose(state, earlier_state, rtol=0, atol=1e-9):
                 raise InputError(
-                    f"the guesses of {other} and {key} lead to one equilibrium of {name}; give one of them"
+                    f"the guesses of {earlier} and {key} lead to one equilibrium of {name}; give one of them"
                 )
-        found[key] = state
-    return found
+        equilibria[key] = state
+    return equilibria
 
 
-def _periods(name: str, numeric: NumericEquations, periods: Sequence[float | None], near: Array) -> Array:
+def _periods(name: str, numeric: NumericEquations, periods: Sequence[float | None], state: Array) -> Array:
     """Return the periods (N,) of the coordinates (n,).
 
     The periods are infinite where there is none.
     """
-    n = len(near) // 2
+    n = len(state) // 2
     if len(periods) != n or any(p is not None and not number("periods", p) > 0 for p in periods):
         raise InputError(f"periods = {list(periods)} of {name}: give {n}, each positive or None")
     lengths = np.array([np.inf if p is None else float(p) for p in periods] + [np.inf] * n)
     for k in np.flatnonzero(np.isfinite(lengths)):
-        states = _around(near, np.ones(2 * n))
+        states = _around(state, np.ones(2 * n))
         before, after = numeric.rate(states), numeric.rate(states + lengths[k] * np.eye(2 * n)[k])
         if not np.allclose(before, after, rtol=_SAME, atol=_SAME, equal_nan=True):
             raise InputError(
@@ -531,7 +534,7 @@ def _periods(name: str, numeric: NumericEquations, periods: Sequence[float | Non
 
 
 def _scale(
-    name: str, given: float | Sequence[float] | None, numeric: NumericEquations, periods: Array, saddle: Array
+    name: str, scale: float | Sequence[float] | None, numeric: NumericEquations, periods: Array, saddle: Array
 ) -> Array:
     """Return the typical size (N,) of each state.
 
@@ -540,11 +543,11 @@ def _scale(
     n = len(periods) // 2
     turning = np.isfinite(periods[:n])
     try:
-        sizes = np.where(turning, periods[:n] / 2, 1.0) if given is None else np.asarray(given, dtype=float)
+        sizes = np.where(turning, periods[:n] / 2, 1.0) if scale is None else np.asarray(scale, dtype=float)
     except (TypeError, ValueError):
         sizes = np.empty(0)
     if sizes.shape not in ((), (n,), (2 * n,)) or not np.isfinite(sizes).all() or not (sizes > 0).all():
-        raise InputError(f"scale = {given!r} of {name}: give one positive number, or one for each of {n} coordinates")
+        raise InputError(f"scale = {scale!r} of {name}: give one positive number, or one for each of {n} coordinates")
     if sizes.shape == (2 * n,):
         return sizes
     positions = np.broadcast_to(sizes, n)
@@ -592,9 +595,9 @@ def _reversers(
         # Time reversal, if it holds, comes first.
         signs = product((1.0, -1.0), repeat=n)
         given = [np.diag([*row, *(-s for s in row)]) for row in signs]
-        found = [r for r in given if all(_reverses(numeric, r, saddle, scale) for saddle in saddles.values())]
+        reversers = [r for r in given if all(_reverses(numeric, r, saddle, scale) for saddle in saddles.values())]
     else:
-        found = []
+        reversers = []
         for value in declared:
             row = np.asarray(value, dtype=float)
             reverser = np.diag(np.concatenate([row, -row])) if row.shape == (n,) else row
@@ -606,11 +609,11 @@ def _reversers(
             for key, saddle in saddles.items():
                 if not _reverses(numeric, reverser, saddle, scale):
                     raise InputError(f"reverser {row.tolist()} of {name} does not reverse its motion about {key}")
-            found.append(reverser)
-    for other in found[1:]:
-        if all(_is_half_turn(numeric, saddle, other @ found[0]) for saddle in saddles.values()):
-            return (found[0], other)
-    return tuple(found[:1])
+            reversers.append(reverser)
+    for second in reversers[1:]:
+        if all(_is_half_turn(numeric, saddle, second @ reversers[0]) for saddle in saddles.values()):
+            return (reversers[0], second)
+    return tuple(reversers[:1])
 
 
 def _is_half_turn(numeric: NumericEquations, saddle: Array, symmetry: Array) -> bool:
@@ -646,9 +649,9 @@ def _default_sections(
     sections: dict[tuple[str, str], Section] = {}
     for first, second in product(saddles, repeat=2):
         low, high = sorted((first, second))
-        here, there = saddles[low], saddles[high]
+        lower, upper = saddles[low], saddles[high]
         if first == second:
-            values, vectors = (np.asarray(a, dtype=complex) for a in np.linalg.eig(numeric.jacobian(here)))
+            values, vectors = (np.asarray(a, dtype=complex) for a in np.linalg.eig(numeric.jacobian(lower)))
             side, section = _unit_row(vectors[:2, int(np.argmax(np.real(values)))]), None
             along = int(np.argmax(np.abs(side / scale[:2])))
             if np.isfinite(periods[along]):
@@ -656,24 +659,26 @@ def _default_sections(
                 half = Section.plane(
                     f"{names[along]} half a turn from {first}",
                     np.eye(2)[along],
-                    offset=float(here[along]) + turn / 2,
+                    offset=float(lower[along]) + turn / 2,
                     period=turn,
                 )
-                if half.kept_by(reverser, here):
+                if half.kept_by(reverser, lower):
                     sections[first, first] = half
                     continue
             for k in range(2):
                 if section is None and np.allclose(reverser[k], -np.eye(4)[k]):
                     side, flat = np.eye(2)[1 - k], np.eye(2)[k]
-                    section = Section.plane(f"{names[k]} as at {first}", flat, offset=float(here[k]))
+                    section = Section.plane(f"{names[k]} as at {first}", flat, offset=float(lower[k]))
             section = section or Section.turning(f"turning back to {first}", side)
             reach = 0.5 * float(np.linalg.norm(side * scale[:2]))
-            section = section.where(side, middle=float(side @ here[:2]), reach=reach)
+            section = section.where(side, middle=float(side @ lower[:2]), reach=reach)
         else:
-            apart = (there - here)[:2]
-            apart = apart - np.rint(apart / periods[:2]) * np.where(np.isfinite(periods[:2]), periods[:2], 0.0)
-            row = _unit_row(apart)
-            offset = float(row @ (here[:2] + apart / 2))
+            difference = (upper - lower)[:2]
+            difference = difference - np.rint(difference / periods[:2]) * np.where(
+                np.isfinite(periods[:2]), periods[:2], 0.0
+            )
+            row = _unit_row(difference)
+            offset = float(row @ (lower[:2] + difference / 2))
             section = Section.plane(f"between {low} and {high}", row, offset=offset, period=_turn(row, periods))
         if section.kept_by(reverser, saddles[second]):
             sections[first, second] = section

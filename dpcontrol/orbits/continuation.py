@@ -253,9 +253,9 @@ class Curve(Brief):
         guess = start.unknowns + length * start.tangent * self.weights
         try:
             solution = self.onto(guess, start.tangent)
-            moved = float(np.linalg.norm((solution.unknowns - guess) / self.weights))
+            distance = float(np.linalg.norm((solution.unknowns - guess) / self.weights))
             # A correction of over half the step, or a tangent turned by 25 degrees, indicates another curve.
-            if solution.residual > self.accept or moved > 0.5 * abs(length):
+            if solution.residual > self.accept or distance > 0.5 * abs(length):
                 return None
             point = self.point(solution.unknowns, start.tangent, solution.residual)
         except UNSOLVED:
@@ -270,7 +270,7 @@ class Curve(Brief):
         smallest: float,
         first: float = FIRST_STEP,
         growth: float = 1.5,
-        refused: Callable[[CurvePoint, CurvePoint], bool] = lambda here, following: False,
+        refused: Callable[[CurvePoint, CurvePoint], bool] = lambda point, following: False,
     ) -> Iterator[tuple[CurvePoint, CurvePoint, float]]:
         """Yield (point, next point, length) along the curve.
 
@@ -284,14 +284,14 @@ class Curve(Brief):
             growth: ratio of a step to the one before.
             refused: function of two successive points. If it returns True, the step is halved.
         """
-        here, length = start, min(step, first)
+        point, length = start, min(step, first)
         while length >= smallest:
-            following = self.step(here, length)
-            if following is None or refused(here, following):
+            following = self.step(point, length)
+            if following is None or refused(point, following):
                 length /= 2
                 continue
-            yield here, following, length
-            here, length = following, min(step, growth * length)
+            yield point, following, length
+            point, length = following, min(step, growth * length)
 
     def located(self, start: CurvePoint, length: float, value: Callable[[CurvePoint], float]) -> CurvePoint | None:
         """Return the zero of a function on the curve, or None.
@@ -327,8 +327,8 @@ def member(problem: Problem, guess: Array, value: float, newton: Newton) -> Solu
     """
 
     def row(unknowns: Array) -> tuple[float, Array]:
-        here, gradient = problem.quantity(unknowns)
-        return (here - value) / problem.scale, gradient / problem.scale
+        quantity, gradient = problem.quantity(unknowns)
+        return (quantity - value) / problem.scale, gradient / problem.scale
 
     solution = newton.solve(bordered(problem.near(guess), row), guess, problem.bounds(guess), problem.units)
     return replace(solution, slope=solution.slope / problem.scale)
@@ -357,15 +357,15 @@ def stepped(
     Returns:
         The last solution and its value, which is the last one if all steps succeed.
     """
-    here, (value, goal), step = start, values, longest
+    solution, (value, goal), step = start, values, longest
     while value != goal:
         # A final step at rounding level would be too short for the test of the correction.
-        other = goal if abs(goal - value) <= (1 + 1e-6) * step else value + np.copysign(step, goal - value)
-        arrived = following(here, value, float(other))
+        target = goal if abs(goal - value) <= (1 + 1e-6) * step else value + np.copysign(step, goal - value)
+        arrived = following(solution, value, float(target))
         if arrived is None:
-            step = abs(other - value) / 2
+            step = abs(target - value) / 2
             if step < smallest:
                 break
             continue
-        here, value, step = arrived, float(other), min(longest, 1.5 * step)
-    return here, value
+        solution, value, step = arrived, float(target), min(longest, 1.5 * step)
+    return solution, value

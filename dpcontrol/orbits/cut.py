@@ -121,7 +121,7 @@ class CutSamples(Brief):
         return len(self.phases)
 
     def __getitem__(self, which: Any) -> "CutSamples":
-        return CutSamples(*(getattr(self, one.name)[which] for one in fields(self)))
+        return CutSamples(*(getattr(self, entry.name)[which] for entry in fields(self)))
 
     @staticmethod
     def joined(parts: "Sequence[CutSamples]") -> "CutSamples":
@@ -130,7 +130,7 @@ class CutSamples(Brief):
         Args:
             parts: samples of one branch.
         """
-        names = [one.name for one in fields(CutSamples)]
+        names = [entry.name for entry in fields(CutSamples)]
         return CutSamples(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
     @property
@@ -144,8 +144,8 @@ class CutSamples(Brief):
         Args:
             limit: largest distance of neighbours in (q, p/p₀).
         """
-        same = np.sign(self.rates[1:]) == np.sign(self.rates[:-1])
-        return same & (np.linalg.norm(np.diff(self.points, axis=0), axis=1) <= limit)
+        one_sided = np.sign(self.rates[1:]) == np.sign(self.rates[:-1])
+        return one_sided & (np.linalg.norm(np.diff(self.points, axis=0), axis=1) <= limit)
 
 
 def arrivals(
@@ -465,14 +465,14 @@ def _mirrored(manifold: UnstableManifold, section: Section, piece: Piece) -> Pie
     system, centre = manifold.orbit.system, manifold.orbit.centre
     symmetry = manifold.half_turn[0]
     states = (piece.states - centre) @ symmetry.T + centre
-    turned = np.asarray(section.normal) @ symmetry @ np.asarray(section.normal)
+    alignment = np.asarray(section.normal) @ symmetry @ np.asarray(section.normal)
     return Piece(
         branch=-piece.branch,
         phases=piece.phases + 0.5,
         points=section_points(system, section, states),
         states=states,
         times=piece.times,
-        direction=piece.direction * int(np.sign(turned)),
+        direction=piece.direction * int(np.sign(alignment)),
         closed=piece.closed,
     )
 
@@ -500,7 +500,7 @@ def tube_cut(
     pieces: list[Piece] = []
     gaps: list[OpenEnd] = []
     unresolved: list[UnresolvedBranch] = []
-    flown, late = 0, False
+    trajectories, late = 0, False
     branches = (1,) if manifold.branches_are_mirrored else (1, -1)
     for k, branch in enumerate(branches):
         # Each branch gets half of the time, less a reserve for open ends.
@@ -509,14 +509,14 @@ def tube_cut(
         samples, stopped = refined(Sampler(manifold, section, hit, branch, settings, allowed), 0.0, progress=within)
         sampler = Sampler(manifold, section, hit, branch, settings, budget)
         unresolved += [] if stopped is None else [stopped]
-        flown += len(samples)
-        found, open_ends = _pieces(samples, sampler)
-        pieces += found
+        trajectories += len(samples)
+        branch_pieces, open_ends = _pieces(samples, sampler)
+        pieces += branch_pieces
         gaps += open_ends
         out_of_time = stopped is not None and stopped.cause is BranchCause.TIME
         late = late or out_of_time or (budget.spent and any(end.hides for end in open_ends))
         if manifold.branches_are_mirrored:
-            pieces += [_mirrored(manifold, section, piece) for piece in found]
+            pieces += [_mirrored(manifold, section, piece) for piece in branch_pieces]
             gaps += [
                 replace(g, branch=-g.branch, phase_interval=tuple((p + 0.5) % 1 for p in g.phase_interval))
                 for g in open_ends
@@ -526,7 +526,7 @@ def tube_cut(
         hit,
         tuple(pieces),
         tuple(gaps),
-        flown,
+        trajectories,
         settings.chord,
         longest_flight(manifold, settings),
         unresolved=tuple(unresolved),

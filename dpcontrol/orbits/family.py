@@ -159,8 +159,8 @@ def follow(
     def within(energy: float) -> bool:
         return low <= energy <= high
 
-    def crossed(test: str, here: CurvePoint, following: CurvePoint) -> bool:
-        return here.measures[test] * following.measures[test] < 0
+    def crossed(test: str, point: CurvePoint, following: CurvePoint) -> bool:
+        return point.measures[test] * following.measures[test] < 0
 
     steps = curve.followed(
         start,
@@ -226,16 +226,16 @@ def family_end(points: list[CurvePoint], problem: SymmetricShooting, *, largest:
         problem: shooting problem of the family.
         largest: limit on multipliers that ended the continuation, if any.
     """
-    place, system, near = points[-1], problem.system, 1e-3 * problem.scale
+    place, system, tolerance = points[-1], problem.system, 1e-3 * problem.scale
     name, distance = nearest_equilibrium(problem, place)
     height = float(system.numeric.hamiltonian(system.equilibria[name]))
     limit = _extrapolated(points, problem)
-    if distance < LINGERS and limit is not None and abs(limit - height) < near:
+    if distance < LINGERS and limit is not None and abs(limit - height) < tolerance:
         cause = FamilyEndCause.HOMOCLINICS
     elif largest is not None:
         cause, limit = FamilyEndCause.LARGE_MULTIPLIER, largest
     else:
-        passes = distance <= LINGERS and abs(height - place.value) <= near
+        passes = distance <= LINGERS and abs(height - place.value) <= tolerance
         cause = FamilyEndCause.PASSES_EQUILIBRIUM if passes else FamilyEndCause.STUCK
     period, size = problem.period(place.unknowns), place.measures[SIZE]
     return FamilyEnd(place.value, cause, system, name, height, distance, period, size, limit or np.nan, place.residual)
@@ -325,8 +325,8 @@ class Family(Shown, Generic[Member]):
         Raises:
             InputError: unknown attribute.
         """
-        known = [one for one in dir(self.members[0]) if not one.startswith("_")]
-        check_choice("attribute", known, name)
+        attributes = [attribute for attribute in dir(self.members[0]) if not attribute.startswith("_")]
+        check_choice("attribute", attributes, name)
         return np.array([getattr(member, name) for member in self.members])
 
 
@@ -396,8 +396,8 @@ def lyapunov_family(
     low, high = energies
     if not (np.isfinite(low) and np.isfinite(high) and low < high):
         raise InputError(f"energies {low:g} to {high:g}: must be two finite numbers in ascending order")
-    far = high if linear.sign > 0 else low
-    if (far - linear.energy) * linear.sign <= 0:
+    goal = high if linear.sign > 0 else low
+    if (goal - linear.energy) * linear.sign <= 0:
         raise InputError(
             f"energies {low:g} to {high:g}{system.unit('J')}: the Lyapunov orbits about {saddle} exist only "
             f"{'above' if linear.sign > 0 else 'below'} its energy of {linear.energy:.6g}{system.unit('J')}"

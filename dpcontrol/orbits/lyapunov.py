@@ -396,20 +396,22 @@ def described_orbit(
     )
 
 
-def nearby_orbit(problem: SymmetricShooting, near: LyapunovOrbit, energy: float) -> LyapunovOrbit:
+def nearby_orbit(problem: SymmetricShooting, neighbour: LyapunovOrbit, energy: float) -> LyapunovOrbit:
     """Return the orbit of a family at an energy from a nearby one.
 
     Args:
         problem: shooting problem of the family.
-        near: orbit of the family, or of the same family of a similar system.
+        neighbour: orbit of the family, or of the same family of a similar system.
         energy: energy of the orbit, J.
     """
-    guess = np.append(problem.start.T @ (near.state - near.centre), near.period / problem.quarters)
+    guess = np.append(problem.start.T @ (neighbour.state - neighbour.centre), neighbour.period / problem.quarters)
     solution = member(problem, guess, energy, TO_ROUNDING)
     cause = OrbitCause.NEARBY if solution.residual < TO_ROUNDING.tolerance else OrbitCause.LOST
-    outcome = OrbitOutcome(cause, solution.residual, reached=near.energy)
+    outcome = OrbitOutcome(cause, solution.residual, reached=neighbour.energy)
     unknowns = solution.unknowns if cause is OrbitCause.NEARBY else guess
-    return described_orbit(problem, unknowns, saddle=near.saddle, family=near.family, energy=energy, outcome=outcome)
+    return described_orbit(
+        problem, unknowns, saddle=neighbour.saddle, family=neighbour.family, energy=energy, outcome=outcome
+    )
 
 
 @dataclass(frozen=True)
@@ -438,9 +440,9 @@ def _follow(
         solution = member(problem, guess, energy if s == goal else linear.energy + sign * s * s, newton)
         residuals.append(solution.residual)
         moves = solution.unknowns - guess, guess - passed[-1].unknowns
-        corrected, moved = (float(np.linalg.norm(v / units)) for v in moves)
+        corrected, predicted = (float(np.linalg.norm(v / units)) for v in moves)
         # A correction of over half the step indicates another curve, as in module continuation.
-        if solution.residual > max(settings.tolerance, enough) or corrected > 0.5 * moved:
+        if solution.residual > max(settings.tolerance, enough) or corrected > 0.5 * predicted:
             return None
         return *passed, _Passed(s, solution.unknowns, 2 * sign * s * solution.slope)
 

@@ -91,8 +91,8 @@ class UnstableManifold(Brief, Generic[Orbit]):
             return None
         symmetry = reversers[-1] @ reversers[0]
         _, stm = self.orbit.system.propagator.flow_with_stm(self.orbit.state, self.orbit.period / 2)
-        moved = stm @ self.vector
-        return symmetry, float(np.sign(moved @ (symmetry @ self.vector)))
+        image = stm @ self.vector
+        return symmetry, float(np.sign(image @ (symmetry @ self.vector)))
 
     @property
     def branches_are_mirrored(self) -> bool:
@@ -332,9 +332,9 @@ class OrbitCurve(Brief):
         phases, reach = np.reshape(around, x.shape[:-1]) / SAMPLES, 3 / SAMPLES
         grid, distances = np.linspace(-1.0, 1.0, 33), np.empty(0)
         while reach > 1e-13:
-            tried = phases[..., None] + reach * grid
-            distances = system.scaled_distance(x[..., None, :], self.states(tried))
-            phases = np.take_along_axis(tried, np.argmin(distances, axis=-1)[..., None], axis=-1)[..., 0]
+            trials = phases[..., None] + reach * grid
+            distances = system.scaled_distance(x[..., None, :], self.states(trials))
+            phases = np.take_along_axis(trials, np.argmin(distances, axis=-1)[..., None], axis=-1)[..., 0]
             # The minimum lies within one step of the smallest value on the grid.
             reach *= 2 / 32
         return phases % 1.0, distances.min(axis=-1)

@@ -149,9 +149,9 @@ class RotatingOrbit(RotatingRecord, Periodic, Concluded):
         if times is None:
             return self.sample()
         laps, within = np.divmod(checked_times(times), self.period)
-        wanted, places = np.unique(within, return_inverse=True)
+        distinct, places = np.unique(within, return_inverse=True)
         turn = np.concatenate([self.winding, np.zeros(len(self.winding))]) * self.system.turn_lengths
-        return self.system.propagator.sample(self.state, wanted)[places] + laps[..., None] * turn
+        return self.system.propagator.sample(self.state, distinct)[places] + laps[..., None] * turn
 
 
 @dataclass(frozen=True)
@@ -194,19 +194,19 @@ def rotating_orbits(
     if not can_rotate(system):
         raise InputError(f"{system.name} is not a double pendulum: rotating orbits need two arms")
     energy = number("energy", energy)
-    found: list[RotatingOrbit] = []
+    orbits: list[RotatingOrbit] = []
     for position in (0.0, np.pi):
         problem = half_turn(system, arm, sense, position)
         for guess in _guesses(problem, arm, sense, energy, settings):
             solution = member(problem, guess, energy, settings.newton)
             # Newton's method may converge to an orbit of another winding, so results must be near their guess.
-            apart = np.abs(solution.unknowns - guess) / np.append(system.scale[2:], guess[-1])
-            if solution.residual > settings.newton.tolerance or apart.max() > 0.2:
+            changes = np.abs(solution.unknowns - guess) / np.append(system.scale[2:], guess[-1])
+            if solution.residual > settings.newton.tolerance or changes.max() > 0.2:
                 continue
             orbit = described(problem, solution.unknowns, arm, energy, solution.residual)
-            if not any(np.abs(orbit.state - other.state).max() < 1e-7 for other in found):
-                found.append(orbit)
-    return tuple(sorted(found, key=lambda o: -o.period))
+            if not any(np.abs(orbit.state - earlier.state).max() < 1e-7 for earlier in orbits):
+                orbits.append(orbit)
+    return tuple(sorted(orbits, key=lambda o: -o.period))
 
 
 def half_turn(system: System, arm: int, sense: int, position: float) -> HalfTurn:
@@ -308,13 +308,13 @@ def _guesses(problem: HalfTurn, arm: int, sense: int, energy: float, settings: R
         return []
     # ½ ωᵀ M ω = kinetic: the rates are the columns of this matrix times (cos ψ, sin ψ).
     axes = np.sqrt(2 * kinetic) * np.linalg.inv(np.linalg.cholesky(system.numeric.mass_matrix(problem.centre))).T
-    turning, other = arm - 1, 2 - arm
+    turning, swinging = arm - 1, 2 - arm
     unit = np.eye(4)
     section = Section(
         f"θ{'₁₂'[turning]} = π + 2πk",
         tuple(unit[turning]),
-        tuple(unit[other]),
-        tuple(unit[other][:2]),
+        tuple(unit[swinging]),
+        tuple(unit[swinging][:2]),
         offset=np.pi,
         period=2 * np.pi,
     )
@@ -333,7 +333,7 @@ def _guesses(problem: HalfTurn, arm: int, sense: int, energy: float, settings: R
             if np.isinf(time) or sense * end[turning] < 0:
                 arrivals.append(_Arrival(float(angle), None, np.inf))
             else:
-                arrivals.append(_Arrival(float(angle), float(end[other] - problem.centre[other]), time))
+                arrivals.append(_Arrival(float(angle), float(end[swinging] - problem.centre[swinging]), time))
         return arrivals
 
     # The offset prevents orbits on grid points, due to the symmetry of the ellipse.
@@ -370,12 +370,12 @@ def _refined(
         if all(fine):
             break
         middles = iter(
-            arrive(np.array([(a.angle + b.angle) / 2 for (a, b), done in zip(pairwise(arrivals), fine, strict=True)
-                             if not done]))
+            arrive(np.array([(a.angle + b.angle) / 2 for (a, b), resolved in zip(pairwise(arrivals), fine, strict=True)
+                             if not resolved]))
         )  # fmt: skip
         merged = arrivals[:1]
-        for b, done in zip(arrivals[1:], fine, strict=True):
-            merged += [b] if done else [next(middles), b]
+        for b, resolved in zip(arrivals[1:], fine, strict=True):
+            merged += [b] if resolved else [next(middles), b]
         arrivals = merged
     return arrivals
 
@@ -442,8 +442,8 @@ def rotating_family(
     if not low < orbit.energy < high:
         raise InputError(f"energies {low:g} to {high:g} J: must enclose the orbit's, {orbit.energy:g} J")
     sense = 1 if sum(orbit.winding) > 0 else -1
-    other = orbit.state[2 - orbit.arm]
-    problem = half_turn(orbit.system, orbit.arm, sense, float(other))
+    other_angle = orbit.state[2 - orbit.arm]
+    problem = half_turn(orbit.system, orbit.arm, sense, float(other_angle))
 
     def measure(unknowns: Array) -> dict[str, float]:
         trace = section_trace(problem, unknowns)[0]

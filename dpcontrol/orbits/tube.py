@@ -76,14 +76,14 @@ class Tube(Shown, Documented):
         phases = np.arange(count) / count
         section = system.sections.get((orbit.saddle, orbit.saddle))
         leaving = (1 - np.log(manifold.distance) / manifold.exponent) * orbit.period
-        found = []
+        trajectories = []
         for branch in self.branches:
             times = np.full(count, np.inf)
             if section is not None:
                 times = Sampler(manifold, section, 1, branch, CutSettings()).fly(phases).times
             for seed, time in zip(manifold.seeds(phases, branch)[0], times, strict=True):
-                found.append(_followed(system.propagator, seed, time if np.isfinite(time) else leaving))
-        return self._placed(np.array(found))
+                trajectories.append(_followed(system.propagator, seed, time if np.isfinite(time) else leaving))
+        return self._placed(np.array(trajectories))
 
     @checked
     def cut(

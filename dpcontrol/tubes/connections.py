@@ -251,21 +251,21 @@ def _meets_a_mirror(orbit: ShootingOrbit, middle: float, within: float) -> bool:
     return False
 
 
-def approach(orbit: ShootingOrbit, curve: OrbitCurve, sign: int, near: float) -> tuple[float, float]:
+def approach(orbit: ShootingOrbit, curve: OrbitCurve, sign: int, distance: float) -> tuple[float, float]:
     """Return time (s, positive) and phase of the first approach.
 
     Args:
         orbit: connecting orbit, with time zero on the section.
         curve: the periodic orbit.
         sign: +1 to search forward in time, -1 backward.
-        near: scaled distance of the approach.
+        distance: scaled distance of the approach.
     """
     from scipy.optimize import root_scalar
 
     last = abs(orbit.times[-1] if sign > 0 else orbit.times[0])
     grid = np.linspace(0.0, last, max(2, int(np.ceil(last / curve.orbit.period * 300))))
     _, distances = curve.distances(orbit.sample(sign * grid))
-    inside = np.flatnonzero(distances <= near)
+    inside = np.flatnonzero(distances <= distance)
     if inside.size == 0:
         return float("nan"), float("nan")
 
@@ -279,12 +279,12 @@ def approach(orbit: ShootingOrbit, curve: OrbitCurve, sign: int, near: float) ->
     first, farther = int(inside[0]), np.empty(0, dtype=np.intp)
     while first > 1 and not farther.size:
         before = np.arange(max(1, first - _BEFORE), first)
-        farther = before[nearest(grid[before])[1] > near]
+        farther = before[nearest(grid[before])[1] > distance]
         first = int(farther[-1]) + 1 if farther.size else int(before[0])
 
     def excess(time: float) -> float:
         # Distances decrease exponentially.
-        return float(np.log(nearest(np.array([time]))[1][0] / near))
+        return float(np.log(nearest(np.array([time]))[1][0] / distance))
 
     bracket = (grid[first - 1], grid[first])
     seconds = float(root_scalar(excess, bracket=bracket, xtol=1e-12, method="toms748").root)
@@ -343,8 +343,10 @@ def can_be_reversed(system: System, source: str, target: str, *, section: Sectio
     backward = section or system.sections.get((target, source))
     if forward is None or forward != backward:
         return False
-    kept = all(np.allclose(reverser @ system.equilibrium(name), system.equilibrium(name)) for name in (source, target))
-    return kept and forward.kept_by(reverser, np.zeros(system.dimension))
+    preserved = all(
+        np.allclose(reverser @ system.equilibrium(name), system.equilibrium(name)) for name in (source, target)
+    )
+    return preserved and forward.kept_by(reverser, np.zeros(system.dimension))
 
 
 def _reversed_phase(orbit: LyapunovOrbit, phase: float) -> float:
@@ -680,7 +682,7 @@ def find_connections(
         return share
 
     met = intersect_cuts(system, section, manifolds, (unstable, backward), settings, spent=spent_since)
-    crossings, failed, left = met.found, met.failed, met.left
+    crossings, failed, unsearched = met.found, met.failed, met.left
     even = balanced(crossings, (unstable, backward))
     finer = replace(settings, cut=replace(settings.cut, chord=settings.cut.chord / 2))
     # A finer search takes about twice as long.
@@ -689,10 +691,10 @@ def find_connections(
         return find_connections(
             source, target, hits=hits, section=section, settings=finer, budget=budget, progress=progress
         )
-    found = []
+    connections = []
     for k, crossing in enumerate(crossings):
         if budget.spent:
-            left += len(crossings) - k
+            unsearched += len(crossings) - k
             break
         progress("refining connections", 0.7 + 0.3 * k / len(crossings))
         orbit = _refined(crossing, settings)
@@ -700,41 +702,41 @@ def find_connections(
             failed += 1
             continue
         connection = described_connection(crossing, orbit, curves, settings)
-        if not _known(system, connection, found, settings.same):
-            found.append(connection)
+        if not _known(system, connection, connections, settings.same):
+            connections.append(connection)
             if manifolds[0].branches_are_mirrored and manifolds[1].branches_are_mirrored:
-                found.append(mirrored(connection))
+                connections.append(mirrored(connection))
     if (
         hits[0] == hits[1]
         and source is target
         and can_be_reversed(system, source.saddle, source.saddle, section=section)
     ):
-        for image in [reversed_in_time(connection) for connection in found if not connection.symmetric]:
-            if not _known(system, image, found, settings.same):
-                found.append(image)
-    _sort(found)
+        for image in [reversed_in_time(connection) for connection in connections if not connection.symmetric]:
+            if not _known(system, image, connections, settings.same):
+                connections.append(image)
+    _sort(connections)
     progress("connections", 1.0)
     return ConnectionSearch(
-        source, target, tuple(found), (unstable, backward), failed, left, even, settings, budget.seconds
+        source, target, tuple(connections), (unstable, backward), failed, unsearched, even, settings, budget.seconds
     )
 
 
-def _sort(found: list[Connection]) -> list[Connection]:
+def _sort(connections: list[Connection]) -> list[Connection]:
     """Order connections in place by sense and position on their section."""
     # Rounded positions make the order reproducible despite numerical noise.
-    found.sort(key=lambda c: (-c.sense, *np.round(section_points(c.source.system, c.section, c.state), 6)))
-    return found
+    connections.sort(key=lambda c: (-c.sense, *np.round(section_points(c.source.system, c.section, c.state), 6)))
+    return connections
 
 
-def _known(system: System, connection: Connection, found: list[Connection], tolerance: float) -> bool:
+def _known(system: System, connection: Connection, connections: list[Connection], tolerance: float) -> bool:
     """Return True for a repeated connection; pieces of scattered cuts overlap."""
 
     def same(other: Connection) -> bool:
         flattest = min(other.transversality_angle, connection.transversality_angle)
-        apart = float(system.scaled_distance(other.state, connection.state))
-        return other.winding == connection.winding and apart < uncertainty(flattest, tolerance)
+        distance = float(system.scaled_distance(other.state, connection.state))
+        return other.winding == connection.winding and distance < uncertainty(flattest, tolerance)
 
-    return any(same(other) for other in found)
+    return any(same(other) for other in connections)
 
 
 def _refined(crossing: Intersection, settings: ConnectionSettings) -> ShootingOrbit:
@@ -764,9 +766,9 @@ def _shot(crossing: Intersection, settings: ConnectionSettings) -> ShootingOrbit
         lead = np.linspace(-out * period, 0.0, max(1, int(np.ceil(out * settings.segments))) + 1)[:-1]
         along = np.linspace(0.0, flight, count + 1)
         seeds, _ = manifold.seeds(np.array([phase]), side.branch)
-        flown = side.turned(system.propagator.sample(seeds[0], along)) + turns * system.turn_lengths
+        tube_states = side.turned(system.propagator.sample(seeds[0], along)) + turns * system.turn_lengths
         times.append(sign * (np.concatenate([lead, along]) - flight))
-        states.append(np.vstack([seed_end.states(sign * lead), flown]))
+        states.append(np.vstack([seed_end.states(sign * lead), tube_states]))
         ends.append(seed_end.moved(-sign * out * period))
     orbit, section = crossing.sides[0].manifold.orbit, crossing.sides[0].section
     guessed = np.concatenate([times[0], times[1][::-1][1:]])
@@ -832,12 +834,12 @@ def find_lap_connections(
         raise InputError(
             f"{source.saddle} and {target.saddle}: exactly one must be an orbit whose tubes cross on every lap"
         )
-    each = own_crossings(OrbitCurve(lapping[0]), section)
-    if not each:
+    per_lap = own_crossings(OrbitCurve(lapping[0]), section)
+    if not per_lap:
         raise InputError(f"{lapping[0].saddle} does not cross {section.name}: search it with find_connections")
     if crossing < 1:
         raise InputError(f"crossing = {crossing}: must be 1 or more")
-    longest = lapping[0].system.flight_periods + crossing / each
+    longest = lapping[0].system.flight_periods + crossing / per_lap
     settings = replace(settings, cut=replace(settings.cut, longest=longest))
     hits = (crossing, 1) if lapping[0] is source else (1, crossing)
     budget = Budget(settings.seconds)
@@ -854,13 +856,13 @@ def find_lap_connections(
     search = find_connections(
         source, target, hits=hits, section=section, settings=settings, cuts=(cuts[0], cuts[1]), budget=budget
     )
-    found: list[Connection] = []
+    connections: list[Connection] = []
     for connection in search.connections:
         canonical = _canonical(connection)
-        same = (float(source.system.scaled_distance(canonical.state, c.state)) < settings.same for c in found)
-        if not any(same):
-            found.append(canonical)
-    return replace(search, connections=tuple(_sort(found)), cause=SearchCause.LAPS, first=crossing)
+        matches = (float(source.system.scaled_distance(canonical.state, c.state)) < settings.same for c in connections)
+        if not any(matches):
+            connections.append(canonical)
+    return replace(search, connections=tuple(_sort(connections)), cause=SearchCause.LAPS, first=crossing)
 
 
 def grown_crossing(orbit: LyapunovOrbit, section: Section) -> int:

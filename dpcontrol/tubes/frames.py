@@ -66,8 +66,8 @@ def closed_frames(system: System, states: Array, durations: Array) -> tuple[Arra
         durations: flight times (K,) from each node to the next, s.
     """
     _, stms = system.propagator.flows_with_stm(states, durations)
-    ones = np.cos(np.arange(system.dimension) + 1.0) * system.scale
-    bases = directions(system, states, stms, closed=True, first=ones, last=ones)
+    start_vector = np.cos(np.arange(system.dimension) + 1.0) * system.scale
+    bases = directions(system, states, stms, closed=True, first=start_vector, last=start_vector)
     bases = np.concatenate([bases, bases[:1]])
     return bases, growth(bases, stms)
 

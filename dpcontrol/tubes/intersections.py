@@ -49,24 +49,24 @@ def polyline_crossings(first: Array, second: Array) -> list[tuple[float, float]]
     blocks = np.minimum.reduceat(low, starts), np.maximum.reduceat(high, starts)
     # The margin exceeds the effect of rounding on a crossing.
     margin = 1e-9 * max(float(np.abs(first).max(initial=0.0)), float(np.abs(second).max(initial=0.0)))
-    found: list[tuple[float, float]] = []
+    crossings: list[tuple[float, float]] = []
     for start in range(0, len(a), _BLOCK):
         part = slice(start, start + _BLOCK)
         box = first[start : start + _BLOCK + 1]
         least, most = box.min(axis=0) - margin, box.max(axis=0) + margin
         within = np.repeat(((blocks[0] <= most) & (blocks[1] >= least)).all(axis=1), _BLOCK)[: len(b)]
-        near = np.flatnonzero(within)
-        near = near[((low[near] <= most) & (high[near] >= least)).all(axis=1)]
-        if not near.size:
+        nearby = np.flatnonzero(within)
+        nearby = nearby[((low[nearby] <= most) & (high[nearby] >= least)).all(axis=1)]
+        if not nearby.size:
             continue
-        cross = da[part, None, 0] * db[None, near, 1] - da[part, None, 1] * db[None, near, 0]
-        gap = b[None, near, :] - a[part, None, :]
+        cross = da[part, None, 0] * db[None, nearby, 1] - da[part, None, 1] * db[None, nearby, 0]
+        gap = b[None, nearby, :] - a[part, None, :]
         with np.errstate(divide="ignore", invalid="ignore"):
-            s = (gap[..., 0] * db[None, near, 1] - gap[..., 1] * db[None, near, 0]) / cross
+            s = (gap[..., 0] * db[None, nearby, 1] - gap[..., 1] * db[None, nearby, 0]) / cross
             t = (gap[..., 0] * da[part, None, 1] - gap[..., 1] * da[part, None, 0]) / cross
         hits = (cross != 0) & (s >= 0) & (s < 1) & (t >= 0) & (t < 1)
-        found += [(start + i + float(s[i, j]), int(near[j]) + float(t[i, j])) for i, j in np.argwhere(hits)]
-    return found
+        crossings += [(start + i + float(s[i, j]), int(nearby[j]) + float(t[i, j])) for i, j in np.argwhere(hits)]
+    return crossings
 
 
 def near_touches(first: Array, second: Array, *, margin: float = 4.0) -> list[tuple[float, float]]:
@@ -372,27 +372,27 @@ def intersect_cuts(
     # Coarse pieces come first in case time runs out, because tubes that scatter have ever finer pieces.
     pairs.sort(key=lambda pair: -pair.scale)
     places: list[_Place] = []
-    found: list[Intersection] = []
-    failed = left = 0
+    intersections: list[Intersection] = []
+    failed = unsearched = 0
     for k, pair in enumerate(pairs):
         if spent() > _PLACED:
-            left += len(pairs) - k
+            unsearched += len(pairs) - k
             break
         places += pair.places()
     places.sort(key=lambda place: (-place.scale, not place.sure))
     for part in _together(places):
         if spent() > _SOLVED:
-            left += len(part)
+            unsearched += len(part)
             continue
         solutions, unsolved = _solved(system, part, settings, spent)
-        failed, left = (failed, left + unsolved) if spent() >= 1 else (failed + unsolved, left)
-        _add(system, solutions, found, settings)
-    for part in _together(found):
+        failed, unsearched = (failed, unsearched + unsolved) if spent() >= 1 else (failed + unsolved, unsearched)
+        _add(system, solutions, intersections, settings)
+    for part in _together(intersections):
         if spent() > _PAIRED:
-            left += len(part)
+            unsearched += len(part)
             continue
-        _add(system, _partners(system, part, settings, spent), found, settings)
-    return Crossings(sorted(found, key=lambda one: -one.scale), failed, left)
+        _add(system, _partners(system, part, settings, spent), intersections, settings)
+    return Crossings(sorted(intersections, key=lambda crossing: -crossing.scale), failed, unsearched)
 
 
 def _together(many: Sequence[Meeting]) -> list[list[Meeting]]:
@@ -400,8 +400,8 @@ def _together(many: Sequence[Meeting]) -> list[list[Meeting]]:
     parts = []
     for start in range(0, len(many), _TOGETHER):
         within: dict[tuple[int, int], list[Meeting]] = {}
-        for one in many[start : start + _TOGETHER]:
-            within.setdefault((one.sides[0].branch, one.sides[1].branch), []).append(one)
+        for intersection in many[start : start + _TOGETHER]:
+            within.setdefault((intersection.sides[0].branch, intersection.sides[1].branch), []).append(intersection)
         parts += within.values()
     return parts
 
@@ -410,7 +410,7 @@ def _pairs(
     system: System, sides: tuple[TubeSide, TubeSide], cuts: tuple[Cut, Cut], settings: ConnectionSettings
 ) -> list[_Pair]:
     """Return the pairs of nearby pieces on two branches."""
-    section, margin, found = sides[0].section, settings.cut.chord * system.section_scale, []
+    section, margin, pairs = sides[0].section, settings.cut.chord * system.section_scale, []
     first, second = ([piece for piece in cut.pieces if piece.branch == side.branch]
                      for cut, side in zip(cuts, sides, strict=True))  # fmt: skip
     second = [Tube(sides[1].manifold.orbit, stable=True).placed(piece, section) for piece in second]
@@ -420,8 +420,8 @@ def _pairs(
         low, high = u.points[:, 1].min() - margin, u.points[:, 1].max() + margin
         for k in np.flatnonzero((ways == u.direction) & (momenta[:, 0] <= high) & (momenta[:, 1] >= low)):
             s = second[k]
-            found += [_Pair(sides, (u, s), shift) for shift in _shifts(system, section, u, s, margin)]
-    return found
+            pairs += [_Pair(sides, (u, s), shift) for shift in _shifts(system, section, u, s, margin)]
+    return pairs
 
 
 def balanced(crossings: list[Intersection], cuts: tuple[Cut, Cut]) -> bool:
@@ -489,10 +489,14 @@ def _solved(
     solutions = _newton(
         system, sides, np.array([p.phases for p in places]), settings, np.array([p.reach for p in places]), spent
     )
-    found = [replace(one, scale=place.scale) for place, one in zip(places, solutions, strict=True) if one is not None]
-    astray = [k for k, one in enumerate(solutions) if one is None or not places[k].holds(one.phases)]
+    accepted = [
+        replace(solution, scale=place.scale)
+        for place, solution in zip(places, solutions, strict=True)
+        if solution is not None
+    ]
+    astray = [k for k, solution in enumerate(solutions) if solution is None or not places[k].holds(solution.phases)]
     if not astray:
-        return found, 0
+        return accepted, 0
     curves = []
     for which, side in enumerate(sides):
         states, *_ = side.arrive(np.concatenate([places[k].spans[which] for k in astray]))
@@ -512,11 +516,11 @@ def _solved(
     again = _newton(
         system, sides, np.array(guesses).reshape(-1, 2), settings, np.array([places[k].reach for k in owners]), spent
     )
-    for k, one in zip(owners, again, strict=True):
-        if one is not None:
-            found.append(replace(one, scale=places[k].scale))
+    for k, solution in zip(owners, again, strict=True):
+        if solution is not None:
+            accepted.append(replace(solution, scale=places[k].scale))
             unsolved.discard(k)
-    return found, len(unsolved)
+    return accepted, len(unsolved)
 
 
 def _span(piece: Piece, place: float) -> Array:
@@ -549,15 +553,15 @@ def _approaches(system: System, sides: tuple[TubeSide, TubeSide], phases: Array)
     """
     section = sides[0].section
     position, along = np.asarray(section.position), np.asarray(section.momentum) / momentum_scale(system, section)
-    found: list[_Approach | None] = [None] * len(phases)
-    flown = [side.arrive(phases[:, which]) for which, side in enumerate(sides)]
-    both = np.flatnonzero(np.isfinite(flown[0][1]) & np.isfinite(flown[1][1]))
+    approaches: list[_Approach | None] = [None] * len(phases)
+    arrivals = [side.arrive(phases[:, which]) for which, side in enumerate(sides)]
+    both = np.flatnonzero(np.isfinite(arrivals[0][1]) & np.isfinite(arrivals[1][1]))
     if not both.size:
-        return found
-    states, times = [flown[k][0][both] for k in (0, 1)], [flown[k][1][both] for k in (0, 1)]
+        return approaches
+    states, times = [arrivals[k][0][both] for k in (0, 1)], [arrivals[k][1][both] for k in (0, 1)]
     tangents = []
     for which, side in enumerate(sides):
-        seeds, seed_slopes = flown[which][2]
+        seeds, seed_slopes = arrivals[which][2]
         slopes = side.slopes((seeds[both], seed_slopes[both]), states[which], times[which])
         momenta = np.einsum("kij,kj->ki", system.numeric.momentum_jacobian(states[which]), slopes)
         tangents.append(np.stack([slopes @ position, momenta @ along], axis=-1))
@@ -576,8 +580,8 @@ def _approaches(system: System, sides: tuple[TubeSide, TubeSide], phases: Array)
             tangents=np.column_stack([tangents[0][j], tangents[1][j]]),
             times=(float(times[0][j]), float(times[1][j])),
         )
-        found[k] = _Approach(crossing, float(np.abs(gaps[j]).max()), miss[j], bool(ways[0][j] == ways[1][j]))
-    return found
+        approaches[k] = _Approach(crossing, float(np.abs(gaps[j]).max()), miss[j], bool(ways[0][j] == ways[1][j]))
+    return approaches
 
 
 def _slopes(crossing: Intersection) -> Array:
@@ -598,32 +602,32 @@ def _newton(
     The result is None if the method does not converge in time, or leaves the range `reach` (K,).
     """
     phases, resting = guesses.copy(), np.full(len(guesses), np.inf)
-    found: list[Intersection | None] = [None] * len(guesses)
+    results: list[Intersection | None] = [None] * len(guesses)
     going = np.arange(len(guesses))
     for _ in range(settings.newton_iterations):
         if not going.size or spent() >= 1:
             break
         on = []
-        for k, one in zip(going, _approaches(system, sides, phases[going]), strict=True):
-            if one is None:
+        for k, approach in zip(going, _approaches(system, sides, phases[going]), strict=True):
+            if approach is None:
                 continue
-            if one.gap < settings.accept:
-                found[k] = one.crossing
+            if approach.gap < settings.accept:
+                results[k] = approach.crossing
                 continue
-            step = np.linalg.lstsq(_slopes(one.crossing), one.miss, rcond=1e-12)[0]
+            step = np.linalg.lstsq(_slopes(approach.crossing), approach.miss, rcond=1e-12)[0]
             longest = float(np.max(np.abs(step)))
             if longest < _AT_REST:
                 # On sensitive flights, rounding of the phases alone causes a gap of this size.
-                if one.gap >= resting[k]:
-                    found[k] = one.crossing if one.same_way else None
+                if approach.gap >= resting[k]:
+                    results[k] = approach.crossing if approach.same_way else None
                     continue
-                resting[k] = one.gap
+                resting[k] = approach.gap
             # Steps are limited, because a larger one would leave the neighbourhood of the guess.
             phases[k] -= step * min(1.0, 0.05 / longest if longest else 1.0)
             if np.max(np.abs(phases[k] - guesses[k])) <= reach[k]:
                 on.append(k)
         going = np.array(on, dtype=np.intp)
-    return found
+    return results
 
 
 def _partners(
@@ -648,22 +652,26 @@ def _partners(
         if pair[0] is None or pair[1] is None:
             continue
         around = (_slopes(c) for c in (pair[0].crossing, crossing, pair[1].crossing))
-        before, here, after = (float(across[k] @ m @ flat[k]) for m in around)
-        zeros = np.roots([(before - 2 * here + after) / (6 * _BESIDE**2), (after - before) / (4 * _BESIDE), here])
-        near = [float(s.real) for s in zeros if abs(s.imag) < abs(s.real) and abs(s) < _FARTHEST_PARTNER]
-        guesses += [crossing.phases + s * flat[k] for s in near]
-        owners += [crossing] * len(near)
+        before, middle, after = (float(across[k] @ m @ flat[k]) for m in around)
+        zeros = np.roots([(before - 2 * middle + after) / (6 * _BESIDE**2), (after - before) / (4 * _BESIDE), middle])
+        roots = [float(s.real) for s in zeros if abs(s.imag) < abs(s.real) and abs(s) < _FARTHEST_PARTNER]
+        guesses += [crossing.phases + s * flat[k] for s in roots]
+        owners += [crossing] * len(roots)
     start = np.array(guesses).reshape(-1, 2)
     solved = _newton(system, sides, start, settings, np.full(len(start), _FARTHEST), spent)
-    return [replace(one, scale=owner.scale) for owner, one in zip(owners, solved, strict=True) if one is not None]
+    return [
+        replace(solution, scale=owner.scale)
+        for owner, solution in zip(owners, solved, strict=True)
+        if solution is not None
+    ]
 
 
 def _add(
-    system: System, solutions: list[Intersection], found: list[Intersection], settings: ConnectionSettings
+    system: System, solutions: list[Intersection], intersections: list[Intersection], settings: ConnectionSettings
 ) -> None:
     """Add solutions that differ from all previous ones on the torus."""
-    known = np.array([other.states[0] for other in found]).reshape(-1, system.dimension)
-    for one in solutions:
-        if not (system.scaled_distance(known, one.states[0]) < settings.same).any():
-            found.append(one)
-            known = np.vstack([known, one.states[0]])
+    states = np.array([intersection.states[0] for intersection in intersections]).reshape(-1, system.dimension)
+    for solution in solutions:
+        if not (system.scaled_distance(states, solution.states[0]) < settings.same).any():
+            intersections.append(solution)
+            states = np.vstack([states, solution.states[0]])

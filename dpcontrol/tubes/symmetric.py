@@ -188,24 +188,26 @@ def find_symmetric_connections(
         if cause is not GridCause.REACHED:
             break
         rows.append(search.flown(orbit))
-    found: list[Connection] = []
-    failed = left = 0
+    connections: list[Connection] = []
+    failed = unsearched = 0
     zeros = list(search.zeros(rows))
     for k, (orbit, branch, phase) in enumerate(zeros):
         if budget.spent:
-            left = len(zeros) - k
+            unsearched = len(zeros) - k
             break
         progress(f"{len(zeros)} candidates", 0.8 + 0.2 * k / len(zeros))
         connection = search.refined(orbit, branch, phase, (high - low) / settings.energies)
         if connection is None:
             failed += 1
-        elif low <= connection.source.energy <= high and not any(search.same(connection, one) for one in found):
-            found.append(connection)
-    found.sort(key=lambda c: c.source.energy)
+        elif low <= connection.source.energy <= high and not any(
+            search.same(connection, earlier) for earlier in connections
+        ):
+            connections.append(connection)
+    connections.sort(key=lambda c: c.source.energy)
     progress("connections", 1.0)
     reached = (low, rows[-1].orbit.energy) if rows else (low, low)
     return SymmetricSearch(
-        saddle, family, hit, reached, tuple(found), failed, left, cause, orbit, seconds=budget.seconds
+        saddle, family, hit, reached, tuple(connections), failed, unsearched, cause, orbit, seconds=budget.seconds
     )
 
 
@@ -266,11 +268,11 @@ class _FamilySearch:
         settings, manifold = self.settings, local_manifold(orbit, self.settings.distance)
         branches = (1,) if manifold.branches_are_mirrored else (1, -1)
         phases, gaps = np.arange(settings.phases) / settings.phases, []
-        others = [i for i in range(self.system.dimension // 2) if i != self.arm]
+        indices = [i for i in range(self.system.dimension // 2) if i != self.arm]
         for branch in branches:
             longest = self.system.flight_periods * orbit.period
             states, *_ = arrivals(manifold, self.section, phases, hit=self.hit, branch=branch, longest=longest)
-            gaps.append(self._off(states)[:, others])
+            gaps.append(self._off(states)[:, indices])
         return _Row(orbit, branches, np.array(gaps))
 
     def _off(self, states: Array) -> Array:
@@ -285,11 +287,11 @@ class _FamilySearch:
         along = np.arange(count)
         for below, above in pairwise(rows):
             for b, branch in enumerate(below.branches):
-                here, there = below.gaps[b], above.gaps[b]
-                onward = [np.roll(gaps, -1, axis=0) for gaps in (here, there)]
+                lower_gaps, upper_gaps = below.gaps[b], above.gaps[b]
+                onward = [np.roll(gaps, -1, axis=0) for gaps in (lower_gaps, upper_gaps)]
                 for corners, places, row in (
-                    ((here, there, onward[0]), (0, 0, 1), below),
-                    ((onward[1], there, onward[0]), (1, 0, 1), above),
+                    ((lower_gaps, upper_gaps, onward[0]), (0, 0, 1), below),
+                    ((onward[1], upper_gaps, onward[0]), (1, 0, 1), above),
                 ):
                     first, second, third = corners
                     sides = np.stack([second - first, third - first], axis=-1)
@@ -390,8 +392,8 @@ class _FamilySearch:
         sides = []
         for energy in (orbit.energy - nudge, orbit.energy + nudge):
             manifold = local_manifold(nearby_orbit(self.problem, orbit, energy), end.manifold.distance)
-            moved = replace(end, manifold=manifold, amplitude=np.sign(manifold.vector @ vector) * end.amplitude)
-            sides.append(moved.states(np.zeros(1))[0])
+            shifted = replace(end, manifold=manifold, amplitude=np.sign(manifold.vector @ vector) * end.amplitude)
+            sides.append(shifted.states(np.zeros(1))[0])
         return end.states(np.zeros(1))[0], np.column_stack([(sides[1] - sides[0]) / (2 * nudge), by_phase])
 
     def _described(self, half: "_Half", middle: Array, residual: float) -> Connection:
@@ -415,7 +417,7 @@ class _FamilySearch:
             amplitude=half_turn[1] * half.start.amplitude,
             turns=tuple(float(k) for k in turns),
         )
-        whole = ShootingOrbit(
+        flight = ShootingOrbit(
             system=system,
             times=times,
             states=np.vstack([before, middle, after]),
@@ -425,10 +427,10 @@ class _FamilySearch:
             iterations=0,
             cause=ShootingCause.CONVERGED,
         )
-        time_out, phase_out = approach(whole, OrbitCurve(orbit), -1, self.settings.near)
-        time_in, phase_in = approach(whole, OrbitCurve(orbit), +1, self.settings.near)
+        time_out, phase_out = approach(flight, OrbitCurve(orbit), -1, self.settings.near)
+        time_in, phase_in = approach(flight, OrbitCurve(orbit), +1, self.settings.near)
         winding = tuple(int(k) for k in turns[:n])
-        found = Connection(
+        connection = Connection(
             name="",
             source=orbit,
             target=orbit,
@@ -444,14 +446,14 @@ class _FamilySearch:
             time_in=time_in,
             phase_out=phase_out,
             phase_in=phase_in,
-            orbit=whole,
+            orbit=flight,
         )
-        return named(found, at_energy=True)
+        return named(connection, at_energy=True)
 
     def same(self, first: Connection, second: Connection) -> bool:
         """Return True if two connections are equal or mirror images."""
-        apart = abs(first.source.energy - second.source.energy) / self.system.energy_scale
-        return apart < self.settings.same and [abs(k) for k in first.winding] == [abs(k) for k in second.winding]
+        difference = abs(first.source.energy - second.source.energy) / self.system.energy_scale
+        return difference < self.settings.same and [abs(k) for k in first.winding] == [abs(k) for k in second.winding]
 
 
 @dataclass(frozen=True)

@@ -139,8 +139,8 @@ def _volume(orbit: LyapunovOrbit, states: Array) -> tuple[float, TransportCause]
         for saddle in (system.equilibria[name] for name in system.saddles):
             # Necks narrower than a cell are open or closed by the energy of their saddle.
             away = rest - saddle - system.nearest_turns(rest - saddle) * system.turn_lengths
-            near = (np.abs(away[..., :2]) < _BLOCK * widths).all(axis=-1)
-            passable[near] = system.numeric.hamiltonian(saddle) < orbit.energy
+            neck = (np.abs(away[..., :2]) < _BLOCK * widths).all(axis=-1)
+            passable[neck] = system.numeric.hamiltonian(saddle) < orbit.energy
         # Of three copies along an angle, parts that leave the middle one continue in the others.
         labelled: Any = ndimage.label(np.tile(passable, tiles))
         start = np.floor((centre - box[0]) / widths).astype(int) + _CELLS * (tiles // 2)
