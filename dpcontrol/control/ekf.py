@@ -255,7 +255,10 @@ class FilterEquations:
 
     @cached_property
     def carried(self) -> Array:
-        """Return T (N+E, N+E); P is the covariance of T z."""
+        """Return T (N+E, N+E): T z has the measured positions, with their zero errors, in place of the true ones.
+
+        P is the covariance of T z. Without `as_measured`, T is the identity.
+        """
         out = np.eye(self.dimension)
         if self.as_measured:
             out[[*range(self.arms), 2 * self.arms]] = self.observation

@@ -61,6 +61,7 @@ class Trajectory(Brief):
         return times_on(self.mesh, self.method.points)
 
     def _evaluate(self, times: ArrayLike, places: Array, values: Array) -> Array:
+        """Return values (…, N) at times of the polynomials through values (K, P, N) at places (P,) of intervals."""
         at = np.clip(np.asarray(times, dtype=float), self.mesh[0], self.mesh[-1])
         flat = at.ravel()
         index = np.clip(np.searchsorted(self.mesh, flat, side="right") - 1, 0, len(self.mesh) - 2)

@@ -333,7 +333,9 @@ class _FamilySearch:
         return None if shot is None else self._described(*shot)
 
     def _shot(self, half: "_Half", target: Array, spacing: float) -> "tuple[_Half, Array, float] | None":
-        """Solve for a half that ends at angles `target` (n,), rad.
+        """Solve for a half that ends at angles `target` (n,), rad, by multiple shooting.
+
+        The unknowns of a Newton step are the orbit's energy, the phase of the start, the duration and the inner nodes.
 
         Returns:
             The half, its middle state and the largest defect, or None after a failure.
