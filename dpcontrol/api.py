@@ -729,8 +729,7 @@ def shadow(
 def prove(
     found: lyapunov.LyapunovOrbit | shadowing.ShadowingOrbit | tubes.ConnectionSearch,
     *,
-    energy: Decimal | Fraction | float | None = None,
-    within: Annotated[float, Between(0, 0.1)] = 0.0,
+    energy: proofs.Energies | Decimal | Fraction | float | None = None,
     rivals: graphs.Edges | None = None,
     horseshoe: bool = True,
     settings: proofs.ProofSettings | None = None,
@@ -740,8 +739,7 @@ def prove(
 
     Args:
         found: orbit, walk, or search for connections.
-        energy: exact energy, J (default: the shortest decimal that reads as the orbit's).
-        within: largest distance of other energies from it, J, for which the statement also holds (default: 0).
+        energy: exact energy, J, or `Energies` of an interval (default: the shortest decimal that reads as the orbit's).
         rivals: graph whose other connections the walk must not follow (default: not checked).
         horseshoe: prove also the horseshoe of homoclinic connections of one orbit (default: True).
         settings: precision and radii (default: those of `dpcontrol prove`).
@@ -765,7 +763,7 @@ def prove(
     own = found if isinstance(found, lyapunov.LyapunovOrbit) else found.connections[0].source
     if rivals is not None:
         _same_level(own.system, own.energy, rivals.system, rivals.energy)
-    height = proofs.Energies.of(own.energy if energy is None else energy, within)
+    height = proofs.Energies.of(own.energy if energy is None else energy)
     if not isinstance(found, lyapunov.LyapunovOrbit | shadowing.ShadowingOrbit):
         kind = "horseshoe" if horseshoe and own is found.connections[0].target else "connection"
         return proofs.prove_network(kind, found.connections, energy=height, settings=settings, progress=progress)
@@ -779,8 +777,7 @@ def prove(
 def prove_graph(
     model: Model | System | graphs.Edges | str,
     *,
-    energy: Decimal | Fraction | float | None = None,
-    within: Annotated[float, Between(0, 0.1)] = 0.0,
+    energy: proofs.Energies | Decimal | Fraction | float | None = None,
     settings: proofs.ProofSettings | None = None,
     out: Annotated[Path | str | None, Output((".json",))] = None,
     yes: bool = False,
@@ -793,8 +790,7 @@ def prove_graph(
 
     Args:
         model: model, its name, a system, or its graph.
-        energy: energy, J, as an exact decimal (default: that of the graph).
-        within: largest distance of other energies from it, J, for which the statement also holds (default: 0).
+        energy: energy, J, as an exact decimal, or `Energies` of an interval (default: that of the graph).
         settings: precision and radii (default: those of `dpcontrol prove`).
         out: certificate to write, .json, for `prove check` (default: none).
         yes: accept work of more than an hour or 4 GB (default: refused).
@@ -815,8 +811,10 @@ def prove_graph(
     if not isinstance(model, graphs.Edges):
         if energy is None:
             raise InputError("energy is missing: give the energy, J")
-        model = graph(model, energy=float(energy), yes=yes, progress=part_of(progress, 0.0, 0.1))
-    exact = proofs.Energies.of(model.energy if energy is None else energy, within)
+        model = graph(
+            model, energy=float(proofs.Energies.of(energy).middle), yes=yes, progress=part_of(progress, 0.0, 0.1)
+        )
+    exact = proofs.Energies.of(model.energy if energy is None else energy)
     _same_level(model.system, model.energy, model.system, float(exact.middle))
     periods = (4 + (c.time_out + c.time_in) / c.source.period for c in model.connections)
     announce(_proof_cost(sum(periods)), yes=yes)
@@ -905,8 +903,7 @@ def prove_statement(
         raise InputError("a horseshoe needs homoclinics of one orbit: omit the target")
 
     def proved(energies: proofs.Energies) -> proofs.Proof:
-        height = float(energies.middle)
-        given = {"energy": energies.middle, "within": energies.within, "settings": settings}
+        height, given = float(energies.middle), {"energy": energies, "settings": settings}
         if statement == "graph":
             return prove_graph(system, **given, yes=yes, progress=progress)
         if statement == "walk":

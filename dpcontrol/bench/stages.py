@@ -72,13 +72,9 @@ def _measured(stage: str, programs: int) -> list[Point]:
     """Return the points of a stage from so many programs with a filled cache."""
     call, error = STAGES[stage]
     with tempfile.TemporaryDirectory() as folder:
-        told = [
-            subprocess.run(
-                [sys.executable, "-c", PROGRAM.format(call=call, error=error, later=later)],
-                cwd=folder, env={**os.environ, VARIABLE: f"{folder}/cache"}, stdout=subprocess.PIPE, check=True,
-            ).stdout
-            for later in (0, 0, *[1] * programs)
-        ]  # fmt: skip
+        surroundings = {**os.environ, VARIABLE: f"{folder}/cache"}
+        codes = [PROGRAM.format(call=call, error=error, later=later) for later in (0, 0, *[1] * programs)]
+        told = [subprocess.check_output([sys.executable, "-c", code], cwd=folder, env=surroundings) for code in codes]
     (first, *_), _, *filled = (json.loads(text.splitlines()[-1]) for text in told)
     warm, later, errors = zip(*filled, strict=True)
     times = {"empty cache": first, "filled cache": min(warm), "later results": min(later)}

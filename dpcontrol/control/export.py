@@ -216,9 +216,14 @@ def _tables(equations: TickEquations, schedule: GainSchedule, *, single: bool) -
     columns = np.r_[states, np.setdiff1d(np.flatnonzero(varying), np.r_[states])]
     moves = equations.row.of(np.abs(schedule.rows).max(axis=0))
     errors = equations.row.filled(
-        feedforward=1.0, gains=_DEVIATION, state=np.maximum(moves.gains, 1.0), drive=moves.drive_gain,
-        drive_gain=_DEVIATION, extra_gains=_DEVIATION, pair_gains=_DEVIATION**2,
-    )  # fmt: skip
+        feedforward=1.0,
+        gains=_DEVIATION,
+        state=np.maximum(moves.gains, 1.0),
+        drive=moves.drive_gain,
+        drive_gain=_DEVIATION,
+        extra_gains=_DEVIATION,
+        pair_gains=_DEVIATION**2,
+    )
     differing = np.flatnonzero((rows != rows[-1]).any(axis=1))
     moving = rows[: differing[-1] + 2 if len(differing) else 1, columns]
     names = [f"{name} {k + 1}" for name in equations.row.names for k in range(len(getattr(moves, name)))]
@@ -399,10 +404,8 @@ def controller_source(
     known["HELPERS"] = "\n".join(text for name, text in _HELPERS.items() if f"{name}(" in known["TICK"])
     files = {name: _filled(name, known) for name in _SOURCES}
     queued = schedule.queued if equations.lead else np.zeros(1)
-    arrays = {
-        "dpc_large": tables.terms[:, :LARGE], "dpc_start": _start(program, equations), "dpc_first_commands": queued,
-    }  # fmt: skip
-    text = [_table(name, rows, single=single) for name, rows in arrays.items()]
+    arrays = {"dpc_large": tables.terms[:, :LARGE], "dpc_start": _start(program, equations)}
+    text = [_table(name, rows, single=single) for name, rows in {**arrays, "dpc_first_commands": queued}.items()]
     text.append(_table("dpc_small", tables.terms[:, LARGE:], single=True).replace("dpc_real", "float"))
     starts = f"const long dpc_pieces[DPC_PIECES + 1] = {{{', '.join(map(str, tables.starts.tolist()))}}};\n"
     files["dpc_tables.c"] = "\n".join(['#include "dpc_tables.h"\n\n#include <math.h>\n', starts, *text])

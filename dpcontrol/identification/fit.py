@@ -53,7 +53,7 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.settings import Setting, Settings
 from dpcontrol.foundation.shown import Brief
-from dpcontrol.identification.windows import FitSettings, Linearised, Stretch, WindowedFit, fit_windows
+from dpcontrol.identification.windows import FitSettings, Linearised, LinearisedStretch, WindowedFit, fit_windows
 from dpcontrol.recordings.recording import smoothed_derivative
 
 LONGEST_STEP = 2e-3
@@ -248,7 +248,7 @@ class Windows:
         out = Linearised([], finite=bool(np.isfinite(states).all() and np.isfinite(slopes).all()))
         for swing, windows in zip(self.swings, self.windows, strict=True):
             shape = swing.angles.shape
-            chain = Stretch(np.empty(shape), np.empty(shape), np.zeros((*shape, n + len(unknowns))), [], [])
+            chain = LinearisedStretch(np.empty(shape), np.empty(shape), np.zeros((*shape, n + len(unknowns))), [], [])
             node, offset = np.eye(n, n + len(unknowns)), np.zeros(n)
             for w in windows:
                 chain.nodes.append(node)

@@ -66,7 +66,7 @@ class FitSettings(Settings, table="fit"):
     """Relative decrease of the loss below which the fit has converged."""
 
 
-class Stretch(NamedTuple):
+class LinearisedStretch(NamedTuple):
     """Linearisation of a stretch of K samples of n quantities.
 
     `residual` (K, n) minus the effect of the gaps between windows is `reduced` (K, n). `slope` (K, n, s+f) is the
@@ -92,7 +92,7 @@ class Linearised:
         finite: True if all numbers are finite.
     """
 
-    stretches: list[Stretch]
+    stretches: list[LinearisedStretch]
     gaps: float = 0.0
     gap: float = 0.0
     finite: bool = True
@@ -155,7 +155,7 @@ class DifferencedModel:
         """
         residual, *ahead = self.residuals(np.vstack([values, values + STEP * np.eye(len(values))[unknowns]]))
         slope = np.stack([(residual - stepped) / STEP for stepped in ahead], axis=-1)
-        stretch = Stretch(residual, residual, slope, [np.empty((0, len(unknowns)))], [np.empty(0)])
+        stretch = LinearisedStretch(residual, residual, slope, [np.empty((0, len(unknowns)))], [np.empty(0)])
         return Linearised([stretch], finite=bool(np.isfinite(slope).all()))
 
 

@@ -109,9 +109,11 @@ class Energies:
         """Return energies whose numbers are the shortest decimals that represent the given ones.
 
         Args:
-            energy: float, or a number whose text is a decimal.
+            energy: float, a number whose text is a decimal, or energies, which are returned.
             within: the same for the distance.
         """
+        if isinstance(energy, Energies):
+            return energy
         return cls(*(Fraction(repr(v) if isinstance(v, float) else str(v)) for v in (energy, within)))
 
     def __str__(self) -> str:
