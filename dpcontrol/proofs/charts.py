@@ -190,11 +190,12 @@ def segment(surface: Surface, leg: Leg, radii: Vector, arriving: Vector, setting
         for sizes, of in ((radii, leg.first), (arriving, chart))
     )
     states, _ = leg.first.lift(field, surface.energy, y)
-    spread = columns([[x - c] for x, c in zip(states, start, strict=True)])
+    tangents = leg.first.tangents(field, states)
+    spread = tangents * columns([[v] for v in (*map(symmetric, radii), away)])
     thin, derivative, end, steps = fly(field, start, spread, leg.duration, settings)
     point, box = (passage(field, normal, chart.coordinates(x, shift)[2], x) for x in (thin, end))
     landed = [x + point.time * f for x, f in zip(thin, point.rates, strict=True)]
-    moved = (box.moved * derivative * leg.first.tangents(field, states)).transpose().tolist()
+    moved = (box.moved * derivative * tangents).transpose().tolist()
     *delays, late = [-dot(normal, column) / dot(normal, box.rates) for column in moved]
     projected = [
         [m + f * d for m, f in zip(column, box.rates, strict=True)]

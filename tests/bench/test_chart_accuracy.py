@@ -61,7 +61,8 @@ def test_a_tighter_tolerance_is_nearer_and_the_default_is_at_rounding(work):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [name for name in CHARTS if name not in (*GROUPS["edges"], IN_THE_GUIDE)])
+# The stages have no alternatives: their chart compares a cold start with a warm one.
+@pytest.mark.parametrize("name", [n for n in CHARTS if n not in (*GROUPS["edges"], IN_THE_GUIDE, "stages")])
 def test_each_quick_chart_has_its_defaults(name, monkeypatch):
     time_once(monkeypatch)
     assert any(panel.defaults for panel in CHARTS[name](True, no_progress).parts)

@@ -201,6 +201,8 @@ def test_steps_that_divide_the_period_keep_the_outputs_and_others_are_rejected(
     exported: Exported, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with running(exported, tmp_path / "a", start=2.0) as halves, running(exported, tmp_path / "b") as wholes:
+        for one in (halves, wholes):
+            one.set("measured_cart", 0.0)
         for k in range(20):
             wholes.step(k * PERIOD)
             halves.step(2.0 + k * PERIOD, PERIOD / 2)

@@ -58,7 +58,7 @@ def test_all_eight_homoclinics_are_proved_as_the_guide_shows(found: ConnectionSe
     ended = dpcontrol(*COMMAND.split()[1:], "--json")
     assert ended.code == 0, ended.stderr
     proof = ended.document
-    assert f"$ {COMMAND}\n  {proof['status']}\n" in PAGE
+    assert f"$ {COMMAND}\n{proof['status']}\n" in PAGE
     for one in proof["links"]:
         computed = next(c for c in found.connections if c.name == one["name"])
         assert float(flint.arb(one["angle_deg"])) == pytest.approx(computed.transversality_angle, abs=0.01)
