@@ -11,7 +11,7 @@ from independent_decoder import LAST, Plan, faults, last_gap, plan_of
 from dpcontrol.judge.decoding import stays
 from dpcontrol.judge.score import Flown, verdict_on
 from dpcontrol.loop.assembly import Assembly
-from dpcontrol.loop.result import BatchRun, Ending
+from dpcontrol.loop.result import BatchRun
 from dpcontrol.plans.itinerary import Itinerary
 from dpcontrol.references.reference import Reference
 
@@ -59,13 +59,8 @@ def runs(itinerary: Itinerary, reference: Reference, options: Mapping[str, Any],
     lockstep = assembly.lockstep
     draws = (assembly.draw(seed=seed) for seed in seeds)
     flights = assembly.batch(seeds) if lockstep else [BatchRun.of(assembly.simulate(draw=draw)) for draw in draws]
-    bounds = (limits.position, limits.velocity, limits.acceleration)
     for seed, run in zip(seeds, flights, strict=True):
-        end = None if run.ending is Ending.FINISHED else run.end
-        flown = Flown(
-            time=run.times, states=run.truth, reference_angles=run.references, applied=run.applied, rate_hz=loop.rate,
-            limits=bounds, end=end, stretches=run.stretches,
-        )  # fmt: skip
+        flown = Flown.of(run, rate_hz=loop.rate, limits=limits)
         yield Case(f"seed {seed}, {options}", flown, None)
 
 

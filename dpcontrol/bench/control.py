@@ -201,12 +201,7 @@ def keeps(orbit: SustainedOrbit) -> Judge:
 
 
 def _completed(reference: Reference, run: BatchRun) -> bool:
-    limits = reference.limits
-    flown = Flown(
-        time=run.times, states=run.truth, reference_angles=run.references[:, :2], applied=run.applied,
-        rate_hz=RATE, limits=(limits.position, limits.velocity, limits.acceleration),
-        end=None if run.ending is Ending.FINISHED else run.end,
-    )  # fmt: skip
+    flown = Flown.of(run, rate_hz=RATE, limits=reference.limits)
     return verdict_on(flown, reference).completed
 
 

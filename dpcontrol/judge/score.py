@@ -28,8 +28,9 @@ from dpcontrol.judge.decoding import FOLLOWS, NEAR_LAST_ORBIT, Decoded, decode_r
 from dpcontrol.logs import CATCH, FLIGHT, LAP, RESUME, RETURN, Event, RunLog, Stretch
 from dpcontrol.logs.layout import CONTROL, ESTIMATE, REFERENCE
 from dpcontrol.logs.rolling import NIGHT_METADATA
-from dpcontrol.loop.result import Ending, inside_95, sensors_of
+from dpcontrol.loop.result import BatchRun, Ending, inside_95, sensors_of
 from dpcontrol.references.content import PlanSymbol, symbol_figures
+from dpcontrol.references.problem import Limits
 from dpcontrol.references.reference import Reference, load_reference
 from dpcontrol.words import runs as words
 
@@ -298,6 +299,20 @@ class Flown(Brief):
     end: Event | None = None
     stretches: tuple[Stretch, ...] = ()
     hardest: float | None = None
+
+    @classmethod
+    def of(cls, run: BatchRun, *, rate_hz: float, limits: Limits) -> "Flown":
+        """Return the basis of the verdict on a simulated run.
+
+        Args:
+            run: the run.
+            rate_hz: rate of its ticks, Hz.
+            limits: the cart's limits in this run.
+        """
+        bounds = (limits.position, limits.velocity, limits.acceleration)
+        end = None if run.ending is Ending.FINISHED else run.end
+        flown = (run.times, run.truth, run.references, run.applied)
+        return cls(*flown, rate_hz, bounds, end, run.stretches, run.hardest)
 
     @property
     def angles(self) -> Array:

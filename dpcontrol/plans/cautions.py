@@ -1,12 +1,12 @@
-"""Properties that make the runs of a plan likely to fail, computed without a run.
+"""Properties that make the runs of a plan likely to fail.
 
-Each caution compares a figure of plan and rig with a limit, and has a change that was tried and helps. The limits
-separate itineraries that complete all runs from those that do not, among itineraries drawn at random
-(`tests/benchmarks/generated_scenes.py`).
+Each caution compares a figure of plan and rig with a limit, and has a change that was tried and helps. Itineraries
+drawn at random (`tests/benchmarks/generated_scenes.py`) complete nearly all runs below the limits. A plan with a figure
+beyond its limit is rehearsed in a few simulated runs, and has cautions only if some of these fail.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import compress
 from typing import ClassVar
 
@@ -15,20 +15,30 @@ import numpy as np
 from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.foundation.causes import CautionCause
 from dpcontrol.foundation.document import Documented
-from dpcontrol.foundation.errors import GoalMissed
+from dpcontrol.foundation.errors import GoalMissed, InputError
+from dpcontrol.judge.decoding import stays
+from dpcontrol.judge.score import Flown, verdict_on
+from dpcontrol.loop.assembly import Assembly
+from dpcontrol.loop.result import BatchRun
 from dpcontrol.plans.authority import growth_along, peak_gains
 from dpcontrol.plans.itinerary import Itinerary
 from dpcontrol.references.reference import Reference
 from dpcontrol.words.searches import CAUTION_REMEDIES, Concluded
 
 LIMITS = {
-    CautionCause.AUTHORITY: 175.0,
-    CautionCause.GAINS: 2.0,
-    CautionCause.START: 0.5,
-    CautionCause.LAG: 0.7,
-    CautionCause.LATE: 1.2,
+    CautionCause.AUTHORITY: 105.0,
+    CautionCause.GAINS: 1.2,
+    CautionCause.START: 0.3,
+    CautionCause.LAG: 0.42,
+    CautionCause.LATE: 0.72,
 }
 """Largest figure of each kind that completes reliably."""
+REHEARSED, FAILING = 16, 2
+"""Simulated runs of a rehearsal, and failures that call for a caution."""
+_MISMATCH = 0.05
+"""Least mismatch of rehearsed plants."""
+_FIRST_SEED = 2**30
+"""First seed of a rehearsal, far from those of campaigns."""
 _TIPS = np.geomspace(0.05, 2.0, 9)
 """Masses to try at the outer tip, relative to the outer arm's."""
 _FINER = 4
@@ -47,9 +57,10 @@ class Caution(Concluded, Documented):
         change: what was changed, or "" if nothing that was tried helps.
         value: its value in its own unit.
         changed: the figure with the change.
+        failed: number of rehearsed runs that failed, or None without a rehearsal.
     """
 
-    KEYS: ClassVar[str] = "cause figure limit place change value changed status remedy"
+    KEYS: ClassVar[str] = "cause figure limit place change value changed failed? status remedy"
 
     cause: CautionCause
     figure: float
@@ -57,6 +68,7 @@ class Caution(Concluded, Documented):
     change: str = ""
     value: float = 0.0
     changed: float = 0.0
+    failed: int | None = None
 
     @property
     def limit(self) -> float:
@@ -69,8 +81,8 @@ class Caution(Concluded, Documented):
         return CAUTION_REMEDIES[self.change].format_map(vars(self))
 
 
-def cautions_of(itinerary: Itinerary, reference: Reference) -> tuple[Caution, ...]:
-    """Return the cautions of a plan.
+def figures_of(itinerary: Itinerary, reference: Reference) -> tuple[Caution, ...]:
+    """Return the figures of a plan that are beyond their limits, the farthest first.
 
     Args:
         itinerary: itinerary with the settings of its runs.
@@ -81,7 +93,42 @@ def cautions_of(itinerary: Itinerary, reference: Reference) -> tuple[Caution, ..
         *_gains(itinerary, reference),
         *_late(itinerary, reference),
     )
-    return tuple(caution for caution in figures if caution.figure > caution.limit)
+    beyond = [caution for caution in figures if caution.figure > caution.limit]
+    return tuple(sorted(beyond, key=lambda caution: -caution.figure / caution.limit))
+
+
+def cautions_of(itinerary: Itinerary, reference: Reference) -> tuple[Caution, ...]:
+    """Return the figures of a plan that are beyond their limits, if rehearsed runs fail.
+
+    Args:
+        itinerary: itinerary with the settings of its runs.
+        reference: its converged reference.
+    """
+    if not (beyond := figures_of(itinerary, reference)):
+        return ()
+    try:
+        failed = _failed(itinerary, reference)
+    except (GoalMissed, InputError):
+        # Nothing flies this plan with these settings; a run names the reason.
+        return beyond
+    return tuple(replace(caution, failed=failed) for caution in beyond) if failed >= FAILING else ()
+
+
+def _failed(itinerary: Itinerary, reference: Reference) -> int:
+    """Return the number of rehearsed runs that do not complete the itinerary."""
+    loop = replace(itinerary.loop, mismatch=max(itinerary.loop.mismatch, _MISMATCH))
+    assembly = Assembly(
+        reference, itinerary.model.arms, loop, uncertainty=itinerary.uncertainty, stays=stays(reference)
+    )
+    seeds = range(_FIRST_SEED, _FIRST_SEED + REHEARSED)
+    runs = assembly.batch(seeds) if assembly.lockstep else [None] * REHEARSED
+    flights = (
+        BatchRun.of(assembly.simulate(draw=assembly.draw(seed=seed))) if run is None or run.departed else run
+        for seed, run in zip(seeds, runs, strict=True)
+    )
+    limits = loop.limits(reference.limits)
+    bases = (Flown.of(run, rate_hz=loop.rate, limits=limits) for run in flights)
+    return sum(not verdict_on(flown, reference).completed for flown in bases)
 
 
 def hidden_angles(itinerary: Itinerary) -> dict[str, float]:
@@ -110,9 +157,9 @@ def _authority(arms: ArmChainParameters, reference: Reference) -> Iterator[Cauti
     for name, place in {stop.saddle: np.array(stop.angles) for stop in reference.content.stops}.items():
         if (need := arms.need(place)) is None:
             continue
-        tips = ((mass, arms.with_tip(mass).need(place) or 0.0) for mass in (_TIPS * arms.mass[-1]).tolist())
-        helps = ((mass, changed) for mass, changed in tips if changed < LIMITS[CautionCause.AUTHORITY])
-        mass, changed = next(helps, (0.0, need))
+        tips = [(arms.with_tip(mass).need(place) or 0.0, mass) for mass in (_TIPS * arms.mass[-1]).tolist()]
+        helps = (tip for tip in tips if tip[0] < LIMITS[CautionCause.AUTHORITY])
+        changed, mass = next(helps, min(*tips, (need, 0.0)))
         yield Caution(CautionCause.AUTHORITY, need, name, "tip_mass" if mass else "", mass, changed)
 
 

@@ -79,7 +79,7 @@ class Plan(ByReference, Timed, Documented):
 
     @cached_property
     def warnings(self) -> tuple[Caution, ...]:
-        """Properties that make its runs likely to fail, computed without a run."""
+        """Properties that make its runs likely to fail, confirmed by simulated runs."""
         return cautions_of(self.itinerary, self.reference) if self.converged else ()
 
     @property

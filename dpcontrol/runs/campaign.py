@@ -81,7 +81,7 @@ from dpcontrol.judge.score import Flown, returns, verdict_on
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.loop.own import OwnExpressions, OwnLaw
-from dpcontrol.loop.result import BatchRun, Ending, Events
+from dpcontrol.loop.result import BatchRun, Events
 from dpcontrol.plans.itinerary import Itinerary
 from dpcontrol.plans.overrides import canonical
 from dpcontrol.plans.plan import Plan
@@ -231,18 +231,7 @@ def _assembled(job: Job) -> Assembly:
 
 def _row(job: Job, reference: Reference, seed: int, run: BatchRun, *, path: str) -> Row:
     loop = job.case.loop
-    limits = loop.limits(reference.limits)
-    flown = Flown(
-        time=run.times,
-        states=run.truth,
-        reference_angles=run.references,
-        applied=run.applied,
-        rate_hz=loop.rate,
-        limits=(limits.position, limits.velocity, limits.acceleration),
-        end=None if run.ending is Ending.FINISHED else run.end,
-        stretches=run.stretches,
-        hardest=run.hardest,
-    )
+    flown = Flown.of(run, rate_hz=loop.rate, limits=loop.limits(reference.limits))
     verdict = verdict_on(flown, reference)
     symbols = [symbol.text for symbol in reference.content.symbols]
     away = flown.angles - flown.reference_angles

@@ -35,7 +35,7 @@ ENTRIES = {
     "max_cart_position=reference.max_cart_position rms_cart_acceleration=reference.rms_cart_acceleration "
     "max_cart_acceleration=reference.max_cart_acceleration file cached transfers:text,duration,effort,stroke "
     "polished=polish.status polished_file=polish.plan.file sides=polish.sides margins=margins.status "
-    "energy_chosen=energies.chosen energies_file=energies.file warnings:cause,status,remedy status",
+    "energy_chosen=energies.chosen energies_file=energies.file warnings:cause,failed,status,remedy status",
     "Preflight": "itinerary advice notes warnings:status,remedy known endings:cause,share,seed "
     "borders:name,unit,set,border,low,high,margin changes:text,typed,gain,error,rescued,failing,lost,completing status",
     "ReferenceFile": "title file itinerary model plan duration intervals method shortest_interval longest_interval "

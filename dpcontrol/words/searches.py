@@ -517,7 +517,7 @@ SENTENCES: Mapping[type[StrEnum], Mapping[Any, Callable[[Any], str]]] = {
     },
     CautionCause: {
         CautionCause.AUTHORITY: lambda r: (
-            f"{r.place} needs {r.figure:.0f} m/s² per rad of feedback, and beyond {r.limit:.0f} few runs hold it"
+            f"{r.place} needs {r.figure:.0f} m/s² per rad of feedback (reliable: {r.limit:.0f})"
         ),
         CautionCause.GAINS: lambda r: (
             f"hidden angles, most of them due to {r.place}, cost the feedback up to {r.figure:.2g} times the drive's "
