@@ -39,7 +39,7 @@ from dpcontrol.judge.preflight import Assumption, EndingShare, HazardBorder, Imp
 from dpcontrol.loop.bench import MechanicsSettings
 from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.loop.own import OwnPlant
-from dpcontrol.plans.cautions import cautions_of
+from dpcontrol.plans.cautions import figures_of
 from dpcontrol.plans.itinerary import Itinerary, overridden, setting_of
 from dpcontrol.plans.overrides import canonical, typed
 from dpcontrol.plans.plan import Plan
@@ -514,7 +514,7 @@ def preflight(
         borders=tuple(sorted(borders, key=lambda b: (b.margin is None, b.margin or 0.0, b.name))),
         changes=tuple(sorted((c for c in results if isinstance(c, Improvement)), key=lambda c: (-c.gain, c.text))),
         seconds=time.perf_counter() - began,
-        warnings=cautions_of(itinerary, plan.reference),
+        warnings=figures_of(itinerary, plan.reference) if share.rate < 1 else (),
     )
 
 

@@ -96,7 +96,7 @@ def test_borders_where_less_is_worse_are_sought_downward(turn: Plan, monkeypatch
 
 def test_a_preflight_names_the_figures_that_explain_its_failures(turn: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
     made_up(monkeypatch, lambda loop, random: loop.drive.lag < 0.01)
-    found = preflight(turn, {"lag": 0.04}, settings=PreflightSettings(runs=16, workers=1))
+    found = preflight(turn, {"lag": 0.03}, settings=PreflightSettings(runs=16, workers=1))
     assert {caution.cause for caution in found.warnings} == {CautionCause.LAG}
     assert found.document()["warnings"][0]["remedy"]
 
