@@ -7,9 +7,8 @@ proved again. A connection that does not close is left out, so the bound is that
 with `dpcontrol prove check FOLDER/ENERGY.json`. The results are stored in `charts/entropy.json`, from which the picture
 `.assets/entropy.png` is drawn.
 
-The estimate uses the connections in the certificate. Durations τ_ij of passages follow from their computed phases on
-the periodic orbits. At the entropy h, the greatest eigenvalue of exp(-h τ_ij)/(1 - exp(-h T)) is one, where i and j are
-connections that meet.
+The estimate uses the connections in the certificate, with durations from their computed phases on the periodic orbits:
+at the entropy h, the greatest eigenvalue of exp(-h τ_ij)/(1 - exp(-h T)) over pairs of connections that meet is one.
 """
 
 import json
@@ -89,6 +88,7 @@ def draw(rows: Sequence[dict[str, object]], picture: Path) -> None:
     energies = [float(str(row["energy"])) for row in rows]
     axes.plot(energies, [row["estimate"] for row in rows], "o", mfc="none", ms=9, label="estimate in doubles")
     axes.plot(energies, [row["entropy"] for row in rows], "k.", label="proved lower bound")
+    axes.margins(y=0.1)
     axes.set(xlabel="energy, J", ylabel="topological entropy, 1/s", ylim=(0, None))
     axes.legend(frameon=False)
     figure.savefig(picture, dpi=150)
