@@ -2781,7 +2781,7 @@ def report(file: Place, *, page: Picture = None, margins: bool = False) -> repor
 
 
 @checked
-def log_summary(file: Place) -> log_reader.LogSummary:
+def log_summary(file: Place) -> log_reader.RunLog:
     """Show a log's topics, types, rates, duration, metadata and attachments.
 
     Topics also have units and counts.
@@ -2792,16 +2792,16 @@ def log_summary(file: Place) -> log_reader.LogSummary:
         file: log.
 
     Returns:
-        Topics with types, units and rates (Hz), duration (s), metadata and attachments.
+        The log, with its topics, metadata and attachments.
 
     Raises:
         InputError: the file is missing, cut, damaged or not a log.
 
     Examples:
-        >>> dp.log_summary(log).joints
+        >>> dp.log_summary(log).joint_names
         ('arm_1', 'arm_2', 'cart')
     """
-    return log_reader.summarise(Path(file))
+    return log_reader.read_log(Path(file))
 
 
 @checked

@@ -17,12 +17,10 @@ from dpcontrol.logs.layout import (
 from dpcontrol.logs.reader import (
     Comparison,
     Extras,
-    LogSummary,
     RunLog,
     check_replaced,
     compare_messages,
     read_log,
-    summarise,
 )
 from dpcontrol.logs.recovery import Recovery, recover
 from dpcontrol.logs.writer import LogWriter, slow_numbers

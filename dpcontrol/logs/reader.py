@@ -1,6 +1,4 @@
-"""Read a log into arrays, summarise it, or compare two logs.
-
-Summaries are by topic, comparisons message by message.
+"""Read a log into arrays, or compare two logs message by message.
 
 No record is trusted before the checksums agree. Checking indexes and single chunks is not enough: an index can point
 elsewhere, and two chunks can be swapped without invalidating their checksums. The mcap package therefore reads the file
@@ -31,7 +29,6 @@ from mcap.stream_reader import StreamReader, get_chunk_data_stream
 from numpy.typing import NDArray
 
 from dpcontrol.foundation.arrays import Array
-from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError, remark
 from dpcontrol.foundation.files import UNREADABLE, InTheWay, checked_size, checked_source, in_the_way
 from dpcontrol.foundation.rendering import DataFrame
@@ -301,12 +298,22 @@ class RunLog(Shown):
     def __repr__(self) -> str:
         return f"<log {self.path}: {len(self.time):,} rows at {self.rate_hz:g} Hz>"
 
+    @property
+    def duration(self) -> float:
+        """Time from the first to the last message, s."""
+        ends = [end for topic in self.topics for end in (topic.first_s, topic.last_s) if end is not None]
+        return max(ends) - min(ends)
+
     def document(self) -> dict[str, Any]:
         """Return the contents of the log without its rows."""
         return {
-            "log": self.path, "rows": len(self.time), "duration": float(np.ptp(self.time)) if len(self.time) else 0.0,
-            "parts": sorted(self.parts), "events": len(self.events), "attachments": sorted(self.attachments),
-            "metadata": self.metadata,
+            "log": self.path, "size": self.path.stat().st_size, "format": layout.FORMAT,
+            "program": self.metadata["program"], "rows": len(self.time), "duration": self.duration,
+            "rate_hz": self.rate_hz, "joints": self.joint_names,
+            "parts": [part for part in layout.PARTS if part in self.parts], "events": len(self.events),
+            "topics": self.topics, "attachments": {name: len(data) for name, data in self.attachments.items()},
+            "metadata": {name: value for name, value in self.metadata.items() if name != "program"},
+            "recovered": self.recovered, "partials": partials_of(self.path), "rewritten": self.rewritten,
         }  # fmt: skip
 
     @property
@@ -513,10 +520,6 @@ def read_log(path: Path | str) -> RunLog:
     )
 
 
-_LATEST = np.iinfo(np.int64).max
-"""ns: viewers and arrays of times hold signed nanoseconds."""
-
-
 _INCIDENTAL = ("version", "commit", "plan", "plant_parameters", "drawn")
 """Keys of a run's record that do not determine the run."""
 
@@ -597,72 +600,6 @@ class TopicSummary:
     first_s: float | None
     last_s: float | None
     rate_hz: float | None
-
-
-@dataclass(frozen=True)
-class LogSummary(Documented):
-    """Contents of a complete log: topics, attachments and metadata.
-
-    Attributes:
-        log: path of the log.
-        size: bytes.
-        format: version of the layout.
-        program: program that wrote the log.
-        duration: from first to last message, s.
-        rate_hz: rate of the loop, Hz.
-        joints: names of the joints.
-        parts: members of `layout.PARTS` in the log.
-        topics: summary of each topic.
-        attachments: size by name, bytes.
-        metadata: text passed by the caller.
-        recovered: losses that `dpcontrol recover` reported, or None.
-        partials: files beside it that other runs of this log have left or are writing.
-        rewritten: True if another program has rewritten it, so that integrity cannot be checked.
-    """
-
-    log: str
-    size: int
-    format: str
-    program: str
-    duration: float
-    rate_hz: float
-    joints: tuple[str, ...]
-    parts: tuple[str, ...]
-    topics: tuple[TopicSummary, ...]
-    attachments: dict[str, int]
-    metadata: dict[str, str]
-    recovered: str | None
-    partials: tuple[str, ...]
-    rewritten: bool = False
-
-
-def summarise(path: Path | str) -> LogSummary:
-    """Return a summary of a log after checking its checksums.
-
-    Args:
-        path: the log.
-
-    Raises:
-        InputError: the file is missing, cut off, damaged, without ticks or not a log of this program.
-    """
-    log = read_log(path)
-    ends = [end for topic in log.topics for end in (topic.first_s, topic.last_s) if end is not None]
-    return LogSummary(
-        log=str(log.path),
-        size=log.path.stat().st_size,
-        format=layout.FORMAT,
-        program=log.metadata["program"],
-        duration=max(ends) - min(ends),
-        rate_hz=log.rate_hz,
-        joints=log.joint_names,
-        parts=tuple(part for part in layout.PARTS if part in log.parts),
-        topics=log.topics,
-        attachments={name: len(data) for name, data in log.attachments.items()},
-        metadata={name: value for name, value in log.metadata.items() if name != "program"},
-        recovered=log.recovered,
-        partials=tuple(map(str, partials_of(log.path))),
-        rewritten=log.rewritten,
-    )
 
 
 def _topic(topic: str, kind: str, times: NDArray) -> TopicSummary:
