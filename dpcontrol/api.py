@@ -1593,7 +1593,6 @@ def identify(
     *,
     model: Model | str = "lab",
     design: Literal[True],
-    picture: Picture = None,
     progress: Reporting = None,
 ) -> fits.Design: ...
 @overload
@@ -1632,7 +1631,7 @@ def identify(
         design: most informative swings for recording, instead of an identification.
         out: model to write (default: models/NAME.toml).
         force: replace an existing model, whatever made it.
-        picture: picture of the result (default: none).
+        picture: picture of the identification (default: none).
         progress: reports, see `dpcontrol.api`.
 
     Returns:
@@ -1655,8 +1654,10 @@ def identify(
         )
         raise InputError(wrong)
     model = _model(model)
+    if design and picture is not None:
+        raise InputError("picture shows an identification, and design makes none: omit picture")
     if design:
-        return design_experiments(model, picture=picture, progress=progress)
+        return design_experiments(model, progress=progress)
     named = [*map(_recording, several)]
     files, given = [Path(name).name for name, _ in named], [one for _, one in named]
     target = Path("models") / f"{Path(files[0]).stem}.toml" if out is True else None if out is None else Path(out)
@@ -2934,12 +2935,11 @@ def write_recording(recording: recording_files.Recording, file: Place, *, force:
 
 
 @checked
-def design_experiments(model: Model | str, *, picture: Picture = None, progress: Reporting = None) -> fits.Design:
+def design_experiments(model: Model | str, *, progress: Reporting = None) -> fits.Design:
     """Compare swings by their information on the model's parameters.
 
     Args:
         model: model of arms.
-        picture: picture of the result (default: none).
         progress: reports, see `dpcontrol.api`.
 
     Returns:
@@ -2952,11 +2952,7 @@ def design_experiments(model: Model | str, *, picture: Picture = None, progress:
         >>> len(dp.design_experiments(lab).best_pair())
         2
     """
-    model = _model(model)
-    found = fits.design_experiments(model.arms, progress=progress)
-    if picture is not None:
-        _save(identification_pages.draw_design(found, title=model.title), picture)
-    return found
+    return fits.design_experiments(_model(model).arms, progress=progress)
 
 
 @checked
@@ -3035,7 +3031,7 @@ def draw_figures(
 
     Args:
         names: figures, such as "cuts" (default: all).
-        folder: folder for the pictures and captions.json (default: figures).
+        folder: folder for the pictures (default: figures).
         progress: reports, see `dpcontrol.api`.
 
     Returns:
@@ -3049,7 +3045,7 @@ def draw_figures(
         ['energy-landscape']
     """
     progress("loading", 0.0)
-    return paper_figures.draw_figures(names, paper_figures.cached_gallery(), Path(folder), progress=progress)
+    return paper_figures.draw_figures(names, Path(folder), progress=progress)
 
 
 @checked

@@ -33,8 +33,8 @@ from textwrap import shorten
 from typing import Any, ClassVar
 
 from dpcontrol.foundation.document import Documented
-from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress
+from dpcontrol.foundation.settings import check_choice
 from dpcontrol.foundation.units import quantity
 from dpcontrol.words.table import Line, TextTable
 
@@ -464,8 +464,6 @@ def check_names(names: tuple[str, ...]) -> tuple[str, ...]:
     Raises:
         InputError: a name is unknown.
     """
-    unknown = [name for name in names if name not in NAMES]
-    if unknown:
-        raise InputError(f"there is no chart {unknown[0]!r}; choose from {', '.join(NAMES)}")
+    check_choice("chart", NAMES, *names)
     chosen = [chart for name in names for chart in GROUPS.get(name, (name,))]
     return tuple(dict.fromkeys(chosen or CHARTS))

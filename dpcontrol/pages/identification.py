@@ -1,18 +1,15 @@
-"""Identification on one page: accuracy on recordings that the fit did not use; or the best recordings to make."""
+"""Identification on one page: accuracy on recordings that the fit did not use."""
 
 from functools import partial
-from itertools import cycle
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from dpcontrol.identification.fit import Design
 from dpcontrol.identification.identify import Identification
 from dpcontrol.pages import style
 from dpcontrol.pages.layout import Page, Panel, key
-from dpcontrol.pages.panels import name_curves, quiet
+from dpcontrol.pages.panels import quiet
 
 USED, LEFT, _BEFORE, LINE = style.REFERENCE, style.SERIES[1], style.NOTE, style.SERIES[0]
 
@@ -76,59 +73,3 @@ def _correlation(axes: Axes, identification: Identification) -> None:
     axes.set_title("Correlation of the errors", loc="left")
     axes.figure.colorbar(image, ax=axes, shrink=0.8)
     axes.grid(False)
-
-
-def draw_design(design: Design, *, title: str) -> Figure:
-    """Return a figure that compares designs: swings over their first two angles, the cart's sines over frequency.
-
-    Args:
-        design: designs to compare.
-        title: end of the page's title.
-    """
-    first, second = design.best_pair()
-    swings = [e for e in design.experiments if e.kind == "swing"]
-    return (
-        Page(f"Accuracy expected from a recording of {design.settings.seconds:g} s: {title}")
-        .row(
-            Panel(partial(_swing_map, swings=swings, pair=(first, second)), 1.1),
-            partial(_sines, design=design, swings=swings),
-            height=4.4,
-        )
-        .figure()
-    )
-
-
-def _sines(axes: Axes, design: Design, swings: list) -> None:
-    best = max((e.information for e in swings if e.usable), default=None)
-    quiet(axes, "From hanging, the cart driven: digits known", x="frequency of the cart's acceleration (Hz)")
-    ends = []
-    if best is not None:
-        axes.axhline(best, color=style.INK, linewidth=1.5, linestyle=style.DASHED)
-        ends.append((best, "best swing", style.INK))
-    for amplitude, colour in zip(design.settings.amplitudes, cycle(style.SERIES), strict=False):
-        sines = [e for e in design.experiments if e.kind == "cart" and e.amplitude == amplitude and e.usable]
-        if sines:
-            frequencies, digits = zip(*((e.frequency, e.information) for e in sines), strict=True)
-            axes.plot(frequencies, digits, "o-", markersize=4, color=colour)
-            ends.append((digits[-1], f"{amplitude:g} m/s²", colour))
-    name_curves(axes, ends)
-
-
-def _swing_map(axes: Axes, swings: list, pair: tuple) -> None:
-    title = "Free swings from rest; 1, 2: the best pair; crosses magnify errors"
-    if len(swings[0].angles) == 1:
-        axes.plot([np.degrees(e.angles[0]) for e in swings], [e.information for e in swings], "o-", color=LINE)
-        quiet(axes, title, x="let go at (degrees)")
-        return
-    shown = [e for e in swings if len(e.angles) == 2 or abs(e.angles[2]) < 1e-9]
-    x, y, digits, usable = np.array([(*np.degrees(e.angles[:2]), e.information, e.usable) for e in shown]).T
-    usable_places = usable > 0
-    dots = axes.scatter(x[usable_places], y[usable_places], c=digits[usable_places], s=150, marker="s", cmap="viridis")
-    axes.plot(x[~usable_places], y[~usable_places], "x", color=USED, markersize=6)
-    look: dict[str, Any] = {"color": "white", "ha": "center", "va": "center", "weight": "bold", "fontsize": style.TEXT}
-    for number, motion in enumerate(pair, start=1):
-        if motion.kind == "swing":
-            inner, outer = np.degrees(motion.angles[:2])
-            axes.text(inner, outer, str(number), **look)
-    axes.figure.colorbar(dots, ax=axes).ax.set_title("digits", fontsize=style.SMALL)
-    quiet(axes, title, x="inner arm let go at (degrees)", y="outer arm (degrees)")

@@ -9,9 +9,7 @@ wraps titles to the width of their panel, and places keys below them. No page ch
 """
 
 import sys
-import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from datetime import date
 from functools import cache, partial
@@ -270,14 +268,6 @@ def _literal_texts(figure: Any) -> None:
         text.set_text(printable(text.get_text()))
 
 
-@contextmanager
-def missing_glyphs_as_boxes() -> Iterator[None]:
-    """Draw characters that no font has as boxes, without a warning for each."""
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="Glyph .* missing from font", category=UserWarning)
-        yield
-
-
 def save_figure(figure: Figure, path: Path | str) -> None:
     """Write a figure as PNG, PDF or SVG, by the name's suffix.
 
@@ -295,8 +285,7 @@ def save_figure(figure: Figure, path: Path | str) -> None:
     _literal_texts(figure)
     with whole_file(path, suffix=f".{kind}") as temporary:
         try:
-            with missing_glyphs_as_boxes():
-                figure.savefig(temporary, format=kind)
+            figure.savefig(temporary, format=kind)
         except OverflowError as error:
             raise InputError(
                 f"cannot draw {path}: its curves reach too far ({error}); look for time that runs backward or jumps"
@@ -329,19 +318,6 @@ def wrapped(text: str, size: float, width: float) -> list[str]:
     # The factor allows for lines with wider letters than the text's mean.
     share = 0.93 * width / max(text_width(text, size), 1e-9)
     return wrap(text, max(int(share * len(text)), 8)) if share < 0.93 else [text] * bool(text)
-
-
-def cropped(text: str, size: float, width: float) -> str:
-    """Return a text, cut to a width.
-
-    Args:
-        text: text to cut.
-        size: size of the text, points.
-        width: greatest width, inches.
-    """
-    if text_width(text, size) <= width:
-        return text
-    return text[: max(1, int(len(text) * width / text_width(text, size)) - 2)].rstrip() + " …"
 
 
 def key(axes: Axes, entries: Iterable[tuple[str, str | dict[str, Any]]] | None = None) -> None:
@@ -379,8 +355,7 @@ MOST_IN_KEY = 4
 def settle(figure: Figure) -> None:
     """Arrange titles, keys and labels of points: titles are wrapped to their panels' widths and moved above keys."""
     _literal_texts(figure)
-    with missing_glyphs_as_boxes():
-        figure.draw_without_rendering()
+    figure.draw_without_rendering()
     for axes in figure.axes:
         inches = axes.get_window_extent().width / figure.dpi
         title, legend, pad = axes.get_title(loc="left"), axes.get_legend(), 4.0

@@ -23,7 +23,7 @@ from dpcontrol.judge.night import BETWEEN, BRAKING, FLYING, ITINERARY, STOPPED, 
 from dpcontrol.judge.preflight import HazardBorder, Preflight, shown_number
 from dpcontrol.logs import read_log
 from dpcontrol.pages import style
-from dpcontrol.pages.layout import Page, Panel, cropped
+from dpcontrol.pages.layout import Page, Panel
 from dpcontrol.pages.panels import Bar, bars, name_curves, quiet
 from dpcontrol.words.runs import conditions, conditions_of
 
@@ -251,12 +251,12 @@ def draw_preflight(preflight: Preflight) -> Figure:
     """Return a preflight's page as a figure."""
     page = Page(f"Before the first run: {preflight.itinerary}", preflight.status, preflight.likely, width=_WIDTH)
     page.text(preflight.advice, colour=style.INK, size=style.TEXT)
-    text = partial(cropped, size=style.TEXT)
+    text = partial(shorten, placeholder=" …")
     page.text(f"The bench as described, model {preflight.model}", colour=style.INK, size=style.HEAD).table(
-        [(fact.name, text(fact.value, width=2.4), text(fact.source, width=4.0)) for fact in preflight.known]
+        [(fact.name, text(fact.value, 32), text(fact.source, 56)) for fact in preflight.known]
     )
     runs, endings = preflight.share.runs, preflight.endings[:_REASONS]
-    rows = [(f"{e.runs / runs:.1%}", text(e.cause, width=1.6), text(e.example, width=5.0)) for e in endings]
+    rows = [(f"{e.runs / runs:.1%}", text(e.cause, 24), text(e.example, 72)) for e in endings]
     page.text("Endings of failed runs, share of all runs", colour=style.INK, size=style.HEAD).table(
         rows or [("", "none: every run completed", "")]
     )

@@ -28,7 +28,7 @@ from dpcontrol.judge.of_log import reference_view, run_view, sustained_view
 from dpcontrol.judge.run_view import RunView, series_of
 from dpcontrol.logs import RunLog
 from dpcontrol.pages import rerun_recording as recorded, style
-from dpcontrol.pages.charts import MOST_MARKED, draw_chart, draw_plane
+from dpcontrol.pages.charts import draw_chart, draw_plane
 from dpcontrol.pages.film import add_film, film_times
 from dpcontrol.pages.layout import Draw, Page, Stack
 from dpcontrol.pages.panels import Bar, bars, quiet
@@ -82,10 +82,6 @@ def draw(motion: RunView | RunLog | Plan) -> Figure:
     if uses := limit_uses(view):
         page.row(partial(_uses, uses=uses), height=_AROUND + _USE * len(uses))
     add_story(page, view)
-    symbols = enumerate(view.symbols, start=1)
-    times = [f"{k} at {at:.2f}{'' if done is None else f' ({done:.2f})'}" for k, (_, at, done) in symbols]
-    listed = f"Motions as planned (and symbols as done), s: {', '.join(times)}"
-    page.text(listed if 0 < len(times) <= MOST_MARKED else "")
     if view.arm_lengths:
         add_film(page, view, film_times(view, frames=_FRAMES))
     shown = [*motion_charts(view), *check_charts(view), *extra_charts(view)]

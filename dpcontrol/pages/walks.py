@@ -36,8 +36,6 @@ _MOST_SAMPLES = 40_000
 _TIME = colormaps["viridis"]
 _DOTS = 15_000
 """Number of dots of an orbit whose colour is the time."""
-_LISTED = 16
-"""Most symbols in the list; beyond that the numbers over time must do."""
 _FRAMES = 12
 
 
@@ -143,7 +141,7 @@ def _symbol_text(connection: Connection) -> str:
 
 def draw_walk(orbit: ShadowingOrbit) -> Figure:
     """Return the page of a walk as a figure."""
-    walk, unit = WalkStory(orbit), orbit.system.unit("s", " ({})")
+    walk = WalkStory(orbit)
     view = walk.view
     page = Page(view.title, view.verdict).origin(
         None, *conditions(orbit.system, [c.source.energy for c in orbit.connections])
@@ -153,12 +151,8 @@ def draw_walk(orbit: ShadowingOrbit) -> Figure:
         add_film(page, view, film_times(view, frames=_FRAMES))
     shown = [*([charts(view)["angles"]] if walk.has_angles else []), walk.nearness()]
     panels = [partial(draw_chart, chart=chart, view=view, span=view.time_range) for chart in shown]
-    page.row(Stack(panels), Panel(partial(draw_shape, story=walk), 0.75, space=walk.has_angles), height=4.4)
-    symbols = enumerate(zip(orbit.connections, view.symbols, strict=True), start=1)
-    rows = [(str(k), name, f"{at:.3f}", connection.name) for k, (connection, (name, at, _)) in symbols]
-    if len(rows) > _LISTED:
-        rows = [*rows[: _LISTED - 1], ("", f"… and {len(rows) - _LISTED + 1} more", "", "")]
-    return page.table(rows, heading=("", "symbol", f"at{unit}", "connection")).figure()
+    shape = Panel(partial(draw_shape, story=walk), 0.75, space=walk.has_angles)
+    return page.row(Stack(panels), shape, height=4.4).figure()
 
 
 def draw_shape(axes: Axes, story: WalkStory) -> None:

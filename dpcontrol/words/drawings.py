@@ -19,7 +19,6 @@ def figures(result: Any) -> Iterator[Line]:
             _paragraph(figure.caption),
             _paragraph(f"Differs from the paper: {figure.differs}"),
         )
-    yield f"captions  {result.captions}"
 
 
 def charts(result: Any) -> Iterator[Line]:

@@ -6,36 +6,11 @@ import subprocess
 import numpy as np
 import pytest
 
-from dpcontrol.bifurcations.bifurcations import SweepSettings, find_bifurcations
-from dpcontrol.bifurcations.links import Quantity
 from dpcontrol.pages.atlas import connections_of, kind_of, stable_direction, write_atlas_recording
-from dpcontrol.pages.figures import Gallery
 from dpcontrol.pages.paper import equilibria
 from dpcontrol.pages.viewer import viewer_program
-from dpcontrol.plans.atlas import AtlasSettings, compute_atlas, make_atlas
+from dpcontrol.plans.atlas import compute_atlas
 from dpcontrol.plans.model import load_model
-
-FEW_ENERGIES = {
-    ("down-up", "down-up"): (-0.145, -0.138),
-    ("up-down", "up-down"): (0.1775, 0.1790),
-    ("down-up", "up-down"): (0.1880, 0.1890),
-}
-"""In J, about a first event of each kind of connection: whole sweeps take minutes."""
-
-
-GALLERY = Gallery(
-    system=lambda name: load_model(name).system,
-    atlas=lambda name, energy, hits: make_atlas(load_model(name), energy, settings=AtlasSettings(hits=hits)),
-    branches=lambda name, source, target, told: find_bifurcations(
-        Quantity.of_energy(load_model(name).system),
-        source,
-        target,
-        values=FEW_ENERGIES[source, target],
-        settings=SweepSettings(samples=3),
-        progress=told,
-    ),
-)
-"""As the verb makes it; atlases are shared with it through the session's cache."""
 
 
 @pytest.fixture(scope="module")

@@ -11,13 +11,12 @@ import pytest
 from legible import PAPER, problems
 from matplotlib.figure import Figure
 from test_campaign_report import rows
-from test_figures import GALLERY
 from test_night import night
 from test_walk_figure import found as walk
 
 import dpcontrol as dp
+from dpcontrol.foundation.progress import no_progress
 from dpcontrol.foundation.statistics import wilson
-from dpcontrol.identification.fit import DesignSettings, design_experiments
 from dpcontrol.identification.identify import IdentificationSettings, identify
 from dpcontrol.judge.campaign import campaign_summary
 from dpcontrol.judge.comparison import compare
@@ -28,7 +27,7 @@ from dpcontrol.orbits.family import lyapunov_family
 from dpcontrol.pages.atlas import draw_atlas
 from dpcontrol.pages.figures import FIGURES
 from dpcontrol.pages.film import draw_transitions
-from dpcontrol.pages.identification import draw_design, draw_identification
+from dpcontrol.pages.identification import draw_identification
 from dpcontrol.pages.layout import new_figure
 from dpcontrol.pages.many_runs import draw_campaign, draw_night, draw_preflight
 from dpcontrol.pages.orbits import draw_family
@@ -106,11 +105,6 @@ def family(_: Path) -> Figure:
     return draw_family(lyapunov_family(LAB.system, "down-up", energies=(-1.0, 0.3)))
 
 
-def design(_: Path) -> Figure:
-    settings = DesignSettings(seconds=1.5, steps=3, amplitudes=(1.0, 2.0), frequencies=(0.8, 2.0))
-    return draw_design(design_experiments(LAB.arms, settings=settings), title="lab")
-
-
 def identification(_: Path) -> Figure:
     starts = list(np.random.default_rng(1).uniform(-1.2, 1.2, (4, 2)))
     recording = simulated_recording(LAB.arms, starts, seconds=2.0, period=4e-3, zeros=np.zeros(2), name="one")
@@ -137,7 +131,6 @@ SLOW = (
     reference,
     atlas,
     family,
-    design,
     identification,
     transitions,
 )
@@ -155,7 +148,7 @@ def test_a_page_is_legible_in_print(make: Callable[[Path], Figure], tmp_path: Pa
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in FIGURES if name != "branches"])
 def test_a_figure_of_the_paper_is_legible_in_print(name: str) -> None:
-    figure = FIGURES[name](GALLERY).figure
+    figure = FIGURES[name](no_progress).figure
     assert problems(figure) == []
     assert figure.get_figwidth() <= PAPER[0]
 

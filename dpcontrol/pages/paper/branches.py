@@ -8,29 +8,40 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from dpcontrol.bifurcations.bifurcations import BifurcationSearch
+from dpcontrol.bifurcations.bifurcations import BifurcationSearch, SweepSettings, find_bifurcations
+from dpcontrol.bifurcations.links import Quantity
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.document import counted
-from dpcontrol.foundation.progress import part_of
+from dpcontrol.foundation.progress import Progress, part_of
 from dpcontrol.orbits.lyapunov import equilibria, lyapunov_orbit
 from dpcontrol.pages import style
-from dpcontrol.pages.figures import IDENTIFIED, Gallery, PaperFigure
+from dpcontrol.pages.figures import IDENTIFIED, PaperFigure, model_named
 from dpcontrol.pages.layout import Page, key
 from dpcontrol.pages.panels import angle_axis, quiet
 from dpcontrol.tubes.transport import transport
 
 MARKS = {"saddle-node": "o", "pitchfork": "^", "section-artefact": "D"}
 KINDS = (("down-up", "down-up"), ("up-down", "up-down"), ("down-up", "up-down"))
+LOWEST, HIGHEST, HIGHEST_BETWEEN = -0.49, 0.26, 0.236
+"""Energies in J between which connections are drawn: sweeps begin at the later of both saddles. Those between different
+saddles end earlier: cuts of the lab pendulum's tubes scatter from about 0.237 J on, where counts are lower bounds."""
 _BETWEEN, _PAIR = "#c2185b", "#7c858e"
 _COORDINATES = {"down-up": ("θ₁", "θ₂ = 2πk"), "up-down": ("θ₂", "θ₁ = 2πk"), "between": ("θ₁", "θ₁ = θ₂ + 2πk")}
 _ON_MIRROR = 1e-5  # rad
 
 
-def branches_page(gallery: Gallery) -> PaperFigure:
+def branches_page(progress: Progress) -> PaperFigure:
     """Draw first-hit connections of the lab pendulum against energy: homoclinics of both saddles, and heteroclinics."""
     diagrams = [
-        gallery.branches("lab", source, target, part_of(gallery.progress, k / len(KINDS), (k + 1) / len(KINDS)))
+        find_bifurcations(
+            Quantity.of_energy(model_named("lab").system),
+            source,
+            target,
+            values=(LOWEST, HIGHEST if source == target else HIGHEST_BETWEEN),
+            settings=SweepSettings(samples=28),
+            progress=part_of(progress, k / len(KINDS), (k + 1) / len(KINDS)),
+        )
         for k, (source, target) in enumerate(KINDS)
     ]
     page = Page("Connections of the lab pendulum against energy (first hits)").text(
@@ -133,9 +144,9 @@ COUNTED = Path(__file__).with_name("passages.json")
 """Passages of the lab pendulum that `tests/independent_passages.py` counted, with its conditions."""
 
 
-def transport_page(gallery: Gallery) -> PaperFigure:
+def transport_page(_: Progress) -> PaperFigure:
     """Draw the rates of passage through both necks of the lab pendulum against energy."""
-    system, counts = gallery.system("lab"), json.loads(COUNTED.read_text(encoding="utf-8"))
+    system, counts = model_named("lab").system, json.loads(COUNTED.read_text(encoding="utf-8"))
     panels = (partial(_rates, system=system, saddle=saddle, counts=counts) for saddle in system.saddles)
     return PaperFigure(
         Page("Passages of the necks of the lab pendulum, from volume and action alone")

@@ -9,10 +9,11 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from dpcontrol.dynamics.system import System
+from dpcontrol.foundation.progress import Progress
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.pages import single, style
 from dpcontrol.pages.atlas import colours, connections_of, draw_cuts, draw_motions, kind_of, row_of, tubes_of_cut
-from dpcontrol.pages.figures import IDENTIFIED, Gallery, PaperFigure
+from dpcontrol.pages.figures import IDENTIFIED, PaperFigure, atlas_at, model_named
 from dpcontrol.pages.layout import Draw, Page, Panel
 from dpcontrol.pages.page import angles
 from dpcontrol.pages.panels import draw_graph, name_point, quiet_plane, wrapped_runs
@@ -27,14 +28,13 @@ SADDLE = "down-up"
 _TURNING = {"down-up": ("outer", "θ₂ = 2πk", "θ₁"), "up-down": ("inner", "θ₁ = 2πk", "θ₂")}
 
 
-def senses_page(gallery: Gallery, *, saddle: str) -> PaperFigure:
+def senses_page(_: Progress, *, saddle: str) -> PaperFigure:
     """Draw a saddle's tubes at 0.2 J and their cuts, separately for the two senses of rotation.
 
     Args:
-        gallery: data sources.
         saddle: "down-up" or "up-down".
     """
-    atlas = gallery.atlas("lab", SENSES_ENERGY, (1, 1))
+    atlas = atlas_at(SENSES_ENERGY)
     kind = kind_of(atlas, saddle, saddle)
     arm, section, coordinate = _TURNING[saddle]
     spaces, panels, counts = [], [], []
@@ -60,13 +60,13 @@ def senses_page(gallery: Gallery, *, saddle: str) -> PaperFigure:
     )
 
 
-def cuts_page(gallery: Gallery) -> PaperFigure:
+def cuts_page(progress: Progress) -> PaperFigure:
     """Draw the cuts of Down-Up's tubes at six energies."""
     panels: list[Draw] = []
     words = []
     for k, energy in enumerate(CUT_ENERGIES):
-        gallery.progress(f"cuts at {energy:g} J", k / len(CUT_ENERGIES))
-        atlas = gallery.atlas("lab", energy, (1, 1))
+        progress(f"cuts at {energy:g} J", k / len(CUT_ENERGIES))
+        atlas = atlas_at(energy)
         kind = kind_of(atlas, SADDLE, SADDLE)
         symmetric = sum(c.symmetric for c in connections_of(atlas, kind))
         title = f"{'abcdef'[k]}  {energy:g} J: {kind.count} connections, {symmetric} symmetric"
@@ -89,9 +89,9 @@ _MOST, _REPEATED = 5, 3
 _TURNS = {2: ("Double", "second", "twice", "two"), 3: ("Triple", "third", "three times", "three")}
 
 
-def heteroclinics_page(gallery: Gallery) -> PaperFigure:
+def heteroclinics_page(_: Progress) -> PaperFigure:
     """Draw the connections from Down-Up to Up-Down and back at 0.2 J, with their cuts."""
-    atlas = gallery.atlas("lab", SENSES_ENERGY, (1, 1))
+    atlas = atlas_at(SENSES_ENERGY)
     page = Page(f"Heteroclinic connections between Down-Up and Up-Down at {SENSES_ENERGY:g} J (first hits)")
     counts = []
     for letters, (source, target) in zip(("abcd", "efgh"), PAIRS, strict=True):
@@ -112,16 +112,15 @@ def heteroclinics_page(gallery: Gallery) -> PaperFigure:
     )
 
 
-def repeated_page(gallery: Gallery, *, turns: int) -> PaperFigure:
+def repeated_page(_: Progress, *, turns: int) -> PaperFigure:
     """Draw connections of Down-Up at -0.07 J that turn the outer arm several times.
 
     Args:
-        gallery: data sources.
         turns: number of turns, 2 or 3.
     """
     title, ordinal, times, number = _TURNS[turns]
     # The outer arm passes hanging once per turn: for two turns the unstable tube's second crossing is the last.
-    atlas = gallery.atlas("lab", ENERGY, (turns, 1))
+    atlas = atlas_at(ENERGY, hits=(turns, 1))
     kind, connections = kind_of(atlas, SADDLE, SADDLE), atlas.between(SADDLE, SADDLE)
     repeated = [c for c in connections if tuple(map(abs, c.winding)) == (0, turns) and c.sense > 0]
     # Time reversal maps the section to the other passage, so images of one flight are recognised by its length.
@@ -155,11 +154,11 @@ GRAPH_ENERGIES = (-0.07, 0.2)
 _LENGTH = 3
 
 
-def graph_page(gallery: Gallery) -> PaperFigure:
+def graph_page(_: Progress) -> PaperFigure:
     """Draw the graphs at -0.07 and 0.2 J."""
     page, panels, words = Page("The connection graph: every walk on it is an itinerary"), [], []
     for energy in GRAPH_ENERGIES:
-        graph = gallery.atlas("lab", energy, (1, 1)).graph()
+        graph = atlas_at(energy).graph()
         panels.append(partial(draw_graph, graph=graph, title=f"{energy:g} J"))
         count = sum(1 for node in graph.nodes for _ in walks(graph, node, length=_LENGTH))
         words.append(
@@ -191,9 +190,9 @@ def returning_search(system: System) -> ConnectionSearch:
     )
 
 
-def returning_page(gallery: Gallery) -> PaperFigure:
+def returning_page(_: Progress) -> PaperFigure:
     """Draw homoclinics of Down-Up that cross θ₁ = θ₂, pass Up-Down's side and return."""
-    search = returning_search(gallery.system("lab"))
+    search = returning_search(model_named("lab").system)
     back = [c for c in search.connections if not any(c.winding)]
     page = Page("Homoclinic orbits of Down-Up that return through θ₁ = θ₂ the other way, at 0.2 J")
     flights = partial(_returning_flights, search=search, connections=[c for c in back if c.sense > 0])
@@ -217,9 +216,9 @@ def _returning_flights(axes: Axes, search: ConnectionSearch, connections: Sequen
     quiet_plane(axes, search.source.system, title="Flights in the plane of the angles")
 
 
-def shadowing_page(gallery: Gallery) -> PaperFigure:
+def shadowing_page(_: Progress) -> PaperFigure:
     """Draw a homoclinic connection and two orbits that shadow it, one of them twice, the other periodically."""
-    orbit = lyapunov_orbit(gallery.system("lab"), "down-up", energy=-0.07)
+    orbit = lyapunov_orbit(model_named("lab").system, "down-up", energy=-0.07)
     search = find_connections(orbit, orbit)
     connection = next(c for c in search.connections if c.symmetric and c.sense > 0)
     solver = WalkSolver([connection])
@@ -262,35 +261,35 @@ NEAR: Extent = ((0.89, 1.11), (-0.11, 0.11))
 WHOLE: dict[str, Extent] = {"L1": ((-1.15, 1.25), (-1.15, 1.15)), "L2": ((-2.2, 2.2), (-2.1, 2.1))}
 
 
-def three_body_page(gallery: Gallery) -> PaperFigure:
+def three_body_page(_: Progress) -> PaperFigure:
     """Draw L1's and L2's orbits, their tubes, and their first connections in both directions on x = 1 - μ."""
-    atlas = gallery.atlas("three-body", BETWEEN_ENERGY, None)
+    atlas = atlas_at(BETWEEN_ENERGY, model="three-body", hits=None)
     pairs = (("L1", "L2"), ("L2", "L1"))
     page = Page(f"Three bodies: heteroclinic connections of L1 and L2 at energy {BETWEEN_ENERGY:g}")
-    counts = _rows(page, gallery, [(atlas, *pair, NEAR) for pair in pairs])
+    counts = _rows(page, [(atlas, *pair, NEAR) for pair in pairs])
     hits = list(kind_of(atlas, "L1", "L2").hits)
     return PaperFigure(
         page.figure(),
         "The planar circular restricted three-body problem in the rotating frame, mass ratio "
-        f"{float(gallery.system('three-body').parameters[0]):g}, near the smaller primary (dot). Grey: inaccessible at "
-        "this energy. Left: Lyapunov orbits about L1 (teal) and L2 (violet). The unstable tube (red) of one and the "
-        f"stable tube (green) of the other reach crossing number {hits[0]} of the line x = 1 - μ. Middle: "
-        "the cuts there with the connections found. Right: the complete flight of the first. Below: the opposite "
-        f"direction, which is the image under time reversal. {counts}.",
+        f"{float(model_named('three-body').system.parameters[0]):g}, near the smaller primary (dot). Grey: "
+        "inaccessible at this energy. Left: Lyapunov orbits about L1 (teal) and L2 (violet). The unstable tube (red) "
+        f"of one and the stable tube (green) of the other reach crossing number {hits[0]} of the line x = 1 - μ. "
+        "Middle: the cuts there with the connections found. Right: the complete flight of the first. Below: the "
+        f"opposite direction, which is the image under time reversal. {counts}.",
         f"Both tubes pass the line once before they can meet: hits {hits} are the first with "
         "connections. The energy's constant is that of the paper's appendix. Cuts are open at trajectories of the "
         "tube that pass close to the smaller primary and are scattered.",
     )
 
 
-def three_body_homoclinics_page(gallery: Gallery) -> PaperFigure:
+def three_body_homoclinics_page(_: Progress) -> PaperFigure:
     """Draw the homoclinic connections of L1 and of L2, with tubes, orbits and the cuts on y = 0, x < 0."""
     rows = [
-        (gallery.atlas("three-body", energy, (1, 1)), saddle, saddle, WHOLE[saddle])
+        (atlas_at(energy, model="three-body"), saddle, saddle, WHOLE[saddle])
         for saddle, energy in HOMOCLINIC_ENERGIES.items()
     ]
     page = Page("Three bodies: homoclinic connections of L1 and of L2")
-    counts = _rows(page, gallery, rows)
+    counts = _rows(page, rows)
     return PaperFigure(
         page.figure(),
         "The planar circular restricted three-body problem in the rotating frame; above the orbit about L1, below that "
@@ -302,7 +301,7 @@ def three_body_homoclinics_page(gallery: Gallery) -> PaperFigure:
     )
 
 
-def _rows(page: Page, gallery: Gallery, rows: Sequence[tuple[Atlas, str, str, Extent]]) -> str:
+def _rows(page: Page, rows: Sequence[tuple[Atlas, str, str, Extent]]) -> str:
     """Add tubes, cuts and flights, a row for each (atlas, source, target, extent), and return their counts in words."""
     words = []
     for letters, (atlas, source, target, extent) in zip(("abc", "def"), rows, strict=True):
@@ -322,7 +321,7 @@ def _rows(page: Page, gallery: Gallery, rows: Sequence[tuple[Atlas, str, str, Ex
             if part.stable is stable
         ]
         both = f"{source} and {target}" if between else source
-        plane = partial(_plane, atlas=atlas, system=gallery.system("three-body"), extent=extent, section=section)
+        plane = partial(_plane, atlas=atlas, system=model_named("three-body").system, extent=extent, section=section)
         of_tubes = partial(plane, tubes=tubes, title=f"{letters[0]}  tubes of {both}, energy {atlas.energy:g}")
         flown = f"{letters[2]}  from {source}'s orbit to {target}'s" if shown else "none found"
         of_flights = partial(plane, flights=[(c, look[c.name]) for c in shown], title=flown)

@@ -9,10 +9,11 @@ from matplotlib.axes import Axes
 
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.progress import Progress
 from dpcontrol.orbits.cut import section_points
 from dpcontrol.orbits.lyapunov import LyapunovOrbit, equilibria, lyapunov_orbit
 from dpcontrol.pages import style
-from dpcontrol.pages.figures import IDENTIFIED, Gallery, PaperFigure
+from dpcontrol.pages.figures import IDENTIFIED, PaperFigure, model_named
 from dpcontrol.pages.layout import Page, Panel, key
 from dpcontrol.pages.panels import angle_axis, name_curves, name_point, quiet, quiet_plane
 
@@ -22,12 +23,12 @@ _GRID = 361
 _REACHED, _FORBIDDEN = "#dbe9f6", "#8d959e"
 
 
-def landscape_page(gallery: Gallery) -> PaperFigure:
+def landscape_page(_: Progress) -> PaperFigure:
     """Draw potential energies and Hill's regions at four energies, of three bodies and of the pendulum."""
     page = Page("Energy landscapes and Hill's regions: higher energies open more saddles")
     words = []
     for name, energies in LANDSCAPES.items():
-        system, angular = gallery.system(name), name == "lab"
+        system, angular = model_named(name).system, name == "lab"
         side = np.linspace(-np.pi, np.pi, _GRID) if angular else np.linspace(-1.45, 1.45, _GRID)
         first, second = np.meshgrid(side, side)
         still = np.stack([first, second, 0 * first, 0 * first], axis=-1)
@@ -101,9 +102,9 @@ _SIZES = (0.002, 0.02, 0.06, 0.12, 0.2)
 """Energies of the drawn Lyapunov orbits above the saddle, J."""
 
 
-def lyapunov_orbits_page(gallery: Gallery) -> PaperFigure:
+def lyapunov_orbits_page(_: Progress) -> PaperFigure:
     """Draw Lyapunov orbits about both saddles in both phase planes."""
-    system = gallery.system("lab")
+    system = model_named("lab").system
     page = Page("Lyapunov orbits of the lab pendulum, in the phase plane of either arm")
     for saddle in ("down-up", "up-down"):
         birth = float(system.numeric.hamiltonian(system.equilibria[saddle]))
@@ -152,9 +153,9 @@ def up_up_states(system: System) -> Array:
     return met[np.isfinite(times)]
 
 
-def up_up_page(gallery: Gallery) -> PaperFigure:
+def up_up_page(_: Progress) -> PaperFigure:
     """Draw the points where Up-Up's stable and unstable manifolds cross θ₂ = 2πk."""
-    system = gallery.system("lab")
+    system = model_named("lab").system
     states, section = up_up_states(system), system.sections["down-up", "down-up"]
     points = section_points(system, section, states)
     sense = np.sign(system.numeric.rate(states) @ np.asarray(section.normal))
