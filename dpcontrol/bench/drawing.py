@@ -22,7 +22,7 @@ from typing import Any, ClassVar
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, PercentFormatter
+from matplotlib.ticker import PercentFormatter
 
 from dpcontrol.bench.chart import CHARTS, ChartPage, Diagram, EdgeMap, Point, check_names, split_label
 from dpcontrol.bench.measure import one_core
@@ -31,9 +31,8 @@ from dpcontrol.foundation.document import Documented, counted
 from dpcontrol.foundation.files import write_whole
 from dpcontrol.foundation.parts import versions
 from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress, part_of
-from dpcontrol.foundation.units import quantity
 from dpcontrol.pages.layout import Page, key, save_figure
-from dpcontrol.pages.panels import name_point, name_rows, quiet
+from dpcontrol.pages.panels import name_point, name_rows, quiet, readable_ticks
 from dpcontrol.pages.style import FAINT, GOOD, INK, LIMIT, MARK, PAPER, SERIES
 
 Look = dict[str, Any]
@@ -53,8 +52,6 @@ _DEFAULT: Look = {
     "color": LIMIT,
     "markersize": _RING,
 }
-_FEW, _LONG = 6.0, 50.0
-"""Ranges of a logarithmic axis: below the first, 1, 2, 5 give too few labels, from the second on they give too many."""
 
 
 def save_chart(page: ChartPage, picture: Path, parts: Sequence[Any] | None = None) -> None:
@@ -101,12 +98,12 @@ def _draw(axes: Axes, part: Diagram | EdgeMap, looks: dict[str, Look]) -> None:
     across, up = (part.x_label, part.y_label) if of_points else (part.y_label, part.x_label)
     (x, x_unit), (y, y_unit) = split_label(across), split_label(up)
     quiet(axes, f"{part.title}: {part.finding()}", x=x, y=y)
-    _readable_ticks(axes.xaxis, x_unit)
+    readable_ticks(axes.xaxis, x_unit)
     if not of_points:
         name_rows(axes, [border.line for border in part.borders])
     elif part.log_y:
         axes.set_yscale("log")
-        _readable_ticks(axes.yaxis, y_unit)
+        readable_ticks(axes.yaxis, y_unit)
     else:
         axes.set_ylim(-0.05, 1.05)
         axes.set_yticks(np.linspace(0.0, 1.0, 6))
@@ -149,16 +146,6 @@ def _label(panel: Diagram, point: Point) -> str:
     setting = "" if full and not point.default and point not in panel.front else point.setting
     named = point is next(p for p in panel.points if p.method == point.method)
     return ", ".join(filter(None, (point.method * named, setting)))
-
-
-def _readable_ticks(axis: Any, unit: str) -> None:
-    """Label a logarithmic axis by powers of ten, short ranges also between them, with prefixed units."""
-    low, high = axis.get_view_interval()
-    between = (1.0, 2.0, 5.0) if high < _LONG * low else (1.0,)
-    axis.set_major_locator(MaxNLocator(4, min_n_ticks=2) if high < _FEW * low else LogLocator(subs=between))
-    if unit or high < _LONG * low:
-        axis.set_major_formatter(FuncFormatter(lambda value, _: quantity(value, unit)))
-    axis.set_minor_formatter(NullFormatter())
 
 
 @dataclass(frozen=True)

@@ -142,10 +142,23 @@ def moving_chart(quick: bool, progress: Progress) -> ChartPage:
     wrong = EdgeMap("Wrong model, by delay", "delay, s", "mismatch of the plant, share", far="lost")
     parts = measured_maps(
         progress,
-        (late, lambda rate: delay_border(moving(rate), error=MOVING_ERROR, ratio=1.08),
-         (100.0,) if quick else (25.0, 50.0, 100.0, 200.0)),
-        (wrong, lambda delay: mismatch_border(moving(100.0), delay, ratio=1.1),
-         (0.1,) if quick else (0.04, 0.07, 0.1, 0.14)),
+        (
+            late,
+            lambda rate: find_border(
+                lambda delay: moving(rate).run(acceleration=WEAK, error=MOVING_ERROR, delay=delay),
+                x=rate, line=f"{rate:g} Hz", near=0.05, far=0.6, ratio=1.08, unit=1 / rate,
+            ),
+            (100.0,) if quick else (25.0, 50.0, 100.0, 200.0),
+        ),
+        (
+            wrong,
+            # All parameters are changed in one direction.
+            lambda delay: find_border(
+                lambda mismatch: moving(100.0).run(acceleration=STRONG, mismatch=mismatch, delay=delay),
+                x=delay, line=f"{1e3 * delay:g} ms", near=0.01, far=0.6,
+            ),
+            (0.1,) if quick else (0.04, 0.07, 0.1, 0.14),
+        ),
     )  # fmt: skip
     return ChartPage(
         name="edges-moving",
@@ -159,35 +172,6 @@ def moving_chart(quick: bool, progress: Progress) -> ChartPage:
         chosen="Prediction through all commands in flight, from the first on; delays of the bench are 1 to 20 ms.",
         parts=parts,
     )
-
-
-def delay_border(loop_case: LoopCase, *, error: float, ratio: float) -> Border:
-    """Return the border of the known delay, s.
-
-    Args:
-        loop_case: controller on its model.
-        error: largest initial error, rad.
-        ratio: precision of the border, as a ratio.
-    """
-    rate = loop_case.assembly.settings.rate
-    return find_border(
-        lambda delay: loop_case.run(acceleration=WEAK, error=error, delay=delay), x=rate, line=f"{rate:g} Hz",
-        near=0.05, far=0.6, ratio=ratio, unit=1 / rate,
-    )  # fmt: skip
-
-
-def mismatch_border(loop_case: LoopCase, delay: float, *, ratio: float) -> Border:
-    """Return the border of the plant's mismatch at a delay, all parameters changed in one direction.
-
-    Args:
-        loop_case: controller on its model.
-        delay: known delay, s.
-        ratio: precision of the border, as a ratio.
-    """
-    return find_border(
-        lambda mismatch: loop_case.run(acceleration=STRONG, mismatch=mismatch, delay=delay), x=delay,
-        line=f"{1e3 * delay:g} ms", near=0.01, far=0.6, ratio=ratio,
-    )  # fmt: skip
 
 
 LIMIT = 0.5

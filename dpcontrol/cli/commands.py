@@ -11,7 +11,7 @@ import os
 import re
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from decimal import Decimal, InvalidOperation
+from decimal import Decimal
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
@@ -128,10 +128,6 @@ def described(function: Callable[..., Any]) -> tuple[str, dict[str, str]]:
     return text, {name: " ".join(words.split()) for name, words in entries}
 
 
-def _is_positional(parameter: inspect.Parameter) -> bool:
-    return parameter.kind is inspect.Parameter.POSITIONAL_OR_KEYWORD
-
-
 def _parameters(
     verb: str, declared: Verb, parameter: inspect.Parameter, hint: Any, help: str
 ) -> Iterator[click.Parameter]:
@@ -145,7 +141,7 @@ def _parameters(
     # A list in one text has a parser.
     several = name == "over" or (name not in PARSERS and any(get_origin(kind) is Sequence for kind in kinds))
     kind = _click_type(name, kinds, output)
-    if _is_positional(parameter) and name not in declared.names:
+    if parameter.kind is inspect.Parameter.POSITIONAL_OR_KEYWORD and name not in declared.names:
         required = parameter.default is inspect.Parameter.empty
         yield click.Argument([name], nargs=-1 if several else 1, required=required, type=kind, shell_complete=completer)
         return
@@ -205,7 +201,7 @@ def _click_type(name: str, kinds: Sequence[Any], output: Output | None) -> Any:
         if kind is Path:
             return click.Path(path_type=Path)
         if kind is Decimal:
-            return Number()
+            return Parser("number", _number, "0.2, a finite number")
     return next((kind for kind in (bool, int, float) if kind in kinds), str)
 
 
@@ -228,7 +224,7 @@ def _checked_output(name: str, output: Output, values: Mapping[str, Any]) -> Pat
 
 
 class Parser(click.ParamType):
-    """A value that a function makes of its text, or refuses with ValueError.
+    """A value that a function makes of its text, or refuses with ValueError or ArithmeticError.
 
     Args:
         name: how help writes the value.
@@ -244,8 +240,16 @@ class Parser(click.ParamType):
             return value
         try:
             return self.read(value)
-        except ValueError:
+        except (ArithmeticError, ValueError):
             self.fail(f"{value!r} is not of the form {self.form}", param, ctx)
+
+
+def _number(text: str) -> Decimal:
+    """Return the decimal that was typed: 0.2 is one fifth."""
+    number = Decimal(text)
+    if not (number.is_finite() and math.isfinite(number)):
+        raise ValueError(text)
+    return number
 
 
 def _hits(text: str) -> tuple[int, int]:
@@ -270,21 +274,6 @@ PARSERS: Mapping[str, click.ParamType] = {
     "over": Parser("path=v1,v2,…", _setting, "PATH=VALUE,VALUE,…, as in mismatch=0.05,0.1"),
 }
 """Readers of parameters with a form of their own, by name."""
-
-
-class Number(click.ParamType):
-    """A number kept as the decimal that was typed: 0.2 is one fifth."""
-
-    name = "number"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Decimal:
-        try:
-            number = Decimal(value)
-        except InvalidOperation:
-            self.fail(f"{value!r} is not a number.", param, ctx)
-        if not (number.is_finite() and math.isfinite(float(number))):
-            raise InputError(f"{param.opts[0] if param else 'number'} {value}: must be a finite number")
-        return number
 
 
 def _setting_options() -> Iterator[Option]:

@@ -18,7 +18,6 @@ from io import TextIOWrapper
 from typing import Any
 
 import click
-from click.shell_completion import CompletionItem
 
 from dpcontrol.cli.output import Call, print_json, print_message
 from dpcontrol.cli.verbs import GROUPS, VERBS
@@ -62,18 +61,8 @@ class _Verbs(click.Group):
         if set(args) == {"--version", "--json"}:
             print_json({name: number or None for name, number in versions().items()})
             ctx.exit()
-        if args[:1] == ["help"]:
-            # `help VERB` is `VERB --help`, and `help help` is `help`.
-            verbs = [text for text in args if text != "help" and not text.startswith("-")]
-            if verbs[1:]:
-                ctx.fail(f"help shows one verb; remove {shlex.join(verbs[1:])!r}")
-            args = [*verbs, "--help"]
         ctx.meta["help"] = bool({"-h", "--help"}.intersection(args))
         return super().parse_args(ctx, args)
-
-    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
-        found = super().shell_complete(ctx, incomplete)
-        return [*found, CompletionItem("help")] if "help".startswith(incomplete or "-") else found
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(VERBS)

@@ -49,7 +49,7 @@ from mcap.records import (
 )
 from numpy.typing import NDArray
 
-from dpcontrol.logs.layout import LATCHED, LENGTH_FROM, TickLayout
+from dpcontrol.logs.layout import LATCHED, LENGTH_FROM, RECORD_HEADER, TickLayout
 
 _COMPRESSION = -5
 """Level of zstd. Level 1 takes twice as long and saves 6 %, because noise does not compress."""
@@ -96,7 +96,7 @@ def located(data: bytes, tick: TickLayout, types: Mapping[str, np.dtype]) -> dic
     Args:
         data: records of one chunk or more.
         tick: layout of the ticks.
-        types: structured type of each topic's records, or of their beginnings.
+        types: structured type of the records of topics; only the heads of those of other topics are read.
 
     Raises:
         ValueError: the records are not those of a log with this layout.
@@ -127,7 +127,7 @@ def located(data: bytes, tick: TickLayout, types: Mapping[str, np.dtype]) -> dic
         # A tick has its messages at fixed places.
         offsets = np.concatenate(ticks) if topic in fields else np.array(places[number], np.int64)
         offsets += fields[topic][1] if topic in fields else 0
-        kind = types[topic]
+        kind = types.get(topic, RECORD_HEADER)
         # A view at every byte, so that fancy indexing copies whole records.
         shape = (max(len(data) - kind.itemsize + 1, 0),)
         everywhere = np.ndarray(shape, f"V{kind.itemsize}", buffer=data, strides=(1,))
@@ -236,9 +236,7 @@ class McapFile:
         Args:
             data: message records of the chunk.
         """
-        messages = {
-            topic: part for topic, part in located(data, self._tick, self._tick.heads).items() if len(part.offsets)
-        }
+        messages = {topic: part for topic, part in located(data, self._tick, {}).items() if len(part.offsets)}
         head = b"".join(self._unwritten)
         self._unwritten.clear()
         content = head + data

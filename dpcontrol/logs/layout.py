@@ -553,11 +553,6 @@ class TickLayout:
         return {topic: number for number, topic in enumerate(self.schemas, start=1)}
 
     @cached_property
-    def heads(self) -> dict[str, np.dtype]:
-        """Structured type of the heads of each topic's records."""
-        return dict.fromkeys(self.schemas, RECORD_HEADER)
-
-    @cached_property
     def types(self) -> dict[str, np.dtype]:
         """Structured type of each topic's records: of their heads, except for topics with ticks and for the extras."""
         described = {**self.messages, EXTRAS: self.extras_message}

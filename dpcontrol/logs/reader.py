@@ -95,14 +95,11 @@ class VerifiedFile:
     @property
     def is_native(self) -> bool:
         """True if this program wrote the file and its channels are those of its layout."""
-        written_by_dpcontrol = self.library.startswith("dpcontrol ") and self.records[DataEnd][0].data_section_crc
+        written_by_dpcontrol = (
+            self.records[Header][0].library.startswith("dpcontrol ") and self.records[DataEnd][0].data_section_crc
+        )
         declared = [*self.records[Schema], *self.records[Channel]]
         return bool(written_by_dpcontrol and self.values(layout.LAYOUT_RECORD)) and declared == declarations(self.tick)
-
-    @property
-    def library(self) -> str:
-        """The program that wrote the file."""
-        return self.records[Header][0].library
 
     def topics(self) -> dict[str, Topic]:
         """Return the messages by topic.
@@ -453,7 +450,7 @@ def _rewritten(file: VerifiedFile) -> tuple[layout.TickLayout, dict[str, str], l
     Raises:
         InputError: the file holds no run, or several.
     """
-    topics, writer = file.topics(), file.library or "another program"
+    topics, writer = file.topics(), file.records[Header][0].library or "another program"
     try:
         tick, batch = ticks_in(topics, file.tick)
     except MALFORMED as error:

@@ -106,7 +106,7 @@ _AFTER_ALL = 1 << 32
 
 def _numbered(data: bytes, tick: layout.TickLayout) -> tuple[int, bytes]:
     """Return the number of a chunk's first tick, and its records without schemas and channels."""
-    messages = located(data, tick, tick.heads)
+    messages = located(data, tick, {})
     start = min(int(part.offsets[0]) for part in messages.values() if len(part.offsets))
     numbers = messages[layout.MEASURED].records["sequence"].tolist()
     return (numbers or [_AFTER_ALL])[0], data[start:]
@@ -170,7 +170,7 @@ def recover(
         tick = described_layout(path, rescued.metadata.get(layout.LAYOUT_RECORD, {}))
         numbered = sorted((_numbered(data, tick) for data in rescued.chunks), key=itemgetter(0))
         pieces = [data for _, data in numbered]
-        ticks = located(b"".join(pieces), tick, tick.heads)[layout.MEASURED].records
+        ticks = located(b"".join(pieces), tick, {})[layout.MEASURED].records
         if (np.diff(ticks["sequence"].astype(np.int64)) <= 0).any():
             raise InputError(_SEVERAL)
         done = _account(path, _free_name(path) if out is None else Path(out), rescued, ticks)

@@ -12,7 +12,7 @@ from textwrap import shorten
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullFormatter, PercentFormatter
+from matplotlib.ticker import MaxNLocator, PercentFormatter
 
 from dpcontrol.foundation.causes import Cause
 from dpcontrol.foundation.errors import InputError
@@ -20,11 +20,11 @@ from dpcontrol.foundation.statistics import wilson
 from dpcontrol.foundation.units import prefixed
 from dpcontrol.judge.campaign import CampaignSummary, Group
 from dpcontrol.judge.night import BETWEEN, BRAKING, FLYING, ITINERARY, STOPPED, UNKNOWN, Night
-from dpcontrol.judge.preflight import HazardBorder, Preflight, shown_number
+from dpcontrol.judge.preflight import HazardBorder, Preflight
 from dpcontrol.logs import read_log
 from dpcontrol.pages import style
 from dpcontrol.pages.layout import Page, Panel
-from dpcontrol.pages.panels import Bar, bars, name_curves, quiet
+from dpcontrol.pages.panels import Bar, bars, name_curves, quiet, readable_ticks
 from dpcontrol.words.runs import conditions, conditions_of
 
 _MOST, _APART = 28, 6
@@ -297,15 +297,11 @@ def _border(axes: Axes, border: HazardBorder) -> None:
         axes.axvspan(border.low or border.border, border.high or border.border, color=style.LIMIT, alpha=0.15)
         axes.axvline(border.border, color=style.LIMIT, linewidth=1.2)
     axes.axhline(0.5, color=style.MARK, linewidth=0.7, linestyle=style.DASHED)
-    low, high = min(values), max(values)
     axes.set_xscale("log")
-    axes.set(xlim=(low / 1.3, high * 1.3), ylim=(-0.03, 1.06))
+    axes.set(xlim=(min(values) / 1.3, max(values) * 1.3), ylim=(-0.03, 1.06))
+    readable_ticks(axes.xaxis, "")
     if border.falling:
         axes.invert_xaxis()
-    ticks = sorted({float(f"{v:.2g}") for v in ((low, high) if high > 1.5 * low else (low,))})
-    axes.xaxis.set_major_locator(FixedLocator(ticks))
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: shown_number(value)))
-    axes.xaxis.set_minor_formatter(NullFormatter())
     axes.yaxis.set_major_formatter(PercentFormatter(1.0))
     axes.set_yticks([0, 0.5, 1])
 

@@ -10,10 +10,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
-from matplotlib.ticker import FuncFormatter, MaxNLocator
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.units import quantity
 from dpcontrol.pages import style
 from dpcontrol.walks.atlas import Atlas
 
@@ -91,6 +92,25 @@ def angle_axis(axes: Axes, which: str) -> None:
     axis = axes.xaxis if which == "x" else axes.yaxis
     axis.set_major_locator(_HalfTurns("auto", steps=[1, 2, 2.5, 5, 10]))
     axis.set_major_formatter(FuncFormatter(lambda value, _: style.in_pi(value / np.pi)))
+
+
+_FEW, _LONG = 6.0, 50.0
+"""Ranges of a logarithmic axis: below the first, 1, 2, 5 give too few labels, from the second on they give too many."""
+
+
+def readable_ticks(axis: Any, unit: str) -> None:
+    """Label a logarithmic axis by powers of ten, short ranges also between them, with prefixed units.
+
+    Args:
+        axis: x or y axis.
+        unit: unit of its values.
+    """
+    low, high = axis.get_view_interval()
+    between = (1.0, 2.0, 5.0) if high < _LONG * low else (1.0,)
+    axis.set_major_locator(MaxNLocator(4, min_n_ticks=2) if high < _FEW * low else LogLocator(subs=between))
+    if unit or high < _LONG * low:
+        axis.set_major_formatter(FuncFormatter(lambda value, _: quantity(value, unit)))
+    axis.set_minor_formatter(NullFormatter())
 
 
 def wrapped_runs(curve: Array, periods: tuple[float | None, ...]) -> list[Array]:

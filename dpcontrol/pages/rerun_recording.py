@@ -478,8 +478,6 @@ def record_events(recording: rr.RecordingStream, view: RunView) -> None:
 
 def _summary(view: RunView) -> str:
     rows = [f"**{view.verdict}**" if view.verdict else "", ""]
-    for i, (name, at, done) in enumerate(view.symbols):
-        rows.append(f"{i + 1}. {name}: planned at {at:.3f} s{'' if done is None else f', done at {done:.3f} s'}")
     if view.plan.orbits:
         flown = "the reference" if view.what == "reference" else "the run"
         rows += [

@@ -97,7 +97,9 @@ def _lines(document: Mapping[str, Any], units: Mapping[str, str]) -> Iterator[Li
         rows = _rows(value)
         if value is None or value in ("", [], {}):
             continue
-        if any(_needs_lines(part) for row in rows for part in row.values()):
+        parts = [part for row in rows for part in row.values()]
+        # Tables and long texts have no room in a cell.
+        if any(isinstance(part, Mapping) or (isinstance(part, str) and len(part) > _CELL) for part in parts):
             for number, row in enumerate(rows, start=1):
                 yield f"{names[key]} {number}"
                 yield from _lines(row, units)
@@ -110,11 +112,6 @@ def _lines(document: Mapping[str, Any], units: Mapping[str, str]) -> Iterator[Li
             yield str(value)
         else:
             yield f"  {names[key]:<{width}}  {_text(value, 15)}"
-
-
-def _needs_lines(value: Any) -> bool:
-    """Return True if a value has no room in a cell of a table."""
-    return isinstance(value, Mapping) or (isinstance(value, str) and len(value) > _CELL)
 
 
 def _name(key: str, units: Mapping[str, str]) -> str:

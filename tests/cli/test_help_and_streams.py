@@ -103,7 +103,6 @@ def offered(line: str) -> list[str]:
         ("dpcontrol import x.csv --repair nan,g", {"nan,gaps"}),
         ("dpcontrol campaign outer-turn --over controller=lqr,a", {"controller=lqr,adaptive"}),
         ("dpcontrol campaign outer-turn --over nosuch=", set()),
-        ("dpcontrol he", {"help"}),
     ],
 )
 def test_values_are_completed(line: str, wanted: set[str]) -> None:
