@@ -1580,11 +1580,13 @@ def swings(
         >>> dp.swings("lab", count=2).arms
         2
     """
-    model = _model(model)
+    return _swings(_model(model), count, seconds, seed=seed, yes=yes)
+
+
+def _swings(model: Model, count: int, seconds: float, *, seed: int, yes: bool) -> recording_files.Recording:
     announce(recording_files.swings_cost(count, seconds), yes=yes)
-    return recording_files.random_swings(
-        model.arms, swings=count, seconds=seconds, seed=seed, name=f"{model.name}-swings-{seed}"
-    )
+    name = f"{model.name}-swings-{seed}"
+    return recording_files.random_swings(model.arms, swings=count, seconds=seconds, seed=seed, name=name)
 
 
 @overload
@@ -2846,8 +2848,8 @@ def import_recording(
     model: Model | str | None = None,
     repairs: Sequence[str] = (),
     simulated: Model | str | None = None,
-    swings: int = 9,
-    seconds: float = 2.667,
+    swings: Count = 9,
+    seconds: Positive = 2.667,
     seed: Seed = 0,
     out: NewLog = None,
     force: bool = False,
@@ -2895,9 +2897,7 @@ def import_recording(
     if simulated is None:
         recording = importing.import_recording(Path(str(file)), mapping, repairs=list(repairs), progress=progress)
     else:
-        announce(recording_files.swings_cost(swings, seconds), yes=yes)
-        swung, name = _model(simulated), f"{_model(simulated).name}-swings-{seed}"
-        recording = recording_files.random_swings(swung.arms, swings=swings, seconds=seconds, seed=seed, name=name)
+        recording = _swings(_model(simulated), swings, seconds, seed=seed, yes=yes)
     progress("writing", 0.7)
     log = _new_log(
         out, f"{recording.name}.mcap", lambda place: recording_files.write_recording(recording, place, force=force)

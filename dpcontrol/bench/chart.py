@@ -83,11 +83,6 @@ class Point:
     note: str = ""
     others: Mapping[str, float] = field(default_factory=dict)
 
-    def __post_init__(self) -> None:
-        numbers = {"seconds": self.seconds, "error": self.error, **self.others}
-        if not all(map(math.isfinite, numbers.values())) or self.seconds <= 0 or self.error < 0:
-            raise ValueError(f"{self.name}: {numbers} must be finite and positive; make it a Missing with its reason")
-
     @property
     def name(self) -> str:
         """Method and setting."""

@@ -66,9 +66,6 @@ def draw_chart(axes: Axes, chart: Chart, view: RunView, *, span: Range | None = 
             dashes = {"linestyle": style.DASHED} if line.dashed else {}
             entries[line.label] = {"color": line.colour, "linewidth": max(line.width, 1.5)} | look | dashes
             ends[line.label] = (scale * float(finite[-1]) if len(finite) else 0.0, line.label, line.colour)
-    for first, last in chart.cut:
-        axes.axvspan(first, last, color=style.LIMIT, alpha=0.3, linewidth=0.8, zorder=0.5)
-        entries["cut"] = {"color": style.LIMIT, "linewidth": 6, "alpha": 0.3}
     if chart.half_turns:
         angle_axis(axes, "y")
     if chart.log:

@@ -230,7 +230,6 @@ def _compared_chart(
         note="",
         lines=tuple(lines),
         levels=tuple(level for level in first_chart.levels if level.kind == "limit" or key == "energy"),
-        cut=(),
         shown=None,
         log=False,
     )

@@ -19,16 +19,6 @@ def gap_times(view: RunView) -> Array:
     return (view.time[view.breaks] + view.time[view.breaks - 1]) / 2
 
 
-def spans(time: Array, flags: NDArray[np.bool_]) -> list[Range]:
-    """Return start and end in s of each stretch with true flags, which lasts at least a tick.
-
-    Args:
-        time: (N,) s.
-        flags: (N,) bool.
-    """
-    return [(float(time[first]), float(time[min(end, len(time) - 1)])) for first, end in true_runs(flags)]
-
-
 def extreme_rows(values: Array, *, bins: int) -> NDArray[np.int64]:
     """Return the rows of the extremes of values (N,) in `bins`, and the last row; few values are all returned.
 

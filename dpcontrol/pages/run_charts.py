@@ -14,7 +14,7 @@ from dpcontrol.foundation.units import prefixed
 from dpcontrol.judge.run_view import ACTUAL, RunView, clean
 from dpcontrol.logs import Extras
 from dpcontrol.pages import style
-from dpcontrol.pages.planes import Range, padded, spans
+from dpcontrol.pages.planes import Range, padded
 from dpcontrol.references.reference import Reference
 
 
@@ -73,10 +73,7 @@ class Chart:
         unit: SI unit. "share" is shown in percent, "" is none.
         lines: curves.
         levels: constants.
-        cut: (start, end) of each stretch with a limited command, s.
         shown: initial range of values, or None for all.
-        bound: limit of the cart that the page's title names, or None.
-        used: greatest use of it by a reference, or None for a run.
         note: rest of the page's title.
         prefixed: False if the unit gets no SI prefix.
         half_turns: True if a page ticks the axis in multiples of π.
@@ -88,10 +85,7 @@ class Chart:
     unit: str
     lines: tuple[Line, ...]
     levels: tuple[LevelLine, ...] = ()
-    cut: tuple[Range, ...] = ()
     shown: Range | None = None
-    bound: float | None = None
-    used: float | None = None
     note: str = ""
     prefixed: bool = True
     half_turns: bool = False
@@ -116,11 +110,7 @@ class Chart:
         scale, unit = (1.0, self.unit) if plain else prefixed(largest, self.unit)
         if self.unit == "share":
             scale, unit = 100.0, "%"
-        bound = ""
-        if self.bound is not None:
-            used = "" if self.used is None else f"{scale * self.used:.3g} of "
-            bound = f", {used}±{scale * self.bound:.4g}{' used' if used else ''}"
-        return scale, f"{self.title}{f' ({unit})' if unit else ''}{bound}{self.note}"
+        return scale, f"{self.title}{f' ({unit})' if unit else ''}{self.note}"
 
 
 _DRIVEN = {
@@ -154,7 +144,7 @@ def motion_charts(view: RunView) -> tuple[Chart, ...]:
     ]
     if view.has_cart:
         lines = _followed(view, 2 * n, "", view.what, style.PLANT)
-        charts.append(Chart("cart", "Cart position", "m", lines, shown=_shown(lines), **_limit(view, 0)))
+        charts.append(Chart("cart", "Cart position", "m", lines, shown=_shown(lines), levels=_limits(view, 0)))
     if view.control is not None:
         charts.append(_acceleration(view, view.control))
     return tuple(charts)
@@ -187,22 +177,19 @@ def _shown(lines: tuple[Line, ...]) -> tuple[float, float]:
     return padded(np.concatenate([line.values for line in lines if line.role != "detail"]))
 
 
-def _limit(view: RunView, which: int) -> dict[str, Any]:
-    """Return fields of a chart: a limit of the cart as levels, and its use by a reference.
+def _limits(view: RunView, which: int) -> tuple[LevelLine, ...]:
+    """Return a limit of the cart as two levels.
 
     Args:
         view: run or reference.
         which: 0 for position, 1 for velocity, 2 for acceleration.
     """
-    used = None if view.source is None else view.source.uses[which].largest
     if view.limits is None:
-        return {"used": used}
-    bound = view.limits[which]
-    levels = (
-        LevelLine("limit_lower", "lower limit", -bound, style.LIMIT, "limit"),
-        LevelLine("limit_upper", "upper limit", bound, style.LIMIT, "limit"),
+        return ()
+    return (
+        LevelLine("limit_lower", "lower limit", -view.limits[which], style.LIMIT, "limit"),
+        LevelLine("limit_upper", "upper limit", view.limits[which], style.LIMIT, "limit"),
     )
-    return {"bound": bound, "used": used, "levels": levels}
 
 
 def _acceleration(view: RunView, control: dict[str, Array]) -> Chart:
@@ -211,8 +198,7 @@ def _acceleration(view: RunView, control: dict[str, Array]) -> Chart:
         for key, (name, colour, width, role) in _DRIVEN.items()
         if key in control
     )
-    cut = tuple(spans(view.time, control.get("saturated", np.zeros(0)) > 0))
-    return Chart("acceleration", "Acceleration", "m/s²", lines, cut=cut, shown=_shown(lines), **_limit(view, 2))
+    return Chart("acceleration", "Acceleration", "m/s²", lines, shown=_shown(lines), levels=_limits(view, 2))
 
 
 def check_charts(view: RunView) -> tuple[Chart, ...]:
@@ -225,7 +211,7 @@ def check_charts(view: RunView) -> tuple[Chart, ...]:
 def _source_charts(view: RunView, source: Reference) -> tuple[Chart, ...]:
     """Return a reference's cart velocity, which has a limit, and its errors between nodes on its mesh."""
     speed = (Line("cart", "cart", "", view.time, view.state[:, -1], style.PLANT),)
-    velocity = Chart("velocity", "Cart velocity", "m/s", speed, shown=_shown(speed), **_limit(view, 1))
+    velocity = Chart("velocity", "Cart velocity", "m/s", speed, shown=_shown(speed), levels=_limits(view, 1))
     title = f"Error between nodes of {len(source.mesh) - 1} intervals of {source.method.name} (scaled)"
     if source.errors is None:
         return velocity, Chart("", f"{title}: the arms are not known", "", ())
