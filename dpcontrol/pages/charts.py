@@ -114,15 +114,9 @@ def _line(axes: Axes, line: Line, view: RunView, *, scale: float) -> None:
         look |= _BROAD
     if line.dashed:
         look["linestyle"] = (0, (5, 1.2))
-    if line.reach is not None and line.around:
-        values, reach = scale * line.values, scale * line.reach
-        axes.fill_between(line.time, values - reach, values + reach, color=line.colour, alpha=0.15, linewidth=0)
-        time = line.time
-    elif line.reach is not None:
-        rows, band = curve(view, line.time, scale * line.reach)
-        axes.fill_between(rows, -band, band, color=line.colour, alpha=0.10, linewidth=0)
-        axes.plot(rows, band, rows, -band, color=line.colour, linewidth=1.1, zorder=3)
-        look |= {"linewidth": 0.6, "alpha": 0.45}
+    if line.reach is not None:
+        low, high = (scale * (line.values + side * line.reach) for side in (-1, 1))
+        axes.fill_between(line.time, low, high, color=line.colour, alpha=0.15, linewidth=0)
     axes.plot(time, values, **look)
 
 

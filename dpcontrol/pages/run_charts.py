@@ -30,8 +30,7 @@ class Line:
         values: (K,) in SI units, nan at gaps.
         colour: colour of the line.
         width: in points.
-        reach: (K,) half width of a band, or None.
-        around: True for a band about the line, False about zero.
+        reach: (K,) half width of a band about the line, or None.
         role: "run", or "reference", broad and pale behind the others, or "detail", shown only in the viewer.
         dashed: True to dash it on a page, over another line.
     """
@@ -46,7 +45,6 @@ class Line:
     reach: Array | None = None
     role: str = "run"
     dashed: bool = False
-    around: bool = False
 
 
 @dataclass(frozen=True)
@@ -263,9 +261,9 @@ def _estimation_error(view: RunView) -> Chart | None:
         "estimation_error" if error is not None and reach is not None else "",
         "Estimation error of the angles" if error is not None else "Estimate's ±2σ",
         "rad",
-        _arm_lines(view, np.full_like(view.state, np.nan) if error is None else error, 1.0, reach),
+        _arm_lines(view, np.zeros_like(view.state) if error is None else error, 1.0, reach),
         shown=(-(most or 1e-6), most or 1e-6),
-        note=", lines ±2σ" if error is not None else "; the truth is not known",
+        note=", ±2σ" if error is not None else "; the truth is not known",
     )
 
 
@@ -328,7 +326,7 @@ def _extra_chart(view: RunView, extras: Extras, names: list[str], key: str, titl
         column, colour = extras.names.index(name), style.RUNS[k % len(style.RUNS)]
         values, reach = clean(extras.values[:, column]), 2 * clean(extras.sigmas[:, column])
         label = name.replace("_", " ") if len(names) > 1 or name != key else ""
-        lines.append(Line(name, f"{name} ±2σ", label, extras.time, values, colour, reach=reach, around=True))
+        lines.append(Line(name, f"{name} ±2σ", label, extras.time, values, colour, reach=reach))
         # The prior at the start is omitted.
         late = slice(len(values) // 4, None)
         reaches += [values, values[late] + reach[late], values[late] - reach[late]]
