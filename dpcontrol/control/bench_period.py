@@ -1,6 +1,6 @@
 """Sensors and drive of a simulated bench between two ticks, as expressions.
 
-Their arithmetic is that of `dpcontrol.loop.simulated.Encoders` and `dpcontrol.loop.bench.DriveLimits`.
+Their arithmetic is that of `dpcontrol.loop.simulated.Encoders` and of `DriveLimits`, which the bench uses as well.
 """
 
 from collections.abc import Callable, Sequence
@@ -15,6 +15,59 @@ from dpcontrol.foundation.arrays import Array
 
 _WHOLE = 1.5 * 2**52
 """A number whose sum with smaller ones is rounded to whole numbers, half to even."""
+
+
+Clip = Callable[[Any, Any, Any], Any]
+"""Function of a value and its bounds."""
+
+
+@dataclass(frozen=True)
+class DriveLimits:
+    """Bounds of the drive on demands.
+
+    Demands are floats, arrays (S,) or expressions, each with a `clip` of its own.
+
+    acceleration m/s², velocity m/s, jerk_step m/s² per period (inf for none), response.
+    """
+
+    acceleration: Any
+    velocity: Any
+    jerk_step: Any
+    response: Any
+    clip: Clip
+
+    def demanded(self, command: Any, noise: Any, last: Any) -> Any:
+        """Return the demand that results from a command, m/s².
+
+        Args:
+            command: commanded acceleration, m/s², a number or (S,).
+            noise: noise on the command, m/s², a number or (S,).
+            last: demand of the last period, m/s², a number or (S,).
+        """
+        wanted = self.clip(self.response * command + noise, -self.acceleration, self.acceleration)
+        return self.clip(wanted, last - self.jerk_step, last + self.jerk_step)
+
+    def acting(self, demanded: Any, velocity: Any, duration: Any) -> Any:
+        """Return the acceleration that keeps the velocity reference in bounds, m/s².
+
+        After a knock out of these bounds, the reference returns as fast as the drive can.
+
+        Args:
+            demanded: demanded acceleration, m/s², a number or (S,).
+            velocity: present velocity reference, m/s, a number or (S,).
+            duration: time for which the acceleration acts, s.
+        """
+        low, high = (-self.velocity - velocity) / duration, (self.velocity - velocity) / duration
+        return self.clip(self.clip(demanded, low, high), -self.acceleration, self.acceleration)
+
+    def braking(self, velocity: Any, duration: Any) -> Any:
+        """Return the acceleration towards standstill, as fast as the drive can.
+
+        Args:
+            velocity: present velocity reference, m/s, a number or (S,).
+            duration: time for which the acceleration acts, s.
+        """
+        return self.clip(-velocity / duration, -self.acceleration, self.acceleration)
 
 
 class DriveNumbers(NamedTuple):
@@ -52,19 +105,6 @@ class PeriodKind:
     reads: tuple[tuple[int, int], ...]
     cart: int
     motor: int
-
-    def acting(self, state: ca.SX, demand: ca.SX, drive: DriveNumbers) -> ca.SX:
-        """Return the acceleration in a period, m/s²."""
-        velocity = state[self.motor + 1]
-        if self.lags:
-            velocity += drive.lag * state[self.cart + 2]
-        low, high = (-drive.velocity - velocity) / drive.period, (drive.velocity - velocity) / drive.period
-        return _limited(_limited(demand, low, high), -drive.acceleration, drive.acceleration)
-
-    def demanded(self, command: ca.SX, noise: ca.SX, last: ca.SX, drive: DriveNumbers) -> ca.SX:
-        """Return the demand that results from a command, m/s²."""
-        wanted = _limited(drive.response * command + noise, -drive.acceleration, drive.acceleration)
-        return _limited(wanted, last - drive.jerk_step, last + drive.jerk_step)
 
     def measured(self, state: ca.SX, zeros: ca.SX, noise: ca.SX, steps: ca.SX, drive: DriveNumbers) -> list[ca.SX]:
         """Return the readings (n+1,) of a state, rad and m."""
@@ -114,10 +154,11 @@ def sensors_and_drive(kind: PeriodKind, lanes: int) -> tuple[ca.Function, ca.Fun
     sensors = ca.Function("sensors", [*s.values()], [spread(read)])
     d = symbols(command=lanes, command_noise=1, demands=kind.demands, state=size, drive=rounds)
     drive = DriveNumbers(*ca.vertsplit(d["drive"]))
-    demands = d["demands"]
-    demand = kind.demanded(d["command"][0], d["command_noise"], demands[-1], drive)
-    demands = ca.vertcat(demands[1:], demand)
-    acting = kind.acting(d["state"][::lanes], demands[1], drive)
+    limits, state = DriveLimits(*drive[:4], clip=_limited), d["state"][::lanes]
+    demand = limits.demanded(d["command"][0], d["command_noise"], d["demands"][-1])
+    demands = ca.vertcat(d["demands"][1:], demand)
+    velocity = state[kind.motor + 1] + (drive.lag * state[kind.cart + 2] if kind.lags else 0)
+    acting = limits.acting(demands[1], velocity, drive.period)
     return sensors, ca.Function("drive", [*d.values()], [demands, spread([acting])])
 
 

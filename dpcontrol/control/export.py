@@ -53,7 +53,7 @@ from numpy.polynomial.chebyshev import chebvander
 from numpy.typing import NDArray
 
 from dpcontrol.control.interface import Controller, GainSchedule, schedule_of
-from dpcontrol.control.tick import SETTLING, UNROLLED, TickEquations, TickProgram
+from dpcontrol.control.tick import SETTLING, TickEquations, TickProgram
 from dpcontrol.control.tick_parts import Measurement
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
@@ -140,35 +140,6 @@ class ControllerSource:
 
     def __repr__(self) -> str:
         return f"<controller in C: {len(self.files)} files, {self.figures.operations:,} operations a tick>"
-
-
-LEAVING = 'use "tvlqr" by time, "adaptive", "feedforward" or "lqr"'
-"""Remedy for a law that cannot be exported."""
-
-
-def checked_exportable(controller: Controller, *, lead: int) -> GainSchedule:
-    """Return the gains of a law that can be exported.
-
-    Such a law depends only on memory, reading and a table's row.
-
-    Args:
-        controller: the control law.
-        lead: periods of prediction.
-
-    Raises:
-        InputError: the law has an internal clock, or the delay is too long.
-    """
-    if lead > UNROLLED:
-        raise InputError(
-            f"drive: delay = {lead} periods, but C export predicts at most {UNROLLED} periods ahead; "
-            "lower the rate, so that the same delay has fewer periods"
-        )
-    made = schedule_of(controller, lead)
-    if made is None:
-        raise InputError(
-            f'controller: kind = "{controller.kind}" has an internal clock that C export does not support; {LEAVING}'
-        )
-    return made
 
 
 def identity(program: TickProgram, schedule: GainSchedule) -> str:
@@ -350,7 +321,6 @@ def _table(name: str, values: Array, *, single: bool) -> str:
 def controller_source(
     program: TickProgram,
     controller: Controller,
-    schedule: GainSchedule,
     *,
     itinerary: str,
     title: str,
@@ -358,14 +328,11 @@ def controller_source(
     readings: str,
     clock: float | None = None,
 ) -> ControllerSource:
-    """Return the C code of an initialised program and its schedule.
-
-    See `checked_exportable`.
+    """Return the C code of an initialised program and of its controller's gains.
 
     Args:
         program: initialised program of one run.
-        controller: the control law.
-        schedule: its gains.
+        controller: a law with gains by time.
         itinerary: name of the itinerary.
         title: title of the itinerary.
         single: use single precision.
@@ -377,7 +344,8 @@ def controller_source(
     """
     double = program.equations
     equations = replace(double, same=SAME_IN_SINGLE, split=True) if single else double
-    reference = schedule_of(controller, 0)
+    schedule, reference = (schedule_of(controller, lead) for lead in (program.lead, 0))
+    assert schedule is not None
     assert reference is not None
     tables = _tables(equations, reference, single=single)
     if (count := tables.terms.size) > MOST_NUMBERS:
@@ -652,14 +620,14 @@ class Unit:
 
 
 def controller_unit(
-    source: ControllerSource, program: TickProgram, schedule: GainSchedule, *, name: str, title: str, delay: float
+    source: ControllerSource, program: TickProgram, controller: Controller, *, name: str, title: str, delay: float
 ) -> Unit:
     """Return the unit of a controller's C code.
 
     Args:
         source: C code of the controller.
         program: program that it was made from.
-        schedule: gains of the law.
+        controller: the law.
         name: name of the unit.
         title: title of the itinerary.
         delay: delay of the commands, in periods.
@@ -670,10 +638,10 @@ def controller_unit(
     sources["fmu.c"] = template.replace("@GUID@", guid)
     identifier = re.sub(r"\W", "_", name, flags=re.ASCII)
     identifier = identifier if identifier[:1].isalpha() else f"dpc_{identifier}"
-    known = variables(schedule.references[0].tolist(), program.equations.filter.extra_names)
+    known = variables(controller.first_state.tolist(), program.equations.filter.extra_names)
     described = model_description(
         known, name=name, identifier=identifier, guid=guid, title=title, period=program.period, delay=delay,
-        ticks=len(schedule.rows),
+        ticks=controller.ticks + 1,
     )  # fmt: skip
     binary, lacks = _binary(sources)
     stream = BytesIO()

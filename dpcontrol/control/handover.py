@@ -9,6 +9,7 @@ and orbits each count turns separately, and the turns of a run are summed.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from dpcontrol.control.ogy import OgyController, OgySession
 from dpcontrol.control.periodic import OrbitController, OrbitSession
 from dpcontrol.control.tracking import PhaseController, TrackingController
 from dpcontrol.foundation.arrays import Array
-from dpcontrol.foundation.errors import GoalMissed, InputError
+from dpcontrol.foundation.errors import GoalMissed
 
 NEAR = 0.2
 """Largest scaled distance between the end of a flight and the orbit that follows."""
@@ -55,11 +56,11 @@ Segment = Keep | Fly
 
 @dataclass(frozen=True, eq=False)
 class Program:
-    """Consecutive segments as one controller.
+    """Stays with flights between them as one controller.
 
     Args:
         period: period of the loop, s.
-        waits: clock time at which each stay ends, s; NaN for none.
+        waits: phase of the orbit, s, at which each stay but the last ends.
         lasts: minimum ticks of each segment. The last segment continues to the end of the run, which includes time
             for longer stays.
     """
@@ -69,8 +70,7 @@ class Program:
     lasts: tuple[int, ...]
     period: float
     ticks: int
-    status: str
-    kind: str = "program"
+    kind: str
 
     @property
     def first_state(self) -> Array:
@@ -117,7 +117,7 @@ class ProgramSession(Session):
         if not isinstance(session, OgySession | OrbitSession):
             return True
         whole, before = session.orbit_period, self._past
-        self._past = (session.time + program.period - program.waits[index]) % whole
+        self._past = (session.time + program.period - program.waits[index // 2]) % whole
         # The section is passed when the elapsed time resets; NaN: the next segment may begin at any phase.
         return np.isnan(self._past) or before - self._past > whole / 2
 
@@ -142,58 +142,38 @@ class ProgramSession(Session):
         return self._session.resynchronise(tick, state - self._lift)
 
 
-def program(segments: Sequence[Segment], *, period: float, kind: str = "program") -> Program:
-    """Return the program of these segments.
+def program(stays: Sequence[Keep], flights: Sequence[Fly], *, period: float, kind: str) -> Program:
+    """Return the program that flies from each stay to the next.
 
     Args:
-        segments: stays and flights in order.
+        stays: stays (F+1) in order.
+        flights: flights (F) between them.
         period: period of the loop, s.
         kind: name used in logs.
 
     Raises:
-        InputError: two flights in a row do not meet.
-        GoalMissed: A flight does not begin or end at its adjacent orbit.
+        GoalMissed: a flight does not begin or end at its adjacent orbit.
     """
-    waits, lasts, total = [], [], 0
-    for k, segment in enumerate(segments):
-        after = segments[k + 1] if k + 1 < len(segments) else None
-        wait, room = np.nan, 0
-        if isinstance(segment, Fly):
-            last = segment.controller.ticks
-            if isinstance(after, Fly):
-                _meet(segment, after)
-            if isinstance(after, Keep):
-                _near(after, segment.controller.reference_states[-1], f"{segment.name} ends")
-        else:
-            table = segment.controller.table
-            whole = table.period
-            spare = 0.0 if after is None else 0.5
-            last = max(round((segment.wraps - spare) * whole / period), 0)
-            room = round((2 * spare + SLOWER * segment.wraps) * whole / period)
-            if isinstance(after, Fly):
-                wait = float(table.nearest(after.controller.first_state)[0])
-        if isinstance(segment, Keep) and isinstance(after, Fly):
-            _near(segment, after.controller.first_state, f"{after.name} begins")
-        waits.append(wait)
-        lasts.append(last)
-        total += last + room
-    names = ", ".join(segment.name for segment in segments)
-    status = f"{len(segments)} segments: {names}"
-    return Program(tuple(segments), tuple(waits), tuple(lasts), period, total, status, kind)
+    segments, waits, lasts, total = list[Segment](), list[float](), list[int](), 0
+    for stay, flight in zip_longest(stays, flights):
+        table, spare = stay.controller.table, 0.0 if flight is None else 0.5
+        segments.append(stay)
+        lasts.append(max(round((stay.wraps - spare) * table.period / period), 0))
+        total += lasts[-1] + round((2 * spare + SLOWER * stay.wraps) * table.period / period)
+        if flight is not None:
+            _check_near(stay, flight.controller.first_state, f"{flight.name} begins")
+            _check_near(stays[len(waits) + 1], flight.controller.reference_states[-1], f"{flight.name} ends")
+            waits.append(float(table.nearest(flight.controller.first_state)[0]))
+            segments.append(flight)
+            lasts.append(flight.controller.ticks)
+            total += flight.controller.ticks
+    return Program(tuple(segments), tuple(waits), tuple(lasts), period, total, kind)
 
 
-def _near(keep: Keep, state: Array, what: str) -> None:
-    distance = keep.controller.distance(state)
+def _check_near(stay: Keep, state: Array, what: str) -> None:
+    distance = stay.controller.distance(state)
     if not distance <= NEAR:
-        raise GoalMissed(f"{what} {distance:.2g} (scaled) away from {keep.name}: they do not meet")
-
-
-def _meet(before: Fly, after: Fly) -> None:
-    n = (len(after.controller.first_state) - 2) // 2
-    apart = before.controller.reference_states[-1] - after.controller.first_state
-    apart[:n] -= whole_turns(apart[:n])
-    if np.abs(apart[: 2 * n]).max() > NEAR:
-        raise InputError(f"{before.name} ends where {after.name} does not begin: insert a stay between them")
+        raise GoalMissed(f"{what} {distance:.2g} (scaled) away from {stay.name}: they do not meet")
 
 
 class NearestKeeper:

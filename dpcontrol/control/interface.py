@@ -334,18 +334,6 @@ class GainSchedule(Brief):
     law: Any = None
     """A user's law (`dpcontrol.control.symbolic`) that acts in addition to the gains."""
 
-    def turned(self, turns: Array) -> "GainSchedule":
-        """Return the schedule with turns added to all its angles.
-
-        Args:
-            turns: angles (n,), rad.
-        """
-        n, size = len(turns), self.references.shape[1]
-        rows, references = self.rows.copy(), self.references.copy()
-        for angles in (rows[:, 1 + size : 1 + size + n], rows[:, -n:], references[:, :n]):
-            angles += turns
-        return replace(self, rows=rows, references=references)
-
 
 class Controller(Protocol):
     """A control law for one reference and model.

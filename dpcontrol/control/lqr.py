@@ -27,7 +27,7 @@ from numpy.typing import ArrayLike
 from dpcontrol.control.interface import Action, GainSchedule, Mode, SampledModel, Session, pendulum_scale, whole_turns
 from dpcontrol.dynamics.chain import damping_scales
 from dpcontrol.foundation.arrays import Array
-from dpcontrol.foundation.errors import GoalMissed, InputError
+from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.foundation.settings import Setting, Settings
 from dpcontrol.foundation.shown import Brief
 from dpcontrol.references.problem import ANGLE_SCALE, CART_VELOCITY_SCALE, RATE_SCALE
@@ -73,10 +73,6 @@ class ClosingWeights(QuadraticWeights):
     closing_time: Annotated[float, Setting(least=0, most=1e4, unit="s", help="Duration of that end.")] = 1.6
 
 
-AT_REST = 1e-6
-"""Acceleration of an equilibrium to rounding, rad/s²."""
-
-
 @dataclass(frozen=True)
 class HoldSettings(QuadraticWeights):
     """Linear-quadratic regulator at an equilibrium."""
@@ -119,7 +115,6 @@ class HoldController(Brief):
     state: Array
     gain: Array
     ticks: int
-    status: str
     drive_gain: float | None = None
     extra_gains: Array | None = None
     names: tuple[str, ...] = ()
@@ -277,30 +272,25 @@ def hold_controller(
         dry: viscous friction that replaces the model's dry friction, over √(G M).
 
     Raises:
-        InputError: the state is not an equilibrium of this model.
         GoalMissed: the equilibrium cannot be stabilised.
     """
     n = model.arms
     x = np.concatenate([np.asarray(state, dtype=float)[: 2 * n], [0.0, 0.0]])
-    fastest = float(np.abs(model.step(x, 0.0) - x)[: 2 * n].max()) / model.period
-    if not fastest <= AT_REST:
-        raise InputError(f"{x[:n].tolist()} rad is not an equilibrium: it accelerates by {fastest:.3g} rad/s²")
     told = settings.damping
     damping = assumed_damping(model, x, settings, most=UNKNOWN_FRICTION + dry) if told is None else told + dry
     a, b, gains, cost, values = _regulator(model, x, settings, damping)
     slowest = float(np.abs(values).max())
     if not slowest < 1:
         raise GoalMissed(f"the equilibrium cannot be held: the best loop's largest multiplier is {slowest:.6g}")
-    text = f"slowest motion dies out in {-model.period / np.log(slowest):.3g} s, assumed damping {damping:.3g}"
     drive = float(gains[-1]) if model.lag else None
     size = len(x)
-    found = HoldController(
-        settings.kind, x, gains[:size], max(round(seconds / model.period), 1), text, drive, cost=cost[:size, :size]
+    controller = HoldController(
+        settings.kind, x, gains[:size], max(round(seconds / model.period), 1), drive, cost=cost[:size, :size]
     )
     if extras is None:
-        return found
+        return controller
     pushes = cost @ np.pad(extras.effects, ((0, len(b) - len(x)), (0, 0)))
     closed, unit = a - np.outer(b, gains), np.eye(len(b))
     later = [np.linalg.solve(unit - d * closed.T, push) for d, push in zip(extras.kept, pushes.T, strict=True)]
     on_extras = np.reshape(later, (-1, len(b))) @ b / (settings.effort * model.period + b @ cost @ b)
-    return replace(found, extra_gains=on_extras, names=extras.names)
+    return replace(controller, extra_gains=on_extras, names=extras.names)

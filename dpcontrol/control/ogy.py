@@ -35,9 +35,8 @@ from numpy.typing import NDArray
 
 from dpcontrol.control.interface import MANY, ONE, Action, ClockedSession, Mode, SampledModel
 from dpcontrol.control.lqr import QuadraticWeights
-from dpcontrol.control.periodic import PhaseTable, check_orbit, periodic_gains, phase_table
+from dpcontrol.control.periodic import PhaseTable, periodic_gains, phase_table
 from dpcontrol.control.tracking import riccati_gains
-from dpcontrol.dynamics.compiled import Compiled
 from dpcontrol.dynamics.equations import Equations
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import GoalMissed, InputError
@@ -297,7 +296,6 @@ class OgyController(Brief):
     """Data for learning, or None."""
     ticks: int
     """Number of periods."""
-    status: str
 
     @property
     def first_state(self) -> Array:
@@ -518,21 +516,11 @@ class OgySession(ClockedSession):
 
 
 def _many_steps(model: SampledModel, count: int) -> Callable[[Array, Array], Array]:
-    """Return a function that advances states (S, N) by a period.
-
-    The commands are (S,).
-    """
-    function = model.equations.discrete_step(model.period)
-    step = Compiled(function.factory("plain", function.name_in(), [function.name_out(0)]))
-    states_at, commands_at, parameters_at = (step.slices[name] for name in function.name_in())
-    inputs = np.zeros((step.size_in, count))
-    inputs[parameters_at] = model.parameters[:, None]
-
-    def flown(states: Array, commands: Array) -> Array:
-        inputs[states_at], inputs[commands_at] = states.T, commands
-        return step(inputs, np.empty(states.T.shape)).T
-
-    return flown
+    """Return a function of states (S, N) and commands (S,) that returns the states a period later."""
+    parameters = np.repeat(model.parameters[:, None], count, axis=1)
+    return lambda states, commands: (
+        model.machine(np.concatenate([states.T, commands[None], parameters]), np.empty(states.T.shape)).T
+    )
 
 
 def ogy_controller(
@@ -547,10 +535,9 @@ def ogy_controller(
         seconds: duration of the hold, s.
 
     Raises:
-        InputError: the orbit did not converge or belongs to other arms, or its sections are less than two ticks apart.
+        InputError: its sections are less than two ticks apart.
         GoalMissed: the section maps cannot be stabilised.
     """
-    check_orbit(orbit, model)
     duration = orbit.period / settings.sections
     if duration < 2 * model.period:
         raise InputError(
@@ -573,5 +560,4 @@ def ogy_controller(
         settings.kind, phase_table(orbit), np.array([s.time for s in starts]), np.array([s.state for s in starts]),
         np.array([s.normal for s in starts]), np.array([s.projection[:n, :n] for s in starts]), gains, duration,
         settings.pulse_limit, model, learnt, max(round(seconds / model.period), 1),
-        f"{settings.sections} sections in a period of {orbit.period:.4g} s",
     )  # fmt: skip

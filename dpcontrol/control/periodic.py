@@ -35,7 +35,7 @@ from dpcontrol.control.interface import (
 )
 from dpcontrol.control.tracking import TvlqrSettings, riccati_gains
 from dpcontrol.foundation.arrays import Array
-from dpcontrol.foundation.errors import GoalMissed, InputError
+from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.foundation.shown import Brief
 
 if TYPE_CHECKING:
@@ -229,7 +229,6 @@ class OrbitController(Brief):
     """Number of periods."""
     by_phase: bool
     """True to correct the clock to the nearest phase at every tick."""
-    status: str
 
     @property
     def first_state(self) -> Array:
@@ -333,10 +332,8 @@ def orbit_controller(
         seconds: duration of the hold, s.
 
     Raises:
-        InputError: the orbit did not converge, or is of another number of arms.
         GoalMissed: it cannot be stabilised.
     """
-    check_orbit(orbit, model)
     weights, effort = settings.weights(model.arms, model.period)
     count = max(round(orbit.period / model.period), 4)
     table = phase_table(orbit, entries=count)
@@ -350,19 +347,5 @@ def orbit_controller(
     normals[:, : 2 * model.arms] = across / (across * rates).sum(1)[:, None]
     return OrbitController(
         settings.kind, table, gains, normals, feedforward, model.period, max(round(seconds / model.period), 1),
-        settings.schedule == "phase", f"periodic gains at {count} ticks of a period of {orbit.period:.4g} s",
+        settings.schedule == "phase",
     )  # fmt: skip
-
-
-def check_orbit(orbit: "SustainedOrbit", model: SampledModel) -> None:
-    """Reject an orbit that cannot be held with this model.
-
-    Args:
-        orbit: the sustained orbit.
-        model: model of the controller.
-
-    Raises:
-        InputError: the orbit did not converge, or is of another number of arms.
-    """
-    if not orbit.converged:
-        raise InputError(f"the orbit cannot be held: {orbit.status}")

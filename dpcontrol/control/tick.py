@@ -42,6 +42,7 @@ A rig without jitter keeps σ² ≈ 0. The mean age is not estimated. It acts as
 """
 
 import math
+from collections import namedtuple
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache, partial, reduce
@@ -136,10 +137,6 @@ UNROLLED = 8
 """Periods of prediction in one function; the loop repeats the prediction for further ones."""
 
 
-def _largest(values: Sequence[ca.SX]) -> ca.SX:
-    return reduce(ca.fmax, values)
-
-
 class KnownMechanics(NamedTuple):
     """The loop's model of a rig's mechanics.
 
@@ -173,73 +170,22 @@ class KnownMechanics(NamedTuple):
         return np.array([(k**2 + own + 1) / below, middle, (k**2 - own + 1) / below, middle, (k**2 - wide + 1) / below])
 
 
-class _Acts(NamedTuple):
-    """State (N,) at which the command acts.
+_Acts = namedtuple("_Acts", "ahead drive back coming")
+"""State (N,) at which the command acts, and the cart's acceleration then, m/s².
 
-    drive m/s²: the cart's acceleration then.
+back m/s²: feedback in addition to the row's. coming m/s²: acceleration in the coming period, None if not yet known.
+"""
+_Law = namedtuple("_Law", "forward feedback finite untrusted by_own own")
+"""Feedforward and feedback, m/s².
 
-    back m/s²: feedback in addition to the row's. coming m/s²: acceleration in the coming period, if already known.
-    """
-
-    ahead: ca.SX
-    drive: ca.SX
-    back: ca.SX
-    coming: ca.SX | None
-
-
-class _Law(NamedTuple):
-    """Feedforward and feedback, m/s².
-
-    finite: 1 if both are finite. untrusted: see `TickEquations.law`. by_own, own: feedback and memory of a user's law.
-    """
-
-    forward: ca.SX
-    feedback: ca.SX
-    finite: ca.SX
-    untrusted: ca.SX
-    by_own: ca.SX
-    own: ca.SX
-
-
-class _Means(NamedTuple):
-    """Checked means, see `TickEquations.memory`.
-
-    distance: of this tick, rad. blind: 1 during a restart.
-    """
-
-    nis: ca.SX
-    strain: ca.SX
-    silent: ca.SX
-    distance: ca.SX
-    blind: ca.SX
-    error: ca.SX
-
-
-class _Verdict(NamedTuple):
-    """The decision of a tick.
-
-    It has the outcome, that which stopped the run or 0, the number of a stuck sensor or 0, and the watch's memory.
-    """
-
-    outcome: ca.SX
-    stopped: ca.SX
-    sensor: ca.SX
-    watch: Memory
-
-
-class _Path(NamedTuple):
-    """Commands after the law.
-
-    Parts, wish and command, m/s², the acceleration, 1 if it was cut, and the memory.
-    """
-
-    forward: ca.SX
-    feedback: ca.SX
-    wish: ca.SX
-    command: ca.SX
-    acting: ca.SX
-    saturated: ca.SX
-    after: Memory
+finite: 1 if both are finite. untrusted: see `TickEquations.law`. by_own, own: feedback and memory of a user's law.
+"""
+_Means = namedtuple("_Means", "nis strain silent distance blind error")
+"""Checked means, see `TickEquations.memory`. distance: of this tick, rad. blind: 1 during a restart."""
+_Verdict = namedtuple("_Verdict", "outcome stopped sensor watch")
+"""Outcome of a tick, that which stopped the run or 0, the number of a stuck sensor or 0, and the watch's memory."""
+_Path = namedtuple("_Path", "forward feedback wish command acting saturated after")
+"""Parts of the command, wish and command, m/s², the cart's acceleration, 1 if it was cut, and the memory."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -441,12 +387,10 @@ class TickEquations:
 
     # The parts.
 
-    def _sense(self, m: Memory, r: Measurement, c: Numbers) -> Sensed:
-        """The filter's update."""
-        n, size = self.filter.arms, self.filter.dimension
+    def _begun_again(self, m: Memory, r: Measurement, c: Numbers) -> tuple[ca.SX, ca.SX]:
+        """Return the prediction and its covariance, or those from which a restarting filter begins."""
+        n, size, origin = self.filter.arms, self.filter.dimension, self._origin(m)
         z, triangle, again = m.z, m.covariance, m.restart
-        # Values here are relative to the origin, if there is one, except rates.
-        origin = self._origin(m)
         positions_read = r.offset if self.split else r.measured
         # A restarting filter uses the positions, keeps finite rates and resets extras.
         positions = {**{i: i for i in range(n)}, 2 * n: n}
@@ -471,7 +415,14 @@ class TickEquations:
                 shared = np.flatnonzero(t[i] * t[j]).tolist()
                 fresh = sum((c.fresh[k] for k in shared[1:]), c.fresh[shared[0]]) if shared else None
                 entries.append(kept if fresh is None else kept + ca.if_else(again, fresh, 0))
-        covariance = unpack(ca.vertcat(*entries), size)
+        return z, unpack(ca.vertcat(*entries), size)
+
+    def _sense(self, m: Memory, r: Measurement, c: Numbers) -> Sensed:
+        """Return the filter's update."""
+        n, size = self.filter.arms, self.filter.dimension
+        # Values here are relative to the origin, if there is one, except rates.
+        origin, positions_read = self._origin(m), r.offset if self.split else r.measured
+        z, covariance = self._begun_again(m, r, c)
         # NaN must not reach the products: zero times NaN is not zero.
         whole = z + origin
         moving = ca.vertcat(whole[n : 2 * n], whole[2 * n + 1])
@@ -646,31 +597,29 @@ class TickEquations:
         command, memory = ca.vertsplit(out, [0, 1, out.shape[0]])
         return ca.if_else(row.own, command - row.feedforward, 0), memory
 
-    def _finish(self, known: Known, e: Sensed, acts: _Acts, *, predicts: bool) -> tuple[Memory, Report]:
-        """Memory and report after the estimate e."""
-        law = self._by_law(known, e, acts)
-        means = self._means(known, e, predicts=predicts)
-        verdict = self._verdict(known, e, acts, law, means, predicts=predicts)
-        path = self._path(known, e, acts, law, verdict)
-        return self._memory(known, e, law, means, verdict, path, predicts=predicts), self._report(
-            known, e, acts, law, means, verdict, path
-        )
+    def _finish(self, known: Known, *, predicts: bool) -> ca.SX:
+        """Return memory and report after an estimate, joined."""
+        law = self._by_law(known)
+        means = self._means(known, predicts=predicts)
+        verdict = self._verdict(known, law, means, predicts=predicts)
+        path = self._path(known, law, verdict)
+        after = self._memory(known, law, means, verdict, path, predicts=predicts)
+        report = self._report(known, law, means, verdict, path)
+        return ca.vertcat(self.memory.joined(after), self.report.joined(report))
 
-    def _by_law(self, known: Known, e: Sensed, acts: _Acts) -> _Law:
-        """Feedforward and feedback before limits, and their memory."""
+    def _by_law(self, known: Known) -> _Law:
+        """Return feedforward and feedback before limits, and the memory of a user's law."""
         row, c, size = known.row, known.numbers, self.filter.equations.dimension
+        e, acts = known.sensed, known.acts
         by_row, untrusted = self.law(row, acts.ahead, acts.drive, e.z[size:], c.trust)
         by_own, own = self._by_own(known.memory, row, acts.ahead, c.parameters)
         feedback = acts.back + by_row + by_own
         sound = ca.logic_and(e.sound, finite(row.feedforward + feedback))
         return _Law(row.feedforward, feedback, sound, untrusted, by_own, own)
 
-    def _means(self, known: Known, e: Sensed, *, predicts: bool) -> _Means:
-        """Return means of innovations and of distances.
-
-        The distances are those from the reference. The time without measurement is included.
-        """
-        m, r, c, n, period = known.memory, known.reading, known.numbers, self.filter.arms, self.filter.period
+    def _means(self, known: Known, *, predicts: bool) -> _Means:
+        """Return means of innovations and of distances from the reference, and the time without measurement."""
+        m, r, c, e, n, period = *known[:2], known.numbers, known.sensed, self.filter.arms, self.filter.period
         judged = ca.logic_and(e.used > 0, e.sound)
         # A blow ends within a tick, and is not evidence of a lost estimate.
         by_position = ca.fmin(e.nis / ca.fmax(e.used, 1), _MOST_AT_ONCE * c.lost_estimate)
@@ -682,19 +631,19 @@ class TickEquations:
         if predicts:
             # By the readings, which are right if the estimate is wrong. Another estimator's turns are unknown here.
             angles = [ca.if_else(r.present[i], r.measured[i] - e.turns[i], angles[i]) for i in range(n)]
-        distance = _largest([ca.fabs(angles[i] - known.row.wanted[i]) for i in range(n)])
+        distance = reduce(ca.fmax, [ca.fabs(angles[i] - known.row.wanted[i]) for i in range(n)])
         blind = ca.logic_and(m.restart, ca.logic_not(e.used > 0))
         seen = ca.logic_and(e.sound, ca.logic_not(blind))
         error = m.error + ca.if_else(seen, (distance - m.error) * min(period / TRACKING_MEMORY, 1), 0)
         return _Means(nis, strain, silent, distance, blind, error)
 
-    def _verdict(self, known: Known, e: Sensed, acts: _Acts, law: _Law, means: _Means, *, predicts: bool) -> _Verdict:
-        """The outcome, written so that NaN stops the run."""
-        m, c, n = known.memory, known.numbers, self.filter.arms
+    def _verdict(self, known: Known, law: _Law, means: _Means, *, predicts: bool) -> _Verdict:
+        """Return the outcome, written so that NaN stops the run."""
+        m, c, e, n = known.memory, known.numbers, known.sensed, self.filter.arms
         sound = all_of(law.finite, means.nis <= c.lost_estimate, finite(means.distance + ca.sum1(e.z[:n])))
         lost = ca.logic_not(sound)
         restarts = ca.logic_and(lost, m.restarts < c.restarts - 0.5)
-        leaves = self._farthest(known, acts) >= c.travel
+        leaves = self._farthest(known) >= c.travel
         # A cart that follows fallen arms is not the cause of the ending.
         fallen = ca.logic_and(leaves, means.distance > c.lost_tracking)
         most = ca.if_else(m.held, ca.fmax(c.lost_tracking, LOST_AFTER_FALLBACK), c.lost_tracking)
@@ -703,7 +652,7 @@ class TickEquations:
         moves = all_of(c.resynchronise > 0, means.error > c.resynchronise, m.moved > TRACKING_MEMORY)
         taken = (e.relative if self.split else e.z)[: 2 * n] - m.z[: 2 * n] if predicts else None
         stuck = self.watch.stuck(known, ca.if_else(restarts, 0, means.strain), taken)
-        drive, sensor, watch = self.watch.unfollowed(known, e, stuck)
+        drive, sensor, watch = self.watch.unfollowed(known, stuck)
         outcome = ca.SX(int(Outcome.GO_ON))
         # From the weakest: each overrides those before it.
         for condition, code in (
@@ -730,10 +679,10 @@ class TickEquations:
         stopped = ca.if_else(outcome >= int(Outcome.ESTIMATE_LOST), outcome, m.stopped)
         return _Verdict(outcome, stopped, sensor, watch)
 
-    def _farthest(self, known: Known, acts: _Acts) -> ca.SX:
+    def _farthest(self, known: Known) -> ca.SX:
         """Return the cart's resting place if it brakes now, or its place if it is farther, m from the centre."""
         m, c, n = known.memory, known.numbers, self.filter.arms
-        x, v, sent = acts.ahead[2 * n], acts.ahead[2 * n + 1], m.velocity
+        x, v, sent = known.acts.ahead[2 * n], known.acts.ahead[2 * n + 1], m.velocity
         # The drive is no faster, whatever the estimate of a cart whose scale has just stuck.
         v = ca.fmin(ca.fmax(v, -_FASTEST * c.velocity), _FASTEST * c.velocity)
         # A return, which has no margin, brings the cart back onto its track.
@@ -741,7 +690,7 @@ class TickEquations:
         # Sent commands without an effect yet, for a lagging drive.
         return ca.fmax(farthest, ca.if_else(ca.fabs(sent) > 0, self._stopping_point(x, m.heading, c), -BIG))
 
-    def _path(self, known: Known, e: Sensed, acts: _Acts, law: _Law, verdict: _Verdict) -> _Path:
+    def _path(self, known: Known, law: _Law, verdict: _Verdict) -> _Path:
         """Return the command within the drive's limits.
 
         The acceleration in the coming period is included.
@@ -757,14 +706,14 @@ class TickEquations:
         # Braking to rest leaves a rounding error.
         velocity = ca.if_else(ca.fabs(velocity) > AT_REST, velocity, 0)
         still = ca.if_else(all_of(m.stopped > 0, ca.logic_not(ca.fabs(sent) > 0)), m.still + period, 0)
-        queue, coming = m.sent, acts.coming
+        queue, coming = m.sent, known.acts.coming
         if coming is None:
             queue = ca.vertcat(m.sent[1:], command)
             coming = c.share * queue[0] + (1 - c.share) * queue[1]
         place = self.filter.equations.dimension - 1
-        acting, moved_on = self._acting(coming, e.z[place], m.drive, c)
+        acting, moved_on = self._acting(coming, known.sensed.z[place], m.drive, c)
         saturated = ca.logic_or(ca.fabs(wish) > most, ca.fabs(velocity) >= fastest)
-        heading, v = m.heading, acts.ahead[2 * n + 1]
+        heading, v = m.heading, known.acts.ahead[2 * n + 1]
         heading = within(heading + command * period + (v - heading) * min(period / _LAGS, 1), fastest)
         shaped, notch = self._shaped(known, command)
         after = verdict.watch._replace(
@@ -785,14 +734,13 @@ class TickEquations:
         return shaped, ca.vertcat(b1 * command - a1 * shaped + second, b2 * command - a2 * shaped)
 
     def _memory(
-        self, known: Known, e: Sensed, law: _Law, means: _Means, verdict: _Verdict,
-        path: _Path, *, predicts: bool,
-    ) -> Memory:  # fmt: skip
-        """Memory for the next tick."""
-        m, period = known.memory, self.filter.period
+        self, known: Known, law: _Law, means: _Means, verdict: _Verdict, path: _Path, *, predicts: bool
+    ) -> Memory:
+        """Return the memory for the next tick."""
+        m, e, period = known.memory, known.sensed, self.filter.period
         falls, again = ca.eq(verdict.outcome, int(Outcome.HOLD)), ca.eq(verdict.outcome, int(Outcome.RESTART))
         moved = ca.eq(verdict.outcome, int(Outcome.RESYNCHRONISE))
-        z, covariance = self._predicted(known, e, means, path.acting, predicts=predicts)
+        z, covariance = self._predicted(known, means, path.acting, predicts=predicts)
         return self.watch.expected_cart(path.after, known.numbers, path.acting)._replace(
             z=z, covariance=covariance, turns=e.turns, timing=e.timing, timed=e.timed, lateness=e.lateness,
             strain=means.strain, error=ca.if_else(falls, 0, means.error),
@@ -801,17 +749,15 @@ class TickEquations:
             held=ca.if_else(falls, 1, m.held), moved=ca.if_else(moved, 0, m.moved + period),
             restart=ca.logic_or(again, means.blind), stopped=verdict.stopped, acted=path.acting,
             cut=path.saturated, was_untrusted=ca.logic_or(m.was_untrusted, law.untrusted > 0), own=law.own,
-            drive_watch=self.watch.expected_arms(known, e, verdict.watch.drive_watch, path.acting), mark=e.mark,
+            drive_watch=self.watch.expected_arms(known, verdict.watch.drive_watch, path.acting), mark=e.mark,
         )  # fmt: skip
 
-    def _predicted(
-        self, known: Known, e: Sensed, means: _Means, acting: ca.SX, *, predicts: bool
-    ) -> tuple[ca.SX, ca.SX]:
+    def _predicted(self, known: Known, means: _Means, acting: ca.SX, *, predicts: bool) -> tuple[ca.SX, ca.SX]:
         """Return the filter's prediction over the coming period.
 
         Without `predicts`, its memory is unchanged.
         """
-        m, c = known.memory, known.numbers
+        m, c, e = known.memory, known.numbers, known.sensed
         if not predicts:
             return m.z, m.covariance
         start, origin = (e.relative, self._origin(m)) if self.split else (e.z, None)
@@ -821,12 +767,9 @@ class TickEquations:
         following, jacobian, noise = predicted(start, acting, c.parameters, c.process, noise_inputs, origin)
         return following, propagated(jacobian, covariance, noise)
 
-    def _report(
-        self, known: Known, e: Sensed, acts: _Acts, law: _Law, means: _Means,
-        verdict: _Verdict, path: _Path,
-    ) -> Report:  # fmt: skip
-        """Report for loop and log."""
-        m, size, stop = known.memory, self.filter.equations.dimension, verdict.stopped > 0
+    def _report(self, known: Known, law: _Law, means: _Means, verdict: _Verdict, path: _Path) -> Report:
+        """Return the report for loop and log."""
+        m, e, size, stop = known.memory, known.sensed, self.filter.equations.dimension, verdict.stopped > 0
         newly_cut = ca.logic_and(path.saturated, ca.logic_not(m.cut))
         newly_untrusted = ca.if_else(m.was_untrusted, 0, law.untrusted)
         repeats = ca.SX(0)
@@ -844,7 +787,7 @@ class TickEquations:
             extra=extras[size:], command=path.command, outcome=verdict.outcome, stop=stop,
             done=path.after.still > SETTLING, newly_cut=newly_cut, untrusted=newly_untrusted, sensor=verdict.sensor,
             repeats=repeats, error=means.error, mean_nis=means.nis, silent=ca.mmax(means.silent), used=e.used,
-            ahead=acts.ahead, notable=verdict.outcome + stop, news=newly_cut + newly_untrusted,
+            ahead=known.acts.ahead, notable=verdict.outcome + stop, news=newly_cut + newly_untrusted,
             own=law.by_own + known.row.feedforward,
         )  # fmt: skip
 
@@ -868,8 +811,7 @@ class TickEquations:
         for command in on_their_way(m.sent, c.share, whole=self.whole, lead=self.lead):
             z, drive = self._moved(z, drive, command, c)
         acts = _Acts(self._seen(z, r), drive, ca.SX(0), None)
-        after, report = self._finish(Known(m, r, t, c), e, acts, predicts=True)
-        out = ca.vertcat(self.memory.joined(after), self.report.joined(report))
+        out = self._finish(Known(m, r, t, c, e, acts), predicts=True)
         return _function("tick", {"reading": reading, "row": row, "numbers": numbers, "memory": memory}, out)
 
     def sense(self) -> ca.Function:
@@ -906,8 +848,7 @@ class TickEquations:
         drive = ca.SX.sym("drive")
         coming = None if self.unrolled else ca.SX.sym("coming")
         acts = _Acts(ahead, drive, back, coming)
-        after, report = self._finish(Known(m, r, t, c), e, acts, predicts=predicts)
-        out = ca.vertcat(self.memory.joined(after), self.report.joined(report))
+        out = self._finish(Known(m, r, t, c, e, acts), predicts=predicts)
         inputs = {"reading": reading, "row": row, "numbers": numbers, "memory": memory, "sensed": sensed}
         inputs |= {"ahead": ahead, "drive": drive, "back": back, **({} if coming is None else {"coming": coming})}
         return _function("finish", inputs, out)

@@ -3,7 +3,6 @@
 from collections import namedtuple
 from enum import IntEnum
 from functools import reduce
-from typing import NamedTuple
 
 import casadi as ca
 
@@ -77,13 +76,8 @@ Report = namedtuple(
 """Output of a tick, see `TickEquations.report`."""
 
 
-class Known(NamedTuple):
-    """The parts of a tick's inputs."""
-
-    memory: Memory
-    reading: Measurement
-    row: Row
-    numbers: Numbers
+Known = namedtuple("Known", "memory reading row numbers sensed acts")
+"""Inputs of a tick by part, its estimate, and the state in which its command acts."""
 
 
 def all_of(*conditions: ca.SX) -> ca.SX:

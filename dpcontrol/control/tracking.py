@@ -93,7 +93,6 @@ class ReferenceController(Brief):
     reference_states: Array
     feedforward: Array
     gains: Array
-    status: str
 
     @property
     def first_state(self) -> Array:
@@ -192,8 +191,7 @@ def phase_controller(kind: str, *, states: Array, feedforward: Array, gains: Arr
     rates = np.gradient(states[:, : len(scale)], axis=0) / scale
     normals = np.zeros_like(states)
     normals[:, : len(scale)] = rates / scale / (np.square(rates).sum(1) + (STANDSTILL * period) ** 2)[:, None]
-    text = f"gains for {len(gains)} ticks, by phase"
-    return PhaseController(kind, states, feedforward, gains, text, normals)
+    return PhaseController(kind, states, feedforward, gains, normals)
 
 
 class PhaseSession(ClockedSession):
@@ -261,16 +259,9 @@ class TvlqrSettings(ClosingWeights):
     schedule: Annotated[str, Setting(choices=SCHEDULES, help="Whether gains follow time or phase.")] = "time"
 
 
-ControllerSettings = FeedforwardSettings | TvlqrSettings
-
-
 @dataclass(frozen=True, eq=False)
 class TrackingController(TimedController):
     """Gains by time, also for flights of a program."""
-
-    def begin(self) -> "TrackingSession":
-        """Return a session for one run."""
-        return self.join(0, self.first_state)
 
     def join(self, tick: int, state: Array) -> "TrackingSession":
         """Return a session from a tick on.
@@ -430,7 +421,7 @@ def riccati_gains(
 
 
 def tracking_controller(
-    reference: Reference, model: SampledModel, settings: ControllerSettings
+    reference: Reference, model: SampledModel, settings: FeedforwardSettings | TvlqrSettings
 ) -> TrackingController | PhaseController:
     """Return the controller for a reference at the model's period.
 
@@ -444,15 +435,13 @@ def tracking_controller(
         settings: weights of the law.
 
     Raises:
-        InputError: the reference did not converge or has another number of states than the model.
         GoalMissed: the reference's end cannot be stabilised.
     """
     path = _at_ticks(reference, model)
     most = reference.limits.acceleration
     if isinstance(settings, FeedforwardSettings):
         gains = np.zeros((len(path.commands), model.dimension + (model.lag > 0)))
-        known, status = _by_time(model, path, gains, most), f"feedforward over {len(path.commands)} ticks"
-        return TrackingController(settings.kind, path.states, **known, status=status)
+        return TrackingController(settings.kind, path.states, **_by_time(model, path, gains, most))
     law = tracked(path, model, settings, most=most)
     if settings.schedule == "phase":
         return phase_controller(
@@ -512,17 +501,11 @@ def tracked(
             "the controller's gains became infinite; increase the weight of the effort or shorten the period"
         )
     known = _by_time(model, path, np.repeat(gains, every, axis=0)[:last], most)
-    return TrackingController(settings.kind, path.states, **known, status=f"gains for {last} ticks")
+    return TrackingController(settings.kind, path.states, **known)
 
 
 def _at_ticks(reference: Reference, model: SampledModel) -> TickedMotion:
-    """Return a reference at a model's ticks.
-
-    Raises:
-        InputError: the reference did not converge or has another number of states than the model.
-    """
-    if not reference.converged:
-        raise InputError(f"the reference cannot be tracked: {reference.status}")
+    """Return a reference at a model's ticks."""
     count = max(int(np.ceil(reference.duration / model.period - 1e-6)), 1)
     times = reference.mesh[0] + model.period * np.arange(count + 1)
     # The input in the middle of a period; a constant input then errs only by the square of the period.
@@ -743,6 +726,5 @@ def adaptive_controller(
     most = reference.limits.acceleration
     return AdaptiveController(
         settings.kind, states, **_by_time(model, TickedMotion(states, commands, drive), gains, most),
-        status=f"gains for {len(commands)} ticks, on the state and on {', '.join(names)}",
         extra_gains=extra_gains, pair_gains=pair_gains, names=names, shares=shares, trust=settings.trust,
     )  # fmt: skip

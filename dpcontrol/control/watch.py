@@ -39,7 +39,7 @@ import numpy as np
 
 from dpcontrol.control.drive import CartReading, DriveWatch
 from dpcontrol.control.ekf import pack, packed, unpack
-from dpcontrol.control.tick_parts import BIG, Known, Memory, Numbers, Outcome, Sensed, all_of, any_of, finite
+from dpcontrol.control.tick_parts import BIG, Known, Memory, Numbers, Outcome, all_of, any_of, finite
 from dpcontrol.dynamics.equations import Equations
 from dpcontrol.foundation.arrays import Array
 
@@ -253,7 +253,7 @@ class SensorWatch:
         contradicts = ca.logic_or(evidence >= _SCALE_STUCK, ca.logic_and(idle, ca.logic_not(smallest <= BIG)))
         return ca.logic_and(contradicts, count * period >= _CART_STILL - period / 2), after
 
-    def unfollowed(self, known: Known, e: Sensed, stuck: tuple[ca.SX, Memory]) -> tuple[ca.SX, ca.SX, Memory]:
+    def unfollowed(self, known: Known, stuck: tuple[ca.SX, Memory]) -> tuple[ca.SX, ca.SX, Memory]:
         """Return the outcome of a drive that the cart does not follow, or 0, with the results of `stuck` after it.
 
         Args:
@@ -262,14 +262,14 @@ class SensorWatch:
             stuck: results of `stuck`.
         """
         m, c, n, (sensor, watch), period = known.memory, known.numbers, self.arms, stuck, self.period
-        v, step = e.z[2 * n + 1], watch.step[n]
+        v, step = known.sensed.z[2 * n + 1], watch.step[n]
         v = ca.if_else(finite(v), v, 0)
         moved = [ca.if_else(finite(m.last[i]), watch.last[i] - m.last[i], 0) for i in range(n + 1)]
         moved = ca.vertcat(ca.DM(np.tril(np.ones((n, n)))) @ ca.vertcat(*moved[:n]), moved[n])
         count = ca.fmax(ca.if_else(step <= BIG, step, 0), c.scale)
         # The accelerations of a drive near its greatest velocity are not known.
         limited = ca.fabs(v) >= _LIMITED * c.velocity
-        variance = ca.if_else(limited, BIG, c.noise[-1] + e.timing * v**2)
+        variance = ca.if_else(limited, BIG, c.noise[-1] + known.sensed.timing * v**2)
         visible = self.drive.visible(count, variance, ca.fmax(c.drive_noise, _COMMAND_NOISE))
         cart = CartReading(self._fresh(known), watch.same[n] > 0, moved, known.reading.age * v, visible)
         memory = self.drive.update(m.drive_watch, cart)
@@ -305,7 +305,7 @@ class SensorWatch:
             noise[i, i] = ca.if_else(covariance[i, i] < sigma**2, drift**2 * period, 0)
         return watch._replace(scale=moves @ state, scale_covariance=pack(moves @ covariance @ moves.T + noise))
 
-    def expected_arms(self, known: Known, e: Sensed, watch: ca.SX, acting: ca.SX) -> ca.SX:
+    def expected_arms(self, known: Known, watch: ca.SX, acting: ca.SX) -> ca.SX:
         """Return the memory of the drive's watch a period later.
 
         Estimated parameters and errors of the drive adapt to a stuck scale, so they are not used.
@@ -317,6 +317,6 @@ class SensorWatch:
             acting: acceleration in the period, m/s².
         """
         n, rate, size = self.arms, self.equations.function(), self.equations.dimension
-        state = ca.vertcat(*(ca.if_else(finite(value), value, 0) for value in ca.vertsplit(e.z[:size])))
+        state = ca.vertcat(*(ca.if_else(finite(value), value, 0) for value in ca.vertsplit(known.sensed.z[:size])))
         swing, free = (rate(state, a, known.numbers.parameters)[n : 2 * n] for a in (acting, 0))
         return self.drive.predict(watch, acting, swing, swing - free)

@@ -13,29 +13,30 @@ from typing import Any
 from dpcontrol.foundation.errors import PartMissing
 from dpcontrol.foundation.version import VERSION
 
+_MATLAB = (
+    "MATLAB 7.3 files and MATLAB objects need mat-io; install it by `pip install 'dpcontrol[matlab]'`, or save the "
+    "recording in MATLAB as version 7"
+)
+_SERIAL = "rigs on serial lines need pyserial and cobs; install them by `pip install 'dpcontrol[serial]'`"
 _NEEDED = {
     "heyoka": "orbits, tubes and new plans need heyoka, which pip installs only on Linux; install it by `conda install "
     "-c conda-forge heyoka.py`, or use a plan saved elsewhere by `dpcontrol plan NAME --out FILE.npz`",
-    "matio": "MATLAB 7.3 files and MATLAB objects need mat-io; install it by `pip install 'dpcontrol[matlab]'`, or "
-    "save the recording in MATLAB as version 7",
+    "matio": _MATLAB,
+    "h5py": _MATLAB,
     "rosbags": "ROS bags and MCAP files need rosbags; install it by `pip install 'dpcontrol[bags]'`, or save CSV",
     "pyarrow": "Parquet tables, as campaigns write them, need pyarrow; install it by `pip install 'dpcontrol[tables]'`",
     "pandas": "tables need pandas; install it by `pip install 'dpcontrol[pandas]'`",
     "flint": "proofs need python-flint; install it by `pip install 'dpcontrol[proof]'`",
     "imageio_ffmpeg": "films as .mp4 need imageio-ffmpeg; install it by `pip install 'dpcontrol[film]'`, or choose "
     ".gif or .webp",
-    "serial": "rigs on serial lines need pyserial and cobs; install them by `pip install 'dpcontrol[serial]'`",
+    "serial": _SERIAL,
+    "cobs": _SERIAL,
+    "mujoco": "models in URDF or MJCF need MuJoCo; install it by `pip install 'dpcontrol[mujoco]'`, or write the model "
+    "as TOML",
     "rerun": "the viewer and its recordings need rerun-sdk; install it by `pip install 'dpcontrol[viewer]'`, or draw "
     "with matplotlib by --picture FILE.png",
+    "websockets": "the planner needs websockets; install it by `pip install 'dpcontrol[planner]'`",
 }
-_NEEDED["serial"] = _NEEDED["cobs"] = (
-    "rigs on serial lines need pyserial and cobs; install them by `pip install 'dpcontrol[serial]'`"
-)
-_NEEDED["mujoco"] = (
-    "models in URDF or MJCF need MuJoCo; install it by `pip install 'dpcontrol[mujoco]'`, or write the model as TOML"
-)
-_NEEDED["h5py"] = _NEEDED["matio"]
-_NEEDED["websockets"] = "the planner needs websockets; install it by `pip install 'dpcontrol[planner]'`"
 
 
 def part(name: str) -> Any:

@@ -18,12 +18,10 @@ from dataclasses import MISSING, dataclass, fields, replace
 from functools import cache
 from numbers import Real
 from types import UnionType
-from typing import Annotated, Any, ClassVar, Self, TypeVar, get_args, get_origin
+from typing import Annotated, Any, ClassVar, Self, get_args, get_origin
 
 from dpcontrol.foundation.errors import InputError, Mistakes, shortened
 from dpcontrol.foundation.units import unusual
-
-T = TypeVar("T")
 
 
 def suggest(value: str, choices: Iterable[str]) -> str:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from dpcontrol.control.estimator_settings import mean_band, means_of
+from dpcontrol.control.estimator_settings import nis_means
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.judge.decoding import FOLLOWS
 from dpcontrol.judge.run_view import RunView
@@ -56,29 +56,10 @@ def closest_approach(view: RunView) -> str:
 
 
 def nis_reading(view: RunView) -> str:
-    """Return the meaning of a run's NIS, compared with the 95 % band of a consistent filter, or "" without a NIS.
-
-    The filters assume more noise and larger model errors than they meet, so that a wrong model does not lose the arms.
-    Means below the band are therefore expected. Only means above it show overconfidence.
+    """Return the mean NIS of a run and its meaning in a sentence, or "" without a NIS.
 
     Args:
         view: data of the run.
     """
-    means = means_of(view.nis[np.isfinite(view.nis)]) if view.nis is not None else np.zeros(0)
-    if not len(means):
-        return ""
-    low, high = mean_band(view.sensors)
-    above, below = float((means > high).mean()), float((means < low).mean())
-    band = f"the 95 % band of {low:.1f} to {high:.1f}"
-    if above > _BOLD:
-        return f"Filter: overconfident. {above:.0%} of the NIS means are above {band}; chance explains 2.5 %."
-    if below > _CAUTIOUS:
-        return (
-            f"Filter: cautious by design. It assumes more noise than it meets, so only the top of {band} applies. "
-            f"{above:.0%} of the NIS means are above."
-        )
-    return f"Filter: consistent. {1 - above - below:.0%} of the NIS means are inside {band}."
-
-
-_BOLD, _CAUTIOUS = 0.08, 0.2
-"""Shares of the means above and below their 95 % band that are more than chance; 0.025 are expected on each side."""
+    means = None if view.nis is None else nis_means(view.nis, view.sensors)
+    return "" if means is None else f"NIS: {means.sentence}."

@@ -124,7 +124,6 @@ class Assembly:
         """The orbits to hold if tracking is lost; None without a fallback.
 
         Raises:
-            InputError: the reference belongs to other arms.
             GoalMissed: an orbit was not found or cannot be held.
         """
         if self.base is not None:
@@ -188,9 +187,6 @@ class Assembly:
 
         Args:
             runs: number of runs, default 1.
-
-        Raises:
-            InputError: the delay is impossible, or the controller belongs to other arms.
         """
         settings, controller, model, lead = self.settings, self.controller, self.model, whole_periods(self.delay)[1]
         # The estimator relies on the stated noise of sensors and drive.
@@ -254,9 +250,6 @@ class Assembly:
             until: tick until which the itinerary repeats; 0 to run it once.
             keep: if False, rows are not kept in memory.
             progress: receiver of progress reports.
-
-        Raises:
-            InputError: the delay is impossible, or the controller belongs to other arms.
         """
         recovery, fallback = recovery or self.recovery, self.fallback
         falls = None if recovery is None else FallRecovery(recovery, self.controller, until=until)
@@ -330,14 +323,7 @@ class Assembly:
         Args:
             seeds: one seed per run.
             mismatches: one mismatch per run, default that of the settings.
-
-        Raises:
-            InputError: the settings do not allow lockstep.
         """
-        if not self.lockstep:
-            raise InputError("these settings do not support lockstep; use --path ticks")
-        if not seeds:
-            return []
         # Only full vectors of the processor are used. Partial ones round differently and would affect the other runs.
         own = [self.settings.mismatch] * len(seeds) if mismatches is None else mismatches
         lanes = [*zip(seeds, own, strict=True)]

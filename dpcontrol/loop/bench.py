@@ -30,7 +30,7 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.control.interface import clip_number
+from dpcontrol.control.bench_period import Clip, DriveLimits
 from dpcontrol.dynamics.chain import ArmChainParameters, Uncertainty
 from dpcontrol.dynamics.components import Belt, Cable, EncoderPlay, Stiction, SymbolicPlant
 from dpcontrol.dynamics.plant import PlantParameters
@@ -39,9 +39,6 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.settings import Setting, Settings
 from dpcontrol.foundation.shown import Brief
 from dpcontrol.references.problem import Limits
-
-Clip = Callable[[Any, Any, Any], Any]
-
 
 _FINEST_ANGLE, _FINEST_CART = 1e-5, 1e-7
 """Steps that an estimator assumes for ideal sensors, rad and m."""
@@ -287,66 +284,16 @@ class DriveSettings(Settings, table="drive"):
             jerk=self.jerk if math.isfinite(self.jerk) else 0.0,
         )
 
-    def within(self, limits: Limits, period: float, *, clip: Clip = clip_number) -> "DriveLimits":
+    def within(self, limits: Limits, period: float, *, clip: Clip) -> DriveLimits:
         """Return the drive's bounds on successive demands.
 
         Args:
             limits: bounds of the itinerary, which apply where the drive has none.
             period: time between demands, s.
-            clip: function that clips one number (default), or `clip_lanes` for several runs.
+            clip: function that clips one number, or those of several runs.
         """
         own = self.limits(limits)
-        step = self.jerk * period if math.isfinite(self.jerk) else math.inf
-        return DriveLimits(float(own.acceleration), float(own.velocity), step, self.response, clip)
-
-
-@dataclass(frozen=True)
-class DriveLimits:
-    """Bounds of the drive on demands.
-
-    Demands are floats or, with `clip_lanes`, arrays (S,).
-
-    acceleration m/s², velocity m/s, jerk_step m/s² per period (inf for none), response.
-    """
-
-    acceleration: float
-    velocity: float
-    jerk_step: float
-    response: float
-    clip: Clip
-
-    def demanded(self, command: Any, noise: Any, last: Any) -> Any:
-        """Return the demand that results from a command, m/s².
-
-        Args:
-            command: commanded acceleration, m/s², a number or (S,).
-            noise: noise on the command, m/s², a number or (S,).
-            last: demand of the last period, m/s², a number or (S,).
-        """
-        wanted = self.clip(self.response * command + noise, -self.acceleration, self.acceleration)
-        return self.clip(wanted, last - self.jerk_step, last + self.jerk_step)
-
-    def acting(self, demanded: Any, velocity: Any, duration: float) -> Any:
-        """Return the acceleration that keeps the velocity reference in bounds, m/s².
-
-        After a knock out of these bounds, the reference returns as fast as the drive can.
-
-        Args:
-            demanded: demanded acceleration, m/s², a number or (S,).
-            velocity: present velocity reference, m/s, a number or (S,).
-            duration: time for which the acceleration acts, s.
-        """
-        low, high = (-self.velocity - velocity) / duration, (self.velocity - velocity) / duration
-        return self.clip(self.clip(demanded, low, high), -self.acceleration, self.acceleration)
-
-    def braking(self, velocity: Any, duration: float) -> Any:
-        """Return the acceleration towards standstill, as fast as the drive can.
-
-        Args:
-            velocity: present velocity reference, m/s, a number or (S,).
-            duration: time for which the acceleration acts, s.
-        """
-        return self.clip(-velocity / duration, -self.acceleration, self.acceleration)
+        return DriveLimits(float(own.acceleration), float(own.velocity), self.jerk * period, self.response, clip)
 
 
 @dataclass(frozen=True)
@@ -796,11 +743,6 @@ def draw_bench(
     stream("missed", lambda source, count: np.floor(source.uniform(size=(count, n)) + lost).astype(np.int64), lost)
     normal("noise", np.array([*[sensors.noise] * n, sensors.cart_noise]))
     normal("rate_noise", np.full(n, sensors.rate_noise))
-    if unlike.model_uncertainty and unlike.uncertainty is None:
-        raise InputError(
-            f"run: model_uncertainty = {unlike.model_uncertainty!r}: the model has no [uncertainty] to draw from; "
-            "identify it from recordings, or use a mismatch"
-        )
     likely = unlike.plant or arms
     if unlike.model_uncertainty and unlike.uncertainty is not None:
         likely = unlike.uncertainty.drawn(arms, random("model"), scale=unlike.model_uncertainty)
@@ -850,8 +792,6 @@ def _blows(
         strokes.append((int(when * ticks), int(which * arms), (2 * size - 1) * d.push_impulse, 0.0, 0.0))
     strokes += [(int(when * ticks), 0, 0.0, 0.0, (2 * size - 1) * d.knock_velocity) for when, size in knocks.tolist()]
     for push in d.explicit:
-        if push.arm >= arms:
-            raise InputError(f"push: arm = {push.arm!r}: must be 0 to {arms - 1}")
         strokes.append((round(push.time / period), push.arm, push.impulse, push.rate, push.knock))
     out: dict[int, Blow] = {}
     for tick, arm, impulse, rate, knock in strokes:

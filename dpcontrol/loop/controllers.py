@@ -24,7 +24,7 @@ from dpcontrol.control.estimator_settings import (
     UkfSettings,
     extra_names,
 )
-from dpcontrol.control.handover import Fly, Keep, Keeper, NearestKeeper, Program, Segment, program
+from dpcontrol.control.handover import Fly, Keep, Keeper, NearestKeeper, Program, program
 from dpcontrol.control.interface import Controller, Estimator, SampledModel
 from dpcontrol.control.lqr import ExtraEffects, HoldSettings, hold_controller
 from dpcontrol.control.ogy import ClassicOgySettings, OgyController, OgySettings, ogy_controller
@@ -152,17 +152,16 @@ def keeping_controller(
     # The next stay holds the end of a flight, so no terminal weight is needed.
     open_ended = replace(flies, closing=1.0)
     keepers: dict[str, OgyController | OrbitController] = {}
-    segments: list[Segment] = []
-    for k, entry in enumerate(reference.content.segments):
+    stays, flights = list[Keep](), list[Fly]()
+    for entry in reference.content.segments:
         if isinstance(entry, FlightSegment):
-            segments.append(Fly(entry.fly, tracking_controller(_part(reference, entry.rows), model, open_ended)))
+            flights.append(Fly(entry.fly, tracking_controller(_part(reference, entry.rows), model, open_ended)))
             continue
         name = _orbit_name(entry.keep, entry.energy)
         if name not in keepers:
             keepers[name] = _keeper(kept_orbit(reference, entry, parameters), model, keep=keep, flies=flies)
-        segments.append(Keep(f"stay {k // 2 + 1}, {name}", keepers[name], wraps=entry.periods))
-    kind = f"{flies.kind}, stays by {keep}"
-    return program(segments, period=model.period, kind=kind)
+        stays.append(Keep(f"stay {len(stays) + 1}, {name}", keepers[name], wraps=entry.periods))
+    return program(stays, flights, period=model.period, kind=f"{flies.kind}, stays by {keep}")
 
 
 def _keeper(

@@ -122,7 +122,7 @@ def braking_controller(arms: ArmChainParameters, model: SampledModel) -> HoldCon
     gain = np.zeros(model.dimension)
     gain[-2:] = braking_gains(arms)
     ticks = max(round(_BRAKING_SECONDS / model.period), 1)
-    return HoldController("brake", np.zeros(model.dimension), gain, ticks, "", 0.0 if model.lag else None)
+    return HoldController("brake", np.zeros(model.dimension), gain, ticks, 0.0 if model.lag else None)
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,7 +20,6 @@ from dpcontrol.control.tick import Report
 from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.causes import Cause
-from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.settings import Setting, Settings
 from dpcontrol.foundation.shown import Brief
 from dpcontrol.logs import Event, LogWriter, Stretch
@@ -413,24 +412,6 @@ class LoopResult(Ended):
     constants: tuple[list[Any], ...] | None = None
 
     @property
-    def finished(self) -> bool:
-        """True if the run reached the reference's end."""
-        return self.ending is Ending.FINISHED
-
-    @property
-    def nis_inside_95(self) -> float:
-        """Return the share of ticks with NIS in its 95 % band.
-
-        The band is two-sided.
-        """
-        return inside_95(self.ticks.control[:, 5], sensors_of(self.ticks.measured))
-
-    @property
-    def rms_feedback(self) -> float:
-        """Return the rms of the feedback, m/s²."""
-        return rms(self.ticks.control[:, 2])
-
-    @property
     def real_time_factor(self) -> float:
         """Return simulated over elapsed time."""
         times = self.ticks.times
@@ -483,7 +464,6 @@ class BatchRun(Ended):
     applied: Array
     nis_inside_95: float
     rms_feedback: float
-    falls: int = 0
     stretches: tuple[Stretch, ...] = ()
     hardest: float | None = None
     departed: bool = False
@@ -494,17 +474,14 @@ class BatchRun(Ended):
 
         Args:
             result: result of a loop with true states.
-
-        Raises:
-            InputError: the true states of the run are not known.
         """
         ticks = result.ticks
-        if ticks.truth is None:
-            raise InputError("the true states are not known, so the run cannot be judged; run it in simulation")
+        assert ticks.truth is not None
         angles = ticks.references[:, : ticks.measured.shape[1] - 1]
         return cls(
-            result.end, ticks.times, ticks.truth, angles, ticks.control[:, 3], result.nis_inside_95,
-            result.rms_feedback, result.falls, result.stretches, result.hardest,
+            result.end, ticks.times, ticks.truth, angles, ticks.control[:, 3],
+            inside_95(ticks.control[:, 5], sensors_of(ticks.measured)), rms(ticks.control[:, 2]), result.stretches,
+            result.hardest,
         )  # fmt: skip
 
 

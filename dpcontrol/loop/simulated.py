@@ -25,7 +25,6 @@ from dpcontrol.dynamics.compiled import SINGLE, Compiled
 from dpcontrol.dynamics.plant import PlantParameters, after_blow, longest_step, plant_modes, plant_step
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.causes import Cause
-from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs import Event
 from dpcontrol.loop.bench import BenchDraw, BenchSettings, Blow, SensorSettings
 from dpcontrol.loop.own import OwnArms
@@ -46,19 +45,12 @@ class Encoders:
         drift: drift (n,) or (n, S) of the zero errors, rad/s.
         lanes: `ONE` run or `MANY`.
         places: indices in the state that replace the measured joints and cart.
-
-    Raises:
-        InputError: the stuck sensor does not exist.
     """
 
     def __init__(
         self, arms: int, settings: SensorSettings, *, zeros: Array | None = None, drift: Array | None = None,
         lanes: Lanes = ONE, places: Mapping[int, int] = MappingProxyType({}),
     ) -> None:  # fmt: skip
-        if math.isfinite(settings.stuck_at) and settings.stuck_sensor > arms:
-            raise InputError(
-                f"sensors: stuck_sensor = {settings.stuck_sensor!r}: must be 0 to {arms}; {arms} is the cart's scale"
-            )
         self.settings = settings
         self._arms, self._lanes = arms, lanes
         self._places, self._cart_place = [places.get(k) for k in range(arms)], places.get(arms, 2 * arms)
@@ -365,9 +357,6 @@ class SimulatedBench:
         start: nominal initial state (2n+2,), to which each draw adds its error, or (S, 2n+2) with one state per run.
         queued: commands that are pending at the start, oldest first, m/s²; earlier ones are zero.
         lanes: `ONE` run or `MANY`.
-
-    Raises:
-        InputError: the state has the wrong shape, or the settings do not fit the arms.
     """
 
     def __init__(
@@ -439,7 +428,7 @@ class SimulatedBench:
         """The largest acceleration that the drive has applied in each run, m/s²."""
         self._larger: Any = max if lanes is ONE else np.maximum
         self._seen: Any = None
-        self._cart, self._ticks, self._tick = 2 * n, draw.ticks, -1
+        self._cart, self._tick = 2 * n, -1
         self._braking: Any = None
         self._off = False
         known = (zip(repeat(run), sorted(d.blows.items(), key=itemgetter(0))) for run, d in enumerate(draws))
@@ -607,7 +596,7 @@ class SimulatedRig(SimulatedBench):
         """Return how many ticks from k on, at most `most`, need only the expression of `kind`."""
         if not k or self._braking is not None:
             return 0
-        return max(0, min(most, self._coming[1][0] + 1 - k, self._ticks - k))
+        return max(0, min(most, self._coming[1][0] + 1 - k))
 
     def plain_states(self, states: Array) -> NDArray[np.bool_]:
         """Return True for each state (K, N) that is finite, with the cart on its track and away from the switches."""
@@ -657,11 +646,9 @@ class SimulatedRig(SimulatedBench):
         """Advance one period, except in the first call, and return the readings.
 
         Raises:
-            ArithmeticError: the state is no longer finite, or the run exceeds the length of its draw.
+            ArithmeticError: the state is no longer finite.
         """
         k = self._tick + 1
-        if k >= self._ticks:
-            raise ArithmeticError(f"the run exceeds the {self._ticks} ticks of its draw; draw more ticks")
         if k:
             self._pass(k - 1)
         self._tick = k
@@ -684,12 +671,7 @@ class SimulatedRig(SimulatedBench):
 
         Args:
             acceleration: demand, m/s².
-
-        Raises:
-            ArithmeticError: the demand is not finite.
         """
-        if not math.isfinite(acceleration):
-            raise ArithmeticError(f"command = {acceleration!r}: the drive takes finite accelerations only")
         self._demand(max(self._tick, 0), acceleration)
 
     def stop(self) -> None:

@@ -18,7 +18,6 @@ from dpcontrol.control.interface import Controller, Estimate, Estimator, GainSch
 from dpcontrol.control.tick import UNROLLED, TickProgram
 from dpcontrol.control.tick_parts import Outcome, Report
 from dpcontrol.foundation.arrays import Array
-from dpcontrol.foundation.errors import InputError
 from dpcontrol.loop.own import OwnController, OwnEstimates, OwnFailure, OwnSession, wrong_command
 from dpcontrol.loop.protocols import Reading
 
@@ -36,9 +35,6 @@ class Ticker:
     Args:
         schedule: gains of the controller, or None if it has an internal clock.
         estimator: replacement for the compiled filter, for a single run.
-
-    Raises:
-        InputError: the first state does not fit the model, or the law does not support several runs.
     """
 
     def __init__(
@@ -60,10 +56,6 @@ class Ticker:
         self.lead, self.report = program.lead, program.report
         self._arms, self._n = program.model.arms, program.model.dimension
         self._measured = np.array(program.equations.measured)
-        if len(controller.first_state) != self._n:
-            raise InputError(
-                f"the controller is for states of {len(controller.first_state)} entries, these arms have {self._n}"
-            )
         self.count, self._many = controller.ticks + 1, program.runs > 1
         self._schedule = schedule
         self._row = program.equations.row.of(program.row)
@@ -150,8 +142,6 @@ class Ticker:
         law: Any = self.controller
         if not self._many:
             return law.begin_after(self.lead) if hasattr(law, "begin_after") else law.begin()
-        if not hasattr(law, "begin_many"):
-            raise InputError(f'controller: kind = "{self.kind}" supports one run at a time; use --path ticks')
         return law.begin_many(self.program.runs)
 
     def _call_law(self, tick: int, ahead: Array, extra: Array) -> tuple[Any, Any]:

@@ -110,7 +110,7 @@ def _goals(itinerary: Itinerary, orbits: list[ShadowingOrbit], progress: Progres
     for k, part in enumerate(itinerary.parts):
         if isinstance(part, WalkPart):
             portion = part_of(progress, k / len(itinerary.parts), (k + 1) / len(itinerary.parts))
-            orbit = orbits.pop(0) if orbits else shadowing_orbit(itinerary, part=part, progress=portion)
+            orbit = orbits.pop(0) if orbits else shadowing_orbit(itinerary, part, progress=portion)
             beside = [itinerary.parts[j] if 0 <= j < len(itinerary.parts) else None for j in (k - 1, k + 1)]
             # Walks meet on their orbits. To rest or a hold, there is a transfer.
             apart = (e != "orbit" if b is None else isinstance(b, HoldPart) for e, b in zip(ends, beside, strict=True))
@@ -135,24 +135,18 @@ def _equilibrium(itinerary: Itinerary, end: str, number: int) -> str:
     return symbol.target if number else symbol.source
 
 
-def shadowing_orbit(
-    itinerary: Itinerary, *, part: WalkPart | None = None, progress: Progress = no_progress
-) -> ShadowingOrbit:
+def shadowing_orbit(itinerary: Itinerary, part: WalkPart, *, progress: Progress = no_progress) -> ShadowingOrbit:
     """Find the orbit that shadows a walk, after a search for the walk's connections.
 
     Args:
         itinerary: itinerary with the walk.
-        part: the walk, by default the first one.
+        part: the walk.
         progress: receiver of progress reports.
 
     Raises:
-        InputError: the walk needs connections that do not exist at this energy, or there is no walk.
+        InputError: the walk needs connections that do not exist at this energy.
         GoalMissed: an orbit or the shadowing orbit did not converge.
     """
-    if part is None:
-        if not itinerary.walks:
-            raise InputError(f"{itinerary.name} has no walk, only holds")
-        part = itinerary.walks[0]
     if itinerary.model.system.dimension == 6:
         return _symmetric_walk(itinerary.model.system, part, progress)
     chain, solver = _connections(itinerary, part, part_of(progress, 0.0, 0.9))

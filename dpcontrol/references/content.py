@@ -213,7 +213,7 @@ class PlanContent:
         key: hash of the plan's inputs.
     """
 
-    __pydantic_config__: ClassVar[Any] = {"arbitrary_types_allowed": True, "allow_inf_nan": False}
+    __pydantic_config__: ClassVar[Any] = {"arbitrary_types_allowed": True, "allow_inf_nan": False, "extra": "forbid"}
 
     itinerary: str
     title: str
@@ -333,10 +333,6 @@ def restored(notes: Mapping[str, Any], arrays: Mapping[str, Array], *, arms: int
     """
     values = _without_none(notes)
     values |= {name: values.pop(key) for name, key in _KEYS.items() if key in values}
-    if (stay := values.get("stay", {})).get("kind") == "orbit":
-        # Plans of format 2.
-        fields = {"keep": stay["orbit"], "turns": [0.0] * (2 * arms + 2), "periods": 1, "rows": [0, stay["intervals"]]}
-        values["segments"] = [{**stay, **fields}]
     for k, orbit in enumerate(values["orbits"]):
         orbit["curve"] = arrays[f"orbit_{k}"]
     values["origin"]["parameters"] = ArmChainParameters(**frozen(values["origin"]["parameters"]))

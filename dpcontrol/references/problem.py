@@ -15,7 +15,6 @@ import numpy as np
 from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.dynamics.equations import Equations
 from dpcontrol.foundation.arrays import Array
-from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.settings import Setting, Settings, leaves_of
 from dpcontrol.foundation.shown import Brief
 
@@ -233,16 +232,3 @@ class ReferenceSettings(Settings, table="reference"):
     end_tolerance: Annotated[float, Setting(least=0, help="Allowed scaled distance from the guess's end.")] = 0.0
     rounds: Annotated[int, Setting(least=1, help="Rounds of mesh refinement.")] = 8
     iterations: Annotated[int, Setting(least=1, help="Solver iterations in each round.")] = 100
-
-    def __post_init__(self) -> None:
-        """Check the bounds.
-
-        Raises:
-            InputError: an invalid setting, with its value and range.
-        """
-        if self.level == "dissipative":
-            raise InputError(
-                'level = "dissipative": with friction and a fixed cart, lost energy cannot be restored; use '
-                '"cart", or "conservative" for neither'
-            )
-        super().__post_init__()

@@ -37,6 +37,7 @@ from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
 from dpcontrol.dynamics.equations import Equations
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.causes import ReferenceCause
+from dpcontrol.foundation.checked import Hit, checked
 from dpcontrol.foundation.document import picked
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress, no_progress
@@ -100,14 +101,6 @@ class PhaseSection(Brief):
     state: Array
     rate: Array
     normal: Array
-
-    def lateness(self, state: ArrayLike) -> Array:
-        """Return the times since states passed the section, s (…), valid near the section, to first order.
-
-        Args:
-            state: states (…, N).
-        """
-        return np.asarray((np.asarray(state) - self.state) @ self.normal)
 
     @property
     def projection(self) -> Array:
@@ -334,7 +327,8 @@ class SustainedOrbit(ByReference, Timed):
         normal[-2:] = 0.0
         return PhaseSection(phase, time, state, rate, normal / (normal @ rate))
 
-    def sections(self, count: int) -> tuple[PhaseSection, ...]:
+    @checked
+    def sections(self, count: Hit) -> tuple[PhaseSection, ...]:
         """Return sections at phases (j + 1/2) / count, farthest from the jump of the input at phase 0.
 
         Args:
@@ -343,8 +337,6 @@ class SustainedOrbit(ByReference, Timed):
         Raises:
             InputError: `count` is less than 1 or more than 1,000.
         """
-        if not 1 <= count <= 1000:
-            raise InputError(f"sections = {count!r}: must be 1 to 1000 for each period")
         return tuple(self.section((j + 0.5) / count) for j in range(count))
 
     def section_maps(self, count: int) -> tuple[SectionMap, ...]:

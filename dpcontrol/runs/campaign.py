@@ -48,7 +48,7 @@ import threading
 import time
 import warnings
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -266,21 +266,6 @@ def _schema(cases: Sequence[Case], record: Mapping[str, Any]) -> "pa.Schema":
     varied = dict.fromkeys((name for case in cases for name in _numbers(case)), "double")
     fields = [(name, pa.type_for_alias(kind)) for name, kind in {**COLUMNS, **varied}.items()]
     return pa.schema(fields, metadata={METADATA: json.dumps(record).encode()})
-
-
-def run_locally(jobs: Sequence[Job], workers: int, progress: Progress = no_progress) -> Iterator[tuple[Job, list[Row]]]:
-    """Run jobs in several processes, which end if the caller is interrupted or stops iterating.
-
-    Args:
-        jobs: jobs in any order.
-        workers: number of processes.
-        progress: receiver of progress reports.
-
-    Raises:
-        InputError: see `run_job`.
-        GoalMissed: see `run_job`; also if a job's process died.
-    """
-    return in_processes(run_job, jobs, workers, what="jobs", progress=progress)
 
 
 MOST_RUNS = 1_000_000
@@ -638,7 +623,8 @@ def _run_missing(jobs: Sequence[Job], folder: Path, schema: "pa.Schema", *, work
     # If one of several laws does not fit the plan, no run begins.
     for job in laws.values() if len(laws) > 1 else ():
         _assembled(job)
-    for job, rows in run_locally(left, workers, part_of(progress, 1 - len(left) / len(jobs), 1.0)):
+    within = part_of(progress, 1 - len(left) / len(jobs), 1.0)
+    for job, rows in in_processes(run_job, left, workers, what="jobs", progress=within):
         table, data = pa.Table.from_pylist([{**row, **_numbers(job.case)} for row in rows], schema=schema), io.BytesIO()
         pq.write_table(table, data, compression="zstd", write_page_checksum=True)
         write_whole(places[job.key], data.getvalue())

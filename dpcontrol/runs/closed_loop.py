@@ -311,15 +311,7 @@ class ClosedLoop(Timed):
             GoalMissed: there is no reference to follow, or no controller can be made for it.
         """
         check_exportable(self.plan.itinerary)
-        return export_plan(
-            self.plan,
-            _path(folder),
-            assembly=self.assembly,
-            single=single,
-            clock=clock,
-            force=force,
-            progress=progress,
-        )
+        return export_plan(self.plan, _path(folder), single=single, clock=clock, force=force, progress=progress)
 
 
 def bench_of(rig: object) -> RigLink | OwnObject | None:

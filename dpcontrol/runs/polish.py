@@ -439,7 +439,7 @@ def _sides(plans: list[tuple[str, Plan]], runs: int, workers: int, progress: Pro
         (name, mismatch): Job(
             plan.itinerary.name, plan.archive, plan.itinerary.model.arms,
             Case(f"mismatch={mismatch:g}", (), replace(plan.itinerary.loop, mismatch=mismatch)),
-            tuple(range(runs)), "compiled", replayed=0,
+            tuple(range(runs)), "compiled", plan.itinerary.uncertainty, replayed=0,
         )
         for name, plan in plans for mismatch in MISMATCHES
     }  # fmt: skip

@@ -21,15 +21,13 @@ import numpy as np
 
 from dpcontrol.control.estimator_settings import extra_names
 from dpcontrol.control.export import (
-    LEAVING,
     ControllerSource,
-    checked_exportable,
     controller_source,
     controller_unit,
 )
-from dpcontrol.control.interface import GainSchedule
+from dpcontrol.control.interface import Controller
 from dpcontrol.control.margins import Margins
-from dpcontrol.control.tick import TickProgram
+from dpcontrol.control.tick import UNROLLED, TickProgram, whole_periods
 from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.cache import commit
@@ -732,7 +730,13 @@ def check_exportable(itinerary: Itinerary) -> None:
         (python_law, f"controller = {kind}: Python code cannot be exported to C; use a dp.SymbolicLaw"),
         (
             by != "time" or not (python_law or law_of(loop.controller).symbolic),
-            f"controller: {what} has an internal clock that C export does not support; {LEAVING}",
+            f"controller: {what} has an internal clock that C export does not support; use "
+            '"tvlqr" by time, "adaptive", "feedforward" or "lqr"',
+        ),
+        (
+            (lead := whole_periods(loop.drive.delay)[1]) > UNROLLED,
+            f"drive: delay = {lead} periods, but C export predicts at most {UNROLLED} periods ahead; lower the rate, "
+            "so that the same delay has fewer periods",
         ),
         (
             not filter_of(loop.estimator).symbolic,
@@ -748,7 +752,6 @@ def export_plan(
     plan: Plan,
     out: Path | None = None,
     *,
-    assembly: Assembly | None = None,
     single: bool = False,
     clock: float | None = None,
     force: bool = False,
@@ -761,7 +764,6 @@ def export_plan(
     Args:
         plan: plan of the itinerary.
         out: folder to write, or NAME.fmu for a co-simulation unit.
-        assembly: components built before.
         single: use single precision.
         clock: clock of a Cortex-M4 that must keep the rate, MHz.
         force: replace files of the same names.
@@ -772,10 +774,10 @@ def export_plan(
             something else.
         GoalMissed: the plan did not converge, or no controller can be made for it.
     """
-    source, program, schedule = _exported(plan, assembly or assembled(plan), single, progress, clock=clock)
+    source, program, controller = _exported(plan, single, progress, clock=clock)
     if out is not None and out.suffix == ".fmu":
         title, delay = plan.itinerary.title, plan.itinerary.loop.drive.delay
-        unit = controller_unit(source, program, schedule, name=out.stem, title=title, delay=delay)
+        unit = controller_unit(source, program, controller, name=out.stem, title=title, delay=delay)
         if not force and out.exists() and not (out.is_file() and out.read_bytes() == unit.archive):
             raise in_the_way(out, "holds something else")
         write_whole(out, unit.archive)
@@ -787,29 +789,27 @@ def export_plan(
 
 
 def _exported(
-    plan: Plan, assembly: Assembly, single: bool, progress: Progress, *, clock: float | None = None
-) -> tuple[ControllerSource, TickProgram, GainSchedule]:
-    """Return a controller as C with readings of a simulated run for a replay, its program, and its schedule."""
-    itinerary = plan.itinerary
-    check_exportable(itinerary)
+    plan: Plan, single: bool, progress: Progress, *, clock: float | None
+) -> tuple[ControllerSource, TickProgram, Controller]:
+    """Return a controller as C with readings of a simulated run for a replay, its program, and the controller."""
+    itinerary, assembly = plan.itinerary, assembled(plan)
     if any(itinerary.zeros):
         remark(
             f"{itinerary.path}: [run] zeros = {list(itinerary.zeros)} is not in the exported program, which uses raw "
             f"readings; set the encoders to zero, or subtract the zeros before a step"
         )
     controller, program, loop = assembly.controller, assembly.ticker().program, itinerary.loop
-    schedule = checked_exportable(controller, lead=program.lead)
     checked = replace(loop, sensors=replace(loop.sensors, rate_noise=0.0))
     ran = replace(assembly, settings=checked, law=controller).simulate(progress=progress)
     names = [f"measured.{name}" for name in joint_names(itinerary.model.arms.count, has_cart=True)]
     rows = np.column_stack([ran.ticks.measured, ran.ticks.control[:, 0]]).tolist()
     readings = "".join(f"{','.join(map(repr, row))}\n" for row in rows)
     code = controller_source(
-        program, controller, schedule, itinerary=itinerary.name, title=itinerary.title, single=single,
+        program, controller, itinerary=itinerary.name, title=itinerary.title, single=single,
         clock=clock, readings=f"{','.join([*names, 'control.command'])}\n{readings}",
     )  # fmt: skip
     source = replace(code, itinerary=itinerary.name, rate=loop.rate, single=single, clock=clock)
-    return source, program, schedule
+    return source, program, controller
 
 
 OWN_BENCH = "udp"

@@ -35,7 +35,7 @@ NAMES = ("outer-turn", "cross")
 def edges_of(name):
     """Return {axis: [(value, converged, rms in m/s²)]} and what the motion takes of each limit on its own."""
     itinerary = load_itinerary(name)
-    orbit, arms = shadowing_orbit(itinerary), itinerary.model.arms
+    orbit, arms = shadowing_orbit(itinerary, itinerary.walks[0]), itinerary.model.arms
 
     def found_with(friction=1.0, **limits):
         parameters = replace(arms, viscous=tuple(friction * k for k in arms.viscous)).base()

@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 from shadowing_stand_in import LAB
 
+from dpcontrol.control.bench_period import DriveLimits
 from dpcontrol.control.ekf import CompiledEkf
 from dpcontrol.control.estimator_settings import EkfSettings
 from dpcontrol.control.interface import clip_number, sampled_model
 from dpcontrol.control.tick import LOST_AFTER_FALLBACK, TickProgram
 from dpcontrol.control.tick_parts import Outcome
-from dpcontrol.loop.bench import DriveLimits, SensorSettings
+from dpcontrol.loop.bench import SensorSettings
 from dpcontrol.references.problem import Limits
 
 EXACT = 1e-12  # Sums of a few numbers of order ten.

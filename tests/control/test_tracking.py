@@ -29,7 +29,7 @@ def model() -> SampledModel:
 
 
 def asked(controller: TrackingController, tick: int, state: np.ndarray) -> tuple[float, float]:
-    action = controller.begin().command(tick, state, np.zeros(0))
+    action = controller.join(0, state).command(tick, state, np.zeros(0))
     return action.feedforward, action.feedback
 
 
@@ -60,7 +60,7 @@ def test_feedback_is_zero_on_the_reference_and_pulls_back_beside_it(
 def late_start(reference: Reference, model: SampledModel, schedule: str) -> tuple[list[float], list[float]]:
     """Feedback and distance from the reference's path of a run that begins 40 ms ahead of the clock."""
     controller = tracking_controller(reference, model, TvlqrSettings(schedule=schedule))
-    session, state = controller.begin(), reference.state(0.04)
+    session, state = controller.join(0, controller.first_state), reference.state(0.04)
     path, feedback, away = reference.state(np.arange(0, 1.2, 5e-4)), [], []
     for k in range(400):
         action = session.command(k, state, np.zeros(0))
@@ -107,7 +107,7 @@ def test_the_loops_rows_equal_the_actions_of_a_session_several_ticks_ahead(
     controller = tracking_controller(turn[1], model, TvlqrSettings())
     assert isinstance(controller, TrackingController)
     where = TickEquations(FilterEquations(model.equations, model.period, ()), 2, 2).row.slices
-    schedule, session, last = controller.schedule(2), controller.begin(), controller.ticks
+    schedule, session, last = controller.schedule(2), controller.join(0, controller.first_state), controller.ticks
     assert schedule.queued == pytest.approx(controller.feedforward[:2])
     for k in (0, 1, 700, last - 2, last - 1, last):
         row, state = schedule.rows[k], controller.reference_states[k] + 0.01

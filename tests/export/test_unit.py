@@ -62,11 +62,8 @@ def exported(turn: tuple[StandIn, Reference], tmp_path_factory: pytest.TempPathF
         gains=whole.gains[:TICKS],
     )  # fmt: skip
     ticker = Assembly(reference, LAB, SETTINGS, law=short).ticker()
-    schedule = short.schedule(ticker.lead)
-    source = controller_source(
-        ticker.program, short, schedule, itinerary="turn", title="A turn", single=False, readings=""
-    )
-    made = controller_unit(source, ticker.program, schedule, name="2-turn", title="A turn", delay=1.0)
+    source = controller_source(ticker.program, short, itinerary="turn", title="A turn", single=False, readings="")
+    made = controller_unit(source, ticker.program, short, name="2-turn", title="A turn", delay=1.0)
     folder = tmp_path_factory.mktemp("exported")
     for name, text in source.files.items():
         (folder / name).write_text(text)

@@ -9,7 +9,6 @@ from shadowing_stand_in import LAB, StandIn
 
 from dpcontrol.control.estimator_settings import EkfSettings, UkfSettings
 from dpcontrol.control.tracking import FeedforwardSettings, TvlqrSettings
-from dpcontrol.foundation.errors import InputError
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.bench import DisturbanceSettings, DriveSettings, MechanicsSettings, SensorSettings
 from dpcontrol.loop.loop import LoopSettings
@@ -138,10 +137,7 @@ def test_a_seed_alone_ends_where_and_as_it_does_among_others(
         replace(BASE, supervisor=SupervisorSettings(resynchronise=0.5)),
     ],
 )
-def test_settings_without_lockstep_are_rejected(turn: tuple[StandIn, Reference], settings: LoopSettings) -> None:
+def test_settings_without_lockstep_are_known(turn: tuple[StandIn, Reference], settings: LoopSettings) -> None:
     assembly = Assembly(turn[1], LAB, BASE)
     assert assembly.lockstep
-    other = assembly.under(settings)
-    assert not other.lockstep
-    with pytest.raises(InputError, match="do not support lockstep"):
-        other.batch([0])
+    assert not assembly.under(settings).lockstep

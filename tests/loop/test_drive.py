@@ -4,6 +4,7 @@ import math
 
 import pytest
 
+from dpcontrol.control.interface import clip_number
 from dpcontrol.loop.bench import DriveSettings
 from dpcontrol.references.problem import Limits
 
@@ -12,7 +13,7 @@ PERIOD = 1e-3
 
 
 def test_acceleration_and_velocity_stay_inside() -> None:
-    drive = DriveSettings().within(LIMITS, PERIOD)
+    drive = DriveSettings().within(LIMITS, PERIOD, clip=clip_number)
     assert drive.demanded(5.0, 0.0, 0.0) == 5.0
     assert drive.demanded(50.0, 0.0, 0.0) == 30.0
     assert drive.demanded(-50.0, 0.0, 0.0) == -30.0
@@ -28,14 +29,14 @@ def test_acceleration_and_velocity_stay_inside() -> None:
 
 
 def test_a_weaker_drive_than_the_itinerarys_gives_less() -> None:
-    weak = DriveSettings(acceleration=4.0, velocity=0.5, response=0.8).within(LIMITS, PERIOD)
+    weak = DriveSettings(acceleration=4.0, velocity=0.5, response=0.8).within(LIMITS, PERIOD, clip=clip_number)
     assert weak.demanded(3.0, 0.1, 0.0) == pytest.approx(2.5)
     assert weak.demanded(20.0, 0.0, 0.0) == 4.0
     assert weak.acting(4.0, 0.5, PERIOD) == pytest.approx(0.0, abs=1e-12)
 
 
 def test_jerk_is_bounded_from_demand_to_demand() -> None:
-    drive = DriveSettings(jerk=2000.0).within(LIMITS, PERIOD)
+    drive = DriveSettings(jerk=2000.0).within(LIMITS, PERIOD, clip=clip_number)
     last, given = 0.0, []
     for _ in range(6):
         last = drive.demanded(9.0, 0.0, last)
@@ -45,7 +46,7 @@ def test_jerk_is_bounded_from_demand_to_demand() -> None:
 
 
 def test_braking_ends_at_rest_and_not_beyond() -> None:
-    drive = DriveSettings().within(LIMITS, PERIOD)
+    drive = DriveSettings().within(LIMITS, PERIOD, clip=clip_number)
     velocity, steps = 1.0, 0
     while velocity:
         velocity += drive.braking(velocity, PERIOD) * PERIOD

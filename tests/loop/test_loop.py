@@ -13,7 +13,7 @@ from dpcontrol.logs import Event
 from dpcontrol.logs.layout import control_fields
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.loop import LoopSettings
-from dpcontrol.loop.result import LoopSink, SinkBeside, Ticks
+from dpcontrol.loop.result import Ending, LoopSink, SinkBeside, Ticks
 from dpcontrol.references.problem import Limits
 from dpcontrol.references.reference import Reference
 
@@ -56,7 +56,7 @@ def test_the_right_model_tracks_to_encoder_counts(
     for augment, most in (((), COUNT), (("zeros",), 3 * COUNT)):
         settings = LoopSettings(seed=0, estimator=EkfSettings(augment=augment))
         result = Assembly(turn[1], LAB, settings, law=controller).simulate()
-        assert result.finished
+        assert result.ending is Ending.FINISHED
         assert rms((result.ticks.truth - result.ticks.references)[:, :2]) < most
         assert rms(result.ticks.control[:, FIELDS["applied"]]) < 2 * most / COUNT * turn[1].rms_cart_acceleration
 

@@ -138,8 +138,9 @@ def test_an_energy_without_the_connection_is_refused_with_one_that_has_it(tmp_pa
     file = tmp_path / "crossing.toml"
     file.write_text(CROSSING.format(energy=0.178))
     with pytest.raises(InputError) as refused:
-        shadowing_orbit(load_itinerary(str(file)))
+        shadowing_orbit(refusing := load_itinerary(str(file)), refusing.walks[0])
     advised = re.search(r"at (\S+) J there are connections for each symbol$", str(refused.value))
     assert advised is not None, str(refused.value)
     file.write_text(CROSSING.format(energy=advised[1]))
-    assert shadowing_orbit(load_itinerary(str(file))).converged
+    itinerary = load_itinerary(str(file))
+    assert shadowing_orbit(itinerary, itinerary.walks[0]).converged

@@ -33,7 +33,7 @@ def scene(folder: Path, **changes: str) -> Path:
 @pytest.mark.parametrize("name", JOURNEYS)
 def test_a_shipped_itinerary_is_followed_by_an_orbit_with_its_stops_turns_and_wraps(name: str) -> None:
     itinerary = load_itinerary(name)
-    orbit = shadowing_orbit(itinerary)
+    orbit = shadowing_orbit(itinerary, itinerary.walks[0])
     stops, turns = JOURNEYS[name]
     chain = orbit.connections
     assert orbit.residual <= RESIDUAL

@@ -44,15 +44,10 @@ def test_the_orbits_of_a_walk_close_after_their_period(plan: Plan) -> None:
         assert np.abs(end - orbit.state).max() < 1e-9  # of the search: 1e-12, grown by the multiplier
 
 
-def test_a_stay_of_format_2_is_a_segment(plan: Plan) -> None:
+def test_a_plan_with_unknown_parts_is_refused(plan: Plan) -> None:
     notes, arrays = stored(plan.content)
-    stay = {
-        "kind": "orbit", "orbit": "down-up", "energy": -0.07, "family": 0, "intervals": 16, "lyapunov_period": 0.7,
-    }  # fmt: skip
-    former = {name: value for name, value in notes.items() if name != "program"} | {"stay": stay}
-    content = restored(former, arrays, arms=2)
-    assert content.segments == (StaySegment("down-up", -0.07, 0, 0.7, (0.0,) * 6, 1, (0, 16)),)
-    assert restored(former | {"stay": {"kind": "hold", "hold": "up-up"}}, arrays, arms=2).segments == ()
+    with pytest.raises(ValueError, match="stay"):
+        restored({**notes, "stay": {"kind": "orbit", "orbit": "down-up"}}, arrays, arms=2)
 
 
 @pytest.mark.parametrize(

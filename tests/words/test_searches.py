@@ -124,7 +124,7 @@ def test_the_planner_finds_the_symbol_and_the_wraps_whatever_the_sentences_are(m
 
     def failure() -> dict[str, Any]:
         with pytest.raises(GoalMissed) as missed:
-            shadowing_orbit(itinerary)
+            shadowing_orbit(itinerary, itinerary.walks[0])
         return failure_of(missed.value)
 
     before = failure()
