@@ -3,10 +3,11 @@
 Their arithmetic is that of `dpcontrol.loop.simulated.Encoders` and of `DriveLimits`, which the bench uses as well.
 """
 
+from collections import namedtuple
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, NamedTuple, cast
+from typing import Any, cast
 
 import casadi as ca
 
@@ -70,17 +71,10 @@ class DriveLimits:
         return self.clip(-velocity / duration, -self.acceleration, self.acceleration)
 
 
-class DriveNumbers(NamedTuple):
-    """Constants of drive and clock: limits, response, lag, s, period, s, and two numbers that round to whole ones."""
-
-    acceleration: Any
-    velocity: Any
-    jerk_step: Any
-    response: Any
-    lag: Any
-    period: Any
-    up: Any = _WHOLE
-    down: Any = _WHOLE
+DriveNumbers = namedtuple(
+    "DriveNumbers", "acceleration velocity jerk_step response lag period up down", defaults=(_WHOLE, _WHOLE)
+)
+"""Constants of drive and clock: limits, response, lag, s, period, s, and two numbers that round to whole ones."""
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,6 @@ but -s on one that stands. If Σ (r s + s²/2) < 0, the arms contradict the comm
 from collections import namedtuple
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -43,18 +42,12 @@ _COUNTS, _SIGMAS, _ACCELERATION = 2.0, 6.0, 1.0
 _Memory = namedtuple("_Memory", "read due late lagged arms driven peak lasts against doubt")
 
 
-class CartReading(NamedTuple):
-    """The cart in a tick.
+CartReading = namedtuple("CartReading", "fresh repeats moved ahead visible")
+"""The cart in a tick.
 
-    fresh: 1 if it was measured. repeats: 1 if its reading is the last one. moved (n+1,): changes of the readings since
-    the last ones, rad and m. ahead m: the cart's motion during the reading's age. visible m: see `DriveWatch.visible`.
-    """
-
-    fresh: ca.SX
-    repeats: ca.SX
-    moved: ca.SX
-    ahead: ca.SX
-    visible: ca.SX
+fresh: 1 if it was measured. repeats: 1 if its reading is the last one. moved (n+1,): changes of the readings since the
+last ones, rad and m. ahead m: the cart's motion during the reading's age. visible m: see `DriveWatch.visible`.
+"""
 
 
 @dataclass(frozen=True)

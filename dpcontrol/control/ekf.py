@@ -22,7 +22,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from math import inf, isfinite
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Any, Generic, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -189,17 +189,8 @@ def _inverse(matrix: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
     return back.T @ ca.diag(1 / d) @ back, back, d
 
 
-class Timing(NamedTuple):
-    """Timing of a reading.
-
-    Age in s before its tick, variance of the unknown part, s², and the rates (n+1,) of the positions.
-    """
-
-    age: ca.SX
-    variance: ca.SX
-    rates: ca.SX
-
-
+Timing = namedtuple("Timing", "age variance rates")
+"""Age of a reading, s before its tick, variance of the unknown part, s², and the rates (n+1,) of the positions."""
 _GREATEST_ERROR = 0.5
 """Largest relative error of a parameter that is believed."""
 

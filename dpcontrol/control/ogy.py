@@ -25,10 +25,11 @@ Sources: Anderson & Moore, Optimal Control: Linear Quadratic Methods, sections 3
 & Wittenmark, Adaptive Control, section 2.2, for the least squares.
 """
 
+from collections import namedtuple
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -344,22 +345,12 @@ class OgyController(Brief):
         return self.table.distance(state)
 
 
-class _Course(NamedTuple):
-    """The last crossed section, the time since, s, the active pulse, m/s², and the plant errors of one or S runs."""
+_Course = namedtuple("_Course", "section elapsed pulse foreseen flying lift guess covariance crossings")
+"""The last crossed section, the time since, s, the active pulse, m/s², and the plant errors of one or S runs.
 
-    section: Any
-    elapsed: Any
-    pulse: Any
-    foreseen: Any
-    """The model's prediction (N,) since that section."""
-    flying: Any
-    """True if the prediction is valid."""
-    lift: Any
-    """Whole turns (N,), rad."""
-    guess: Any
-    covariance: Any
-    crossings: Any
-    """Number of crossings in time."""
+foreseen (N,): the model's prediction since that section; flying: True if it is valid. lift (N,): whole turns, rad.
+crossings: number of crossings in time.
+"""
 
 
 class OgySession(ClockedSession):

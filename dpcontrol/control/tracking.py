@@ -437,7 +437,7 @@ def tracking_controller(
     Raises:
         GoalMissed: the reference's end cannot be stabilised.
     """
-    path = _at_ticks(reference, model)
+    path = motion_at_ticks(reference, model)
     most = reference.limits.acceleration
     if isinstance(settings, FeedforwardSettings):
         gains = np.zeros((len(path.commands), model.dimension + (model.lag > 0)))
@@ -504,8 +504,13 @@ def tracked(
     return TrackingController(settings.kind, path.states, **known)
 
 
-def _at_ticks(reference: Reference, model: SampledModel) -> TickedMotion:
-    """Return a reference at a model's ticks."""
+def motion_at_ticks(reference: Reference, model: SampledModel) -> TickedMotion:
+    """Return a reference at a model's ticks.
+
+    Args:
+        reference: reference to sample.
+        model: model of arms and drive from tick to tick.
+    """
     count = max(int(np.ceil(reference.duration / model.period - 1e-6)), 1)
     times = reference.mesh[0] + model.period * np.arange(count + 1)
     # The input in the middle of a period; a constant input then errs only by the square of the period.
@@ -536,28 +541,28 @@ def _by_time(model: SampledModel, path: TickedMotion, gains: Array, most: float)
     return {"feedforward": led, "gains": gains[:, :-1], "drive": np.stack([drive, on_drive], axis=1)}
 
 
-def costs_to_go(
-    reference: Reference, model: SampledModel, settings: QuadraticWeights
-) -> tuple[Array, Array, Array, Array]:
-    """Return states (K+1, N), inputs (K,), gains (K, N) and P (K+1, N, N) at the ticks.
+def regulator_along(
+    model: SampledModel, states: Array, commands: Array, settings: QuadraticWeights, *, parameters: Array | None = None
+) -> tuple[Array, Array, Array]:
+    """Return gains (K, N), matrices (K, N, N) of the closed loop and P (K+1, N, N) along a motion.
 
-    P is that of the cost-to-go eᵀPe.
+    P is that of the cost-to-go eᵀPe, at the end that of the model frozen there.
 
     Args:
-        reference: reference to follow.
         model: model of arms and drive from tick to tick.
+        states: states (K, N) at the ticks.
+        commands: accelerations (K,) of the cart, m/s².
         settings: weights of the cost.
+        parameters: parameters of the equations, default those of the model.
 
     Raises:
-        InputError: the reference did not converge or has another number of states than the model.
-        GoalMissed: the reference's end cannot be stabilised.
+        GoalMissed: the motion's end cannot be stabilised.
     """
-    states, commands, _ = _at_ticks(reference, model)
-    a, b = model.linearised(states[:-1], commands)
+    a, b = model.linearised(states, commands, parameters=parameters)
     diagonal, effort = settings.weights(model.arms, model.period)
     terminal = terminal_cost(a[-1], b[-1], weights=np.diag(diagonal), effort=effort)
     gains, _, costs = riccati_gains(a, b, weights=diagonal, effort=effort, terminal=terminal)
-    return states, commands, gains, costs
+    return gains, a - b[:, :, None] * gains[:, None], costs
 
 
 def extra_jacobians(
@@ -695,7 +700,7 @@ def adaptive_controller(
             f"controller: kind = {settings.kind!r} needs estimated errors of the model, but the estimator has "
             f'augment = {list(estimator.augment)!r}: add "parameters", and "friction" as well'
         )
-    states, commands, drive = _at_ticks(reference, model)
+    states, commands, drive = motion_at_ticks(reference, model)
     a, b = model.linearised(states[:-1], commands)
     process = estimator.process(model.arms, model.period)
     e, kept = extra_jacobians(model, estimator.augments, states[:-1], commands, process)

@@ -141,7 +141,7 @@ class Cost:
     @property
     def sentence(self) -> str:
         """The predicted cost in one sentence."""
-        return f"{self.key}: {self.work} will take about {_time(self.seconds)} and {_size(self.memory)} of memory"
+        return f"{self.key}: {self.work} will take about {_time(self.seconds)} and {size_text(self.memory)} of memory"
 
 
 def announce(cost: Cost, *, yes: bool, above: float = ANNOUNCED_FROM) -> None:
@@ -156,7 +156,7 @@ def announce(cost: Cost, *, yes: bool, above: float = ANNOUNCED_FROM) -> None:
         InputError: the work is beyond the limits.
     """
     if not yes and (cost.seconds > MOST_SECONDS or cost.memory > MOST_BYTES):
-        allowed = f"{_time(MOST_SECONDS)} and {_size(MOST_BYTES)}"
+        allowed = f"{_time(MOST_SECONDS)} and {size_text(MOST_BYTES)}"
         remedy = "reduce the work, or add --yes (yes=True in Python)"
         raise InputError(f"{cost.sentence}; the limit is {allowed}: {remedy}")
     if cost.seconds > above:
@@ -170,7 +170,12 @@ def _time(seconds: float) -> str:
     return f"{_rounded(seconds)} seconds"
 
 
-def _size(memory: float) -> str:
+def size_text(memory: float) -> str:
+    """Return a size with its unit.
+
+    Args:
+        memory: bytes.
+    """
     return f"{_rounded(memory / 1e9)} GB" if memory >= 1e9 else f"{_rounded(memory / 1e6)} MB"
 
 

@@ -63,6 +63,16 @@ def wilson(successes: int, runs: int, *, confidence: float = 0.95) -> Share:
     return Share(successes, runs, float(interval.low), float(interval.high))
 
 
+def share_of(done: ArrayLike) -> Share:
+    """Return the share of runs that succeeded.
+
+    Args:
+        done: True for each run (K,) that did.
+    """
+    flags = np.asarray(done, dtype=bool)
+    return wilson(int(flags.sum()), flags.size)
+
+
 @dataclass(frozen=True)
 class Pairing:
     """Two controllers on the same seeds: successes of only one of them, and McNemar's p."""

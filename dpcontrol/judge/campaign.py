@@ -23,7 +23,7 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import checked_size
 from dpcontrol.foundation.parts import Later
 from dpcontrol.foundation.shown import Shown
-from dpcontrol.foundation.statistics import Share, wilson
+from dpcontrol.foundation.statistics import Share, share_of
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -203,7 +203,7 @@ def summary_of(rows: "pa.Table", path: Path) -> CampaignSummary:
         path=path,
         runs=judged.num_rows,
         unknown=rows.num_rows - judged.num_rows,
-        share=wilson(int(done.sum()), len(done)),
+        share=share_of(done),
         groups=tuple(group for group, _ in groups),
         axis=axis,
         levels=_levels(_numbers(table, axis), alone, done),
@@ -220,11 +220,7 @@ def _groups(table: dict[str, list[Any]], columns: list[str], done: Rows) -> list
     """Return the groups of runs with equal values in columns, and the rows (K,) of each group."""
     keys = [tuple(str(table[name][k]) for name in columns) for k in range(len(done))]
     rows = {key: np.array([other == key for other in keys]) for key in sorted(set(keys))}
-    return [(Group(dict(zip(columns, key, strict=True)), _share(done, mine)), mine) for key, mine in rows.items()]
-
-
-def _share(done: Rows, chosen: Rows) -> Share:
-    return wilson(int(done[chosen].sum()), int(chosen.sum()))
+    return [(Group(dict(zip(columns, key, strict=True)), share_of(done[mine])), mine) for key, mine in rows.items()]
 
 
 def _numbers(table: dict[str, list[Any]], name: str) -> NDArray[np.float64] | None:
@@ -243,7 +239,7 @@ def _levels(values: NDArray[np.float64] | None, groups: list[tuple[Group, Rows]]
         bounds = [(float(a), float(np.nextafter(b, -np.inf))) for a, b in pairwise(edges)]
         bounds[-1] = (bounds[-1][0], float(edges[-1]))
     return tuple(
-        Group(group.names, _share(done, chosen), low, high)
+        Group(group.names, share_of(done[chosen]), low, high)
         for group, mine in groups
         for low, high in bounds
         if (chosen := mine & (values >= low) & (values <= high)).any()

@@ -497,18 +497,17 @@ class BenchSettings:
     disturbances: DisturbanceSettings = field(default_factory=DisturbanceSettings)
     mechanics: MechanicsSettings = field(default_factory=MechanicsSettings)
 
-    def plant(self, arms: ArmChainParameters, offsets: Array | None = None) -> PlantParameters:
+    def plant(self, arms: ArmChainParameters, offsets: Array) -> PlantParameters:
         """Return these arms on this drive and track.
 
         Args:
             arms: parameters of the n arms.
-            offsets: encoder positions (n,) in their play, -0.5 to 0.5, default zero.
+            offsets: encoder positions (n,) in their play, -0.5 to 0.5.
 
         Raises:
             InputError: the drive or the tilt is impossible.
         """
-        drive, offsets = self.drive, np.zeros(arms.count) if offsets is None else offsets
-        components = self.mechanics.components(arms.count, offsets)
+        drive, components = self.drive, self.mechanics.components(arms.count, offsets)
         return PlantParameters(
             arms, lag=drive.lag, cart_mass=drive.cart_mass, cart_viscous=drive.cart_viscous,
             tilt=self.disturbances.tilt, components=components,
@@ -550,14 +549,6 @@ class Stream(Brief):
     make: Callable[[np.random.Generator, int], NDArray[Any]]
     begin: int = 0
     """Ticks before the first."""
-
-    def first(self, count: int) -> NDArray[Any]:
-        """Return the numbers (count, …) of the first ticks.
-
-        Args:
-            count: number of ticks.
-        """
-        return self.make(np.random.default_rng(self.seed), self.begin + count)[self.begin :]
 
 
 class StreamReader:
@@ -630,7 +621,8 @@ class BenchDraw(Brief):
         Args:
             name: name of the stream in `streams`.
         """
-        return self.streams[name].first(self.ticks)
+        stream = self.streams[name]
+        return stream.make(np.random.default_rng(stream.seed), stream.begin + self.ticks)[stream.begin :]
 
     def reader(self, name: str, rows: Callable[[NDArray[Any]], Any] = np.ndarray.tolist) -> StreamReader | None:
         """Return a reader of a stream, or None if it is unused.

@@ -268,7 +268,7 @@ class ControlLoop:
                 return
             self._event(now, "warn", EVENTS.get(cause, "stop"), cause, figures)
             if outcome is Outcome.RESTART:
-                self._rows.without_nis(k - self._first)
+                self._rows.control[k - self._first, 5] = np.nan
             elif outcome is Outcome.RESYNCHRONISE:
                 moved = ticker.resynchronise(k)
                 self._event(now, "info", "re-synchronise", "" if moved else Cause.CLOCKLESS, words=moved)
@@ -537,11 +537,6 @@ class LoopSettings(Settings, table="run"):
         return compiled and self._own_plant is None and not faults and not hands_over and self.start == "planned"
 
     @property
-    def flies(self) -> bool:
-        """True if a run begins with a flight or returns by one after a fall."""
-        return self.supervisor.on_fall != "stop" or self.start != "planned"
-
-    @property
     def filters(self) -> EstimatorSettings | OwnEstimator:
         """Settings of the estimator.
 
@@ -556,7 +551,7 @@ class LoopSettings(Settings, table="run"):
                 return replace(
                     estimator, augment=(Augment.DRIVE,), parameter_error=max(estimator.parameter_error, _BLIND_ERROR)
                 )
-            if self.flies:
+            if self.supervisor.on_fall != "stop" or self.start != "planned":
                 return replace(estimator, augment=(*estimator.augment, Augment.PARAMETERS))
         return self.estimator
 

@@ -562,18 +562,8 @@ class FallRecovery:
             ticker.lose()
         return bool(report.done.item(0)) and (k - self._lost_at) * period >= _TRIED
 
-    def _held(self, k: int, ticker: Ticker) -> Sequence[Event]:
-        """Begin a return if the last stop was not held.
-
-        It must be held until the reference ends.
-        """
-        away = self._plan.distance(self._latest, ticker.references[-1, : self._arms])
-        if away <= _HELD:
-            return ()
-        return self.fell(k, Cause.NOT_HELD, {"away": away}, ticker, ticker.program.period) or ()
-
     def ended(self, k: int, ticker: Ticker) -> Sequence[Event]:
-        """Continue after the reference ends with tick k.
+        """Continue after the reference ends with tick k: repeat it, or return if the last stop was not held until then.
 
         Args:
             k: tick.
@@ -584,9 +574,12 @@ class FallRecovery:
         """
         if self.motion is not Motion.ITINERARY:
             return ()
-        if not self.until:
-            return self._held(k, ticker)
-        return self._lapped(k, ticker.references[-1], ticker)
+        if self.until:
+            return self._lapped(k, ticker.references[-1], ticker)
+        away = self._plan.distance(self._latest, ticker.references[-1, : self._arms])
+        if away <= _HELD:
+            return ()
+        return self.fell(k, Cause.NOT_HELD, {"away": away}, ticker, ticker.program.period) or ()
 
     def _lapped(self, k: int, state: Array, ticker: Ticker) -> Sequence[Event]:
         """Begin another repetition after tick k, with the reference at `state` (N,)."""

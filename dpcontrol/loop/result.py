@@ -301,14 +301,6 @@ class Ticks(Brief):
         self.measured[rows], self.references[rows] = measured, references
         packed[rows], states[rows] = logged[:, : packed.shape[1]], truth[:, : states.shape[1]]
 
-    def without_nis(self, k: int) -> None:
-        """Clear the NIS of tick k because the filter restarts.
-
-        Args:
-            k: row of the tick.
-        """
-        self.control[k, 5] = math.nan
-
     def between(self, first: int, end: int) -> "Ticks":
         """Return a range of ticks, sharing memory.
 

@@ -56,7 +56,7 @@ class Encoders:
         self._places, self._cart_place = [places.get(k) for k in range(arms)], places.get(arms, 2 * arms)
         self._steps, self._cart = settings.steps(arms), settings.cart_resolution
         self.zeros: list[Any] = [0.0] * arms if zeros is None else lanes.rows(np.asarray(zeros, dtype=float))
-        self._drift: list[Any] | None = None if drift is None or not drift.any() else lanes.rows(drift)
+        self.drift: list[Any] | None = None if drift is None or not drift.any() else lanes.rows(drift)
         self._missed = [0] * arms
         self._stuck: float | None = None
         self._stuck_at, self._stuck_until = settings.stuck_at, settings.stuck_at + settings.stuck_for
@@ -84,7 +84,7 @@ class Encoders:
             self._miss(state, missed.tolist())
         readings: list[Any] = []
         inner: Any = 0.0
-        zeros, drift = self.zeros, self._drift
+        zeros, drift = self.zeros, self.drift
         if drift is not None:
             zeros = [zero + rate * time for zero, rate in zip(zeros, drift, strict=True)]
         for k, (zero, step) in enumerate(zip(zeros, steps, strict=True)):
@@ -105,15 +105,10 @@ class Encoders:
             readings[k] += readings[k - 1]
         return np.array(readings)
 
-    @property
-    def drifts(self) -> bool:
-        """True if zero errors change during the run."""
-        return self._drift is not None
-
     def zeros_at(self, times: Array) -> Array:
         """Return the zero errors (K, n) at times (K,), s."""
         zeros = np.broadcast_to(self.zeros, (len(times), self._arms))
-        return zeros if self._drift is None else zeros + times[:, None] * np.array(self._drift)
+        return zeros if self.drift is None else zeros + times[:, None] * np.array(self.drift)
 
     def _miss(self, state: Sequence[float], missed: Sequence[int]) -> None:
         """Lose counts against the motion of each joint.
@@ -616,7 +611,7 @@ class SimulatedRig(SimulatedBench):
     def draws(self) -> bool:
         """True if random numbers or drifts change from tick to tick."""
         streams = self._command_noise, self._noise, self._dropped
-        return self._encoders.drifts or any(stream is not None for stream in streams)
+        return self._encoders.drift is not None or any(stream is not None for stream in streams)
 
     def drawn(self, k: int, count: int) -> DrawnTicks:
         """Return the random numbers of ticks from k on."""

@@ -8,7 +8,7 @@ import numpy as np
 from dpcontrol.control.flight import Target
 from dpcontrol.control.interface import GainSchedule, SampledModel, whole_turns
 from dpcontrol.control.lqr import HoldController, QuadraticWeights
-from dpcontrol.control.tracking import costs_to_go, riccati_gains, terminal_cost
+from dpcontrol.control.tracking import motion_at_ticks, regulator_along, riccati_gains, terminal_cost
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.shown import Brief
 from dpcontrol.references.problem import Limits
@@ -104,7 +104,8 @@ def reached(
         every: ticks between two places.
         limits: limits of the cart.
     """
-    states, commands, gains, costs = costs_to_go(reference, model, settings)
+    states, commands, _ = motion_at_ticks(reference, model)
+    gains, _, costs = regulator_along(model, states[:-1], commands, settings)
     levels = _levels(gains, costs[:-1], commands, limits)
     return Reach(every, states, costs), Target(states, costs / np.append(levels, levels[-1])[:, None, None])
 

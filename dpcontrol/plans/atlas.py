@@ -170,7 +170,7 @@ def compute_atlas(
     model: Model | System,
     energy: float,
     *,
-    settings: AtlasSettings | None = None,
+    settings: AtlasSettings,
     yes: bool = False,
     progress: Progress = no_progress,
 ) -> Atlas:
@@ -186,7 +186,6 @@ def compute_atlas(
     Raises:
         InputError: no saddle has a Lyapunov orbit at this energy.
     """
-    settings = settings or AtlasSettings()
     system, seconds = _system(model), {"orbits": 0.0, "tubes": 0.0, "connections": 0.0, "jit": 0.0}
     points = equilibria(system)
     saddles = [point for point in points.values() if point.kind.startswith("index-1")]

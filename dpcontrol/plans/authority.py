@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from dpcontrol.control.interface import SampledModel
-from dpcontrol.control.tracking import TvlqrSettings, riccati_gains, terminal_cost
+from dpcontrol.control.tracking import TvlqrSettings, regulator_along
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import GoalMissed
@@ -29,18 +29,10 @@ _SHARE = 1e-4
 """Step of difference quotients by the arms' parameters."""
 
 
-def _feedback(arms: ArmChainParameters, states: Array, commands: Array) -> tuple[Array, Array]:
-    """Return the gains (K, N) along a motion, and the closed loop's matrices (K, N, N).
-
-    Raises:
-        GoalMissed: the motion's end cannot be stabilised.
-    """
+def _regulator(arms: ArmChainParameters, states: Array, commands: Array) -> tuple[Array, Array, Array]:
+    """Return gains, closed loop and costs along a motion at steps of `PERIOD`, see `regulator_along`."""
     model = shared_model(equations_of(arms, Level.CART))
-    a, b = model.linearised(states, commands, parameters=arms.base())
-    diagonal, effort = TvlqrSettings().weights(arms.count, PERIOD)
-    terminal = terminal_cost(a[-1], b[-1], weights=np.diag(diagonal), effort=effort)
-    gains, _, _ = riccati_gains(a, b, weights=diagonal, effort=effort, terminal=terminal)
-    return gains, a - b[:, :, None] * gains[:, None]
+    return regulator_along(model, states, commands, TvlqrSettings(), parameters=arms.base())
 
 
 def _sampled(motion: Trajectory | Reference) -> tuple[Array, Array]:
@@ -59,7 +51,7 @@ def peak_gains(arms: ArmChainParameters, motion: Trajectory | Reference) -> Arra
     Raises:
         GoalMissed: the motion's end cannot be stabilised.
     """
-    gains, _ = _feedback(arms, *_sampled(motion))
+    gains, *_ = _regulator(arms, *_sampled(motion))
     return np.abs(gains[:, : arms.count]).max(axis=1)
 
 
@@ -87,7 +79,7 @@ def connection_loss(arms: ArmChainParameters, connection: Connection) -> float:
     """
     states = connection.states(np.arange(*connection.time_range, PERIOD))
     try:
-        gains, _ = _feedback(arms.frictionless(), np.pad(states, ((0, 0), (0, 2))), np.zeros(len(states)))
+        gains, *_ = _regulator(arms.frictionless(), np.pad(states, ((0, 0), (0, 2))), np.zeros(len(states)))
     except GoalMissed:
         return float("inf")
     return float(np.abs(gains[:, : arms.count]).max())
@@ -104,7 +96,7 @@ def sensitivity(arms: ArmChainParameters, motion: Trajectory | Reference) -> flo
     """
     states, commands = _sampled(motion)
     try:
-        _, closed = _feedback(arms, states, commands)
+        _, closed, _ = _regulator(arms, states, commands)
     except GoalMissed:
         return float("inf")
     effects = _effects(arms, shared_model(equations_of(arms, Level.CART)), states, commands)

@@ -36,7 +36,6 @@ from dpcontrol.plans.model import Model, load_model, model_from, quoted
 from dpcontrol.plans.overrides import NOT_OF_LOOP, canonical, resolved
 from dpcontrol.plans.plausible import rig_oddities
 from dpcontrol.references.content import PlanContent
-from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import Limits, ReferenceSettings
 from dpcontrol.references.reference import Reference, load_reference
 from dpcontrol.walks.symbols import expanded, parse_walk
@@ -115,12 +114,6 @@ def _law_table(kind: Any) -> Table:
     return Table({**table_of(kind).keys, "keep": KEEP}, settings_and_keeper)
 
 
-def _reference(values: dict[str, Any], _: object) -> ReferenceSettings:
-    settings = ReferenceSettings(**values)
-    method_named(settings.method)
-    return settings
-
-
 def _part_table(kind: Any) -> Table:
     """Return the table of a kind of part, which is checked if the model is known."""
 
@@ -141,7 +134,7 @@ FILE = Table(
         "": PART,
         "parts": Tables(PART),
         "limits": table_of(Limits),
-        "reference": Table(leaves_of(ReferenceSettings), _reference),
+        "reference": table_of(ReferenceSettings),
         "run": Table({**{key: leaf for key, (_, leaf) in RUN.items()}, "zeros": ZEROS, "blows": BLOWS}),
         "controller": Choice({kind: _law_table(law) for kind, law in CONTROLLERS.items()}, lambda law: law.get("kind")),
         "estimator": Choice(_FILTERS, lambda table: table.get("kind", "ekf")),

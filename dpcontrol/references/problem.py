@@ -17,6 +17,7 @@ from dpcontrol.dynamics.equations import Equations
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.settings import Setting, Settings, leaves_of
 from dpcontrol.foundation.shown import Brief
+from dpcontrol.references.method import method_named
 
 if TYPE_CHECKING:
     from dpcontrol.dynamics.propagator import PolynomialInputPropagator
@@ -232,3 +233,6 @@ class ReferenceSettings(Settings, table="reference"):
     end_tolerance: Annotated[float, Setting(least=0, help="Allowed scaled distance from the guess's end.")] = 0.0
     rounds: Annotated[int, Setting(least=1, help="Rounds of mesh refinement.")] = 8
     iterations: Annotated[int, Setting(least=1, help="Solver iterations in each round.")] = 100
+
+    def _check_together(self) -> None:
+        method_named(self.method)

@@ -19,7 +19,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import asdict, dataclass, fields
-from typing import Annotated, Any, NoReturn, Protocol, TypeVar
+from typing import Annotated, Any, NoReturn, TypeVar
 
 import numpy as np
 
@@ -166,31 +166,13 @@ def parse_address(text: str) -> tuple[str, int]:
     return found[1], int(found[2])
 
 
-class Channel(Protocol):
-    """A line that carries whole packets, such as a socket."""
-
-    def send(self, data: bytes, /) -> object:
-        """Send a packet."""
-
-    def recv(self, most: int, /) -> bytes:
-        """Return a packet of at most this many bytes, or raise BlockingIOError before one has arrived."""
-        ...
-
-    def fileno(self) -> int:
-        """Return the number by which the system waits for packets."""
-        ...
-
-    def close(self) -> None:
-        """Close the line."""
-
-
 class PacketRig(AbstractContextManager["PacketRig"]):
     """A bench at the other end of a channel as a `Rig` and context manager.
 
     The first `read` starts the bench. On exit, the client says goodbye.
 
     Args:
-        channel: line to the bench.
+        channel: socket or other line that carries whole packets, with `send`, `recv`, `fileno` and `close`.
         address: address of the bench, for messages.
         queued: pending commands at the start, oldest first, m/s².
         zeros: readings (n,) of its hanging arms, which are subtracted, rad.
@@ -205,7 +187,7 @@ class PacketRig(AbstractContextManager["PacketRig"]):
 
     def __init__(
         self,
-        channel: Channel,
+        channel: Any,
         address: str,
         *,
         queued: Sequence[float] = (),

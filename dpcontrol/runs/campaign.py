@@ -73,7 +73,7 @@ from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress,
 from dpcontrol.foundation.rendering import DataFrame
 from dpcontrol.foundation.settings import Setting, Settings
 from dpcontrol.foundation.shown import Brief, Shown, data_frame
-from dpcontrol.foundation.statistics import Pairing, Share, paired, wilson
+from dpcontrol.foundation.statistics import Pairing, Share, paired, share_of, wilson
 from dpcontrol.foundation.version import VERSION
 from dpcontrol.judge.campaign import METADATA, CampaignSummary, campaign_table, pa, summary_of
 from dpcontrol.judge.decoding import stays
@@ -403,7 +403,7 @@ class Campaign(Shown):
                 name,
                 *self.alone[name],
                 case,
-                wilson(sum(row["completed"] for row in runs), len(runs)),
+                share_of([row["completed"] for row in runs]),
                 max(row["max_cart_position"] for row in runs),
                 float(np.mean([row["rms_cart_acceleration"] for row in runs])),
                 tuple(dict.fromkeys(row["reason"] for row in runs if not row["completed"])),
@@ -727,18 +727,14 @@ def _summary(name: str, cases: Sequence[Case], table: "pa.Table", *, seconds: fl
         return (float(np.median(times)), float(np.quantile(times, 0.99))) if len(times) else None
 
     results = tuple(
-        CaseResult(c, _share(done[of(c)]), table.filter(pa.array(of(c) & ~done)), returned(of(c))) for c in cases
+        CaseResult(c, share_of(done[of(c)]), table.filter(pa.array(of(c) & ~done)), returned(of(c))) for c in cases
     )
     pairs = tuple(
         (a.label, b.label, paired(done[of(a)], done[of(b)]))
         for a, b in itertools.combinations(cases if len(cases) <= MOST_PAIRED else (), 2)
     )
     simulated = sum(table["simulated_seconds"].to_pylist())
-    return Campaign(name, _share(done), results, pairs, seconds, simulated, table, file)
-
-
-def _share(done: NDArray[np.bool_]) -> Share:
-    return wilson(int(done.sum()), len(done))
+    return Campaign(name, share_of(done), results, pairs, seconds, simulated, table, file)
 
 
 def standard_cases(itinerary: Itinerary, *, fixed: Mapping[str, Any], controllers: Sequence[Any]) -> tuple[Case, ...]:

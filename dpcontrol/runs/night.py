@@ -23,7 +23,7 @@ from typing import Annotated
 from dpcontrol.control.estimator_settings import extra_names
 from dpcontrol.foundation.errors import GoalMissed, InputError, remark
 from dpcontrol.foundation.files import InTheWay, checked_target
-from dpcontrol.foundation.progress import MOST_SECONDS, Cost, Progress, no_progress
+from dpcontrol.foundation.progress import MOST_SECONDS, Cost, Progress, no_progress, size_text
 from dpcontrol.foundation.settings import Setting, Settings
 from dpcontrol.judge.night import Night, read_night
 from dpcontrol.judge.score import CONSTANTS_METADATA
@@ -154,23 +154,19 @@ def night_cost(
     cost = Cost(f"{night.hours:g} h of {itinerary.name}", seconds, memory, f"--hours {night.hours:g}")
     files = f"{night.files:,} file{'s' if night.files > 1 else ''} of {night.file_minutes:g} minutes"
     thinned = f", of which one in {night.keep_every} is kept" if night.keep_every > 1 else ""
-    text = f"{cost.sentence}, and {_gigabytes(disk)} of disk in {folder}: {files}{thinned}"
+    text = f"{cost.sentence}, and {size_text(disk)} of disk in {folder}: {files}{thinned}"
     existing = next(place for place in (folder.absolute(), *folder.absolute().parents) if place.exists())
     free = shutil.disk_usage(existing).free
     if disk + _SPARE_DISK > free:
         raise InputError(
-            f"{text}; {_gigabytes(free)} are free there: thin the logs with --keep-every, or give another --out"
+            f"{text}; {size_text(free)} are free there: thin the logs with --keep-every, or give another --out"
         )
     if not yes and (disk > MOST_DISK or (seconds > MOST_SECONDS and not real_time)):
         raise InputError(
-            f"{text}; an hour and {_gigabytes(MOST_DISK)} are begun unasked: thin the logs with --keep-every, ask for "
+            f"{text}; an hour and {size_text(MOST_DISK)} are begun unasked: thin the logs with --keep-every, ask for "
             "less, or give --yes (yes=True in Python)"
         )
     return text
-
-
-def _gigabytes(size: float) -> str:
-    return f"{size / 1e9:.2g} GB" if size < 1e11 else f"{size / 1e9:,.0f} GB"
 
 
 @dataclass(frozen=True)

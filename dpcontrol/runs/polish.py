@@ -443,8 +443,8 @@ def _sides(plans: list[tuple[str, Plan]], runs: int, workers: int, progress: Pro
         )
         for name, plan in plans for mismatch in MISMATCHES
     }  # fmt: skip
-    ended = in_processes(_completed, [*jobs.values()], workers, what="jobs flown", progress=progress)
-    done = {job.key: count for job, count in ended}
+    ended = in_processes(outcomes, [*jobs.values()], workers, what="jobs flown", progress=progress)
+    done = {job.key: sum(row.completed for row in rows) for job, rows in ended}
     for name, plan in plans:
         motion = plan.reference
         shares = {mismatch: wilson(done[jobs[name, mismatch].key], runs) for mismatch in MISMATCHES}
@@ -452,7 +452,3 @@ def _sides(plans: list[tuple[str, Plan]], runs: int, workers: int, progress: Pro
             name, motion.effort, motion.max_cart_acceleration,
             motion.max_cart_position, max(nearness(motion)), shares,
         )  # fmt: skip
-
-
-def _completed(job: Job) -> int:
-    return sum(row.completed for row in outcomes(job, len(job.seeds)))

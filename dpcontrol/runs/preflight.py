@@ -224,15 +224,11 @@ class _Task:
     rate: float = 0.0
 
 
-def _ends(job: Job) -> tuple[RunEnd, ...]:
-    return outcomes(job, len(job.seeds))
-
-
 def _do(task: _Task) -> HazardBorder | Improvement:
     return _change(task, task.of) if isinstance(task.of, SettingChange) else _border(task, task.of)
 
 
-def outcomes(job: Job, most: int) -> tuple[RunEnd, ...]:
+def outcomes(job: Job, most: int = MOST_TICKS) -> tuple[RunEnd, ...]:
     """Return the endings of a job's seeds, cached if possible.
 
     Args:
@@ -486,7 +482,7 @@ def preflight(
     jobs = [replace(job, seeds=job.seeds[k : k + size]) for k in range(0, amounts.rate, size)]
     if kept(cache_file("preflights", name, jobs[0].key)) is None:
         remark(replace(cost, seconds=_seconds(jobs[0], amounts, most, workers)).sentence)
-    parts = in_processes(_ends, jobs, workers, what="jobs for the rate", progress=part_of(progress, 0.0, 0.15))
+    parts = in_processes(outcomes, jobs, workers, what="jobs for the rate", progress=part_of(progress, 0.0, 0.15))
     ordered = sorted(row for _, part in parts for row in part)
     completed = [row.completed for row in ordered]
     share = wilson(sum(completed), len(completed), confidence=settings.confidence)

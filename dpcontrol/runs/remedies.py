@@ -70,11 +70,6 @@ class TriedChange:
     helps: bool = False
     counts: Completed | None = None
 
-    @property
-    def total(self) -> int:
-        """Completed runs of all groups."""
-        return self.counts.total if self.counts else 0
-
 
 @dataclass(frozen=True)
 class Why(Documented):
@@ -94,7 +89,12 @@ class Why(Documented):
     @property
     def remedies(self) -> tuple[TriedChange, ...]:
         """The changes that help, the surest first."""
-        return tuple(sorted((trial for trial in self.trials if trial.helps), key=lambda trial: -trial.total))
+        return tuple(
+            sorted(
+                (trial for trial in self.trials if trial.helps),
+                key=lambda trial: -trial.counts.total if trial.counts else 0,
+            )
+        )
 
     @property
     def saves(self) -> tuple[str, ...]:
@@ -214,9 +214,9 @@ def _tried(group: _Group) -> list[tuple[tuple[bool, ...], str]]:
     for _, job in tried:
         alone = replace(job, seeds=job.seeds[first], mismatches=job.mismatches[first])
         try:
-            ended = outcomes(alone if before and not job.case.loop.lockstep else job, len(job.seeds))
+            ended = outcomes(alone if before and not job.case.loop.lockstep else job)
             if ended[0].completed and len(ended) == 1:
-                ended = outcomes(job, len(job.seeds))
+                ended = outcomes(job)
         except (GoalMissed, InputError) as missed:
             verdicts.append(((), str(missed)))
             continue

@@ -15,7 +15,7 @@ from dpcontrol.plans.model import load_model
 
 @pytest.fixture(scope="module")
 def low():
-    return compute_atlas(load_model("lab"), -0.07)
+    return compute_atlas(load_model("lab"), -0.07, settings=AtlasSettings())
 
 
 def test_connections_lie_on_cuts_crossed_in_the_same_direction(low):

@@ -7,7 +7,7 @@ import pytest
 from quick_rate import quick_rate
 from scipy.integrate import solve_ivp
 
-from dpcontrol.plans.atlas import compute_atlas, load_atlas, save_atlas
+from dpcontrol.plans.atlas import AtlasSettings, compute_atlas, load_atlas, save_atlas
 from dpcontrol.plans.model import load_model
 from dpcontrol.tubes.connections import can_be_reversed, find_connections, orbits_between, reversed_search
 from dpcontrol.walks.atlas import Atlas
@@ -27,12 +27,12 @@ def model():
 
 @pytest.fixture(scope="module")
 def high(model):
-    return compute_atlas(model, 0.2)
+    return compute_atlas(model, 0.2, settings=AtlasSettings())
 
 
 @pytest.fixture(scope="module")
 def low(model):
-    return compute_atlas(model, -0.07)
+    return compute_atlas(model, -0.07, settings=AtlasSettings())
 
 
 def on_torus(first, second):
@@ -144,7 +144,7 @@ def test_reversed_orbits_satisfy_their_own_boundary_conditions(model):
 @pytest.mark.slow
 def test_if_first_hits_are_empty_the_next_are_searched_and_both_reported():
     """L1 → L2 on x = 1 - μ: both tubes pass it once before they can meet."""
-    found = compute_atlas(load_model("three-body"), -1.5175)
+    found = compute_atlas(load_model("three-body"), -1.5175, settings=AtlasSettings())
     hits = [(k.hits, k.count) for k in found.kinds if (k.source, k.target) == ("L1", "L2")]
     assert hits[0] == ((1, 1), 0)
     assert hits[1][0] == (2, 2)
@@ -155,7 +155,7 @@ def test_if_first_hits_are_empty_the_next_are_searched_and_both_reported():
 
 
 def test_a_model_without_sections_has_orbits_of_every_family_and_no_connections():
-    found = compute_atlas(load_model("triple"), 0.3)
+    found = compute_atlas(load_model("triple"), 0.3, settings=AtlasSettings())
     assert {(o.saddle, o.family) for o in found.orbits} == {
         (s, f) for s in ("down-down-up", "down-up-down", "up-down-down") for f in (0, 1)
     }

@@ -47,6 +47,6 @@ def test_each_remedy_completes_the_run_and_beats_harmless_changes(plan: Plan, fo
         assert again.completed
         assert again.reason == trial.verdict
         # A sign test: of the pairs that differ, nearly all are gained.
-        gained = trial.total - found.unchanged.total
+        gained = trial.counts.total - found.unchanged.total
         assert 2.0 ** (1 - gained) < 0.02
     assert found.sentence.startswith("completed with `--")

@@ -13,7 +13,7 @@ from matplotlib.text import Text
 import dpcontrol as dp
 from dpcontrol.examples.henon_heiles import henon_heiles
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
-from dpcontrol.plans.atlas import compute_atlas, load_atlas, save_atlas
+from dpcontrol.plans.atlas import AtlasSettings, compute_atlas, load_atlas, save_atlas
 from dpcontrol.tubes.connections import find_connections
 from tests.systems.de_leon_berne import de_leon_berne
 from tests.systems.hill import hill
@@ -208,7 +208,7 @@ def test_values_of_the_literature():
 )
 def test_an_atlas_and_the_graph_contain_the_results_of_searches(name, energy, kinds):
     ours = system(name)
-    found, graph = compute_atlas(ours, energy), dp.graph(ours, energy=energy)
+    found, graph = compute_atlas(ours, energy, settings=AtlasSettings()), dp.graph(ours, energy=energy)
     assert len(found.kinds) == kinds
     assert [o.saddle for o in found.orbits] == list(graph.saddles) == list(ours.saddles)
     assert found.rotating_orbits == ()
