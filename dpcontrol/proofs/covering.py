@@ -36,7 +36,7 @@ Sources: Zgliczyński, Gidea, Covering relations for multidimensional dynamical 
 relations, cone conditions and the stable manifold theorem (2009); Bowen, Walters, Expansive one-parameter flows (1972).
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import reduce
 from itertools import chain, pairwise
@@ -291,14 +291,30 @@ class Network:
         """
         if any(len(link.marks) > 1 for link in self.links):
             raise NotClosed("a link has more than one mark")
+        for k, j in self.passages():
+            other = f"link {j}" if j > 0 else f"orbit {j + len(self.orbits)}"
+            raise NotClosed(f"{other} is not proved to avoid the box of link {k} on its section")
+
+    def passages(self) -> Iterator[tuple[int, int]]:
+        """Yield each link and the number of a chain that is not proved to avoid its mark.
+
+        Links count from 1, and the last orbit has number 0.
+        """
         chains = [row.legs for row in (*self.orbits, *self.links)]
         for k, link in enumerate(self.links, start=1):
             for j, legs in enumerate(chains, start=1 - len(self.orbits)):
                 beside = (link.marks[0] - 1, link.marks[0]) if j == k else ()
                 spans = (box for i, leg in enumerate(legs) if i not in beside for box in leg.spans)
                 if any(self._meet(link.legs[link.marks[0]].start, box) for box in spans):
-                    other = f"link {j}" if j > 0 else f"orbit {j + len(self.orbits)}"
-                    raise NotClosed(f"{other} is not proved to avoid the box of link {k} on its section")
+                    yield k, j
+
+    def apart(self) -> list[int]:
+        """Return the indices of links whose marks all chains of these links and of the orbits avoid."""
+        left = set[int]()
+        for k, j in self.passages():
+            if not left & {k, j}:
+                left.add(max(k, j))
+        return [k for k in range(len(self.links)) if k + 1 not in left]
 
     def _meet(self, mark: Vector, box: Vector) -> bool:
         """Return True if two boxes of states may have a state in common, up to whole turns."""

@@ -9,7 +9,7 @@ import pytest
 from dpcontrol.pages.atlas import connections_of, kind_of, stable_direction, write_atlas_recording
 from dpcontrol.pages.paper import equilibria
 from dpcontrol.pages.viewer import viewer_program
-from dpcontrol.plans.atlas import compute_atlas
+from dpcontrol.plans.atlas import AtlasSettings, compute_atlas
 from dpcontrol.plans.model import load_model
 
 
