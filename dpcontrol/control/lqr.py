@@ -274,8 +274,7 @@ def hold_controller(
     Raises:
         GoalMissed: the equilibrium cannot be stabilised.
     """
-    n = model.arms
-    x = np.concatenate([np.asarray(state, dtype=float)[: 2 * n], [0.0, 0.0]])
+    x = np.concatenate([np.asarray(state, dtype=float)[: 2 * model.arms], [0.0, 0.0]])
     told = settings.damping
     damping = assumed_damping(model, x, settings, most=UNKNOWN_FRICTION + dry) if told is None else told + dry
     a, b, gains, cost, values = _regulator(model, x, settings, damping)

@@ -810,8 +810,7 @@ class TickEquations:
         z, drive = e.z, m.drive
         for command in on_their_way(m.sent, c.share, whole=self.whole, lead=self.lead):
             z, drive = self._moved(z, drive, command, c)
-        acts = _Acts(self._seen(z, r), drive, ca.SX(0), None)
-        out = self._finish(Known(m, r, t, c, e, acts), predicts=True)
+        out = self._finish(Known(m, r, t, c, e, _Acts(self._seen(z, r), drive, ca.SX(0), None)), predicts=True)
         return _function("tick", {"reading": reading, "row": row, "numbers": numbers, "memory": memory}, out)
 
     def sense(self) -> ca.Function:
@@ -847,8 +846,7 @@ class TickEquations:
         ahead, back = ca.SX.sym("ahead", self.filter.equations.dimension), ca.SX.sym("back")
         drive = ca.SX.sym("drive")
         coming = None if self.unrolled else ca.SX.sym("coming")
-        acts = _Acts(ahead, drive, back, coming)
-        out = self._finish(Known(m, r, t, c, e, acts), predicts=predicts)
+        out = self._finish(Known(m, r, t, c, e, _Acts(ahead, drive, back, coming)), predicts=predicts)
         inputs = {"reading": reading, "row": row, "numbers": numbers, "memory": memory, "sensed": sensed}
         inputs |= {"ahead": ahead, "drive": drive, "back": back, **({} if coming is None else {"coming": coming})}
         return _function("finish", inputs, out)

@@ -695,15 +695,10 @@ def draw_bench(
         unlike: differences of the plant from the model.
 
     Raises:
-        InputError: settings that do not fit these arms or this period, or a missing uncertainty.
+        InputError: settings that do not fit these arms.
         GoalMissed: no arms near the model's have the drawn ratios.
     """
-    n, sensors, drive, blows = arms.count, settings.sensors, settings.drive, settings.disturbances
-    if sensors.jitter > period:
-        raise InputError(
-            f"sensors: jitter = {sensors.jitter!r}: must be at most a period, {period:g} s; use the drive's delay for "
-            "readings that are older"
-        )
+    n, sensors, drive = arms.count, settings.sensors, settings.drive
     children: dict[str, np.random.SeedSequence] = dict(
         zip(_STREAMS, np.random.SeedSequence(seed).spawn(len(_STREAMS)), strict=True)
     )
@@ -724,9 +719,6 @@ def draw_bench(
     def within(name: str, most: float) -> Array:
         return random(name).uniform(-most, most, n) if most else np.zeros(n)
 
-    def shares(name: str, count: int, width: int) -> Array:
-        return random(name).uniform(size=(count, width)) if count else np.zeros((0, width))
-
     lost, noisy = sensors.missed_counts * period, drive.command_noise
     stream("command_noise", lambda source, count: source.standard_normal(count) * noisy, noisy)
     stream("ages", lambda source, count: source.uniform(0.0, sensors.jitter, count), sensors.jitter)
@@ -741,7 +733,6 @@ def draw_bench(
     true_arms = likely.mismatched(unlike.mismatch, random("plant"))
     if unlike.friction != 1.0:
         true_arms = true_arms.with_friction(unlike.friction)
-    strokes = shares("pushes", blows.pushes, 3), shares("knocks", blows.knocks, 2)
     return BenchDraw(
         seed=seed, ticks=ticks, period=period,
         plant=settings.plant(true_arms, within("play", 0.5 if settings.mechanics.play else 0.0)),
@@ -754,8 +745,8 @@ def draw_bench(
         zeros=within("zero_errors", sensors.zero_error),
         drift=np.copysign(sensors.zero_drift / 3600, within("zero_drift", sensors.zero_drift)),
         streams=streams,
-        blows=_blows(settings, n, (ticks, period), *strokes),
-        random_blows=lambda: _random_blows(blows, n, period, random("random_blows")),
+        blows=_blows(settings.disturbances, n, (ticks, period), random),
+        random_blows=lambda: _random_blows(settings.disturbances, n, period, random("random_blows")),
     )  # fmt: skip
 
 
@@ -772,19 +763,18 @@ def _random_blows(
 
 
 def _blows(
-    settings: BenchSettings, arms: int, clock: tuple[int, float], pushes: Array, knocks: Array
+    settings: DisturbanceSettings, arms: int, clock: tuple[int, float], random: Callable[[str], np.random.Generator]
 ) -> dict[int, Blow]:
-    """Return blows by tick from draws in [0, 1).
-
-    The pushes are (time, arm, size), the knocks (time, size).
-    """
-    d, (ticks, period) = settings.disturbances, clock
+    """Return the blows of a run by tick, for a clock of so many ticks and this period, s."""
+    ticks, period = clock
     strokes: list[tuple[int, int, float, float, float]] = []
-    for when, which, size in pushes.tolist():
-        strokes.append((int(when * ticks), int(which * arms), (2 * size - 1) * d.push_impulse, 0.0, 0.0))
-    strokes += [(int(when * ticks), 0, 0.0, 0.0, (2 * size - 1) * d.knock_velocity) for when, size in knocks.tolist()]
-    for push in d.explicit:
-        strokes.append((round(push.time / period), push.arm, push.impulse, push.rate, push.knock))
+    for when, which, size in random("pushes").uniform(size=(settings.pushes, 3)).tolist() if settings.pushes else ():
+        strokes.append((int(when * ticks), int(which * arms), (2 * size - 1) * settings.push_impulse, 0.0, 0.0))
+    for when, size in random("knocks").uniform(size=(settings.knocks, 2)).tolist() if settings.knocks else ():
+        strokes.append((int(when * ticks), 0, 0.0, 0.0, (2 * size - 1) * settings.knock_velocity))
+    strokes += [
+        (round(push.time / period), push.arm, push.impulse, push.rate, push.knock) for push in settings.explicit
+    ]
     out: dict[int, Blow] = {}
     for tick, arm, impulse, rate, knock in strokes:
         before = out.get(tick) or Blow(np.zeros(arms), np.zeros(arms), 0.0)

@@ -420,6 +420,9 @@ class LoopSettings(Settings, table="run"):
         """
         if isinstance(self.start, str) and self.start not in ("planned", "anywhere"):
             raise self.refusal("start", f"{suggest(self.start, ('planned', 'anywhere'))}, or a state")
+        if self.sensors.jitter > 1 / self.rate:
+            older = "use the drive's delay for readings that are older"
+            raise self.sensors.refusal("jitter", f"must be at most a period, {1 / self.rate:g} s; {older}")
         if self.plant is not None and self.model_uncertainty:
             raise self.refusal("model_uncertainty", "the plant's arms differ from the model's; use a mismatch")
         mechanics = replace(

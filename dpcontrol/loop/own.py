@@ -486,8 +486,7 @@ class OwnRig:
         """
         own, m = self.own, self._arms + 1
         value = own.call("read")
-        given = getattr(value, "positions", value)
-        positions, now = own.numbers("read", given, m), self._count * self.period
+        positions, now = own.numbers("read", getattr(value, "positions", value), m), self._count * self.period
         self._count += 1
         if self.truth is not None:
             self.truth = own.numbers("truth", own.call("truth"), 2 * self._arms + 2)

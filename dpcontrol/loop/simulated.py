@@ -345,6 +345,23 @@ _NEVER = (0, (math.inf, None))
 """In place of a run, tick and blow if no blow follows."""
 
 
+def _of_runs(values: list[Array], lanes: Lanes) -> Array:
+    """Return values of runs, along the last axis if there are several."""
+    return np.stack(values, axis=-1) if lanes is MANY else values[0]
+
+
+def _first_states(draws: Sequence[BenchDraw], start: Array, demand: Any, lanes: Lanes) -> Array:
+    """Return the states (N,) or (N, S) of plants at the first reading, whose drives follow a demand, m/s²."""
+    plant, n = draws[0].plant, draws[0].plant.arms.count
+    first = np.array(start if lanes is ONE else np.broadcast_to(start, (len(draws), 2 * n + 2)), dtype=float).T
+    first[:n] += _of_runs([draw.initial_error for draw in draws], lanes)
+    first[n : 2 * n] += _of_runs([draw.initial_rate for draw in draws], lanes)
+    first[2 * n :] += _of_runs([draw.initial_cart for draw in draws], lanes)
+    columns = zip(draws, first.reshape(2 * n + 2, -1).T, strict=True)
+    further = _of_runs([draw.plant.own_states(state) for draw, state in columns], lanes)
+    return np.concatenate([first, [demand], further] if plant.lag else [first, further])
+
+
 class SimulatedBench:
     """Plants, sensors and drives with the same settings, one for each draw.
 
@@ -360,21 +377,11 @@ class SimulatedBench:
     ) -> None:  # fmt: skip
         draw, n = draws[0], draws[0].plant.arms.count
 
-        def joined(drawn: list[Array]) -> Array:
-            """Return drawn values.
-
-            Runs are along the last axis if there are several.
-            """
-            return np.stack(drawn, axis=-1) if lanes is MANY else drawn[0]
-
         def by_tick(name: str, rows: Any = np.ndarray.tolist) -> Any:
-            """Return values drawn for each tick.
-
-            In a single run they are read tick by tick.
-            """
+            """Return values drawn for each tick, which a single run reads tick by tick."""
             if lanes is ONE:
                 return draw.reader(name, rows)
-            return joined([d.drawn(name) for d in draws]) if name in draw.streams else None
+            return _of_runs([d.drawn(name) for d in draws], lanes) if name in draw.streams else None
 
         self.period = draw.period
         """Period of the ticks, s."""
@@ -398,21 +405,12 @@ class SimulatedBench:
         self._encoders = Encoders(
             n,
             settings.sensors,
-            zeros=joined([d.zeros for d in draws]),
-            drift=joined([d.drift for d in draws]),
+            zeros=_of_runs([d.zeros for d in draws], lanes),
+            drift=_of_runs([d.drift for d in draws], lanes),
             lanes=lanes,
             places=draw.plant.reads,
         )
-        first = np.array(start if lanes is ONE else np.broadcast_to(start, (len(draws), 2 * n + 2)), dtype=float).T
-        first[:n] += joined([d.initial_error for d in draws])
-        first[n : 2 * n] += joined([d.initial_rate for d in draws])
-        first[2 * n :] += joined([d.initial_cart for d in draws])
-        further = np.array([
-            d.plant.own_states(state) for d, state in zip(draws, first.reshape(2 * n + 2, -1).T, strict=True)
-        ]).T  # fmt: skip
-        if draw.plant.lag:
-            first = np.append(first, [self._demands[0]], axis=0)
-        first = np.append(first, further if lanes is MANY else further[:, 0], axis=0)
+        first = _first_states(draws, start, self._demands[0], lanes)
         self._plant = (
             SimulatedPlant([d.plant for d in draws], first, track=own.position) if draw.own is None
             else OwnArms(draw.own, draw.plant, first, track=own.position)

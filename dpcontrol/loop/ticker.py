@@ -392,8 +392,7 @@ class Ticker:
         """
         if self._has_own:
             return
-        state = self.controller.first_state
-        reading = Reading(0.0, state[self.program.model.position_indices])
+        reading = Reading(0.0, self.controller.first_state[self.program.model.position_indices])
         for k in range(min(50, self.count)):
             self(k, reading)
         self.begin()

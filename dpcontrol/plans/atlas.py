@@ -280,8 +280,7 @@ def _compile(system: System, sections: list[Section]) -> None:
 
 
 def _sampled_orbit(orbit: LyapunovOrbit) -> AtlasOrbit:
-    phases = np.arange(_ORBIT_SAMPLES) / _ORBIT_SAMPLES
-    samples = UnstableManifold(orbit).frame(phases).states
+    samples = UnstableManifold(orbit).frame(np.arange(_ORBIT_SAMPLES) / _ORBIT_SAMPLES).states
     return AtlasOrbit(**fields_of(OrbitRecord, orbit), status=orbit.status, samples=samples)
 
 

@@ -428,8 +428,7 @@ class _Story:
             self._arrive(name, angles, place, None, None)
             return
         before = self.stops[-1]
-        winding = np.rint((angles - np.asarray(before.angles)) / (2 * np.pi))
-        turns = tuple(int(turn) for turn in winding)
+        turns = tuple(map(int, np.rint((angles - np.asarray(before.angles)) / (2 * np.pi))))
         symbol = PlanSymbol(
             text=text, time=sum(self.transfers[-1]) / 2, source=before.saddle, target=name, winding=turns
         )

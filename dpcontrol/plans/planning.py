@@ -159,8 +159,7 @@ def shadowing_orbit(itinerary: Itinerary, part: WalkPart, *, progress: Progress 
 
 def _first_symbol(itinerary: Itinerary, part: WalkPart) -> int:
     """Return the index of a walk's first symbol among those of all parts."""
-    before = takewhile(lambda walk: walk is not part, itinerary.walks)
-    return sum(len(walk.walk) for walk in before)
+    return sum(len(walk.walk) for walk in takewhile(lambda walk: walk is not part, itinerary.walks))
 
 
 _BESIDE, _BETWEEN = 0.01, 5

@@ -366,8 +366,7 @@ def find_reference(
             iterations, seconds = iterations + raised.iterations, seconds + raised.seconds
         errors = error_between_nodes(problem, solved.trajectory)
         worst = float(errors.max())
-        largest = largest_values(solved.trajectory, problem.limits)
-        tighter = _tightened(limits, problem.limits, largest)
+        tighter = _tightened(limits, problem.limits, largest_values(solved.trajectory, problem.limits))
         if worst <= _ACCEPTED * settings.tolerance and tighter is None:
             progress("reference", 1.0)
             reached = ReferenceEnding(

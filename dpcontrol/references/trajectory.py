@@ -134,8 +134,7 @@ def first_trajectory(problem: ReferenceProblem, method: Method, mesh: Array) -> 
     times, input_times = times_on(mesh, method.support), times_on(mesh, method.points)
     states = np.zeros((*times.shape, problem.equations.dimension))
     states[..., : problem.pendulum_dimension] = problem.guess_at(times.ravel()).reshape(*times.shape, -1)
-    inputs = np.zeros((*input_times.shape, 1))
-    return Trajectory(method, mesh, states, inputs)
+    return Trajectory(method, mesh, states, np.zeros((*input_times.shape, 1)))
 
 
 DENSE = 21

@@ -202,8 +202,7 @@ class ClosedLoop(Timed):
             raise InputError(
                 f'rig = {link}: a night needs a bench at an address; give "udp", udp://HOST:PORT or serial://PORT'
             )
-        seeded = self.plan.itinerary.with_run({}, seed=seed)
-        itinerary = night_itinerary(seeded, overrides=self.options)
+        itinerary = night_itinerary(self.plan.itinerary.with_run({}, seed=seed), overrides=self.options)
         return run_night(
             replace(self.plan, itinerary=itinerary), out, night, link=link, resume=resume,
             force=force, live=live_view if live else None, yes=yes, learn=learn, progress=progress,

@@ -416,8 +416,7 @@ def _noted(plan: Plan, motion: Reference) -> Reference:
         for cost, (begin, end) in zip(content.costs, content.transfers, strict=True)
     ]
     content = replace(content, symbols=symbols, costs=transfer_costs(ways), key=_key(plan))
-    distances = nearness(replace(motion, plan=content))
-    return replace(motion, plan=replace(content, polished=distances))
+    return replace(motion, plan=replace(content, polished=nearness(replace(motion, plan=content))))
 
 
 def nearness(plan: Reference) -> tuple[float, ...]:

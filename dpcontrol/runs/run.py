@@ -191,8 +191,7 @@ class Run(Timed, Documented):
             InputError: a log has no estimates of the model's errors, or no plan.
             GoalMissed: there is no plan for the learnt arms.
         """
-        logs = [run.log for run in (*earlier, self)]
-        return learn(logs, _plan(self.log, repeats=False), progress=progress)
+        return learn([run.log for run in (*earlier, self)], _plan(self.log, repeats=False), progress=progress)
 
     def margins(self) -> Margins:
         """Return the margins of gain, delay and lag.
@@ -659,8 +658,7 @@ def _with_options(plan: Plan, itinerary: Itinerary, change: Mapping[str, Any]) -
 def _with_settings(itinerary: Itinerary, log: RunLog, *, cannot: str) -> Itinerary:
     """Return the itinerary with the run's recorded settings, overrides included."""
     try:
-        settings = json.loads(log.metadata["run_settings"])
-        return replace(itinerary, loop=stored_settings(settings, str(log.path)))
+        return replace(itinerary, loop=stored_settings(json.loads(log.metadata["run_settings"]), str(log.path)))
     except (InputError, TypeError, ValueError, LookupError) as error:
         version = f"{log.metadata.get('version', '?')} (commit {log.metadata.get('commit') or 'unknown'})"
         said = str(error).partition("\n")[0]
