@@ -302,6 +302,7 @@ class FilterEquations:
 
     @cached_property
     def _parameter_function(self) -> ca.Function:
+        """Parameters of the equations as a function of the model's and of the relative errors of the extras."""
         parameters = ca.SX.sym("parameters", self.inputs["parameters"])
         extra = ca.SX.sym("extra", len(self.extra_names))
         named = zip(self.extra_names, ca.vertsplit(extra), strict=True)
@@ -624,6 +625,7 @@ class CompiledEkf(KalmanFilter):
         return self._called(self.whole, estimate, measured, present)
 
     def _called(self, function: Compiled, estimate: Estimate, measured: Array, present: Present) -> Estimate:
+        """Return the estimate after a step or an update, the functions of which have the same inputs."""
         inputs, slices = self.inputs, self.whole.slices
         inputs[slices["memory"]] = estimate.memory
         counts = np.ones(len(measured), dtype=bool) if present is None else present

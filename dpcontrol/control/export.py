@@ -303,6 +303,7 @@ def _body(function: ca.Function, *, single: bool) -> str:
 
 
 def _c_number(value: float, *, single: bool) -> str:
+    """Return a number as C writes it."""
     if np.isinf(value):
         return "(dpc_real)INFINITY" if value > 0 else "(dpc_real)-INFINITY"
     text = str(np.float32(value)) if single else repr(float(value))

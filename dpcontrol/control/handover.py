@@ -122,6 +122,7 @@ class ProgramSession(Session):
         return np.isnan(self._past) or before - self._past > whole / 2
 
     def _hand_over(self, tick: int, state: Array) -> str:
+        """Begin the next segment, and return a sentence for the log."""
         self._index += 1
         self._began, self._past = tick, np.nan
         segment = self._program.segments[self._index]

@@ -459,6 +459,7 @@ class OgySession(ClockedSession):
                 values[runs] = changed
 
     def _crossed(self, course: _Course, section: Any, late: Any, x: Array) -> _Course:
+        """Return the course after a section: what its crossing teaches of the plant, and the next pulse."""
         law, lanes, learning = self._law, self.lanes, self._law.learning
         late = lanes.clip(late, 0.0, law.window)
         guess, covariance = course.guess, course.covariance

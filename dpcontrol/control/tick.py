@@ -387,7 +387,7 @@ class TickEquations:
 
     # The parts.
 
-    def _begun_again(self, m: Memory, r: Measurement, c: Numbers) -> tuple[ca.SX, ca.SX]:
+    def _restarted(self, m: Memory, r: Measurement, c: Numbers) -> tuple[ca.SX, ca.SX]:
         """Return the prediction and its covariance, or those from which a restarting filter begins."""
         n, size, origin = self.filter.arms, self.filter.dimension, self._origin(m)
         z, triangle, again = m.z, m.covariance, m.restart
@@ -422,7 +422,7 @@ class TickEquations:
         n, size = self.filter.arms, self.filter.dimension
         # Values here are relative to the origin, if there is one, except rates.
         origin, positions_read = self._origin(m), r.offset if self.split else r.measured
-        z, covariance = self._begun_again(m, r, c)
+        z, covariance = self._restarted(m, r, c)
         # NaN must not reach the products: zero times NaN is not zero.
         whole = z + origin
         moving = ca.vertcat(whole[n : 2 * n], whole[2 * n + 1])
@@ -643,7 +643,7 @@ class TickEquations:
         sound = all_of(law.finite, means.nis <= c.lost_estimate, finite(means.distance + ca.sum1(e.z[:n])))
         lost = ca.logic_not(sound)
         restarts = ca.logic_and(lost, m.restarts < c.restarts - 0.5)
-        leaves = self._farthest(known) >= c.travel
+        leaves = self._farthest_reach(known) >= c.travel
         # A cart that follows fallen arms is not the cause of the ending.
         fallen = ca.logic_and(leaves, means.distance > c.lost_tracking)
         most = ca.if_else(m.held, ca.fmax(c.lost_tracking, LOST_AFTER_FALLBACK), c.lost_tracking)
@@ -679,7 +679,7 @@ class TickEquations:
         stopped = ca.if_else(outcome >= int(Outcome.ESTIMATE_LOST), outcome, m.stopped)
         return _Verdict(outcome, stopped, sensor, watch)
 
-    def _farthest(self, known: Known) -> ca.SX:
+    def _farthest_reach(self, known: Known) -> ca.SX:
         """Return the cart's resting place if it brakes now, or its place if it is farther, m from the centre."""
         m, c, n = known.memory, known.numbers, self.filter.arms
         x, v, sent = known.acts.ahead[2 * n], known.acts.ahead[2 * n + 1], m.velocity
@@ -808,7 +808,7 @@ class TickEquations:
         (reading, r), (row, t), (numbers, c), (memory, m) = self._symbols()
         e = self._sense(m, r, c)
         z, drive = e.z, m.drive
-        for command in on_their_way(m.sent, c.share, whole=self.whole, lead=self.lead):
+        for command in pending_commands(m.sent, c.share, whole=self.whole, lead=self.lead):
             z, drive = self._moved(z, drive, command, c)
         out = self._finish(Known(m, r, t, c, e, _Acts(self._seen(z, r), drive, ca.SX(0), None)), predicts=True)
         return _function("tick", {"reading": reading, "row": row, "numbers": numbers, "memory": memory}, out)
@@ -852,14 +852,15 @@ class TickEquations:
         return _function("finish", inputs, out)
 
     def _symbols(self) -> list[tuple[ca.SX, Any]]:
+        """Return vectors of reading, row, numbers and memory, each with its parts."""
         # The memory is last, so that a row of an array can have it as output of one tick and input of the next.
         layouts = {"reading": self.reading, "row": self.row, "numbers": self.numbers, "memory": self.memory}
         symbols = [layout.symbols(name) for name, layout in layouts.items()]
         reading, parts = symbols[0]
-        shown = {name: self._of_encoders(getattr(parts, name)) for name in ("measured", "present")}
+        shown = {name: self._measured_only(getattr(parts, name)) for name in ("measured", "present")}
         return [(reading, parts._replace(**shown)), *symbols[1:]]
 
-    def _of_encoders(self, values: ca.SX) -> ca.SX:
+    def _measured_only(self, values: ca.SX) -> ca.SX:
         """Values (n+1,) of the positions, 0 for the arms without an encoder."""
         return ca.vertcat(*(values[i] if measured else 0 for i, measured in enumerate(self.measured)))
 
@@ -874,7 +875,7 @@ class TickEquations:
         return ca.vertcat(*(z[i] + (r.rate_error[i - n] if n <= i < 2 * n else 0) for i in range(size)))
 
 
-def on_their_way(sent: Any, share: Any, *, whole: int, lead: int) -> list[Any]:
+def pending_commands(sent: Any, share: Any, *, whole: int, lead: int) -> list[Any]:
     """Return the accelerations in the next periods, m/s².
 
     Args:
@@ -1112,9 +1113,9 @@ class TickProgram:
         inputs = np.concatenate([self.stored, *self.reading, self._constants])
         return self._call("sense")(inputs, np.empty((self.equations.sensed.size, self.lanes)))
 
-    def on_their_way(self) -> list[Array]:
+    def pending_commands(self) -> list[Array]:
         """Return the commands (lanes,) of each of the next `lead` periods, m/s²."""
-        return on_their_way(self._sent, self.numbers.share[0], whole=self._delay[0], lead=self.lead)
+        return pending_commands(self._sent, self.numbers.share[0], whole=self._delay[0], lead=self.lead)
 
     @property
     def drive(self) -> Array:
@@ -1133,17 +1134,17 @@ class TickProgram:
             z: estimates (N+E, lanes).
         """
         drive = self.drive
-        for command in self.on_their_way():
+        for command in self.pending_commands():
             z, drive = self.moved(z, drive, command)
         return self.with_rate_error(z[: self.model.dimension]), drive
 
-    def acting_on_their_way(self) -> tuple[list[Array], Array]:
+    def pending_accelerations(self) -> tuple[list[Array], Array]:
         """Return the mean accelerations (lanes,) due to pending commands.
 
         There is one entry for each period; `drive` at the end follows.
         """
         means, drive, model = [], self.drive, self.model
-        for command in self.on_their_way():
+        for command in self.pending_commands():
             means.append(command + model.lag / self.period * (1 - model.lag_keeps) * (drive - command))
             drive = command + model.lag_keeps * (drive - command)
         return means, drive
@@ -1185,7 +1186,7 @@ class TickProgram:
         """
         parts = [self._inputs, sensed, ahead, drive[None], np.broadcast_to(back, (1, self.lanes))]
         if not self.equations.unrolled:
-            parts.append(self.on_their_way()[0][None])
+            parts.append(self.pending_commands()[0][None])
         self._call("finish" if predicts else "judge")(np.concatenate(parts), self._out)
         self.stored[:] = self._kept
         if not self.equations.unrolled:

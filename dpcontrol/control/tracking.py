@@ -128,6 +128,7 @@ class TimedController(ReferenceController):
         return GainSchedule(self._rows(lead), self.reference_states, self.feedforward[:lead], Mode.TRACKING)
 
     def _rows(self, lead: int, *more: Array) -> Array:
+        """Return the rows (K+1, …) of a schedule whose commands act `lead` ticks later, with further gains (K, …)."""
         last, n = self.ticks, (len(self.first_state) - 2) // 2
         acts = np.minimum(np.arange(last + 1) + lead, last)
         law = np.minimum(acts, last - 1)
@@ -442,7 +443,7 @@ def tracking_controller(
     if isinstance(settings, FeedforwardSettings):
         gains = np.zeros((len(path.commands), model.dimension + (model.lag > 0)))
         return TrackingController(settings.kind, path.states, **_by_time(model, path, gains, most))
-    law = tracked(path, model, settings, most=most)
+    law = tracking_law(path, model, settings, most=most)
     if settings.schedule == "phase":
         return phase_controller(
             settings.kind, states=path.states, feedforward=law.feedforward, gains=law.gains, period=model.period
@@ -461,7 +462,7 @@ class TickedMotion(NamedTuple):
     drive: Array
 
 
-def tracked(
+def tracking_law(
     path: TickedMotion,
     model: SampledModel,
     settings: TvlqrSettings,
@@ -659,7 +660,8 @@ def _of_second_order(
 
     lag = model.lag / model.period * (1 - model.lag_keeps)
 
-    def left(shares: Array) -> Array:
+    def defects(shares: Array) -> Array:
+        """Return what the path that moves in proportion to errors (m,) lacks to be a motion, (K, N)."""
         away, push = moved @ shares, pushed @ shares
         path = states + away[:, :n]
         inputs[:n], inputs[program.slices["command"]] = path[:-1].T, commands + push
@@ -668,15 +670,20 @@ def _of_second_order(
         inputs[n + which] = shares[:, None]
         return program(inputs, out)[:n].T - path[1:]
 
-    found, one, none = [], _SHARE * np.eye(m), left(np.zeros(m))
+    effects, unit, without = [], _SHARE * np.eye(m), defects(np.zeros(m))
     for i, j in combinations_with_replacement(range(m), 2):
         if i == j:
-            twice = left(one[i]) + left(-one[i]) - 2 * none
-            found.append(twice / (2 * _SHARE**2))
+            twice = defects(unit[i]) + defects(-unit[i]) - 2 * without
+            effects.append(twice / (2 * _SHARE**2))
         else:
-            crossed = left(one[i] + one[j]) + left(-one[i] - one[j]) - left(one[i] - one[j]) - left(one[j] - one[i])
-            found.append(crossed / (4 * _SHARE**2))
-    return np.pad(np.stack(found, axis=2), ((0, 0), (0, int(model.lag > 0)), (0, 0)))
+            crossed = (
+                defects(unit[i] + unit[j])
+                + defects(-unit[i] - unit[j])
+                - defects(unit[i] - unit[j])
+                - defects(unit[j] - unit[i])
+            )
+            effects.append(crossed / (4 * _SHARE**2))
+    return np.pad(np.stack(effects, axis=2), ((0, 0), (0, int(model.lag > 0)), (0, 0)))
 
 
 def adaptive_controller(

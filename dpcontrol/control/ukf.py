@@ -97,6 +97,7 @@ class Ukf(KalmanFilter):
         return self._estimate(z, covariance, np.zeros(self.model.arms + 1), float("nan"), 0)
 
     def _estimate(self, z: Array, covariance: Array, innovation: Array, nis: float, used: int) -> Estimate:
+        """Return the estimate of a sound state and covariance, or raise ArithmeticError."""
         n, variances = self.model.dimension, covariance.diagonal()
         if not (variances >= 0).all() or not np.isfinite(z).all() or (used and not 0 <= nis < np.inf):
             raise ArithmeticError("the filter's covariance is no longer positive, or its state no longer finite")
@@ -167,6 +168,7 @@ class Ukf(KalmanFilter):
         return estimate.memory[1]
 
     def _predicted(self, z: Array, covariance: Array, command: float) -> tuple[Array, Array]:
+        """Return the state and covariance a period later."""
         inner, self._command = self._inner, command
         inner.x, inner.P = z, covariance
         inner.Q = self.linearised(z, covariance, command)[2]
@@ -176,6 +178,7 @@ class Ukf(KalmanFilter):
     def _updated(
         self, z: Array, covariance: Array, measured: Array, observation: Array, noise: Array
     ) -> tuple[Array, Array, Array, float]:
+        """Return state, covariance, innovation and NIS after a measurement of these rows."""
         inner = self._inner
         inner.x, inner.P = z, covariance
         inner.sigmas_f = self._points.sigma_points(z, covariance)

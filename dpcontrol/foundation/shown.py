@@ -3,6 +3,7 @@
 The base classes leave the data to the dataclasses that derive from them. Pictures come from the table of renderers.
 """
 
+from abc import ABC, abstractmethod
 from base64 import b64encode
 from collections.abc import Callable, Sequence
 from dataclasses import fields
@@ -97,26 +98,26 @@ class Shown(Brief):
         return f'<p>{escape(repr(self))}</p><img alt="" src="data:image/png;base64,{data}">'
 
 
-class Timed(Shown):
+class Timed(Shown, ABC):
     """Base of results that follow a motion over time."""
 
     @property
+    @abstractmethod
     def time_range(self) -> tuple[float, float]:
         """First and last time, s."""
-        raise NotImplementedError
 
     @property
+    @abstractmethod
     def columns(self) -> tuple[str, ...]:
         """Names of the N entries of a state."""
-        raise NotImplementedError
 
+    @abstractmethod
     def states(self, times: Any = None) -> Array:
         """Return the states at given times.
 
         Args:
             times: times (…), s; None for the default of the result.
         """
-        raise NotImplementedError
 
     @checked
     def sample(self, count: Count = 200) -> Array:

@@ -237,7 +237,7 @@ def nearest_keeper(
             kept = (
                 kept_orbit(reference, stays[name], parameters)
                 if name in stays
-                else _sought(orbit.saddle, orbit.energy, reference, parameters)
+                else _sought_orbit(orbit.saddle, orbit.energy, reference, parameters)
             )
             keepers[name] = _keeper(kept, model, keep="tvlqr", flies=flies)
     points = equilibria(pendulum_system("pendulum", parameters))
@@ -246,7 +246,7 @@ def nearest_keeper(
     return NearestKeeper(keepers)
 
 
-def _sought(saddle: str, energy: float, reference: Reference, parameters: ArmChainParameters) -> "SustainedOrbit":
+def _sought_orbit(saddle: str, energy: float, reference: Reference, parameters: ArmChainParameters) -> "SustainedOrbit":
     from dpcontrol.references.sustained import sustained_orbit
 
     lyapunov = lyapunov_orbit(pendulum_system(saddle, parameters), saddle, energy=energy)

@@ -110,6 +110,7 @@ class Lockstep:
             self._bench.stop([lane])
 
     def _end(self, lanes: Any, count: int, end: Event) -> None:
+        """End the runs of these lanes that are still alive after `count` ticks."""
         for lane in np.arange(self._runs)[lanes].tolist():
             if self._alive[lane]:
                 self._ends[lane], self._counts[lane] = end, count

@@ -136,6 +136,7 @@ class ControlLoop:
             self._flush(self._done)
 
     def _run(self, rig: Rig) -> LoopResult:
+        """Read, decide and command until the run ends, then stop the rig and return what was logged."""
         ticker, period = self.ticker, self._period
         block, recovery = self.count, self._recovery
         self._rows = rows = Ticks.empty(
@@ -203,7 +204,7 @@ class ControlLoop:
             if recovery is not None:
                 if self._fall is not None:
                     self._recover(k, *self._fall, recovery, rig)
-                elif not self._stopped and (speeds := recovery.runs_off(k, report, ticker)):
+                elif not self._stopped and (speeds := recovery.runaway(k, report, ticker)):
                     ticker.brake(k)
                     self._recover(k, Cause.TOO_FAST, speeds, recovery, rig)
                 elif not self._stopped:
@@ -328,6 +329,7 @@ class ControlLoop:
         self.sink.event(Event(time_s, level, name, cause, figures or {}, words))
 
     def _flush(self, until: int) -> None:
+        """Hand the rows before a tick to the sink, unless it has them."""
         first = self._flushed
         if until > first:
             # Set first, so that an interrupt cannot write rows twice.

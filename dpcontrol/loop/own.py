@@ -345,6 +345,7 @@ class OwnEstimates(Estimator):
         return self._updated(estimate, self._model.step(estimate.state, command), measured, present)
 
     def _updated(self, estimate: Estimate, expected: Array, measured: Array, present: Present) -> Estimate:
+        """Return the user's estimate, judged by the expected state; a failure leaves the estimate as it was."""
         own, size = self.own, len(estimate.state)
         seen = np.ones(len(measured), dtype=bool) if present is None else present
         reading = Reading(self._count * self._model.period, measured.copy(), seen.copy())

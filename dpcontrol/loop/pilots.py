@@ -18,7 +18,7 @@ import numpy as np
 
 from dpcontrol.control.flight import STEPS, FlightPlanner, Flights, braking_gains
 from dpcontrol.control.interface import clip_number, sampled_model, with_dry_friction
-from dpcontrol.control.tracking import TickedMotion, TrackingController, TvlqrSettings, tracked
+from dpcontrol.control.tracking import TickedMotion, TrackingController, TvlqrSettings, tracking_law
 from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import GoalMissed
@@ -180,7 +180,7 @@ class DirectPilot:
         zeros = np.zeros(len(coming))
         path = TickedMotion(np.concatenate([coming, states]), np.append(zeros, commands), np.append(zeros, inputs))
         most, terminal = self.briefing.limits.acceleration, goal.terminal[place]
-        law = tracked(path, self._model, _LAW, most=most, terminal=terminal, coarse=self._coarse)
+        law = tracking_law(path, self._model, _LAW, most=most, terminal=terminal, coarse=self._coarse)
         return Course(law, flights, duration, place)
 
 

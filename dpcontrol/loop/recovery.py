@@ -274,7 +274,7 @@ class FallRecovery:
         if self.until:
             self._meets = meeting_tick(ticker.references, round(LAST_SECONDS / ticker.program.period))
         if not self._plan.anywhere:
-            return self._resumed()
+            return self._resumption()
         ticker.lose()
         self._brake(-1, ticker)
         return _event("info", RETURN, Cause.ANYWHERE)
@@ -288,13 +288,14 @@ class FallRecovery:
         symbols, place = self._plan.symbols, self._stop
         return symbol_figures(symbols, place) if place < len(symbols) else {}
 
-    def _resumed(self) -> Event:
+    def _resumption(self) -> Event:
+        """Return the event of a run that joins its itinerary, at the begin of a lap or after a fall."""
         begins, self._begins = self._begins, False
         if begins:
             return _event("info", LAP, Cause.JOINED, {"at": self._at, "lap": self._lap})
         return _event("info", RESUME, Cause.JOINED, self._progress())
 
-    def runs_off(self, k: int, report: Report, ticker: Ticker) -> Mapping[str, float]:
+    def runaway(self, k: int, report: Report, ticker: Ticker) -> Mapping[str, float]:
         """Return the figures of a fall if the cart runs away, otherwise none.
 
         Args:
@@ -390,11 +391,11 @@ class FallRecovery:
             if not k % _EVERY:
                 self._latest.append(report.state[: self._arms, 0].copy())
             if self._meets is not None and round(self._at / period) + k + 1 - self._joins == self._meets:
-                return self._lapped(k, ticker.references[k + 1 - ticker.began], ticker)
-            return () if k % _EVERY else self._caught(k, report, ticker, period)
+                return self._end_lap(k, ticker.references[k + 1 - ticker.began], ticker)
+            return () if k % _EVERY else self._catch(k, report, ticker, period)
         if self.motion is Motion.FLIGHT:
             if k + 1 >= self._joins:
-                return self._arrived(k, report, ticker)
+                return self._arrive_at_goal(k, report, ticker)
             self._check(k, report, ticker)
             return ()
         over = k + 2 == ticker.began + ticker.count
@@ -417,7 +418,7 @@ class FallRecovery:
         program, model = ticker.program, self._plan.model
         ticks = max(round(self._thinking / model.period), 1)
         self._answers = k + ticks
-        means, drive = program.acting_on_their_way()
+        means, drive = program.pending_accelerations()
         mean = means[-1].item(0) if means else report.acting.item(0)
         state = model.step(report.ahead[:, 0], mean)
         if course is None:
@@ -470,7 +471,7 @@ class FallRecovery:
         """Return number and name of the stop that the flight leads to, none for rest."""
         return {"stop": self._goal + 1, "stop_name": self._plan.names[self._goal]} if self._goal >= 0 else {}
 
-    def _arrived(self, k: int, report: Report, ticker: Ticker) -> Sequence[Event]:
+    def _arrive_at_goal(self, k: int, report: Report, ticker: Ticker) -> Sequence[Event]:
         """Resume the itinerary after a flight, or plan another one."""
         goal, place, n = self._plan.briefing.goals[self._goal], self._course.place, self._arms
         away = report.state[:, 0] - goal.target.states[place]
@@ -493,9 +494,9 @@ class FallRecovery:
             return ()
         self._at = float(goal.at[place])
         self.motion, self._followed, self._arrives = Motion.ITINERARY, k, True
-        return [self._resumed()]
+        return [self._resumption()]
 
-    def _caught(self, k: int, report: Report, ticker: Ticker, period: float) -> Sequence[Event]:
+    def _catch(self, k: int, report: Report, ticker: Ticker, period: float) -> Sequence[Event]:
         """Resume from an earlier place if the state is near it.
 
         The state must be far from the present place of the reference.
@@ -575,13 +576,13 @@ class FallRecovery:
         if self.motion is not Motion.ITINERARY:
             return ()
         if self.until:
-            return self._lapped(k, ticker.references[-1], ticker)
+            return self._end_lap(k, ticker.references[-1], ticker)
         away = self._plan.distance(self._latest, ticker.references[-1, : self._arms])
         if away <= _HELD:
             return ()
         return self.fell(k, Cause.NOT_HELD, {"away": away}, ticker, ticker.program.period) or ()
 
-    def _lapped(self, k: int, state: Array, ticker: Ticker) -> Sequence[Event]:
+    def _end_lap(self, k: int, state: Array, ticker: Ticker) -> Sequence[Event]:
         """Begin another repetition after tick k, with the reference at `state` (N,)."""
         self._lap, self._begins = self._lap + 1, True
         self._good = math.inf
@@ -596,7 +597,7 @@ class FallRecovery:
         if np.abs(apart).max() <= _MEETS:
             ticker.follow(k + 1, self._main, lift=turns, bounds=self._bounds)
             self._followed, self._arrives = k, False
-            return [self._resumed()]
+            return [self._resumption()]
         self._tries = 0
         self._brake(k, ticker)
         return [_event("info", RETURN, Cause.LAP_DONE, {"lap": self._lap - 1})]

@@ -293,6 +293,7 @@ class SimulatedPlant:
             self.set_state(after)
 
     def _flow(self, acceleration: float, duration: float) -> Array:
+        """Return the state of one run after `duration` s, which the next step overwrites."""
         self._inputs[self._input], self._inputs[self._duration] = acceleration, duration
         self._lasts = duration
         self._machine(self._inputs, self._flown)
@@ -322,6 +323,7 @@ class SimulatedPlant:
             self._hold(side)
 
     def _hold(self, side: float) -> None:
+        """Hold cart and motor at the hard stop of one side, 1 or -1; the arms keep their momenta."""
         none = np.zeros(self.plants[0].arms.count)
         self.strike(Blow(none, none, -self.values[self.cart + 1]))
         held = self.state.copy()
@@ -506,15 +508,14 @@ class SimulatedBench:
             plant.move(acting, span, time=start + begin)
 
     def _acting(self, demand: Any, duration: float) -> Any:
+        """Return the drive's acceleration, m/s², which keeps its velocity reference in bounds or brakes."""
         drive, velocity, braking = self._drive, self._plant.loop_velocity, self._braking
-        if self._off:
+        if self._off or braking is True:
             acting = drive.braking(velocity, duration)
         elif braking is None:
             acting = drive.acting(demand, velocity, duration)
         else:
-            acting = drive.braking(velocity, duration)
-            if braking is not True:
-                acting = np.where(braking, acting, drive.acting(demand, velocity, duration))
+            acting = np.where(braking, drive.braking(velocity, duration), drive.acting(demand, velocity, duration))
         self.hardest = self._larger(self.hardest, abs(acting))
         return acting
 

@@ -139,6 +139,7 @@ class Ticker:
         self.program.prepare(self._parts)
 
     def _begun(self) -> Any:
+        """Return a new session of the law, for one run or all."""
         law: Any = self.controller
         if not self._many:
             return law.begin_after(self.lead) if hasattr(law, "begin_after") else law.begin()
@@ -241,7 +242,7 @@ class Ticker:
         The values are those of `TickProgram.sense`.
         """
         program, before = self.program, self._estimate
-        means, drive = program.acting_on_their_way()
+        means, drive = program.pending_accelerations()
         way = [float(mean[0]) for mean in means]
         sound = 1.0
         try:

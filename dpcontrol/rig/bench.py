@@ -623,6 +623,7 @@ class BenchRecipe(Brief):
 
 
 def _serve(recipe: BenchRecipe, settings: BenchServerSettings, key: bytes, pipe: Connection) -> None:
+    """Serve one run in a process of its own, and send the address and the record to its parent."""
     # An interrupt from the terminal is meant for the loop, which stops the cart first.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     end_with_parent()

@@ -106,7 +106,7 @@ def test_the_acceleration_is_the_superposition_of_the_commands(delay: float) -> 
 def test_pending_commands_act_until_the_next_command_can(delay: float) -> None:
     commands, tick = np.random.default_rng(2).normal(0, 10, 40), Ticked(delay)
     for k, command in enumerate(commands):
-        coming = [float(one[0]) for one in tick.program.on_their_way()]
+        coming = [float(one[0]) for one in tick.program.pending_commands()]
         assert len(coming) == tick.program.lead == round(delay)
         known = commands[:k]
         # Command k, not yet sent, may still act in a part of the last of these periods where the delay was rounded up;
