@@ -65,7 +65,7 @@ class Program:
             for longer stays.
     """
 
-    segments: tuple[Segment, ...]
+    segments: tuple[Keep, *tuple[Segment, ...]]
     waits: tuple[float, ...]
     lasts: tuple[int, ...]
     period: float
@@ -168,7 +168,7 @@ def program(stays: Sequence[Keep], flights: Sequence[Fly], *, period: float, kin
             segments.append(flight)
             lasts.append(flight.controller.ticks)
             total += flight.controller.ticks
-    return Program(tuple(segments), tuple(waits), tuple(lasts), period, total, kind)
+    return Program((stays[0], *segments[1:]), tuple(waits), tuple(lasts), period, total, kind)
 
 
 def _check_near(stay: Keep, state: Array, what: str) -> None:
