@@ -213,6 +213,7 @@ class FilterSettings(Settings, table="estimator"):
         return out
 
     def _sigma(self, name: str) -> float:
+        """Return the standard deviation of an extra quantity at the start of a run."""
         kind = name.partition("_")[0]
         known = {
             "zero": self.zero_error,

@@ -26,6 +26,7 @@ from dpcontrol.foundation.arrays import Array
 
 @contextmanager
 def _arithmetic() -> Iterator[None]:
+    """Report a covariance that is no longer positive as an error of arithmetic."""
     try:
         yield
     except (ValueError, np.linalg.LinAlgError) as error:

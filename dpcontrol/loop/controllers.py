@@ -64,6 +64,8 @@ class Filter(NamedTuple):
 
 
 def _ukf(settings: Any, model: SampledModel, noise: Array) -> Estimator:
+    """Return the unscented filter."""
+
     # filterpy takes a second to import.
     from dpcontrol.control.ukf import Ukf
 
@@ -167,6 +169,7 @@ def keeping_controller(
 def _keeper(
     orbit: "SustainedOrbit", model: SampledModel, *, keep: str, flies: TvlqrSettings
 ) -> OgyController | OrbitController:
+    """Return the controller that keeps an orbit by these means."""
     if keep == "tvlqr":
         return orbit_controller(orbit, model, replace(flies, schedule="phase"), seconds=orbit.period)
     settings = OgySettings() if keep == "ogy" else ClassicOgySettings()
@@ -247,6 +250,7 @@ def nearest_keeper(
 
 
 def _sought_orbit(saddle: str, energy: float, reference: Reference, parameters: ArmChainParameters) -> "SustainedOrbit":
+    """Return the sustained orbit of a saddle and an energy, which the plan does not have."""
     from dpcontrol.references.sustained import sustained_orbit
 
     lyapunov = lyapunov_orbit(pendulum_system(saddle, parameters), saddle, energy=energy)
@@ -304,6 +308,7 @@ def _own(made: LawInputs) -> Controller:
 
 
 def _ogy(made: LawInputs) -> Controller:
+    """Return the law that keeps the itinerary's orbit by pulses."""
     if made.stay is None:
         raise InputError(
             f'controller: kind = "{made.settings.kind}" keeps an orbit; give the itinerary orbit = "down-up"'
@@ -313,6 +318,7 @@ def _ogy(made: LawInputs) -> Controller:
 
 
 def _hold(made: LawInputs) -> Controller:
+    """Return the law that holds the itinerary's equilibrium."""
     settings, model, estimator, parameters = made.settings, made.model, made.estimator, made.parameters
     plan = made.reference.plan
     if plan is None or plan.symbols or plan.segments:
@@ -329,6 +335,7 @@ def _hold(made: LawInputs) -> Controller:
 
 
 def _tvlqr(made: LawInputs) -> Controller:
+    """Return the law by TVLQR that the itinerary's stays, its orbit or its walk need."""
     reference, parameters, model, settings = made.reference, made.parameters, made.model, made.settings
     if keeps_by_phase(made.keep, made.estimator):
         return keeping_controller(reference, parameters, model, flies=settings, keep=made.keep)

@@ -324,6 +324,7 @@ class ControlLoop:
         figures: Mapping[str, Any] | None = None,
         words: str = "",
     ) -> None:
+        """Hand an event to the sink."""
         # Events follow the ticks that they belong to.
         self._flush(round(time_s / self._period))
         self.sink.event(Event(time_s, level, name, cause, figures or {}, words))

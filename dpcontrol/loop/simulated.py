@@ -433,6 +433,7 @@ class SimulatedBench:
         self._coming: Any = next(self._blows, _NEVER)
 
     def _measured(self, k: int) -> Array:
+        """Return what the encoders measure at a tick."""
         return self._encoders.measure(
             self._plant.values if self._seen is None else self._seen,
             k * self.period,

@@ -345,6 +345,7 @@ class PacketRig(AbstractContextManager["PacketRig"]):
         return content
 
     def _lost_contact(self) -> NoReturn:
+        """Report that the bench no longer responds."""
         raise ArithmeticError(
             f"the bench at {self.address} does not respond: received nothing from it for "
             f"{time.perf_counter() - self._last_packet:.3g} s{self._problem}"
@@ -385,6 +386,7 @@ class PacketRig(AbstractContextManager["PacketRig"]):
             yield content
 
     def _send(self, message: Message) -> None:
+        """Send a message; it is lost if the system refuses it."""
         try:
             self._channel.send(self._talk.pack(message))
         except OSError as error:
