@@ -2392,7 +2392,7 @@ def explore_energies(
     """
     chart = energy_charts.energies_chart(_loaded(itinerary), progress)
     if picture is not None:
-        drawing.save_chart(chart, Path(picture))
+        _save(drawing.figure(chart, chart.parts), picture)
         chart = replace(chart, file=Path(picture))
     return chart
 

@@ -32,7 +32,7 @@ from dpcontrol.foundation.files import write_whole
 from dpcontrol.foundation.parts import versions
 from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress, part_of
 from dpcontrol.pages.layout import Page, key, save_figure
-from dpcontrol.pages.panels import name_point, name_rows, quiet, readable_ticks
+from dpcontrol.pages.panels import name_point, name_rows, readable_ticks
 from dpcontrol.pages.style import FAINT, GOOD, INK, LIMIT, MARK, PAPER, SERIES
 
 Look = dict[str, Any]
@@ -52,20 +52,6 @@ _DEFAULT: Look = {
     "color": LIMIT,
     "markersize": _RING,
 }
-
-
-def save_chart(page: ChartPage, picture: Path, parts: Sequence[Any] | None = None) -> None:
-    """Draw some of a chart's diagrams to a PNG.
-
-    Args:
-        page: page of the chart.
-        picture: file to write.
-        parts: diagrams, by default all.
-
-    Raises:
-        InputError: the file cannot be written.
-    """
-    save_figure(figure(page, page.parts if parts is None else parts), picture)
 
 
 def figure(page: ChartPage, parts: Sequence[Any]) -> Figure:
@@ -94,10 +80,9 @@ def _draw(axes: Axes, part: Diagram | EdgeMap, looks: dict[str, Look]) -> None:
             name_point(axes, _label(part, p), _place(part, p), looks[p.method]["color"], weight="normal")
     key(axes, [(label, {**look, "markersize": 6}) for label, _, look in layers if label])
     axes.margins(0.12, 0.1)
-    axes.set_xscale("log")
     across, up = (part.x_label, part.y_label) if of_points else (part.y_label, part.x_label)
     (x, x_unit), (y, y_unit) = split_label(across), split_label(up)
-    quiet(axes, f"{part.title}: {part.finding()}", x=x, y=y)
+    axes.set(title=f"{part.title}: {part.finding()}", xlabel=x, ylabel=y, xscale="log")
     readable_ticks(axes.xaxis, x_unit)
     if not of_points:
         name_rows(axes, [border.line for border in part.borders])
@@ -105,8 +90,7 @@ def _draw(axes: Axes, part: Diagram | EdgeMap, looks: dict[str, Look]) -> None:
         axes.set_yscale("log")
         readable_ticks(axes.yaxis, y_unit)
     else:
-        axes.set_ylim(-0.05, 1.05)
-        axes.set_yticks(np.linspace(0.0, 1.0, 6))
+        axes.set(ylim=(-0.05, 1.05), yticks=np.linspace(0.0, 1.0, 6))
         axes.yaxis.set_major_formatter(PercentFormatter(1.0))
 
 
@@ -224,7 +208,7 @@ def draw_charts(
             seconds, data = time.perf_counter() - began, Path(folder) / f"{chart.name}.json"
             pictures = {Path(folder) / f"{chart.name}{end}.png": parts for end, parts in chart.pages.items()}
             for picture, parts in pictures.items():
-                save_chart(chart, picture, parts)
+                save_figure(figure(chart, parts), picture)
             document = {**chart.document(), "seconds": seconds, **made_with}
             write_whole(data, json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
             drawn.append(DrawnChart(chart, tuple(pictures), data, seconds))

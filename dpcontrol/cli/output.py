@@ -11,7 +11,7 @@ from typing import Any
 import click
 
 from dpcontrol.foundation.errors import GoalMissed, printable
-from dpcontrol.words.table import Line, TextTable, drawn_to
+from dpcontrol.words.table import Line, TextTable
 
 
 @dataclass
@@ -45,8 +45,8 @@ def show(result: Any, also: Mapping[str, Any]) -> None:
     else:
         for line in result.lines() if hasattr(result, "lines") else text_of(result):
             _print(line)
-        for line in drawn_to(also.get("picture")):
-            _print(line)
+        if also.get("picture"):
+            _print(f"drawn to {also['picture']}")
     if missed := getattr(result, "missed", ""):
         raise GoalMissed(missed)
 

@@ -295,17 +295,13 @@ class RunLog(Shown):
     def __repr__(self) -> str:
         return f"<log {self.path}: {len(self.time):,} rows at {self.rate_hz:g} Hz>"
 
-    @property
-    def duration(self) -> float:
-        """Time from the first to the last message, s."""
-        ends = [end for topic in self.topics for end in (topic.first_s, topic.last_s) if end is not None]
-        return max(ends) - min(ends)
-
     def document(self) -> dict[str, Any]:
-        """Return the contents of the log without its rows."""
+        """Return the contents of the log without its rows; the size of a log in memory is None."""
         return {
-            "log": self.path, "size": self.path.stat().st_size, "format": layout.FORMAT,
-            "program": self.metadata["program"], "rows": len(self.time), "duration": self.duration,
+            "log": self.path, "size": self.path.stat().st_size if self.path.is_file() else None,
+            "format": layout.FORMAT,
+            "program": self.metadata.get("program"), "rows": len(self.time),
+            "duration": float(np.ptp(self.time)) if len(self.time) else 0.0,
             "rate_hz": self.rate_hz, "joints": self.joint_names,
             "parts": [part for part in layout.PARTS if part in self.parts], "events": len(self.events),
             "topics": self.topics, "attachments": {name: len(data) for name, data in self.attachments.items()},

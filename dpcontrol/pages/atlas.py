@@ -17,7 +17,7 @@ from dpcontrol.foundation.document import counted
 from dpcontrol.foundation.version import PROGRAM
 from dpcontrol.pages import style
 from dpcontrol.pages.layout import Page, Panel, Stack, key
-from dpcontrol.pages.panels import angle_axis, name_point, quiet, quiet_plane, quiet_space, wrapped_runs
+from dpcontrol.pages.panels import angle_axis, name_point, quiet_plane, quiet_space, wrapped_runs
 from dpcontrol.pages.rerun_recording import DARK, page, record_curves, recording_to, rr, rrb, summary_view
 from dpcontrol.walks.atlas import Atlas, AtlasConnection, AtlasCut, AtlasKind, AtlasOrbit, section_axes
 
@@ -197,7 +197,7 @@ def draw_cuts(
         if numbers and c.name in numbers:
             name_point(axes, numbers[c.name], (float(place[0]), float(place[1])), look[c.name])
     unit, momentum = (" (rad)", "p / p₀") if period else ("", "momentum")
-    quiet(axes, title, x=f"{coordinate} on the section{unit}", y=momentum)
+    axes.set(title=title, xlabel=f"{coordinate} on the section{unit}", ylabel=momentum)
     if period:
         angle_axis(axes, "x")
     every = len(connections_of(atlas, kind))
@@ -284,8 +284,7 @@ def draw_motions(
             closed = placed(atlas, orbit, winding)
             axes.plot(*closed[:, picked].T, color=style.saddle_colour(orbit.saddle), **look)
     if space:
-        quiet_space(axes, atlas)
-        axes.set_title(title, loc="left")
+        quiet_space(axes, atlas, title)
     else:
         quiet_plane(axes, atlas, title=title)
         axes.set_aspect("equal", adjustable="datalim")

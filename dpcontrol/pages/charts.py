@@ -10,7 +10,7 @@ from dpcontrol.foundation.arrays import Array
 from dpcontrol.judge.run_view import RunView
 from dpcontrol.pages import style
 from dpcontrol.pages.layout import MOST_IN_KEY, key
-from dpcontrol.pages.panels import angle_axis, name_curves, quiet
+from dpcontrol.pages.panels import angle_axis, name_curves
 from dpcontrol.pages.planes import Plane, Range, extreme_rows, gap_times
 from dpcontrol.pages.run_charts import Chart, Line
 
@@ -54,7 +54,7 @@ def draw_chart(axes: Axes, chart: Chart, view: RunView, *, span: Range | None = 
         span: time range to show, s; all by default.
     """
     scale, title = chart.scaled()
-    quiet(axes, title, x="time (s)" if view.arm_lengths else "time")
+    axes.set(title=title, xlabel="time (s)" if view.arm_lengths else "time")
     axes.margins(x=0)
     entries: dict[str, dict] = {}
     ends: dict[str, tuple[float, str, str]] = {}
@@ -134,7 +134,7 @@ def draw_plane(axes: Axes, runs: list[tuple[Plane, str]], *, tubes: bool = True)
     """
     first, _ = runs[0]
     number, ends = style.number(first.arm), ", from ○ to ■" if len(runs) == 1 else ""
-    quiet(axes, f"Arm {first.arm + 1}: ω{number} (rad/s) over θ{number}{ends}")
+    axes.set(title=f"Arm {first.arm + 1}: ω{number} (rad/s) over θ{number}{ends}")
     for stable, colour, text in ((False, style.UNSTABLE, "tubes from"), (True, style.STABLE, "to them")):
         if tubes and first.strands[stable]:
             axes.plot(*_joined(first.strands[stable]), color=colour, linewidth=0.45, alpha=0.35, zorder=1.2)

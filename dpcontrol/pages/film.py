@@ -39,7 +39,7 @@ _TRACE = 0.25
 
 def _draw_film(axes: Axes, view: RunView, times: Array, rows: NDArray[np.int64], box: tuple[Range, Range]) -> None:
     pivot, reach, (horizontal, vertical) = view.pivot, sum(view.arm_lengths), box
-    axes.set(xlim=horizontal, ylim=vertical)
+    axes.set(xlim=horizontal, ylim=vertical, aspect="equal")
     for i, (time, row) in enumerate(zip(times, rows, strict=True)):
         at = i * _FRAME_STEP * reach
         if not view.time[0] <= time <= view.time[-1]:
@@ -54,7 +54,6 @@ def _draw_film(axes: Axes, view: RunView, times: Array, rows: NDArray[np.int64],
         text = f"{view.time[row]:.2f} s{cart if view.has_cart else ''}"
         look = {"ha": "center", "va": "top", "fontsize": style.SMALL, "color": style.NOTE, "linespacing": 1.25}
         axes.text(at, vertical[0] + 0.46 * reach, text, **look)
-    axes.set_aspect("equal")
     axes.axis("off")
 
 
@@ -382,8 +381,7 @@ def _ways(view: RunView, transfer: Range) -> tuple[list[int], np.ndarray]:
 def _cell(axes: Axes, view: RunView, transfer: Range | None, box: Range, *, title: str, name: str) -> None:
     """Draw one transfer in its cell, with its equilibria's names at the edges of the square."""
     half, high = box
-    axes.set(xlim=(-half, half), ylim=(-high, high), xticks=[], yticks=[])
-    axes.set_aspect("equal")
+    axes.set(xlim=(-half, half), ylim=(-high, high), xticks=[], yticks=[], aspect="equal")
     axes.spines[:].set_visible(True)
     axes.grid(False)
     axes.set_title(title, loc="center")

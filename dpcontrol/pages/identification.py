@@ -9,7 +9,6 @@ from matplotlib.figure import Figure
 from dpcontrol.identification.identify import Identification
 from dpcontrol.pages import style
 from dpcontrol.pages.layout import Page, Panel, key
-from dpcontrol.pages.panels import quiet
 
 USED, LEFT, _BEFORE, LINE = style.REFERENCE, style.SERIES[1], style.NOTE, style.SERIES[0]
 
@@ -46,10 +45,14 @@ def draw_candidates(axes: Axes, identification: Identification) -> None:
         chosen = y == identification.chosen + 1
         axes.plot(1e3 * rms, np.full(len(rms), y), "o", color=LEFT if chosen else USED, markersize=4)
         axes.plot(1e3 * np.sqrt((rms**2).mean()), y, "|", color=_BEFORE, markersize=14, markeredgewidth=2)
-    axes.set_yticks(range(len(rows)), [name for name, _ in rows], fontsize=style.SMALL)
+    axes.set(
+        title="Terms tried; the chosen ones in colour",
+        xlabel="error (mrad): each segment left out, and | all together",
+        xlim=(0.0, None),
+        yticks=range(len(rows)),
+        yticklabels=[name for name, _ in rows],
+    )
     axes.invert_yaxis()
-    axes.set_xlim(left=0.0)
-    quiet(axes, "Terms tried; the chosen ones in colour", x="error (mrad): each segment left out, and | all together")
 
 
 def _errors(axes: Axes, identification: Identification) -> None:
@@ -62,14 +65,13 @@ def _errors(axes: Axes, identification: Identification) -> None:
             axes.plot(times, 1e3 * residual[:, arm], linewidth=0.8, color=style.arm_colour(arm))
     axes.axhline(0.0, color=_BEFORE, linewidth=0.6)
     key(axes, [(f"arm {arm + 1}", style.arm_colour(arm)) for arm in range(identification.arms.count)])
-    quiet(axes, "Measured less predicted angle on segments left out (mrad)", x="time in the recording (s)")
+    axes.set(title="Measured less predicted angle on segments left out (mrad)", xlabel="time in the recording (s)")
 
 
 def _correlation(axes: Axes, identification: Identification) -> None:
     image = axes.imshow(np.nan_to_num(identification.correlation), cmap="RdBu_r", vmin=-1, vmax=1)
     names = [name.partition("/")[0] for name in identification.names]
     axes.set_xticks(range(len(names)), names, rotation=90, fontsize=style.SMALL)
-    axes.set_yticks(range(len(names)), names, fontsize=style.SMALL)
-    axes.set_title("Correlation of the errors", loc="left")
+    axes.set(title="Correlation of the errors", yticks=range(len(names)), yticklabels=names)
     axes.figure.colorbar(image, ax=axes, shrink=0.8)
     axes.grid(False)

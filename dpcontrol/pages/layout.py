@@ -34,7 +34,7 @@ from dpcontrol.foundation.errors import InputError, printable
 from dpcontrol.foundation.files import whole_file
 from dpcontrol.foundation.version import PROGRAM
 from dpcontrol.pages import style
-from dpcontrol.pages.panels import BESIDE, bare
+from dpcontrol.pages.panels import BESIDE
 
 Draw = Callable[[Any], None]
 _DPI = 150
@@ -106,7 +106,7 @@ class Page:
         """
         for first in range(0, len(panels), across):
             row = panels[first : first + across]
-            self.row(*row, *[bare] * (across - len(row)), height=height)
+            self.row(*row, *[_free] * (across - len(row)), height=height)
         return self
 
     def table(self, rows: Sequence[Sequence[str]], *, heading: Sequence[str] = ()) -> "Page":
@@ -116,18 +116,15 @@ class Page:
             rows: texts by row.
             heading: texts above the columns.
         """
-        every = [[f"{text}\N{EM SPACE}" for text in row] for row in ([heading, *rows] if heading else rows)]
+        every = [heading, *rows] if heading else rows
 
         def draw(axes: Axes) -> None:
-            bare(axes)
+            axes.axis("off")
             shown = axes.table(every, loc="upper left", cellLoc="left", edges="open")
             shown.auto_set_font_size(False)
+            shown.set_fontsize(style.TEXT)
             shown.auto_set_column_width(range(len(every[0])))
             shown.set_in_layout(False)
-            for (row, column), cell in shown.get_celld().items():
-                cell.PAD = 0.0
-                size, head = (style.SMALL, True) if heading and row == 0 else (style.TEXT, column == 0)
-                cell.set_text_props(fontsize=size, color=style.NOTE if head else style.INK)
 
         return self.row(draw, height=2 * _EDGE + max(len(every), 1) * _height(style.TEXT))
 
@@ -182,6 +179,10 @@ class Page:
                 parts[0].texts[0].set_weight("bold")
             settle(figure)
         return figure
+
+
+def _free(axes: Axes) -> None:
+    axes.axis("off")
 
 
 def _height(size: float) -> float:

@@ -24,7 +24,7 @@ from dpcontrol.judge.preflight import HazardBorder, Preflight
 from dpcontrol.logs import read_log
 from dpcontrol.pages import style
 from dpcontrol.pages.layout import Page, Panel
-from dpcontrol.pages.panels import Bar, bars, name_curves, quiet, readable_ticks
+from dpcontrol.pages.panels import Bar, bars, name_curves, readable_ticks
 from dpcontrol.words.runs import conditions, conditions_of
 
 _MOST, _APART = 28, 6
@@ -86,9 +86,8 @@ def _draw_levels(axes: Axes, summary: CampaignSummary) -> None:
     labels = list(dict.fromkeys(level.label for level in summary.levels))
     shown = labels[: len(style.RUNS)]
     hidden = f"; first {len(shown)} of {len(labels)} groups" if len(labels) > len(shown) else ""
-    quiet(axes, f"Runs completed {over}{hidden}", x=text)
+    axes.set(title=f"Runs completed {over}{hidden}", xlabel=text, ylim=(-0.03, 1.03))
     names: list[tuple[float, str, str]] = []
-    axes.set_ylim(-0.03, 1.03)
     axes.yaxis.set_major_formatter(PercentFormatter(1.0))
     reach = max(level.high for level in summary.levels) - min(level.low for level in summary.levels)
     for k, (label, colour) in enumerate(zip(shown, _group_colours(summary, shown), strict=True)):
@@ -179,7 +178,6 @@ _FALLS: dict[str, str] = {
 
 
 def _draw_strip(axes: Axes, night: Night, row: float, rows: int) -> None:
-    quiet(axes, "Rows of up to half an hour, with the share on the itinerary; triangles are falls", x="minutes")
     for k in range(rows):
         begin, recorded, on = k * row, 0.0, 0.0
         for span in night.spans:
@@ -199,8 +197,14 @@ def _draw_strip(axes: Axes, night: Night, row: float, rows: int) -> None:
         look = {"color": _FALLS.get(fall.cause, style.INK), "markersize": 4.5, "clip_on": False}
         axes.plot((fall.time - k * row) / 60, k - 0.42, "v", **look)
     minutes = [round(k * row / 60) for k in range(rows)]
-    axes.set_yticks(range(rows), [f"{m // 60}:{m % 60:02d} h" if row >= _ROW else f"{m} min" for m in minutes])
-    axes.set(xlim=(0, row / 60), ylim=(rows - 0.5, -0.65))
+    axes.set(
+        title="Rows of up to half an hour, with the share on the itinerary; triangles are falls",
+        xlabel="minutes",
+        xlim=(0, row / 60),
+        ylim=(rows - 0.5, -0.65),
+        yticks=range(rows),
+        yticklabels=[f"{m // 60}:{m % 60:02d} h" if row >= _ROW else f"{m} min" for m in minutes],
+    )
 
 
 def _draw_times(axes: Axes, night: Night) -> None:
@@ -215,8 +219,8 @@ def _draw_returns(axes: Axes, night: Night) -> None:
     returns = night.returns
     median, late = np.quantile(returns, (0.5, 0.99))
     times = f"s; median {median:.1f}, 99 % within {late:.1f}"
-    quiet(axes, "Time from the fall back onto the itinerary", x=times, y="share of falls within")
     axes.ecdf(returns, color=style.ARMS[0])
+    axes.set(title="Time from the fall back onto the itinerary", xlabel=times, ylabel="share of falls within")
     axes.set(xlim=(0, 1.3 * max(returns)), ylim=(0, 1.08))
 
 
@@ -231,7 +235,7 @@ def _draw_drift(axes: Axes, night: Night, what: str, names: Sequence[str]) -> No
     angles = names[0].startswith("zero_")
     largest = max(float(np.abs(values - values[0]).max()) for _, values in courses)
     scale, unit = prefixed(largest, "rad") if angles else (100.0, "%")
-    quiet(axes, f"{what}, change since the first file ({unit})", x="hours")
+    axes.set(title=f"{what}, change since the first file ({unit})", xlabel="hours")
     ends: list[tuple[float, str, str, str]] = []
     for k, (name, (hours, values)) in enumerate(zip(names, courses, strict=True)):
         colour = style.RUNS[k % len(style.RUNS)]
@@ -253,10 +257,10 @@ def draw_preflight(preflight: Preflight) -> Figure:
     page.text(preflight.advice, colour=style.INK, size=style.TEXT)
     text = partial(shorten, placeholder=" …")
     page.text(f"The bench as described, model {preflight.model}", colour=style.INK, size=style.HEAD).table(
-        [(fact.name, text(fact.value, 32), text(fact.source, 56)) for fact in preflight.known]
+        [(fact.name, text(fact.value, 30), text(fact.source, 48)) for fact in preflight.known]
     )
     runs, endings = preflight.share.runs, preflight.endings[:_REASONS]
-    rows = [(f"{e.runs / runs:.1%}", text(e.cause, 24), text(e.example, 72)) for e in endings]
+    rows = [(f"{e.runs / runs:.1%}", text(e.cause, 24), text(e.example, 64)) for e in endings]
     page.text("Endings of failed runs, share of all runs", colour=style.INK, size=style.HEAD).table(
         rows or [("", "none: every run completed", "")]
     )
@@ -283,7 +287,6 @@ _REASONS = 5
 
 def _border(axes: Axes, border: HazardBorder) -> None:
     margin = "" if border.margin is None else f" ({border.margin:.1f}×)"
-    quiet(axes, f"{border.name}: {border.sentence}{margin}", x=border.unit)
     set_value = border.set if border.set and math.isfinite(border.set) else None
     values = [point.value for point in border.points]
     for point in border.points:
@@ -297,13 +300,18 @@ def _border(axes: Axes, border: HazardBorder) -> None:
         axes.axvspan(border.low or border.border, border.high or border.border, color=style.LIMIT, alpha=0.15)
         axes.axvline(border.border, color=style.LIMIT, linewidth=1.2)
     axes.axhline(0.5, color=style.MARK, linewidth=0.7, linestyle=style.DASHED)
-    axes.set_xscale("log")
-    axes.set(xlim=(min(values) / 1.3, max(values) * 1.3), ylim=(-0.03, 1.06))
+    axes.set(
+        title=f"{border.name}: {border.sentence}{margin}",
+        xlabel=border.unit,
+        xscale="log",
+        xlim=(min(values) / 1.3, max(values) * 1.3),
+        ylim=(-0.03, 1.06),
+        yticks=[0, 0.5, 1],
+    )
     readable_ticks(axes.xaxis, "")
     if border.falling:
         axes.invert_xaxis()
     axes.yaxis.set_major_formatter(PercentFormatter(1.0))
-    axes.set_yticks([0, 0.5, 1])
 
 
 def _changes(axes: Axes, preflight: Preflight) -> None:

@@ -22,7 +22,7 @@ from dpcontrol.orbits.lyapunov import LyapunovOrbit
 from dpcontrol.orbits.rotating import RotatingFamilies, RotatingFamily, RotatingOrbit
 from dpcontrol.pages import style
 from dpcontrol.pages.layout import Page, Stack, key
-from dpcontrol.pages.panels import name_point, quiet, quiet_plane
+from dpcontrol.pages.panels import name_point, quiet_plane
 
 Orbit = LyapunovOrbit | RotatingOrbit
 Family = LyapunovFamily | RotatingFamily
@@ -41,12 +41,8 @@ def draw_family(family: LyapunovFamily) -> Figure:
     """Return the page on a family of Lyapunov orbits as a figure."""
     page = Page(f"Lyapunov orbits about {family.saddle} of {family.system.name}")
     over = Stack([partial(_multipliers, family=family), partial(_periods, families=[family])])
-    page.origin(None, *conditions(family.system, family.energies)).row(
-        over, partial(_shapes, family=family), height=5.2
-    )
-    for end in family.ends:
-        page.text(f"to {end.energy:.6g}{family.system.unit('J')}: {end.status}")
-    return page.figure()
+    page.origin(None, *conditions(family.system, family.energies))
+    return page.row(over, partial(_shapes, family=family), height=5.2).figure()
 
 
 def draw_rotating_families(search: RotatingFamilies) -> Figure:
@@ -94,13 +90,12 @@ def _periods(axes: Axes, families: Sequence[Family], title: str = "") -> None:
     unit = families[0].members[0].system.unit
     _against_energy(axes, families, attrgetter("period"))
     period = f"period{unit('s', ' ({})')}"
-    quiet(axes, title or period.capitalize(), x=f"energy{unit('J', ' ({})')}", y=period if title else "")
+    axes.set(title=title or period.capitalize(), xlabel=f"energy{unit('J', ' ({})')}", ylabel=period if title else "")
 
 
 def _multipliers(axes: Axes, family: LyapunovFamily) -> None:
     _against_energy(axes, [family], lambda orbit: abs(orbit.floquet_multipliers[0]))
-    axes.set_yscale("log")
-    quiet(axes, "Unstable Floquet multiplier")
+    axes.set(title="Unstable Floquet multiplier", yscale="log")
 
 
 def _traces(axes: Axes, families: Sequence[RotatingFamily]) -> None:
@@ -109,7 +104,7 @@ def _traces(axes: Axes, families: Sequence[RotatingFamily]) -> None:
     axes.yaxis.set_major_locator(SymmetricalLogLocator(base=10, linthresh=10))
     for critical in (2, -2):
         axes.axhline(critical, color=style.FAINT, linewidth=1.0, linestyle="--")
-    quiet(axes, "Trace of the section's map, ±2 dashed; at dots stability changes or the family folds")
+    axes.set(title="Trace of the section's map, ±2 dashed; at dots stability changes or the family folds")
     seen = {member.kind for family in families for member in family.members}
     key(axes, [(kind, colour) for kind, colour in _KINDS.items() if kind in seen])
 

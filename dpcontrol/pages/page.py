@@ -31,7 +31,7 @@ from dpcontrol.pages import rerun_recording as recorded, style
 from dpcontrol.pages.charts import draw_chart, draw_plane
 from dpcontrol.pages.film import add_film, film_times
 from dpcontrol.pages.layout import Draw, Page, Stack
-from dpcontrol.pages.panels import Bar, bars, quiet
+from dpcontrol.pages.panels import Bar, bars
 from dpcontrol.pages.planes import plane
 from dpcontrol.pages.rerun_recording import Sheet, rrb
 from dpcontrol.pages.run_charts import Chart, Line, charts, check_charts, extra_charts, motion_charts
@@ -299,4 +299,4 @@ def comparison(axes: Axes, compared: RunComparison) -> None:
     for run in compared.runs:
         for arm in range(run.view.arms):
             axes.plot(run.view.time, run.view.state[:, arm], color=style.arm_colour(arm), linewidth=0.9)
-    quiet(axes, compared.title, x="time (s)", y="angles (rad)")
+    axes.set(title=compared.title, xlabel="time (s)", ylabel="angles (rad)")

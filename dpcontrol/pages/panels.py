@@ -19,44 +19,17 @@ from dpcontrol.pages import style
 from dpcontrol.walks.atlas import Atlas
 
 
-def quiet(axes: Axes, title: str = "", *, x: str = "", y: str = "") -> None:
-    """Set a panel's title and axis labels.
-
-    Args:
-        axes: panel to label.
-        title: title of the panel.
-        x: label of the x axis.
-        y: label of the y axis.
-    """
-    if title:
-        axes.set_title(title, loc="left")
-    axes.set(xlabel=x, ylabel=y)
-
-
-def bare(axes: Axes, title: str = "") -> None:
-    """Leave a panel without frame and ticks.
-
-    Args:
-        axes: panel to clear.
-        title: title of the panel.
-    """
-    axes.axis("off")
-    axes.set_title(title, loc="left")
-
-
-def quiet_space(axes: Axes, of: System | Atlas) -> None:
+def quiet_space(axes: Axes, of: System | Atlas, title: str = "") -> None:
     """Label the axes of a panel in space: first coordinate, second coordinate, first rate.
 
     Args:
         axes: panel in space.
         of: system or atlas with the labels.
+        title: title of the panel.
     """
-    for k, which in enumerate("xy"):
-        getattr(axes, f"set_{which}label")(of.labels[k])
-        if np.isfinite(of.periods[k]):
-            angle_axis(axes, which)
+    quiet_plane(axes, of, title=title)
+    axes.set(zlabel=of.labels[len(of.labels) // 2])
     axes.locator_params(nbins=4)
-    axes.set_zlabel(of.labels[len(of.labels) // 2], fontsize=style.SMALL)  # type: ignore[attr-defined]
     axes.view_init(elev=22, azim=-122)  # type: ignore[attr-defined]
 
 
@@ -69,7 +42,7 @@ def quiet_plane(axes: Axes, of: System | Atlas, columns: tuple[int, int] = (0, 1
         columns: indices of the entries.
         title: title of the panel.
     """
-    quiet(axes, title, x=of.labels[columns[0]], y=of.labels[columns[1]])
+    axes.set(title=title, xlabel=of.labels[columns[0]], ylabel=of.labels[columns[1]])
     for column, which in zip(columns, "xy", strict=True):
         if np.isfinite(of.periods[column]):
             angle_axis(axes, which)
@@ -153,8 +126,7 @@ def name_rows(axes: Axes, names: Sequence[str]) -> None:
         axes: panel with a bar at each whole number from 0.
         names: name of each row.
     """
-    axes.set_yticks(range(len(names)), names)
-    axes.set_ylim(max(len(names) - 0.4, 0.6), -0.6)
+    axes.set(yticks=range(len(names)), yticklabels=names, ylim=(max(len(names) - 0.4, 0.6), -0.6))
 
 
 @dataclass(frozen=True)
@@ -185,7 +157,7 @@ def bars(axes: Axes, title: str, rows: Sequence[Bar], *, x: str = "") -> None:
         rows: bars.
         x: label of the x axis.
     """
-    quiet(axes, title, x=x)
+    axes.set(title=title, xlabel=x)
     for k, bar in enumerate(rows):
         axes.barh(k, bar.value, color=bar.colour, height=0.62, alpha=0.85)
         axes.plot(bar.interval, [k] * len(bar.interval), color=style.INK, linewidth=1.4)
@@ -219,8 +191,8 @@ def draw_graph(axes: Axes, graph: "nx.MultiDiGraph[str]", title: str) -> None:
         axes.annotate("", ends[1], ends[0], arrowprops={"arrowstyle": "-|>", **look})
         text = f"{len(connections)}, {sum(c.symmetric for c in connections)} symmetric"
         axes.text(float(middle[0]), float(middle[1]), text, ha="center", va="center", color=style.INK)
-    bare(axes, title)
-    axes.set(xlim=(-2.2, 2.2), ylim=(-1.5, 1.5), aspect="equal")
+    axes.axis("off")
+    axes.set(title=title, xlim=(-2.2, 2.2), ylim=(-1.5, 1.5), aspect="equal")
 
 
 BESIDE = "label beside a point"

@@ -16,7 +16,7 @@ from dpcontrol.orbits.tube import Tube
 from dpcontrol.pages import style
 from dpcontrol.pages.atlas import BRANCHES
 from dpcontrol.pages.layout import key
-from dpcontrol.pages.panels import draw_graph, quiet, quiet_plane, wrapped_runs
+from dpcontrol.pages.panels import draw_graph, quiet_plane, wrapped_runs
 from dpcontrol.recordings.recording import Recording
 from dpcontrol.tubes.connections import Connection, ConnectionSearch
 from dpcontrol.tubes.symmetric import SymmetricSearch
@@ -58,7 +58,8 @@ def cut(axes: Axes, shown: Cut) -> None:
         shown: cut to draw.
     """
     _curves(axes, shown.pieces, stable=shown.stable)
-    quiet(axes, f"crossing {shown.hit} of {shown.section.name}", x="coordinate on the section", y=_MOMENTUM)
+    title = f"crossing {shown.hit} of {shown.section.name}"
+    axes.set(title=title, xlabel="coordinate on the section", ylabel=_MOMENTUM)
     key(axes, [(f"{'stable' if shown.stable else 'unstable'} tube", BRANCHES[shown.stable, 1]), _BACKWARD])
 
 
@@ -88,7 +89,7 @@ def search(axes: Axes, result: ConnectionSearch, shown: Sequence[Connection] | N
         )
     title = f"{result.source.saddle} → {result.target.saddle}: {counted(len(shown), 'connection')}"
     across = f"{result.source.system.labels[coordinate]} on the section"
-    quiet(axes, f"{title} on {section.name}", x=across, y=_MOMENTUM)
+    axes.set(title=f"{title} on {section.name}", xlabel=across, ylabel=_MOMENTUM)
     look = {"color": style.INK, "marker": "o", "linestyle": ""}
     tubes = [(f"tube from {result.source.saddle}", style.UNSTABLE), (f"tube to {result.target.saddle}", style.STABLE)]
     key(axes, [*tubes, _BACKWARD, ("connections", look)])
@@ -146,7 +147,7 @@ def flight(axes: Axes, result: Flight) -> None:
         axes.plot(times, states[:, arm] / (2 * np.pi), color=style.arm_colour(arm), label=f"arm {arm + 1}, turns")
     limit = result.limits.position
     axes.plot(times, states[:, -2] / limit, color=style.INK, linestyle="--", label=f"cart, shares of {limit:g} m")
-    quiet(axes, result.status, x="s")
+    axes.set(title=result.status, xlabel="s")
     key(axes)
 
 
@@ -160,4 +161,4 @@ def recording(axes: Axes, shown: Recording) -> None:
     for part in shown.split():
         for arm in range(shown.arms):
             axes.plot(part.time, part.angles[:, arm], color=style.arm_colour(arm), linewidth=0.9)
-    quiet(axes, f"{shown.name}: {len(shown.segments)} segments", x="time (s)", y="angles (rad)")
+    axes.set(title=f"{shown.name}: {len(shown.segments)} segments", xlabel="time (s)", ylabel="angles (rad)")

@@ -159,9 +159,12 @@ def _story(axes: Axes, view: RunView, rows: list[Strip], span: Range, width: flo
         for part in strip.spans:
             _part(axes, part, place, second, marks=marks.get(strip.name, []), mode=strip.name == "controller")
     _numbers(axes, view, [strip.name for strip in rows], span, second)
-    axes.set_xlim(begin, end)
-    axes.set_ylim(-0.08, len(rows) + 0.02)
-    axes.set_yticks([place + _TALL / 2 for place in range(len(rows))], [strip.name for strip in reversed(rows)])
+    axes.set(
+        xlim=(begin, end),
+        ylim=(-0.08, len(rows) + 0.02),
+        yticks=[place + _TALL / 2 for place in range(len(rows))],
+        yticklabels=[strip.name for strip in reversed(rows)],
+    )
     axes.tick_params(axis="y", length=0)
     axes.set_xlabel("time (s)" if view.arm_lengths else "time", loc="left", labelpad=0)
     axes.spines["left"].set_visible(False)

@@ -91,13 +91,19 @@ def check_viewer(remedy: str = REVIEW_REMEDY) -> Path:
     return program
 
 
-def viewer_command(*arguments: str) -> tuple[list[str], dict[str, str]]:
-    """Return command and environment of a private viewer, which accepts local connections only and reports nothing.
+def start_viewer(*arguments: str, **others: Any) -> "subprocess.Popen[bytes]":
+    """Start a private viewer, which accepts local connections only and reports nothing.
+
+    Args:
+        *arguments: further arguments of its program.
+        **others: further arguments of the process, such as its input.
 
     Raises:
         InputError: there is no viewer, or no display to open it on.
     """
-    return [str(check_viewer()), *arguments, *_LOOPBACK], {**os.environ, **_QUIET}
+    silent: dict[str, Any] = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
+    command = [str(check_viewer()), *arguments, *_LOOPBACK]
+    return subprocess.Popen(command, env={**os.environ, **_QUIET}, **{**silent, **others})
 
 
 def view_in_window(shown: Any, name: str) -> Path:
@@ -113,14 +119,13 @@ def view_in_window(shown: Any, name: str) -> Path:
         InputError: the viewer or the display is missing, or the viewer ended at once.
         PartMissing: rerun-sdk is not installed.
     """
-    command, environment = viewer_command("-")
-    silent: dict[str, Any] = dict.fromkeys(("stdout", "stderr"), subprocess.DEVNULL)
+    check_viewer()
     # The viewer keeps its open file when the folder is removed; Windows keeps the folder instead.
     with tempfile.TemporaryDirectory(prefix="dpcontrol-", ignore_cleanup_errors=True) as folder:
         recording = Path(folder) / f"{name[:40]}.rrd"
         record(shown, recording)
         with recording.open("rb") as content:
-            viewer = subprocess.Popen(command, stdin=content, start_new_session=True, env=environment, **silent)
+            viewer = start_viewer("-", stdin=content, start_new_session=True)
     with contextlib.suppress(subprocess.TimeoutExpired):
         if viewer.wait(_STARTED):
             raise InputError(f"the viewer ended at once; {REVIEW_REMEDY}")
@@ -352,9 +357,7 @@ def _run(start: RunLog, address: str, pipe: Connection) -> None:
         with socket.socket() as free:
             free.bind(("127.0.0.1", 0))
             port = str(free.getsockname()[1])
-        silent: dict[str, Any] = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
-        command, environment = viewer_command("--port", port, "--memory-limit", _MEMORY, "--hide-welcome-screen")
-        viewer = subprocess.Popen(command, env=environment, **silent)
+        viewer = start_viewer("--port", port, "--memory-limit", _MEMORY, "--hide-welcome-screen")
         address = f"rerun+http://127.0.0.1:{port}/proxy"
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stderr.fileno())
     recording = recorded.rr.RecordingStream("dpcontrol")

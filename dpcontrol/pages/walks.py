@@ -174,9 +174,8 @@ def draw_shape(axes: Axes, story: WalkStory) -> None:
     for point, time in zip(orbit.states(orbit.symbol_times)[:, picked], orbit.symbol_times, strict=True):
         axes.plot(*point[:, None], "o", color=_TIME(time / orbit.duration), markersize=5, markeredgecolor="white")
     if story.has_angles:
-        quiet_space(axes, system)
+        quiet_space(axes, system, "The orbit, angles with whole turns counted; dark to light: time")
         axes.set_box_aspect((1, 1, 0.85), zoom=1.06)  # type: ignore[call-arg]
-        axes.set_title("The orbit, angles with whole turns counted; dark to light: time", loc="left")
     else:
         quiet_plane(axes, system, title="The orbit in the plane; dark to light: time")
         axes.set_aspect("equal", adjustable="datalim")

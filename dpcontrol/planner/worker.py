@@ -11,11 +11,11 @@ import json
 import os
 import queue
 import sys
-import tempfile
 import threading
 import time
 import warnings
 from dataclasses import replace
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,6 @@ from dpcontrol.foundation.progress import part_of
 from dpcontrol.judge.of_log import run_view
 from dpcontrol.logs import read_log
 from dpcontrol.pages.film import write_film
-from dpcontrol.pages.layout import save_figure
 from dpcontrol.pages.viewer import check_viewer, view_in_window
 from dpcontrol.planner.draft import read_draft
 from dpcontrol.planner.shown import figures_of, fitting_model, shown_atlas, shown_plan, shown_run
@@ -100,10 +99,9 @@ class Jobs:
 
     def do_page(self, *, log: str) -> None:
         """Show the page of a run."""
-        with tempfile.TemporaryDirectory() as folder:
-            file = Path(folder) / "page.png"
-            save_figure(Run(read_log(log)).plot(), file)
-            self.write("show:page", f"data:image/png;base64,{base64.b64encode(file.read_bytes()).decode()}")
+        picture = BytesIO()
+        Run(read_log(log)).plot().savefig(picture, format="png")
+        self.write("show:page", f"data:image/png;base64,{base64.b64encode(picture.getvalue()).decode()}")
 
     def do_film(self, *, log: str, film: str) -> None:
         """Write the film of a run."""

@@ -1,7 +1,6 @@
 """Tables for the terminal, and texts of numbers in them."""
 
 from collections.abc import Iterable, Sequence
-from pathlib import Path
 from typing import NamedTuple
 
 
@@ -21,12 +20,3 @@ class Markdown(NamedTuple):
 
 Line = str | TextTable | Markdown
 """A part of a result's text."""
-
-
-def drawn_to(file: Path | str | None) -> list[str]:
-    """Return the line that names a picture or a film, if there is one.
-
-    Args:
-        file: file of the picture or film, or None.
-    """
-    return [] if file is None else [f"drawn to {file}"]

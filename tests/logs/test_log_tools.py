@@ -37,7 +37,7 @@ def test_a_summary_counts_every_message(tmp_path: Path) -> None:
     rates = {t.topic: t.rate_hz for t in summary.topics}
     assert rates["/joint_states"] == pytest.approx(RATE)
     assert rates["/tf"] == pytest.approx(50)
-    assert summary.duration == pytest.approx(0.249)
+    assert document["duration"] == pytest.approx(0.249)
     assert document["size"] == path.stat().st_size
     assert METADATA.items() <= document["metadata"].items()
     assert document["attachments"] == {"scene.toml": 12, "reference.npz": 256}

@@ -18,7 +18,7 @@ from dpcontrol.orbits.lyapunov import equilibria, lyapunov_orbit
 from dpcontrol.pages import style
 from dpcontrol.pages.figures import IDENTIFIED, PaperFigure, model_named
 from dpcontrol.pages.layout import Page, key
-from dpcontrol.pages.panels import angle_axis, quiet
+from dpcontrol.pages.panels import angle_axis
 from dpcontrol.tubes.transport import transport
 
 MARKS = {"saddle-node": "o", "pitchfork": "^", "section-artefact": "D"}
@@ -75,7 +75,7 @@ def branches_page(progress: Progress) -> PaperFigure:
 
 def _angle_branches(axes: Axes, diagram: BifurcationSearch) -> None:
     coordinate, section = _COORDINATES[diagram.source if diagram.source == diagram.target else "between"]
-    quiet(axes, f"{pair_name(diagram)}: on {section}", y=f"{coordinate} (rad)")
+    axes.set(title=f"{pair_name(diagram)}: on {section}", ylabel=f"{coordinate} (rad)")
     _branches(axes, diagram, 0)
     angle_axis(axes, "y")
 
@@ -88,7 +88,7 @@ def draw_momentum_branches(axes: Axes, diagram: BifurcationSearch) -> None:
         diagram: branches to draw.
     """
     count = f"{diagram.counts[0].count} to {_least(diagram)}{diagram.counts[-1].count} connections"
-    quiet(axes, x=f"energy (J): {count}", y="p / p₀")
+    axes.set(xlabel=f"energy (J): {count}", ylabel="p / p₀")
     _branches(axes, diagram, 1)
 
 
@@ -137,7 +137,7 @@ def bifurcations(axes: Axes, search: BifurcationSearch) -> None:
     draw_momentum_branches(axes, search)
     title = f"{search.source} → {search.target}: {counted(len(search.events), 'bifurcation')} on {search.section.name}"
     unit = f" ({search.course.unit.strip()})" if search.course.unit else ""
-    quiet(axes, title, x=f"{search.course.quantity}{unit}", y="p / p₀")
+    axes.set(title=title, xlabel=f"{search.course.quantity}{unit}", ylabel="p / p₀")
 
 
 COUNTED = Path(__file__).with_name("passages.json")
@@ -172,7 +172,7 @@ def _rates(axes: Axes, system: System, saddle: str, counts: list[dict[str, Any]]
     axes.plot(along, rates, color=style.saddle_colour(saddle), linewidth=1.6)
     axes.errorbar(energies, 1 / times, 2 * errors / times**2, fmt="o", color=style.INK, markersize=4, capsize=3)
     axes.axvline(heights["up-down"], color=style.MARK, linewidth=1.0, linestyle="--")
-    quiet(axes, f"neck of {saddle}", x="energy (J)", y="passages per second")
+    axes.set(title=f"neck of {saddle}", xlabel="energy (J)", ylabel="passages per second")
     key(
         axes, [("2A/Ω", style.saddle_colour(saddle)), ("counted", {"color": style.INK, "marker": "o", "linestyle": ""})]
     )

@@ -348,5 +348,4 @@ def _plane(axes: Axes, atlas: Atlas, system: System, extent: Extent, section: st
     dotted, vertical = {"color": style.MARK, "linewidth": 0.9, "linestyle": style.DOTTED}, section.startswith("x")
     axes.plot(*(([1 - mu, 1 - mu], high) if vertical else ([wide[0], 0], [0, 0])), **dotted)
     axes.grid(False)
-    axes.set_aspect("equal", adjustable="box")
-    axes.set(xlim=wide, ylim=high)
+    axes.set(aspect="equal", adjustable="box", xlim=wide, ylim=high)

@@ -15,7 +15,7 @@ from dpcontrol.orbits.lyapunov import LyapunovOrbit, equilibria, lyapunov_orbit
 from dpcontrol.pages import style
 from dpcontrol.pages.figures import IDENTIFIED, PaperFigure, model_named
 from dpcontrol.pages.layout import Page, Panel, key
-from dpcontrol.pages.panels import angle_axis, name_curves, name_point, quiet, quiet_plane
+from dpcontrol.pages.panels import angle_axis, name_curves, name_point, quiet_plane
 
 LANDSCAPES = {"three-body": (-1.523, -1.5195, -1.51, -1.5005), "lab": (-0.3, -0.07, 0.2, 0.55)}
 """Energies, one between the heights of adjacent critical points."""
@@ -94,8 +94,7 @@ def _hill(axes: Axes, system: System, field: Field, energy: float, points: Point
     axes.grid(False)
     # Marks on the edge of the plane stay clear of the numbers on the axes.
     reach = 1.12 * field[0].max()
-    axes.set(xlim=(-reach, reach), ylim=(-reach, reach))
-    axes.set_aspect("equal")
+    axes.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal")
 
 
 _SIZES = (0.002, 0.02, 0.06, 0.12, 0.2)
@@ -183,6 +182,6 @@ def _manifolds(axes: Axes, points: Array, sense: Array, way: int) -> None:
     for sign, colour in ((1, style.UNSTABLE), (-1, style.STABLE)):
         in_direction = sense * sign == way
         axes.scatter(q[in_direction], sign * points[in_direction, 1], s=2.0, color=colour, linewidths=0)
-    quiet(axes, f"θ₂ {'rises' if way > 0 else 'falls'}", x="θ₁ on the section (rad)", y="p / p₀")
+    axes.set(title=f"θ₂ {'rises' if way > 0 else 'falls'}", xlabel="θ₁ on the section (rad)", ylabel="p / p₀")
     key(axes, [("unstable manifold", style.UNSTABLE), ("stable manifold", style.STABLE)])
     angle_axis(axes, "x")
