@@ -331,9 +331,8 @@ def key(axes: Axes, entries: Iterable[tuple[str, str | dict[str, Any]]] | None =
         entries: labels, each with a colour or a line style; by default the labels of what was drawn.
     """
     handles = axes.get_legend_handles_labels()[0] if entries is None else []
-    for label, entry in entries or ():
-        look: dict[str, Any] = {"color": entry} if isinstance(entry, str) else entry
-        handles.append(Line2D([], [], label=label, **look))
+    looks: list[tuple[str, Any]] = [(label, {"color": e} if isinstance(e, str) else e) for label, e in entries or ()]
+    handles += [Line2D([], [], label=label, **look) for label, look in looks]
     if handles:
         # Pages place key and title by their widths; a panel alone has the key below its title.
         axes.set_title(axes.get_title(loc="left"), loc="left", pad=6 + style.SMALL * _LINE)

@@ -290,13 +290,10 @@ def _blueprint(comparison: RunComparison, charts: Sequence[Chart], sheets: Seque
 
 
 def comparison(axes: Axes, compared: RunComparison) -> None:
-    """Draw the angles of all runs on one clock.
+    """Draw the inner arm's angle of all runs on one clock.
 
     Args:
         axes: panel to draw on.
         compared: runs to draw.
     """
-    for run in compared.runs:
-        for arm in range(run.view.arms):
-            axes.plot(run.view.time, run.view.state[:, arm], color=style.arm_colour(arm), linewidth=0.9)
-    axes.set(title=compared.title, xlabel="time (s)", ylabel="angles (rad)")
+    _draw_compared(axes, compared_charts(compared)[0], compared)

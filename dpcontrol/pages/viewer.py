@@ -91,7 +91,7 @@ def check_viewer(remedy: str = REVIEW_REMEDY) -> Path:
     return program
 
 
-def start_viewer(*arguments: str, **others: Any) -> "subprocess.Popen[bytes]":
+def start_viewer(*arguments: str, **others: Any) -> "subprocess.Popen[Any]":
     """Start a private viewer, which accepts local connections only and reports nothing.
 
     Args:
