@@ -64,6 +64,9 @@ def value_of(path: str) -> Any:
     others = [choice for choice in leaf.bounds.choices if choice != leaf.default]
     if path == "start":
         return (0.1, 0.2, 3.0, 4.0, 0.0, 0.0)
+    if path == "sensors.jitter":
+        # At most a period.
+        return 0.0005
     if isinstance(leaf.default, bool):
         return (True, False)
     if isinstance(leaf.default, tuple):
