@@ -22,7 +22,7 @@ from once import time_once
 from dpcontrol.bifurcations import bifurcations
 from dpcontrol.cli.verbs import VERBS
 from dpcontrol.pages.figures import FIGURES
-from dpcontrol.runs import preflight
+from dpcontrol.runs import preflight, remedies
 
 ROOT = Path(__file__).parents[1]
 GUIDE = ROOT / "dpcontrol" / "guide"
@@ -141,6 +141,8 @@ def briefly(monkeypatch: pytest.MonkeyPatch) -> None:
     sweep = bifurcations.SweepSettings
     monkeypatch.setattr(bifurcations, "SweepSettings", lambda samples: sweep(samples=min(samples, 4)))
     hazards, changes = preflight.hazards, preflight.changes
+    # Remedies of a failed run try all changes, whether they were imported before or not.
+    assert remedies.changes is changes
     monkeypatch.setattr(preflight, "hazards", lambda plan, scene, **most: hazards(plan, scene, **most)[1:2])
     monkeypatch.setattr(preflight, "changes", lambda scene: islice(changes(scene), 3))
 
