@@ -193,7 +193,10 @@ class Diagram(Documented):
         return [{"name": p.name, "off_front": self.off_front(p), "standing": self.standing(p)} for p in self.defaults]
 
     def text(self) -> Iterator[Line]:
-        """Yield the front as a table, followed by the defaults off it, then the result and notes."""
+        """Yield a table, then the result and notes.
+
+        The table has all points if a line joins them, otherwise the front and the defaults off it.
+        """
         shown = self.points if self.joined else [*self.front, *(p for p in self.defaults if p not in self.front)]
         rows = tuple(
             (p.method, p.setting, f"{p.seconds:.3g}", f"{p.error:.2g}", self.standing(p) if p.default else "", p.note)

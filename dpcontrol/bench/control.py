@@ -192,7 +192,7 @@ def held_orbit() -> SustainedOrbit:
 
 
 def keeps(orbit: SustainedOrbit) -> Judge:
-    """Return a judge of runs that hold a sustained orbit.
+    """Return a judge of runs that hold a sustained orbit, as `held` does, near its angles.
 
     Args:
         orbit: orbit to hold.

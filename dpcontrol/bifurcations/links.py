@@ -195,7 +195,13 @@ class LinkProblem:
         return self.course.at(value)[0].sections[self.source, self.target]
 
     def _orbit(self, saddle: str, value: float) -> LyapunovOrbit:
-        """Return the orbit at a value, preferably from the nearest one."""
+        """Return the orbit about a saddle at a value of the followed energy or parameter.
+
+        It is continued from the nearest known one if that is near enough.
+
+        Raises:
+            ArithmeticError: it did not converge.
+        """
         system, energy = self.course.at(value)
         problem, linear = symmetric_shooting(system, saddle, 0)
         nearest = self._nearest(saddle, value)

@@ -213,7 +213,10 @@ class FilterSettings(Settings, table="estimator"):
         return out
 
     def _sigma(self, name: str) -> float:
-        """Return the standard deviation of an extra quantity at the start of a run."""
+        """Return the standard deviation of an extra quantity at the start of a run, in its unit.
+
+        Names are those of `constants`, such as "zero_1"; others are relative errors of the arms' parameters.
+        """
         kind = name.partition("_")[0]
         known = {
             "zero": self.zero_error,

@@ -208,7 +208,7 @@ def _basis(length: int) -> tuple[Array, Array]:
     basis = chebvander(np.linspace(-1.0, 1.0, length), LARGE + SMALL - 1)
     # Polynomials of the lowest degree for pieces with fewer ticks than terms.
     inverse = np.pad(np.linalg.pinv(basis[:, :length]), ((0, max(LARGE + SMALL - length, 0)), (0, 0)))
-    return basis, inverse
+    return np.asarray(basis, dtype=float), np.asarray(inverse, dtype=float)
 
 
 def _coefficients(rows: Array) -> Array:

@@ -274,7 +274,9 @@ class FlightPlanner:
         return self._unscaled(self._searched(nodes, pushes, self._scaled(target), stages, fixed=fixed))
 
     def lands(self, state: Array, nodes: Array, inputs: Array, gains: Array, step: float, target: Target) -> bool:
-        """Return True if feedback leads from a state near a flight to its target, within the limits.
+        """Return True if feedback leads from a state near a flight to its target, with the cart on its track.
+
+        Inputs are limited to the drive's acceleration.
 
         Args:
             state: state (N,).

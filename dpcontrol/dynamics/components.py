@@ -253,6 +253,7 @@ class EncoderPlay(SymbolicPlant):
 
     @classmethod
     def settled(cls, frame: ComponentFrame) -> tuple[ca.SX, ca.SX]:
+        # The play moves with its joint until it is at one of its ends.
         half = frame.parameters / 2
         return frame.velocity, ca.fmin(ca.fmax(frame.states, frame.joints - half), frame.joints + half)
 
@@ -356,7 +357,7 @@ class Stiction(SymbolicPlant):
     @classmethod
     def settled(cls, frame: ComponentFrame) -> tuple[ca.SX, ca.SX]:
         rates: list[ca.SX] = []
-        # A joint at rest turns with the arm before it, to the last bit.
+        # A joint that sticks, or whose rate left the sign of its mode, turns with the arm before it, to the last bit.
         for k in range(frame.modes.shape[0]):
             inner_rate, outer_rate = rates[-1] if rates else ca.SX(0), frame.velocity[k]
             rates.append(ca.if_else(frame.modes[k] * frame.joint_rates[k] <= 0, inner_rate, outer_rate))

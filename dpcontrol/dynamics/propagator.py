@@ -207,7 +207,8 @@ class Crossing(Brief):
 def _plane_rows(normal: Row) -> tuple[tuple[float, float], tuple[float, float]]:
     """Return a row of two coordinates and the row across it.
 
-    The largest entry of the second one is positive.
+    The largest entry of the second one is positive, so that normals of either sign give the same side. Adding 0.0
+    turns -0.0 into 0.0.
     """
     first, second = numbers("normal", tuple(normal), 2)
     if not (first or second):
@@ -415,7 +416,9 @@ class CrossingFinder:
         return levels
 
     def _pass(self, lane: int, sheet: int, section: Section, sense: float) -> None:
-        """Continue a lane through a sheet, forward or backward in time.
+        """Continue a lane through a sheet, forward (`sense` 1) or backward (-1) in time.
+
+        A periodic section is two parallel sheets, one period apart, whose levels are parameters of the lane.
 
         The lane's other sheet moves beyond it.
 

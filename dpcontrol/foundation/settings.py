@@ -132,10 +132,10 @@ class Setting:
         return "" if allowed else f"must be {' or '.join([self.range, *map(repr, self.choices)])}"
 
     def oddities(self, key: str, value: Any) -> Iterator[str]:
-        """Yield a sentence on each unusual number.
+        """Yield a sentence on each number outside of the range `usual`.
 
         Args:
-            key: key of the value, for the message.
+            key: key of the value, for messages, unless the setting has a `key` of its own.
             value: a number or several, in `unit`.
 
         Raises:

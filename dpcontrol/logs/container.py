@@ -187,7 +187,7 @@ class McapFile:
         self._times: list[int] = []
         self._write(MAGIC + _bytes_of(Header(profile="ros2", library=library)))
 
-    def _write(self, data: bytes) -> None:
+    def _write(self, data: bytes | bytearray) -> None:
         self._crc = zlib.crc32(data, self._crc)
         rest = memoryview(data)
         # An unbuffered stream may accept only a part, for example on a nearly full disk.

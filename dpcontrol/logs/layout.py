@@ -369,7 +369,7 @@ def record_type(message: Message) -> np.dtype:
     return np.dtype({"names": list(places), "formats": formats, "offsets": offsets, "itemsize": size})
 
 
-_COUNTERS = ("sequence", "log_time", "publish_time", "sec", "nanosec")
+_COUNTERS: tuple[str, ...] = ("sequence", "log_time", "publish_time", "sec", "nanosec")
 """Last names of the fields that follow from a message's number and time."""
 
 

@@ -71,6 +71,8 @@ class Encoders:
     ) -> Array:
         """Return measured absolute angles and cart position (n+1,).
 
+        Encoders measure the angles between successive arms, whose readings are added up.
+
         Args:
             state: True state (2n+2,); a list of floats is fastest.
             time: time of the reading, s, default 0.

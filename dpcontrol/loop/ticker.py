@@ -204,7 +204,11 @@ class Ticker:
             self._carts[i % span] = cart
 
     def _by_parts(self, k: int, reading: Reading) -> Report:
-        """Compute the tick that is k ticks after the present controller started."""
+        """Compute the tick that is k ticks after the present controller started.
+
+        `_lift` adds whole turns to the rows of the schedule. A law with an internal clock acts `lead` ticks later, and
+        `_coming` stores its references until then.
+        """
         program = self.program
         if self.estimator is None:
             sensed = program.sense()
@@ -217,7 +221,7 @@ class Ticker:
         if self._session is None:
             np.add(self._rows[k], self._lift, out=program.row)
         elif not self._many and program.memory.stopped[0, 0]:
-            # The cart is braking; the law is no longer called.
+            # The cart is braking, and a single run no longer calls the law. In lockstep, other runs still do.
             self.references[k] = self.references[k - 1]
         else:
             self.event = ""

@@ -107,7 +107,7 @@ def start_viewer(*arguments: str, **others: Any) -> "subprocess.Popen[Any]":
 
 
 def view_in_window(shown: Any, name: str) -> Path:
-    """Open a separate viewer on a review and return the name of its recording, which is not kept.
+    """Open a separate viewer on a review and return the name of its recording, for messages; the file is not kept.
 
     The viewer outlives this process and accepts local connections only.
 
@@ -122,6 +122,7 @@ def view_in_window(shown: Any, name: str) -> Path:
     check_viewer()
     # The viewer keeps its open file when the folder is removed; Windows keeps the folder instead.
     with tempfile.TemporaryDirectory(prefix="dpcontrol-", ignore_cleanup_errors=True) as folder:
+        # Some systems limit names of files to 255 bytes.
         recording = Path(folder) / f"{name[:40]}.rrd"
         record(shown, recording)
         with recording.open("rb") as content:
@@ -129,7 +130,7 @@ def view_in_window(shown: Any, name: str) -> Path:
     with contextlib.suppress(subprocess.TimeoutExpired):
         if viewer.wait(_STARTED):
             raise InputError(f"the viewer ended at once; {REVIEW_REMEDY}")
-    # The viewer runs on independently and is not waited for.
+    # The viewer runs on independently; with a code, Popen does not warn that it still does.
     viewer.returncode = 0
     return recording
 

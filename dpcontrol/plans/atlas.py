@@ -240,7 +240,11 @@ def _connected(
     yes: bool,
     progress: Progress,
 ) -> tuple[tuple[AtlasKind, ...], tuple[AtlasConnection, ...], tuple[AtlasCut, ...]]:
-    """Return kinds and samples of the connections between orbits, by saddle, and the cuts that the searches made."""
+    """Return kinds and samples of the connections between orbits, by saddle, and the cuts that the searches made.
+
+    `seconds` receives the durations of compilation, tubes and searches. The tubes are computed during the searches, and
+    their time is subtracted.
+    """
     pairs = [pair for pair in system.sections if pair[0] in orbits and pair[1] in orbits]
     with _timed(seconds, "jit"):
         _compile(system, [system.sections[pair] for pair in pairs])

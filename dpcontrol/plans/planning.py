@@ -268,7 +268,11 @@ def _late(flight: Goal) -> float:
 
 
 def _sustained(itinerary: Itinerary, chain: Sequence[Connection]) -> dict[str, SustainedOrbit]:
-    """Return the sustained orbits of a walk by saddle, with the intervals of the itinerary's method."""
+    """Return the sustained orbits of a walk by saddle, computed with the itinerary's method.
+
+    Raises:
+        GoalMissed: an orbit did not converge.
+    """
     # The cheapest orbit, not the nearest to the Lyapunov orbit.
     sought = replace(itinerary.reference, pendulum_weight=0.0, cart_weight=1.0)
     orbits: dict[str, SustainedOrbit] = {}
@@ -285,7 +289,10 @@ def _sustained(itinerary: Itinerary, chain: Sequence[Connection]) -> dict[str, S
 
 
 def _flights(part: WalkPart, chain: Sequence[Connection], solver: WalkSolver) -> list[Goal]:
-    """Return the walk's flights, one for each symbol, or fewer if a stop is too short to stay."""
+    """Return the walk's flights, one for each symbol.
+
+    Flights that would be less than one period of the orbit apart are joined to one.
+    """
     single = [_flight(part, chain, solver, k, k + 1) for k in range(len(chain))]
     cuts = [k + 1 for k, (before, after) in enumerate(pairwise(single)) if _periods(before, after) >= 1]
     spans = pairwise([0, *cuts, len(chain)])

@@ -177,7 +177,10 @@ class ReferenceProblem(Brief):
     )
 
     def end_states(self) -> tuple[Array, Array]:
-        """Return the fixed states (N,) at start and end, with NaN for free entries."""
+        """Return the fixed states (N,) at start and end, with NaN for free entries.
+
+        The end of a closed motion is free, because it is tied to the start.
+        """
         guessed = self.guess_at(np.array([0.0, self.duration]))
         ends = [self.ends.start, self.ends.end]
         if self.ends.closing is not None:

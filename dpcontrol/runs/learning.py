@@ -166,7 +166,10 @@ def caution(log: RunLog) -> float:
 
 
 def combined(before: Sequence[Estimate], after: Sequence[Estimate], cautions: Sequence[float]) -> Estimate:
-    """Return the coordinates from several runs, weighted by information.
+    """Return the coordinates from several runs, weighted by information (inverse covariances).
+
+    What the runs assumed counts once: each run adds what its filter left, and subtracts what it assumed.
+    Coordinates without a variance are those of the last run.
 
     Args:
         before: what each run assumed.
