@@ -16,6 +16,7 @@ from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.foundation.causes import CautionCause
 from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import GoalMissed, InputError
+from dpcontrol.foundation.progress import Cost, announce
 from dpcontrol.judge.decoding import stays
 from dpcontrol.judge.score import Flown, verdict_on
 from dpcontrol.loop.assembly import Assembly
@@ -37,6 +38,8 @@ REHEARSED, FAILING = 16, 2
 """Simulated runs of a rehearsal, and failures that call for a caution."""
 _MISMATCH = 0.05
 """Least mismatch of rehearsed plants."""
+_TICKS_A_SECOND = 50_000
+"""Ticks of rehearsed runs that a processor computes in a second."""
 _FIRST_SEED = 2**30
 """First seed of a rehearsal, far from those of campaigns."""
 _TIPS = np.geomspace(0.05, 2.0, 9)
@@ -120,7 +123,9 @@ def _failed(itinerary: Itinerary, reference: Reference) -> int:
     assembly = Assembly(
         reference, itinerary.model.arms, loop, uncertainty=itinerary.uncertainty, stays=stays(reference)
     )
-    seeds = range(_FIRST_SEED, _FIRST_SEED + REHEARSED)
+    seeds, ticks = range(_FIRST_SEED, _FIRST_SEED + REHEARSED), REHEARSED * reference.duration * loop.rate
+    cost = Cost(f"{REHEARSED} rehearsed runs", ticks / _TICKS_A_SECOND, 72 * ticks, f"plan of {itinerary.name}")
+    announce(cost, yes=True)
     runs = assembly.batch(seeds) if assembly.lockstep else [None] * REHEARSED
     flights = (
         BatchRun.of(assembly.simulate(draw=assembly.draw(seed=seed))) if run is None or run.departed else run
