@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 import dpcontrol as dp
 from dpcontrol.pages import style
 from dpcontrol.pages.layout import Page, key, save_figure
-from dpcontrol.pages.panels import angle_axis, quiet
+from dpcontrol.pages.panels import angle_axis
 
 atlas = dp.atlas(dp.load_model("lab"), energy=-0.07)
 cut = atlas.cuts[0]
@@ -19,12 +19,8 @@ cut = atlas.cuts[0]
 # %%
 def tube(axes: Axes) -> None:
     """Draw the trajectories that leave the orbit, and the orbit."""
-    quiet(
-        axes,
-        "Trajectories that leave the orbit form a tube",
-        x="angle of the outer arm (rad)",
-        y="rate of the outer arm (rad/s)",
-    )
+    axes.set_title("Trajectories that leave the orbit form a tube", loc="left")
+    axes.set(xlabel="angle of the outer arm (rad)", ylabel="rate of the outer arm (rad/s)")
     for strand in cut.strands:
         axes.plot(strand[:, 1], strand[:, 3], color=style.UNSTABLE, linewidth=0.5, alpha=0.6)
     samples = atlas.orbits[0].samples
@@ -35,8 +31,8 @@ def tube(axes: Axes) -> None:
 
 def section(axes: Axes) -> None:
     """Draw the cuts of both tubes, and their connections."""
-    title = f"The cuts of both tubes meet in {len(atlas.connections)} connections"
-    quiet(axes, title, x="angle of the inner arm (rad)", y="momentum of the inner arm, p / p₀")
+    axes.set_title(f"The cuts of both tubes meet in {len(atlas.connections)} connections", loc="left")
+    axes.set(xlabel="angle of the inner arm (rad)", ylabel="momentum of the inner arm, p / p₀")
     for piece in cut.pieces:
         axes.plot(*piece.points.T, color=style.UNSTABLE)
         axes.plot(*piece.stable_points.T, color=style.STABLE)

@@ -18,7 +18,6 @@ from matplotlib.ticker import FuncFormatter
 from dpcontrol.dynamics.chain import Level, arm_chain_equations
 from dpcontrol.pages import style
 from dpcontrol.pages.layout import Page, key, save_figure
-from dpcontrol.pages.panels import quiet
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.planning import shadowing_orbit
 from dpcontrol.references.find import find_reference
@@ -69,7 +68,8 @@ def drawn(edges):
 
     def draw(axes, kind):
         label, title, scale = labels[kind]
-        quiet(axes, title, x=label, y="effort, m/s² rms" if kind == "friction" else "")
+        axes.set_title(title, loc="left")
+        axes.set(xlabel=label, ylabel="effort, m/s² rms" if kind == "friction" else "")
         for name, (rows, takes) in edges.items():
             values, good, rms = (np.array(column) for column in zip(*rows[kind], strict=True))
             axes.plot(scale * values[good], rms[good], "o-", color=colours[name], markersize=5)

@@ -27,7 +27,7 @@ from dpcontrol.control.estimator_settings import ADAPTIVE, EkfSettings
 from dpcontrol.control.tracking import AdaptiveSettings
 from dpcontrol.pages import style
 from dpcontrol.pages.layout import Page, key, save_figure
-from dpcontrol.pages.panels import name_point, quiet
+from dpcontrol.pages.panels import name_point
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import make_plan
 from dpcontrol.runs.campaign import Case, Job, cases_of, run_job
@@ -94,7 +94,7 @@ def drawn(found: list[dict[str, float]]) -> Figure:
     title += f", for {100 * more:.0f} % more command"
 
     def draw(axes: Axes) -> None:
-        quiet(axes, x="command minus plan in the demo, m/s² rms", y="runs completed at ±30 %")
+        axes.set(xlabel="command minus plan in the demo, m/s² rms", ylabel="runs completed at ±30 %")
         for first, colour in colours.items():
             line = [one for one in found if one["first"] == first]
             x, y = ([one[key_of] for one in line] for key_of in ("command_minus_plan", "completed"))
