@@ -47,6 +47,10 @@ class Option(click.Option):
         super().__init__(*arguments, **others)
         self.group = group
 
+    def value_is_missing(self, value: Any) -> bool:
+        # The default None is a value for click.
+        return value is None or super().value_is_missing(value)
+
 
 class Command(click.Command):
     """A verb, whose help lists options by group."""
@@ -141,8 +145,8 @@ def _parameters(
     # A list in one text has a parser.
     several = name == "over" or (name not in PARSERS and any(get_origin(kind) is Sequence for kind in kinds))
     kind = _click_type(name, kinds, output)
+    required = parameter.default is inspect.Parameter.empty
     if parameter.kind is inspect.Parameter.POSITIONAL_OR_KEYWORD and name not in declared.names:
-        required = parameter.default is inspect.Parameter.empty
         yield click.Argument([name], nargs=-1 if several else 1, required=required, type=kind, shell_complete=completer)
         return
     names = declared.names.get(name, f"--{name.replace('_', '-')}")
@@ -164,8 +168,8 @@ def _parameters(
         **({"flag_value": False} if flag and parameter.default is True else {}),
         type=None if flag else kind,
         multiple=several,
+        required=required,
         default=None,
-        required=parameter.default is inspect.Parameter.empty,
         help=help,
         group=OUTPUT if written else OPTIONS,
         shell_complete=completer,

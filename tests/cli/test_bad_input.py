@@ -24,7 +24,9 @@ LINES = {
     "orbit lab --saddle down-up --energy -0.3": "-0.175429746884",
     # Following the family up to this energy would take minutes.
     "orbit three-body --saddle L1 --energy 0.5 --sustained": "no arms",
-    # Options that lack another, or exclude one another.
+    # Options that are missing, lack another, or exclude one another.
+    "connect lab": "Missing option '--from'",
+    "bifurcations lab --from down-up --energies -0.11 -0.09": "Missing option '--to'",
     "orbit lab --saddle down-up --sustained": "need saddle and energy",
     "run": "itinerary is missing",
     "run outer-turn --rig tcp://x:1": "udp://HOST:PORT",
