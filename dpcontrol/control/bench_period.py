@@ -114,10 +114,6 @@ class PeriodKind:
         return values
 
 
-def _limited(value: ca.SX, low: ca.SX, high: ca.SX) -> ca.SX:
-    return ca.fmax(ca.fmin(value, high), low)
-
-
 @lru_cache(maxsize=32)
 def sensors_and_drive(kind: PeriodKind, lanes: int) -> tuple[ca.Function, ca.Function]:
     """Return the functions of sensors and drive.
@@ -148,7 +144,10 @@ def sensors_and_drive(kind: PeriodKind, lanes: int) -> tuple[ca.Function, ca.Fun
     sensors = ca.Function("sensors", [*s.values()], [spread(read)])
     d = symbols(command=lanes, command_noise=1, demands=kind.demands, state=size, drive=rounds)
     drive = DriveNumbers(*ca.vertsplit(d["drive"]))
-    limits, state = DriveLimits(*drive[:4], clip=_limited), d["state"][::lanes]
+    limits, state = (
+        DriveLimits(*drive[:4], clip=lambda value, low, high: ca.fmax(ca.fmin(value, high), low)),
+        d["state"][::lanes],
+    )
     demand = limits.demanded(d["command"][0], d["command_noise"], d["demands"][-1])
     demands = ca.vertcat(d["demands"][1:], demand)
     velocity = state[kind.motor + 1] + (drive.lag * state[kind.cart + 2] if kind.lags else 0)

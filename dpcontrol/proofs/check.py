@@ -58,7 +58,7 @@ from dpcontrol.proofs.statements import interval, statement
 from dpcontrol.proofs.symbols import Enclosed, check_symbols, dot
 
 FORMAT = "dpcontrol proof 3"
-_BITS, _ORDER, _BOX_ORDER, _REMAINDER, _WIDE_REMAINDER = 140, 18, 7, "1e-18", "1e-13"
+_BITS, _ORDER, _BOX_ORDER, _REMAINDER, _WIDE_REMAINDER, _DERIVATIVE_REMAINDER = 140, 18, 7, "1e-18", "1e-13", "1e-5"
 _LONGEST, _SHORTEST, _MOST_STEPS, _MOST_NODES = Fraction(1, 128), Fraction(1, 2**20), 30_000, 500
 """Steps in s, and limits on the work that a file can cause."""
 
@@ -112,6 +112,10 @@ class _Dual:
             return self._by(self.value * other, other)
         pairs = zip(self.partials, other.partials, strict=True)
         return _Dual(self.value * other.value, [a * other.value + self.value * b for a, b in pairs])
+
+    def square(self) -> "_Dual":
+        # Powers of balls about zero are undefined in flint.
+        return self._by(self.value * self.value, 2 * self.value)
 
     def power(self, exponent: int) -> "_Dual":
         return self._by(self.value**exponent, exponent * self.value ** (exponent - 1))
@@ -192,11 +196,12 @@ class _Flow(ABC):
             ]
 
         far = [c[-1] for c in self.series(around, _ORDER + 1, 0)]
-        if not all(abs(r) * h ** (_ORDER + 1) < number(self.remainder) for r in far):
-            raise NotClosed("the remainder of a step is too large")
         # Coefficient k along a solution equals the coefficient at its state times the derivative.
         rest = flint.arb_mat(4, 4, [c[-1] for c in self.series(around, _BOX_ORDER + 1, 4)[4:]])
         rest = rest * self.late(self.slopes(around)[1], h)
+        remainders = (far, _ORDER, self.remainder), (rest.entries(), _BOX_ORDER, _DERIVATIVE_REMAINDER)
+        if not all(abs(r) * h ** (order + 1) < number(most) for row, order, most in remainders for r in row):
+            raise NotClosed("the remainder of a step is too large")
         over = ahead(self.series(box, _BOX_ORDER, 4)[4:], _BOX_ORDER, rest.entries())
         return ahead(self.series(thin, _ORDER, 0), _ORDER, far), flint.arb_mat(4, 4, over) * carried, around
 
@@ -227,21 +232,21 @@ class _Pendulum(_Flow):
         (m1, m2), (a1, a2), (l1, _), (j1, j2) = ([fraction(v) for v in data[key]] for key in keys)
         (gravity,), self.angles = map(fraction, data["gravity"]), 2
         g1 = m1 * a1 + m2 * l1
-        exact = j1 + m1 * a1**2 + m2 * l1**2, j2 + m2 * a2**2, m2 * l1 * a2, gravity * g1, gravity * m2 * a2
-        self.numbers = [number(v) for v in exact]
+        inertias = j1 + m1 * a1**2 + m2 * l1**2, j2 + m2 * a2**2, m2 * l1 * a2
+        self.numbers = [number(v) for v in (*inertias, gravity * g1, gravity * m2 * a2)]
 
     def rate(self, x: Sequence[_Dual]) -> list[_Dual]:
         a, b, c, g1, g2 = self.numbers
         sine, cosine = (x[0] + x[1] * -1).sine_cosine()
-        first = sine * x[3].power(2) * -c + x[0].sine_cosine()[0] * -g1
-        second = sine * x[2].power(2) * c + x[1].sine_cosine()[0] * -g2
-        inverse = ((cosine * c).power(2) * -1 + a * b).power(-1)
+        first = sine * x[3].square() * -c + x[0].sine_cosine()[0] * -g1
+        second = sine * x[2].square() * c + x[1].sine_cosine()[0] * -g2
+        inverse = ((cosine * c).square() * -1 + a * b).power(-1)
         turned = (first * b + cosine * second * -c) * inverse, (second * a + cosine * first * -c) * inverse
         return [x[2], x[3], *turned]
 
     def height(self, x: Sequence[_Dual]) -> _Dual:
         a, b, c, g1, g2 = self.numbers
-        kinetic = x[2].power(2) * (a / 2) + x[3].power(2) * (b / 2)
+        kinetic = x[2].square() * (a / 2) + x[3].square() * (b / 2)
         coupled = (x[0] + x[1] * -1).sine_cosine()[1] * x[2] * x[3] * c
         return kinetic + coupled + x[0].sine_cosine()[1] * -g1 + x[1].sine_cosine()[1] * -g2
 
@@ -256,7 +261,7 @@ class _ThreeBodies(_Flow):
     def _pull(self, x: Sequence[_Dual]) -> list[tuple[Any, _Dual, _Dual]]:
         """Return mass, distance along x and inverse distance of both primaries."""
         bodies = (1 - self.mu, x[0] + self.mu), (self.mu, x[0] + (self.mu - 1))
-        return [(mass, along, (along.power(2) + x[1].power(2)).inverse_root()) for mass, along in bodies]
+        return [(mass, along, (along.square() + x[1].square()).inverse_root()) for mass, along in bodies]
 
     def rate(self, x: Sequence[_Dual]) -> list[_Dual]:
         first, second = x[0] + x[3] * 2, x[1] + x[2] * -2
@@ -266,9 +271,9 @@ class _ThreeBodies(_Flow):
         return [x[2], x[3], first, second]
 
     def height(self, x: Sequence[_Dual]) -> _Dual:
-        total = (x[2].power(2) + x[3].power(2)) * number("0.5")
+        total = (x[2].square() + x[3].square()) * number("0.5")
         for mass, along, inverse in self._pull(x):
-            total = total + (along.power(2) + x[1].power(2)) * (-mass / 2) + inverse * -mass
+            total = total + (along.square() + x[1].square()) * (-mass / 2) + inverse * -mass
         return total
 
 

@@ -364,10 +364,9 @@ def prove_orbit(
 
 def _unique(bounds: KantorovichBounds, count: int) -> str:
     """Return the words on existence and uniqueness of an orbit."""
-    unique, exists = bound(bounds.unique, lower=True), bound(bounds.exists)
     return (
-        f"exactly one orbit within {unique} of the nodes {passing(count)}, with the enclosed flight times; it is "
-        f"within {exists}"
+        f"exactly one orbit within {bound(bounds.unique, lower=True)} of the nodes {passing(count)}, with the enclosed "
+        f"flight times; it is within {bound(bounds.exists)}"
     )
 
 

@@ -16,7 +16,7 @@ from command_line import dpcontrol
 pytest.importorskip("flint")
 
 from dpcontrol.proofs.balls import NotClosed, flint, symmetric, working
-from dpcontrol.proofs.check import _trace_of_product, check, digest
+from dpcontrol.proofs.check import _Pendulum, _trace_of_product, check, digest
 from dpcontrol.proofs.statements import statement
 from dpcontrol.proofs.symbols import Enclosed, check_symbols
 
@@ -206,3 +206,13 @@ def test_the_check_confirms_three_bodies_and_rejects_another_mass(certificates: 
     content = certificates["three bodies"]
     assert "exactly one orbit of the three bodies closes" in str(check(content).statement)
     assert rejected(corrupted(content, put("system", "mass_ratio", 0, by="1e-9"), sealed=True))
+
+
+def test_states_at_rest_have_energies(lab: dict[str, Any]) -> None:
+    """Nodes at turning points have rates of exactly 0.0, whose balls have no powers in flint."""
+    with working(140):
+        flow = _Pendulum(lab["system"])
+        still = flow.energy([*map(flint.arb, (0.7, 3.5)), flint.arb(0, 1e-7), flint.arb(0, 1e-7)])
+        rates, slopes = flow.slopes([*map(flint.arb, (0.7, 3.5)), flint.arb(0, 1e-7), flint.arb(0, 1e-7)])
+    values = [still.value, *still.partials, *rates, *slopes.entries()]
+    assert all(value.is_finite() for value in values)
