@@ -89,6 +89,11 @@ class ProgramSession(Session):
     """
 
     def __init__(self, program: Program) -> None:
+        """Begin with the first segment.
+
+        Args:
+            program: the stays and flights.
+        """
         self._program = program
         self._index = 0
         self._began = 0
@@ -109,20 +114,26 @@ class ProgramSession(Session):
         return action._replace(reference=action.reference + self._lift, event=event or action.event)
 
     def _due(self, tick: int) -> bool:
-        """True if the active segment has ended."""
+        """Return True if the active segment has ended: a flight after its ticks, a stay also at its phase of leaving.
+
+        `tick`: the tick in which the command acts.
+        """
         program, index = self._program, self._index
         if index + 1 == len(program.segments) or tick - self._began < program.lasts[index]:
             return False
         session = self._session
         if not isinstance(session, OgySession | OrbitSession):
             return True
-        whole, before = session.orbit_period, self._past
-        self._past = (session.time + program.period - program.waits[index // 2]) % whole
+        orbit_period, previous = session.orbit_period, self._past
+        self._past = (session.time + program.period - program.waits[index // 2]) % orbit_period
         # The section is passed when the elapsed time resets; NaN: the next segment may begin at any phase.
-        return np.isnan(self._past) or before - self._past > whole / 2
+        return np.isnan(self._past) or previous - self._past > orbit_period / 2
 
     def _hand_over(self, tick: int, state: Array) -> str:
-        """Begin the next segment, and return a sentence for the log."""
+        """Begin the next segment at this tick and state (N,), and return a sentence for the log.
+
+        A flight gets the whole turns between the state and its reference; an orbit's session counts its own.
+        """
         self._index += 1
         self._began, self._past = tick, np.nan
         segment = self._program.segments[self._index]
@@ -172,6 +183,7 @@ def program(stays: Sequence[Keep], flights: Sequence[Fly], *, period: float, kin
 
 
 def _check_near(stay: Keep, state: Array, what: str) -> None:
+    """Raise GoalMissed if a flight's end, a state (N,), is far from the orbit of a stay; `what` begins the message."""
     distance = stay.controller.distance(state)
     if not distance <= NEAR:
         raise GoalMissed(f"{what} {distance:.2g} (scaled) away from {stay.name}: they do not meet")

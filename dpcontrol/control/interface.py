@@ -368,8 +368,8 @@ def schedule_of(controller: Controller, lead: int) -> GainSchedule | None:
         controller: the law.
         lead: number of ticks between the computation of a command and its action.
     """
-    made = getattr(controller, "schedule", None)
-    return None if made is None else made(lead)
+    schedule = getattr(controller, "schedule", None)
+    return None if schedule is None else schedule(lead)
 
 
 class SampledModel:
@@ -381,6 +381,14 @@ class SampledModel:
     """
 
     def __init__(self, equations: Equations, parameters: Array, *, period: float, lag: float = 0.0) -> None:
+        """Set the equations over one period.
+
+        Args:
+            equations: cart-level equations.
+            parameters: base parameters (p,).
+            period: time between ticks, s.
+            lag: time constant of the drive, s.
+        """
         self.equations, self.period, self.lag = equations, period, lag
         self.lag_keeps = math.exp(-period / lag) if lag else 0.0
         """Factor by which the cart's acceleration decays over a period with a lagging drive."""
@@ -393,6 +401,7 @@ class SampledModel:
 
     @cached_property
     def _function(self) -> Any:
+        """The step of the equations with its Jacobians: (state, command, parameters) -> next state, A, B."""
         return self.equations.discrete_step(self.period)
 
     @cached_property
@@ -405,11 +414,12 @@ class SampledModel:
 
     @cached_property
     def _plain(self) -> Any:
+        """The step without its Jacobians: (state, command, parameters) -> next state."""
         return self._function.factory("plain", self._function.name_in(), [self._function.name_out(0)])
 
     @cached_property
     def _buffered(self) -> tuple[Any, Any, Array, Array, Array]:
-        """Return (trigger, its owner, state, input, result).
+        """The call of the step without copies, what must live as long, and its state (N,), input (1,) and result (N,).
 
         They share memory with the step's arguments.
         """
@@ -460,11 +470,11 @@ class SampledModel:
         if not self.lag:
             return a, b
         count, n = b.shape
-        mean = self.lag / self.period * (1 - self.lag_keeps)
-        whole, push = np.zeros((count, n + 1, n + 1)), np.empty((count, n + 1))
-        whole[:, :n, :n], whole[:, :n, n], whole[:, n, n] = a, mean * b, self.lag_keeps
-        push[:, :n], push[:, n] = (1 - mean) * b, 1 - self.lag_keeps
-        return whole, push
+        lag_share = self.lag / self.period * (1 - self.lag_keeps)
+        wide_a, wide_b = np.zeros((count, n + 1, n + 1)), np.empty((count, n + 1))
+        wide_a[:, :n, :n], wide_a[:, :n, n], wide_a[:, n, n] = a, lag_share * b, self.lag_keeps
+        wide_b[:, :n], wide_b[:, n] = (1 - lag_share) * b, 1 - self.lag_keeps
+        return wide_a, wide_b
 
     def linearised(self, states: Array, commands: Array, *, parameters: Array | None = None) -> tuple[Array, Array]:
         """Return the Jacobians A (K, N, N) and B (K, N).

@@ -64,12 +64,14 @@ class Margins(Documented):
         delay, time = self.limits["delay"]
         if not delay and np.isfinite(time):
             return f"a run is lost after {time:.2f} s even if the plant equals the model"
-        parts = {}
+        text = {}
         for name, (value, time) in self.limits.items():
-            text = f"{value:.2g}" if name.startswith("gain") else f"{1e3 * value:.1f} ms"
+            number = f"{value:.2g}" if name.startswith("gain") else f"{1e3 * value:.1f} ms"
             loss = f" (at {time:.1f} s)" if np.isfinite(time) else ""
-            parts[name] = f"{'' if loss or name == 'gain_low' else 'at least '}{text}{loss}"
-        return f"gain {parts['gain_low']} to {parts['gain_high']}, further delay {parts['delay']}, further lag {parts['lag']}"
+            text[name] = f"{'' if loss or name == 'gain_low' else 'at least '}{number}{loss}"
+        return (
+            f"gain {text['gain_low']} to {text['gain_high']}, further delay {text['delay']}, further lag {text['lag']}"
+        )
 
     def least(self) -> dict[str, tuple[float, float]]:
         """Return each margin by name, with the time of the loss just beyond it, s."""
