@@ -81,10 +81,10 @@ def rotating_vertex(orbit: RotatingOrbit, *, name: str | None = None) -> Hyperbo
     winding[:n] = orbit.winding
     times = np.linspace(0.0, orbit.period, 2 * _FLOWN + 1)
     mirror = system.reversers[-1]
-    first = system.propagator.sample(orbit.state, times[: _FLOWN + 1])
+    first_half = system.propagator.sample(orbit.state, times[: _FLOWN + 1])
     # γ(1 - φ) = R γ(φ) + a whole turn.
-    second = (first[:-1][::-1] - rest) @ mirror.T + rest + winding * system.turn_lengths
-    states = np.vstack([first, second])
+    second_half = (first_half[:-1][::-1] - rest) @ mirror.T + rest + winding * system.turn_lengths
+    states = np.vstack([first_half, second_half])
     _, stms = system.propagator.flows_with_stm(states[:-1], np.diff(times))
     monodromy = np.eye(2 * n)
     for stm in stms:
