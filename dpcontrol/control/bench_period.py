@@ -38,15 +38,15 @@ class DriveLimits:
     clip: Clip
 
     def demanded(self, command: Any, noise: Any, last: Any) -> Any:
-        """Return the demand that results from a command, m/s².
+        """Return the demand on the drive that results from a command, m/s², within the limits of acceleration and jerk.
 
         Args:
             command: commanded acceleration, m/s², a number or (S,).
             noise: noise on the command, m/s², a number or (S,).
             last: demand of the last period, m/s², a number or (S,).
         """
-        wanted = self.clip(self.response * command + noise, -self.acceleration, self.acceleration)
-        return self.clip(wanted, last - self.jerk_step, last + self.jerk_step)
+        unlimited = self.clip(self.response * command + noise, -self.acceleration, self.acceleration)
+        return self.clip(unlimited, last - self.jerk_step, last + self.jerk_step)
 
     def acting(self, demanded: Any, velocity: Any, duration: Any) -> Any:
         """Return the acceleration that keeps the velocity reference in bounds, m/s².
@@ -123,7 +123,7 @@ class PeriodKind:
 
 @lru_cache(maxsize=32)
 def sensors_and_drive(kind: PeriodKind, lanes: int) -> tuple[ca.Function, ca.Function]:
-    """Return the functions of sensors and drive.
+    """Return the functions of sensors and drive of a simulated bench, which run between two steps of its plant.
 
     (state, zeros, noise, steps, drive, present, last) -> reading
 
@@ -174,7 +174,7 @@ def sensors_and_drive(kind: PeriodKind, lanes: int) -> tuple[ca.Function, ca.Fun
 def bound(
     function: ca.Function, inputs: Sequence[Array], outputs: Sequence[Array]
 ) -> tuple[Callable[[], None], tuple[object, ...]]:
-    """Return a call of a function between arrays, and the objects that must live as long as the call.
+    """Return a call of a function between fixed arrays, without copies, and the objects that must live as long.
 
     Args:
         function: function of dense vectors.

@@ -90,7 +90,7 @@ class DriveWatch:
         return _LASTS * self.time
 
     def visible(self, count: ca.SX, variance: ca.SX, noise: ca.SX) -> ca.SX:
-        """Return the least b that must be visible, m.
+        """Return the least motion b, m, that counts as evidence: noise and counts hide smaller ones.
 
         Args:
             count: count of the scale, m.
@@ -101,7 +101,7 @@ class DriveWatch:
         return _COUNTS * count + _SIGMAS * ca.sqrt(variance) + _ACCELERATION * self.time**2
 
     def start(self, velocity: float, rates: Array) -> Array:
-        """Return the memory (size,) at the start of a run.
+        """Return the watch's memory (size,) at the start of a run.
 
         Args:
             velocity: velocity of the cart, m/s.
@@ -110,7 +110,9 @@ class DriveWatch:
         return self.memory.filled(read=np.array([0.0, -velocity]), arms=np.append(0 * rates, -rates))
 
     def update(self, memory: ca.SX, cart: CartReading) -> ca.SX:
-        """Return the memory after a reading and before the next command.
+        """Return the watch's memory after a reading and before the next command.
+
+        It updates the evidence that the cart does not follow (`lasts`, `against`, `doubt`), and corrects the observers.
 
         Args:
             memory: memory of the watch.
@@ -122,17 +124,17 @@ class DriveWatch:
         errors["arms"] += cart.moved[: self.arms]
         due, late, read = errors["due"], errors["late"], errors["read"] + cart.ahead
         # b of the module's text: motion that a working drive, even one that is late, must show.
-        least = ca.if_else(due * late > 0, ca.fmin(ca.fabs(due), ca.fabs(late)), 0)
-        along = ca.if_else(due > 0, read, -read)
-        shortfall, visible = ca.fmax(least - along, 0), least >= cart.visible
+        expected = ca.if_else(due * late > 0, ca.fmin(ca.fabs(due), ca.fabs(late)), 0)
+        followed = ca.if_else(due > 0, read, -read)
+        shortfall, visible = ca.fmax(expected - followed, 0), expected >= cart.visible
         peak = ca.fmax(shortfall, float(np.exp(-self.period / (_FADES * self.time))) * parts["peak"])
-        follows = ca.logic_and(visible, along >= _FOLLOWED * least)
+        follows = ca.logic_and(visible, followed >= _FOLLOWED * expected)
         astray = ca.logic_and(ca.logic_and(visible, ca.logic_not(follows)), shortfall >= _STAYS * peak)
         doubt = ca.dot((errors["arms"] + errors["driven"] / 2)[: self.seen], errors["driven"][: self.seen])
         changes = {"peak": peak} | {
             name: ca.if_else(condition, parts[name] + increase, ca.if_else(follows, 0, parts[name]))
             for name, increase, condition in (
-                ("lasts", self.period, astray), ("against", (4 * along + least) * least, astray),
+                ("lasts", self.period, astray), ("against", (4 * followed + expected) * expected, astray),
                 ("doubt", doubt, ca.logic_or(astray, ca.logic_and(cart.repeats, ca.logic_not(visible)))),
             )
         }  # fmt: skip
@@ -146,7 +148,7 @@ class DriveWatch:
         return self.memory.joined(_Memory(**parts | values))
 
     def predict(self, memory: ca.SX, acting: ca.SX, swing: ca.SX, driven: ca.SX) -> ca.SX:
-        """Return the memory at the next reading.
+        """Return the watch's memory at the next reading: the observers' errors are predicted over a period.
 
         Args:
             memory: memory before the command.

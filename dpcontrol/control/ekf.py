@@ -72,7 +72,7 @@ class Layout(Generic[Parts]):
         return self.slices._make(rows[:, where] for where in self.slices)
 
     def symbols(self, name: str) -> tuple[ca.SX, Parts]:
-        """Return a vector of symbols and its parts.
+        """Return a vector of symbols, an input of a casadi function, and its parts by name.
 
         Args:
             name: name of the vector.
@@ -81,7 +81,7 @@ class Layout(Generic[Parts]):
         return vector, self.of(vector)
 
     def joined(self, parts: Parts) -> ca.SX:
-        """Return the vector of these parts.
+        """Return the vector of these parts, an output of a casadi function.
 
         Args:
             parts: all parts, (length,).
@@ -89,7 +89,7 @@ class Layout(Generic[Parts]):
         return ca.densify(ca.vertcat(*(getattr(parts, name) for name in self.names)))
 
     def filled(self, runs: int | None = None, **parts: Array | float) -> Array:
-        """Return the vector of numbers, with zeros for missing parts.
+        """Return the vector of numbers with these parts, and zeros for the others.
 
         Args:
             runs: number of runs; None for one.
@@ -119,7 +119,7 @@ def packed(matrix: Array) -> Array:
 
 
 def unpacked(triangle: Array) -> Array:
-    """Return the symmetric matrix of a lower triangle.
+    """Return the symmetric matrix of a lower triangle, such as a logged covariance.
 
     Args:
         triangle: lower triangle (…, n(n+1)/2), row by row.
@@ -136,7 +136,7 @@ def unpacked(triangle: Array) -> Array:
 
 
 def pack(matrix: ca.SX) -> ca.SX:
-    """Return the lower triangle of an expression, row by row.
+    """Return the lower triangle of a symmetric expression, row by row, as the tick's memory stores it.
 
     Args:
         matrix: symmetric matrix (n, n).
@@ -276,7 +276,7 @@ class FilterEquations:
         }  # fmt: skip
 
     def noise_inputs(self, covariance: ca.SX, change: ca.SX | float = 0.0, nis: ca.SX | float = 1.0) -> ca.SX:
-        """Return the inputs (3,) of Q other than the state.
+        """Return the inputs (3,) of Q other than the state, see `predicted`.
 
         Args:
             covariance: covariance (N+E, N+E), from which the mean variance of the parameters' logarithms follows (0 if
@@ -379,7 +379,7 @@ class FilterEquations:
         noise_inputs: ca.SX,
         origin: ca.SX | None = None,
     ) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """Return the next z, its Jacobian and Q, both for T z.
+        """Return z after a period, and its Jacobian and Q (N+E, N+E), both for T z (see `carried`).
 
         Args:
             z: present z (N+E,).
@@ -439,9 +439,10 @@ class FilterEquations:
     def updated(
         self, z: ca.SX, covariance: ca.SX, measured: ca.SX, present: ca.SX, noise: ca.SX, timing: Timing | None = None
     ) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX, ca.SX]:
-        """Return an estimate after a measurement.
+        """Return an estimate after a measurement, by the formulas of the module's text.
 
-        The results are z, P of T z, innovation, NIS, S⁻¹ times the innovation, and the rates.
+        The results are z (N+E,), P (N+E, N+E) of T z, innovation y (n+1,), NIS, and S⁻¹ (y, ω) (n+1, 2) with the rates
+        ω. The last one serves the estimate of the readings' age.
 
         Args:
             z: predicted z (N+E,).
@@ -477,18 +478,24 @@ class FilterEquations:
         gain = crossed @ inverse
         # (I - K H) P, then Joseph's form without its larger products, which avoids cancellation in the second step.
         half = covariance - gain @ (observation @ covariance)
-        after = half + (gain @ noise_matrix - half @ observation.T) @ gain.T
+        updated_covariance = half + (gain @ noise_matrix - half @ observation.T) @ gain.T
         whitened = lower_inverse @ innovation
         correction = gain @ innovation
         z = z + (_sparse(self.restored) @ correction if self.as_measured else correction)
-        return z, after, innovation, ca.sum1(whitened**2 / pivots), inverse @ ca.horzcat(innovation, moving)
+        return (
+            z,
+            updated_covariance,
+            innovation,
+            ca.sum1(whitened**2 / pivots),
+            inverse @ ca.horzcat(innovation, moving),
+        )
 
     def function(self, *, predicts: bool) -> ca.Function:
-        """Return the step as a casadi function.
+        """Return a filter's whole step, or its measurement update alone, as a casadi function.
 
-        Inputs: memory (z, then P packed), command, measured (n+1), present (n+1), noise (R packed), parameters,
-        process (`FilterSettings.process`). Outputs: memory, standard deviations (N+E), innovation (n+1), NIS, number
-        of positions present, and a number that is finite exactly if the estimate is finite.
+        Inputs: memory (z, then P packed), command, measured (n+1), present (n+1), noise (R packed), parameters, process
+        (`FilterSettings.process`). Outputs: memory, standard deviations (N+E), innovation (n+1), NIS, number of
+        positions present, and a number that is finite exactly if the estimate is finite.
 
         Args:
             predicts: True for a whole step, False for the measurement update only.
@@ -520,7 +527,7 @@ class FilterEquations:
         return ca.Function("filter", [*inputs.values()], [ca.cse(result)], [*inputs], ["out"], {"cse": True})
 
     def prediction(self, *, with_jacobian: bool) -> ca.Function:
-        """Return the prediction as a casadi function.
+        """Return the prediction over a period as a casadi function.
 
         Its inputs are z, command, parameters, process and noise_inputs.
 
@@ -570,6 +577,13 @@ class KalmanFilter(Estimator):
     """
 
     def __init__(self, model: SampledModel, settings: FilterSettings, *, noise: Array) -> None:
+        """Compile the model's equations.
+
+        Args:
+            model: model of arms and drive from tick to tick.
+            settings: settings of the filter.
+            noise: covariance (n+1, n+1) of the measured positions.
+        """
         self.model, self.settings, self.noise = model, settings, noise
         compiled = _compiled(model.equations, model.period, settings.augments)
         self.equations, self.whole, self.correct, self.ahead_of = compiled
@@ -617,6 +631,13 @@ class CompiledEkf(KalmanFilter):
     """
 
     def __init__(self, model: SampledModel, settings: FilterSettings, *, noise: Array) -> None:
+        """Compile the filter and fill the inputs that do not change.
+
+        Args:
+            model: model of arms and drive from tick to tick.
+            settings: settings of the filter.
+            noise: covariance (n+1, n+1) of the measured positions.
+        """
         super().__init__(model, settings, noise=noise)
         size, m, slices = self.equations.dimension, model.arms + 1, self.whole.slices
         self.out = Layout[_Outputs](_Outputs(size, size * (size + 1) // 2, size, m, 1, 1, 1))
@@ -645,7 +666,7 @@ class CompiledEkf(KalmanFilter):
         return self._called(self.correct, estimate, measured, present)
 
     def step(self, estimate: Estimate, command: float, measured: Array, present: Present = None) -> Estimate:
-        """Return the estimate a period later.
+        """Return the estimate a period later, after a prediction and a new measurement.
 
         Args:
             estimate: estimate one tick earlier.

@@ -102,7 +102,7 @@ class ProgramSession(Session):
         self._past = np.nan
 
     def command(self, tick: int, state: Array, extra: Array) -> Action:
-        """Return the commands for the period from a tick.
+        """Return the action of the active segment for the period from a tick, after a handover if it has ended.
 
         Args:
             tick: the tick in which the command acts.
@@ -155,7 +155,7 @@ class ProgramSession(Session):
 
 
 def program(stays: Sequence[Keep], flights: Sequence[Fly], *, period: float, kind: str) -> Program:
-    """Return the program that flies from each stay to the next.
+    """Return the program that stays at each orbit for its wraps, and flies from each stay to the next.
 
     Args:
         stays: stays (F+1) in order.
@@ -193,6 +193,7 @@ class NearestKeeper:
     """Fallback that stabilises the orbit or equilibrium nearest to the state."""
 
     def __init__(self, keepers: Mapping[str, Keeper]) -> None:
+        """Set the laws that can hold a state, by the names of their orbits and equilibria."""
         self._keepers = dict(keepers)
 
     def session(self, tick: int, state: Array) -> tuple[Session, str]:

@@ -48,7 +48,7 @@ class QuadraticWeights(Settings, table="controller"):
     effort: Annotated[float, Setting(above=0, help="Weight of the cart's acceleration.")] = 1.0
 
     def weights(self, arms: int, period: float) -> tuple[Array, float]:
-        """Return Q's diagonal (N,) and r.
+        """Return Q's diagonal (N,) and r, the weights of a state's error and of a command in one period.
 
         Args:
             arms: number of arms.
@@ -126,7 +126,7 @@ class HoldController(Brief):
         return self.state
 
     def schedule(self, lead: int) -> GainSchedule:
-        """Return the gain schedule, with the same row at every tick.
+        """Return the gain schedule of the hold, with the same row at every tick.
 
         Args:
             lead: number of ticks between the computation of a command and its action.
@@ -141,19 +141,19 @@ class HoldController(Brief):
         )
 
     def join(self, tick: int, state: Array) -> "HoldSession":
-        """Return a session that holds the equilibrium with the nearest turns.
+        """Return a session that holds the equilibrium with the turns of its angles nearest to the state.
 
         Args:
             tick: ignored.
             state: present state (N,).
         """
         n = (len(state) - 2) // 2
-        wanted = self.state.copy()
-        wanted[:n] += whole_turns(state[:n] - wanted[:n])
-        return HoldSession(self, wanted)
+        lifted = self.state.copy()
+        lifted[:n] += whole_turns(state[:n] - lifted[:n])
+        return HoldSession(self, lifted)
 
     def distance(self, state: Array) -> float:
-        """Return the scaled distance from the equilibrium, modulo turns.
+        """Return the scaled distance from the equilibrium, modulo turns, by which a fallback is chosen.
 
         Args:
             state: state (N,), whose cart is ignored.

@@ -106,9 +106,9 @@ class NominalLoop:
     limits: Limits
 
     def lost_at(self, gain: Array, delay: Array, lag: Array) -> Array:
-        """Return the times at which half of the runs are lost, s.
+        """Return the times, s, at which half of the runs with changed drives are lost.
 
-        They are infinite if fewer are lost.
+        Each drive is tried with several initial errors. The time is infinite if fewer than half are lost.
 
         Args:
             gain: gains (S,).
@@ -176,7 +176,7 @@ class NominalLoop:
 
 
 def margins_of(loop: NominalLoop) -> Margins:
-    """Return the margins of gain, delay and lag.
+    """Return the margins of gain, delay and lag: the last values before those that lose the reference.
 
     Args:
         loop: loop whose arms and drive match the model.

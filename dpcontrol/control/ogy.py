@@ -97,9 +97,7 @@ class Learning(Brief):
 
 
 def classic_gains(maps: "tuple[SectionMap, ...]") -> Array:
-    """Return the gains (k, N) of classic OGY.
-
-    Their pulses remove the unstable direction at the next section.
+    """Return the gains (k, N) of classic OGY, whose pulses remove the unstable direction at the next section.
 
     Args:
         maps: maps from each of k sections to the next.
@@ -110,10 +108,10 @@ def classic_gains(maps: "tuple[SectionMap, ...]") -> Array:
     gains = []
     for j, section_map in enumerate(maps):
         product = np.eye(len(section_map.response))
-        for later in maps[j + 1 :] + maps[: j + 1]:
-            product = later.matrix @ product
-        values, left = np.linalg.eig(product.T)
-        direction = np.real(left[:, np.argmax(np.abs(values))])
+        for next_map in maps[j + 1 :] + maps[: j + 1]:
+            product = next_map.matrix @ product
+        values, left_vectors = np.linalg.eig(product.T)
+        direction = np.real(left_vectors[:, np.argmax(np.abs(values))])
         reach = float(direction @ section_map.response)
         if abs(reach) <= 1e-12 * float(np.linalg.norm(section_map.response)):
             raise GoalMissed(f"a pulse after section {j + 1} does not move the unstable direction; use more sections")
@@ -122,11 +120,10 @@ def classic_gains(maps: "tuple[SectionMap, ...]") -> Array:
 
 
 def parameter_directions(equations: Equations, parameters: Array) -> Array:
-    """Return relative changes (m, p) of base parameters.
+    """Return the changes (m, p) of base parameters due to a plant's relative errors, one row for each kind of error.
 
-    Inertia, weights with couplings, friction × 5.
-
-    Weight G_i and coupling S_i = G_i/g change together, since gravity is constant.
+    They are inertia, weights with couplings, and friction × 5, because it is less certain. Weight G_i and coupling S_i
+    = G_i/g change together, since gravity is constant.
 
     Args:
         equations: equations of the model.
@@ -141,28 +138,28 @@ def parameter_directions(equations: Equations, parameters: Array) -> Array:
 
 
 def sensitivities(orbit: "SustainedOrbit", maps: "tuple[SectionMap, ...]", directions: Array) -> Array:
-    """Return D (k, N, m), derivatives of section-to-section flights.
+    """Return D (k, N, m), derivatives of the states at the next section by errors of the plant's parameters.
 
-    The derivatives are central differences of Runge-Kutta flights under the orbit's input.
+    They are central differences of Runge-Kutta flights under the orbit's input.
 
     Args:
         orbit: the sustained orbit.
         maps: maps from each of k sections to the next.
         directions: changes (m, p) of the plant's base parameters.
     """
-    k, m, duration = len(maps), len(directions), maps[0].duration
+    k, kinds, duration = len(maps), len(directions), maps[0].duration
     count = max(int(np.ceil(duration / _STEP)), 1)
     step = duration / count
     function = orbit.equations.discrete_step(step)
-    plain = function.factory("plain", function.name_in(), [function.name_out(0)]).map(2 * m * k)
+    plain = function.factory("plain", function.name_in(), [function.name_out(0)]).map(2 * kinds * k)
     change = _DIFFERENCE * np.concatenate([directions, -directions])
     parameters = np.tile((orbit.parameters + change).T, (1, k))
-    states = np.repeat(np.array([section_map.start.state for section_map in maps]), 2 * m, axis=0).T
+    states = np.repeat(np.array([section_map.start.state for section_map in maps]), 2 * kinds, axis=0).T
     begins = np.array([section_map.start.time for section_map in maps])
     for i in range(count):
-        inputs = np.repeat(orbit.input(begins + (i + 0.5) * step), 2 * m)[None, :]
+        inputs = np.repeat(orbit.input(begins + (i + 0.5) * step), 2 * kinds)[None, :]
         states = np.array(plain(states, inputs, parameters))
-    ends = states.T.reshape(k, 2, m, -1)
+    ends = states.T.reshape(k, 2, kinds, -1)
     derivatives = (ends[:, 0] - ends[:, 1]) / (2 * _DIFFERENCE)
     return np.array([section_map.end.projection @ derivatives[j].T for j, section_map in enumerate(maps)])
 
@@ -171,7 +168,7 @@ def learning(
     orbit: "SustainedOrbit", maps: "tuple[SectionMap, ...]", gains: Array, *, weights: Array, effort: float,
     share: float,
 ) -> Learning:  # fmt: skip
-    """Return the learning data for relative errors of the parameters.
+    """Return the data of the filter that learns relative errors of the plant's parameters during a run.
 
     Args:
         orbit: the sustained orbit.
@@ -188,23 +185,25 @@ def learning(
     # A zero parameter has no relative error.
     directions = directions[np.abs(directions).sum(1) > 0]
     derivatives = sensitivities(orbit, maps, directions)
-    n, m = derivatives.shape[1] - 2, len(directions)
+    n, kinds = derivatives.shape[1] - 2, len(directions)
     spread = np.array([ANGLE_ERROR**2] * (n // 2) + [RATE_ERROR**2] * (n // 2))
     noise = []
     for section_map in maps:
-        before, after = section_map.matrix[:n, :n], section_map.end.projection[:n, :n]
+        start_map, end_projection = section_map.matrix[:n, :n], section_map.end.projection[:n, :n]
         # The smallest of them regularises the direction along the orbit, which the section omits.
-        noise.append((before * spread) @ before.T + (after * spread) @ after.T + ANGLE_ERROR**2 * np.eye(n))
+        noise.append(
+            (start_map * spread) @ start_map.T
+            + (end_projection * spread) @ end_projection.T
+            + ANGLE_ERROR**2 * np.eye(n)
+        )
     shifts = disturbance_shifts(maps, gains, derivatives, weights=weights, effort=effort)
-    return Learning(derivatives[:, :n], np.array(noise), shifts, share**2 * np.eye(m))
+    return Learning(derivatives[:, :n], np.array(noise), shifts, share**2 * np.eye(kinds))
 
 
 def disturbance_shifts(
     maps: "tuple[SectionMap, ...]", gains: Array, disturbances: Array, *, weights: Array, effort: float
 ) -> Array:
-    """Return shifts s (k, m) of the pulses, in m/s².
-
-    The shifts are those for each unit of known periodic disturbances.
+    """Return shifts s (k, m) of the pulses, m/s², that anticipate known periodic disturbances of one unit each.
 
     Args:
         maps: maps from each of k sections to the next.
@@ -225,12 +224,14 @@ def disturbance_shifts(
     for _ in range(_MOST_PERIODS):
         costs[count] = costs[0]
         for j in range(count - 1, -1, -1):
-            a, b = matrices[j], responses[j]
-            *_, section_costs = riccati_gains(a[None], b[None], weights=weights, effort=effort, terminal=costs[j + 1])
+            matrix, response = matrices[j], responses[j]
+            *_, section_costs = riccati_gains(
+                matrix[None], response[None], weights=weights, effort=effort, terminal=costs[j + 1]
+            )
             costs[j] = section_costs[0]
             v = costs[j + 1] @ disturbances[j] + g
-            shifts[j] = b @ v / (effort + b @ costs[j + 1] @ b)
-            g = (a - np.outer(b, gains[j])).T @ v
+            shifts[j] = response @ v / (effort + response @ costs[j + 1] @ response)
+            g = (matrix - np.outer(response, gains[j])).T @ v
         if np.abs(shifts - previous).max() <= _SETTLED * max(np.abs(shifts).max(), 1e-300):
             return shifts
         previous = shifts.copy()
@@ -310,7 +311,7 @@ class OgyController(Brief):
 
     @cached_property
     def window(self) -> float:
-        """Return the largest time error of a crossing, s."""
+        """Return the largest time error of a crossing, s; if it is later, the section counts as not crossed."""
         return min(self.duration / 2, _EARLY * self.table.period)
 
     def begin(self) -> "OgySession":
@@ -326,7 +327,7 @@ class OgyController(Brief):
         return OgySession(self, count)
 
     def join(self, tick: int, state: Array) -> "OgySession":
-        """Return a session from a tick at the nearest phase.
+        """Return a session from a tick at the phase nearest to a state, for a handover from another law.
 
         It keeps the state's turns.
 
@@ -378,14 +379,14 @@ class OgySession(ClockedSession):
         self._tick = 0
         self._lost: tuple[int, float] | None = None
         prior = np.zeros((0, 0)) if law.learning is None else law.learning.prior
-        rest = np.zeros(len(law.first_state))
+        origin = np.zeros(len(law.first_state))
         first = _Course(
             section=len(law.times) - 1,
             elapsed=law.duration,
             pulse=0.0,
-            foreseen=rest,
+            foreseen=origin,
             flying=False,
-            lift=rest,
+            lift=origin,
             guess=np.zeros(len(prior)),
             covariance=prior,
             crossings=0,
@@ -405,22 +406,22 @@ class OgySession(ClockedSession):
         return self._times[self.course.section] + self.course.elapsed
 
     def command(self, tick: int, state: Array, extra: Array) -> Action:
-        """Return the action for the period from a tick.
+        """Return the action for the period from a tick, with a sentence in its event if a section was not crossed.
 
         Args:
             tick: the tick in which the command acts.
             state: predicted state (N,) at the tick.
             extra: ignored.
         """
-        forward, feedback, wanted = self.steer(tick, state)
+        forward, feedback, reference = self.steer(tick, state)
         event = ""
         if self._lost is not None:
             section, moved = self._lost
             event = f"section {section + 1} was not crossed: clock of the orbit moved by {moved:+.4f} s"
-        return Action(float(forward), float(feedback), wanted, Mode.PULSING if feedback else Mode.HOLDING, event)
+        return Action(float(forward), float(feedback), reference, Mode.PULSING if feedback else Mode.HOLDING, event)
 
     def steer(self, tick: int, states: Array) -> tuple[Any, Any, Array]:
-        """Return feedforward and feedback, m/s², and the reference.
+        """Return feedforward and feedback, m/s², and the reference, after checks whether a section was crossed.
 
         Args:
             tick: the tick in which the command acts.
@@ -451,7 +452,7 @@ class OgySession(ClockedSession):
         return feedforward, feedback, law.table.state(clock, lanes) + course.lift
 
     def _pass(self, tick: int) -> None:
-        """Advance the orbit's clock to a tick of the loop."""
+        """Advance the orbit's clock to a tick of the loop, without a check of the sections."""
         elapsed = self.course.elapsed + (tick - self._tick) * self._law.model.period
         self.course, self._tick = self.course._replace(elapsed=elapsed), tick
 
@@ -570,9 +571,11 @@ def ogy_controller(
                 orbit, maps, gains, weights=weights, effort=effort / 2, share=settings.parameter_error
             )
     n = 2 * model.arms
-    starts = [m.start for m in maps]
+    starts = [section_map.start for section_map in maps]
     return OgyController(
-        settings.kind, phase_table(orbit), np.array([s.time for s in starts]), np.array([s.state for s in starts]),
-        np.array([s.normal for s in starts]), np.array([s.projection[:n, :n] for s in starts]), gains, duration,
+        settings.kind, phase_table(orbit),
+        np.array([section.time for section in starts]), np.array([section.state for section in starts]),
+        np.array([section.normal for section in starts]),
+        np.array([section.projection[:n, :n] for section in starts]), gains, duration,
         settings.pulse_limit, model, learning_data, max(round(seconds / model.period), 1),
     )  # fmt: skip

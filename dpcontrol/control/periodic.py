@@ -77,7 +77,7 @@ class PhaseTable(Brief):
         return interpolated(self.states, time % self.period / self.step, lanes)
 
     def input(self, time: Any, lanes: Lanes = ONE) -> Any:
-        """Return the inputs of the nearest entries, m/s².
+        """Return the inputs of the table's entries nearest in time, m/s².
 
         Args:
             time: time, s, or times (S,), modulo the period.
@@ -104,7 +104,7 @@ class PhaseTable(Brief):
         return float(self.nearest(state)[1])
 
     def nearest(self, states: ArrayLike) -> tuple[Array, Array, Array]:
-        """Return the nearest phases.
+        """Return the phases of the motion that are nearest to states, at which a clock can continue.
 
         The distance is the largest component of the pendulum's state, with angles scaled by π and rates by 10 rad/s.
 
@@ -141,7 +141,7 @@ class PhaseTable(Brief):
         )
 
     def rates(self, index: NDArray[np.intp]) -> Array:
-        """Return the pendulum's time derivative by central differences.
+        """Return the time derivatives of the pendulum's states at entries of the table, by central differences.
 
         Args:
             index: entries (K,) of the table.
@@ -154,7 +154,7 @@ class PhaseTable(Brief):
 
 
 def phase_table(orbit: "SustainedOrbit", *, entries: int = ENTRIES) -> PhaseTable:
-    """Return one period of a sustained orbit.
+    """Return one period of a sustained orbit as a table, from which controllers read phases, states and inputs.
 
     Args:
         orbit: the sustained orbit.
@@ -171,11 +171,11 @@ _SETTLED = 1e-9
 
 
 def periodic_gains(matrices: Array, responses: Array, *, weights: Array, effort: float) -> Array:
-    """Return the gains (m, N) of a periodic Riccati equation.
+    """Return the gains (m, N) that hold an orbit, from a Riccati equation with the period of m parts.
 
     Args:
-        matrices: a (m, N, N).
-        responses: b (m, N).
+        matrices: A (m, N, N) of each part of the period.
+        responses: B (m, N).
         weights: diagonal (N,) of Q.
         effort: weight r of the squared input.
 
@@ -211,8 +211,8 @@ def closed_multipliers(matrices: Array, responses: Array, gains: Array) -> NDArr
         gains: K (m, N).
     """
     product = np.eye(matrices.shape[-1])
-    for a, b, gain in zip(matrices, responses, gains, strict=True):
-        product = (a - np.outer(b, gain)) @ product
+    for matrix, response, gain in zip(matrices, responses, gains, strict=True):
+        product = (matrix - np.outer(response, gain)) @ product
     values = np.linalg.eigvals(product).astype(complex)
     return values[np.argsort(-np.abs(values), kind="stable")]
 
@@ -256,7 +256,7 @@ class OrbitController(Brief):
         return OrbitSession(self, 0, np.zeros(count), np.zeros(len(self.first_state)), MANY)
 
     def join(self, tick: int, state: Array) -> "OrbitSession":
-        """Return a session from a tick at the nearest phase.
+        """Return a session from a tick at the phase nearest to a state, for a handover from another law.
 
         It keeps the state's turns.
 
@@ -321,8 +321,8 @@ class OrbitSession(ClockedSession):
             time = time + lanes.clip(lateness, -law.period / 2, law.period / 2)
         self._time = time
         k = lanes.nearest(time / table.step) % count
-        wanted = table.state(time, lanes)
-        return law.feedforward[k], lanes.dot(law.gains[k], wanted - without_turns), wanted + self._lift
+        reference = table.state(time, lanes)
+        return law.feedforward[k], lanes.dot(law.gains[k], reference - without_turns), reference + self._lift
 
     def resynchronise(self, tick: int, state: Array) -> str:
         """Move the clock to the nearest phase and return a sentence.
@@ -361,9 +361,9 @@ def orbit_controller(
     state_jacobians, input_jacobians = tick_model.linearised(table.states[:-1], feedforward)
     gains = periodic_gains(state_jacobians, input_jacobians, weights=weights, effort=effort)
     rates = table.rates(np.arange(count))
-    across = rates / pendulum_scale(model.arms) ** 2
+    scaled_rates = rates / pendulum_scale(model.arms) ** 2
     normals = np.zeros_like(gains)
-    normals[:, : 2 * model.arms] = across / (across * rates).sum(1)[:, None]
+    normals[:, : 2 * model.arms] = scaled_rates / (scaled_rates * rates).sum(1)[:, None]
     return OrbitController(
         settings.kind, table, gains, normals, feedforward, model.period, max(round(seconds / model.period), 1),
         settings.schedule == "phase",

@@ -66,7 +66,10 @@ class SymbolicLaw:
         return f"<law {self.__name__}: expressions with {len(self.first)} numbers of memory>"
 
     def expression(self, states: int, parameters: int) -> ca.Function:
-        """Return (state, wanted, feedforward, memory, parameters) -> command and next memory, (1+M,).
+        """Return a user's law as a function, which the tick calls.
+
+        (state, wanted, feedforward, memory, parameters) -> command and next memory, (1+M,). `wanted` (N,) is the
+        reference's state.
 
         Args:
             states: number N of states.
@@ -77,11 +80,11 @@ class SymbolicLaw:
         """
         names, memory = ("state", "wanted", "feedforward", "memory", "parameters"), len(self.first)
         sizes = (states, states, 1, memory, parameters)
-        state, wanted, feedforward, law_memory, base_parameters = symbols = [
+        state, reference_state, feedforward, law_memory, base_parameters = symbols = [
             ca.SX.sym(*declaration) for declaration in zip(names, sizes, strict=True)
         ]
         try:
-            values = self.function(state, Setpoint(wanted, feedforward), law_memory, base_parameters)
+            values = self.function(state, Setpoint(reference_state, feedforward), law_memory, base_parameters)
             if not isinstance(values, tuple | list) or len(values) != 2:
                 raise TypeError("it must return two values: the command, and the next memory")
             command, following = values
@@ -110,7 +113,7 @@ class SymbolicController(TimedController):
     law: SymbolicLaw = field(kw_only=True)
 
     def schedule(self, lead: int) -> GainSchedule:
-        """Return the reference's schedule with this law.
+        """Return the reference's schedule of inputs and states with this law in place of gains.
 
         Args:
             lead: number of ticks between the computation of a command and its action.

@@ -420,12 +420,12 @@ class TickEquations:
                 fresh_state.append(within(predicted + origin[i], ca.SX(largest[i])) - origin[i])
         z = ca.vertcat(*(ca.if_else(restarts, fresh_state[i], z[i]) for i in range(size)))
         entries: list[ca.SX] = []
-        carried = self.filter.carried
+        transformation = self.filter.carried
         for i in range(size):
             for j in range(i + 1):
                 stored = ca.if_else(ca.logic_not(restarts), triangle[len(entries)], 0)
                 # Entry (i, j) of T diag(fresh) Tᵀ, since the covariance is that of T z (`FilterEquations.carried`).
-                shared = np.flatnonzero(carried[i] * carried[j]).tolist()
+                shared = np.flatnonzero(transformation[i] * transformation[j]).tolist()
                 fresh = sum((c.fresh[k] for k in shared[1:]), c.fresh[shared[0]]) if shared else None
                 entries.append(stored if fresh is None else stored + ca.if_else(restarts, fresh, 0))
         return z, unpack(ca.vertcat(*entries), size)
@@ -500,11 +500,11 @@ class TickEquations:
         shifts, variances, marks = [], [], []
         for i in range(n):
             angle = r.measured[i] - (r.measured[i - 1] if i else 0)
-            change, half, behind = angle - m.mark[i], c.play[i] / 2, (apart[i - 1] if i else 0) - apart[i]
+            change, half, lag_in_play = angle - m.mark[i], c.play[i] / 2, (apart[i - 1] if i else 0) - apart[i]
             both_read = all_of(*(r.present[k] for k in range(max(i - 1, 0), i + 1)))
             marked = finite(m.mark[i])
             moves = all_of(ca.fabs(change) >= c.moves, both_read, marked)
-            predicted_place = within(ca.atan2(ca.sin(behind), ca.cos(behind)), half)
+            predicted_place = within(ca.atan2(ca.sin(lag_in_play), ca.cos(lag_in_play)), half)
             shift = ca.if_else(moves, ca.if_else(change > 0, half, -half), predicted_place)
             shifts.append(ca.if_else(both_read, shift, 0))
             variances.append((ca.if_else(moves, _AT_SIDE, _IN_PLAY) * half) ** 2)
@@ -536,7 +536,7 @@ class TickEquations:
         largest = ca.if_else(ca.fabs(late) <= _LATE, period**2 / 3, largest)
         variance = clipped(m.timing + period**2 * slope / timed, ca.SX(0), largest)
         estimates = ((variance, m.timing), (timed, m.timed), (within(late, ca.SX(_OLDEST)), m.lateness))
-        return (ca.if_else(sound, value, before) for value, before in estimates)
+        return (ca.if_else(sound, value, stored) for value, stored in estimates)
 
     def _slipped(self, m: Memory, r: Measurement, apart: ca.SX, innovation: ca.SX) -> tuple[ca.SX, ca.SX]:
         """Return the whole turns between readings and predictions (n,), rad, and 1 if one of them is new.
@@ -584,7 +584,7 @@ class TickEquations:
         return limited + c.lag / period * (1 - keeps) * (drive - limited), limited + keeps * (drive - limited)
 
     def law(self, row: Row, ahead: Any, drive: Any, extra: Any, trust: Any) -> tuple[Any, Any]:
-        """Return the feedback of a row, m/s².
+        """Return the feedback of a table's row, m/s², from the state and the extras that the filter estimates.
 
         Args:
             row: one row of the table, by the names of `TickEquations.row`.
@@ -596,7 +596,7 @@ class TickEquations:
         Returns:
             The feedback, and the number of the last extra beyond its trust, from 1, or 0.
         """
-        feedback, untrusted = 0.0, 0.0
+        feedback, last_untrusted = 0.0, 0.0
         for i in range(ahead.shape[0]):
             feedback += row.gains[i] * (row.state[i] - ahead[i])
         if self.lags:
@@ -605,13 +605,13 @@ class TickEquations:
         for i, share in enumerate(self.shares or ()):
             value = extra[i]
             if share:
-                untrusted = ca.if_else(ca.fabs(value) > trust, i + 1, untrusted)
+                last_untrusted = ca.if_else(ca.fabs(value) > trust, i + 1, last_untrusted)
                 value = within(value, trust)
                 trusted_shares.append(value)
             feedback -= row.extra_gains[i] * value
         for k, (first, second) in enumerate(combinations_with_replacement(trusted_shares, 2)):
             feedback -= row.pair_gains[k] * first * second
-        return feedback, untrusted
+        return feedback, last_untrusted
 
     def _by_own(self, m: Memory, row: Row, ahead: ca.SX, parameters: ca.SX) -> tuple[ca.SX, ca.SX]:
         """Return the feedback of a user's law, m/s², and its next memory; without such a law, 0 and m.own.
@@ -728,13 +728,13 @@ class TickEquations:
         `_verdict` compares it with the half length of the track. It includes the supervisor's margin.
         """
         m, c, n = known.memory, known.numbers, self.filter.arms
-        x, v, sent = known.acts.ahead[2 * n], known.acts.ahead[2 * n + 1], m.velocity
+        position, velocity, sent = known.acts.ahead[2 * n], known.acts.ahead[2 * n + 1], m.velocity
         # The drive is no faster, whatever the estimate of a cart whose scale has just stuck.
-        v = ca.fmin(ca.fmax(v, -_FASTEST * c.velocity), _FASTEST * c.velocity)
+        velocity = ca.fmin(ca.fmax(velocity, -_FASTEST * c.velocity), _FASTEST * c.velocity)
         # A return, which has no margin, brings the cart back onto its track.
-        farthest = ca.fmax(ca.if_else(c.margin > 0, ca.fabs(x), 0), self._stopping_point(x, v, c))
+        farthest = ca.fmax(ca.if_else(c.margin > 0, ca.fabs(position), 0), self._stopping_point(position, velocity, c))
         # Sent commands without an effect yet, for a lagging drive.
-        return ca.fmax(farthest, ca.if_else(ca.fabs(sent) > 0, self._stopping_point(x, m.heading, c), -BIG))
+        return ca.fmax(farthest, ca.if_else(ca.fabs(sent) > 0, self._stopping_point(position, m.heading, c), -BIG))
 
     def _path(self, known: Known, law: _Law, verdict: _Verdict) -> _Path:
         """Return the command within the drive's limits, its parts, and the acceleration in the coming period.
@@ -760,8 +760,8 @@ class TickEquations:
         velocity_index = self.filter.equations.dimension - 1
         acting, drive_at_end = self._acting(coming, known.sensed.z[velocity_index], m.drive, c)
         saturated = ca.logic_or(ca.fabs(wish) > limit, ca.fabs(velocity) >= top_speed)
-        heading, v = m.heading, known.acts.ahead[2 * n + 1]
-        heading = within(heading + command * period + (v - heading) * min(period / _LAGS, 1), top_speed)
+        heading, cart_velocity = m.heading, known.acts.ahead[2 * n + 1]
+        heading = within(heading + command * period + (cart_velocity - heading) * min(period / _LAGS, 1), top_speed)
         shaped, notch = self._shaped(known, command)
         after = verdict.watch._replace(
             sent=queue, velocity=velocity, heading=heading, still=still, drive=drive_at_end, shaped=notch
@@ -820,7 +820,10 @@ class TickEquations:
         return following, propagated(jacobian, covariance, noise)
 
     def _report(self, known: Known, law: _Law, means: _Means, verdict: _Verdict, path: _Path) -> Report:
-        """Return the tick's report for loop and log."""
+        """Return the tick's report for loop and log: estimate, command, mode, outcome and checked means.
+
+        Errors of parameters, which z has as logarithms, are relative in the report.
+        """
         m, sensed, size, stop = known.memory, known.sensed, self.filter.equations.dimension, verdict.stopped > 0
         newly_cut = ca.logic_and(path.saturated, ca.logic_not(m.cut))
         newly_untrusted = ca.if_else(m.was_untrusted, 0, law.untrusted)
@@ -897,14 +900,14 @@ class TickEquations:
         """
         (reading, r), (row, row_parts), (numbers, c), (memory, m) = self._symbols()
         sensed, sensed_parts = self.sensed.symbols("sensed")
-        ahead, back = ca.SX.sym("ahead", self.filter.equations.dimension), ca.SX.sym("back")
+        ahead_state, back = ca.SX.sym("ahead", self.filter.equations.dimension), ca.SX.sym("back")
         drive = ca.SX.sym("drive")
         coming = None if self.unrolled else ca.SX.sym("coming")
         result = self._finish(
-            Known(m, r, row_parts, c, sensed_parts, _Acts(ahead, drive, back, coming)), predicts=predicts
+            Known(m, r, row_parts, c, sensed_parts, _Acts(ahead_state, drive, back, coming)), predicts=predicts
         )
         inputs = {"reading": reading, "row": row, "numbers": numbers, "memory": memory, "sensed": sensed}
-        inputs |= {"ahead": ahead, "drive": drive, "back": back, **({} if coming is None else {"coming": coming})}
+        inputs |= {"ahead": ahead_state, "drive": drive, "back": back, **({} if coming is None else {"coming": coming})}
         return _function("finish", inputs, result)
 
     def _symbols(self) -> list[tuple[ca.SX, Any]]:
@@ -936,7 +939,7 @@ class TickEquations:
 
 
 def pending_commands(sent: Any, share: Any, *, whole: int, lead: int) -> list[Any]:
-    """Return the accelerations in the next periods, m/s².
+    """Return the accelerations in the next periods due to commands that were sent, m/s², to predict the state.
 
     Args:
         sent: sent commands, oldest first, m/s².
@@ -975,11 +978,10 @@ def _tick_equations(
 
 
 def whole_periods(delay: float) -> tuple[int, int]:
-    """Return a delay's whole periods, and the periods of prediction.
+    """Return a delay's whole periods, and the number of periods over which a tick predicts the state.
 
     Args:
         delay: delay of a command, in periods.
-
     """
     return math.floor(delay), round(delay)
 
@@ -1007,6 +1009,18 @@ class TickProgram:
         runs: int = 1,
         mechanics: KnownMechanics | None = None,
     ) -> None:
+        """Prepare the tick; machine code is compiled when it is first used.
+
+        Args:
+            model: model of arms and drive from tick to tick.
+            settings: settings of the filter.
+            noise: covariance (n+1, n+1) of the measured positions.
+            delay: delay of a command, in periods.
+            bounds: values of `Numbers` that judge the run, by name.
+            law: gains by the loop's clock; None for a law with its own clock.
+            runs: number of runs in lockstep.
+            mechanics: the rig's mechanics, by default without play and belt.
+        """
         self._delay = whole, self.lead = whole_periods(delay)
         mechanics = mechanics or KnownMechanics((), 0.0, 0.0)
         unrolls = self.lead <= UNROLLED
@@ -1052,7 +1066,7 @@ class TickProgram:
         """Its first parts up to the extras, which a log's row holds, of the first run."""
 
     def machine(self, name: str) -> Compiled:
-        """Return one of the functions as machine code.
+        """Return one of the tick's functions as machine code, compiled at its first use in the process.
 
         Args:
             name: "tick", "sense", "moved", "finish", or "judge" (finish without filter).
@@ -1071,7 +1085,7 @@ class TickProgram:
         return self.machine(name).single if self.runs == 1 else self.machine(name).machine
 
     def begin(self, first: Array, queued: Array, *, velocity: float) -> None:
-        """Fill the memory for the start of a run.
+        """Fill the memory for the start of a run, as if the pending commands had been sent.
 
         Args:
             first: first state (N,).
@@ -1099,7 +1113,7 @@ class TickProgram:
         self._sent[:] = sent
 
     def spread(self, values: Array) -> Array:
-        """Return values for all lanes, (…, lanes).
+        """Return the runs' values for all lanes, (…, lanes).
 
         The last run's values fill the rest.
 
@@ -1112,7 +1126,7 @@ class TickProgram:
         )  # fmt: skip
 
     def take(self, positions: Array, present: Present, switch: Any, rate_error: Array | None, age: Any = None) -> None:
-        """Take a reading.
+        """Write a reading into the inputs of the next tick.
 
         Args:
             positions: positions (n+1, 1) or (n+1, lanes), rad and m.
@@ -1139,7 +1153,7 @@ class TickProgram:
         return self._call("tick")
 
     def prepare(self, names: Sequence[str]) -> None:
-        """Compile these functions now.
+        """Compile these functions now, so that no tick of a run waits for the compiler.
 
         Args:
             names: names of functions, see `machine`.
@@ -1164,7 +1178,7 @@ class TickProgram:
         return self._constants[:, 0].copy()
 
     def bound(self, **bounds: float) -> None:
-        """Change some of the `Numbers`.
+        """Change some of the constants in `Numbers`, for example at the start of another law.
 
         Args:
             **bounds: new values by name.
@@ -1192,7 +1206,7 @@ class TickProgram:
         return self.memory.drive[0] if self.equations.lags else np.zeros(self.lanes)
 
     def look_ahead(self, z: Array) -> tuple[Array, Array]:
-        """Return states (N, lanes) for which commands are computed.
+        """Return the states (N, lanes) at which commands of this tick act, by prediction over the pending commands.
 
         `drive` at that time follows.
 
@@ -1217,17 +1231,17 @@ class TickProgram:
         return means, drive
 
     def with_rate_error(self, states: Array) -> Array:
-        """Return states (N, lanes) as the law receives them.
+        """Return states (N, lanes) as the law receives them, with the simulated error of measured rates.
 
         Args:
             states: states (N, lanes).
         """
-        out = states.copy()
-        out[self.model.arms : 2 * self.model.arms] += self.reading.rate_error
-        return out
+        received = states.copy()
+        received[self.model.arms : 2 * self.model.arms] += self.reading.rate_error
+        return received
 
     def moved(self, z: Array, drive: Array, command: Array) -> tuple[Array, Array]:
-        """Return the estimates and `drive` a period later.
+        """Return the estimates and `drive` a period later, one step of `look_ahead`.
 
         Args:
             z: states and extras (N+E, lanes).
@@ -1238,11 +1252,11 @@ class TickProgram:
             States and extras (N+E, lanes), and `drive` (lanes,).
         """
         inputs = np.concatenate([z, drive[None], command[None], self._constants])
-        out = self._call("moved")(inputs, np.empty((len(z) + 1, self.lanes)))
-        return out[:-1], out[-1]
+        result = self._call("moved")(inputs, np.empty((len(z) + 1, self.lanes)))
+        return result[:-1], result[-1]
 
     def finish(self, sensed: Array, ahead: Array, drive: Array, back: Array | float, *, predicts: bool = True) -> None:
-        """Compute the rest of a tick with the row in `row`.
+        """Compute the rest of a tick after `sense`, with the row in `row`, and store its memory.
 
         Args:
             sensed: output (size, lanes) of `sense`.

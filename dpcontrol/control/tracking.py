@@ -120,7 +120,7 @@ class TimedController(ReferenceController):
     drive: Array | None = field(default=None, kw_only=True)
 
     def schedule(self, lead: int) -> GainSchedule:
-        """Return the gain schedule.
+        """Return the gain schedule for commands that act `lead` ticks after their computation.
 
         Args:
             lead: number of ticks between the computation of a command and its action.
@@ -162,7 +162,7 @@ class PhaseController(ReferenceController):
         return PhaseSession(self, place=np.zeros(count), lanes=MANY)
 
     def join(self, tick: int, state: Array) -> "PhaseSession":
-        """Return a session from a tick at the reference's nearest place.
+        """Return a session from a tick at the reference's place nearest to a state, for a handover from another law.
 
         Args:
             tick: first tick.
@@ -182,7 +182,7 @@ class PhaseController(ReferenceController):
 
 
 def phase_controller(kind: str, *, states: Array, feedforward: Array, gains: Array, period: float) -> PhaseController:
-    """Return the controller by phase for tabulated gains.
+    """Return the controller whose clock follows the nearest phase, with tabulated states, feedforward and gains.
 
     Args:
         kind: name of the law.
@@ -232,9 +232,9 @@ class PhaseSession(ClockedSession):
         k = lanes.clip(lanes.nearest(place), 0, last)
         lateness = lanes.dot(law.normals[k], states - interpolated(law.reference_states, place, lanes))
         self.place = place = place + lanes.clip(lateness, -MOST, MOST)
-        wanted = interpolated(law.reference_states, place, lanes)
+        reference = interpolated(law.reference_states, place, lanes)
         j = lanes.clip(lanes.nearest(place), 0, last - 1)
-        return law.feedforward[j], lanes.dot(law.gains[j], wanted - states), wanted
+        return law.feedforward[j], lanes.dot(law.gains[j], reference - states), reference
 
     def resynchronise(self, tick: int, state: Array) -> str:
         """Move the clock to the nearest phase and return a sentence.
@@ -277,7 +277,7 @@ class TrackingController(TimedController):
     """Gains by time, also for flights of a program."""
 
     def join(self, tick: int, state: Array) -> "TrackingSession":
-        """Return a session from a tick on.
+        """Return a session in which the reference begins at a tick, for flights of a program.
 
         Args:
             tick: first tick.
@@ -302,9 +302,7 @@ class TrackingSession(Session):
         self._law, self._start = controller, start
 
     def command(self, tick: int, state: Array, extra: Array) -> Action:
-        """Return the action for the period from `tick`.
-
-        After the last, its gain holds the end.
+        """Return the action for the period from `tick`; after the last tick, its gain holds the reference's end.
 
         Args:
             tick: the tick in which the command acts.
@@ -313,8 +311,8 @@ class TrackingSession(Session):
         """
         law, tick = self._law, max(tick - self._start, 0)
         k = min(tick, law.ticks - 1)
-        wanted = law.reference_states[min(tick, law.ticks)]
-        return Action(float(law.feedforward[k]), float(law.gains[k].dot(wanted - state)), wanted, Mode.TRACKING)
+        reference = law.reference_states[min(tick, law.ticks)]
+        return Action(float(law.feedforward[k]), float(law.gains[k].dot(reference - state)), reference, Mode.TRACKING)
 
 
 @dataclass(frozen=True)
@@ -356,7 +354,7 @@ class AdaptiveController(TimedController):
     trust: float
 
     def schedule(self, lead: int) -> GainSchedule:
-        """Return the gain schedule.
+        """Return the gain schedule, with gains on the extras and on products of the shares.
 
         Args:
             lead: number of ticks between the computation of a command and its action.
@@ -368,7 +366,7 @@ class AdaptiveController(TimedController):
 
 
 def terminal_cost(state_jacobian: Array, input_jacobian: Array, *, weights: Array, effort: float) -> Array:
-    """Return P (N, N) of the discrete algebraic Riccati equation.
+    """Return P (N, N), the cost-to-go at a reference's end, from the discrete algebraic Riccati equation.
 
     Args:
         state_jacobian: A (N, N).
@@ -401,7 +399,7 @@ def riccati_gains(
     terminal: Array,
     extras: tuple[Array, Array] | None = None,
 ) -> tuple[Array, Array, Array]:
-    """Return gains of the backward recursion, and P (K+1, N, N).
+    """Return the linear-quadratic gains along a motion, by the backward recursion, and the cost-to-go P (K+1, N, N).
 
     There are gains on the state (K, N) and on the extras (K, E).
 
@@ -422,14 +420,14 @@ def riccati_gains(
     state_cost = weights[-1] if by_tick else np.diag(weights)
     # numpy's outer and diag would take as long as all the rest.
     for k in range(len(gains) - 1, -1, -1):
-        a, b = state_jacobians[k], input_jacobians[k]
-        weighted = b @ cost
-        curvature = effort + weighted @ b
-        gains[k] = gain = (weighted @ a) / curvature
-        closed_loop = a - b[:, None] * gain
+        matrix, response = state_jacobians[k], input_jacobians[k]
+        weighted = response @ cost
+        curvature = effort + weighted @ response
+        gains[k] = gain = (weighted @ matrix) / curvature
+        closed_loop = matrix - response[:, None] * gain
         if extras:
             extra_push = cost @ effects[k] + extra_cost * decay
-            extra_gains[k] = (b @ extra_push) / curvature
+            extra_gains[k] = (response @ extra_push) / curvature
             extra_cost = closed_loop.T @ extra_push
         if by_tick:
             state_cost = weights[k]
@@ -457,11 +455,11 @@ def tracking_controller(
         GoalMissed: the reference's end cannot be stabilised.
     """
     path = motion_at_ticks(reference, model)
-    most = reference.limits.acceleration
+    limit = reference.limits.acceleration
     if isinstance(settings, FeedforwardSettings):
         gains = np.zeros((len(path.commands), model.dimension + (model.lag > 0)))
-        return TrackingController(settings.kind, path.states, **_by_time(model, path, gains, most))
-    law = tracking_law(path, model, settings, most=most)
+        return TrackingController(settings.kind, path.states, **_by_time(model, path, gains, limit))
+    law = tracking_law(path, model, settings, most=limit)
     if settings.schedule == "phase":
         return phase_controller(
             settings.kind, states=path.states, feedforward=law.feedforward, gains=law.gains, period=model.period
@@ -489,10 +487,10 @@ def tracking_law(
     terminal: Array | None = None,
     coarse: SampledModel | None = None,
 ) -> TrackingController:
-    """Return the controller for a motion at the model's ticks.
+    """Return the TVLQR controller for a motion at the model's ticks, such as a planned flight.
 
     Args:
-        path: states and inputs.
+        path: states and inputs at the ticks.
         model: model of arms and drive from tick to tick.
         settings: weights of the law.
         most: greatest acceleration of the cart, m/s².
@@ -508,13 +506,15 @@ def tracking_law(
     commands = np.add.reduceat(path.commands, begins) / np.minimum(stride, last - begins)
     states = np.concatenate([path.states[:-1:stride], path.states[-1:]])
     diagonal, effort = settings.weights(model.arms, coarse.period)
-    a, b = coarse.lagging(*coarse.linearised(states[:-1], commands))
+    state_jacobians, input_jacobians = coarse.lagging(*coarse.linearised(states[:-1], commands))
     if terminal is None:
-        terminal = terminal_cost(a[-1], b[-1], weights=_widened(np.diag(diagonal), coarse), effort=effort)
+        terminal = terminal_cost(
+            state_jacobians[-1], input_jacobians[-1], weights=_widened(np.diag(diagonal), coarse), effort=effort
+        )
     else:
         terminal = _widened(terminal, coarse)
     weights = _widened(closing_weights(settings, states, coarse), coarse)
-    gains, *_ = riccati_gains(a, b, weights=weights, effort=effort, terminal=terminal)
+    gains, *_ = riccati_gains(state_jacobians, input_jacobians, weights=weights, effort=effort, terminal=terminal)
     if not np.isfinite(gains).all():
         raise GoalMissed(
             "the controller's gains became infinite; increase the weight of the effort or shorten the period"
@@ -524,7 +524,7 @@ def tracking_law(
 
 
 def motion_at_ticks(reference: Reference, model: SampledModel) -> TickedMotion:
-    """Return a reference at a model's ticks.
+    """Return a reference's states and inputs at a model's ticks, for which gains are computed.
 
     Args:
         reference: reference to sample.
@@ -590,7 +590,7 @@ def regulator_along(
 def extra_jacobians(
     model: SampledModel, augment: tuple[Augment, ...], states: Array, commands: Array, process: Array
 ) -> tuple[Array, Array]:
-    """Return effects E (K, N, E) and decay factors D (E,).
+    """Return effects E (K, N, E) of the extras on the state after a period, and their decay factors D (E,) per period.
 
     They come from the estimator's prediction.
 
@@ -629,8 +629,8 @@ def closing_weights(settings: ClosingWeights, states: Array, model: SampledModel
     weights = np.tile(np.diag(diagonal), (count, 1, 1))
     last = max(count - round(settings.closing_time / model.period), 0)
     rates = states[last:-1, n : 2 * n]
-    along = rates[:, :, None] * rates[:, None, :] / (np.square(rates).sum(1) + TURNING**2)[:, None, None]
-    weights[last:, :n, :n] += (settings.closing - 1) * diagonal[0] * (np.eye(n) - along)
+    path_projection = rates[:, :, None] * rates[:, None, :] / (np.square(rates).sum(1) + TURNING**2)[:, None, None]
+    weights[last:, :n, :n] += (settings.closing - 1) * diagonal[0] * (np.eye(n) - path_projection)
     return weights
 
 
@@ -719,7 +719,7 @@ def _of_second_order(
 def adaptive_controller(
     reference: Reference, model: SampledModel, settings: AdaptiveSettings, *, estimator: FilterSettings
 ) -> AdaptiveController:
-    """Return the controller for a reference and the estimator's extras.
+    """Return the adaptive controller, which uses the estimator's extras, for a reference.
 
     Args:
         reference: reference to follow.
@@ -775,8 +775,8 @@ def adaptive_controller(
         raise GoalMissed(
             "the controller's gains became infinite; increase the weight of the effort or shorten the period"
         )
-    most = reference.limits.acceleration
+    limit = reference.limits.acceleration
     return AdaptiveController(
-        settings.kind, states, **_by_time(model, TickedMotion(states, commands, drive), gains, most),
+        settings.kind, states, **_by_time(model, TickedMotion(states, commands, drive), gains, limit),
         extra_gains=extra_gains, pair_gains=pair_gains, names=names, shares=shares, trust=settings.trust,
     )  # fmt: skip

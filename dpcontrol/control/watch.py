@@ -192,9 +192,12 @@ class SensorWatch:
                 evidence = count >= _LONG * longest
                 if taken is not None:
                     turned, braked = (taken[k] - (taken[k - 1] if i else 0) for k in (i, n + i))
-                    on = ca.logic_and(same, ca.logic_not(m.restart))
-                    pulled, strained = ca.if_else(on, pulled + braked, 0), ca.if_else(on, strained + ca.fabs(braked), 0)
-                    held_back = ca.if_else(on, held_back + pulled * period + turned, 0)
+                    counts = ca.logic_and(same, ca.logic_not(m.restart))
+                    pulled, strained = (
+                        ca.if_else(counts, pulled + braked, 0),
+                        ca.if_else(counts, strained + ca.fabs(braked), 0),
+                    )
+                    held_back = ca.if_else(counts, held_back + pulled * period + turned, 0)
                     # An oscillating filter gives no evidence.
                     steady = ca.fabs(pulled) >= strained / 2
                     large = ca.fabs(held_back) >= ca.fmax(_JOINT_HELD, _COUNTS_HELD * count_size)
@@ -293,7 +296,7 @@ class SensorWatch:
         return ca.if_else(drive_fails, outcome, 0), sensor, watch._replace(drive_watch=memory)
 
     def expected_cart(self, watch: Memory, c: Numbers, acting: ca.SX) -> Memory:
-        """Return the memory with the cart by scale and commands a period later.
+        """Return the memory with the filter of scale and commands predicted over a period (see `_frozen_scale`).
 
         Args:
             watch: memory after the reading.
