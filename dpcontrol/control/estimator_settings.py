@@ -185,7 +185,7 @@ class FilterSettings(Settings, table="estimator"):
     ] = ()
 
     def _check_together(self) -> None:
-        """Check that each quantity is augmented once."""
+        """Check that each quantity is augmented once; the other settings are checked one by one."""
         if len(set(self.augment)) != len(self.augment):
             raise self.refusal("augment", "name each once")
 
@@ -215,7 +215,7 @@ class FilterSettings(Settings, table="estimator"):
     def _sigma(self, name: str) -> float:
         """Return the standard deviation of an extra quantity at the start of a run, in its unit.
 
-        Names are those of `constants`, such as "zero_1"; others are relative errors of the arms' parameters.
+        Names are those of `extra_names`, such as "zero_1"; M11 … and S1 … are relative errors of the arms' parameters.
         """
         kind = name.partition("_")[0]
         sigmas = {
@@ -265,7 +265,7 @@ class FilterSettings(Settings, table="estimator"):
         return np.array([*densities, *cart_covariance, squares, self.surprise, late_share, dry, *decay, *variance])
 
     def with_command_noise(self, noise: float, *, period: float, keeps: float = 0.0) -> Self:
-        """Return the settings for a drive with noise on commands.
+        """Return the settings for a drive with white noise on its commands, which the process noise then covers.
 
         Args:
             noise: standard deviation of white noise, drawn in each period, m/s².
@@ -344,7 +344,7 @@ EstimatorSettings = EkfSettings | UkfSettings
 
 @cache
 def chi_square_band(freedom: int, *, share: float = 0.95) -> tuple[float, float]:
-    """Return the central interval of a chi-square variable.
+    """Return the central interval of a chi-square variable, in which a consistent filter's NIS or NEES lies.
 
     Args:
         freedom: degrees of freedom.
@@ -374,9 +374,7 @@ MEANS_OF = 50
 
 
 def mean_band(freedom: int) -> tuple[float, float]:
-    """Return the 95 % interval of means of chi-square variables.
-
-    Each mean is that of `MEANS_OF` variables.
+    """Return the 95 % interval of means of `MEANS_OF` chi-square variables, for means of a consistent filter's NIS.
 
     Args:
         freedom: degrees of freedom of each variable.
@@ -386,7 +384,7 @@ def mean_band(freedom: int) -> tuple[float, float]:
 
 
 def means_of(values: Array) -> Array:
-    """Return means of successive values, or the values if too few.
+    """Return means of `MEANS_OF` successive values, or the values themselves if they are too few.
 
     Args:
         values: values (K,).
@@ -427,7 +425,7 @@ _LESS = "set counts and noise in [run] to those of the encoders, or lower rate_n
 
 
 def nis_means(values: Array, freedom: int) -> NisMeans | None:
-    """Average the finite values (K,) of a NIS.
+    """Return the average of a NIS's finite values with its consistency, for the report of a run.
 
     Args:
         values: NIS (K,), NaN where unknown.
@@ -444,7 +442,7 @@ def nis_means(values: Array, freedom: int) -> NisMeans | None:
 
 
 def nees(error: Array, covariance: Array) -> Array:
-    """Return the normalised estimation error squared (…).
+    """Return the normalised estimation error squared (…), the consistency of an estimate with its covariance.
 
     Args:
         error: truth minus estimate (…, n).

@@ -68,7 +68,7 @@ _SHORTEST, _LONGEST = 0.1, 5.0
 
 
 def braking_gains(arms: ArmChainParameters) -> Array:
-    """Return the gains of the braking law on position and velocity of the cart, 1/s² and 1/s.
+    """Return the gains of the braking law on position and velocity of the cart, 1/s² and 1/s, by which a cart rests.
 
     Args:
         arms: the arms, by whose natural time the cart brakes.
@@ -108,7 +108,7 @@ class Target(Brief):
     costs: Array
 
     def nearest(self, states: Array, costs: Array | None = None) -> tuple[Array, NDArray[np.intp], Array]:
-        """Return the cost-to-go of the nearest place, its index and the difference from it.
+        """Return the cost-to-go from states to their nearest places, the places' indices, and the differences.
 
         Args:
             states: states (S, N).
@@ -182,6 +182,12 @@ class FlightPlanner:
     """
 
     def __init__(self, arms: ArmChainParameters, limits: Limits) -> None:
+        """Prepare a planner: its limits and parameters in the units of the laboratory's arms, and its compiled steps.
+
+        Args:
+            arms: parameters of the arms.
+            limits: limits of the cart, of which the flights leave a reserve.
+        """
         scale = Scale.of(arms)
         equations = arm_chain_equations(arms.count, Level.CART, friction=arms.friction)
         self._n, self._scale, self._factors = equations.dimension, scale, scale.state(arms.count)
@@ -197,7 +203,7 @@ class FlightPlanner:
         self._parameters = self._sizes * arms.base()
 
     def plan(self, states: Array, target: Target) -> Flights:
-        """Return flights from states to a target.
+        """Return the best flight from each state to a target, of several first durations.
 
         Args:
             states: states (S, N).
@@ -223,7 +229,7 @@ class FlightPlanner:
         return self._unscaled(flights)
 
     def with_parameters(self, parameters: Array) -> "FlightPlanner":
-        """Return a planner with the same limits for similar arms.
+        """Return a planner with the same limits for similar arms, whose parameters a filter has estimated.
 
         Args:
             parameters: base parameters (p,) of the same equations.
@@ -233,7 +239,7 @@ class FlightPlanner:
         return similar
 
     def with_room(self, room: Limits, *, centring: float) -> "FlightPlanner":
-        """Return a planner whose flights have other limits.
+        """Return a planner whose flights keep other limits, and may prefer the middle of the track.
 
         Args:
             room: limits of the flights.
@@ -257,7 +263,7 @@ class FlightPlanner:
         )
 
     def timed(self, start: Array, target: Target, durations: Array, inputs: Array, *, fixed: bool) -> Flights:
-        """Return the flights from a state to which several durations and first inputs lead.
+        """Return the flights from a state to which several durations and first inputs lead, as guesses of transfers.
 
         Args:
             start: state (N,).
@@ -278,7 +284,7 @@ class FlightPlanner:
     def lands(self, state: Array, nodes: Array, inputs: Array, gains: Array, step: float, target: Target) -> bool:
         """Return True if feedback leads from a state near a flight to its target, with the cart on its track.
 
-        Inputs are limited to the drive's acceleration.
+        A planned flight is then kept, and no other one is searched. Inputs are limited to the drive's acceleration.
 
         Args:
             state: state (N,).
@@ -300,7 +306,7 @@ class FlightPlanner:
         return bool(ends[0] < JOINED and np.abs(nodes_flown[:, n - 2]).max() < self._limits.position - _NEAR_STOP)
 
     def states(self, nodes: Array, inputs: Array, duration: float, times: Array) -> tuple[Array, Array]:
-        """Return states (T, N) and inputs (T,) of a flight.
+        """Return states (T, N) and inputs (T,), m/s², of a flight at any times, by integration from its nodes.
 
         Args:
             nodes: its states (K+1, N) at the ends of equal steps.
@@ -521,7 +527,7 @@ class Flight(Concluded, Timed):
 
 
 def _beyond(value: ca.SX, limit: ca.SX) -> ca.SX:
-    """Return the signed excess of a value over a symmetric limit."""
+    """Return the signed excess of a value over a symmetric limit, zero within it, for the soft limits."""
     return ca.if_else(value > limit, value - limit, ca.if_else(value < -limit, value + limit, 0))
 
 
@@ -550,13 +556,13 @@ class _FlightStep:
         The input is limited to the largest one, and `cost` is the step's part of J.
         """
         size, z = self.moving.shape[0], self.moving
-        away, nominal, gains = ca.SX.sym("away"), ca.SX.sym("nominal", size), ca.SX.sym("gains", size)
-        most = self.terms[0]
-        command = ca.fmax(-most, ca.fmin(most, away + ca.dot(gains, z - nominal)))
+        input_before_feedback, nominal, gains = ca.SX.sym("away"), ca.SX.sym("nominal", size), ca.SX.sym("gains", size)
+        largest = self.terms[0]
+        command = ca.fmax(-largest, ca.fmin(largest, input_before_feedback + ca.dot(gains, z - nominal)))
         following, cost = ca.substitute([self.accurate, self.cost], [self.input], [command])
         result = ca.cse(ca.densify(ca.vertcat(following, z[size - 1], command, cost)))
         names = ["moving", "away", "nominal", "gains", "soft", "terms", "parameters"]
-        inputs = [z, away, nominal, gains, self.soft, self.terms, self.parameters]
+        inputs = [z, input_before_feedback, nominal, gains, self.soft, self.terms, self.parameters]
         return ca.Function("flight_forward", inputs, [result], names, ["out"])
 
     def backward(self) -> ca.Function:

@@ -145,7 +145,7 @@ class ProgramSession(Session):
         return f"hand over to {segment.controller.kind}: {segment.name}"
 
     def resynchronise(self, tick: int, state: Array) -> str:
-        """Synchronise the active segment's clock, and describe the change.
+        """Move the active segment's clock to the phase nearest to a state, and return a sentence for the log.
 
         Args:
             tick: present tick.

@@ -69,7 +69,7 @@ class Newton:
     stride: float = np.inf
 
     def solve(self, equations: Function, guess: Array, bounds: Bounds, units: Array | float = 1.0) -> Solution:
-        """Return the best unknowns.
+        """Return the unknowns with the smallest residual that Newton's method finds.
 
         One of the equations may be redundant.
 
@@ -110,7 +110,7 @@ TO_ROUNDING = Newton(12, 1e-12)
 
 
 def bordered(equations: Function, row: Callable[[Array], tuple[float, Array]]) -> Function:
-    """Return equations with another one at their end.
+    """Return equations with another one at their end, which selects one solution of a curve.
 
     Args:
         equations: residual (m,) and Jacobian (m, k).
@@ -126,7 +126,7 @@ def bordered(equations: Function, row: Callable[[Array], tuple[float, Array]]) -
 
 
 def differenced(function: Callable[[Array], Array], at: Array, steps: Array) -> Array:
-    """Return the Jacobian (m, k) of a function by central differences.
+    """Return the Jacobian (m, k) of a function without derivatives, by central differences.
 
     Args:
         function: function of unknowns (k,).
@@ -180,7 +180,7 @@ class CurvePoint(Brief):
     measures: Mapping[str, float]
 
     def reversed(self) -> "CurvePoint":
-        """Return the point with the opposite tangent."""
+        """Return the point with the opposite tangent, from which the curve is followed the other way."""
         measures = {**self.measures, SLOPE: -self.measures[SLOPE]}
         return replace(self, tangent=-self.tangent, measures=measures)
 
@@ -219,7 +219,7 @@ class Curve(Brief):
         return CurvePoint(unknowns, tangent, value, residual, {**self.measure(unknowns), SLOPE: slope})
 
     def onto(self, guess: Array, normal: Array) -> Solution:
-        """Return the solution on a plane.
+        """Return the curve's solution on a plane, the corrector of each step along the curve.
 
         Args:
             guess: point (k,) of the plane.
@@ -234,7 +234,7 @@ class Curve(Brief):
         return self.newton.solve(equations, guess, self.problem.bounds(guess), self.problem.units)
 
     def at(self, guess: CurvePoint, value: float) -> CurvePoint | None:
-        """Return the point at a value of the followed quantity, None if Newton's method fails.
+        """Return the point at a value of the followed quantity, such as an energy bound; None if Newton's method fails.
 
         Args:
             guess: point nearby.
@@ -246,7 +246,7 @@ class Curve(Brief):
         return replace(self.point(solution.unknowns, guess.tangent, solution.residual), value=value)
 
     def step(self, start: CurvePoint, length: float) -> CurvePoint | None:
-        """Return the next point, None if Newton's method fails.
+        """Return the point at a distance along the curve, or None if Newton's method fails or leaves the curve.
 
         Args:
             start: point of the curve.
@@ -296,7 +296,7 @@ class Curve(Brief):
             point, length = following, min(step, growth * length)
 
     def located(self, start: CurvePoint, length: float, value: Callable[[CurvePoint], float]) -> CurvePoint | None:
-        """Return the zero of a function on the curve, or None.
+        """Return the point of a curve at which a function, such as a test for bifurcations, is zero, or None.
 
         Args:
             start: point of the curve.

@@ -74,7 +74,7 @@ class CutSettings:
 
 
 def longest_flight(manifold: UnstableManifold, settings: CutSettings) -> float:
-    """Return the longest flight time in periods of the orbit.
+    """Return the longest flight time to a section, in periods of the orbit.
 
     Args:
         manifold: manifold whose tube is cut.
@@ -84,7 +84,7 @@ def longest_flight(manifold: UnstableManifold, settings: CutSettings) -> float:
 
 
 def section_points(system: System, section: Section, states: Array) -> Array:
-    """Return the coordinates (q, p/p₀) (…, 2) of states.
+    """Return the coordinates (q, p/p₀) (…, 2) of states on a section, in which cuts are curves.
 
     Args:
         system: system of the states.
@@ -126,7 +126,7 @@ class CutSamples(Brief):
 
     @staticmethod
     def joined(parts: "Sequence[CutSamples]") -> "CutSamples":
-        """Concatenate samples in order.
+        """Return the samples of several parts as one, in order.
 
         Args:
             parts: samples of one branch.
@@ -140,7 +140,7 @@ class CutSamples(Brief):
         return np.isfinite(self.times)
 
     def continuous(self, limit: float) -> Flags:
-        """Return True (K - 1,) for neighbours on one curve.
+        """Return True (K - 1,) for neighbours on one curve: they cross in the same direction, and their chord is short.
 
         Args:
             limit: largest distance of neighbours in (q, p/p₀).
@@ -152,7 +152,7 @@ class CutSamples(Brief):
 def arrivals(
     manifold: UnstableManifold, section: Section, phases: Array, *, hit: int, branch: int, longest: float
 ) -> tuple[Array, Array, tuple[Array, Array]]:
-    """Propagate the seeds of a manifold at given phases to a section.
+    """Return the states and times at which trajectories from a manifold's seeds reach a section.
 
     Args:
         manifold: manifold of the seeds.
@@ -192,7 +192,7 @@ class Sampler(Brief):
         return longest_flight(self.manifold, self.settings)
 
     def fly(self, phases: Array) -> CutSamples:
-        """Propagate the seeds at given phases together.
+        """Return the section crossings of the seeds at given phases, which are propagated together.
 
         Args:
             phases: phases (K,) of the orbit, 1 for a period.
@@ -210,7 +210,7 @@ class Sampler(Brief):
         )
 
     def arrives_later(self, phases: Array) -> bool:
-        """Return True if some of the phases arrive within twice the time.
+        """Return True if some of the phases arrive within twice the time, so that a longer search would find more.
 
         Args:
             phases: phases (K,) of the orbit, 1 for a period.
@@ -275,7 +275,7 @@ class UnresolvedBranch(Concluded):
 def refined(
     sampler: Sampler, start: float, *, progress: Progress = no_progress
 ) -> tuple[CutSamples, UnresolvedBranch | None]:
-    """Sample one period and bisect phase steps until all chords are short.
+    """Return the samples of one period of phases, bisected until all chords are short.
 
     Args:
         sampler: branch, section and settings.
@@ -289,7 +289,7 @@ def refined(
     budget = sampler.budget.part(settings.seconds)
 
     def flown(phases: Array) -> CutSamples:
-        """Return as many samples, in order, as time permits."""
+        """Return the samples at the phases (K,), in order, or as many as time permits."""
         parts: list[CutSamples] = []
         for first in range(0, len(phases), _AT_ONCE):
             if parts and budget.spent:
@@ -493,7 +493,7 @@ def tube_cut(
     budget: Budget | None = None,
     progress: Progress = no_progress,
 ) -> Cut:
-    """Cut both branches of an unstable tube at a section.
+    """Return the cut of both branches of an unstable tube at a section, with its open ends.
 
     Args:
         manifold: local manifold of the orbit.

@@ -140,7 +140,7 @@ def follow(
     born: bool = False,
     progress: Progress = no_progress,
 ) -> Followed:
-    """Follow a family from a point until it leaves the energy bounds.
+    """Return the points and events of a family's curve from a point until it leaves the energy bounds or ends.
 
     Args:
         curve: curve of the family.
@@ -169,23 +169,25 @@ def follow(
         step=settings.step,
         smallest=settings.smallest_step,
         # A step across the whole elliptic range would miss both of its ends.
-        refused=lambda here, following: here is not birth and all(crossed(t, here, following) for t in CRITICAL),
+        refused=lambda here, following: (
+            here is not birth and all(crossed(test_name, here, following) for test_name in CRITICAL)
+        ),
     )
-    for before, following, length in steps:
+    for previous, following, length in steps:
         result.here = following
-        for test in () if before is birth else (SLOPE, *CRITICAL):
-            if crossed(test, before, following) and (within(before.value) or within(following.value)):
-                place = curve.located(before, length, lambda point, test=test: point.measures[test])
+        for test in () if previous is birth else (SLOPE, *CRITICAL):
+            if crossed(test, previous, following) and (within(previous.value) or within(following.value)):
+                place = curve.located(previous, length, lambda point, test=test: point.measures[test])
                 if place is not None and within(place.value):
-                    result.events.append(CurveEvent(test, place, before.measures[test], following.measures[test]))
+                    result.events.append(CurveEvent(test, place, previous.measures[test], following.measures[test]))
                     if born and test in CRITICAL and result.last is None:
                         result.points.append(place)
                         result.last = end(place.value, FamilyEndCause.HYPERBOLICITY_LOST, multiplier=CRITICAL[test])
         if result.last is not None:
             break
-        direction = 1 if following.value > before.value else -1
+        direction = 1 if following.value > previous.value else -1
         for bound in energies[::direction]:
-            if (before.value - bound) * (following.value - bound) < 0 or following.value == bound:
+            if (previous.value - bound) * (following.value - bound) < 0 or following.value == bound:
                 place = curve.at(following, bound)
                 result.points += [] if place is None else [place]
                 if bound == energies[::direction][1]:
@@ -208,7 +210,7 @@ def follow(
 
 
 def nearest_equilibrium(problem: SymmetricShooting, place: CurvePoint) -> tuple[str, float]:
-    """Return the equilibrium nearest to an orbit, and its scaled distance.
+    """Return the name of the equilibrium nearest to an orbit, and its scaled distance, to describe a family's end.
 
     Args:
         problem: shooting problem of the orbit.
@@ -422,7 +424,7 @@ def lyapunov_family(
     elif last.cause is FamilyEndCause.LARGE_MULTIPLIER:
         tail = islice(curve.followed(run.here, step=step, smallest=step, first=step), settings.tail)
         last = family_end([*points, *(following for _, following, _ in tail)], problem, largest=largest)
-        points = [p for p in points if p.measures[SIZE] <= largest]
+        points = [place for place in points if place.measures[SIZE] <= largest]
     if not points:
         span = f"energies {low:g} to {high:g}{system.unit('J')}"
         raise InputError(f"{span}: the family about {saddle} does not reach them; {last.status}")
@@ -434,13 +436,15 @@ def lyapunov_family(
             problem, point.unknowns, saddle=saddle, family=family, energy=point.value, outcome=outcome
         )
 
-    members = tuple(orbit(p) for p in points)
-    events = tuple(FamilyEvent("fold" if e.test == SLOPE else e.test, orbit(e.place)) for e in run.events)
+    members = tuple(orbit(place) for place in points)
+    events = tuple(
+        FamilyEvent("fold" if event.test == SLOPE else event.test, orbit(event.place)) for event in run.events
+    )
     return LyapunovFamily(system, saddle, family, events, energies, members=members, ends=(first, last))
 
 
 def floquet_measures(problem: SymmetricShooting, unknowns: Array) -> dict[str, float]:
-    """Return the tests of the Floquet multipliers, and the largest modulus.
+    """Return the tests of the Floquet multipliers by name, zero at a critical multiplier, and the largest modulus.
 
     Args:
         problem: shooting problem of the family.

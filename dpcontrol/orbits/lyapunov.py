@@ -126,7 +126,7 @@ class SymmetricShooting(Brief):
         return self.quarters * float(unknowns[-1])
 
     def arc(self, unknowns: Array) -> tuple[Array, Array]:
-        """Return the residual (n,) and its Jacobian (n, n + 1).
+        """Return the residual (n,) of the arc's end on the final fixed set, and its Jacobian (n, n + 1).
 
         Args:
             unknowns: (c, τ) (n + 1,), τ in s.
@@ -139,7 +139,7 @@ class SymmetricShooting(Brief):
         return self.target @ (end - self.centre), jacobian
 
     def quantity(self, unknowns: Array) -> tuple[float, Array]:
-        """Return the energy (J) and its derivative (n + 1,).
+        """Return the energy, J, that continuation follows, and its derivative (n + 1,) by the unknowns.
 
         Args:
             unknowns: (c, τ) (n + 1,), τ in s.
@@ -168,7 +168,7 @@ class SymmetricShooting(Brief):
         return self.system.energy_scale
 
     def near(self, guess: Array) -> Function:
-        """Return the equations of the arc.
+        """Return the equations of the arc; they do not depend on the guess.
 
         Args:
             guess: unknowns (n + 1,).
@@ -222,7 +222,7 @@ class LinearCentre(Brief):
 
 
 def symmetric_shooting(system: System, saddle: str, family: int) -> tuple[SymmetricShooting, LinearCentre]:
-    """Return the shooting problem of one family and its linear centre.
+    """Return the shooting problem of one family of Lyapunov orbits, and its linear limit at the saddle.
 
     Args:
         system: Hamiltonian system with reversers.
@@ -377,7 +377,7 @@ def lyapunov_orbit(
 def described_orbit(
     problem: SymmetricShooting, unknowns: Array, *, saddle: str, family: int, energy: float, outcome: OrbitOutcome
 ) -> LyapunovOrbit:
-    """Return the orbit for solved unknowns (n + 1,).
+    """Return the orbit for solved unknowns (n + 1,), with its monodromy matrix and multipliers.
 
     Args:
         problem: shooting problem of the family.
@@ -405,7 +405,7 @@ def described_orbit(
 
 
 def nearby_orbit(problem: SymmetricShooting, neighbour: LyapunovOrbit, energy: float) -> LyapunovOrbit:
-    """Return the orbit of a family at an energy from a nearby one.
+    """Return the orbit of a family at an energy from a nearby one, without continuation from the saddle.
 
     Args:
         problem: shooting problem of the family.

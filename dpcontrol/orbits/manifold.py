@@ -100,7 +100,7 @@ class UnstableManifold(Brief, Generic[Orbit]):
         return self.half_turn is not None and self.half_turn[1] < 0
 
     def frame(self, phases: Array) -> Frame:
-        """Return orbit and unstable vector at given phases.
+        """Return the orbit's states and unstable vectors at given phases, with derivatives, of which seeds consist.
 
         Args:
             phases: any real phases (K,), 1 for a period.
@@ -148,7 +148,7 @@ class UnstableManifold(Brief, Generic[Orbit]):
         return 1 - min(1.0, _STEEPEST / steepest) if steepest > 0 else 0.0, float(frame.lengths.max())
 
     def amplitude(self, phase: float, branch: int) -> float:
-        """Return the amplitude of the seed at a phase.
+        """Return the factor on the unstable vector of the seed at a phase, signed by the branch.
 
         Args:
             phase: phase of the orbit, 1 for a period.
@@ -272,7 +272,7 @@ class SegmentedManifold(UnstableManifold[Orbit]):
 
 
 def local_manifold(orbit: Orbit, distance: float = 3e-4) -> UnstableManifold[Orbit]:
-    """Return the local unstable manifold of an orbit.
+    """Return the local unstable manifold of an orbit: by segments if the orbit is stored as nodes.
 
     Args:
         orbit: hyperbolic orbit.
@@ -323,7 +323,7 @@ class OrbitCurve(Brief):
         return np.hstack([np.cos(turns) * radius, np.sin(turns) * radius, other_coordinates])
 
     def states(self, phases: Array) -> Array:
-        """Return states (…, N) at phases (…).
+        """Return the orbit's states (…, N) at phases (…), interpolated.
 
         Args:
             phases: any real phases (…).
@@ -332,7 +332,7 @@ class OrbitCurve(Brief):
         return self._spline(phases_in_period) + phases_in_period[..., None] * self.orbit.turn
 
     def nearest(self, states: Array) -> tuple[Array, Array]:
-        """Return phases (…) and scaled distances (…) of the nearest points.
+        """Return phases (…) and scaled distances (…) of the orbit's points nearest to states, in the largest component.
 
         Args:
             states: states (…, N).

@@ -161,7 +161,7 @@ class HalfTurn(SymmetricShooting):
     turn: Array
 
     def arc(self, unknowns: Array) -> tuple[Array, Array]:
-        """Return the residual (n,) and its Jacobian (n, n + 1).
+        """Return the residual (n,) of the arc's end on the fixed set after half a turn, and its Jacobian (n, n + 1).
 
         Args:
             unknowns: (c, τ) (n + 1,), τ in s.
@@ -210,7 +210,7 @@ def rotating_orbits(
 
 
 def half_turn(system: System, arm: int, sense: int, position: float) -> HalfTurn:
-    """Return the shooting problem of orbits that rotate an arm.
+    """Return the shooting problem of symmetric orbits on which an arm rotates.
 
     Args:
         system: system of two arms.
@@ -227,7 +227,7 @@ def half_turn(system: System, arm: int, sense: int, position: float) -> HalfTurn
 
 
 def described(problem: HalfTurn, unknowns: Array, arm: int, energy: float, newton_residual: float) -> RotatingOrbit:
-    """Return the orbit for solved unknowns (ω, τ).
+    """Return the rotating orbit for solved unknowns (ω, τ), with its multipliers and type.
 
     Args:
         problem: shooting problem of the orbit.
@@ -244,7 +244,7 @@ def described(problem: HalfTurn, unknowns: Array, arm: int, energy: float, newto
         large = (trace + np.sign(trace) * np.sqrt(trace * trace - 4)) / 2
         multipliers = np.array([large, 1 / large], dtype=complex)
     else:
-        multipliers = np.array([complex(trace, s * np.sqrt(4 - trace * trace)) / 2 for s in (1, -1)])
+        multipliers = np.array([complex(trace, sign * np.sqrt(4 - trace * trace)) / 2 for sign in (1, -1)])
     return RotatingOrbit(
         system=system,
         arm=arm,
@@ -261,7 +261,7 @@ def described(problem: HalfTurn, unknowns: Array, arm: int, energy: float, newto
 
 
 def section_trace(problem: HalfTurn, unknowns: Array) -> tuple[float, Array]:
-    """Return the trace of the Poincaré map and the final state (N,).
+    """Return the trace of the Poincaré map, which determines stability, and the final state (N,).
 
     It is the trace of the monodromy matrix without the two multipliers at one, of the flow and the energy.
 
@@ -475,7 +475,7 @@ def rotating_family(
         follow(curve, problem, start, energies, settings=settings, progress=progress)
         for start in (first, first.reversed())
     )
-    members = tuple(described_point(p) for p in [*reversed(down.points), first, *up.points])
+    members = tuple(described_point(curve_point) for curve_point in [*reversed(down.points), first, *up.points])
     events = [(event, described_point(event.place), True) for event in reversed(down.events)]
     events += [(event, described_point(event.place), False) for event in up.events]
     changes = tuple(_change(event, place, downward) for event, place, downward in events if event.test != SLOPE)
@@ -563,7 +563,7 @@ class RotatingFamilies(Documented):
 
 
 def _passes(family: RotatingFamily, orbit: RotatingOrbit) -> bool:
-    """Return True if a family's curve passes through an orbit."""
+    """Return True if a family's curve passes through an orbit, so that the family need not be followed again."""
     scale = orbit.system.scale
     for before, after in pairwise(family.members):
         if (before.energy - orbit.energy) * (after.energy - orbit.energy) > 0 or before.energy == after.energy:
@@ -583,7 +583,7 @@ def _passes(family: RotatingFamily, orbit: RotatingOrbit) -> bool:
 
 
 def _change(event: CurveEvent, orbit: RotatingOrbit, downward: bool) -> StabilityChange:
-    """Return the change of stability at an event; `downward` reverses its sides."""
+    """Return the change of stability at an event; `downward` exchanges its sides, if followed downward."""
     critical = 2 * CRITICAL[event.test]
     before, after = (kind_of(float(critical + np.sign(side))) for side in (event.before, event.after))
     return StabilityChange(orbit, critical, *((after, before) if downward else (before, after)))

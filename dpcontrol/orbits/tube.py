@@ -127,7 +127,7 @@ class Tube(Shown, Documented):
         return replace(cut, pieces=pieces, open_ends=ends, stable=self.stable, seconds=seconds)
 
     def placed(self, piece: Piece, section: Section) -> Piece:
-        """Return a piece of a cut as one of this tube.
+        """Return a piece of an unstable tube's cut as a piece of this tube's cut, reflected for a stable tube.
 
         Args:
             piece: piece of the unstable tube's cut.

@@ -51,7 +51,7 @@ class HyperbolicOrbit(LyapunovOrbit):
 
     @property
     def laps(self) -> bool:
-        """True if the orbit and its tubes may cross sections every lap."""
+        """True: the orbit itself, and its tubes with it, may cross sections in every period."""
         return True
 
 
