@@ -82,10 +82,7 @@ class ExtendedOrbit(Brief, Concluded):
 
     @property
     def state(self) -> Extended:
-        """The state (N,) at the first marked node.
-
-        The node is on the first symbol's section or at phase zero.
-        """
+        """The state (N,) at the first marked node, on the first symbol's section or at phase zero."""
         return self.states[self.marked[0]]
 
     @property
@@ -95,14 +92,11 @@ class ExtendedOrbit(Brief, Concluded):
 
     @property
     def duration(self) -> Any:
-        """Time from the first node to the last, s.
-
-        The period of a periodic orbit.
-        """
+        """Time from the first node to the last, s; the period of a periodic orbit."""
         return self.times[-1] - self.times[0]
 
     def at(self, phase: Any) -> Extended:
-        """Return the lifted state (N,) of a periodic orbit.
+        """Return the lifted state (N,) of a periodic orbit at a phase, in extended precision.
 
         Args:
             phase: 113-bit real, 1 for a period.
@@ -171,9 +165,7 @@ def refine(
 
 
 def exact_position(system: System, state: Array) -> Extended:
-    """Return a resting state (N,) in extended precision.
-
-    Angles are whole multiples of π, the rest doubles.
+    """Return a resting state (N,) in extended precision: angles as whole multiples of π, the rest from doubles.
 
     Args:
         system: system of the state.
@@ -200,9 +192,7 @@ def refine_orbit(
     propagator: ExtendedPropagator | None = None,
     settings: RefinementSettings | None = None,
 ) -> ExtendedOrbit:
-    """Refine a periodic orbit as a closed orbit.
-
-    Its first node stays on its section.
+    """Return a periodic orbit refined as a closed orbit, with its first node on a plane of one coordinate.
 
     Args:
         orbit: orbit in doubles.

@@ -66,7 +66,7 @@ class ManifoldEnd(Brief):
 
     @property
     def orbit_phase(self) -> float:
-        """The asymptotic phase of the point on the periodic orbit."""
+        """The phase of the point of the periodic orbit that this end follows, 1 for a period; not reduced to [0, 1)."""
         if not self.stable:
             return self.phase
         orbit = self.manifold.orbit
@@ -80,12 +80,12 @@ class ManifoldEnd(Brief):
         return seconds / self.manifold.orbit.period * (-1.0 if self.stable else 1.0)
 
     def point(self) -> tuple[Array, Array]:
-        """Return the state (N,) and its derivative by amplitude (N,)."""
+        """Return the state (N,) of the end and its derivative (N,) by the amplitude, an unknown of the equations."""
         vector = self.manifold.frame(np.array([self.phase])).vectors[0]
         return self.states(np.zeros(1))[0], self.manifold.orbit.reverser @ vector if self.stable else vector
 
     def moved(self, seconds: float) -> "ManifoldEnd":
-        """Return the end moved along the flow.
+        """Return the end moved along the flow by a time: another phase and amplitude of the same trajectory.
 
         Args:
             seconds: time, s; backward if negative.
@@ -95,9 +95,7 @@ class ManifoldEnd(Brief):
         return replace(self, phase=self.phase + periods, amplitude=amplitude)
 
     def states(self, seconds: Array) -> Array:
-        """Return states (K, N) on the manifold.
-
-        They follow from the linearised flow.
+        """Return states (K, N) of the trajectory through the end, which follow from the linearised flow.
 
         Args:
             seconds: times (K,) from the end, s.
@@ -139,36 +137,24 @@ class ShootingOrbit(Brief, Concluded):
 
     @property
     def closed(self) -> bool:
-        """True if the orbit is periodic.
-
-        Whole turns of its angles do not count.
-        """
+        """True if the orbit is periodic, apart from whole turns of its angles."""
         return self.turn is not None
 
     @property
     def start(self) -> ManifoldEnd:
-        """The first node of an open orbit.
-
-        It is on the local unstable manifold of the first periodic orbit.
-        """
+        """The first node of an open orbit, on the local unstable manifold of the first periodic orbit."""
         assert self.ends is not None
         return self.ends[0]
 
     @property
     def end(self) -> ManifoldEnd:
-        """The last node of an open orbit.
-
-        It is on the local stable manifold of the last periodic orbit.
-        """
+        """The last node of an open orbit, on the local stable manifold of the last periodic orbit."""
         assert self.ends is not None
         return self.ends[1]
 
     @property
     def duration(self) -> float:
-        """Time from the first node to the last, s.
-
-        The period of a closed orbit.
-        """
+        """Time from the first node to the last, s; the period of a closed orbit."""
         return float(self.times[-1] - self.times[0])
 
     def sample(self, times: Array) -> Array:
@@ -189,9 +175,9 @@ class ShootingOrbit(Brief, Concluded):
         distinct_states = np.empty((len(distinct_times), self.system.dimension))
         outside = np.zeros(len(distinct_times), dtype=bool)
         if self.ends is not None:
-            before, after = distinct_times < self.times[0], distinct_times > self.times[-1]
-            outside = before | after
-            for chosen, end, time in zip((before, after), self.ends, self.times[[0, -1]], strict=True):
+            earlier, later_times = distinct_times < self.times[0], distinct_times > self.times[-1]
+            outside = earlier | later_times
+            for chosen, end, time in zip((earlier, later_times), self.ends, self.times[[0, -1]], strict=True):
                 if chosen.any():
                     distinct_states[chosen] = end.states(distinct_times[chosen] - time)
         segment = np.clip(np.searchsorted(self.times, distinct_times, side="right") - 1, 0, len(self.times) - 2)
@@ -317,9 +303,7 @@ class ShootingEquations:
         self._scaling = self.rows[self._row] * self.columns[self._col]
 
     def normals(self, states: Array) -> Array:
-        """Return the normals (nodes, N) of inner nodes.
-
-        The normals are those of a section at marked nodes, else of the flow.
+        """Return the normals (nodes, N) of inner nodes' planes: of a section at marked nodes, else of the flow.
 
         Args:
             states: states (K + 1, N) of all nodes.
@@ -332,7 +316,7 @@ class ShootingEquations:
         return normals
 
     def matrix(self, states: Array, stms: Array, arrived: Array) -> Any:
-        """Return the scaled Jacobian from doubles.
+        """Return the scaled Jacobian of the residuals as a sparse matrix of doubles.
 
         Args:
             states: states (K + 1, N) of the nodes.
@@ -358,9 +342,7 @@ class ShootingEquations:
         return csc_array((entries, (self._row, self._col)), shape=(self.size, self.size))
 
     def residuals(self, now: Unknowns, arrived: Array) -> Array:
-        """Return the unscaled residuals.
-
-        They are gaps, distances from marked sections, and the energy error of a closed orbit.
+        """Return the unscaled residuals: gaps, distances from marked sections, and the energy error of a closed orbit.
 
         Args:
             now: unknowns.
@@ -380,7 +362,7 @@ class ShootingEquations:
         return np.concatenate(parts)
 
     def moved(self, now: Unknowns, change: Array) -> Unknowns:
-        """Return the unknowns after a change of all, not scaled.
+        """Return the unknowns after a change of all of them, such as a damped Newton step.
 
         Args:
             now: unknowns.
@@ -407,7 +389,7 @@ class ShootingEquations:
         return unknowns
 
     def sizes(self, step: Array) -> Array:
-        """Return the largest scaled change (K,) of each node.
+        """Return the largest scaled change (K,) of each node, by which steps are measured.
 
         The segment after a node belongs to it. ε is left out.
 
@@ -507,9 +489,7 @@ class _Lost(Exception):
 
 
 def solve_shooting(guess: Guess, settings: NewtonSettings | None = None) -> Shot:
-    """Refine a guess into an orbit by damped Newton steps.
-
-    The steps are on all unknowns.
+    """Return the orbit to which damped Newton steps on all unknowns lead from a guess.
 
     Args:
         guess: nodes, durations and ends.
@@ -695,7 +675,7 @@ class ClosedMultipliers(Brief):
 
 
 def closed_multipliers(stms: Array, scale: Array) -> ClosedMultipliers:
-    """Return the multipliers of a closed orbit.
+    """Return the unstable and the stable multiplier of a closed orbit as logarithms, since they can exceed all doubles.
 
     Power iteration runs forward for the unstable direction and backward for the stable one.
 
@@ -748,7 +728,7 @@ class ErrorEstimate(Brief):
 
 
 def estimate_error(shot: Shot, stops: Sequence[LyapunovOrbit]) -> ErrorEstimate:
-    """Return the error estimate of a converged shot.
+    """Return the error estimate of a converged shot: the distance of the true orbit, and figures that support it.
 
     Args:
         shot: solution with its guess.

@@ -172,7 +172,7 @@ def described_connection(
     curves: tuple[OrbitCurve, OrbitCurve],
     settings: ConnectionSettings,
 ) -> Connection:
-    """Return a refined orbit as a connection.
+    """Return a refined orbit as a connection, with its name, symmetry, angle and flight times.
 
     Args:
         crossing: intersection of the cuts.
@@ -211,7 +211,7 @@ def described_connection(
 
 
 def angle_between(first: Array, second: Array) -> float:
-    """Return the angle between two tangents, deg (0 to 90).
+    """Return the angle between the tangents of two cuts, deg (0 to 90); a small one shows a nearby bifurcation.
 
     Args:
         first: tangent (2,), of any length.
@@ -222,7 +222,7 @@ def angle_between(first: Array, second: Array) -> float:
 
 
 def uncertainty(angle: float, least: float) -> float:
-    """Return the scaled position error of tubes that meet.
+    """Return the scaled position error of an intersection of two tubes, which grows as their angle falls.
 
     Args:
         angle: angle between the tubes, deg.
@@ -238,11 +238,7 @@ def _meets_a_mirror(orbit: ShootingOrbit, middle: float, within: float) -> bool:
     """
     system, centre = orbit.system, orbit.start.manifold.orbit.centre
     for reverser in system.reversers:
-        moved_part, time, offset = (
-            (np.eye(system.dimension) - reverser) / 2,
-            middle,
-            np.full(system.dimension, np.inf),
-        )
+        moved_part, time, offset = (np.eye(system.dimension) - reverser) / 2, middle, np.full(system.dimension, np.inf)
         for _ in range(4):
             state = orbit.sample(np.array([time]))[0]
             offset = moved_part @ (state - centre)
@@ -259,7 +255,7 @@ def _meets_a_mirror(orbit: ShootingOrbit, middle: float, within: float) -> bool:
 
 
 def approach(orbit: ShootingOrbit, curve: OrbitCurve, sign: int, distance: float) -> tuple[float, float]:
-    """Return time (s, positive) and phase of the first approach.
+    """Return the time, s, and the phase at which a connection from the section first comes near a periodic orbit.
 
     Args:
         orbit: connecting orbit, with time zero on the section.
@@ -301,7 +297,7 @@ def approach(orbit: ShootingOrbit, curve: OrbitCurve, sign: int, distance: float
 
 
 def mirrored(connection: Connection) -> Connection:
-    """Return the mirror image, which has the opposite sense.
+    """Return the mirror image of a connection under the half turn, which has the opposite sense.
 
     Args:
         connection: connection between orbits with a half turn.
@@ -340,7 +336,7 @@ def mirrored(connection: Connection) -> Connection:
 
 
 def can_be_reversed(system: System, source: str, target: str, *, section: Section | None = None) -> bool:
-    """Return True if time reversal preserves both saddles and the section.
+    """Return True if time reversal preserves both saddles and the section, so that one search serves both directions.
 
     Args:
         system: Hamiltonian system with reversers.
@@ -824,7 +820,7 @@ def _shot(crossing: Intersection, settings: ConnectionSettings) -> ShootingOrbit
 
 
 def reversed_search(search: ConnectionSearch) -> ConnectionSearch:
-    """Return the time-reversed search, from target to source.
+    """Return the search from target to source, by time reversal of a search from source to target.
 
     Args:
         search: search on a section that time reversal preserves.
@@ -853,7 +849,7 @@ _EDGE = 1e-6  # rounding tolerance of whole-number phases
 def find_lap_connections(
     source: LyapunovOrbit, target: LyapunovOrbit, *, section: Section, crossing: int
 ) -> ConnectionSearch:
-    """Find connections of an orbit that crosses the section itself.
+    """Find connections of an orbit that crosses the section itself, at a crossing on one of its laps.
 
     One of the two orbits must cross the section and the other must not. The first crossing of the other tube is used.
 
@@ -907,7 +903,7 @@ def find_lap_connections(
 
 
 def grown_crossing(orbit: LyapunovOrbit, section: Section) -> int:
-    """Return the last crossing before a tube becomes large.
+    """Return the last crossing before a rotating orbit's tube becomes large, at which a search of its laps begins.
 
     The limit of its scaled distance is about 0.4.
 
@@ -923,7 +919,7 @@ def grown_crossing(orbit: LyapunovOrbit, section: Section) -> int:
 
 
 def own_crossings(curve: OrbitCurve, section: Section) -> int:
-    """Return the number of an orbit's section crossings per period.
+    """Return the number of times that an orbit itself crosses a section in a period.
 
     Args:
         curve: curve of the periodic orbit.

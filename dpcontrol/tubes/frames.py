@@ -15,7 +15,7 @@ from dpcontrol.shooting.newton import ShootingOrbit
 
 
 def directions(system: System, states: Array, stms: Array, *, closed: bool, first: Array, last: Array) -> Array:
-    """Return bases (K, N, N) of the nodes' sections, in doubles.
+    """Return bases (K, N, N) of the nodes' sections, in doubles, in which proofs enclose the flow.
 
     The columns are u, s, f, w. In scaled coordinates, u, s and w are orthogonal to the flow, and u and s lie in the
     tangent plane of the energy surface.
@@ -72,7 +72,7 @@ def closed_frames(system: System, states: Array, durations: Array) -> tuple[Arra
 
 
 def growth(bases: Array, stms: Array) -> Array:
-    """Return the growth factors (K, 2) of u and s.
+    """Return the growth factors (K, 2) of u and s from each node to the next.
 
     Args:
         bases: bases (K + 1, N, N) at the nodes.
@@ -83,9 +83,7 @@ def growth(bases: Array, stms: Array) -> Array:
 
 
 def node_count(orbit: LyapunovOrbit) -> int:
-    """Return the number of nodes for an orbit.
-
-    The orbit stretches by about two between them.
+    """Return the number of nodes for an orbit, between which it stretches by about two.
 
     Args:
         orbit: hyperbolic orbit.
@@ -94,10 +92,10 @@ def node_count(orbit: LyapunovOrbit) -> int:
 
 
 def orbit_nodes(orbit: LyapunovOrbit, count: int) -> tuple[Array, Array]:
-    """Return nodes (K, N) of an orbit and their durations (K,).
+    """Return nodes (K, N) of an orbit at equal times, and the durations (K,) between them, s.
 
-    The nodes are at equal times. Durations are in s. Each node is reached from the orbit's state by the shorter way, so
-    that errors grow by the root of the multiplier only.
+    Each node is reached from the orbit's state by the shorter way, so that errors grow by the root of the multiplier
+    only.
 
     Args:
         orbit: periodic orbit.
@@ -135,7 +133,7 @@ def phased_times(
     (start, first), (stop, last) = ends
     edges = np.array([start, *marks, stop])
     parts = [
-        np.linspace(before, after, int(np.ceil((after - before) / step)) + 1)[1:]
-        for before, after, step in zip(edges[:-1], edges[1:], steps, strict=True)
+        np.linspace(begin, finish, int(np.ceil((finish - begin) / step)) + 1)[1:]
+        for begin, finish, step in zip(edges[:-1], edges[1:], steps, strict=True)
     ]
     return np.concatenate([[start], *parts]), first, last

@@ -34,7 +34,7 @@ _STRETCH = 8
 
 
 def polyline_crossings(first: Array, second: Array) -> list[tuple[float, float]]:
-    """Return the crossings (i + s, j + t) of two polylines.
+    """Return the crossings (i + s, j + t) of two polylines, guesses for the intersections of two cuts.
 
     Segment i of the first crosses segment j of the second, at fractions s and t in [0, 1) of their lengths.
 
@@ -115,13 +115,13 @@ def near_touches(first: Array, second: Array, *, margin: float = 4.0) -> list[tu
 
 
 def _sagitta(curve: Array) -> Array:
-    """Return an eighth of the second difference at each vertex (K,)."""
+    """Return an eighth of the second difference at each vertex (K,): a smooth curve's distance from its polyline."""
     inner = np.linalg.norm(curve[:-2] - 2 * curve[1:-1] + curve[2:], axis=1) / 8
     return np.r_[inner[:1], inner, inner[-1:]]
 
 
 def to_segment(points: Array, start: Array, end: Array) -> Array:
-    """Return the distance (K,) of each point to its segment.
+    """Return the distance (K,) of each point from its segment.
 
     Args:
         points: points (K, 2).
@@ -214,7 +214,7 @@ class TubeSide:
     longest: float
 
     def turned(self, states: Array) -> Array:
-        """Map states of the unstable tube to this tube.
+        """Return states of the unstable tube on this tube: unchanged, or reflected onto the stable one.
 
         Args:
             states: states (…, N).
@@ -225,7 +225,7 @@ class TubeSide:
         return (states - centre) @ reverser.T + centre
 
     def arrive(self, phases: Array) -> tuple[Array, Array, tuple[Array, Array]]:
-        """Propagate the seeds at given phases to the section.
+        """Return the states and times at which the tube's trajectories from given phases reach the section.
 
         Args:
             phases: phases (K,) of the orbit, 1 for a period.
@@ -239,7 +239,7 @@ class TubeSide:
         return self.turned(states), times, seeds
 
     def slopes(self, seeds: tuple[Array, Array], states: Array, times: Array) -> Array:
-        """Return the derivatives (K, N) of arrival states by phase.
+        """Return the derivatives (K, N) of arrival states by phase, along the section, for Newton's method.
 
         Args:
             seeds: seeds and their derivatives by phase, (K, N) each.
@@ -312,7 +312,7 @@ class _Place:
         return min(_FARTHEST, 20 * max(float(span[-1] - span[0]) for span in self.spans))
 
     def holds(self, phases: Array) -> bool:
-        """Return True if phases (2,) lie within both cuts' ranges."""
+        """Return True if phases (2,) lie within the ranges of both cuts here; others belong to another place."""
         return all(span[0] <= phase <= span[-1] for span, phase in zip(self.spans, phases, strict=True))
 
 
@@ -359,7 +359,7 @@ def intersect_cuts(
     *,
     spent: Spent = lambda: 0.0,
 ) -> Crossings:
-    """Return the distinct intersections of two cuts.
+    """Return the distinct intersections of two cuts, refined by Newton's method.
 
     If a symmetry exchanges the branches, only one branch of the unstable tube is searched.
 
@@ -631,7 +631,7 @@ def _approaches(system: System, sides: tuple[TubeSide, TubeSide], phases: Array)
 
 
 def _slopes(crossing: Intersection) -> Array:
-    """Return the derivative (2, 2) of the gap by both phases."""
+    """Return the derivative (2, 2) of the gap between two arrivals by both phases, from the tangents of the cuts."""
     return np.column_stack([crossing.tangents[:, 0], -crossing.tangents[:, 1]])
 
 

@@ -216,7 +216,7 @@ _GRID = 0.7
 
 
 def mirror_image(connection: Connection) -> Connection:
-    """Return the mirror image of a connection, which turns the other way."""
+    """Return the mirror image of a connection, which turns the other way and exists at the same energy."""
     return named(mirrored(connection), at_energy=True)
 
 
@@ -480,7 +480,7 @@ class _FamilySearch:
         return named(connection, at_energy=True)
 
     def same(self, first: Connection, second: Connection) -> bool:
-        """Return True if two connections are equal or mirror images."""
+        """Return True if two connections are equal or mirror images, by their energies and turns up to signs."""
         difference = abs(first.source.energy - second.source.energy) / self.system.energy_scale
         return difference < self.settings.same and [abs(k) for k in first.winding] == [abs(k) for k in second.winding]
 
